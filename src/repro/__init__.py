@@ -1,0 +1,1 @@
+"""Shape sensing of soft continuum robots: three papers, regenerated, compared, improved."""

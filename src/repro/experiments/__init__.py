@@ -1,0 +1,1 @@
+"""The experiments of the papers: frozen settings to tidy tables of results."""

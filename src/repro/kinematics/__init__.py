@@ -1,0 +1,1 @@
+"""Configuration to poses along the backbone: segments, robots, mounts."""

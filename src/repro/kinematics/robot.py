@@ -1,0 +1,157 @@
+"""A robot: segments in series, with the mounts of its magnets and sensors (Baaij et al. 2023, section 2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from repro.errors import bad_input
+from repro.kinematics.mounts import Mounts, magnet_mounts
+
+NO_MOUNTS = magnet_mounts([], [])
+"""No magnets, or no sensors."""
+
+
+class Segment(Protocol):
+    """What a segment must offer: any finite-dimensional kinematics fits (section 2)."""
+
+    @property
+    def length(self) -> float:
+        """Unextended length [m]."""
+        ...
+
+    coordinates: ClassVar[tuple[str, ...]]
+    """Names of the configuration variables."""
+    n_q: ClassVar[int]
+    """Number of configuration variables."""
+
+    def pose(self, q: Tensor, v: Tensor) -> Tensor:
+        """Pose ``T_base_v`` of the backbone frame at ``v`` in [0, 1]."""
+        ...
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Segments from base to tip, with magnets and sensors mounted on them.
+
+    Parameters
+    ----------
+    segments
+        From base to tip. The configuration of the robot is theirs, one after the other.
+    magnets, sensors
+        Their mounts. Leading dimensions describe a batch of robots and broadcast against the batch of the
+        configuration.
+
+    Raises
+    ------
+    InputError
+        If there is no segment, or a mount sits on a segment that does not exist or beyond its ends.
+
+    Examples
+    --------
+    >>> from repro.kinematics.constant_curvature import ConstantCurvature
+    >>> robot = Robot((ConstantCurvature(0.11, 0.022),) * 2)
+    >>> robot.tip(torch.zeros(6, dtype=torch.float64))[:3, 3]
+    tensor([0.0000, 0.0000, 0.2200], dtype=torch.float64)
+    """
+
+    segments: tuple[Segment, ...]
+    magnets: Mounts = NO_MOUNTS
+    sensors: Mounts = NO_MOUNTS
+
+    def __post_init__(self) -> None:
+        if not self.segments:
+            raise bad_input("segments", "Robot", "at least one segment", "none")
+        for name in ("magnets", "sensors"):
+            self._check_mounts(name, getattr(self, name))
+
+    def _check_mounts(self, name: str, mounts: Mounts) -> None:
+        n = len(self.segments)
+        for k, i in enumerate(mounts.segment):
+            if not 0 <= i < n:
+                raise bad_input(f"{name}.segment", "Robot", f"between 0 and {n - 1}", f"{i} for mount {k}")
+            axial, length = mounts.axial[..., k], self.segments[i].length
+            if bool((axial < 0).any()) or bool((axial > length * (1 + 1e-12)).any()):
+                worst = float(axial[(axial - length / 2).abs().argmax()] if axial.ndim else axial)
+                raise bad_input(
+                    f"{name}.axial",
+                    "Robot",
+                    f"between 0 and the length {length} m of segment {i}",
+                    f"{worst} m for mount {k}",
+                )
+
+    @property
+    def n_q(self) -> int:
+        """Number of configuration variables."""
+        return sum(segment.n_q for segment in self.segments)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the configuration variables, numbered by segment from 1: ``delta_x_1`` and so on."""
+        return tuple(f"{name}_{i}" for i, s in enumerate(self.segments, start=1) for name in s.coordinates)
+
+    @property
+    def length(self) -> float:
+        """Unextended length of the robot [m]."""
+        return sum(segment.length for segment in self.segments)
+
+    def split(self, q: Float[Tensor, "*batch n_q"]) -> tuple[Tensor, ...]:
+        """Configuration of each segment.
+
+        Raises
+        ------
+        InputError
+            If the last dimension of ``q`` is not :attr:`n_q`.
+        """
+        if q.ndim == 0 or q.shape[-1] != self.n_q:
+            expected = f"of last dimension {self.n_q} ({', '.join(self.coordinates)})"
+            raise bad_input("q", "Robot", expected, f"shape {tuple(q.shape)}")
+        return tuple(q.split([segment.n_q for segment in self.segments], dim=-1))
+
+    def base_poses(self, q: Float[Tensor, "*batch n_q"]) -> tuple[Tensor, ...]:
+        """Pose ``T_0_i`` of the base of every segment and of the tip: ``n_segments + 1`` rigid motions."""
+        parts = self.split(q)
+        T = [torch.eye(4).to(q).expand(*q.shape[:-1], 4, 4)]
+        for segment, part in zip(self.segments, parts, strict=True):
+            T.append(T[-1] @ segment.pose(part, torch.ones(()).to(q)))
+        return tuple(T)
+
+    def tip(self, q: Float[Tensor, "*batch n_q"]) -> Float[Tensor, "*batch 4 4"]:
+        """Pose ``T_0_tip`` of the tip of the robot."""
+        return self.base_poses(q)[-1]
+
+    def mount_poses(self, q: Float[Tensor, "*q n_q"], mounts: Mounts) -> Float[Tensor, "*batch n 4 4"]:
+        """Poses ``T_0_mount`` of all mounts, in their order."""
+        parts, bases = self.split(q), self.base_poses(q)
+        poses: dict[int, Tensor] = {}
+        for i, segment in enumerate(self.segments):
+            here = [k for k, j in enumerate(mounts.segment) if j == i]
+            if not here:
+                continue
+            v = mounts.axial[..., here].to(q) / segment.length
+            T_base_v = segment.pose(parts[i].unsqueeze(-2), v)
+            T = bases[i].unsqueeze(-3) @ T_base_v @ mounts.local[..., here, :, :].to(q)
+            poses.update(zip(here, T.unbind(-3), strict=True))
+        if not poses:
+            return q.new_zeros(*q.shape[:-1], 0, 4, 4)
+        return torch.stack([poses[k] for k in range(len(mounts))], dim=-3)
+
+    def magnet_poses(self, q: Float[Tensor, "*q n_q"]) -> Float[Tensor, "*batch m 4 4"]:
+        """Poses ``T_0_m`` of the magnets."""
+        return self.mount_poses(q, self.magnets)
+
+    def sensor_poses(self, q: Float[Tensor, "*q n_q"]) -> Float[Tensor, "*batch s 4 4"]:
+        """Poses ``T_0_s`` of the sensors, eq. (2)."""
+        return self.mount_poses(q, self.sensors)
+
+    def backbone(self, q: Float[Tensor, "*batch n_q"], n_points: int = 33) -> Float[Tensor, "*batch k 3"]:
+        """Points on the backbone [m], ``n_points`` per segment, both ends of every segment included."""
+        v = torch.linspace(0, 1, n_points).to(q)
+        points = []
+        for segment, part, base in zip(self.segments, self.split(q), self.base_poses(q), strict=False):
+            points.append((base.unsqueeze(-3) @ segment.pose(part.unsqueeze(-2), v))[..., :3, 3])
+        return torch.cat(points, dim=-2)

@@ -1,0 +1,1 @@
+"""Poses to readings: magnets, relations between sensors and magnets, sensor models."""

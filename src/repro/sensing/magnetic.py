@@ -1,0 +1,151 @@
+"""From the configuration of a robot to the readings of its magnetic sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from repro.errors import bad_input
+from repro.kinematics.robot import Robot
+from repro.sensing.magnets import Cube, Ring
+from repro.sensing.multipole import multipole_factors
+from repro.sensing.relations import relations
+
+EARTH_MT = 0.065
+"""Flux density of the Earth field in Baaij et al. 2023, section 3.5 [mT]."""
+
+Route = Literal["magpylib", "multipole"]
+
+
+@dataclass(frozen=True)
+class MagneticSensing:
+    r"""Predicted readings of a robot: ``u = sensing(q)``, eq. (7) followed by a sensor model.
+
+    Parameters
+    ----------
+    robot
+        With its magnets and sensors.
+    model
+        Any callable from relations ``[..., sensors, 1 + 4 magnets]`` to readings ``[..., sensors]``: a
+        network, :class:`~repro.sensing.multipole.MultipoleField`, a closed form of the user.
+    inputs
+        Whether the model takes the relations as ``"angles"`` (as in the paper) or as ``"cosines"``.
+    earth_axis
+        Direction of the Earth field in the base frame; the x axis when not given.
+
+    Raises
+    ------
+    InputError
+        If ``inputs`` is unknown, or the model does not return one reading for each sensor.
+    """
+
+    robot: Robot
+    model: Callable[[Tensor], Tensor]
+    inputs: Literal["angles", "cosines"] = "cosines"
+    earth_axis: Float[Tensor, "*earth 3"] | None = None
+
+    def __post_init__(self) -> None:
+        if self.inputs not in ("angles", "cosines"):
+            raise bad_input("inputs", "MagneticSensing", "'angles' or 'cosines'", repr(self.inputs))
+
+    def __call__(self, q: Float[Tensor, "*batch n_q"]) -> Float[Tensor, "*batch s"]:
+        """Return the predicted readings [unit of the model] at configuration ``q``."""
+        related = relations(self.robot, q, self.earth_axis)
+        xi = related.cosines() if self.inputs == "cosines" else related.angles()
+        u = self.model(xi)
+        if u.shape != xi.shape[:-1]:
+            expected = f"a callable that maps {tuple(xi.shape)} to {tuple(xi.shape[:-1])}"
+            raise bad_input("model", "MagneticSensing", expected, f"one that returns {tuple(u.shape)}")
+        return u
+
+
+def field_at_sensors(
+    robot: Robot,
+    q: Float[Tensor, "*q n_q"],
+    magnet: Ring | Cube,
+    *,
+    route: Route = "magpylib",
+    l_max: int = 9,
+    earth_mt: Float[Tensor, "*earth 3"] | None = None,
+) -> Float[Tensor, "*batch s 3"]:
+    """Flux density at every sensor, in the frame of the sensor: what a three-axis sensor reads.
+
+    Parameters
+    ----------
+    robot
+        With its magnets and sensors.
+    q
+        Configuration.
+    magnet
+        The magnet at every magnet mount.
+    route
+        ``"magpylib"``: closed forms, the oracle, no derivatives. ``"multipole"``: the axisymmetric series up
+        to ``l_max`` in torch, differentiable.
+    l_max
+        Highest order of the series.
+    earth_mt
+        Earth field vector in the base frame [mT]; none when not given.
+
+    Returns
+    -------
+    Tensor
+        Flux density [mT]; the last component is along the measurement direction.
+
+    Raises
+    ------
+    InputError
+        If the route is unknown, or the series is asked for a magnet that is not axisymmetric.
+    """
+    T_s, T_m = robot.sensor_poses(q), robot.magnet_poses(q)
+    offset = T_s[..., :, None, :3, 3] - T_m[..., None, :, :3, 3]
+    rotation = T_m[..., None, :, :3, :3]
+    if route == "magpylib":
+        local = (rotation.transpose(-1, -2) @ offset.unsqueeze(-1)).squeeze(-1)
+        flux = torch.from_numpy(magnet.field(local.detach().cpu().double().numpy())).to(q)
+        B = (rotation @ flux.unsqueeze(-1)).squeeze(-1).sum(-2)
+    elif route == "multipole":
+        if not isinstance(magnet, Ring):
+            raise bad_input("magnet", "field_at_sensors", "a Ring for route='multipole'", magnet)
+        axis = rotation[..., 2]
+        d = torch.linalg.vector_norm(offset, dim=-1)
+        f, g = multipole_factors(torch.as_tensor(magnet.multipoles(l_max)), d, (axis * offset).sum(-1) / d)
+        B = (f.unsqueeze(-1) * axis + (g / d).unsqueeze(-1) * offset).sum(-2)
+    else:
+        raise bad_input("route", "field_at_sensors", "'magpylib' or 'multipole'", repr(route))
+    if earth_mt is not None:
+        B = B + earth_mt.to(q).unsqueeze(-2)
+    return (T_s[..., :3, :3].transpose(-1, -2) @ B.unsqueeze(-1)).squeeze(-1)
+
+
+def readings(
+    robot: Robot,
+    q: Float[Tensor, "*q n_q"],
+    magnet: Ring | Cube,
+    *,
+    route: Route = "magpylib",
+    l_max: int = 9,
+    earth_mt: Float[Tensor, "*earth 3"] | None = None,
+) -> Float[Tensor, "*batch s"]:
+    """Readings [mT] of single-axis sensors: the flux density along their measurement directions.
+
+    Parameters are those of :func:`field_at_sensors`.
+    """
+    B = field_at_sensors(robot, q, magnet, route=route, l_max=l_max, earth_mt=earth_mt)
+    return B[..., 2]
+
+
+def field_on_grid(
+    robot: Robot, q: Float[Tensor, " n_q"], magnet: Ring | Cube, points: Float[np.ndarray, "*grid 3"]
+) -> Float[np.ndarray, "*grid 3"]:
+    """Flux density [mT] of all magnets of a robot at points [m], both in the base frame, by magpylib."""
+    total = np.zeros(points.shape)
+    for T in robot.magnet_poses(q).detach().double().numpy():
+        rotation, position = T[:3, :3], T[:3, 3]
+        total += magnet.field((points - position) @ rotation) @ rotation.T
+    return total

@@ -1,0 +1,1 @@
+"""Synthetic recordings, called synthetic everywhere."""

@@ -1,0 +1,63 @@
+"""The robots that the papers simulate."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from repro.errors import bad_input
+from repro.kinematics.constant_curvature import ConstantCurvature
+from repro.kinematics.mounts import magnet_mounts, ring_azimuths, sensor_mounts
+from repro.kinematics.robot import Robot
+
+LENGTH_M = 0.110
+RADIUS_M = 0.022
+MAGNET_AXIAL_M = 0.055
+SENSOR_RADIAL_M = 0.013
+
+
+def pcc_robot(
+    n_segments: int = 1,
+    sensors_per_segment: int = 3,
+    *,
+    tilt: Tensor | float = 0.0,
+    radial: Tensor | float = SENSOR_RADIAL_M,
+    azimuth_offset: Tensor | float = 0.0,
+) -> Robot:
+    """Robot of Baaij et al. 2023, section 3.1: a ring in the middle and sensors in the tip plane of each segment.
+
+    Parameters
+    ----------
+    n_segments
+        Number of segments ``n_b``.
+    sensors_per_segment
+        Sensors in each tip plane, spaced evenly.
+    tilt
+        Tilt ``psi_s`` [rad], positive inwards; a batch of robots has a leading dimension.
+    radial
+        Distance ``d_s,r`` [m] of the sensors from the backbone.
+    azimuth_offset
+        Azimuth ``phi_off`` [rad] of the first sensor of each segment.
+
+    Raises
+    ------
+    InputError
+        If there is no segment or no sensor.
+
+    Examples
+    --------
+    >>> robot = pcc_robot(n_segments=3)
+    >>> robot.n_q, len(robot.magnets), len(robot.sensors)
+    (9, 3, 9)
+    """
+    if n_segments < 1 or sensors_per_segment < 1:
+        counts = (n_segments, sensors_per_segment)
+        raise bad_input("n_segments, sensors_per_segment", "pcc_robot", "at least 1", counts)
+    segment_of_sensor = [i for i in range(n_segments) for _ in range(sensors_per_segment)]
+    azimuth = ring_azimuths(sensors_per_segment, azimuth_offset)
+    azimuth = azimuth.repeat(*(1,) * (azimuth.ndim - 1), n_segments)
+    per_robot = [x.unsqueeze(-1) if isinstance(x, Tensor) and x.ndim else x for x in (radial, tilt)]
+    return Robot(
+        segments=(ConstantCurvature(LENGTH_M, RADIUS_M),) * n_segments,
+        magnets=magnet_mounts(range(n_segments), MAGNET_AXIAL_M),
+        sensors=sensor_mounts(segment_of_sensor, LENGTH_M, per_robot[0], azimuth, per_robot[1]),
+    )
