@@ -131,7 +131,7 @@ def test_no_mounts_give_no_poses():
         (lambda: three_segments().tip(torch.zeros(8)), r"last dimension 9 \(delta_x_1, .* shape \(8,\)"),
         (
             lambda: three_segments().tip(torch.full((9,), math.nan)),
-            "must be finite; instead received 3 values",
+            "Input q of Robot must be finite; instead received 9 values",
         ),
         (
             lambda: three_segments(sensors=sensor_mounts([0, 1], [0.1, 0.116], 0.013)),

@@ -50,6 +50,15 @@ class Mounts:
         """Return the number of mounts."""
         return len(self.segment)
 
+    def joined(self, other: Mounts) -> Mounts:
+        """These mounts, then those of ``other``; batches broadcast."""
+        batch = torch.broadcast_shapes(self.axial.shape[:-1], other.axial.shape[:-1])
+        axial, local = (
+            torch.cat([x.expand(*batch, *x.shape[-rank:]) for x in (a, b)], dim=-rank)
+            for a, b, rank in ((self.axial, other.axial, 1), (self.local, other.local, 3))
+        )
+        return Mounts(self.segment + other.segment, axial, local)
+
 
 def magnet_mounts(segment: Sequence[int], axial: Numbers) -> Mounts:
     """Magnets on the backbone, magnetised along it (Baaij et al. 2023, section 2.2).

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from repro import se3
 from repro.errors import bad_input
 from repro.kinematics.mounts import Mounts, magnet_mounts
 
@@ -105,40 +106,34 @@ class Robot:
         Raises
         ------
         InputError
-            If the last dimension of ``q`` is not :attr:`n_q`.
+            If the last dimension of ``q`` is not :attr:`n_q`, or ``q`` is not finite.
         """
         if q.ndim == 0 or q.shape[-1] != self.n_q:
             expected = f"of last dimension {self.n_q} ({', '.join(self.coordinates)})"
             raise bad_input("q", "Robot", expected, f"shape {tuple(q.shape)}")
+        se3.require_finite(q, "q", "Robot")
         return tuple(q.split([segment.n_q for segment in self.segments], dim=-1))
 
-    def base_poses(self, q: Float[Tensor, "*batch n_q"]) -> tuple[Tensor, ...]:
-        """Pose ``T_0_i`` of the base of every segment and of the tip: ``n_segments + 1`` rigid motions."""
-        parts = self.split(q)
-        T = [torch.eye(4).to(q).expand(*q.shape[:-1], 4, 4)]
-        for segment, part in zip(self.segments, parts, strict=True):
-            T.append(T[-1] @ segment.pose(part, torch.ones(()).to(q)))
-        return tuple(T)
+    def base_poses(self, q: Float[Tensor, "*batch n_q"]) -> Float[Tensor, "*batch i 4 4"]:
+        """Pose ``T_0_i`` of the base of every segment and, last, of the tip: ``n_segments + 1`` rigid motions."""
+        tips = self._segment_poses(q, tuple(range(len(self.segments))), torch.ones(len(self.segments)).to(q))
+        return self._chain(tips)
 
     def tip(self, q: Float[Tensor, "*batch n_q"]) -> Float[Tensor, "*batch 4 4"]:
         """Pose ``T_0_tip`` of the tip of the robot."""
-        return self.base_poses(q)[-1]
+        return self.base_poses(q)[..., -1, :, :]
 
     def mount_poses(self, q: Float[Tensor, "*q n_q"], mounts: Mounts) -> Float[Tensor, "*batch n 4 4"]:
         """Poses ``T_0_mount`` of all mounts, in their order."""
-        parts, bases = self.split(q), self.base_poses(q)
-        poses: dict[int, Tensor] = {}
-        for i, segment in enumerate(self.segments):
-            here = [k for k, j in enumerate(mounts.segment) if j == i]
-            if not here:
-                continue
-            v = mounts.axial[..., here].to(q) / segment.length
-            T_base_v = segment.pose(parts[i].unsqueeze(-2), v)
-            T = bases[i].unsqueeze(-3) @ T_base_v @ mounts.local[..., here, :, :].to(q)
-            poses.update(zip(here, T.unbind(-3), strict=True))
-        if not poses:
+        if not len(mounts):
             return q.new_zeros(*q.shape[:-1], 0, 4, 4)
-        return torch.stack([poses[k] for k in range(len(mounts))], dim=-3)
+        # One evaluation for the tips of all segments but the last and for all mounts.
+        n = len(self.segments) - 1
+        v = mounts.axial.to(q) / q.new_tensor([self.segments[i].length for i in mounts.segment])
+        v = torch.cat([v.new_ones(*v.shape[:-1], n), v], dim=-1)
+        T = self._segment_poses(q, (*range(n), *mounts.segment), v)
+        bases = self._chain(T[..., :n, :, :])
+        return bases[..., list(mounts.segment), :, :] @ T[..., n:, :, :] @ mounts.local.to(q)
 
     def magnet_poses(self, q: Float[Tensor, "*q n_q"]) -> Float[Tensor, "*batch m 4 4"]:
         """Poses ``T_0_m`` of the magnets."""
@@ -148,10 +143,36 @@ class Robot:
         """Poses ``T_0_s`` of the sensors, eq. (2)."""
         return self.mount_poses(q, self.sensors)
 
+    def magnet_and_sensor_poses(self, q: Float[Tensor, "*q n_q"]) -> tuple[Tensor, Tensor]:
+        """Poses of the magnets and of the sensors, in one evaluation of the kinematics."""
+        T = self.mount_poses(q, self.magnets.joined(self.sensors))
+        return T[..., : len(self.magnets), :, :], T[..., len(self.magnets) :, :, :]
+
     def backbone(self, q: Float[Tensor, "*batch n_q"], n_points: int = 33) -> Float[Tensor, "*batch k 3"]:
         """Points on the backbone [m], ``n_points`` per segment, both ends of every segment included."""
-        v = torch.linspace(0, 1, n_points).to(q)
-        points = []
-        for segment, part, base in zip(self.segments, self.split(q), self.base_poses(q), strict=False):
-            points.append((base.unsqueeze(-3) @ segment.pose(part.unsqueeze(-2), v))[..., :3, 3])
-        return torch.cat(points, dim=-2)
+        n = len(self.segments)
+        index = tuple(i for i in range(n) for _ in range(n_points))
+        T = self._segment_poses(q, index, torch.linspace(0, 1, n_points).to(q).repeat(n))
+        return (self.base_poses(q)[..., list(index), :, :] @ T)[..., :3, 3]
+
+    def _segment_poses(self, q: Tensor, index: tuple[int, ...], v: Tensor) -> Tensor:
+        """Poses at ``v[..., k]`` of segment ``index[k]``, each in the frame of its base; equal segments at once."""
+        parts = self.split(q)
+        groups: dict[Segment, list[int]] = {}
+        for k, i in enumerate(index):
+            groups.setdefault(self.segments[i], []).append(k)
+        blocks = [
+            segment.pose(torch.stack([parts[index[k]] for k in here], dim=-2), v[..., here])
+            for segment, here in groups.items()
+        ]
+        order = [k for here in groups.values() for k in here]
+        T = torch.cat(blocks, dim=-3)
+        return T if order == sorted(order) else T[..., [order.index(k) for k in range(len(order))], :, :]
+
+    @staticmethod
+    def _chain(tips: Tensor) -> Tensor:
+        """Cumulative products of rigid motions ``[..., n, 4, 4]``, the identity first."""
+        poses = [torch.eye(4).to(tips).expand(*tips.shape[:-3], 4, 4)]
+        for T in tips.unbind(-3):
+            poses.append(poses[-1] @ T)
+        return torch.stack(poses, dim=-3)

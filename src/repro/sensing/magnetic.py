@@ -102,7 +102,7 @@ def field_at_sensors(
     InputError
         If the route is unknown, or the series is asked for a magnet that is not axisymmetric.
     """
-    T_s, T_m = robot.sensor_poses(q), robot.magnet_poses(q)
+    T_m, T_s = robot.magnet_and_sensor_poses(q)
     offset = T_s[..., :, None, :3, 3] - T_m[..., None, :, :3, 3]
     rotation = T_m[..., None, :, :3, :3]
     if route == "magpylib":

@@ -91,7 +91,7 @@ def relations(
     if not len(robot.magnets) or not len(robot.sensors):
         counts = f"{len(robot.magnets)} magnets and {len(robot.sensors)} sensors"
         raise bad_input("robot", "relations", "a robot with magnets and sensors", counts)
-    T_s, T_m = robot.sensor_poses(q), robot.magnet_poses(q)
+    T_m, T_s = robot.magnet_and_sensor_poses(q)
     n_e = q.new_tensor([1.0, 0.0, 0.0]) if earth_axis is None else earth_axis.to(q)
     length = torch.linalg.vector_norm(n_e, dim=-1, keepdim=True)
     if earth_axis is not None and not bool((length > 0).all()):

@@ -17,7 +17,9 @@ AMPLITUDE_M = 22e-3 * math.pi / 4
 ELONGATION_M = 2.75e-3
 
 
-def lemniscate(n_segments: int, *, half: bool = False, steps: int = STEPS) -> Float[Tensor, "steps n_q"]:
+def lemniscate(
+    n_segments: int, *, half: bool = False, steps: int = STEPS, amplitude_m: float = AMPLITUDE_M
+) -> Float[Tensor, "steps n_q"]:
     r"""Lemniscate of every segment, each shifted in phase by :math:`p = 2\pi (i - 1)/n_b`.
 
     With :math:`s \in [0, 1]`, full: :math:`\Delta_x = D \sin(4\pi s + p)`,
@@ -32,6 +34,8 @@ def lemniscate(n_segments: int, *, half: bool = False, steps: int = STEPS) -> Fl
         The half lemniscate T2 instead of the full one T3.
     steps
         Number of time steps.
+    amplitude_m
+        Bending amplitude D [m].
 
     Returns
     -------
@@ -57,8 +61,8 @@ def lemniscate(n_segments: int, *, half: bool = False, steps: int = STEPS) -> Fl
     for i in range(n_segments):
         p = 2 * math.pi * i / n_segments
         columns += [
-            AMPLITUDE_M * torch.sin(2 * turns * s + p),
-            AMPLITUDE_M * torch.sin(turns * s + p),
+            amplitude_m * torch.sin(2 * turns * s + p),
+            amplitude_m * torch.sin(turns * s + p),
             ELONGATION_M * (1 + torch.sin(2 * math.pi * s + p)),
         ]
     return torch.stack(columns, dim=-1)

@@ -1,0 +1,124 @@
+"""The command ``repro``: a thin list of commands.
+
+Each imports what it needs when it runs, so that help is instant.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, CycloptsError, Parameter
+
+from repro.errors import InputError
+
+app = App(
+    name="repro",
+    help="Run notebooks of the companion with parameters of your own, and compare results with the papers.",
+    version_flags=[],
+    help_format="plaintext",
+)
+
+Given = Annotated[
+    list[tuple[str, str]] | None,
+    # Values are passed on as typed: they may start with a hyphen or look like JSON.
+    Parameter(
+        name=["-p", "--parameter"],
+        metavar="NAME VALUE",
+        allow_leading_hyphen=True,
+        negative="",
+        json_list=False,
+        json_dict=False,
+    ),
+]
+Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
+
+
+@app.command
+def run(notebook: Path, /, *, parameters: Given = None, output: Output = None) -> int:
+    """Run a notebook: repro run NOTEBOOK [-p NAME VALUE ...] [-o OUT.ipynb].
+
+    Parameters
+    ----------
+    notebook
+        The notebook to run; it is not changed.
+    parameters
+        A parameter and its value, such as -p n_segments 3; may be repeated. Lists and dictionaries are YAML.
+    output
+        The executed notebook; tables are written beside it. By default a folder below runs/.
+    """
+    from repro.report.parameters import convert_all, declared_parameters
+    from repro.report.project import find_project, shown
+    from repro.report.provenance import notebook_key, read_inputs
+    from repro.report.runner import (
+        NotebookFailed,
+        check_output,
+        default_output,
+        read_notebook,
+        run_notebook,
+        stop_on_termination,
+    )
+
+    stop_on_termination()
+    project = find_project()
+    declared = declared_parameters(read_notebook(notebook), notebook.name)
+    values = convert_all(parameters or [], declared, notebook.name)
+    if output is None:
+        output = default_output(notebook, notebook_key(notebook, values, read_inputs(project)), project)
+    check_output(notebook, output, project)
+    try:
+        record = run_notebook(
+            notebook, values, output, output.parent, project=project, progress=sys.stderr.isatty()
+        )
+    except NotebookFailed as failure:
+        print(failure, file=sys.stderr)
+        return 1
+    print(f"{shown(output)}  ({record.seconds:.1f} s)")
+    for table in record.results:
+        print(f"{shown(output.parent / table)}")
+    return 0
+
+
+@app.command
+def scorecard(*, require: Path | None = None, write_reference: Path | None = None) -> int:
+    """Compare the book's results with every number of the papers; write results/scorecard.csv.
+
+    Parameters
+    ----------
+    require
+        A reference; exit with 1 if a row that it calls reproduced or better no longer is.
+    write_reference
+        Write today's verdicts as a reference to this file.
+    """
+    from repro.report.files import write_whole
+    from repro.report.project import find_project, shown
+    from repro.report.scorecard import REFERENCE_COLUMNS, compute_scorecard, lost_rows, scorecard_csv, summary
+
+    project = find_project()
+    rows = compute_scorecard(project)
+    path = project.results / "scorecard.csv"
+    write_whole(path, scorecard_csv(rows))
+    print(f"{summary(rows)}\n\nAll rows: {shown(path)}")
+    lost = lost_rows(rows, require) if require else []
+    if lost:
+        print("No longer reproduced or better:", *lost, sep="\n  ", file=sys.stderr)
+        return 1
+    if write_reference:
+        write_whole(write_reference, scorecard_csv(rows, REFERENCE_COLUMNS))
+    return 0
+
+
+def main() -> int:
+    """Run the command line; return 0, 1 where a notebook or a comparison failed, or 2 for wrong input."""
+    try:
+        return app(exit_on_error=False, print_error=False, result_action="return_value") or 0
+    except (InputError, CycloptsError) as error:
+        print(f"repro: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

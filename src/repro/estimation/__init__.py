@@ -1,0 +1,1 @@
+"""From readings to configurations: estimators and chains of links."""

@@ -1,0 +1,167 @@
+"""One interface for all estimators: explicit state in, explicit state out, and the one loop that drives them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from tqdm import tqdm
+
+from repro.errors import bad_input
+
+S = TypeVar("S")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What an estimator believes after a step.
+
+    Parameters
+    ----------
+    q
+        Configuration.
+    covariance
+        Covariance of ``q``, for estimators that have one.
+    u_hat
+        Readings predicted at ``q``.
+    diagnostics
+        Named tensors with the batch of ``q``; every estimator reports ``masked``, the number of sensors left out
+        (by the mask, or because their reading was NaN).
+    """
+
+    q: Float[Tensor, "*batch n_q"]
+    covariance: Float[Tensor, "*batch n_q n_q"] | None
+    u_hat: Float[Tensor, "*batch s"]
+    diagnostics: Mapping[str, Tensor] = field(default_factory=dict)
+
+
+class Estimator(Protocol[S]):
+    """Readings to configuration, one time step after the other, batched over trajectories.
+
+    Ground truth never enters :meth:`step`, except as ``known`` in an experiment that declares it.
+    """
+
+    def init(self, q0: Tensor, *, seed: int) -> S:
+        """State before the first step, at configuration ``q0`` ``[*batch, n_q]``."""
+        ...
+
+    def step(
+        self, state: S, u: Tensor, t: float, *, mask: Tensor | None = None, known: Tensor | None = None
+    ) -> tuple[S, Estimate]:
+        """Take in the readings ``u`` ``[*batch, s]`` at time ``t`` [s].
+
+        ``mask`` is true for sensors in use (all when not given); a reading that is NaN masks its sensor.
+        ``known`` ``[*batch, n_q]`` holds coordinates at given values; NaN leaves a coordinate to be estimated.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Estimates over time: the fields of :class:`Estimate` with a leading time dimension."""
+
+    q: Float[Tensor, "t *batch n_q"]
+    covariance: Float[Tensor, "t *batch n_q n_q"] | None
+    u_hat: Float[Tensor, "t *batch s"]
+    diagnostics: Mapping[str, Tensor]
+
+
+def track(
+    estimator: Estimator[S],
+    readings: Float[Tensor, "t *batch s"],
+    q0: Float[Tensor, "*batch n_q"],
+    *,
+    rate_hz: float = 40.0,
+    seed: int = 0,
+    mask: Bool[Tensor, "t *m"] | None = None,
+    known: Float[Tensor, "t *k"] | None = None,
+    progress: str | None = None,
+) -> Trajectory:
+    """Run an estimator over recorded readings.
+
+    Parameters
+    ----------
+    estimator
+        Any estimator.
+    readings
+        One row per time step.
+    q0
+        Where the estimator starts.
+    rate_hz
+        Steps per second.
+    seed
+        For estimators that draw random numbers.
+    mask, known
+        As in :meth:`Estimator.step`, with a leading time dimension.
+    progress
+        Label of a progress bar; none when not given.
+
+    Raises
+    ------
+    InputError
+        If there are no readings.
+    """
+    if not len(readings):
+        raise bad_input("readings", "track", "at least one time step", f"shape {tuple(readings.shape)}")
+    state = estimator.init(q0, seed=seed)
+    estimates = []
+    for k, u in enumerate(tqdm(readings, desc=progress, disable=progress is None)):
+        state, estimate = estimator.step(
+            state,
+            u,
+            k / rate_hz,
+            mask=None if mask is None else mask[k],
+            known=None if known is None else known[k],
+        )
+        estimates.append(estimate)
+    covariances = [e.covariance for e in estimates if e.covariance is not None]
+    return Trajectory(
+        q=torch.stack([e.q for e in estimates]),
+        covariance=torch.stack(covariances) if covariances else None,
+        u_hat=torch.stack([e.u_hat for e in estimates]),
+        diagnostics={k: torch.stack([e.diagnostics[k] for e in estimates]) for k in estimates[0].diagnostics},
+    )
+
+
+def usable(u: Float[Tensor, "*batch s"], mask: Tensor | None, owner: str) -> Bool[Tensor, "*batch s"]:
+    """Sensors to use: those of the mask whose reading is a number.
+
+    Raises
+    ------
+    InputError
+        If the mask does not fit, a reading is infinite, or no sensor is left.
+    """
+    if bool(torch.isinf(u).any()):
+        raise bad_input("u", owner, "finite, or NaN for a missing reading", "infinite readings")
+    use = ~torch.isnan(u)
+    if mask is not None:
+        if mask.dtype != torch.bool or mask.shape[-1:] != u.shape[-1:]:
+            expected = f"boolean, one for each of {u.shape[-1]} sensors"
+            raise bad_input("mask", owner, expected, f"{mask.dtype} of shape {tuple(mask.shape)}")
+        use = use & mask
+    if not bool(use.any(-1).all()):
+        raise bad_input("u", owner, "at least one reading that is a number and not masked", "none")
+    return use
+
+
+def check_start(
+    q0: Tensor, bounds: tuple[Tensor, Tensor] | None, owner: str, *, n_q: int | None = None
+) -> None:
+    """Refuse a start that is not finite, of the wrong width, or outside the bounds.
+
+    Raises
+    ------
+    InputError
+        As said.
+    """
+    if n_q is not None and q0.shape[-1:] != (n_q,):
+        raise bad_input("q0", owner, f"of last dimension {n_q}", f"shape {tuple(q0.shape)}")
+    if not bool(torch.isfinite(q0).all()):
+        raise bad_input("q0", owner, "finite", q0.tolist())
+    if bounds is not None and bool(((q0 < bounds[0].to(q0)) | (q0 > bounds[1].to(q0))).any()):
+        expected = f"within the bounds {bounds[0].tolist()} to {bounds[1].tolist()}"
+        raise bad_input("q0", owner, expected, q0.tolist())

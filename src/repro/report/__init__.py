@@ -1,0 +1,1 @@
+"""From notebooks to pages: runs, provenance, result tables, scorecard, figures and the site."""

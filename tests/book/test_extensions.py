@@ -1,0 +1,96 @@
+"""The two local Sphinx extensions of the book."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+BOOK = Path(__file__).resolve().parents[2] / "book"
+pytest.importorskip("sphinx")
+
+
+@pytest.fixture(autouse=True)
+def extension_path(monkeypatch):
+    """Make the extensions importable."""
+    monkeypatch.syspath_prepend(str(BOOK / "_ext"))
+    yield
+    for name in ("repro_api", "repro_site"):
+        sys.modules.pop(name, None)
+
+
+def test_pages_follow_the_source_tree(tmp_path):
+    """A new module gets its page, a removed one loses it, an unchanged page is not written again."""
+    api = importlib.import_module("repro_api")
+    package = tmp_path / "src" / "repro"
+    (package / "sensing").mkdir(parents=True)
+    (package / "__init__.py").write_text('"""The package."""\n')
+    (package / "se3.py").write_text('"""Rigid motions."""\n')
+    (package / "sensing" / "__init__.py").write_text("")
+    (package / "sensing" / "magnets.py").write_text('"""Magnets."""\n')
+    (package / "sensing" / "_private.py").write_text('"""Not shown."""\n')
+    book = tmp_path / "book"
+    api.write_pages(book)
+    assert sorted(path.name for path in (book / "api").iterdir()) == ["se3.md", "sensing.md"]
+    assert ".. automodule:: repro.sensing.magnets" in (book / "api" / "sensing.md").read_text()
+    assert "- [`repro.se3`](/api/se3.md): Rigid motions." in (book / "generated" / "modules.md").read_text()
+
+    before = (book / "api" / "se3.md").stat().st_mtime_ns
+    (package / "sensing" / "magnets.py").unlink()
+    api.write_pages(book)
+    assert [path.name for path in (book / "api").iterdir()] == ["se3.md"]
+    assert (book / "api" / "se3.md").stat().st_mtime_ns == before
+
+
+def test_placeholders_never_replace_computed_fragments(tmp_path):
+    """The includes of a first build exist; later they are left alone."""
+    api = importlib.import_module("repro_api")
+    (tmp_path / "generated").mkdir()
+    (tmp_path / "generated" / "counts.md").write_text("7 reproduced")
+    api.write_placeholders(tmp_path)
+    assert (tmp_path / "generated" / "counts.md").read_text() == "7 reproduced"
+    assert "make book" in (tmp_path / "generated" / "scorecard.md").read_text()
+
+
+def test_names_resolve_where_they_are_defined():
+    """A name under another path of this package is found; one that does not exist is not."""
+    api = importlib.import_module("repro_api")
+    assert api.home_of("repro.errors.InputError", None) == "repro.errors.InputError"
+    assert api.home_of("InputError", "repro.errors") == "repro.errors.InputError"
+    assert api.home_of("repro.errors.NoSuchError", None) is None
+
+
+def script(name="", body="", **attributes):
+    """Return a stand-in for Sphinx's record of a script."""
+    return SimpleNamespace(filename=name and f"_static/{name}", attributes={"body": body, **attributes})
+
+
+@pytest.mark.parametrize(
+    ("formulas", "meta", "expected"),
+    [
+        (False, {}, ["a.js"]),
+        (True, {}, ["", "a.js", "vendor/mathjax/m.js"]),
+        (False, {"scripts": "vendor/three/v.js"}, ["a.js", "vendor/three/v.js"]),
+    ],
+)
+def test_scripts_of_a_page(formulas, meta, expected):
+    """Each script once; formulas bring MathJax and its configuration; other vendored scripts on request."""
+    site = importlib.import_module("repro_site")
+    context = {
+        "body": '<span class="math">' if formulas else '<p class="mathjax_ignore">',
+        "meta": meta,
+        "script_files": [
+            script("a.js"),
+            script("a.js"),
+            script("vendor/mathjax/m.js"),
+            script(body="window.MathJax = {}"),
+            script("vendor/mathjax/m.js", defer="defer"),
+            script("vendor/three/v.js"),
+        ],
+    }
+    site.select_scripts(None, "page", "page.html", context, None)
+    names = [(item.filename or "").removeprefix("_static/") for item in context["script_files"]]
+    assert sorted(names) == sorted(expected)

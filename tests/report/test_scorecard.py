@@ -1,0 +1,196 @@
+"""The scorecard from files: every row listed, broken files refused, pages and reference written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from repro.errors import InputError
+from repro.report.project import Project, find_project
+from repro.report.published import read_csv, read_published, row_key
+from repro.report.results import write_scorecard_rows
+from repro.report.scorecard import (
+    COLUMNS,
+    REFERENCE_COLUMNS,
+    compute_scorecard,
+    geometric_mean_ratio,
+    lost_rows,
+    scorecard_csv,
+    summary,
+)
+from repro.report.scorecard_page import counts_page, scorecard_page
+
+E_U = {"paper": "a2020", "artefact": "Table 1", "row": "one", "quantity": "e_u", "unit": "mT", "setting": "x"}
+RATE = {
+    "paper": "b2021",
+    "artefact": "Fig. 2",
+    "row": "one",
+    "quantity": "update_rate",
+    "unit": "Hz",
+    "setting": "y",
+}
+
+
+@pytest.fixture
+def project(root: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
+    monkeypatch.setenv("REPRO_RESULTS_DIR", "results")
+    return find_project()
+
+
+def test_columns():
+    assert ", ".join(COLUMNS) == (
+        "paper, artefact, row, quantity, unit, published, published_std, regenerated, regenerated_std, n_seeds, "
+        "setting, verdict, weak, best, best_method, note"
+    )
+
+
+def test_every_row_is_listed_from_the_start(project):
+    assert scorecard_csv(compute_scorecard(project)) == (
+        ",".join(COLUMNS) + "\n"
+        "a2020,Table 1,one,e_u,mT,0.015,0.002,,,,,missing,false,,,\n"
+        "a2020,Table 1,two,e_u,mT,0.016,,,,,,missing,false,,,\n"
+        "b2021,Fig. 2,one,update_rate,Hz,60,,,,,,missing,false,,,\n"
+    )
+
+
+def test_rows_from_several_files(project):
+    write_scorecard_rows([{**E_U, "regenerated": 0.016, "n_seeds": 3}], "first")
+    write_scorecard_rows([{**RATE, "regenerated": 90}], "second")
+    rows = compute_scorecard(project)
+    assert [row.verdict for row in rows] == ["reproduced", "missing", "better"]
+    assert summary(rows) == (
+        "       reproduced  better  differs  not comparable  missing  all\n"
+        "a2020           1       0        0               0        1    2\n"
+        "b2021           0       1        0               0        0    1\n"
+        "all             1       1        0               0        1    3"
+    )
+
+
+def test_committed_timings_are_never_compared(project):
+    write_scorecard_rows([{**RATE, "regenerated": 90, "setting": "benchmark"}], "bench")
+    (project.results / "bench.rows.csv").rename(project.data / "benchmark.csv")
+    assert compute_scorecard(project)[2].verdict == "not_comparable"
+
+
+def test_a_difference_needs_a_note(project):
+    write_scorecard_rows([{**E_U, "regenerated": 0.03}], "first")
+    with pytest.raises(InputError) as refused:
+        compute_scorecard(project)
+    assert str(refused.value) == (
+        "Input note of the scorecard must be given where a number differs; "
+        "instead received none for a2020 / Table 1 / one / e_u / mT."
+    )
+    write_scorecard_rows([{**E_U, "regenerated": 0.03, "note": "another magnet"}], "first")
+    assert compute_scorecard(project)[0].verdict == "differs"
+
+
+def test_a_number_regenerated_twice_is_refused(project):
+    for name in ("first", "second"):
+        write_scorecard_rows([{**E_U, "regenerated": 0.015}], name)
+    with pytest.raises(
+        InputError, match=r"must be regenerated once; instead received first.rows.csv and second"
+    ):
+        compute_scorecard(project)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "paper,artefact\n",
+            "Input columns of published.csv must be paper, artefact, row, quantity, unit, value, std",
+        ),
+        ("HEAD\na,b,c,d,e,1\n", "Input line 2 of published.csv must be 7 cells; instead received 6."),
+        ("HEAD\na,b,c,d,e,x,\n", "Input value of published.csv must be a number in row a / b / c / d / e"),
+        ("HEAD\na,b,c,d,e,nan,\n", "Input value of published.csv must be a number in row a / b / c / d / e"),
+        ("HEAD\na,b,c,d,e,1,\na,b,c,d,e,2,\n", "Input row of published.csv must be listed once"),
+    ],
+)
+def test_broken_published_numbers_are_refused(tmp_path, text, message):
+    path = tmp_path / "published.csv"
+    path.write_text(text.replace("HEAD", "paper,artefact,row,quantity,unit,value,std"))
+    with pytest.raises(InputError) as refused:
+        read_published(path)
+    assert message in str(refused.value)
+
+
+def test_missing_published_numbers_are_refused(tmp_path):
+    with pytest.raises(InputError, match="Input file of the scorecard must be an existing CSV file"):
+        read_published(tmp_path / "published.csv")
+
+
+def test_lost_rows(project, tmp_path):
+    reference = tmp_path / "reference.csv"
+    write_scorecard_rows([{**E_U, "regenerated": 0.015}, {**RATE, "regenerated": 90}], "first")
+    reference.write_text(scorecard_csv(compute_scorecard(project), REFERENCE_COLUMNS))
+    assert lost_rows(compute_scorecard(project), reference) == []
+    write_scorecard_rows([{**E_U, "regenerated": 0.001}, {**RATE, "regenerated": 1, "note": "slow"}], "first")
+    assert lost_rows(compute_scorecard(project), reference) == [
+        "b2021 / Fig. 2 / one / update_rate / Hz: was better, is differs"
+    ]
+    gone = [row for row in compute_scorecard(project) if row.paper == "a2020"]
+    assert "was better, is not listed" in lost_rows(gone, reference)[0]
+
+
+def test_a_reference_with_an_unknown_verdict_is_refused(project, tmp_path):
+    reference = tmp_path / "reference.csv"
+    reference.write_text(",".join(REFERENCE_COLUMNS) + "\na,b,c,d,e,fine\n")
+    with pytest.raises(InputError, match="Input verdict of reference.csv must be one of reproduced, better"):
+        lost_rows(compute_scorecard(project), reference)
+
+
+def test_geometric_means(project):
+    write_scorecard_rows(
+        [
+            {**E_U, "regenerated": 0.03, "regenerated_std": 0.004, "note": "n"},
+            {**E_U, "row": "two", "regenerated": 0.008},
+            {**RATE, "regenerated": 1, "comparable": False},
+        ],
+        "first",
+    )
+    rows = compute_scorecard(project)
+    mean, count = geometric_mean_ratio(rows, lambda row: row.regenerated, lambda row: row.published)
+    assert (mean, count) == (pytest.approx(1.0), 2)
+    mean, count = geometric_mean_ratio(rows, lambda row: row.regenerated_std, lambda row: row.published_std)
+    assert (mean, count) == (pytest.approx(2.0), 1)
+
+
+def test_pages(project):
+    write_scorecard_rows(
+        [
+            {**E_U, "regenerated": 0.0301, "regenerated_std": 0.004, "n_seeds": 3, "note": "<b>\n\nx"},
+            {**E_U, "row": "two", "regenerated": 0.00001, "best": 0.002, "best_method": "LM"},
+        ],
+        "first",
+    )
+    rows = compute_scorecard(project)
+    page = scorecard_page(rows)
+    assert page.count("<table") == 2
+    assert page.count('<th scope="row">') == 3
+    assert "a2020, Table 1: 0 are reproduced, 1 is better, 1 is different, 0 are not comparable" in page
+    assert "geometric mean of 2" in page
+    assert "of 1 standard deviations: 2.00" in page
+    assert (
+        '<tr><th scope="row">one</th><td>e_u</td><td>mT</td><td>0.015 ± 0.002</td><td>0.0301 ± 0.0040</td>'
+        '<td><span class="verdict verdict-differs">differs</span></td><td>x, 3 seeds</td><td></td>'
+        "<td>&lt;b&gt; x</td></tr>"
+    ) in page
+    assert "<td>1e-05</td>" in page
+    assert "<td>0.0020 (LM)</td>" in page
+    assert 'class="verdict verdict-missing">missing<' in page
+    # a blank line inside a table would end the block of HTML
+    assert all(block.startswith("<div") and block.endswith("</div>") for block in page.strip().split("\n\n"))
+    sentence, _, header = counts_page(rows).splitlines()[:3]
+    assert sentence == (
+        "Of the 3 numbers that the papers print, 0 are reproduced, 1 is better, 1 is different, "
+        "0 are not comparable, and 1 is missing."
+    )
+    assert header == "| Paper | reproduced | better | differs | not comparable | missing |"
+
+
+def test_the_committed_files_list_the_same_rows():
+    here = find_project(Path(__file__).parent)
+    published = read_published(here.published)
+    reference = read_csv(here.data / "scorecard_reference.csv", REFERENCE_COLUMNS)
+    assert [row_key(line) for line in reference] == list(published)

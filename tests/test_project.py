@@ -1,0 +1,193 @@
+"""The project as a whole: versions agree, vendored files are what they say, documented commands exist."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).resolve().parents[1]
+VENDOR = ROOT / "book" / "_static" / "vendor"
+
+
+def read(name: str) -> str:
+    """Return the text of a file of the project."""
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def pyproject() -> dict:
+    """Return pyproject.toml."""
+    return tomllib.loads(read("pyproject.toml"))
+
+
+def requirements_in() -> dict[str, Requirement]:
+    """Return the direct requirements by name."""
+    lines = [line.split("#")[0].strip() for line in read("requirements.in").splitlines()]
+    found = [Requirement(line) for line in lines if line]
+    return {requirement.name.lower(): requirement for requirement in found}
+
+
+def locked() -> dict[str, list[Requirement]]:
+    """Return what the lock pins, by name; a package may have one version per version of Python."""
+    found: dict[str, list[Requirement]] = {}
+    for line in read("requirements.lock").splitlines():
+        if line[:1].isalnum():
+            requirement = Requirement(line.rstrip("\\ "))
+            found.setdefault(requirement.name.lower(), []).append(requirement)
+    return found
+
+
+def test_python_versions_agree():
+    """One version of Python in conda's file, the package, the linters, the Makefile and the lock."""
+    project = pyproject()
+    conda = {str(item).split("=")[0]: str(item).partition("=")[2] for item in conda_dependencies()}
+    version = conda["python"].strip("=")
+    assert project["project"]["requires-python"] == f">={version}"
+    assert project["tool"]["ruff"]["target-version"] == "py" + version.replace(".", "")
+    assert project["tool"]["basedpyright"]["pythonVersion"] == version
+    assert f"PYTHON ?= python{version}\n" in read("Makefile")
+    assert f"--python-version {version} " in read("Makefile")
+    minor = int(version.split(".")[1])
+    assert f"sys.version_info < (3, {minor})" in read("Makefile")
+
+
+def conda_dependencies() -> list[str]:
+    """Return what environment.yml asks for."""
+    return yaml.safe_load(read("environment.yml"))["dependencies"]
+
+
+def test_conda_brings_only_the_interpreter():
+    """Packages have one source, the lock."""
+    assert sorted(re.split("[=<>]", item)[0] for item in conda_dependencies()) == ["make", "pip", "python"]
+
+
+def test_torch_is_pinned_once():
+    """The Makefile installs the torch that the lock was compiled for."""
+    (specifier,) = requirements_in()["torch"].specifier
+    assert specifier.operator == "=="
+    assert f"TORCH := torch=={specifier.version}\n" in read("Makefile")
+
+
+def test_lock_has_everything_with_hashes():
+    """Every direct requirement is pinned within its range; every pin has hashes; torch and CUDA are left out."""
+    pins = locked()
+    assert not [name for name in pins if re.match(r"torch$|triton|nvidia-|cuda-", name)]
+    for name, requirement in requirements_in().items():
+        if name == "torch":
+            continue
+        assert name in pins, f"{name} is not in requirements.lock: make lock"
+        for pin in pins[name]:
+            (version,) = pin.specifier
+            assert requirement.specifier.contains(version.version, prereleases=True), f"{pin}: make lock"
+    blocks = re.split(r"\n(?=[A-Za-z0-9])", read("requirements.lock").strip())
+    assert not [
+        block.splitlines()[0] for block in blocks if block[:1] != "#" and "--hash=sha256:" not in block
+    ]
+    assert {"setuptools", "wheel"} <= set(pins), "the package is built without isolation"
+
+
+def test_package_asks_for_nothing_the_lock_lacks():
+    """What the package needs is among the direct requirements, in the same range."""
+    direct = requirements_in()
+    for line in pyproject()["project"]["dependencies"]:
+        needed = Requirement(line)
+        name = needed.name.lower()
+        assert name in direct, f"{name} is in pyproject.toml but not in requirements.in"
+        if name != "torch":
+            assert direct[name].specifier == needed.specifier, name
+
+
+def test_vendored_files_are_the_ones_named():
+    """Each browser file that is not ours has a source, a licence and the hash it was taken with."""
+    manifest = json.loads((VENDOR / "manifest.json").read_text(encoding="utf-8"))
+    files = {path.relative_to(VENDOR).as_posix() for path in VENDOR.rglob("*") if path.is_file()}
+    assert files - {"manifest.json"} == set(manifest)
+    for name, entry in manifest.items():
+        assert hashlib.sha256((VENDOR / name).read_bytes()).hexdigest() == entry["sha256"], name
+        assert entry["from"]
+        assert entry["licence"]
+        assert (VENDOR / name.split("/")[0] / "LICENSE").is_file(), f"{name}: its licence must lie beside it"
+
+
+def targets() -> set[str]:
+    """Return the public targets of the Makefile."""
+    names = set(re.findall(r"^([a-z][a-z-]*):(?!=)", read("Makefile"), re.MULTILINE))
+    return names
+
+
+def test_help_lists_what_works_and_nothing_else():
+    """Each target is in the help, and each line of the help is a target."""
+    listed = set(re.findall(r"^\t@echo 'make ([a-z-]+) ", read("Makefile"), re.MULTILINE))
+    assert listed == targets() - {"help"}
+
+
+DOCUMENTS = [
+    "README.md",
+    "CONTRIBUTING.md",
+    ".ci/run",
+    *(f"book/{p.name}" for p in (ROOT / "book").glob("*.md")),
+]
+
+
+@pytest.mark.parametrize("name", sorted(DOCUMENTS))
+def test_documented_targets_exist(name):
+    """A command that a text names can be typed."""
+    said = re.findall(r"(?:^|`|&& )make ([a-z-]+(?: [a-z-]+)*)", read(name), re.MULTILINE)
+    words = {word for words in said for word in words.split()}
+    assert words <= targets(), words - targets()
+
+
+def test_citation_matches_the_package():
+    """The citation names this version, this licence and an entity as author."""
+    citation = yaml.safe_load(read("CITATION.cff"))
+    project = pyproject()["project"]
+    assert citation["version"] == project["version"]
+    assert citation["license"] == project["license"]
+    assert citation["authors"] == project["authors"]
+    assert len(citation["references"]) == 3
+
+
+def test_citation_and_bibliography_agree():
+    """The three papers have the same titles and years in both places."""
+    bibliography = re.sub(r"[{}]", "", read("book/references.bib"))
+    for reference in yaml.safe_load(read("CITATION.cff"))["references"]:
+        assert reference["title"] in bibliography
+        assert re.search(rf"year\s*= {reference['year']}\b", bibliography)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "LICENSE",
+        "Makefile",
+        "data/published/published.csv",
+        "requirements.lock",
+        "book/_config.yml",
+        "book/_templates/static/webpack-macros.html",
+    ],
+)
+def test_an_archive_has_what_it_needs(name):
+    """What the front door uses is there, also without ``.git``."""
+    assert (ROOT / name).is_file()
+
+
+def test_pages_of_the_contents_exist():
+    """Every page of the table of contents has a source: a page, or a notebook that becomes one."""
+    contents = yaml.safe_load(read("book/_toc.yml"))
+    files = [contents["root"], *(item["file"] for part in contents["parts"] for item in part["chapters"])]
+    for name in files:
+        source = ROOT / f"{name}.ipynb" if name.startswith("notebooks/") else ROOT / "book" / f"{name}.md"
+        assert source.is_file(), f"{name} has no source"
+
+
+def test_front_door_is_written_for_old_make_and_other_systems():
+    """GNU make 3.81 and BSD tools: no grouped targets, no .ONESHELL, no GNU-only options."""
+    makefile = read("Makefile")
+    for word in (".ONESHELL", "&:", "sed -i", "date -d", "readlink -f", "sha256sum", "grep -P", "cp --"):
+        assert word not in makefile, word
