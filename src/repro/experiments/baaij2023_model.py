@@ -41,7 +41,13 @@ def misprint(delta_mm: float, n_points: int = 41) -> pd.DataFrame:
     segment = ConstantCurvature(LENGTH_M, RADIUS_M)
     v = torch.linspace(0, 1, n_points, dtype=torch.float64)
     p = MM * segment.pose(torch.tensor([delta_mm / MM, 0.0, 0.0], dtype=torch.float64), v)[:, :3, 3]
-    columns = {"v": v, "x_mm": p[:, 0], "z_mm": p[:, 2], "x_printed_mm": p[:, 0] / v, "z_printed_mm": p[:, 2] / v}
+    columns = {
+        "v": v,
+        "x_mm": p[:, 0],
+        "z_mm": p[:, 2],
+        "x_printed_mm": p[:, 0] / v,
+        "z_printed_mm": p[:, 2] / v,
+    }
     return pd.DataFrame({name: x.numpy() for name, x in columns.items()}).iloc[1:]
 
 
@@ -156,5 +162,3 @@ def mounted_parts(robot: Robot, q: Tensor, ring_name: str) -> pd.DataFrame:
         table["reading_mT"] = u.numpy() if part == "sensor" else math.nan
         frames.append(table)
     return pd.concat(frames, ignore_index=True)
-
-

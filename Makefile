@@ -1,0 +1,118 @@
+# The one front door: `make` lists what there is. Works with GNU make 3.81 and later, on Linux, macOS and WSL2.
+#
+# PYTHON       the interpreter from which .venv is made (default python3.11)
+# TORCH_FLAGS  options for `pip install torch`, e.g. the index option that PyTorch's install page prints for "CPU"
+# JOBS         how many processes tests and notebooks use (default: one per core)
+
+PYTHON ?= python3.11
+TORCH_FLAGS ?=
+TORCH := torch==2.13.0
+ifndef JOBS
+JOBS := $(shell nproc 2>/dev/null || getconf _NPROCESSORS_ONLN 2>/dev/null || echo 1)
+endif
+
+VENV := .venv
+PY := $(VENV)/bin/python
+BIN := $(VENV)/bin
+STAMP := $(VENV)/complete
+
+# One thread per process: the work is spread over processes, not over threads of one of them.
+OMP_NUM_THREADS ?= 1
+OPENBLAS_NUM_THREADS ?= 1
+MKL_NUM_THREADS ?= 1
+PIP_DISABLE_PIP_VERSION_CHECK := 1
+export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP_VERSION_CHECK
+# Set by other software, it would put that software's packages before ours.
+unexport PYTHONPATH
+
+.DEFAULT_GOAL := help
+.PHONY: help book test lint check-site env clean lock
+
+help:
+	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
+	@echo 'make test        run the tests'
+	@echo 'make lint        style, types and the direction of imports'
+	@echo 'make check-site  open every page of the built site in Chromium and check it'
+	@echo 'make env         set up .venv only (every target above does this by itself)'
+	@echo 'make lock        write requirements.lock anew from requirements.in'
+	@echo 'make clean       remove the built site, executed notebooks, results and caches; keeps .venv and runs/'
+	@echo
+	@echo 'Variables: PYTHON=$(PYTHON)  JOBS=$(JOBS)  TORCH_FLAGS=$(TORCH_FLAGS)  (see README.md)'
+
+book: env
+	@$(PY) -m repro.report.build
+	@echo 'The site: book/_build/html/index.html'
+
+test: env
+	$(PY) -m pytest -n $(JOBS) --ignore=tests/book/test_site.py
+
+lint: env
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/basedpyright
+	$(BIN)/lint-imports
+
+check-site: env
+	@test -f book/_build/html/index.html || { echo 'The site is not built: run `make book` first.' >&2; exit 1; }
+	@command -v chromium >/dev/null || { echo 'Chromium is not installed (Debian and Ubuntu: apt-get install chromium).' >&2; exit 1; }
+	$(PY) -m pytest -n $(JOBS) tests/book/test_site.py
+
+# ---------------------------------------------------------------------------------------------------------------------
+# The environment. $(STAMP) holds the content it was made from, so that neither a checkout's new modification times nor
+# an interrupted installation can mislead: it is removed before anything is installed and written when all is there.
+# Without it, .venv is made anew: what an interruption left behind is not to be trusted.
+
+env:
+	@if $(env_content) | cmp -s - $(STAMP); then :; else \
+	  $(MAKE) --no-print-directory .install; \
+	fi
+
+# The place is part of it: the programs of a moved or copied .venv name the old one.
+env_content = { printf '%s\n' '$(TORCH)' '$(CURDIR)'; cat requirements.lock pyproject.toml; }
+
+.PHONY: .install .venv-made
+.install: .venv-made
+	@rm -f $(STAMP)
+	@echo 'Installing the locked packages into $(VENV) (a few minutes the first time)'
+	@$(PY) -m pip install --quiet --no-deps --require-hashes -r requirements.lock
+	@$(PY) -m pip install --quiet $(TORCH_FLAGS) $(TORCH)
+	@$(PY) -m pip install --quiet --no-deps --no-build-isolation -e .
+	@$(PY) -m pip check
+	@$(env_content) > $(STAMP).new && mv $(STAMP).new $(STAMP)
+
+.venv-made:
+	@if test -f $(STAMP) && $(PY) -c '' 2>/dev/null && echo '$(CURDIR)' | cmp -s - $(VENV)/place; then exit 0; fi; \
+	if ! command -v $(PYTHON) >/dev/null 2>&1; then \
+	  echo 'There is no "$(PYTHON)" here. Install Python 3.11 or newer and name it: make book PYTHON=python3.12' >&2; \
+	  echo 'Or let conda bring it: conda env create -f environment.yml && conda activate repro' >&2; \
+	  echo '                       make book PYTHON=python' >&2; \
+	  exit 1; \
+	fi; \
+	if ! $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then \
+	  echo '"$(PYTHON)" is older than Python 3.11: name a newer one with PYTHON=... (see README.md).' >&2; \
+	  exit 1; \
+	fi; \
+	echo 'Making $(VENV) with $(PYTHON)'; \
+	$(PYTHON) -m venv --clear $(VENV) && echo '$(CURDIR)' > $(VENV)/place
+
+# ---------------------------------------------------------------------------------------------------------------------
+# torch and what its Linux builds bring along are left out: torch is installed on its own (see TORCH_FLAGS).
+
+NOT_LOCKED := torch triton cuda-bindings cuda-pathfinder cuda-toolkit nvidia-cublas nvidia-cuda-cupti \
+  nvidia-cuda-nvrtc nvidia-cuda-runtime nvidia-cudnn-cu13 nvidia-cufft nvidia-cufile nvidia-curand nvidia-cusolver \
+  nvidia-cusparse nvidia-cusparselt-cu13 nvidia-nccl-cu13 nvidia-nvjitlink nvidia-nvshmem-cu13 nvidia-nvtx
+
+lock:
+	@rm -rf .cache/uv-venv
+	@$(PYTHON) -m venv .cache/uv-venv
+	@.cache/uv-venv/bin/python -m pip install --quiet uv
+	@UV_FIND_LINKS="$$PIP_FIND_LINKS" .cache/uv-venv/bin/uv pip compile --quiet --universal --python-version 3.11 \
+	  --no-header --no-annotate --generate-hashes $(addprefix --no-emit-package ,$(NOT_LOCKED)) \
+	  --no-emit-index-url --no-emit-find-links requirements.in -o requirements.lock
+	@rm -rf .cache/uv-venv
+
+clean:
+	rm -rf book/_build book/notebooks book/api book/generated build
+	rm -rf .pytest_cache .ruff_cache .hypothesis .import_linter_cache .cache
+	find results -type f ! -name '.*' -exec rm -f {} + 2>/dev/null || true
+	find src tests book -type d -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
