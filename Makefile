@@ -26,13 +26,15 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help book test lint check-site env clean lock
+.PHONY: help book test lint check-site train bench env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
 	@echo 'make test        run the tests'
 	@echo 'make lint        style, types and the direction of imports'
 	@echo 'make check-site  open every page of the built site in Chromium and check it'
+	@echo 'make train       train the networks of the paper that data/networks/ does not have yet (hours, resumable)'
+	@echo 'make bench       measure what costs how much: results/bench.csv, data/benchmark.csv'
 	@echo 'make env         set up .venv only (every target above does this by itself)'
 	@echo 'make lock        write requirements.lock anew from requirements.in'
 	@echo 'make clean       remove the built site, executed notebooks, results and caches; keeps .venv and runs/'
@@ -56,6 +58,12 @@ check-site: env
 	@test -f book/_build/html/index.html || { echo 'The site is not built: run `make book` first.' >&2; exit 1; }
 	@command -v chromium >/dev/null || { echo 'Chromium is not installed (Debian and Ubuntu: apt-get install chromium).' >&2; exit 1; }
 	$(PY) -m pytest -n $(JOBS) tests/book/test_site.py
+
+train: env
+	nice -n 19 $(BIN)/repro train
+
+bench: env
+	$(BIN)/repro bench
 
 # ---------------------------------------------------------------------------------------------------------------------
 # The environment. $(STAMP) holds the content it was made from, so that neither a checkout's new modification times nor

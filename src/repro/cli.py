@@ -11,7 +11,7 @@ from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 
-from repro.errors import InputError
+from repro.errors import InputError, bad_input
 
 app = App(
     name="repro",
@@ -106,6 +106,56 @@ def scorecard(*, require: Path | None = None, write_reference: Path | None = Non
         return 1
     if write_reference:
         write_whole(write_reference, scorecard_csv(rows, REFERENCE_COLUMNS))
+    return 0
+
+
+@app.command
+def train(*, only: str = "") -> int:
+    """Train the networks of the paper's recipe that data/networks/ does not have yet; go on where it stopped.
+
+    Parameters
+    ----------
+    only
+        Train only those whose name starts with this, such as pcc_nb1.
+    """
+    import torch
+
+    from repro.experiments.baaij2023_training import specs
+    from repro.experiments.baaij2023_training import train as train_network
+    from repro.report.project import find_project, shown
+
+    torch.set_num_threads(1)  # several of these run side by side faster than one with several threads
+    project = find_project()
+    folder, checkpoints = project.data / "networks", project.cache / "networks"
+    wanted = [spec for spec in specs() if spec.name.startswith(only)]
+    if not wanted:
+        raise bad_input("only", "repro train", "the start of a network's name", repr(only))
+    missing = [spec for spec in wanted if not (folder / f"{spec.name}.safetensors").exists()]
+    print(f"{len(wanted) - len(missing)} of {len(wanted)} networks are there.")
+    for spec in missing:
+        print(spec.name, flush=True)
+        path = train_network(spec, folder, checkpoints, progress=sys.stderr.isatty())
+        print(f"  {shown(path)}", flush=True)
+    return 0
+
+
+@app.command
+def bench() -> int:
+    """Measure what costs how much on this computer; write results/bench.csv and data/benchmark.csv."""
+    from repro.experiments.benchmark import benchmark
+    from repro.report.files import write_whole
+    from repro.report.project import find_project, shown
+
+    project = find_project()
+    table = benchmark()
+    for path, columns in (
+        (project.results / "bench.csv", list(table)),
+        (project.data / "benchmark.csv", ["capability", "kind", "ours", "unit"]),
+    ):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, table[columns].to_csv(index=False, float_format="%.4g", lineterminator="\n"))
+        print(shown(path))
+    print(table.drop(columns="note").to_string(index=False))
     return 0
 
 

@@ -67,9 +67,8 @@ def test_rows_from_several_files(project):
     )
 
 
-def test_committed_timings_are_never_compared(project):
-    write_scorecard_rows([{**RATE, "regenerated": 90, "setting": "benchmark"}], "bench")
-    (project.results / "bench.rows.csv").rename(project.data / "benchmark.csv")
+def test_timings_are_never_compared(project):
+    write_scorecard_rows([{**RATE, "regenerated": 90, "setting": "benchmark"}], "timings")
     assert compute_scorecard(project)[2].verdict == "not_comparable"
 
 

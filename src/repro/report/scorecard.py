@@ -49,13 +49,12 @@ REFERENCE_COLUMNS = (*RowKey._fields, "verdict")
 
 
 def compute_scorecard(project: Project) -> list[ScorecardRow]:
-    """Return the scorecard from the rows that notebooks wrote and the committed timings.
+    """Return the scorecard from the rows that notebooks wrote.
 
     Parameters
     ----------
     project
-        Read are ``data/published/published.csv``, ``results/*.rows.csv`` and, where it exists,
-        ``data/benchmark.csv`` (timings, in the columns of a file of rows).
+        Read are ``data/published/published.csv`` and ``results/*.rows.csv``.
 
     Returns
     -------
@@ -68,11 +67,7 @@ def compute_scorecard(project: Project) -> list[ScorecardRow]:
         If a file is broken, two files regenerate the same number, or a row that differs has no note.
     """
     published = read_published(project.published)
-    files = sorted(project.results.glob("*.rows.csv"))
-    benchmark = project.data / "benchmark.csv"
-    if benchmark.is_file():
-        files.append(benchmark)
-    regenerated = _read_rows(files, published)
+    regenerated = _read_rows(sorted(project.results.glob("*.rows.csv")), published)
     rows = [_compare(key, printed, regenerated.get(key, {})) for key, printed in published.items()]
     unexplained = [row.key for row in rows if row.verdict is Verdict.DIFFERS and not row.note]
     if unexplained:
