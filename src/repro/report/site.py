@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -10,7 +11,7 @@ from pathlib import Path
 
 from repro.errors import bad_input
 from repro.report.files import combined_digest, file_digest, tree_digests, write_whole
-from repro.report.project import Project
+from repro.report.project import Project, shown
 
 # Written among the sources while building, which would change their hash; all of it follows from the rest.
 _WRITTEN_BY_SPHINX = ("_build", "api", "generated")
@@ -81,9 +82,11 @@ def _run_jupyter_book(project: Project, fresh: Path) -> None:
         raise bad_input("jupyter-book", "the build", "installed beside the interpreter", program)
     fresh.mkdir(parents=True)
     command = [program, "build", project.book, "--path-output", fresh, "-W", "-n", "--keep-going"]
+    environment = {**os.environ, "NO_COLOR": "1"}
     done = subprocess.run(
         list(map(str, command)),
         cwd=project.root,
+        env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -91,8 +94,12 @@ def _run_jupyter_book(project: Project, fresh: Path) -> None:
         check=False,
     )
     if done.returncode or not (fresh / "_build" / "html" / "index.html").is_file():
+        log = project.cache / "book" / "site.log"
+        write_whole(log, done.stdout)
+        lines = [x for x in done.stdout.splitlines() if "WARNING" in x or "ERROR" in x or "Error" in x]
         raise SiteFailed(
-            f"{done.stdout}\njupyter-book ended with {done.returncode}; the site was not replaced."
+            "\n".join(lines or done.stdout.splitlines()[-20:])
+            + f"\njupyter-book ended with {done.returncode}; the site was not replaced. All it said: {shown(log)}"
         )
 
 
