@@ -16,7 +16,9 @@ def test_pure_elongation_moves_the_tip_and_turns_nothing():
     errors = pose_errors(pcc_robot(1), q_hat, q)
     assert float(errors["tip_mm"]) == pytest.approx(3.0)
     assert float(errors["orientation_deg"]) == 0
-    assert float(errors["shape_mm"]) == pytest.approx(3.0 / math.sqrt(3), rel=0.02)  # grows linearly from the base
+    assert float(errors["shape_mm"]) == pytest.approx(
+        3.0 / math.sqrt(3), rel=0.02
+    )  # grows linearly from the base
 
 
 def test_orientation_error_is_the_bending_angle():

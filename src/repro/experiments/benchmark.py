@@ -35,10 +35,12 @@ def rate(work: Callable[[], int], repeats: int = 3) -> float:
 def objects_per_configuration(robot: Robot, q: torch.Tensor, magnet: Ring) -> np.ndarray:
     """Readings by magpylib objects posed anew for every configuration, one ``getB`` for all its sensors."""
     outer = magpy.magnet.Cylinder(
-        polarization=(0, 0, magnet.polarisation_mt / MT_PER_T), dimension=(magnet.outer_diameter, magnet.height)
+        polarization=(0, 0, magnet.polarisation_mt / MT_PER_T),
+        dimension=(magnet.outer_diameter, magnet.height),
     )
     bore = magpy.magnet.Cylinder(
-        polarization=(0, 0, -magnet.polarisation_mt / MT_PER_T), dimension=(magnet.inner_diameter, magnet.height)
+        polarization=(0, 0, -magnet.polarisation_mt / MT_PER_T),
+        dimension=(magnet.inner_diameter, magnet.height),
     )
     rows = []
     for T_m, T_s in zip(robot.magnet_poses(q).numpy(), robot.sensor_poses(q).numpy(), strict=True):
@@ -59,7 +61,9 @@ def benchmark() -> pd.DataFrame:
     torch.set_num_threads(1)
     magnet, robot = ring("released"), pcc_robot(3)
     q = training_set(3, seed=0, samples=200).q
-    difference = np.abs(objects_per_configuration(robot, q, magnet) - readings(robot, q, magnet).numpy()).max()
+    difference = np.abs(
+        objects_per_configuration(robot, q, magnet) - readings(robot, q, magnet).numpy()
+    ).max()
 
     def ours() -> int:
         return len(training_set(3, seed=0, samples=TRAINING_SAMPLES).q)
