@@ -66,14 +66,24 @@ def compute_scorecard(project: Project) -> list[ScorecardRow]:
     InputError
         If a file is broken, two files regenerate the same number, or a row that differs has no note.
     """
-    published = read_published(project.published)
-    regenerated = _read_rows(sorted(project.results.glob("*.rows.csv")), published)
-    rows = [_compare(key, printed, regenerated.get(key, {})) for key, printed in published.items()]
+    rows = compare_files(sorted(project.results.glob("*.rows.csv")), read_published(project.published))
     unexplained = [row.key for row in rows if row.verdict is Verdict.DIFFERS and not row.note]
     if unexplained:
         without = "none for " + "; ".join(map(str, unexplained))
         raise bad_input("note", "the scorecard", "given where a number differs", without)
     return rows
+
+
+def compare_files(files: Iterable[Path], published: Mapping[RowKey, Published]) -> list[ScorecardRow]:
+    """Compare published numbers with the rows in some files; a number in none of them is missing.
+
+    Raises
+    ------
+    InputError
+        If a file is broken, or two files regenerate the same number.
+    """
+    regenerated = _read_rows(files, published)
+    return [_compare(key, printed, regenerated.get(key, {})) for key, printed in published.items()]
 
 
 def _read_rows(files: Iterable[Path], published: Mapping[RowKey, Published]) -> dict[RowKey, dict[str, str]]:

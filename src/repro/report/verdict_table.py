@@ -1,0 +1,42 @@
+"""Published and regenerated numbers side by side on the page of the notebook that regenerates them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from repro.report.project import find_project
+from repro.report.published import read_published
+from repro.report.results import results_dir
+from repro.report.scorecard import ScorecardRow, compare_files
+from repro.report.scorecard_page import scorecard_page
+
+
+@dataclass(frozen=True)
+class VerdictTable:
+    """Rows of the scorecard that a notebook shows as a table."""
+
+    rows: Sequence[ScorecardRow]
+
+    def _repr_html_(self) -> str:
+        return scorecard_page(self.rows)
+
+
+def verdict_table(name: str, *artefacts: str) -> VerdictTable:
+    """Compare what this notebook has written as scorecard rows with the published numbers.
+
+    Parameters
+    ----------
+    name
+        As given to :func:`~repro.report.results.write_scorecard_rows`.
+    artefacts
+        Tables or sections whose published numbers are listed, those that are missing included.
+
+    Raises
+    ------
+    InputError
+        If the rows cannot be read.
+    """
+    published = read_published(find_project().published)
+    wanted = {key: printed for key, printed in published.items() if key.artefact in artefacts}
+    return VerdictTable(compare_files([results_dir() / f"{name}.rows.csv"], wanted))
