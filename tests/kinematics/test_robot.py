@@ -114,6 +114,15 @@ def test_names_of_the_configuration():
     assert three_segments().coordinates[:4] == ("delta_x_1", "delta_y_1", "delta_L_1", "delta_x_2")
 
 
+def test_mounts_join_in_order_and_broadcast_their_batches():
+    tilt = torch.linspace(-0.3, 0.3, 5, dtype=torch.float64).unsqueeze(-1)
+    one, batch = magnet_mounts([2], 0.05), sensor_mounts([0, 1], L, 0.013, 0.0, tilt)
+    both = one.joined(Mounts(batch.segment, batch.axial[0], batch.local))  # only ``local`` is a batch
+    assert both.segment == (2, 0, 1)
+    assert both.axial.shape == (5, 3)
+    assert torch.equal(both.local[:, 1:], batch.local)
+
+
 def test_azimuths_of_a_ring():
     torch.testing.assert_close(
         ring_azimuths(4, 0.5), 0.5 + torch.arange(4, dtype=torch.float64) * math.pi / 2

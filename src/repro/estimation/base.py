@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -39,6 +39,7 @@ class Estimate:
     diagnostics: Mapping[str, Tensor] = field(default_factory=dict)
 
 
+@runtime_checkable
 class Estimator(Protocol[S]):
     """Readings to configuration, one time step after the other, batched over trajectories.
 

@@ -37,8 +37,8 @@ class Mounts:
     """
 
     segment: tuple[int, ...]
-    axial: Float[Tensor, "*batch n"]
-    local: Float[Tensor, "*batch n 4 4"]
+    axial: Float[Tensor, "*axial n"]
+    local: Float[Tensor, "*local m 4 4"]
 
     def __post_init__(self) -> None:
         n = len(self.segment)
@@ -52,7 +52,8 @@ class Mounts:
 
     def joined(self, other: Mounts) -> Mounts:
         """These mounts, then those of ``other``; batches broadcast."""
-        batch = torch.broadcast_shapes(self.axial.shape[:-1], other.axial.shape[:-1])
+        parts = (self.axial.shape[:-1], other.axial.shape[:-1], self.local.shape[:-3], other.local.shape[:-3])
+        batch = torch.broadcast_shapes(*parts)
         axial, local = (
             torch.cat([x.expand(*batch, *x.shape[-rank:]) for x in (a, b)], dim=-rank)
             for a, b, rank in ((self.axial, other.axial, 1), (self.local, other.local, 3))
@@ -124,7 +125,9 @@ def sensor_mounts(
 
 def ring_azimuths(n: int, offset: Tensor | float = 0.0) -> Tensor:
     """Azimuths [rad] of ``n`` sensors spaced evenly around a segment, the first at ``offset``."""
-    return torch.as_tensor(offset, dtype=torch.float64).unsqueeze(-1) + torch.arange(n) * (2 * torch.pi / n)
+    return torch.as_tensor(offset, dtype=torch.float64).unsqueeze(-1) + torch.arange(
+        n, dtype=torch.float64
+    ) * (2 * torch.pi / n)
 
 
 def _numbers(name: str, owner: str, value: Numbers, n: int) -> Tensor:

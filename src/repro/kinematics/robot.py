@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -17,6 +17,7 @@ NO_MOUNTS = magnet_mounts([], [])
 """No magnets, or no sensors."""
 
 
+@runtime_checkable
 class Segment(Protocol):
     """What a segment must offer: any finite-dimensional kinematics fits (section 2)."""
 

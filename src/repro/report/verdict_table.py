@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+
+import pandas as pd
 
 from repro.report.project import find_project
 from repro.report.published import read_published
@@ -12,14 +14,25 @@ from repro.report.scorecard import ScorecardRow, compare_files
 from repro.report.scorecard_page import scorecard_page
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class VerdictTable:
     """Rows of the scorecard that a notebook shows as a table."""
 
     rows: Sequence[ScorecardRow]
 
+    def __repr__(self) -> str:
+        """Show the table as tab-separated text."""
+        lines = [(*row.key, row.published, row.regenerated, row.verdict.words) for row in self.rows]
+        return "\n".join("\t".join(line) for line in lines)
+
     def _repr_html_(self) -> str:
         return scorecard_page(self.rows)
+
+    def cells(self, unit: str) -> pd.DataFrame:
+        """Rows of this unit that are regenerated, as numbers: columns of ``ScorecardRow``."""
+        table = pd.DataFrame([asdict(row) for row in self.rows if row.unit == unit and row.regenerated])
+        numbers = ["published", "published_std", "regenerated", "regenerated_std", "best"]
+        return table.assign(**{name: pd.to_numeric(table[name]) for name in numbers if name in table})
 
 
 def verdict_table(name: str, *artefacts: str) -> VerdictTable:

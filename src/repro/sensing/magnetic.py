@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
@@ -19,8 +18,6 @@ from repro.sensing.relations import relations
 
 EARTH_MT = 0.065
 """Flux density of the Earth field in Baaij et al. 2023, section 3.5 [mT]."""
-
-Route = Literal["magpylib", "multipole"]
 
 
 @dataclass(frozen=True)
@@ -47,7 +44,7 @@ class MagneticSensing:
 
     robot: Robot
     model: Callable[[Tensor], Tensor]
-    inputs: Literal["angles", "cosines"] = "cosines"
+    inputs: str = "cosines"
     earth_axis: Float[Tensor, "*earth 3"] | None = None
 
     def __post_init__(self) -> None:
@@ -70,7 +67,7 @@ def field_at_sensors(
     q: Float[Tensor, "*q n_q"],
     magnet: Ring | Cube,
     *,
-    route: Route = "magpylib",
+    route: str = "magpylib",
     l_max: int = 9,
     earth_mt: Float[Tensor, "*earth 3"] | None = None,
 ) -> Float[Tensor, "*batch s 3"]:
@@ -128,7 +125,7 @@ def readings(
     q: Float[Tensor, "*q n_q"],
     magnet: Ring | Cube,
     *,
-    route: Route = "magpylib",
+    route: str = "magpylib",
     l_max: int = 9,
     earth_mt: Float[Tensor, "*earth 3"] | None = None,
 ) -> Float[Tensor, "*batch s"]:

@@ -49,11 +49,96 @@ def paper_network(n_inputs: int, generator: torch.Generator) -> nn.Sequential:
 
 def linear(n_in: int, n_out: int, generator: torch.Generator) -> nn.Linear:
     """Linear layer with torch's default initialisation, drawn from ``generator``."""
-    layer = nn.Linear(n_in, n_out)
+    # Made without values: the usual construction would draw from the global generator.
+    layer = nn.Linear(n_in, n_out, device="meta").to_empty(device="cpu")
     bound = n_in**-0.5
     for p in layer.parameters():
         nn.init.uniform_(p, -bound, bound, generator=generator)
     return layer
+
+
+class CosineNetwork(nn.Module):
+    """Network on relations as cosines, smooth in the configuration: a multilayer perceptron with SiLU.
+
+    Inputs are standardised and the output is scaled by constants stored with the weights (buffers). Without batch
+    norm and dropout a row is predicted the same in training and in evaluation.
+
+    Parameters
+    ----------
+    n_inputs
+        One plus four for each magnet.
+    generator
+        Draws the initial weights.
+    widths
+        Nodes of the hidden layers.
+    """
+
+    centre: Tensor
+    spread: Tensor
+    offset: Tensor
+    scale: Tensor
+
+    def __init__(self, n_inputs: int, generator: torch.Generator, widths: Sequence[int] = (64, 64)) -> None:
+        super().__init__()
+        self.register_buffer("centre", torch.zeros(n_inputs))
+        self.register_buffer("spread", torch.ones(n_inputs))
+        self.register_buffer("offset", torch.zeros(()))
+        self.register_buffer("scale", torch.ones(()))
+        layers: list[nn.Module] = []
+        for n_in, n_out in zip((n_inputs, *widths), widths, strict=False):
+            layers += [linear(n_in, n_out, generator), nn.SiLU()]
+        self.layers = nn.Sequential(*layers, linear(widths[-1], 1, generator))
+
+    def standardise(self, cosines: Float[Tensor, "rows xi"], u: Float[Tensor, " rows"]) -> None:
+        """Take the constants from training rows: mean and standard deviation of the inputs and the readings."""
+        self.centre.copy_(cosines.mean(0))
+        self.offset.copy_(u.mean())
+        for buffer, spread in ((self.spread, cosines.std(0)), (self.scale, u.std())):
+            buffer.copy_(torch.where(spread > 0, spread, 1.0))
+
+    def forward(self, cosines: Float[Tensor, "*batch xi"]) -> Float[Tensor, "*batch"]:
+        """Return the predicted reading for every row of relations."""
+        if cosines.shape[-1] != len(self.centre):
+            expected = f"of last dimension {len(self.centre)}"
+            raise bad_input("cosines", "CosineNetwork", expected, f"shape {tuple(cosines.shape)}")
+        u = self.layers((cosines - self.centre) / self.spread).squeeze(-1)
+        return self.offset + self.scale * u
+
+
+class DipoleResidual(nn.Module):
+    r"""The exact field of dipoles, and a network for what is missing.
+
+    .. math:: u = B_e \cos\lambda
+              + \sum_k A_k \frac{3\cos\theta_k \cos\beta_k - \cos\alpha_k}{d_k^3} + \mathrm{network}(\xi)
+
+    This is the first term of :mod:`repro.sensing.multipole`; the higher ones, a tenth of the reading or less, are
+    left to the network.
+
+    Parameters
+    ----------
+    coefficients
+        Earth field :math:`B_e` [mT], then the dipole moments :math:`A_k` [mT m^3] of the magnets.
+    residual
+        Network for the rest, with the same inputs.
+    """
+
+    coefficients: Tensor
+
+    def __init__(self, coefficients: Float[Tensor, " terms"], residual: CosineNetwork) -> None:
+        super().__init__()
+        self.register_buffer("coefficients", coefficients)
+        self.residual = residual
+
+    @staticmethod
+    def terms(cosines: Float[Tensor, "*batch xi"]) -> Float[Tensor, "*batch terms"]:
+        """Factors of the coefficients: the reading is linear in them."""
+        d, cos_alpha, cos_beta, cos_theta = cosines[..., 1:].unflatten(-1, (-1, 4)).unbind(-1)
+        return torch.cat([cosines[..., :1], (3 * cos_theta * cos_beta - cos_alpha) / d**3], dim=-1)
+
+    def forward(self, cosines: Float[Tensor, "*batch xi"]) -> Float[Tensor, "*batch"]:
+        """Return the predicted reading for every row of relations."""
+        rest = self.residual(cosines)  # first: it checks the width
+        return self.terms(cosines) @ self.coefficients + rest
 
 
 class PerSensor(nn.Module):
@@ -67,17 +152,27 @@ class PerSensor(nn.Module):
         Each maps rows of relations to one reading.
     network_of_sensor
         Index of the network for every sensor.
+
+    Raises
+    ------
+    InputError
+        If an index points at no network; on a call, if the relations are of another robot.
     """
 
     def __init__(self, networks: Sequence[nn.Module], network_of_sensor: Sequence[int]) -> None:
         super().__init__()
         self.networks = nn.ModuleList(networks)
         self.network_of_sensor = tuple(network_of_sensor)
+        self.n_inputs = n_inputs(networks[0]) if networks else None
+        if not set(self.network_of_sensor) <= set(range(len(networks))):
+            expected = f"indices of {len(networks)} networks"
+            raise bad_input("network_of_sensor", "PerSensor", expected, self.network_of_sensor)
 
     def forward(self, xi: Float[Tensor, "*batch s xi"]) -> Float[Tensor, "*batch s"]:
         """Return the predicted reading of every sensor."""
-        if xi.shape[-2] != len(self.network_of_sensor):
-            expected = f"relations of {len(self.network_of_sensor)} sensors"
+        wanted = (len(self.network_of_sensor), self.n_inputs or xi.shape[-1])
+        if xi.shape[-2:] != wanted:
+            expected = f"of last dimensions {wanted} (sensors, relations)"
             raise bad_input("xi", "PerSensor", expected, f"shape {tuple(xi.shape)}")
         columns: dict[int, Tensor] = {}
         for k, network in enumerate(self.networks):
@@ -86,3 +181,13 @@ class PerSensor(nn.Module):
             u = network(rows.flatten(0, -2)).unflatten(0, rows.shape[:-1])
             columns.update(zip(here, u.unbind(-1), strict=True))
         return torch.stack([columns[j] for j in range(len(self.network_of_sensor))], dim=-1)
+
+
+def n_inputs(network: nn.Module) -> int | None:
+    """Width of the relations that a network takes, read off its first layer; none if it has no such layer."""
+    for m in network.modules():
+        if isinstance(m, nn.BatchNorm1d):
+            return m.num_features
+        if isinstance(m, nn.Linear):
+            return m.in_features
+    return None

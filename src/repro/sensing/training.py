@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import hashlib
 import math
 import os
 from collections.abc import Iterator
@@ -15,6 +15,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from repro.errors import bad_input
 from repro.sensing.network import paper_network
 
 BATCH = 650
@@ -80,12 +81,15 @@ def train_paper(
     train, validation = split_rows(len(xi), seed)
     x, y, x_val, y_val = xi[train], u[train], xi[validation], u[validation]
     optimiser = torch.optim.SGD(network.parameters(), lr=learning_rate)
-    start = _resume(checkpoint, network, average)
+    # What the state in the file must have come from; the number of epochs may grow.
+    content = hashlib.sha256(repr((seed, learning_rate, swa_start, BATCH)).encode())
+    content.update(xi.numpy().tobytes() + u.numpy().tobytes())
+    run = content.hexdigest()
+    start = _resume(checkpoint, network, average, run)
     bar = tqdm(range(start, epochs), initial=start, total=epochs, disable=not progress, mininterval=5)
     for epoch in bar:
-        generator.manual_seed(
-            (seed << 32) + epoch
-        )  # an epoch does not depend on how the ones before were run
+        # From seed and epoch alone, so that an epoch does not depend on how the ones before it were run.
+        generator.manual_seed((seed << 32) + epoch)
         loss = _epoch(network, optimiser, x, y)
         if not math.isfinite(loss):
             raise FloatingPointError(f"The loss is no longer finite in epoch {epoch}: lower learning_rate.")
@@ -95,7 +99,7 @@ def train_paper(
                 for a, p in zip(average.parameters(), network.parameters(), strict=True):
                     a += (p - a) / (n_averaged + 1)
         bar.set_postfix(rmse_mT=f"{loss**0.5:.4f}")
-        _save(checkpoint, network, average, epoch + 1)
+        _save(checkpoint, network, average, {"epoch": str(epoch + 1), "run": run})
     generator.manual_seed((seed << 32) + epochs)
     _refresh_batch_norm(average, x)
     average.eval()
@@ -142,20 +146,24 @@ def _refresh_batch_norm(network: nn.Module, x: Tensor) -> None:
         m.momentum = momentum
 
 
-def _save(path: Path, network: nn.Module, average: nn.Module, epoch: int) -> None:
+def _save(path: Path, network: nn.Module, average: nn.Module, about: dict[str, str]) -> None:
     state = {f"network.{k}": v for k, v in network.state_dict().items()}
     state |= {f"average.{k}": v for k, v in average.state_dict().items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".partial")
-    save_file(state, partial, metadata={"epoch": json.dumps(epoch)})
+    save_file(state, partial, metadata=about)
     os.replace(partial, path)
 
 
-def _resume(path: Path, network: nn.Module, average: nn.Module) -> int:
+def _resume(path: Path, network: nn.Module, average: nn.Module, run: str) -> int:
     if not path.exists():
         return 0
+    with safe_open(path, framework="pt") as file:
+        about = file.metadata() or {}
+    if about.get("run") != run:
+        expected = "of the same data, seed and learning rate (or not there)"
+        raise bad_input("checkpoint", "train_paper", expected, f"another training's: {path.name}")
     state = load_file(path)
     for name, module in (("network.", network), ("average.", average)):
         module.load_state_dict({k.removeprefix(name): v for k, v in state.items() if k.startswith(name)})
-    with safe_open(path, framework="pt") as f:
-        return int(json.loads(f.metadata()["epoch"]))
+    return int(about["epoch"])

@@ -1,0 +1,196 @@
+r"""Calibration of a robot: moments and geometry from readings in measured poses, with the tolerances as priors.
+
+Parameters :math:`z` in units of their tolerance minimise
+
+.. math:: \|z\|^2 + \sum_i r_i^T S_i^{-1} r_i, \qquad r_i = u_i - h(q_i, z), \qquad
+          S_i = \sigma_u^2 I + J_i \Sigma_{q,i} J_i^T :
+
+the configuration of a pose is known only up to its measurement, so the residual is uncertain by the noise of the
+sensors and by that of the pose, seen through :math:`J_i = \partial u/\partial q`. The posterior covariance of
+:math:`z` is the inverse of the Hessian; directions in which it stays near one are what the poses do not determine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from repro import se3
+from repro.errors import bad_input
+from repro.kinematics.robot import Robot
+from repro.sensing.linearised import LinearisedSensing
+from repro.sensing.moments import check_readings
+from repro.sensing.placement import PlacedReadings, Tolerances, parameter_names, placed
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated robot and how well it is known.
+
+    Parameters
+    ----------
+    robot
+        With corrected mounts.
+    moments
+        Moments :math:`A_1, A_3, ...` [mT m^(l+2)].
+    gain
+        Gain of every sensor.
+    names
+        Names of the parameters.
+    estimate
+        Parameters: m, rad, relative.
+    deviation
+        Their posterior standard deviations, in the same units.
+    covariance
+        Posterior covariance in units of the tolerances: the identity before the first pose.
+    chi2
+        Weighted sum of squared residuals per reading: near one when noise and tolerances are as stated.
+    last_step
+        Largest change of a parameter in the last iteration, in units of its tolerance.
+    """
+
+    robot: Robot
+    moments: Float[Tensor, "*batch terms"]
+    gain: Float[Tensor, "*batch s"]
+    names: tuple[str, ...]
+    estimate: Float[Tensor, "*batch k"]
+    deviation: Float[Tensor, "*batch k"]
+    covariance: Float[Tensor, "*batch k k"]
+    chi2: Float[Tensor, "*batch"]
+    last_step: float
+
+    def sensing(self, earth_mt: Float[Tensor, " 3"] | None = None) -> LinearisedSensing:
+        """Sensor model ``u = sensing(q)`` of the calibrated robot, in an Earth field [mT] if there is one."""
+        return LinearisedSensing(self.robot, self.moments, self.gain, earth_mt)
+
+    def undetermined(self, threshold: float = 0.9) -> list[str]:
+        """Combinations of parameters that stay as uncertain as their tolerances, in words.
+
+        Parameters
+        ----------
+        threshold
+            Ratio of posterior to prior standard deviation from which a combination counts as undetermined.
+
+        Returns
+        -------
+        list of str
+            One text per combination, parameters in units of their tolerances, the largest first, those below
+            half of it left out. Combinations are orthogonal and as close to single parameters as they can be.
+
+        Raises
+        ------
+        InputError
+            For a batch of calibrations: ask one of them.
+        """
+        if self.covariance.ndim != 2:
+            shape = f"covariance of shape {tuple(self.covariance.shape)}"
+            raise bad_input("calibration", "undetermined", "that of one robot", shape)
+        variances, vectors = torch.linalg.eigh(self.covariance)
+        vectors = vectors[:, variances.sqrt() > threshold]
+        projector = vectors @ vectors.T
+        texts = []
+        for _ in range(vectors.shape[1]):  # Cholesky with pivots: the parameter least determined comes next
+            pivot = int(projector.diagonal().argmax())
+            direction = projector[:, pivot] / projector[pivot, pivot].sqrt()
+            projector = projector - torch.outer(direction, direction)
+            order = direction.abs().argsort(descending=True).tolist()
+            least = float(direction.abs().max()) / 2
+            ratio = float((direction @ self.covariance @ direction).sqrt())
+            parts = [
+                f"{direction[k]:+.2f} {self.names[k]}" for k in order if abs(float(direction[k])) > least
+            ]
+            texts.append(f"{' '.join(parts)} (uncertainty {ratio:.2f} of the tolerance)")
+        return texts
+
+
+def calibrate(
+    robot: Robot,
+    q: Float[Tensor, "*batch poses n_q"],
+    q_covariance: Float[Tensor, "*c k k"],
+    u: Float[Tensor, "*batch poses s"],
+    moments: Float[Tensor, " terms"],
+    *,
+    noise_mt: float,
+    tolerances: Tolerances | None = None,
+    earth_mt: Float[Tensor, " 3"] | None = None,
+    iterations: int = 8,
+) -> Calibration:
+    """Moments, placement of magnets and sensors, and gains, by Gauss-Newton with Gaussian priors.
+
+    Parameters
+    ----------
+    robot
+        As drawn. Its magnets share the moments.
+    q
+        Measured configurations; a batch calibrates as many robots at once.
+    q_covariance
+        Covariance of ``q``, of every pose or common to all (:func:`repro.estimation.poses.configurations`).
+    u
+        Readings [mT].
+    moments
+        Moments of the magnet as drawn, or from :func:`repro.sensing.moments.fit_moments` [mT m^(l+2)].
+    noise_mt
+        Standard deviation of a reading [mT].
+    tolerances
+        Standard deviations of the priors.
+    earth_mt
+        Earth field in the base frame [mT]; none when not given.
+    iterations
+        Largest number of iterations; six are enough as a rule.
+
+    Raises
+    ------
+    InputError
+        If readings and poses do not fit or are not finite, there is no pose, or the noise is not positive.
+    """
+    check_readings("calibrate", robot, q, u)
+    if not q.shape[-2]:
+        raise bad_input("q", "calibrate", "at least one pose", "none")
+    if q_covariance.shape[-2:] != (robot.n_q, robot.n_q):
+        expected = f"of last dimensions ({robot.n_q}, {robot.n_q})"
+        raise bad_input("q_covariance", "calibrate", expected, f"shape {tuple(q_covariance.shape)}")
+    se3.require_finite(q_covariance, "q_covariance", "calibrate")
+    if not noise_mt > 0:
+        raise bad_input("noise_mt", "calibrate", "positive [mT]", noise_mt)
+    if iterations < 1:
+        raise bad_input("iterations", "calibrate", "at least 1", iterations)
+    terms = moments.shape[-1]
+    model = PlacedReadings(robot, q, moments, earth_mt)
+    scale = (tolerances or Tolerances()).of_parameters(robot, terms).to(q)
+    z = q.new_zeros(*q.shape[:-2], len(scale))
+    step = torch.full_like(z, torch.inf)
+    r, J, hessian = _whitened(model, z, scale, u, q_covariance.to(q), noise_mt)
+    for _ in range(iterations):
+        step = torch.linalg.solve(hessian, (J.mT @ r.unsqueeze(-1)).squeeze(-1) - z)
+        z = z + step
+        r, J, hessian = _whitened(model, z, scale, u, q_covariance.to(q), noise_mt)
+        if float(step.abs().max()) < 1e-6:
+            break
+    covariance = torch.linalg.inv(hessian)
+    parts = placed(robot, moments.to(q), z * scale)
+    return Calibration(
+        robot=replace(robot, magnets=parts.magnets, sensors=parts.sensors),
+        moments=parts.moments,
+        gain=parts.gain,
+        names=parameter_names(robot, terms),
+        estimate=z * scale,
+        deviation=covariance.diagonal(dim1=-2, dim2=-1).sqrt() * scale,
+        covariance=covariance,
+        chi2=r.square().mean(-1),
+        last_step=float(step.abs().max()),
+    )
+
+
+def _whitened(
+    model: PlacedReadings, z: Tensor, scale: Tensor, u: Tensor, q_covariance: Tensor, noise_mt: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Residuals ``[..., poses * s]`` of unit covariance, derivatives by ``z`` in their units, Hessian."""
+    u_hat, J, J_q = model.linearise(z * scale)
+    noise = noise_mt**2 * torch.eye(u.shape[-1]).to(u) + J_q @ q_covariance @ J_q.mT
+    rows = torch.cat([(u - u_hat).unsqueeze(-1), J * scale], dim=-1)
+    rows = torch.linalg.solve_triangular(torch.linalg.cholesky(noise), rows, upper=False).flatten(-3, -2)
+    r, J = rows[..., 0], rows[..., 1:]
+    return r, J, J.mT @ J + torch.eye(len(scale)).to(u)

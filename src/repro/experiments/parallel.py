@@ -1,0 +1,39 @@
+"""Independent pieces of an experiment, one process each."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+def in_processes(tasks: Sequence[Callable[[], T]], jobs: int | None = None) -> list[T]:
+    """Run tasks side by side, each in one thread of a fresh process; return their results in order.
+
+    Parameters
+    ----------
+    tasks
+        Functions of modules, or ``functools.partial`` of such: they are pickled.
+    jobs
+        Processes at a time; all cores when not given. With one job nothing is started: results are the same.
+    """
+    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
+    if jobs <= 1:
+        return [task() for task in tasks]
+    # spawn: a forked copy of a process that runs threads (a notebook's kernel) may hang
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
+        return list(pool.map(_call, tasks))
+
+
+def _one_thread() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def _call(task: Callable[[], Any]) -> Any:
+    return task()

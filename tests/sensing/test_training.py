@@ -1,0 +1,216 @@
+"""Both recipes: determinism, resuming, averaging of weights, batch-norm refresh, divergence, and a real fit."""
+
+import math
+
+import pytest
+import torch
+from torch import nn
+
+from repro.errors import InputError
+from repro.experiments import baaij2023_training
+from repro.experiments.baaij2023_training import segment_rows, train_own, training_rows
+from repro.sensing import training
+from repro.sensing.fast_training import train_dipole_residual, train_fast
+from repro.sensing.network import DipoleResidual, PerSensor, paper_network
+from repro.sensing.relations import relations
+from repro.sensing.training import rmse, split_rows, train_paper
+from repro.sensing.weights import load_paper_network, read_manifest
+from repro.simulation.training_set import training_set
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Two batches of training rows after the split."""
+    xi, u = training_rows(1, 0, False, samples=600)
+    return xi[:1700], u[:1700]
+
+
+def one_segment_rows(samples):
+    data = training_set(1, seed=1, samples=samples)
+    return segment_rows(data, relations(data.robot, data.q).cosines(), 0)
+
+
+@pytest.fixture(scope="module")
+def cosine_rows():
+    return one_segment_rows(4000)
+
+
+def paper(rows, path, **options):
+    defaults = {"seed": 0, "learning_rate": 0.05, "epochs": 4, "swa_start": 2, "progress": False}
+    return train_paper(*rows, checkpoint=path, **(defaults | options))
+
+
+def equal(a, b):
+    return all(
+        torch.equal(x, y) for x, y in zip(a.state_dict().values(), b.state_dict().values(), strict=True)
+    )
+
+
+def test_split_is_a_partition():
+    train, validation = split_rows(1000, 3)
+    assert len(validation) == 300
+    assert sorted(torch.cat([train, validation]).tolist()) == list(range(1000))
+    assert not torch.equal(train, split_rows(1000, 4)[0])
+
+
+class TestPaperRecipe:
+    def test_same_seed_same_bits(self, rows, tmp_path):
+        (a, _), (b, _), (c, _) = (paper(rows, tmp_path / f"{k}", seed=k // 2) for k in range(3))
+        assert equal(a, b)
+        assert not equal(a, c)
+        assert not a.training
+
+    def test_resumed_equals_uninterrupted(self, rows, tmp_path, monkeypatch):
+        """Interrupted in the middle of the third epoch, after its first batch."""
+        expected, metrics = paper(rows, tmp_path / "whole")
+        epoch, calls = training._epoch, []
+
+        def interrupted(network, optimiser, x, y):
+            calls.append(1)
+            if len(calls) == 3:
+                epoch(network, optimiser, x[:650], y[:650])
+                raise KeyboardInterrupt
+            return epoch(network, optimiser, x, y)
+
+        monkeypatch.setattr(training, "_epoch", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            paper(rows, tmp_path / "parts")
+        network, again = paper(rows, tmp_path / "parts")
+        assert len(calls) == 3 + 2  # two whole epochs, one lost, two more
+        assert equal(network, expected)
+        assert again == metrics
+
+    def test_state_of_another_training_is_refused(self, rows, tmp_path):
+        xi, u = rows
+        paper(rows, tmp_path / "state")
+        for others in ((xi, u + 1e-3), (xi + 1e-3, u)):
+            with pytest.raises(InputError, match="Input checkpoint of train_paper must be of the same data"):
+                paper(others, tmp_path / "state")
+
+    def test_result_is_the_mean_of_the_weights_at_the_ends_of_epochs(self, rows, tmp_path, monkeypatch):
+        epoch, ends = training._epoch, []
+
+        def recorded(network, optimiser, x, y):
+            loss = epoch(network, optimiser, x, y)
+            ends.append([p.detach().clone() for p in network.parameters()])
+            return loss
+
+        monkeypatch.setattr(training, "_epoch", recorded)
+        network, _ = paper(rows, tmp_path / "state", epochs=5, swa_start=2)
+        for p, *at_ends in zip(network.parameters(), *ends[2:], strict=True):
+            torch.testing.assert_close(p.detach(), torch.stack(at_ends).mean(0))
+
+    def test_refreshed_batch_norm_has_the_statistics_of_the_data(self):
+        """The first one sees the raw inputs: mean over batches of their means and (unbiased) variances."""
+        network = paper_network(5, torch.Generator().manual_seed(0))
+        x = 2 + 3 * torch.randn(3 * training.BATCH, 5, generator=torch.Generator().manual_seed(1))
+        network(x)  # statistics that must be forgotten
+        training._refresh_batch_norm(network, x)
+        batches = x.unflatten(0, (3, -1))
+        torch.testing.assert_close(network[0].running_mean, batches.mean(1).mean(0))
+        torch.testing.assert_close(network[0].running_var, batches.var(1).mean(0))
+        assert network[0].momentum == 0.1
+
+    def test_metrics_are_those_of_the_result(self, rows, tmp_path):
+        network, metrics = paper(rows, tmp_path / "state")
+        _, validation = split_rows(len(rows[0]), 0)
+        with torch.no_grad():
+            error = network(rows[0][validation]) - rows[1][validation]
+        assert metrics["rmse_validation"] == pytest.approx(float(error.square().mean().sqrt()), rel=1e-5)
+
+    def test_divergence_is_an_error(self, rows, tmp_path):
+        with pytest.raises(FloatingPointError, match="no longer finite in epoch 0: lower learning_rate"):
+            paper(rows, tmp_path / "state", learning_rate=1e30)
+
+    def test_global_generator_is_left_alone(self, rows, tmp_path):
+        before = torch.get_rng_state()
+        paper(rows, tmp_path / "state", epochs=1)
+        assert torch.equal(torch.get_rng_state(), before)
+
+    def test_network_of_table_1_is_written_once_with_its_manifest(self, rows, tmp_path, monkeypatch):
+        def short(xi, u, **options):
+            return train_paper(xi, u, epochs=2, swa_start=1, **options)
+
+        monkeypatch.setattr(baaij2023_training, "training_rows", lambda *_: rows)
+        monkeypatch.setattr(baaij2023_training, "train_paper", short)
+        spec = next(baaij2023_training.specs())
+        path = baaij2023_training.train(spec, tmp_path / "networks", tmp_path / "state", progress=False)
+        manifest = read_manifest(path)
+        assert path.name == "pcc_nb1_segment1_seed0.safetensors"
+        assert {k: manifest[k] for k in ("recipe", "n_segments", "segment", "earth", "seed")} == {
+            "recipe": "paper",
+            "n_segments": 1,
+            "segment": 0,
+            "earth": False,
+            "seed": 0,
+        }
+        _, validation = split_rows(len(rows[0]), 0)
+        error = rmse(load_paper_network(path), rows[0][validation], rows[1][validation])
+        assert error == pytest.approx(manifest["metrics_mt"]["rmse_validation"])
+        monkeypatch.delattr(baaij2023_training, "train_paper")  # a second call trains nothing
+        assert baaij2023_training.train(spec, tmp_path / "networks", tmp_path / "state") == path
+
+
+class TestFastRecipe:
+    @pytest.mark.parametrize("trainer", [train_fast, train_dipole_residual])
+    def test_same_seed_same_bits(self, cosine_rows, trainer):
+        before = torch.get_rng_state()
+        a, b, c = (trainer(*cosine_rows, seed=s, epochs=1, progress=False)[0] for s in (0, 0, 1))
+        assert equal(a, b)
+        assert not equal(a, c)
+        assert not a.training
+        assert torch.equal(torch.get_rng_state(), before)
+
+    def test_metrics_are_those_of_the_result(self, cosine_rows):
+        for trainer in (train_fast, train_dipole_residual):
+            network, metrics = trainer(*cosine_rows, seed=0, epochs=2, progress=False)
+            _, validation = split_rows(len(cosine_rows[0]), 0)
+            with torch.no_grad():
+                error = network(cosine_rows[0][validation]) - cosine_rows[1][validation]
+            assert metrics["rmse_validation"] == pytest.approx(float(error.square().mean().sqrt()), rel=0.02)
+
+    def test_a_field_of_dipoles_is_left_without_remainder(self, cosine_rows):
+        xi = cosine_rows[0].double()
+        coefficients = torch.tensor([0.065, 2e-4]).double()
+        network, _ = train_dipole_residual(
+            xi, DipoleResidual.terms(xi) @ coefficients, seed=0, epochs=1, progress=False
+        )
+        torch.testing.assert_close(network.coefficients.double(), coefficients, rtol=1e-5, atol=0)
+
+    def test_small_set_is_learnt(self):
+        """A tenth of the training set: far below the 0.02 mT of the paper's networks, ring ``"released"``."""
+        data = training_set(1, seed=1, samples=12_000)
+        for recipe, limit in (("fast", 0.02), ("dipole", 0.004)):
+            networks, metrics = train_own(data, seed=0, recipe=recipe, progress=False)
+            assert metrics[0]["rmse_validation"] < limit
+            xi, u = one_segment_rows(100)
+            with torch.no_grad():
+                predicted = PerSensor(networks, [0])(xi[:, None].double())[:, 0]
+            assert float((predicted - u).square().mean().sqrt()) < 2 * limit
+
+    def test_progress_bar_shows_the_loss(self, cosine_rows, capsys):
+        train_fast(*cosine_rows, seed=0, epochs=1)
+        assert "rmse_mT=" in capsys.readouterr().err
+
+    def test_divergence_is_an_error(self, cosine_rows):
+        with pytest.raises(FloatingPointError, match=r"no longer finite in epoch \d: lower learning_rate"):
+            train_fast(*cosine_rows, seed=0, learning_rate=1e30, progress=False)
+
+    def test_bad_input(self):
+        with pytest.raises(
+            InputError, match="Input u of train_fast must be one for each of 9 rows, at least 4"
+        ):
+            train_fast(torch.zeros(9, 5), torch.zeros(8), seed=0)
+        with pytest.raises(
+            InputError, match="recipe of train_own must be 'fast' or 'dipole'; instead received 'slow'"
+        ):
+            train_own(training_set(1, seed=1, samples=2), seed=0, recipe="slow")
+
+
+def test_linear_layers_start_with_the_usual_bounds():
+    network = paper_network(13, torch.Generator().manual_seed(0))
+    for m in network:
+        if isinstance(m, nn.Linear):
+            bound = 1 / math.sqrt(m.in_features)
+            assert float(m.weight.detach().abs().max()) <= bound
+            assert float(m.weight.detach().abs().max()) > 0.8 * bound
