@@ -81,6 +81,24 @@ def coverage(n_segments: int, *, trials: int = 2000, seed: int = 0) -> pd.DataFr
     )
 
 
+def checks(n_segments: int, *, starts: int = 1000, trials: int = 2000) -> pd.DataFrame:
+    """The three checks of the multipole model with Levenberg-Marquardt in one row.
+
+    Columns: ``n_segments``, ``consistency_percent`` (mean of :func:`consistency`), ``cold_starts``,
+    ``worst_cold_start_mm``, ``trials``, ``inside_95_percent_ellipsoid`` (per cent).
+    """
+    cold, inside = cold_starts(n_segments, starts=starts), coverage(n_segments, trials=trials)
+    row = {
+        "n_segments": n_segments,
+        "consistency_percent": consistency(n_segments)["error_percent"].mean(),
+        "cold_starts": starts,
+        "worst_cold_start_mm": cold["worst_mm"].iloc[0],
+        "trials": inside["trials"].iloc[0],
+        "inside_95_percent_ellipsoid": inside["inside_percent"].iloc[0],
+    }
+    return pd.DataFrame([row])
+
+
 def observability(row: Row) -> pd.DataFrame:
     r"""Directions of the configuration that the readings determine, from weakest to strongest.
 
