@@ -51,5 +51,5 @@ def verdict_table(name: str, *artefacts: str) -> VerdictTable:
         If the rows cannot be read.
     """
     published = read_published(find_project().published)
-    wanted = {key: printed for key, printed in published.items() if key.artefact in artefacts}
-    return VerdictTable(compare_files([results_dir() / f"{name}.rows.csv"], wanted))
+    rows = compare_files([results_dir() / f"{name}.rows.csv"], published)
+    return VerdictTable([row for row in rows if row.artefact in artefacts])
