@@ -34,7 +34,7 @@ CLAIM_NOTE = "the mean of the 18 printed cells of the two rows is 4.2, not 3.3"
 
 
 def setting(iterations: int, step_size: Sequence[float], noise_mt: float, steps: int) -> str:
-    """What the paper's method was run with: :data:`SETTING`, and what differs from the released code."""
+    """What the paper's method was run with: the released setting, and what differs from the released code."""
     own = {
         f"{iterations} evaluations": iterations != ITERATIONS,
         f"step sizes {list(step_size)}": bool(step_size),

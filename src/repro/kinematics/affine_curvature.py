@@ -3,7 +3,7 @@ r"""A segment whose curvature is an affine function of the backbone coordinate (
 With :math:`\kappa(v) = \kappa_0 + \kappa_1 v` the bending angle is :math:`\theta(v) = \kappa_0 v + \kappa_1 v^2/2`,
 eq. (17); curvatures belong to the coordinate :math:`v \in [0, 1]` and are angles [rad]. The position, eq. (18), is
 the integral of the tangent. The paper uses Simpson's rule with 101 points; here it is Gauss-Legendre quadrature with
-:data:`NODES` points, whose error is below 2e-14 of the length up to :math:`|\kappa_0| = \pi` and
+``NODES`` = 24 points, whose error is below 2e-14 of the length up to :math:`|\kappa_0| = \pi` and
 :math:`|\kappa_1| = 4\pi`, and which is exact, with its derivatives, for :math:`\kappa_1 \to 0`.
 """
 

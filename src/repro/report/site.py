@@ -94,7 +94,7 @@ def _run_jupyter_book(project: Project, fresh: Path) -> None:
         check=False,
     )
     if done.returncode or not (fresh / "_build" / "html" / "index.html").is_file():
-        log = project.cache / "book" / "site.log"
+        log = project.cache / "site.log"
         write_whole(log, done.stdout)
         lines = [x for x in done.stdout.splitlines() if "WARNING" in x or "ERROR" in x or "Error" in x]
         raise SiteFailed(
