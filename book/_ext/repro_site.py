@@ -57,10 +57,19 @@ def tidy(app: Sphinx, exception: Exception | None) -> None:
             path.unlink()
 
 
+def forget_modules_without_source(app: Sphinx) -> list[tuple[str, dict, str]]:
+    """Leave modules that have no source page (``builtins``) out of the index of sources, which would link to them."""
+    modules = getattr(app.env, "_viewcode_modules", {})
+    for name in [name for name, entry in modules.items() if not entry]:
+        del modules[name]
+    return []
+
+
 def setup(app: Sphinx) -> dict[str, object]:
     """Register the extension."""
     # Jupyter Book sets it, although sphinx_comments is left out
     app.add_config_value("comments_config", {}, "html")
     app.connect("html-page-context", select_scripts, priority=900)
+    app.connect("html-collect-pages", forget_modules_without_source, priority=100)
     app.connect("build-finished", tidy)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
