@@ -9,7 +9,15 @@ from repro.estimation.levenberg_marquardt import jacobian
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
-from repro.sensing.network import CosineNetwork, DipoleResidual, Dropout, PerSensor, n_inputs, paper_network
+from repro.sensing.network import (
+    CosineNetwork,
+    DipoleResidual,
+    Dropout,
+    PerSensor,
+    SignedExponential,
+    n_inputs,
+    paper_network,
+)
 from repro.sensing.relations import relations
 from repro.simulation.robots import pcc_robot
 
@@ -115,6 +123,13 @@ def test_weights_come_from_the_given_generator_only():
     assert torch.equal(torch.get_rng_state(), before)
     assert all(torch.equal(p, q) for p, q in zip(a.parameters(), b.parameters(), strict=True))
     assert not torch.equal(next(b[2].parameters()), next(c[2].parameters()))
+
+
+def test_signed_exponential_has_a_gap_between_minus_one_and_one():
+    y = SignedExponential()(torch.tensor([-2.0, -1e-6, 1e-6, 2.0]))
+    torch.testing.assert_close(y, torch.tensor([-(torch.e**2), -1.0, 1.0, torch.e**2]))
+    with_head = paper_network(5, generator(), exponential_head=True)
+    assert [type(m) for m in with_head[:-1]] == [type(m) for m in paper_network(5, generator())]
 
 
 def test_number_of_inputs():

@@ -8,10 +8,10 @@ from torch import nn
 
 from repro.errors import InputError
 from repro.experiments import baaij2023_training
-from repro.experiments.baaij2023_training import segment_rows, train_own, training_rows
+from repro.experiments.baaij2023_training import AffineSpec, segment_rows, train_own, training_rows
 from repro.sensing import training
 from repro.sensing.fast_training import train_dipole_residual, train_fast
-from repro.sensing.network import DipoleResidual, PerSensor, paper_network
+from repro.sensing.network import DipoleResidual, PerSensor, SignedExponential, paper_network
 from repro.sensing.relations import relations
 from repro.sensing.training import rmse, split_rows, train_paper
 from repro.sensing.weights import load_paper_network, read_manifest
@@ -149,6 +149,21 @@ class TestPaperRecipe:
         assert error == pytest.approx(manifest["metrics_mt"]["rmse_validation"])
         monkeypatch.delattr(baaij2023_training, "train_paper")  # a second call trains nothing
         assert baaij2023_training.train(spec, tmp_path / "networks", tmp_path / "state") == path
+
+    @pytest.mark.parametrize("head", [False, True])
+    def test_network_of_one_sensor_with_and_without_the_last_layer(self, rows, tmp_path, monkeypatch, head):
+        def short(xi, u, **options):
+            return train_paper(xi, u, epochs=1, swa_start=0, **options)
+
+        monkeypatch.setattr(AffineSpec, "rows", lambda _: rows)
+        monkeypatch.setattr(baaij2023_training, "train_paper", short)
+        spec = AffineSpec(sensor=3, seed=2, exponential_head=head)
+        path = baaij2023_training.train(spec, tmp_path / "networks", tmp_path / "state", progress=False)
+        assert path.name == f"affine{'_head' * head}_sensor4_seed2.safetensors"
+        assert read_manifest(path)["learning_rate"] == 0.15
+        network = load_paper_network(path)
+        assert isinstance(network[-1], SignedExponential) == head
+        assert bool((network(rows[0]).abs() >= 1).all()) == head
 
 
 class TestFastRecipe:

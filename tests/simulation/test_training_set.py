@@ -8,7 +8,7 @@ import torch
 from repro.errors import InputError
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
-from repro.simulation.training_set import BENDING_M, ELONGATION_M, training_set
+from repro.simulation.training_set import BENDING_M, ELONGATION_M, affine_training_set, training_set
 
 
 @pytest.fixture(scope="module")
@@ -83,3 +83,43 @@ def test_bad_input():
         InputError, match="Input samples of training_set must be positive; instead received 0."
     ):
         training_set(1, seed=0, samples=0)
+
+
+@pytest.fixture(scope="module")
+def affine():
+    return affine_training_set(seed=1, samples=20_000)
+
+
+class TestAffine:
+    def test_draws_fill_their_ranges(self, affine):
+        bounds = (
+            (-0.942478, 0.942478),
+            (-3.769911, 3.769911),
+            (0.0, 2 * math.pi),
+            (0.0, ELONGATION_M["released"]),
+        )
+        for column, (low, high) in enumerate(bounds):
+            x = affine.q[:, column]
+            assert float(x.min()) == pytest.approx(low, abs=1e-3 * (high - low))
+            assert float(x.max()) == pytest.approx(high, abs=1e-3 * (high - low))
+            assert float(x.mean()) == pytest.approx((low + high) / 2, abs=0.01 * (high - low))
+
+    def test_readings_belong_to_the_robots(self, affine):
+        torch.testing.assert_close(affine.u, readings(affine.robot, affine.q, ring("released")))
+
+    def test_sensors_of_a_plane_see_the_same_distribution(self, affine):
+        """The azimuth is uniform, so by symmetry sensors j and j + 3 read alike in the mean; the planes differ."""
+        mean, deviation = affine.u.mean(0), affine.u.std(0) / 20_000**0.5
+        for plane in range(3):
+            for other in (plane + 3, plane + 6):
+                assert abs(float(mean[plane] - mean[other])) < 5 * float(deviation[plane])
+        assert float((mean[0] - mean[1]).abs()) > 1
+
+    def test_same_seed_same_bits(self, affine):
+        again = affine_training_set(seed=1, samples=20_000)
+        assert torch.equal(affine.u, again.u)
+        assert not torch.equal(affine.q, affine_training_set(seed=2, samples=20_000).q)
+
+    def test_bad_input(self):
+        with pytest.raises(InputError, match="Input samples of affine_training_set must be positive"):
+            affine_training_set(seed=0, samples=0)

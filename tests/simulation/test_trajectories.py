@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.simulation.trajectories import lemniscate
+from repro.simulation.trajectories import flower, lemniscate
 
 
 @pytest.mark.parametrize("half", [False, True])
@@ -37,3 +37,26 @@ def test_segments_are_shifted_in_phase():
 def test_bad_input():
     with pytest.raises(InputError, match="Input n_segments, steps of lemniscate must be at least 1"):
         lemniscate(0)
+
+
+class TestFlower:
+    def test_ranges_of_section_4_3(self):
+        k0, k1, phi, dL = flower(steps=601).unbind(-1)
+        for x, low, high in (
+            (k0, 0, math.pi / 4),
+            (k1, 0.1 * math.pi, math.pi),
+            (phi, 0, 2 * math.pi),
+            (dL, 0, 5.5e-3),
+        ):
+            assert float(x.min()) == pytest.approx(low, abs=1e-5)
+            assert float(x.max()) == pytest.approx(high, abs=1e-5)
+
+    def test_three_equal_petals(self):
+        """0.3 Hz in 10 s."""
+        petals = flower(steps=601)[:, :2]
+        torch.testing.assert_close(petals[:401], petals[200:], atol=1e-12, rtol=0)
+        assert float(petals[100, 1]) == pytest.approx(math.pi)
+
+    def test_bad_input(self):
+        with pytest.raises(InputError, match="Input steps of flower must be at least 1"):
+            flower(steps=0)

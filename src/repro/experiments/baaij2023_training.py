@@ -6,7 +6,9 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import ClassVar
 
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from repro.errors import bad_input
@@ -14,11 +16,12 @@ from repro.sensing.fast_training import train_dipole_residual, train_fast
 from repro.sensing.relations import relations
 from repro.sensing.training import train_paper
 from repro.sensing.weights import save_weights
-from repro.simulation.training_set import TrainingSet, training_set
+from repro.simulation.training_set import TrainingSet, affine_training_set, training_set
 
 DATA_SEED = 1
 SEEDS = (0, 1, 2)
 PCC_LEARNING_RATE = 0.18
+AFFINE_LEARNING_RATE = 0.15
 TRAINERS = {"fast": train_fast, "dipole": train_dipole_residual}
 
 
@@ -43,19 +46,67 @@ class NetworkSpec:
     earth: bool
     seed: int
 
+    learning_rate: ClassVar[float] = PCC_LEARNING_RATE
+    exponential_head: ClassVar[bool] = False
+
     @property
     def name(self) -> str:
         """File name without ending."""
         kind = "earth" if self.earth else "pcc"
         return f"{kind}_nb{self.n_segments}_segment{self.segment + 1}_seed{self.seed}"
 
+    def rows(self) -> tuple[Tensor, Tensor]:
+        """Relations and readings that it is trained on."""
+        return training_rows(self.n_segments, self.segment, self.earth)
 
-def specs() -> Iterator[NetworkSpec]:
-    """Yield the 27 networks of Table 1: robots of 1, 2 and 3 segments, and 3 segments with an Earth field."""
+
+@dataclass(frozen=True)
+class AffineSpec:
+    r"""One network of the paper's recipe for one sensor of the affine robot (section 4.2).
+
+    Parameters
+    ----------
+    sensor
+        Sensor whose reading it predicts, from 0.
+    seed
+        Initial weights, dropout and split of the data.
+    exponential_head
+        With the last layer :math:`y = \operatorname{sign}(x) e^{|x|}` of the text; the published networks do
+        without it.
+    """
+
+    sensor: int
+    seed: int
+    exponential_head: bool = False
+
+    learning_rate: ClassVar[float] = AFFINE_LEARNING_RATE
+
+    @property
+    def name(self) -> str:
+        """File name without ending."""
+        kind = "affine_head" if self.exponential_head else "affine"
+        return f"{kind}_sensor{self.sensor + 1}_seed{self.seed}"
+
+    def rows(self) -> tuple[Tensor, Tensor]:
+        """Relations and readings that it is trained on: 120,000 rows."""
+        data = affine_training_set(seed=DATA_SEED)
+        xi = relations(data.robot, data.q).angles()
+        return sensor_rows(data, xi, [self.sensor])
+
+
+def specs() -> Iterator[NetworkSpec | AffineSpec]:
+    """Yield the networks of the paper's tables.
+
+    27 of Table 1: robots of 1, 2 and 3 segments, and 3 segments with an Earth field. 27 of section 4.4: one for each
+    of nine sensors and three seeds.
+    """
     for n_segments, earth in ((1, False), (2, False), (3, False), (3, True)):
         for seed in SEEDS:
             for segment in range(n_segments):
                 yield NetworkSpec(n_segments, segment, earth, seed)
+    for seed in SEEDS:
+        for sensor in range(9):
+            yield AffineSpec(sensor, seed)
 
 
 def training_rows(
@@ -71,8 +122,16 @@ def segment_rows(data: TrainingSet, xi: Tensor, segment: int) -> tuple[Tensor, T
 
     ``xi`` holds the relations of all sensors of ``data``, as angles or as cosines.
     """
-    here = [j for j, i in enumerate(data.robot.sensors.segment) if i == segment]
-    return xi[:, here].flatten(0, 1).float().contiguous(), data.u[:, here].flatten().float().contiguous()
+    return sensor_rows(data, xi, [j for j, i in enumerate(data.robot.sensors.segment) if i == segment])
+
+
+def sensor_rows(
+    data: TrainingSet, xi: Float[Tensor, "n s xi"], sensors: list[int]
+) -> tuple[Float[Tensor, "rows xi"], Float[Tensor, " rows"]]:
+    """Relations and readings of these sensors, one row per sample and sensor, float32."""
+    return xi[:, sensors].flatten(0, 1).float().contiguous(), data.u[
+        :, sensors
+    ].flatten().float().contiguous()
 
 
 def train_own(
@@ -118,17 +177,18 @@ def train_own(
     return networks, metrics
 
 
-def train(spec: NetworkSpec, folder: Path, checkpoints: Path, *, progress: bool = True) -> Path:
+def train(spec: NetworkSpec | AffineSpec, folder: Path, checkpoints: Path, *, progress: bool = True) -> Path:
     """Train one network, or go on with it, and write its weights and manifest; return the weights' path."""
     target = folder / f"{spec.name}.safetensors"
     if target.exists():
         return target
-    xi, u = training_rows(spec.n_segments, spec.segment, spec.earth)
+    xi, u = spec.rows()
     network, metrics = train_paper(
         xi,
         u,
         seed=spec.seed,
-        learning_rate=PCC_LEARNING_RATE,
+        learning_rate=spec.learning_rate,
+        exponential_head=spec.exponential_head,
         checkpoint=checkpoints / f"{spec.name}.safetensors",
         progress=progress,
     )
@@ -136,7 +196,7 @@ def train(spec: NetworkSpec, folder: Path, checkpoints: Path, *, progress: bool 
     manifest = {
         "recipe": "paper",
         **asdict(spec),
-        "learning_rate": PCC_LEARNING_RATE,
+        "learning_rate": spec.learning_rate,
         "data_seed": DATA_SEED,
         "data_sha256": digest,
         "metrics_mt": metrics,

@@ -28,7 +28,17 @@ class Dropout(nn.Module):
         return x * (keep / (1 - self.p))
 
 
-def paper_network(n_inputs: int, generator: torch.Generator) -> nn.Sequential:
+class SignedExponential(nn.Module):
+    r"""Last layer :math:`y = \operatorname{sign}(x) e^{|x|}` of section 4.2; no value is between -1 and 1."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Apply the function to each element."""
+        return x.sign() * x.abs().exp()
+
+
+def paper_network(
+    n_inputs: int, generator: torch.Generator, *, exponential_head: bool = False
+) -> nn.Sequential:
     """Network of Baaij et al. 2023, section 3.2, inputs as angles.
 
     A batch norm of the raw inputs, four blocks of dropout (1 %), linear layer, ReLU and batch norm with 96, 256,
@@ -40,11 +50,14 @@ def paper_network(n_inputs: int, generator: torch.Generator) -> nn.Sequential:
         One plus four for each magnet.
     generator
         Draws the initial weights (the default ones of torch's linear layer) and the dropout.
+    exponential_head
+        Add :class:`SignedExponential` as a last layer (section 4.2).
     """
     layers: list[nn.Module] = [nn.BatchNorm1d(n_inputs)]
     for n_in, n_out in zip((n_inputs, *PAPER_WIDTHS), PAPER_WIDTHS, strict=False):
         layers += [Dropout(0.01, generator), linear(n_in, n_out, generator), nn.ReLU(), nn.BatchNorm1d(n_out)]
-    return nn.Sequential(*layers, linear(PAPER_WIDTHS[-1], 1, generator), nn.Flatten(-2))
+    layers += [linear(PAPER_WIDTHS[-1], 1, generator), nn.Flatten(-2)]
+    return nn.Sequential(*layers, *([SignedExponential()] if exponential_head else []))
 
 
 def linear(n_in: int, n_out: int, generator: torch.Generator) -> nn.Linear:

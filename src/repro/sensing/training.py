@@ -38,6 +38,7 @@ def train_paper(
     seed: int,
     learning_rate: float,
     checkpoint: Path,
+    exponential_head: bool = False,
     epochs: int = EPOCHS,
     swa_start: int = SWA_START,
     progress: bool = True,
@@ -64,6 +65,8 @@ def train_paper(
         0.18 for constant curvature, 0.15 for affine curvature.
     checkpoint
         File for the state between runs.
+    exponential_head
+        With the last layer of section 4.2: see :func:`~repro.sensing.network.paper_network`.
     epochs, swa_start
         250 and 125 in the paper.
     progress
@@ -76,13 +79,15 @@ def train_paper(
         ``rmse_validation``.
     """
     generator = torch.Generator().manual_seed(seed)
-    network = paper_network(xi.shape[-1], generator)
-    average = paper_network(xi.shape[-1], generator)
+    network, average = (
+        paper_network(xi.shape[-1], generator, exponential_head=exponential_head) for _ in range(2)
+    )
     train, validation = split_rows(len(xi), seed)
     x, y, x_val, y_val = xi[train], u[train], xi[validation], u[validation]
     optimiser = torch.optim.SGD(network.parameters(), lr=learning_rate)
     # What the state in the file must have come from; the number of epochs may grow.
-    content = hashlib.sha256(repr((seed, learning_rate, swa_start, BATCH)).encode())
+    settings = (seed, learning_rate, swa_start, BATCH) + (("head",) if exponential_head else ())
+    content = hashlib.sha256(repr(settings).encode())
     content.update(xi.numpy().tobytes() + u.numpy().tobytes())
     run = content.hexdigest()
     start = _resume(checkpoint, network, average, run)

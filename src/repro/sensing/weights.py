@@ -94,7 +94,11 @@ def load_paper_network(path: Path) -> nn.Sequential:
     if manifest.get("recipe") != "paper":
         raise bad_input("recipe", str(path), "'paper'", repr(manifest.get("recipe")))
     first = _read(path, manifest).get("0.weight")
-    network = paper_network(1 if first is None else first.numel(), torch.Generator())
+    network = paper_network(
+        1 if first is None else first.numel(),
+        torch.Generator(),
+        exponential_head=bool(manifest.get("exponential_head")),
+    )
     load_weights(network, path)
     return network
 

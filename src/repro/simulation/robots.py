@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from repro.errors import bad_input
+from repro.kinematics.affine_curvature import AffineCurvature
 from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.mounts import magnet_mounts, ring_azimuths, sensor_mounts
 from repro.kinematics.robot import Robot
@@ -13,6 +15,11 @@ LENGTH_M = 0.110
 RADIUS_M = 0.022
 MAGNET_AXIAL_M = 0.055
 SENSOR_RADIAL_M = 0.013
+AFFINE_LENGTH_M = 0.200
+AFFINE_PLANES_M = (0.0, 0.100, 0.200)
+AFFINE_MAGNETS_M = (0.050, 0.150)
+MAGNET_SHIFT_M = {"released": -0.003, "published": 0.0}
+"""Shift of the magnets of the affine robot along the backbone [m]: in the released training data, and in print."""
 
 
 def pcc_robot(
@@ -60,4 +67,36 @@ def pcc_robot(
         segments=(ConstantCurvature(LENGTH_M, RADIUS_M),) * n_segments,
         magnets=magnet_mounts(range(n_segments), MAGNET_AXIAL_M),
         sensors=sensor_mounts(segment_of_sensor, LENGTH_M, per_robot[0], azimuth, per_robot[1]),
+    )
+
+
+def affine_robot(
+    *, magnet_shift_m: float = MAGNET_SHIFT_M["released"], azimuth_offset: Tensor | float = 0.0
+) -> Robot:
+    """Robot of Baaij et al. 2023, section 4.1: one affine segment, two rings, nine sensors in three planes.
+
+    Each plane, at 0, 100 and 200 mm, holds three sensors 120 degrees apart; the planes are turned against each
+    other by 40 degrees. As in the released code sensor ``j`` is in plane ``j mod 3`` at the azimuth 40 j degrees.
+
+    Parameters
+    ----------
+    magnet_shift_m
+        Shift [m] of both magnets from 50 and 150 mm towards the tip: see :data:`MAGNET_SHIFT_M`.
+    azimuth_offset
+        Azimuth ``phi_off`` [rad] of the first sensor; a batch of robots has a leading dimension.
+
+    Examples
+    --------
+    >>> robot = affine_robot()
+    >>> robot.coordinates, len(robot.magnets), len(robot.sensors)
+    (('kappa_0_1', 'kappa_1_1', 'phi_1', 'delta_L_1'), 2, 9)
+    """
+    n = 9
+    azimuth = ring_azimuths(n, azimuth_offset)
+    axial = torch.tensor(AFFINE_PLANES_M * (n // len(AFFINE_PLANES_M)), dtype=torch.float64)
+    magnets = torch.tensor(AFFINE_MAGNETS_M, dtype=torch.float64) + magnet_shift_m
+    return Robot(
+        segments=(AffineCurvature(AFFINE_LENGTH_M),),
+        magnets=magnet_mounts([0] * len(AFFINE_MAGNETS_M), magnets),
+        sensors=sensor_mounts([0] * n, axial, SENSOR_RADIAL_M, azimuth),
     )

@@ -1,8 +1,9 @@
-r"""Training sets for sensor models: random configurations and sensor placements (Baaij et al. 2023, 3.2)."""
+r"""Training sets for sensor models: random configurations and sensor placements (Baaij et al. 2023, 3.2 and 4.2)."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -13,7 +14,7 @@ from repro.errors import bad_input
 from repro.kinematics.robot import Robot
 from repro.sensing.magnetic import EARTH_MT, readings
 from repro.sensing.magnets import Cube, Ring, ring
-from repro.simulation.robots import SENSOR_RADIAL_M, pcc_robot
+from repro.simulation.robots import SENSOR_RADIAL_M, affine_robot, pcc_robot
 
 BENDING_M = 22e-3 * math.radians(54)
 """Bound of ``delta_x`` and ``delta_y`` [m]: a bending of 54 degrees, 20.73 mm."""
@@ -22,6 +23,11 @@ ELONGATION_M = {"released": 6.6e-3, "published": 5.5e-3}
 TILT_RAD = math.radians(20)
 RADIAL_M = (26e-3 / 3, 52e-3 / 3)
 """Bounds of ``d_s,r`` [m]: two and four thirds of 13 mm (printed 8.7 and 17.3 mm)."""
+
+
+CURVATURE_RAD = (1.2 * math.pi / 4, 1.2 * math.pi)
+"""Bounds of ``|kappa_0|`` and ``|kappa_1|`` [rad]: 0.942 and 3.770 (section 4.2), on both sides of zero as in the
+released code."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,7 @@ class TrainingSet:
     robot
         Batch of robots: one placement of the sensors for every sample.
     q
-        Configurations [m].
+        Configurations [m], those of affine curvature [rad, rad, rad, m].
     earth_axis
         Direction of the Earth field of every sample; none without Earth field.
     u
@@ -87,11 +93,7 @@ def training_set(
     """
     if samples < 1:
         raise bad_input("samples", "training_set", "positive", samples)
-    generator = torch.Generator().manual_seed(seed)
-
-    def uniform(low: float, high: float, *shape: int) -> Tensor:
-        return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64)
-
+    uniform = _uniform(seed)
     bending = uniform(-BENDING_M, BENDING_M, samples, n_segments, 2)
     elongation = uniform(0.0, elongation_m, samples, n_segments, 1)
     q = torch.cat([bending, elongation], dim=-1).flatten(-2)
@@ -107,3 +109,45 @@ def training_set(
     earth_mt = None if earth_axis is None else EARTH_MT * earth_axis
     u = readings(robot, q, magnet or ring("released"), earth_mt=earth_mt)
     return TrainingSet(robot, q, earth_axis, u)
+
+
+def affine_training_set(
+    *, seed: int, samples: int = 120_000, magnet: Ring | Cube | None = None
+) -> TrainingSet:
+    r"""Training set of section 4.2: random shapes of the affine robot, its sensors turned about it at random.
+
+    As in the released code the curvatures are drawn on both sides of zero, so the set holds each shape under both of
+    its configurations; the text draws them from zero.
+
+    Parameters
+    ----------
+    seed
+        Seed of all draws: the same seed gives the same bits.
+    samples
+        Number of samples.
+    magnet
+        Both magnets; the ring ``"released"`` when not given.
+
+    Raises
+    ------
+    InputError
+        If ``samples`` is not positive.
+    """
+    if samples < 1:
+        raise bad_input("samples", "affine_training_set", "positive", samples)
+    uniform = _uniform(seed)
+    kappa = [uniform(-bound, bound, samples) for bound in CURVATURE_RAD]
+    phi = uniform(0.0, 2 * math.pi, samples)
+    dL = uniform(0.0, ELONGATION_M["released"], samples)
+    q = torch.stack([*kappa, phi, dL], dim=-1)
+    robot = affine_robot(azimuth_offset=uniform(0.0, 2 * math.pi / 9, samples))
+    return TrainingSet(robot, q, None, readings(robot, q, magnet or ring("released")))
+
+
+def _uniform(seed: int) -> Callable[..., Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+
+    def draw(low: float, high: float, *shape: int) -> Tensor:
+        return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64)
+
+    return draw

@@ -66,3 +66,38 @@ def lemniscate(
             ELONGATION_M * (1 + torch.sin(2 * math.pi * s + p)),
         ]
     return torch.stack(columns, dim=-1)
+
+
+def flower(*, steps: int = STEPS) -> Float[Tensor, "steps 4"]:
+    r"""Flower of the affine segment (section 4.3): three petals in one turn.
+
+    With :math:`s \in [0, 1]` and :math:`c = (1 - \cos 6\pi s)/2`: :math:`\kappa_0 = c\,\pi/4`,
+    :math:`\kappa_1 = \pi (0.1 + 0.9 c)`, :math:`\phi = 2\pi s`,
+    :math:`\delta L = 2.75\,\mathrm{mm}\,(1 + \sin 2\pi s)`. The azimuth is continuous and ends at a full turn.
+
+    Parameters
+    ----------
+    steps
+        Number of time steps.
+
+    Returns
+    -------
+    Tensor
+        Configurations ``(kappa_0, kappa_1, phi, delta_L)`` [rad, rad, rad, m].
+
+    Raises
+    ------
+    InputError
+        If there is no step.
+
+    Examples
+    --------
+    >>> flower(steps=7)[1, :2] / torch.pi  # the outermost point of the first petal
+    tensor([0.2500, 1.0000], dtype=torch.float64)
+    """
+    if steps < 1:
+        raise bad_input("steps", "flower", "at least 1", steps)
+    s = torch.linspace(0, 1, steps, dtype=torch.float64)
+    petal = (1 - torch.cos(6 * math.pi * s)) / 2
+    dL = ELONGATION_M * (1 + torch.sin(2 * math.pi * s))
+    return torch.stack([math.pi / 4 * petal, math.pi * (0.1 + 0.9 * petal), 2 * math.pi * s, dL], dim=-1)
