@@ -21,10 +21,11 @@ def configurations(
     *,
     position_m: float,
     rotation_rad: float,
+    start: Float[Tensor, "*batch n_q"] | None = None,
 ) -> tuple[Float[Tensor, "*batch n_q"], Float[Tensor, "*batch n_q n_q"]]:
     r"""Configuration that fits the measured poses of all segments' tips best, and its covariance.
 
-    Each segment by itself, from straight, then all together by Gauss-Newton on
+    Each segment by itself, from straight or from ``start``, then all together by Gauss-Newton on
     :math:`\|p - \hat p\|^2/\sigma_p^2 + \|R - \hat R\|_F^2/2\sigma_R^2`. A rotation error of :math:`\sigma_R` about
     each axis gives twice its square in the Frobenius norm, so for small errors this is the maximum-likelihood
     estimate, and the inverse of its Hessian the covariance.
@@ -37,6 +38,8 @@ def configurations(
         Measured poses of the tip of every segment in the base frame; positions in m.
     position_m, rotation_rad
         Standard deviations of a measured position along each axis, and of a measured rotation about each axis.
+    start
+        Where the iteration starts, for segments whose straight pose has more than one configuration.
 
     Raises
     ------
@@ -55,7 +58,9 @@ def configurations(
         raise bad_input("position_m, rotation_rad", "configurations", "positive", received)
     tips = magnet_mounts(range(n), torch.tensor([segment.length for segment in robot.segments]))
     weight = T_0_tip.new_tensor([1 / (2**0.5 * rotation_rad)] * 3 + [1 / position_m])
-    if n == 1:
+    if start is not None:
+        q = start
+    elif n == 1:
         q = T_0_tip.new_zeros(*T_0_tip.shape[:-3], robot.n_q)
     else:
         bases = torch.cat(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -17,57 +16,22 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro import se3
-from repro.errors import bad_input
 from repro.estimation.calibration import Calibration, calibrate
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.poses import configurations
+from repro.experiments.baaij2023_session import (
+    SENSOR_NOISE_MT,
+    Config,
+    Session,
+    draw_session,
+    released_moments,
+)
 from repro.experiments.baaij2023_table1 import ROWS, Row
-from repro.kinematics.robot import Robot
 from repro.sensing.linearised import LinearisedSensing
-from repro.sensing.magnetic import readings
-from repro.sensing.magnets import ring
-from repro.sensing.placement import Tolerances, placed
 from repro.simulation.training_set import BENDING_M, ELONGATION_M
 from repro.simulation.trajectories import lemniscate
 
-SENSOR_NOISE_MT = 7.1e-4
-L_MAX = 9
 BOOTSTRAPS = 10_000
-
-
-@dataclass(frozen=True)
-class Config:
-    """Settings of the comparison.
-
-    Parameters
-    ----------
-    draws
-        Robots per row, each with its own poses and noise.
-    poses
-        Calibration poses: random configurations in the training box.
-    position_m, rotation_rad
-        Noise of a measured pose: standard deviation of the position along, and of the rotation about, each axis.
-    iterations
-        Levenberg-Marquardt iterations per time step. Every time step starts from the straight pose at mid
-        elongation, none from its predecessor; on T2 five iterations and twelve agree in four digits.
-    seed
-        Of all draws.
-    half
-        Evaluate on the half lemniscate T2 (for choices) instead of the full one T3.
-    """
-
-    draws: int = 10
-    poses: int = 100
-    position_m: float = 0.2e-3
-    rotation_rad: float = math.radians(0.2)
-    iterations: int = 5
-    seed: int = 0
-    half: bool = False
-
-    def __post_init__(self) -> None:
-        if self.draws < 1 or self.poses < 1:
-            raise bad_input("draws, poses", "Config", "at least 1", (self.draws, self.poses))
 
 
 def box(n_segments: int) -> tuple[Float[Tensor, " n_q"], Float[Tensor, " n_q"]]:
@@ -87,70 +51,10 @@ def estimator(n_segments: int, sensing: LinearisedSensing, iterations: int) -> L
     return LevenbergMarquardt(sensing, *box(n_segments), noise_mt=SENSOR_NOISE_MT, iterations=iterations)
 
 
-@dataclass(frozen=True)
-class Session:
-    """Draws of one row, batched: true robots, what was measured to calibrate them, what is to be estimated.
-
-    Parameters
-    ----------
-    true_robot
-        Batch of robots. Only the readings come from it.
-    poses
-        Measured poses of the segments' tips.
-    pose_readings
-        Readings in these poses [mT].
-    q
-        True configurations of the trajectory [m], to score the estimates.
-    readings
-        Readings on the trajectory [mT], time first.
-    """
-
-    true_robot: Robot
-    poses: Float[Tensor, "draws poses i 4 4"]
-    pose_readings: Float[Tensor, "draws poses s"]
-    q: Float[Tensor, "t n_q"]
-    readings: Float[Tensor, "t draws s"]
-
-
 def session(row: Row, config: Config) -> Session:
-    """Draw robots and measurements; every draw has a generator of its own, the same for all rows.
-
-    Offsets and tilts of the magnets (0.5 mm, 2 degrees on each axis) and errors of the sensors (azimuth 1 % of a
-    turn, radius 1 %) are uniform within their limits; noise is normal.
-    """
-    robot, magnet, moments = row.robot(), ring("released"), _moments()
-    limits = Tolerances().of_parameters(robot, len(moments))
-    n_m, n_s = len(robot.magnets), len(robot.sensors)
-    limits[5 * n_m : 5 * n_m + 4 * n_s].view(n_s, 4)[:, 2:] = (
-        0.0  # tilt and gain of the sensors are as drawn,
-    )
-    limits[5 * n_m + 4 * n_s :] = 0.0  # and so are the moments
-    low, high = box(row.n_segments)
+    """Draws of a row of Table 1: see :func:`draw_session`."""
     q = lemniscate(row.n_segments, half=config.half)
-    errors, poses_q, pose_noise, noise = [], [], [], []
-    for draw in range(config.draws):
-        g = torch.Generator().manual_seed(1000 * config.seed + draw)
-        errors.append(limits * (2 * torch.rand(len(limits), generator=g, dtype=torch.float64) - 1))
-        uniform = torch.rand(config.poses, robot.n_q, generator=g, dtype=torch.float64)
-        poses_q.append(low + (high - low) * uniform)
-        pose_noise.append(torch.randn(config.poses, row.n_segments, 6, generator=g, dtype=torch.float64))
-        noise.append(
-            SENSOR_NOISE_MT * torch.randn(config.poses + len(q), n_s, generator=g, dtype=torch.float64)
-        )
-    parts = placed(robot, moments, torch.stack(errors))
-    true_robot = replace(robot, magnets=parts.magnets, sensors=parts.sensors)
-    at_poses = torch.stack(poses_q, dim=1)
-    u_poses = readings(true_robot, at_poses, magnet, earth_mt=row.earth_mt()).transpose(0, 1)
-    u = readings(true_robot, q.unsqueeze(1), magnet, earth_mt=row.earth_mt())
-    tips = true_robot.base_poses(at_poses.transpose(0, 1))[..., 1:, :, :]
-    both = torch.stack(noise)
-    return Session(
-        true_robot=true_robot,
-        poses=_measured(tips, torch.stack(pose_noise), config),
-        pose_readings=u_poses + both[:, : config.poses],
-        q=q,
-        readings=u + both[:, config.poses :].transpose(0, 1),
-    )
+    return draw_session(row.robot(), q, box(row.n_segments), config, earth_mt=row.earth_mt())
 
 
 def calibration(row: Row, measured: Session, config: Config) -> Calibration:
@@ -164,7 +68,7 @@ def calibration(row: Row, measured: Session, config: Config) -> Calibration:
         q,
         covariance,
         measured.pose_readings,
-        _moments(),
+        released_moments(),
         noise_mt=SENSOR_NOISE_MT,
         earth_mt=row.earth_mt(),
     )
@@ -182,7 +86,7 @@ def best(rows: Sequence[Row] = ROWS, config: Config | None = None) -> pd.DataFra
         measured = session(row, config)
         models = {
             True: calibration(row, measured, config).sensing(row.earth_mt()),
-            False: LinearisedSensing(row.robot(), _moments(), earth_mt=row.earth_mt()),
+            False: LinearisedSensing(row.robot(), released_moments(), earth_mt=row.earth_mt()),
         }
         for calibrated, sensing in models.items():
             method = estimator(row.n_segments, sensing, config.iterations)
@@ -274,15 +178,3 @@ def _pairs(table: pd.DataFrame) -> list[tuple[str, str]]:
         if quantity not in names:
             names.append(quantity)
     return [(row, quantity) for row, names in keys.items() for quantity in [*names, "mean"]]
-
-
-def _moments() -> Tensor:
-    """Moments of the ring as drawn."""
-    return torch.from_numpy(ring("released").multipoles(L_MAX))
-
-
-def _measured(T: Tensor, noise: Tensor, config: Config) -> Tensor:
-    """Poses as a motion capture system sees them: small rotations about, and offsets along, each axis."""
-    angle, offset = config.rotation_rad * noise[..., :3], config.position_m * noise[..., 3:]
-    turn = se3.rotation_x(angle[..., 0]) @ se3.rotation_y(angle[..., 1]) @ se3.rotation_z(angle[..., 2])
-    return se3.pose(T[..., :3, :3] @ turn, T[..., :3, 3] + offset)
