@@ -159,6 +159,42 @@ def bench() -> int:
     return 0
 
 
+@app.command
+def fetch(
+    paper: str = "",
+    /,
+    *,
+    mirror: Annotated[str, Parameter(env_var="REPRO_MIRROR")] = "",
+    list_only: Annotated[bool, Parameter(name="--list", negative="")] = False,
+) -> int:
+    """Download the authors' public recordings that are not below REPRO_DATA_DIR yet; go on where it stopped.
+
+    Parameters
+    ----------
+    paper
+        One paper, such as mitchell2021; all by default.
+    mirror
+        Download from MIRROR/PAPER/PATH, such as a folder of recordings served over HTTP, instead of GitHub.
+    list_only
+        Download nothing; print what there is, how much of it is here already, and where it comes from.
+    """
+    from repro.recordings.download import fetch as fetch_files
+    from repro.recordings.download import listing
+    from repro.recordings.sources import data_dir, read_sources
+    from repro.report.project import find_project, shown
+    from repro.report.runner import stop_on_termination
+
+    stop_on_termination()
+    folder = data_dir()
+    files = read_sources(find_project().data / "sources.json", [paper] if paper else [])
+    if list_only:
+        print(f"{listing(files, folder)}\nFolder: {shown(folder)}")
+        return 0
+    report = fetch_files(files, folder, mirror=mirror or None, progress=sys.stderr.isatty())
+    print(report, file=sys.stderr if report.failed else sys.stdout)
+    return 1 if report.failed else 0
+
+
 def main() -> int:
     """Run the command line; return 0, 1 where a notebook or a comparison failed, or 2 for wrong input."""
     try:

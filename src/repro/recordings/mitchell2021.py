@@ -1,0 +1,269 @@
+"""The recordings of Mitchell et al. (2021): Hall sensor, motion capture and calibration, as tidy tables.
+
+Axes are those of the bend state: x along the body, which is column 0 of the files (on the sensor's serial line it is
+the last field); against the model, y is mirrored. The sensor, an MLX90363, sends components that depend on its own
+gain (data sheet rev. 005, section 14.4.1), and the recordings show that gain switch: see `HallTake`.
+"""
+
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from repro.errors import bad_input
+from repro.recordings.alignment import Lag, find_lag
+from repro.recordings.optitrack import Capture
+from repro.recordings.sources import data_dir
+
+FOLDER = "mitchell2021"
+MT_PER_UNIT = 10.0
+"""The files' unit in mT: 1000 counts of 0.01 mT."""
+LARGEST_UNIT = 8.192
+"""End of the sensor's range in the files' unit: its components have 14 bits with sign."""
+LIVE_S = 1e-3
+"""Readings that follow each other faster came out of a buffer [s]; the sensor is read every 12 to 17 ms."""
+GAIN_RATIO = 1.154
+"""Median ratio of the field's magnitude across the switches of gain in the nine bend and four light-bulb tests."""
+LEAST_GAIN_STEP = 0.1
+"""Logarithm of the ratio of consecutive magnitudes that counts as a switch; other steps stay below 0.05."""
+LARGEST_SPIKE = 1.0
+REST_S = 2.0
+DIRECTIONS = {"0dir": 0.0, "pi2dir": np.pi / 2, "pidir": np.pi, "3pi2dir": 3 * np.pi / 2}
+FIELD = ["bx_mT", "by_mT", "bz_mT"]
+_ROW = re.compile(r"\[([^\[\],]+)\],([^\[\],]+)")
+
+
+@dataclass(frozen=True)
+class Take:
+    """One test and the files that exist of it; None where one is missing."""
+
+    name: str
+    hall: Path | None
+    capture: Path | None
+    filtered: Path | None
+
+
+@dataclass(frozen=True)
+class HallTake:
+    """Readings of the Hall sensor, and what was dropped or masked.
+
+    Attributes
+    ----------
+    name
+        The file's name without its ending.
+    start_unix_s
+        Time of the first reading kept, seconds since 1970 UTC, by the clock of the computer that recorded.
+    readings
+        One row per reading: ``time_s`` after the first; ``bx_mT, by_mT, bz_mT``, as sent (x along the body), NaN
+        where masked; ``gain``, the sensor's gain relative to the first reading, inferred. Where it switches, all
+        three components jump by one factor between two readings, up when the axial field has fallen to 19 mT and
+        down when it has risen to 25.6 mT. The field over ``gain`` is continuous; ratios of components need no
+        correction.
+    unreadable
+        Rows that are no reading; dropped.
+    drained
+        Leading rows with false times, from the emptying of a buffer; dropped.
+    masked
+        Readings beyond the sensor's range.
+    switches
+        Switches of gain.
+    """
+
+    name: str
+    start_unix_s: float
+    readings: pd.DataFrame
+    unreadable: int
+    drained: int
+    masked: int
+    switches: int
+
+
+def takes(folder: Path | None = None) -> list[Take]:
+    """Return the tests of which a Hall file or a motion capture is found, in order of name.
+
+    Parameters
+    ----------
+    folder
+        The paper's folder; by default ``mitchell2021`` below `repro.recordings.sources.data_dir`.
+    """
+    folder = folder or data_dir() / FOLDER
+    found: dict[str, dict[str, Path]] = {}
+    for kind, pattern in (
+        ("hall", "experiment_data/*_test_*.csv"),
+        ("capture", "mocap/bend_*.csv"),
+        ("filtered", "filter_readings/bend_*.csv"),
+    ):
+        for path in folder.glob(pattern):
+            found.setdefault(path.stem.replace("_test_", "_"), {})[kind] = path
+    kinds = ("hall", "capture", "filtered")
+    return [Take(name, *(found[name].get(kind) for kind in kinds)) for name in sorted(found)]
+
+
+def read_hall(path: Path) -> HallTake:
+    """Read a Hall file: rows ``[x y z],unix_time``.
+
+    The recording starts with what a buffer held: rows that follow each other within `LIVE_S`, whose times are those
+    of their emptying. All rows up to the first longer interval are dropped, so always the first, which may be junk.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    InputError
+        No reading left, or times that do not increase.
+    """
+    rows, unreadable = [], 0
+    for line in path.read_text(encoding="utf-8").splitlines():
+        row = _reading(line)
+        if row is None:
+            unreadable += 1
+        else:
+            rows.append(row)
+    table = np.array(rows).reshape(-1, 4)
+    intervals = np.diff(table[:, 3])
+    if (intervals <= 0).any():
+        row = int(np.argmax(intervals <= 0))
+        raise bad_input("times", path.name, "increasing", f"a step of {intervals[row]:g} s to row {row + 1}")
+    live = np.flatnonzero(intervals > LIVE_S)
+    if live.size == 0:
+        seen = f"{len(table)} readings and {unreadable} rows that are none"
+        raise bad_input("rows", path.name, f"readings, two of them more than {LIVE_S:g} s apart", seen)
+    drained = int(live[0]) + 1
+    time_s, field = table[drained:, 3], table[drained:, :3]
+    outside = np.any(np.abs(field) > LARGEST_UNIT, axis=1)
+    field = np.where(outside[:, None], np.nan, field)
+    gain, switches = _gain(field)
+    readings = pd.DataFrame(
+        {"time_s": time_s - time_s[0]} | dict(zip(FIELD, MT_PER_UNIT * field.T, strict=True))
+    )
+    readings["gain"] = gain
+    return HallTake(path.stem, float(time_s[0]), readings, unreadable, drained, int(outside.sum()), switches)
+
+
+def _reading(line: str) -> list[float] | None:
+    match = _ROW.fullmatch(line.strip())
+    try:
+        row = [float(text) for text in (*match[1].split(), match[2])] if match else []
+    except ValueError:
+        return None
+    return row if len(row) == 4 and np.isfinite(row).all() else None
+
+
+def _gain(field: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return the gain relative to the first reading, and how often it switches."""
+    magnitude = pd.Series(np.linalg.norm(field, axis=1)).ffill().bfill().to_numpy()
+    steps = np.diff(np.log(np.maximum(magnitude, 1e-3)), prepend=np.log(max(magnitude[0], 1e-3)))
+    switched = np.abs(steps) > LEAST_GAIN_STEP
+    return GAIN_RATIO ** np.cumsum(np.sign(steps) * switched), int(switched.sum())
+
+
+def bending_signal(hall: HallTake) -> Float[np.ndarray, " readings"]:
+    """Return the change of the transverse over the axial field since the first two seconds, as one magnitude.
+
+    It grows with the bend angle, needs no gain, and is NaN where a reading is masked.
+    """
+    table = hall.readings
+    ratios = table[["by_mT", "bz_mT"]].to_numpy() / table[["bx_mT"]].to_numpy()
+    rest = np.nanmedian(ratios[table["time_s"] < REST_S], axis=0)
+    return np.linalg.norm(ratios - rest, axis=1)
+
+
+def align(hall: HallTake, capture: Capture) -> tuple[pd.DataFrame, Lag]:
+    """Bring a motion capture onto the clock of its Hall recording.
+
+    There is no common trigger. Both files carry clock times that agree to about a second; the rest is the lag at
+    which `bending_signal` and the captured bend correlate best. Each reading then takes the nearest frame.
+
+    Returns
+    -------
+    table, lag
+        The readings that have a frame within half a frame's time, with ``bend_rad``, ``direction_rad`` and
+        ``tilt_z_rad`` of `repro.recordings.optitrack.Capture.motion` (NaN where masked), and the lag: seconds to add
+        to the clock times of the capture.
+
+    Raises
+    ------
+    InputError
+        If the two do not overlap by their clocks, or `repro.recordings.alignment.find_lag` finds no clear peak.
+    """
+    hall_s = hall.start_unix_s + hall.readings["time_s"].to_numpy()
+    motion_s = capture.start_unix_s + capture.motion["time_s"].to_numpy()
+    if hall_s[-1] <= motion_s[0] or motion_s[-1] <= hall_s[0]:
+        seen = f"a capture from {motion_s[0] - hall_s[0]:.1f} to {motion_s[-1] - hall_s[0]:.1f} s"
+        raise bad_input(
+            "capture", hall.name, f"within the recording, 0 to {hall_s[-1] - hall_s[0]:.1f} s", seen
+        )
+    bend = capture.motion["bend_rad"].to_numpy()
+    # Seconds since 1970 leave few digits; both clocks are counted from the recording's first reading.
+    lag = find_lag(hall_s - hall_s[0], bending_signal(hall), motion_s - hall_s[0], bend)
+    motion = capture.motion.assign(time_s=motion_s - hall_s[0] + lag.lag_s, frame=range(len(motion_s)))
+    table = pd.merge_asof(
+        hall.readings, motion, on="time_s", direction="nearest", tolerance=0.51 / capture.rate_hz
+    )
+    return table.dropna(subset="frame").drop(columns="frame").reset_index(drop=True), lag
+
+
+def read_filtered(path: Path) -> pd.DataFrame:
+    """Read the authors' logged output: ``time_s``, ``direction_rad``, ``bend_rad``.
+
+    Raises
+    ------
+    InputError
+        If a column is missing.
+    """
+    table: pd.DataFrame = pd.read_csv(path)
+    names = {"time": "time_s", "bend_dir": "direction_rad", "bend_ang": "bend_rad"}
+    if missing := [name for name in names if name not in table]:
+        raise bad_input("columns", path.name, ", ".join(names), f"none of {missing}")
+    return table.rename(columns=names).loc[:, list(names.values())]
+
+
+def read_calibration(folder: Path | None = None) -> pd.DataFrame:
+    """Read the calibration readings, taken at known bends held still.
+
+    Parameters
+    ----------
+    folder
+        As for `takes`; the files are ``calibrate_data/<direction>/<angle>deg_<repeat>.csv``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row per reading: ``direction_rad`` and ``bend_rad``, nominal, ``repeat``, and ``bx_mT, by_mT, bz_mT``. A
+        reading that is more than 10 mT off the median of its file in any component is a spike: NaN. The gain of each
+        file is unknown.
+
+    Raises
+    ------
+    InputError
+        If a file holds anything but rows of three numbers.
+    """
+    parts = []
+    for path in sorted((folder or data_dir() / FOLDER).glob("calibrate_data/*/*deg_*.csv")):
+        match = re.fullmatch(r"(\d+)deg_(\d+)", path.stem)
+        if path.parent.name not in DIRECTIONS or not match:
+            raise bad_input(
+                "file", "calibrate_data", "DIRECTION/ANGLEdeg_REPEAT.csv", f"{path.parent.name}/{path.name}"
+            )
+        raw = pd.read_csv(path, header=None).to_numpy()
+        if raw.shape[1] != 3 or raw.dtype != float or not np.isfinite(raw).all():
+            raise bad_input(
+                "rows", f"{path.parent.name}/{path.name}", "three numbers each", f"{raw[:1].tolist()} …"
+            )
+        spike = np.any(np.abs(raw - np.median(raw, axis=0)) > LARGEST_SPIKE, axis=1)
+        field = MT_PER_UNIT * np.where(spike[:, None], np.nan, raw)
+        pose = {
+            "direction_rad": DIRECTIONS[path.parent.name],
+            "bend_rad": np.radians(float(match[1])),
+            "repeat": int(match[2]),
+        }
+        parts.append(pd.DataFrame(field, columns=FIELD).assign(**pose)[[*pose, *FIELD]])
+    columns = ["direction_rad", "bend_rad", "repeat", *FIELD]
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)

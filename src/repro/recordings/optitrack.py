@@ -1,0 +1,186 @@
+"""Motion capture exported by OptiTrack Motive (format 1.21): tilt of a rigid body, with half-turns masked.
+
+Motive's world has its y axis upwards. A body's frame is parallel to the world's when the body is defined, here
+upright, so the tilt of the body's y axis is how far it bends from upright, and the azimuth of that axis is where to.
+"""
+
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from repro.errors import bad_input
+
+HEADER_LINES = 7
+LARGEST_STEP_DEG = 2.0
+"""Turn between consecutive frames that counts as a jump [deg]: 240 deg/s, where bending takes 10 s."""
+GUARD_FRAMES = 6
+"""Frames masked on either side of a jump: 50 ms at 120 Hz."""
+
+
+@dataclass(frozen=True)
+class Capture:
+    """The motion of one rigid body, and what was masked.
+
+    Attributes
+    ----------
+    name
+        The take's name in the file.
+    start_unix_s
+        Start of the capture by the header's clock, seconds since 1970 UTC.
+    rate_hz
+        Frames per second.
+    motion
+        One row per frame: ``time_s`` after the start; ``bend_rad``, angle between the body's y axis and the world's;
+        ``direction_rad``, azimuth of the body's y axis about the world's, from world z towards world x, in
+        (-pi, pi] and meaningless at zero bend; ``tilt_z_rad``, angle between the body's z axis and the world's, equal
+        to the bend only where the body bends about world x. NaN in masked frames.
+    lost
+        Frames in which the body was not tracked.
+    turned
+        Frames that are half a turn or so off: markers taken for each other.
+    near_jumps
+        Other frames within 50 ms of a jump.
+    """
+
+    name: str
+    start_unix_s: float
+    rate_hz: float
+    motion: pd.DataFrame
+    lost: int
+    turned: int
+    near_jumps: int
+
+    @property
+    def masked_share(self) -> float:
+        """Share of the frames that is masked."""
+        return (self.lost + self.turned + self.near_jumps) / len(self.motion)
+
+
+def read_capture(path: Path, *, body: str = "Module", utc_offset_h: float = -5.0) -> Capture:
+    """Read one exported take.
+
+    What is masked follows from the motion capture alone:
+
+    * lost: frames with empty cells;
+    * turned: frames that are turned by more than 90 deg from the last frame that is not. Frames either agree with
+      their neighbours within a few degrees or are off by 170 to 180 deg, so that nothing depends on where in between
+      the limit lies;
+    * near a jump: frames within `GUARD_FRAMES` of a step of more than `LARGEST_STEP_DEG` between consecutive frames
+      that are neither lost nor turned.
+
+    Parameters
+    ----------
+    path
+        The file: CSV, quaternions XYZW (body to world), time in seconds.
+    body
+        Name of the rigid body.
+    utc_offset_h
+        Time zone of the capture start in the header [h].
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    InputError
+        Another format, version or rotation type; a body that is not there; fewer frames than the header says; numbers
+        that are none; quaternions that are not unit; or a first frame that is not upright (which frames are turned is
+        told from it).
+    """
+    with path.open(newline="", encoding="utf-8-sig") as stream:
+        rows = list(csv.reader(stream))
+    name, rate_hz, start_unix_s = _header(rows, path.name, utc_offset_h)
+    columns = list(zip(rows[3], rows[5], rows[6], strict=False))
+    if missing := [axis for axis in "XYZW" if (body, "Rotation", axis) not in columns]:
+        bodies = ", ".join(sorted({name for name, _, _ in columns if name}))
+        seen = f"{body}, without {', '.join(missing)}"
+        raise bad_input("body", path.name, f"one with a rotation (there are: {bodies})", seen)
+    picked = [1, *(columns.index((body, "Rotation", axis)) for axis in "XYZW")]
+    try:
+        table = np.array([[float(row[k] or "nan") for k in picked] for row in rows[HEADER_LINES:]])
+    except (ValueError, IndexError) as error:
+        raise bad_input("frames", path.name, "rows of numbers", error) from error
+    return Capture(name, start_unix_s, rate_hz, *_motion(table, path.name))
+
+
+def _header(rows: list[list[str]], owner: str, utc_offset_h: float) -> tuple[str, float, float]:
+    """Return the take's name, its frame rate and its start, after a check of format and number of frames."""
+    header = dict(zip(rows[0][0::2], rows[0][1::2], strict=False)) if rows else {}
+    for name, expected in (("Format Version", "1.21"), ("Rotation Type", "Quaternion")):
+        if header.get(name) != expected:
+            raise bad_input(name, owner, expected, header.get(name, "nothing"))
+    for name in ("Take Name", "Total Exported Frames", "Capture Frame Rate", "Capture Start Time"):
+        if name not in header:
+            raise bad_input(name, owner, "in the header", "nothing")
+    frames, rate, start = (
+        header[name] for name in ("Total Exported Frames", "Capture Frame Rate", "Capture Start Time")
+    )
+    if not frames.isdecimal():
+        raise bad_input("Total Exported Frames", owner, "a whole number", frames)
+    if len(rows) - HEADER_LINES != int(frames):
+        found = max(len(rows) - HEADER_LINES, 0)
+        raise bad_input("number of frames", owner, f"{frames}, as its header says", found)
+    try:
+        rate_hz = float(rate)
+    except ValueError:
+        rate_hz = 0.0
+    if not 0 < rate_hz < np.inf:
+        raise bad_input("Capture Frame Rate", owner, "above zero", rate)
+    zone = timezone(timedelta(hours=utc_offset_h))
+    try:
+        began = datetime.strptime(start, "%Y-%m-%d %I.%M.%S.%f %p").replace(tzinfo=zone)
+    except ValueError as error:
+        raise bad_input("Capture Start Time", owner, "a date and time", start) from error
+    return header["Take Name"], rate_hz, began.timestamp()
+
+
+def _motion(table: np.ndarray, owner: str) -> tuple[pd.DataFrame, int, int, int]:
+    """Return the masked motion, and how many frames are lost, turned, or near a jump."""
+    time_s, quaternions = table[:, 0], table[:, 1:]
+    tracked = np.isfinite(quaternions).all(axis=1)
+    error = np.abs(np.linalg.norm(quaternions[tracked], axis=1) - 1.0)
+    if not tracked.any() or error.max() > 1e-3:
+        seen = f"an error of {error.max():.3g}" if tracked.any() else "no frame at all"
+        raise bad_input("quaternions", owner, "unit within 0.001", seen)
+    axes = np.full((len(table), 3, 3), np.nan)
+    axes[tracked] = Rotation.from_quat(quaternions[tracked]).as_matrix()
+    bend = np.arccos(np.clip(axes[:, 1, 1], -1.0, 1.0))
+    if not bend[tracked][0] < np.pi / 4:
+        raise bad_input(
+            "first frame", owner, "upright within 45 deg", f"{np.degrees(bend[tracked][0]):.1f} deg"
+        )
+    kept = _not_turned(quaternions, tracked)
+    pairs = np.abs((quaternions[1:] * quaternions[:-1]).sum(axis=1))
+    steps = np.degrees(2.0 * np.arccos(np.clip(pairs, 0.0, 1.0)))
+    jumps = np.flatnonzero((steps > LARGEST_STEP_DEG) & kept[1:] & kept[:-1])
+    guarded = np.zeros(len(table), dtype=bool)
+    for k in jumps:
+        guarded[max(0, k + 1 - GUARD_FRAMES) : k + 1 + GUARD_FRAMES] = True
+    motion = pd.DataFrame(
+        {
+            "time_s": time_s,
+            "bend_rad": bend,
+            "direction_rad": np.arctan2(axes[:, 0, 1], axes[:, 2, 1]),
+            "tilt_z_rad": np.arccos(np.clip(axes[:, 2, 2], -1.0, 1.0)),
+        }
+    )
+    motion.loc[~kept | guarded, ["bend_rad", "direction_rad", "tilt_z_rad"]] = np.nan
+    return motion, int((~tracked).sum()), int((tracked & ~kept).sum()), int((kept & guarded).sum())
+
+
+def _not_turned(quaternions: np.ndarray, tracked: np.ndarray) -> np.ndarray:
+    """Return which tracked frames are within 90 deg of the last such frame before them."""
+    kept = np.zeros(len(quaternions), dtype=bool)
+    last = quaternions[int(np.argmax(tracked))]
+    for k in np.flatnonzero(tracked):
+        if abs(quaternions[k] @ last) > np.cos(np.pi / 4):  # half of 90 deg: q and -q are one rotation
+            kept[k], last = True, quaternions[k]
+    return kept

@@ -1,0 +1,178 @@
+"""Exports of OptiTrack: small synthetic ones written here; the released ones are read in test_mitchell2021.py."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from repro.errors import InputError
+from repro.recordings.optitrack import GUARD_FRAMES, read_capture
+
+HEADER = (
+    "Format Version,1.21,Take Name,{name},Capture Frame Rate,120,Export Frame Rate,120,Capture Start Time,"
+    "2021-03-12 09.50.01.253 PM,Total Frames in Take,{n},Total Exported Frames,{n},Rotation Type,Quaternion,"
+    "Length Units,Millimeters"
+)
+NAMES = ["Rotation"] * 4 + ["Position"] * 3 + ["Error Per Marker"]
+AXES = ["X", "Y", "Z", "W", "X", "Y", "Z", "error"]
+START_UNIX_S = 1615603801.253  # 2021-03-13 02:50:01.253 UTC
+
+
+def write_capture(path: Path, rotations: Rotation, lost: tuple[int, ...] = ()) -> Path:
+    """Write a synthetic export with bodies Ground and Module in the layout of the authors' files."""
+    lines = [
+        HEADER.format(name=path.stem, n=len(rotations)),
+        "," * 17,
+        ",".join(["", "", *["Rigid Body"] * 16]),
+        ",".join(["", "", *["Ground"] * 8, *["Module"] * 8]),
+        ",".join(["", "", *["E1F0"] * 8, *["773C"] * 8]),
+        ",".join(["", "", *NAMES, *NAMES]),
+        ",".join(["Frame", "Time", *AXES, *AXES]),
+    ]
+    for k, quaternion in enumerate(rotations.as_quat()):
+        module = [""] * 8 if k in lost else [f"{x:.6f}" for x in (*quaternion, 1.0, 115.0, 2.0, 0.05)]
+        ground = ["0", "0", "0", "-1", "60", "0", "77", "0.01"]
+        lines.append(",".join([str(k), f"{k / 120:.6f}", *ground, *module]))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def bending(angles_deg: np.ndarray, direction_deg: float) -> Rotation:
+    """Rotations that tilt the y axis by the angles towards a direction, counted from world z towards world x."""
+    direction = np.radians(direction_deg)
+    turn_about = np.array([np.cos(direction), 0.0, -np.sin(direction)])
+    return Rotation.from_rotvec(np.radians(angles_deg)[:, None] * turn_about)
+
+
+UP_AND_DOWN = np.concatenate([np.zeros(60), 50 * np.sin(np.linspace(0, np.pi, 1200)) ** 2, np.zeros(60)])
+
+
+@pytest.mark.parametrize("direction_deg", [-150.0, -30.0, 0.0, 90.0, 179.0])
+def test_bend_and_direction(tmp_path, direction_deg):
+    capture = read_capture(write_capture(tmp_path / "a.csv", bending(UP_AND_DOWN, direction_deg)))
+    motion = capture.motion
+    np.testing.assert_allclose(np.degrees(motion["bend_rad"]), UP_AND_DOWN, atol=2e-3)
+    bent = UP_AND_DOWN > 5
+    np.testing.assert_allclose(np.degrees(motion["direction_rad"][bent]), direction_deg, atol=2e-3)
+    np.testing.assert_allclose(motion["time_s"], np.arange(len(UP_AND_DOWN)) / 120, atol=1e-6)
+    assert (capture.rate_hz, capture.start_unix_s, capture.masked_share) == (120.0, START_UNIX_S, 0.0)
+
+
+def test_tilt_of_z_is_the_bend_only_about_world_x(tmp_path):
+    along = read_capture(write_capture(tmp_path / "a.csv", bending(UP_AND_DOWN, 0.0))).motion
+    np.testing.assert_allclose(along["tilt_z_rad"], along["bend_rad"], atol=1e-4)
+    across = read_capture(write_capture(tmp_path / "b.csv", bending(UP_AND_DOWN, 90.0))).motion
+    np.testing.assert_allclose(across["tilt_z_rad"], 0, atol=1e-4)
+
+
+def test_half_turns_and_lost_frames_are_masked(tmp_path):
+    rotations = bending(UP_AND_DOWN, 30.0)
+    turned = np.zeros(len(rotations), dtype=bool)
+    turned[[200, 201, 300]] = True
+    turned[600:900] = True  # over the peak, while the module moves by 25 deg
+    half_turn = Rotation.from_rotvec(np.radians(178) * np.array([0.0, np.sin(0.3), np.cos(0.3)]))
+    swapped = Rotation.concatenate(
+        [r * half_turn if off else r for r, off in zip(rotations, turned, strict=True)]
+    )
+    capture = read_capture(write_capture(tmp_path / "a.csv", swapped, lost=(100, 1319)))
+    assert (capture.turned, capture.lost, capture.near_jumps) == (303, 2, 0)
+    assert capture.masked_share == pytest.approx(305 / 1320)
+    masked = turned.copy()
+    masked[[100, 1319]] = True
+    assert (capture.motion["bend_rad"].isna() == masked).all()
+    assert (capture.motion["direction_rad"].isna() == masked).all()
+    np.testing.assert_allclose(
+        np.degrees(capture.motion["bend_rad"][~masked]), UP_AND_DOWN[~masked], atol=2e-3
+    )
+
+
+def test_frames_around_a_jump_are_masked(tmp_path):
+    angles = UP_AND_DOWN.copy()
+    angles[400:403] += 4.0
+    capture = read_capture(write_capture(tmp_path / "a.csv", bending(angles, 30.0)))
+    masked = np.flatnonzero(capture.motion["bend_rad"].isna())
+    np.testing.assert_array_equal(masked, np.arange(400 - GUARD_FRAMES, 403 + GUARD_FRAMES))
+    assert (capture.turned, capture.near_jumps) == (0, len(masked))
+
+
+def spoilt(path: Path, old: str, new: str) -> Path:
+    path.write_text(path.read_text().replace(old, new))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("Version,1.21", "Version,1.23", r"Format Version of a\.csv must be 1\.21; instead received 1\.23\."),
+        ("Quaternion", "XYZ", r"Rotation Type of a\.csv must be Quaternion; instead received XYZ\."),
+        (
+            "Exported Frames,61",
+            "Exported Frames,80",
+            r"number of frames of a\.csv must be 80, as its header says; .* 61\.",
+        ),
+        (
+            "Module",
+            "Other",
+            r"body of a\.csv must be .*\(there are: Ground, Other\); instead received Module, without",
+        ),
+        (
+            "Frames,61",
+            "Frames,many",
+            r"Total Exported Frames of a\.csv must be a whole number; instead received many\.",
+        ),
+        (
+            "Capture Frame Rate,120",
+            "Capture Frame Rate,0",
+            r"Capture Frame Rate of a\.csv must be above zero; .* 0\.",
+        ),
+        (
+            "09.50.01.253 PM",
+            "21:50",
+            r"Capture Start Time of a\.csv must be a date and time; .* 2021-03-12 21:50\.",
+        ),
+        ("Take Name", "Take", r"Take Name of a\.csv must be in the header; instead received nothing\."),
+        (
+            ",1.000000,1.000000,115",
+            ",1.100000,1.000000,115",
+            r"quaternions of a\.csv must be unit within 0\.001",
+        ),
+        (
+            ",1.000000,1.000000,115",
+            ",x,1.000000,115",
+            r"frames of a\.csv must be rows of numbers; .*'x'",
+        ),
+    ],
+)
+def test_files_that_cannot_be_trusted_are_refused(tmp_path, old, new, message):
+    path = write_capture(tmp_path / "a.csv", bending(np.zeros(61), 0.0))
+    with pytest.raises(InputError, match=message):
+        read_capture(spoilt(path, old, new))
+
+
+def test_truncated_and_foreign_files_are_refused(tmp_path):
+    path = write_capture(tmp_path / "a.csv", bending(UP_AND_DOWN, 0.0))
+    whole = path.read_text()
+    for text in ("", "time,x\n", whole[: len(whole) // 2], "\n".join(whole.splitlines()[:5])):
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"(Format Version|number of frames) of a\.csv"):
+            read_capture(path)
+
+
+def test_first_frame_must_be_upright(tmp_path):
+    path = write_capture(tmp_path / "a.csv", bending(np.full(10, 120.0), 0.0))
+    with pytest.raises(
+        InputError, match=r"first frame of a\.csv must be upright within 45 deg; .* 120\.0 deg\."
+    ):
+        read_capture(path)
+
+
+def test_body_that_was_never_tracked(tmp_path):
+    path = write_capture(tmp_path / "a.csv", bending(np.zeros(5), 0.0), lost=tuple(range(5)))
+    with pytest.raises(InputError, match="instead received no frame at all"):
+        read_capture(path)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        read_capture(tmp_path / "none.csv")
