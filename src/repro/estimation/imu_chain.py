@@ -10,24 +10,24 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from repro.errors import bad_input
+from repro.estimation.orientations import UNIT_TOLERANCE as UNIT_TOLERANCE
+from repro.estimation.orientations import product, tangents, turn_between, unit_quaternions
 
 Lengths = Sequence[float] | Float[np.ndarray, " links"]
 Points = float | Sequence[float] | Float[np.ndarray, " points"]
-
-UNIT_TOLERANCE = 1e-3
 
 # Table I of Martin et al. for eight IMUs, rigid-body model: IMUs at 80, 160, ..., 640 mm, each at the end of
 # its section, and L_0 = 0 (section III-B1). Other readings of the table exist for fewer IMUs.
 TABLE_I_LINK_LENGTHS = (0.08,) * 8
 
+_HALF = np.sqrt(0.5)
 # R_imu_link: turns link coordinates (link along z) into those of a sensor with the named axis along the link.
 _R_IMU_LINK = {
-    "x": Rotation.from_rotvec([0.0, np.pi / 2, 0.0]),
-    "y": Rotation.from_rotvec([-np.pi / 2, 0.0, 0.0]),
-    "z": Rotation.identity(),
+    "x": np.array([0.0, _HALF, 0.0, _HALF]),
+    "y": np.array([-_HALF, 0.0, 0.0, _HALF]),
+    "z": np.array([0.0, 0.0, 0.0, 1.0]),
 }
 
 
@@ -57,31 +57,26 @@ def link_orientations(
     --------
     A sensor whose y axis points up in the world, on a link that points up:
 
-    >>> y_up = Rotation.from_rotvec([[np.pi / 2, 0, 0]]).as_quat()
-    >>> Rotation.from_quat(link_orientations(y_up, "y")).apply([0, 0, 1]).round(12) + 0.0
+    >>> y_up = np.array([[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]])
+    >>> tangents(link_orientations(y_up, "y")).round(12) + 0.0
     array([[0., 0., 1.]])
     """
-    return _turned(orientations, _mounting(along_arm, "link_orientations"), "link_orientations")
+    turn = _mounting(along_arm, "link_orientations")
+    return product(unit_quaternions(orientations, "link_orientations"), turn)
 
 
 def sensor_orientations(
     orientations: Float[np.ndarray, "*samples imus 4"], along_arm: str = "z"
 ) -> Float[np.ndarray, "*samples imus 4"]:
-    """Turn link orientations into sensor orientations: the inverse of `link_orientations`.
-
-    Parameters
-    ----------
-    orientations
-        Unit quaternions XYZW of the links, link frame to world.
-    along_arm
-        Axis of the sensors that points along the arm, base to tip: "x", "y" or "z".
+    """Turn link orientations into sensor orientations: undoes `link_orientations`, whose arguments it takes.
 
     Raises
     ------
     InputError
-        Unknown axis, or quaternions that are not unit within 1e-3.
+        As `link_orientations`.
     """
-    return _turned(orientations, _mounting(along_arm, "sensor_orientations").inv(), "sensor_orientations")
+    turn = _mounting(along_arm, "sensor_orientations") * [-1.0, -1.0, -1.0, 1.0]
+    return product(unit_quaternions(orientations, "sensor_orientations"), turn)
 
 
 def rigid_body(
@@ -121,9 +116,8 @@ def rigid_body(
     >>> rigid_body(np.array([[0.0, 0.0, 0.0, 1.0]] * 2), [0.08, 0.08])[:, 2]
     array([0.  , 0.08, 0.16])
     """
-    rotations = _rotations(orientations, "rigid_body")
-    lengths = _lengths(link_lengths, np.shape(orientations)[-2], "rigid_body")
-    directions = rotations.apply([0.0, 0.0, 1.0]).reshape(*np.shape(orientations)[:-1], 3)
+    directions = tangents(unit_quaternions(orientations, "rigid_body"))
+    lengths = _lengths(link_lengths, directions.shape[-2], "rigid_body")
     steps = directions * lengths[:, None]
     return np.concatenate([np.zeros_like(steps[..., :1, :]), np.cumsum(steps, axis=-2)], axis=-2)
 
@@ -206,42 +200,19 @@ def adjacent_angles(
 
     Examples
     --------
-    >>> quarter = Rotation.from_rotvec([[0, 0, 0], [np.pi / 2, 0, 0]]).as_quat()
+    >>> quarter = np.array([[0.0, 0.0, 0.0, 1.0], [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]])
     >>> np.degrees(adjacent_angles(quarter)).round(9)
     array([90.])
     """
-    _rotations(orientations, "adjacent_angles")
-    here, following = orientations[..., :-1, :], orientations[..., 1:, :]
-    # Chords keep their accuracy at small angles, where arccos of the dot product loses it. The smaller chord
-    # belongs to the shorter of the two ways round (q and -q are one rotation).
-    towards = np.linalg.norm(following - here, axis=-1)
-    opposite = np.linalg.norm(following + here, axis=-1)
-    return 4.0 * np.arctan2(np.minimum(towards, opposite), np.maximum(towards, opposite))
+    q = unit_quaternions(orientations, "adjacent_angles")
+    return np.linalg.norm(turn_between(q[..., :-1, :], q[..., 1:, :]), axis=-1)
 
 
-def _mounting(along_arm: str, owner: str) -> Rotation:
+def _mounting(along_arm: str, owner: str) -> np.ndarray:
     """Return R_imu_link of sensors with the named axis along the arm."""
     if along_arm not in _R_IMU_LINK:
         raise bad_input("along_arm", owner, 'one of "x", "y" and "z"', along_arm)
     return _R_IMU_LINK[along_arm]
-
-
-def _turned(orientations: np.ndarray, turn: Rotation, owner: str) -> np.ndarray:
-    """Follow every orientation by a turn in its own frame."""
-    return (_rotations(orientations, owner) * turn).as_quat().reshape(np.shape(orientations))
-
-
-def _rotations(orientations: np.ndarray, owner: str) -> Rotation:
-    """Check quaternions and return them as one flat SciPy rotation."""
-    shape = np.shape(orientations)
-    if len(shape) < 2 or shape[-1] != 4 or shape[-2] == 0:
-        raise bad_input("orientations", owner, "quaternions XYZW, an array (..., imus, 4)", f"shape {shape}")
-    flat = np.asarray(orientations, dtype=float).reshape(-1, 4)
-    error = np.abs(np.linalg.norm(flat, axis=1) - 1.0)
-    if not (error <= UNIT_TOLERANCE).all():  # "not <=" also catches NaN
-        worst = flat[int(np.argmax(np.where(np.isnan(error), np.inf, error)))]
-        raise bad_input("orientations", owner, "finite unit quaternions (within 1e-3)", worst)
-    return Rotation.from_quat(flat)
 
 
 def _lengths(link_lengths: Lengths, links: int, owner: str) -> np.ndarray:
