@@ -1,0 +1,175 @@
+r"""Iterated extended Kalman filter with a constant-velocity prior: what the last readings say about the next ones.
+
+The state is :math:`(q, \dot q)`; each coordinate is driven by white acceleration of density :math:`a^2`, so over
+:math:`\tau` its covariance grows by :math:`a^2 [[\tau^3/3, \tau^2/2], [\tau^2/2, \tau]]`. The readings depend on
+:math:`q` alone. The update is therefore the maximum of the posterior of :math:`q`,
+
+.. math:: \min_q \|u - h(q)\|^2/\sigma^2 + (q - q^-)^T (P^-_{qq})^{-1} (q - q^-),
+
+found by Levenberg-Marquardt within the bounds, and the velocity follows by regression on :math:`q`. For a linear
+:math:`h` without active bounds this is the Kalman filter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from repro.errors import bad_input
+from repro.estimation.base import Estimate, check_start, usable
+from repro.estimation.levenberg_marquardt import LeastSquaresState, LevenbergMarquardt
+
+
+@dataclass(frozen=True)
+class KalmanState:
+    """Mean and covariance of configuration and velocity, and the time [s] they belong to (none before a step)."""
+
+    q: Float[Tensor, "*batch n_q"]
+    velocity: Float[Tensor, "*batch n_q"]
+    covariance: Float[Tensor, "*batch two_n two_n"]
+    t: float | None = None
+
+
+@dataclass(frozen=True)
+class IteratedKalmanFilter:
+    r"""Estimator that weighs the readings against a constant-velocity prediction.
+
+    The covariance of an estimate is :math:`((P^-_{qq})^{-1} + J^T J/\sigma^2)^{-1}`; a coordinate that a bound
+    stopped keeps it, which overstates its uncertainty on the side of the bound.
+
+    Parameters
+    ----------
+    sensing
+        Configuration to predicted readings, batched and differentiable.
+    lower, upper
+        Bounds of ``q``. Before the first reading ``q`` is at its start, with the standard deviation of a uniform
+        distribution between the bounds.
+    acceleration
+        Process noise :math:`a` of every coordinate [unit/s^1.5].
+    velocity
+        Standard deviation of every velocity before the first reading [unit/s].
+    noise_mt
+        Standard deviation :math:`\sigma` of a reading, in its unit.
+    iterations
+        Largest number of iterations in an update.
+
+    Raises
+    ------
+    InputError
+        If the process noise or the velocity is not positive for every coordinate, or as
+        :class:`~repro.estimation.levenberg_marquardt.LevenbergMarquardt`.
+
+    Examples
+    --------
+    A reading of noise 1 between two equally uncertain statements ends halfway:
+
+    >>> one = torch.ones(1, dtype=torch.float64)
+    >>> method = IteratedKalmanFilter(lambda q: q, -(3**0.5) * one, 3**0.5 * one, one, one)
+    >>> _, estimate = method.step(method.init(0 * one), one, 0.0)
+    >>> float(estimate.q), float(estimate.covariance)  # doctest: +ELLIPSIS
+    (0.5..., 0.5...)
+    """
+
+    sensing: Callable[[Tensor], Tensor]
+    lower: Float[Tensor, " n_q"]
+    upper: Float[Tensor, " n_q"]
+    acceleration: Float[Tensor, " n_q"]
+    velocity: Float[Tensor, " n_q"]
+    noise_mt: float = 1.0
+    iterations: int = 8
+
+    def __post_init__(self) -> None:
+        for name in ("acceleration", "velocity"):
+            value = getattr(self, name)
+            if value.shape != self.lower.shape or not bool((value > 0).all()):
+                expected = f"positive, one for each of {len(self.lower)} coordinates"
+                raise bad_input(name, "IteratedKalmanFilter", expected, value.tolist())
+        self._update(self.sensing)  # refuses wrong bounds, noise and iterations now
+
+    def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> KalmanState:
+        """State at ``q0``, at rest; nothing is random, the seed has no effect."""
+        check_start(q0, (self.lower, self.upper), "IteratedKalmanFilter", n_q=len(self.lower))
+        width = (self.upper - self.lower).to(q0)
+        variances = torch.cat([width**2 / 12, self.velocity.to(q0) ** 2])
+        covariance = torch.diag(variances).expand(*q0.shape[:-1], -1, -1)
+        return KalmanState(q0, torch.zeros_like(q0), covariance)
+
+    def step(
+        self,
+        state: KalmanState,
+        u: Float[Tensor, "*batch s"],
+        t: float,
+        *,
+        mask: Tensor | None = None,
+        known: Tensor | None = None,
+    ) -> tuple[KalmanState, Estimate]:
+        """Predict to time ``t`` and take in ``u``; ``rmse``, ``iterations`` and ``at_bound`` are in the diagnostics.
+
+        Raises
+        ------
+        InputError
+            If ``t`` is not after the last step, or as :func:`repro.estimation.base.usable`.
+        """
+        if state.t is not None and not t > state.t:
+            raise bad_input("t", "IteratedKalmanFilter", f"after the last step, {state.t} s", t)
+        use = usable(u, mask, "IteratedKalmanFilter")
+        q, velocity, P = self._predicted(state, t)
+        n = q.shape[-1]
+        P_qq, P_vq = P[..., :n, :n], P[..., n:, :n]
+        # W W^T is the inverse of P_qq: W^T q has unit covariance.
+        W = torch.linalg.inv(torch.linalg.cholesky(P_qq)).mT
+
+        s = u.shape[-1]
+
+        def with_prior(x: Tensor) -> Tensor:
+            prior = (x.unsqueeze(-2) @ W).squeeze(-2)
+            readings = self.sensing(x) / self.noise_mt
+            return torch.cat([readings, prior.expand(*readings.shape[:-1], n)], dim=-1)
+
+        middle = torch.clamp(q, self.lower.to(q), self.upper.to(q))
+        target = (q.unsqueeze(-2) @ W).squeeze(-2)
+        both = torch.cat([u / self.noise_mt, target.expand(*u.shape[:-1], n)], dim=-1)
+        in_use = torch.cat([use, torch.ones_like(target, dtype=torch.bool).expand(*u.shape[:-1], n)], dim=-1)
+        _, found = self._update(with_prior).step(LeastSquaresState(middle), both, t, mask=in_use, known=known)
+        assert found.covariance is not None
+        gain = torch.linalg.solve(P_qq, P_vq, left=False)
+        C = found.covariance
+        velocity = velocity + (gain @ (found.q - q).unsqueeze(-1)).squeeze(-1)
+        P_vq_new = gain @ C
+        P_vv = P[..., n:, n:] - gain @ P_vq.mT + P_vq_new @ gain.mT
+        P = torch.cat([torch.cat([C, P_vq_new.mT], -1), torch.cat([P_vq_new, P_vv], -1)], -2)
+        u_hat = self.noise_mt * found.u_hat[..., :s]
+        residual = torch.where(use, u - u_hat, 0.0)
+        diagnostics = {
+            "rmse": (residual.square().sum(-1) / use.sum(-1)).sqrt(),
+            "iterations": found.diagnostics["iterations"],
+            "at_bound": found.diagnostics["at_bound"],
+            "masked": (~use).sum(-1),
+        }
+        return KalmanState(found.q, velocity, P, t), Estimate(found.q, C, u_hat, diagnostics)
+
+    def _predicted(self, state: KalmanState, t: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Mean and covariance at time ``t``, before its readings."""
+        if state.t is None:
+            return state.q, state.velocity, state.covariance
+        tau, q, P = t - state.t, state.q, state.covariance
+        eye = torch.eye(q.shape[-1]).to(q)
+        move = torch.cat([torch.cat([eye, tau * eye], 1), torch.cat([0 * eye, eye], 1)])
+        density = torch.diag(self.acceleration.to(q) ** 2)
+        noise = torch.cat(
+            [
+                torch.cat([tau**3 / 3 * density, tau**2 / 2 * density], 1),
+                torch.cat([tau**2 / 2 * density, tau * density], 1),
+            ]
+        )
+        return q + tau * state.velocity, state.velocity, move @ P @ move.mT + noise
+
+    def _update(self, sensing: Callable[[Tensor], Tensor]) -> LevenbergMarquardt:
+        """Least squares on readings in units of their noise, and the prior."""
+        if not self.noise_mt > 0:
+            raise bad_input("noise_mt", "IteratedKalmanFilter", "positive", self.noise_mt)
+        return LevenbergMarquardt(sensing, self.lower, self.upper, noise_mt=1.0, iterations=self.iterations)
