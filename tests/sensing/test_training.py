@@ -166,6 +166,23 @@ class TestPaperRecipe:
         assert isinstance(network[-1], SignedExponential) == head
         assert bool((network(rows[0]).abs() >= 1).all()) == head
 
+    def test_a_training_that_diverges_begins_anew_and_says_so(self, rows, tmp_path, monkeypatch):
+        seeds = []
+
+        def short(xi, u, *, seed, **options):
+            seeds.append(seed)
+            rate = 1e30 if seed == 2 else 0.01
+            options |= {"learning_rate": rate, "epochs": 2, "swa_start": 1}
+            return train_paper(xi, u, seed=seed, **options)
+
+        monkeypatch.setattr(AffineSpec, "rows", lambda _: rows)
+        monkeypatch.setattr(baaij2023_training, "train_paper", short)
+        spec = AffineSpec(sensor=0, seed=2)
+        path = baaij2023_training.train(spec, tmp_path / "networks", tmp_path / "state", progress=False)
+        assert seeds == [2, 1002]
+        assert read_manifest(path)["seed"] == 2
+        assert read_manifest(path)["training_seed"] == 1002
+
 
 class TestFastRecipe:
     @pytest.mark.parametrize("trainer", [train_fast, train_dipole_residual])
