@@ -71,7 +71,7 @@ def scorecard_rows(
                 quantity = cell["quantity"]
                 note = NOTES.get((row.name, quantity), PSI_NOTE if row.name == "psi_s=10deg" else NOTE)
                 numbers = (cell["mean"], cell["std"], cell["count"], setting)
-                line = _line("Table 1", published_name, quantity, cell["unit"], *numbers)
+                line = scorecard_line("Table 1", published_name, quantity, cell["unit"], *numbers)
                 line["note"] = note if published_name == row.name else f"same run as {row.name}; {note}"
                 if (row.name, quantity) in ours:
                     line |= {"best": ours[row.name, quantity], "best_method": BEST_METHOD}
@@ -80,7 +80,7 @@ def scorecard_rows(
     if set(claim["row"]) == set(CLAIM):
         by_seed = claim.groupby("seed")["error"].mean()
         numbers = (by_seed.mean(), by_seed.std(), len(by_seed), setting)
-        line = _line("Section 3.5", "tilted and shifted sensors mean error", "mean", "%", *numbers)
+        line = scorecard_line("Section 3.5", "tilted and shifted sensors mean error", "mean", "%", *numbers)
         reached = [value for (row, _), value in ours.items() if row in CLAIM]
         if reached:
             line |= {"best": sum(reached) / len(reached), "best_method": BEST_METHOD}
@@ -88,9 +88,10 @@ def scorecard_rows(
     return rows
 
 
-def _line(
+def scorecard_line(
     artefact: str, row: str, quantity: str, unit: str, mean: float, std: float, count: int, setting: str
 ) -> dict[str, Any]:
+    """One row of the scorecard, for :func:`repro.report.results.write_scorecard_rows`; a NaN std is left out."""
     line = {
         "paper": "baaij2023",
         "artefact": artefact,
