@@ -1,4 +1,4 @@
-"""Motion capture exported by OptiTrack Motive (format 1.21): tilt of a rigid body, with half-turns masked.
+"""Motion capture exported by OptiTrack Motive: its header, and (format 1.21) tilt of a body, half-turns masked.
 
 Motive's world has its y axis upwards. A body's frame is parallel to the world's when the body is defined, here
 upright, so the tilt of the body's y axis is how far it bends from upright, and the azimuth of that axis is where to.
@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from repro.errors import bad_input
 
 HEADER_LINES = 7
+"""Lines of an export before the first frame."""
 LARGEST_STEP_DEG = 2.0
 """Turn between consecutive frames that counts as a jump [deg]: 240 deg/s, where bending takes 10 s."""
 GUARD_FRAMES = 6
@@ -97,7 +98,8 @@ def read_capture(path: Path, *, body: str = "Module", utc_offset_h: float = -5.0
     """
     with path.open(newline="", encoding="utf-8-sig") as stream:
         rows = list(csv.reader(stream))
-    name, rate_hz, start_unix_s = _header(rows, path.name, utc_offset_h)
+    header = read_header(rows, path.name, version="1.21", frames=len(rows) - HEADER_LINES)
+    start_unix_s = _start(header, path.name, utc_offset_h)
     columns = list(zip(rows[3], rows[5], rows[6], strict=False))
     if missing := [axis for axis in "XYZW" if (body, "Rotation", axis) not in columns]:
         bodies = ", ".join(sorted({name for name, _, _ in columns if name}))
@@ -108,38 +110,66 @@ def read_capture(path: Path, *, body: str = "Module", utc_offset_h: float = -5.0
         table = np.array([[float(row[k] or "nan") for k in picked] for row in rows[HEADER_LINES:]])
     except (ValueError, IndexError) as error:
         raise bad_input("frames", path.name, "rows of numbers", error) from error
-    return Capture(name, start_unix_s, rate_hz, *_motion(table, path.name))
+    rate_hz = float(header["Capture Frame Rate"])
+    return Capture(header["Take Name"], start_unix_s, rate_hz, *_motion(table, path.name))
 
 
-def _header(rows: list[list[str]], owner: str, utc_offset_h: float) -> tuple[str, float, float]:
-    """Return the take's name, its frame rate and its start, after a check of format and number of frames."""
+def read_header(rows: list[list[str]], owner: str, *, version: str, frames: int) -> dict[str, str]:
+    """Read the first line of an export, after a check of format and number of frames.
+
+    Parameters
+    ----------
+    rows
+        At least the first :data:`HEADER_LINES` lines, split at commas.
+    owner
+        Name of the file, for messages.
+    version
+        The format version expected.
+    frames
+        Number of lines after the header.
+
+    Returns
+    -------
+    dict
+        Names and values; ``Take Name`` and ``Capture Frame Rate`` (above zero) are there, rotations are quaternions.
+
+    Raises
+    ------
+    InputError
+        Another format or rotation type, a field that is missing, another number of frames, no frame rate.
+    """
     header = dict(zip(rows[0][0::2], rows[0][1::2], strict=False)) if rows else {}
-    for name, expected in (("Format Version", "1.21"), ("Rotation Type", "Quaternion")):
+    for name, expected in (("Format Version", version), ("Rotation Type", "Quaternion")):
         if header.get(name) != expected:
             raise bad_input(name, owner, expected, header.get(name, "nothing"))
-    for name in ("Take Name", "Total Exported Frames", "Capture Frame Rate", "Capture Start Time"):
+    for name in ("Take Name", "Total Exported Frames", "Capture Frame Rate"):
         if name not in header:
             raise bad_input(name, owner, "in the header", "nothing")
-    frames, rate, start = (
-        header[name] for name in ("Total Exported Frames", "Capture Frame Rate", "Capture Start Time")
-    )
-    if not frames.isdecimal():
-        raise bad_input("Total Exported Frames", owner, "a whole number", frames)
-    if len(rows) - HEADER_LINES != int(frames):
-        found = max(len(rows) - HEADER_LINES, 0)
-        raise bad_input("number of frames", owner, f"{frames}, as its header says", found)
+    if not header["Total Exported Frames"].isdecimal():
+        raise bad_input("Total Exported Frames", owner, "a whole number", header["Total Exported Frames"])
+    if frames != int(header["Total Exported Frames"]):
+        expected = f"{header['Total Exported Frames']}, as its header says"
+        raise bad_input("number of frames", owner, expected, max(frames, 0))
     try:
-        rate_hz = float(rate)
+        rate_hz = float(header["Capture Frame Rate"])
     except ValueError:
         rate_hz = 0.0
     if not 0 < rate_hz < np.inf:
-        raise bad_input("Capture Frame Rate", owner, "above zero", rate)
+        raise bad_input("Capture Frame Rate", owner, "above zero", header["Capture Frame Rate"])
+    return header
+
+
+def _start(header: dict[str, str], owner: str, utc_offset_h: float) -> float:
+    """Return the start of the capture, seconds since 1970 UTC."""
+    name = "Capture Start Time"
+    if name not in header:
+        raise bad_input(name, owner, "in the header", "nothing")
     zone = timezone(timedelta(hours=utc_offset_h))
     try:
-        began = datetime.strptime(start, "%Y-%m-%d %I.%M.%S.%f %p").replace(tzinfo=zone)
+        began = datetime.strptime(header[name], "%Y-%m-%d %I.%M.%S.%f %p").replace(tzinfo=zone)
     except ValueError as error:
-        raise bad_input("Capture Start Time", owner, "a date and time", start) from error
-    return header["Take Name"], rate_hz, began.timestamp()
+        raise bad_input(name, owner, "a date and time", header[name]) from error
+    return began.timestamp()
 
 
 def _motion(table: np.ndarray, owner: str) -> tuple[pd.DataFrame, int, int, int]:

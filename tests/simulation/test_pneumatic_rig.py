@@ -1,0 +1,86 @@
+"""The digital twin: the same bits for the same seed, a frozen configuration, and files with what was recorded."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from repro.errors import InputError
+from repro.simulation.hysteresis import MODELS
+from repro.simulation.pneumatic_actuation import TRAJECTORIES
+from repro.simulation.pneumatic_rig import record_rig
+from repro.simulation.rig_twins import nominal_twin, random_twin
+from repro.simulation.sensor_board import DRIFTS, FULL_SCALE_MV, LSB_MV
+
+FROZEN = "0392762d3f26ffd65d4dea95776c16d5bd67c28be19db1cb1c4c85a380f9783d"
+
+
+def test_nominal_twin_is_frozen():
+    # If this fails, everything that was concluded from the twin has to be run again.
+    assert nominal_twin().sha256 == FROZEN
+
+
+def test_hash_sees_every_change():
+    twin = nominal_twin()
+    assert replace(twin, gain_scatter=0.041).sha256 != FROZEN
+    assert replace(twin, board=replace(twin.board, noise_mv=0.241)).sha256 != FROZEN
+
+
+def test_same_seed_same_bits_and_another_seed_differs():
+    first, again, other = (record_rig(nominal_twin(), "T0", seed=s, duration_s=3.0) for s in (3, 3, 4))
+    np.testing.assert_array_equal(first.readings_mv, again.readings_mv)
+    np.testing.assert_array_equal(first.track.ring_m, again.track.ring_m)
+    assert not np.array_equal(first.readings_mv[:100], other.readings_mv[:100])
+
+
+@pytest.mark.parametrize("trajectory", TRAJECTORIES)
+def test_recordings_start_at_rest_and_are_whole_steps_of_the_converter(trajectory):
+    recording = record_rig(nominal_twin(), trajectory, seed=0, duration_s=4.0)
+    u, q = recording.readings_mv, recording.motion.q
+    np.testing.assert_array_equal(u / LSB_MV, np.round(u / LSB_MV))
+    assert (np.abs(q[recording.motion.time_s <= 2.5]) == 0).all()
+    assert q[700, 2] == pytest.approx(4.5e-3, abs=1e-6)
+    assert (
+        np.abs(u[:10] - nominal_twin().board.rest_mv).max() < 40
+    )  # bias and gain; inflated it is 250 mV more
+    assert abs(len(u) - 40 * (8 + 4 + 4)) <= 81  # all but a start within two seconds
+    assert len(u) == len(recording.track.time_s)
+    assert 0 <= min(recording.sensors_start_s, recording.capture_start_s) <= 2
+
+
+def test_files_lie_where_the_authors_have_them(tmp_path):
+    recording = record_rig(nominal_twin(), "T1", seed=0, duration_s=1.0)
+    capture, sensors = recording.write(tmp_path)
+    data = tmp_path / "datasets" / "experimental"
+    assert capture == data / "raw_motion_capture_data" / "synthetic" / "synthetic_T1_Quat.csv"
+    assert sensors == data / "sensor_data" / "synthetic_T1_SV.csv"
+    assert sensors.read_text().splitlines()[0] == "u1,u2,u3"
+    assert len(capture.read_text().splitlines()) == 7 + len(recording.track.time_s)
+
+
+def test_random_twins_vary_in_kind_and_never_saturate():
+    twins = [random_twin(seed) for seed in range(24)]
+    assert {twin.hysteresis for twin in twins} == set(MODELS)
+    assert {twin.board.drift for twin in twins} == set(DRIFTS)
+    assert len({twin.sha256 for twin in twins}) == 24
+    assert random_twin(5) == random_twin(5)
+    for twin in twins:
+        u = record_rig(twin, "T3", seed=0, duration_s=10.0).readings_mv
+        assert u.min() > 0
+        assert u.max() < FULL_SCALE_MV - LSB_MV
+
+
+def test_refuses_bad_input():
+    twin = nominal_twin()
+    with pytest.raises(InputError, match="Input trajectory of record_rig must be one of T0, .*; .* 'T6'"):
+        record_rig(twin, "T6", seed=0)
+    with pytest.raises(
+        InputError, match=r"Input duration_s of record_rig must be positive \[s\]; instead received 0"
+    ):
+        record_rig(twin, "T1", seed=0, duration_s=0.0)
+    with pytest.raises(InputError, match="Input hysteresis of TwinConfig must be one of 'bouc-wen'"):
+        replace(twin, hysteresis="none")
+    with pytest.raises(
+        InputError, match="Input bias_mv of TwinConfig must be one number for each of T0 to T5"
+    ):
+        replace(twin, bias_mv=(0.0,))
