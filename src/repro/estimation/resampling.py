@@ -1,0 +1,77 @@
+"""Weights of particles as logarithms, and drawing particles by them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from repro.errors import bad_input
+
+SCHEMES = ("multinomial", "systematic")
+"""Ways to draw: independently, as in Mitchell et al. 2021, section II-C; or by one comb of equal spacing."""
+
+
+def normalised(log_weights: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
+    """Log weights whose weights sum to 1, by LogSumExp: eq. (2) of Mitchell et al. 2021.
+
+    Only differences enter: weights far below the smallest positive number lose nothing.
+
+    Examples
+    --------
+    >>> normalised(torch.tensor([-1e6, -1e6 - 1], dtype=torch.float64)).exp()
+    tensor([0.7311, 0.2689], dtype=torch.float64)
+    """
+    return log_weights.log_softmax(-1)
+
+
+def weights(log_weights: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
+    """Weights of normalised log weights, with a floor: where squares are denormal numbers, arithmetic is slow."""
+    return log_weights.clamp_min(math.log(torch.finfo(log_weights.dtype).tiny) / 2).exp()
+
+
+def effective_sample_size(w: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch"]:
+    r"""Number of equally weighted particles that are worth as much: :math:`1/\sum w^2` of normalised weights.
+
+    Examples
+    --------
+    >>> effective_sample_size(torch.tensor([0.25, 0.25, 0.25, 0.25]))
+    tensor(4.)
+    """
+    return 1 / (w * w).sum(-1)
+
+
+def resample(
+    w: Float[Tensor, "*batch n"], scheme: str, generator: np.random.Generator
+) -> Int[Tensor, "*batch n"]:
+    """Indices of the particles that are drawn, each as often as its weight says on average.
+
+    Members of a batch share the random numbers: each draws as it would alone.
+
+    Parameters
+    ----------
+    w
+        Weights; their sum does not matter.
+    scheme
+        One of :data:`SCHEMES`. A systematic draw takes every particle within one of its expected number of
+        times, a multinomial one adds the noise of independent draws.
+
+    Raises
+    ------
+    InputError
+        If the scheme is unknown.
+    """
+    n = w.shape[-1]
+    if scheme == "multinomial":
+        points = np.sort(generator.random(n))
+    elif scheme == "systematic":
+        points = (np.arange(n) + generator.random()) / n
+    else:
+        raise bad_input("scheme", "resample", f"one of {', '.join(map(repr, SCHEMES))}", repr(scheme))
+    edges = w.cumsum(-1)
+    at = torch.from_numpy(points).to(w) * edges[..., -1:]
+    # In low precision a point may round up to the last edge.
+    return torch.searchsorted(edges, at, right=True).clamp_max(n - 1)
