@@ -1,0 +1,143 @@
+"""Figures of the IMU pages: what is drawn is what the tables hold."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from repro.report.figures_imu import _tube, calibration_ratios, error_boxes, error_hull, errors_along_arm
+from repro.report.figures_imu_count import errors_and_bounds, placement_and_sensors
+from repro.report.figures_imu_recorded import chain_beside_output, fewer_imus
+
+MODELS = ("rigid-body, 8 IMUs", "IMUs at mid-section", "PCC-extended, 8 IMUs, 16 segments")
+
+
+@pytest.fixture
+def boxes():
+    lines = [
+        {
+            "figure": figure,
+            "case": f"{n}",
+            "n_imus": n,
+            "segments": 2 * n,
+            "evaluation": way,
+            "marker": marker,
+        }
+        | {"q05_mm": 1.0, "q25_mm": 2.0, "median_mm": 3.0 + n, "q75_mm": 13.0, "q95_mm": 20.0}
+        for way in ("as described", "as in the files")
+        for figure in ("Fig. 3", "Fig. 4")
+        for n in (4, 8)
+        for marker in ("M1", "M2")
+    ]
+    return pd.DataFrame(lines)
+
+
+def test_boxes_and_printed_values(boxes):
+    published = pd.DataFrame({
+        "artefact": ["Fig. 3", "Fig. 3", "Fig. 4"],
+        "row": ["M1 rigid-body 4 IMUs", "M2 rigid-body 8 IMUs", "M1 PCC-extended 8 segments"],
+        "quantity": ["median", "q3", "q3"],
+        "unit": ["mm", "mm", "%"],
+        "paper": [55.0, 99.0, 10.0],
+    })  # fmt: skip
+    panels = np.array(error_boxes(boxes, published).axes).reshape(2, 2)
+
+    def marks(panel, shape):
+        return [
+            (line.get_xdata()[0], line.get_ydata()[0]) for line in panel.lines if line.get_marker() == shape
+        ]
+
+    for left, right in panels:
+        assert marks(left, "D") == [(-0.2, 55.0)]
+        assert marks(left, "^") == [(1.2, 99.0)]
+        assert marks(right, "^") == [(-0.2, 36.0)]  # 10 % of 360 mm; 8 segments are the first of these cases
+        medians = [
+            line.get_ydata()[0]
+            for line in left.lines
+            if line.get_color() == "black" and len(line.get_xdata()) == 2
+        ]
+        assert sorted(medians) == [7.0, 7.0, 11.0, 11.0]
+    assert "as described" in panels[0, 0].get_ylabel()
+
+
+def test_along_the_arm_and_by_mode():
+    lines = [
+        (model, mode, arc, arc / 10, arc / 8)
+        for model in MODELS
+        for mode in ("all", "oscillating", "circling")
+        for arc in (200.0, 360.0, 600.0)
+    ]
+    along = pd.DataFrame(lines, columns=["model", "mode", "arc_mm", "median_mm", "q75_mm"])
+    left, right = errors_along_arm(along).axes
+    np.testing.assert_array_equal(left.lines[0].get_ydata(), [20, 36, 60])
+    dots = sorted(line.get_ydata()[0] for line in right.lines if line.get_marker() == "o")
+    assert dots == [36.0] * 6 + [60.0] * 6
+    assert [label.get_text() for label in right.get_xticklabels()] == ["oscillating", "circling"]
+
+
+def test_hull_has_the_radius_of_the_table():
+    arcs = np.arange(1, 6) * 100.0
+    hull = pd.DataFrame({
+        "mode": "buckling", "time_s": 1.0, "arc_mm": arcs, "radius_mm": arcs / 10,
+        "x_mm": 0.0, "y_mm": 0.0, "z_mm": arcs,
+        "estimate_x_mm": 0.0, "estimate_y_mm": 0.0, "estimate_z_mm": arcs,
+    })  # fmt: skip
+    panel = error_hull(hull).axes[0]
+    # A straight arm: the tube, widest at its end, sets the limits sideways, the arm those along z.
+    np.testing.assert_array_equal(panel.lines[0].get_data_3d()[2], [0, *arcs])
+    tube = _tube(np.column_stack([np.zeros((6, 2)), np.append(0, arcs)]), np.append(0, arcs / 10))
+    np.testing.assert_allclose(np.hypot(tube[0], tube[1]), np.tile(np.append(0, arcs / 10), (25, 1)).T)
+    np.testing.assert_allclose(tube[2], np.tile(np.append(0, arcs), (25, 1)).T, atol=1e-12)
+
+
+def test_ratios_with_their_targets():
+    lines = [
+        (method, mode, point, 0.4, 0.3, 0.6, target)
+        for method, target in (("PCC-16", np.nan), ("PCC-16 + frame", 0.8), ("spline + all", 0.6))
+        for mode in ("all", "circling")
+        for point in ("markers", "200 mm")
+    ]
+    columns = ["method", "mode", "point", "ratio", "ratio_low", "ratio_high", "target"]
+    left, right = calibration_ratios(pd.DataFrame(lines, columns=columns)).axes
+    heights = sorted(line.get_ydata()[0] for line in left.lines if line.get_linestyle() == "--")
+    assert heights == [0.6, 0.8]
+    assert [label.get_text() for label in right.get_xticklabels()] == ["markers", "200"]
+
+
+def test_chain_beside_output_names_its_source():
+    points = pd.DataFrame(
+        {"arc_mm": [46.0, 115.0, 195.0], "median_mm": [4.0, 8.0, 7.0], "q75_mm": [5.0, 11.0, 10.0]}
+    )
+    points = points.assign(from_second_median_mm=[4.0, 0.0, 1.0], turned_median_mm=[1.0, 2.0, 2.0])
+    rows = pd.DataFrame({"row": [1000, 1005]} | {f"point_{k}_mm": [1.0 + k, 2.0 + k] for k in range(3)})
+    left, right = chain_beside_output(points, rows, "recorded").axes
+    assert "recorded" in left.get_title()
+    np.testing.assert_array_equal(left.lines[0].get_ydata(), points["median_mm"])
+    assert [line.get_ydata()[0] for line in right.lines] == [2.0, 3.0]  # the second point and the last
+
+
+def test_fewer_imus_has_a_panel_per_point():
+    lines = [("spline", n, point, 10.0 * n, 20.0 * n) for n in (2, 8) for point in (360.0, 640.0)]
+    table = pd.DataFrame(lines, columns=["model", "n_imus", "point_mm", "median_mm", "q75_mm"])
+    first, second = fewer_imus(table, "synthetic").axes
+    assert (first.get_title(), second.get_title()) == ("at 360 mm, synthetic", "at 640 mm, synthetic")
+    drawn = [y for line in first.lines if len(y := line.get_ydata())]
+    np.testing.assert_array_equal(drawn[0], [20, 80])
+
+
+def test_count_figures_draw_errors_and_bounds():
+    lines = [
+        (model, n, 1.0, angle, 50.0 / n, 100.0 / n, 400.0 / n)
+        for model in ("PCC-extended", "spline")
+        for n in (4, 8)
+        for angle in (0.0, 3.0)
+    ]
+    table = pd.DataFrame(
+        lines, columns=["model", "n_imus", "crowding", "sensor_deg", "median_mm", "largest_mm", "bound_mm"]
+    )
+    exact = table[table["sensor_deg"] == 0]
+    panel = errors_and_bounds([exact], ["random"]).axes[0]
+    np.testing.assert_array_equal(panel.lines[0].get_ydata(), [25, 12.5])
+    np.testing.assert_array_equal(panel.lines[1].get_ydata(), [100, 50])
+    right = placement_and_sensors(exact, table, 640.0).axes[1]
+    rule = [line.get_ydata() for line in right.lines if line.get_color() == "0.6"]
+    np.testing.assert_allclose(rule[0], 640 * np.deg2rad(3) * np.sqrt(2 / np.array([4, 8])))
