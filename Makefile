@@ -26,7 +26,7 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help book test lint check-site train bench env clean lock
+.PHONY: help book test lint check-site train studies bench env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
@@ -34,6 +34,7 @@ help:
 	@echo 'make lint        style, types and the direction of imports'
 	@echo 'make check-site  open every page of the built site in Chromium and check it'
 	@echo 'make train       train the networks of the paper that data/networks/ does not have yet (hours, resumable)'
+	@echo 'make studies     compute the tables in data/studies/ that are missing (minutes each, resumable)'
 	@echo 'make bench       measure what costs how much: results/bench.csv, data/benchmark.csv'
 	@echo 'make env         set up .venv only (every target above does this by itself)'
 	@echo 'make lock        write requirements.lock anew from requirements.in'
@@ -61,6 +62,9 @@ check-site: env
 
 train: env
 	nice -n 19 $(BIN)/repro train
+
+studies: env
+	$(BIN)/repro studies
 
 bench: env
 	$(BIN)/repro bench

@@ -140,6 +140,8 @@ def ratios(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
 def write_martin_study(folder: Path, *, progress: bool) -> list[Path]:
     """Write ``martin_calibration.csv``: :func:`over_sensors` with ten draws, about a minute on one core.
 
+    Nothing is computed where the file is there: remove it to have it computed anew.
+
     Parameters
     ----------
     folder
@@ -152,9 +154,11 @@ def write_martin_study(folder: Path, *, progress: bool) -> list[Path]:
     list of Path
         The file.
     """
+    path = folder / f"{NAME}.csv"
+    if path.is_file():
+        return [path]
     arm = load_soft_arm(folder.parent / "soft_arm.npz")
     table = over_sensors(arm, range(DRAWS), progress=progress)
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{NAME}.csv"
     table.to_csv(path, index=False, float_format="%.5g", lineterminator="\n")
     return [path]

@@ -40,6 +40,8 @@ FREEDOMS = {
     "all": ("axial", "radial", "azimuth", "tilt", "magnet"),
 }
 """What may change, by the name of the row."""
+TABLES = ("layouts", "starts", "expected", "errors", "choices")
+"""Committed tables, ``placement_<name>.csv``."""
 LIMITS = (0.8, 0.9, 1.0, 1.25, math.inf)
 """Limits of the error from tolerances, relative to the nominal layout."""
 NEAREST_M = 0.050
@@ -155,7 +157,8 @@ def write_placement_study(folder: Path, *, progress: bool) -> list[Path]:
 
     Files: ``placement_layouts.csv`` (:func:`layouts_table`), ``placement_starts.csv`` (:func:`optimised_layouts`),
     ``placement_expected.csv`` (:func:`expected_table`), ``placement_errors.csv``
-    (:func:`~repro.experiments.placement_errors.summary`) and ``placement_choices.csv`` (:func:`choices`).
+    (:func:`~repro.experiments.placement_errors.summary`) and ``placement_choices.csv`` (:func:`choices`). Nothing is
+    computed where all of them are there: remove one to have them computed anew.
 
     Parameters
     ----------
@@ -169,6 +172,9 @@ def write_placement_study(folder: Path, *, progress: bool) -> list[Path]:
     list of Path
         The files.
     """
+    files = [folder / f"placement_{name}.csv" for name in TABLES]
+    if all(path.is_file() for path in files):
+        return files
     one = pcc_task(1, shapes=48, steps=100)
     robots = [one, pcc_task(3, shapes=48, steps=100), affine_task(shapes=48, steps=100)]
     robots.append(pcc_task(3, 2, known_elongation=True, shapes=48, steps=100))
@@ -178,12 +184,10 @@ def write_placement_study(folder: Path, *, progress: bool) -> list[Path]:
         for name, table in step().items():
             tables.setdefault(name, []).append(table)
     folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for name, parts in tables.items():
-        written.append(folder / f"placement_{name}.csv")
-        table = pd.concat(parts, ignore_index=True)
-        table.to_csv(written[-1], index=False, float_format="%.8g", lineterminator="\n")
-    return written
+    for name, path in zip(TABLES, files, strict=True):
+        table = pd.concat(tables[name], ignore_index=True)
+        table.to_csv(path, index=False, float_format="%.8g", lineterminator="\n")
+    return files
 
 
 def _robot(task: Task) -> dict[str, pd.DataFrame]:
