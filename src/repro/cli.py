@@ -140,6 +140,24 @@ def train(*, only: str = "") -> int:
 
 
 @app.command
+def studies() -> int:
+    """Compute the tables in data/studies/ that are missing or belong to other settings (minutes each, resumable)."""
+    import torch
+
+    from repro.experiments.martin2022_calibration import write_martin_study
+    from repro.experiments.placement_study import write_placement_study
+    from repro.report.project import find_project, shown
+    from repro.report.studies import write_studies
+
+    torch.set_num_threads(1)
+    folder = find_project().data / "studies"
+    for write in (write_studies, write_placement_study, write_martin_study):
+        for path in write(folder, progress=sys.stderr.isatty()):
+            print(shown(path), flush=True)
+    return 0
+
+
+@app.command
 def bench() -> int:
     """Measure what costs how much on this computer; write results/bench.csv and data/benchmark.csv."""
     from repro.experiments.benchmark import benchmark
