@@ -1,0 +1,101 @@
+"""Committed studies: computed once, resumable by file, never shown with settings that are not theirs."""
+
+import json
+
+import pandas as pd
+import pytest
+
+from repro.errors import InputError
+from repro.experiments.baaij2023_noise import against_bound
+from repro.experiments.baaij2023_tolerances import tolerance_errors
+from repro.report import studies as module
+from repro.report.studies import Study, committed, read_study, settings_of_studies, studies, write_studies
+
+SMALL = {"n_segments": 1, "kinds": ["sensor_gain"], "factors": [0.1, 1.0], "draws": 1, "steps": 4}
+
+
+@pytest.fixture
+def computed(monkeypatch):
+    """Two small studies, and the names of those that were computed."""
+    names = []
+
+    def study(name, **settings):
+        def compute(**given):
+            names.append(name)
+            return tolerance_errors(**given)
+
+        return Study(name, compute, SMALL | settings)
+
+    def use(*factors):
+        found = tuple(study(f"gain_{k}", factors=list(f)) for k, f in enumerate(factors))
+        monkeypatch.setattr(module, "studies", lambda: found)
+
+    use([0.1, 1.0], [0.5])
+    return names, use
+
+
+def test_what_is_there_is_not_computed_again(tmp_path, computed):
+    names, _ = computed
+    paths = write_studies(tmp_path, progress=False)
+    assert names == ["gain_0", "gain_1"]
+    assert paths == [tmp_path / "gain_0.csv", tmp_path / "gain_1.csv"]
+    assert write_studies(tmp_path, progress=False) == paths
+    assert len(names) == 2
+    paths[1].with_suffix(".json").unlink()  # as if interrupted between the two files
+    write_studies(tmp_path, progress=False)
+    assert names[2:] == ["gain_1"]
+
+
+def test_other_settings_are_computed_anew(tmp_path, computed):
+    names, use = computed
+    write_studies(tmp_path, progress=False)
+    use([0.1, 1.0], [0.7])
+    write_studies(tmp_path, progress=False)
+    assert names[2:] == ["gain_1"]
+    assert read_study("gain_1", tmp_path)[1]["factors"] == [0.7]
+
+
+def test_table_and_settings_as_written(tmp_path, computed):
+    write_studies(tmp_path, progress=False)
+    table, settings = read_study("gain_0", tmp_path)
+    assert settings == SMALL | {"factors": [0.1, 1.0]}
+    pd.testing.assert_frame_equal(table, tolerance_errors(**settings), rtol=1e-4)
+    together = committed("gain", tmp_path)
+    assert together["factor"].tolist() == [0.1, 1.0, 0.5]
+    shown = settings_of_studies(tmp_path).set_index("setting")
+    assert shown.loc["draws", "studies"] == "gain_0, gain_1"
+    assert dict(shown.loc["factors", ["value", "studies"]].to_numpy()) == {
+        "0.1, 1.0": "gain_0",
+        "0.5": "gain_1",
+    }
+
+
+def test_progress_names_the_studies(tmp_path, computed, capsys):
+    write_studies(tmp_path, progress=True)
+    assert capsys.readouterr().err.splitlines() == ["gain_0", "gain_1"]
+
+
+def test_studies_that_are_not_there(tmp_path):
+    message = r"Input name of read_study must be a study in data/studies with its settings .* received none"
+    with pytest.raises(InputError, match=message):
+        read_study("none", tmp_path)
+    with pytest.raises(InputError, match="Input kind of committed must be the start of a study's name"):
+        committed("rain")
+
+
+@pytest.mark.parametrize("study", studies(), ids=lambda study: study.name)
+def test_committed_tables_belong_to_the_settings_of_today(study):
+    table, settings = read_study(study.name)
+    assert settings == study.settings == json.loads(json.dumps(study.settings))
+    assert not table.empty
+    for column, setting in (("model", "models"), ("solver", "solvers"), ("seed", "seeds"), ("kind", "kinds")):
+        if setting in settings:
+            assert sorted(set(table[column])) == sorted(settings[setting])
+
+
+@pytest.mark.parametrize("n_segments", [1, 2, 3])
+def test_committed_errors_of_the_exact_model_are_on_the_bound(n_segments):
+    table = read_study(f"noise_nb{n_segments}")[0]
+    ratio = against_bound(table[table["model"] == "multipole"]).set_index("noise_mt")["of_bound"]
+    assert ratio[ratio.index <= 2e-3].between(0.96, 1.03).all()
+    assert ratio[0.1] < 0.95  # bounds on the configuration
