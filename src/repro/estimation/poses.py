@@ -67,9 +67,12 @@ def configurations(
             [torch.eye(4).to(T_0_tip).expand_as(T_0_tip[..., :1, :, :]), T_0_tip[..., :-1, :, :]], -3
         )
         own = (se3.inverse(bases) @ T_0_tip).split(1, dim=-3)
-        noise = {"position_m": position_m, "rotation_rad": rotation_rad}
         singles = (Robot((segment,)) for segment in robot.segments)
-        q = torch.cat([configurations(r, T, **noise)[0] for r, T in zip(singles, own, strict=True)], dim=-1)
+        each = [
+            configurations(robot, T, position_m=position_m, rotation_rad=rotation_rad)[0]
+            for robot, T in zip(singles, own, strict=True)
+        ]
+        q = torch.cat(each, dim=-1)
     for _ in range(ITERATIONS):
         T, dT = backbone_motion(robot, q, tips)
         r = ((T_0_tip - T)[..., :3, :] * weight).flatten(-3)
