@@ -81,7 +81,9 @@ def _frames(robot: Robot, mounts: Mounts) -> tuple[list[Frame], list[int]]:
         for k in (k for k, j in enumerate(mounts.segment) if j == i):
             v = mounts.axial[..., k] / segment.length
             # With a gradient, equal heights are still two variables.
-            same = [j for j in range(first, len(frames)) if not v.requires_grad and torch.equal(frames[j][1], v)]
+            same = [
+                j for j in range(first, len(frames)) if not v.requires_grad and torch.equal(frames[j][1], v)
+            ]
             plane_of_mount[k] = same[0] if same else len(frames)
             if not same:
                 frames.append((i, v))
