@@ -16,6 +16,7 @@ from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.imu_models import exact_arcs
 from repro.estimation.imu_selection import Selection
 from repro.estimation.imu_shape import ImuShape
+from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box
@@ -41,7 +42,19 @@ ESTIMATORS = {
     "gradient descent, momentum reset": GradientDescent(
         SENSING, torch.full((3,), 3.5e-4), carry_momentum=False
     ),
+    "gradient descent, compiled": GradientDescent(SENSING, torch.full((3,), 3.5e-4), backend="compiled"),
     "Levenberg-Marquardt": LevenbergMarquardt(SENSING, LOW, HIGH, noise_mt=1e-3),
+    "Levenberg-Marquardt, compiled": LevenbergMarquardt(
+        SENSING, LOW, HIGH, noise_mt=1e-3, backend="compiled"
+    ),
+    "Kalman filter": IteratedKalmanFilter(
+        SENSING,
+        LOW,
+        HIGH,
+        torch.tensor([0.5, 0.5, 0.1]).double(),
+        torch.tensor([0.1, 0.1, 0.02]).double(),
+        noise_mt=1e-4,
+    ),
     "particle filter": ParticleFilter(**CLOUD),
     "particle filter, Gauss-Newton": ParticleFilter(
         **CLOUD, particles=200, estimate="Gauss-Newton", resampling="multinomial", restart=True

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -44,11 +46,15 @@ class GradientDescent:
         Evaluations of the loss in each time step.
     carry_momentum
         Keep the momentum from one time step to the next, as the released code does; else start at zero.
+    backend
+        ``"torch"``, for any sensor model, or ``"compiled"``: the same by one kernel, to rounding, for the models of
+        :class:`~repro.sensing.compiled_sensing.CompiledSensing`, which are copied here.
 
     Raises
     ------
     InputError
-        If a step size is negative, the momentum is not in [0, 1), or there is no iteration.
+        If a step size is negative, the momentum is not in [0, 1), there is no iteration, or the backend is unknown
+        or does not know the sensor model.
     """
 
     sensing: Callable[[Tensor], Tensor]
@@ -56,6 +62,7 @@ class GradientDescent:
     momentum: float = 0.3
     iterations: int = 20
     carry_momentum: bool = True
+    backend: str = "torch"
 
     def __post_init__(self) -> None:
         if bool((self.step_size < 0).any()):
@@ -64,6 +71,16 @@ class GradientDescent:
             raise bad_input("momentum", "GradientDescent", "in [0, 1)", self.momentum)
         if self.iterations < 1:
             raise bad_input("iterations", "GradientDescent", "at least 1", self.iterations)
+        if self.backend not in ("torch", "compiled"):
+            raise bad_input("backend", "GradientDescent", "'torch' or 'compiled'", repr(self.backend))
+        if self.backend == "compiled":
+            _ = self._compiled  # refuses other models now, not in the first step
+
+    @cached_property
+    def _compiled(self) -> Any:
+        from repro.sensing.compiled_sensing import CompiledSensing  # here: numba takes a second to import
+
+        return CompiledSensing(self.sensing)
 
     def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> GradientState:
         """State at ``q0`` with no momentum; nothing is random, the seed has no effect."""
@@ -81,13 +98,27 @@ class GradientDescent:
     ) -> tuple[GradientState, Estimate]:
         """Descend from the last estimate; ``loss`` [mT^2] and ``best_iteration`` are in the diagnostics."""
         use = usable(u, mask, "GradientDescent")
-        target = torch.where(use, u, 0.0)
-        weight = use / use.sum(-1, keepdim=True)
         q, b = state.q, state.momentum if self.carry_momentum else torch.zeros_like(state.momentum)
-        free = torch.ones_like(q)
+        free = torch.ones_like(q, dtype=torch.bool)
         if known is not None:
-            free = torch.isnan(known).to(q).expand_as(q)
-            q = torch.where(free.bool(), q, known)
+            free = torch.isnan(known).expand_as(q)
+            q = torch.where(free, q, known)
+        if self.backend == "compiled":
+            from repro.estimation.compiled_descent import descend
+
+            options = (self.step_size, self.momentum, self.iterations)
+            q, b, u_hat, loss, best_at = descend(self._compiled, (q, b), u, use, free, *options)
+        else:
+            q, b, u_hat, loss, best_at = self._descend(q, b, u, use, free)
+        diagnostics = {"loss": loss, "best_iteration": best_at, "masked": (~use).sum(-1)}
+        return GradientState(q, b), Estimate(q, None, u_hat, diagnostics)
+
+    def _descend(
+        self, q: Tensor, b: Tensor, u: Tensor, use: Tensor, free: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Best configuration, last momentum, then prediction, loss and iteration of the best."""
+        target = torch.where(use, u, 0.0)
+        weight = use.to(u) / use.sum(-1, keepdim=True)  # in the precision of the readings, not in single
         step = self.step_size.to(q) * free
         best_q, best_u, best_loss, best_at = (
             q,
@@ -110,5 +141,4 @@ class GradientDescent:
                 (gradient,) = torch.autograd.grad(loss.sum(), q)
                 b = self.momentum * b + gradient * free  # eq. (11)
                 q = q.detach() - step * b
-        diagnostics = {"loss": best_loss, "best_iteration": best_at, "masked": (~use).sum(-1)}
-        return GradientState(best_q, b), Estimate(best_q, None, best_u, diagnostics)
+        return best_q, b, best_u, best_loss, best_at

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -42,11 +44,15 @@ class LevenbergMarquardt:
         Standard deviation of a reading, in its unit.
     iterations
         Largest number of iterations in a time step; fewer when all of the batch has converged.
+    backend
+        ``"torch"``, for any sensor model, or ``"compiled"``: the same by one kernel, to rounding, for the models of
+        :class:`~repro.sensing.compiled_sensing.CompiledSensing`, which are copied here.
 
     Raises
     ------
     InputError
-        If the bounds are not ordered, the noise is not positive, or there is no iteration.
+        If the bounds are not ordered, the noise is not positive, there is no iteration, or the backend is unknown
+        or does not know the sensor model.
     """
 
     sensing: Callable[[Tensor], Tensor]
@@ -54,6 +60,7 @@ class LevenbergMarquardt:
     upper: Float[Tensor, " n_q"]
     noise_mt: float = 1.0
     iterations: int = 30
+    backend: str = "torch"
 
     def __post_init__(self) -> None:
         if self.lower.shape != self.upper.shape or bool((self.lower >= self.upper).any()):
@@ -63,6 +70,16 @@ class LevenbergMarquardt:
             raise bad_input("noise_mt", "LevenbergMarquardt", "positive", self.noise_mt)
         if self.iterations < 1:
             raise bad_input("iterations", "LevenbergMarquardt", "at least 1", self.iterations)
+        if self.backend not in ("torch", "compiled"):
+            raise bad_input("backend", "LevenbergMarquardt", "'torch' or 'compiled'", repr(self.backend))
+        if self.backend == "compiled":
+            _ = self._compiled  # refuses other models now, not in the first step
+
+    @cached_property
+    def _compiled(self) -> Any:
+        from repro.sensing.compiled_sensing import CompiledSensing  # here: numba takes a second to import
+
+        return CompiledSensing(self.sensing)
 
     def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> LeastSquaresState:
         """State at ``q0``; nothing is random, the seed has no effect."""
@@ -85,6 +102,34 @@ class LevenbergMarquardt:
         if known is not None:
             free = torch.isnan(known).expand_as(q)
             q = torch.where(free, q, known)
+        if self.backend == "compiled":
+            q, u_hat, rmse, count, C = self._fit_compiled(q, u, use, free, low, high)
+        else:
+            q, u_hat, rmse, count, C = self._fit(q, u, use, free, low, high)
+        diagnostics = {
+            "rmse": rmse,
+            "iterations": count,
+            "at_bound": ((q <= low) | (q >= high)).any(-1),
+            "masked": (~use).sum(-1),
+        }
+        return LeastSquaresState(q), Estimate(q, C, u_hat, diagnostics)
+
+    def _fit_compiled(
+        self, q: Tensor, u: Tensor, use: Tensor, free: Tensor, low: Tensor, high: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        from repro.estimation.compiled_least_squares import fit
+
+        options = (self.noise_mt, self.iterations, TOLERANCE)
+        q, u_hat, rmse, count, J, C, determined = fit(self._compiled, q, u, use, free, (low, high), *options)
+        if not bool(determined.all()):
+            rest = ~determined
+            C[rest] = covariance(J[rest], self.noise_mt, free.expand_as(q)[rest])
+        return q, u_hat, rmse, count, C
+
+    def _fit(
+        self, q: Tensor, u: Tensor, use: Tensor, free: Tensor, low: Tensor, high: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Configuration, predicted readings, residual, iterations, covariance."""
         u_hat, J = jacobian(self.sensing, q)
         r, J = _residual(u, u_hat, use), J * use.unsqueeze(-1)
         damping = torch.full_like(q[..., :1], 1e-3)
@@ -107,13 +152,8 @@ class LevenbergMarquardt:
             done = done | small
             if bool(done.all()):
                 break
-        diagnostics = {
-            "rmse": ((r * r).sum(-1) / use.sum(-1)).sqrt(),
-            "iterations": count,
-            "at_bound": ((q <= low) | (q >= high)).any(-1),
-            "masked": (~use).sum(-1),
-        }
-        return LeastSquaresState(q), Estimate(q, covariance(J, self.noise_mt, free), u_hat, diagnostics)
+        rmse = ((r * r).sum(-1) / use.sum(-1)).sqrt()
+        return q, u_hat, rmse, count, covariance(J, self.noise_mt, free)
 
 
 def jacobian(

@@ -102,7 +102,7 @@ def paper_method(
     generator = torch.Generator().manual_seed(noise_seed)
     u = u + noise_mt * torch.randn(u.shape, generator=generator, dtype=u.dtype)
     gamma = torch.tensor(step_size, dtype=torch.float64)
-    descent = GradientDescent(sensing, gamma, MOMENTUM, iterations)
+    descent = GradientDescent(sensing, gamma, MOMENTUM, iterations, backend="compiled")
     estimates = track(descent, u, data.q[0].expand(len(seeds), -1))
     with torch.no_grad():
         predicted = sensing(data.q.expand(len(seeds), -1, -1)).movedim(0, 1)

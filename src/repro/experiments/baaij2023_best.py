@@ -48,7 +48,9 @@ def start(n_segments: int) -> Float[Tensor, " n_q"]:
 
 def estimator(n_segments: int, sensing: LinearisedSensing, iterations: int) -> LevenbergMarquardt:
     """Levenberg-Marquardt within the training box."""
-    return LevenbergMarquardt(sensing, *box(n_segments), noise_mt=SENSOR_NOISE_MT, iterations=iterations)
+    return LevenbergMarquardt(
+        sensing, *box(n_segments), noise_mt=SENSOR_NOISE_MT, iterations=iterations, backend="compiled"
+    )
 
 
 def session(row: Row, config: Config) -> Session:

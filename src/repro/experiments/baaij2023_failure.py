@@ -147,7 +147,7 @@ def paper_method(failure: Failure, seeds: Sequence[int], folder: Path, *, steps:
         raise bad_input("seeds", "paper_method", "seeds whose networks are trained", list(seeds))
     robot, q = ROW.robot(), lemniscate(ROW.n_segments, steps=steps)
     sensing = MagneticSensing(robot, networks([ROW], folder, seeds), "angles")
-    method = GradientDescent(sensing, step_sizes(ROW.n_segments), MOMENTUM, ITERATIONS)
+    method = GradientDescent(sensing, step_sizes(ROW.n_segments), MOMENTUM, ITERATIONS, backend="compiled")
     u = readings(robot, q, ring("released")).unsqueeze(1).expand(-1, len(seeds), -1)
     batch = (len(seeds), len(RUNS))
     found = track(
@@ -189,7 +189,7 @@ def ours(
     noise = [torch.randn(clean[:, 0].shape, generator=g, dtype=torch.float64) for g in generators]
     u = clean + noise_mt * torch.stack(noise, dim=1)
     method = LevenbergMarquardt(
-        sensing, *box(ROW.n_segments), noise_mt=noise_mt, iterations=config.iterations
+        sensing, *box(ROW.n_segments), noise_mt=noise_mt, iterations=config.iterations, backend="compiled"
     )
     batch = (steps, len(RUNS), draws)  # draws last: the batch of the calibrated robots
     state = method.init(start(ROW.n_segments).expand(*batch, -1))

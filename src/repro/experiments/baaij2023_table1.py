@@ -220,7 +220,7 @@ def paper_method(
     generator = torch.Generator().manual_seed(noise_seed)
     u = u + noise_mt * torch.randn(u.shape, generator=generator, dtype=u.dtype)
     step_size = step_sizes(s.rows[0].n_segments) if step_size is None else step_size
-    estimator = GradientDescent(sensing, step_size, MOMENTUM, iterations)
+    estimator = GradientDescent(sensing, step_size, MOMENTUM, iterations, backend="compiled")
     estimates = track(estimator, u, start, mask=s.mask.expand(len(u), 1, *s.mask.shape), progress=progress)
     with torch.no_grad():
         predicted = sensing(s.q[None, :, None].expand(n_seeds, -1, len(s.rows), -1))

@@ -22,7 +22,7 @@ from repro.recordings.sources import data_dir
 from repro.report.files import combined_digest, file_digest, tree_digests, write_whole
 from repro.report.project import Project
 
-LIBRARIES = ("torch", "numpy", "scipy", "magpylib", "matplotlib", "pandas", "papermill")
+LIBRARIES = ("torch", "numpy", "numba", "scipy", "magpylib", "matplotlib", "pandas", "papermill")
 """Libraries whose versions stand in every record."""
 
 RECORD_SUFFIX = ".provenance.json"
