@@ -62,7 +62,7 @@ def test_table_and_settings_as_written(tmp_path, computed):
     pd.testing.assert_frame_equal(table, tolerance_errors(**settings), rtol=1e-4)
     together = committed("gain", tmp_path)
     assert together["factor"].tolist() == [0.1, 1.0, 0.5]
-    shown = settings_of_studies(tmp_path).set_index("setting")
+    shown = settings_of_studies(["gain"], tmp_path).set_index("setting")
     assert shown.loc["draws", "studies"] == "gain_0, gain_1"
     assert dict(shown.loc["factors", ["value", "studies"]].to_numpy()) == {
         "0.1, 1.0": "gain_0",

@@ -182,13 +182,20 @@ def committed(kind: str, folder: Path | None = None) -> pd.DataFrame:
     return pd.concat([read_study(name, folder)[0] for name in names], ignore_index=True)
 
 
-def settings_of_studies(folder: Path | None = None) -> pd.DataFrame:
-    """Settings that the tables in ``data/studies`` were made with, as they stand beside them.
+def settings_of_studies(kinds: Sequence[str], folder: Path | None = None) -> pd.DataFrame:
+    """Settings that tables in ``data/studies`` were made with, as they stand beside them.
 
     Columns ``setting, value, studies``: the last names all studies that share the value.
+
+    Parameters
+    ----------
+    kinds
+        Studies whose names begin with one of these.
+    folder
+        ``data/studies`` of the project when not given.
     """
     shared: dict[tuple[str, str], list[str]] = {}
-    for study in studies():
+    for study in (x for x in studies() if x.name.startswith(tuple(kinds))):
         for key, value in read_study(study.name, folder)[1].items():
             shared.setdefault((key, _in_words(value)), []).append(study.name)
     lines = [(*key, ", ".join(names)) for key, names in sorted(shared.items())]
