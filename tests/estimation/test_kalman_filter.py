@@ -113,6 +113,19 @@ def test_prediction_halves_the_error_of_single_time_steps():
     assert bool((filtered.q >= low).all() & (filtered.q <= high).all())
 
 
+def test_covariance_stays_symmetric_over_many_steps():
+    g = torch.Generator().manual_seed(0)
+    M = torch.randn(8, 6, generator=g, dtype=torch.float64) * torch.logspace(0, 3, 6, dtype=torch.float64)
+    one = torch.ones(6, dtype=torch.float64)
+    method = IteratedKalmanFilter(lambda q: q @ M.T, -one, one, 0.1 * one, one, noise_mt=1e-3)
+    state = method.init(0 * one)
+    for k in range(100):
+        u = 1e-3 * torch.randn(8, generator=g, dtype=torch.float64)
+        state, _ = method.step(state, u, k / 40)
+    assert torch.equal(state.covariance, state.covariance.mT)
+    assert bool((torch.linalg.eigvalsh(state.covariance) > 0).all())
+
+
 def test_known_coordinates_are_held():
     _, u = simulated(3, 1)
     held = torch.tensor([0.7, torch.nan], dtype=torch.float64)

@@ -142,6 +142,7 @@ class IteratedKalmanFilter:
         P_vq_new = gain @ C
         P_vv = P[..., n:, n:] - gain @ P_vq.mT + P_vq_new @ gain.mT
         P = torch.cat([torch.cat([C, P_vq_new.mT], -1), torch.cat([P_vq_new, P_vv], -1)], -2)
+        P = (P + P.mT) / 2  # rounding would add up over the steps
         u_hat = self.noise_mt * found.u_hat[..., :s]
         residual = torch.where(use, u - u_hat, 0.0)
         diagnostics = {
