@@ -120,6 +120,7 @@ def train(*, only: str = "") -> int:
     """
     import torch
 
+    from repro.experiments.baaij2023_rig_training import RigSpec, rig_specs, train_rig
     from repro.experiments.baaij2023_training import specs
     from repro.experiments.baaij2023_training import train as train_network
     from repro.report.project import find_project, shown
@@ -127,14 +128,18 @@ def train(*, only: str = "") -> int:
     torch.set_num_threads(1)  # several of these run side by side faster than one with several threads
     project = find_project()
     folder, checkpoints = project.data / "networks", project.cache / "networks"
-    wanted = [spec for spec in specs() if spec.name.startswith(only)]
+    wanted = [spec for spec in (*specs(), *rig_specs()) if spec.name.startswith(only)]
     if not wanted:
         raise bad_input("only", "repro train", "the start of a network's name", repr(only))
     missing = [spec for spec in wanted if not (folder / f"{spec.name}.safetensors").exists()]
     print(f"{len(wanted) - len(missing)} of {len(wanted)} networks are there.")
     for spec in missing:
         print(spec.name, flush=True)
-        path = train_network(spec, folder, checkpoints, progress=sys.stderr.isatty())
+        progress = sys.stderr.isatty()
+        if isinstance(spec, RigSpec):
+            path = train_rig(spec, folder, checkpoints, progress=progress)
+        else:
+            path = train_network(spec, folder, checkpoints, progress=progress)
         print(f"  {shown(path)}", flush=True)
     return 0
 

@@ -1,0 +1,356 @@
+"""Table 2: errors by hand, ours on a toy without noise and blind to the truth, rows of the scorecard, its figures."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from repro.errors import InputError
+from repro.experiments import baaij2023_rig_training
+from repro.experiments import baaij2023_table2 as table2
+from repro.experiments.baaij2023_rig_training import RigSpec, rig_networks, rig_specs, train_rig
+from repro.experiments.baaij2023_table2_figures import (
+    beside,
+    landscape,
+    ours_errors,
+    ours_runs,
+    series_table,
+    shapes_table,
+    stills,
+    trajectories_table,
+)
+from repro.experiments.baaij2023_table2_ours import (
+    OursConfig,
+    correlation_s,
+    degrees,
+    estimate_bend,
+    fit_map,
+)
+from repro.experiments.baaij2023_table2_scorecard import table_2_rows, table_2_setting
+from repro.recordings.baaij2023 import Recording
+from repro.report.project import find_project
+from repro.report.published import read_published
+from repro.sensing.ensemble import SeedEnsemble
+from repro.sensing.network import paper_network
+from repro.sensing.training import train_paper
+from repro.simulation.rig_twins import nominal_twin, random_twin
+
+SLOPES = np.array([[-5300.0, 900.0, -4300.0], [-3000.0, -2800.0, -1200.0]])
+LEVEL = np.array([1282.0, 1205.0, 1387.0])
+
+
+def spiral(n, seed=0):
+    """Bends that fill a disc of 8 mm, and a constant elongation."""
+    s, turn = np.linspace(0, 1, n), np.random.default_rng(seed).uniform(0, 2 * np.pi)
+    r, phi = 8e-3 * np.sqrt(s), 40 * np.pi * s + turn
+    return np.stack([r * np.cos(phi), r * np.sin(phi), np.full(n, 4.5e-3)], axis=-1)
+
+
+def linear_twin(q, bias=0.0):
+    """Readings that are linear in the bend, without noise."""
+    return Recording("toy", np.arange(len(q)), q, LEVEL + q[:, :2] @ SLOPES + bias)
+
+
+@cache
+def short_data():
+    """Two minutes of T5 and of T3 of the nominal twin; synthetic."""
+    return table2.load_recordings("twin", trajectories=("T3", "T5"), longest_s=60.0)
+
+
+class TestErrors:
+    def test_readings_are_normalised_by_the_pooled_range_with_offsets(self):
+        u = np.array([[100.0, 200.0, 300.0], [110.0, 190.0, 350.0]])
+        part = Recording("toy", np.arange(2), np.zeros((2, 3)), u)
+        # Errors of the sensors: 3 and 1 (RMS sqrt 5), 2 and 2 (2), 0 and 0. Range: 350 - 100.
+        predicted = u[:, None] + np.array([[3.0, 2.0, 0.0], [1.0, -2.0, 0.0]])[:, None]
+        cells = table2.reading_errors(predicted, part, part)
+        e_u = (5**0.5 + 2 + 0) / 3
+        assert [c["error"] for c in cells] == pytest.approx([e_u, 100 * e_u / 250])
+        assert [c["unit"] for c in cells] == ["mV", "%"]
+
+    def test_ranges_are_those_of_the_whole_part(self):
+        q = np.array([[0.0, 0.0, 0.0], [2e-3, 1e-3, 0.0], [8e-3, 4e-3, 0.0]])
+        whole = linear_twin(q)
+        part = Recording("toy", np.arange(2), q[:2], whole.u[:2])
+        found = q[:2, None] + np.array([1e-3, -1e-3, 0.0])
+        cells = {(c["quantity"], c["unit"]): c["error"] for c in table2.bend_errors(found, part, whole)}
+        assert cells == pytest.approx(
+            {("delta_x", "mm"): 1, ("delta_x", "%"): 12.5, ("delta_y", "mm"): 1, ("delta_y", "%"): 25}
+        )
+
+
+class TestOurs:
+    def test_exact_where_readings_are_linear_and_without_noise(self):
+        bend_map = fit_map(linear_twin(spiral(2000)), OursConfig(degree=1))
+        test = linear_twin(spiral(400, seed=1))
+        run = estimate_bend(bend_map, test.u, OursConfig(degree=1))
+        assert np.abs(run.q - test.q[:, :2]).max() < 1e-12
+        assert np.abs(run.bias_mv).max() < 1e-9
+
+    def test_bias_is_found_where_the_slopes_do_not_hide_it(self):
+        """The normal of these slopes is nearly across (1, 1, 1): far from all of a bias shows in a frame."""
+        bend_map = fit_map(linear_twin(spiral(2000)), OursConfig(degree=1))
+        test = linear_twin(spiral(400, seed=1), bias=-3.0)
+        run = estimate_bend(bend_map, test.u, OursConfig(degree=1, passes=6))
+        assert run.bias_mv[-1] == pytest.approx(-3.0, rel=1e-3)
+        assert np.abs(run.q[-1] - test.q[-1, :2]).max() < 1e-6
+        assert (np.diff(run.bias_deviation_mv) < 0).all()
+
+    def test_truth_and_future_readings_do_not_enter(self):
+        data = short_data()
+        bend_map = fit_map(data.train)
+        part = data.tests["T3"]
+        moved = replace(part, q=part.q + 1e-3)
+        first = ours_runs(bend_map, {"T3": part})["T3"]
+        second = ours_runs(bend_map, {"T3": moved})["T3"]
+        assert np.array_equal(first.q, second.q)
+        assert np.array_equal(first.covariance, second.covariance)
+        half = estimate_bend(bend_map, part.u[: len(part) // 2])
+        np.testing.assert_allclose(half.q, first.q[: len(half.q)], atol=1e-9)
+
+    def test_covariance_is_that_of_many_noisy_recordings(self):
+        """Known map, white noise of its own size: the spread of the last bend is what the covariance says."""
+        g = np.random.default_rng(0)
+        train = linear_twin(spiral(4000))
+        train = replace(train, u=train.u + 0.5 * g.standard_normal(train.u.shape))
+        config = OursConfig(degree=1, correlation_s=1 / 40)
+        bend_map, test = fit_map(train, config), linear_twin(spiral(30, seed=1))
+        runs = [
+            estimate_bend(
+                bend_map, test.u + 0.5 * g.standard_normal(test.u.shape) + 5 * g.standard_normal(), config
+            )
+            for _ in range(40)
+        ]
+        error = np.stack([run.q[-1] - test.q[-1, :2] for run in runs])
+        normalised = np.einsum("ni,ij,nj->n", error, np.linalg.inv(runs[0].covariance[-1]), error)
+        assert normalised.mean() == pytest.approx(2.0, abs=0.95)  # 2 +- 0.32 for 40 draws
+
+    def test_settings_come_from_the_training_part(self):
+        g = np.random.default_rng(0)
+        train = linear_twin(spiral(4000))
+        train = replace(train, u=train.u + 0.5 * g.standard_normal(train.u.shape))
+        table = degrees(train, (1, 2))
+        assert list(table.columns) == ["degree", "readings_mV", "bend_mm"]
+        assert table["readings_mV"].to_numpy() == pytest.approx([0.5, 0.5], rel=0.05)
+        assert correlation_s(train, OursConfig(degree=1)) == pytest.approx(1 / 40, rel=0.3)  # white noise
+
+    def test_settings_out_of_range_are_refused(self):
+        with pytest.raises(InputError, match="Input degree, passes of OursConfig must be at least 1"):
+            OursConfig(degree=0)
+        with pytest.raises(InputError, match="must be positive"):
+            OursConfig(bias_mv=-1.0)
+
+
+class TestData:
+    def test_parts_of_the_twin(self):
+        data = short_data()
+        assert list(data.tests) == ["T3", "T5"]
+        assert data.twin_sha256 == nominal_twin().sha256
+        assert len(data.train) / len(data.tests["T5"]) == pytest.approx(7 / 3, rel=0.01)
+        assert len(data.shortened(2.0)["T3"]) == 80
+        assert len(data.shortened(0.0)["T3"]) == len(data.tests["T3"])
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"source": "rig"}, "Input source of load_recordings must be one of 'auto'"),
+            ({"trajectories": ("T9",)}, "Input trajectories of load_recordings must be among T0"),
+            ({"source": "recorded"}, "must be recorded: the authors' raw files of T0"),
+        ],
+    )
+    def test_wrong_input_is_refused(self, options, message, tmp_path):
+        with pytest.raises(InputError, match=message):
+            table2.load_recordings(**{"folder": tmp_path} | options)
+
+
+class TestNetworks:
+    def test_one_for_each_sensor_and_seed(self):
+        names = [spec.name for spec in rig_specs()]
+        assert len(set(names)) == 9
+        assert names[0] == "rig_sensor1_seed0"
+
+    def test_is_written_once_with_its_manifest_and_belongs_to_its_twin(self, tmp_path, monkeypatch):
+        def short(xi, u, **options):
+            return train_paper(xi, u, epochs=1, swa_start=0, **options)
+
+        monkeypatch.setattr(baaij2023_rig_training, "train_paper", short)
+        for sensor in range(3):
+            path = train_rig(RigSpec(sensor, 4), tmp_path, tmp_path, part=short_data().train, progress=False)
+        manifest = json.loads(path.with_suffix(".json").read_text())
+        assert manifest["recording"] == "synthetic_T5_train"
+        assert manifest["learning_rate"] == 5e-5
+        assert "twin_sha256" not in manifest  # given a recording, it does not know of which twin
+        monkeypatch.delattr(baaij2023_rig_training, "train_paper")  # a second call trains nothing
+        assert train_rig(RigSpec(2, 4), tmp_path, tmp_path, part=short_data().train) == path
+        assert rig_networks(tmp_path, [4]).n_sensors == 3
+        with pytest.raises(InputError, match="must be trained on the twin"):
+            rig_networks(tmp_path, [4], twin_sha256=random_twin(0).sha256)
+
+    @pytest.mark.skipif(
+        not all(
+            (find_project().data / "networks" / f"{spec.name}.safetensors").exists() for spec in rig_specs()
+        ),
+        reason="the nine networks are made by make train",
+    )
+    def test_committed_ones_belong_to_the_nominal_twin(self):
+        folder = find_project().data / "networks"
+        assert rig_networks(folder, (0, 1, 2), twin_sha256=nominal_twin().sha256).n_seeds == 3
+
+
+def toy_networks(seeds=2):
+    """Networks on angles that are not trained: enough for shapes and the flow of a run."""
+    return SeedEnsemble(
+        [
+            [paper_network(5, torch.Generator().manual_seed(10 * s + j)).eval() for j in range(3)]
+            for s in range(seeds)
+        ],
+        range(3),
+    )
+
+
+@cache
+def short_run(backend="torch"):
+    parts = short_data().shortened(0.2)
+    return table2.paper_method(parts, toy_networks(), (0, 1), mean_elongation_m=4.5e-3, backend=backend)
+
+
+class TestPaperMethod:
+    def test_elongation_is_held_at_the_truth_or_at_its_mean(self):
+        run, part = short_run(), short_data().shortened(0.2)["T3"]
+        assert np.array_equal(run.estimates["known", "T3"][:, 0, 2], part.q[:, 2])
+        assert (run.estimates["mean", "T3"][:, :, 2] == 4.5e-3).all()
+        assert run.predicted["T3"].shape == (8, 2, 3)
+
+    def test_one_row_for_each_cell_and_ranges_of_the_whole_part(self):
+        table = table2.paper_errors(short_run(), short_data())
+        assert len(table) == 2 * 2 * 2 * 6  # elongations, trajectories, seeds, cells
+        assert set(table["row"]) == {"T5.train->T3.test", "T5.train->T5.test"}
+        mean = table2.summary(table[table["elongation"] == "known"])
+        assert (mean["count"] == 2).all()
+
+    def test_unknown_elongation_is_refused(self):
+        with pytest.raises(InputError, match="Input elongations of paper_method must be among known, mean"):
+            table2.paper_method({}, toy_networks(), (0, 1), mean_elongation_m=0.0, elongations=("free",))
+
+
+class TestFigureTables:
+    def test_descent_of_the_landscape_is_that_of_the_method(self):
+        """From a straight start, with the elongation known, the best of 20 evaluations."""
+        data, model = short_data(), toy_networks()
+        grid, path = landscape(data, model, (0, 1), time_s=1.0, points=10)
+        assert len(grid) == 100
+        assert len(path) == 21
+        assert grid["rmse_mV"].max() <= 100.0
+        one = replace(data.tests["T5"], q=data.tests["T5"].q[40:41], u=data.tests["T5"].u[40:41])
+        sensing = table2.rig_sensing(model)
+        gamma = torch.tensor(table2.STEP_SIZE, dtype=torch.float64)
+        descent = table2.GradientDescent(sensing, gamma, table2.MOMENTUM, table2.ITERATIONS)
+        q0 = torch.from_numpy(one.q[0] * [0.0, 0.0, 1.0]).expand(2, 3)
+        _, found = descent.step(descent.init(q0), torch.from_numpy(one.u[0]).expand(2, 3), 0.0)
+        best = path[path["iteration"] >= 0].sort_values("rmse_mV").iloc[0]
+        assert 1e3 * float(found.q[0, 0]) == pytest.approx(best["delta_x_mm"], rel=1e-6)
+
+    def test_time_beyond_the_part_is_refused(self):
+        with pytest.raises(InputError, match="within T5's test part"):
+            landscape(short_data(), toy_networks(), (0, 1), time_s=1e4)
+
+    def test_tables_for_figures(self):
+        data, run = short_data(), short_run()
+        ours = ours_runs(fit_map(data.train), data.tests)
+        series = series_table(run, ours, ("T3", "T5"))
+        assert len(series) == 2 * 2 * 8
+        assert series.notna().all(axis=None)
+        shapes, parts = stills(run, times_s=(0.0, 0.1))
+        assert set(shapes["seed"]) == {-1, 0, 1}
+        assert set(parts["part"]) == {"magnet", "sensor"}
+        paths = trajectories_table(data.tests, longest_s=1.0)
+        straight = paths["tip_z_mm"] <= 106.05 + 4.7
+        assert straight.all()
+        assert len(paths) == 20
+        assert set(shapes_table(data.tests, shapes=3)["shape"]) == {0, 1, 2}
+
+
+class TestScorecard:
+    @staticmethod
+    def errors():
+        """Printed cells of Table 2 as if three seeds gave each of them exactly."""
+        rows = []
+        for key in published():
+            for seed in range(3):
+                value = float(published()[key].value)
+                rows.append(
+                    dict(zip(("row", "quantity", "unit"), key[2:], strict=True))
+                    | {"seed": seed, "error": value}
+                )
+        return pd.DataFrame(rows)
+
+    def test_every_published_key_is_there_and_none_else(self):
+        rows = table_2_rows(self.errors(), setting="x", synthetic=True)
+        keys = {(r["artefact"], r["row"], r["quantity"], r["unit"]) for r in rows}
+        expected = {
+            (key.artefact, key.row, key.quantity, key.unit)
+            for key in read_published(find_project().published)
+            if key.paper == "baaij2023"
+            and (key.artefact in ("Table 2", "Section 5.5") or key.row == "experiments mean relative error")
+        }
+        assert keys == expected
+        assert len(rows) == 37
+
+    def test_means_of_the_text_follow_from_the_printed_cells(self):
+        rows = {r["artefact"]: r for r in table_2_rows(self.errors(), setting="x", synthetic=False)}
+        assert rows["Abstract"]["regenerated"] == pytest.approx(4.5, abs=0.05)
+        assert rows["Section 5.5"]["regenerated"] == pytest.approx(3.1, abs=0.05)
+
+    def test_twin_is_never_comparable_and_has_no_best(self):
+        best = self.errors()
+        synthetic = table_2_rows(self.errors(), setting="x", synthetic=True, best=best)
+        assert all(
+            r["comparable"] is False and "best" not in r and "synthetic" in r["note"] for r in synthetic
+        )
+        recorded = table_2_rows(self.errors(), setting="x", synthetic=False, best=best)
+        assert all("comparable" not in r for r in recorded)
+        assert {r["quantity"] for r in recorded if "best" in r} == {"delta_x", "delta_y", "mean"}
+
+    def test_setting_names_the_twin_and_what_was_cut(self):
+        text = table_2_setting("0123456789", longest_s=5.0)
+        assert text.startswith("synthetic twin 01234567; as released")
+        assert text.endswith("here the first 5 s of each test part")
+        assert "split 70/30" in text
+        assert "synthetic" not in table_2_setting(None)
+
+    def test_means_need_all_trajectories(self):
+        part = self.errors()
+        part = part[part["row"] != "T5.train->T4"]
+        assert {r["artefact"] for r in table_2_rows(part, setting="x", synthetic=True)} == {"Table 2"}
+
+
+@cache
+def published():
+    rows = read_published(find_project().published)
+    return {key: row for key, row in rows.items() if key.artefact == "Table 2" and key.paper == "baaij2023"}
+
+
+def test_beside_has_every_row_and_column():
+    data = short_data()
+    bend_map = fit_map(data.train)
+    paper = table2.paper_errors(short_run(), data)
+    ours = ours_errors(ours_runs(bend_map, data.shortened(0.2)), bend_map, data)
+    printed = pd.DataFrame(
+        [
+            {
+                "row": key.row,
+                "quantity": key.quantity,
+                "unit": key.unit,
+                "published": 1.0,
+                "published_std": 0.1,
+            }
+            for key in published()
+        ]
+    )
+    table = beside(printed, paper, ours)
+    assert len(table) == 12
+    assert table.notna().all(axis=None)
