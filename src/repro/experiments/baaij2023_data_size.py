@@ -47,6 +47,8 @@ PAPER_SIZE = 120_000
 STEPS = 2520
 """Optimiser steps of every network, those of 10 epochs with 120,000 configurations: sizes differ in data alone."""
 COLUMNS = ["n_b", "model", "configurations", "seed", "e_u_mt", "configuration_percent", "noisy_percent"]
+ALL_MODELS = (PAPER, *MODELS)
+"""The paper's networks, which are committed, and those trained here."""
 
 
 def data_size_errors(
@@ -54,7 +56,7 @@ def data_size_errors(
     seeds: Sequence[int],
     folder: Path,
     *,
-    models: Sequence[str] = (PAPER, *MODELS),
+    models: Sequence[str] = ALL_MODELS,
     noise_mt: float = SENSOR_NOISE_MT,
     n_segments: int = 1,
     steps: int = 400,

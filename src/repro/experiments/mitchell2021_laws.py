@@ -45,7 +45,7 @@ def law_table(*tables: pd.DataFrame) -> pd.DataFrame:
 
 
 def chosen(sweep: pd.DataFrame) -> dict[str, float | str]:
-    """Motion and process noise with the smallest error on Spiral, of a table of :func:`errors`.
+    """Motion and process noise with the smallest error on Spiral, of a table of ``errors``.
 
     Raises
     ------
