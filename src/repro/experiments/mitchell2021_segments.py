@@ -187,7 +187,7 @@ def run(course: Course, method: str, tuned: Tuned | None = None, *, particles: i
     course
         Robot and readings.
     method
-        One of :data:`METHODS`.
+        One of ``METHODS``.
     tuned
         Choices; those of :data:`TUNED` when not given. Least squares has none.
     particles
@@ -347,7 +347,7 @@ def tuning(
     n_segments, noise_mt, draws, steps
         As for :class:`Course`.
     method
-        One of :data:`METHODS` that takes choices.
+        One of ``METHODS`` that takes choices.
     candidates
         What to try.
     """
