@@ -210,7 +210,8 @@ def run(course: Course, method: str, tuned: Tuned | None = None, *, particles: i
     if method == "Kalman filter":
         options = {"noise_mt": course.noise_mt, "iterations": WARM_ITERATIONS}
         moving = {"acceleration": tuned.share * width, "velocity": VELOCITY_SHARE * width}
-        return _kalman(course, IteratedKalmanFilter(course.model, *course.bounds, **moving, **options), q0)
+        kalman = IteratedKalmanFilter(course.model, *course.bounds, **moving, **options)
+        return track(kalman, course.u, q0, rate_hz=RATE_HZ, mask=course.working)
     particle_filter = ParticleFilter(
         course.model,
         tuned.share * width,
@@ -221,16 +222,6 @@ def run(course: Course, method: str, tuned: Tuned | None = None, *, particles: i
         motion="random walk" if method == "random walk" else "constant velocity",
     )
     return _followed(course, particle_filter)
-
-
-def _kalman(course: Course, method: IteratedKalmanFilter, q0: Tensor) -> Trajectory:
-    """Run the Kalman filter with a covariance that stays symmetric: rounding grows in 6 dimensions and more."""
-    state, estimates = method.init(q0), []
-    for k in range(course.steps):
-        state, found = method.step(state, course.u[k], k / RATE_HZ, mask=course.working[k])
-        state = replace(state, covariance=(state.covariance + state.covariance.mT) / 2)
-        estimates.append(found)
-    return _joined(estimates)
 
 
 def _followed(course: Course, method: ParticleFilter) -> Trajectory:
