@@ -1,5 +1,7 @@
 """The filter against the textbook on linear models; calibration of its covariance; time, bounds, masks."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -161,3 +163,44 @@ def test_time_must_go_on():
         InputError, match="Input t of IteratedKalmanFilter must be after the last step, 1.0 s"
     ):
         method.step(state, u, 1.0)
+
+
+@pytest.mark.parametrize("n_segments", [1, 2])
+def test_compiled_update_is_that_of_torch(n_segments):
+    """Masked and missing readings, a held coordinate, bounds that are reached, and a batch."""
+    robot, n_q = pcc_robot(n_segments, 4), 3 * n_segments
+    sensing = LinearisedSensing(robot, torch.from_numpy(ring("released").multipoles(9)))
+    q = lemniscate(n_segments)[:12]
+    g = torch.Generator().manual_seed(0)
+    u = sensing(q).unsqueeze(1) + 0.02 * torch.randn(12, 3, 4 * n_segments, generator=g, dtype=torch.float64)
+    u[4, 1, 2] = math.nan
+    mask = torch.ones(12, 1, 4 * n_segments, dtype=torch.bool)
+    mask[6:, :, 1] = False
+    known = torch.full((12, 3, n_q), math.nan).double()
+    known[:, 2, 0] = q[:, 0]
+    low, high = -0.02 * torch.ones(n_q).double(), 0.02 * torch.ones(n_q).double()
+    low[2], high[2] = 2.9e-3, 3.1e-3
+    a = 0.02 * torch.ones(n_q).double()
+    one, other = (
+        track(
+            IteratedKalmanFilter(sensing, low, high, a, a, noise_mt=0.02, backend=backend),
+            u,
+            torch.tensor([0.0, 0.0, 3e-3] * n_segments).double().expand(3, -1),
+            mask=mask,
+            known=known,
+        )
+        for backend in ("torch", "compiled")
+    )
+    # Next to the minimum rounding decides which trials are taken: a nanometre, where the noise is worth millimetres.
+    torch.testing.assert_close(other.q, one.q, atol=1e-9, rtol=0)
+    torch.testing.assert_close(other.covariance, one.covariance, atol=1e-13, rtol=1e-6)
+    torch.testing.assert_close(other.u_hat, one.u_hat, atol=1e-8, rtol=0)
+    assert torch.equal(other.diagnostics["at_bound"], one.diagnostics["at_bound"])
+    assert bool(one.diagnostics["at_bound"].any())
+
+
+def test_compiled_update_names_the_models_it_has():
+    with pytest.raises(InputError, match="must be LinearisedSensing, or MagneticSensing"):
+        linear_filter(backend="compiled")
+    with pytest.raises(InputError, match="must be 'torch' or 'compiled'; instead received 'numba'"):
+        linear_filter(backend="numba")

@@ -105,7 +105,7 @@ class TestPaperRecipe:
         network = paper_network(5, torch.Generator().manual_seed(0))
         x = 2 + 3 * torch.randn(3 * training.BATCH, 5, generator=torch.Generator().manual_seed(1))
         network(x)  # statistics that must be forgotten
-        training._refresh_batch_norm(network, x)
+        training.refresh_batch_norm(network, x)
         batches = x.unflatten(0, (3, -1))
         torch.testing.assert_close(network[0].running_mean, batches.mean(1).mean(0))
         torch.testing.assert_close(network[0].running_var, batches.var(1).mean(0))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -119,12 +119,17 @@ def track(
             known=None if known is None else known[k],
         )
         estimates.append(estimate)
-    covariances = [e.covariance for e in estimates if e.covariance is not None]
+    return stacked(estimates)
+
+
+def stacked(parts: Sequence[Estimate | Trajectory], dim: int = 0) -> Trajectory:
+    """Estimates one behind the other, in a new dimension: time steps, or members that were tracked one by one."""
+    covariances = [part.covariance for part in parts if part.covariance is not None]
     return Trajectory(
-        q=torch.stack([e.q for e in estimates]),
-        covariance=torch.stack(covariances) if covariances else None,
-        u_hat=torch.stack([e.u_hat for e in estimates]),
-        diagnostics={k: torch.stack([e.diagnostics[k] for e in estimates]) for k in estimates[0].diagnostics},
+        q=torch.stack([part.q for part in parts], dim),
+        covariance=torch.stack(covariances, dim) if covariances else None,
+        u_hat=torch.stack([part.u_hat for part in parts], dim),
+        diagnostics={k: torch.stack([p.diagnostics[k] for p in parts], dim) for k in parts[0].diagnostics},
     )
 
 
@@ -147,6 +152,33 @@ def usable(u: Float[Tensor, "*batch s"], mask: Tensor | None, owner: str) -> Boo
     if not bool(use.any(-1).all()):
         raise bad_input("u", owner, "at least one reading that is a number and not masked", "none")
     return use
+
+
+def held(q: Tensor, known: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Configuration with the coordinates that are ``known`` at their values, and which ones are free."""
+    if known is None:
+        return q, torch.ones_like(q, dtype=torch.bool)
+    free = torch.isnan(known).expand_as(q)
+    return torch.where(free, q, known), free
+
+
+def kernel(sensing: Callable[[Tensor], Tensor], backend: str, owner: str) -> Any:
+    """Sensor model of the kernels for the backend ``"compiled"``; none for ``"torch"``.
+
+    See :class:`repro.sensing.compiled_sensing.CompiledSensing`.
+
+    Raises
+    ------
+    InputError
+        If there is no such backend, or no kernel for the sensor model.
+    """
+    if backend not in ("torch", "compiled"):
+        raise bad_input("backend", owner, "'torch' or 'compiled'", repr(backend))
+    if backend == "torch":
+        return None
+    from repro.sensing.compiled_sensing import CompiledSensing  # here: numba takes a second to import
+
+    return CompiledSensing(sensing)
 
 
 def check_start(

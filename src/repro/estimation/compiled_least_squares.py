@@ -1,4 +1,7 @@
-"""Levenberg-Marquardt with bounds, compiled: all iterations of a time step, for a whole batch, in one call."""
+"""Levenberg-Marquardt with bounds, compiled: all iterations of a time step, for a whole batch, in one call.
+
+A prior, as the iterated Kalman filter has one, is further residuals.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +31,11 @@ def fit(
     noise_mt: float,
     iterations: int,
     tolerance: float,
+    *,
+    prior: tuple[Tensor, Tensor] | None = None,
+    owner: str = "LevenbergMarquardt",
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Minimise the squared residuals for every member of a batch.
+    r"""Minimise the squared residuals for every member of a batch.
 
     Parameters
     ----------
@@ -45,13 +51,18 @@ def fit(
         As in :class:`~repro.estimation.levenberg_marquardt.LevenbergMarquardt`.
     tolerance
         A trial step below this share of the width of the bounds ends the iteration.
+    prior
+        Mean :math:`m` ``[*batch, n_q]``, and :math:`W` ``[*batch, n_q, p]``: :math:`W^T (q - m)` are ``p`` further
+        residuals in the unit of the readings.
+    owner
+        For messages.
 
     Returns
     -------
     tuple
         Configuration, predicted readings, root-mean-squared residual and iterations, in the precision of ``start``;
-        Jacobian (zero for sensors not in use), covariance and where it is one: elsewhere, the readings leave a
-        direction all but undetermined, and the covariance is left to the caller.
+        Jacobian in double precision (zero for sensors not in use; then the rows of the prior), covariance and where
+        it is one: elsewhere a direction is all but undetermined, and the covariance is left to the caller.
 
     Raises
     ------
@@ -59,38 +70,50 @@ def fit(
         If configurations or readings are not those of the robot, or a trial is not finite.
     """
     n_q, n_s = sensing.n_q, sensing.n_sensors
-    batch = sensing.batch_of("LevenbergMarquardt", start, u, use, free)
-    q, free_ = rows(start, batch, n_q), rows(free, batch, n_q)
+    mean, W = prior or (start, start.new_zeros(n_q, 0))
+    batch = sensing.batch_of(owner, start, u, use, free, mean)
+    q, free_, mean_ = (rows(x, batch, n_q) for x in (start, free, mean))
     u_, use_ = rows(u, batch, n_s), rows(use, batch, n_s)
-    n = len(q)
-    u_hat, rmse, count = np.empty((n, n_s)), np.empty(n), np.empty(n)
-    J, C, determined = np.zeros((n, n_s, n_q)), np.zeros((n, n_q, n_q)), np.zeros(n, dtype=np.bool_)
-    low, high = (array(x) for x in bounds)
-    options = (low, high, float(noise_mt), iterations, tolerance)
-    found = (u_hat, rmse, count, J, C, determined)
-    lost = _fit(sensing.tables, sensing.which(batch), q, u_, use_, free_, options, found)
+    W_ = array(W.expand(*batch, *W.shape[-2:])).reshape(batch.numel(), *W.shape[-2:])
+    n, n_rows = len(q), n_s + W.shape[-1]
+    u_hat, rmse, count = np.empty((n, n_rows)), np.empty(n), np.empty(n)
+    J, C, determined = np.zeros((n, n_rows, n_q)), np.zeros((n, n_q, n_q)), np.zeros(n, dtype=np.bool_)
+    options = (*(array(x) for x in bounds), float(noise_mt), iterations, tolerance)
+    data, found = (u_, use_, free_, mean_, W_), (u_hat, rmse, count, J, C, determined)
+    lost = _fit(sensing.tables, sensing.which(batch), q, data, options, found)
     if lost:
         raise bad_input("q", "Robot", "finite", f"{lost} values that are NaN or infinite")
-    out = (torch.from_numpy(x).reshape((*batch, *x.shape[1:])).to(start) for x in (q, *found[:-1]))
-    best_q, best_u, error, turns, slopes, covariance = out
-    return best_q, best_u, error, turns, slopes, covariance, torch.from_numpy(determined).reshape(batch)
+    arrays = (q, u_hat[:, :n_s], rmse, count, C, J, determined)
+    *estimate, slopes, good = (torch.from_numpy(x).reshape((*batch, *x.shape[1:])) for x in arrays)
+    best_q, best_u, error, turns, covariance = (x.to(start) for x in estimate)
+    return best_q, best_u, error, turns, slopes, covariance, good
 
 
 @compiled()
-def _fit(tables, which, q, u, use, free, options, found):
-    """Fit every member of a flat batch; ``q`` and the arrays of ``found`` are overwritten."""
+def _fit(tables, which, q, data, options, found):
+    """Fit every member of a flat batch; ``q`` and the arrays of ``found`` are overwritten.
+
+    The rows of a prior stand behind those of the sensors.
+    """
+    u, use, free, mean, W = data
     low, high, noise, iterations, tolerance = options
     u_best, rmse, count, J_best, C, determined = found
-    n_q, n_s = q.shape[1], u.shape[1]
-    x, g = np.zeros(n_q), np.zeros(n_q)
-    held, wanted = np.zeros(n_q, dtype=np.bool_), np.zeros(n_s, dtype=np.bool_)
-    u_hat, J, A, L = np.zeros(n_s), np.zeros((n_s, n_q)), np.zeros((n_q, n_q)), np.zeros((n_q, n_q))
+    n_q, n_s, n_rows = q.shape[1], u.shape[1], u_best.shape[1]
+    x, g, held = np.zeros(n_q), np.zeros(n_q), np.zeros(n_q, dtype=np.bool_)
+    wanted, used = np.zeros(n_s, dtype=np.bool_), np.ones(n_rows, dtype=np.bool_)
+    target, u_hat, J = np.zeros(n_rows), np.zeros(n_rows), np.zeros((n_rows, n_q))
+    A, L = np.zeros((n_q, n_q)), np.zeros((n_q, n_q))
     space, lost = room(tables), 0
     for i in range(len(q)):
-        n_used = 0
+        n_used = n_rows - n_s
         for s in range(n_s):
-            wanted[s] = use[i, s]
+            wanted[s], used[s], target[s] = use[i, s], use[i, s], u[i, s]
             n_used += 1 if use[i, s] else 0
+        for p in range(n_s, n_rows):
+            target[p] = 0.0
+            for c in range(n_q):
+                J[p, c] = W[i, c, p - n_s]
+                target[p] += W[i, c, p - n_s] * mean[i, c]
         for c in range(n_q):
             x[c] = q[i, c]
         damping, best, turn, small, final = 1e-3, math.inf, 0, False, False
@@ -99,25 +122,29 @@ def _fit(tables, which, q, u, use, free, options, found):
                 lost += not math.isfinite(x[c])
             if lost > 0:
                 return lost
-            evaluate(tables, which[i], x, wanted, not final, u_hat, J, space)
+            evaluate(tables, which[i], x, wanted, not final, u_hat[:n_s], J[:n_s], space)
             if final:
                 for s in range(n_s):
                     if not use[i, s]:
                         u_best[i, s] = u_hat[s]
                 break
+            for p in range(n_s, n_rows):
+                u_hat[p] = 0.0
+                for c in range(n_q):
+                    u_hat[p] += W[i, c, p - n_s] * x[c]
             error = 0.0
-            for s in range(n_s):
-                if use[i, s]:
-                    error += (u[i, s] - u_hat[s]) ** 2
+            for r in range(n_rows):
+                if used[r]:
+                    error += (target[r] - u_hat[r]) ** 2
             better = turn == 0 or error < best
             if turn > 0:
                 damping = min(max(damping / 10.0 if better else damping * 10.0, 1e-12), 1e12)
             if better:
                 best = error
-                _accept(x, u_hat, J, u[i], use[i], q[i], u_best[i], J_best[i], A, g)
+                _accept(x, u_hat, J, target, used, q[i], u_best[i], J_best[i], A, g)
             if small or turn == iterations:
                 rmse[i], count[i] = math.sqrt(best / n_used), turn
-                if n_used == n_s:
+                if n_used == n_rows:
                     break
                 final = True
                 for s in range(n_s):

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start, usable
+from repro.estimation.base import Estimate, check_start, held, kernel, usable
 
 
 @dataclass(frozen=True)
@@ -71,16 +71,11 @@ class GradientDescent:
             raise bad_input("momentum", "GradientDescent", "in [0, 1)", self.momentum)
         if self.iterations < 1:
             raise bad_input("iterations", "GradientDescent", "at least 1", self.iterations)
-        if self.backend not in ("torch", "compiled"):
-            raise bad_input("backend", "GradientDescent", "'torch' or 'compiled'", repr(self.backend))
-        if self.backend == "compiled":
-            _ = self._compiled  # refuses other models now, not in the first step
+        _ = self._kernel  # refuses other models now, not in the first step
 
     @cached_property
-    def _compiled(self) -> Any:
-        from repro.sensing.compiled_sensing import CompiledSensing  # here: numba takes a second to import
-
-        return CompiledSensing(self.sensing)
+    def _kernel(self) -> Any:
+        return kernel(self.sensing, self.backend, "GradientDescent")
 
     def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> GradientState:
         """State at ``q0`` with no momentum; nothing is random, the seed has no effect."""
@@ -99,15 +94,12 @@ class GradientDescent:
         """Descend from the last estimate; ``loss`` [mT^2] and ``best_iteration`` are in the diagnostics."""
         use = usable(u, mask, "GradientDescent")
         q, b = state.q, state.momentum if self.carry_momentum else torch.zeros_like(state.momentum)
-        free = torch.ones_like(q, dtype=torch.bool)
-        if known is not None:
-            free = torch.isnan(known).expand_as(q)
-            q = torch.where(free, q, known)
-        if self.backend == "compiled":
+        q, free = held(q, known)
+        if self._kernel is not None:
             from repro.estimation.compiled_descent import descend
 
             options = (self.step_size, self.momentum, self.iterations)
-            q, b, u_hat, loss, best_at = descend(self._compiled, (q, b), u, use, free, *options)
+            q, b, u_hat, loss, best_at = descend(self._kernel, (q, b), u, use, free, *options)
         else:
             q, b, u_hat, loss, best_at = self._descend(q, b, u, use, free)
         diagnostics = {"loss": loss, "best_iteration": best_at, "masked": (~use).sum(-1)}

@@ -14,14 +14,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start, usable
-from repro.estimation.levenberg_marquardt import LeastSquaresState, LevenbergMarquardt
+from repro.estimation.base import Estimate, check_start, held, kernel, usable
+from repro.estimation.levenberg_marquardt import TOLERANCE, LeastSquaresState, LevenbergMarquardt, covariance
 
 
 @dataclass(frozen=True)
@@ -56,11 +58,15 @@ class IteratedKalmanFilter:
         Standard deviation :math:`\sigma` of a reading, in its unit.
     iterations
         Largest number of iterations in an update.
+    backend
+        ``"torch"``, or ``"compiled"`` for the sensor models of
+        :class:`~repro.sensing.compiled_sensing.CompiledSensing`: the same to rounding, many times faster.
 
     Raises
     ------
     InputError
-        If the process noise or the velocity is not positive for every coordinate, or as
+        If the process noise or the velocity is not positive for every coordinate, the backend is unknown or has no
+        kernel for the sensor model, or as
         :class:`~repro.estimation.levenberg_marquardt.LevenbergMarquardt`.
 
     Examples
@@ -81,6 +87,7 @@ class IteratedKalmanFilter:
     velocity: Float[Tensor, " n_q"]
     noise_mt: float = 1.0
     iterations: int = 8
+    backend: str = "torch"
 
     def __post_init__(self) -> None:
         for name in ("acceleration", "velocity"):
@@ -89,6 +96,11 @@ class IteratedKalmanFilter:
                 expected = f"positive, one for each of {len(self.lower)} coordinates"
                 raise bad_input(name, "IteratedKalmanFilter", expected, value.tolist())
         self._update(self.sensing)  # refuses wrong bounds, noise and iterations now
+        _ = self._kernel  # refuses other models now, not in the first step
+
+    @cached_property
+    def _kernel(self) -> Any:
+        return kernel(self.sensing, self.backend, "IteratedKalmanFilter")
 
     def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> KalmanState:
         """State at ``q0``, at rest; nothing is random, the seed has no effect."""
@@ -122,51 +134,64 @@ class IteratedKalmanFilter:
         P_qq, P_vq = P[..., :n, :n], P[..., n:, :n]
         # W W^T is the inverse of P_qq: W^T q has unit covariance.
         W = torch.linalg.inv(torch.linalg.cholesky(P_qq)).mT
+        new, C, u_hat, iterations = self._posterior(q, W, u, use, known)
+        gain = torch.linalg.solve(P_qq, P_vq, left=False)
+        velocity = velocity + (gain @ (new - q).unsqueeze(-1)).squeeze(-1)
+        P_vq_new = gain @ C
+        P_vv = P[..., n:, n:] - gain @ P_vq.mT + P_vq_new @ gain.mT
+        P = torch.cat([torch.cat([C, P_vq_new.mT], -1), torch.cat([P_vq_new, P_vv], -1)], -2)
+        P = (P + P.mT) / 2  # rounding would add up over the steps
+        residual = torch.where(use, u - u_hat, 0.0)
+        diagnostics = {
+            "rmse": (residual.square().sum(-1) / use.sum(-1)).sqrt(),
+            "iterations": iterations,
+            "at_bound": ((new <= self.lower.to(new)) | (new >= self.upper.to(new))).any(-1),
+            "masked": (~use).sum(-1),
+        }
+        return KalmanState(new, velocity, P, t), Estimate(new, C, u_hat, diagnostics)
 
-        s = u.shape[-1]
+    def _posterior(
+        self, q: Tensor, W: Tensor, u: Tensor, use: Tensor, known: Tensor | None
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Configuration, its covariance, predicted readings, iterations, for a prior at ``q``."""
+        middle = torch.clamp(q, self.lower.to(q), self.upper.to(q))
+        if self._kernel is not None:
+            from repro.estimation.compiled_least_squares import fit
+
+            middle, free = held(middle, known)
+            options = ((self.lower, self.upper), self.noise_mt, self.iterations, TOLERANCE)
+            prior = {"prior": (q, self.noise_mt * W), "owner": "IteratedKalmanFilter"}
+            new, u_hat, _, count, J, C, good = fit(self._kernel, middle, u, use, free, *options, **prior)
+            if not bool(good.all()):
+                rest = (J[~good] / self.noise_mt).to(new)
+                C[~good] = covariance(rest, 1.0, free.expand_as(new)[~good])
+            return new, C, u_hat, count
+        n, s = q.shape[-1], u.shape[-1]
 
         def with_prior(x: Tensor) -> Tensor:
             prior = (x.unsqueeze(-2) @ W).squeeze(-2)
             readings = self.sensing(x) / self.noise_mt
             return torch.cat([readings, prior.expand(*readings.shape[:-1], n)], dim=-1)
 
-        middle = torch.clamp(q, self.lower.to(q), self.upper.to(q))
         target = (q.unsqueeze(-2) @ W).squeeze(-2)
         both = torch.cat([u / self.noise_mt, target.expand(*u.shape[:-1], n)], dim=-1)
         in_use = torch.cat([use, torch.ones_like(target, dtype=torch.bool).expand(*u.shape[:-1], n)], dim=-1)
-        _, found = self._update(with_prior).step(LeastSquaresState(middle), both, t, mask=in_use, known=known)
+        solver = self._update(with_prior)
+        _, found = solver.step(LeastSquaresState(middle), both, 0.0, mask=in_use, known=known)
         assert found.covariance is not None
-        gain = torch.linalg.solve(P_qq, P_vq, left=False)
-        C = found.covariance
-        velocity = velocity + (gain @ (found.q - q).unsqueeze(-1)).squeeze(-1)
-        P_vq_new = gain @ C
-        P_vv = P[..., n:, n:] - gain @ P_vq.mT + P_vq_new @ gain.mT
-        P = torch.cat([torch.cat([C, P_vq_new.mT], -1), torch.cat([P_vq_new, P_vv], -1)], -2)
-        P = (P + P.mT) / 2  # rounding would add up over the steps
-        u_hat = self.noise_mt * found.u_hat[..., :s]
-        residual = torch.where(use, u - u_hat, 0.0)
-        diagnostics = {
-            "rmse": (residual.square().sum(-1) / use.sum(-1)).sqrt(),
-            "iterations": found.diagnostics["iterations"],
-            "at_bound": found.diagnostics["at_bound"],
-            "masked": (~use).sum(-1),
-        }
-        return KalmanState(found.q, velocity, P, t), Estimate(found.q, C, u_hat, diagnostics)
+        return (
+            found.q,
+            found.covariance,
+            self.noise_mt * found.u_hat[..., :s],
+            found.diagnostics["iterations"],
+        )
 
     def _predicted(self, state: KalmanState, t: float) -> tuple[Tensor, Tensor, Tensor]:
         """Mean and covariance at time ``t``, before its readings."""
         if state.t is None:
             return state.q, state.velocity, state.covariance
         tau, q, P = t - state.t, state.q, state.covariance
-        eye = torch.eye(q.shape[-1]).to(q)
-        move = torch.cat([torch.cat([eye, tau * eye], 1), torch.cat([0 * eye, eye], 1)])
-        density = torch.diag(self.acceleration.to(q) ** 2)
-        noise = torch.cat(
-            [
-                torch.cat([tau**3 / 3 * density, tau**2 / 2 * density], 1),
-                torch.cat([tau**2 / 2 * density, tau * density], 1),
-            ]
-        )
+        move, noise = driven(tau, self.acceleration.to(q))
         return q + tau * state.velocity, state.velocity, move @ P @ move.mT + noise
 
     def _update(self, sensing: Callable[[Tensor], Tensor]) -> LevenbergMarquardt:
@@ -174,3 +199,26 @@ class IteratedKalmanFilter:
         if not self.noise_mt > 0:
             raise bad_input("noise_mt", "IteratedKalmanFilter", "positive", self.noise_mt)
         return LevenbergMarquardt(sensing, self.lower, self.upper, noise_mt=1.0, iterations=self.iterations)
+
+
+def driven(
+    tau: float, acceleration: Float[Tensor, " n"]
+) -> tuple[Float[Tensor, "nn nn"], Float[Tensor, "nn nn"]]:
+    """Transition of coordinates and their velocities over a time [s], and the covariance that white noise adds.
+
+    Parameters
+    ----------
+    tau
+        The time.
+    acceleration
+        Density of the acceleration of each coordinate [unit/s^1.5].
+    """
+    eye, density = torch.eye(len(acceleration)).to(acceleration), torch.diag(acceleration**2)
+    move = torch.cat([torch.cat([eye, tau * eye], 1), torch.cat([0 * eye, eye], 1)])
+    noise = torch.cat(
+        [
+            torch.cat([tau**3 / 3 * density, tau**2 / 2 * density], 1),
+            torch.cat([tau**2 / 2 * density, tau * density], 1),
+        ]
+    )
+    return move, noise

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start, usable
+from repro.estimation.base import Estimate, check_start, held, kernel, usable
 
 TOLERANCE = 1e-12
 """A trial step below this share of the width of the bounds ends the iteration."""
@@ -70,16 +70,11 @@ class LevenbergMarquardt:
             raise bad_input("noise_mt", "LevenbergMarquardt", "positive", self.noise_mt)
         if self.iterations < 1:
             raise bad_input("iterations", "LevenbergMarquardt", "at least 1", self.iterations)
-        if self.backend not in ("torch", "compiled"):
-            raise bad_input("backend", "LevenbergMarquardt", "'torch' or 'compiled'", repr(self.backend))
-        if self.backend == "compiled":
-            _ = self._compiled  # refuses other models now, not in the first step
+        _ = self._kernel  # refuses other models now, not in the first step
 
     @cached_property
-    def _compiled(self) -> Any:
-        from repro.sensing.compiled_sensing import CompiledSensing  # here: numba takes a second to import
-
-        return CompiledSensing(self.sensing)
+    def _kernel(self) -> Any:
+        return kernel(self.sensing, self.backend, "LevenbergMarquardt")
 
     def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> LeastSquaresState:
         """State at ``q0``; nothing is random, the seed has no effect."""
@@ -98,11 +93,8 @@ class LevenbergMarquardt:
         """Minimise from the last estimate; ``rmse``, ``iterations`` and ``at_bound`` are in the diagnostics."""
         use = usable(u, mask, "LevenbergMarquardt")
         low, high = self.lower.to(state.q), self.upper.to(state.q)
-        q, free = state.q, torch.ones_like(state.q, dtype=torch.bool)
-        if known is not None:
-            free = torch.isnan(known).expand_as(q)
-            q = torch.where(free, q, known)
-        if self.backend == "compiled":
+        q, free = held(state.q, known)
+        if self._kernel is not None:
             q, u_hat, rmse, count, C = self._fit_compiled(q, u, use, free, low, high)
         else:
             q, u_hat, rmse, count, C = self._fit(q, u, use, free, low, high)
@@ -120,10 +112,10 @@ class LevenbergMarquardt:
         from repro.estimation.compiled_least_squares import fit
 
         options = (self.noise_mt, self.iterations, TOLERANCE)
-        q, u_hat, rmse, count, J, C, determined = fit(self._compiled, q, u, use, free, (low, high), *options)
+        q, u_hat, rmse, count, J, C, determined = fit(self._kernel, q, u, use, free, (low, high), *options)
         if not bool(determined.all()):
             rest = ~determined
-            C[rest] = covariance(J[rest], self.noise_mt, free.expand_as(q)[rest])
+            C[rest] = covariance(J[rest].to(q), self.noise_mt, free.expand_as(q)[rest])
         return q, u_hat, rmse, count, C
 
     def _fit(

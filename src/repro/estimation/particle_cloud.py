@@ -3,10 +3,62 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+
+from repro.estimation.resampling import effective_sample_size, normalised, weights
+
+
+class Weighed(NamedTuple):
+    """What readings say about a cloud."""
+
+    w: Float[Tensor, "*batch n"]
+    """Normalised weights."""
+    mean: Float[Tensor, "*batch n_q"]
+    covariance: Float[Tensor, "*batch n_q n_q"]
+    effective_sample_size: Float[Tensor, "*batch"]
+    surprise: Float[Tensor, "*batch"]
+    """By how many standard deviations the readings are too unlikely: :func:`surprise`."""
+    best_tenth: Float[Tensor, "*batch n_q"] | None
+    """Estimate of Mitchell et al. 2021 (:func:`best_tenth`), where it is asked for."""
+
+
+def weighed(
+    q: Float[Tensor, "*batch n n_q"],
+    error: Float[Tensor, "*batch n s"],
+    use: Bool[Tensor, "*batch s"],
+    noise_mt: float,
+    *,
+    top: bool,
+) -> Weighed:
+    """Weigh particles by the likelihood of the readings.
+
+    Parameters
+    ----------
+    q
+        Particles.
+    error
+        Predicted less measured readings of every particle, zero for sensors that are not in use.
+    use
+        Sensors in use.
+    noise_mt
+        Standard deviation of a reading.
+    top
+        Whether the mean of the best tenth is asked for.
+    """
+    log_w = log_weights(error, noise_mt)
+    w = weights(log_w)
+    mean, C = mean_and_covariance(q, w)
+    unlikely = surprise(error, use, noise_mt)
+    return Weighed(w, mean, C, effective_sample_size(w), unlikely, best_tenth(q, log_w) if top else None)
+
+
+def log_weights(error: Float[Tensor, "*batch n s"], noise_mt: float | Tensor) -> Float[Tensor, "*batch n"]:
+    """Logarithms of normalised weights, for errors of that standard deviation."""
+    return normalised((error * error).sum(-1) / (-2 * noise_mt**2))
 
 
 def mean_and_covariance(

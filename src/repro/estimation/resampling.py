@@ -65,13 +65,22 @@ def resample(
         If the scheme is unknown.
     """
     n = w.shape[-1]
-    if scheme == "multinomial":
-        points = np.sort(generator.random(n))
-    elif scheme == "systematic":
-        points = (np.arange(n) + generator.random()) / n
-    else:
-        raise bad_input("scheme", "resample", f"one of {', '.join(map(repr, SCHEMES))}", repr(scheme))
     edges = w.cumsum(-1)
-    at = torch.from_numpy(points).to(w) * edges[..., -1:]
+    at = torch.from_numpy(draws(n, scheme, generator)).to(w) * edges[..., -1:]
     # In low precision a point may round up to the last edge.
     return torch.searchsorted(edges, at, right=True).clamp_max(n - 1)
+
+
+def draws(n: int, scheme: str, generator: np.random.Generator) -> Float[np.ndarray, " n"]:
+    """Shares of the sum of all weights at which particles are drawn, increasing.
+
+    Raises
+    ------
+    InputError
+        If the scheme is unknown.
+    """
+    if scheme == "multinomial":
+        return np.sort(generator.random(n))
+    if scheme == "systematic":
+        return (np.arange(n) + generator.random()) / n
+    raise bad_input("scheme", "resample", f"one of {', '.join(map(repr, SCHEMES))}", repr(scheme))

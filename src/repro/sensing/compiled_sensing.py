@@ -96,13 +96,15 @@ class CompiledSensing:
         constants = array(moments), array(gain.reshape(-1, self.n_sensors)), array(earth.reshape(-1, 3))
         self.tables = Tables(links, *constants, angles, networks)
         self.n_q = robot.n_q
+        # Those of the last batch: an estimator asks for the same ones at every time step.
+        self._rows: tuple[torch.Size, np.ndarray] | None = None
         rank = max(map(len, self.batches))
         batch = self.batch(() if self.n_seeds is None else (self.n_seeds, *(1,) * rank))
         sensing(torch.zeros(*batch, self.n_q, dtype=torch.float64))  # refuses what does not fit
 
     def batch(self, *shapes: Sequence[int]) -> torch.Size:
         """Shape of the batch of results for operands with these batches."""
-        return torch.broadcast_shapes(*shapes, *self.batches)
+        return torch.Size(np.broadcast_shapes(*shapes, *self.batches))  # torch's own takes ten times as long
 
     def which(self, batch: torch.Size) -> np.ndarray:
         """Rows of the tables for every member of a batch: robot, field or seed, gain, Earth field.
@@ -112,6 +114,8 @@ class CompiledSensing:
         InputError
             If the first dimension of the batch is not that of the seeds.
         """
+        if self._rows is not None and self._rows[0] == batch:
+            return self._rows[1]
         columns = [
             torch.arange(shape.numel()).reshape(shape).expand(batch).flatten() for shape in self.batches
         ]
@@ -120,7 +124,8 @@ class CompiledSensing:
                 expected = f"of first dimension {self.n_seeds} (seeds)"
                 raise bad_input("q", "SeedEnsemble", expected, f"a batch of shape {tuple(batch)}")
             columns[1] = torch.arange(self.n_seeds).repeat_interleave(batch[1:].numel())
-        return torch.stack(columns, dim=-1).numpy()
+        self._rows = batch, torch.stack(columns, dim=-1).numpy()
+        return self._rows[1]
 
     def batch_of(self, owner: str, q: Tensor, u: Tensor, *others: Tensor) -> torch.Size:
         """Shape of the batch of configurations, readings and others that an estimator works on.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -153,7 +153,7 @@ class LinearisedSensing:
 
     def __call__(self, q: Float[Tensor, "*q n_q"]) -> Float[Tensor, "*batch s"]:
         """Return the predicted readings [mT] at configuration ``q``."""
-        return _WithJacobian.apply(q, self)[0]
+        return with_jacobian(q, self)
 
     def linearise(
         self, q: Float[Tensor, "*q n_q"]
@@ -188,11 +188,25 @@ def contract(gradient: Tensor, motion: Tensor) -> Tensor:
     return gradient.flatten(-2) @ motion.movedim(-2, -1).flatten(-3, -2)
 
 
+@runtime_checkable
+class Linearised(Protocol):
+    """A sensor model that knows its Jacobian."""
+
+    def linearise(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Predicted readings and their derivatives by ``q``."""
+        ...
+
+
+def with_jacobian(q: Tensor, sensing: Linearised) -> Tensor:
+    """Return readings; their backward pass multiplies with the Jacobian that ``sensing.linearise`` returns."""
+    return _WithJacobian.apply(q, sensing)[0]
+
+
 class _WithJacobian(torch.autograd.Function):
     """Readings whose backward pass multiplies with a Jacobian computed in the forward pass."""
 
     @staticmethod
-    def forward(q: Tensor, sensing: LinearisedSensing) -> tuple[Tensor, Tensor]:
+    def forward(q: Tensor, sensing: Linearised) -> tuple[Tensor, Tensor]:
         return sensing.linearise(q)
 
     @staticmethod

@@ -106,7 +106,7 @@ def train_paper(
         bar.set_postfix(rmse_mT=f"{loss**0.5:.4f}")
         _save(checkpoint, network, average, {"epoch": str(epoch + 1), "run": run})
     generator.manual_seed((seed << 32) + epochs)
-    _refresh_batch_norm(average, x)
+    refresh_batch_norm(average, x)
     average.eval()
     metrics = {"rmse_train": rmse(average, x, y), "rmse_validation": rmse(average, x_val, y_val)}
     return average, metrics
@@ -136,7 +136,7 @@ def _epoch(network: nn.Module, optimiser: torch.optim.Optimizer, x: Tensor, y: T
     return total / len(x)
 
 
-def _refresh_batch_norm(network: nn.Module, x: Tensor) -> None:
+def refresh_batch_norm(network: nn.Module, x: Tensor) -> None:
     """One pass over the training rows that replaces running statistics by plain averages over the batches."""
     norms = [m for m in network.modules() if isinstance(m, nn.BatchNorm1d)]
     momenta = [m.momentum for m in norms]

@@ -17,8 +17,8 @@ from repro.sensing.compiled_multipole import multipole
 from repro.sensing.compiled_relations import pairs, relate
 from repro.sensing.magnetic import EARTH_MT
 from repro.sensing.magnets import Ring, ring
-from repro.simulation.robots import SENSOR_RADIAL_M, pcc_robot
-from repro.simulation.training_set import BENDING_M, ELONGATION_M, RADIAL_M, TILT_RAD
+from repro.simulation.robots import pcc_robot
+from repro.simulation.training_set import ELONGATION_M, draw
 
 
 @dataclass(frozen=True)
@@ -71,29 +71,15 @@ def training_rows(
     """
     if samples < 1:
         raise bad_input("samples", "training_rows", "positive", samples)
-    generator = torch.Generator().manual_seed(seed)
-
-    def uniform(low: float, high: float, *shape: int) -> Tensor:
-        return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64)
-
-    bending = uniform(-BENDING_M, BENDING_M, samples, n_segments, 2)
-    elongation = uniform(0.0, elongation_m, samples, n_segments, 1)
-    q = torch.cat([bending, elongation], dim=-1).flatten(-2)
-    azimuth = uniform(0.0, 2 * math.pi / sensors_per_segment, samples)
-    if earth:
-        axis = uniform(-1.0, 1.0, samples, 3)
-        axis /= torch.linalg.vector_norm(axis, dim=-1, keepdim=True)
-        tilt, radial = torch.zeros_like(azimuth), torch.full_like(azimuth, SENSOR_RADIAL_M)
-    else:
-        axis = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
-        tilt, radial = uniform(-TILT_RAD, TILT_RAD, samples), uniform(*RADIAL_M, samples)
+    drawn = draw(seed, samples, n_segments, sensors_per_segment, earth=earth, elongation_m=elongation_m)
+    axis = torch.tensor([[1.0, 0.0, 0.0]]).double() if drawn.earth_axis is None else drawn.earth_axis
     robot = pcc_robot(n_segments, sensors_per_segment)
     links, _ = chain(robot, robot.magnets.joined(robot.sensors))
-    placements = torch.stack([azimuth, tilt, radial], dim=-1).numpy()
+    placements = torch.stack([drawn.azimuth, drawn.tilt, drawn.radial], dim=-1).numpy()
     moments = (magnet or ring("released")).multipoles(l_max)
     field = (moments, EARTH_MT if earth else 0.0, axis.numpy())
-    cosines, u = _rows(links, sensors_per_segment, q.numpy(), placements, field)
-    return TrainingRows(q, torch.from_numpy(cosines), torch.from_numpy(u))
+    cosines, u = _rows(links, sensors_per_segment, drawn.q.numpy(), placements, field)
+    return TrainingRows(drawn.q, torch.from_numpy(cosines), torch.from_numpy(u))
 
 
 @compiled()

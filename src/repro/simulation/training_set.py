@@ -52,6 +52,44 @@ class TrainingSet:
     u: Float[Tensor, "n s"]
 
 
+@dataclass(frozen=True)
+class Draws:
+    """What is random in a training set of section 3.2.
+
+    Parameters
+    ----------
+    q
+        Configurations [m].
+    azimuth, tilt, radial
+        Azimuth offset [rad], tilt [rad] and radius [m] of the sensors of each sample.
+    earth_axis
+        Direction of the Earth field; none without Earth field.
+    """
+
+    q: Float[Tensor, "n n_q"]
+    azimuth: Float[Tensor, " n"]
+    tilt: Float[Tensor, " n"]
+    radial: Float[Tensor, " n"]
+    earth_axis: Float[Tensor, "n 3"] | None
+
+
+def draw(
+    seed: int, samples: int, n_segments: int, sensors_per_segment: int, *, earth: bool, elongation_m: float
+) -> Draws:
+    """Draw configurations and placements. Parameters are those of :func:`training_set`."""
+    uniform = _uniform(seed)
+    bending = uniform(-BENDING_M, BENDING_M, samples, n_segments, 2)
+    elongation = uniform(0.0, elongation_m, samples, n_segments, 1)
+    q = torch.cat([bending, elongation], dim=-1).flatten(-2)
+    azimuth = uniform(0.0, 2 * math.pi / sensors_per_segment, samples)
+    if not earth:
+        tilt, radial = uniform(-TILT_RAD, TILT_RAD, samples), uniform(*RADIAL_M, samples)
+        return Draws(q, azimuth, tilt, radial, None)
+    axis = uniform(-1.0, 1.0, samples, 3)
+    axis /= torch.linalg.vector_norm(axis, dim=-1, keepdim=True)
+    return Draws(q, azimuth, torch.zeros_like(azimuth), torch.full_like(azimuth, SENSOR_RADIAL_M), axis)
+
+
 def training_set(
     n_segments: int,
     *,
@@ -93,22 +131,12 @@ def training_set(
     """
     if samples < 1:
         raise bad_input("samples", "training_set", "positive", samples)
-    uniform = _uniform(seed)
-    bending = uniform(-BENDING_M, BENDING_M, samples, n_segments, 2)
-    elongation = uniform(0.0, elongation_m, samples, n_segments, 1)
-    q = torch.cat([bending, elongation], dim=-1).flatten(-2)
-    azimuth = uniform(0.0, 2 * math.pi / sensors_per_segment, samples)
-    if earth:
-        earth_axis = uniform(-1.0, 1.0, samples, 3)
-        earth_axis /= torch.linalg.vector_norm(earth_axis, dim=-1, keepdim=True)
-        tilt, radial = torch.zeros(samples), torch.full((samples,), SENSOR_RADIAL_M, dtype=torch.float64)
-    else:
-        earth_axis = None
-        tilt, radial = uniform(-TILT_RAD, TILT_RAD, samples), uniform(*RADIAL_M, samples)
-    robot = pcc_robot(n_segments, sensors_per_segment, tilt=tilt, radial=radial, azimuth_offset=azimuth)
-    earth_mt = None if earth_axis is None else EARTH_MT * earth_axis
-    u = readings(robot, q, magnet or ring("released"), earth_mt=earth_mt)
-    return TrainingSet(robot, q, earth_axis, u)
+    drawn = draw(seed, samples, n_segments, sensors_per_segment, earth=earth, elongation_m=elongation_m)
+    placed = {"tilt": drawn.tilt, "radial": drawn.radial, "azimuth_offset": drawn.azimuth}
+    robot = pcc_robot(n_segments, sensors_per_segment, **placed)
+    earth_mt = None if drawn.earth_axis is None else EARTH_MT * drawn.earth_axis
+    u = readings(robot, drawn.q, magnet or ring("released"), earth_mt=earth_mt)
+    return TrainingSet(robot, drawn.q, drawn.earth_axis, u)
 
 
 def affine_training_set(
@@ -147,7 +175,7 @@ def affine_training_set(
 def _uniform(seed: int) -> Callable[..., Tensor]:
     generator = torch.Generator().manual_seed(seed)
 
-    def draw(low: float, high: float, *shape: int) -> Tensor:
+    def uniform(low: float, high: float, *shape: int) -> Tensor:
         return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64)
 
-    return draw
+    return uniform

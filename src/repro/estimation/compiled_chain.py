@@ -1,0 +1,108 @@
+r"""The chain of Martin et al. 2022 between IMUs, compiled: `repro.estimation.imu_models.pcc_extended` in one pass.
+
+Of the turn from one IMU to the next the unit quaternion :math:`(v, w)` is at hand, with
+:math:`|v| = \sin(\varphi/2)`. So a whole link takes no trigonometric function of :math:`\varphi/2`, and with
+:math:`\theta = \varphi/2n` the factor of its first :math:`k` sub-segments is :math:`\sin(k\theta)/(k\sin\theta)`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from repro.compilation import compiled
+from repro.estimation.imu_arcs import place
+from repro.estimation.orientations import UNIT_TOLERANCE
+
+_SMALL = 1e-300  # a sine this small turns nothing, and can be divided by
+_TINY = 1e-150  # its square cannot
+
+
+def positions(
+    orientations: np.ndarray, lengths: np.ndarray, points: np.ndarray, sub_links: int
+) -> np.ndarray | None:
+    """Positions ``[*samples, points, 3]`` on a chain, or nothing if a quaternion is not unit within the tolerance.
+
+    Parameters
+    ----------
+    orientations
+        Quaternions XYZW ``[*samples, links + 1, 4]``.
+    lengths
+        Of the links [m].
+    points
+        Arc lengths [m] on the chain.
+    sub_links
+        Sub-segments of each link.
+    """
+    q = np.ascontiguousarray(orientations, dtype=np.float64)
+    samples = q.shape[:-2]
+    link, share = place(lengths, points)
+    order = np.argsort(link, kind="stable")
+    out = np.empty((*samples, len(points), 3))
+    flat = q.reshape(-1, *q.shape[-2:])
+    rows = out.reshape(-1, len(points), 3)
+    good = _chain(flat, lengths, order, link, share, sub_links, UNIT_TOLERANCE, rows)
+    return out if good else None
+
+
+@compiled()
+def _chain(q, lengths, order, link, share, n, tolerance, out):
+    """Walk up the chain of every sample; false if a quaternion is not unit."""
+    n_points, n_links = len(order), len(lengths)
+    for m in range(len(q)):
+        x_0, y_0, z_0 = 0.0, 0.0, 0.0  # start of the link
+        ax, ay, az, aw, error = _unit(q[m, 0])
+        if not error <= tolerance:
+            return False
+        p = 0
+        for k in range(n_links):
+            bx, by, bz, bw, error = _unit(q[m, k + 1])
+            if not error <= tolerance:
+                return False
+            dx, dy, dz = 2.0 * (ax * az + ay * aw), 2.0 * (ay * az - ax * aw), 1.0 - 2.0 * (ax * ax + ay * ay)
+            # The turn b a^-1, by the shorter way round.
+            vx = -bw * ax + bx * aw - by * az + bz * ay
+            vy = -bw * ay + bx * az + by * aw - bz * ax
+            vz = -bw * az - bx * ay + by * ax + bz * aw
+            w = bw * aw + bx * ax + by * ay + bz * az
+            if w < 0.0:
+                vx, vy, vz, w = -vx, -vy, -vz, -w
+            sine = max(math.sqrt(vx * vx + vy * vy + vz * vz), _SMALL)
+            angle = math.atan2(sine, w) / n
+            single, straight = math.sin(angle), math.cos(angle)
+            ahead = vx * dx + vy * dy + vz * dz
+            S = sine / (n * single)
+            along = (1.0 - S * w) / (sine * sine) * ahead if sine > _TINY else 0.0
+            step_x = S * (w * dx + vy * dz - vz * dy) + along * vx
+            step_y = S * (w * dy + vz * dx - vx * dz) + along * vy
+            step_z = S * (w * dz + vx * dy - vy * dx) + along * vz
+            ux, uy, uz, length, per_side = vx / sine, vy / sine, vz / sine, lengths[k], 1.0 / (n * single)
+            nx, ny, nz = uy * dz - uz * dy, uz * dx - ux * dz, ux * dy - uy * dx
+            ahead = ux * dx + uy * dy + uz * dz
+            while p < n_points and link[order[p]] == k:
+                at = order[p]
+                p += 1
+                t = share[at]
+                whole, side, cosine = min(int(t * n), n - 1), 0.0, 1.0
+                for _ in range(whole):  # sine and cosine of the whole sub-segments' angle
+                    side, cosine = side * straight + cosine * single, cosine * straight - side * single
+                next_side = side * straight + cosine * single
+                next_cosine = cosine * straight - side * single
+                rest, S = t - whole / n, side * per_side
+                cross = S * side + rest * (side * next_cosine + cosine * next_side)
+                level = S * cosine + rest * (cosine * next_cosine - side * next_side)
+                along = (t - level) * ahead
+                out[m, at, 0] = x_0 + length * (level * dx + cross * nx + along * ux)
+                out[m, at, 1] = y_0 + length * (level * dy + cross * ny + along * uy)
+                out[m, at, 2] = z_0 + length * (level * dz + cross * nz + along * uz)
+            x_0, y_0, z_0 = x_0 + length * step_x, y_0 + length * step_y, z_0 + length * step_z
+            ax, ay, az, aw = bx, by, bz, bw
+    return True
+
+
+@compiled()
+def _unit(q):
+    """Components of a quaternion rescaled to unit length, and how far its norm was from 1."""
+    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm, abs(norm - 1.0)

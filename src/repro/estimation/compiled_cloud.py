@@ -1,0 +1,279 @@
+"""The cloud of a particle filter compiled: weigh, resample and move, for one cube on a bent arc.
+
+The draws come from the caller, so that the same seed gives the particles of the torch filter: to rounding and the
+error of the series for the field, below 1e-8 mT for the cube and the arc of Mitchell et al. 2021.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from repro.compilation import compiled
+from repro.errors import bad_input
+from repro.estimation.particle_cloud import Weighed
+from repro.estimation.regions import Disc
+from repro.estimation.resampling import draws
+from repro.sensing.bend_sensor import BendSensor
+from repro.sensing.compiled_bend import CompiledBendSensor
+from repro.sensing.compiled_bend_series import bend_series, series_field
+
+_FLOOR = math.sqrt(2.0**-1022)
+"""Smallest weight: its square is no denormal number."""
+_LOG_FLOOR = math.log(_FLOOR)
+
+
+class CompiledCloud:
+    """Weighs and moves the particles of a filter whose model is a bent arc.
+
+    Parameters
+    ----------
+    sensing
+        :class:`~repro.sensing.bend_sensor.BendSensor`, or the compiled one.
+    region
+        :class:`~repro.estimation.regions.Disc` that particles never leave.
+
+    Raises
+    ------
+    InputError
+        If model or region are others, or the series for the field is not good enough over the region.
+    """
+
+    def __init__(self, sensing: Callable[[Tensor], Tensor], region: Any) -> None:
+        if not isinstance(sensing, BendSensor | CompiledBendSensor):
+            expected = "BendSensor or CompiledBendSensor for backend='compiled'"
+            raise bad_input("sensing", "ParticleFilter", expected, type(sensing).__name__)
+        if not isinstance(region, Disc):
+            received = None if region is None else type(region).__name__
+            raise bad_input("region", "ParticleFilter", "Disc for backend='compiled'", received)
+        self.exact = CompiledBendSensor(sensing.length, sensing.cube)
+        self.series = bend_series(sensing.length, region.radius, sensing.cube)
+
+    def weigh(
+        self,
+        q: Float[Tensor, "*q n 2"],
+        u: Float[Tensor, "*u 3"],
+        use: Bool[Tensor, "*u 3"],
+        noise_mt: float,
+        *,
+        top: bool,
+    ) -> Weighed:
+        """Weigh particles, as :func:`repro.estimation.particle_cloud.weighed` does from their errors."""
+        batch, n = _batch(q.shape[:-2], u.shape[:-1]), q.shape[-2]
+        flat, u_, use_ = _rows(q, batch, 2), _rows(u, batch, 1), _rows(use, batch, 1)
+        w, mean, C = np.empty((len(flat), n)), np.empty((len(flat), 2)), np.empty((len(flat), 2, 2))
+        ess, unlikely, best = np.empty(len(flat)), np.empty(len(flat)), np.empty((len(flat), 2))
+        keep = math.ceil(n / 10) if top else 0
+        series = (self.series.coefficients, self.series.reach)
+        _weigh(flat, u_, use_, float(noise_mt), *series, keep, w, mean, C, ess, unlikely, best)
+
+        def back(x: np.ndarray) -> Tensor:
+            return torch.from_numpy(x.reshape((*batch, *x.shape[1:]))).to(q)
+
+        return Weighed(back(w), back(mean), back(C), back(ess), back(unlikely), back(best) if top else None)
+
+    def move(
+        self,
+        q: Float[Tensor, "*q n 2"],
+        velocity: Float[Tensor, "*q n 2"] | None,
+        w: Float[Tensor, "*batch n"],
+        width: Float[Tensor, "*noise 2"],
+        resampling: str,
+        generator: np.random.Generator,
+        limit: int,
+    ) -> tuple[Float[Tensor, "*batch n 2"], Float[Tensor, "*batch n 2"]]:
+        """Draw particles by their weights and move them; noise that leads outside is drawn again.
+
+        Parameters
+        ----------
+        q, velocity, w
+            Particles, their velocities when they carry any, and their weights.
+        width
+            Standard deviation of the noise.
+        resampling
+            Scheme of :func:`repro.estimation.resampling.resample`.
+        generator
+            Draws as for the torch filter: the shares at which particles are drawn, then noise as often as needed.
+        limit
+            Largest number of draws of noise; particles still outside then stay where they were.
+
+        Returns
+        -------
+        tuple
+            Particles and the velocities that brought them there.
+        """
+        batch, n = _batch(q.shape[:-2], w.shape[:-1], width.shape[:-1]), q.shape[-2]
+        old, w_, width_ = _rows(q, batch, 2), _rows(w, batch, 1), _rows(width, batch, 1)
+        drift = np.zeros((0, n, 2)) if velocity is None else _rows(velocity, batch, 2)
+        start, moved = np.empty((len(old), n, 2)), np.zeros((len(old), n, 2))
+        outside, drawn = np.ones((len(old), n), dtype=np.bool_), np.empty((len(old), n), dtype=np.int64)
+        _draw(old, w_, draws(n, resampling, generator), drawn, start)
+        for _ in range(limit):
+            if not _move(
+                start,
+                drift,
+                drawn,
+                generator.standard_normal((n, 2)),
+                width_,
+                self.series.reach,
+                outside,
+                moved,
+            ):
+                break
+        else:
+            moved[outside] = 0.0
+        following, moved = (torch.from_numpy(x.reshape((*batch, n, 2))).to(q) for x in (start + moved, moved))
+        return following, moved
+
+
+def _batch(*shapes: torch.Size) -> torch.Size:
+    """Shape that batches broadcast to. Most often they are equal, and torch takes longer than a small cloud."""
+    first = shapes[0]
+    return first if all(shape == first for shape in shapes) else torch.broadcast_shapes(*shapes)
+
+
+def _rows(x: Tensor, batch: torch.Size, own: int) -> np.ndarray:
+    """Members of a batch one after the other, contiguous; the last ``own`` dimensions are theirs."""
+    split = x.ndim - own
+    shape = x.shape[split:]
+    if x.shape[:split] != batch:
+        x = x.expand(*batch, *shape)
+    flat = x.detach().numpy() if x.device.type == "cpu" else x.detach().cpu().numpy()
+    dtype = np.bool_ if x.dtype == torch.bool else np.float64
+    return np.ascontiguousarray(flat, dtype=dtype).reshape(-1, *shape)
+
+
+@compiled(reorder=True)
+def _weigh(q, u, use, noise, coefficients, reach, keep, w, mean, C, ess, unlikely, top):
+    """Weigh every member of a flat batch; the last six arguments are overwritten."""
+    n = q.shape[1]
+    x, y, d, e, scratch = np.empty(n), np.empty(n), np.empty(n), np.empty((3, n)), np.empty((5, n))
+    for m in range(len(q)):
+        for i in range(n):
+            x[i], y[i], d[i] = q[m, i, 0], q[m, i, 1], 0.0
+        series_field(x, y, coefficients, reach, scratch, e)
+        for s in range(3):
+            if use[m, s]:
+                reading, error = u[m, s], e[s]
+                for i in range(n):
+                    error[i] -= reading
+                    d[i] += error[i] * error[i]
+            else:
+                e[s] = 0.0
+        unlikely[m] = _surprise(e, use[m], noise)
+        total, least, share_of, scale = 0.0, np.min(d), w[m], -0.5 / (noise * noise)
+        for i in range(n):
+            log_w = scale * (d[i] - least)
+            # Far below the floor there is nothing to compute.
+            share_of[i] = math.exp(log_w) if log_w > 2.0 * _LOG_FLOOR else 0.0
+            total += share_of[i]
+        squares, mean_x, mean_y, scale = 0.0, 0.0, 0.0, 1.0 / total
+        for i in range(n):
+            share = max(scale * share_of[i], _FLOOR)
+            share_of[i] = share
+            squares += share * share
+            mean_x += share * x[i]
+            mean_y += share * y[i]
+        xx, xy, yy = 0.0, 0.0, 0.0
+        for i in range(n):
+            share, off_x, off_y = share_of[i], x[i] - mean_x, y[i] - mean_y
+            xx += share * off_x * off_x
+            xy += share * off_x * off_y
+            yy += share * off_y * off_y
+        ess[m], mean[m, 0], mean[m, 1] = 1.0 / squares, mean_x, mean_y
+        C[m, 0, 0], C[m, 0, 1], C[m, 1, 0], C[m, 1, 1] = xx, xy, xy, yy
+        if keep > 0:
+            _best(x, y, d, keep, top[m])
+
+
+@compiled(reorder=True)
+def _surprise(e, use, noise):
+    """By how many standard deviations the readings are too unlikely: see ``particle_cloud.surprise``."""
+    n, dof = e.shape[1], 0
+    m, S = np.empty(3), np.empty((3, 3))
+    for s in range(3):
+        dof += 1 if use[s] else 0
+        m[s] = np.sum(e[s]) / n
+    for s in range(3):
+        for t in range(s + 1):
+            total, m_s, m_t = 0.0, m[s], m[t]
+            for i in range(n):
+                total += (e[s, i] - m_s) * (e[t, i] - m_t)
+            S[s, t] = total / n + (noise * noise if s == t else 0.0)
+    squared = 0.0
+    for s in range(3):  # Cholesky's factor in place, and the square of its inverse times the mean
+        for t in range(s + 1):
+            for k in range(t):
+                S[s, t] -= S[s, k] * S[t, k]
+            S[s, t] = S[s, t] / S[t, t] if t < s else math.sqrt(S[s, s])
+        for t in range(s):
+            m[s] -= S[s, t] * m[t]
+        m[s] /= S[s, s]
+        squared += m[s] * m[s]
+    spread = 2.0 / (9.0 * dof)
+    return ((squared / dof) ** (1.0 / 3.0) - 1.0 + spread) / math.sqrt(spread)
+
+
+@compiled(reorder=True)
+def _best(x, y, d, keep, top):
+    """Mean angle towards the mean direction of the ``keep`` best particles: see ``particle_cloud.best_tenth``."""
+    limit = np.partition(d, keep - 1)[keep - 1]
+    ties = keep
+    for i in range(len(d)):
+        ties -= 1 if d[i] < limit else 0
+    angle, direction_x, direction_y = 0.0, 0.0, 0.0
+    for i in range(len(d)):
+        if d[i] > limit or (d[i] == limit and ties <= 0):
+            continue
+        ties -= 1 if d[i] == limit else 0
+        length = math.sqrt(x[i] * x[i] + y[i] * y[i])
+        angle += length
+        if length > 0.0:
+            direction_x += x[i] / length
+            direction_y += y[i] / length
+    length = math.sqrt(direction_x * direction_x + direction_y * direction_y)
+    share = angle / keep / length if length > 0.0 else 0.0
+    top[0], top[1] = share * direction_x, share * direction_y
+
+
+@compiled()
+def _draw(q, w, points, drawn, start):
+    """Particles whose share of the cumulated weights holds each point: one pass over both."""
+    n = len(points)
+    edges = np.empty(n)
+    for m in range(len(q)):
+        total = 0.0
+        for i in range(n):
+            total += w[m, i]
+            edges[i] = total
+        k = 0
+        for i in range(n):
+            at = points[i] * total
+            while k < n - 1 and edges[k] <= at:
+                k += 1
+            drawn[m, i] = k
+            start[m, i, 0], start[m, i, 1] = q[m, k, 0], q[m, k, 1]
+
+
+@compiled()
+def _move(start, drift, drawn, noise, width, reach, outside, moved):
+    """Move all that are outside once more, and count those that still are."""
+    n_outside = 0
+    for m in range(len(start)):
+        for i in range(start.shape[1]):
+            if not outside[m, i]:
+                continue
+            dx, dy = width[m, 0] * noise[i, 0], width[m, 1] * noise[i, 1]
+            if len(drift) > 0:
+                dx, dy = dx + drift[m, drawn[m, i], 0], dy + drift[m, drawn[m, i], 1]
+            moved[m, i, 0], moved[m, i, 1] = dx, dy
+            x, y = start[m, i, 0] + dx, start[m, i, 1] + dy
+            outside[m, i] = not x * x + y * y <= reach * reach
+            n_outside += 1 if outside[m, i] else 0
+    return n_outside

@@ -1,0 +1,79 @@
+r"""Arcs and chains of sub-segments between IMUs by one closed form, vectorised.
+
+On a link of length :math:`L` the orientation turns from IMU to IMU about a fixed axis :math:`a` by the angle
+:math:`\varphi`; its tangent at the fraction :math:`t` is :math:`d(t) = e^{t\varphi[a]_\times} d(0)`. With
+:math:`\mathrm{sinc}\,x = \sin x/x`, the sum of equation (5) over the first :math:`k = tn` of :math:`n`
+sub-segments is a geometric series in :math:`e^{\varphi[a]_\times/n}`, and its value is
+
+.. math:: x(t) = L\,t\,\bigl(S\, d(t/2) + (1 - S)\,(a \cdot d(0))\,a\bigr),
+          \qquad S = \frac{\mathrm{sinc}(t\varphi/2)}{\mathrm{sinc}(\varphi/2n)},
+
+which tends to the arc of constant curvature (and torsion) as :math:`n \to \infty`, where the denominator
+becomes 1: the left Jacobian of SO(3) applied to :math:`L t\, d(0)`. The joints of the chain lie on that arc,
+widened by the factor :math:`1/\mathrm{sinc}(\varphi/2n) = 1 + \varphi^2/24n^2 + O(n^{-4})` across the axis.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from repro.estimation.orientations import axis_and_angle, tangents, turn_between
+
+
+def positions(
+    q: Float[np.ndarray, "*samples imus 4"],
+    lengths: Float[np.ndarray, " links"],
+    points: Float[np.ndarray, " points"],
+    n: int,
+) -> Float[np.ndarray, "*samples points 3"]:
+    """Positions on arcs (``n = 0``) or on chains of ``n`` sub-segments per link.
+
+    Parameters
+    ----------
+    q
+        Unit quaternions XYZW, link frame to world; one more than there are links.
+    lengths
+        Of the links [m].
+    points
+        Arc lengths [m] from the base, on the chain.
+    n
+        Sub-segments of each link.
+    """
+    d = tangents(q[..., :-1, :])
+    axis, angle = axis_and_angle(turn_between(q[..., :-1, :], q[..., 1:, :]))
+    steps = lengths[:, None] * _chord(d, axis, angle, np.ones_like(lengths), n)
+    starts = np.cumsum(steps, axis=-2) - steps
+    link, share = place(lengths, points)
+    d, axis, angle = d[..., link, :], axis[..., link, :], angle[..., link]
+    joint = np.minimum(np.floor(share * n), n - 1) / n if n else share
+    within = joint[:, None] * _chord(d, axis, angle, joint, n)
+    if n:
+        within = within + (share - joint)[:, None] * _turned(d, axis, angle * (joint + 0.5 / n))
+    return starts[..., link, :] + lengths[link, None] * within
+
+
+def place(
+    lengths: Float[np.ndarray, " links"], points: Float[np.ndarray, " points"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Link of each point, and the share of that link before it."""
+    ends = np.cumsum(lengths)
+    link = np.minimum(np.searchsorted(ends, points), len(lengths) - 1)
+    return link, np.clip((points - ends[link]) / lengths[link] + 1.0, 0.0, 1.0)
+
+
+def _chord(d: np.ndarray, axis: np.ndarray, angle: np.ndarray, share: np.ndarray, n: int) -> np.ndarray:
+    """Displacement per arc length from the start of a link to a share of it; see the head of this module."""
+    s = np.sinc(share * angle / (2 * np.pi)) / (np.sinc(angle / (2 * np.pi * n)) if n else 1.0)
+    along = (axis * d).sum(axis=-1, keepdims=True) * axis
+    return s[..., None] * _turned(d, axis, angle * share / 2) + (1 - s)[..., None] * along
+
+
+def _turned(d: np.ndarray, axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Rodrigues' formula."""
+    sine, cosine = np.sin(angle)[..., None], np.cos(angle)[..., None]
+    x, y, z = np.moveaxis(axis, -1, 0)
+    a, b, c = np.moveaxis(d, -1, 0)
+    across = np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=-1)
+    along = (x * a + y * b + z * c)[..., None] * axis
+    return cosine * d + sine * across + (1 - cosine) * along

@@ -1,0 +1,94 @@
+"""Rotation vectors against SciPy, at zero and near pi; the readings of two IMUs and their derivatives."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from repro.errors import InputError
+from repro.kinematics.mounts import magnet_mounts
+from repro.sensing.orientation_readings import (
+    OrientationReadings,
+    left_jacobian,
+    rotation_matrix,
+    rotation_vector,
+)
+from repro.simulation.robots import LENGTH_M, RADIUS_M, pcc_robot
+
+ANGLES = (0.0, 1e-12, 1e-8, 1e-4, 0.19, 0.21, 1.0, 2.0, 3.0, math.pi - 1e-3, math.pi - 1e-7)
+
+
+def vectors(angle, n=40, seed=0):
+    v = np.random.default_rng(seed).standard_normal((n, 3))
+    return torch.from_numpy(angle * v / np.linalg.norm(v, axis=1, keepdims=True))
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_there_and_back_to_rounding(angle):
+    v = vectors(angle)
+    R = rotation_matrix(v)
+    np.testing.assert_allclose(R, Rotation.from_rotvec(v.numpy()).as_matrix(), atol=4e-15)
+    np.testing.assert_allclose(rotation_vector(R), v, atol=4e-15 + 4e-15 * angle, rtol=1e-14)
+
+
+def test_axes_at_exactly_half_a_turn():
+    for axis in torch.eye(3, dtype=torch.float64):
+        found = rotation_vector(2 * axis.outer(axis) - torch.eye(3, dtype=torch.float64))
+        torch.testing.assert_close(found.abs(), math.pi * axis)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-8, 0.2, 1.0, 3.0])
+def test_derivatives_of_the_chart(angle):
+    v = vectors(angle, n=3)
+    for one in v:
+        back = torch.func.jacrev(lambda x: rotation_vector(rotation_matrix(x)))(one)
+        torch.testing.assert_close(back, torch.eye(3, dtype=torch.float64), atol=1e-11, rtol=0)
+        R = rotation_matrix(one)
+        small = torch.func.jacrev(lambda x, R=R: rotation_vector(rotation_matrix(x) @ R.T))(one)
+        torch.testing.assert_close(left_jacobian(one), small, atol=1e-11, rtol=0)
+
+
+def test_a_small_turn_across_is_seen_larger_by_half_the_angle_over_its_sine():
+    theta, small = math.pi / 2, 1e-6
+    R = rotation_matrix(torch.tensor([theta, 0.0, 0.0], dtype=torch.float64))
+    turn = rotation_matrix(torch.tensor([0.0, small, 0.0], dtype=torch.float64))
+    seen = (rotation_vector(turn @ R) - rotation_vector(R)).norm() / small
+    assert float(seen) == pytest.approx(theta / 2 / math.sin(theta / 2), rel=1e-5)
+
+
+def test_a_segment_of_constant_curvature_reads_its_bending_linearly():
+    sensing = OrientationReadings(pcc_robot(1), magnet_mounts([0, 0], [0.0, LENGTH_M]))
+    q = torch.tensor([[0.01, -0.004, 0.001], [0.0, 0.0, 0.005], [-0.02, 0.02, 0.0]], dtype=torch.float64)
+    expected = torch.stack([-q[:, 1], q[:, 0], 0 * q[:, 0]], dim=-1) / RADIUS_M
+    torch.testing.assert_close(sensing(q), expected, atol=1e-14, rtol=0)
+
+
+@pytest.mark.parametrize("batch", [(), (4,), (2, 1, 3)])
+@pytest.mark.parametrize("bend", [0.0, 0.01])
+def test_closed_form_derivatives(batch, bend):
+    robot = pcc_robot(2)
+    sensing = OrientationReadings(robot, magnet_mounts([0, 0, 1], [0.0, LENGTH_M, 0.7 * LENGTH_M]))
+    g = torch.Generator().manual_seed(0)
+    q = bend * torch.randn(*batch, 6, generator=g, dtype=torch.float64)
+    left, right = (0.2 * torch.randn(*batch, 6, generator=g, dtype=torch.float64) for _ in range(2))
+    u, *slopes = sensing.linearise(q, left, right)
+    torch.testing.assert_close(u, sensing(q, left, right), atol=1e-13, rtol=0)
+
+    flat = [x.reshape(-1, 6) for x in (q, left, right)]
+    for k, slope in enumerate(slopes):
+        expected = torch.stack(
+            [torch.func.jacrev(sensing, argnums=k)(*one) for one in zip(*flat, strict=True)]
+        )
+        torch.testing.assert_close(slope.reshape(expected.shape), expected, atol=1e-11, rtol=1e-11)
+
+
+def test_bad_input():
+    robot = pcc_robot(1)
+    with pytest.raises(InputError, match="imus of OrientationReadings must be at least two sensors; instead"):
+        OrientationReadings(robot, magnet_mounts([0], [0.0]))
+    sensing = OrientationReadings(robot, magnet_mounts([0, 0], [0.0, LENGTH_M]))
+    q = torch.zeros(3, dtype=torch.float64)
+    with pytest.raises(InputError, match="left of OrientationReadings must be of last dimension 3"):
+        sensing(q, q[:2])
