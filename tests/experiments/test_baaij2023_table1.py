@@ -12,6 +12,7 @@ from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.experiments import baaij2023_table1 as table1
 from repro.experiments.baaij2023_scorecard import SETTING, scorecard_rows, setting
+from repro.experiments.baaij2023_table1_rows import ROWS, groups, rows_named, simulate
 from repro.experiments.baaij2023_training import NetworkSpec
 from repro.report.project import find_project
 from repro.report.published import read_published
@@ -32,15 +33,15 @@ def untrained(n_segments, seeds):
 def test_rows_are_those_of_the_published_table():
     published = read_published(find_project().published)
     wanted = {key.row for key in published if key.artefact == "Table 1"}
-    assert {name for row in table1.ROWS for name in (row.name, *row.same_as)} == wanted
-    assert len(table1.ROWS) == 11
+    assert {name for row in ROWS for name in (row.name, *row.same_as)} == wanted
+    assert len(ROWS) == 11
 
 
 def test_every_column_of_the_table_is_filled():
     published = {key for key in read_published(find_project().published) if key.artefact == "Table 1"}
     errors = [
         {"row": row.name, "seed": seed, "quantity": quantity, "unit": unit, "error": 1.0 + seed}
-        for row in table1.ROWS
+        for row in ROWS
         for seed in (0, 1, 2)
         for quantity, unit in [("e_u", "mT"), *((c, "%") for c in row.robot().coordinates)]
     ]
@@ -55,8 +56,8 @@ def test_every_column_of_the_table_is_filled():
 
 
 def test_batched_rows_read_what_each_row_reads_alone():
-    rows = table1.rows_named(["n_b=3", "n_s=6", "n_s=18", "psi_s=10deg", "d_s_r=16mm"])
-    simulation = table1.simulate(rows, steps=7)
+    rows = rows_named(["n_b=3", "n_s=6", "n_s=18", "psi_s=10deg", "d_s_r=16mm"])
+    simulation = simulate(rows, steps=7)
     assert simulation.mask.sum(-1).tolist() == [9, 6, 18, 9, 9]
     for k, row in enumerate(rows):
         alone = readings(row.robot(), simulation.q, ring("released"))
@@ -65,9 +66,9 @@ def test_batched_rows_read_what_each_row_reads_alone():
 
 def test_batch_of_rows_and_seeds_equals_each_row_and_seed_alone():
     """Padding, masks and stacked networks change nothing: against PerSensor and one row at a time."""
-    rows = table1.rows_named(["n_b=3", "n_s=6", "n_s=12"])
+    rows = rows_named(["n_b=3", "n_s=6", "n_s=12"])
     networks = untrained(3, 2)
-    simulation = table1.simulate(rows, steps=3)
+    simulation = simulate(rows, steps=3)
     model = SeedEnsemble(networks, [i for i in range(3) for _ in range(4)])
     estimates, predicted = table1.paper_method(simulation, model, 2, iterations=4)
     errors = table1.errors(simulation, estimates, predicted, (0, 1))
@@ -90,15 +91,15 @@ def test_batch_of_rows_and_seeds_equals_each_row_and_seed_alone():
 
 
 def test_error_of_a_perfect_estimate_is_zero():
-    rows = table1.rows_named(["n_b=1"])
-    simulation = table1.simulate(rows, steps=20)
+    rows = rows_named(["n_b=1"])
+    simulation = simulate(rows, steps=20)
     perfect = table1.Trajectory(simulation.q[:, None, None], None, simulation.u[:, None], {})
     errors = table1.errors(simulation, perfect, simulation.u[None], (0,))
     assert errors["error"].tolist() == [0.0] * 4
 
 
 def test_rows_are_grouped_by_their_networks():
-    names = [[row.name for row in group] for group in table1.groups(table1.ROWS)]
+    names = [[row.name for row in group] for group in groups(ROWS)]
     assert names == [
         ["n_b=1"],
         ["n_b=2"],
@@ -111,9 +112,9 @@ def test_whole_run_with_networks_from_files(tmp_path):
     for seed, networks in enumerate(untrained(1, 2)):
         spec = NetworkSpec(1, 0, False, seed)
         save_weights(networks[0], tmp_path / f"{spec.name}.safetensors", {"recipe": "paper"})
-    assert [row.name for row in table1.available(table1.ROWS, tmp_path, (0, 1))] == ["n_b=1"]
-    assert table1.available(table1.ROWS, tmp_path) == ()  # seed 2 is not there
-    table = table1.run(table1.rows_named(["n_b=1"]), (0, 1), tmp_path, steps=3, iterations=2, jobs=1)
+    assert [row.name for row in table1.available(ROWS, tmp_path, (0, 1))] == ["n_b=1"]
+    assert table1.available(ROWS, tmp_path) == ()  # seed 2 is not there
+    table = table1.run(rows_named(["n_b=1"]), (0, 1), tmp_path, steps=3, iterations=2, jobs=1)
     assert list(table.columns) == ["row", "seed", "quantity", "unit", "error"]
     assert len(table) == 2 * 4
     assert table["error"].map(math.isfinite).all()
@@ -131,7 +132,7 @@ def test_setting_names_what_differs_from_the_released_code():
     ("call", "message"),
     [
         (
-            lambda: table1.rows_named(["n_b=4"]),
+            lambda: rows_named(["n_b=4"]),
             r"Input rows of Table 1 must be among .*; instead received \['n_b=4'\].",
         ),
         (

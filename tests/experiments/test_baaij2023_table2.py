@@ -8,11 +8,21 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from scipy.signal import lfilter
 
 from repro.errors import InputError
+from repro.estimation.base import track
+from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.experiments import baaij2023_rig_training
 from repro.experiments import baaij2023_table2 as table2
-from repro.experiments.baaij2023_rig_training import RigSpec, rig_networks, rig_specs, train_rig
+from repro.experiments.baaij2023_rig_training import (
+    RigSpec,
+    nominal_training_part,
+    rig_networks,
+    rig_specs,
+    train_rig,
+)
+from repro.experiments.baaij2023_table2_data import load_recordings
 from repro.experiments.baaij2023_table2_figures import (
     beside,
     landscape,
@@ -23,14 +33,10 @@ from repro.experiments.baaij2023_table2_figures import (
     stills,
     trajectories_table,
 )
-from repro.experiments.baaij2023_table2_ours import (
-    OursConfig,
-    correlation_s,
-    degrees,
-    estimate_bend,
-    fit_map,
-)
+from repro.experiments.baaij2023_table2_map import DEGREE, correlation_s, degrees, fit_map
+from repro.experiments.baaij2023_table2_ours import OursConfig, estimate_bend
 from repro.experiments.baaij2023_table2_scorecard import table_2_rows, table_2_setting
+from repro.experiments.compiled_rig_filter import filter_bank
 from repro.recordings.baaij2023 import Recording
 from repro.report.project import find_project
 from repro.report.published import read_published
@@ -55,10 +61,17 @@ def linear_twin(q, bias=0.0):
     return Recording("toy", np.arange(len(q)), q, LEVEL + q[:, :2] @ SLOPES + bias)
 
 
+def noisy(recording, seed=0):
+    """With white noise of 0.5 mV, and of 0.02 mm on the elongation."""
+    g = np.random.default_rng(seed)
+    q = recording.q + [0.0, 0.0, 2e-5] * g.standard_normal(recording.q.shape)
+    return replace(recording, q=q, u=recording.u + 0.5 * g.standard_normal(recording.u.shape))
+
+
 @cache
 def short_data():
     """Two minutes of T5 and of T3 of the nominal twin; synthetic."""
-    return table2.load_recordings("twin", trajectories=("T3", "T5"), longest_s=60.0)
+    return load_recordings("twin", trajectories=("T3", "T5"), longest_s=60.0)
 
 
 class TestErrors:
@@ -85,20 +98,25 @@ class TestErrors:
 
 class TestOurs:
     def test_exact_where_readings_are_linear_and_without_noise(self):
-        bend_map = fit_map(linear_twin(spiral(2000)), OursConfig(degree=1))
-        test = linear_twin(spiral(400, seed=1))
-        run = estimate_bend(bend_map, test.u, OursConfig(degree=1))
-        assert np.abs(run.q - test.q[:, :2]).max() < 1e-12
-        assert np.abs(run.bias_mv).max() < 1e-9
+        bend_map = fit_map(linear_twin(spiral(2000)), degree=1)
+        test = linear_twin(spiral(2000, seed=1)[:400])
+        run = estimate_bend(bend_map, test.u)
+        assert np.abs(run.q[:, :2] - test.q[:, :2])[40:].max() < 2e-5
+        assert abs(run.bias_mv[-1]) < 1e-6
 
     def test_bias_is_found_where_the_slopes_do_not_hide_it(self):
         """The normal of these slopes is nearly across (1, 1, 1): far from all of a bias shows in a frame."""
-        bend_map = fit_map(linear_twin(spiral(2000)), OursConfig(degree=1))
-        test = linear_twin(spiral(400, seed=1), bias=-3.0)
-        run = estimate_bend(bend_map, test.u, OursConfig(degree=1, passes=6))
-        assert run.bias_mv[-1] == pytest.approx(-3.0, rel=1e-3)
-        assert np.abs(run.q[-1] - test.q[-1, :2]).max() < 1e-6
-        assert (np.diff(run.bias_deviation_mv) < 0).all()
+        train = noisy(linear_twin(spiral(4000)))
+        test = noisy(linear_twin(spiral(4000, seed=1)[:2000], bias=-3.0), seed=1)
+        run = estimate_bend(fit_map(train, degree=1), test.u)
+        # The elongation takes its share of what the sensors have in common.
+        share = run.bias_mv[-1] / -3.0
+        assert 0.5 < share <= 1.0
+        elongation = run.q[-1, 2] - train.q[:, 2].mean()
+        slope = fit_map(train, degree=1).elongation_slope
+        assert run.bias_mv[-1] + slope * 1e3 * elongation == pytest.approx(-3.0, abs=0.3)
+        assert np.abs(run.q[-1, :2] - test.q[-1, :2]).max() < 3e-4
+        assert run.bias_deviation_mv[-1] < run.bias_deviation_mv[0]
 
     def test_truth_and_future_readings_do_not_enter(self):
         data = short_data()
@@ -110,37 +128,81 @@ class TestOurs:
         assert np.array_equal(first.q, second.q)
         assert np.array_equal(first.covariance, second.covariance)
         half = estimate_bend(bend_map, part.u[: len(part) // 2])
-        np.testing.assert_allclose(half.q, first.q[: len(half.q)], atol=1e-9)
+        np.testing.assert_allclose(half.q, first.q[: len(half.q)], atol=1e-12)
+
+    def test_one_filter_of_the_bank_is_the_kalman_filter(self):
+        """A linear map, one bias and no slow errors: the same as the filter in torch, an independent route."""
+        g, n = np.random.default_rng(0), 60
+        factors = np.array([[10.0, 20.0, 30.0], [-5.0, 1.0, -4.0], [-3.0, -3.0, -1.0]])
+        path = np.cumsum(0.05 * g.standard_normal((n, 2)), axis=0)
+        u = factors[0] + path @ factors[1:] + 0.5 * g.standard_normal((n, 3))
+        width = 20.0
+        spread = np.array([*[2 * width / 12**0.5] * 2, 2.0, 2.0, *[1e-6] * 3])
+        means, covariances, weights = filter_bank(
+            u, factors, 1, 1.0, np.zeros(1), np.zeros(1), np.zeros((1, 2)), np.zeros(7), spread,
+            width * np.array([[-1.0, -1.0], [1.0, 1.0]]), np.array([1 / 40, 1.0, 3.0, 5.0]),
+            np.full(3, 0.5), np.full(3, 1e-6),
+        )  # fmt: skip
+        bound, one = torch.full((2,), width, dtype=torch.float64), torch.ones(2, dtype=torch.float64)
+        level, slopes = torch.from_numpy(factors[0]), torch.from_numpy(factors[1:])
+        method = IteratedKalmanFilter(
+            lambda q: level + q @ slopes, -bound, bound, 3.0 * one, 2.0 * one, noise_mt=0.5
+        )
+        found = track(method, torch.from_numpy(u), torch.zeros(2, dtype=torch.float64), rate_hz=40.0)
+        np.testing.assert_allclose(means[:, :2], found.q.numpy(), atol=1e-6)
+        assert found.covariance is not None
+        np.testing.assert_allclose(covariances, found.covariance.numpy(), rtol=1e-4, atol=1e-9)
+        assert (weights == 1.0).all()
 
     def test_covariance_is_that_of_many_noisy_recordings(self):
-        """Known map, white noise of its own size: the spread of the last bend is what the covariance says."""
-        g = np.random.default_rng(0)
-        train = linear_twin(spiral(4000))
-        train = replace(train, u=train.u + 0.5 * g.standard_normal(train.u.shape))
-        config = OursConfig(degree=1, correlation_s=1 / 40)
-        bend_map, test = fit_map(train, config), linear_twin(spiral(30, seed=1))
+        """Known map, white noise of its own size, no other shape: the spread of the last bend is what it says."""
+        train = noisy(linear_twin(spiral(4000)))
+        config = OursConfig(shape_mv=1e-3, bias_mv=5.0, step_mv=0.5, widest_mv=15.0)
+        bend_map, test = fit_map(train, degree=1), linear_twin(spiral(4000, seed=1)[2000:2060])
+        g = np.random.default_rng(2)
         runs = [
-            estimate_bend(
-                bend_map, test.u + 0.5 * g.standard_normal(test.u.shape) + 5 * g.standard_normal(), config
-            )
-            for _ in range(40)
+            estimate_bend(bend_map, noisy(test, seed=100 + k).u + 5 * g.standard_normal(), config)
+            for k in range(40)
         ]
-        error = np.stack([run.q[-1] - test.q[-1, :2] for run in runs])
-        normalised = np.einsum("ni,ij,nj->n", error, np.linalg.inv(runs[0].covariance[-1]), error)
+        error = np.stack([run.q[-1, :2] - test.q[-1, :2] for run in runs])
+        C = np.stack([run.covariance[-1, :2, :2] for run in runs])
+        normalised = np.einsum("ni,ni->n", error, np.linalg.solve(C, error[..., None])[..., 0])
         assert normalised.mean() == pytest.approx(2.0, abs=0.95)  # 2 +- 0.32 for 40 draws
 
     def test_settings_come_from_the_training_part(self):
-        g = np.random.default_rng(0)
-        train = linear_twin(spiral(4000))
-        train = replace(train, u=train.u + 0.5 * g.standard_normal(train.u.shape))
+        train = noisy(linear_twin(spiral(4000)))
         table = degrees(train, (1, 2))
-        assert list(table.columns) == ["degree", "readings_mV", "bend_mm"]
+        assert list(table.columns) == ["degree", "readings_mV"]
         assert table["readings_mV"].to_numpy() == pytest.approx([0.5, 0.5], rel=0.05)
-        assert correlation_s(train, OursConfig(degree=1)) == pytest.approx(1 / 40, rel=0.3)  # white noise
+        bend_map = fit_map(train, degree=1)
+        assert bend_map.noise_mv == pytest.approx([0.5] * 3, rel=0.05)
+        assert (bend_map.error_mv < 0.15).all()
+
+    def test_degree_of_the_page_is_chosen_on_the_training_part(self):
+        """The rule in words: the smallest within 3 % of the best."""
+        table = degrees(nominal_training_part())
+        good = table[table["readings_mV"] < 1.03 * table["readings_mV"].min()]
+        assert good["degree"].min() == DEGREE
+
+    def test_time_of_a_gauss_markov_error_is_found(self):
+        g, keep = np.random.default_rng(0), np.exp(-1 / 40 / 1.5)
+        error = lfilter([1.0], [1.0, -keep], g.standard_normal((200_000, 3)), axis=0)
+        assert correlation_s(error) == pytest.approx(1.5, rel=0.1)
+        assert correlation_s(error + 3 * error.std() * g.standard_normal(error.shape)) == pytest.approx(
+            1.5, rel=0.2
+        )
+
+    def test_slopes_are_those_of_the_map(self):
+        bend_map = fit_map(linear_twin(spiral(2000)), degree=2)
+        np.testing.assert_allclose(
+            bend_map.slopes(np.zeros((2, 2))), np.stack([1e-3 * SLOPES.T] * 2), atol=1e-6
+        )
 
     def test_settings_out_of_range_are_refused(self):
-        with pytest.raises(InputError, match="Input degree, passes of OursConfig must be at least 1"):
-            OursConfig(degree=0)
+        with pytest.raises(InputError, match="Input degree of fit_map must be at least 1"):
+            fit_map(linear_twin(spiral(100)), degree=0)
+        with pytest.raises(InputError, match="Input iterations of OursConfig must be at least 1"):
+            OursConfig(iterations=0)
         with pytest.raises(InputError, match="must be positive"):
             OursConfig(bias_mv=-1.0)
 
@@ -164,7 +226,7 @@ class TestData:
     )
     def test_wrong_input_is_refused(self, options, message, tmp_path):
         with pytest.raises(InputError, match=message):
-            table2.load_recordings(**{"folder": tmp_path} | options)
+            load_recordings(**{"folder": tmp_path} | options)
 
 
 class TestNetworks:

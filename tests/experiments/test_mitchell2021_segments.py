@@ -8,7 +8,8 @@ from repro.errors import InputError
 from repro.estimation.base import Trajectory
 from repro.experiments import mitchell2021_segments as experiment
 from repro.experiments import mitchell2021_segments_tables as tables
-from repro.experiments.mitchell2021_segments import METHODS, NOISE_MT, Course, Tuned, run
+from repro.experiments.mitchell2021_segments import Course
+from repro.experiments.mitchell2021_segments_methods import FILTERS, METHODS, NOISE_MT, Tuned, run, tuning
 from repro.report import figures_segments as figures
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
@@ -94,7 +95,7 @@ def test_tables(tracked):
     assert float(summary.loc[tables.REFERENCE, "ratio"]) == 1.0
     assert (summary["tip_mm_low"] <= summary["tip_mm"]).all()
     assert (summary["tip_mm"] <= summary["tip_mm_high"]).all()
-    filters = summary.loc[list(experiment.FILTERS)]
+    filters = summary.loc[list(FILTERS)]
     assert filters["effective_sample_size"].between(1, 100).all()
     assert filters["evaluations"].tolist() == [101, 101, 108]
     # A Gauss-Newton step after the mean ends where least squares does.
@@ -112,9 +113,7 @@ def test_tables_of_the_modes(modes):
 
 
 def test_tuning_prefers_a_process_noise_that_follows():
-    tried = experiment.tuning(
-        1, NOISE_MT[0], "constant velocity", [Tuned(5e-4), Tuned(5e-2)], draws=1, steps=20
-    )
+    tried = tuning(1, NOISE_MT[0], "constant velocity", [Tuned(5e-4), Tuned(5e-2)], draws=1, steps=20)
     assert tried["tip_mm"].is_monotonic_increasing
 
 

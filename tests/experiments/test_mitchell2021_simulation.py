@@ -28,12 +28,10 @@ from repro.experiments.mitchell2021_simulation import (
     errors_over_time,
     follow,
     summary,
-    updates,
 )
 from repro.experiments.mitchell2021_study import particle_studies, setting_errors
 from repro.report.project import find_project
 from repro.report.published import read_published
-from repro.sensing.bend_sensor import BendSensor
 
 FEW = replace(PAPER, particles=100)
 
@@ -209,10 +207,6 @@ def test_update_rate_is_taken_from_the_benchmark(tmp_path):
     assert (line["row"], line["regenerated"], line["setting"]) == ("1000 particles", 1234, "benchmark")
     path.write_text("capability,kind,ours,unit\n")
     assert update_rate_rows(path) == []
-
-
-def test_benchmark_counts_its_updates():
-    assert updates(BendSensor(15e-3), steps=4) == 4
 
 
 def test_studies_name_their_functions_and_settings():

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
 import pandas as pd
 import torch
 from jaxtyping import Float
@@ -26,12 +25,11 @@ from repro.experiments.baaij2023_session import (
     draw_session,
     released_moments,
 )
-from repro.experiments.baaij2023_table1 import ROWS, Row
+from repro.experiments.baaij2023_table1_rows import ROWS, Row
+from repro.experiments.bootstrap import ratio_interval, resampled
 from repro.sensing.linearised import LinearisedSensing
 from repro.simulation.training_set import BENDING_M, ELONGATION_M
 from repro.simulation.trajectories import lemniscate
-
-BOOTSTRAPS = 10_000
 
 
 def box(n_segments: int) -> tuple[Float[Tensor, " n_q"], Float[Tensor, " n_q"]]:
@@ -118,8 +116,7 @@ def summary(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
         here = table.query("row == @row" if quantity == "mean" else "row == @row and quantity == @quantity")
         pairs = here.pivot_table(index="draw", columns="calibrated", values="error_percent", aggfunc="mean")
         yes, no = pairs[True].to_numpy(), pairs[False].to_numpy()
-        index = np.random.default_rng(seed).integers(len(yes), size=(BOOTSTRAPS, len(yes)))
-        low, high = np.quantile(yes[index].mean(1) / no[index].mean(1), [0.025, 0.975])
+        low, high = ratio_interval(yes, no, resampled(len(yes), seed))
         spread = [x.std(ddof=1) if len(x) > 1 else math.nan for x in (yes, no)]
         lines.append(
             {

@@ -21,7 +21,8 @@ from repro.experiments.baaij2023_best import box, relative_error, start
 from repro.experiments.baaij2023_noise import DIPOLE, LM_ITERATIONS
 from repro.experiments.baaij2023_session import SENSOR_NOISE_MT
 from repro.experiments.baaij2023_solvers import MODELS as TABLE_MODELS
-from repro.experiments.baaij2023_table1 import Row, available, networks
+from repro.experiments.baaij2023_table1 import available, networks
+from repro.experiments.baaij2023_table1_rows import Row
 from repro.experiments.baaij2023_training import segment_rows
 from repro.sensing.fast_training import BATCH, train_dipole_residual, train_fast
 from repro.sensing.magnetic import MagneticSensing, readings

@@ -21,15 +21,8 @@ from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.experiments.baaij2023_best import box, calibration, session, start
 from repro.experiments.baaij2023_session import SENSOR_NOISE_MT, Config
-from repro.experiments.baaij2023_table1 import (
-    ITERATIONS,
-    MOMENTUM,
-    Row,
-    available,
-    networks,
-    rows_named,
-    step_sizes,
-)
+from repro.experiments.baaij2023_table1 import ITERATIONS, MOMENTUM, available, networks, step_sizes
+from repro.experiments.baaij2023_table1_rows import Row, rows_named
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.simulation.trajectories import RATE_HZ, STEPS, lemniscate

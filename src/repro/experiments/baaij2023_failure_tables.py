@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 from torch import Tensor
 
-from repro.experiments.baaij2023_best import BOOTSTRAPS
 from repro.experiments.baaij2023_failure import ROW, RUNS, Estimates, Failure, times
 from repro.experiments.baaij2023_model import backbones, mounted_parts
+from repro.experiments.bootstrap import ratio_interval, resampled
 
 TARGET = 1.2
 """Largest error after the failure that counts as compensated, relative to the error before."""
@@ -114,8 +114,7 @@ def compensation(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
 
 
 def _ratio(name: str, upper: np.ndarray, lower: np.ndarray, seed: int) -> dict[str, float | bool]:
-    index = np.random.default_rng(seed).integers(len(upper), size=(BOOTSTRAPS, len(upper)))
-    low, high = np.quantile(upper[index].mean(1) / lower[index].mean(1), [0.025, 0.975])
+    low, high = ratio_interval(upper, lower, resampled(len(upper), seed))
     ratio = upper.mean() / lower.mean()
     return {name: ratio, f"{name}_low": low, f"{name}_high": high, f"{name}_holds": bool(ratio <= TARGET)}
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from repro.estimation.levenberg_marquardt import covariance, jacobian
 from repro.experiments.baaij2023_best import box, estimator, relative_error, start
 from repro.experiments.baaij2023_session import L_MAX, SENSOR_NOISE_MT
-from repro.experiments.baaij2023_table1 import Row
+from repro.experiments.baaij2023_table1_rows import Row
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from repro.errors import bad_input
 from repro.experiments.baaij2023_twin import record_twin
@@ -18,7 +17,7 @@ from repro.recordings.baaij2023 import SYNTHETIC, Recording, split
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.rig import RIG_SENSORS
 from repro.sensing.training import train_paper
-from repro.sensing.weights import load_paper_network, read_manifest, save_weights
+from repro.sensing.weights import load_paper_network, read_manifest, rows_sha256, save_weights
 from repro.simulation.rig_twins import nominal_twin
 
 RIG_LEARNING_RATE = 5e-5
@@ -108,18 +107,47 @@ def train_rig(
         checkpoint=checkpoints / f"{spec.name}.safetensors",
         progress=progress,
     )
-    twin = {"recording_seed": RECORDING_SEED, "twin_sha256": nominal_twin().sha256}
+    if part is None:
+        return save_rig_network(network, spec, folder, (xi, u), metrics, twin_sha256=nominal_twin().sha256)
+    return save_rig_network(network, spec, folder, (xi, u), metrics, recording=part.name)
+
+
+def save_rig_network(
+    network: nn.Module,
+    spec: RigSpec,
+    folder: Path,
+    rows: tuple[Tensor, Tensor],
+    metrics: dict[str, float],
+    *,
+    recording: str = SYNTHETIC["T5"],
+    twin_sha256: str | None = None,
+) -> Path:
+    """Write a trained network and its manifest; return the weights' path.
+
+    Parameters
+    ----------
+    network, spec, folder
+        What, which, and where.
+    rows, metrics
+        What it was trained on, and its errors [mV].
+    recording
+        Name of the recording whose training part that is.
+    twin_sha256
+        Hash of the twin that made it, with the seed ``RECORDING_SEED``; none for a recording of the authors.
+    """
+    twin = {"recording_seed": RECORDING_SEED, "twin_sha256": twin_sha256}
     manifest = {
         "recipe": "paper",
         **asdict(spec),
         "learning_rate": spec.learning_rate,
-        "recording": f"{SYNTHETIC['T5'] if part is None else part.name}_train",
-        **(twin if part is None else {}),
-        "data_sha256": hashlib.sha256(xi.numpy().tobytes() + u.numpy().tobytes()).hexdigest(),
+        "recording": f"{recording}_train",
+        **({} if twin_sha256 is None else twin),
+        "data_sha256": rows_sha256(*rows),
         "metrics_mv": metrics,
     }
-    save_weights(network, target, manifest)
-    return target
+    path = folder / f"{spec.name}.safetensors"
+    save_weights(network, path, manifest)
+    return path
 
 
 def rig_networks(folder: Path, seeds: Sequence[int], *, twin_sha256: str | None = None) -> SeedEnsemble:

@@ -9,7 +9,8 @@ from typing import Any
 
 import pandas as pd
 
-from repro.experiments.baaij2023_table1 import ITERATIONS, ROWS
+from repro.experiments.baaij2023_table1 import ITERATIONS
+from repro.experiments.baaij2023_table1_rows import ROWS
 from repro.simulation.trajectories import STEPS
 
 SETTING = "as released: ring 24/12 mm, start at ground truth, momentum carried"

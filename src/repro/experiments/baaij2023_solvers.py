@@ -14,15 +14,8 @@ from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.experiments.baaij2023_best import box, start
-from repro.experiments.baaij2023_table1 import (
-    ITERATIONS,
-    MOMENTUM,
-    Row,
-    available,
-    networks,
-    simulate,
-    step_sizes,
-)
+from repro.experiments.baaij2023_table1 import ITERATIONS, MOMENTUM, available, networks, step_sizes
+from repro.experiments.baaij2023_table1_rows import Row, simulate
 from repro.experiments.baaij2023_training import DATA_SEED, train_own
 from repro.experiments.pose_errors import pose_errors
 from repro.sensing.ensemble import SeedEnsemble
@@ -110,10 +103,12 @@ def model_by_solver(
         estimates = {}
         if SOLVERS[0] in solvers:
             scale = 1.0 if ring_name == "released" else 16.0  # step sizes belong to the squared field
-            descent = GradientDescent(sensing, scale * step_sizes(n_segments), MOMENTUM, ITERATIONS)
+            descent = GradientDescent(
+                sensing, scale * step_sizes(n_segments), MOMENTUM, ITERATIONS, backend="compiled"
+            )
             run = track(descent, u, q[0].expand(len(own), n_q))
             estimates[SOLVERS[0], "ground truth"] = run.q
-        solver = LevenbergMarquardt(sensing, low, high, noise_mt=max(noise_mt, 1e-6))
+        solver = LevenbergMarquardt(sensing, low, high, noise_mt=max(noise_mt, 1e-6), backend="compiled")
         everywhere = start(n_segments).expand(len(own), steps, n_q)
         state = solver.init(everywhere)
         estimates["Levenberg-Marquardt", "straight"] = solver.step(state, u.movedim(0, 1), 0.0)[1].q.movedim(

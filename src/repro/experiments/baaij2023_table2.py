@@ -1,7 +1,4 @@
-"""Table 2 of Baaij et al. 2023 (section 5) with the paper's method, on the authors' recordings or a SYNTHETIC twin's.
-
-Trained on T5.train; tested on the ends of T0, T1, T2, T3 and T5, and on the whole of T4.
-"""
+"""Table 2 of Baaij et al. 2023 (section 5) with the paper's method, on the authors' recordings or a SYNTHETIC one."""
 
 # The stubs of pandas know less than the library does.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
@@ -9,7 +6,7 @@ Trained on T5.train; tested on the ends of T0, T1, T2, T3 and T5, and on the who
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,15 +17,12 @@ from jaxtyping import Float
 from repro.errors import bad_input
 from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
-from repro.experiments.baaij2023_rig_training import RECORDING_SEED, RigSpec, rig_networks, train_rig
-from repro.experiments.baaij2023_twin import record_twin
-from repro.recordings.baaij2023 import NAMES, Recording, find_recording, process, split
+from repro.experiments.baaij2023_rig_training import RigSpec, rig_networks, train_rig
+from repro.experiments.baaij2023_table2_data import RigData, load_recordings
+from repro.recordings.baaij2023 import Recording
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS, rig_earth_axis, rig_robot
-from repro.simulation.pneumatic_actuation import TRAJECTORIES
-from repro.simulation.pneumatic_rig import TwinConfig
-from repro.simulation.rig_twins import nominal_twin
 
 STEP_SIZE = (1.5e-8, 1.5e-8, 0.0)
 """Step sizes of section 5.4 for delta_x and delta_y; the elongation is not optimised."""
@@ -38,92 +32,6 @@ ITERATIONS = 20
 ELONGATIONS = ("known", "mean")
 """What the descent is told of the elongation: its true value at every step, as in the released code, or only its mean
 over T5.train."""
-SOURCES = ("auto", "recorded", "twin")
-
-
-@dataclass(frozen=True)
-class RigData:
-    """What Table 2 is made from.
-
-    Attributes
-    ----------
-    train
-        T5.train.
-    tests
-        Test part of each trajectory, whole for T4.
-    twin_sha256
-        Hash of the digital twin that recorded them; None for the authors' recordings.
-    """
-
-    train: Recording
-    tests: dict[str, Recording]
-    twin_sha256: str | None
-
-    def shortened(self, longest_s: float) -> dict[str, Recording]:
-        """Beginnings of the test parts, of at most this length [s]; all of them for 0."""
-        kept = slice(0, round(longest_s * RIG_RATE_HZ) or None)
-        return {
-            name: replace(part, frame=part.frame[kept], q=part.q[kept], u=part.u[kept])
-            for name, part in self.tests.items()
-        }
-
-
-def load_recordings(
-    source: str = "auto",
-    *,
-    trajectories: Sequence[str] = TRAJECTORIES,
-    test_share: float = 0.3,
-    folder: Path | None = None,
-    config: TwinConfig | None = None,
-    longest_s: float | None = None,
-) -> RigData:
-    """Training part of T5 and test parts.
-
-    Parameters
-    ----------
-    source
-        ``"recorded"``: the authors' raw files; ``"twin"``: the digital twin, synthetic; ``"auto"``: the first if all
-        files are found.
-    trajectories
-        Which ones to test on.
-    test_share
-        Share of the test parts: 0.3 in the released code, 0.2 in section 5.3.
-    folder
-        The paper's folder, see `repro.recordings.baaij2023.find_recording`.
-    config
-        The twin; the nominal one when not given.
-    longest_s
-        Cut the twin's sequences to this length [s].
-
-    Raises
-    ------
-    InputError
-        If the source or a trajectory is unknown, there is none, or recorded files were asked for and are not there.
-    """
-    if source not in SOURCES:
-        raise bad_input("source", "load_recordings", f"one of {', '.join(map(repr, SOURCES))}", repr(source))
-    if not trajectories or not set(trajectories) <= set(TRAJECTORIES):
-        expected = f"among {', '.join(TRAJECTORIES)}, at least one"
-        raise bad_input("trajectories", "load_recordings", expected, trajectories)
-    wanted = [name for name in TRAJECTORIES if name in trajectories or name == "T5"]
-    missing = [name for name in wanted if find_recording(name, folder) is None]
-    if source == "recorded" and missing:
-        expected = "recorded: the authors' raw files of " + ", ".join(wanted)
-        raise bad_input("source", "load_recordings", expected, f"none of {', '.join(missing)}")
-    digest = None
-    if source == "twin" or missing:
-        twin = config or nominal_twin()
-        recorded = record_twin(twin, seed=RECORDING_SEED, trajectories=wanted, longest_s=longest_s).read
-        digest = twin.sha256
-    else:
-        recorded = {name: process(NAMES[name], folder) for name in wanted}
-    train, _ = split(recorded["T5"], test_share)
-    tests = {
-        name: recorded[name] if name == "T4" else split(recorded[name], test_share)[1]
-        for name in wanted
-        if name in trajectories
-    }
-    return RigData(train, tests, digest)
 
 
 def networks(
@@ -183,6 +91,7 @@ def paper_method(
     mean_elongation_m: float,
     elongations: Sequence[str] = ELONGATIONS,
     backend: str = "torch",
+    shorter: int = 1,
     progress: bool = False,
 ) -> PaperRun:
     """Gradient descent of section 5.4 on delta_x and delta_y, for all seeds at once.
@@ -201,20 +110,24 @@ def paper_method(
         Among :data:`ELONGATIONS`.
     backend
         Of :class:`~repro.estimation.gradient_descent.GradientDescent`.
+    shorter
+        Divides the step size and multiplies the iterations: 1 is the published method.
     progress
         Show a progress bar for each trajectory.
 
     Raises
     ------
     InputError
-        If an elongation is unknown.
+        If an elongation is unknown, or the steps are not shortened by at least 1.
     """
     if not elongations or not set(elongations) <= set(ELONGATIONS):
         expected = f"among {', '.join(ELONGATIONS)}, at least one"
         raise bad_input("elongations", "paper_method", expected, elongations)
+    if shorter < 1:
+        raise bad_input("shorter", "paper_method", "at least 1", shorter)
     sensing, shape = rig_sensing(model), (len(seeds), len(elongations))
-    gamma = torch.tensor(STEP_SIZE, dtype=torch.float64)
-    descent = GradientDescent(sensing, gamma, MOMENTUM, ITERATIONS, backend=backend)
+    gamma = torch.tensor(STEP_SIZE, dtype=torch.float64) / shorter
+    descent = GradientDescent(sensing, gamma, MOMENTUM, ITERATIONS * shorter, backend=backend)
     predicted, estimates = {}, {}
     for name, part in parts.items():
         q, u = (torch.from_numpy(x)[:, None, None].expand(-1, *shape, -1) for x in (part.q, part.u))

@@ -17,13 +17,14 @@ from repro.experiments.baaij2023_table2 import (
     MOMENTUM,
     STEP_SIZE,
     PaperRun,
-    RigData,
     bend_errors,
     reading_errors,
     rig_sensing,
     row_name,
 )
-from repro.experiments.baaij2023_table2_ours import BendMap, OursConfig, OursRun, estimate_bend
+from repro.experiments.baaij2023_table2_data import RigData
+from repro.experiments.baaij2023_table2_map import BendMap
+from repro.experiments.baaij2023_table2_ours import OursConfig, OursRun, estimate_bend
 from repro.recordings.baaij2023 import Recording
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.rig import RIG_RATE_HZ, rig_robot

@@ -21,9 +21,10 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.experiments.baaij2023_best import BOOTSTRAPS, box, relative_error, start
+from repro.experiments.baaij2023_best import box, relative_error, start
 from repro.experiments.baaij2023_noise import LM_ITERATIONS
 from repro.experiments.baaij2023_session import L_MAX
+from repro.experiments.bootstrap import BOOTSTRAPS, interval, resampled
 from repro.kinematics.robot import Robot
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
@@ -205,7 +206,7 @@ def allowed(table: pd.DataFrame, *, error_percent: float = 1.0, seed: int = 0) -
         found = _crossing(size, errors.to_numpy().mean(0), error_percent)
         resampled = _resampled(errors.to_numpy(), seed).mean(1)
         spread = [_crossing(size, mean, error_percent) for mean in resampled]
-        low, high = np.quantile(spread, [0.025, 0.975]) if np.isfinite(spread).all() else (math.nan, math.nan)
+        low, high = interval(np.array(spread)) if np.isfinite(spread).all() else (math.nan, math.nan)
         slope = (part["linear_percent"] / part["size"]).mean()
         assumed = asdict(Tolerances())[kind] * to_unit
         lines.append((n_b, name, unit, found, low, high, error_percent / slope, assumed))
@@ -227,8 +228,7 @@ def _normal(n: int, seed: int) -> Tensor:
 
 def _resampled(values: np.ndarray, seed: int) -> np.ndarray:
     """Bootstrap samples ``[sample, draw, ...]`` of the first dimension."""
-    index = np.random.default_rng(seed).integers(len(values), size=(BOOTSTRAPS // 10, len(values)))
-    return values[index]
+    return values[resampled(len(values), seed, bootstraps=BOOTSTRAPS // 10)]
 
 
 def _crossing(size: np.ndarray, error: np.ndarray, wanted: float) -> float:

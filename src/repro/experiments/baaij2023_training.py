@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from repro.errors import bad_input
 from repro.sensing.fast_training import train_dipole_residual, train_fast
 from repro.sensing.relations import relations
 from repro.sensing.training import train_paper
-from repro.sensing.weights import save_weights
+from repro.sensing.weights import rows_sha256, save_weights
 from repro.simulation.training_set import TrainingSet, affine_training_set, training_set
 
 DATA_SEED = 1
@@ -194,14 +193,13 @@ def train(spec: NetworkSpec | AffineSpec, folder: Path, checkpoints: Path, *, pr
         return target
     xi, u = spec.rows()
     network, metrics, seed = _trained(spec, xi, u, checkpoints, progress)
-    digest = hashlib.sha256(xi.numpy().tobytes() + u.numpy().tobytes()).hexdigest()
     manifest = {
         "recipe": "paper",
         **asdict(spec),
         **({} if seed == spec.seed else {"training_seed": seed}),
         "learning_rate": spec.learning_rate,
         "data_seed": DATA_SEED,
-        "data_sha256": digest,
+        "data_sha256": rows_sha256(xi, u),
         "metrics_mt": metrics,
     }
     save_weights(network, target, manifest)

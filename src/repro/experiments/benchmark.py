@@ -1,144 +1,198 @@
-"""What costs how much: our routes against plain references, measured side by side in one run."""
+"""What costs how much: every capability against plain references, side by side in one run, on one core.
+
+Time is processor time, a rate the median of some repeats; compilation does not count. The page "Performance" shows
+what is measured here.
+"""
 
 from __future__ import annotations
 
-import statistics
-import time
-from collections.abc import Callable
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
-import magpylib as magpy
 import numpy as np
 import pandas as pd
 import torch
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation, Slerp
 
 from repro.estimation.imu_models import pcc_extended
-from repro.estimation.imu_selection import MARKERS, Selection, selection
+from repro.estimation.imu_selection import MARKERS, selection
 from repro.estimation.orientations import exponential
+from repro.experiments.baaij2023_solvers import fast_networks
+from repro.experiments.benchmark_arithmetic import arithmetic_rows
+from repro.experiments.benchmark_references import (
+    chain_by_equations,
+    chain_vectorised,
+    cube_fields,
+    objects_per_configuration,
+)
+from repro.experiments.benchmark_rows import (
+    COLUMNS,
+    RELEASED_FILTER,
+    RELEASED_GENERATOR,
+    Goal,
+    rate,
+    row,
+)
+from repro.experiments.benchmark_scaling import exponent_rows, follow_flower, scaling
+from repro.experiments.benchmark_trackers import multipole, tracker_rows
 from repro.experiments.martin2022_scorecard import CAPABILITY as CHAIN
 from repro.experiments.mitchell2021_scorecard import CAPABILITY as PARTICLES
-from repro.experiments.mitchell2021_simulation import updates
-from repro.kinematics.robot import Robot
+from repro.kinematics.bend import MAX_BEND
+from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.compiled_bend import CompiledBendSensor
-from repro.sensing.magnetic import readings
-from repro.sensing.magnets import MT_PER_T, Ring, ring
-from repro.simulation.bend_curves import bend_curve, bend_readings
+from repro.sensing.compiled_bend_series import BendSeries
+from repro.sensing.compiled_sensing import CompiledSensing
+from repro.sensing.magnetic import MagneticSensing, readings
+from repro.sensing.magnets import B444B, ring
+from repro.simulation.bend_curves import LENGTH_M, bend_curve, bend_readings
+from repro.simulation.compiled_training_set import training_rows
 from repro.simulation.robots import pcc_robot
 from repro.simulation.training_set import training_set
 
-TRAINING_SAMPLES = 120_000
+FIELD_ERROR_MT = 1e-4
+"""Largest error of the field that the particle filter may make in order to meet its target [mT]."""
+SAMPLES = 8000
+"""Samples of the IMUs, as many as the paper scores."""
+CHAIN_SECONDS = 15e-3
+"""Target for that many samples."""
 
 
-def rate(work: Callable[[], int], repeats: int = 3) -> float:
-    """Items per second of processor time: the median of some repeats, after one that does not count."""
-    work()
-    found = []
-    for _ in range(repeats):
-        start = time.process_time()
-        items = work()
-        found.append(items / (time.process_time() - start))
-    return statistics.median(found)
+def benchmark(networks: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Measure everything: minutes.
 
+    Parameters
+    ----------
+    networks
+        Folder of the trained networks.
 
-def objects_per_configuration(robot: Robot, q: torch.Tensor, magnet: Ring) -> np.ndarray:
-    """Readings by magpylib objects posed anew for every configuration, one ``getB`` for all its sensors."""
-    outer = magpy.magnet.Cylinder(
-        polarization=(0, 0, magnet.polarisation_mt / MT_PER_T),
-        dimension=(magnet.outer_diameter, magnet.height),
-    )
-    bore = magpy.magnet.Cylinder(
-        polarization=(0, 0, -magnet.polarisation_mt / MT_PER_T),
-        dimension=(magnet.inner_diameter, magnet.height),
-    )
-    rows = []
-    for T_m, T_s in zip(robot.magnet_poses(q).numpy(), robot.sensor_poses(q).numpy(), strict=True):
-        sources = []
-        for T in T_m:
-            turn = Rotation.from_matrix(T[:3, :3])
-            sources += [part.copy(position=T[:3, 3], orientation=turn) for part in (outer, bore)]
-        sensors = [magpy.Sensor(position=T[:3, 3], orientation=Rotation.from_matrix(T[:3, :3])) for T in T_s]
-        rows.append(magpy.getB(sources, sensors, sumup=True)[:, 2])
-    return MT_PER_T * np.array(rows)
-
-
-def chain_by_equations(
-    orientations: Float[np.ndarray, "samples imus 4"], chosen: Selection
-) -> Float[np.ndarray, "samples joints 3"]:
-    """Joints of the PCC-extended chain of Martin et al. 2022 by a plain loop over equations (3) to (5)."""
-    n, samples = chosen.sub_links, []
-    for q in orientations:
-        joints = [np.zeros(3)]
-        for k, length in enumerate(chosen.link_lengths):
-            between = Slerp([0.0, 1.0], Rotation.from_quat(q[k : k + 2]))
-            for j in range(n):
-                joints.append(joints[-1] + between((2 * j + 1) / (2 * n)).apply([0.0, 0.0, length / n]))
-        samples.append(np.array(joints))
-    return np.array(samples)
-
-
-def benchmark() -> pd.DataFrame:
-    """Every measured capability: columns ``capability, kind, ours, unit, reference, ratio, error, note``.
-
-    ``error`` is the largest difference between ours and the reference on the same input, in mT or, of the chain, mm.
+    Returns
+    -------
+    DataFrame, DataFrame
+        A line for every ratio, exponent and arithmetic limit, with the columns of
+        :data:`~repro.experiments.benchmark_rows.COLUMNS`; and the points of the scaling curves.
     """
     torch.set_num_threads(1)
-    return pd.DataFrame([_training_set(), _particle_filter(), _chain_of_imus()])
+    mlp = MagneticSensing(pcc_robot(3), fast_networks(3, (0,)), "cosines")
+    rows = [*tracker_rows(networks, mlp), *generator_rows(), *particle_rows(), *chain_rows()]
+    points = scaling()
+    rows += [*exponent_rows(points), *arithmetic_rows(networks, mlp)]
+    return pd.DataFrame(rows, columns=list(COLUMNS)), points
 
 
-def _training_set() -> dict[str, Any]:
+def generator_rows(samples: int = 100_000, few: int = 100, repeats: int = 5) -> Iterator[dict[str, Any]]:
+    """Training sets for three segments: drawn, bent and read by one kernel."""
     magnet, robot = ring("released"), pcc_robot(3)
-    q = training_set(3, seed=0, samples=200).q
-    plain = objects_per_configuration(robot, q, magnet)
-    return _row(
-        "training set, n_b = 3",
-        "configurations per CPU second",
-        rate(lambda: len(training_set(3, seed=0, samples=TRAINING_SAMPLES).q)),
-        rate(lambda: len(objects_per_configuration(robot, q, magnet))),
-        np.abs(plain - readings(robot, q, magnet).numpy()).max(),
-        "vectorised magpylib; reference: magpylib objects, one getB per configuration",
+    q, unit = training_set(3, seed=0, samples=few).q, "configurations per CPU second"
+    exact = training_set(3, seed=0, samples=few)
+    error = float((training_rows(3, seed=0, samples=few).u - exact.u).abs().max())
+    ours = rate(lambda: len(training_rows(3, seed=0, samples=samples).q), repeats)
+    note = "multipoles to order 9; reference: {}; error: largest difference of the readings [mT]"
+    for count, ratio, together in (("sensor", 2000.0, False), ("configuration", 500.0, True)):
+        other = rate(
+            lambda joint=together: len(objects_per_configuration(robot, q, magnet, together=joint)), 3
+        )
+        goal = Goal(200_000.0, ratio, RELEASED_GENERATOR[3])
+        text = note.format(f"magpylib objects, one getB per {count}")
+        yield row(f"training set, n_b = 3, getB per {count}", "model", unit, (ours, other), error, text, goal)
+    vectorised = rate(lambda: len(training_set(3, seed=0, samples=samples // 5).q), repeats)
+    text = note.format("vectorised magpylib for all configurations at once")
+    yield row("training set, n_b = 3, vectorised magpylib", "model", unit, (ours, vectorised), error, text)
+    q = training_set(3, seed=0, samples=samples // 20).q
+    series = rate(lambda: len(readings(robot, q, magnet, route="multipole")), repeats)
+    found = (
+        readings(robot, q[:few], magnet, route="multipole")
+        - CompiledSensing(multipole(3)).linearise(q[:few])[0]
+    )
+    text = note.format("the same series in torch, batched, on configurations that are drawn already")
+    rates = (ours, series)
+    yield row(
+        "training set, n_b = 3, torch batched", "implementation", unit, rates, float(found.abs().max()), text
     )
 
 
-def _particle_filter() -> dict[str, Any]:
-    sensor, q = CompiledBendSensor(15e-3), bend_curve("flower")
-    return _row(
-        PARTICLES,
-        "updates per CPU second",
-        rate(lambda: updates(sensor)),
-        rate(lambda: updates(bend_readings, 100)),
-        float((sensor(q) - bend_readings(q)).abs().max()),
-        "the paper's filter on Flower; reference: the same filter with magpylib as its model",
+def particle_rows(steps: int = 300, repeats: int = 5) -> Iterator[dict[str, Any]]:
+    """Particle filter of Mitchell et al. with 1000 particles along Flower."""
+    unit, flower = "updates per CPU second", bend_curve("flower")
+    cloud = flower[50:1050].numpy()
+    series = BendSeries(LENGTH_M, MAX_BEND)
+    error = float((series(flower) - bend_readings(flower)).abs().max())
+    ours = rate(follow_flower(BendSensor(LENGTH_M), steps, backend="compiled"), repeats)
+    fields = rate(lambda: len(cube_fields(cloud, LENGTH_M, B444B)) // 1000, repeats)
+    note = "compiled, the field by a series; reference: {}; error: largest of the field along Flower [mT]"
+    goal = Goal(5_000.0, 6.0 if error <= FIELD_ERROR_MT else np.inf, RELEASED_FILTER)
+    text = note.format(
+        "the fields of 1000 particles by vectorised magpylib alone, without weighing and resampling"
     )
-
-
-def _chain_of_imus() -> dict[str, Any]:
-    chosen = selection("pcc", 8)
-    turns = 0.2 * np.random.default_rng(0).standard_normal((8000, 9, 3)) * (np.arange(9)[:, None] > 0)
-    q = exponential(np.cumsum(turns, axis=1))
-    arcs = np.minimum(np.cumsum(np.repeat(chosen.link_lengths, 2) / 2), sum(chosen.link_lengths))
-    difference = chain_by_equations(q[:200], chosen)[:, 1:] - pcc_extended(q[:200], chosen, arcs)
-    return _row(
-        CHAIN,
-        "samples per CPU second",
-        rate(lambda: len(pcc_extended(q, chosen, MARKERS))),
-        rate(lambda: len(chain_by_equations(q[:200], chosen))),
-        1e3 * np.abs(difference).max(),
-        "positions of both markers; reference: a loop over equations (3) to (5) with SciPy's Slerp",
+    yield row(PARTICLES, "model", unit, (ours, fields), error, text, goal)
+    filtered = rate(follow_flower(bend_readings, steps // 6), repeats)
+    text = note.format("the same filter in torch with magpylib as its model")
+    released = Goal(released=RELEASED_FILTER)
+    yield row(f"{PARTICLES}, filter by magpylib", "model", unit, (ours, filtered), error, text, released)
+    closed = rate(follow_flower(CompiledBendSensor(LENGTH_M), steps // 3), repeats)
+    difference = float((CompiledBendSensor(LENGTH_M)(flower) - bend_readings(flower)).abs().max())
+    text = (
+        "torch's filter, the closed form by a kernel; reference: this filter with magpylib; error: as above"
     )
+    rates = (closed, filtered)
+    yield row(f"{PARTICLES}, closed form", "implementation", unit, rates, difference, text, released)
+    batched = rate(follow_flower(BendSensor(LENGTH_M), steps // 3), repeats)
+    difference = float((series(flower) - BendSensor(LENGTH_M)(flower)).abs().max())
+    text = note.format("the same filter in torch, all particles in a batch, closed form of the cube")
+    yield row(f"{PARTICLES}, torch batched", "model", unit, (ours, batched), difference, text)
 
 
-def _row(
-    capability: str, unit: str, ours: float, reference: float, error: float, note: str
-) -> dict[str, Any]:
-    return {
-        "capability": capability,
-        "kind": "implementation",
-        "ours": ours,
-        "unit": unit,
-        "reference": reference,
-        "ratio": ours / reference,
-        "error": error,
-        "note": note,
-    }
+def chain_rows(samples: int = SAMPLES, repeats: int = 5) -> Iterator[dict[str, Any]]:
+    """All joints of the PCC-extended chain from eight IMUs, 16 segments."""
+    chosen, unit = selection("pcc", 8), "samples per CPU second"
+    q = imu_orientations(samples)
+    n = chosen.sub_links
+    arcs = np.minimum(np.cumsum(np.repeat(chosen.link_lengths, n) / n), sum(chosen.link_lengths))
+
+    def ours() -> np.ndarray:
+        return pcc_extended(q, chosen, arcs, backend="compiled")
+
+    def interpreted() -> np.ndarray:
+        return pcc_extended(q, chosen, arcs)
+
+    speed, note = (
+        rate(lambda: len(ours()), repeats),
+        "all 16 joints; reference: {}; error: of the joints [mm]",
+    )
+    goal = Goal(SAMPLES / CHAIN_SECONDS, 4.0)
+    references = (
+        (CHAIN, lambda: chain_vectorised(q, chosen)[:, 1:], "equations (3) to (5) in vectorised NumPy", goal),
+        (
+            f"{CHAIN}, closed form",
+            interpreted,
+            "the sum in closed form, in NumPy, as the pages use it",
+            Goal(),
+        ),
+        (
+            f"{CHAIN}, loop",
+            lambda: chain_by_equations(q[:200], chosen)[:, 1:],
+            "a loop, SciPy's Slerp",
+            Goal(),
+        ),
+    )
+    for name, other, text, wanted in references:
+        joints = other()
+        error = 1e3 * float(np.abs(joints - ours()[: len(joints)]).max())
+        rates = (speed, rate(lambda f=other: len(f()), repeats))
+        yield row(name, "implementation", unit, rates, error, note.format(text), wanted)
+
+    def markers() -> np.ndarray:
+        return pcc_extended(q, chosen, MARKERS, backend="compiled")
+
+    error = 1e3 * float(np.abs(markers() - pcc_extended(q, chosen, MARKERS)).max())
+    rates = (
+        rate(lambda: len(markers()), repeats),
+        rate(lambda: len(pcc_extended(q, chosen, MARKERS)), 3),
+    )
+    note = "positions of both markers only; reference: NumPy, as the pages use it; error: of these positions [mm]"
+    yield row(f"{CHAIN}, markers", "implementation", unit, rates, error, note)
+
+
+def imu_orientations(samples: int) -> np.ndarray:
+    """Orientations ``[samples, 9, 4]`` of a base and eight IMUs, at random turns from one to the next: synthetic."""
+    turns = 0.2 * np.random.default_rng(0).standard_normal((samples, 9, 3)) * (np.arange(9)[:, None] > 0)
+    return exponential(np.cumsum(turns, axis=1))

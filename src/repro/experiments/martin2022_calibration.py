@@ -22,6 +22,7 @@ from repro.errors import bad_input
 from repro.estimation.imu_calibration import calibrate_imus, calibrated
 from repro.estimation.imu_models import pcc_extended, tangent_spline
 from repro.estimation.imu_selection import MARKERS, selection
+from repro.experiments.bootstrap import ratio_interval, resampled
 from repro.experiments.martin2022_draws import draw
 from repro.experiments.martin2022_trial import ArmTrial
 from repro.sensing.inertial import ImuErrors
@@ -129,8 +130,8 @@ def ratios(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
                     medians.loc[:, [(who, mode, x) for x in arcs]].mean(axis=1).to_numpy()
                     for who in (method, BASELINE)
                 )
-                index = np.random.default_rng(seed).integers(len(ours), size=(BOOTSTRAPS, len(ours)))
-                low, high = np.quantile(ours[index].mean(1) / base[index].mean(1), [0.025, 0.975])
+                index = resampled(len(ours), seed, bootstraps=BOOTSTRAPS)
+                low, high = ratio_interval(ours, base, index)
                 numbers = (ours.mean(), ours.mean() / base.mean(), low, high)
                 lines.append((method, mode, name, *numbers, TARGETS.get(method, np.nan), len(ours)))
     columns = ["method", "mode", "point", "median_mm", "ratio", "ratio_low", "ratio_high", "target", "draws"]

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
 import pandas as pd
 import torch
 from jaxtyping import Float
@@ -15,15 +14,9 @@ from torch import Tensor
 
 from repro.estimation.base import Trajectory
 from repro.estimation.multistart import search, starts_within
-from repro.experiments.baaij2023_best import BOOTSTRAPS
-from repro.experiments.mitchell2021_segments import (
-    BEGUN,
-    COLD_ITERATIONS,
-    METHODS,
-    NOISE_MT,
-    Course,
-    run,
-)
+from repro.experiments.bootstrap import interval, ratio_interval, resampled
+from repro.experiments.mitchell2021_segments import BEGUN, COLD_ITERATIONS, Course
+from repro.experiments.mitchell2021_segments_methods import METHODS, NOISE_MT, run
 from repro.simulation.trajectories import RATE_HZ
 
 CHI2_95 = {3: 7.815, 6: 12.592, 9: 16.919}
@@ -159,14 +152,13 @@ def summary(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
     lines = []
     for key, part in table.groupby(["n_b", "n_s", "noise_mt"], sort=False):
         tips = part.pivot(index="draw", columns="method", values="tip_mm")
-        n = len(tips)
-        index = np.random.default_rng(seed).integers(n, size=(BOOTSTRAPS, n))
+        index = resampled(len(tips), seed)
         reference = tips[REFERENCE].to_numpy()
         for method, rows in part.groupby("method", sort=False):
             tip = tips[method].to_numpy()
             means = rows.drop(columns=["n_b", "n_s", "noise_mt", "method", "draw"]).mean()
-            low, high = np.quantile(tip[index].mean(1), [0.025, 0.975])
-            ratios = np.quantile(tip[index].mean(1) / reference[index].mean(1), [0.025, 0.975])
+            low, high = interval(tip[index].mean(1))
+            ratios = ratio_interval(tip, reference, index)
             line = dict(zip(("n_b", "n_s", "noise_mt"), tuple(key), strict=True)) | {
                 "method": method,
                 **means,

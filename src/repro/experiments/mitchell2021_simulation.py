@@ -3,13 +3,14 @@
 r"""Section II-D of Mitchell et al. 2021: a particle filter on Spiral, Flower and Seagull.
 
 All readings are synthetic, by magpylib; the filter's own model is the closed form of
-:mod:`repro.sensing.bend_sensor`, compiled. Every filter starts straight, where all three curves start.
+:mod:`repro.sensing.bend_sensor`, compiled as a polynomial (:mod:`repro.sensing.compiled_bend_series`). Every filter
+starts straight, where all three curves start.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import pandas as pd
@@ -21,7 +22,6 @@ from repro.estimation.particle_filter import ParticleFilter, noise_of_sigma
 from repro.estimation.regions import Disc
 from repro.kinematics.bend import MAX_BEND
 from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.compiled_bend import CompiledBendSensor
 from repro.simulation.bend_curves import CURVES, LENGTH_M, bend_curve, bend_readings, curve_times
 
 SENSOR_NOISE_MT = 0.025
@@ -64,7 +64,7 @@ class Setting:
         """Filter of this setting; with several process noises a batch of them, times the curves."""
         noise = torch.tensor(process_noise_pi or [self.process_noise_pi], dtype=torch.float64) * math.pi
         return ParticleFilter(
-            CompiledBendSensor(self.length_m),
+            BendSensor(self.length_m),
             noise[:, None, None].expand(-1, 1, 2),
             noise_of_sigma(self.sigma_mt),
             Disc(MAX_BEND),
@@ -72,6 +72,7 @@ class Setting:
             estimate=self.estimate,
             resampling=self.resampling,
             motion=self.motion,
+            backend="compiled",
         )
 
 
@@ -233,10 +234,3 @@ def summary(over_time: pd.DataFrame) -> pd.DataFrame:
     by = squared.groupby(["setting", "process_noise_pi", "particles", "curve"], sort=False)
     table = by.agg(rmse_mm=("squared", "mean"), mean_mm=("error_mm", "mean"), worst_mm=("error_mm", "max"))
     return table.assign(rmse_mm=table["rmse_mm"] ** 0.5).reset_index()
-
-
-def updates(sensing: Callable[[Tensor], Tensor], steps: int = 300) -> int:
-    """Run the paper's filter with any field model along Flower; return the number of updates, for the benchmark."""
-    u = bend_readings(bend_curve("flower")[:steps])
-    single = replace(PAPER.filter(), sensing=sensing, process_noise=PAPER.filter().process_noise[0, 0])
-    return len(track(single, u, torch.zeros(2, dtype=torch.float64)).q)

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
+from repro.experiments.bootstrap import ratio_interval, resampled
 from repro.experiments.placement_bounds import NOISE_MT, expected_errors, ring_moments
 from repro.experiments.placement_layouts import Layout
 from repro.experiments.placement_tasks import TEST_SEED, Task
@@ -27,7 +28,6 @@ from repro.simulation.trajectories import RATE_HZ, STEPS
 
 FIRST, LAST = 4, 10
 """Iterations from every start, and those of the best of them."""
-BOOTSTRAPS = 10_000
 ROBOTS = ("as drawn", "within tolerances")
 """Robots to which a layout is put: exactly as drawn, or off by normal draws of
 :class:`~repro.sensing.placement.Tolerances` and not calibrated."""
@@ -170,11 +170,11 @@ def summary(table: pd.DataFrame, *, reference: str = "nominal", seed: int = 0) -
         by_draw = part.pivot_table(index="draw", columns="layout", values="error_percent", sort=False)
         if reference not in by_draw.columns:
             raise bad_input("reference", "summary", f"one of {list(by_draw.columns)}", reference)
-        index = np.random.default_rng(seed).integers(len(by_draw), size=(BOOTSTRAPS, len(by_draw)))
+        index = resampled(len(by_draw), seed)
         base = by_draw[reference].to_numpy()
         for layout in by_draw.columns:
             here = by_draw[layout].to_numpy()
-            low, high = np.quantile(here[index].mean(1) / base[index].mean(1), [0.025, 0.975])
+            low, high = ratio_interval(here, base, index)
             spread = here.std(ddof=1) if len(here) > 1 else math.nan
             numbers = (here.mean(), spread, here.mean() / base.mean(), low, high)
             lines.append((*labels, layout, *numbers))

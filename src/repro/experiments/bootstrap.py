@@ -1,0 +1,54 @@
+"""Bootstrap intervals (95 %) over draws: of a mean, and of the ratio of two means over the same draws."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+BOOTSTRAPS = 10_000
+
+
+def resampled(
+    n: int, seed: int | np.random.Generator, *, bootstraps: int = BOOTSTRAPS
+) -> Int[np.ndarray, "bootstraps n"]:
+    """Draw from ``n`` draws, with replacement, as many as there are: numbers of the draws in each bootstrap.
+
+    Parameters
+    ----------
+    n
+        Number of draws.
+    seed
+        Or the generator that goes on.
+    bootstraps
+        How often.
+    """
+    return np.random.default_rng(seed).integers(n, size=(bootstraps, n))
+
+
+def interval(values: Float[np.ndarray, " bootstraps"]) -> tuple[float, float]:
+    """Quantiles between which 95 % of the values lie."""
+    low, high = np.quantile(values, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def ratio_interval(
+    upper: Float[np.ndarray, " n"], lower: Float[np.ndarray, " n"], index: Int[np.ndarray, "bootstraps n"]
+) -> tuple[float, float]:
+    """Interval of the ratio of two means, paired: both from the same draws.
+
+    Parameters
+    ----------
+    upper, lower
+        One number for each draw.
+    index
+        From :func:`resampled`.
+
+    Examples
+    --------
+    Numbers that are proportional leave nothing to chance:
+
+    >>> x = np.array([1.0, 2.0, 4.0])
+    >>> ratio_interval(3 * x, x, resampled(3, 0))
+    (3.0, 3.0)
+    """
+    return interval(upper[index].mean(1) / lower[index].mean(1))

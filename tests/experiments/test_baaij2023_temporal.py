@@ -1,0 +1,73 @@
+"""The filter over time: its frozen choice, its gain on other trajectories, and readings with several explanations."""
+
+import pytest
+import torch
+
+from repro.errors import InputError
+from repro.experiments.baaij2023_ambiguity import ambiguities
+from repro.experiments.baaij2023_best import box
+from repro.experiments.baaij2023_temporal import (
+    SHARE,
+    TRAJECTORIES,
+    choices,
+    errors,
+    estimates,
+    gains,
+    noisy_readings,
+    over_time,
+    trajectory,
+)
+from repro.report.figures_temporal import gain_and_bands
+
+
+@pytest.mark.parametrize("n_segments", sorted(SHARE))
+def test_frozen_process_noise_is_in_the_flat_optimum_on_t2(n_segments):
+    table = choices(n_segments, (0, 1), shares=(0.05, SHARE[n_segments], 0.2, 0.5)).set_index("share")
+    assert table["score"][SHARE[n_segments]] < table["score"].min() + 0.1
+    assert table["score"][0.5] > table["score"].min() + 0.5  # the score does tell candidates apart
+
+
+def test_filter_gains_on_other_trajectories_and_least_squares_is_calibrated():
+    table = gains(errors(1, ["T1", "T3"], (0, 1, 2)))
+    assert table["chosen_here"].tolist() == [False, False]
+    assert (table["ratio_high"] < 0.9).all()
+    assert table["lm_covered_percent"].between(92, 98).all()
+
+
+@pytest.mark.parametrize("name", TRAJECTORIES)
+def test_trajectories_stay_in_the_box(name):
+    q, (low, high) = trajectory(name, 3), box(3)
+    assert q.shape == (400, 9)
+    assert bool(((q >= low) & (q <= high)).all())
+    assert torch.equal(trajectory(name, 3, steps=7), q[:7])
+
+
+def test_readings_are_those_of_their_seed():
+    q = trajectory("T3", 1, steps=3)
+    both = noisy_readings(q, 1, (4, 5), 0.01)
+    assert torch.equal(both[:, 1:], noisy_readings(q, 1, (5,), 0.01))
+    assert not torch.equal(both[:, 0], both[:, 1])
+
+
+def test_figure_draws_the_tables():
+    table = errors(1, ["T2", "T3"], (0, 1), steps=10)
+    left, right = gain_and_bands(gains(table), over_time(1, "T3")).axes
+    assert [text.get_text() for text in left.get_xticklabels()] == ["T2", "T3"]
+    assert len(right.lines) == 2
+
+
+def test_search_reports_what_readings_do_not_tell_apart():
+    table = ambiguities().set_index("robot")
+    assert table["minima"]["three sensors, constant curvature"] == 1
+    assert table["minima"]["two sensors, constant curvature"] > 1
+    assert table["minima"]["nine sensors, affine curvature"] > 1
+    assert table["furthest_mm"]["nine sensors, affine curvature"] < 1.0  # one shape
+
+
+def test_bad_input():
+    with pytest.raises(InputError, match="Input name of trajectory must be one of 'T0', 'T1', 'T2', 'T3'"):
+        trajectory("T9", 1)
+    with pytest.raises(
+        InputError, match="Input method of estimates must be one of 'Levenberg-Marquardt', 'Kalman"
+    ):
+        estimates("filter", torch.zeros(1, 1, 3), 1, 0.005)

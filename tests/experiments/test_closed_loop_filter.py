@@ -1,0 +1,337 @@
+"""Ours with lag and command: closed forms, Table 2 as its limit, NEES on its own model, what is told."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from repro.errors import InputError
+from repro.experiments.baaij2023_table2_map import SCALE_MM, BendMap, monomials
+from repro.experiments.baaij2023_table2_ours import BendFilter, OursConfig
+from repro.experiments.closed_loop import CONTROLLERS, ESTIMATORS, Run, learn, run_loops
+from repro.experiments.closed_loop_estimators import (
+    beside,
+    by_group,
+    other_rigs,
+    together,
+    told,
+    worst_by,
+)
+from repro.experiments.closed_loop_experiment import (
+    HELD_S,
+    JUMPS_S,
+    REACH,
+    SWEEP_S,
+    Commanded,
+    commanded,
+    experiment_torque,
+    turned_torque,
+)
+from repro.experiments.closed_loop_filter import CommandAlone, LoopFilter, ReadingsAlone
+from repro.experiments.closed_loop_identification import STATIC_DEGREE, Segment, identify
+from repro.experiments.rig_loop import SESSIONS
+from repro.recordings.baaij2023 import Recording
+from repro.simulation.pneumatic_rig import record_rig
+from repro.simulation.rig_twins import nominal_twin
+
+TWIN = nominal_twin()
+SLOPES = np.array([[-5.0, 1.0, -4.0], [-3.0, -3.0, 1.5]])  # mV/mm
+ACROSS = np.array([[2.0, 0.5, 1.4], [1.5, 1.8, 1.0]])  # mV s/mm
+
+
+def linear_map(**changes) -> BendMap:
+    """Readings linear in the bend."""
+    factors = np.vstack([[1300.0, 1200.0, 1400.0], SCALE_MM * SLOPES])
+    box = np.full(2, 9.0)
+    known = BendMap(
+        degree=1,
+        factors=factors,
+        noise_mv=np.full(3, 0.6),
+        error_mv=np.full(3, 0.5),
+        error_s=1.5,
+        acceleration=2.0,
+        rate=3.0,
+        mean_mm=np.zeros(3),
+        spread_mm=np.array([3.0, 4.0, 1e-3]),
+        lower=-box,
+        upper=box,
+        starts=np.stack(np.meshgrid(*[np.linspace(-8.0, 8.0, 9)] * 2), axis=-1).reshape(-1, 2),
+        elongation_slope=0.0,
+    )
+    return replace(known, **changes)
+
+
+def segment(**changes) -> Segment:
+    """Seven millimetres for the reference torque, linear; 0.2 s."""
+    static = np.zeros((10, 2))
+    static[1:3] = 7.0 * np.eye(2)
+    known = Segment(
+        lag_s=0.2,
+        static=static,
+        rest_mm=np.zeros(2),
+        apart_mm=0.1,
+        apart_s=0.8,
+        centre=0.1,
+        across=ACROSS,
+        error_mv=np.full(3, 0.5),
+        share=0.0,
+    )
+    return replace(known, **changes)
+
+
+def commands(steps: int, rng: np.random.Generator) -> np.ndarray:
+    """Torque over the reference, held over 40 Hz: jumps in the disc every second, and a slow circle."""
+    turn = 2 * np.pi * np.arange(steps) / 160.0
+    jumps = rng.uniform(-0.3, 0.3, (steps // 40 + 1, 2))[np.arange(steps) // 40]
+    return 0.5 * np.column_stack([np.cos(turn), np.sin(turn)]) + jumps
+
+
+class TestLimits:
+    def test_without_lag_and_command_it_is_the_filter_of_table_2_to_the_bit(self):
+        g, bend_map = np.random.default_rng(0), linear_map()
+        still = segment(across=np.zeros((2, 3)))
+        ours, plain = LoopFilter(bend_map, still, follows=False), BendFilter(bend_map)
+        told_command = ReadingsAlone(bend_map)
+        a, b, c = ours.init(), plain.init(), told_command.init()
+        for torque in commands(60, g):
+            u = bend_map(g.uniform(-4.0, 4.0, (1, 2)))[0]
+            a, b, c = ours.step(a, u, torque), plain.step(b, u), told_command.step(c, u, torque)
+            for found in (a.bank, c):
+                for name in ("states", "moments", "log_weights", "mean_mm", "covariance_mm2", "weights"):
+                    assert np.array_equal(getattr(found, name), getattr(b, name))
+
+    def test_command_alone_is_the_step_response(self):
+        method = CommandAlone(segment())
+        state, torque = method.init(), np.array([0.5, -0.2])
+        for _ in range(16):
+            state = method.step(state, np.zeros(3), torque)
+        expected = 7.0 * torque * (1.0 - np.exp(-16 / 40.0 / 0.2))
+        np.testing.assert_allclose(state.bend_mm, expected, rtol=1e-12)
+
+    def test_readings_as_expected_leave_the_bend_where_the_command_says(self):
+        """A rest of nothing: the filter stays at f(s), with readings that have the lag in them."""
+        bend_map, known, g = linear_map(), segment(), np.random.default_rng(1)
+        ours = LoopFilter(bend_map, known, follows=True, rest_mm=1e-6)
+        alone, state, expected = CommandAlone(known), ours.init(), None
+        expected = alone.init()
+        for torque in commands(200, g):
+            expected = alone.step(expected, np.zeros(3), torque)
+            s = expected.torque[None]
+            lag = known.lag_mv(s, (torque - s[0])[None] / known.lag_s, expected.bend_mm[None])
+            state = ours.step(state, (bend_map(expected.bend_mm[None]) + lag)[0], torque)
+        np.testing.assert_allclose(state.bend_mm, expected.bend_mm, atol=0.02)
+
+    def test_state_is_not_changed(self):
+        ours, g = LoopFilter(linear_map(), segment(), follows=True), np.random.default_rng(2)
+        first = ours.step(ours.init(), np.array([1290.0, 1190.0, 1390.0]), np.zeros(2))
+        states, moments = first.bank.states.copy(), first.bank.moments.copy()
+        u, torque = first.bank.states[0, 4:] + 1290.0, g.uniform(-0.5, 0.5, 2)
+        one, two = ours.step(first, u, torque), ours.step(first, u, torque)
+        assert np.array_equal(one.bend_mm, two.bend_mm)
+        assert np.array_equal(first.bank.states, states)
+        assert np.array_equal(first.bank.moments, moments)
+
+
+class TestOwnModel:
+    @pytest.mark.parametrize("share", [0.0, 0.3])
+    def test_covariance_is_right_on_data_of_its_own_model(self, share):
+        """NEES of the bend, two degrees of freedom, over 15 runs; the error of a lag fades as the filter has it."""
+        bend_map, known, g = linear_map(), segment(share=share), np.random.default_rng(3)
+        ours, dt, biases = LoopFilter(bend_map, known, follows=True), 1.0 / 40.0, OursConfig().biases()
+        kept, slow = np.exp(-dt / known.apart_s), np.exp(-dt / bend_map.error_s)
+        faded = np.exp(-dt / known.lag_s)
+        prior = np.exp(-0.5 * (biases / 4.0) ** 2)
+        squares = []
+        for _ in range(15):
+            c = g.choice(biases, p=prior / prior.sum())
+            rest, error = 0.5 * g.standard_normal(2), 0.5 * g.standard_normal(3)
+            alone, state = CommandAlone(known), ours.init()
+            expected, size = alone.init(), np.zeros(3)
+            for tick, torque in enumerate(commands(80, g)):
+                expected = alone.step(expected, np.zeros(3), torque)
+                rest = kept * rest + 0.5 * np.sqrt(1 - kept**2) * g.standard_normal(2)
+                error = slow * error + 0.5 * np.sqrt(1 - slow**2) * g.standard_normal(3)
+                x, s = expected.bend_mm + rest, expected.torque[None]
+                lag = known.lag_mv(s, (torque - s[0])[None] / known.lag_s, x[None])[0]
+                size = np.maximum(np.abs(lag), faded * size)
+                noise = np.hypot(0.6, share * size) * g.standard_normal(3)
+                state = ours.step(state, bend_map(x[None])[0] + lag + c + error + noise, torque)
+                if tick >= 40:
+                    apart = state.bend_mm - x
+                    squares.append(apart @ np.linalg.solve(state.bank.covariance_mm2, apart))
+        assert 1.5 < np.mean(squares) < 2.6
+
+    def test_knowing_the_lag_and_the_command_helps_on_such_data(self):
+        bend_map, known, g = linear_map(), segment(), np.random.default_rng(4)
+        methods = [
+            ReadingsAlone(bend_map),
+            LoopFilter(bend_map, known, follows=False),
+            LoopFilter(bend_map, known, follows=True),
+        ]
+        states, alone = [m.init() for m in methods], CommandAlone(known)
+        expected, squares = alone.init(), np.zeros(3)
+        for torque in commands(400, g):
+            expected = alone.step(expected, np.zeros(3), torque)
+            x, s = expected.bend_mm, expected.torque[None]
+            lag = known.lag_mv(s, (torque - s[0])[None] / known.lag_s, x[None])[0]
+            u = bend_map(x[None])[0] + lag + 0.6 * g.standard_normal(3)
+            states = [m.step(state, u, torque) for m, state in zip(methods, states, strict=True)]
+            squares += [((state.bend_mm - x) ** 2).sum() for state in states]
+        assert squares[2] < 0.5 * squares[1] < 0.25 * squares[0]
+
+
+class TestIdentification:
+    def made(self) -> Commanded:
+        """A recording by the model itself, without noise."""
+        time_s = np.arange(13_000) / 100.0
+        torque = turned_torque(
+            TWIN.chambers, TWIN.chambers.pressures(experiment_torque(time_s - 5.0, TWIN.chambers, seed=0))
+        )
+        frames, known = np.arange(4000), segment()
+        empty = Recording("made", frames, np.zeros((4000, 3)), np.zeros((4000, 3)))
+        part = Commanded(empty, 6.0, time_s, torque)
+        s, rate = part.lagged(known.lag_s)
+        bend = known.bend_mm(s)
+        q = 1e-3 * np.column_stack([bend, np.zeros(4000)])
+        u = linear_map()(bend) + known.lag_mv(s, rate, bend) + 0.7
+        return replace(part, recording=Recording("made", frames, q, u))
+
+    def test_numbers_of_the_model_are_found(self):
+        found, known = identify(linear_map(), self.made(), None, np.zeros(2)), segment()
+        assert found.lag_s == known.lag_s
+        assert found.centre == known.centre
+        np.testing.assert_allclose(found.static, known.static, atol=1e-8)
+        np.testing.assert_allclose(found.across, ACROSS, atol=1e-8)
+        assert found.share < 1e-6
+        assert found.apart_mm < 1e-8
+        np.testing.assert_allclose(found.error_mv, 0.5)  # never below that of the map
+
+    def test_a_jump_is_followed_as_a_first_order_lag_does(self):
+        part = replace(self.made(), torque=np.tile([0.0, 0.4], (13_000, 1)), start_s=0.0)
+        s, rate = part.lagged(0.2)
+        gone = np.exp(-(part.recording.time_s + 0.01) / 0.2)  # the first sample is already one step on
+        np.testing.assert_allclose(s[::2, 1], 0.4 * (1 - gone[::2]), atol=1e-12)
+        np.testing.assert_allclose(rate[::2, 1], 2.0 * gone[::2], atol=1e-11)
+        assert not s[:, 0].any()
+
+    def test_static_map_and_its_inverse_have_one_degree(self):
+        assert monomials(np.ones((1, 2)), STATIC_DEGREE).shape[1] == len(segment().static)
+
+    def test_commands_need_the_pipeline(self):
+        raw = record_rig(TWIN, "T5", seed=0, duration_s=1.0)
+        merged = Recording("merged", np.arange(3), np.zeros((3, 3)), np.zeros((3, 3)))
+        with pytest.raises(InputError, match="Input read of commanded must be a recording by the pipeline"):
+            commanded(TWIN.chambers, raw, merged)
+
+
+class TestExperiment:
+    def test_torques_stay_in_their_disc_and_end(self):
+        time_s = np.arange(-100, 13_000) / 100.0
+        torque = experiment_torque(time_s, TWIN.chambers, seed=5) / TWIN.chambers.reference_nm
+        size = np.linalg.norm(torque, axis=1)
+        assert 0.8 * REACH < size.max() <= REACH + 1e-12
+        assert not size[time_s < 0].any()
+        assert not size[time_s >= SWEEP_S + JUMPS_S].any()
+        pressures = TWIN.chambers.pressures(torque * TWIN.chambers.reference_nm)
+        assert pressures.min() >= 0.0
+        assert pressures.max() <= TWIN.chambers.peak_mbar
+
+    def test_jumps_are_held_as_long_as_they_say(self):
+        time_s = np.arange(6000, 12_000) / 100.0
+        torque = experiment_torque(time_s, TWIN.chambers, seed=5)
+        at = np.flatnonzero(np.abs(np.diff(torque, axis=0)).max(axis=1) > 0)
+        held = np.diff(at) / 100.0
+        assert held.min() > HELD_S[0] - 0.02
+        assert held.max() < HELD_S[1] + 0.02
+
+    def test_sequence_is_one_sided_towards_its_bend(self):
+        """A torque that bends towards +x is the first component, turned."""
+        chambers = TWIN.chambers
+        pressures = chambers.pressures(chambers.reference_nm * np.array([[0.0, 0.5], [-0.25, 0.0]]))
+        np.testing.assert_allclose(turned_torque(chambers, pressures), [[0.5, 0.0], [0.0, 0.25]], atol=1e-12)
+
+
+class TestTwin:
+    def test_t5_does_not_tell_the_lag_and_the_experiment_does(self):
+        table = told().set_index("recording")
+        assert table.loc["T5.train", "own_%"] < 10.0
+        assert table.loc["T5.train", "turning_mm/s"] < 0.05 * table.loc["experiment", "turning_mm/s"]
+        other = table.loc["second experiment"]
+        assert other["own_%"] > 90.0
+        assert other["left_with_lag_mV"] < 0.4 * other["left_mV"]
+
+    def test_lag_of_the_segment_is_near_that_of_the_twin(self):
+        """Hysteresis is another delay: the time found is a little longer."""
+        found = learn(TWIN).segment.lag_s
+        assert TWIN.bending.lag_s <= found < 1.2 * TWIN.bending.lag_s
+
+    def test_estimators_in_a_loop(self):
+        gains = CONTROLLERS["PI"]
+        runs = [Run("raised cosine", gains, SESSIONS[1], 1000, e) for e in ESTIMATORS]
+        known = learn(TWIN)
+        trace = run_loops(TWIN, known, runs, duration_s=5.05)
+        again = run_loops(TWIN, known, runs[2:3], duration_s=5.05)
+        np.testing.assert_allclose(again.bend_mm[:, 0], trace.bend_mm[:, 2], atol=1e-9)
+        assert len(np.unique(trace.fed_back_mm[-1, :, 0])) == 4
+        other = run_loops(TWIN, known, [replace(runs[3], seed=7)], duration_s=5.05)
+        np.testing.assert_allclose(other.bend_mm[:, 0], trace.bend_mm[:, 3], atol=1e-9)  # no reading enters
+
+    def test_unknown_estimator_is_refused(self):
+        run = Run("step", CONTROLLERS["PI"], SESSIONS[0], estimator="oracle")
+        with pytest.raises(InputError, match="Input estimator of run_loops must be one of readings, lag"):
+            run_loops(TWIN, learn(TWIN), [run], duration_s=6.0)
+
+
+@cache
+def errors() -> pd.DataFrame:
+    """Two rows for each of two estimators, by hand."""
+    base = {
+        "controller": "PI",
+        "session": SESSIONS[1],
+        "reference": "step",
+        "estimate_mm": 0.2,
+        "offset_mm": 0.1,
+    }
+    rows = [
+        base | {"estimator": e, "seed": k, "tracking_mm": w * (1 + 0.1 * k), "tracking_truth_mm": 2.0}
+        for e, w in (("readings", 6.0), ("lag and command", 2.0))
+        for k in range(2)
+    ]
+    return pd.DataFrame(rows)
+
+
+class TestTables:
+    def test_ratios_by_estimator_by_hand(self):
+        table = by_group(errors(), "estimator", draws=100)
+        assert table.columns[0] == "estimator"
+        np.testing.assert_allclose(table["ratio"], [3.15, 1.05])
+        assert table["met"].tolist() == [False, True]
+        with pytest.raises(
+            InputError, match="Input group of by_group must be a column of the errors; instead"
+        ):
+            by_group(errors(), "twin")
+
+    def test_estimators_stand_beside_each_other(self):
+        wide = beside(by_group(errors(), "estimator", draws=100))
+        assert wide.columns.tolist()[-2:] == ["readings", "lag and command"]
+        np.testing.assert_allclose(wide.iloc[0, -2:].astype(float), [3.15, 1.05])
+        assert wide.loc[0, "truth_mm"] == 2.0
+
+    def test_study_of_table_2_comes_first_and_has_its_name(self):
+        with_command = errors().query("estimator == 'lag and command'")
+        plain = errors().query("estimator == 'readings'").drop(columns="estimator")
+        both = together(plain, with_command)
+        assert both["estimator"].drop_duplicates().tolist() == ["readings", "lag and command"]
+        assert len(both) == 4
+
+    def test_worst_by_twin(self):
+        table = worst_by(errors().assign(twin=7), "twin")
+        assert table["twin"].tolist() == [7, 7]
+        np.testing.assert_allclose(table["largest"], [3.15, 1.05])
+        assert table["met"].tolist() == [0, 1]
+
+    def test_rigs_stand_below_each_other(self):
+        table = other_rigs(errors().assign(rig="softer"), errors().assign(twin=7))
+        assert table["rig"].tolist() == ["softer", "softer", "random twin 7", "random twin 7"]

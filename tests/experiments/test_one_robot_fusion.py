@@ -1,0 +1,104 @@
+"""Magnets and IMUs in one filter: models against each other, consistency where the model is true, and tables."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from repro.errors import InputError
+from repro.experiments.one_robot import ROBOT, TRAJECTORIES, motion
+from repro.experiments.one_robot_fusion import estimates
+from repro.experiments.one_robot_fusion_models import Imus, Magnets
+from repro.experiments.one_robot_fusion_readings import SETTINGS, record
+from repro.experiments.one_robot_fusion_tables import errors, gains, judged, summary
+from repro.kinematics.mounts import magnet_mounts
+from repro.sensing.orientation_readings import OrientationReadings
+from repro.simulation.robots import LENGTH_M
+
+
+def states(n, seed=0):
+    scale = torch.tensor([0.01, 0.01, 0.002] + [0.1] * 9 + [0.04] * 3, dtype=torch.float64)
+    return scale * torch.randn(n, 15, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+@pytest.mark.parametrize("model", [Magnets(True), Magnets(False), Imus(False), Imus(True)])
+def test_derivatives_against_differences(model):
+    x, h = states(3), 1e-6
+    J = model.linearise(x)[1]
+    for k in range(x.shape[-1]):
+        step = h * torch.eye(15, dtype=torch.float64)[k]
+        slope = (model(x + step) - model(x - step)) / (2 * h)
+        torch.testing.assert_close(J[..., k], slope, atol=1e-7, rtol=1e-7)
+
+
+def test_the_imus_are_those_of_the_general_model():
+    x = states(5)
+    general = OrientationReadings(ROBOT, magnet_mounts([0, 0], [0.0, LENGTH_M]))
+    expected = general(x[:, :3], x[:, 3:6] + x[:, 6:9], x[:, 9:12])
+    torch.testing.assert_close(Imus(False)(x), expected, atol=1e-13, rtol=0)
+
+
+def test_readings_without_errors_are_those_of_the_models():
+    """The last draw: magpylib against the multipole series, the rotation vector against the bending."""
+    moved = motion(TRAJECTORIES[0], steps=8)
+    found = record([moved], [0], SETTINGS[2])
+    assert moved.q is not None
+    q = torch.nn.functional.pad(moved.q, (0, 12))
+    torch.testing.assert_close(found.magnets[1:, 0, -1], Magnets(True)(q), atol=3e-5, rtol=0)
+    torch.testing.assert_close(found.turns[1:, 0, -1], Imus(False)(q), atol=1e-12, rtol=0)
+    again = record([moved], [0], SETTINGS[2])
+    assert torch.equal(found.magnets, again.magnets)
+    assert torch.equal(found.turns, again.turns)
+
+
+@pytest.fixture(scope="module")
+def table():
+    moved = judged(40)[:1]
+    return errors(moved, range(10), settings=SETTINGS[1:2], methods=("magnets", "IMUs", "both"))
+
+
+def test_covariance_is_consistent_and_both_win_as_predicted(table):
+    found = summary(table).set_index("method")
+    assert np.isnan(found.loc["IMUs", "nees_tip"])
+    for kind in ("direction", "tip"):
+        part = found.loc[["magnets", "both"]]
+        assert bool((part[f"nees_{kind}"] > part[f"low_{kind}"]).all())
+        assert bool((part[f"nees_{kind}"] < part[f"high_{kind}"]).all())
+    won = gains(table).set_index("quantity")
+    assert list(won["single"]) == ["magnets", "magnets"]
+    assert bool((won["high"] < 1).all())
+    assert bool((won["predicted"] < 1).all())
+    assert won.loc["tip_mm", "ratio"] == pytest.approx(won.loc["tip_mm", "predicted"], rel=0.25)
+
+
+def test_band_and_ratio_of_a_table_made_by_hand():
+    lines = [
+        {"setting": "s", "trajectory": "t", "method": m, "seed": seed, "time_s": 0.0}
+        | {"tip_mm": e, "orientation_deg": e, "nees_tip": 1.0, "nees_direction": 9.0}
+        | {"predicted_tip_mm": e, "predicted_orientation_deg": e}
+        for m, e in (("magnets", 2.0), ("IMUs", 3.0), ("both", 1.0))
+        for seed in range(10)
+    ]
+    table = pd.DataFrame(lines)
+    found = summary(table)
+    np.testing.assert_allclose(
+        found[["low_direction", "high_direction"]].iloc[0], [0.4795, 1.7085], atol=1e-4
+    )
+    assert list(found["inside_tip_percent"]) == [100.0] * 3
+    assert list(found["inside_direction_percent"]) == [0.0] * 3
+    won = gains(table).iloc[0]
+    assert (won["single"], won["ratio"], won["low"], won["high"], won["predicted"]) == (
+        "magnets",
+        0.5,
+        0.5,
+        0.5,
+        0.5,
+    )
+
+
+def test_bad_input():
+    with pytest.raises(InputError, match="motions, seeds of record must be at least one of each"):
+        record([], [0], SETTINGS[0])
+    found = record([motion(TRAJECTORIES[0], steps=3)], [0], SETTINGS[0])
+    with pytest.raises(InputError, match="method of estimates must be one of 'magnets', 'IMUs', 'both'"):
+        estimates("all", found, SETTINGS[0])
