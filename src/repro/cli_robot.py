@@ -1,0 +1,225 @@
+"""Commands for a robot of one's own; thin, each imports what it needs when it runs."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from repro.live.follow.browser import BrowserView
+    from repro.live.follow.robot_estimator import RobotEstimator
+    from repro.live.follow.session import LiveState
+    from repro.live.robot.robot_file import RobotFile
+    from repro.live.wire.frame import Frame
+
+BLOCK_S, PLAIN_S = 0.25, 10.0
+"""Time between two states: on a terminal, which shows them in one place, and elsewhere [s]."""
+
+
+def calibrate(
+    source: str,
+    /,
+    *,
+    robot: Path,
+    poses: Path,
+    output: Annotated[Path, Parameter(name=["-o", "--output"])],
+    pose_noise_mm: float = 0.2,
+    pose_noise_deg: float = 0.5,
+    baud: int = 115200,
+) -> int:
+    """Calibrate a robot: repro calibrate PORT --robot ROBOT.toml --poses POSES.csv -o CALIBRATION.json.
+
+    Leads through the poses at a port, or takes them from a recording. Fits the placement of magnets and sensors,
+    gains, offsets, the moments of the magnets and the Earth field in the base frame; says what stays undetermined.
+
+    Parameters
+    ----------
+    source
+        A port, such as /dev/ttyACM0, or a file that repro record wrote.
+    robot
+        The robot as described.
+    poses
+        A CSV with a column per coordinate, such as delta_x_1_mm; for a recording also time_s, or start_s and end_s.
+    output
+        The calibration, JSON; must not exist yet.
+    pose_noise_mm, pose_noise_deg
+        How well the poses are known: standard deviation of coordinates in mm, and of those in rad and deg.
+    baud
+        Bits per second of the port.
+    """
+    import torch
+
+    from repro.errors import bad_input
+    from repro.live.record.recording import read_recording
+    from repro.live.robot.calibrate import calibrate as fit
+    from repro.live.robot.calibrate import pose_covariance, report
+    from repro.live.robot.calibration_file import write_calibration
+    from repro.live.robot.calibration_poses import guide, read_poses, recorded_readings
+    from repro.live.robot.robot_file import load_robot
+
+    torch.set_num_threads(1)
+    if output.exists():
+        raise bad_input("output", "repro calibrate", "a file that does not exist yet", output)
+    described = load_robot(robot)
+    for note in described.notes:
+        print(f"Warning: {note}")
+    described.sensing()  # refuses robots without magnetic sensors before anybody is asked for poses
+    table = read_poses(poses, described)
+    covariance = pose_covariance(described, pose_noise_mm * 1e-3, pose_noise_deg * torch.pi / 180)
+    if Path(source).is_file():
+        taken = recorded_readings(read_recording(Path(source)), described, table)
+    else:
+        taken = guide(described, table, _port_frames(source, baud, described), say=print, ask=_ask)
+    for note in taken.notes:
+        print(f"Warning: {note}")
+    found = fit(described, taken.values, table.q, covariance)
+    write_calibration(output, found)
+    print(f"{report(found, described.unit)}\nWritten: {output}")
+    return 0
+
+
+def live(
+    port: str,
+    /,
+    *,
+    robot: Path,
+    calibration: Path | None = None,
+    estimator: str = "",
+    output: Annotated[Path | None, Parameter(name=["-o", "--output"])] = None,
+    browser: Annotated[bool, Parameter(negative="")] = False,
+    failed: Annotated[list[int] | None, Parameter(negative="", metavar="NUMBER")] = None,
+    baud: int = 115200,
+    duration: float = math.inf,
+) -> int:
+    """Estimate the shape from a port: repro live PORT --robot ROBOT.toml -o RECORDING; stop with Ctrl-C.
+
+    Parameters
+    ----------
+    port
+        Such as /dev/ttyACM0, COM3 or socket://localhost:7000.
+    robot
+        The robot as described.
+    calibration
+        From repro calibrate.
+    estimator
+        levenberg_marquardt, kalman, gradient_descent or particle_filter for magnetic sensors (the first by default),
+        imu_chain for IMUs.
+    output
+        A recording of everything that arrives, as from repro record; a new file. Without it nothing is recorded.
+    browser
+        Show shape and readings on a page for the browser of this computer; its address is printed.
+    failed
+        Number of a sensor not to use, from 1; may be repeated.
+    baud
+        Bits per second of the port.
+    duration
+        Stop after this many seconds.
+    """
+    import torch
+
+    from repro.live.follow import live_text
+    from repro.live.follow.browser import BrowserView
+    from repro.live.follow.robot_estimator import robot_estimator
+    from repro.live.follow.session import follow
+    from repro.live.record.recording_file import WriteFailed
+    from repro.live.robot.robot_file import load_robot
+    from repro.report.project import shown
+
+    torch.set_num_threads(1)
+    described = load_robot(robot, calibration)
+    for note in described.notes:
+        print(f"Warning: {note}", file=sys.stderr)
+    method, stop = robot_estimator(described, estimator, failed=failed or []), threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    view = BrowserView(method) if browser else None
+    screen = _Block(method, view)
+    print("Preparing the estimator (the first time its kernels are compiled: a minute).", file=sys.stderr)
+    with view or nullcontext():
+        if view is not None:
+            print(f"Open {view.address} in a browser.", flush=True)
+        options = {"output": output, "baud": baud, "duration_s": duration}
+        try:
+            state = follow(port, method, **options, stop=stop, show=screen.show, warn=screen.line)
+        except WriteFailed as failure:
+            screen.line(f"repro: {failure}")
+            return 1
+    screen.line("\n".join(live_text.block(method, state)))
+    if not state.estimated:
+        screen.line("No frame came, or none could be used.")
+        return 1
+    if state.recorded.path is not None:
+        print(shown(state.recorded.path))
+    return 0
+
+
+class _Block:
+    """Standard error: lines that are written over on a terminal, now and then a line elsewhere."""
+
+    def __init__(self, estimator: RobotEstimator, view: BrowserView | None) -> None:
+        self._estimator, self._view = estimator, view
+        self._terminal = sys.stderr.isatty()
+        self._shown = time.monotonic()
+        self._height = 0
+        self._lock = threading.Lock()
+
+    def show(self, state: LiveState) -> None:
+        from repro.live.follow import live_text
+
+        if self._view is not None:
+            self._view.publish(state)
+        if time.monotonic() - self._shown < (BLOCK_S if self._terminal else PLAIN_S):
+            return
+        self._shown = time.monotonic()
+        with self._lock:
+            if not self._terminal:
+                print(live_text.line(self._estimator, state), file=sys.stderr, flush=True)
+                return
+            lines = live_text.block(self._estimator, state)
+            width = shutil.get_terminal_size().columns
+            lines = [text[: width - 1] for text in lines]  # a line that wraps could not be written over
+            print(self._up() + "\n".join(lines), file=sys.stderr, flush=True)
+            self._height = len(lines)
+
+    def line(self, text: str) -> None:
+        """Write for good; the block goes on below."""
+        with self._lock:
+            print(self._up() + text, file=sys.stderr, flush=True)
+            self._height = 0
+
+    def _up(self) -> str:
+        """Go to the beginning of the block and clear it."""
+        return f"\x1b[{self._height}F\x1b[J" if self._height else ""
+
+
+def _ask(question: str) -> None:
+    from repro.errors import bad_input
+
+    try:
+        input(question)
+    except EOFError as error:
+        raise bad_input("answer", "repro calibrate", "the Enter key", "the end of the input") from error
+
+
+def _port_frames(port: str, baud: int, robot: RobotFile) -> Iterator[Frame]:
+    """Open a port now, and return its frames, without end."""
+    from repro.live.record.ports import open_port, read_available
+    from repro.live.wire.formats import parser
+
+    opened, parse = open_port(port, baud), parser(robot.format)
+
+    def frames() -> Iterator[Frame]:
+        while True:
+            yield from parse.feed(read_available(opened, 0.2))
+
+    return frames()

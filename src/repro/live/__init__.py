@@ -1,0 +1,1 @@
+"""Serial frames in, recordings and estimates out."""

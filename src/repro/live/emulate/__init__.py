@@ -1,0 +1,1 @@
+"""A sensor board that is not there, with its faults."""

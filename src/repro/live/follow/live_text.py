@@ -1,0 +1,132 @@
+"""The state of a live session in words and numbers, for the terminal and for the page in the browser."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+
+from repro.live.follow.latency import STAGES
+from repro.live.follow.robot_estimator import RobotEstimator
+from repro.live.follow.session import LiveState
+from repro.live.robot.calibration_poses import coordinate_columns
+
+SHOWN_COUNTERS = ("frames", "gaps", "checksum_errors", "malformed", "reconnects")
+
+
+class Quantity(NamedTuple):
+    """A number with its standard deviation, which is NaN where the estimator has none.
+
+    It is undetermined if the deviation is larger than the width of its bounds.
+    """
+
+    name: str
+    value: float
+    deviation: float
+    unit: str
+    width: float = math.inf
+
+    def __str__(self) -> str:
+        """Return it with as many digits as its unit deserves."""
+        digits = 4 if self.unit == "rad" else 2
+        text = f"{self.name} {self.value:.{digits}f}"
+        if self.deviation > self.width:
+            return f"{text} {self.unit} (undetermined)"
+        if not math.isnan(self.deviation):
+            text += f" ± {self.deviation:.{digits + 1}f}"
+        return f"{text} {self.unit}"
+
+
+def quantities(estimator: RobotEstimator, state: LiveState) -> list[Quantity]:
+    """Estimated coordinates in mm, deg and rad, or for IMUs the position of the tip [mm]; none before an estimate.
+
+    Deviations are standard deviations by the covariance of the estimator.
+    """
+    if state.estimate is None:
+        return []
+    q, covariance = state.estimate.q, state.estimate.covariance
+    deviation = (
+        torch.full_like(q, torch.nan)
+        if covariance is None
+        else covariance.diagonal(dim1=-2, dim2=-1).clamp_min(0).sqrt()
+    )
+    if estimator.positions:
+        names = [(f"tip {axis}", "mm", 1e-3) for axis in "xyz"]
+        q, deviation = q[-3:], deviation[-3:]
+        width = torch.full_like(q, torch.inf)
+    else:
+        columns = coordinate_columns(estimator.robot)
+        names = [(*column.rsplit("_", 1), factor) for column, factor in columns.items()]
+        width = estimator.robot.upper - estimator.robot.lower
+    numbers = zip(names, *(x.tolist() for x in (q, deviation, width)), strict=True)
+    return [Quantity(name, x / f, s / f, unit, w / f) for (name, unit, f), x, s, w in numbers]
+
+
+def latency(state: LiveState) -> str:
+    """Median and 99th percentile of the time from the last bytes of a time step to its estimate, by stage."""
+    if not state.estimated:
+        return "latency: no estimate yet"
+    parts = {
+        stage: "/".join(f"{1e3 * state.latencies[stage].quantile(share):.2f}" for share in (0.5, 0.99))
+        for stage in STAGES
+    }
+    total = parts.pop("total")
+    stages = ", ".join(f"{stage} {text}" for stage, text in parts.items())
+    return f"latency p50/p99 {total} ms ({stages})"
+
+
+def troubles(estimator: RobotEstimator, state: LiveState) -> list[str]:
+    """What is wrong, one sentence each; none if all is well."""
+    said = []
+    if state.dropped:
+        said.append(
+            f"Overload: {state.dropped} time steps were not estimated, the newest first; "
+            + ("the recording has them." if state.recorded.path else "nothing is recorded.")
+        )
+    for name, count, now in zip(estimator.sensors, state.missing, state.missing_now, strict=True):
+        if count:
+            since = "gives no reading" if now else "gave no reading"
+            said.append(f"{name} {since} and is left out: {count} time steps so far.")
+    unused = [name for name, used in zip(estimator.sensors, _used(estimator), strict=True) if not used]
+    if unused:
+        said.append(f"Not used, as asked: {', '.join(unused)}.")
+    if state.refused:
+        said.append(f"{state.refused} time steps without an estimate. {state.refusal}")
+    if state.other_streams:
+        streams = ", ".join(f"{stream} ({count} frames)" for stream, count in state.other_streams.items())
+        said.append(f"Streams that {estimator.robot.name} does not have: {streams}.")
+    return said
+
+
+def alerts(estimator: RobotEstimator, state: LiveState) -> list[str]:
+    """What is wrong at the moment, in sentences that stay the same while it is: to be read aloud once."""
+    said = ["The estimator is too slow: time steps are left out."] if state.dropped else []
+    pairs = zip(estimator.sensors, state.missing_now, strict=True)
+    said += [f"{name} gives no reading and is left out." for name, gone in pairs if gone]
+    return [*said, *(["Readings that cannot be used came."] if state.refused else [])]
+
+
+def counters(state: LiveState) -> str:
+    """What was received and what went wrong on the way."""
+    known = state.recorded.counters
+    others = [f"{known[name]} {name.replace('_', ' ')}" for name in SHOWN_COUNTERS[1:] if known.get(name)]
+    return ", ".join([f"{known.get('frames', 0)} frames", *others])
+
+
+def block(estimator: RobotEstimator, state: LiveState) -> list[str]:
+    """Lines for a terminal."""
+    head = f"{state.seconds:.0f} s: {state.rate_hz:.1f} estimates/s by {estimator.name}; {latency(state)}"
+    rows = [str(quantity) for quantity in quantities(estimator, state)]
+    lines = [head, *("   ".join(rows[k : k + 3]) for k in range(0, len(rows), 3))]
+    return [*lines, counters(state), *troubles(estimator, state)]
+
+
+def line(estimator: RobotEstimator, state: LiveState) -> str:
+    """All of it in one line, for where no terminal shows it."""
+    return " | ".join(block(estimator, state))
+
+
+def _used(estimator: RobotEstimator) -> list[bool]:
+    use = estimator.use.unflatten(-1, (-1, 4)).all(-1)[1:] if estimator.positions else estimator.use
+    return use.tolist()

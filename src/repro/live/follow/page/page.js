@@ -1,0 +1,123 @@
+// The page of a live session: asks for the scene once, then draws what the stream of events brings.
+"use strict";
+
+const SHOWN_S = 20; // of the traces
+const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
+const DASHES = [[], [6, 3], [2, 2]]; // lines with the same colour differ in their dashes
+const byId = (id) => document.getElementById(id);
+
+/** Put texts into a list, reusing its entries: they stay selectable while numbers change. */
+function fill(list, texts) {
+  while (list.children.length > texts.length) list.lastChild.remove();
+  texts.forEach((text, k) => {
+    const entry = list.children[k] ?? list.appendChild(document.createElement("li"));
+    if (entry.lastChild?.nodeType !== Node.TEXT_NODE) entry.append(document.createTextNode(""));
+    if (entry.lastChild.data !== text) entry.lastChild.data = text;
+  });
+}
+
+/** Say something to everybody, also to those who do not see it; only if it is new. */
+function say(text) {
+  if (byId("status").textContent !== text) byId("status").textContent = text;
+}
+
+/** Lines over the last seconds; a reading that is missing leaves a gap. */
+class Traces {
+  constructor(canvas, names) {
+    this.canvas = canvas;
+    this.names = names;
+    this.rows = []; // [time, values]
+  }
+
+  add(time, values) {
+    if (this.rows.length && time <= this.rows.at(-1)[0]) return;
+    this.rows.push([time, values]);
+    while (this.rows[0][0] < time - SHOWN_S) this.rows.shift();
+  }
+
+  draw() {
+    const { canvas, rows } = this;
+    const scale = window.devicePixelRatio || 1;
+    const [width, height] = [Math.round(canvas.clientWidth * scale), Math.round(canvas.clientHeight * scale)];
+    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    const pen = canvas.getContext("2d");
+    pen.clearRect(0, 0, width, height);
+    const numbers = rows.flatMap(([, values]) => values.filter((x) => x !== null));
+    if (!numbers.length) return;
+    let low = Infinity, high = -Infinity;
+    for (const x of numbers) { low = Math.min(low, x); high = Math.max(high, x); }
+    const room = 0.05 * (high - low) || Math.max(1e-3, 0.05 * Math.abs(high));
+    low -= room; high += room;
+    const [left, bottom] = [64 * scale, 22 * scale];
+    const end = rows.at(-1)[0];
+    const x = (time) => left + (1 - (end - time) / SHOWN_S) * (width - left - 8 * scale);
+    const y = (value) => 6 * scale + (high - value) / (high - low) * (height - bottom - 6 * scale);
+    pen.font = `${12 * scale}px system-ui, sans-serif`;
+    pen.fillStyle = getComputedStyle(canvas).color;
+    pen.strokeStyle = "#88888866";
+    pen.lineWidth = scale;
+    for (let k = 0; k <= 4; k++) {
+      const value = low + k / 4 * (high - low);
+      pen.beginPath(); pen.moveTo(left, y(value)); pen.lineTo(width, y(value)); pen.stroke();
+      pen.textAlign = "right"; pen.textBaseline = "middle";
+      pen.fillText(value.toPrecision(4), left - 6 * scale, Math.min(Math.max(y(value), 7 * scale), height - bottom));
+    }
+    pen.textBaseline = "bottom";
+    pen.textAlign = "left"; pen.fillText(`${-SHOWN_S} s`, left, height);
+    pen.textAlign = "right"; pen.fillText("now", width - 4 * scale, height);
+    this.names.forEach((_, k) => {
+      pen.strokeStyle = COLOURS[k % COLOURS.length];
+      pen.setLineDash(DASHES[Math.floor(k / COLOURS.length) % DASHES.length].map((d) => d * scale));
+      pen.lineWidth = 1.8 * scale;
+      pen.beginPath();
+      let drawing = false;
+      for (const [time, values] of rows) {
+        const value = values[k];
+        if (value === null) drawing = false;
+        else if (drawing) pen.lineTo(x(time), y(value));
+        else { pen.moveTo(x(time), y(value)); drawing = true; }
+      }
+      pen.stroke();
+    });
+    pen.setLineDash([]);
+  }
+}
+
+function begin(scene) {
+  document.title = `Live: ${scene.robot}`;
+  byId("robot").textContent = scene.robot;
+  byId("unit").textContent = `[${scene.unit}]`;
+  const handle = window.reproViewer ? window.reproViewer.mount(byId("shape"), scene.shape) : null;
+  byId("no-shape").hidden = handle !== null;
+  const traces = new Traces(byId("traces"), scene.traces);
+  fill(byId("values"), scene.traces);
+  [...byId("values").children].forEach((entry, k) => {
+    const mark = document.createElement("i");
+    mark.style.backgroundColor = COLOURS[k % COLOURS.length];
+    entry.prepend(mark);
+  });
+  let latest = null;
+  const draw = () => {
+    if (latest === null) return;
+    if (handle && latest.shape) handle.update(latest.shape);
+    fill(byId("quantities"), latest.quantities);
+    fill(byId("troubles"), latest.troubles);
+    fill(byId("values"), scene.traces.map((name, k) => `${name} ${latest.readings?.[k]?.toPrecision(4) ?? "—"}`));
+    byId("head").textContent = latest.head;
+    byId("counters").textContent = latest.counters;
+    traces.draw();
+    latest = null;
+  };
+  const events = new EventSource("/events");
+  events.onmessage = (event) => {
+    const first = latest === null;
+    latest = JSON.parse(event.data);
+    if (latest.readings) traces.add(latest.time_s, latest.readings);
+    say(latest.alerts.length ? latest.alerts.join(" ") : latest.quantities.length ? "Estimating." : "No frame yet.");
+    if (first) requestAnimationFrame(draw); // a hidden page draws nothing, and catches up later
+  };
+  events.addEventListener("end", () => { events.close(); say("The session has ended."); });
+  events.onerror = () => say("The connection is lost; trying again.");
+}
+
+fetch("/scene.json").then((answer) => answer.json()).then(begin, () => say("The session cannot be reached."));

@@ -1,0 +1,1 @@
+"""A port to a recording that survives whatever happens."""

@@ -1,0 +1,134 @@
+"""A recording as a file that the loaders of `repro.recordings` read."""
+
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import os
+import uuid
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from repro.errors import bad_input
+from repro.live.record.recording import Recording
+from repro.recordings.baaij2023 import READINGS
+from repro.report.files import write_whole
+from repro.sensing.rig import RIG_RATE_HZ
+
+SCHEMAS = {"hall": 3, "millivolts": 3, "quaternions": 4}
+"""What can be written, and the number of values of a frame: `repro.recordings.mitchell2021.read_hall`,
+`repro.recordings.baaij2023.read_readings` and `repro.recordings.martin2022.read_readings` read them."""
+TIE_NS = 1000
+"""Readings that arrived together are written this much apart, since times in these files must increase [ns]."""
+COUNTS_PER_UNIT = 1000.0
+"""Counts of the Hall sensor per unit of the files of Mitchell et al."""
+_TYPE = "estimator/msg/quat"
+_MESSAGE = "std_msgs/Header header\nuint8 ID\nfloat32 w\nfloat32 x\nfloat32 y\nfloat32 z\n"
+
+
+def export(recording: Recording, path: Path, schema: str = "") -> list[str]:
+    """Write the readings of a recording in the schema of a loader.
+
+    Parameters
+    ----------
+    recording
+        What to write.
+    path
+        A new file: rows ``[x y z],unix_time`` in thousands of counts for ``hall``; columns u1, u2, u3 [mV] for
+        ``millivolts``; for ``quaternions`` a ROS 1 bag, whose components are float32.
+    schema
+        One of :data:`SCHEMAS`; by default the format of the recording. A recording of the format ``frames`` does not
+        know the unit of its values, so it must be given.
+
+    Returns
+    -------
+    list of str
+        What the file does not hold as it was recorded; empty if nothing.
+
+    Raises
+    ------
+    InputError
+        If the recording has another format, or the wrong number of values or of streams, or no frame; or the file
+        exists.
+    """
+    schema = schema or recording.format
+    if schema not in SCHEMAS:
+        raise bad_input("schema", "export", f"one of {', '.join(SCHEMAS)}", schema)
+    if recording.format not in ("frames", schema):
+        raise bad_input(
+            "recording", f"export as {schema}", f"of the format {schema} or frames", recording.format
+        )
+    if path.exists():
+        raise bad_input("output", "export", "a new file (give another name, or move the old one)", path)
+    if not len(recording.frames) or (recording.widths != SCHEMAS[schema]).any():
+        must = f"frames of {SCHEMAS[schema]} values each"
+        found = sorted(set(recording.widths.tolist())) or "no frame"
+        raise bad_input("recording", f"export as {schema}", must, found)
+    if schema != "quaternions" and (streams := recording.frames["stream"].unique()).size > 1:
+        raise bad_input("recording", f"export as {schema}", "of one stream", sorted(streams.tolist()))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write = {"hall": _write_hall, "millivolts": _write_millivolts, "quaternions": _write_bag}[schema]
+    return write(recording, path)
+
+
+def _write_hall(recording: Recording, path: Path) -> list[str]:
+    unix_ns, remarks = _times(recording)
+    # The last field of a line is the component along the body, column 0 of the files.
+    values = recording.frames[recording.channels].to_numpy()[:, ::-1] / COUNTS_PER_UNIT
+    rows = zip(values.tolist(), (1e-9 * unix_ns).tolist(), strict=True)
+    write_whole(path, "".join(f"[{x!r} {y!r} {z!r}],{t!r}\n" for (x, y, z), t in rows))
+    return [*remarks, "the loader drops the first reading, and all that follow it within 1 ms"]
+
+
+def _write_millivolts(recording: Recording, path: Path) -> list[str]:
+    table = recording.frames[recording.channels].set_axis(READINGS, axis=1)
+    write_whole(path, table.to_csv(index=False, lineterminator="\n"))
+    time_s = recording.frames["time_s"].to_numpy()
+    if len(time_s) < 2:
+        return []
+    rate_hz = (len(time_s) - 1) / (time_s[-1] - time_s[0]) if time_s[-1] > time_s[0] else np.inf
+    late = int((np.diff(time_s) > 2 / RIG_RATE_HZ).sum())
+    remarks = []
+    if abs(rate_hz / RIG_RATE_HZ - 1) > 0.02:
+        remarks.append(f"{rate_hz:.1f} frames/s were recorded; the loader takes {RIG_RATE_HZ:g} Hz")
+    if late:
+        remarks.append(
+            f"{late} pauses of more than {2e3 / RIG_RATE_HZ:g} ms; the loader takes equal steps of time"
+        )
+    return remarks
+
+
+def _write_bag(recording: Recording, path: Path) -> list[str]:
+    unix_ns, remarks = _times(recording)
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg(_MESSAGE, _TYPE))
+    message, head = store.types[_TYPE], store.types["std_msgs/msg/Header"]
+    zero = store.types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    temporary = path.with_name(f".{path.name}-{uuid.uuid4().hex}")
+    quaternions = recording.frames[recording.channels].to_numpy().astype(np.float32)
+    rows = zip(recording.frames["stream"].tolist(), quaternions, unix_ns.tolist(), strict=True)
+    try:
+        with Writer(temporary) as bag:
+            connection = bag.add_connection("/quat_meas", _TYPE, typestore=store)
+            for number, (imu, (x, y, z, w), time_ns) in enumerate(rows):
+                reading = message(head(number, zero, ""), ID=imu, w=w, x=x, y=y, z=z)
+                bag.write(connection, time_ns, store.serialize_ros1(reading, _TYPE))
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return remarks
+
+
+def _times(recording: Recording) -> tuple[Int[np.ndarray, " frames"], list[str]]:
+    """Times of arrival since 1970 [ns], made to increase."""
+    host_ns = recording.frames["host_ns"].to_numpy() - recording.metadata["start_host_ns"]
+    steps = np.arange(len(host_ns), dtype=np.int64) * TIE_NS
+    apart = np.maximum.accumulate(host_ns - steps) + steps
+    moved = int((apart != host_ns).sum())
+    unix_ns = round(1e9 * recording.metadata["start_unix_s"]) + apart
+    remark = f"{moved} readings that arrived together are written {TIE_NS / 1e3:g} µs apart"
+    return unix_ns, [remark] if moved else []

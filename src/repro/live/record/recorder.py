@@ -1,0 +1,302 @@
+"""Record a port: read, parse, write, and go on when the port disappears and comes back."""
+
+from __future__ import annotations
+
+import math
+import platform
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import serial
+
+from repro.errors import InputError, bad_input
+from repro.live.record.clock import DeviceClock
+from repro.live.record.ports import close_port, open_port, ports, read_available
+from repro.live.record.recording import channel_names
+from repro.live.record.recording_file import RecordingFile, WriteFailed, check_new, write_sidecar
+from repro.live.record.suspect import Suspect
+from repro.live.wire.formats import parser
+from repro.live.wire.frame import Frame, Parser
+
+WAIT_S = 0.1
+"""Longest wait for bytes, and so for noticing a request to stop [s]."""
+SHOW_S = 1.0
+SIDECAR_S = 10.0
+CLOCK_FRAMES = 256
+"""The device's clock is compared with the host's when so many frames have come, and when the metadata are written."""
+RETRY_S = (0.05, 1.0)
+"""Shortest and longest wait before a lost port is opened again [s]; it doubles in between."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a recording holds, as its sidecar tells.
+
+    Attributes
+    ----------
+    path
+        The file; None if no frame came, so that none was written.
+    counters
+        Those of `repro.live.wire.frame.Counters`, ``reconnects`` and ``received_bytes``.
+    seconds
+        How long it was recorded.
+    """
+
+    path: Path | None
+    counters: dict[str, int]
+    seconds: float
+
+    def __str__(self) -> str:
+        """Return one line for the screen: frames, and everything else that is not zero."""
+        rate = self.counters["frames"] / self.seconds if self.seconds else 0.0
+        names = {"received_bytes": "bytes", "discarded_bytes": "bytes discarded"}
+        others = [
+            f"{number} {names.get(name, name.replace('_', ' '))}"
+            for name, number in self.counters.items()
+            if number and name != "frames"
+        ]
+        return ", ".join([f"{self.seconds:.0f} s: {self.counters['frames']} frames ({rate:.1f}/s)", *others])
+
+
+def record(
+    port: str,
+    format: str,
+    output: Path | None,
+    *,
+    baud: int = 115200,
+    channels: int | None = None,
+    duration_s: float = math.inf,
+    stop: threading.Event | None = None,
+    show: Callable[[Summary], None] | None = None,
+    warn: Callable[[str], None] = print,
+    each: Callable[[int, Sequence[Frame]], None] | None = None,
+) -> Summary:
+    """Record a port until told to stop.
+
+    The file is created when the first frame arrives. A port that disappears is opened again as soon as it is back;
+    a port that was never there is an error.
+
+    Parameters
+    ----------
+    port, baud
+        As for `repro.live.record.ports.open_port`.
+    format, channels
+        As for `repro.live.wire.formats.parser`.
+    output
+        The recording; its metadata are written beside it, see `repro.live.record.recording.sidecar_path`. None to
+        record nothing, for `each` alone.
+    duration_s
+        Stop after this time [s].
+    stop
+        Stop when this is set, from a signal or another thread.
+    show
+        Is given the state once per second.
+    warn
+        Is given what the user should know at once: the port is gone, is back, sends something else.
+    each
+        Is given arrival [ns] and frames of everything that arrives, before it is written; must not take long.
+
+    Returns
+    -------
+    Summary
+        The state at the end.
+
+    Raises
+    ------
+    InputError
+        The port cannot be opened, or what it sends in the first two seconds has no frame of the format (wrong rate or
+        format); the file exists.
+    WriteFailed
+        The disk is full or refuses. What was written is kept.
+    """
+    if not duration_s > 0:
+        raise bad_input("duration", "repro record", "a time above zero [s]", duration_s)
+    session = _Session(port, format, output, baud, channels, warn, each)
+    stop = stop or threading.Event()
+    try:
+        session.run(duration_s, stop, show)
+    except BaseException as error:
+        session.finish(str(error) or type(error).__name__)
+        raise
+    session.finish("stopped")
+    return session.summary()
+
+
+class _Session:
+    def __init__(
+        self,
+        port: str,
+        format: str,
+        output: Path | None,
+        baud: int,
+        channels: int | None,
+        warn: Callable[[str], None],
+        each: Callable[[int, Sequence[Frame]], None] | None,
+    ) -> None:
+        self.port, self.format, self.output, self.baud, self.warn = port, format, output, baud, warn
+        self.each = each
+        self.parser: Parser = parser(format, channels)
+        self.clock = DeviceClock()
+        self.times: list[tuple[int, int]] = []  # host [ns], device [us]; not yet given to the clock
+        self.file: RecordingFile | None = None
+        self.reconnects = self.received = 0
+        self.suspect: Suspect | None = Suspect(format)
+        self.unchanging: dict[str, Any] = {}
+        if output is not None:
+            check_new(output, "repro record")
+        # before the port is open: it takes longer than a buffer may hold frames
+        self.described = dict(ports()).get(port, "")
+        self.versions = {name: version(name) for name in ("repro", "pyserial", "numpy")}
+        self.opened: serial.SerialBase | None = open_port(port, baud)
+        self.start_ns, self.start_unix_s = time.monotonic_ns(), time.time()
+
+    def run(self, duration_s: float, stop: threading.Event, show: Callable[[Summary], None] | None) -> None:
+        end = time.monotonic() + duration_s
+        shown = saved = time.monotonic()
+        while not stop.is_set() and (now := time.monotonic()) < end:
+            if now - shown >= SHOW_S:
+                shown += SHOW_S * ((now - shown) // SHOW_S)
+                self.check_garbage()
+                if show is not None:
+                    show(self.summary())
+            if self.file is not None and now - saved >= SIDECAR_S:
+                saved = now
+                self.save(self.file.path)
+            try:
+                self.take(min(WAIT_S, end - now))
+            except OSError as error:
+                self.reconnect(error, end, stop)
+
+    def take(self, timeout_s: float) -> None:
+        """Read what is there, and write the frames that it completes."""
+        if self.opened is None:
+            raise ConnectionResetError(f"{self.port} is not open.")
+        chunk = read_available(self.opened, timeout_s)
+        host_ns = time.monotonic_ns()
+        if not chunk:
+            return
+        self.received += len(chunk)
+        frames = self.parser.feed(chunk)
+        if self.suspect is not None:
+            if frames:
+                self.suspect = None
+            else:
+                self.suspect.add(chunk)
+                self.check_garbage()
+        if not frames:
+            return
+        if self.each is not None:
+            self.each(host_ns, frames)
+        if self.file is None and self.output is not None:
+            self.unchanging = self.description(len(frames[0].values))
+            self.file = RecordingFile(self.output, self.unchanging)
+            self.save(self.file.path)
+        if self.file is not None:
+            self.file.append(host_ns, frames)
+        self.times += [(host_ns, sent_us) for _, _, sent_us, _ in frames if sent_us is not None]
+        if len(self.times) >= CLOCK_FRAMES:
+            self.set_clock()
+
+    def set_clock(self) -> None:
+        """Give the clock what it has not had yet: many frames at once cost little more than one."""
+        if self.times:
+            host_ns, device_us = np.array(self.times, dtype=np.int64).T
+            self.times.clear()
+            self.clock.add(host_ns, device_us)
+
+    def check_garbage(self) -> None:
+        """Refuse, or after good frames report, bytes that hold no frame of the format."""
+        if self.suspect is None or not self.suspect.ripe():
+            return
+        message = self.suspect.verdict(self.port, self.baud)
+        self.suspect = None
+        if not self.parser.counters.frames:
+            raise message
+        self.warn(str(message))
+
+    def reconnect(self, error: OSError, end: float, stop: threading.Event) -> None:
+        """Wait until the port can be opened again."""
+        if self.opened is not None:
+            close_port(self.opened)
+            self.opened = None
+        self.warn(f"{self.port} is gone ({error}); waiting for it.")
+        self.event("lost")
+        wait_s = RETRY_S[0]
+        while not stop.wait(min(wait_s, max(0.0, end - time.monotonic()))) and time.monotonic() < end:
+            wait_s = min(2 * wait_s, RETRY_S[1])
+            try:
+                self.opened = open_port(self.port, self.baud)
+            except InputError:
+                continue
+            self.parser.reopened()
+            self.set_clock()
+            self.clock.reopened()
+            self.suspect = Suspect(self.format)
+            self.reconnects += 1
+            self.event("reopened")
+            self.warn(f"{self.port} is back.")
+            return
+
+    def save(self, path: Path) -> None:
+        """Write the metadata as they are now."""
+        try:
+            write_sidecar(path, self.unchanging | self.metadata(None))
+        except OSError as error:  # would look like a lost port
+            raise WriteFailed(f"Writing beside {path.name} failed: {error.strerror}.") from error
+
+    def event(self, name: str) -> None:
+        if self.file is not None:
+            self.file.note({"event": name, "host_ns": time.monotonic_ns()})
+
+    def finish(self, reason: str) -> None:
+        """Close port and file, and complete the metadata."""
+        if self.opened is not None:
+            close_port(self.opened)
+            self.opened = None
+        if self.file is None:
+            return
+        try:
+            self.file.close()
+        finally:
+            try:
+                write_sidecar(self.file.path, self.unchanging | self.metadata(reason))
+            except OSError as error:
+                self.warn(f"The metadata of {self.file.path.name} are those of a moment before: {error}.")
+
+    def summary(self) -> Summary:
+        counters = self.parser.counters.as_dict()
+        counters |= {"reconnects": self.reconnects, "received_bytes": self.received}
+        seconds = 1e-9 * (time.monotonic_ns() - self.start_ns)
+        return Summary(self.output if self.file else None, counters, seconds)
+
+    def description(self, width: int) -> dict[str, Any]:
+        """Metadata that do not change."""
+        return {
+            "format": self.format,
+            "channels": channel_names(self.format, width),
+            "port": self.port,
+            "port_description": self.described,
+            "baud": self.baud,
+            "start_unix_s": self.start_unix_s,
+            "start_host_ns": self.start_ns,
+            "versions": self.versions | {"python": platform.python_version(), "system": platform.system()},
+        }
+
+    def metadata(self, ended: str | None) -> dict[str, Any]:
+        """Return metadata that change."""
+        self.set_clock()
+        summary, fit = self.summary(), self.clock.fit()
+        numbers = {} if fit is None else asdict(fit)
+        return {
+            "seconds": summary.seconds,
+            "ended": ended,
+            "counters": summary.counters,
+            # JSON has no NaN
+            "clock": {k: None if math.isnan(v) else v for k, v in numbers.items()} or None,
+        }

@@ -1,0 +1,201 @@
+"""A recording read with one call: a table of frames, its metadata, and what had to be left out."""
+
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Int
+
+from repro.errors import bad_input
+from repro.live.record.recording_file import (
+    BLOCK,
+    CRC,
+    DEVICE,
+    MAGIC,
+    MOST_FRAMES,
+    MOST_TEXT,
+    SEQUENCE,
+    row_type,
+    sidecar_path,
+)
+from repro.live.wire.frame import Frame
+
+HEADER_BYTES = BLOCK.size + CRC.size
+"""Bytes of a block before its frames or text."""
+_NAMES = {
+    "hall": ["z_counts", "y_counts", "x_counts"],
+    "quaternions": ["x", "y", "z", "w"],
+}
+
+
+def channel_names(format: str, n: int) -> list[str]:
+    """Return the names of the values of a frame, with the unit where the format has one.
+
+    Parameters
+    ----------
+    format
+        One of `repro.live.wire.formats.FORMATS`.
+    n
+        Number of values.
+
+    Examples
+    --------
+    >>> channel_names("millivolts", 3)
+    ['u1_mV', 'u2_mV', 'u3_mV']
+    """
+    names = _NAMES.get(format, [])
+    if len(names) == n:
+        return list(names)
+    unit = "_mV" if format == "millivolts" else ""
+    return [f"u{j + 1}{unit}" for j in range(n)]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording as read from its file.
+
+    Attributes
+    ----------
+    frames
+        One row per frame in order of arrival: ``time_s``, arrival after the start of the recording; ``host_ns``,
+        arrival by the host's monotonic clock; ``stream``; ``sequence`` and ``device_us``, as sent, missing where the
+        format has none; then the values under the names of :func:`channel_names`, NaN where a frame has fewer.
+    metadata
+        The sidecar, or the first block of the file where there is no readable sidecar.
+    widths
+        Number of values of each frame.
+    notes
+        What happened to the port, in order.
+    torn_bytes
+        Bytes after the last whole block: cut off by a crash, or being written at the moment. Left out.
+    damaged_bytes
+        Bytes of damaged blocks before that; left out.
+    """
+
+    frames: pd.DataFrame
+    metadata: dict[str, Any]
+    widths: Int[np.ndarray, " frames"]
+    notes: list[dict[str, Any]]
+    torn_bytes: int
+    damaged_bytes: int
+
+    @property
+    def format(self) -> str:
+        """Wire format that the frames came in."""
+        return self.metadata["format"]
+
+    @property
+    def channels(self) -> list[str]:
+        """Names of the columns that hold values."""
+        return list(self.frames.columns[5:])
+
+    def as_frames(self) -> Iterator[tuple[int, Frame]]:
+        """Yield arrival [ns] and frame, as they were given to `RecordingFile.append`."""
+        numbers = [
+            [None if missing else int(number) for number, missing in zip(column, column.isna(), strict=True)]
+            for column in (self.frames["sequence"], self.frames["device_us"])
+        ]
+        values = self.frames[self.channels].to_numpy(dtype=float)
+        heads = zip(self.frames["host_ns"], self.frames["stream"], *numbers, values, self.widths, strict=True)
+        for host_ns, stream, sequence, device_us, row, width in heads:
+            yield int(host_ns), Frame(int(stream), sequence, device_us, tuple(row[:width].tolist()))
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording, finished or not.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    InputError
+        If it does not start as a recording does.
+    """
+    data = path.read_bytes()
+    texts, found, torn, damaged = _scan(data)
+    if not texts or "format" not in texts[0]:
+        raise bad_input("file", path.name, f"a recording (it starts with {MAGIC.decode()})", data[:16])
+    head, notes = texts[0], texts[1:]
+    try:
+        metadata = head | json.loads(sidecar_path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # a power cut may have left none: the file itself tells what is needed
+        metadata = head
+    frames, widths = _table(found, head)
+    return Recording(frames, metadata, widths, notes, torn, damaged)
+
+
+def _scan(data: bytes) -> tuple[list[dict[str, Any]], dict[int, list[tuple[int, int, bytes]]], int, int]:
+    """Return texts; blocks of frames by width, as (number of the block, frames, bytes); torn and damaged bytes."""
+    texts: list[dict[str, Any]] = []
+    found: dict[int, list[tuple[int, int, bytes]]] = {}
+    at = lost = number = 0
+    good_until = 0
+    while at + HEADER_BYTES <= len(data):
+        magic, kind, width, count = BLOCK.unpack_from(data, at)
+        size = count * row_type(width).itemsize if kind == b"F" and count <= MOST_FRAMES else count
+        end = at + HEADER_BYTES + size
+        plausible = (
+            magic == MAGIC and (kind == b"F" or (kind == b"H" and count <= MOST_TEXT)) and end <= len(data)
+        )
+        payload = data[at + HEADER_BYTES : end] if plausible else b""
+        (crc,) = CRC.unpack_from(data, at + BLOCK.size)
+        if not plausible or zlib.crc32(payload, zlib.crc32(data[at : at + BLOCK.size])) != crc:
+            again = data.find(MAGIC, at + 1)
+            at = len(data) if again < 0 else again
+            continue
+        lost += at - good_until
+        if kind == b"F":
+            found.setdefault(width, []).append((number, count, payload))
+        else:
+            texts.append(json.loads(payload))
+        number += 1
+        at = good_until = end
+    return texts, found, len(data) - good_until, lost
+
+
+def _table(
+    found: dict[int, list[tuple[int, int, bytes]]], head: dict[str, Any]
+) -> tuple[pd.DataFrame, np.ndarray]:
+    """Put the frames of all blocks into one table, in the order of the file; return it and the frames' widths."""
+    # Killed at once it has no frames yet, but the head tells their columns.
+    most = max(found, default=len(head.get("channels", ())))
+    numbers_of_blocks = [
+        np.repeat([b[0] for b in blocks], [b[1] for b in blocks]) for blocks in found.values()
+    ]
+    order = np.concatenate(numbers_of_blocks or [np.zeros(0)]).argsort(kind="stable")
+    tables = [
+        np.frombuffer(b"".join(b[2] for b in blocks), row_type(width)) for width, blocks in found.items()
+    ]
+
+    def column(name: str) -> np.ndarray:
+        return np.concatenate([table[name] for table in tables] or [np.zeros(0, np.int64)])[order]
+
+    values = np.full((len(order), most), np.nan)
+    values[:] = np.concatenate(
+        [np.pad(t["values"], ((0, 0), (0, most - t["values"].shape[1]))) for t in tables] or [values]
+    )[order]
+    widths, known, host_ns = (
+        column("width").astype(np.int64),
+        column("known"),
+        column("host_ns").astype(np.int64),
+    )
+    values[np.arange(most) >= widths[:, None]] = np.nan
+    numbers = {
+        name: pd.arrays.IntegerArray(column(name).astype(np.int64), (known & bit) == 0)
+        for name, bit in (("sequence", SEQUENCE), ("device_us", DEVICE))
+    }
+    stream = column("stream").astype(np.int64)
+    table = pd.DataFrame(
+        {"time_s": 1e-9 * (host_ns - head["start_host_ns"]), "host_ns": host_ns, "stream": stream} | numbers
+    )
+    names = channel_names(head["format"], most)
+    return pd.concat([table, pd.DataFrame(values, columns=names)], axis=1), widths

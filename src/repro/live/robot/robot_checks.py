@@ -1,0 +1,137 @@
+"""What a robot file must not say although every key by itself is fine."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from torch import Tensor
+
+from repro.kinematics.robot import Robot
+from repro.live.robot.robot_tables import Document
+from repro.sensing.magnets import Cube, Ring
+
+IN_RANGE = 10.0
+"""A magnet is in range of a sensor if it can change the reading by this many standard deviations of its noise."""
+
+
+@runtime_checkable
+class _Sensed(Protocol):
+    @property
+    def robot(self) -> Robot: ...
+    @property
+    def start(self) -> Tensor: ...
+    @property
+    def magnet(self) -> Ring | Cube | None: ...
+    @property
+    def moments(self) -> Tensor | None: ...
+    @property
+    def gain(self) -> Tensor: ...
+    @property
+    def noise(self) -> float: ...
+    @property
+    def unit(self) -> str: ...
+
+
+def check_place(
+    document: Document, name: str, k: int, row: Mapping[str, Any], lengths: Sequence[float]
+) -> None:
+    """Refuse a part on a segment that does not exist, or beyond its ends.
+
+    Raises
+    ------
+    InputError
+        As said.
+    """
+    n = len(lengths)
+    if row["segment"] > n:
+        raise document.error(
+            (name, k, "segment"), f"between 1 and {n}, the number of segments", row["segment"]
+        )
+    length = lengths[row["segment"] - 1] * 1e3
+    if row["at_mm"] > length * (1 + 1e-12):
+        line = document.line("segments", row["segment"] - 1, "length_mm")
+        expected = f"at most {length:g}, the length of segment {row['segment']} (line {line}) [mm]"
+        raise document.error((name, k, "at_mm"), expected, row["at_mm"])
+
+
+def check_channels(document: Document, rows: Sequence[Mapping[str, Any]], channels: int) -> None:
+    """Refuse two sensors on one channel, and channels that the stream does not have.
+
+    Raises
+    ------
+    InputError
+        As said.
+    """
+    first: dict[int, int] = {}
+    for k, row in enumerate(rows):
+        channel = row["channel"]
+        if channel in first:
+            line = document.line("sensors", first[channel], "channel")
+            expected = f"another channel than that of sensor {first[channel] + 1} (line {line})"
+            raise document.error(("sensors", k, "channel"), expected, channel)
+        if channel > channels:
+            line = document.line("stream", "channels")
+            raise document.error(("sensors", k, "channel"), f"at most {channels} (line {line})", channel)
+        first[channel] = k
+
+
+def check_observed(document: Document, robot: Robot, imus: Sequence[tuple[int, float]], earth: bool) -> None:
+    """Refuse a segment that lies between no sensor and a magnet (or the base, for IMUs and in an Earth field).
+
+    Raises
+    ------
+    InputError
+        If there is such a segment.
+    """
+    ends = [(0, 0.0)]
+    pairs = [(ends[0], imu) for imu in imus]
+    magnets, sensors = (
+        list(zip(mounts.segment, mounts.axial.tolist(), strict=True))
+        for mounts in (robot.magnets, robot.sensors)
+    )
+    pairs += [(m, s) for s in sensors for m in [*magnets, *(ends if earth else [])]]
+    for i, segment in enumerate(robot.segments):
+        bottom, top = (i, 0.0), (i, segment.length)
+        if not any(min(pair) < top and max(pair) > bottom and pair[0] != pair[1] for pair in pairs):
+            expected = (
+                "of a segment between a magnet and a sensor, or below an IMU: nothing observes this one"
+            )
+            raise document.error(("segments", i, "kind"), expected, document.tables("segments")[i]["kind"])
+
+
+def out_of_range(document: Document, found: _Sensed) -> tuple[str, ...]:
+    """Return warnings about sensors that no magnet reaches, with the distances where estimators start.
+
+    A magnet reaches a sensor if its dipole, :math:`2 A_1/d^3` at most, is :data:`IN_RANGE` times the noise.
+
+    Raises
+    ------
+    InputError
+        If a sensor is so close to a magnet that the series of its field has no meaning.
+    """
+    if found.magnet is None or found.moments is None:
+        return ()
+    T_m, T_s = found.robot.magnet_and_sensor_poses(found.start)
+    distance = torch.linalg.vector_norm(T_s[:, None, :3, 3] - T_m[None, :, :3, 3], dim=-1)
+    if isinstance(found.magnet, Ring):
+        reach = math.hypot(found.magnet.outer_diameter, found.magnet.height) / 2
+    else:
+        reach = math.sqrt(3) / 2 * found.magnet.edge
+    notes = []
+    for j, row in enumerate(distance.tolist()):
+        near = min(range(len(row)), key=row.__getitem__)
+        if not row[near] > reach:
+            expected = f"farther than {reach * 1e3:.1f} mm from the centre of magnet {near + 1}"
+            raise document.error(("sensors", j, "at_mm"), expected, f"{row[near] * 1e3:.1f} mm from it")
+        signal = abs(2 * float(found.moments[0]) / row[near] ** 3 * float(found.gain[j]))
+        if signal < IN_RANGE * found.noise:
+            distances = ", ".join(f"magnet {k + 1} at {d * 1e3:.0f} mm" for k, d in enumerate(row))
+            notes.append(
+                f"{document.name}, line {document.line('sensors', j)}: no magnet is in range of sensor {j + 1} "
+                f"({distances}): the nearest gives it {signal:.2g} {found.unit} at most, "
+                f"with a noise of {found.noise:.2g}."
+            )
+    return tuple(notes)

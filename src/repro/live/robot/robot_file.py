@@ -1,0 +1,260 @@
+"""A robot in a TOML file: read, checked, and made into the objects that estimators take.
+
+Lengths are millimetres and angles degrees in the file, which says so in the names of its keys; SI and radians in what
+is made of it. Segments, magnets and sensors count from 1 at the base, in the file and in messages.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from repro.errors import bad_input
+from repro.kinematics.robot import Robot
+from repro.live.robot import robot_checks
+from repro.live.robot.calibration_file import RobotCalibration, read_calibration
+from repro.live.robot.magnet_moments import moments_of
+from repro.live.robot.robot_parts import Imu, imus_of, magnets_of, segments_of, sensors_of
+from repro.live.robot.robot_tables import (
+    UNITS,
+    Document,
+    model_keys,
+    sensor_keys,
+    stream_keys,
+    top_keys,
+)
+from repro.sensing.linearised import LinearisedSensing
+from repro.sensing.magnetic import MagneticSensing
+from repro.sensing.magnets import Cube, Ring
+from repro.sensing.network import PerSensor
+from repro.sensing.placement import placed
+from repro.sensing.weights import load_paper_network
+
+
+@dataclass(frozen=True)
+class RobotFile:
+    """A robot, its sensors and its stream.
+
+    Parameters
+    ----------
+    name, sha256
+        Name of the file, and the hash of its content.
+    robot
+        Segments with the mounts of magnets and sensors; after calibration, as calibrated.
+    format, rate_hz
+        Of the stream.
+    unit
+        Unit of the readings of the magnetic sensors: ``"mT"``, ``"mV"`` or ``"raw"`` (whole numbers of a converter).
+    channels
+        Values of a frame that are readings.
+    channel
+        For every sensor, which of them is its own, from 0.
+    gain, offset
+        Readings per flux density [unit/mT], and readings without field [unit], of every sensor.
+    noise
+        Standard deviation of a reading [unit].
+    moments
+        Multipole moments that the magnets share [mT m^(l+2)]; none without magnets.
+    magnet
+        The magnet as described, or none.
+    earth_mt
+        Earth field in the base frame [mT].
+    lower, upper
+        Bounds of the configuration.
+    imus
+        From base to tip.
+    networks
+        Files of trained networks that say what the sensors read, instead of the field of the magnets: one for all
+        sensors, one per segment, or one per sensor.
+    notes
+        Warnings: what is allowed but probably not meant.
+    """
+
+    name: str
+    sha256: str
+    robot: Robot
+    format: str
+    rate_hz: float
+    unit: str
+    channels: int
+    channel: tuple[int, ...]
+    gain: Float[Tensor, " s"]
+    offset: Float[Tensor, " s"]
+    noise: float
+    moments: Float[Tensor, " terms"] | None
+    magnet: Ring | Cube | None
+    earth_mt: Float[Tensor, " 3"]
+    lower: Float[Tensor, " n_q"]
+    upper: Float[Tensor, " n_q"]
+    imus: tuple[Imu, ...]
+    networks: tuple[Path, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def start(self) -> Float[Tensor, " n_q"]:
+        """Straight, in the middle of the bounds of every elongation (and of an azimuth): where estimators start."""
+        middle = (self.lower + self.upper) / 2
+        bends = torch.tensor([not name.startswith(("delta_L", "phi")) for name in self.robot.coordinates])
+        return torch.where(bends, torch.zeros_like(middle).clamp(self.lower, self.upper), middle)
+
+    def sensing(self, model: Callable[[Tensor], Tensor] | None = None) -> LinearisedSensing | MagneticSensing:
+        """Sensor model of an estimator: configuration to :meth:`signal` [unit].
+
+        Estimators with ``backend="compiled"`` take it, unless ``model`` is given.
+
+        Parameters
+        ----------
+        model
+            A sensor model of your own: relations as cosines (:mod:`repro.sensing.relations`) to readings [unit].
+
+        Raises
+        ------
+        InputError
+            If the robot has no magnetic sensors, or the network does not fit it.
+        """
+        if not len(self.robot.sensors) or self.moments is None:
+            expected = "a robot with magnets and magnetic sensors"
+            raise bad_input("robot", self.name, expected, f"one with {len(self.imus)} IMUs")
+        size = float(torch.linalg.vector_norm(self.earth_mt))
+        axis = self.earth_mt / size if size else None
+        if model is not None:
+            return MagneticSensing(self.robot, model, earth_axis=axis)
+        if self.networks:
+            return MagneticSensing(self.robot, self._network(), "angles", axis)
+        return LinearisedSensing(self.robot, self.moments, self.gain, self.earth_mt)
+
+    def _network(self) -> PerSensor:
+        segments, n = self.robot.sensors.segment, len(self.networks)
+        of_sensor = (
+            segments if n == len(self.robot.segments) else [0 if n == 1 else j for j in range(len(segments))]
+        )
+        return PerSensor([load_paper_network(path) for path in self.networks], of_sensor).double()
+
+    def signal(self, values: Sequence[float]) -> Float[Tensor, " s"]:
+        """Part of a frame that depends on the configuration [unit]: readings of the sensors without their offsets.
+
+        Raises
+        ------
+        InputError
+            If the frame has another number of values than the file says.
+        """
+        if len(values) != self.channels:
+            expected = f"of {self.channels} channels, as described in {self.name}"
+            raise bad_input("frame", "the stream", expected, f"{len(values)} values")
+        u = torch.tensor([values[k] for k in self.channel], dtype=torch.float64)
+        return u - self.offset
+
+    def values(self, q: Float[Tensor, "*q n_q"]) -> Float[Tensor, "*q channels"]:
+        """Values of the frames that a board would send at ``q`` [unit], without noise; unused channels are zero."""
+        u = self.sensing()(q) + self.offset
+        frame = u.new_zeros(*u.shape[:-1], self.channels)
+        frame[..., list(self.channel)] = u
+        return frame
+
+    def calibrated(self, calibration: RobotCalibration) -> RobotFile:
+        """Return the robot as calibrated.
+
+        Raises
+        ------
+        InputError
+            If the calibration belongs to another file, or to another content of this one.
+        """
+        if calibration.robot_sha256 != self.sha256:
+            expected = f"made with {self.name} as it is now (sha256 {self.sha256[:12]})"
+            received = f"one made with {calibration.robot} of sha256 {calibration.robot_sha256[:12]}"
+            raise bad_input("calibration", self.name, expected, received)
+        if self.moments is None or self.networks:
+            raise bad_input(
+                "calibration", self.name, "of a robot whose sensors read the field of magnets", self.name
+            )
+        sizes = (len(calibration.offset), len(calibration.earth_mt))
+        if sizes != (len(self.robot.sensors), 3):
+            expected = f"of {len(self.robot.sensors)} offsets and 3 components of the Earth field"
+            raise bad_input("calibration", self.name, expected, f"{sizes[0]} and {sizes[1]}")
+        parts = placed(self.robot, self.moments, calibration.parameters)
+        return replace(
+            self,
+            robot=replace(self.robot, magnets=parts.magnets, sensors=parts.sensors),
+            moments=parts.moments,
+            gain=self.gain * parts.gain,
+            offset=self.offset + calibration.offset,
+            earth_mt=calibration.earth_mt,
+        )
+
+
+def load_robot(path: Path | str, calibration: Path | str | None = None) -> RobotFile:
+    """Read a robot file, and apply a calibration if there is one.
+
+    Raises
+    ------
+    InputError
+        If the file does not describe a robot; the message names file, line and key.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise bad_input("path", "load_robot", "a robot file", path)
+    content = path.read_bytes()
+    try:
+        text = content.decode()
+    except UnicodeDecodeError as error:
+        raise bad_input("file", path.name, "text in UTF-8", error) from error
+    document = Document.of(path.name, text.replace("\r\n", "\n"))
+    described = _described(document, hashlib.sha256(content).hexdigest(), path.parent)
+    return described if calibration is None else described.calibrated(read_calibration(Path(calibration)))
+
+
+def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
+    document.checked(top_keys())
+    segments, bounds = segments_of(document)
+    lengths = tuple(segment.length for segment in segments)
+    magnets, magnet = magnets_of(document, lengths)
+    stream = document.table("stream")
+    sensors = document.tables("sensors")
+    values = document.checked(stream_keys(bool(sensors), stream.get("unit")), "stream")
+    unit = values.get("unit", UNITS[0])
+    model = document.table("model")
+    names = document.checked(model_keys(len(segments), len(sensors)), "model")["networks"] if model else []
+    networks = tuple(folder / name for name in names)
+    if missing := [str(path) for path in networks if not path.is_file()]:
+        raise document.error(("model", "networks"), "files beside this one", f"no {missing[0]}")
+    rows = [document.checked(sensor_keys(unit, bool(networks)), "sensors", k) for k in range(len(sensors))]
+    channels = values.get("channels") or max((row["channel"] for row in rows), default=0)
+    robot_checks.check_channels(document, rows, channels)
+    for k, row in enumerate(rows):
+        robot_checks.check_place(document, "sensors", k, row, lengths)
+    imus = imus_of(document, lengths)
+    column = {name: [row[name] for row in rows] for name in rows[0]} if rows else {}
+    gain = column.get("gain", column.get(f"gain_{unit.lower()}_per_mt", [1.0] * len(rows)))
+    earth = torch.tensor(document.content.get("earth_mt", [0.0] * 3), dtype=torch.float64)
+    robot = Robot(segments, magnets, sensors_of(column))
+    found = RobotFile(
+        name=document.name,
+        sha256=sha256,
+        robot=robot,
+        format=values["format"],
+        rate_hz=float(values["rate_hz"]),
+        unit=unit,
+        channels=channels,
+        channel=tuple(row["channel"] - 1 for row in rows),
+        gain=torch.tensor(gain, dtype=torch.float64),
+        offset=torch.tensor(column.get(f"offset_{unit.lower()}", []), dtype=torch.float64),
+        noise=float(values.get(f"noise_{unit.lower()}", 1.0)),
+        moments=None if magnet is None else moments_of(magnet),
+        magnet=magnet,
+        earth_mt=earth,
+        lower=torch.tensor([low for low, _ in bounds], dtype=torch.float64),
+        upper=torch.tensor([high for _, high in bounds], dtype=torch.float64),
+        imus=imus,
+        networks=networks,
+        notes=(),
+    )
+    robot_checks.check_observed(document, robot, [(imu.segment, imu.at_m) for imu in imus], bool(earth.any()))
+    if rows and magnet is None:
+        raise document.error(("sensors", 0, "channel"), "of a robot with [[magnets]]", "one without")
+    return replace(found, notes=robot_checks.out_of_range(document, found))

@@ -1,0 +1,81 @@
+"""The four formats by name: a parser, and the bytes of a frame."""
+
+from __future__ import annotations
+
+from repro.errors import bad_input
+from repro.live.wire.binary import KINDS, BinaryParser, encode_frame
+from repro.live.wire.frame import Frame, Parser
+from repro.live.wire.text import HALL, QUATERNION, Line, TextParser, millivolts
+
+FORMATS = ("frames", "hall", "millivolts", "quaternions")
+"""Our own frames; the lines of Mitchell et al. [counts], of Baaij et al. [mV], and of Martin et al. (x, y, z, w)."""
+
+
+def parser(format: str, channels: int | None = None) -> Parser:
+    r"""Return a new parser of a format, as after opening a port.
+
+    Parameters
+    ----------
+    format
+        One of :data:`FORMATS`.
+    channels
+        Values that every frame must have. By default any number for ``frames``, three for ``millivolts``; ``hall``
+        has three and ``quaternions`` four.
+
+    Raises
+    ------
+    InputError
+        If there is no such format, or it cannot have that many values.
+
+    Examples
+    --------
+    >>> hall = parser("hall")
+    >>> hall.feed(b"34,5\r\n12,-7,2310\r\n12,-7,23")
+    [Frame(stream=0, sequence=None, device_us=None, values=(12.0, -7.0, 2310.0))]
+    >>> hall.counters.first_partial
+    1
+    """
+    if format == "frames":
+        most = max(most for _, _, most in KINDS.values())
+        if channels is not None and not 1 <= channels <= most:
+            raise bad_input("channels", "frames", f"1 to {most}", channels)
+        return BinaryParser(channels)
+    return TextParser(_line(format, channels))
+
+
+def encode(format: str, frame: Frame, *, kind: str = "float32") -> bytes:
+    """Return the bytes that a board sends for a frame, delimiters included.
+
+    Text lines are rounded to what a board prints (``millivolts`` 4 decimals, ``quaternions`` 6) and have no place for
+    sequence and time; ``hall`` and ``int16`` take whole numbers only.
+
+    Parameters
+    ----------
+    format
+        One of :data:`FORMATS`.
+    frame
+        What to send.
+    kind
+        For ``frames``: ``float32`` or ``int16``.
+
+    Raises
+    ------
+    InputError
+        If there is no such format, or the frame does not fit it.
+    """
+    if format == "frames":
+        return encode_frame(frame, kind)
+    return _line(format, len(frame.values) if format == "millivolts" else None).write(frame)
+
+
+def _line(format: str, channels: int | None) -> Line:
+    if format not in FORMATS:
+        raise bad_input("format", "the parser", f"one of {', '.join(FORMATS)}", format)
+    if format == "millivolts":
+        if channels is not None and channels < 1:
+            raise bad_input("channels", format, "1 or more", channels)
+        return millivolts(channels or 3)
+    line = HALL if format == "hall" else QUATERNION
+    if channels not in (None, line.count):
+        raise bad_input("channels", format, f"{line.count}, or none given", channels)
+    return line

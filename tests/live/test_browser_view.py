@@ -1,0 +1,338 @@
+"""The live page: only this computer may ask, only its own files are served, and it shows what is estimated."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import math
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from page_on_screen import NO_GPU, differing, pixels, wait_until
+
+from repro.live.follow.browser import FILES, MOST_CLIENTS, WAITING, BrowserView, message
+from repro.live.follow.latency import STAGES, Latencies
+from repro.live.follow.robot_estimator import Follower, robot_estimator
+from repro.live.follow.session import LiveState
+from repro.live.follow.time_steps import TimeStep
+from repro.live.record.recorder import Summary
+from repro.live.robot.robot_file import load_robot
+from repro.live.wire.frame import Frame
+from repro.report.robot_view import backbone_deviation
+
+ROBOTS = Path(__file__).parents[2] / "data" / "robots"
+
+
+@pytest.fixture(scope="module")
+def estimator():
+    return robot_estimator(load_robot(ROBOTS / "one_segment.toml"))
+
+
+@pytest.fixture(scope="module")
+def states(estimator) -> list[LiveState]:
+    """States of a session in which the robot bends; in the last one sensor 2 is silent."""
+    follower, found = Follower(estimator), []
+    robot = estimator.robot
+    for k in range(40):
+        q = robot.start.clone()
+        q[0] = 0.018 * math.sin(k / 8)
+        values = robot.values(q).tolist()
+        if k == 39:
+            values[1] = math.nan
+        u, estimate = follower.step(TimeStep(k / 20, 0, 0, (Frame(0, k, None, tuple(values)),)))
+        found.append(state(estimator, follower, k / 20, u, estimate, gone=k == 39))
+    return found
+
+
+def state(estimator, follower, time_s=math.nan, u=None, estimate=None, gone=False) -> LiveState:
+    return LiveState(
+        seconds=1.0,
+        time_s=time_s,
+        readings=u,
+        estimate=estimate,
+        rate_hz=20.0,
+        estimated=follower.estimated,
+        dropped=0,
+        refused=0,
+        refusal="",
+        missing=tuple(follower.missing),
+        missing_now=(False, gone, False),
+        other_streams={},
+        recorded=Summary(None, {"frames": follower.estimated, "gaps": 3}, 1.0),
+        latencies={stage: Latencies() for stage in STAGES},
+    )
+
+
+@pytest.fixture
+def view(estimator) -> Iterator[BrowserView]:
+    with BrowserView(estimator) as server:
+        yield server
+
+
+def ask(view: BrowserView, path: str, method: str = "GET", **headers: str):
+    """Send one request as it stands; return status, headers and content."""
+    link = http.client.HTTPConnection("127.0.0.1", view.port, timeout=10)
+    try:
+        link.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
+        for name, value in ({"Host": f"127.0.0.1:{view.port}"} | headers).items():
+            if value:
+                link.putheader(name, value)
+        link.endheaders()
+        answer = link.getresponse()
+        return answer.status, dict(answer.getheaders()), answer.read()
+    finally:
+        link.close()
+
+
+def stream(view: BrowserView, **headers: str) -> http.client.HTTPResponse:
+    link = http.client.HTTPConnection("127.0.0.1", view.port, timeout=10)
+    link.request("GET", "/events", headers=headers)
+    return link.getresponse()
+
+
+def wait(condition) -> None:
+    deadline = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < deadline, "never"
+        time.sleep(0.01)
+
+
+def event(answer: http.client.HTTPResponse) -> tuple[str, str]:
+    """Next event that is more than a sign of life: its name and data."""
+    name, data = "message", ""
+    while line := answer.readline().decode():
+        line = line.rstrip("\n")
+        if line.startswith("event: "):
+            name = line[7:]
+        elif line.startswith("data:"):
+            data = line[5:].strip()
+        elif not line and (data or name != "message"):
+            return name, data
+    return "closed", ""
+
+
+def test_only_the_loopback_address_is_bound(view):
+    assert view.address == f"http://127.0.0.1:{view.port}/"
+    others = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}
+    for other in others - {"127.0.0.1"}:
+        with socket.socket() as trial:
+            assert trial.connect_ex((other, view.port)) != 0
+
+
+@pytest.mark.parametrize("path", [*FILES, "/scene.json", "/events"])
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Host": "example.org"},
+        {"Host": "127.0.0.1:1"},
+        {"Host": ""},
+        {"Origin": "http://example.org"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1:1"},
+    ],
+)
+def test_other_hosts_and_origins_are_refused(view, path, headers):
+    status, _, content = ask(view, path, **headers)
+    assert status == 403
+    assert content == b"Only for pages of this address.\n"
+
+
+@pytest.mark.parametrize("name", ["127.0.0.1", "localhost"])
+def test_its_own_files_are_served_with_a_strict_policy(view, name):
+    host = f"{name}:{view.port}"
+    for path, (file, kind) in FILES.items():
+        status, headers, content = ask(view, path, Host=host, Origin=f"http://{host}")
+        assert (status, headers["Content-Type"], content) == (200, kind, file.read_bytes())
+        assert headers["Content-Security-Policy"].startswith("default-src 'none'; script-src 'self'; ")
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert "Access-Control-Allow-Origin" not in headers
+    assert json.loads(ask(view, "/scene.json")[2])["traces"] == ["sensor 1", "sensor 2", "sensor 3"]
+
+
+@pytest.mark.parametrize("path", ["/../pyproject.toml", "/page", "/page.js?x", "/%2e%2e/", "http://x/"])
+def test_nothing_else_is_served(view, path):
+    assert ask(view, path)[0] == 404
+
+
+def test_nothing_can_be_sent_to_it(view):
+    for method in ("POST", "PUT", "DELETE", "OPTIONS", "CONNECT"):
+        assert ask(view, "/", method)[0] == 501
+
+
+def test_events_bring_states_and_the_end(estimator, states):
+    with BrowserView(estimator) as server:
+        answer = stream(server, Origin=f"http://127.0.0.1:{server.port}")
+        assert answer.headers["Content-Type"] == "text/event-stream"
+        for each in (states[3], states[39]):
+            server.publish(each)
+            name, data = event(answer)
+            assert name == "message"
+            assert json.loads(data) == json.loads(json.dumps(message(estimator, each)))
+        told = json.loads(data)
+    name = "message"
+    while name == "message":  # a page that comes is told the last state, perhaps twice
+        name, _ = event(answer)
+    assert name == "end"
+    assert told["readings"][1] is None
+    assert told["alerts"] == ["sensor 2 gives no reading and is left out."]
+    assert told["counters"] == "40 frames, 3 gaps"
+    assert told["quantities"][0].startswith("delta_x_1 ")
+    assert told["shape"]["shapes"][0]["points"][:3] == [0, 0, 0]
+
+
+def test_a_slow_browser_misses_states_and_nobody_waits(view, estimator, states):
+    slow = stream(view)
+    quick = stream(view)
+    wait(lambda: len(view._clients) == 2)
+    heard: list[float] = []
+
+    def listen():
+        while (found := event(quick))[0] == "message":
+            heard.append(json.loads(found[1])["time_s"])
+
+    listener = threading.Thread(target=listen)
+    listener.start()
+    longest = 0.0
+    for _ in range(60):
+        for each in states:
+            began = time.perf_counter()
+            view.publish(each)
+            longest = max(longest, time.perf_counter() - began)
+        time.sleep(0.01)
+    wait(lambda: len(heard) > 5)
+    assert longest < 0.5
+    assert all(client.qsize() <= WAITING for client in view._clients)
+    slow.close()
+    view.__exit__()
+    listener.join(10)
+    assert not listener.is_alive()
+
+
+def test_pages_that_leave_are_forgotten_and_too_many_refused(view, states):
+    answers = [stream(view) for _ in range(MOST_CLIENTS)]
+    wait(lambda: len(view._clients) == MOST_CLIENTS)
+    assert ask(view, "/events")[0] == 503
+    for answer in answers:
+        answer.close()
+
+    def gone() -> bool:
+        view.publish(states[0])
+        return not view._clients
+
+    wait(gone)
+
+
+def test_the_tube_is_that_of_the_derivatives(estimator, states):
+    found = message(estimator, states[20])["shape"]["shapes"][0]["deviation"]
+    estimate = states[20].estimate
+    expected = 1e3 * backbone_deviation(estimator.robot.robot, estimate.q, estimate.covariance)
+    np.testing.assert_allclose(found, expected, atol=6e-4)
+
+
+def test_what_is_undetermined_stays_on_the_screen():
+    two = robot_estimator(load_robot(ROBOTS / "one_segment.toml"), failed=[2])
+    follower = Follower(two)
+    frame = Frame(0, 0, None, tuple(two.robot.values(two.robot.start).tolist()))
+    u, estimate = follower.step(TimeStep(0.0, 0, 0, (frame,)))
+    told = message(two, state(two, follower, 0.0, u, estimate))
+    assert max(told["shape"]["shapes"][0]["deviation"]) == 110.0
+    assert told["quantities"][0].endswith("(undetermined)")
+
+
+def test_imus_are_shown_as_points_and_angles():
+    arm = robot_estimator(load_robot(ROBOTS / "imu_arm.toml"))
+    half = math.sqrt(0.5)
+    frames = [Frame(k, None, None, (0.0, 0.0, 0.0, 1.0)) for k in range(7)]
+    frames += [Frame(7, None, None, (half, 0.0, 0.0, half))]
+    follower = Follower(arm)
+    u, estimate = follower.step(TimeStep(0.0, 0, 0, tuple(frames)))
+    now = replace(state(arm, follower, 0.0, u, estimate), missing_now=(False,) * 8)
+    told = message(arm, now)
+    assert told["readings"] == pytest.approx([0.0] * 7 + [90.0])
+    points = np.reshape(told["shape"]["shapes"][0]["points"], (-1, 3))
+    assert points[0].tolist() == [0, 0, 0]
+    assert points[56].tolist() == pytest.approx([0, 0, 560])
+    assert len(told["shape"]["shapes"][0]["deviation"]) == len(points) == 65
+
+
+# -- in a browser
+
+
+@pytest.fixture
+def show(browser, view) -> Iterator:
+    """Open the page; at the end nothing may have gone wrong, and nothing else been asked."""
+    requests, console, pages = [], [], []
+
+    def open_page(before: str = ""):
+        page = browser.new_page()
+        pages.append(page)
+        page.on("request", lambda request: requests.append(request.url))
+        page.on("pageerror", lambda error: console.append(str(error)))
+        page.on("console", lambda line: console.append(line.text))
+        if before:
+            page.add_init_script(before)
+        page.goto(view.address)
+        wait_until(page, "document.getElementById('robot').textContent !== ''")
+        wait(lambda: view._clients)
+        return page
+
+    yield open_page
+    for page in pages:
+        page.close()
+    assert [line for line in console if NO_GPU not in line] == []
+    assert requests != []
+    assert [url for url in requests if not url.startswith((view.address, "data:"))] == []
+
+
+def play(view, page, states) -> None:
+    """Publish states, and wait until the page shows the last one."""
+    for each in states:
+        view.publish(each)
+        page.wait_for_timeout(20)
+    first = message(view._estimator, states[-1])["quantities"][0]
+    wait_until(page, f"document.querySelector('#quantities li')?.textContent === {json.dumps(first)}")
+
+
+def test_the_page_draws_shape_and_readings_and_they_move(show, view, states):
+    page = show()
+    assert page.get_by_role("status").inner_text() in ("Connecting …", "No frame yet.")
+    play(view, page, states[:2])
+    assert page.get_by_role("status").inner_text() == "Estimating."
+    assert not page.locator("#no-shape").is_visible()
+    drawn = page.locator("#shape canvas"), page.locator("#traces")
+    before = [pixels(part) for part in drawn]
+    play(view, page, states[2:13])
+    for part, then in zip(drawn, before, strict=True):
+        assert differing(then, pixels(part)) > 300, "it did not move"
+    assert page.locator("#values li").first.inner_text().startswith("sensor 1 -")
+    assert page.locator("#counters").inner_text() == "13 frames, 3 gaps"
+    play(view, page, states[13:])
+    assert page.get_by_role("status").inner_text() == "sensor 2 gives no reading and is left out."
+    assert page.locator("#values li").nth(1).inner_text() == "sensor 2 —"
+    view.__exit__()
+    wait_until(page, "document.getElementById('status').textContent === 'The session has ended.'")
+
+
+def test_without_webgl_the_numbers_stay(show, view, states):
+    page = show(
+        "const real = HTMLCanvasElement.prototype.getContext;"
+        "HTMLCanvasElement.prototype.getContext = function (kind, ...more)"
+        " { return kind === '2d' ? real.call(this, kind, ...more) : null; };"
+    )
+    play(view, page, states[:3])
+    assert page.locator("#no-shape").is_visible()
+    assert page.locator("#shape canvas").count() == 0
+    assert len(np.unique(pixels(page.locator("#traces")).reshape(-1, 3), axis=0)) > 10
+
+
+def test_it_fits_a_telephone(show, view, states):
+    page = show()
+    page.set_viewport_size({"width": 320, "height": 800})
+    play(view, page, states[:3])
+    assert page.evaluate("document.documentElement.scrollWidth") <= 320

@@ -1,0 +1,263 @@
+"""The file of a recording: what goes in comes out, and damage costs what was damaged."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from repro.errors import InputError
+from repro.live.record.kill_soak import kill_soak
+from repro.live.record.recording import channel_names, read_recording
+from repro.live.record.recording_file import (
+    MOST_FRAMES,
+    RecordingFile,
+    WriteFailed,
+    sidecar_path,
+    write_sidecar,
+)
+from repro.live.wire.frame import Frame
+
+HEAD = {"format": "frames", "start_host_ns": 1000, "start_unix_s": 1.7e9}
+numbers_32 = st.none() | st.integers(0, 2**32 - 1)
+any_frame = st.builds(
+    Frame,
+    st.integers(0, 65535),
+    numbers_32,
+    numbers_32,
+    st.lists(st.floats(allow_nan=False), max_size=9).map(tuple),
+)
+arrivals = st.lists(st.tuples(st.integers(0, 2**62), st.lists(any_frame, min_size=1, max_size=4)), max_size=4)
+
+
+def some_frames(first: int, n: int, width: int = 3) -> list[Frame]:
+    return [
+        Frame(k % 3, k, 1000 * k, tuple(k + 0.25 * j for j in range(width))) for k in range(first, first + n)
+    ]
+
+
+def written(path: Path, blocks: int = 5, n: int = 4) -> list[tuple[int, Frame]]:
+    frames = []
+    with RecordingFile(path, HEAD) as file:
+        for k in range(blocks):
+            part = some_frames(k * n, n)
+            file.append(2000 + k, part)
+            frames += [(2000 + k, frame) for frame in part]
+    return frames
+
+
+@settings(max_examples=15)
+@given(arrivals)
+def test_whatever_is_written_is_read(tmp_path_factory, arrived):
+    path = tmp_path_factory.mktemp("any") / "a.rec"
+    with RecordingFile(path, HEAD) as file:
+        for host_ns, frames in arrived:
+            file.append(host_ns, frames)
+    recording = read_recording(path)
+    expected = [(host_ns, frame) for host_ns, frames in arrived for frame in frames]
+    assert list(recording.as_frames()) == expected
+    assert (recording.torn_bytes, recording.damaged_bytes) == (0, 0)
+
+
+def test_a_recording_is_a_table(tmp_path):
+    path = tmp_path / "a.rec"
+    with RecordingFile(path, HEAD | {"format": "millivolts"}) as file:
+        file.append(500_001_000, [Frame(0, None, None, (1.5, 2.5, 3.5))])
+        file.note({"event": "lost", "host_ns": 5})
+        file.append(1_000_001_000, [Frame(0, None, None, (4.5, 5.5, float("nan")))])
+    recording = read_recording(path)
+    assert list(recording.frames) == [
+        "time_s",
+        "host_ns",
+        "stream",
+        "sequence",
+        "device_us",
+        "u1_mV",
+        "u2_mV",
+        "u3_mV",
+    ]
+    assert recording.frames["time_s"].tolist() == [0.5, 1.0]
+    assert recording.frames["sequence"].isna().all()
+    np.testing.assert_array_equal(
+        recording.frames[recording.channels].to_numpy(), [[1.5, 2.5, 3.5], [4.5, 5.5, np.nan]]
+    )
+    assert recording.notes == [{"event": "lost", "host_ns": 5}]
+    assert (recording.format, recording.metadata["start_unix_s"]) == ("millivolts", 1.7e9)
+
+
+def test_names_tell_the_unit_where_the_format_has_one():
+    assert channel_names("hall", 3) == ["z_counts", "y_counts", "x_counts"]
+    assert channel_names("quaternions", 4) == ["x", "y", "z", "w"]
+    assert channel_names("millivolts", 2) == ["u1_mV", "u2_mV"]
+    assert channel_names("frames", 1) == ["u1"]
+
+
+def test_the_bytes_are_those_of_the_page(tmp_path):
+    """Decoded by nothing but struct and zlib, from the table at the head of the module."""
+    path = tmp_path / "a.rec"
+    with RecordingFile(path, HEAD) as file:
+        file.append(77, [Frame(258, 3, None, (1.5, -2.0))])
+    data = path.read_bytes()
+    (length,) = struct.unpack_from("<I", data, 8)
+    assert json.loads(data[16 : 16 + length]) == HEAD
+    block = data[16 + length :]
+    assert block[:8] == b"RRB1F\0\x02\0"
+    assert struct.unpack_from("<II", block, 8) == (1, zlib.crc32(block[:12] + block[16:]))
+    assert struct.unpack("<qIIHBB2d", block[16:]) == (77, 0, 3, 258, 2, 1, 1.5, -2.0)
+
+
+def test_cut_anywhere_all_whole_blocks_are_read(tmp_path):
+    path, cut = tmp_path / "a.rec", tmp_path / "cut.rec"
+    frames = written(path)
+    data = path.read_bytes()
+    block = 16 + 4 * (20 + 3 * 8)
+    head = len(data) - 5 * block
+    for length in [*range(head, len(data), 13), *range(len(data) - 20, len(data) + 1)]:
+        cut.write_bytes(data[:length])
+        recording = read_recording(cut)
+        whole, rest = divmod(length - head, block)
+        assert list(recording.as_frames()) == frames[: 4 * whole]
+        assert (recording.torn_bytes, recording.damaged_bytes) == (rest, 0)
+
+
+def test_zeros_after_a_power_cut_are_left_out(tmp_path):
+    frames = written(path := tmp_path / "a.rec")
+    with path.open("ab") as file:
+        file.write(bytes(4096))
+    recording = read_recording(path)
+    assert list(recording.as_frames()) == frames
+    assert recording.torn_bytes == 4096
+
+
+def test_one_flipped_bit_costs_its_block_only(tmp_path):
+    path, flipped = tmp_path / "a.rec", tmp_path / "flipped.rec"
+    frames = written(path)
+    data = path.read_bytes()
+    block = 16 + 4 * (20 + 3 * 8)
+    second = len(data) - 4 * block
+    for bit in range(0, 8 * block, 31):
+        damaged = bytearray(data)
+        damaged[second + bit // 8] ^= 1 << bit % 8
+        flipped.write_bytes(damaged)
+        recording = read_recording(flipped)
+        assert list(recording.as_frames()) == frames[:4] + frames[8:]
+        assert (recording.torn_bytes, recording.damaged_bytes) == (0, block)
+
+
+def test_it_is_read_while_it_is_written(tmp_path):
+    path = tmp_path / "a.rec"
+    with RecordingFile(path, HEAD) as file:
+        assert len(read_recording(path).frames) == 0
+        for k in range(3):
+            file.append(k, some_frames(4 * k, 4))
+            assert len(read_recording(path).frames) == 4 * (k + 1)
+
+
+def test_more_frames_than_a_block_holds(tmp_path):
+    path = tmp_path / "a.rec"
+    with RecordingFile(path, HEAD) as file:
+        file.append(1, some_frames(0, MOST_FRAMES + 3, 1))
+    assert read_recording(path).frames["sequence"].tolist() == list(range(MOST_FRAMES + 3))
+
+
+def test_the_disk_is_asked_once_per_second(tmp_path):
+    with RecordingFile(tmp_path / "a.rec", HEAD) as file:
+        head = file.synced_bytes
+        file.append(1, some_frames(0, 4))
+        assert file.synced_bytes == head < file.written_bytes
+        deadline = time.monotonic() + 3.0
+        while file.synced_bytes < file.written_bytes and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert file.synced_bytes == file.written_bytes
+    file.close()  # again
+
+
+def test_an_existing_recording_is_never_overwritten(tmp_path):
+    written(path := tmp_path / "a.rec")
+    before = path.read_bytes()
+    expected = "must be a new file .give another name, or move the old one.; instead received .*a.rec"
+    with pytest.raises(InputError, match=expected):
+        RecordingFile(path, HEAD)
+    assert path.read_bytes() == before
+    write_sidecar(tmp_path / "b.rec", HEAD)
+    with pytest.raises(InputError, match="a new file"):
+        RecordingFile(tmp_path / "b.rec", HEAD)
+
+
+def test_the_sidecar_adds_to_the_first_block_and_may_be_lost(tmp_path):
+    written(path := tmp_path / "a.rec")
+    write_sidecar(path, {"counters": {"frames": 20}})
+    assert read_recording(path).metadata == HEAD | {"counters": {"frames": 20}}
+    sidecar_path(path).write_text("{")
+    assert read_recording(path).metadata == HEAD
+
+
+def test_a_recording_killed_before_its_first_frame_has_its_columns(tmp_path):
+    path = tmp_path / "a.rec"
+    RecordingFile(path, HEAD | {"channels": ["u1", "u2"]}).close()
+    frames = read_recording(path).frames
+    assert len(frames) == 0
+    assert list(frames.columns[-2:]) == ["u1", "u2"]
+
+
+def test_another_file_is_refused(tmp_path):
+    (tmp_path / "a.rec").write_bytes(b"time,u1\n0,1\n")
+    with pytest.raises(InputError, match=r"file of a.rec must be a recording \(it starts with RRB1\)"):
+        read_recording(tmp_path / "a.rec")
+    with pytest.raises(FileNotFoundError):
+        read_recording(tmp_path / "none.rec")
+
+
+FILL = """
+import resource, sys
+from pathlib import Path
+from repro.live.wire.frame import Frame
+from repro.live.record.recording_file import RecordingFile, WriteFailed
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
+try:
+    with RecordingFile(Path(sys.argv[1]), {"format": "frames", "start_host_ns": 0}) as file:
+        for k in range(1000):
+            file.append(k, [Frame(0, k, k, (1.0, 2.0, 3.0))])
+except WriteFailed as failure:
+    print(failure)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
+def test_a_full_disk_stops_loudly_and_keeps_what_is_written(tmp_path):
+    """A limit of the file size, which the operating system enforces as it does a full disk."""
+    path = tmp_path / "a.rec"
+    ran = subprocess.run(
+        [sys.executable, "-c", FILL, str(path), "10000"], capture_output=True, text=True, check=True
+    )
+    kept = (10000 - 16 - len(json.dumps({"format": "frames", "start_host_ns": 0}))) // (16 + 44)
+    assert ran.stdout == (
+        f"Writing a.rec failed: File too large; the {kept} frames written before are kept and can be read.\n"
+    )
+    recording = read_recording(path)
+    assert recording.frames["sequence"].tolist() == list(range(kept))
+    assert 0 < recording.torn_bytes < 60
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(WriteFailed, match=r"a\.rec cannot be written: (File exists|Not a directory)\."):
+        RecordingFile(tmp_path / "file" / "a.rec", HEAD)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
+def test_ten_killed_recorders_leave_recordings_that_lack_less_than_a_second():
+    for killed in kill_soak(10, seed=int(time.time())):
+        assert killed.in_order, killed
+        assert killed.damaged_bytes == 0, killed
+        assert killed.missing_s < 1.0, killed
