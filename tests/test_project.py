@@ -131,7 +131,11 @@ DOCUMENTS = [
     "README.md",
     "CONTRIBUTING.md",
     ".ci/run",
-    *(f"book/{p.name}" for p in (ROOT / "book").glob("*.md")),
+    *(
+        p.relative_to(ROOT).as_posix()
+        for folder in ("", "chapters", "contributing")
+        for p in (ROOT / "book" / folder).glob("*.md")
+    ),
 ]
 
 
@@ -143,6 +147,51 @@ def test_documented_targets_exist(name):
     assert words <= targets(), words - targets()
 
 
+def dead_paths(text: str, folder: Path = ROOT) -> list[str]:
+    """Return what a text names of the project and what is not there.
+
+    Links are read from a folder, or lead to a label. A word in code counts as a path if it begins with a folder of
+    the project, and alone between backticks also if it is a file's name. What builds make (``.gitignore``) need not
+    be there, nor what the text itself shows: a path, a colon, and a block.
+    """
+    linked = [target.split("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in target]
+    code = "\n".join(re.findall(r"```.*?```|`[^`\n]+`", text, re.DOTALL))
+    folders = "|".join(re.escape(path.name) for path in ROOT.iterdir() if path.is_dir())
+    named = re.findall(rf"(?<![\w./-])(?:{folders})/[\w.*/-]+", code)
+    named += re.findall(r"`([\w-][\w.-]*\.(?:md|toml|in|lock|yml|cff|py|json))`", text)
+    made = tuple(line.strip("/*") for line in read(".gitignore").splitlines() if line.startswith("/"))
+    shown = re.findall(r"^`([^`\n]+)`[^`\n]*(?:`\w+`)?:\n\n```", text, re.MULTILINE)
+    labels = {label for page in DOCUMENTS for label in re.findall(r"^\((.+)\)=$", read(page), re.MULTILINE)}
+    dead = [target for target in linked if target and target not in labels and not (folder / target).exists()]
+    for name in named:
+        there = any(ROOT.glob(name.rstrip("/."))) or any(ROOT.glob(f"{name}.ipynb"))  # pages have no suffix
+        if not there and not name.startswith(made) and not any(path.startswith(name) for path in shown):
+            dead.append(name)
+    return dead
+
+
+@pytest.mark.parametrize(
+    "name", ["README.md", "CONTRIBUTING.md", *(name for name in DOCUMENTS if "contributing/" in name)]
+)
+def test_named_paths_and_links_exist(name):
+    """No text for contributors leads to a file that is not there."""
+    assert dead_paths(read(name), (ROOT / name).parent) == []
+
+
+def test_dead_paths_are_found():
+    """In links, in code and in commands; what is made, patterns and other hosts are left alone."""
+    text = """[a](book/none.md#x) [b](README.md#x) [c](#x) [d](https://example.org/x.md)
+    `data/none.csv`, `src/repro/*.py`, `data/*.none`, `none.toml`, `pyproject.toml`, `results/none.csv`
+    ```bash
+    .venv/bin/repro run notebooks/none.ipynb -p n 3
+    .venv/bin/repro run notebooks/kinematics.ipynb -o out/none.ipynb
+    ```
+"""
+    missing = ["book/none.md", "data/none.csv", "data/*.none", "notebooks/none.ipynb", "none.toml"]
+    assert dead_paths(text) == missing
+    assert dead_paths("`data/none.csv`, new:\n\n```text\n1\n```\n") == []
+
+
 def test_citation_matches_the_package():
     """The citation names this version, this licence and an entity as author."""
     citation = yaml.safe_load(read("CITATION.cff"))
@@ -150,7 +199,8 @@ def test_citation_matches_the_package():
     assert citation["version"] == project["version"]
     assert citation["license"] == project["license"]
     assert citation["authors"] == project["authors"]
-    assert len(citation["references"]) == 3
+    papers = {line.split(",")[0] for line in read("data/published/published.csv").splitlines()[1:]}
+    assert len(citation["references"]) == len(papers)
 
 
 def test_citation_and_bibliography_agree():

@@ -11,6 +11,8 @@ from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 
+from repro import cli_diff, cli_live, cli_robot, cli_sweep
+from repro.cli_pairs import pairs
 from repro.errors import InputError, bad_input
 
 app = App(
@@ -20,18 +22,7 @@ app = App(
     help_format="plaintext",
 )
 
-Given = Annotated[
-    list[tuple[str, str]] | None,
-    # Values are passed on as typed: they may start with a hyphen or look like JSON.
-    Parameter(
-        name=["-p", "--parameter"],
-        metavar="NAME VALUE",
-        allow_leading_hyphen=True,
-        negative="",
-        json_list=False,
-        json_dict=False,
-    ),
-]
+Given = Annotated[list[tuple[str, str]] | None, pairs(["-p", "--parameter"], "NAME VALUE")]
 Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
 
 
@@ -164,21 +155,26 @@ def studies() -> int:
 
 @app.command
 def bench() -> int:
-    """Measure what costs how much on this computer; write results/bench.csv and data/benchmark.csv."""
+    """Measure what costs how much on this computer: results/bench.csv, and all rows in data/benchmark*.csv (minutes).
+
+    A target that is missed is a result like any other: the exit status is 0.
+    """
     from repro.experiments.benchmark import benchmark
+    from repro.experiments.benchmark_tables import with_targets
     from repro.report.files import write_whole
     from repro.report.project import find_project, shown
 
     project = find_project()
-    table = benchmark()
-    for path, columns in (
-        (project.results / "bench.csv", list(table)),
-        (project.data / "benchmark.csv", ["capability", "kind", "ours", "unit"]),
+    table, points = benchmark(project.data / "networks")
+    for path, part in (
+        (project.results / "bench.csv", with_targets(table)),
+        (project.data / "benchmark.csv", table),
+        (project.data / "benchmark_scaling.csv", points),
     ):
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, table[columns].to_csv(index=False, float_format="%.4g", lineterminator="\n"))
+        write_whole(path, part.to_csv(index=False, float_format="%.4g", lineterminator="\n"))
         print(shown(path))
-    print(table.drop(columns="note").to_string(index=False))
+    print(with_targets(table).drop(columns=["error", "note"]).to_string(index=False))
     return 0
 
 
@@ -216,6 +212,12 @@ def fetch(
     report = fetch_files(files, folder, mirror=mirror or None, progress=sys.stderr.isatty())
     print(report, file=sys.stderr if report.failed else sys.stdout)
     return 1 if report.failed else 0
+
+
+for command in (cli_live.record, cli_live.export, cli_live.emulate, cli_robot.calibrate, cli_robot.live):
+    app.command(command)
+app.command(cli_sweep.sweep)
+app.command(cli_diff.diff)
 
 
 def main() -> int:

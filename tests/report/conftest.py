@@ -10,6 +10,7 @@ from pathlib import Path
 import nbformat
 import pytest
 
+collect_ignore = ["conftest.py"]  # it has no examples to run, and other folders have a module of this name
 PUBLISHED = """\
 paper,artefact,row,quantity,unit,value,std
 a2020,Table 1,one,e_u,mT,0.015,0.002
@@ -50,6 +51,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "requirements.lock": "numpy==2.0\n",
         "src/repro/module.py": '"""A module."""\n',
         "data/published/published.csv": PUBLISHED,
+        "data/published/index.csv": "paper,kind,artefact,shows,status,page,anchor,code,note\n",
     }
     for name, text in texts.items():
         path = project / name

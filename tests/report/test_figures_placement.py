@@ -84,7 +84,7 @@ def test_ratios_of_all_robots_are_drawn_with_their_intervals(summary):
     for panel in (left, right):
         ratios = [bars[0].get_xdata().tolist() for bars in panel.containers]
         assert ratios == [[0.5] * 4, [0.2] * 4]
-    assert left.get_yticklabels()[0].get_text() == "n_b=1, n_s=3\ntrajectory"
+    assert left.get_yticklabels()[0].get_text() == "$n_b = 1$, $n_s = 3$\ntrajectory"
 
 
 def test_choices_are_drawn():

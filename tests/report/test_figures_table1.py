@@ -34,7 +34,7 @@ def test_table_lists_every_published_number_with_its_verdict(written):
         "e_u": "reproduced", "delta_x_1": "reproduced", "delta_y_1": "differs", "delta_L_1": "missing",
     }  # fmt: skip
     html = table._repr_html_()
-    assert html.count("<tr>") == 4 + 7 + 11 * 10 + 1  # every number of Table 1, and the head
+    assert html.count("<tr") == 4 + 7 + 11 * 10 + 1  # every number of Table 1, and the head
     assert "verdict-differs" in html
     assert "differs" in repr(table)
 
@@ -87,5 +87,5 @@ def test_gain_is_drawn_with_its_interval():
         }
     )
     left, right = calibration_gain(summary).axes
-    assert [text.get_text() for text in left.get_yticklabels()] == ["n_b=1", "n_b=2"]
+    assert [text.get_text() for text in left.get_yticklabels()] == ["$n_b = 1$", "$n_b = 2$"]
     np.testing.assert_allclose(right.lines[0].get_xdata(), [0.06, 0.033])

@@ -71,6 +71,33 @@ def test_a_run_and_a_later_failure(root, places, notebook_at, tmp_path, writes_a
     assert not failed.exists()
 
 
+def test_a_kernel_takes_no_port_that_another_program_could_take_first(root, places, notebook_at, monkeypatch):
+    # A TMPDIR of its own: what is left there after the run would be the run's.
+    (root / "t").mkdir()
+    monkeypatch.setenv("TMPDIR", str(root / "t"))
+    notebook_at(
+        places[0],
+        "from ipykernel.connect import get_connection_info",
+        "print(get_connection_info(unpack=True)['transport'])",
+    )
+    done = run(*places)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert nbformat.read(places[1], as_version=4).cells[-1].outputs[0].text == "ipc\n"
+    assert listed(root / "t") == []
+
+
+def test_a_kernel_that_dies_before_the_first_cell(root, places, tmp_path, monkeypatch):
+    kernel = tmp_path / "jupyter" / "kernels" / "python3"
+    kernel.mkdir(parents=True)
+    starts = [sys.executable, "-c", "raise SystemExit('no')", "-f", "{connection_file}"]
+    spec = {"argv": starts, "display_name": "python3", "language": "python"}
+    (kernel / "kernel.json").write_text(json.dumps(spec))
+    monkeypatch.setenv("JUPYTER_PATH", str(tmp_path / "jupyter"))
+    done = run(*places)
+    assert done.returncode == 1
+    assert "failed in code cell 0: (none was begun)\n  RuntimeError: Kernel died" in done.stdout
+
+
 def test_a_kernel_that_dies(root, places, notebook_at):
     notebook_at(places[0], "import os\nos._exit(3)")
     done = run(*places)

@@ -171,7 +171,8 @@ def test_pages(project):
     assert "geometric mean of 2" in page
     assert "of 1 standard deviations: 2.00" in page
     assert (
-        '<tr><th scope="row">one</th><td>e_u</td><td>mT</td><td>0.015 ± 0.002</td><td>0.0301 ± 0.0040</td>'
+        '<tr data-verdict="differs"><th scope="row">one</th><td>e_u</td><td>mT</td><td>0.015 ± 0.002</td>'
+        "<td>0.0301 ± 0.0040</td>"
         '<td><span class="verdict verdict-differs">differs</span></td><td>x, 3 seeds</td><td></td>'
         "<td>&lt;b&gt; x</td></tr>"
     ) in page

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import subprocess
 import sys
@@ -15,12 +16,11 @@ from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 from repro.errors import InputError, bad_input
-from repro.report.files import file_digest, write_if_changed
+from repro.report.files import combined_digest, file_digest, write_if_changed, write_whole
 from repro.report.project import Project, find_project
 from repro.report.provenance import RECORD_SUFFIX, Inputs, notebook_key, read_inputs, read_record, record_path
 from repro.report.runner import stop_on_termination
-from repro.report.scorecard import compute_scorecard, scorecard_csv
-from repro.report.scorecard_page import counts_page, scorecard_page
+from repro.report.scorecard import ScorecardRow, compute_scorecard, scorecard_csv
 from repro.report.site import SiteFailed, build_site
 
 
@@ -48,8 +48,7 @@ def build(project: Project, jobs: int) -> int:
     try:
         rows = compute_scorecard(project)
         write_if_changed(project.results / "scorecard.csv", scorecard_csv(rows))
-        write_if_changed(project.book / "generated" / "scorecard.md", scorecard_page(rows))
-        write_if_changed(project.book / "generated" / "counts.md", counts_page(rows))
+        _write_scorecard_pages(project, rows, inputs)
         seconds = build_site(project)
     except (InputError, SiteFailed) as error:
         print(error, file=sys.stderr)
@@ -57,6 +56,19 @@ def build(project: Project, jobs: int) -> int:
     current = f"{len(notebooks) - len(due)} of {len(notebooks)} notebooks were up to date"
     print(f"{current}; the site {'was too' if seconds is None else f'was built in {seconds:.0f} s'}.")
     return 0
+
+
+def _write_scorecard_pages(project: Project, rows: Sequence[ScorecardRow], inputs: Inputs) -> None:
+    """Write what the site shows of the scorecard, unless all that it follows from is as it was."""
+    numbers = hashlib.sha256(scorecard_csv(rows).encode()).hexdigest()
+    key = combined_digest([inputs.sources, inputs.data, {"scorecard": numbers, "lock": inputs.lock}])
+    done, last = project.cache / "scorecard", project.book / "generated" / "scorecard.json"
+    if last.is_file() and done.is_file() and done.read_text(encoding="utf-8").strip() == key:
+        return
+    from repro.report.scorecard_files import write_scorecard_files  # draws: its import alone takes a second
+
+    write_scorecard_files(project, rows)
+    write_whole(done, key + "\n")
 
 
 def is_finished(project: Project, notebook: Path, inputs: Inputs) -> bool:

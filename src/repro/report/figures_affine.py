@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from repro.report.style import MAGNET, SENSOR, page_figure
+from repro.report.style import MAGNET, SENSOR, label_in_mm, page_figure
 
 PUBLISHED, OURS, BEST = "0.45", "#0072B2", "#D55E00"
 SYMBOLS = {
@@ -102,6 +102,7 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
         panel.view_init(elev=20, azim=-55)
         panel.set(xticks=(-100, 0, 100), yticks=(-100, 0, 100), zticks=(0, 100, 200))
         panel.tick_params(labelsize=7, pad=-2)
+        label_in_mm(panel, fontsize=8.0, labelpad=-5.0)
     handles = [
         Line2D([], [], color="black", lw=4, label="true shape"),
         Line2D([], [], color=OURS, lw=1.6, label="estimated, one per seed"),

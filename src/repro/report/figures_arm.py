@@ -46,7 +46,7 @@ def arm_shapes(shapes: pd.DataFrame, source: str) -> Figure:
     axes.locator_params(nbins=5)
     axes.view_init(elev=18, azim=-60)
     axes.legend(loc="upper left")
-    figure.colorbar(colours, ax=axes, label="time [s]", shrink=0.65, pad=0.12)
+    figure.colorbar(colours, ax=axes, label="time [s]", shrink=0.65, pad=0.02)
     return figure
 
 

@@ -85,7 +85,7 @@ def error_over_time(table: pd.DataFrame) -> Figure:
                 panel.plot(line["t"], line["error_mm"], lw=0.6, color=colour, label=f"{particles} particles")
             panel.set_title(f"{curve.capitalize()}, process noise {walk:g}π rad", loc="left")
     for panel in panels[-1]:
-        panel.set_xlabel("t")
+        panel.set_xlabel("parameter $t$ of the curve")
         panel.set_ylim(0, None)
     for panel in panels[:, 0]:
         panel.set_ylabel("error [mm]")
@@ -134,7 +134,8 @@ def process_noise(sweep: pd.DataFrame, law: pd.DataFrame, count: pd.DataFrame) -
     walk = count["process_noise_pi"].iloc[0]
     line = law[law["process_noise_pi"] == walk].sort_values("particles")
     right.plot(line["particles"], line["law_mm"], color="0.2", lw=1)
-    right.set(xscale="log", yscale="log", xlabel="particles", title=f"process noise {walk:g}π rad")
+    right.set(xscale="log", yscale="log", xlabel="particles $N$", ylabel="RMSE of the position [mm]")
+    right.set(title=f"process noise {walk:g}π rad")
     return figure
 
 

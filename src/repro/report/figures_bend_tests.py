@@ -208,7 +208,7 @@ def light_bulb(curves: pd.DataFrame, events: pd.DataFrame, threshold: float, sou
                 panel.axvspan(event["start_s"], event["end_s"], color=RELEASED, alpha=0.25, lw=0)
         left.set_title(f"{file}, {source}", loc="left")
         left.set_ylabel("bend [deg]")
-        right.set_ylabel("ratio")
+        right.set_ylabel("transverse / axial")
     for panel in panels[-1]:
         panel.set_xlabel("time [s]")
     handles = [

@@ -134,8 +134,9 @@ def shape_stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
         Line2D([], [], marker="o", ls="", color=MAGNET, label="magnet"),
         Line2D([], [], marker="s", ls="", color=SENSOR, label="sensor"),
         Line2D([], [], marker="X", ls="", color=FAILED, mew=0, ms=8, label="failed sensor"),
+        Line2D([], [], color="0.7", lw=0.8, label=f"grid: {GRID_MM:g} mm"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), columnspacing=1.2)
     return figure
 
 

@@ -98,7 +98,8 @@ def relation_sketch(parts: pd.DataFrame, sensor: int) -> Figure:
     ):
         arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2, "shrinkA": 0, "shrinkB": 0}
         axes.annotate("", origin + vector, origin, arrowprops=arrow)
-        side = (4.0 if name == "$p$" else 0.0) * np.array([vector[1], -vector[0]]) / np.linalg.norm(vector)
+        aside = {"$p$": 4.0, "$o_m$": 0.0, "$o_s$": 4.0}[name]
+        side = aside * np.array([vector[1], -vector[0]]) / np.linalg.norm(vector)
         axes.text(
             *(origin + along * vector + side), name, color=colour, ha="center", va="center", fontsize=13
         )
@@ -172,7 +173,7 @@ def field_of_robot(
     x, z = np.linspace(x[0], x[-1], len(x)), np.linspace(z[0], z[-1], len(z))
     bx, bz = grid["b_x_mT"].to_numpy(), grid["b_z_mT"].to_numpy()
     magnitude = np.hypot(bx, bz)
-    figure, axes = plt.subplots(figsize=(5.6, 6.4))
+    figure, axes = plt.subplots(figsize=(4.4, 6.4))
     axes.grid(visible=False)
     norm = LogNorm(vmin=max(magnitude.min(), 1e-3), vmax=100)
     image = axes.pcolormesh(x, z, magnitude, norm=norm, shading="gouraud", cmap="cividis", rasterized=True)
@@ -190,7 +191,7 @@ def field_of_robot(
     axes.plot([], [], ">", color="#56B4E9", mec="black", mew=0.5, ms=9, label="sensor direction")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, columnspacing=1.2)
     axes.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=(x[0], x[-1]), ylim=(z[0], z[-1]))
-    figure.colorbar(image, label="|B| in the x-z plane [mT]", shrink=0.8, extend="max")
+    figure.colorbar(image, label="|B| in the x-z plane [mT]", shrink=0.8, pad=0.02, extend="max")
     return figure
 
 

@@ -17,13 +17,14 @@ from matplotlib.ticker import NullFormatter, NullLocator
 
 from repro.report.style import page_figure
 
-COLOURS = {
-    "rigid-body, IMU at the end": "#D55E00",
-    "rigid-body, IMU in the middle": "#E69F00",
-    "PCC-extended": "#0072B2",
-    "exact arcs": "#56B4E9",
-    "spline": "#009E73",
+STYLES = {
+    "rigid-body, IMU at the end": ("#D55E00", "s"),
+    "rigid-body, IMU in the middle": ("#E69F00", "^"),
+    "PCC-extended": ("#0072B2", "o"),
+    "exact arcs": ("#56B4E9", "v"),
+    "spline": ("#009E73", "D"),
 }
+"""Colour and marker of each model."""
 
 
 @page_figure
@@ -42,12 +43,13 @@ def errors_and_bounds(tables: Sequence[pd.DataFrame], titles: Sequence[str]) -> 
     )
     for panel, table, title in zip(panels[0], tables, titles, strict=True):
         for model, part in table.groupby("model", sort=False):
-            panel.plot(part["n_imus"], part["largest_mm"], "o-", ms=4, color=COLOURS[str(model)])
-            panel.plot(part["n_imus"], part["bound_mm"], "--", lw=1, color=COLOURS[str(model)])
+            colour, marker = STYLES[str(model)]
+            panel.plot(part["n_imus"], part["largest_mm"], f"{marker}-", ms=4, color=colour)
+            panel.plot(part["n_imus"], part["bound_mm"], "--", lw=1, color=colour)
         panel.set(yscale="log", xlabel="IMUs", title=title)
         _counts(panel, table["n_imus"])
     panels[0, 0].set_ylabel("error of the tip [mm]")
-    handles = [Line2D([], [], color=colour, marker="o", ms=4, label=name) for name, colour in COLOURS.items()]
+    handles = [Line2D([], [], color=c, marker=m, ms=4, label=name) for name, (c, m) in STYLES.items()]
     handles.append(Line2D([], [], color="0.3", ls="--", lw=1, label="bound of the same colour"))
     figure.legend(handles=handles, loc="outside upper center", ncols=3)
     return figure
@@ -72,7 +74,8 @@ def placement_and_sensors(placement: pd.DataFrame, sensors: pd.DataFrame, length
     for n, style in zip(counts, ("-", "--", ":"), strict=False):
         for model in shown:
             part = placement[(placement["model"] == model) & (placement["n_imus"] == n)]
-            left.plot(part["crowding"], part["largest_mm"], "o", ls=style, ms=4, color=COLOURS[model])
+            colour, marker = STYLES[model]
+            left.plot(part["crowding"], part["largest_mm"], marker, ls=style, ms=4, color=colour)
     left.set(
         yscale="log", xlabel="crowding towards the base (1: even)", ylabel="largest error of the tip [mm]"
     )
@@ -89,7 +92,7 @@ def placement_and_sensors(placement: pd.DataFrame, sensors: pd.DataFrame, length
         here = sensors[sensors["sensor_deg"] == angle]
         for model in shown:
             part = here[here["model"] == model]
-            right.plot(part["n_imus"], part["median_mm"], ls=style, color=COLOURS[model], lw=1.3)
+            right.plot(part["n_imus"], part["median_mm"], ls=style, color=STYLES[model][0], lw=1.3)
         if angle > 0:
             n = np.unique(here["n_imus"])
             right.plot(n, np.deg2rad(angle) * length_mm * np.sqrt(2 / n), ls=style, color="0.6", lw=1)
@@ -101,7 +104,7 @@ def placement_and_sensors(placement: pd.DataFrame, sensors: pd.DataFrame, length
         for a, s in zip(angles, ("-", "--", ":", "-."), strict=False)
     ]
     right.legend(handles=lines, loc="lower left", title="each axis")
-    handles = [Line2D([], [], color=COLOURS[model], label=model) for model in shown]
+    handles = [Line2D([], [], color=STYLES[m][0], marker=STYLES[m][1], ms=4, label=m) for m in shown]
     handles.append(Line2D([], [], color="0.6", lw=1, label=r"$\sigma L\sqrt{2/n}$"))
     figure.legend(handles=handles, loc="outside upper center", ncols=4)
     return figure

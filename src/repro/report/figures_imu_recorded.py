@@ -13,7 +13,12 @@ from matplotlib.lines import Line2D
 
 from repro.report.style import page_figure
 
-COLOURS = {"rigid-body": "#D55E00", "PCC-extended, 16 segments": "#0072B2", "spline": "#009E73"}
+STYLES = {
+    "rigid-body": ("#D55E00", "s"),
+    "PCC-extended, 16 segments": ("#0072B2", "o"),
+    "spline": ("#009E73", "D"),
+}
+"""Colour and marker of each model."""
 
 
 @page_figure
@@ -44,7 +49,8 @@ def chain_beside_output(points: pd.DataFrame, over_rows: pd.DataFrame, source: s
     names = [name for name in over_rows if str(name).startswith("point_")]
     for name, colour, label in ((names[1], "#56B4E9", "second point"), (names[-1], "#0072B2", "last point")):
         right.plot(over_rows["row"], over_rows[name], color=colour, lw=0.8, label=label)
-    right.set(xlabel="row of the released table", title=f"Over the trial, {source}", ylim=(0, None))
+    right.set(xlabel="row of the released table", ylabel="distance between chains [mm]")
+    right.set(title=f"Over the trial, {source}", ylim=(0, None))
     right.legend(loc="upper right", ncols=2)
     low, high = right.get_ylim()
     right.set_ylim(low, 1.15 * high)
@@ -66,16 +72,16 @@ def fewer_imus(table: pd.DataFrame, source: str) -> Figure:
     size = (3.0 * len(points), 3.3)
     figure, panels = plt.subplots(1, len(points), figsize=size, sharey=True, squeeze=False)
     for panel, point in zip(panels[0], points, strict=True):
-        for k, (model, colour) in enumerate(COLOURS.items()):
+        for k, (model, (colour, marker)) in enumerate(STYLES.items()):
             part = table[(table["model"] == model) & (table["point_mm"] == point)]
             x = np.searchsorted(counts, part["n_imus"]) + 0.2 * (k - 1)
             panel.vlines(x, part["median_mm"], part["q75_mm"], color=colour, lw=1.5)
-            panel.plot(x, part["median_mm"], "o", color=colour, ms=5)
+            panel.plot(x, part["median_mm"], marker, color=colour, ms=5)
         panel.set_xticks(range(len(counts)), [f"{n:g}" for n in counts])
         panel.set(title=f"at {point:.0f} mm, {source}", xlabel="IMUs", xlim=(-0.5, len(counts) - 0.5))
         panel.grid(axis="x", visible=False)
-    panels[0, 0].set(ylim=(0, None), ylabel="from PCC-extended, 8 IMUs [mm]")
-    handles = [Line2D([], [], color=c, marker="o", ls="none", label=m) for m, c in COLOURS.items()]
+    panels[0, 0].set(ylim=(0, None), ylabel="distance from PCC-extended,\n8 IMUs [mm]")
+    handles = [Line2D([], [], color=c, marker=k, ls="none", label=m) for m, (c, k) in STYLES.items()]
     handles.append(Line2D([], [], color="0.3", label="from the median to Q3"))
     figure.legend(handles=handles, loc="outside upper center", ncols=4)
     return figure

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from repro.report.style import MAGNET, page_figure
+from repro.report.style import MAGNET, in_symbols, page_figure
 from repro.sensing.magnets import ring
 from repro.simulation.robots import RADIUS_M
 
@@ -179,7 +179,7 @@ def all_robots(summary: pd.DataFrame) -> Figure:
             panel.errorbar(ratio, height, xerr=spread, fmt=MARKERS[k], ms=5, color=LAYOUTS[k], capsize=2)
         panel.set(title=f"robot {robot}", xlabel="error / error of the reference", xlim=(0, None))
         panel.grid(axis="y", visible=False)
-    panels[0].set(yticks=list(y.values()), yticklabels=[f"{task}\n{test}" for task, test in keys])
+    panels[0].set(yticks=list(y.values()), yticklabels=[in_symbols(f"{task}\n{test}") for task, test in keys])
     handles = [Line2D([], [], color=LAYOUTS[0], label="reference")]
     handles += [
         Line2D([], [], marker=MARKERS[k], ls="", color=LAYOUTS[k], label=name)
@@ -204,16 +204,15 @@ def choices(table: pd.DataFrame) -> Figure:
     left.plot(limits["tolerance_percent"], limits["noise_percent"], "o-", color=LAYOUTS[1], ms=5)
     for row in limits.itertuples():
         label = "no limit" if np.isinf(row.limit) else f"{row.limit:g}"
-        left.annotate(
-            label, (row.tolerance_percent, row.noise_percent), xytext=(5, 4), textcoords="offset points"
-        )
+        side = {"xytext": (5, -13), "ha": "right"} if np.isinf(row.limit) else {"xytext": (5, 4)}
+        left.annotate(label, (row.tolerance_percent, row.noise_percent), textcoords="offset points", **side)
     left.plot(nominal["tolerance_percent"], nominal["noise_percent"], "s", color=LAYOUTS[0], ms=6)
     at = (nominal["tolerance_percent"], nominal["noise_percent"])
     left.annotate("nominal", at, xytext=(7, 3), textcoords="offset points")
     left.set(
         xlabel="error from tolerances [%]",
         ylabel="error from noise [%]",
-        title="by limit of the first, as a multiple of nominal",
+        title="by limit on the error from tolerances,\nas a multiple of the nominal one",
     )
     left.margins(x=0.22, y=0.12)
     left.set_ylim(0, None)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from repro.report.style import page_figure
 
 SENSOR_COLOURS = ("#0072B2", "#D55E00", "#009E73")
-CHAMBER_COLOURS = ("#332288", "#88CCEE", "#DDCC77")
+CHAMBER_COLOURS = ("#000000", "#56B4E9", "#E69F00")
 
 
 @page_figure
@@ -78,7 +78,7 @@ def hysteresis_loops(actuated: pd.DataFrame, differences: pd.DataFrame) -> Figur
         apart = differences[differences["recording"] == name]
         reading.plot(apart["time_s"], apart["u_1_mV"], color=colour, linewidth=0.9, label=name)
     bend.set(
-        xlabel="torque over its reference, along x",
+        xlabel="torque along x / its reference",
         ylabel=r"bend $\Delta_x$ [mm]",
         title="Bend and torque, synthetic",
     )

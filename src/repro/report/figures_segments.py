@@ -13,14 +13,15 @@ from matplotlib.lines import Line2D
 
 from repro.report.style import page_figure
 
-COLOURS = {
-    "random walk": "#E69F00",
-    "constant velocity": "#D55E00",
-    "constant velocity + Gauss-Newton": "#CC79A7",
-    "least squares, last estimate": "#0072B2",
-    "least squares, straight start": "#56B4E9",
-    "Kalman filter": "#009E73",
+STYLES = {
+    "random walk": ("#E69F00", "o"),
+    "constant velocity": ("#D55E00", "^"),
+    "constant velocity + Gauss-Newton": ("#CC79A7", "v"),
+    "least squares, last estimate": ("#0072B2", "s"),
+    "least squares, straight start": ("#56B4E9", "P"),
+    "Kalman filter": ("#009E73", "D"),
 }
+"""Colour and marker of each method."""
 
 
 @page_figure
@@ -41,8 +42,11 @@ def errors_by_method(table: pd.DataFrame) -> Figure:
             at = np.array([robots.index(n) for n in part["n_b"]]) + 0.12 * (k - (len(methods) - 1) / 2)
             mean = part["tip_mm"].to_numpy()
             bars = np.abs(np.stack([part["tip_mm_low"], part["tip_mm_high"]]) - mean)
-            panel.errorbar(at, mean, bars, fmt="o", ms=4.5, lw=1.2, color=COLOURS[method], label=method)
-        panel.set(title=f"noise {noise:g} mT", yscale="log", xlabel="segments", xticks=range(len(robots)))
+            colour, marker = STYLES[method]
+            panel.errorbar(at, mean, bars, fmt=marker, ms=5, lw=1.2, color=colour, label=method)
+        panel.set(
+            title=f"noise {noise:g} mT", yscale="log", xlabel="segments $n_b$", xticks=range(len(robots))
+        )
         panel.set_xticklabels([f"{n}" for n in robots])
         panel.set_xlim(-0.5, len(robots) - 0.5)
     panels[0, 0].set_ylabel("error of the tip [mm]")
@@ -71,7 +75,7 @@ def two_modes(table: pd.DataFrame, methods: list[str]) -> Figure:
             part = table[(table["noise_mt"] == noise) & (table["method"] == method)]
             truth = part[part["draw"] == 0]
             for _, draw in part.groupby("draw"):
-                panel.plot(draw["time_s"], draw["found_mm"], color=COLOURS[method], lw=0.8, alpha=0.7)
+                panel.plot(draw["time_s"], draw["found_mm"], color=STYLES[method][0], lw=0.8, alpha=0.7)
             panel.plot(truth["time_s"], truth["true_mm"], color="0.1", lw=1.2)
             mirror = truth["true_mm"].where(truth["failed"])
             panel.plot(truth["time_s"], -mirror, color="0.1", lw=1.2, ls=":")

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from repro.report.style import page_figure
+from repro.report.style import in_symbols, page_figure
 
 PUBLISHED, OURS, BEST = "0.45", "#0072B2", "#D55E00"
 MODELS = {"network of the paper": "o", "fast network": "s", "multipole": "D"}
-SOLVERS = {"gradient descent": "#0072B2", "Levenberg-Marquardt": "#D55E00"}
+SOLVERS = {"gradient descent": ("#0072B2", "o"), "Levenberg-Marquardt": ("#D55E00", "D")}
 SYMBOLS = {"delta_x": r"\Delta_{x%s}", "delta_y": r"\Delta_{y%s}", "delta_L": r"\delta L_{%s}"}
 
 
@@ -51,7 +51,7 @@ def published_and_regenerated(cells: pd.DataFrame) -> Figure:
                 x + offset, value, yerr=[low, np.nan_to_num(spread)], fmt=marker, ms=4, lw=1.1, color=colour
             )
         panel.plot(x + 0.32, part["best"].to_numpy(dtype=float), "D", ms=4, color=BEST)
-        panel.set_title(row, loc="left", fontweight="bold")
+        panel.set_title(in_symbols(row), loc="left")
         labels = [_symbol(q) for q in part["quantity"]]
         panel.set(yscale="log", xticks=x, xticklabels=labels, xlim=(-0.6, len(part) - 0.4))
         panel.grid(axis="x", visible=False)
@@ -92,10 +92,10 @@ def model_by_solver(table: pd.DataFrame) -> Figure:
         ("error of the configuration [%]", "error of the tip [mm]"),
         strict=True,
     ):
-        for k, (solver, colour) in enumerate(SOLVERS.items()):
+        for k, (solver, (colour, marker)) in enumerate(SOLVERS.items()):
             part = table[table["solver"] == solver]
             x = np.array([models.index(m) for m in part["model"]]) + 0.24 * (k - 0.5)
-            panel.plot(x, part[column], "o", color=colour, ms=5, alpha=0.85, label=solver)
+            panel.plot(x, part[column], marker, color=colour, ms=5, alpha=0.85, label=solver)
         panel.set(yscale="log", ylabel=label, xticks=range(len(models)), xlim=(-0.5, len(models) - 0.5))
         panel.set_xticklabels([m.replace(" of ", "\nof ") for m in models])
         panel.grid(axis="x", visible=False)
@@ -117,7 +117,8 @@ def calibration_gain(summary: pd.DataFrame) -> Figure:
     left.hlines(y, summary["calibrated_percent"], summary["uncalibrated_percent"], color="0.8", lw=2)
     left.plot(summary["uncalibrated_percent"], y, "s", color=PUBLISHED, label="as drawn")
     left.plot(summary["calibrated_percent"], y, "D", color=BEST, label="calibrated")
-    left.set(xscale="log", xlabel="mean relative error [%]", yticks=y, yticklabels=summary["row"])
+    left.set(xscale="log", xlabel="mean relative error [%]")
+    left.set_yticks(y, [in_symbols(row) for row in summary["row"]])
     left.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     left.xaxis.set_major_formatter("{x:g}")
     left.xaxis.set_minor_formatter(NullFormatter())

@@ -11,10 +11,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from repro.report.style import MAGNET, SENSOR, page_figure
+from repro.report.style import MAGNET, SENSOR, label_in_mm, page_figure
 
 PAPER, OURS = "#0072B2", "#D55E00"
-SHAPE, TIP = "#9ECAE1", "#08306B"
+SHAPE, TIP = "#56B4E9", "#0072B2"
 
 
 @page_figure
@@ -50,7 +50,8 @@ def trajectories(paths: pd.DataFrame, shapes: pd.DataFrame, title: str) -> Figur
         deep.set(xlim=(-40, 40), ylim=(-40, 40), zlim=(0, 115))
         deep.set(xticks=(-30, 30), yticks=(-30, 30), zticks=(0, 50, 100))
         deep.set_aspect("equal")
-        deep.tick_params(labelsize=6, pad=-3)
+        deep.tick_params(labelsize=7, pad=-2)
+        label_in_mm(deep, fontsize=8.0, labelpad=-7.0)
         deep.view_init(elev=20, azim=-55)
     figure.suptitle(title)
     return figure
@@ -160,7 +161,8 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, title: str) -> Figure:
         panel.set(xlim=(-40, 40), ylim=(-40, 40), zlim=(0, 115))
         panel.set_aspect("equal")
         panel.set(xticks=(-30, 30), yticks=(-30, 30), zticks=(0, 50, 100))
-        panel.tick_params(labelsize=6, pad=-3)
+        panel.tick_params(labelsize=7, pad=-2)
+        label_in_mm(panel, fontsize=8.0, labelpad=-7.0)
         panel.set_title(f"t = {time_s:.1f} s", y=0.98)
         panel.view_init(elev=15, azim=-55)
     handles = [

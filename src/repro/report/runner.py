@@ -27,8 +27,7 @@ from repro.report.provenance import Record, make_record, read_inputs, read_recor
 if TYPE_CHECKING:
     from nbformat import NotebookNode
 
-# The kernel warns at every start that it listens on this computer without encryption, and calls its own
-# orderly end an error; what a cell raises is reported in any case.
+# The kernel calls its own orderly end an error; what a cell raises is reported in any case.
 _QUIET_KERNEL = ("--IPKernelApp.log_level=50",)
 _ONE_THREAD = ("OMP", "MKL", "OPENBLAS", "NUMEXPR", "VECLIB_MAXIMUM", "NUMBA")
 
@@ -124,6 +123,7 @@ def run_notebook(
         If the notebook is missing or no notebook.
     """
     import papermill
+    from traitlets.config import Config
 
     read_notebook(notebook)
     failed = failed or output.with_name(f"{output.stem}.failed.ipynb")
@@ -133,7 +133,12 @@ def run_notebook(
     staging = Path(tempfile.mkdtemp(prefix=f".{output.stem}-", dir=results))
     try:
         partial, tables = staging / output.name, staging / "tables"
-        with _environment(_kernel_environment(tables)):
+        # A kernel on TCP ports dies where another program takes one of them first. Paths of sockets must be
+        # short (104 characters on macOS), hence a folder of their own.
+        with (
+            _environment(_kernel_environment(tables)),
+            tempfile.TemporaryDirectory(prefix="repro-") as sockets,
+        ):
             try:
                 papermill.execute_notebook(
                     _literal(notebook),
@@ -143,6 +148,7 @@ def run_notebook(
                     language="python",
                     progress_bar=progress,
                     extra_arguments=list(_QUIET_KERNEL),
+                    config=Config(KernelManager={"transport": "ipc", "ip": f"{sockets}/kernel"}),
                 )
             except BaseException as error:
                 message = _keep_partial(notebook, partial, failed, error)

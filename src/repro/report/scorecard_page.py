@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal
 from html import escape
+from urllib.parse import urlencode
 
 from repro.report.scorecard import ScorecardRow, count_verdicts, geometric_mean_ratio
 from repro.report.verdicts import Verdict
@@ -20,13 +21,22 @@ PAPERS = {
 _HEADER = ("Row", "Quantity", "Unit", "Published", "Regenerated", "Verdict", "Setting", "Best", "Note")
 
 
-def scorecard_page(rows: Sequence[ScorecardRow]) -> str:
+def scorecard_page(
+    rows: Sequence[ScorecardRow],
+    places: Mapping[tuple[str, str], str] | None = None,
+    *,
+    filtered: bool = False,
+) -> str:
     """Return the full scorecard: one HTML table per table, figure or section of a paper.
 
     Parameters
     ----------
     rows
         The scorecard.
+    places
+        Where an artefact (paper and artefact) is shown, as a link; every row of it leads there.
+    filtered
+        Whether to leave a place for the filter that ``scorecard.js`` puts in front of the tables.
 
     Returns
     -------
@@ -39,22 +49,26 @@ def scorecard_page(rows: Sequence[ScorecardRow]) -> str:
     tables: dict[tuple[str, str], list[ScorecardRow]] = {}
     for row in rows:
         tables.setdefault((row.paper, row.artefact), []).append(row)
-    return "\n\n".join(_table(*place, table) for place, table in tables.items()) + "\n"
+    links = places or {}
+    parts = ['<div class="scorecard-filter"></div>'] if filtered else []
+    parts += [_table(*place, table, links.get(place, "")) for place, table in tables.items()]
+    return "\n\n".join(parts) + "\n"
 
 
-def _table(paper: str, artefact: str, rows: list[ScorecardRow]) -> str:
+def _table(paper: str, artefact: str, rows: list[ScorecardRow], link: str) -> str:
     title = escape(f"{PAPERS.get(paper, paper)}, {artefact}")
     counts = _counts_in_words(Counter(row.verdict for row in rows))
     head = "".join(f'<th scope="col">{name}</th>' for name in _HEADER)
     # A region that scrolls must be reachable by keyboard, and then needs a name.
     # No blank line: it would end the block of HTML for MyST.
     lines = [
-        f'<div class="scorecard-scroll" tabindex="0" role="region" aria-label="{title}">',
+        f'<div class="scorecard-scroll" tabindex="0" role="region" aria-label="{title}"'
+        f' data-paper="{escape(PAPERS.get(paper, paper))}" data-artefact="{escape(artefact)}">',
         '<table class="scorecard">',
         f"<caption>{title}: {counts}.{_ratios(rows)}</caption>",
         f"<thead><tr>{head}</tr></thead>",
         "<tbody>",
-        *map(_line, rows),
+        *(_line(row, link) for row in rows),
         "</tbody>",
         "</table>",
         "</div>",
@@ -71,7 +85,7 @@ def _ratios(rows: list[ScorecardRow]) -> str:
     return text + (f"; of {count} standard deviations: {mean:.2f}." if count else ".")
 
 
-def _line(row: ScorecardRow) -> str:
+def _line(row: ScorecardRow, link: str) -> str:
     weak = (
         ' <span class="weak">(weak: zero would pass)</span>' if row.weak and row.verdict != "missing" else ""
     )
@@ -90,7 +104,9 @@ def _line(row: ScorecardRow) -> str:
     )
     verdict = f'<td><span class="{css}">{row.verdict.words}</span>{weak}</td>'
     body = "".join(verdict if cell is None else f"<td>{escape(_one_line(cell))}</td>" for cell in cells)
-    return f'<tr><th scope="row">{escape(_one_line(row.row))}</th>{body}</tr>'
+    name = escape(_one_line(row.row))
+    head = f'<a href="{escape(link)}">{name}</a>' if link else name
+    return f'<tr data-verdict="{row.verdict.words}"><th scope="row">{head}</th>{body}</tr>'
 
 
 def _one_line(text: str) -> str:
@@ -126,13 +142,27 @@ def counts_page(rows: Sequence[ScorecardRow]) -> str:
         "| Paper | " + " | ".join(verdict.words for verdict in Verdict) + " |",
         "|---|" + "---:|" * len(Verdict),
     ]
-    lines += [_counts_line(PAPERS.get(paper, paper), count) for paper, count in counts.items()]
+    lines += [_counts_line(name, count, name) for name, count in _named(counts)]
     lines.append(_counts_line("All", total))
     return "\n".join(lines) + "\n"
 
 
-def _counts_line(name: str, count: Counter[Verdict]) -> str:
-    return f"| {name} | " + " | ".join(str(count[verdict]) for verdict in Verdict) + " |"
+def _named(counts: Mapping[str, Counter[Verdict]]) -> list[tuple[str, Counter[Verdict]]]:
+    return [(PAPERS.get(paper, paper), count) for paper, count in counts.items()]
+
+
+def _counts_line(name: str, count: Counter[Verdict], paper: str = "") -> str:
+    cells = (_count_link(count[verdict], verdict, paper) for verdict in Verdict)
+    return f"| {name} | " + " | ".join(cells) + " |"
+
+
+def _count_link(count: int, verdict: Verdict, paper: str) -> str:
+    """Return a count that leads to the rows that it counts: the scorecard, filtered."""
+    if not count:
+        return "0"
+    chosen = {"paper": paper, "verdict": verdict.words} if paper else {"verdict": verdict.words}
+    label = f"{count} {verdict.words}" + (f" of {paper}" if paper else " of all")
+    return f'<a href="scorecard.html?{escape(urlencode(chosen))}" aria-label="{label}">{count}</a>'
 
 
 def _counts_in_words(count: Counter[Verdict]) -> str:

@@ -19,9 +19,12 @@ from repro.errors import bad_input
 from repro.experiments.baaij2023_data_size import MODELS as TRAINED
 from repro.experiments.baaij2023_data_size import PAPER, SIZES, data_size_errors
 from repro.experiments.baaij2023_noise import MODELS, NOISE_MT, noise_errors
+from repro.experiments.baaij2023_robustness import TWINS, robustness_errors
 from repro.experiments.baaij2023_session import SENSOR_NOISE_MT
 from repro.experiments.baaij2023_solvers import SOLVERS
 from repro.experiments.baaij2023_tolerances import FACTORS, KINDS, tolerance_errors
+from repro.experiments.closed_loop_estimators import changed_errors, estimator_errors, twin_errors
+from repro.experiments.closed_loop_tables import cause_errors, loop_errors
 from repro.experiments.mitchell2021_study import particle_studies
 from repro.report.files import write_whole
 from repro.report.project import find_project
@@ -43,7 +46,8 @@ class Study:
     settings
         Its keyword arguments, as JSON can hold them.
     needs
-        Which of ``folder`` (of the trained networks) and ``progress`` the function takes besides.
+        Which of ``folder`` (of the trained networks), ``cache`` (of networks that are not kept) and ``progress``
+        the function takes besides.
     """
 
     name: str
@@ -65,7 +69,20 @@ def studies() -> tuple[Study, ...]:
         *(_noise(f"noise_descent_nb{n}", n, models, descent) for n, models in descents.items()),
         *(_tolerances(n) for n in (1, 3)),
         _data_size(),
+        _robustness(),
         *(Study(*x) for x in particle_studies()),
+        *_closed_loop(),
+    )
+
+
+def _closed_loop() -> tuple[Study, ...]:
+    settings = {"seeds": list(range(12)), "duration_s": 25.0}
+    return (
+        Study("closed_loop", loop_errors, settings),
+        Study("loop_causes", cause_errors, settings),
+        Study("loop_estimators", estimator_errors, settings),
+        Study("loop_changed", changed_errors, {"seeds": [0, 1, 2, 3], "duration_s": 25.0}),
+        Study("loop_twins", twin_errors, {"twins": [2, 3, 4, 7], "seeds": [0, 1], "duration_s": 25.0}),
     )
 
 
@@ -108,6 +125,11 @@ def _data_size() -> Study:
     return Study("data_size", data_size_errors, settings, ("folder", "progress"))
 
 
+def _robustness() -> Study:
+    settings = {"twins": list(TWINS), "seed": 0, "longest_s": 60.0}
+    return Study("robustness", robustness_errors, settings, ("cache", "progress"))
+
+
 def write_studies(folder: Path, *, progress: bool) -> list[Path]:
     """Compute the studies whose files are missing or belong to other settings; return the paths of all tables.
 
@@ -121,7 +143,12 @@ def write_studies(folder: Path, *, progress: bool) -> list[Path]:
     progress
         Name each study on standard error as it starts, with progress bars.
     """
-    available = {"folder": find_project().data / "networks", "progress": progress}
+    project = find_project()
+    available = {
+        "folder": project.data / "networks",
+        "cache": project.cache / "networks",
+        "progress": progress,
+    }
     paths = []
     for study in studies():
         path = folder / f"{study.name}.csv"
@@ -167,7 +194,7 @@ def committed(kind: str, folder: Path | None = None) -> pd.DataFrame:
     Parameters
     ----------
     kind
-        ``"noise"``, ``"tolerances"`` or ``"data_size"``.
+        ``"noise"``, ``"tolerances"``, ``"data_size"`` or ``"robustness"``.
     folder
         ``data/studies`` of the project when not given.
 

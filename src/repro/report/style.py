@@ -2,28 +2,96 @@
 
 from __future__ import annotations
 
+import base64
+import io
+import re
 from collections.abc import Callable
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 STYLE = str(Path(__file__).with_name("style.mplstyle"))
 MAGNET, SENSOR = "#009E73", "#0072B2"
+VECTOR_LIMIT_BYTES = 1_000_000
+"""A vector version that is larger is not kept: SVG up to this size, else PDF up to this size, else none."""
 
 P = ParamSpec("P")
 
+_LETTERS = {"n_b": "n_b", "n_s": "n_s", "n_e": "n_e", "d_s_r": "d_{s,r}", "psi_s": r"\psi"}
+_UNITS = {"deg": "°", "mm": " mm", "": ""}
+
+
+def in_symbols(name: str) -> str:
+    """Return the name of a robot or of a row of a table with the letters of the notation page.
+
+    Parameters
+    ----------
+    name
+        As in tables of results, such as ``n_b=3, n_s=9``; what is no letter stays as it is.
+
+    Examples
+    --------
+    >>> in_symbols("d_s_r=16mm")
+    '$d_{s,r} = 16$ mm'
+    >>> in_symbols("LM, n_b = 3")
+    'LM, $n_b = 3$'
+    """
+    pattern = rf"\b({'|'.join(_LETTERS)}) ?= ?(\(.*?\)|[0-9.]+)(deg|mm|)"
+    return re.sub(pattern, lambda found: f"${_LETTERS[found[1]]} = {found[2]}${_UNITS[found[3]]}", name)
+
+
+def label_in_mm(axes: Axes3D, *, fontsize: float, labelpad: float) -> None:
+    """Name the axes of a small 3-D picture, with their unit.
+
+    Parameters
+    ----------
+    axes
+        3-D axes in mm.
+    fontsize
+        Size of the names [pt].
+    labelpad
+        Distance from the numbers [pt]; negative where these lie close to the axes.
+    """
+    axes.patch.set_visible(False)  # it would cover the names of the panel on its left
+    for name in "xyz":
+        getattr(axes, f"set_{name}label")(f"{name} [mm]", fontsize=fontsize, labelpad=labelpad)
+
 
 def page_figure(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Draw in the companion's style, and close the figure so that a notebook shows it once: as the result."""
+    """Draw in the companion's style, and close the figure so that a notebook shows it once: as the result.
+
+    The executed notebook keeps a vector version beside the picture, for readers to download.
+    """
 
     @wraps(draw)
     def styled(*args: P.args, **kwargs: P.kwargs) -> Figure:
         with plt.style.context(STYLE):
             figure = draw(*args, **kwargs)
         plt.close(figure)
+        figure._repr_mimebundle_ = partial(_vector_version, figure)  # pyright: ignore[reportAttributeAccessIssue]
         return figure
 
     return styled
+
+
+def _vector_version(figure: Figure, include: Any = None, exclude: Any = None) -> dict[str, str]:
+    """Return SVG or PDF by MIME type, as IPython asks for it; the same figure gives the same bytes."""
+    svg = _written(figure, "svg", {"Date": None})
+    if len(svg) <= VECTOR_LIMIT_BYTES:
+        return {"image/svg+xml": svg.decode()}
+    pdf = _written(figure, "pdf", {"CreationDate": None})
+    if len(pdf) <= VECTOR_LIMIT_BYTES:
+        return {"application/pdf": base64.b64encode(pdf).decode()}
+    return {}
+
+
+def _written(figure: Figure, form: str, metadata: dict[str, None]) -> bytes:
+    stream = io.BytesIO()
+    # the style also fixes the names inside an SVG, which are random otherwise
+    with plt.style.context(STYLE):
+        figure.savefig(stream, format=form, metadata=metadata, bbox_inches="tight")
+    return stream.getvalue()

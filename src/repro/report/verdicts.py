@@ -68,6 +68,18 @@ def within_band(difference: Fraction, printed: str, printed_std: str, regenerate
     return abs(difference) <= half_printed_unit(printed) or difference**2 <= 3 * variance
 
 
+def band(printed: str, printed_std: str, regenerated_std: str) -> float:
+    """Return how far from a printed number a regenerated one may be; for pictures, rounded as floats are.
+
+    Examples
+    --------
+    >>> band("1.7", "", ""), band("1.0", "0.3", "0.4")
+    (0.05, 0.8660254037844386)
+    """
+    variance = float(printed_std or 0) ** 2 + float(regenerated_std or 0) ** 2
+    return max((3 * variance) ** 0.5, float(half_printed_unit(printed)))
+
+
 def verdict(
     quantity: str,
     published: str,

@@ -1,0 +1,101 @@
+// What else changes with time, below the picture: lines over time with a cursor at the time that is shown.
+
+import { SERIES } from "./colours.js";
+
+const SVG = "http://www.w3.org/2000/svg";
+const WIDTH = 1000; // of the coordinates inside; the drawing is stretched to the width there is
+const HEIGHT = 100;
+
+/** A new element with attributes and content. */
+export function make(name, attributes = {}, ...content) {
+  const element = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+  element.append(...content);
+  return element;
+}
+
+function drawn(name, attributes) {
+  const element = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+  return element;
+}
+
+/** A number as a reader wants it: three digits, a real minus sign, a dash where there is none. */
+export function shown(value) {
+  if (value === null || value === undefined) return "–";
+  return String(Number(value.toPrecision(3))).replace("-", "−");
+}
+
+/** Path of values over time; missing values leave a gap. */
+function path(values, x, y) {
+  let pen = "M";
+  return values.map((value, i) => {
+    if (value === null) {
+      pen = "M";
+      return "";
+    }
+    const piece = `${pen}${x(i).toFixed(1)} ${y(value).toFixed(1)}`;
+    pen = "L";
+    return piece;
+  }).join("");
+}
+
+/**
+ * Draw panels of traces into `element`.
+ *
+ * `pick(fraction)` is called when the reader points at a time. Returns a function that moves the cursor to a frame.
+ */
+export function createTraces(element, traces, time, pick) {
+  const span = time.at(-1) - time[0] || 1;
+  const x = (i) => (WIDTH * (time[i] - time[0])) / span;
+  const panels = traces.map(({ title, unit, series }) => {
+    const all = series.flatMap((s) => [...s.values, ...(s.estimate ?? [])]).filter((value) => value !== null);
+    const low = Math.min(...all);
+    const high = Math.max(...all);
+    const y = (value) => HEIGHT - 4 - ((HEIGHT - 8) * (value - low)) / (high - low || 1);
+    const names = series.map((s) => s.name).join(", ");
+    const svg = drawn("svg", {
+      viewBox: `0 0 ${WIDTH} ${HEIGHT}`, preserveAspectRatio: "none", role: "img",
+      "aria-label": `${title} in ${unit} over time, from ${shown(low)} to ${shown(high)}: ${names}`,
+    });
+    const legend = make("ul", { class: "shape-view-legend" });
+    const values = series.map((s, i) => {
+      const colour = SERIES[i % SERIES.length];
+      const style = { fill: "none", stroke: colour, "vector-effect": "non-scaling-stroke", "stroke-width": 1.6 };
+      const dots = i < SERIES.length ? {} : { "stroke-dasharray": "1.5 3" }; // the colours begin anew
+      svg.append(drawn("path", { ...style, ...dots, d: path(s.values, x, y) }));
+      if (s.estimate) svg.append(drawn("path", { ...style, "stroke-dasharray": "6 4", d: path(s.estimate, x, y) }));
+      const chip = make("i");
+      chip.style.borderTop = `3px ${i < SERIES.length ? "solid" : "dotted"} ${colour}`;
+      const value = make("span");
+      legend.append(make("li", {}, chip, `${s.name} `, value));
+      return value;
+    });
+    const cursor = drawn("line", {
+      y1: 0, y2: HEIGHT, stroke: "currentColor", "vector-effect": "non-scaling-stroke", "stroke-width": 1.5,
+    });
+    svg.append(cursor);
+    const point = (event) => {
+      const box = svg.getBoundingClientRect();
+      if (event.buttons) pick(Math.min(Math.max((event.clientX - box.left) / box.width, 0), 1));
+    };
+    svg.addEventListener("pointerdown", point);
+    svg.addEventListener("pointermove", point);
+    const dashed = series.some((s) => s.estimate) ? ", estimate dashed" : "";
+    const limits = make("div", { class: "shape-view-limits" }, make("span", {}, shown(high)), make("span", {}, shown(low)));
+    const row = make("div", { class: "shape-view-row" }, limits, svg);
+    element.append(make("div", { class: "shape-view-trace" }, make("p", {}, `${title} [${unit}]${dashed}`), legend, row));
+    return { series, values, cursor };
+  });
+  const ends = [time[0], time.at(-1)].map((t) => make("span", {}, `${shown(t)} s`));
+  element.append(make("div", { class: "shape-view-ends" }, ...ends));
+  return (i) => {
+    for (const { series, values, cursor } of panels) {
+      cursor.setAttribute("x1", x(i));
+      cursor.setAttribute("x2", x(i));
+      series.forEach((s, k) => {
+        values[k].textContent = shown(s.values[i]) + (s.estimate ? ` (${shown(s.estimate[i])})` : "");
+      });
+    }
+  };
+}

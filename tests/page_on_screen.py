@@ -1,0 +1,33 @@
+"""What a page in the browser shows, and waiting until it does."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+NO_GPU = "GPU stall due to ReadPixels"
+"""What Chromium says of every 3-D view when there is no GPU; a page cannot prevent it."""
+
+
+def wait_until(page, condition: str) -> None:
+    """Wait for a condition; the browser's own way of doing so evaluates text, which our pages forbid."""
+    for _ in range(200):
+        if page.evaluate(condition):
+            return
+        page.wait_for_timeout(50)
+    pytest.fail(f"never: {condition}")
+
+
+def pixels(element) -> np.ndarray:
+    """Return an element as it is on the screen, from 0 to 255, once all that is due is drawn."""
+    two_frames = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+    element.page.evaluate(two_frames)
+    return np.asarray(Image.open(io.BytesIO(element.screenshot())).convert("RGB")).astype(int)
+
+
+def differing(one: np.ndarray, other: np.ndarray) -> int:
+    """Return how many pixels differ visibly."""
+    return int((np.abs(one - other).max(-1) > 40).sum())

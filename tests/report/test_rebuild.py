@@ -1,0 +1,94 @@
+"""Results again from a clean copy: the same tables are the same, and every difference is found and named."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from repro.errors import InputError
+from repro.report.project import Project
+from repro.report.rebuild import copy_sources, differences, rebuild
+
+WRITES = 'from repro.report.results import results_dir\n(results_dir() / "{}").write_text({})'
+
+
+@pytest.fixture
+def checkout(root):
+    """A miniature project, a git checkout that imports the package under test."""
+    subprocess.run(["git", "init", "-q"], check=True)
+    (root / ".gitignore").write_text("results/\nbook/notebooks/\n.cache/\nruns/\n")
+    return root
+
+
+def execute(root):
+    """Run the notebooks of a project, as the build does, without its site."""
+    program = "from repro.report import build as b, project as p\n"
+    program += "pr = p.find_project()\nb.run_all(pr, sorted(pr.notebooks.glob('*.ipynb')), 2)"
+    subprocess.run([sys.executable, "-c", program], cwd=root, check=True, stdout=subprocess.DEVNULL)
+
+
+def test_tables_that_follow_from_the_sources_are_the_same_and_others_are_named(
+    checkout, notebook_at, monkeypatch
+):
+    notebook_at(checkout / "notebooks/same.ipynb", WRITES.format("same.csv", "f'n\\n{n / 3:g}\\n'"))
+    notebook_at(
+        checkout / "notebooks/other.ipynb",
+        "import os",
+        WRITES.format("other.csv", "f'process\\n{os.getpid()}\\n'"),
+    )
+    execute(checkout)
+    monkeypatch.setenv("PYTHONPATH", "elsewhere")
+    (found,) = rebuild(Project(checkout), 2)
+    first, second = (
+        (folder / "other.csv").read_text().split()
+        for folder in (checkout / "results", checkout / ".cache/again/results")
+    )
+    assert found == f"other.csv differs from line 2 on: {first[1]} | {second[1]}"
+    assert os.environ["PYTHONPATH"] == "elsewhere"
+
+
+def test_a_book_that_is_not_built_cannot_be_compared(checkout, notebook_at):
+    notebook_at(checkout / "notebooks/same.ipynb", WRITES.format("same.csv", "'n\\n'"))
+    expected = r"Input results of make reproduce must be up to date \(run make book first\); .* same to run."
+    with pytest.raises(InputError, match=f"^{expected}$"):
+        rebuild(Project(checkout), 2)
+
+
+def test_a_copy_has_no_results_and_nothing_of_an_earlier_copy(checkout, tmp_path):
+    (checkout / "results").mkdir()
+    (checkout / "results/old.csv").write_text("n\n")
+    (checkout / "new.py").write_text("")
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    (copy / "rest").write_text("")
+    copy_sources(checkout, copy)
+    names = {str(path.relative_to(copy)) for path in copy.rglob("*") if path.is_file()}
+    assert {"new.py", "pyproject.toml", "src/repro/module.py"} <= names
+    assert not names & {"rest", "results/old.csv"}
+
+
+def test_without_git_there_is_no_telling_what_are_sources(root, tmp_path):
+    expected = (
+        "Input project of make reproduce must be a git checkout: git knows what are sources; .*project."
+    )
+    with pytest.raises(InputError, match=f"^{expected}$"):
+        copy_sources(root, tmp_path / "copy")
+
+
+def test_differences_are_missing_tables_longer_ones_and_single_bytes(tmp_path):
+    one, two = tmp_path / "one", tmp_path / "two"
+    tables = {
+        one: {"same": "a\n1\n", "gone": "a\n", "longer": "a\n1\n", "end": "a\r\n", "scorecard": "a\n"},
+        two: {"same": "a\n1\n", "new": "a\n", "longer": "a\n1\n2\n", "end": "a\n", "scorecard": "b\n"},
+    }
+    for folder, texts in tables.items():
+        folder.mkdir()
+        for name, text in texts.items():
+            (folder / f"{name}.csv").write_bytes(text.encode())
+    assert differences(one, two) == [
+        "end.csv differs from line 1 on: a\r | a",
+        f"gone.csv is missing in {two}",
+        "longer.csv differs from line 3 on:  | 2",
+        f"new.csv is missing in {one}",
+    ]

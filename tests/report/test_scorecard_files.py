@@ -1,0 +1,135 @@
+"""What the site serves of the scorecard: JSON, a badge, the picture and its text, links and counts."""
+
+from __future__ import annotations
+
+import json
+import re
+import xml.etree.ElementTree as ET
+from fractions import Fraction
+
+from repro.report.figures_scorecard import HIGHEST, picture_alt, scorecard_picture
+from repro.report.project import Project
+from repro.report.scorecard import ScorecardRow
+from repro.report.scorecard_files import badge, badge_text, scorecard_json, write_scorecard_files
+from repro.report.scorecard_page import counts_page, scorecard_page
+from repro.report.verdicts import Verdict, band, within_band
+
+
+def row(verdict: Verdict, published: str = "2.0", regenerated: str = "1.0", **other: str) -> ScorecardRow:
+    """Return a row of the scorecard."""
+    texts = {"paper": "baaij2023", "artefact": "Table 1", "row": "n_b=1", "quantity": "e_u", "unit": "mT"}
+    texts |= {"published_std": "", "regenerated_std": "", "n_seeds": "3", "setting": "x", "best": ""}
+    texts |= {"best_method": "", "note": ""} | other
+    return ScorecardRow(published=published, regenerated=regenerated, verdict=verdict, weak=False, **texts)
+
+
+ROWS = [
+    row(Verdict.REPRODUCED, regenerated="2.04"),
+    row(Verdict.BETTER, row="n_b=2", published_std="0.1"),
+    row(Verdict.DIFFERS, row="n_b=3", regenerated="100"),
+    row(Verdict.NOT_COMPARABLE, paper="martin2022", artefact="Fig. 3", regenerated="0.2"),
+    row(Verdict.MISSING, paper="martin2022", artefact="Fig. 3", row="M2", regenerated=""),
+]
+
+
+def test_json():
+    """Numbers are numbers, whole ones whole, and null where there is none."""
+    content = json.loads(scorecard_json(ROWS))
+    assert content["counts"]["all"] == {
+        "reproduced": 1,
+        "better": 1,
+        "differs": 1,
+        "not_comparable": 1,
+        "missing": 1,
+    }
+    assert content["counts"]["martin2022"]["missing"] == 1
+    first = content["rows"][0]
+    assert (first["published"], first["regenerated"], first["n_seeds"], first["best"]) == (2.0, 2.04, 3, None)
+    assert isinstance(first["n_seeds"], int)
+    assert (first["weak"], first["verdict"], first["unit"]) == (False, "reproduced", "mT")
+
+
+def test_badge():
+    """The badge is a picture with a name, wide enough for its text."""
+    assert badge_text(ROWS) == "2 hold, 1 differ, 1 not comparable, 1 missing"
+    assert badge_text(ROWS[:2]) == "2 hold"
+    root = ET.fromstring(badge(ROWS))
+    assert root.get("aria-label") == f"5 published numbers: {badge_text(ROWS)}"
+    assert float(root.get("width") or 0) > 6 * len("published numbers" + badge_text(ROWS))
+
+
+def test_band_is_the_one_of_the_verdict():
+    """The edge of the drawn band is where the verdict changes."""
+    for printed, s_pub, s_reg in (("1.7", "", ""), ("1.0", "0.3", "0.4"), ("60", "", "0.01")):
+        edge = band(printed, s_pub, s_reg)
+        for factor, inside in ((0.999, True), (1.001, False)):
+            assert within_band(Fraction(edge * factor), printed, s_pub, s_reg) is inside
+
+
+def test_picture_shows_every_row():
+    """Every row has one mark at its ratio, or at the edge beyond which it lies; missing ones stand at the bottom."""
+    figure = scorecard_picture(ROWS)
+    marks = [
+        (round(float(x), 3), float(y))
+        for ax in figure.axes
+        for line in ax.get_lines()
+        if line.get_marker() not in ("None", "", None)
+        for x, y in zip(line.get_xdata(), line.get_ydata(), strict=True)
+    ]
+    assert sorted(y for _, y in marks) == [0.1, 0.1, 0.5, 1.02, HIGHEST]
+    labels = [label.get_text() for ax in figure.axes for label in ax.get_xticklabels()]
+    assert labels == ["Baaij, Table 1", "Martin, Fig. 3"]
+    assert picture_alt(ROWS) == (
+        "Regenerated over published for 5 numbers of the papers: 1 reproduced, 1 better, 1 differs, "
+        "1 not comparable, 1 missing. The 3 ratios that are compared go from 0.5 to 50, median 1.02."
+    )
+    assert picture_alt(ROWS[4:]).endswith("1 missing.")
+
+
+def test_every_row_leads_to_its_page():
+    page = scorecard_page(
+        ROWS, {("baaij2023", "Table 1"): "notebooks/table_1.html#fig-table-1"}, filtered=True
+    )
+    assert page.startswith('<div class="scorecard-filter"></div>\n\n<div class="scorecard-scroll"')
+    assert page.count('<a href="notebooks/table_1.html#fig-table-1">') == 3
+    assert page.count("data-verdict=") == len(ROWS)
+    assert '<th scope="row">M2</th>' in page
+    assert 'data-paper="Martin et al. (2022)" data-artefact="Fig. 3"' in page
+    assert "scorecard-filter" not in scorecard_page(ROWS)
+
+
+def test_counts_lead_to_the_rows_that_they_count():
+    page = counts_page(ROWS)
+    assert (
+        '<a href="scorecard.html?paper=Martin+et+al.+%282022%29&amp;verdict=not+comparable" '
+        'aria-label="1 not comparable of Martin et al. (2022)">1</a>'
+    ) in page
+    assert re.search(r"\| Martin et al\. \(2022\) \| 0 \| 0 \| 0 \|", page)
+
+
+def test_files(tmp_path):
+    """All that pages include is written, twice the same."""
+    project = Project(tmp_path)
+    (tmp_path / "data" / "published").mkdir(parents=True)
+    (tmp_path / "data" / "published" / "index.csv").write_text(
+        "paper,kind,artefact,shows,status,page,anchor,code,note\n"
+        "martin2022,figure,Fig. 3,errors,regenerated,notebooks/imu_markers,fig-imu-markers,,synthetic\n",
+        encoding="utf-8",
+    )
+    write_scorecard_files(project, ROWS)
+    folder = project.book / "generated"
+    first = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert sorted(first) == [
+        "counts.md",
+        "papers.md",
+        "scorecard.json",
+        "scorecard.md",
+        "scorecard.svg",
+        "scorecard_picture.md",
+        "scorecard_picture.svg",
+    ]
+    assert b"notebooks/imu_markers.html#fig-imu-markers" in first["scorecard.md"]
+    assert b":alt: Regenerated over published for 5 numbers" in first["scorecard_picture.md"]
+    ET.fromstring(first["scorecard_picture.svg"])
+    write_scorecard_files(project, ROWS)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == first
