@@ -26,16 +26,21 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help book test lint check-site train studies bench env clean lock
+.PHONY: help book test lint check-site reproduce train studies bench diff soak fuzz vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
 	@echo 'make test        run the tests'
 	@echo 'make lint        style, types and the direction of imports'
 	@echo 'make check-site  open every page of the built site in Chromium and check it'
+	@echo 'make reproduce   run all notebooks again in a clean copy and compare every table, byte by byte (minutes)'
 	@echo 'make train       train the networks of the paper that data/networks/ does not have yet (hours, resumable)'
 	@echo 'make studies     compute the tables in data/studies/ that are missing (minutes each, resumable)'
-	@echo 'make bench       measure what costs how much: results/bench.csv, data/benchmark.csv'
+	@echo 'make bench       measure what costs how much: results/bench.csv, data/benchmark*.csv'
+	@echo 'make diff RUN=…  show a run of your own (runs/NAME-…) beside the results of the book'
+	@echo 'make soak        ten million frames through a faulty port, a hundred killed recorders, ten minutes live (half an hour)'
+	@echo 'make fuzz        a million inputs made to break the parsers (minutes)'
+	@echo 'make vendor      bundle the 3-D viewer anew from its sources (needs node and npm)'
 	@echo 'make env         set up .venv only (every target above does this by itself)'
 	@echo 'make lock        write requirements.lock anew from requirements.in'
 	@echo 'make clean       remove the built site, executed notebooks, results and caches; keeps .venv and runs/'
@@ -57,8 +62,11 @@ lint: env
 
 check-site: env
 	@test -f book/_build/html/index.html || { echo 'The site is not built: run `make book` first.' >&2; exit 1; }
-	@command -v chromium >/dev/null || { echo 'Chromium is not installed (Debian and Ubuntu: apt-get install chromium).' >&2; exit 1; }
+	@$(PY) tests/chromium.py
 	$(PY) -m pytest -n $(JOBS) tests/book/test_site.py
+
+reproduce: env
+	@$(PY) -m repro.report.rebuild
 
 train: env
 	nice -n 19 $(BIN)/repro train
@@ -68,6 +76,25 @@ studies: env
 
 bench: env
 	$(BIN)/repro bench
+
+soak: env
+	$(PY) -m repro.live.emulate.soak 10000000
+	$(PY) -m repro.live.record.kill_soak 100
+	$(PY) -m repro.live.follow.live_soak 10 1000
+
+diff: env
+	@test -n '$(RUN)' || { echo 'Name the run: make diff RUN=runs/NAME-12345678' >&2; exit 2; }
+	@$(BIN)/repro diff '$(RUN)'
+
+# The fuzzer is not in the lock: its wheels are for Linux.
+fuzz: env
+	@mkdir -p .cache
+	@$(PY) -m pip install --quiet --no-deps --require-hashes --upgrade --target .cache/fuzz -r requirements-fuzz.lock
+	PYTHONPATH=.cache/fuzz $(PY) tests/live/fuzz_parsers.py -runs=1000000 -verbosity=1 -print_final_stats=1 \
+	  -artifact_prefix=.cache/fuzz-
+
+vendor:
+	node src/repro/report/viewer/bundle.mjs .cache/viewer
 
 # ---------------------------------------------------------------------------------------------------------------------
 # The environment. $(STAMP) holds the content it was made from, so that neither a checkout's new modification times nor

@@ -108,7 +108,7 @@ def write_placeholders(book: Path) -> None:
         :::
         """
     )
-    for name in ("counts.md", "scorecard.md"):
+    for name in ("counts.md", "scorecard.md", "scorecard_picture.md", "papers.md"):
         if not (book / "generated" / name).exists():
             write_if_changed(book / "generated" / name, text)
 
@@ -190,10 +190,16 @@ def _importable(target: str) -> bool:
     return hasattr(__import__("builtins"), parts[0])
 
 
+def skip_member(app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object) -> bool | None:
+    """Leave out the fields of named tuples: their docstring describes them, as attributes."""
+    return True if type(obj).__name__ == "_tuplegetter" else None
+
+
 def setup(app: Sphinx) -> dict[str, object]:
     """Register the extension; the pages are written here, before the table of contents is read."""
     book = Path(app.srcdir)
     write_pages(book)
     write_placeholders(book)
     app.connect("missing-reference", resolve)
+    app.connect("autodoc-skip-member", skip_member)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
 from pathlib import Path
 
+from page_access import accessible
 from sphinx.application import Sphinx
 
+from repro.report.page_notes import with_notes, write_page_files
+from repro.report.project import Project
+
 MATHJAX = "vendor/mathjax/"
+VIEWER = "shape_viewer.js"
+FORM = "run_form.js"
+FILTER = "scorecard.js"
+OFFLINE_SEARCH = "offline_search.js"
+SCORECARD_FILES = ("scorecard.json", "scorecard.svg")
+NOTEBOOKS = "notebooks/"
 
 
 def select_scripts(app: Sphinx, pagename: str, templatename: str, context: dict, doctree) -> None:
@@ -29,14 +41,65 @@ def select_scripts(app: Sphinx, pagename: str, templatename: str, context: dict,
             continue
         if name.startswith("vendor/") and not is_mathjax and name not in wanted:
             continue
+        if name == FORM and 'class="run-form"' not in (context.get("body") or ""):
+            continue
         if is_mathjax and name and not {"defer", "async"} & set(attributes):
             continue  # Jupyter Book's copy; Sphinx's own entry is deferred and comes after the configuration
+        if name == FILTER and 'class="scorecard-filter"' not in (context.get("body") or ""):
+            continue
+        if name == OFFLINE_SEARCH and pagename != "search":
+            continue
         key = (name, body)
         if key in seen:
             continue
         seen.add(key)
         kept.append(script)
+    if 'class="shape-view"' in (context.get("body") or ""):
+        kept.append(f"_static/{VIEWER}")
     context["script_files"] = kept
+
+
+def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Give the page of a notebook its provenance, its downloads and its form; the notebook itself stays as it is."""
+    if docname.startswith(NOTEBOOKS) and app.env.doc2path(docname).endswith(".ipynb"):
+        project = Project(Path(app.srcdir).parent)
+        page = with_notes(json.loads(source[0]), project, docname.removeprefix(NOTEBOOKS))
+        source[0] = json.dumps(page)
+
+
+def add_downloads(app: Sphinx, exception: Exception | None) -> None:
+    """Put the files that pages of notebooks offer where these look for them."""
+    if exception is None and app.builder.format == "html":
+        for docname in sorted(app.env.found_docs):
+            if docname.startswith(NOTEBOOKS) and app.env.doc2path(docname).endswith(".ipynb"):
+                write_page_files(
+                    Project(Path(app.srcdir).parent), docname.removeprefix(NOTEBOOKS), Path(app.outdir)
+                )
+
+
+def add_viewer(app: Sphinx, exception: Exception | None) -> None:
+    """Put the script that shows shapes where pages find it; it lies in the package, whose live view serves it too."""
+    if exception is None and app.builder.format == "html":
+        source = Path(app.srcdir).parent / "src" / "repro" / "report" / "viewer" / VIEWER
+        shutil.copyfile(source, Path(app.outdir) / "_static" / VIEWER)
+
+
+def add_scorecard_files(app: Sphinx, exception: Exception | None) -> None:
+    """Serve the scorecard as JSON and as a badge at the root of the site, once they have been computed."""
+    if exception is None and app.builder.format == "html":
+        for name in SCORECARD_FILES:
+            source = Path(app.srcdir) / "generated" / name
+            if source.is_file():
+                shutil.copyfile(source, Path(app.outdir) / name)
+
+
+def without_search_index(text: str) -> str:
+    """Leave out what only the page of search results uses; the index alone is half a megabyte."""
+    return re.sub(
+        r'\s*<script src="[./]*(_static/searchtools|_static/language_data|searchindex)\.js"></script>',
+        "",
+        text,
+    )
 
 
 def tidy(app: Sphinx, exception: Exception | None) -> None:
@@ -49,7 +112,9 @@ def tidy(app: Sphinx, exception: Exception | None) -> None:
         new = text.replace('<div role="list" class="citation-list">', '<div class="citation-list">')
         new = re.sub(r'(<div class="citation"[^>]*?) role="doc-biblioentry"', r"\1", new)
         # pandas leaves the corner cells of a table's head empty: not a header, then
-        new = re.sub(r"<th>\s*</th>", "<td></td>", new)
+        new = accessible(re.sub(r"<th>\s*</th>", "<td></td>", new))
+        if path.name != "search.html":
+            new = without_search_index(new)
         if new != text:
             path.write_text(new, encoding="utf-8")
     for pattern in ("**/*.map", "_static/scripts/fontawesome.js*", "_static/*webpack-macros.html"):
@@ -71,5 +136,9 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.add_config_value("comments_config", {}, "html")
     app.connect("html-page-context", select_scripts, priority=900)
     app.connect("html-collect-pages", forget_modules_without_source, priority=100)
+    app.connect("source-read", add_notes)
+    app.connect("build-finished", add_viewer)
+    app.connect("build-finished", add_downloads)
+    app.connect("build-finished", add_scorecard_files)
     app.connect("build-finished", tidy)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

@@ -94,3 +94,18 @@ def test_scripts_of_a_page(formulas, meta, expected):
     site.select_scripts(None, "page", "page.html", context, None)
     names = [(item.filename or "").removeprefix("_static/") for item in context["script_files"]]
     assert sorted(names) == sorted(expected)
+
+
+def test_the_script_of_the_viewer_comes_with_a_view():
+    site = importlib.import_module("repro_site")
+    context = {"body": '<div class="shape-view">', "script_files": [script("a.js")]}
+    site.select_scripts(None, "page", "page.html", context, None)
+    assert str(context["script_files"][-1]) == "_static/shape_viewer.js"
+
+
+@pytest.mark.parametrize(("body", "names"), [('<div class="run-form">', ["run_form.js"]), ("<p>", [])])
+def test_the_script_of_the_form_comes_with_a_form(body, names):
+    site = importlib.import_module("repro_site")
+    context = {"body": body, "script_files": [script("run_form.js")]}
+    site.select_scripts(None, "page", "page.html", context, None)
+    assert [item.filename for item in context["script_files"]] == [f"_static/{name}" for name in names]

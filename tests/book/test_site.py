@@ -2,115 +2,83 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import numpy as np
 import pytest
+from chromium import MISSING, find, started
+from page_on_screen import pixels
+from page_visit import Visit, open_page, visit
 
 SITE = Path(__file__).resolve().parents[2] / "book" / "_build" / "html"
 # Pages that only list source code need no browser; their links are checked with the others.
 ALL_PAGES = sorted(path.relative_to(SITE).as_posix() for path in SITE.rglob("*.html"))
 PAGES = [page for page in ALL_PAGES if not page.startswith("_modules/")]
-FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
-LOUD = ("error", "warning")
+WRITTEN = [page for page in PAGES if not page.startswith(("api/", "genindex"))]
+"""Notebooks and pages written by hand."""
+WITH_VIEWS = [page for page in WRITTEN if 'class="shape-view"' in (SITE / page).read_text(encoding="utf-8")]
+VIEWER = SITE / "_static" / "shape_viewer.js"
+NARROW = (390, 320)
 LANDING_LIMIT_BYTES = 1_000_000
+PAGE_LIMIT_BYTES = 3_000_000
+"""Without 3-D views; the theme included."""
+REFERENCE_LIMIT_BYTES = 5_000_000
+"""Pages that list all docstrings of a package."""
+
+no_site = pytest.mark.skipif("index.html" not in PAGES, reason="the site is not built")
 
 
-@dataclass
-class Visit:
-    """What happened while a page was open."""
-
-    requests: list[str] = field(default_factory=list)
-    failed: list[str] = field(default_factory=list)
-    console: list[str] = field(default_factory=list)
-    facts: dict = field(default_factory=dict)
-
-
-FACTS = """async () => {
-  if (window.MathJax && MathJax.startup && MathJax.startup.promise) await MathJax.startup.promise;
-  const images = [...document.querySelectorAll('img')];
-  images.forEach(image => { image.loading = 'eager'; });
-  await Promise.all(images.map(image => image.decode().catch(() => null)));
-  const wide = [...document.querySelectorAll('main *')]
-    .filter(e => e.getBoundingClientRect().right > innerWidth + 1)
-    .slice(0, 5).map(e => `${e.tagName}.${e.className}`);
-  return {
-    text: document.body.innerText,
-    scroll: document.documentElement.scrollWidth,
-    wide: wide,
-    images: images.map(i => ({src: i.getAttribute('src'), alt: i.alt, width: i.naturalWidth})),
-    formulas: document.querySelectorAll('.math').length,
-    rendered: document.querySelectorAll('.math mjx-container svg').length,
-    errors: document.querySelectorAll('[data-mml-node="merror"], mjx-merror').length,
-  };
-}"""
-
-
-@pytest.fixture(scope="session")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator:
-    """Return Debian's Chromium with a profile of its own."""
-    api = pytest.importorskip("playwright.sync_api")
-    executable = shutil.which("chromium")
+@pytest.fixture(scope="module")
+def browser() -> Iterator:
+    """Return Chromium; here nothing is skipped."""
+    executable = find()
     if executable is None:
-        pytest.skip("Chromium is not installed")
-    with api.sync_playwright() as playwright:
-        profile = tmp_path_factory.mktemp("profile")
-        context = playwright.chromium.launch_persistent_context(
-            profile, executable_path=executable, args=FLAGS
-        )
-        yield context
-        context.close()
+        pytest.fail(MISSING)
+    with started(executable) as chromium:
+        yield chromium
 
 
-@pytest.fixture
-def visit(browser):
-    """Open a page of the site from disk and return what happened."""
-
-    def open_page(name: str, width: int = 1280, scheme: str = "light") -> Visit:
-        seen = Visit()
-        page = browser.new_page()
-        page.set_viewport_size({"width": width, "height": 900})
-        page.emulate_media(color_scheme=scheme)
-        page.on("request", lambda request: seen.requests.append(request.url))
-        page.on("requestfailed", lambda request: seen.failed.append(request.url))
-        page.on("pageerror", lambda error: seen.console.append(str(error)))
-        page.on(
-            "console", lambda message: seen.console.append(message.text) if message.type in LOUD else None
-        )
-        try:
-            page.goto((SITE / name).as_uri(), wait_until="load")
-            seen.facts = page.evaluate(FACTS)
-            page.wait_for_timeout(100)
-        finally:
-            page.close()
-        return seen
-
-    return open_page
+def url_of(name: str) -> str:
+    """Return the address of a page on disk."""
+    return (SITE / name).as_uri()
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_page(name, visit):
-    """A page asks no other host, reports no error, and shows its figures and formulas."""
-    seen = visit(name)
-    assert [url for url in seen.requests if urlsplit(url).scheme not in ("file", "data", "blob")] == []
+def test_page(name, browser, record_property):
+    """A page is whole, quiet, light and readable, in light and dark, on a desk and on a telephone.
+
+    Pages that list docstrings have no colours and tables of their own: axe looks at the others.
+    """
+    seen = visit(browser, url_of(name), widths=NARROW, accessible=name in WRITTEN)
+    assert seen.asked_outside() == []
     assert seen.failed == []
     assert seen.console == []
-    if not name.startswith("api/"):  # examples there show the errors they mean to show
+    if name in WRITTEN:  # examples of the API show the errors they mean to show
         assert "Traceback (most recent call last)" not in seen.facts["text"]
+    _check_images_and_formulas(seen)
+    for width, overflow in seen.overflow.items():
+        assert overflow["scroll"] <= width, f"too wide for {width} px: {overflow['wide']}"
+    for scheme, severe in seen.severe.items():
+        assert severe == [], f"axe, {scheme}: {severe}"
+
+    total, of_views = _weight(seen)
+    record_property("page", name)
+    record_property("page_bytes", total)
+    record_property("shape_view_bytes", of_views)
+    assert total - of_views <= _limit(name), f"{total - of_views} bytes without 3-D views"
+
+
+def _limit(name: str) -> int:
+    if name == "index.html":
+        return LANDING_LIMIT_BYTES
+    return REFERENCE_LIMIT_BYTES if name.startswith("api/") else PAGE_LIMIT_BYTES
+
+
+def _check_images_and_formulas(seen: Visit) -> None:
     for image in seen.facts["images"]:
         assert image["width"] > 0, f"{image['src']} did not load"
         alt = image["alt"].strip()
@@ -120,24 +88,99 @@ def test_page(name, visit):
     assert seen.facts["errors"] == 0, "a formula has an error"
 
 
-@pytest.mark.parametrize("width", [390, 320])
-@pytest.mark.parametrize("name", PAGES)
-def test_no_sideways_scrolling(name, width, visit):
-    """On a telephone the page itself does not scroll sideways; wide tables and code do so in their own box."""
-    seen = visit(name, width=width)
-    assert seen.facts["scroll"] <= width, f"too wide: {seen.facts['wide']}"
+def _weight(seen: Visit) -> tuple[int, int]:
+    """Return the bytes of a page, and how many of them are for 3-D views."""
+    total = seen.weight()
+    views = seen.facts["views"]
+    return total, sum(views) + (VIEWER.stat().st_size if views else 0)
 
 
-@pytest.mark.skipif("index.html" not in PAGES, reason="the site is not built")
-def test_landing_page(visit):
-    """The landing page is a page, and a light one."""
-    text = (SITE / "index.html").read_text(encoding="utf-8")
-    assert "http-equiv" not in text.lower(), "index.html redirects"
-    seen = visit("index.html")
-    assert len(seen.facts["text"]) > 1000
-    paths = {Path(unquote(urlsplit(url).path)) for url in seen.requests if url.startswith("file:")}
-    paths -= {SITE / "searchindex.js"}  # it grows with the book
-    assert sum(path.stat().st_size for path in paths) < LANDING_LIMIT_BYTES
+@no_site
+def test_landing_page_is_a_page(browser):
+    """The landing page does not redirect, and its counts lead to the rows that they count."""
+    assert "http-equiv" not in (SITE / "index.html").read_text(encoding="utf-8").lower()
+    page, _ = open_page(browser, url_of("index.html"))
+    try:
+        assert len(page.locator("main").inner_text()) > 1000
+        link = page.locator("main table a[href*='verdict=']").last
+        label = link.get_attribute("aria-label")
+        link.click()
+        page.wait_for_selector(".scorecard-count")
+        count = page.locator(".scorecard-count").inner_text()
+        assert count.split()[0] == label.split()[0], f"{label} leads to {count}"
+    finally:
+        page.close()
+
+
+@no_site
+def test_scorecard_filter(browser):
+    """Keys alone narrow the rows down; the count says so aloud; without the script every row is there."""
+    page, seen = open_page(browser, url_of("scorecard.html"))
+    try:
+        rows = page.locator("table.scorecard tbody tr")
+        total = rows.count()
+        count = page.get_by_role("status").filter(has_text="rows")
+        assert count.inner_text().startswith(f"{total} of {total} rows")
+        page.get_by_label("Verdict").focus()
+        page.keyboard.type("differs")
+        shown = page.locator("table.scorecard tbody tr:visible")
+        differs = page.locator("tbody tr[data-verdict=differs]").count()
+        assert shown.count() == differs
+        assert count.inner_text().startswith(f"{differs} of {total} rows: {differs} differs")
+        page.get_by_label("Text").fill("no such row anywhere")
+        assert shown.count() == 0
+        assert count.inner_text() == f"0 of {total} rows."
+        page.get_by_role("button", name="Show all").press("Enter")
+        page.wait_for_function("() => !document.querySelector('tbody tr[hidden]')")
+        assert seen.console == []
+    finally:
+        page.close()
+    assert (
+        "hidden"
+        not in (SITE / "scorecard.html").read_text(encoding="utf-8").split("scorecard-filter")[1][:20_000]
+    )
+
+
+@no_site
+@pytest.mark.parametrize("word", ["lemniscate", "quaternion", "momentum"])
+def test_search_finds_known_words(word, browser):
+    """The search works from disk and asks nobody."""
+    page, seen = open_page(browser, f"{url_of('search.html')}?q={word}")
+    try:
+        page.wait_for_selector("#search-results ul.search li a")
+        page.wait_for_function("() => !document.querySelector('#search-progress')?.textContent.includes('.')")
+        links = page.eval_on_selector_all("#search-results li > a", "all => all.map(a => a.href)")
+        assert any("notebooks/" in link for link in links)
+        page.wait_for_timeout(200)
+        assert seen.failed == []
+        assert seen.console == []
+        assert seen.asked_outside() == []
+    finally:
+        page.close()
+
+
+@pytest.mark.parametrize("name", WITH_VIEWS)
+def test_shape_views(name, browser):
+    """Each 3-D view is drawn, and its slider moves it."""
+    page, seen = open_page(browser, url_of(name))
+    try:
+        views = page.locator(".shape-view")
+        for k in range(views.count()):
+            view = views.nth(k)
+            view.scroll_into_view_if_needed()
+            canvas = view.locator("canvas").first
+            canvas.wait_for()
+            page.wait_for_timeout(300)
+            before = pixels(canvas)
+            assert before.std() > 1, "the canvas is blank"
+            slider = view.get_by_role("slider").first
+            slider.focus()
+            slider.press("End" if slider.input_value() == "0" else "Home")
+            page.wait_for_timeout(300)
+            assert np.abs(pixels(canvas) - before).max() > 20, "the slider does not move the shape"
+        assert seen.console == []
+    finally:
+        page.close()
 
 
 class Links(HTMLParser):

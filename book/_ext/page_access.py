@@ -1,0 +1,32 @@
+"""Corrections to the theme's pages for readers who use a keyboard or a screen reader."""
+
+from __future__ import annotations
+
+import re
+
+
+def accessible(text: str) -> str:
+    """Return the HTML of a page with the names and tab stops that theme and extensions leave out."""
+    return reachable_formulas(named_summaries(one_name_for_search(text)))
+
+
+def one_name_for_search(text: str) -> str:
+    """Let the search button be named by what is written on it: a label that says less hides the keys."""
+    return re.sub(r'(<button class="btn search-button-field[^>]*?) aria-label="[^"]*"', r"\1", text)
+
+
+def named_summaries(text: str) -> str:
+    """Name the arrows that unfold the table of contents: they hold a picture only."""
+    return text.replace(
+        '<summary><span class="toctree-toggle"',
+        '<summary aria-label="Pages below"><span class="toctree-toggle"',
+    )
+
+
+def reachable_formulas(text: str) -> str:
+    """Make displayed formulas reachable by keyboard: a long one scrolls in its own box."""
+    return re.sub(
+        r'<div class="math notranslate nohighlight"(?! tabindex)',
+        '<div class="math notranslate nohighlight" tabindex="0" role="group" aria-label="Formula"',
+        text,
+    )

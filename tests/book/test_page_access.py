@@ -1,0 +1,82 @@
+"""The corrections that pages get after Sphinx has written them."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+BOOK = Path(__file__).resolve().parents[2] / "book"
+pytest.importorskip("sphinx")
+
+
+@pytest.fixture
+def extension(monkeypatch):
+    """Import a module of the book's extensions."""
+    monkeypatch.syspath_prepend(str(BOOK / "_ext"))
+    yield importlib.import_module
+    for name in ("page_access", "repro_site"):
+        sys.modules.pop(name, None)
+
+
+def test_names_and_tab_stops(extension):
+    """The search button is named by its text, arrows by a label; formulas can be reached; twice changes nothing."""
+    accessible = extension("page_access").accessible
+    page = (
+        '<button class="btn search-button-field pst-js-only" title="Search" aria-label="Search" data-x="1">'
+        "Search</button>"
+        '<button class="btn other" aria-label="Close"></button>'
+        '<summary><span class="toctree-toggle"></span></summary>'
+        '<div class="math notranslate nohighlight" id="eq">x</div><span class="math notranslate nohighlight">y</span>'
+    )
+    expected = (
+        '<button class="btn search-button-field pst-js-only" title="Search" data-x="1">Search</button>'
+        '<button class="btn other" aria-label="Close"></button>'
+        '<summary aria-label="Pages below"><span class="toctree-toggle"></span></summary>'
+        '<div class="math notranslate nohighlight" tabindex="0" role="group" aria-label="Formula" id="eq">x</div>'
+        '<span class="math notranslate nohighlight">y</span>'
+    )
+    assert accessible(page) == expected
+    assert accessible(expected) == expected
+
+
+def test_only_the_search_page_loads_the_index(extension):
+    site = extension("repro_site")
+    kept = '<script src="../_static/doctools.js?v=1"></script>'
+    page = (
+        f'{kept}\n  <script src="../_static/searchtools.js"></script>\n<script src="searchindex.js"></script>'
+    )
+    assert site.without_search_index(page) == kept
+
+
+@pytest.mark.parametrize(
+    ("pagename", "body", "expected"),
+    [
+        ("index", "<p>", set()),
+        ("scorecard", '<div class="scorecard-filter"></div>', {"scorecard.js"}),
+        ("search", "<p>", {"offline_search.js"}),
+    ],
+)
+def test_scripts_come_where_they_are_used(extension, pagename, body, expected):
+    names = ("scorecard.js", "offline_search.js")
+    scripts = [SimpleNamespace(filename=f"_static/{name}", attributes={"body": ""}) for name in names]
+    context = {"body": body, "meta": {}, "script_files": scripts}
+    extension("repro_site").select_scripts(None, pagename, "page.html", context, None)
+    assert {script.filename.removeprefix("_static/") for script in context["script_files"]} == expected
+
+
+def test_scorecard_is_served_once_computed(extension, tmp_path):
+    """JSON and badge lie at the root of the site; a first build without them says nothing."""
+    site = extension("repro_site")
+    source, out = tmp_path / "book", tmp_path / "html"
+    (source / "generated").mkdir(parents=True)
+    out.mkdir()
+    app = SimpleNamespace(srcdir=source, outdir=out, builder=SimpleNamespace(format="html"))
+    site.add_scorecard_files(app, None)
+    assert list(out.iterdir()) == []
+    (source / "generated" / "scorecard.json").write_text("{}")
+    site.add_scorecard_files(app, None)
+    assert (out / "scorecard.json").read_text() == "{}"
