@@ -20,7 +20,7 @@ CHUNK = 65536
 """Most bytes in one call of the operating system."""
 DRAIN_S = 2.0
 """How long a reader has to take what was sent, before the port disappears [s]."""
-EMPTY = 10
+EMPTY = 30
 """So many times in a row nothing waits, 3 ms apart, once all was taken: a busy system hands bytes on late."""
 
 
