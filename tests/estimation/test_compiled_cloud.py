@@ -4,11 +4,13 @@ import math
 import time
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from repro.errors import InputError
 from repro.estimation.base import Estimator, track
+from repro.estimation.compiled_cloud import _smallest
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box, Disc
 from repro.experiments.benchmark_scaling import follow_flower
@@ -114,6 +116,17 @@ def test_same_seed_same_bits_and_an_unchanged_state():
     assert torch.equal(first.q, second.q)
     assert torch.equal(a.q, b.q)
     assert isinstance(filter_, Estimator)
+
+
+@pytest.mark.parametrize("n", [1, 2, 10, 999])
+@pytest.mark.parametrize("levels", [1, 2, 5, None])
+def test_the_best_are_as_many_as_asked_for_also_among_equals(n, levels):
+    rng = np.random.default_rng(n)
+    d = rng.random(n) ** 8 if levels is None else rng.integers(levels, size=n).astype(float)
+    for keep in {1, -(-n // 10), n}:
+        limit, ties = _smallest(d, keep)
+        assert (d < limit).sum() + ties == keep
+        assert 0 <= ties <= (d == limit).sum()
 
 
 def test_far_readings_do_not_underflow():

@@ -1,6 +1,7 @@
 """Weights without underflow, and both ways to draw, by their frequencies."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from scipy import stats
 
 from repro.errors import InputError
 from repro.estimation.regions import Box, Disc, Region
-from repro.estimation.resampling import effective_sample_size, normalised, resample, weights
+from repro.estimation.resampling import effective_sample_size, normalised, resample, stream, weights
 
 CALLS = 1500
 W = torch.tensor([0.5, 0.02, 0.08, 0.13, 0.001, 0.1, 0.16, 0.009], dtype=torch.float64)
@@ -95,6 +96,20 @@ def test_box_is_filled_evenly():
     assert box.contains(torch.tensor([[0.0, 3.0], [0.0, 1.9], [1.1, 3.0]])).tolist() == [True, False, False]
     for k, (low, width) in enumerate([(-1, 2), (2, 3)]):
         assert stats.kstest(q[:, k].numpy(), stats.uniform(low, width).cdf).pvalue > 1e-3
+
+
+def test_streams_are_those_of_their_keys_in_every_thread():
+    def drawn(seed):
+        return [stream(seed, step, restart=bool(step % 2)).random() for step in range(200)]
+
+    def fresh(seed):
+        keys = (np.array([seed, 2 * step + step % 2], dtype=np.uint64) for step in range(200))
+        return [np.random.Generator(np.random.Philox(key=key)).random() for key in keys]
+
+    stream(5, 5).standard_normal(7)  # leaves nothing behind
+    seeds = [0, 1, 7, 2**63]
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(drawn, seeds)) == [fresh(seed) for seed in seeds]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar, runtime_checkable
@@ -141,6 +142,8 @@ def usable(u: Float[Tensor, "*batch s"], mask: Tensor | None, owner: str) -> Boo
     InputError
         If the mask does not fit, a reading is infinite, or no sensor is left.
     """
+    if mask is None and u.shape[-1] and math.isfinite(u.sum()):  # the usual case, at a fifth of the time
+        return torch.ones_like(u, dtype=torch.bool)
     if bool(torch.isinf(u).any()):
         raise bad_input("u", owner, "finite, or NaN for a missing reading", "infinite readings")
     use = ~torch.isnan(u)

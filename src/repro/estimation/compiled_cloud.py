@@ -73,10 +73,10 @@ class CompiledCloud:
         series = (self.series.coefficients, self.series.reach)
         _weigh(flat, u_, use_, float(noise_mt), *series, keep, w, mean, C, ess, unlikely, best)
 
-        def back(x: np.ndarray) -> Tensor:
-            return torch.from_numpy(x.reshape((*batch, *x.shape[1:]))).to(q)
-
-        return Weighed(back(w), back(mean), back(C), back(ess), back(unlikely), back(best) if top else None)
+        pair = (*batch, 2)
+        cloud = _tensor(w, (*batch, n), q), _tensor(mean, pair, q), _tensor(C, (*pair, 2), q)
+        fit = _tensor(ess, batch, q), _tensor(unlikely, batch, q)
+        return Weighed(*cloud, *fit, _tensor(best, pair, q) if top else None)
 
     def move(
         self,
@@ -110,26 +110,18 @@ class CompiledCloud:
         """
         batch, n = _batch(q.shape[:-2], w.shape[:-1], width.shape[:-1]), q.shape[-2]
         old, w_, width_ = _rows(q, batch, 2), _rows(w, batch, 1), _rows(width, batch, 1)
-        drift = np.zeros((0, n, 2)) if velocity is None else _rows(velocity, batch, 2)
-        start, moved = np.empty((len(old), n, 2)), np.zeros((len(old), n, 2))
-        outside, drawn = np.ones((len(old), n), dtype=np.bool_), np.empty((len(old), n), dtype=np.int64)
-        _draw(old, w_, draws(n, resampling, generator), drawn, start)
+        drift = old[:, :0] if velocity is None else _rows(velocity, batch, 2)
+        drawn, outside = np.empty(old.shape[:2], dtype=np.int64), np.ones(old.shape[:2], dtype=np.bool_)
+        following, moved = np.empty_like(old), np.empty_like(old)
+        _draw(w_, draws(n, resampling, generator), drawn)
         for _ in range(limit):
-            if not _move(
-                start,
-                drift,
-                drawn,
-                generator.standard_normal((n, 2)),
-                width_,
-                self.series.reach,
-                outside,
-                moved,
-            ):
+            noise = generator.standard_normal((n, 2))
+            if not _move(old, drift, drawn, noise, width_, self.series.reach, outside, following, moved):
                 break
         else:
-            moved[outside] = 0.0
-        following, moved = (torch.from_numpy(x.reshape((*batch, n, 2))).to(q) for x in (start + moved, moved))
-        return following, moved
+            _stay(old, drawn, outside, following, moved)
+        shape = (*batch, n, 2)
+        return _tensor(following, shape, q), _tensor(moved, shape, q)
 
 
 def _batch(*shapes: torch.Size) -> torch.Size:
@@ -138,15 +130,19 @@ def _batch(*shapes: torch.Size) -> torch.Size:
     return first if all(shape == first for shape in shapes) else torch.broadcast_shapes(*shapes)
 
 
+def _tensor(x: np.ndarray, shape: tuple[int, ...], like: Tensor) -> Tensor:
+    """Array as a tensor of that shape, on the device and in the precision of another."""
+    return torch.from_numpy(x.reshape(shape)).to(like)
+
+
 def _rows(x: Tensor, batch: torch.Size, own: int) -> np.ndarray:
     """Members of a batch one after the other, contiguous; the last ``own`` dimensions are theirs."""
-    split = x.ndim - own
-    shape = x.shape[split:]
-    if x.shape[:split] != batch:
-        x = x.expand(*batch, *shape)
-    flat = x.detach().numpy() if x.device.type == "cpu" else x.detach().cpu().numpy()
-    dtype = np.bool_ if x.dtype == torch.bool else np.float64
-    return np.ascontiguousarray(flat, dtype=dtype).reshape(-1, *shape)
+    values = x.numpy(force=True)
+    shape = values.shape[values.ndim - own :]
+    if values.shape != (*batch, *shape):
+        values = np.broadcast_to(values, (*batch, *shape))
+    dtype = np.bool_ if values.dtype == np.bool_ else np.float64
+    return np.ascontiguousarray(values, dtype=dtype).reshape(-1, *shape)
 
 
 @compiled(reorder=True)
@@ -169,9 +165,7 @@ def _weigh(q, u, use, noise, coefficients, reach, keep, w, mean, C, ess, unlikel
         unlikely[m] = _surprise(e, use[m], noise)
         total, least, share_of, scale = 0.0, np.min(d), w[m], -0.5 / (noise * noise)
         for i in range(n):
-            log_w = scale * (d[i] - least)
-            # Far below the floor there is nothing to compute.
-            share_of[i] = math.exp(log_w) if log_w > 2.0 * _LOG_FLOOR else 0.0
+            share_of[i] = math.exp(max(scale * (d[i] - least), _LOG_FLOOR))
             total += share_of[i]
         squares, mean_x, mean_y, scale = 0.0, 0.0, 0.0, 1.0 / total
         for i in range(n):
@@ -223,10 +217,7 @@ def _surprise(e, use, noise):
 @compiled(reorder=True)
 def _best(x, y, d, keep, top):
     """Mean angle towards the mean direction of the ``keep`` best particles: see ``particle_cloud.best_tenth``."""
-    limit = np.partition(d, keep - 1)[keep - 1]
-    ties = keep
-    for i in range(len(d)):
-        ties -= 1 if d[i] < limit else 0
+    limit, ties = _smallest(d, keep)
     angle, direction_x, direction_y = 0.0, 0.0, 0.0
     for i in range(len(d)):
         if d[i] > limit or (d[i] == limit and ties <= 0):
@@ -242,12 +233,33 @@ def _best(x, y, d, keep, top):
     top[0], top[1] = share * direction_x, share * direction_y
 
 
+@compiled(reorder=True)
+def _smallest(d, keep):
+    """Limit below which ``keep`` numbers lie, and how many of those at the limit count as well."""
+    # Halving takes a few passes without branches; those of a sorting algorithm are a guess each, on a new cloud.
+    low, high = np.min(d), np.max(d)
+    for _ in range(64):
+        middle, below = 0.5 * (low + high), 0
+        for i in range(len(d)):
+            below += 1 if d[i] < middle else 0
+        if below == keep:
+            return middle, 0
+        if below < keep:
+            low = middle
+        else:
+            high = middle
+    limit, ties = np.partition(d, keep - 1)[keep - 1], keep  # some are equal, or all but equal
+    for i in range(len(d)):
+        ties -= 1 if d[i] < limit else 0
+    return limit, ties
+
+
 @compiled()
-def _draw(q, w, points, drawn, start):
+def _draw(w, points, drawn):
     """Particles whose share of the cumulated weights holds each point: one pass over both."""
     n = len(points)
     edges = np.empty(n)
-    for m in range(len(q)):
+    for m in range(len(w)):
         total = 0.0
         for i in range(n):
             total += w[m, i]
@@ -258,22 +270,32 @@ def _draw(q, w, points, drawn, start):
             while k < n - 1 and edges[k] <= at:
                 k += 1
             drawn[m, i] = k
-            start[m, i, 0], start[m, i, 1] = q[m, k, 0], q[m, k, 1]
 
 
 @compiled()
-def _move(start, drift, drawn, noise, width, reach, outside, moved):
+def _move(q, drift, drawn, noise, width, reach, outside, following, moved):
     """Move all that are outside once more, and count those that still are."""
     n_outside = 0
-    for m in range(len(start)):
-        for i in range(start.shape[1]):
+    for m in range(len(q)):
+        for i in range(q.shape[1]):
             if not outside[m, i]:
                 continue
-            dx, dy = width[m, 0] * noise[i, 0], width[m, 1] * noise[i, 1]
-            if len(drift) > 0:
-                dx, dy = dx + drift[m, drawn[m, i], 0], dy + drift[m, drawn[m, i], 1]
+            k, dx, dy = drawn[m, i], width[m, 0] * noise[i, 0], width[m, 1] * noise[i, 1]
+            if drift.shape[1] > 0:
+                dx, dy = dx + drift[m, k, 0], dy + drift[m, k, 1]
+            x, y = q[m, k, 0] + dx, q[m, k, 1] + dy
             moved[m, i, 0], moved[m, i, 1] = dx, dy
-            x, y = start[m, i, 0] + dx, start[m, i, 1] + dy
+            following[m, i, 0], following[m, i, 1] = x, y
             outside[m, i] = not x * x + y * y <= reach * reach
             n_outside += 1 if outside[m, i] else 0
     return n_outside
+
+
+@compiled()
+def _stay(q, drawn, outside, following, moved):
+    """Leave those that are outside where they were."""
+    for m in range(len(q)):
+        for i in range(q.shape[1]):
+            if outside[m, i]:
+                for c in range(2):
+                    following[m, i, c], moved[m, i, c] = q[m, drawn[m, i], c], 0.0

@@ -19,7 +19,7 @@ from repro.estimation.levenberg_marquardt import covariance
 from repro.estimation.particle_cloud import Weighed, weighed
 from repro.estimation.particle_restart import contracted
 from repro.estimation.regions import Region
-from repro.estimation.resampling import SCHEMES, resample
+from repro.estimation.resampling import SCHEMES, resample, stream
 
 ESTIMATES = ("best tenth", "weighted", "Gauss-Newton")
 MOTIONS = ("random walk", "constant velocity")
@@ -157,7 +157,7 @@ class ParticleFilter:
         if seed < 0:
             raise bad_input("seed", owner, "not negative", seed)
         q = q0.unsqueeze(-2).expand(*q0.shape[:-1], self.particles, -1)
-        q, velocity = self._moved(q, torch.zeros_like(q), _generator(seed, 0))
+        q, velocity = self._moved(q, torch.zeros_like(q), stream(seed, 0))
         return ParticleState(q, torch.zeros_like(velocity), seed, 1)
 
     @torch.no_grad()
@@ -201,7 +201,7 @@ class ParticleFilter:
             "lost": lost,
             "masked": (~use).sum(-1),
         }
-        q, velocity = self._following(q, velocity, found.w, _generator(state.seed, state.steps))
+        q, velocity = self._following(q, velocity, found.w, stream(state.seed, state.steps))
         following = ParticleState(q, velocity, state.seed, state.steps + 1)
         return following, Estimate(best, C, self._predicted(best), diagnostics)
 
@@ -259,7 +259,7 @@ class ParticleFilter:
     def _found_again(self, state: ParticleState, u: Tensor, use: Tensor, known: Tensor | None) -> Tensor:
         """Particles that start all over the region and contract to the readings."""
         assert self.region is not None
-        generator = _generator(state.seed, state.steps, restart=True)
+        generator = stream(state.seed, state.steps, restart=True)
         q = self.region.sample(self.particles, generator).to(u).expand(state.q.shape)
         hold, error = partial(self._held, known=known), partial(self._error, u=u, use=use)
         return contracted(q, hold, error, self.region, self.noise_mt, generator)
@@ -293,8 +293,3 @@ def noise_of_sigma(sigma_mt: float) -> float:
     0.00707
     """
     return sigma_mt / math.sqrt(2)
-
-
-def _generator(seed: int, step: int, *, restart: bool = False) -> np.random.Generator:
-    # Counter-based: every step of every seed has a stream of its own, with nothing to carry along.
-    return np.random.Generator(np.random.Philox(key=np.array([seed, 2 * step + restart], dtype=np.uint64)))

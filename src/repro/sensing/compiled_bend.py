@@ -101,7 +101,7 @@ class CompiledBendSensor:
 
     def __call__(self, q: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 3"]:
         """Return the flux density [mT] in the frame of the sensor, z along the straight arc; bend ``q`` below pi."""
-        flat = q.detach().cpu().double().reshape(-1, 2).numpy()
+        flat = np.asarray(q.numpy(force=True), dtype=np.float64).reshape(-1, 2)
         out = np.empty((len(flat), 3))
         bend_field(flat, self.length, self.cube.edge, self.cube.polarisation_mt, out)
-        return torch.from_numpy(out).reshape(*q.shape[:-1], 3).to(q)
+        return torch.from_numpy(out.reshape(*q.shape[:-1], 3)).to(q)
