@@ -2,7 +2,8 @@ r"""The chain of Martin et al. 2022 between IMUs, compiled: `repro.estimation.im
 
 Of the turn from one IMU to the next the unit quaternion :math:`(v, w)` is at hand, with
 :math:`|v| = \sin(\varphi/2)`. So a whole link takes no trigonometric function of :math:`\varphi/2`, and with
-:math:`\theta = \varphi/2n` the factor of its first :math:`k` sub-segments is :math:`\sin(k\theta)/(k\sin\theta)`.
+:math:`\theta = \varphi/2n` the factor of its first :math:`k` sub-segments is :math:`\sin(k\theta)/(k\sin\theta)`,
+where halving an angle takes a square root only.
 """
 
 from __future__ import annotations
@@ -42,12 +43,13 @@ def positions(
     out = np.empty((*samples, len(points), 3))
     flat = q.reshape(-1, *q.shape[-2:])
     rows = out.reshape(-1, len(points), 3)
-    good = _chain(flat, lengths, order, link, share, sub_links, UNIT_TOLERANCE, rows)
+    whole = np.minimum((share * sub_links).astype(np.int64), sub_links - 1)
+    good = _chain(flat, lengths, order, link, share, whole, sub_links, UNIT_TOLERANCE, rows)
     return out if good else None
 
 
-@compiled()
-def _chain(q, lengths, order, link, share, n, tolerance, out):
+@compiled(reorder=True)
+def _chain(q, lengths, order, link, share, whole, n, tolerance, out):
     """Walk up the chain of every sample; false if a quaternion is not unit."""
     n_points, n_links = len(order), len(lengths)
     for m in range(len(q)):
@@ -69,27 +71,26 @@ def _chain(q, lengths, order, link, share, n, tolerance, out):
             if w < 0.0:
                 vx, vy, vz, w = -vx, -vy, -vz, -w
             sine = max(math.sqrt(vx * vx + vy * vy + vz * vz), _SMALL)
-            angle = math.atan2(sine, w) / n
-            single, straight = math.sin(angle), math.cos(angle)
+            single, straight = _share(sine, w, n)
             ahead = vx * dx + vy * dy + vz * dz
-            S = sine / (n * single)
-            along = (1.0 - S * w) / (sine * sine) * ahead if sine > _TINY else 0.0
+            per_sine, per_side = 1.0 / sine, 1.0 / (n * single)
+            S = sine * per_side
+            along = (1.0 - S * w) * per_sine * per_sine * ahead if sine > _TINY else 0.0
             step_x = S * (w * dx + vy * dz - vz * dy) + along * vx
             step_y = S * (w * dy + vz * dx - vx * dz) + along * vy
             step_z = S * (w * dz + vx * dy - vy * dx) + along * vz
-            ux, uy, uz, length, per_side = vx / sine, vy / sine, vz / sine, lengths[k], 1.0 / (n * single)
+            ux, uy, uz, length = vx * per_sine, vy * per_sine, vz * per_sine, lengths[k]
             nx, ny, nz = uy * dz - uz * dy, uz * dx - ux * dz, ux * dy - uy * dx
             ahead = ux * dx + uy * dy + uz * dz
             while p < n_points and link[order[p]] == k:
                 at = order[p]
                 p += 1
-                t = share[at]
-                whole, side, cosine = min(int(t * n), n - 1), 0.0, 1.0
-                for _ in range(whole):  # sine and cosine of the whole sub-segments' angle
+                t, side, cosine = share[at], 0.0, 1.0
+                for _ in range(whole[at]):  # sine and cosine of the whole sub-segments' angle
                     side, cosine = side * straight + cosine * single, cosine * straight - side * single
                 next_side = side * straight + cosine * single
                 next_cosine = cosine * straight - side * single
-                rest, S = t - whole / n, side * per_side
+                rest, S = t - whole[at] / n, side * per_side
                 cross = S * side + rest * (side * next_cosine + cosine * next_side)
                 level = S * cosine + rest * (cosine * next_cosine - side * next_side)
                 along = (t - level) * ahead
@@ -101,8 +102,21 @@ def _chain(q, lengths, order, link, share, n, tolerance, out):
     return True
 
 
-@compiled()
+@compiled(reorder=True)
 def _unit(q):
     """Components of a quaternion rescaled to unit length, and how far its norm was from 1."""
     norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    return q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm, abs(norm - 1.0)
+    scale = 1.0 / norm
+    return scale * q[0], scale * q[1], scale * q[2], scale * q[3], abs(norm - 1.0)
+
+
+@compiled(reorder=True)
+def _share(sine, cosine, n):
+    """Sine and cosine of one ``n``-th of an angle up to a right angle: by halves as long as that goes."""
+    while n % 2 == 0:
+        half = math.sqrt(0.5 + 0.5 * cosine)
+        sine, cosine, n = 0.5 * sine / half, half, n // 2
+    if n > 1:
+        angle = math.atan2(sine, cosine) / n
+        sine, cosine = math.sin(angle), math.cos(angle)
+    return sine, cosine
