@@ -31,7 +31,7 @@ def walk(spread, samples=200, seed=0):
     return np.stack([link.as_quat() for link in links], axis=1)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 8])
+@pytest.mark.parametrize("n", [1, 2, 3, 6, 8])
 @pytest.mark.parametrize("spread", [0.0, 1e-160, 1e-12, 1e-8, 1e-4, 0.3, 3.0])
 def test_equals_the_vectorised_chain(n, spread):
     q = walk(spread)
