@@ -19,9 +19,9 @@ BOUND_BY = {
     "see the share of the arithmetic limit",
     "time step, 20 gradient": "products with the layers of the network, which vector instructions already share",
     "training set": "the multipole series of every sensor and magnet, and the random numbers of the draws",
-    "particle filter": "what a step costs in Python around its kernels, whatever the number of particles: "
-    "see the cost against particles",
-    "PCC-extended": "the reference is vectorised, too: both pay for the sines of every link",
+    "particle filter": "random numbers, a quarter of a step, and what a step costs in Python around its kernels; "
+    "the reference is the field alone",
+    "PCC-extended": "the reference is vectorised, too: both pay for the square roots and divisions of every link",
 }
 """What a rate is bound by where it misses a target, by the start of the capability."""
 
