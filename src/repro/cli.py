@@ -111,9 +111,9 @@ def train(*, only: str = "") -> int:
     """
     import torch
 
-    from repro.experiments.baaij2023_rig_training import RigSpec, rig_specs, train_rig
-    from repro.experiments.baaij2023_training import specs
-    from repro.experiments.baaij2023_training import train as train_network
+    from repro.experiments.baaij2023.rig_training import RigSpec, rig_specs, train_rig
+    from repro.experiments.baaij2023.training import specs
+    from repro.experiments.baaij2023.training import train as train_network
     from repro.report.project import find_project, shown
 
     torch.set_num_threads(1)  # several of these run side by side faster than one with several threads
@@ -140,8 +140,8 @@ def studies() -> int:
     """Compute the tables in data/studies/ that are missing or belong to other settings (minutes each, resumable)."""
     import torch
 
-    from repro.experiments.martin2022_calibration import write_martin_study
-    from repro.experiments.placement_study import write_placement_study
+    from repro.experiments.martin2022.calibration import write_martin_study
+    from repro.experiments.placement.study import write_placement_study
     from repro.report.project import find_project, shown
     from repro.report.studies import write_studies
 
@@ -159,8 +159,8 @@ def bench() -> int:
 
     A target that is missed is a result like any other: the exit status is 0.
     """
-    from repro.experiments.benchmark import benchmark
-    from repro.experiments.benchmark_tables import with_targets
+    from repro.experiments.benchmark.capabilities import benchmark
+    from repro.experiments.benchmark.tables import with_targets
     from repro.report.files import write_whole
     from repro.report.project import find_project, shown
 

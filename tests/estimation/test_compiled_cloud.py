@@ -13,8 +13,8 @@ from repro.estimation.base import Estimator, track
 from repro.estimation.compiled_cloud import _smallest
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box, Disc
-from repro.experiments.benchmark_scaling import follow_flower
-from repro.experiments.mitchell2021_simulation import BEST, GAUSS_NEWTON, PAPER, WEIGHTED
+from repro.experiments.benchmark.scaling import follow_flower
+from repro.experiments.mitchell2021.simulation import BEST, GAUSS_NEWTON, PAPER, WEIGHTED
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.compiled_bend import CompiledBendSensor
 from repro.simulation.bend_curves import bend_curve, bend_readings

@@ -9,10 +9,10 @@ import torch
 from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
-from repro.experiments.baaij2023_affine import STEP_SIZE, Flower
-from repro.experiments.baaij2023_affine import networks as networks_of_the_affine_robot
-from repro.experiments.baaij2023_table1 import MOMENTUM, available, networks, step_sizes
-from repro.experiments.baaij2023_table1_rows import rows_named, simulate
+from repro.experiments.baaij2023.affine import STEP_SIZE, Flower
+from repro.experiments.baaij2023.affine import networks as networks_of_the_affine_robot
+from repro.experiments.baaij2023.table1 import MOMENTUM, available, networks, step_sizes
+from repro.experiments.baaij2023.table1_rows import rows_named, simulate
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments import baaij2023_affine as affine
-from repro.experiments.baaij2023_affine_best import best, box, calibration, estimate, session
-from repro.experiments.baaij2023_affine_scorecard import affine_rows, affine_setting
-from repro.experiments.baaij2023_session import SENSOR_NOISE_MT, Config, released_moments
+from repro.experiments.baaij2023 import affine
+from repro.experiments.baaij2023.affine_best import best, box, calibration, estimate, session
+from repro.experiments.baaij2023.affine_scorecard import affine_rows, affine_setting
+from repro.experiments.baaij2023.session import SENSOR_NOISE_MT, Config, released_moments
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring

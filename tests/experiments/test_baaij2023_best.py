@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.baaij2023_best import Config, against_published, best, calibration, session, summary
-from repro.experiments.baaij2023_limits import cold_starts, consistency, coverage, observability
-from repro.experiments.baaij2023_table1_rows import ROWS
+from repro.experiments.baaij2023.best import Config, against_published, best, calibration, session, summary
+from repro.experiments.baaij2023.limits import cold_starts, consistency, coverage, observability
+from repro.experiments.baaij2023.table1_rows import ROWS
 from repro.sensing.linearised import LinearisedSensing
 
 FEW = Config(draws=2)

@@ -10,11 +10,11 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, covariance, jacobian
-from repro.experiments import baaij2023_failure as experiment
-from repro.experiments import baaij2023_failure_tables as tables
-from repro.experiments.baaij2023_best import box, start
-from repro.experiments.baaij2023_failure import Estimates, Failure
-from repro.experiments.baaij2023_session import released_moments
+from repro.experiments.baaij2023 import failure as experiment
+from repro.experiments.baaij2023 import failure_tables as tables
+from repro.experiments.baaij2023.best import box, start
+from repro.experiments.baaij2023.failure import Estimates, Failure
+from repro.experiments.baaij2023.session import released_moments
 from repro.kinematics.mounts import Mounts
 from repro.kinematics.robot import Robot
 from repro.report.project import find_project

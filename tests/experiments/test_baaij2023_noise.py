@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.baaij2023_noise import (
+from repro.experiments.baaij2023.noise import (
     DIPOLE,
     MODELS,
     _dipoles,
@@ -16,8 +16,8 @@ from repro.experiments.baaij2023_noise import (
     noise_bound,
     noise_errors,
 )
-from repro.experiments.baaij2023_solvers import SOLVERS, model_by_solver
-from repro.experiments.baaij2023_training import train_own
+from repro.experiments.baaij2023.solvers import SOLVERS, model_by_solver
+from repro.experiments.baaij2023.training import train_own
 from repro.sensing.network import PerSensor
 from repro.sensing.relations import relations
 from repro.simulation.robots import pcc_robot

@@ -9,14 +9,13 @@ import torch
 from torch.nn.utils import parameters_to_vector
 
 from repro.errors import InputError
-from repro.experiments import baaij2023_robustness as robustness
-from repro.experiments import baaij2023_table2 as table2
-from repro.experiments.baaij2023_rig_together import dropout, train_together, workspace
-from repro.experiments.baaij2023_rig_training import RIG_LEARNING_RATE, rig_networks
-from repro.experiments.baaij2023_table2_data import load_recordings
-from repro.experiments.baaij2023_table2_map import fit_map
-from repro.experiments.baaij2023_table2_ours import estimate_bend
-from repro.experiments.compiled_rig_training import train_step
+from repro.experiments.baaij2023 import robustness, table2
+from repro.experiments.baaij2023.compiled_rig_training import train_step
+from repro.experiments.baaij2023.rig_together import dropout, train_together, workspace
+from repro.experiments.baaij2023.rig_training import RIG_LEARNING_RATE, rig_networks
+from repro.experiments.baaij2023.table2_data import load_recordings
+from repro.experiments.baaij2023.table2_map import fit_map
+from repro.experiments.baaij2023.table2_ours import estimate_bend
 from repro.report.project import find_project
 from repro.sensing.network import PAPER_WIDTHS, paper_network
 from repro.sensing.training import train_paper

@@ -5,7 +5,7 @@ from functools import partial
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023_solvers import model_by_solver
+from repro.experiments.baaij2023.solvers import model_by_solver
 from repro.experiments.parallel import in_processes
 
 

@@ -10,10 +10,10 @@ import torch
 from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
-from repro.experiments import baaij2023_table1 as table1
-from repro.experiments.baaij2023_scorecard import SETTING, scorecard_rows, setting
-from repro.experiments.baaij2023_table1_rows import ROWS, groups, rows_named, simulate
-from repro.experiments.baaij2023_training import NetworkSpec
+from repro.experiments.baaij2023 import table1
+from repro.experiments.baaij2023.scorecard import SETTING, scorecard_rows, setting
+from repro.experiments.baaij2023.table1_rows import ROWS, groups, rows_named, simulate
+from repro.experiments.baaij2023.training import NetworkSpec
 from repro.report.project import find_project
 from repro.report.published import read_published
 from repro.sensing.ensemble import SeedEnsemble

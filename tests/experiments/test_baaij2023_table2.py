@@ -13,17 +13,17 @@ from scipy.signal import lfilter
 from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.kalman_filter import IteratedKalmanFilter
-from repro.experiments import baaij2023_rig_training
-from repro.experiments import baaij2023_table2 as table2
-from repro.experiments.baaij2023_rig_training import (
+from repro.experiments.baaij2023 import rig_training, table2
+from repro.experiments.baaij2023.compiled_rig_filter import filter_bank
+from repro.experiments.baaij2023.rig_training import (
     RigSpec,
     nominal_training_part,
     rig_networks,
     rig_specs,
     train_rig,
 )
-from repro.experiments.baaij2023_table2_data import load_recordings
-from repro.experiments.baaij2023_table2_figures import (
+from repro.experiments.baaij2023.table2_data import load_recordings
+from repro.experiments.baaij2023.table2_figures import (
     beside,
     landscape,
     ours_errors,
@@ -33,10 +33,9 @@ from repro.experiments.baaij2023_table2_figures import (
     stills,
     trajectories_table,
 )
-from repro.experiments.baaij2023_table2_map import DEGREE, correlation_s, degrees, fit_map
-from repro.experiments.baaij2023_table2_ours import OursConfig, estimate_bend
-from repro.experiments.baaij2023_table2_scorecard import table_2_rows, table_2_setting
-from repro.experiments.compiled_rig_filter import filter_bank
+from repro.experiments.baaij2023.table2_map import DEGREE, correlation_s, degrees, fit_map
+from repro.experiments.baaij2023.table2_ours import OursConfig, estimate_bend
+from repro.experiments.baaij2023.table2_scorecard import table_2_rows, table_2_setting
 from repro.recordings.baaij2023 import Recording
 from repro.report.project import find_project
 from repro.report.published import read_published
@@ -239,14 +238,14 @@ class TestNetworks:
         def short(xi, u, **options):
             return train_paper(xi, u, epochs=1, swa_start=0, **options)
 
-        monkeypatch.setattr(baaij2023_rig_training, "train_paper", short)
+        monkeypatch.setattr(rig_training, "train_paper", short)
         for sensor in range(3):
             path = train_rig(RigSpec(sensor, 4), tmp_path, tmp_path, part=short_data().train, progress=False)
         manifest = json.loads(path.with_suffix(".json").read_text())
         assert manifest["recording"] == "synthetic_T5_train"
         assert manifest["learning_rate"] == 5e-5
         assert "twin_sha256" not in manifest  # given a recording, it does not know of which twin
-        monkeypatch.delattr(baaij2023_rig_training, "train_paper")  # a second call trains nothing
+        monkeypatch.delattr(rig_training, "train_paper")  # a second call trains nothing
         assert train_rig(RigSpec(2, 4), tmp_path, tmp_path, part=short_data().train) == path
         assert rig_networks(tmp_path, [4]).n_sensors == 3
         with pytest.raises(InputError, match="must be trained on the twin"):

@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.baaij2023_ambiguity import ambiguities
-from repro.experiments.baaij2023_best import box
-from repro.experiments.baaij2023_temporal import (
+from repro.experiments.baaij2023.ambiguity import ambiguities
+from repro.experiments.baaij2023.best import box
+from repro.experiments.baaij2023.temporal import (
     SHARE,
     TRAJECTORIES,
     choices,

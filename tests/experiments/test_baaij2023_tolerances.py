@@ -10,7 +10,7 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.experiments.baaij2023_tolerances import (
+from repro.experiments.baaij2023.tolerances import (
     KINDS,
     allowed,
     placed_readings,

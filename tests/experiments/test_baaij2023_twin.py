@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repro.experiments import baaij2023_twin as experiment
+from repro.experiments.baaij2023 import twin as experiment
 from repro.report import figures_rig
 from repro.simulation.rig_twins import nominal_twin
 

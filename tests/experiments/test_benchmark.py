@@ -12,9 +12,14 @@ from repro import cli
 from repro.errors import InputError
 from repro.estimation.imu_models import pcc_extended
 from repro.estimation.imu_selection import selection
-from repro.experiments import benchmark as measuring
-from repro.experiments.benchmark import chain_rows, generator_rows, imu_orientations, particle_rows
-from repro.experiments.benchmark_references import (
+from repro.experiments.benchmark import capabilities as measuring
+from repro.experiments.benchmark.capabilities import (
+    chain_rows,
+    generator_rows,
+    imu_orientations,
+    particle_rows,
+)
+from repro.experiments.benchmark.references import (
     chain_by_equations,
     chain_vectorised,
     cosines_of,
@@ -22,9 +27,9 @@ from repro.experiments.benchmark_references import (
     objects_per_configuration,
     readings_by_equations,
 )
-from repro.experiments.benchmark_rows import COLUMNS, KINDS, Goal, rate, row
-from repro.experiments.benchmark_tables import arithmetic, missed, ratios, target_table, with_targets
-from repro.experiments.benchmark_trackers import (
+from repro.experiments.benchmark.rows import COLUMNS, KINDS, Goal, rate, row
+from repro.experiments.benchmark.tables import arithmetic, missed, ratios, target_table, with_targets
+from repro.experiments.benchmark.trackers import (
     Task,
     advance,
     against,

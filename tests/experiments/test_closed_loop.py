@@ -8,9 +8,17 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023_table2_map import BendMap, fit_map
-from repro.experiments.baaij2023_table2_ours import BendFilter, estimate_bend
-from repro.experiments.closed_loop import (
+from repro.experiments.baaij2023.table2_map import BendMap, fit_map
+from repro.experiments.baaij2023.table2_ours import BendFilter, estimate_bend
+from repro.experiments.closed_loop.curvature_control import (
+    CurvatureController,
+    Gains,
+    InverseMap,
+    fit_inverse,
+)
+from repro.experiments.closed_loop.experiment import Commanded, turned_torque
+from repro.experiments.closed_loop.identification import identify
+from repro.experiments.closed_loop.loop import (
     CONTROLLERS,
     GRID,
     LATE,
@@ -24,11 +32,8 @@ from repro.experiments.closed_loop import (
     run_loops,
     tune,
 )
-from repro.experiments.closed_loop_experiment import Commanded, turned_torque
-from repro.experiments.closed_loop_identification import identify
-from repro.experiments.closed_loop_tables import TARGET, loops_over_time, ratios
-from repro.experiments.curvature_control import CurvatureController, Gains, InverseMap, fit_inverse
-from repro.experiments.rig_loop import SESSIONS, SteppedRig, sessions
+from repro.experiments.closed_loop.rig_loop import SESSIONS, SteppedRig, sessions
+from repro.experiments.closed_loop.tables import TARGET, loops_over_time, ratios
 from repro.recordings.baaij2023 import Recording
 from repro.report import figures_closed_loop as figures
 from repro.simulation.pneumatic_actuation import Chambers

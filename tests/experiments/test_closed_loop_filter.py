@@ -8,10 +8,9 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023_table2_map import SCALE_MM, BendMap, monomials
-from repro.experiments.baaij2023_table2_ours import BendFilter, OursConfig
-from repro.experiments.closed_loop import CONTROLLERS, ESTIMATORS, Run, learn, run_loops
-from repro.experiments.closed_loop_estimators import (
+from repro.experiments.baaij2023.table2_map import SCALE_MM, BendMap, monomials
+from repro.experiments.baaij2023.table2_ours import BendFilter, OursConfig
+from repro.experiments.closed_loop.estimators import (
     beside,
     by_group,
     other_rigs,
@@ -19,7 +18,7 @@ from repro.experiments.closed_loop_estimators import (
     told,
     worst_by,
 )
-from repro.experiments.closed_loop_experiment import (
+from repro.experiments.closed_loop.experiment import (
     HELD_S,
     JUMPS_S,
     REACH,
@@ -29,9 +28,10 @@ from repro.experiments.closed_loop_experiment import (
     experiment_torque,
     turned_torque,
 )
-from repro.experiments.closed_loop_filter import CommandAlone, LoopFilter, ReadingsAlone
-from repro.experiments.closed_loop_identification import STATIC_DEGREE, Segment, identify
-from repro.experiments.rig_loop import SESSIONS
+from repro.experiments.closed_loop.filter import CommandAlone, LoopFilter, ReadingsAlone
+from repro.experiments.closed_loop.identification import STATIC_DEGREE, Segment, identify
+from repro.experiments.closed_loop.loop import CONTROLLERS, ESTIMATORS, Run, learn, run_loops
+from repro.experiments.closed_loop.rig_loop import SESSIONS
 from repro.recordings.baaij2023 import Recording
 from repro.simulation.pneumatic_rig import record_rig
 from repro.simulation.rig_twins import nominal_twin

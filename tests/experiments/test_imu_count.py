@@ -8,7 +8,7 @@ from short_arm import short_arm
 from repro.errors import InputError
 from repro.estimation.imu_bounds import imus_needed
 from repro.estimation.orientations import tangents
-from repro.experiments.imu_count import (
+from repro.experiments.martin2022.imu_count import (
     ARCS,
     BOUNDS,
     END,
@@ -24,7 +24,7 @@ from repro.experiments.imu_count import (
     placed,
     rule,
 )
-from repro.experiments.imu_curves import STEPS, arm_curves, random_curves
+from repro.experiments.martin2022.imu_curves import STEPS, arm_curves, random_curves
 
 LIMITS = {"curvature": 8.0, "slope": 60.0}
 

@@ -8,7 +8,7 @@ import pytest
 from short_arm import DATA, short_arm
 
 from repro.errors import InputError
-from repro.experiments.martin2022_calibration import (
+from repro.experiments.martin2022.calibration import (
     BASELINE,
     DRAWS,
     FIRST_S,
@@ -17,7 +17,7 @@ from repro.experiments.martin2022_calibration import (
     calibration_errors,
     ratios,
 )
-from repro.experiments.martin2022_draws import draw, drawn
+from repro.experiments.martin2022.draws import draw, drawn
 from repro.sensing.inertial import PERFECT
 from repro.simulation.arm_recording import MotionCapture
 from repro.simulation.stick_motion import SCHEDULE

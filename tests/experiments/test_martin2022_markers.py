@@ -7,8 +7,8 @@ from short_arm import short_arm
 from repro.errors import InputError
 from repro.estimation.imu_models import pcc_extended
 from repro.estimation.imu_selection import MARKERS, selection
-from repro.experiments.martin2022_draws import draw, drawn, errors_with
-from repro.experiments.martin2022_markers import (
+from repro.experiments.martin2022.draws import draw, drawn, errors_with
+from repro.experiments.martin2022.markers import (
     DESCRIBED,
     EVALUATIONS,
     FILES,

@@ -11,9 +11,9 @@ from short_arm import short_arm
 
 from repro.errors import InputError
 from repro.estimation.orientations import tangents
-from repro.experiments import martin2022_captured as captured
-from repro.experiments.martin2022_draws import drawn
-from repro.experiments.martin2022_recorded import (
+from repro.experiments.martin2022 import captured
+from repro.experiments.martin2022.draws import drawn
+from repro.experiments.martin2022.recorded import (
     compare_chain,
     fewer_imus,
     frames_along,

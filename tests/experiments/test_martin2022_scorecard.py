@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 from short_arm import DATA
 
-from repro.experiments.martin2022_markers import EVALUATIONS, FILES, QUANTILES, cases
-from repro.experiments.martin2022_scorecard import CAPABILITY, SETTING, scorecard_rows, three_ways, time_rows
+from repro.experiments.martin2022.markers import EVALUATIONS, FILES, QUANTILES, cases
+from repro.experiments.martin2022.scorecard import CAPABILITY, SETTING, scorecard_rows, three_ways, time_rows
 from repro.report.published import read_published, row_key
 from repro.report.results import write_scorecard_rows
 from repro.report.verdict_table import verdict_table

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments import mitchell2021_bend_errors as errors
-from repro.experiments.mitchell2021_bend_tests import (
+from repro.experiments.mitchell2021 import bend_errors as errors
+from repro.experiments.mitchell2021.bend_tests import (
     IDENTITY,
     NONE,
     PAPER_SETTINGS,
@@ -21,7 +21,7 @@ from repro.experiments.mitchell2021_bend_tests import (
     ours,
     paper_filters,
 )
-from repro.experiments.mitchell2021_takes import axial_field, bend_takes, facts, recorded_or_synthetic
+from repro.experiments.mitchell2021.takes import axial_field, bend_takes, facts, recorded_or_synthetic
 from repro.kinematics.bend import bend_vector
 from repro.recordings.mitchell2021 import read_calibration
 from repro.sensing.bend_sensor import BendSensor

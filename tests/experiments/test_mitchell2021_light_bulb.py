@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.mitchell2021_light_bulb import (
+from repro.experiments.mitchell2021.light_bulb import (
     FIRST,
     all_events,
     as_drawn,

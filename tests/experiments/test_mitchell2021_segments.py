@@ -6,10 +6,10 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.base import Trajectory
-from repro.experiments import mitchell2021_segments as experiment
-from repro.experiments import mitchell2021_segments_tables as tables
-from repro.experiments.mitchell2021_segments import Course
-from repro.experiments.mitchell2021_segments_methods import FILTERS, METHODS, NOISE_MT, Tuned, run, tuning
+from repro.experiments.mitchell2021 import segments as experiment
+from repro.experiments.mitchell2021 import segments_tables as tables
+from repro.experiments.mitchell2021.segments import Course
+from repro.experiments.mitchell2021.segments_methods import FILTERS, METHODS, NOISE_MT, Tuned, run, tuning
 from repro.report import figures_segments as figures
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings

@@ -9,16 +9,16 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.mitchell2021_bend_space import cloud, curves_table, field_map
-from repro.experiments.mitchell2021_laws import chosen, law_mm, law_table, memoryless, over_seeds
-from repro.experiments.mitchell2021_scorecard import (
+from repro.experiments.mitchell2021.bend_space import cloud, curves_table, field_map
+from repro.experiments.mitchell2021.laws import chosen, law_mm, law_table, memoryless, over_seeds
+from repro.experiments.mitchell2021.scorecard import (
     CAPABILITY,
     SETTING,
     scorecard_rows,
     setting,
     update_rate_rows,
 )
-from repro.experiments.mitchell2021_simulation import (
+from repro.experiments.mitchell2021.simulation import (
     BEST,
     FITS,
     GAUSS_NEWTON,
@@ -29,7 +29,7 @@ from repro.experiments.mitchell2021_simulation import (
     follow,
     summary,
 )
-from repro.experiments.mitchell2021_study import particle_studies, setting_errors
+from repro.experiments.mitchell2021.study import particle_studies, setting_errors
 from repro.report.project import find_project
 from repro.report.published import read_published
 

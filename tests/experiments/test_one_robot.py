@@ -11,8 +11,17 @@ from scipy.spatial.transform import Rotation
 
 from repro import se3
 from repro.errors import InputError
-from repro.experiments import one_robot_tables as tables
-from repro.experiments.one_robot import (
+from repro.experiments.one_robot import tables
+from repro.experiments.one_robot.errors import (
+    CONDITIONS,
+    QUANTITIES,
+    one_robot_errors,
+    shape_alone,
+    shape_errors,
+)
+from repro.experiments.one_robot.estimates import METHODS, by_hall, by_imus, by_magnets
+from repro.experiments.one_robot.models import as_drawn, calibrated, two_turns
+from repro.experiments.one_robot.robot import (
     APART_M,
     HALL_NOISE_MT,
     HALL_STEP_MT,
@@ -26,15 +35,6 @@ from repro.experiments.one_robot import (
     motion,
     simulate,
 )
-from repro.experiments.one_robot_errors import (
-    CONDITIONS,
-    QUANTITIES,
-    one_robot_errors,
-    shape_alone,
-    shape_errors,
-)
-from repro.experiments.one_robot_estimates import METHODS, by_hall, by_imus, by_magnets
-from repro.experiments.one_robot_models import as_drawn, calibrated, two_turns
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.inertial import PERFECT
 from repro.sensing.magnetic import readings

@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.one_robot import ROBOT, TRAJECTORIES, motion
-from repro.experiments.one_robot_fusion import estimates
-from repro.experiments.one_robot_fusion_models import Imus, Magnets
-from repro.experiments.one_robot_fusion_readings import SETTINGS, record
-from repro.experiments.one_robot_fusion_tables import errors, gains, judged, summary
+from repro.experiments.one_robot.fusion import estimates
+from repro.experiments.one_robot.fusion_models import Imus, Magnets
+from repro.experiments.one_robot.fusion_readings import SETTINGS, record
+from repro.experiments.one_robot.fusion_tables import errors, gains, judged, summary
+from repro.experiments.one_robot.robot import ROBOT, TRAJECTORIES, motion
 from repro.kinematics.mounts import magnet_mounts
 from repro.sensing.orientation_readings import OrientationReadings
 from repro.simulation.robots import LENGTH_M

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from repro.compilation import compiled
-from repro.experiments.benchmark_arithmetic import limit_rate, operations
-from repro.experiments.benchmark_trackers import Task, advance, least_squares, multipole
-from repro.experiments.operation_count import counting
+from repro.experiments.benchmark.arithmetic import limit_rate, operations
+from repro.experiments.benchmark.operation_count import counting
+from repro.experiments.benchmark.trackers import Task, advance, least_squares, multipole
 
 
 @compiled()

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.placement_bounds import expected_errors
-from repro.experiments.placement_errors import (
+from repro.experiments.placement.bounds import expected_errors
+from repro.experiments.placement.errors import (
     ROBOTS,
     bound_over_time,
     estimate,
@@ -19,8 +19,8 @@ from repro.experiments.placement_errors import (
     measured_errors,
     summary,
 )
-from repro.experiments.placement_layouts import layout_from_table
-from repro.experiments.placement_study import (
+from repro.experiments.placement.layouts import layout_from_table
+from repro.experiments.placement.study import (
     NOISE_ONLY,
     NOMINAL,
     OPTIMISED,
@@ -29,7 +29,7 @@ from repro.experiments.placement_study import (
     optimised_layouts,
     quarter_turn,
 )
-from repro.experiments.placement_tasks import affine_task, pcc_task
+from repro.experiments.placement.tasks import affine_task, pcc_task
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.placement_layouts import Room, layout_from_table, layout_of
+from repro.experiments.placement.layouts import Room, layout_from_table, layout_of
 from repro.kinematics.mounts import Mounts
 from repro.simulation.robots import LENGTH_M, affine_robot, pcc_robot
 

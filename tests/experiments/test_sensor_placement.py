@@ -8,18 +8,18 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.information import fisher_information
-from repro.experiments.placement_bounds import (
+from repro.experiments.placement.bounds import (
     NOISE_MT,
     expected_errors,
     guaranteed_error,
     mean_errors,
     ring_moments,
 )
-from repro.experiments.placement_errors import measured_errors
-from repro.experiments.placement_layouts import Layout, Room
-from repro.experiments.placement_study import quarter_turn
-from repro.experiments.placement_tasks import affine_task, pcc_task
-from repro.experiments.sensor_placement import Settings, optimise, search
+from repro.experiments.placement.errors import measured_errors
+from repro.experiments.placement.layouts import Layout, Room
+from repro.experiments.placement.sensor_placement import Settings, optimise, search
+from repro.experiments.placement.study import quarter_turn
+from repro.experiments.placement.tasks import affine_task, pcc_task
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.placement import Tolerances
 

@@ -14,7 +14,7 @@ from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.imu_chain import TABLE_I_LINK_LENGTHS
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.experiments.baaij2023_best import box
+from repro.experiments.baaij2023.best import box
 from repro.kinematics.mounts import magnet_mounts
 from repro.kinematics.robot import Robot
 from repro.live.emulate.takes import open_take

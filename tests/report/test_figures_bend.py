@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from repro.experiments.mitchell2021_bend_space import curves_table, field_map
+from repro.experiments.mitchell2021.bend_space import curves_table, field_map
 from repro.report import figures_bend as figures
 
 

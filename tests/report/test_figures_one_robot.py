@@ -3,9 +3,9 @@
 import pandas as pd
 import pytest
 
-from repro.experiments.one_robot import TRAJECTORIES
-from repro.experiments.one_robot_errors import CONDITIONS, QUANTITIES
-from repro.experiments.one_robot_estimates import METHODS
+from repro.experiments.one_robot.errors import CONDITIONS, QUANTITIES
+from repro.experiments.one_robot.estimates import METHODS
+from repro.experiments.one_robot.robot import TRAJECTORIES
 from repro.report.figures_one_robot import ROBUSTNESS, three_ways
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro.experiments.benchmark_rows import Goal, row
+from repro.experiments.benchmark.rows import Goal, row
 from repro.report.figures_performance import rates, scaling_curves
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro.experiments.placement_layouts import layout_of
-from repro.experiments.placement_study import layouts_table
-from repro.experiments.placement_tasks import pcc_task
+from repro.experiments.placement.layouts import layout_of
+from repro.experiments.placement.study import layouts_table
+from repro.experiments.placement.tasks import pcc_task
 from repro.report.figures_placement import all_robots, choices, judged, layouts_drawn
 from repro.simulation.robots import pcc_robot
 

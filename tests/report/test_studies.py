@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023_noise import against_bound
-from repro.experiments.baaij2023_tolerances import tolerance_errors
+from repro.experiments.baaij2023.noise import against_bound
+from repro.experiments.baaij2023.tolerances import tolerance_errors
 from repro.report import studies as module
 from repro.report.studies import Study, committed, read_study, settings_of_studies, studies, write_studies
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
-from repro.experiments.martin2022_draws import draw
+from repro.experiments.martin2022.draws import draw
 from repro.report.project import find_project
 from repro.report.views_arm import RADIUS_M, chain_view
 from repro.report.views_trial import trial_view

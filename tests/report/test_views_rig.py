@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023_table2_ours import OursRun
+from repro.experiments.baaij2023.table2_ours import OursRun
 from repro.recordings.baaij2023 import Recording
 from repro.report.views_rig import FRAMES, LONGEST_S, rig_view, rig_views
 from repro.report.views_together import ShapeViews

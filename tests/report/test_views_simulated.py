@@ -7,9 +7,8 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments import baaij2023_affine as affine
-from repro.experiments import baaij2023_table1 as table1
-from repro.experiments.baaij2023_table1_rows import rows_named
+from repro.experiments.baaij2023 import affine, table1
+from repro.experiments.baaij2023.table1_rows import rows_named
 from repro.report.project import find_project
 from repro.report.robot_view import backbone_points
 from repro.report.views_frames import every_nth, readings

@@ -257,7 +257,7 @@ def test_bad_input(act, message):
 
 def test_numba_is_imported_only_where_kernels_are():
     code = (
-        "import sys, repro.experiments.baaij2023_table1, repro.estimation.levenberg_marquardt; "
+        "import sys, repro.experiments.baaij2023.table1, repro.estimation.levenberg_marquardt; "
         "sys.exit('numba' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

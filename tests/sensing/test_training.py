@@ -7,8 +7,8 @@ import torch
 from torch import nn
 
 from repro.errors import InputError
-from repro.experiments import baaij2023_training
-from repro.experiments.baaij2023_training import AffineSpec, segment_rows, train_own, training_rows
+from repro.experiments.baaij2023 import training as paper_training
+from repro.experiments.baaij2023.training import AffineSpec, segment_rows, train_own, training_rows
 from repro.sensing import training
 from repro.sensing.fast_training import train_dipole_residual, train_fast
 from repro.sensing.network import DipoleResidual, PerSensor, SignedExponential, paper_network
@@ -131,10 +131,10 @@ class TestPaperRecipe:
         def short(xi, u, **options):
             return train_paper(xi, u, epochs=2, swa_start=1, **options)
 
-        monkeypatch.setattr(baaij2023_training, "training_rows", lambda *_: rows)
-        monkeypatch.setattr(baaij2023_training, "train_paper", short)
-        spec = next(baaij2023_training.specs())
-        path = baaij2023_training.train(spec, tmp_path / "networks", tmp_path / "state", progress=False)
+        monkeypatch.setattr(paper_training, "training_rows", lambda *_: rows)
+        monkeypatch.setattr(paper_training, "train_paper", short)
+        spec = next(paper_training.specs())
+        path = paper_training.train(spec, tmp_path / "networks", tmp_path / "state", progress=False)
         manifest = read_manifest(path)
         assert path.name == "pcc_nb1_segment1_seed0.safetensors"
         assert {k: manifest[k] for k in ("recipe", "n_segments", "segment", "earth", "seed")} == {
@@ -147,8 +147,8 @@ class TestPaperRecipe:
         _, validation = split_rows(len(rows[0]), 0)
         error = rmse(load_paper_network(path), rows[0][validation], rows[1][validation])
         assert error == pytest.approx(manifest["metrics_mt"]["rmse_validation"])
-        monkeypatch.delattr(baaij2023_training, "train_paper")  # a second call trains nothing
-        assert baaij2023_training.train(spec, tmp_path / "networks", tmp_path / "state") == path
+        monkeypatch.delattr(paper_training, "train_paper")  # a second call trains nothing
+        assert paper_training.train(spec, tmp_path / "networks", tmp_path / "state") == path
 
     @pytest.mark.parametrize("head", [False, True])
     def test_network_of_one_sensor_with_and_without_the_last_layer(self, rows, tmp_path, monkeypatch, head):
@@ -157,9 +157,9 @@ class TestPaperRecipe:
 
         monkeypatch.setattr(AffineSpec, "rows", lambda _: rows)
         monkeypatch.setattr(AffineSpec, "learning_rate", 0.01)  # larger ones diverge on so few rows
-        monkeypatch.setattr(baaij2023_training, "train_paper", short)
+        monkeypatch.setattr(paper_training, "train_paper", short)
         spec = AffineSpec(sensor=3, seed=2, exponential_head=head)
-        path = baaij2023_training.train(spec, tmp_path / "networks", tmp_path / "state", progress=False)
+        path = paper_training.train(spec, tmp_path / "networks", tmp_path / "state", progress=False)
         assert path.name == f"affine{'_head' * head}_sensor4_seed2.safetensors"
         assert read_manifest(path)["learning_rate"] == 0.01
         network = load_paper_network(path)
@@ -176,9 +176,9 @@ class TestPaperRecipe:
             return train_paper(xi, u, seed=seed, **options)
 
         monkeypatch.setattr(AffineSpec, "rows", lambda _: rows)
-        monkeypatch.setattr(baaij2023_training, "train_paper", short)
+        monkeypatch.setattr(paper_training, "train_paper", short)
         spec = AffineSpec(sensor=0, seed=2)
-        path = baaij2023_training.train(spec, tmp_path / "networks", tmp_path / "state", progress=False)
+        path = paper_training.train(spec, tmp_path / "networks", tmp_path / "state", progress=False)
         assert seeds == [2, 1002]
         assert read_manifest(path)["seed"] == 2
         assert read_manifest(path)["training_seed"] == 1002

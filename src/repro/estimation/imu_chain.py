@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 
 from repro.errors import bad_input
-from repro.estimation.orientations import UNIT_TOLERANCE as UNIT_TOLERANCE
 from repro.estimation.orientations import product, tangents, turn_between, unit_quaternions
 
 Lengths = Sequence[float] | Float[np.ndarray, " links"]

@@ -11,8 +11,8 @@ import torch
 from repro.errors import bad_input
 from repro.estimation.information import cramer_rao, fisher_information
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.experiments.baaij2023_best import box, relative_error, start
-from repro.experiments.baaij2023_session import released_moments
+from repro.experiments.baaij2023.best import box, relative_error, start
+from repro.experiments.baaij2023.session import released_moments
 from repro.experiments.pose_errors import pose_errors
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings

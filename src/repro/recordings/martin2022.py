@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation, Slerp
 
 from repro.errors import bad_input
-from repro.estimation.imu_chain import UNIT_TOLERANCE
+from repro.estimation.orientations import UNIT_TOLERANCE
 from repro.recordings.sources import data_dir
 
 BAG_FOLDER = "martin2022/ros_packages/sesa/bags"

@@ -31,7 +31,7 @@ def loops(series: pd.DataFrame, title: str) -> Figure:
     Parameters
     ----------
     series
-        Columns of `repro.experiments.closed_loop_tables.loops_over_time`.
+        Columns of `repro.experiments.closed_loop.tables.loops_over_time`.
     title
         Above all panels.
     """
@@ -73,7 +73,7 @@ def ratios(table: pd.DataFrame, target: float, title: str) -> Figure:
     Parameters
     ----------
     table
-        Columns of `repro.experiments.closed_loop_tables.ratios`, and ``estimator``.
+        Columns of `repro.experiments.closed_loop.tables.ratios`, and ``estimator``.
     target
         Drawn as a line.
     title

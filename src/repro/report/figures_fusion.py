@@ -28,7 +28,7 @@ def errors_and_nees(summary: pd.DataFrame) -> Figure:
     Parameters
     ----------
     summary
-        Columns of :func:`repro.experiments.one_robot_fusion_tables.summary`; the prediction is drawn as a bar.
+        Columns of :func:`repro.experiments.one_robot.fusion_tables.summary`; the prediction is drawn as a bar.
     """
     settings = list(dict.fromkeys(summary["setting"]))
     names = list(dict.fromkeys(summary["trajectory"]))

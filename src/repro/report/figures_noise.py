@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from repro.experiments.baaij2023_noise import REAL_MT
-from repro.experiments.baaij2023_tolerances import KINDS
+from repro.experiments.baaij2023.noise import REAL_MT
+from repro.experiments.baaij2023.tolerances import KINDS
 from repro.report.style import page_figure
 
 LOOKS = {
@@ -36,7 +36,7 @@ def noise_curves(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table
-        Columns of :func:`repro.experiments.baaij2023_noise.against_bound`.
+        Columns of :func:`repro.experiments.baaij2023.noise.against_bound`.
     """
     solvers, robots = list(dict.fromkeys(table["solver"])), sorted(set(table["n_b"]))
     size = (max(5.2, 2.9 * len(robots) + 0.6), 2.5 * len(solvers) + 0.8)
@@ -72,7 +72,7 @@ def tolerance_curves(means: pd.DataFrame, here: pd.DataFrame) -> Figure:
     Parameters
     ----------
     means
-        Columns of :func:`repro.experiments.baaij2023_tolerances.tolerance_means`: the committed study.
+        Columns of :func:`repro.experiments.baaij2023.tolerances.tolerance_means`: the committed study.
     here
         The same for what was computed with parameters of the reader: open circles.
     """
@@ -123,7 +123,7 @@ def data_size_curves(table: pd.DataFrame, bound_percent: float) -> Figure:
     Parameters
     ----------
     table
-        Columns of :func:`repro.experiments.baaij2023_data_size.data_size_errors`.
+        Columns of :func:`repro.experiments.baaij2023.data_size.data_size_errors`.
     bound_percent
         Cramér-Rao bound of the configuration at the noise of the table [%].
     """

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from repro.experiments.one_robot import TRAJECTORIES
-from repro.experiments.one_robot_errors import CONDITIONS, QUANTITIES
-from repro.experiments.one_robot_estimates import METHODS
+from repro.experiments.one_robot.errors import CONDITIONS, QUANTITIES
+from repro.experiments.one_robot.estimates import METHODS
+from repro.experiments.one_robot.robot import TRAJECTORIES
 from repro.report.style import page_figure
 
 STYLES = dict(
@@ -40,7 +40,7 @@ def three_ways(means: pd.DataFrame) -> Figure:
     Parameters
     ----------
     means
-        Columns of :func:`repro.experiments.one_robot_tables.summary`.
+        Columns of :func:`repro.experiments.one_robot.tables.summary`.
     """
     figure, panels = plt.subplots(2, 2, figsize=(9.0, 7.6))
     healthy = means[means["condition"] == CONDITIONS[0]]

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from repro.experiments.benchmark_tables import LIVE, exponents, with_targets
+from repro.experiments.benchmark.tables import LIVE, exponents, with_targets
 from repro.report.style import in_symbols, page_figure
 
 OURS, REFERENCE, TARGET = "#0072B2", "#D55E00", "0.25"

@@ -32,7 +32,7 @@ def layouts_drawn(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table
-        Columns of :func:`~repro.experiments.placement_study.layouts_table`, of one robot.
+        Columns of :func:`~repro.experiments.placement.study.layouts_table`, of one robot.
     """
     names = list(dict.fromkeys(table["layout"]))
     height = _length(table)
@@ -116,9 +116,9 @@ def judged(bound: pd.DataFrame, summary: pd.DataFrame) -> Figure:
     Parameters
     ----------
     bound
-        Columns of :func:`~repro.experiments.placement_errors.bound_over_time`.
+        Columns of :func:`~repro.experiments.placement.errors.bound_over_time`.
     summary
-        Columns of :func:`~repro.experiments.placement_errors.summary`, of one robot.
+        Columns of :func:`~repro.experiments.placement.errors.summary`, of one robot.
     """
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(9.4, 3.4), width_ratios=(1.35, 1, 1))
     names = list(dict.fromkeys(bound["layout"]))
@@ -162,7 +162,7 @@ def all_robots(summary: pd.DataFrame) -> Figure:
     Parameters
     ----------
     summary
-        Columns of :func:`~repro.experiments.placement_errors.summary`. Layouts without a ratio near one, such as one
+        Columns of :func:`~repro.experiments.placement.errors.summary`. Layouts without a ratio near one, such as one
         that leaves a coordinate open, are left out where they exceed tenfold.
     """
     keys = list(dict.fromkeys(zip(summary["task"], summary["shapes"], strict=True)))
@@ -196,7 +196,7 @@ def choices(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table
-        Columns of :func:`~repro.experiments.placement_study.choices`.
+        Columns of :func:`~repro.experiments.placement.study.choices`.
     """
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.7), width_ratios=(1, 1.15))
     nominal = table[table["study"] == "number"].iloc[0]

@@ -28,7 +28,7 @@ def twin_ratios(per_twin: pd.DataFrame, title: str) -> Figure:
     Parameters
     ----------
     per_twin
-        Columns of :func:`repro.experiments.baaij2023_robustness.ratios`.
+        Columns of :func:`repro.experiments.baaij2023.robustness.ratios`.
     title
         Above the panels.
     """
@@ -66,7 +66,7 @@ def error_pairs(table: pd.DataFrame, title: str) -> Figure:
     Parameters
     ----------
     table
-        Columns of :func:`repro.experiments.baaij2023_robustness.twin_errors`.
+        Columns of :func:`repro.experiments.baaij2023.robustness.twin_errors`.
     title
         Above the panels.
     """

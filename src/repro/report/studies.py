@@ -16,16 +16,16 @@ from typing import Any
 import pandas as pd
 
 from repro.errors import bad_input
-from repro.experiments.baaij2023_data_size import MODELS as TRAINED
-from repro.experiments.baaij2023_data_size import PAPER, SIZES, data_size_errors
-from repro.experiments.baaij2023_noise import MODELS, NOISE_MT, noise_errors
-from repro.experiments.baaij2023_robustness import TWINS, robustness_errors
-from repro.experiments.baaij2023_session import SENSOR_NOISE_MT
-from repro.experiments.baaij2023_solvers import SOLVERS
-from repro.experiments.baaij2023_tolerances import FACTORS, KINDS, tolerance_errors
-from repro.experiments.closed_loop_estimators import changed_errors, estimator_errors, twin_errors
-from repro.experiments.closed_loop_tables import cause_errors, loop_errors
-from repro.experiments.mitchell2021_study import particle_studies
+from repro.experiments.baaij2023.data_size import MODELS as TRAINED
+from repro.experiments.baaij2023.data_size import PAPER, SIZES, data_size_errors
+from repro.experiments.baaij2023.noise import MODELS, NOISE_MT, noise_errors
+from repro.experiments.baaij2023.robustness import TWINS, robustness_errors
+from repro.experiments.baaij2023.session import SENSOR_NOISE_MT
+from repro.experiments.baaij2023.solvers import SOLVERS
+from repro.experiments.baaij2023.tolerances import FACTORS, KINDS, tolerance_errors
+from repro.experiments.closed_loop.estimators import changed_errors, estimator_errors, twin_errors
+from repro.experiments.closed_loop.tables import cause_errors, loop_errors
+from repro.experiments.mitchell2021.study import particle_studies
 from repro.report.files import write_whole
 from repro.report.project import find_project
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import torch
 
-from repro.experiments.baaij2023_table2_ours import OursRun
+from repro.experiments.baaij2023.table2_ours import OursRun
 from repro.recordings.baaij2023 import Recording
 from repro.report.robot_view import shape_view
 from repro.report.shape_view import ShapeView

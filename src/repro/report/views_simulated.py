@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Float
 
 from repro.errors import bad_input
-from repro.experiments import baaij2023_table1 as table1
-from repro.experiments.baaij2023_affine import PaperRun, configuration_error
-from repro.experiments.baaij2023_table1_rows import Row, simulate
+from repro.experiments.baaij2023 import table1
+from repro.experiments.baaij2023.affine import PaperRun, configuration_error
+from repro.experiments.baaij2023.table1_rows import Row, simulate
 from repro.report.robot_view import shape_view
 from repro.report.shape_view import ShapeView
 from repro.report.views_frames import every_nth, readings
@@ -58,7 +58,7 @@ def paper_method_view(
     folder, seed
         Of the networks.
     iterations, step_size, noise_mt, steps
-        As in :func:`repro.experiments.baaij2023_table1.run`.
+        As in :func:`repro.experiments.baaij2023.table1.run`.
 
     Raises
     ------

@@ -10,8 +10,8 @@ from repro.estimation.imu_models import chain
 from repro.estimation.imu_selection import IMU_ARCS, MARKERS, selection
 from repro.estimation.imu_shape import ImuShape
 from repro.estimation.orientations import tangents
-from repro.experiments.martin2022_draws import Draw
-from repro.experiments.martin2022_markers import MARKER_NAMES, distances_mm
+from repro.experiments.martin2022.draws import Draw
+from repro.experiments.martin2022.markers import MARKER_NAMES, distances_mm
 from repro.report.shape_view import Markers, Shape, ShapeView, Traces
 from repro.report.views_arm import RADIUS_M, inclinations
 from repro.report.views_frames import every_nth

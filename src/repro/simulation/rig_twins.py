@@ -1,7 +1,7 @@
 """Parameters of the digital twin of the rig: the calibrated one, and random others; all recordings are SYNTHETIC.
 
 The nominal parameters were set so that the recordings show what is known of the authors' sensors
-(`repro.experiments.baaij2023_twin` compares the two), before any estimator ran on them. Then they were frozen:
+(`repro.experiments.baaij2023.twin` compares the two), before any estimator ran on them. Then they were frozen:
 :attr:`repro.simulation.pneumatic_rig.TwinConfig.sha256` tells whether they still are.
 """
 

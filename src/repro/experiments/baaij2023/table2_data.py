@@ -1,0 +1,106 @@
+"""What Table 2 of Baaij et al. 2023 is made from: the authors' recordings, or those of a SYNTHETIC twin.
+
+Trained on T5.train; tested on the ends of T0, T1, T2, T3 and T5, and on the whole of T4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from repro.errors import bad_input
+from repro.experiments.baaij2023.rig_training import RECORDING_SEED
+from repro.experiments.baaij2023.twin import record_twin
+from repro.recordings.baaij2023 import NAMES, Recording, find_recording, process, split
+from repro.sensing.rig import RIG_RATE_HZ
+from repro.simulation.pneumatic_actuation import TRAJECTORIES
+from repro.simulation.pneumatic_rig import TwinConfig
+from repro.simulation.rig_twins import nominal_twin
+
+SOURCES = ("auto", "recorded", "twin")
+
+
+@dataclass(frozen=True)
+class RigData:
+    """What Table 2 is made from.
+
+    Attributes
+    ----------
+    train
+        T5.train.
+    tests
+        Test part of each trajectory, whole for T4.
+    twin_sha256
+        Hash of the digital twin that recorded them; None for the authors' recordings.
+    """
+
+    train: Recording
+    tests: dict[str, Recording]
+    twin_sha256: str | None
+
+    def shortened(self, longest_s: float) -> dict[str, Recording]:
+        """Beginnings of the test parts, of at most this length [s]; all of them for 0."""
+        kept = slice(0, round(longest_s * RIG_RATE_HZ) or None)
+        return {
+            name: replace(part, frame=part.frame[kept], q=part.q[kept], u=part.u[kept])
+            for name, part in self.tests.items()
+        }
+
+
+def load_recordings(
+    source: str = "auto",
+    *,
+    trajectories: Sequence[str] = TRAJECTORIES,
+    test_share: float = 0.3,
+    folder: Path | None = None,
+    config: TwinConfig | None = None,
+    longest_s: float | None = None,
+) -> RigData:
+    """Training part of T5 and test parts.
+
+    Parameters
+    ----------
+    source
+        ``"recorded"``: the authors' raw files; ``"twin"``: the digital twin, synthetic; ``"auto"``: the first if all
+        files are found.
+    trajectories
+        Which ones to test on.
+    test_share
+        Share of the test parts: 0.3 in the released code, 0.2 in section 5.3.
+    folder
+        The paper's folder, see `repro.recordings.baaij2023.find_recording`.
+    config
+        The twin; the nominal one when not given.
+    longest_s
+        Cut the twin's sequences to this length [s].
+
+    Raises
+    ------
+    InputError
+        If the source or a trajectory is unknown, there is none, or recorded files were asked for and are not there.
+    """
+    if source not in SOURCES:
+        raise bad_input("source", "load_recordings", f"one of {', '.join(map(repr, SOURCES))}", repr(source))
+    if not trajectories or not set(trajectories) <= set(TRAJECTORIES):
+        expected = f"among {', '.join(TRAJECTORIES)}, at least one"
+        raise bad_input("trajectories", "load_recordings", expected, trajectories)
+    wanted = [name for name in TRAJECTORIES if name in trajectories or name == "T5"]
+    missing = [name for name in wanted if find_recording(name, folder) is None]
+    if source == "recorded" and missing:
+        expected = "recorded: the authors' raw files of " + ", ".join(wanted)
+        raise bad_input("source", "load_recordings", expected, f"none of {', '.join(missing)}")
+    digest = None
+    if source == "twin" or missing:
+        twin = config or nominal_twin()
+        recorded = record_twin(twin, seed=RECORDING_SEED, trajectories=wanted, longest_s=longest_s).read
+        digest = twin.sha256
+    else:
+        recorded = {name: process(NAMES[name], folder) for name in wanted}
+    train, _ = split(recorded["T5"], test_share)
+    tests = {
+        name: recorded[name] if name == "T4" else split(recorded[name], test_share)[1]
+        for name in wanted
+        if name in trajectories
+    }
+    return RigData(train, tests, digest)

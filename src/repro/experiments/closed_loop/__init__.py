@@ -1,0 +1,1 @@
+"""A curvature controller with an estimator in its loop."""

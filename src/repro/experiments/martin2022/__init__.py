@@ -1,0 +1,1 @@
+"""Experiments of Martin et al. 2022, recorded and simulated."""

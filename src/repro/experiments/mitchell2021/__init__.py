@@ -1,0 +1,1 @@
+"""Experiments of Mitchell et al. 2021, simulated and recorded."""

@@ -1,0 +1,1 @@
+"""One robot with the sensors of all three papers."""

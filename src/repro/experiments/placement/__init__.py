@@ -1,0 +1,1 @@
+"""Where sensors are best placed."""
