@@ -21,6 +21,7 @@ from repro.experiments.one_robot.errors import (
 )
 from repro.experiments.one_robot.estimates import METHODS, by_hall, by_imus, by_magnets
 from repro.experiments.one_robot.models import as_drawn, calibrated, two_turns
+from repro.experiments.one_robot.motion import ROBOT, TRAJECTORIES, motion
 from repro.experiments.one_robot.robot import (
     APART_M,
     HALL_NOISE_MT,
@@ -28,11 +29,8 @@ from repro.experiments.one_robot.robot import (
     MAGNET_NOISE_MT,
     MID_ELONGATION_M,
     RING,
-    ROBOT,
-    TRAJECTORIES,
     calibration_session,
     draw_parts,
-    motion,
     simulate,
 )
 from repro.sensing.bend_sensor import BendSensor

@@ -10,7 +10,7 @@ from repro.experiments.one_robot.fusion import estimates
 from repro.experiments.one_robot.fusion_models import Imus, Magnets
 from repro.experiments.one_robot.fusion_readings import SETTINGS, record
 from repro.experiments.one_robot.fusion_tables import errors, gains, judged, summary
-from repro.experiments.one_robot.robot import ROBOT, TRAJECTORIES, motion
+from repro.experiments.one_robot.motion import ROBOT, TRAJECTORIES, motion
 from repro.kinematics.mounts import magnet_mounts
 from repro.sensing.orientation_readings import OrientationReadings
 from repro.simulation.robots import LENGTH_M

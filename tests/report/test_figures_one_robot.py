@@ -5,7 +5,7 @@ import pytest
 
 from repro.experiments.one_robot.errors import CONDITIONS, QUANTITIES
 from repro.experiments.one_robot.estimates import METHODS
-from repro.experiments.one_robot.robot import TRAJECTORIES
+from repro.experiments.one_robot.motion import TRAJECTORIES
 from repro.report.figures_one_robot import ROBUSTNESS, three_ways
 
 

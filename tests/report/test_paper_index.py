@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import json
+import pkgutil
 import re
-from functools import reduce
 from pathlib import Path
 
 import pytest
@@ -63,9 +62,8 @@ def test_places_exist(entry):
     anchors = _anchors(entry.page)
     assert not entry.anchor or entry.anchor in anchors, sorted(anchors)
     if entry.code:
-        parts = entry.code.split(".")
-        found = importlib.import_module(".".join(parts[:3]))
-        assert reduce(getattr, parts[3:], found).__module__ == ".".join(parts[:3])
+        found = pkgutil.resolve_name(entry.code)
+        assert entry.code == f"{found.__module__}.{found.__qualname__}"
 
 
 def _anchors(page: str) -> set[str]:

@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from repro.experiments.one_robot.errors import CONDITIONS, QUANTITIES
 from repro.experiments.one_robot.estimates import METHODS
-from repro.experiments.one_robot.robot import TRAJECTORIES
+from repro.experiments.one_robot.motion import TRAJECTORIES
 from repro.report.style import page_figure
 
 STYLES = dict(

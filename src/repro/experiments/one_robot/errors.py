@@ -13,16 +13,8 @@ from torch import Tensor
 
 from repro.experiments.one_robot.estimates import METHODS, Shape, by_hall, by_imus, by_magnets
 from repro.experiments.one_robot.models import Models, as_drawn, calibrated
-from repro.experiments.one_robot.robot import (
-    LOAD_N,
-    TRAJECTORIES,
-    Motion,
-    Readings,
-    calibration_session,
-    draw_parts,
-    motion,
-    simulate,
-)
+from repro.experiments.one_robot.motion import LOAD_N, TRAJECTORIES, Motion, motion
+from repro.experiments.one_robot.robot import Readings, calibration_session, draw_parts, simulate
 from repro.simulation.trajectories import STEPS
 
 CONDITIONS = ("all sensors", "one sensor failed", "other magnet on board")

@@ -24,12 +24,12 @@ from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Disc
 from repro.experiments.one_robot.models import HALL_SENSOR, STRETCH, Models, as_drawn, matrices
+from repro.experiments.one_robot.motion import ROBOT
 from repro.experiments.one_robot.robot import (
     APART_M,
     HALL_NOISE_MT,
     MAGNET_NOISE_MT,
     MID_ELONGATION_M,
-    ROBOT,
     Readings,
 )
 from repro.kinematics.bend import MAX_BEND

@@ -34,7 +34,8 @@ from repro.experiments.one_robot.fusion_readings import (
     Record,
     Surroundings,
 )
-from repro.experiments.one_robot.robot import MID_ELONGATION_M, ROBOT
+from repro.experiments.one_robot.motion import ROBOT
+from repro.experiments.one_robot.robot import MID_ELONGATION_M
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.stacked import StackedSensing
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.experiments.baaij2023.session import released_moments
-from repro.experiments.one_robot.robot import ROBOT
+from repro.experiments.one_robot.motion import ROBOT
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.orientation_readings import between_errors, left_jacobian, rotation_matrix
 from repro.simulation.robots import RADIUS_M

@@ -14,7 +14,8 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.experiments.baaij2023.best import start
-from repro.experiments.one_robot.robot import IMU_ERRORS, MAGNET_NOISE_MT, RING, ROBOT, Motion
+from repro.experiments.one_robot.motion import ROBOT, Motion
+from repro.experiments.one_robot.robot import IMU_ERRORS, MAGNET_NOISE_MT, RING
 from repro.kinematics.mounts import magnet_mounts
 from repro.sensing.inertial import ornstein_uhlenbeck, read_imus
 from repro.sensing.magnetic import EARTH_MT

@@ -21,7 +21,7 @@ from repro.experiments.baaij2023.temporal import trajectory
 from repro.experiments.bootstrap import interval, resampled
 from repro.experiments.one_robot.fusion import METHODS, SHARE, Tracked, estimates
 from repro.experiments.one_robot.fusion_readings import SETTINGS, STEPS, Surroundings, record
-from repro.experiments.one_robot.robot import LOAD_N, ROBOT, TRAJECTORIES, Motion, motion
+from repro.experiments.one_robot.motion import LOAD_N, ROBOT, TRAJECTORIES, Motion, motion
 from repro.sensing.orientation_readings import rotation_vector
 from repro.simulation.robots import LENGTH_M
 

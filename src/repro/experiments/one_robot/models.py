@@ -12,6 +12,7 @@ from torch import Tensor
 from repro.estimation.calibration import calibrate
 from repro.estimation.poses import configurations
 from repro.experiments.baaij2023.session import released_moments
+from repro.experiments.one_robot.motion import ROBOT
 from repro.experiments.one_robot.robot import (
     APART_M,
     MAGNET_NOISE_MT,
@@ -19,7 +20,6 @@ from repro.experiments.one_robot.robot import (
     PLACES_M,
     POSE_POSITION_M,
     POSE_ROTATION_RAD,
-    ROBOT,
     Readings,
 )
 from repro.sensing.bend_sensor import BendSensor

@@ -11,7 +11,8 @@ from repro.errors import bad_input
 from repro.experiments.bootstrap import interval, ratio_interval, resampled
 from repro.experiments.one_robot.errors import CONDITIONS, QUANTITIES
 from repro.experiments.one_robot.estimates import METHODS, cpu_times
-from repro.experiments.one_robot.robot import APART_M, TRAJECTORIES, draw_parts, motion, simulate
+from repro.experiments.one_robot.motion import TRAJECTORIES, motion
+from repro.experiments.one_robot.robot import APART_M, draw_parts, simulate
 from repro.simulation.robots import LENGTH_M, MAGNET_AXIAL_M
 
 KEYS = ["trajectory", "method", "calibrated", "condition"]
