@@ -17,7 +17,7 @@ from repro.experiments.baaij2023.temporal import (
     over_time,
     trajectory,
 )
-from repro.report.figures_temporal import gain_and_bands
+from repro.report.figures.temporal import gain_and_bands
 
 
 @pytest.mark.parametrize("n_segments", sorted(SHARE))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from repro.experiments.baaij2023 import twin as experiment
-from repro.report import figures_rig
+from repro.report.figures import rig as figures_rig
 from repro.simulation.rig_twins import nominal_twin
 
 

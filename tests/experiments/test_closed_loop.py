@@ -35,7 +35,7 @@ from repro.experiments.closed_loop.loop import (
 from repro.experiments.closed_loop.rig_loop import SESSIONS, SteppedRig, sessions
 from repro.experiments.closed_loop.tables import TARGET, loops_over_time, ratios
 from repro.recordings.baaij2023 import Recording
-from repro.report import figures_closed_loop as figures
+from repro.report.figures import closed_loop as figures
 from repro.simulation.pneumatic_actuation import Chambers
 from repro.simulation.pneumatic_rig import record_rig
 from repro.simulation.rig_motion import rig_motion

@@ -10,7 +10,7 @@ from repro.experiments.mitchell2021 import segments as experiment
 from repro.experiments.mitchell2021 import segments_tables as tables
 from repro.experiments.mitchell2021.segments import Course
 from repro.experiments.mitchell2021.segments_methods import FILTERS, METHODS, NOISE_MT, Tuned, run, tuning
-from repro.report import figures_segments as figures
+from repro.report.figures import segments as figures
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring

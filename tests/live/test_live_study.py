@@ -12,7 +12,7 @@ from repro.live.follow import session
 from repro.live.follow.live_study import failure_summary, failures, live_run
 from repro.live.follow.played import played, with_sensors
 from repro.live.robot.robot_file import load_robot
-from repro.report import figures_live as figures
+from repro.report.figures import live as figures
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from repro.experiments.mitchell2021.bend_space import curves_table, field_map
-from repro.report import figures_bend as figures
+from repro.report.figures import bend as figures
 
 
 def test_bend_space_draws_curves_in_degrees_and_the_cloud():

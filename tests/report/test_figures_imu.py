@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro.report.figures_imu import _tube, calibration_ratios, error_boxes, error_hull, errors_along_arm
-from repro.report.figures_imu_count import errors_and_bounds, placement_and_sensors
-from repro.report.figures_imu_recorded import chain_beside_output, fewer_imus
+from repro.report.figures.imu import _tube, calibration_ratios, error_boxes, error_hull, errors_along_arm
+from repro.report.figures.imu_count import errors_and_bounds, placement_and_sensors
+from repro.report.figures.imu_recorded import chain_beside_output, fewer_imus
 
 MODELS = ("rigid-body, 8 IMUs", "IMUs at mid-section", "PCC-extended, 8 IMUs, 16 segments")
 

@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from repro.report.figures_noise import data_size_curves, noise_curves, tolerance_curves
+from repro.report.figures.noise import data_size_curves, noise_curves, tolerance_curves
 
 
 def noise_table():

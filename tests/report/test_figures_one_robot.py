@@ -6,7 +6,7 @@ import pytest
 from repro.experiments.one_robot.errors import CONDITIONS, QUANTITIES
 from repro.experiments.one_robot.estimates import METHODS
 from repro.experiments.one_robot.motion import TRAJECTORIES
-from repro.report.figures_one_robot import ROBUSTNESS, three_ways
+from repro.report.figures.one_robot import ROBUSTNESS, three_ways
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from repro.experiments.benchmark.rows import Goal, row
-from repro.report.figures_performance import rates, scaling_curves
+from repro.report.figures.performance import rates, scaling_curves
 
 
 def test_rates_with_targets_and_the_rates_of_the_sensors():

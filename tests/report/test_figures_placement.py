@@ -9,7 +9,7 @@ import pytest
 from repro.experiments.placement.layouts import layout_of
 from repro.experiments.placement.study import layouts_table
 from repro.experiments.placement.tasks import pcc_task
-from repro.report.figures_placement import all_robots, choices, judged, layouts_drawn
+from repro.report.figures.placement import all_robots, choices, judged, layouts_drawn
 from repro.simulation.robots import pcc_robot
 
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.report.figures_table1 import calibration_gain, model_by_solver, published_and_regenerated
+from repro.report.figures.table1 import calibration_gain, model_by_solver, published_and_regenerated
 from repro.report.results import write_scorecard_rows
 from repro.report.verdict_table import verdict_table
 

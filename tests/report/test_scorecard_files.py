@@ -7,7 +7,7 @@ import re
 import xml.etree.ElementTree as ET
 from fractions import Fraction
 
-from repro.report.figures_scorecard import HIGHEST, picture_alt, scorecard_picture
+from repro.report.figures.scorecard import HIGHEST, picture_alt, scorecard_picture
 from repro.report.project import Project
 from repro.report.scorecard import ScorecardRow
 from repro.report.scorecard_files import badge, badge_text, scorecard_json, write_scorecard_files

@@ -13,7 +13,7 @@ import pytest
 from matplotlib.colors import to_hex, to_rgb
 
 from repro.report import style
-from repro.report.figures_affine import stills
+from repro.report.figures.affine import stills
 from repro.report.style import MAGNET, SENSOR, STYLE, in_symbols
 
 CYCLE = mpl.rc_params_from_file(STYLE, use_default_template=False)["axes.prop_cycle"]
@@ -61,7 +61,7 @@ def test_colours_can_be_told_apart(seen_with):
 
 
 @pytest.mark.parametrize(
-    "path", sorted(Path(style.__file__).parent.glob("figures_*.py")), ids=lambda p: p.stem
+    "path", sorted(Path(style.__file__).parent.glob("figures/[a-z]*.py")), ids=lambda p: p.stem
 )
 def test_figures_have_the_colours_of_the_style(path):
     """Colours that are not greys are those of the palette."""

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from repro.errors import InputError
 from repro.experiments.martin2022.draws import draw
 from repro.report.project import find_project
-from repro.report.views_arm import RADIUS_M, chain_view
-from repro.report.views_trial import trial_view
+from repro.report.views.arm import RADIUS_M, chain_view
+from repro.report.views.trial import trial_view
 from repro.sensing.inertial import PERFECT, ImuErrors
 from repro.simulation.cosserat_rod import Rod
 from repro.simulation.soft_arm import load_soft_arm

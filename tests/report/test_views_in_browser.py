@@ -5,7 +5,7 @@ import pytest
 from test_viewer import seen, show  # noqa: F401  # fixtures
 
 from repro.report.shape_view import Markers, Shape, ShapeView, Traces
-from repro.report.views_together import ShapeViews
+from repro.report.views.together import ShapeViews
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from html import escape
 
 import matplotlib.pyplot as plt
 
-from repro.report.figures_scorecard import picture_alt, scorecard_picture
+from repro.report.figures.scorecard import picture_alt, scorecard_picture
 from repro.report.files import write_if_changed
 from repro.report.paper_index import index_page, index_path, places, read_index
 from repro.report.project import Project

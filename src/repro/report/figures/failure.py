@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from repro.report.figures_field import segment_colours
+from repro.report.figures.field import segment_colours
 from repro.report.style import MAGNET, SENSOR, page_figure
 
 COLOURS = ("#0072B2", "#009E73", "#CC79A7", "#D55E00")

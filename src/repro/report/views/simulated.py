@@ -15,7 +15,7 @@ from repro.experiments.baaij2023.affine import PaperRun, configuration_error
 from repro.experiments.baaij2023.table1_rows import Row, simulate
 from repro.report.robot_view import shape_view
 from repro.report.shape_view import ShapeView
-from repro.report.views_frames import every_nth, readings
+from repro.report.views.frames import every_nth, readings
 from repro.simulation.robots import affine_robot, pcc_robot
 from repro.simulation.trajectories import RATE_HZ, lemniscate
 

@@ -1,6 +1,6 @@
 """The picture of the README and of the landing page: one robot of each paper. All that it shows is synthetic.
 
-``python -m repro.report.figures_cover FOLDER`` draws it from the tables that the notebooks ``sensor_failure``,
+``python -m repro.report.figures.cover FOLDER`` draws it from the tables that the notebooks ``sensor_failure``,
 ``probabilistic_curvature`` and ``recorded_arm`` wrote there, the last one without recordings.
 """
 
@@ -39,11 +39,11 @@ def cover(shapes: pd.DataFrame, parts: pd.DataFrame, cloud: pd.DataFrame, arm: p
     Parameters
     ----------
     shapes, parts
-        As for :func:`repro.report.figures_failure.shape_stills`.
+        As for :func:`repro.report.figures.failure.shape_stills`.
     cloud
-        As for :func:`repro.report.figures_bend.bend_space`.
+        As for :func:`repro.report.figures.bend.bend_space`.
     arm
-        As for :func:`repro.report.figures_arm.arm_shapes`.
+        As for :func:`repro.report.figures.arm.arm_shapes`.
     """
     figure = plt.figure(figsize=(9.0, 3.6))
     left, right = (figure.add_subplot(1, 3, k, projection="3d") for k in (1, 3))

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from repro.estimation.imu_chain import adjacent_angles, point_at, rigid_body
 from repro.estimation.orientations import tangents
 from repro.report.shape_view import Markers, Shape, ShapeView, Traces
-from repro.report.views_frames import every_nth
+from repro.report.views.frames import every_nth
 
 RADIUS_M = 0.0125
 """Radius of the body that is drawn [m]; assumed, as that of the simulated rod."""

@@ -10,8 +10,8 @@ from repro.experiments.baaij2023.table2_ours import OursRun
 from repro.recordings.baaij2023 import Recording
 from repro.report.robot_view import shape_view
 from repro.report.shape_view import ShapeView
-from repro.report.views_frames import every_nth, readings
-from repro.report.views_together import ShapeViews
+from repro.report.views.frames import every_nth, readings
+from repro.report.views.together import ShapeViews
 from repro.sensing.rig import RIG_RATE_HZ, rig_robot
 
 LONGEST_S = 15.0

@@ -1,0 +1,1 @@
+"""3-D views of the notebooks, for the viewer."""
