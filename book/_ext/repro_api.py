@@ -1,4 +1,4 @@
-"""The API reference: one page per package of ``src/repro``, written before Sphinx looks for its sources.
+"""The API reference: one page per folder of ``src/repro``, written before Sphinx looks for its sources.
 
 The list of modules is read off the source tree at every build, so a new module appears by itself. References
 to this package that cannot be resolved stay warnings (errors in our build); names of other libraries are set as
@@ -31,7 +31,7 @@ ORDER = (
 
 
 def modules_of(root: Path) -> dict[str, list[str]]:
-    """Return the dotted names of all modules with content, grouped by the first level below the package."""
+    """Return the dotted names of all modules with content, grouped by the folder that they lie in."""
     groups: dict[str, list[str]] = {}
     for path in sorted(root.rglob("*.py")):
         parts = path.relative_to(root).with_suffix("").parts
@@ -41,9 +41,14 @@ def modules_of(root: Path) -> dict[str, list[str]]:
             parts = parts[:-1]
         if not parts or not path.read_text(encoding="utf-8").strip():
             continue
-        groups.setdefault(parts[0], []).append(".".join((PACKAGE, *parts)))
-    known = [name for name in ORDER if name in groups]
-    return {name: groups[name] for name in known + sorted(set(groups) - set(known))}
+        folder = parts if path.name == "__init__.py" else parts[:-1] or parts
+        groups.setdefault(".".join(folder), []).append(".".join((PACKAGE, *parts)))
+
+    def place(group: str) -> tuple[int, str]:
+        first = group.split(".")[0]
+        return ORDER.index(first) if first in ORDER else len(ORDER), group
+
+    return {group: groups[group] for group in sorted(groups, key=place)}
 
 
 def first_line(root: Path, module: str) -> str:
@@ -89,6 +94,7 @@ def write_pages(book: Path) -> None:
     lines = []
     for group, modules in groups.items():
         names[f"{group}.md"] = page(group, modules)
+        lines += ["", f"### {PACKAGE}.{group}", ""]
         for module in modules:
             lines.append(f"- [`{module}`](/api/{group}.md): {first_line(root, module)}")
     for old in folder.glob("*.md"):
@@ -96,7 +102,7 @@ def write_pages(book: Path) -> None:
             old.unlink()
     for name, text in names.items():
         write_if_changed(folder / name, text)
-    write_if_changed(book / "generated" / "modules.md", "\n".join(lines) + "\n")
+    write_if_changed(book / "generated" / "modules.md", "\n".join(lines[1:]) + "\n")
 
 
 def write_placeholders(book: Path) -> None:

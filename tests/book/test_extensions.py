@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -32,14 +33,27 @@ def test_pages_follow_the_source_tree(tmp_path):
     (package / "sensing" / "__init__.py").write_text("")
     (package / "sensing" / "magnets.py").write_text('"""Magnets."""\n')
     (package / "sensing" / "_private.py").write_text('"""Not shown."""\n')
+    (package / "sensing" / "hall").mkdir()
+    (package / "sensing" / "hall" / "__init__.py").write_text('"""Hall sensors."""\n')
+    (package / "sensing" / "hall" / "cube.py").write_text('"""Their cube."""\n')
     book = tmp_path / "book"
     api.write_pages(book)
-    assert sorted(path.name for path in (book / "api").iterdir()) == ["se3.md", "sensing.md"]
+    pages = sorted(path.name for path in (book / "api").iterdir())
+    assert pages == ["se3.md", "sensing.hall.md", "sensing.md"]
+    modules = (book / "generated" / "modules.md").read_text().splitlines()
+    assert [line for line in modules if line.startswith("###")] == [
+        "### repro.se3",
+        "### repro.sensing",
+        "### repro.sensing.hall",
+    ]
+    hall = (book / "api" / "sensing.hall.md").read_text()
+    assert hall.index("# repro.sensing.hall\n") < hall.index("## cube\n")
     assert ".. automodule:: repro.sensing.magnets" in (book / "api" / "sensing.md").read_text()
     assert "- [`repro.se3`](/api/se3.md): Rigid motions." in (book / "generated" / "modules.md").read_text()
 
     before = (book / "api" / "se3.md").stat().st_mtime_ns
     (package / "sensing" / "magnets.py").unlink()
+    shutil.rmtree(package / "sensing" / "hall")
     api.write_pages(book)
     assert [path.name for path in (book / "api").iterdir()] == ["se3.md"]
     assert (book / "api" / "se3.md").stat().st_mtime_ns == before

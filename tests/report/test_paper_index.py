@@ -138,9 +138,16 @@ def test_broken_index(lines, message, tmp_path):
     assert str(error.value) == message
 
 
-def test_links_of_an_entry():
-    entry = IndexEntry(
-        "a2020", "figure", "Fig. 1", "x", "redrawn", "notebooks/a", "fig-a", "repro.se3.exp", ""
-    )
+@pytest.mark.parametrize(
+    ("code", "page"),
+    [
+        ("repro.se3.exp", "se3"),
+        ("repro.estimation.base.track", "estimation"),
+        ("repro.estimation.levenberg_marquardt.LevenbergMarquardt.step", "estimation"),
+        ("repro.experiments.baaij2023.table1.errors", "experiments.baaij2023"),
+    ],
+)
+def test_links_of_an_entry(code, page):
+    entry = IndexEntry("a2020", "figure", "Fig. 1", "x", "redrawn", "notebooks/a", "fig-a", code, "")
     assert entry.link == "notebooks/a.html#fig-a"
-    assert entry.code_link == "api/se3.html#repro.se3.exp"
+    assert entry.code_link == f"api/{page}.html#{code}"

@@ -51,7 +51,8 @@ class IndexEntry:
     @property
     def code_link(self) -> str:
         """The place in the API reference, from the root of the site; empty where no code is named."""
-        return f"api/{self.code.split('.')[1]}.html#{self.code}" if self.code else ""
+        modules = [part for part in self.code.split(".")[1:-1] if part.islower()]
+        return f"api/{'.'.join(modules[:-1] or modules)}.html#{self.code}" if self.code else ""
 
 
 COLUMNS = tuple(IndexEntry.__dataclass_fields__)

@@ -39,13 +39,13 @@ def with_targets(table: pd.DataFrame) -> pd.DataFrame:
 
 def target_table(table: pd.DataFrame) -> pd.DataFrame:
     """Targets beside what was measured; exponents, of which less is better, come last."""
-    columns = ["capability", "kind", "target", "ours", "unit", "target_ratio", "ratio", "met"]
+    columns = ["capability", "met", "ours", "target", "ratio", "target_ratio", "unit", "kind"]
     shown = table.loc[table["met"].notna(), columns]
     return shown.assign(met=shown["met"].astype(bool)).reset_index(drop=True)
 
 
 def missed(table: pd.DataFrame) -> pd.DataFrame:
-    """Lines whose targets are not met, with what bounds them: columns of the targets and ``bound_by``."""
+    """Lines whose targets are not met, with what bounds them: ``bound_by`` in place of ``met``."""
     found = target_table(table).loc[lambda lines: ~lines["met"]]
     reasons = [
         next(
@@ -54,7 +54,8 @@ def missed(table: pd.DataFrame) -> pd.DataFrame:
         )
         for name in found["capability"]
     ]
-    return found.drop(columns="met").assign(bound_by=reasons).reset_index(drop=True)
+    found["met"] = reasons
+    return found.rename(columns={"met": "bound_by"}).reset_index(drop=True)
 
 
 def ratios(table: pd.DataFrame, kind: str) -> pd.DataFrame:
