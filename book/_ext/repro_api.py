@@ -62,7 +62,8 @@ def first_line(root: Path, module: str) -> str:
 
 def page(group: str, modules: list[str]) -> str:
     """Return the MyST source of one page."""
-    lines = [f"# {PACKAGE}.{group}", ""]
+    # a long name would be broken within a word in the sidebar
+    lines = [f"# {group}" if "." in group else f"# {PACKAGE}.{group}", ""]
     package = f"{PACKAGE}.{group}"
     for module in modules:
         if module != package:

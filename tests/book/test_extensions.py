@@ -47,7 +47,7 @@ def test_pages_follow_the_source_tree(tmp_path):
         "### repro.sensing.hall",
     ]
     hall = (book / "api" / "sensing.hall.md").read_text()
-    assert hall.index("# repro.sensing.hall\n") < hall.index("## cube\n")
+    assert hall.index("# sensing.hall\n") < hall.index("## cube\n")
     assert ".. automodule:: repro.sensing.magnets" in (book / "api" / "sensing.md").read_text()
     assert "- [`repro.se3`](/api/se3.md): Rigid motions." in (book / "generated" / "modules.md").read_text()
 
