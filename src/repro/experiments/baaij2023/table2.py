@@ -18,7 +18,7 @@ from repro.errors import bad_input
 from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.experiments.baaij2023.rig_training import RigSpec, rig_networks, train_rig
-from repro.experiments.baaij2023.table2_data import RigData, load_recordings
+from repro.experiments.baaij2023.table2_data import RigData
 from repro.recordings.baaij2023 import Recording
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.magnetic import MagneticSensing
@@ -200,22 +200,3 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     """Mean and sample standard deviation over the seeds: ``row, quantity, unit, mean, std, count``."""
     cells = table.groupby(["row", "quantity", "unit"], sort=False)["error"]
     return cells.agg(["mean", "std", "count"]).reset_index()
-
-
-def whole_errors(
-    *, folder: Path, seeds: Sequence[int], elongations: Sequence[str], backend: str, progress: bool = False
-) -> pd.DataFrame:
-    """Errors of the paper's method on the whole test parts of the nominal twin; synthetic. Minutes: kept as a study.
-
-    Parameters
-    ----------
-    folder
-        Of the committed networks.
-    seeds, elongations, backend, progress
-        As in :func:`paper_method`.
-    """
-    data = load_recordings("twin")
-    model = rig_networks(folder, seeds, twin_sha256=data.twin_sha256)
-    held = float(data.train.q[:, 2].mean())
-    options = {"elongations": elongations, "backend": backend, "progress": progress}
-    return paper_errors(paper_method(data.tests, model, seeds, mean_elongation_m=held, **options), data)
