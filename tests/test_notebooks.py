@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import ast
-import importlib
+import importlib.util
 import inspect
 import json
 import re
 from collections import Counter
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -54,40 +55,67 @@ def test_names_of_figures_are_unique():
     assert [name for name, times in names.items() if times > 1] == []
 
 
-def figure_functions(tree: ast.AST) -> tuple[dict[str, str], set[str]]:
-    """Return the names under which modules of figures are imported, and the functions imported from them."""
-    modules, functions = {}, set()
+def code(page: str) -> list[str]:
+    """Return the cells of code of a page."""
+    return ["".join(cell["source"]) for cell in NOTEBOOKS[page]["cells"] if cell["cell_type"] == "code"]
+
+
+def taken_from_repro(page: str) -> dict[str, tuple[ModuleType, str]]:
+    """Return what a page takes from the package, as ``(module, name)`` by the expression that stands for it there."""
+    tree, modules, taken = ast.parse("\n".join(code(page))), {}, {}
     for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.module == "repro.report":
-            modules |= {x.asname or x.name: x.name for x in node.names if x.name.startswith("figures_")}
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("repro.report.figures_"):
-            functions |= {x.asname or x.name for x in node.names}
-    return modules, functions
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "repro":
+            for imported in node.names:
+                source, name = importlib.import_module(f"{node.module}"), imported.asname or imported.name
+                if is_package(source) and importlib.util.find_spec(f"{node.module}.{imported.name}"):
+                    modules[name] = importlib.import_module(f"{node.module}.{imported.name}")
+                else:
+                    taken[name] = source, imported.name
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules:
+            taken[ast.unparse(node)] = modules[node.value.id], node.attr
+    return taken
+
+
+def is_package(module: ModuleType) -> bool:
+    return hasattr(module, "__path__")
+
+
+@pytest.mark.parametrize("page", sorted(NOTEBOOKS))
+def test_a_page_takes_names_from_where_they_are_defined(page):
+    """Not through a module that happens to import them too: it may stop doing so, and only the page would fail."""
+    taken = taken_from_repro(page)
+    assert taken, "every page computes with the package"
+    for expression, (module, name) in taken.items():
+        assert hasattr(module, name), f"{expression} does not exist"
+        value = getattr(module, name)
+        if inspect.isfunction(value) or inspect.isclass(value):
+            assert value.__module__ == module.__name__, f"{expression} is defined elsewhere"
+
+
+def draws(module: ModuleType, name: str) -> bool:
+    """Tell whether something is a function of a module of figures, and returns one."""
+    function = getattr(module, name)
+    if not module.__name__.startswith("repro.report.figures.") or not inspect.isfunction(function):
+        return False
+    return inspect.signature(function).return_annotation == "Figure"
 
 
 @pytest.mark.parametrize("page", sorted(NOTEBOOKS))
 def test_every_cell_that_draws_has_a_caption(page):
     """What a module of figures draws is a figure of the page."""
-    code = [cell for cell in NOTEBOOKS[page]["cells"] if cell["cell_type"] == "code"]
-    modules, functions = figure_functions(ast.parse("\n".join("".join(cell["source"]) for cell in code)))
-    for cell in code:
-        for node in ast.walk(ast.parse("".join(cell["source"]))):
-            if not isinstance(node, ast.Call):
-                continue
-            called, draws = node.func, False
-            if isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name):
-                module = modules.get(called.value.id)
-                draws = module is not None and returns_a_figure(module, called.attr)
-            elif isinstance(called, ast.Name):
-                draws = called.id in functions
-            if draws:
-                assert "figure" in cell["metadata"].get("mystnb", {}), ast.unparse(node)
+    drawing = {expression for expression, taken in taken_from_repro(page).items() if draws(*taken)}
+    for cell in NOTEBOOKS[page]["cells"]:
+        if cell["cell_type"] == "code" and "figure" not in cell["metadata"].get("mystnb", {}):
+            tree = ast.parse("".join(cell["source"]))
+            called = {ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+            assert called & drawing == set()
 
 
-def returns_a_figure(module: str, name: str) -> bool:
-    """Tell whether a function of a module of figures draws one."""
-    function = getattr(importlib.import_module(f"repro.report.{module}"), name)
-    return inspect.signature(function).return_annotation == "Figure"
+def test_captions_are_asked_of_most_pages():
+    """The test above knows a function that draws when it sees one."""
+    pages = [page for page in NOTEBOOKS if any(draws(*taken) for taken in taken_from_repro(page).values())]
+    assert len(pages) > len(NOTEBOOKS) / 2, pages
 
 
 def begins_with(caption: str, artefact: str) -> bool:
