@@ -14,7 +14,7 @@ from matplotlib.colors import to_hex, to_rgb
 
 from repro.report import style
 from repro.report.figures.affine import stills
-from repro.report.style import MAGNET, SENSOR, STYLE, in_symbols
+from repro.report.style import MAGNET, SENSOR, STYLE, coordinate_symbol, in_symbols
 
 CYCLE = mpl.rc_params_from_file(STYLE, use_default_template=False)["axes.prop_cycle"]
 PALETTE = [to_hex(colour).upper() for colour in CYCLE.by_key()["color"]]
@@ -84,6 +84,27 @@ def test_figures_have_the_colours_of_the_style(path):
 )
 def test_letters_are_those_of_the_notation_page(name, written):
     assert in_symbols(name) == written
+
+
+@pytest.mark.parametrize(
+    ("name", "written"),
+    [
+        ("delta_x", r"$\Delta_{x}$"),
+        ("delta_y_3", r"$\Delta_{y3}$"),
+        ("delta_L", r"$\delta L$"),
+        ("delta_L_1", r"$\delta L_{1}$"),
+        ("kappa_0", r"$\kappa_{0}$"),
+        ("kappa_1_2", r"$\kappa_{1,2}$"),
+        ("phi_2", r"$\phi_{2}$"),
+    ],
+)
+def test_coordinates_have_the_letters_of_the_notation_page(name, written):
+    assert coordinate_symbol(name) == written
+
+
+def test_unknown_coordinate_has_no_letter():
+    with pytest.raises(KeyError):
+        coordinate_symbol("theta_1")
 
 
 def test_small_pictures_in_space_have_units():

@@ -23,6 +23,14 @@ P = ParamSpec("P")
 
 _LETTERS = {"n_b": "n_b", "n_s": "n_s", "n_e": "n_e", "d_s_r": "d_{s,r}", "psi_s": r"\psi"}
 _UNITS = {"deg": "°", "mm": " mm", "": ""}
+_COORDINATES = {
+    "delta_x": (r"\Delta", "x"),
+    "delta_y": (r"\Delta", "y"),
+    "delta_L": (r"\delta L", ""),
+    "kappa_0": (r"\kappa", "0"),
+    "kappa_1": (r"\kappa", "1"),
+    "phi": (r"\phi", ""),
+}
 
 
 def in_symbols(name: str) -> str:
@@ -42,6 +50,31 @@ def in_symbols(name: str) -> str:
     """
     pattern = rf"\b({'|'.join(_LETTERS)}) ?= ?(\(.*?\)|[0-9.]+)(deg|mm|)"
     return re.sub(pattern, lambda found: f"${_LETTERS[found[1]]} = {found[2]}${_UNITS[found[3]]}", name)
+
+
+def coordinate_symbol(name: str) -> str:
+    r"""Return a coordinate of a configuration with the letters of the notation page.
+
+    Parameters
+    ----------
+    name
+        As in tables of results, alone or with the number of its segment.
+
+    Raises
+    ------
+    KeyError
+        If there is no such coordinate.
+
+    Examples
+    --------
+    >>> print(coordinate_symbol("delta_x"), coordinate_symbol("delta_L_2"))
+    $\Delta_{x}$ $\delta L_{2}$
+    """
+    name, segment = (name, "") if name in _COORDINATES else name.rsplit("_", 1)
+    letter, index = _COORDINATES[name]
+    if index.isdigit() and segment:
+        index += ","
+    return f"${letter}_{{{index}{segment}}}$" if index + segment else f"${letter}$"
 
 
 def label_in_mm(axes: Axes3D, *, fontsize: float, labelpad: float) -> None:

@@ -13,15 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from repro.report.style import MAGNET, SENSOR, label_in_mm, page_figure
+from repro.report.style import MAGNET, SENSOR, coordinate_symbol, label_in_mm, page_figure
 
 PUBLISHED, OURS, BEST = "0.45", "#0072B2", "#D55E00"
-SYMBOLS = {
-    "kappa_0": (r"$\kappa_0$", "rad"),
-    "kappa_1": (r"$\kappa_1$", "rad"),
-    "phi": (r"$\phi$", "rad"),
-    "delta_L": (r"$\delta L$", "mm"),
-}
+UNITS = {"kappa_0": "rad", "kappa_1": "rad", "phi": "rad", "delta_L": "mm"}
 
 
 @page_figure
@@ -47,10 +42,10 @@ def readings_and_configuration(series: pd.DataFrame) -> Figure:
         panel.set(xlabel="time [s]", ylabel="reading [mT]" if plane == 0 else None)
         panel.legend(ncols=3, loc="best", fontsize="small", handlelength=1)
     estimates = series[series["kind"] == "configuration"]
-    for k, (name, (symbol, unit)) in enumerate(SYMBOLS.items()):
+    for k, (name, unit) in enumerate(UNITS.items()):
         panel = figure.add_subplot(rows[1, 3 * k : 3 * k + 3])
         _lines(panel, estimates[estimates["name"] == name], OURS)
-        panel.set_title(f"{symbol} [{unit}]", loc="left")
+        panel.set_title(f"{coordinate_symbol(name)} [{unit}]", loc="left")
         panel.set(xlabel="time [s]")
     handles = [
         Line2D([], [], color="black", label="truth"),
@@ -132,7 +127,7 @@ def published_and_regenerated(cells: pd.DataFrame) -> Figure:
         low = np.minimum(spread, 0.95 * value)  # a bar below zero has no place on a log axis
         panel.errorbar(x + offset, value, yerr=[low, spread], fmt=marker, color=colour, label=label)
     panel.plot(x + 0.32, cells["best"], "D", color=BEST, label="ours, robot not as drawn, with noise")
-    labels = [SYMBOLS[q][0] for q in cells["quantity"]]
+    labels = [coordinate_symbol(q) for q in cells["quantity"]]
     panel.set(yscale="log", xticks=x, xticklabels=labels, xlim=(-0.6, len(x) - 0.4))
     panel.set(ylabel="relative error [%]")
     panel.grid(axis="x", visible=False)

@@ -15,12 +15,11 @@ from matplotlib.ticker import MultipleLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from repro.report.figures.field import segment_colours
-from repro.report.style import MAGNET, SENSOR, page_figure
+from repro.report.style import MAGNET, SENSOR, coordinate_symbol, page_figure
 
 COLOURS = ("#0072B2", "#009E73", "#CC79A7", "#D55E00")
 FAILED = "#D55E00"
 GRID_MM = 100.0
-SYMBOLS = {"delta_x": r"$\Delta_x$", "delta_y": r"$\Delta_y$", "delta_L": r"$\delta L$"}
 RUN_COLOURS = {"failure": "#D55E00", "all sensors": "#0072B2"}
 
 
@@ -48,7 +47,7 @@ def readings_and_estimates(u: pd.DataFrame, q: pd.DataFrame, failure_s: float) -
             _truth_and_mean(upper, part, "mT", colour, f"{sensor}", seen=part["working"])
         here = q[q["segment"] == segment]
         for colour, (quantity, part) in zip(COLOURS, here.groupby("quantity", sort=False), strict=False):
-            _truth_and_mean(lower, part, "mm", colour, SYMBOLS[quantity.rpartition("_")[0]])
+            _truth_and_mean(lower, part, "mm", colour, coordinate_symbol(quantity.rpartition("_")[0]))
         for panel in (upper, lower):
             panel.axvline(failure_s, color="0.3", lw=1, ls=":")
         upper.set_title(f"segment {segment}")
@@ -160,7 +159,7 @@ def error_and_deviation(table: pd.DataFrame, failure_s: float) -> Figure:
                 part = table[(table["quantity"] == quantity) & (table["run"] == run)]
                 panel.plot(part["time_s"], part[name], color=colour, lw=1, label=run)
             panel.axvline(failure_s, color="0.3", lw=1, ls=":")
-        panels[0, column].set_title(SYMBOLS[quantity])
+        panels[0, column].set_title(coordinate_symbol(quantity))
         panels[1, column].set_xlabel("time [s]")
     panels[0, 0].set(ylabel="error [mm]", ylim=(0, None))
     panels[1, 0].set(ylabel="reported standard\ndeviation [mm]", ylim=(0, None))

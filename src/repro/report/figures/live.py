@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from repro.report.style import page_figure
+from repro.report.style import coordinate_symbol, page_figure
 
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
 TRUTH, ESTIMATE = "black", "#D55E00"
@@ -69,7 +69,7 @@ def estimates(table: pd.DataFrame) -> Figure:
         truth, std = table[f"{coordinate}_true_{unit}"], table[f"{coordinate}_std_{unit}"]
         above.plot(time_s, truth, color=TRUTH, lw=2.2, label="truth")
         above.plot(time_s, table[name], color=ESTIMATE, ls="--", lw=1.4, label="estimate")
-        above.set_title(f"{coordinate} [{unit}]")
+        above.set_title(f"{coordinate_symbol(coordinate)} [{unit}]")
         if bool(std.notna().all()):
             below.fill_between(time_s, -2 * std, 2 * std, color="#56B4E9", alpha=0.45, lw=0, label="± 2 std")
         below.plot(time_s, table[name] - truth, ".", ms=2, color=ESTIMATE, label="error")

@@ -12,12 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from repro.report.style import in_symbols, page_figure
+from repro.report.style import coordinate_symbol, in_symbols, page_figure
 
 PUBLISHED, OURS, BEST = "0.45", "#0072B2", "#D55E00"
 MODELS = {"network of the paper": "o", "fast network": "s", "multipole": "D"}
 SOLVERS = {"gradient descent": ("#0072B2", "o"), "Levenberg-Marquardt": ("#D55E00", "D")}
-SYMBOLS = {"delta_x": r"\Delta_{x%s}", "delta_y": r"\Delta_{y%s}", "delta_L": r"\delta L_{%s}"}
 
 
 @page_figure
@@ -52,7 +51,7 @@ def published_and_regenerated(cells: pd.DataFrame) -> Figure:
             )
         panel.plot(x + 0.32, part["best"].to_numpy(dtype=float), "D", ms=4, color=BEST)
         panel.set_title(in_symbols(row), loc="left")
-        labels = [_symbol(q) for q in part["quantity"]]
+        labels = [coordinate_symbol(q) for q in part["quantity"]]
         panel.set(yscale="log", xticks=x, xticklabels=labels, xlim=(-0.6, len(part) - 0.4))
         panel.grid(axis="x", visible=False)
     for panel in panels.flat[len(rows) :]:
@@ -68,11 +67,6 @@ def published_and_regenerated(cells: pd.DataFrame) -> Figure:
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=3 if columns == 2 else 1)
     return figure
-
-
-def _symbol(quantity: str) -> str:
-    name, _, segment = quantity.rpartition("_")
-    return f"${SYMBOLS[name] % segment}$"
 
 
 @page_figure
