@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -97,7 +98,8 @@ class TestLimits:
         a, b, c = ours.init(), plain.init(), told_command.init()
         for torque in commands(60, g):
             u = bend_map(g.uniform(-4.0, 4.0, (1, 2)))[0]
-            a, b, c = ours.step(a, u, torque), plain.step(b, u), told_command.step(c, u, torque)
+            a, b = ours.step(a, u, torque, torque), plain.step(b, u)
+            c = told_command.step(c, u, torque, torque)
             for found in (a.bank, c):
                 for name in ("states", "moments", "log_weights", "mean_mm", "covariance_mm2", "weights"):
                     assert np.array_equal(getattr(found, name), getattr(b, name))
@@ -106,7 +108,7 @@ class TestLimits:
         method = CommandAlone(segment())
         state, torque = method.init(), np.array([0.5, -0.2])
         for _ in range(16):
-            state = method.step(state, np.zeros(3), torque)
+            state = method.step(state, np.zeros(3), torque, torque)
         expected = 7.0 * torque * (1.0 - np.exp(-16 / 40.0 / 0.2))
         np.testing.assert_allclose(state.bend_mm, expected, rtol=1e-12)
 
@@ -117,18 +119,18 @@ class TestLimits:
         alone, state, expected = CommandAlone(known), ours.init(), None
         expected = alone.init()
         for torque in commands(200, g):
-            expected = alone.step(expected, np.zeros(3), torque)
+            expected = alone.step(expected, np.zeros(3), torque, torque)
             s = expected.torque[None]
             lag = known.lag_mv(s, (torque - s[0])[None] / known.lag_s, expected.bend_mm[None])
-            state = ours.step(state, (bend_map(expected.bend_mm[None]) + lag)[0], torque)
+            state = ours.step(state, (bend_map(expected.bend_mm[None]) + lag)[0], torque, torque)
         np.testing.assert_allclose(state.bend_mm, expected.bend_mm, atol=0.02)
 
     def test_state_is_not_changed(self):
         ours, g = LoopFilter(linear_map(), segment(), follows=True), np.random.default_rng(2)
-        first = ours.step(ours.init(), np.array([1290.0, 1190.0, 1390.0]), np.zeros(2))
+        first = ours.step(ours.init(), np.array([1290.0, 1190.0, 1390.0]), *np.zeros((2, 2)))
         states, moments = first.bank.states.copy(), first.bank.moments.copy()
         u, torque = first.bank.states[0, 4:] + 1290.0, g.uniform(-0.5, 0.5, 2)
-        one, two = ours.step(first, u, torque), ours.step(first, u, torque)
+        one, two = (ours.step(first, u, torque, torque) for _ in range(2))
         assert np.array_equal(one.bend_mm, two.bend_mm)
         assert np.array_equal(first.bank.states, states)
         assert np.array_equal(first.bank.moments, moments)
@@ -149,19 +151,40 @@ class TestOwnModel:
             rest, error = 0.5 * g.standard_normal(2), 0.5 * g.standard_normal(3)
             alone, state = CommandAlone(known), ours.init()
             expected, size = alone.init(), np.zeros(3)
-            for tick, torque in enumerate(commands(80, g)):
-                expected = alone.step(expected, np.zeros(3), torque)
+            sent = commands(81, g)
+            for tick, (torque, following) in enumerate(pairwise(sent)):
+                expected = alone.step(expected, np.zeros(3), torque, torque)
                 rest = kept * rest + 0.5 * np.sqrt(1 - kept**2) * g.standard_normal(2)
                 error = slow * error + 0.5 * np.sqrt(1 - slow**2) * g.standard_normal(3)
                 x, s = expected.bend_mm + rest, expected.torque[None]
                 lag = known.lag_mv(s, (torque - s[0])[None] / known.lag_s, x[None])[0]
-                size = np.maximum(np.abs(lag), faded * size)
+                ahead = known.lag_mv(s, (following - s[0])[None] / known.lag_s, x[None])[0]
+                size = np.maximum(np.maximum(np.abs(lag), np.abs(ahead)), faded * size)
                 noise = np.hypot(0.6, share * size) * g.standard_normal(3)
-                state = ours.step(state, bend_map(x[None])[0] + lag + c + error + noise, torque)
+                u = bend_map(x[None])[0] + lag + c + error + noise
+                state = ours.step(state, u, torque, following)
                 if tick >= 40:
                     apart = state.bend_mm - x
                     squares.append(apart @ np.linalg.solve(state.bank.covariance_mm2, apart))
         assert 1.5 < np.mean(squares) < 2.6
+
+    def test_a_command_that_takes_effect_early_is_no_bend(self):
+        """The reading at which a jump is sent has a part of its lag already; without a warning it is all bend."""
+        bend_map, known = linear_map(), segment(share=0.3)
+        ours, alone = LoopFilter(bend_map, known, follows=True), CommandAlone(known)
+        before, jump = np.array([0.5, 0.0]), np.array([-0.2, 0.4])
+        state, expected = ours.init(), alone.init()
+        for _ in range(80):
+            expected = alone.step(expected, np.zeros(3), before, before)
+            state = ours.step(state, bend_map(expected.bend_mm[None])[0], before, before)
+        x, s = expected.bend_mm, expected.torque[None]
+        early = 0.25 * known.lag_mv(s, (jump - s[0])[None] / known.lag_s, x[None])[0]
+        reading = bend_map(x[None])[0] + early
+        told, surprised = (
+            ours.step(state, reading, before, following).bend_mm for following in (jump, before)
+        )
+        assert np.linalg.norm(surprised - x) > 0.5
+        assert np.linalg.norm(told - x) < 0.1 * np.linalg.norm(surprised - x)
 
     def test_knowing_the_lag_and_the_command_helps_on_such_data(self):
         bend_map, known, g = linear_map(), segment(), np.random.default_rng(4)
@@ -173,11 +196,11 @@ class TestOwnModel:
         states, alone = [m.init() for m in methods], CommandAlone(known)
         expected, squares = alone.init(), np.zeros(3)
         for torque in commands(400, g):
-            expected = alone.step(expected, np.zeros(3), torque)
+            expected = alone.step(expected, np.zeros(3), torque, torque)
             x, s = expected.bend_mm, expected.torque[None]
             lag = known.lag_mv(s, (torque - s[0])[None] / known.lag_s, x[None])[0]
             u = bend_map(x[None])[0] + lag + 0.6 * g.standard_normal(3)
-            states = [m.step(state, u, torque) for m, state in zip(methods, states, strict=True)]
+            states = [m.step(state, u, torque, torque) for m, state in zip(methods, states, strict=True)]
             squares += [((state.bend_mm - x) ** 2).sum() for state in states]
         assert squares[2] < 0.5 * squares[1] < 0.25 * squares[0]
 

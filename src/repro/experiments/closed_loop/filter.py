@@ -4,7 +4,9 @@ Beside :class:`~repro.experiments.baaij2023.table2_ours.BendFilter`, and around 
 what it is; with the numbers of `repro.experiments.closed_loop.identification`:
 
 * **The lag.** From a reading, the lag :math:`\ell` at the predicted bend is taken off before the update. Its error, a
-  share :math:`\rho` of it, is added to the noise of the reading, and fades with the lag of the segment.
+  share :math:`\rho` of it, is added to the noise of the reading, and fades with the lag of the segment. When exactly a
+  command takes effect is not known to a few milliseconds: the share is that of the larger lag, with the command up to
+  the reading or with the one that follows.
 * **The command.** Instead of moving at a constant velocity, the bend is expected at :math:`f(s)`, plus a rest
   :math:`\delta` that relaxes, :math:`x_k = f(s_k) + e^{-\tau/T_\delta} (x_{k-1} - f(s_{k-1}))`.
 
@@ -86,7 +88,11 @@ class LoopFilter:
         return LoopState(BendFilter(self._map).init(), np.zeros(2), np.zeros(RIG_SENSORS))
 
     def step(
-        self, state: LoopState, reading_mv: Float[np.ndarray, " 3"], torque: Float[np.ndarray, " 2"]
+        self,
+        state: LoopState,
+        reading_mv: Float[np.ndarray, " 3"],
+        torque: Float[np.ndarray, " 2"],
+        following: Float[np.ndarray, " 2"],
     ) -> LoopState:
         """State after the next reading, 40 Hz.
 
@@ -98,6 +104,8 @@ class LoopFilter:
             The reading.
         torque
             Commanded from the reading before to this one: over the reference, turned to where it bends.
+        following
+            Commanded from this reading to the next.
         """
         segment, dt = self.segment, 1.0 / RIG_RATE_HZ
         faded = np.exp(-dt / segment.lag_s)
@@ -107,8 +115,10 @@ class LoopFilter:
             expected = segment.bend_mm(s[None])
         else:
             expected = (bank.mean_mm[:2] + dt * bank.mean_mm[2:])[None]
-        lag = segment.lag_mv(s[None], (torque - s)[None] / segment.lag_s, expected)[0]
-        size = np.maximum(np.abs(lag), faded * state.lag_mv)
+        rates = (np.stack([torque, following]) - s) / segment.lag_s
+        lag, ahead = segment.lag_mv(np.stack([s, s]), rates, np.repeat(expected, 2, axis=0))
+        # A jump that counts a few milliseconds early would otherwise be taken for a bend, and for a bias.
+        size = np.maximum(np.maximum(np.abs(lag), np.abs(ahead)), faded * state.lag_mv)
         noise = np.hypot(self._map.noise_mv, segment.share * size)
         bank = BendFilter(replace(self._map, noise_mv=noise)).step(bank, reading_mv - lag)
         return LoopState(bank, s, size)
@@ -140,7 +150,11 @@ class ReadingsAlone:
         return BendFilter(self.bend_map).init()
 
     def step(
-        self, state: BendState, reading_mv: Float[np.ndarray, " 3"], torque: Float[np.ndarray, " 2"]
+        self,
+        state: BendState,
+        reading_mv: Float[np.ndarray, " 3"],
+        torque: Float[np.ndarray, " 2"],
+        following: Float[np.ndarray, " 2"],
     ) -> BendState:
         """State after the next reading, 40 Hz."""
         return BendFilter(self.bend_map).step(state, reading_mv)
@@ -165,7 +179,11 @@ class CommandAlone:
         return CommandState(np.zeros(2), self.segment.bend_mm(np.zeros((1, 2)))[0])
 
     def step(
-        self, state: CommandState, reading_mv: Float[np.ndarray, " 3"], torque: Float[np.ndarray, " 2"]
+        self,
+        state: CommandState,
+        reading_mv: Float[np.ndarray, " 3"],
+        torque: Float[np.ndarray, " 2"],
+        following: Float[np.ndarray, " 2"],
     ) -> CommandState:
         """State after the next reading, 40 Hz."""
         s = torque + (state.torque - torque) * np.exp(-1.0 / RIG_RATE_HZ / self.segment.lag_s)

@@ -224,6 +224,7 @@ def run_loops(
     columns: tuple[list[np.ndarray], ...] = ([], [], [])
     for tick in range(ticks):
         state, q, q_magnet = rig.step(state, pressures)
+        following = turned_torque(config.chambers, pressures)  # held up to the next reading
         bends.append(1e3 * q[:, :2])
         fed_back = np.stack([bends[max(tick - run.late, 0)][k] for k, run in enumerate(runs)])
         if len(own):
@@ -231,9 +232,9 @@ def run_loops(
             rest = clean if tick == 0 else rest  # no command has been applied yet
             u = drawn.readings_mv(tick, clean, rest)
             for k, run in enumerate(own):
-                filters[k] = ours[k].step(filters[k], u[k], torque[run])
+                filters[k] = ours[k].step(filters[k], u[k], torque[run], following[run])
                 fed_back[run] = filters[k].bend_mm
-        torque = turned_torque(config.chambers, pressures)  # held up to the next reading
+        torque = following
         told = np.where(watched, bends[-1], fed_back)
         control, pressures = controller.step(control, wanted[tick], told)
         for column, value in zip(columns, (fed_back, pressures, control.bounded), strict=True):
