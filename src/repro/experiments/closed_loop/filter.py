@@ -4,9 +4,9 @@ Beside :class:`~repro.experiments.baaij2023.table2_ours.BendFilter`, and around 
 what it is; with the numbers of `repro.experiments.closed_loop.identification`:
 
 * **The lag.** From a reading, the lag :math:`\ell` at the predicted bend is taken off before the update. Its error, a
-  share :math:`\rho` of it, is added to the noise of the reading, and fades with the lag of the segment. When exactly a
-  command takes effect is not known to a few milliseconds: the share is that of the larger lag, with the command up to
-  the reading or with the one that follows.
+  share :math:`\rho` of it, is added to the noise of the reading, and fades with the lag of the segment. When exactly
+  a command takes effect is not known to a few milliseconds: the share is that of the larger lag, with the command up
+  to the reading or with the one that follows.
 * **The command.** Instead of moving at a constant velocity, the bend is expected at :math:`f(s)`, plus a rest
   :math:`\delta` that relaxes, :math:`x_k = f(s_k) + e^{-\tau/T_\delta} (x_{k-1} - f(s_{k-1}))`.
 
