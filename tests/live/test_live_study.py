@@ -80,7 +80,11 @@ def test_what_a_failed_sensor_does(robot):
 
 def test_figures_take_tables(run):
     panels = figures.estimates(run.recorded).axes
-    assert [panel.get_title() for panel in panels[:3]] == [f"delta_{x}_1 [mm]" for x in ("x", "y", "L")]
+    assert [panel.get_title() for panel in panels[:3]] == [
+        r"$\Delta_{x1}$ [mm]",
+        r"$\Delta_{y1}$ [mm]",
+        r"$\delta L_{1}$ [mm]",
+    ]
     drawn = panels[0].lines[1].get_ydata()
     np.testing.assert_array_equal(drawn, run.recorded["delta_x_1_mm"])
     counted = figures.latency(run.latencies).axes[1].patches
