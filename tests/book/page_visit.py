@@ -20,7 +20,14 @@ FACTS = """async () => {
   const images = [...document.querySelectorAll('img')];
   images.forEach(image => { image.loading = 'eager'; });
   await Promise.all(images.map(image => image.decode().catch(() => null)));
+  const squeezed = [...document.querySelectorAll('.cell_output table:not(.scorecard) :is(th, td)')].filter(cell => {
+    const inside = document.createRange();
+    inside.selectNodeContents(cell);
+    const lines = inside.getBoundingClientRect().height / parseFloat(getComputedStyle(cell).lineHeight);
+    return lines > 1.5 && lines > cell.textContent.trim().length / 10;
+  });
   return {
+    squeezed: squeezed.map(cell => cell.textContent.trim()),
     text: document.body.innerText,
     images: images.map(i => ({src: i.getAttribute('src'), alt: i.alt, width: i.naturalWidth})),
     formulas: document.querySelectorAll('.math').length,
