@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -99,9 +100,9 @@ def train_dipole_residual(
     train, _ = split_rows(len(u), seed)
     terms = DipoleResidual.terms(cosines.double())
     unit = terms[train].square().mean(0).sqrt()  # the columns differ by ten orders of magnitude
-    coefficients = (
-        torch.linalg.lstsq(terms[train] / unit, u[train].double().unsqueeze(-1)).solution[:, 0] / unit
-    )
+    # NumPy's: torch's least squares do not give the same bits twice, and the training makes more of them.
+    columns, wanted = (terms[train] / unit).numpy(), u[train].double().numpy()
+    coefficients = torch.from_numpy(np.linalg.lstsq(columns, wanted, rcond=None)[0]) / unit
     residual, metrics = train_fast(
         cosines,
         (u - terms @ coefficients).to(u),
