@@ -30,8 +30,11 @@ class Estimate:
     u_hat
         Readings predicted at ``q``.
     diagnostics
-        Named tensors with the batch of ``q``; every estimator reports ``masked``, the number of sensors left out
-        (by the mask, or because their reading was NaN).
+        Named tensors with the batch of ``q``. Every estimator reports ``masked``, the number of sensors left out
+        (by the mask, or because their reading was NaN); ``chi2``, its squared residuals in units of their
+        variances; and ``dof``, how many of these the estimate could not adapt itself to. If model and noise
+        are right, ``chi2`` has a chi-square distribution with ``dof`` degrees of freedom; with none of them the
+        readings say nothing about that. :class:`repro.estimation.monitor.Monitored` tests it.
     """
 
     q: Float[Tensor, "*batch n_q"]
@@ -155,6 +158,25 @@ def usable(u: Float[Tensor, "*batch s"], mask: Tensor | None, owner: str) -> Boo
     if not bool(use.any(-1).all()):
         raise bad_input("u", owner, "at least one reading that is a number and not masked", "none")
     return use
+
+
+def redundancy(
+    use: Tensor, q: Tensor, free: Tensor, bounds: tuple[Tensor, Tensor] | None = None, prior: int = 0
+) -> Tensor:
+    """Degrees of freedom of the residuals: those there are, less the coordinates that were free to follow them.
+
+    Parameters
+    ----------
+    use, free
+        Readings ``[*batch, s]`` in use, and coordinates ``[*batch, n_q]`` that are not held.
+    q, bounds
+        An estimate, and its bounds: a coordinate at one of them could not follow.
+    prior
+        Number of residuals that a prior adds to those of the readings.
+    """
+    if bounds is not None:
+        free = free & (q > bounds[0]) & (q < bounds[1])
+    return (use.sum(-1) + prior - free.sum(-1)).clamp_min(0)
 
 
 def held(q: Tensor, known: Tensor | None) -> tuple[Tensor, Tensor]:

@@ -2,6 +2,7 @@ r"""Gradient descent on the readings' error, as in Baaij et al. 2023 (section 2.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start, held, kernel, usable
+from repro.estimation.base import Estimate, check_start, held, kernel, redundancy, usable
 
 
 @dataclass(frozen=True)
@@ -49,11 +50,13 @@ class GradientDescent:
     backend
         ``"torch"``, for any sensor model, or ``"compiled"``: the same by one kernel, to rounding, for the models of
         :class:`~repro.sensing.compiled_sensing.CompiledSensing`, which are copied here.
+    noise_mt
+        Standard deviation of a reading, in its unit. The descent does not need it; without it ``chi2`` is NaN.
 
     Raises
     ------
     InputError
-        If a step size is negative, the momentum is not in [0, 1), there is no iteration, or the backend is unknown
+        If a step size is negative, the momentum is not in [0, 1), there is no iteration, the noise is not positive, or the backend is unknown
         or does not know the sensor model.
     """
 
@@ -63,6 +66,7 @@ class GradientDescent:
     iterations: int = 20
     carry_momentum: bool = True
     backend: str = "torch"
+    noise_mt: float = math.nan
 
     def __post_init__(self) -> None:
         if bool((self.step_size < 0).any()):
@@ -71,6 +75,8 @@ class GradientDescent:
             raise bad_input("momentum", "GradientDescent", "in [0, 1)", self.momentum)
         if self.iterations < 1:
             raise bad_input("iterations", "GradientDescent", "at least 1", self.iterations)
+        if self.noise_mt <= 0:
+            raise bad_input("noise_mt", "GradientDescent", "positive", self.noise_mt)
         _ = self._kernel  # refuses other models now, not in the first step
 
     @cached_property
@@ -102,7 +108,13 @@ class GradientDescent:
             q, b, u_hat, loss, best_at = descend(self._kernel, (q, b), u, use, free, *options)
         else:
             q, b, u_hat, loss, best_at = self._descend(q, b, u, use, free)
-        diagnostics = {"loss": loss, "best_iteration": best_at, "masked": (~use).sum(-1)}
+        diagnostics = {
+            "loss": loss,
+            "best_iteration": best_at,
+            "masked": (~use).sum(-1),
+            "chi2": loss * use.sum(-1) / self.noise_mt**2,
+            "dof": redundancy(use, q, free),
+        }
         return GradientState(q, b), Estimate(q, None, u_hat, diagnostics)
 
     def _descend(

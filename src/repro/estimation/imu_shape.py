@@ -125,7 +125,12 @@ class ImuShape:
             q=q.to(state.q),
             covariance=C.to(state.q),
             u_hat=torch.from_numpy(used).flatten(-2).to(u),
-            diagnostics={"masked": (~use).sum(-1), "missing": ~use},
+            diagnostics={
+                "masked": (~use).sum(-1),
+                "missing": ~use,
+                "chi2": q.new_zeros(q.shape[:-1]),  # the models follow every orientation: nothing is left over
+                "dof": torch.zeros(q.shape[:-1], dtype=torch.int64),
+            },
         )
         return ShapeState(estimate.q), estimate
 

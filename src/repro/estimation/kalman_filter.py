@@ -22,7 +22,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start, held, kernel, usable
+from repro.estimation.base import Estimate, check_start, held, kernel, redundancy, usable
 from repro.estimation.levenberg_marquardt import TOLERANCE, LeastSquaresState, LevenbergMarquardt, covariance
 
 
@@ -142,11 +142,16 @@ class IteratedKalmanFilter:
         P = torch.cat([torch.cat([C, P_vq_new.mT], -1), torch.cat([P_vq_new, P_vv], -1)], -2)
         P = (P + P.mT) / 2  # rounding would add up over the steps
         residual = torch.where(use, u - u_hat, 0.0)
+        surprise = (W.mT @ (new - q).unsqueeze(-1)).squeeze(-1)
+        bounds = (self.lower.to(new), self.upper.to(new))
+        free = torch.ones_like(new, dtype=torch.bool) if known is None else torch.isnan(known).expand_as(new)
         diagnostics = {
             "rmse": (residual.square().sum(-1) / use.sum(-1)).sqrt(),
             "iterations": iterations,
-            "at_bound": ((new <= self.lower.to(new)) | (new >= self.upper.to(new))).any(-1),
+            "at_bound": ((new <= bounds[0]) | (new >= bounds[1])).any(-1),
             "masked": (~use).sum(-1),
+            "chi2": (residual / self.noise_mt).square().sum(-1) + surprise.square().sum(-1),
+            "dof": redundancy(use, new, free, bounds, prior=free.shape[-1]),
         }
         return KalmanState(new, velocity, P, t), Estimate(new, C, u_hat, diagnostics)
 

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start, held, kernel, usable
+from repro.estimation.base import Estimate, check_start, held, kernel, redundancy, usable
 
 TOLERANCE = 1e-12
 """A trial step below this share of the width of the bounds ends the iteration."""
@@ -90,7 +90,7 @@ class LevenbergMarquardt:
         mask: Tensor | None = None,
         known: Tensor | None = None,
     ) -> tuple[LeastSquaresState, Estimate]:
-        """Minimise from the last estimate; ``rmse``, ``iterations`` and ``at_bound`` are in the diagnostics."""
+        """Minimise from the last estimate; ``rmse``, ``iterations`` and ``at_bound`` are in the diagnostics, too."""
         use = usable(u, mask, "LevenbergMarquardt")
         low, high = self.lower.to(state.q), self.upper.to(state.q)
         q, free = held(state.q, known)
@@ -103,6 +103,8 @@ class LevenbergMarquardt:
             "iterations": count,
             "at_bound": ((q <= low) | (q >= high)).any(-1),
             "masked": (~use).sum(-1),
+            "chi2": (rmse / self.noise_mt).square() * use.sum(-1),
+            "dof": redundancy(use, q, free, (low, high)),
         }
         return LeastSquaresState(q), Estimate(q, C, u_hat, diagnostics)
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start, usable
+from repro.estimation.base import Estimate, check_start, redundancy, usable
 from repro.estimation.levenberg_marquardt import covariance
 from repro.estimation.particle_cloud import Weighed, weighed
 from repro.estimation.particle_restart import contracted
@@ -195,15 +195,19 @@ class ParticleFilter:
             free = torch.isnan(known)
             best = torch.where(free, best, known)
             C = torch.where(free.unsqueeze(-1) & free.unsqueeze(-2), C, 0.0)
+        u_hat = self._predicted(best)
+        free = torch.ones_like(best, dtype=torch.bool) if known is None else torch.isnan(known).expand_as(best)
         diagnostics = {
             "effective_sample_size": found.effective_sample_size,
             "surprise": unlikely,
             "lost": lost,
             "masked": (~use).sum(-1),
+            "chi2": (torch.where(use, u - u_hat, 0.0) / self.noise_mt).square().sum(-1),
+            "dof": redundancy(use, best, free),
         }
         q, velocity = self._following(q, velocity, found.w, stream(state.seed, state.steps))
         following = ParticleState(q, velocity, state.seed, state.steps + 1)
-        return following, Estimate(best, C, self._predicted(best), diagnostics)
+        return following, Estimate(best, C, u_hat, diagnostics)
 
     def _predicted(self, q: Tensor) -> Tensor:
         return self._compiled.exact(q) if self.backend == "compiled" else self.sensing(q)

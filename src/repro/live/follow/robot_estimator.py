@@ -19,6 +19,8 @@ from repro.estimation.imu_selection import Selection
 from repro.estimation.imu_shape import ImuShape
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian
+from repro.estimation.monitor import Monitored
+from repro.estimation.multistart import starts_within
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box
 from repro.live.follow.time_steps import TimeStep
@@ -37,6 +39,8 @@ MOVE_SHARE = 0.5
 """Random walk of a particle in one second, in widths of the bounds."""
 IMU_NOISE_RAD = 0.0035
 """Standard deviation of an orientation about each axis, 0.2 degrees, assumed [rad]."""
+STARTS = 8
+"""Configurations from which a monitor looks for a better start, besides where the robot starts."""
 FREE_BASE = (0.0, 0.0, 0.0, 1.0)
 """Orientation of the base: upright."""
 
@@ -64,7 +68,7 @@ class RobotEstimator:
 
     robot: RobotFile
     name: str
-    method: Estimator[Any]
+    method: Monitored[Any]
     start: Float[Tensor, " n_q"]
     streams: tuple[int, ...]
     use: Bool[Tensor, " readings"]
@@ -170,22 +174,35 @@ def robot_estimator(
     if not magnetic:
         method, use = _imu_chain(robot), torch.cat([torch.tensor([True]), works]).repeat_interleave(4)
         start = torch.zeros(3 * len(method.arc_lengths), dtype=torch.float64)
-        return RobotEstimator(robot, name, method, start, tuple(imu.stream for imu in robot.imus), use)
-    method = _magnetic(robot, name, model)
-    return RobotEstimator(robot, name, method, robot.start, (MAGNETIC_STREAM,), works)
+        watched = Monitored(method, method, start[None], robot.rate_hz)
+        return RobotEstimator(robot, name, watched, start, tuple(imu.stream for imu in robot.imus), use)
+    sensing, backend = robot.sensing(model), "torch" if model is not None else "compiled"
+    solver = LevenbergMarquardt(sensing, robot.lower, robot.upper, noise_mt=robot.noise, backend=backend)
+    method = _magnetic(robot, name, sensing, backend, solver)
+    starts = torch.cat([robot.start[None], starts_within(robot.lower, robot.upper, STARTS, seed=0)])
+    watched = Monitored(method, solver, starts, robot.rate_hz)
+    return RobotEstimator(robot, name, watched, robot.start, (MAGNETIC_STREAM,), works)
 
 
-def _magnetic(robot: RobotFile, name: str, model: Callable[[Tensor], Tensor] | None) -> Estimator[Any]:
-    sensing, low, high = robot.sensing(model), robot.lower, robot.upper
-    width, backend = high - low, "torch" if model is not None else "compiled"
+def _magnetic(
+    robot: RobotFile,
+    name: str,
+    sensing: Callable[[Tensor], Tensor],
+    backend: str,
+    solver: LevenbergMarquardt,
+) -> Estimator[Any]:
+    low, high = robot.lower, robot.upper
+    width = high - low
     if name == "levenberg_marquardt":
-        return LevenbergMarquardt(sensing, low, high, noise_mt=robot.noise, backend=backend)
+        return solver
     if name == "kalman":
         acceleration, velocity = ACCELERATION_SHARE * width, VELOCITY_SHARE * width
         options = {"noise_mt": robot.noise, "backend": backend}
         return IteratedKalmanFilter(sensing, low, high, acceleration, velocity, **options)
     if name == "gradient_descent":
-        return GradientDescent(sensing, _step_size(robot, sensing), backend=backend)
+        return GradientDescent(
+            sensing, _step_size(robot, sensing), backend=backend, noise_mt=robot.noise
+        )
     if len(low) > MOST_PARTICLE_COORDINATES:
         expected = (
             f"another one for {robot.name}: particles fill at most {MOST_PARTICLE_COORDINATES} coordinates"

@@ -1,0 +1,147 @@
+"""Which sensor is wrong? Fits that each leave one sensor out follow the readings, and collect what speaks against them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from scipy import stats
+from torch import Tensor
+
+from repro.estimation.base import Estimate, Estimator
+
+EXPLAINED = 1e-3
+"""A fit explains a reading unless chance exceeds its residual more rarely than this."""
+EXCLUDED = 1e-6
+"""A sensor is not the one that is wrong if chance exceeds the residuals without it more rarely than this."""
+MUCH_BETTER = 25.0
+"""... or if they exceed those without another one by so much: five standard deviations."""
+ENOUGH = 3.0
+"""Degrees of freedom before a sensor is named."""
+HEAVIEST = 100.0
+"""No single reading speaks more against a sensor, so that a fit that was lost for a moment can recover."""
+
+
+@lru_cache(maxsize=4096)
+def limit(chance: float, dof: int | float) -> float:
+    """Chi-square that chance exceeds so rarely; with less than one degree of freedom as with one.
+
+    Examples
+    --------
+    >>> round(limit(0.05, 1), 3)
+    3.841
+    """
+    return float(stats.chi2.isf(chance, max(dof, 1)))
+
+
+class LeftOut(NamedTuple):
+    """For every sensor, the fit without it, and what speaks against it.
+
+    Attributes
+    ----------
+    q
+        Fits of the last reading.
+    chi2, dof
+        Squared residuals in units of their variances since the alarm began, and their degrees of freedom.
+    jump
+        Squared distance of the first fit from where the robot was just before the alarm, in units of its variance.
+        A sensor that fails in an instant moves every fit that uses it; the robot itself cannot.
+    """
+
+    q: Float[Tensor, "s n_q"]
+    chi2: Float[Tensor, " s"]
+    dof: Float[Tensor, " s"]
+    jump: Float[Tensor, " s"]
+
+    def wrong(self, use: Bool[Tensor, " s"], frozen: Bool[Tensor, " s"]) -> tuple[str, tuple[int, ...]]:
+        """Return the cause as in :class:`~repro.estimation.monitor.Verdict`, and the sensors named, one or two.
+
+        Parameters
+        ----------
+        use
+            Sensors in use.
+        frozen
+            Sensors whose last readings are the same to the last digit, while those of others are not.
+        """
+        chi2, dof = self.chi2.tolist(), self.dof.tolist()
+        candidates = [k for k, used in enumerate(use.tolist()) if used]
+        if not max(dof):
+            return "no redundancy", ()
+        if max(dof) < ENOUGH:
+            return "untold", ()
+        left = [k for k in candidates if chi2[k] <= limit(EXCLUDED, round(dof[k], 1))]
+        if not left:
+            return "several", ()
+        against = (self.chi2 + self.jump).tolist()
+        least = min(against[k] for k in left)
+        left = [k for k in left if against[k] <= least + MUCH_BETTER]
+        if len(left) > 2:
+            left = [k for k in left if frozen[k]]
+        return ("sensors", tuple(left)) if 1 <= len(left) <= 2 else ("untold", ())
+
+
+def begun(
+    solver: Estimator[Any],
+    u: Tensor,
+    use: Tensor,
+    starts: Tensor,
+    known: Tensor | None,
+    before: tuple[Tensor, Tensor] | None = None,
+) -> LeftOut:
+    """Fit a reading without each sensor, from all starts ``[k, n_q]``; the first start that explains it counts.
+
+    ``before`` says where the robot was, and the standard deviation of how far it may have moved since.
+    """
+    every = torch.arange(len(u))
+    found = _fitted(solver, starts.expand(len(u), -1, -1), u, use, known)
+    chi2, dof = (found.diagnostics[name].to(u) for name in ("chi2", "dof"))
+    explains = chi2 <= torch.tensor([[limit(EXPLAINED, d) for d in row] for row in dof.tolist()])
+    first = torch.where(explains.any(-1), explains.int().argmax(-1), chi2.argmin(-1))
+    q, jump = found.q[every, first], torch.zeros_like(chi2[:, 0])
+    if before is not None and found.covariance is not None:
+        C = found.covariance[every, first] + torch.diag(before[1] ** 2)
+        away = (q - before[0]).unsqueeze(-1)
+        jump = (away.mT @ torch.linalg.solve(C, away)).flatten()
+    return LeftOut(q, chi2[every, first].clamp_max(HEAVIEST), dof[every, first], jump)
+
+
+def followed(
+    solver: Estimator[Any],
+    left: LeftOut,
+    u: Tensor,
+    use: Tensor,
+    known: Tensor | None,
+    *,
+    weight: float,
+) -> LeftOut:
+    """Fits of the next reading from the last ones; their residuals count with a weight."""
+    found = _fitted(solver, left.q[:, None], u, use, known)
+    chi2, dof = (found.diagnostics[name][:, 0].to(u) for name in ("chi2", "dof"))
+    total = left.chi2 + weight * chi2.clamp_max(HEAVIEST), left.dof + weight * dof
+    return LeftOut(found.q[:, 0], *total, left.jump)
+
+
+def recovered(
+    solver: Estimator[Any], left: LeftOut, u: Tensor, use: Tensor, starts: Tensor, known: Tensor | None
+) -> LeftOut:
+    """Try other starts for the fits that are excluded; what spoke against those that then explain is halved."""
+    fresh = begun(solver, u, use, starts, known)
+    out = [c > limit(EXCLUDED, round(d, 1)) for c, d in zip(left.chi2.tolist(), left.dof.tolist(), strict=True)]
+    good = [c <= limit(EXPLAINED, d) for c, d in zip(fresh.chi2.tolist(), fresh.dof.tolist(), strict=True)]
+    again = torch.tensor(out) & torch.tensor(good)
+    share = torch.where(again, 0.5, 1.0).to(left.chi2)
+    q = torch.where(again[:, None], fresh.q, left.q)
+    return LeftOut(q, share * left.chi2, share * left.dof, left.jump)
+
+
+def _fitted(
+    solver: Estimator[Any], starts: Tensor, u: Tensor, use: Tensor, known: Tensor | None
+) -> Estimate:
+    """Fits without each sensor, ``[s, k, ...]``."""
+    without = use & ~torch.eye(len(u), dtype=torch.bool)[:, None]
+    without = torch.where(without.any(-1, keepdim=True), without, use)  # the only one in use cannot be left out
+    without = without.expand(*starts.shape[:-1], -1)
+    readings = u.expand(without.shape)
+    return solver.step(solver.init(starts, seed=0), readings, 0.0, mask=without, known=known)[1]
