@@ -19,7 +19,7 @@ from repro.estimation.imu_selection import Selection
 from repro.estimation.imu_shape import ImuShape
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian
-from repro.estimation.monitor import Monitored
+from repro.estimation.monitor import Monitored, Verdict
 from repro.estimation.multistart import starts_within
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box
@@ -265,6 +265,11 @@ class Follower:
         self.refusal = ""
         self.missing = [0] * len(estimator.sensors)
         self._state = estimator.method.init(estimator.start, seed=seed)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the readings of the last time step fit the robot."""
+        return self._state.verdict
 
     def step(self, step: TimeStep) -> tuple[Float[Tensor, " readings"], Estimate | None]:
         """Return the readings of a time step, and the estimate; none where the readings cannot be used.
