@@ -49,7 +49,7 @@ class RobotReadings:
         Values of the frames of the magnetic sensors in the unit of the file, in the order of the channels; unused
         channels are zero. No columns without magnetic sensors.
     orientations
-        Quaternions XYZW of the IMUs, sensor to base, from base to tip.
+        Quaternions XYZW of the IMUs, sensor to base, from base to tip; NaN where an IMU sends nothing.
     """
 
     robot: RobotFile
@@ -66,7 +66,8 @@ class RobotReadings:
             if values:
                 yield Reading(time_s, MAGNETIC_STREAM, tuple(values))
             for stream, quaternion in zip(streams, orientations, strict=True):
-                yield Reading(time_s, stream, tuple(quaternion))
+                if not math.isnan(quaternion[0]):
+                    yield Reading(time_s, stream, tuple(quaternion))
 
 
 def robot_readings(
@@ -120,7 +121,7 @@ def robot_readings(
         raise bad_input("start_s", "robot_readings", "0 or later, with time for one round", start_s)
     time_s = np.arange(first, last) / rate_hz
     q = course(robot, time_s, speed=speed, seed=seed)
-    rng = np.random.default_rng([seed, first])
+    rng = np.random.default_rng([seed, 2, first])
     return readings_along(true_robot(robot, tolerances, seed=seed), time_s, q, rng=rng)
 
 
