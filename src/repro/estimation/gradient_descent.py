@@ -56,8 +56,8 @@ class GradientDescent:
     Raises
     ------
     InputError
-        If a step size is negative, the momentum is not in [0, 1), there is no iteration, the noise is not positive, or the backend is unknown
-        or does not know the sensor model.
+        If a step size is negative, the momentum is not in [0, 1), there is no iteration, the noise is not positive,
+        or the backend is unknown or does not know the sensor model.
     """
 
     sensing: Callable[[Tensor], Tensor]

@@ -128,7 +128,9 @@ class ImuShape:
             diagnostics={
                 "masked": (~use).sum(-1),
                 "missing": ~use,
-                "chi2": q.new_zeros(q.shape[:-1]),  # the models follow every orientation: nothing is left over
+                "chi2": q.new_zeros(
+                    q.shape[:-1]
+                ),  # the models follow every orientation: nothing is left over
                 "dof": torch.zeros(q.shape[:-1], dtype=torch.int64),
             },
         )

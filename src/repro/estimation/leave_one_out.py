@@ -1,16 +1,15 @@
-"""Which sensor is wrong? Fits that each leave one sensor out follow the readings, and collect what speaks against them."""
+"""Which sensor is wrong? Fits that each leave one out follow the readings, and collect what speaks against them."""
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
-from scipy import stats
 from torch import Tensor
 
 from repro.estimation.base import Estimate, Estimator
+from repro.estimation.consistency import limit
 
 EXPLAINED = 1e-3
 """A fit explains a reading unless chance exceeds its residual more rarely than this."""
@@ -18,22 +17,10 @@ EXCLUDED = 1e-6
 """A sensor is not the one that is wrong if chance exceeds the residuals without it more rarely than this."""
 MUCH_BETTER = 25.0
 """... or if they exceed those without another one by so much: five standard deviations."""
-ENOUGH = 3.0
+ENOUGH = 10.0
 """Degrees of freedom before a sensor is named."""
 HEAVIEST = 100.0
 """No single reading speaks more against a sensor, so that a fit that was lost for a moment can recover."""
-
-
-@lru_cache(maxsize=4096)
-def limit(chance: float, dof: int | float) -> float:
-    """Chi-square that chance exceeds so rarely; with less than one degree of freedom as with one.
-
-    Examples
-    --------
-    >>> round(limit(0.05, 1), 3)
-    3.841
-    """
-    return float(stats.chi2.isf(chance, max(dof, 1)))
 
 
 class LeftOut(NamedTuple):
@@ -55,8 +42,12 @@ class LeftOut(NamedTuple):
     dof: Float[Tensor, " s"]
     jump: Float[Tensor, " s"]
 
+    def added(self, before: LeftOut) -> LeftOut:
+        """These fits, with what spoke against them in an alarm before."""
+        return LeftOut(self.q, self.chi2 + before.chi2, self.dof + before.dof, self.jump + before.jump)
+
     def wrong(self, use: Bool[Tensor, " s"], frozen: Bool[Tensor, " s"]) -> tuple[str, tuple[int, ...]]:
-        """Return the cause as in :class:`~repro.estimation.monitor.Verdict`, and the sensors named, one or two.
+        """Return the cause as in :class:`~repro.estimation.consistency.Verdict`, and the sensors named, one or two.
 
         Parameters
         ----------
@@ -128,7 +119,9 @@ def recovered(
 ) -> LeftOut:
     """Try other starts for the fits that are excluded; what spoke against those that then explain is halved."""
     fresh = begun(solver, u, use, starts, known)
-    out = [c > limit(EXCLUDED, round(d, 1)) for c, d in zip(left.chi2.tolist(), left.dof.tolist(), strict=True)]
+    out = [
+        c > limit(EXCLUDED, round(d, 1)) for c, d in zip(left.chi2.tolist(), left.dof.tolist(), strict=True)
+    ]
     good = [c <= limit(EXPLAINED, d) for c, d in zip(fresh.chi2.tolist(), fresh.dof.tolist(), strict=True)]
     again = torch.tensor(out) & torch.tensor(good)
     share = torch.where(again, 0.5, 1.0).to(left.chi2)
@@ -136,12 +129,12 @@ def recovered(
     return LeftOut(q, share * left.chi2, share * left.dof, left.jump)
 
 
-def _fitted(
-    solver: Estimator[Any], starts: Tensor, u: Tensor, use: Tensor, known: Tensor | None
-) -> Estimate:
+def _fitted(solver: Estimator[Any], starts: Tensor, u: Tensor, use: Tensor, known: Tensor | None) -> Estimate:
     """Fits without each sensor, ``[s, k, ...]``."""
     without = use & ~torch.eye(len(u), dtype=torch.bool)[:, None]
-    without = torch.where(without.any(-1, keepdim=True), without, use)  # the only one in use cannot be left out
+    without = torch.where(
+        without.any(-1, keepdim=True), without, use
+    )  # the only one in use cannot be left out
     without = without.expand(*starts.shape[:-1], -1)
     readings = u.expand(without.shape)
     return solver.step(solver.init(starts, seed=0), readings, 0.0, mask=without, known=known)[1]

@@ -196,7 +196,9 @@ class ParticleFilter:
             best = torch.where(free, best, known)
             C = torch.where(free.unsqueeze(-1) & free.unsqueeze(-2), C, 0.0)
         u_hat = self._predicted(best)
-        free = torch.ones_like(best, dtype=torch.bool) if known is None else torch.isnan(known).expand_as(best)
+        free = (
+            torch.ones_like(best, dtype=torch.bool) if known is None else torch.isnan(known).expand_as(best)
+        )
         diagnostics = {
             "effective_sample_size": found.effective_sample_size,
             "surprise": unlikely,

@@ -13,13 +13,14 @@ from torch import Tensor
 
 from repro.errors import InputError, bad_input
 from repro.estimation.base import Estimate, Estimator
+from repro.estimation.consistency import Verdict
 from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.imu_models import exact_arcs
 from repro.estimation.imu_selection import Selection
 from repro.estimation.imu_shape import ImuShape
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian
-from repro.estimation.monitor import Monitored, Verdict
+from repro.estimation.monitor import Monitored
 from repro.estimation.multistart import starts_within
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box
@@ -180,7 +181,7 @@ def robot_estimator(
     solver = LevenbergMarquardt(sensing, robot.lower, robot.upper, noise_mt=robot.noise, backend=backend)
     method = _magnetic(robot, name, sensing, backend, solver)
     starts = torch.cat([robot.start[None], starts_within(robot.lower, robot.upper, STARTS, seed=0)])
-    watched = Monitored(method, solver, starts, robot.rate_hz)
+    watched = Monitored(method, solver, starts, robot.rate_hz, unknowns=len(robot.lower))
     return RobotEstimator(robot, name, watched, robot.start, (MAGNETIC_STREAM,), works)
 
 
@@ -200,9 +201,7 @@ def _magnetic(
         options = {"noise_mt": robot.noise, "backend": backend}
         return IteratedKalmanFilter(sensing, low, high, acceleration, velocity, **options)
     if name == "gradient_descent":
-        return GradientDescent(
-            sensing, _step_size(robot, sensing), backend=backend, noise_mt=robot.noise
-        )
+        return GradientDescent(sensing, _step_size(robot, sensing), backend=backend, noise_mt=robot.noise)
     if len(low) > MOST_PARTICLE_COORDINATES:
         expected = (
             f"another one for {robot.name}: particles fill at most {MOST_PARTICLE_COORDINATES} coordinates"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from repro.estimation.monitor import CONSISTENT, STATUS, WRONG, Verdict
+from repro.estimation.consistency import CONSISTENT, STATUS, WRONG, Verdict
 
 CAUSES = {
     "": "",
@@ -15,6 +15,7 @@ CAUSES = {
     "untold": "Which sensor it is cannot be told so far.",
     "no redundancy": "Which sensor it is cannot be told: there is no redundancy.",
     "estimator": "The sensors agree with each other: the estimator lags behind them.",
+    "too few": "There are fewer readings than unknowns: they do not determine the shape.",
     "anew": "Another shape explained the readings much better: the estimator was started anew there.",
 }
 
@@ -31,16 +32,16 @@ def verdict_words(verdict: Verdict, sensors: Sequence[str]) -> str:
 
     Examples
     --------
-    >>> verdict_words(Verdict(WRONG, True, 41.7, "sensors", (2,)), ["sensor 1", "sensor 2", "sensor 3"])
-    'Wrong, not to be trusted: residuals are 42 times as large as noise explains. It is sensor 3 (--failed 3 leaves it out).'
+    >>> verdict_words(Verdict(WRONG, True, 41.7, "sensors", (1,)), ["sensor 1", "sensor 2"])
+    'Wrong, not to be trusted: residuals are 42 times those of the noise. It is sensor 2 (--failed 2 leaves it out).'
     """
     if verdict.status == CONSISTENT:
         return ""
     doubt = "not to be trusted" if verdict.status == WRONG else "perhaps not to be trusted"
     head = f"{STATUS[verdict.status].capitalize()}, {doubt}"
-    if verdict.cause == "anew":
-        return f"{head}. {CAUSES['anew']}"
-    head += f": residuals are {verdict.excess:.2g} times as large as noise explains."
+    if verdict.cause in ("anew", "too few"):
+        return f"{head}. {CAUSES[verdict.cause]}"
+    head += f": residuals are {verdict.excess:.2g} times those of the noise."
     if verdict.cause == "sensors":
         names = " or ".join(sensors[k] for k in verdict.suspects)
         options = " or ".join(f"--failed {k + 1}" for k in verdict.suspects)

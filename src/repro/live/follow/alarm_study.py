@@ -1,0 +1,242 @@
+"""Are faults of sensors noticed? The faults that an emulated robot can have, with the monitor watching; synthetic."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+import torch
+from jaxtyping import Float
+from scipy import stats
+from torch import Tensor
+
+from repro.estimation.consistency import CONSISTENT
+from repro.estimation.levenberg_marquardt import jacobian
+from repro.live.emulate.robot_readings import RobotReadings, course, readings_along
+from repro.live.emulate.sensor_faults import SensorFaults, with_sensor_faults
+from repro.live.follow.robot_estimator import RobotEstimator, robot_estimator
+from repro.live.robot.robot_file import RobotFile, load_robot
+from repro.report.project import find_project
+
+SCENARIOS: dict[str, dict[str, float]] = {
+    "none": {},
+    "start bent": {},
+    "jump": {},
+    "no reading": {"nan": 1},
+    "unplugged": {"unplug": 1},
+    "stuck": {"stick": 1},
+    "saturated": {"saturate": 1},
+    "gain +5 %": {"gain": 1},
+    "magnet near": {"magnet": 150.0},
+    "noise x 5": {"noise": 5.0},
+}
+"""By name, faults as :class:`~repro.live.emulate.sensor_faults.SensorFaults` takes them; 1 is any sensor."""
+FAULT_AT_S, DURATION_S = 2.0, 6.0
+SHORTEST_S, FEWEST = 0.25, 10
+"""Time and readings within which a fault is to be noticed: the larger of the two."""
+TIMES = 3.0
+"""A tip error counts if it exceeds the half width of the fault-free 95 % interval by this factor."""
+SEEN, CLEAR = 5.0, 30.0
+"""Size of what a fault adds to the residuals, in standard deviations: from where it must be noticed, and named."""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A run: one row for each reading.
+
+    Parameters
+    ----------
+    time_s
+        Of the readings.
+    status
+        Of the monitor.
+    suspects
+        Sensors that it names.
+    testable
+        Whether it could tell anything.
+    holds
+        Whether the 95 % ellipsoid holds the true configuration.
+    tip_error, tip_interval
+        Distance of the tip from the true one, and 1.96 standard deviations that it has without a fault, by the noise
+        alone (root of the sum of the variances) [m].
+    signal
+        Size of what the fault adds to the readings, of that which no configuration can [standard deviations].
+    """
+
+    time_s: Float[np.ndarray, " n"]
+    status: np.ndarray
+    suspects: list[tuple[int, ...]]
+    testable: np.ndarray
+    holds: np.ndarray
+    tip_error: Float[np.ndarray, " n"]
+    tip_interval: Float[np.ndarray, " n"]
+    signal: Float[np.ndarray, " n"]
+
+
+def watched(
+    described: RobotFile, estimator: RobotEstimator, scenario: str, *, sensor: int, rate_hz: float, seed: int
+) -> Watched:
+    """Let a robot move, let a sensor fail, and watch.
+
+    Parameters
+    ----------
+    described
+        The robot; it is as described.
+    estimator
+        Of this robot.
+    scenario
+        One of :data:`SCENARIOS`.
+    sensor
+        Number of the sensor that fails, from 1.
+    rate_hz
+        Readings per second.
+    seed
+        Of motion and noise.
+    """
+    time_s = np.arange(round(DURATION_S * rate_hz)) / rate_hz
+    lead_s = 20.0 if scenario == "start bent" else 0.0  # the robot has long been moving
+    q = course(described, time_s + lead_s, seed=seed)
+    if scenario == "jump":
+        after = time_s >= FAULT_AT_S
+        q[after] = course(described, time_s[after] + 40.0, seed=seed)
+    sound = readings_along(described, time_s, q, rng=np.random.default_rng([seed, 1]))
+    named = {name: sensor if value == 1 else value for name, value in SCENARIOS[scenario].items()}
+    sent = with_sensor_faults(sound, SensorFaults(**named), from_s=FAULT_AT_S, seed=seed)  # type: ignore[arg-type]
+    truth, J = torch.from_numpy(q), jacobian(described.sensing(), torch.from_numpy(q))[1]
+    tips, J_tip = tips_of(described, truth)
+    free = described.noise**2 * torch.linalg.inv(J.mT @ J)
+    interval = 1.96 * (J_tip @ free @ J_tip.mT).diagonal(dim1=-2, dim2=-1).sum(-1).sqrt()
+    rows = _followed(described, estimator, sent)
+    q_hat, C = torch.stack([row[0] for row in rows]), torch.stack([row[1] for row in rows])
+    error = (q_hat - truth).unsqueeze(-1)
+    squared = (error.mT @ torch.linalg.solve(C, error)).flatten()
+    return Watched(
+        time_s,
+        np.array([row[2] for row in rows]),
+        [row[3] for row in rows],
+        np.array([row[4] for row in rows]),
+        (squared <= stats.chi2.isf(0.05, q.shape[1])).numpy(),
+        torch.linalg.vector_norm(tips_of(described, q_hat)[0] - tips, dim=-1).numpy(),
+        interval.numpy(),
+        _signal(described, sound, sent, J),
+    )
+
+
+def alarm_counts(run: Watched, sensor: int, rate_hz: float) -> dict[str, float]:
+    """What became of one run, after the fault.
+
+    ``due`` readings are those where the tip has been off by :data:`TIMES` its interval and the signal above
+    :data:`SEEN` for the time within which that is to be noticed; ``noticed`` are those of them with an alarm.
+    """
+    patience = max(FEWEST, math.ceil(SHORTEST_S * rate_hz))
+    after = run.time_s >= FAULT_AT_S
+    wrong = after & (run.tip_error > TIMES * run.tip_interval)
+    due, clear = (_lasting(wrong & (run.signal > size), patience) for size in (SEEN, CLEAR))
+    alarm = run.status > CONSISTENT
+    named = [
+        suspects for suspects, is_after in zip(run.suspects, after, strict=True) if is_after and suspects
+    ]
+    right = [sensor - 1 in suspects for suspects in named]
+    return {
+        "wrong": int(wrong.sum()),
+        "due": int(due.sum()),
+        "noticed": int((due & alarm).sum()),
+        "unseen": int((_lasting(wrong & (run.signal <= SEEN), patience)).sum()),
+        "clear": bool(clear.any()),
+        "named": bool(named),
+        "named_right": bool(named) and right[-1],
+        "named_readings": len(named),
+        "named_readings_right": sum(right),
+        "alarms": int((alarm & after).sum()),
+        "alarms_before": int((alarm & ~after).sum()),
+        "trusted": int((after & ~alarm).sum()),
+        "trusted_hold": int((after & ~alarm & run.holds).sum()),
+        "readings": int(after.sum()),
+    }
+
+
+def alarm_trials(
+    robots: Sequence[str], rates_hz: Sequence[float], estimators: Sequence[str], trials: int, seed: int
+) -> pd.DataFrame:
+    """Counts of :func:`alarm_counts` over trials, each with its own motion, noise and sensor that fails.
+
+    Parameters
+    ----------
+    robots, rates_hz
+        Robot files in ``data/robots``, and readings per second of each.
+    estimators
+        Of :data:`repro.live.follow.robot_estimator.ESTIMATORS`.
+    trials
+        Of every scenario.
+    seed
+        Of the first trial.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row for each robot, estimator and scenario, with the sums over its trials.
+    """
+    rows = []
+    for robot, rate_hz in zip(robots, rates_hz, strict=True):
+        described = replace(load_robot(find_project().data / "robots" / f"{robot}.toml"), rate_hz=rate_hz)
+        for name in estimators:
+            estimator = robot_estimator(described, name)
+            for scenario in SCENARIOS:
+                total = dict.fromkeys(("robot", "estimator", "scenario"), "")
+                counts = []
+                for trial in range(trials):
+                    sensor = 1 + (seed + trial) % len(described.channel)
+                    options = {"sensor": sensor, "rate_hz": rate_hz, "seed": seed + trial}
+                    counts.append(
+                        alarm_counts(watched(described, estimator, scenario, **options), sensor, rate_hz)
+                    )
+                total = {"robot": robot, "estimator": name, "scenario": scenario, "trials": trials}
+                rows.append(total | pd.DataFrame(counts).sum().to_dict())
+    return pd.DataFrame(rows)
+
+
+def tips_of(described: RobotFile, q: Tensor) -> tuple[Tensor, Tensor]:
+    """Positions of the tip [m], and their derivatives by the configuration."""
+
+    def summed(x: Tensor) -> tuple[Tensor, Tensor]:
+        tip = described.robot.tip(x)[..., :3, 3]
+        return tip.sum(0), tip
+
+    J, tips = torch.func.jacrev(summed, has_aux=True)(q)
+    return tips.detach(), J.detach().movedim(0, -2)
+
+
+def _followed(
+    described: RobotFile, estimator: RobotEstimator, sent: RobotReadings
+) -> list[tuple[Tensor, Tensor, int, tuple[int, ...], bool]]:
+    state, rows = estimator.method.init(estimator.start, seed=0), []
+    for time_s, values in zip(sent.time_s.tolist(), sent.values.tolist(), strict=True):
+        state, found = estimator.method.step(state, described.signal(values), time_s, mask=estimator.use)
+        assert found.covariance is not None
+        verdict = state.verdict
+        rows.append((found.q, found.covariance, verdict.status, verdict.suspects, verdict.testable))
+    return rows
+
+
+def _signal(
+    described: RobotFile, sound: RobotReadings, sent: RobotReadings, J: Tensor
+) -> Float[np.ndarray, " n"]:
+    """What a fault adds, less the part that another configuration would explain (to first order)."""
+    channels = list(described.channel)
+    added = torch.from_numpy((sent.values - sound.values)[:, channels]) / described.noise
+    gone = torch.isnan(added)
+    J = torch.where(gone.unsqueeze(-1), 0.0, J)
+    added = torch.where(gone, 0.0, added).unsqueeze(-1)
+    explained = J @ torch.linalg.lstsq(J, added, driver="gelsd").solution
+    return torch.linalg.vector_norm(added - explained, dim=(-2, -1)).numpy()
+
+
+def _lasting(what: np.ndarray, patience: int) -> np.ndarray:
+    """Where something has been so for a number of readings."""
+    count = np.zeros(len(what), dtype=int)
+    for k in range(len(what)):
+        count[k] = (count[k - 1] + 1 if k else 1) if what[k] else 0
+    return count > patience
