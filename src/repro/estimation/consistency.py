@@ -92,8 +92,8 @@ def verdict_on(window: tuple[Seen, ...], chance: float) -> Verdict:
     Examples
     --------
     >>> u = torch.zeros(3)
-    >>> verdict_on((Seen(u, u == 0, 40.0, 2, 0.0),), 1e-6)
-    Verdict(status=1, testable=True, excess=4.47213595499958, cause='', suspects=())
+    >>> verdict_on((Seen(u, u == 0, 32.0, 2, 0.0),), 1e-6)
+    Verdict(status=1, testable=True, excess=4.0, cause='', suspects=())
     """
     chi2, dof = sum(seen.chi2 for seen in window), sum(seen.dof for seen in window)
     if not dof:

@@ -13,12 +13,17 @@ from repro.estimation.consistency import limit
 
 EXPLAINED = 1e-3
 """A fit explains a reading unless chance exceeds its residual more rarely than this."""
-EXCLUDED = 1e-6
+EXCLUDED = 3e-3
 """A sensor is not the one that is wrong if chance exceeds the residuals without it more rarely than this."""
 MUCH_BETTER = 25.0
-"""... or if they exceed those without another one by so much: five standard deviations."""
-ENOUGH = 10.0
+"""A fit is much better if its chi-square is lower by so much: five standard deviations."""
+DECISIVE = 100.0
+"""A sensor is not the one either if chi-square without it exceeds that without another one by so much."""
+ENOUGH = 20.0
 """Degrees of freedom before a sensor is named."""
+STRONG = 20.0
+"""Root mean square of the residuals with all sensors from which one is named [standard deviations]. With two more
+readings than unknowns, what all sensors share looks like one of them in half of the cases if it is weaker."""
 HEAVIEST = 100.0
 """No single reading speaks more against a sensor, so that a fit that was lost for a moment can recover."""
 
@@ -35,16 +40,21 @@ class LeftOut(NamedTuple):
     jump
         Squared distance of the first fit from where the robot was just before the alarm, in units of its variance.
         A sensor that fails in an instant moves every fit that uses it; the robot itself cannot.
+    whole
+        Squared residuals with all sensors since the alarm began, and the number of readings.
     """
 
     q: Float[Tensor, "s n_q"]
     chi2: Float[Tensor, " s"]
     dof: Float[Tensor, " s"]
     jump: Float[Tensor, " s"]
+    whole: tuple[float, int]
 
     def added(self, before: LeftOut) -> LeftOut:
         """These fits, with what spoke against them in an alarm before."""
-        return LeftOut(self.q, self.chi2 + before.chi2, self.dof + before.dof, self.jump + before.jump)
+        chi2, dof, jump = self.chi2 + before.chi2, self.dof + before.dof, self.jump + before.jump
+        whole = (self.whole[0] + before.whole[0], self.whole[1] + before.whole[1])
+        return LeftOut(self.q, chi2, dof, jump, whole)
 
     def wrong(self, use: Bool[Tensor, " s"], frozen: Bool[Tensor, " s"]) -> tuple[str, tuple[int, ...]]:
         """Return the cause as in :class:`~repro.estimation.consistency.Verdict`, and the sensors named, one or two.
@@ -67,9 +77,11 @@ class LeftOut(NamedTuple):
             return "several", ()
         against = (self.chi2 + self.jump).tolist()
         least = min(against[k] for k in left)
-        left = [k for k in left if against[k] <= least + MUCH_BETTER]
+        left = [k for k in left if against[k] <= least + DECISIVE]
         if len(left) > 2:
             left = [k for k in left if frozen[k]]
+        if self.whole[0] < STRONG**2 * self.whole[1]:
+            return "untold", ()
         return ("sensors", tuple(left)) if 1 <= len(left) <= 2 else ("untold", ())
 
 
@@ -95,7 +107,7 @@ def begun(
         C = found.covariance[every, first] + torch.diag(before[1] ** 2)
         away = (q - before[0]).unsqueeze(-1)
         jump = (away.mT @ torch.linalg.solve(C, away)).flatten()
-    return LeftOut(q, chi2[every, first].clamp_max(HEAVIEST), dof[every, first], jump)
+    return LeftOut(q, chi2[every, first].clamp_max(HEAVIEST), dof[every, first], jump, (0.0, 0))
 
 
 def followed(
@@ -105,13 +117,14 @@ def followed(
     use: Tensor,
     known: Tensor | None,
     *,
+    whole: float,
     weight: float,
 ) -> LeftOut:
-    """Fits of the next reading from the last ones; their residuals count with a weight."""
+    """Fits of the next reading from the last ones; their residuals count with a weight, ``whole`` those of all."""
     found = _fitted(solver, left.q[:, None], u, use, known)
     chi2, dof = (found.diagnostics[name][:, 0].to(u) for name in ("chi2", "dof"))
     total = left.chi2 + weight * chi2.clamp_max(HEAVIEST), left.dof + weight * dof
-    return LeftOut(found.q[:, 0], *total, left.jump)
+    return LeftOut(found.q[:, 0], *total, left.jump, (left.whole[0] + whole, left.whole[1] + 1))
 
 
 def recovered(
@@ -126,7 +139,7 @@ def recovered(
     again = torch.tensor(out) & torch.tensor(good)
     share = torch.where(again, 0.5, 1.0).to(left.chi2)
     q = torch.where(again[:, None], fresh.q, left.q)
-    return LeftOut(q, share * left.chi2, share * left.dof, left.jump)
+    return LeftOut(q, share * left.chi2, share * left.dof, left.jump, left.whole)
 
 
 def _fitted(solver: Estimator[Any], starts: Tensor, u: Tensor, use: Tensor, known: Tensor | None) -> Estimate:

@@ -100,7 +100,7 @@ class Monitored(Generic[S]):
     >>> from repro.estimation.levenberg_marquardt import LevenbergMarquardt
     >>> one = torch.ones(1, dtype=torch.float64)
     >>> fit = LevenbergMarquardt(lambda q: q.expand(*q.shape[:-1], 3), -one, one, noise_mt=0.01)
-    >>> u = torch.full((20, 3), 0.5, dtype=torch.float64)
+    >>> u = torch.full((24, 3), 0.5, dtype=torch.float64)
     >>> u[3:, 2] = 0.0
     >>> found = track(Monitored(fit, fit, 0 * one[None], rate_hz=40.0), u, 0 * one)
     >>> [STATUS[k] for k in found.diagnostics["status"][2:4].tolist()], found.diagnostics["suspects"][-1].tolist()
@@ -235,7 +235,8 @@ class Monitored(Generic[S]):
             return state
         seen, n = state.window[-1], 1.0 + float(state.left.dof.max())
         weight = 1 - seen.systematic**2 + seen.systematic**2 / n
-        left = followed(self.solver, state.left, seen.u, seen.use, known, weight=weight)
+        evidence = {"whole": seen.chi2, "weight": weight}
+        left = followed(self.solver, state.left, seen.u, seen.use, known, **evidence)
         cause, suspects = left.wrong(seen.use, frozen(state.window))
         good = left.q[int(left.chi2.argmin())] if cause == "sensors" else state.good
         verdict = state.verdict._replace(cause=cause, suspects=suspects)
