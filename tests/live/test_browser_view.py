@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 from page_on_screen import NO_GPU, differing, pixels, wait_until
 
-from repro.live.follow.browser import FILES, MOST_CLIENTS, WAITING, BrowserView, message
+from repro.live.follow.browser import MOST_CLIENTS, WAITING, BrowserView, message
 from repro.live.follow.latency import STAGES, Latencies
+from repro.live.follow.live_state import LiveState
+from repro.live.follow.page_server import FILES
 from repro.live.follow.robot_estimator import Follower, robot_estimator
-from repro.live.follow.session import LiveState
 from repro.live.follow.time_steps import TimeStep
 from repro.live.record.recorder import Summary
 from repro.live.robot.robot_file import load_robot
@@ -54,12 +55,19 @@ def state(estimator, follower, time_s=math.nan, u=None, estimate=None, gone=Fals
     return LiveState(
         seconds=1.0,
         time_s=time_s,
+        since_s=0.0,
         readings=u,
         estimate=estimate,
+        age_s=0.0,
+        silent=False,
+        arriving="frames",
+        foreign="",
         rate_hz=20.0,
         estimated=follower.estimated,
         dropped=0,
         refused=0,
+        dropped_now=False,
+        refused_now=False,
         refusal="",
         missing=tuple(follower.missing),
         missing_now=(False, gone, False),

@@ -23,9 +23,10 @@ from repro.live.emulate.board import passages
 from repro.live.emulate.emulator import Emulator
 from repro.live.emulate.links import HAS_PTY, PtyLink, SocketLink
 from repro.live.emulate.soak import _peak_bytes
+from repro.live.follow.live_state import LiveState
 from repro.live.follow.played import PERIOD_S, played
 from repro.live.follow.robot_estimator import robot_estimator
-from repro.live.follow.session import LiveState, follow
+from repro.live.follow.session import follow
 from repro.live.record.recording import read_recording
 from repro.live.robot.robot_file import load_robot
 from repro.report.project import find_project
@@ -41,7 +42,7 @@ class LiveSoakReport:
     Attributes
     ----------
     estimated, dropped, refused
-        Time steps; see :class:`repro.live.follow.session.LiveState`.
+        Time steps; see :class:`repro.live.follow.live_state.LiveState`.
     gaps
         Frames that did not arrive.
     recorded
