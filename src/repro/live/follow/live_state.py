@@ -27,7 +27,7 @@ FEW_STEPS = 3
 STEPS = 9
 """How long a time step is, is the median of so many."""
 BYTES_S = 2.5
-"""Bytes that arrived within this time arrive now: the recorder tells of them once a second [s]."""
+"""Bytes without a frame that came within this time come now: the recorder tells of them once a second [s]."""
 
 Arriving = Literal["frames", "bytes", "nothing", "no port"]
 
@@ -170,9 +170,10 @@ class Tally:
 
     def note(self, summary: Summary) -> None:
         """Take what the recorder counted."""
-        before, self._recorded = self._recorded.counters.get("received_bytes", 0), summary
-        if summary.counters["received_bytes"] > before:
+        before, now = self._recorded.counters, summary.counters
+        if now["received_bytes"] > before.get("received_bytes", 0) and now["frames"] == before["frames"]:
             self._bytes_at = time.monotonic()
+        self._recorded = summary
 
     def step(self, step: TimeStep) -> LiveEstimate | None:
         """Estimate a time step."""

@@ -111,6 +111,7 @@ function begin(scene) {
     entry.prepend(mark);
   });
   let latest = null;
+  let stopped = ""; // the mark of what is shown, once nothing more comes
   const draw = () => {
     if (latest === null) return;
     if (handle && latest.shape) handle.update(latest.shape);
@@ -118,14 +119,15 @@ function begin(scene) {
     fill(byId("troubles"), latest.troubles);
     fill(byId("values"), scene.traces.map((name, k) => `${name} ${latest.readings?.[k]?.toPrecision(4) ?? "—"}`));
     byId("head").textContent = latest.head;
-    doubt(latest.mark);
+    doubt(latest.shape ? stopped || latest.mark : "");
     byId("counters").textContent = latest.counters;
     traces.draw();
     latest = null;
   };
   const over = (text) => {
     say(text);
-    if (byId("quantities").children.length) doubt("the last ones");
+    stopped = "the last ones";
+    if (byId("quantities").children.length) doubt(stopped);
   };
   let lost = false;
   const events = new EventSource("/events");
