@@ -383,7 +383,7 @@ def play(view, page, states) -> None:
 
 def test_the_page_draws_shape_and_readings_and_they_move(show, view, states):
     page = show()
-    assert page.get_by_role("status").inner_text() in ("Connecting …", "No frame yet.")
+    wait_until(page, "document.getElementById('status').textContent === 'The estimator is being prepared.'")
     play(view, page, states[:2])
     assert page.get_by_role("status").inner_text() == "Estimating."
     assert not page.locator("#no-shape").is_visible()

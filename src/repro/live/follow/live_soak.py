@@ -128,8 +128,8 @@ def live_soak(
 def _play(robot: str, rate_hz: float, send: Connection) -> None:
     sent = played(load_robot(robot), rate_hz=rate_hz, seconds=PERIOD_S, seed=0)
     link = PtyLink() if HAS_PTY else SocketLink()
-    send.send(link.address)
-    Emulator(passages(sent.take.readings(loop=True), sent.take.format), link).run()
+    emulator = Emulator(passages(sent.take.readings(loop=True), sent.take.format), link)
+    emulator.run(lambda: send.send(link.address))
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -131,7 +131,10 @@ function begin(scene) {
   };
   let lost = false;
   const events = new EventSource("/events");
-  events.onopen = () => { if (lost) location.reload(); }; // it may be another session
+  events.onopen = () => {
+    if (lost) location.reload(); // it may be another session
+    say("The estimator is being prepared.");
+  };
   events.onmessage = (event) => {
     const first = latest === null;
     latest = JSON.parse(event.data);
