@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Iterator
@@ -192,8 +193,10 @@ class _Block:
                 to_terminal(live_text.line(self._estimator, state))
                 return
             lines = live_text.block(self._estimator, state)
-            width = shutil.get_terminal_size().columns
-            lines = [text[: width - 1] for text in lines]  # a line that wraps could not be written over
+            size = shutil.get_terminal_size()
+            # a line that the terminal breaks, or one that it moved out of sight, could not be written over
+            lines = [part for text in lines for part in textwrap.wrap(text, max(size.columns - 1, 20))]
+            lines = lines[: size.lines - 1]
             to_terminal(self._up() + "\n".join(lines))
             self._height = len(lines)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -15,7 +16,7 @@ from pathlib import Path
 import pytest
 from pty_board import Board
 
-from repro.cli_robot import live
+from repro import cli_robot
 from repro.errors import InputError
 from repro.live.emulate.links import HAS_PTY
 from repro.live.follow import live_text, session
@@ -275,6 +276,56 @@ def test_a_missing_port_is_told_before_the_estimator_is_compiled(estimator, monk
         follow(str(tmp_path / "none"), estimator, output=tmp_path / "taken")
 
 
+def test_the_page_quotes_what_is_said(estimator, board):
+    good = Session(board, estimator)
+    good.send(10)
+    state = good.finish()
+    refused = "Input frame of the stream must be of 3 channels, as described in one_segment.toml; instead received 4"
+    cases = [
+        {"silent": True, "age_s": 6.0, "arriving": "nothing"},
+        {
+            "silent": True,
+            "age_s": 6.0,
+            "arriving": "nothing",
+            "recorded": replace(state.recorded, counters={}),
+        },
+        {"silent": True, "age_s": 6.0, "arriving": "bytes"},
+        {"silent": True, "age_s": 6.0, "arriving": "no port"},
+        {"refused": 3, "refusal": refused},
+        {"dropped": 3, "dropped_now": True},
+        {"dropped": 3},
+        {"missing": (0, 3, 0), "missing_now": (False, True, False)},
+    ]
+    said = "\n".join(live_text.line(estimator, replace(state, **case)) for case in cases)
+    section = (ONE_SEGMENT.parents[2] / "book" / "own_robot.md").read_text().split("## Estimate")[1]
+    quoted = [
+        words
+        for row in section.splitlines()
+        if row.startswith("| `")
+        for words in re.findall("`(.*?)`", row.split("|")[1])
+    ]
+    assert len(quoted) == 9
+    for words in quoted:
+        assert re.search(".*".join(map(re.escape, words.split("…"))), said), words
+
+
+def test_on_a_narrow_terminal_everything_can_be_read(board, estimator, monkeypatch):
+    live = Session(board, estimator)
+    state = live.until(lambda state: state.silent)
+    live.finish()
+    master, slave = os.openpty()
+    monkeypatch.setenv("COLUMNS", "40")
+    with os.fdopen(slave, "w") as terminal:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        screen = cli_robot._Block(estimator, None)
+        screen._shown -= 1
+        screen.show(state)
+        lines = os.read(master, 65536).decode().splitlines()
+    os.close(master)
+    assert max(map(len, lines)) < 40
+    assert " ".join(live_text.block(estimator, state)).split() == " ".join(lines).split()
+
+
 # -- the commands
 
 
@@ -282,8 +333,8 @@ def command(*arguments: object) -> list[str]:
     return [sys.executable, "-m", "repro.cli", *map(str, arguments)]
 
 
-def on_a_terminal(arguments: list[str]) -> tuple[subprocess.Popen, int]:
-    """Start a command as the first of a terminal, which is hung up when the returned end is closed."""
+def on_a_terminal(arguments: list[str]) -> tuple[subprocess.Popen, int, list[bytes]]:
+    """Start a command as the first of a terminal, which is hung up when the returned end is closed; and its words."""
     import fcntl
     import termios
 
@@ -295,14 +346,15 @@ def on_a_terminal(arguments: list[str]) -> tuple[subprocess.Popen, int]:
 
     process = subprocess.Popen(arguments, stdin=slave, stdout=slave, stderr=slave, preexec_fn=lead)
     os.close(slave)
-    threading.Thread(target=swallow, args=(master,), daemon=True).start()
-    return process, master
+    said: list[bytes] = []
+    threading.Thread(target=listen, args=(master, said), daemon=True).start()
+    return process, master, said
 
 
-def swallow(master: int) -> None:
+def listen(master: int, said: list[bytes]) -> None:
     try:
-        while os.read(master, 4096):
-            pass
+        while part := os.read(master, 4096):
+            said.append(part)
     except OSError:  # it was closed
         pass
 
@@ -311,11 +363,13 @@ def swallow(master: int) -> None:
 def test_a_terminal_that_is_closed_leaves_a_complete_recording(board, estimator, tmp_path, name):
     output = tmp_path / "a.rec"
     options = ["--robot", ONE_SEGMENT] if name == "live" else ["--format", "frames"]
-    process, terminal = on_a_terminal(command(name, board.port, *options, "-o", output))
+    process, terminal, said = on_a_terminal(command(name, board.port, *options, "-o", output))
     values = tuple(estimator.robot.values(estimator.robot.start).tolist())
     deadline, sent = time.monotonic() + 120, 0
     try:
-        while time.monotonic() < deadline and not (output.exists() and sent > 100):
+        while not (output.exists() and sent > 100):
+            assert process.poll() is None, b"".join(said)
+            assert time.monotonic() < deadline, b"".join(said)
             board.send(encode("frames", Frame(0, sent, 20_000 * sent, values)))
             sent += output.exists()
             time.sleep(0.005)
@@ -354,7 +408,7 @@ def test_the_page_gets_the_port_that_is_asked_for(board):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         number = taken.getsockname()[1]
     with pytest.raises(InputError) as error:
-        live(str(board.port), robot=ONE_SEGMENT, browser_socket=number)
+        cli_robot.live(str(board.port), robot=ONE_SEGMENT, browser_socket=number)
     assert str(error.value) == (
         f"Input browser_socket of repro live must be left out without --browser; instead received {number}."
     )
