@@ -6,7 +6,6 @@ Each imports what it needs when it runs, so that help is instant.
 from __future__ import annotations
 
 import math
-import signal
 import sys
 import threading
 import time
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from repro.cli_pairs import pairs
+from repro.cli_terminal import set_by_signals, to_terminal
 from repro.errors import bad_input
 
 if TYPE_CHECKING:
@@ -71,8 +71,7 @@ def record(
     if output is None:
         raise bad_input("output", "repro record", "given (-o FILE)", "none")
     stop, screen = threading.Event(), _Screen()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    set_by_signals(stop)
     try:
         summary = record_port(
             port,
@@ -201,12 +200,12 @@ class _Screen:
     def show(self, summary: Summary) -> None:
         if self._terminal:
             text = str(summary)
-            print(f"\r{text:{self._width}}", end="", file=sys.stderr, flush=True)
+            to_terminal(f"\r{text:{self._width}}", end="")
             self._width = len(text)
         elif time.monotonic() - self._shown >= PLAIN_S - 0.5:
             self._shown = time.monotonic()
-            print(summary, file=sys.stderr, flush=True)
+            to_terminal(str(summary))
 
     def line(self, text: str) -> None:
-        print("\n" * (self._width > 0) + text, file=sys.stderr, flush=True)
+        to_terminal("\n" * (self._width > 0) + text)
         self._width = 0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import shutil
-import signal
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Iterator
@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from repro.cli_terminal import set_by_signals, to_terminal
+
 if TYPE_CHECKING:
     from repro.live.follow.browser import BrowserView
+    from repro.live.follow.live_state import LiveState
     from repro.live.follow.robot_estimator import RobotEstimator
-    from repro.live.follow.session import LiveState
     from repro.live.robot.robot_file import RobotFile
     from repro.live.wire.frame import Frame
 
@@ -97,6 +99,7 @@ def live(
     estimator: str = "",
     output: Annotated[Path | None, Parameter(name=["-o", "--output"])] = None,
     browser: Annotated[bool, Parameter(negative="")] = False,
+    browser_socket: int | None = None,
     failed: Annotated[list[int] | None, Parameter(negative="", metavar="NUMBER")] = None,
     baud: int = 115200,
     duration: float = math.inf,
@@ -118,6 +121,8 @@ def live(
         A recording of everything that arrives, as from repro record; a new file. Without it nothing is recorded.
     browser
         Show shape and readings on a page for the browser of this computer; its address is printed.
+    browser_socket
+        Number of a TCP port of this computer for that page; 0, as by default, for a free one.
     failed
         Number of a sensor not to use, from 1; may be repeated.
     baud
@@ -127,6 +132,7 @@ def live(
     """
     import torch
 
+    from repro.errors import bad_input
     from repro.live.follow import live_text
     from repro.live.follow.browser import BrowserView
     from repro.live.follow.robot_estimator import robot_estimator
@@ -135,14 +141,15 @@ def live(
     from repro.live.robot.robot_file import load_robot
     from repro.report.project import shown
 
+    if browser_socket is not None and not browser:
+        raise bad_input("browser_socket", "repro live", "left out without --browser", browser_socket)
     torch.set_num_threads(1)
     described = load_robot(robot, calibration)
     for note in described.notes:
         print(f"Warning: {note}", file=sys.stderr)
     method, stop = robot_estimator(described, estimator, failed=failed or []), threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    view = BrowserView(method) if browser else None
+    set_by_signals(stop)
+    view = BrowserView(method, browser_socket or 0) if browser else None
     screen = _Block(method, view)
     print("Preparing the estimator (the first time its kernels are compiled: a minute).", file=sys.stderr)
     with view or nullcontext():
@@ -183,18 +190,20 @@ class _Block:
         self._shown = time.monotonic()
         with self._lock:
             if not self._terminal:
-                print(live_text.line(self._estimator, state), file=sys.stderr, flush=True)
+                to_terminal(live_text.line(self._estimator, state))
                 return
             lines = live_text.block(self._estimator, state)
-            width = shutil.get_terminal_size().columns
-            lines = [text[: width - 1] for text in lines]  # a line that wraps could not be written over
-            print(self._up() + "\n".join(lines), file=sys.stderr, flush=True)
+            size = shutil.get_terminal_size()
+            # a line that the terminal breaks, or one that it moved out of sight, could not be written over
+            lines = [part for text in lines for part in textwrap.wrap(text, max(size.columns - 1, 20))]
+            lines = lines[: size.lines - 1]
+            to_terminal(self._up() + "\n".join(lines))
             self._height = len(lines)
 
     def line(self, text: str) -> None:
         """Write for good; the block goes on below."""
         with self._lock:
-            print(self._up() + text, file=sys.stderr, flush=True)
+            to_terminal(self._up() + text)
             self._height = 0
 
     def _up(self) -> str:

@@ -6,6 +6,8 @@ import http.client
 import json
 import math
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -16,10 +18,12 @@ import numpy as np
 import pytest
 from page_on_screen import NO_GPU, differing, pixels, wait_until
 
-from repro.live.follow.browser import FILES, MOST_CLIENTS, WAITING, BrowserView, message
+from repro.errors import InputError
+from repro.live.follow.browser import MOST_CLIENTS, WAITING, BrowserView, message
 from repro.live.follow.latency import STAGES, Latencies
+from repro.live.follow.live_state import LiveState
+from repro.live.follow.page_server import ASK_S, FILES, MOST_CONNECTIONS
 from repro.live.follow.robot_estimator import Follower, robot_estimator
-from repro.live.follow.session import LiveState
 from repro.live.follow.time_steps import TimeStep
 from repro.live.record.recorder import Summary
 from repro.live.robot.robot_file import load_robot
@@ -27,6 +31,17 @@ from repro.live.wire.frame import Frame
 from repro.report.robot_view import backbone_deviation
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
+
+
+SERVER = f"""
+import time
+from repro.live.follow.browser import BrowserView
+from repro.live.follow.robot_estimator import robot_estimator
+from repro.live.robot.robot_file import load_robot
+with BrowserView(robot_estimator(load_robot({str(ROBOTS / "bend_sensor.toml")!r}))) as server:
+    print(server.port, flush=True)
+    time.sleep(100)
+"""
 
 
 @pytest.fixture(scope="module")
@@ -54,12 +69,19 @@ def state(estimator, follower, time_s=math.nan, u=None, estimate=None, gone=Fals
     return LiveState(
         seconds=1.0,
         time_s=time_s,
+        since_s=0.0,
         readings=u,
         estimate=estimate,
+        age_s=0.0,
+        silent=False,
+        arriving="frames",
+        foreign="",
         rate_hz=20.0,
         estimated=follower.estimated,
         dropped=0,
         refused=0,
+        dropped_now=False,
+        refused_now=False,
         refusal="",
         missing=tuple(follower.missing),
         missing_now=(False, gone, False),
@@ -261,6 +283,66 @@ def test_imus_are_shown_as_points_and_angles():
     assert len(told["shape"]["shapes"][0]["deviation"]) == len(points) == 65
 
 
+def connected(view: BrowserView, sent: bytes = b"") -> socket.socket:
+    link = socket.create_connection(("127.0.0.1", view.port), timeout=10)
+    link.sendall(sent)
+    return link
+
+
+def answering() -> int:
+    """Threads of this process that answer requests."""
+    return sum("process_request_thread" in thread.name for thread in threading.enumerate())
+
+
+def test_half_a_request_is_given_up_soon(view):
+    began = time.monotonic()
+    with connected(view) as silent, connected(view, b"GET / HTTP/1.1\r\nHo") as half:
+        wait(lambda: answering() == 2)
+        assert silent.recv(100) == half.recv(100) == b""
+    assert ASK_S * 0.9 < time.monotonic() - began < ASK_S + 5
+    wait(lambda: answering() == 0)
+
+
+def test_a_request_that_drips_is_given_up_as_soon(view):
+    def drip(link: socket.socket) -> None:
+        for _ in range(300):
+            link.sendall(b"X")
+            time.sleep(0.05)
+
+    began = time.monotonic()
+    with connected(view, b"GET / HTTP/1.1\r\n") as link, pytest.raises(OSError, match=r"reset|pipe"):
+        drip(link)
+    assert ASK_S * 0.9 < time.monotonic() - began < ASK_S + 5
+    wait(lambda: answering() == 0)
+
+
+def test_many_that_ask_nothing_cost_few_threads_and_the_page_still_comes(view):
+    page = stream(view)
+    links = []
+    for _ in range(3 * MOST_CONNECTIONS):
+        links.append(connected(view, b"GET / HTTP/1.1\r\n"))
+        assert answering() <= MOST_CONNECTIONS + 1 + 5, "those that were closed may take a moment to end"
+        time.sleep(0.002)
+    assert ask(view, "/")[0] == 200
+    view.publish(state(view._estimator, Follower(view._estimator)))
+    assert event(page)[0] == "message", "an open page is not closed in favour of others"
+    for link in links:
+        link.close()
+    wait(lambda: answering() == 1)
+    page.close()
+
+
+def test_a_port_is_taken_as_asked_or_refused(estimator, view):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        number = taken.getsockname()[1]
+    with BrowserView(estimator, number) as server:
+        assert server.address == f"http://127.0.0.1:{number}/"
+        assert ask(server, "/")[0] == 200
+    for wrong, must in ((view.port, f"a free port; instead received {view.port}: "), (-1, "0 to 65535; ")):
+        with pytest.raises(InputError, match=f"^Input browser_socket of repro live must be {must}"):
+            BrowserView(estimator, wrong)
+
+
 # -- in a browser
 
 
@@ -301,7 +383,7 @@ def play(view, page, states) -> None:
 
 def test_the_page_draws_shape_and_readings_and_they_move(show, view, states):
     page = show()
-    assert page.get_by_role("status").inner_text() in ("Connecting …", "No frame yet.")
+    wait_until(page, "document.getElementById('status').textContent === 'The estimator is being prepared.'")
     play(view, page, states[:2])
     assert page.get_by_role("status").inner_text() == "Estimating."
     assert not page.locator("#no-shape").is_visible()
@@ -317,6 +399,58 @@ def test_the_page_draws_shape_and_readings_and_they_move(show, view, states):
     assert page.locator("#values li").nth(1).inner_text() == "sensor 2 —"
     view.__exit__()
     wait_until(page, "document.getElementById('status').textContent === 'The session has ended.'")
+
+
+def colours_at(traces: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
+    """Columns of a picture in which a line of this colour is."""
+    return np.flatnonzero((np.abs(traces - colour).max(-1) < 60).any(0))
+
+
+def test_what_is_old_is_grey_marked_and_ends_where_it_ended(show, view, states):
+    page = show()
+    play(view, page, states[:20])
+    marks, shape = page.locator(".mark"), page.locator("#shape canvas")
+    assert marks.all_inner_texts() == [""] * 3
+    before = pixels(shape)
+    coloured = before.max(-1) - before.min(-1) > 60
+    assert coloured.sum() > 100
+    silent = replace(states[19], age_s=6.2, silent=True, arriving="nothing")
+    view.publish(silent)
+    wait_until(page, "document.querySelector('.mark').textContent === '6 s old'")
+    assert marks.all_inner_texts() == ["6 s old"] * 3
+    assert page.get_by_role("status").inner_text() == "No readings: nothing arrives any more."
+    assert page.locator("#head").inner_text().startswith("no readings for 6 s; ")
+    after = pixels(shape)
+    assert (after.max(-1) - after.min(-1) > 60).sum() == 0, "all is grey"
+    width = pixels(page.locator("#traces")).shape[1]
+    blue = colours_at(pixels(page.locator("#traces")), (0, 0x72, 0xB2))
+    assert blue.max() < width * (1 - 6 / 20 * 0.9), "the line ends where the readings did"
+    again = [replace(s, time_s=s.time_s + 7.0, since_s=states[20].time_s + 7.0) for s in states[20:30]]
+    play(view, page, again)
+    assert marks.all_inner_texts() == [""] * 3
+    blue = colours_at(pixels(page.locator("#traces")), (0, 0x72, 0xB2))
+    assert np.diff(blue).max() > width * 6 / 20 * 0.8, "no line through the time without readings"
+    view.__exit__()
+    wait_until(page, "document.querySelector('.mark').textContent === 'the last ones'")
+
+
+def test_a_page_begins_anew_with_another_session_on_its_port(browser, estimator, states):
+    """Its time, or its robot, is another one."""
+    earlier = subprocess.Popen([sys.executable, "-c", SERVER], stdout=subprocess.PIPE, text=True)
+    try:
+        number = int(earlier.stdout.readline())
+        page = browser.new_page()
+        page.goto(f"http://127.0.0.1:{number}/")
+        wait_until(page, "document.getElementById('robot').textContent === 'bend_sensor.toml'")
+    finally:
+        earlier.kill()
+        earlier.communicate()
+    wait_until(page, "document.getElementById('status').textContent.startsWith('The connection is lost')")
+    with BrowserView(estimator, number) as server:
+        wait_until(page, "document.getElementById('robot').textContent === 'one_segment.toml'")
+        wait(lambda: server._clients)
+        play(server, page, states[:2])
+    page.close()
 
 
 def test_without_webgl_the_numbers_stay(show, view, states):

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pty_board import Board
 
 from repro.errors import InputError
 from repro.live.record.export import export
@@ -37,32 +38,6 @@ try:
 except InputError as error:
     print(f"repro: {error}", file=sys.stderr); sys.exit(2)
 """
-
-
-class Board:
-    """A board on a pseudo-terminal; the port is a link, so that it can be plugged out and in."""
-
-    def __init__(self, folder: Path) -> None:
-        self.port = folder / "port"
-        self.master = -1
-
-    def plug_in(self) -> None:
-        import tty
-
-        self.master, slave = os.openpty()
-        tty.setraw(slave)
-        self.slave = slave
-        self.port.symlink_to(os.ttyname(slave))
-
-    def unplug(self) -> None:
-        self.port.unlink()
-        os.close(self.master)
-        os.close(self.slave)
-        self.master = -1
-
-    def send(self, data: bytes) -> None:
-        while data:
-            data = data[os.write(self.master, data) :]
 
 
 @pytest.fixture

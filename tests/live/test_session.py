@@ -266,9 +266,18 @@ def test_overload_drops_the_newest_says_so_and_the_recording_has_all(robot, tmp_
         "Overload: the estimator is slower than the stream. What arrives while 10 time steps wait is not estimated, "
         "only recorded."
     )
-    assert live_text.troubles(estimator, state) == [
-        f"Overload: {state.dropped} time steps were not estimated, the newest first; the recording has them."
+    lasting, over = replace(state, dropped_now=True), replace(state, dropped_now=False)
+    assert live_text.troubles(estimator, lasting) == [
+        "Overload: the estimator is slower than the stream. "
+        f"{state.dropped} time steps were not estimated so far, the newest first; the recording has them."
     ]
+    assert live_text.alerts(estimator, lasting) == [
+        "Overload: the estimator is too slow, time steps are left out."
+    ]
+    assert live_text.troubles(estimator, over) == [
+        f"{state.dropped} time steps were not estimated, in an overload that is over; the recording has them."
+    ]
+    assert live_text.alerts(estimator, over) == []
     assert len(read_recording(tmp_path / "r").frames) == 120
 
 
@@ -287,14 +296,27 @@ def test_a_sensor_that_falls_silent_is_left_out_and_named(robot, patient):
     assert state.recorded.path is None, "nothing was to be recorded"
 
 
-def test_a_stream_of_another_number_of_channels_is_an_error(robot):
-    readings = [Reading(k / 100, 0, (1.0, 2.0, 3.0, 4.0)) for k in range(200)]
-    with pytest.raises(InputError) as error:
-        followed(board(readings), robot_estimator(robot))
-    assert str(error.value) == (
-        "Input frame of the stream must be of 3 channels, as described in one_segment.toml; "
-        "instead received 4 values."
-    )
+def test_frames_of_another_number_of_values_are_refused_counted_and_recorded(robot, patient, tmp_path):
+    good = tuple(robot.values(robot.start).tolist())
+    readings = [Reading(k / 100, 0, good if k % 3 else (1.0, 2.0, 3.0, 4.0)) for k in range(90)]
+    estimator = robot_estimator(robot)
+    state, _, _ = followed(board(readings), estimator, output=tmp_path / "r")
+    assert (state.estimated, state.refused, state.missing) == (60, 30, (0, 0, 0))
+    assert live_text.troubles(estimator, state) == [
+        "30 time steps without an estimate. Input frame of the stream must be of 3 channels, as described in "
+        "one_segment.toml; instead received 4 values."
+    ]
+    recording = read_recording(tmp_path / "r")
+    assert np.bincount(recording.widths).tolist() == [0, 0, 0, 60, 30], "the recording has all"
+    assert recording.metadata["ended"] == "stopped"
+
+
+def test_an_orientation_of_another_number_of_values_is_refused(arm):
+    follower = Follower(robot_estimator(arm))
+    frames = [Frame(k, None, None, (0.0, 0.0, 0.0, 1.0)) for k in range(7)] + [Frame(7, None, None, (1.0,))]
+    u, estimate = follower.step(TimeStep(0.0, 0, 0, tuple(frames)))
+    assert (u.isnan().all(), estimate, follower.refused) == (True, None, 1)
+    assert follower.refusal.endswith("as described in imu_arm.toml; instead received 1 values.")
 
 
 def test_another_stream_is_counted_and_named(robot, patient):
@@ -314,9 +336,9 @@ def test_errors_of_the_reader_end_the_session(robot, tmp_path):
     estimator = robot_estimator(robot)
     with pytest.raises(InputError, match=r"^Input duration of repro live must be a time above zero \[s\]; "):
         follow("socket://127.0.0.1:1", estimator, duration_s=0.0)
-    with pytest.raises(InputError, match=r"^Input port of repro record must be reachable"):
+    with pytest.raises(InputError, match=r"^Input port of repro live must be reachable"):
         follow("socket://127.0.0.1:1", estimator)
-    with pytest.raises(InputError, match="must be"):
+    with pytest.raises(InputError, match=r"^Input output of repro live must be a new file"):
         follow("socket://127.0.0.1:1", estimator, output=taken)
 
 

@@ -12,48 +12,25 @@ import math
 import queue
 import threading
 import time
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from repro.errors import bad_input
 from repro.live.follow import live_text
+from repro.live.follow.live_state import LiveState
+from repro.live.follow.page_server import ALIVE_S, PageHandler, PageServer
 from repro.live.follow.robot_estimator import RobotEstimator
-from repro.live.follow.session import LiveState
 from repro.live.robot.robot_file import RobotFile
 from repro.report.robot_view import backbone_points, live_frame, live_scene
-from repro.report.shape_view import VIEWER
 
-PAGE = Path(__file__).with_name("page")
-FILES = {
-    "/": (PAGE / "index.html", "text/html; charset=utf-8"),
-    "/page.css": (PAGE / "page.css", "text/css; charset=utf-8"),
-    "/page.js": (PAGE / "page.js", "text/javascript; charset=utf-8"),
-    "/viewer.js": (VIEWER, "text/javascript; charset=utf-8"),
-}
-"""All files that are served."""
-HEADERS = {
-    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
-    "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-    "X-Content-Type-Options": "nosniff",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",
-    "Cache-Control": "no-store",
-}
 WAITING = 4
 """Updates that wait for one browser; one more is left out."""
 MOST_CLIENTS = 8
 """Pages that are open at the same time."""
-ALIVE_S = 1.0
-"""Without an update for this long an empty one tells whether the page is still there [s]."""
 DIFFERENCE = 1e-5
 """Step of a derivative, in widths of the bounds."""
-STALLED_S = 10.0
-"""A browser that takes nothing for this long is given up [s]."""
 
 
 class BrowserView:
@@ -63,18 +40,32 @@ class BrowserView:
     ----------
     estimator
         Whose estimates are shown.
+    port
+        Number of a TCP port of this computer; 0 takes a free one.
+
+    Raises
+    ------
+    InputError
+        If it is no number of a port, or in use.
     """
 
-    def __init__(self, estimator: RobotEstimator) -> None:
+    def __init__(self, estimator: RobotEstimator, port: int = 0) -> None:
+        if not 0 <= port <= 65535:
+            raise bad_input("browser_socket", "repro live", "0 to 65535", port)
         self._estimator = estimator
         self._clients: list[queue.Queue[str | None]] = []
         self._lock = threading.Lock()
         self._latest: LiveState | None = None
         self._new, self._closing = threading.Event(), threading.Event()
-        self._server = _Server(("127.0.0.1", 0), _Handler)
+        try:
+            self._server = PageServer(("127.0.0.1", port), PageHandler)
+        except OSError as error:
+            received = f"{port}: {error.strerror}"
+            raise bad_input("browser_socket", "repro live", "a free port", received) from error
         self._server.view = self
         self.port: int = self._server.server_address[1]
-        names = (f"127.0.0.1:{self.port}", f"localhost:{self.port}")
+        at = "" if self.port == 80 else f":{self.port}"  # browsers leave out what is usual
+        names = (f"127.0.0.1{at}", f"localhost{at}")
         self.hosts = frozenset(names)
         self.origins = frozenset(f"http://{name}" for name in names)
         self._threads = [
@@ -153,10 +144,13 @@ def message(estimator: RobotEstimator, state: LiveState) -> dict[str, Any]:
     shown = None if state.readings is None else _traces(estimator, state.readings)
     return {
         "time_s": state.time_s if math.isfinite(state.time_s) else None,
+        "since_s": state.since_s if math.isfinite(state.since_s) else None,
+        "age_s": state.age_s,
+        "mark": live_text.mark(state),
         "shape": None if state.estimate is None else _shape(estimator, state),
         "readings": shown,
         "quantities": [str(quantity) for quantity in live_text.quantities(estimator, state)],
-        "head": f"{state.rate_hz:.1f} estimates/s by {estimator.name}; {live_text.latency(state)}",
+        "head": f"{live_text.pace(estimator, state)}; {live_text.latency(state)}",
         "counters": live_text.counters(state),
         "troubles": live_text.troubles(estimator, state),
         "alerts": live_text.alerts(estimator, state),
@@ -215,73 +209,3 @@ def _put(client: queue.Queue[str | None], text: str | None) -> None:
                 client.get_nowait()
             except queue.Empty:
                 continue
-
-
-class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-    view: BrowserView
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing: a browser that leaves is no error."""
-
-
-class _Handler(BaseHTTPRequestHandler):
-    server: _Server  # pyright: ignore[reportIncompatibleVariableOverride]
-    server_version = "repro"
-    sys_version = ""
-    timeout = STALLED_S
-
-    def do_GET(self) -> None:
-        view = self.server.view
-        if not self._from_here(view):
-            self._answer(HTTPStatus.FORBIDDEN, b"Only for pages of this address.\n")
-        elif self.path in FILES:
-            path, kind = FILES[self.path]
-            self._answer(HTTPStatus.OK, path.read_bytes(), kind)
-        elif self.path == "/scene.json":
-            self._answer(HTTPStatus.OK, view.scene().encode(), "application/json")
-        elif self.path == "/events":
-            self._events(view)
-        else:
-            self._answer(HTTPStatus.NOT_FOUND, b"There is no such file.\n")
-
-    def _from_here(self, view: BrowserView) -> bool:
-        hosts, origins = self.headers.get_all("Host", []), self.headers.get_all("Origin", [])
-        return len(hosts) == 1 and hosts[0].lower() in view.hosts and all(o in view.origins for o in origins)
-
-    def _answer(self, status: HTTPStatus, content: bytes, kind: str = "text/plain; charset=utf-8") -> None:
-        self._head(status, kind, {"Content-Length": str(len(content))})
-        self.wfile.write(content)
-
-    def _head(self, status: HTTPStatus, kind: str, more: dict[str, str]) -> None:
-        self.send_response(status)
-        for name, value in ({"Content-Type": kind} | more | HEADERS).items():
-            self.send_header(name, value)
-        self.end_headers()
-
-    def _events(self, view: BrowserView) -> None:
-        client = view.join()
-        if client is None:
-            self._answer(HTTPStatus.SERVICE_UNAVAILABLE, b"Too many pages are open.\n")
-            return
-        try:
-            self._head(HTTPStatus.OK, "text/event-stream", {})
-            while (text := _next(client)) is not None:
-                self.wfile.write(f"data: {text}\n\n".encode() if text else b":\n\n")
-                self.wfile.flush()
-            self.wfile.write(b"event: end\ndata:\n\n")
-        except OSError:  # the page was closed, or takes nothing
-            pass
-        finally:
-            view.leave(client)
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing: the terminal shows the session."""
-
-
-def _next(client: queue.Queue[str | None]) -> str | None:
-    """Next update, empty if there is none for a while; None at the end."""
-    try:
-        return client.get(timeout=ALIVE_S)
-    except queue.Empty:
-        return ""

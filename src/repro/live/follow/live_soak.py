@@ -23,9 +23,10 @@ from repro.live.emulate.board import passages
 from repro.live.emulate.emulator import Emulator
 from repro.live.emulate.links import HAS_PTY, PtyLink, SocketLink
 from repro.live.emulate.soak import _peak_bytes
+from repro.live.follow.live_state import LiveState
 from repro.live.follow.played import PERIOD_S, played
 from repro.live.follow.robot_estimator import robot_estimator
-from repro.live.follow.session import LiveState, follow
+from repro.live.follow.session import follow
 from repro.live.record.recording import read_recording
 from repro.live.robot.robot_file import load_robot
 from repro.report.project import find_project
@@ -41,7 +42,7 @@ class LiveSoakReport:
     Attributes
     ----------
     estimated, dropped, refused
-        Time steps; see :class:`repro.live.follow.session.LiveState`.
+        Time steps; see :class:`repro.live.follow.live_state.LiveState`.
     gaps
         Frames that did not arrive.
     recorded
@@ -127,8 +128,8 @@ def live_soak(
 def _play(robot: str, rate_hz: float, send: Connection) -> None:
     sent = played(load_robot(robot), rate_hz=rate_hz, seconds=PERIOD_S, seed=0)
     link = PtyLink() if HAS_PTY else SocketLink()
-    send.send(link.address)
-    Emulator(passages(sent.take.readings(loop=True), sent.take.format), link).run()
+    emulator = Emulator(passages(sent.take.readings(loop=True), sent.take.format), link)
+    emulator.run(lambda: send.send(link.address))
 
 
 def main(arguments: Sequence[str]) -> int:

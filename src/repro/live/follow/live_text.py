@@ -8,8 +8,8 @@ from typing import NamedTuple
 import torch
 
 from repro.live.follow.latency import STAGES
+from repro.live.follow.live_state import LiveState, trusted
 from repro.live.follow.robot_estimator import RobotEstimator
-from repro.live.follow.session import LiveState
 from repro.live.robot.calibration_poses import coordinate_columns
 
 SHOWN_COUNTERS = ("frames", "gaps", "checksum_errors", "malformed", "reconnects")
@@ -76,17 +76,69 @@ def latency(state: LiveState) -> str:
     return f"latency p50/p99 {total} ms ({stages})"
 
 
+def pace(estimator: RobotEstimator, state: LiveState) -> str:
+    """Estimates per second, or for how long there were no readings."""
+    if state.silent:
+        return f"no {'usable ' * state.refused_now}readings for {state.age_s:.0f} s"
+    return f"{state.rate_hz:.1f} estimates/s by {estimator.name}"
+
+
+def mark(state: LiveState) -> str:
+    """What to put beside a shape that is not to be trusted; empty where it is, or there is none."""
+    return "" if trusted(state) or state.estimate is None else f"{state.age_s:.0f} s old"
+
+
+def silence(estimator: RobotEstimator, state: LiveState) -> str:
+    """Why there are no readings, in a sentence that stays the same while this lasts; empty if there are."""
+    robot = estimator.robot
+    if not state.silent:
+        return ""
+    if state.arriving == "no port":
+        return "The port is gone; waiting for it to come back."
+    if state.arriving == "bytes":
+        return f"Bytes arrive, but no frame of the format {robot.format}."
+    if state.arriving == "nothing":
+        return f"No readings: nothing arrives{' any more' * bool(state.recorded.counters.get('frames'))}."
+    if state.refused_now:
+        return "Frames arrive, but none of them can be used."
+    if state.dropped_now or not state.other_streams:
+        return "Frames arrive, but the estimator is done with none."
+    return f"Frames arrive, but none of a stream of {robot.name}."
+
+
+def hint(estimator: RobotEstimator, state: LiveState) -> str:
+    """What to look at while there are no readings; empty where `silence` and the other troubles say it all."""
+    robot = estimator.robot
+    if not state.silent or state.arriving in ("no port", "frames"):
+        return ""
+    if state.arriving == "bytes":
+        channels = f" with {robot.channels} values" if robot.channels and robot.format == "millivolts" else ""
+        return (
+            state.foreign or f"Is the board's rate that of --baud, and does it send {robot.format}{channels}?"
+        )
+    if state.recorded.counters.get("frames"):
+        return "Has the board stopped, or lost its power or its wires? A reset may start it again."
+    return (
+        "Is the board powered, wired and programmed? A reset may start it; some boards wait to be asked. "
+        f"Its rate must be that of --baud, and its format {robot.format}, as {robot.name} says."
+    )
+
+
 def troubles(estimator: RobotEstimator, state: LiveState) -> list[str]:
-    """What is wrong, one sentence each; none if all is well."""
-    said = []
+    """What is or was wrong, one sentence or two each; none if all is and was well."""
+    reason, look = silence(estimator, state), hint(estimator, state)
+    said = [f"{reason} {look}".strip()] if reason else []
     if state.dropped:
+        kept = "the recording has them." if state.recorded.path else "nothing is recorded."
+        count = f"{state.dropped} time steps were not estimated"
         said.append(
-            f"Overload: {state.dropped} time steps were not estimated, the newest first; "
-            + ("the recording has them." if state.recorded.path else "nothing is recorded.")
+            f"Overload: the estimator is slower than the stream. {count} so far, the newest first; {kept}"
+            if state.dropped_now
+            else f"{count}, in an overload that is over; {kept}"
         )
     for name, count, now in zip(estimator.sensors, state.missing, state.missing_now, strict=True):
         if count:
-            since = "gives no reading" if now else "gave no reading"
+            since = "gives no reading" if now and not state.silent else "gave no reading"
             said.append(f"{name} {since} and is left out: {count} time steps so far.")
     unused = [name for name, used in zip(estimator.sensors, _used(estimator), strict=True) if not used]
     if unused:
@@ -101,10 +153,14 @@ def troubles(estimator: RobotEstimator, state: LiveState) -> list[str]:
 
 def alerts(estimator: RobotEstimator, state: LiveState) -> list[str]:
     """What is wrong at the moment, in sentences that stay the same while it is: to be read aloud once."""
-    said = ["The estimator is too slow: time steps are left out."] if state.dropped else []
-    pairs = zip(estimator.sensors, state.missing_now, strict=True)
-    said += [f"{name} gives no reading and is left out." for name, gone in pairs if gone]
-    return [*said, *(["Readings that cannot be used came."] if state.refused else [])]
+    said = [silence(estimator, state)] if state.silent else []
+    if state.dropped_now:
+        said.append("Overload: the estimator is too slow, time steps are left out.")
+    if not state.silent:
+        pairs = zip(estimator.sensors, state.missing_now, strict=True)
+        said += [f"{name} gives no reading and is left out." for name, gone in pairs if gone]
+        said += ["Readings that cannot be used came."] * state.refused_now
+    return said
 
 
 def counters(state: LiveState) -> str:
@@ -116,9 +172,10 @@ def counters(state: LiveState) -> str:
 
 def block(estimator: RobotEstimator, state: LiveState) -> list[str]:
     """Lines for a terminal."""
-    head = f"{state.seconds:.0f} s: {state.rate_hz:.1f} estimates/s by {estimator.name}; {latency(state)}"
-    rows = [str(quantity) for quantity in quantities(estimator, state)]
-    lines = [head, *("   ".join(rows[k : k + 3]) for k in range(0, len(rows), 3))]
+    head = f"{state.seconds:.0f} s: {pace(estimator, state)}; {latency(state)}"
+    rows, old = [str(quantity) for quantity in quantities(estimator, state)], mark(state)
+    told = f"{old}: " if old else ""
+    lines = [head, *(told + "   ".join(rows[k : k + 3]) for k in range(0, len(rows), 3))]
     return [*lines, counters(state), *troubles(estimator, state)]
 
 

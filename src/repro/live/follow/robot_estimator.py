@@ -253,7 +253,8 @@ class Follower:
     missing
         For every sensor, time steps in which it gave no number.
     refused
-        Time steps without an estimate: no reading was a number, or one was infinite, or no orientation.
+        Time steps without an estimate: no reading was a number, or one was infinite, or no orientation, or a frame
+        has another number of values than the robot file says.
     refusal
         Why the last of these was refused.
     """
@@ -273,15 +274,13 @@ class Follower:
     def step(self, step: TimeStep) -> tuple[Float[Tensor, " readings"], Estimate | None]:
         """Return the readings of a time step, and the estimate; none where the readings cannot be used.
 
-        Raises
-        ------
-        InputError
-            If a frame has another number of values than the robot file says.
+        Readings are NaN where frames have another number of values than the robot file says.
         """
-        u = self.estimator.readings(step)
-        for k, gone in enumerate(self.estimator.missing(u)):
-            self.missing[k] += gone
+        u = torch.full(self.estimator.use.shape, torch.nan, dtype=torch.float64)
         try:
+            u = self.estimator.readings(step)
+            for k, gone in enumerate(self.estimator.missing(u)):
+                self.missing[k] += gone
             self._state, estimate = self.estimator.method.step(
                 self._state, u, step.time_s, mask=self.estimator.use
             )

@@ -15,21 +15,18 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
-
-from jaxtyping import Float
-from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate
-from repro.live.follow.latency import STAGES, Latencies
+from repro.live.follow.live_state import LiveEstimate, LiveState, Tally
 from repro.live.follow.robot_estimator import Follower, RobotEstimator
 from repro.live.follow.time_steps import TimeStep, TimeSteps
-from repro.live.record.recorder import Summary, record
+from repro.live.record.ports import check_port
+from repro.live.record.recorder import record
+from repro.live.record.recording_file import check_new
 from repro.live.wire.frame import Frame
 
+OWNER = "repro live"
 QUEUE_S, SHORTEST_QUEUE = 0.25, 8
 """What waits for the estimator: time steps of so many seconds, at least so many."""
 IDLE_S = 0.1
@@ -38,74 +35,6 @@ SHOW_S = 0.05
 """Time between two states that are shown [s]."""
 SWITCH_S = 5e-4
 """After this time a thread lets another one work [s]; 5 ms, as usual, would be longer than an estimate takes."""
-RATE_S = 1.0
-"""The rate is that of the last second or more [s]."""
-
-
-class LiveEstimate(NamedTuple):
-    """One time step, estimated.
-
-    Attributes
-    ----------
-    step
-        What was sent.
-    estimate
-        What follows.
-    taken_ns, done_ns
-        When the estimator began and was done, by the host's monotonic clock [ns].
-    """
-
-    step: TimeStep
-    estimate: Estimate
-    taken_ns: int
-    done_ns: int
-
-
-@dataclass(frozen=True)
-class LiveState:
-    """What a session knows at a moment.
-
-    Attributes
-    ----------
-    seconds
-        Since the session began.
-    time_s
-        Time of the last time step with an estimate, since the first frame; NaN before there is one.
-    readings, estimate
-        Of that time step; None before there is one.
-    rate_hz
-        Time steps estimated per second.
-    estimated, dropped, refused
-        Time steps with an estimate; not estimated because the estimator was too slow; not estimated because no
-        reading could be used.
-    refusal
-        Why the last of these was refused.
-    missing
-        For every sensor, time steps in which it gave no number.
-    missing_now
-        Whether it gave none in the last one.
-    other_streams
-        Frames of streams that the robot does not have, by stream.
-    recorded
-        What the recorder counted.
-    latencies
-        By :data:`repro.live.follow.latency.STAGES`.
-    """
-
-    seconds: float
-    time_s: float
-    readings: Float[Tensor, " readings"] | None
-    estimate: Estimate | None
-    rate_hz: float
-    estimated: int
-    dropped: int
-    refused: int
-    refusal: str
-    missing: tuple[int, ...]
-    missing_now: tuple[bool, ...]
-    other_streams: dict[int, int]
-    recorded: Summary
-    latencies: dict[str, Latencies]
 
 
 def follow(
@@ -152,14 +81,17 @@ def follow(
     Raises
     ------
     InputError
-        As `repro.live.record.recorder.record`, and if frames have another number of values than the robot file says.
+        The port cannot be opened, or the recording exists. What the port sends, or that it goes, ends nothing.
     WriteFailed
         The disk is full or refuses. What was written is kept.
     """
     if not duration_s > 0:
-        raise bad_input("duration", "repro live", "a time above zero [s]", duration_s)
-    estimator.prepared()
-    session = _Session(estimator, stop or threading.Event(), warn, seed)
+        raise bad_input("duration", OWNER, "a time above zero [s]", duration_s)
+    if output is not None:
+        check_new(output, OWNER)
+    check_port(port, baud, OWNER)
+    estimator.prepared()  # which may take a minute
+    session = _Session(estimator, stop or threading.Event(), warn, seed, duration_s)
     reader = threading.Thread(target=session.read, args=(port, output, baud, duration_s), daemon=True)
     with _undisturbed():
         reader.start()
@@ -170,7 +102,7 @@ def follow(
             reader.join()
     if session.failure is not None:
         raise session.failure
-    return session.state()
+    return session.tally.state()
 
 
 @contextmanager
@@ -194,23 +126,16 @@ class _Session:
         stop: threading.Event,
         warn: Callable[[str], None],
         seed: int,
+        duration_s: float,
     ) -> None:
         self.estimator, self.stop, self.warn = estimator, stop, warn
-        robot = estimator.robot
-        self.steps = TimeSteps(estimator.streams, robot.rate_hz)
-        self.follower = Follower(estimator, seed=seed)
+        rate_hz = estimator.robot.rate_hz
+        self.steps = TimeSteps(estimator.streams, rate_hz)
         self.queue: queue.SimpleQueue[TimeStep] = queue.SimpleQueue()  # only one thread puts
-        self.longest = max(SHORTEST_QUEUE, math.ceil(QUEUE_S * robot.rate_hz))
-        self.dropped = 0
+        self.longest = max(SHORTEST_QUEUE, math.ceil(QUEUE_S * rate_hz))
+        self.tally = Tally(Follower(estimator, seed=seed), self.steps, rate_hz, duration_s)
         self.ended = threading.Event()
         self.failure: BaseException | None = None
-        self.recorded = Summary(None, {"frames": 0}, 0.0)
-        self.latencies = {stage: Latencies() for stage in STAGES}
-        self.began = self.counted_at = time.monotonic()
-        self.counted = 0
-        self.rate_hz = 0.0
-        self.last: tuple[float, Tensor, Estimate] | None = None
-        self.missing_now = tuple(False for _ in estimator.sensors)
 
     def read(self, port: str, output: Path | None, baud: int, duration_s: float) -> None:
         """Record; in a thread of its own."""
@@ -218,29 +143,28 @@ class _Session:
         # Frames of ours that have another number of values can be told from garbage, and are in `step`.
         channels = robot.channels if robot.format == "millivolts" else None
         try:
-            self.recorded = record(
+            summary = record(
                 port, robot.format, output, baud=baud, channels=channels, duration_s=duration_s, stop=self.stop,
-                show=self.note, warn=self.warn, each=self.put,
+                show=self.tally.note, warn=self.warn, each=self.put, watch=self.tally.watch, owner=OWNER,
             )  # fmt: skip
+            self.tally.note(summary)
         except BaseException as error:  # belongs to the thread that estimates
             self.failure = error
         finally:
             self.ended.set()
 
-    def note(self, summary: Summary) -> None:
-        self.recorded = summary
-
     def put(self, arrival_ns: int, frames: Sequence[Frame]) -> None:
+        self.tally.arrived()
         for step in self.steps.add(arrival_ns, frames):
             if self.queue.qsize() < self.longest:
                 self.queue.put(step)
                 continue
-            if not self.dropped:
+            if not self.tally.dropped:
                 self.warn(
                     "Overload: the estimator is slower than the stream. What arrives while "
                     f"{self.longest} time steps wait is not estimated, only recorded."
                 )
-            self.dropped += 1
+            self.tally.drop()
 
     def estimate(
         self,
@@ -255,48 +179,11 @@ class _Session:
             except queue.Empty:
                 pass
             else:
-                self.one(step, each)
+                found = self.tally.step(step)
+                if found is not None and each is not None:
+                    each(found)
+            self.tally.tick(self.stop.is_set())
             now = time.monotonic()
-            if now - self.counted_at >= RATE_S and not self.ended.is_set():
-                done = self.follower.estimated
-                self.rate_hz = (done - self.counted) / (now - self.counted_at)
-                self.counted, self.counted_at = done, now
             if show is not None and now - shown >= SHOW_S:
                 shown = now
-                show(self.state())
-
-    def one(self, step: TimeStep, each: Callable[[LiveEstimate], None] | None) -> None:
-        taken_ns = time.monotonic_ns()
-        before = list(self.follower.missing)
-        u, estimate = self.follower.step(step)
-        done_ns = time.monotonic_ns()
-        self.missing_now = tuple(a > b for a, b in zip(self.follower.missing, before, strict=True))
-        if estimate is None:
-            return
-        moments = (step.arrival_ns, step.parsed_ns, taken_ns, done_ns)
-        for stage, start, end in zip(STAGES, moments, moments[1:], strict=False):
-            self.latencies[stage].add(1e-9 * (end - start))
-        self.latencies["total"].add(1e-9 * (done_ns - step.arrival_ns))
-        self.last = (step.time_s, u, estimate)
-        if each is not None:
-            each(LiveEstimate(step, estimate, taken_ns, done_ns))
-
-    def state(self) -> LiveState:
-        time_s, readings, estimate = self.last or (math.nan, None, None)
-        seconds = time.monotonic() - self.began
-        return LiveState(
-            seconds=seconds,
-            time_s=time_s,
-            readings=readings,
-            estimate=estimate,
-            rate_hz=self.rate_hz or self.follower.estimated / seconds,
-            estimated=self.follower.estimated,
-            dropped=self.dropped,
-            refused=self.follower.refused,
-            refusal=self.follower.refusal,
-            missing=tuple(self.follower.missing),
-            missing_now=self.missing_now,
-            other_streams=dict(self.steps.others),
-            recorded=self.recorded,
-            latencies=self.latencies,
-        )
+                show(self.tally.state())

@@ -43,7 +43,7 @@ def listing() -> str:
     return "\n".join(f"{name:{width}}  {description}" for name, description in found)
 
 
-def open_port(port: str, baud: int = 115200) -> serial.SerialBase:
+def open_port(port: str, baud: int = 115200, owner: str = "repro record") -> serial.SerialBase:
     """Open a port for this process alone.
 
     Parameters
@@ -52,6 +52,8 @@ def open_port(port: str, baud: int = 115200) -> serial.SerialBase:
         Such as ``/dev/ttyACM0``, ``COM3`` or ``socket://localhost:7000``.
     baud
         Bits per second; means nothing to a board that is itself a USB device, and to a socket.
+    owner
+        The command that asks, for the messages of errors.
 
     Raises
     ------
@@ -63,8 +65,25 @@ def open_port(port: str, baud: int = 115200) -> serial.SerialBase:
         opened.exclusive = True
         opened.open()
     except (OSError, ValueError) as error:
-        raise _refusal(port, baud, error) from error
+        raise _refusal(port, baud, error, owner) from error
     return opened
+
+
+def check_port(port: str, baud: int = 115200, owner: str = "repro record") -> None:
+    """Refuse a port that is not there, or that this user may not open, as `open_port` would; touch none.
+
+    Opening resets many a board, and takes the one connection of a socket: nothing is said of those, nor on Windows.
+
+    Raises
+    ------
+    InputError
+        As `open_port`.
+    """
+    if "://" in port or os.name != "posix":
+        return
+    for mode, code in ((os.F_OK, errno.ENOENT), (os.R_OK | os.W_OK, errno.EACCES)):
+        if not os.access(port, mode):
+            raise _refusal(port, baud, OSError(code, os.strerror(code)), owner)
 
 
 def close_port(opened: serial.SerialBase) -> None:
@@ -98,8 +117,8 @@ def read_available(opened: serial.SerialBase, timeout_s: float) -> bytes:
     return chunk
 
 
-def _refusal(port: str, baud: int, error: OSError | ValueError) -> InputError:
-    owner, code, is_path = "repro record", getattr(error, "errno", None), "://" not in port
+def _refusal(port: str, baud: int, error: OSError | ValueError, owner: str) -> InputError:
+    code, is_path = getattr(error, "errno", None), "://" not in port
     if isinstance(error, ValueError) and "baud" in str(error).lower():
         return bad_input("baud", owner, "a rate that the port can be set to", baud)
     if (is_path and code == errno.ENOENT) or (os.name == "nt" and "FileNotFoundError" in str(error)):

@@ -7,7 +7,7 @@ import platform
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from repro.live.record.clock import DeviceClock
 from repro.live.record.ports import close_port, open_port, ports, read_available
 from repro.live.record.recording import channel_names
 from repro.live.record.recording_file import RecordingFile, WriteFailed, check_new, write_sidecar
+from repro.live.record.summary import Summary
 from repro.live.record.suspect import Suspect
 from repro.live.wire.formats import parser
 from repro.live.wire.frame import Frame, Parser
@@ -34,36 +35,6 @@ RETRY_S = (0.05, 1.0)
 """Shortest and longest wait before a lost port is opened again [s]; it doubles in between."""
 
 
-@dataclass(frozen=True)
-class Summary:
-    """What a recording holds, as its sidecar tells.
-
-    Attributes
-    ----------
-    path
-        The file; None if no frame came, so that none was written.
-    counters
-        Those of `repro.live.wire.frame.Counters`, ``reconnects`` and ``received_bytes``.
-    seconds
-        How long it was recorded.
-    """
-
-    path: Path | None
-    counters: dict[str, int]
-    seconds: float
-
-    def __str__(self) -> str:
-        """Return one line for the screen: frames, and everything else that is not zero."""
-        rate = self.counters["frames"] / self.seconds if self.seconds else 0.0
-        names = {"received_bytes": "bytes", "discarded_bytes": "bytes discarded"}
-        others = [
-            f"{number} {names.get(name, name.replace('_', ' '))}"
-            for name, number in self.counters.items()
-            if number and name != "frames"
-        ]
-        return ", ".join([f"{self.seconds:.0f} s: {self.counters['frames']} frames ({rate:.1f}/s)", *others])
-
-
 def record(
     port: str,
     format: str,
@@ -76,6 +47,8 @@ def record(
     show: Callable[[Summary], None] | None = None,
     warn: Callable[[str], None] = print,
     each: Callable[[int, Sequence[Frame]], None] | None = None,
+    watch: Callable[[str, str], None] | None = None,
+    owner: str = "repro record",
 ) -> Summary:
     """Record a port until told to stop.
 
@@ -101,6 +74,11 @@ def record(
         Is given what the user should know at once: the port is gone, is back, sends something else.
     each
         Is given arrival [ns] and frames of everything that arrives, before it is written; must not take long.
+    watch
+        Is given what `warn` is, after a word for it: ``lost``, ``reopened``, or ``foreign`` for bytes that hold no
+        frame of the format. With it these do not end the recording, whenever they come.
+    owner
+        The command that asks, for the messages of errors.
 
     Returns
     -------
@@ -116,8 +94,8 @@ def record(
         The disk is full or refuses. What was written is kept.
     """
     if not duration_s > 0:
-        raise bad_input("duration", "repro record", "a time above zero [s]", duration_s)
-    session = _Session(port, format, output, baud, channels, warn, each)
+        raise bad_input("duration", owner, "a time above zero [s]", duration_s)
+    session = _Session(port, format, output, baud, channels, warn, each, watch, owner)
     stop = stop or threading.Event()
     try:
         session.run(duration_s, stop, show)
@@ -138,9 +116,11 @@ class _Session:
         channels: int | None,
         warn: Callable[[str], None],
         each: Callable[[int, Sequence[Frame]], None] | None,
+        watch: Callable[[str, str], None] | None,
+        owner: str,
     ) -> None:
         self.port, self.format, self.output, self.baud, self.warn = port, format, output, baud, warn
-        self.each = each
+        self.each, self.watch, self.owner = each, watch, owner
         self.parser: Parser = parser(format, channels)
         self.clock = DeviceClock()
         self.times: list[tuple[int, int]] = []  # host [ns], device [us]; not yet given to the clock
@@ -149,11 +129,11 @@ class _Session:
         self.suspect: Suspect | None = Suspect(format)
         self.unchanging: dict[str, Any] = {}
         if output is not None:
-            check_new(output, "repro record")
+            check_new(output, owner)
         # before the port is open: it takes longer than a buffer may hold frames
         self.described = dict(ports()).get(port, "")
         self.versions = {name: version(name) for name in ("repro", "pyserial", "numpy")}
-        self.opened: serial.SerialBase | None = open_port(port, baud)
+        self.opened: serial.SerialBase | None = open_port(port, baud, owner)
         self.start_ns, self.start_unix_s = time.monotonic_ns(), time.time()
 
     def run(self, duration_s: float, stop: threading.Event, show: Callable[[Summary], None] | None) -> None:
@@ -214,24 +194,24 @@ class _Session:
         """Refuse, or after good frames report, bytes that hold no frame of the format."""
         if self.suspect is None or not self.suspect.ripe():
             return
-        message = self.suspect.verdict(self.port, self.baud)
+        message = self.suspect.verdict(self.port, self.baud, self.owner)
         self.suspect = None
-        if not self.parser.counters.frames:
+        if not self.parser.counters.frames and self.watch is None:
             raise message
-        self.warn(str(message))
+        self.tell("foreign", str(message))
 
     def reconnect(self, error: OSError, end: float, stop: threading.Event) -> None:
         """Wait until the port can be opened again."""
         if self.opened is not None:
             close_port(self.opened)
             self.opened = None
-        self.warn(f"{self.port} is gone ({error}); waiting for it.")
+        self.tell("lost", f"{self.port} is gone ({error}); waiting for it.")
         self.event("lost")
         wait_s = RETRY_S[0]
         while not stop.wait(min(wait_s, max(0.0, end - time.monotonic()))) and time.monotonic() < end:
             wait_s = min(2 * wait_s, RETRY_S[1])
             try:
-                self.opened = open_port(self.port, self.baud)
+                self.opened = open_port(self.port, self.baud, self.owner)
             except InputError:
                 continue
             self.parser.reopened()
@@ -240,7 +220,7 @@ class _Session:
             self.suspect = Suspect(self.format)
             self.reconnects += 1
             self.event("reopened")
-            self.warn(f"{self.port} is back.")
+            self.tell("reopened", f"{self.port} is back.")
             return
 
     def save(self, path: Path) -> None:
@@ -249,6 +229,11 @@ class _Session:
             write_sidecar(path, self.unchanging | self.metadata(None))
         except OSError as error:  # would look like a lost port
             raise WriteFailed(f"Writing beside {path.name} failed: {error.strerror}.") from error
+
+    def tell(self, what: str, words: str) -> None:
+        if self.watch is not None:
+            self.watch(what, words)
+        self.warn(words)
 
     def event(self, name: str) -> None:
         if self.file is not None:

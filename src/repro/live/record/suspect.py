@@ -35,8 +35,8 @@ class Suspect:
         """Whether there are enough of them, for long enough."""
         return self.count >= GARBAGE_BYTES[self.format] and time.monotonic() - self.since >= GARBAGE_S
 
-    def verdict(self, port: str, baud: int) -> InputError:
-        """Say what the bytes are, as far as they tell."""
+    def verdict(self, port: str, baud: int, owner: str = "repro record") -> InputError:
+        """Say what the bytes are, as far as they tell; to the user of the command ``owner``."""
         fitting = {}
         for other in FORMATS:
             trial = parser(other)
@@ -46,7 +46,8 @@ class Suspect:
         best = max(fitting, key=lambda name: fitting[name])
         seen = f"{self.count} bytes from {port} without a frame"
         if fitting[best]:
-            must = f"that of the board: {fitting[best]} frames are {best} (--format {best})"
-            return bad_input("format", "repro record", must, f"{self.format}, {seen}")
+            change = f"--format {best}" if owner == "repro record" else f'format = "{best}" in the robot file'
+            must = f"that of the board: {fitting[best]} frames are {best} ({change})"
+            return bad_input("format", owner, must, f"{self.format}, {seen}")
         must = f"the rate of the board ({GARBAGE_S:g} s of garbage: wrong rate, or no format of ours)"
-        return bad_input("baud", "repro record", must, f"{baud}, {seen}")
+        return bad_input("baud", owner, must, f"{baud}, {seen}")

@@ -2,6 +2,7 @@
 "use strict";
 
 const SHOWN_S = 20; // of the traces
+const LATE_S = 0.25; // readings older than this are not drawn at "now"
 const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
 const DASHES = [[], [6, 3], [2, 2]]; // lines with the same colour differ in their dashes
 const byId = (id) => document.getElementById(id);
@@ -21,35 +22,47 @@ function say(text) {
   if (byId("status").textContent !== text) byId("status").textContent = text;
 }
 
-/** Lines over the last seconds; a reading that is missing leaves a gap. */
+/** Say of all that is shown that it is not of now, and why in a word or two; or, without one, that it is. */
+function doubt(mark) {
+  document.body.classList.toggle("doubtful", mark !== "");
+  for (const place of document.querySelectorAll(".mark")) {
+    if (place.textContent !== mark) place.textContent = mark;
+  }
+}
+
+/** Lines over the last seconds; a reading that is missing leaves a gap, and so does a time without readings. */
 class Traces {
   constructor(canvas, names) {
     this.canvas = canvas;
     this.names = names;
-    this.rows = []; // [time, values]
+    this.rows = []; // [time, values, time from which they came without a gap]
+    this.end = 0; // time of "now"
+    this.limits = null;
   }
 
-  add(time, values) {
-    if (this.rows.length && time <= this.rows.at(-1)[0]) return;
-    this.rows.push([time, values]);
-    while (this.rows[0][0] < time - SHOWN_S) this.rows.shift();
+  add(time, values, since, age) {
+    this.end = time + (age > LATE_S ? age : 0);
+    if (!this.rows.length || time > this.rows.at(-1)[0]) this.rows.push([time, values, since]);
+    while (this.rows.length && this.rows[0][0] < this.end - SHOWN_S) this.rows.shift();
   }
 
   draw() {
-    const { canvas, rows } = this;
+    const { canvas, rows, end } = this;
     const scale = window.devicePixelRatio || 1;
     const [width, height] = [Math.round(canvas.clientWidth * scale), Math.round(canvas.clientHeight * scale)];
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
     const pen = canvas.getContext("2d");
     pen.clearRect(0, 0, width, height);
     const numbers = rows.flatMap(([, values]) => values.filter((x) => x !== null));
-    if (!numbers.length) return;
-    let low = Infinity, high = -Infinity;
-    for (const x of numbers) { low = Math.min(low, x); high = Math.max(high, x); }
-    const room = 0.05 * (high - low) || Math.max(1e-3, 0.05 * Math.abs(high));
-    low -= room; high += room;
+    if (numbers.length) {
+      let low = Infinity, high = -Infinity;
+      for (const x of numbers) { low = Math.min(low, x); high = Math.max(high, x); }
+      const room = 0.05 * (high - low) || Math.max(1e-3, 0.05 * Math.abs(high));
+      this.limits = [low - room, high + room];
+    }
+    if (!this.limits) return;
+    const [low, high] = this.limits; // those of before, while nothing is shown
     const [left, bottom] = [64 * scale, 22 * scale];
-    const end = rows.at(-1)[0];
     const x = (time) => left + (1 - (end - time) / SHOWN_S) * (width - left - 8 * scale);
     const y = (value) => 6 * scale + (high - value) / (high - low) * (height - bottom - 6 * scale);
     pen.font = `${12 * scale}px system-ui, sans-serif`;
@@ -70,12 +83,13 @@ class Traces {
       pen.setLineDash(DASHES[Math.floor(k / COLOURS.length) % DASHES.length].map((d) => d * scale));
       pen.lineWidth = 1.8 * scale;
       pen.beginPath();
-      let drawing = false;
-      for (const [time, values] of rows) {
+      let last = -Infinity; // time of the reading that a line may be drawn from
+      for (const [time, values, since] of rows) {
         const value = values[k];
-        if (value === null) drawing = false;
-        else if (drawing) pen.lineTo(x(time), y(value));
-        else { pen.moveTo(x(time), y(value)); drawing = true; }
+        if (value === null) { last = -Infinity; continue; }
+        if (last >= since) pen.lineTo(x(time), y(value));
+        else pen.moveTo(x(time), y(value));
+        last = time;
       }
       pen.stroke();
     });
@@ -97,6 +111,7 @@ function begin(scene) {
     entry.prepend(mark);
   });
   let latest = null;
+  let stopped = ""; // the mark of what is shown, once nothing more comes
   const draw = () => {
     if (latest === null) return;
     if (handle && latest.shape) handle.update(latest.shape);
@@ -104,20 +119,31 @@ function begin(scene) {
     fill(byId("troubles"), latest.troubles);
     fill(byId("values"), scene.traces.map((name, k) => `${name} ${latest.readings?.[k]?.toPrecision(4) ?? "—"}`));
     byId("head").textContent = latest.head;
+    doubt(latest.shape ? stopped || latest.mark : "");
     byId("counters").textContent = latest.counters;
     traces.draw();
     latest = null;
   };
+  const over = (text) => {
+    say(text);
+    stopped = "the last ones";
+    if (byId("quantities").children.length) doubt(stopped);
+  };
+  let lost = false;
   const events = new EventSource("/events");
+  events.onopen = () => {
+    if (lost) location.reload(); // it may be another session
+    say("The estimator is being prepared.");
+  };
   events.onmessage = (event) => {
     const first = latest === null;
     latest = JSON.parse(event.data);
-    if (latest.readings) traces.add(latest.time_s, latest.readings);
+    if (latest.readings) traces.add(latest.time_s, latest.readings, latest.since_s, latest.age_s);
     say(latest.alerts.length ? latest.alerts.join(" ") : latest.quantities.length ? "Estimating." : "No frame yet.");
     if (first) requestAnimationFrame(draw); // a hidden page draws nothing, and catches up later
   };
-  events.addEventListener("end", () => { events.close(); say("The session has ended."); });
-  events.onerror = () => say("The connection is lost; trying again.");
+  events.addEventListener("end", () => { events.close(); over("The session has ended."); });
+  events.onerror = () => { lost = true; over("The connection is lost; trying again."); };
 }
 
 fetch("/scene.json").then((answer) => answer.json()).then(begin, () => say("The session cannot be reached."));

@@ -1,0 +1,32 @@
+"""A port that a test writes into."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+
+class Board:
+    """A board on a pseudo-terminal; the port is a link, so that it can be plugged out and in."""
+
+    def __init__(self, folder: Path) -> None:
+        self.port = folder / "port"
+        self.master = -1
+
+    def plug_in(self) -> None:
+        import tty
+
+        self.master, slave = os.openpty()
+        tty.setraw(slave)
+        self.slave = slave
+        self.port.symlink_to(os.ttyname(slave))
+
+    def unplug(self) -> None:
+        self.port.unlink()
+        os.close(self.master)
+        os.close(self.slave)
+        self.master = -1
+
+    def send(self, data: bytes) -> None:
+        while data:
+            data = data[os.write(self.master, data) :]
