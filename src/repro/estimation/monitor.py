@@ -122,7 +122,7 @@ class Monitored(Generic[S]):
             if not getattr(self, name) > 0:
                 raise bad_input(name, "Monitored", "positive", getattr(self, name))
 
-    def init(self, q0: Float[Tensor, " n_q"], *, seed: int = 0) -> MonitorState[S]:
+    def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> MonitorState[S]:
         """State of the estimator at ``q0``; nothing is held against it.
 
         Raises
