@@ -27,8 +27,10 @@ SETTLED_S = 0.1
 """Still for so long before it is said [s]."""
 LOOK_AHEAD_S = 0.05
 """How far a robot that waits for somebody looks ahead [s]."""
-WINDOW = (0.5, 0.95)
-"""Where the table says that a pose is held, as shares of its time: recordings begin a little before the readings."""
+WINDOW = (0.3, 0.7)
+"""The part of the time that a pose is held which goes into the table."""
+LATE_S = 0.3
+"""A recording begins about so long before the first reading: an emulated port waits for drivers to settle [s]."""
 POSE_NOISE = (2e-4, math.radians(0.5))
 """How well poses are measured [m, rad]: what ``repro calibrate`` assumes."""
 
@@ -96,7 +98,7 @@ def write_poses(
     names, rows = list(columns), q / np.array(list(columns.values()))
     decimals = [3] * len(names)
     if hold_s is not None:
-        start_s = np.arange(len(q)) * (hold_s + MOVE_S)
+        start_s = LATE_S + np.arange(len(q)) * (hold_s + MOVE_S)
         names += ["start_s", "end_s"]
         rows = np.column_stack([rows, *(start_s + share * hold_s for share in WINDOW)])
         decimals += [2, 2]
