@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -154,14 +155,12 @@ class Reader:
                 terminal.kill()
 
 
-@pytest.fixture(scope="module")
-def followed(tmp_path_factory: pytest.TempPathFactory) -> Reader:
-    """Follow the page from its first command to its last."""
-    folder = tmp_path_factory.mktemp("robot")
+def read_by_one(folder: Path, commands: list[str]) -> Reader:
+    """Follow commands of the page in a folder that has the robots."""
     shutil.copytree(PROJECT / "data" / "robots", folder / "data" / "robots")
     reader = Reader(folder)
     try:
-        for command in COMMANDS:
+        for command in commands:
             reader.follow(command)
         reader.switch_off()
     finally:
@@ -169,14 +168,33 @@ def followed(tmp_path_factory: pytest.TempPathFactory) -> Reader:
     return reader
 
 
-def said(followed: Reader, start: str) -> str:
-    """Return what the only command that starts so said."""
-    (found,) = [text for command, text in followed.said.items() if command.startswith(start)]
-    return found
+@pytest.fixture(scope="module")
+def followed(tmp_path_factory: pytest.TempPathFactory) -> list[Reader]:
+    """Follow the page from its first command to its last.
+
+    What it says of a recording in which poses were held is half a minute of waiting, on which nothing else depends:
+    somebody else follows that meanwhile.
+    """
+    folders = [tmp_path_factory.mktemp(name) for name in ("robot", "held")]
+    parts = [[command for command in COMMANDS if ("held" in command) == held] for held in (False, True)]
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(read_by_one, folders, parts))
+
+
+def said(followed: list[Reader], start: str) -> tuple[Path, str]:
+    """Return where the only command that starts so ran, and what it said."""
+    ((folder, found),) = [
+        (reader.folder, text)
+        for reader in followed
+        for command, text in reader.said.items()
+        if command.startswith(start)
+    ]
+    return folder, found
 
 
 def test_record(followed):
-    assert len(read_recording(followed.folder / "first.rec").frames) > 100
+    folder, _ = said(followed, "repro record board --format frames --channels 3 --duration 5")
+    assert len(read_recording(folder / "first.rec").frames) > 100
 
 
 @pytest.mark.parametrize(
@@ -185,26 +203,26 @@ def test_record(followed):
 )
 def test_calibrate(followed, command, name):
     """Both ways find the robot: its readings are predicted ten times better than by its file, and chi2 is near 1."""
-    text = said(followed, command)
+    folder, text = said(followed, command)
     assert f"Written: {name}" in text
     assert "Warning" not in text
-    assert 0.2 < json.loads((followed.folder / name).read_text())["chi2"] < 2
+    assert 0.2 < json.loads((folder / name).read_text())["chi2"] < 2
     true = robot_readings(load_robot(ROBOT), duration_s=2.0, rate_hz=50.0, tolerances=1.0)
     worst = []
-    for calibration in (None, followed.folder / name):
-        found = load_robot(followed.folder / "data" / "robots" / "one_segment.toml", calibration)
+    for calibration in (None, folder / name):
+        found = load_robot(folder / "data" / "robots" / "one_segment.toml", calibration)
         predicted = found.values(found.lower.new_tensor(true.q)).numpy()
         worst.append(np.abs(predicted - true.values).max())
     assert worst[1] < 0.1 * worst[0]
 
 
 def test_live(followed):
-    text = said(followed, "repro live board --robot data/robots/one_segment.toml --calibration")
+    _, text = said(followed, "repro live board --robot data/robots/one_segment.toml --calibration")
     assert "estimates/s by levenberg_marquardt" in text
     assert "delta_x_1 " in text
 
 
 def test_live_with_a_broken_sensor(followed):
-    text = said(followed, "repro live board --robot data/robots/two_segments.toml")
+    _, text = said(followed, "repro live board --robot data/robots/two_segments.toml")
     assert "estimates/s by levenberg_marquardt" in text
     assert "delta_x_2 " in text
