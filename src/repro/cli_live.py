@@ -166,7 +166,7 @@ def emulate(
     tolerances
         How far that robot is from its file: 0, the default, as described; 1 as repro calibrate assumes.
     hold_poses
-        Write a table of poses, a new file, and hold that robot in one after the other: Enter moves it on.
+        Write a table of poses to this new file, and hold that robot in one after the other: Enter moves it on.
     hold
         Move it on by itself after so many seconds instead, and write to the table when it is held.
     fault
@@ -188,7 +188,7 @@ def emulate(
     from repro.live.emulate.faults import faults_named
     from repro.live.emulate.links import HAS_PTY, PtyLink, SocketLink
     from repro.live.emulate.robot_board import open_board
-    from repro.live.emulate.sensor_faults import sensor_faults_named
+    from repro.live.emulate.sensor_faults import NAMES, sensor_faults_named
     from repro.live.emulate.takes import SOURCES, open_take
     from repro.report.runner import stop_on_termination
 
@@ -225,7 +225,8 @@ def emulate(
         label, form, readings, block = board.label, board.format, board.readings, board.block
         for note in board.notes:
             print(f"Warning: {note}", file=sys.stderr)
-    sent = passages(readings, form, faults_named(given), seed=seed, from_s=fault_from, block=block)
+    faults = faults_named(given, NAMES if robot else ())
+    sent = passages(readings, form, faults, seed=seed, from_s=fault_from, block=block)
     stop_on_termination()
     link = PtyLink(port_file) if HAS_PTY and socket is None else SocketLink(socket or 0)
     emulator = Emulator(sent, link, speed=speed)

@@ -69,6 +69,7 @@ def test_the_table_is_one_that_calibrate_reads(tmp_path):
     np.testing.assert_allclose(table.q, q, rtol=0, atol=0.5e-6)
     write_poses(tmp_path / "held.csv", found, q, hold_s=2.0)
     table = read_poses(tmp_path / "held.csv", found)
+    assert table.window_s is not None
     motion = list(held_in_time(q, 100.0, 2.0))
     time_s, held = (np.concatenate(part) for part in zip(*motion, strict=True))
     assert time_s[-1] == pytest.approx(12 * 2.0 + 11 * MOVE_S, abs=0.02)
@@ -77,7 +78,8 @@ def test_the_table_is_one_that_calibrate_reads(tmp_path):
         inside = (time_s >= start_s) & (time_s <= end_s)
         assert inside.sum() > 80
         assert (held[inside] == pose).all()
-    with pytest.raises(InputError, match=r"must be a file that does not exist yet; .*held\.csv\.$"):
+    write_poses(tmp_path / "held.csv", found, q, hold_s=2.0)  # the same command once more
+    with pytest.raises(InputError, match=r"must be a new file, or the same table; .*held\.csv\.$"):
         write_poses(tmp_path / "held.csv", found, q)
 
 
@@ -116,11 +118,14 @@ def test_a_robot_held_in_its_poses_is_calibrated(tmp_path):
     time_s = np.array([reading.time_s for reading in sent])
     values = np.array([reading.values for reading in sent])
     table = read_poses(path, found)
+    assert table.window_s is not None
     means = [values[(time_s >= a) & (time_s <= b)].mean(axis=0) for a, b in table.window_s]
     calibration = calibrate(
         found, torch.from_numpy(np.array(means)), table.q, pose_covariance(found, 2e-4, 0.01)
     )
     assert 0.3 < calibration.chi2 < 2
+    assert calibration.after is not None
+    assert calibration.before is not None
     assert calibration.after < 0.1 * calibration.before
     moved = robot_readings(found, tolerances=1.0, seed=2, duration_s=1.0, rate_hz=50.0)
     better = found.calibrated(calibration).values(torch.from_numpy(moved.q)).numpy()

@@ -79,7 +79,7 @@ def write_poses(
     Parameters
     ----------
     path
-        A new file.
+        A new file; one that is there may hold the same table.
     robot
         As described.
     q
@@ -90,10 +90,8 @@ def write_poses(
     Raises
     ------
     InputError
-        If the file is there already.
+        If there is another file of this name.
     """
-    if path.exists():
-        raise bad_input("hold_poses", "repro emulate", "a file that does not exist yet", path)
     columns = coordinate_columns(robot)
     names, rows = list(columns), q / np.array(list(columns.values()))
     decimals = [3] * len(names)
@@ -103,7 +101,10 @@ def write_poses(
         rows = np.column_stack([rows, *(start_s + share * hold_s for share in WINDOW)])
         decimals += [2, 2]
     lines = [",".join(f"{x:.{n}f}" for x, n in zip(row, decimals, strict=True)) for row in rows]
-    write_whole(path, "\n".join([",".join(names), *lines]) + "\n")
+    text = "\n".join([",".join(names), *lines]) + "\n"
+    if path.exists() and path.read_bytes() != text.encode():
+        raise bad_input("hold_poses", "repro emulate", "a new file, or the same table", path)
+    write_whole(path, text)
 
 
 def held_in_time(q: Float[np.ndarray, "n n_q"], rate_hz: float, hold_s: float) -> Motion:

@@ -6,6 +6,7 @@ import math
 import os
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -85,7 +86,7 @@ def open_board(
     Raises
     ------
     InputError
-        If the file is no robot, the table is there already, or a number is out of range.
+        If the file is no robot, another file has the name of the table, or a number is out of range.
     """
     robot = load_robot(path)
     rate_hz = robot.rate_hz if rate_hz is None else rate_hz
@@ -156,7 +157,7 @@ def robot_board(
         encode(robot.format, Frame(reading.stream, 0, 0, reading.values))
     label = f"{robot.name} by its networks," if robot.networks else f"{robot.name},"
     readings = (reading for part in chain([first], parts) for reading in part.readings())
-    return RobotBoard(f"{label} SYNTHETIC", robot.format, _clipped(built), readings)
+    return RobotBoard(f"{label} SYNTHETIC", robot.format, (*robot.notes, *_clipped(built)), readings)
 
 
 def moving(robot: RobotFile, rate_hz: float, *, seed: int = 0) -> Motion:
@@ -208,9 +209,10 @@ def enter_pressed() -> Callable[[], bool]:
 
     def read() -> None:
         # not by sys.stdin, whose lock a thread that still waits would hold when the program ends
-        while data := os.read(0, 4096):
-            for _ in range(data.count(b"\n")):
-                lines.release()
+        with suppress(OSError):  # there may be no standard input
+            while data := os.read(0, 4096):
+                for _ in range(data.count(b"\n")):
+                    lines.release()
 
     threading.Thread(target=read, daemon=True).start()
     return lambda: lines.acquire(blocking=False)
