@@ -135,17 +135,23 @@ def emulate(
     rate: float | None = None,
     speed: float = 1.0,
     loop: Annotated[bool, Parameter(negative="")] = False,
+    robot: Path | None = None,
+    tolerances: float | None = None,
+    hold_poses: Path | None = None,
+    hold: float | None = None,
     fault: GivenFaults = None,
+    fault_from: float = 0.0,
     seed: int = 0,
     port_file: Path | None = None,
     socket: int | None = None,
 ) -> int:
-    """Play readings into a port as a board would: repro emulate SOURCE; stop with Ctrl-C.
+    """Play readings into a port as a board would: repro emulate SOURCE, or --robot ROBOT.toml; stop with Ctrl-C.
 
     Parameters
     ----------
     source
-        lemniscate, spiral, flower, seagull, twin:T0 to twin:T5, arm (all synthetic), or a recording.
+        lemniscate, spiral, flower, seagull, twin:T0 to twin:T5, arm (all synthetic), or a recording. Left out with
+        --robot.
     format
         As for repro record; by default that of the source. frames takes any source.
     rate
@@ -154,34 +160,76 @@ def emulate(
         Times real time; inf: as fast as it is read.
     loop
         Begin again at the end.
+    robot
+        Play a robot as described in this file: it moves without end, and its sensors read what they would; synthetic.
+    tolerances
+        How far that robot is from its file: 0, the default, as described; 1 as repro calibrate assumes.
+    hold_poses
+        Write a table of poses to this new file, and hold that robot in one after the other: Enter moves it on.
+    hold
+        Move it on by itself after so many seconds instead, and write to the table when it is held.
     fault
         A fault and its value, such as --fault flips 1e-4; may be repeated. Chances of each byte: flips, drops,
         duplicates, bursts (of burst_bytes); of each frame: stalls (stall_s), disconnects (away_s), reboots (boot_s);
-        and drift_ppm of the clock.
+        and drift_ppm of the clock. With --robot also of a sensor, by its number: unplug, stick, saturate, gain (5 %
+        more), nan; a foreign magnet at so many mm from the robot; and noise, times that of the file.
+    fault_from
+        The faults begin so many seconds after the first reading was sent.
     seed
-        Of the faults and of synthetic readings.
+        Of the faults, of synthetic readings, and of the robot and its motion.
     port_file
         Name of the port, a symbolic link; it goes and comes back with the port.
     socket
         Number of a TCP port of this computer instead, 0 for a free one; the default on Windows.
     """
-    from repro.live.emulate.board import passages
+    from repro.live.emulate.board import BLOCK, passages
     from repro.live.emulate.emulator import Emulator
     from repro.live.emulate.faults import faults_named
     from repro.live.emulate.links import HAS_PTY, PtyLink, SocketLink
+    from repro.live.emulate.robot_board import open_board
+    from repro.live.emulate.sensor_faults import NAMES, sensor_faults_named
     from repro.live.emulate.takes import SOURCES, open_take
     from repro.report.runner import stop_on_termination
 
-    if not source:
-        raise bad_input("source", "repro emulate", f"one of {', '.join(SOURCES)}, or a recording", "none")
+    if not fault_from >= 0:
+        raise bad_input("fault_from", "repro emulate", "0 or more [s]", fault_from)
+    if not source and robot is None:
+        expected = f"one of {', '.join(SOURCES)}, or a recording; or --robot ROBOT.toml"
+        raise bad_input("source", "repro emulate", expected, "none")
     if socket is not None and port_file is not None:
         raise bad_input("port_file", "repro emulate", "left out with --socket", port_file)
-    take = open_take(source, format, rate_hz=rate, seed=seed)
-    sent = passages(take.readings(loop=loop), take.format, faults_named(fault or []), seed=seed)
+    given, block = fault or [], BLOCK
+    if robot is None:
+        options = {"tolerances": tolerances, "hold_poses": hold_poses, "hold": hold}
+        for name, value in options.items():
+            if value is not None:
+                raise bad_input(name, "repro emulate", "left out without --robot", value)
+        take = open_take(source, format, rate_hz=rate, seed=seed)
+        label, form, readings = take.label, take.format, take.readings(loop=loop)
+    else:
+        for name, value in (("source", source), ("format", format), ("loop", loop)):
+            if value:
+                raise bad_input(name, "repro emulate", "left out with --robot", value)
+        sensors, given = sensor_faults_named(given)
+        board = open_board(
+            robot,
+            rate_hz=rate,
+            tolerances=tolerances or 0.0,
+            hold_poses=hold_poses,
+            hold_s=hold,
+            faults=sensors,
+            from_s=fault_from,
+            seed=seed,
+        )
+        label, form, readings, block = board.label, board.format, board.readings, board.block
+        for note in board.notes:
+            print(f"Warning: {note}", file=sys.stderr)
+    faults = faults_named(given, NAMES if robot else ())
+    sent = passages(readings, form, faults, seed=seed, from_s=fault_from, block=block)
     stop_on_termination()
     link = PtyLink(port_file) if HAS_PTY and socket is None else SocketLink(socket or 0)
     emulator = Emulator(sent, link, speed=speed)
-    about = f"{take.label}, as {take.format}\nPort: {emulator.address}"
+    about = f"{label}, as {form}\nPort: {emulator.address}"
     try:
         emulator.run(lambda: print(about, flush=True))
     except KeyboardInterrupt:  # how it is stopped

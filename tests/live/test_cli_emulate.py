@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from cyclopts import App
@@ -14,6 +15,7 @@ from repro.errors import InputError
 from repro.live.emulate.links import HAS_PTY
 from repro.live.record.ports import close_port, open_port, read_available
 
+ONE = str(Path(__file__).parents[2] / "data" / "robots" / "one_segment.toml")
 PROGRAM = """
 import sys
 from cyclopts import App
@@ -83,7 +85,36 @@ def test_a_terminated_emulator_leaves_no_port(tmp_path):
     [
         (
             (),
-            "Input source of repro emulate must be one of .*, arm, or a recording; instead received none.",
+            "Input source of repro emulate must be one of .*, arm, or a recording; or --robot ROBOT.toml; "
+            "instead received none.",
+        ),
+        (
+            ("lemniscate", "--tolerances", "1"),
+            "Input tolerances of repro emulate must be left out without --robot; instead received 1.0.",
+        ),
+        (
+            ("lemniscate", "--fault", "unplug", "1"),
+            "Input fault of repro emulate must be one of flips, .*, drift_ppm; instead received unplug.",
+        ),
+        (
+            ("lemniscate", "--fault-from", "-1"),
+            r"Input fault_from of repro emulate must be 0 or more \[s\]; instead received -1.0.",
+        ),
+        (
+            ("--robot", ONE, "--loop"),
+            "Input loop of repro emulate must be left out with --robot; instead received True.",
+        ),
+        (
+            ("--robot", ONE, "--hold", "3"),
+            "Input hold of repro emulate must be left out without --hold-poses; instead received 3.0.",
+        ),
+        (
+            ("--robot", ONE, "--fault", "unplug", "4"),
+            "Input unplug of one_segment.toml must be the number of a sensor, 1 to 3; instead received 4.",
+        ),
+        (
+            ("--robot", ONE, "--fault", "fires", "1"),
+            "Input fault of repro emulate must be one of flips, .*, drift_ppm, unplug, .*; instead received fires.",
         ),
         (
             ("lemniscate", "--format", "hall"),

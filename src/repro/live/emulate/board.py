@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from typing import NamedTuple
@@ -67,7 +68,13 @@ class Passage(NamedTuple):
 
 
 def passages(
-    readings: Iterable[Reading], format: str, faults: Faults | None = None, *, seed: int = 0
+    readings: Iterable[Reading],
+    format: str,
+    faults: Faults | None = None,
+    *,
+    seed: int = 0,
+    from_s: float = 0.0,
+    block: int = BLOCK,
 ) -> Iterator[Passage]:
     """Send readings: yield what arrives, as the faults of a seed leave it.
 
@@ -81,16 +88,28 @@ def passages(
         None by default.
     seed
         Of the faults.
+    from_s
+        Since when there are faults, by the times of the readings [s]; the clock drifts from the beginning.
+    block
+        Readings that the board looks ahead: fewer where they depend on what somebody does meanwhile. The faults of a
+        seed depend on it.
     """
-    board = _Board(format, faults or Faults(), seed)
+    faults = faults or Faults()
+    board = _Board(format, faults, seed)
     waiting = iter(readings)
-    while block := list(islice(waiting, BLOCK)):
-        yield from board.send(block)
+    while ahead := list(islice(waiting, block)):
+        before = bisect_left(ahead, from_s, key=lambda reading: reading.time_s)
+        if before:
+            board.faults = Faults(drift_ppm=faults.drift_ppm)
+            yield from board.send(ahead[:before])
+            board.faults = faults
+        if before < len(ahead):
+            yield from board.send(ahead[before:])
 
 
 class _Board:
     def __init__(self, format: str, faults: Faults, seed: int) -> None:
-        self._format, self._faults = format, faults
+        self._format, self.faults = format, faults
         self._rng = np.random.default_rng(seed)
         self._numbers: dict[int, int] = {}
         self._connection = 0
@@ -103,7 +122,7 @@ class _Board:
 
     def send(self, block: list[Reading]) -> Iterator[Passage]:
         """Send a block of readings; the port may close in between."""
-        faults, start = self._faults, 0
+        faults, start = self.faults, 0
         for at, event in self._events(len(block)):
             time_s = block[at].time_s
             if at < start or time_s < max(self._booted_s, self._back_s):
@@ -128,7 +147,7 @@ class _Board:
         yield from self._run(block[start:])
 
     def _events(self, count: int) -> list[tuple[int, str]]:
-        faults = self._faults
+        faults = self.faults
         chances = (("disconnect", faults.disconnects), ("reboot", faults.reboots), ("stall", faults.stalls))
         drawn = [(self._rng.integers(0, count, self._rng.binomial(count, p)), name) for name, p in chances]
         return sorted((int(at), name) for ats, name in drawn for at in ats)
@@ -137,7 +156,7 @@ class _Board:
         """Number and send readings during which nothing happens to the port; the last may be broken off."""
         rng, numbered = self._rng, self._format == "frames"
         numbers, booted_s, back_s = self._numbers, self._booted_s, self._back_s
-        tick = 1e6 * (1 + 1e-6 * self._faults.drift_ppm)
+        tick = 1e6 * (1 + 1e-6 * self.faults.drift_ppm)
         time_s, frames, packets = [], [], []
         for at, stream, values in readings:
             if at < booted_s:
@@ -160,7 +179,7 @@ class _Board:
         if broken_off and len(packets[-1]) > 1:
             packets[-1] = packets[-1][: int(rng.integers(1, len(packets[-1])))]
             complete[-1] = ended = False
-        data, ends, whole, closed = damage(packets, self._faults, rng)
+        data, ends, whole, closed = damage(packets, self.faults, rng)
         intact = whole & complete
         if not numbered:  # the end of the line before is the delimiter in front of a line
             intact &= np.concatenate([[not self._began], closed[:-1]])

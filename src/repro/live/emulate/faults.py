@@ -77,13 +77,15 @@ class Faults:
             raise bad_input("drift_ppm", "Faults", "between -1e6 and 1e6 [parts per million]", self.drift_ppm)
 
 
-def faults_named(given: Iterable[tuple[str, str]]) -> Faults:
+def faults_named(given: Iterable[tuple[str, str]], others: Sequence[str] = ()) -> Faults:
     """Return faults from names and values as typed.
 
     Parameters
     ----------
     given
         Names of :class:`Faults` and their values.
+    others
+        Names of other faults, for the message.
 
     Raises
     ------
@@ -99,7 +101,7 @@ def faults_named(given: Iterable[tuple[str, str]]) -> Faults:
     values: dict[str, float] = {}
     for name, text in given:
         if name not in known:
-            raise bad_input("fault", "repro emulate", f"one of {', '.join(known)}", name)
+            raise bad_input("fault", "repro emulate", f"one of {', '.join([*known, *others])}", name)
         if name in values:
             raise bad_input("fault", "repro emulate", "given once", f"{name} twice")
         try:

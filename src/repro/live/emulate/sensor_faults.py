@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -21,7 +21,9 @@ GAIN_CHANGE = 0.05
 """By how much a gain is off, relative."""
 MOMENT_AM2 = 1.0
 """Moment of a foreign magnet [A m^2]: a neodymium cube of 1 cm."""
-_NUMBERED = ("unplug", "stick", "saturate", "gain", "nan")
+NAMES = ("unplug", "stick", "saturate", "gain", "nan", "magnet", "noise")
+"""Those of :class:`SensorFaults`."""
+_NUMBERED = NAMES[:5]
 _SURVEY_S = np.linspace(0.0, 60.0, 257)
 
 
@@ -108,7 +110,7 @@ def sensor_faults_named(
     >>> sensor_faults_named([("unplug", "3"), ("flips", "1e-4")])  # doctest: +ELLIPSIS
     (SensorFaults(unplug=3, stick=0, ...), [('flips', '1e-4')])
     """
-    known = {field.name: int if field.name in _NUMBERED else float for field in fields(SensorFaults)}
+    known = {name: int if name in _NUMBERED else float for name in NAMES}
     values: dict[str, float] = {}
     others = []
     for name, text in given:
