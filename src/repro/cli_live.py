@@ -46,13 +46,14 @@ def record(
         Such as /dev/ttyACM0, COM3 or socket://localhost:7000.
     format
         What the board sends: frames (ours), hall (integers of Mitchell et al.), millivolts (rig of Baaij et al.),
-        quaternions (IMUs of Martin et al.).
+        quaternions (IMUs of Martin et al.), csv (lines of numbers, with labels and units or without).
     output
         The recording, a new file; its metadata are written beside it.
     baud
         Bits per second; means nothing to a board that is itself a USB device.
     channels
-        Values that every frame must have; by default any number for frames, three for millivolts.
+        Values that every frame must have; by default any number for frames, that of the first lines
+        for csv, three for millivolts.
     duration
         Stop after this many seconds.
     list_only
@@ -93,7 +94,9 @@ def record(
         screen.line("No frame came; nothing was written.")
         return 1
     print(shown(summary.path))
-    return 0
+    if summary.dropped:
+        screen.line(summary.losses())
+    return int(summary.mostly_dropped)
 
 
 def export(

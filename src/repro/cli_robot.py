@@ -216,7 +216,10 @@ def _port_frames(port: str, baud: int, robot: RobotFile) -> Iterator[Frame]:
     from repro.live.record.ports import open_port, read_available
     from repro.live.wire.formats import parser
 
-    opened, parse = open_port(port, baud), parser(robot.format)
+    opened, parse = (
+        open_port(port, baud),
+        parser(robot.format, robot.channels if robot.format == "csv" else None),
+    )
 
     def frames() -> Iterator[Frame]:
         while True:

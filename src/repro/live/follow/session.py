@@ -216,11 +216,11 @@ class _Session:
         """Record; in a thread of its own."""
         robot = self.estimator.robot
         # Frames of ours that have another number of values can be told from garbage, and are in `step`.
-        channels = robot.channels if robot.format == "millivolts" else None
+        channels = robot.channels or None if robot.format in ("millivolts", "csv") else None
         try:
             self.recorded = record(
                 port, robot.format, output, baud=baud, channels=channels, duration_s=duration_s, stop=self.stop,
-                show=self.note, warn=self.warn, each=self.put,
+                show=self.note, warn=self.warn, each=self.put, unit=robot.unit,
             )  # fmt: skip
         except BaseException as error:  # belongs to the thread that estimates
             self.failure = error

@@ -7,7 +7,7 @@ import platform
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,9 @@ from repro.live.record.clock import DeviceClock
 from repro.live.record.ports import close_port, open_port, ports, read_available
 from repro.live.record.recording import channel_names
 from repro.live.record.recording_file import RecordingFile, WriteFailed, check_new, write_sidecar
+from repro.live.record.summary import Summary
 from repro.live.record.suspect import Suspect
+from repro.live.wire.csv_text import CsvParser, Layout, check_units
 from repro.live.wire.formats import parser
 from repro.live.wire.frame import Frame, Parser
 
@@ -30,38 +32,10 @@ SHOW_S = 1.0
 SIDECAR_S = 10.0
 CLOCK_FRAMES = 256
 """The device's clock is compared with the host's when so many frames have come, and when the metadata are written."""
+MOSTLY_DROPPED = 20
+"""So many lines or frames that were dropped are said at once if they are more than were accepted."""
 RETRY_S = (0.05, 1.0)
 """Shortest and longest wait before a lost port is opened again [s]; it doubles in between."""
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What a recording holds, as its sidecar tells.
-
-    Attributes
-    ----------
-    path
-        The file; None if no frame came, so that none was written.
-    counters
-        Those of `repro.live.wire.frame.Counters`, ``reconnects`` and ``received_bytes``.
-    seconds
-        How long it was recorded.
-    """
-
-    path: Path | None
-    counters: dict[str, int]
-    seconds: float
-
-    def __str__(self) -> str:
-        """Return one line for the screen: frames, and everything else that is not zero."""
-        rate = self.counters["frames"] / self.seconds if self.seconds else 0.0
-        names = {"received_bytes": "bytes", "discarded_bytes": "bytes discarded"}
-        others = [
-            f"{number} {names.get(name, name.replace('_', ' '))}"
-            for name, number in self.counters.items()
-            if number and name != "frames"
-        ]
-        return ", ".join([f"{self.seconds:.0f} s: {self.counters['frames']} frames ({rate:.1f}/s)", *others])
 
 
 def record(
@@ -76,6 +50,7 @@ def record(
     show: Callable[[Summary], None] | None = None,
     warn: Callable[[str], None] = print,
     each: Callable[[int, Sequence[Frame]], None] | None = None,
+    unit: str | None = None,
 ) -> Summary:
     """Record a port until told to stop.
 
@@ -101,6 +76,8 @@ def record(
         Is given what the user should know at once: the port is gone, is back, sends something else.
     each
         Is given arrival [ns] and frames of everything that arrives, before it is written; must not take long.
+    unit
+        What lines of ``csv`` must say if they say a unit; any by default.
 
     Returns
     -------
@@ -110,14 +87,14 @@ def record(
     Raises
     ------
     InputError
-        The port cannot be opened, or what it sends in the first two seconds has no frame of the format (wrong rate or
-        format); the file exists.
+        The port cannot be opened, or what it sends in the first two seconds has no frame of the format (wrong rate,
+        format or number of values) or says another unit; the file exists.
     WriteFailed
         The disk is full or refuses. What was written is kept.
     """
     if not duration_s > 0:
         raise bad_input("duration", "repro record", "a time above zero [s]", duration_s)
-    session = _Session(port, format, output, baud, channels, warn, each)
+    session = _Session(port, format, output, baud, channels, unit, warn, each)
     stop = stop or threading.Event()
     try:
         session.run(duration_s, stop, show)
@@ -136,17 +113,20 @@ class _Session:
         output: Path | None,
         baud: int,
         channels: int | None,
+        unit: str | None,
         warn: Callable[[str], None],
         each: Callable[[int, Sequence[Frame]], None] | None,
     ) -> None:
         self.port, self.format, self.output, self.baud, self.warn = port, format, output, baud, warn
-        self.each = each
+        self.each, self.channels, self.unit = each, channels, unit
+        self.layout: Layout | None = None
+        self.loss_said = False
         self.parser: Parser = parser(format, channels)
         self.clock = DeviceClock()
         self.times: list[tuple[int, int]] = []  # host [ns], device [us]; not yet given to the clock
         self.file: RecordingFile | None = None
         self.reconnects = self.received = 0
-        self.suspect: Suspect | None = Suspect(format)
+        self.suspect: Suspect | None = Suspect(format, channels)
         self.unchanging: dict[str, Any] = {}
         if output is not None:
             check_new(output, "repro record")
@@ -163,6 +143,7 @@ class _Session:
             if now - shown >= SHOW_S:
                 shown += SHOW_S * ((now - shown) // SHOW_S)
                 self.check_garbage()
+                self.check_losses()
                 if show is not None:
                     show(self.summary())
             if self.file is not None and now - saved >= SIDECAR_S:
@@ -191,6 +172,10 @@ class _Session:
                 self.check_garbage()
         if not frames:
             return
+        if self.layout is None and isinstance(self.parser, CsvParser) and self.parser.layout is not None:
+            self.layout = self.parser.layout
+            check_units(self.layout, self.unit)
+            self.warn(f"The lines have {self.layout}.")
         if self.each is not None:
             self.each(host_ns, frames)
         if self.file is None and self.output is not None:
@@ -214,11 +199,18 @@ class _Session:
         """Refuse, or after good frames report, bytes that hold no frame of the format."""
         if self.suspect is None or not self.suspect.ripe():
             return
-        message = self.suspect.verdict(self.port, self.baud)
+        message = self.suspect.verdict(self.port, self.baud, self.parser.refused)
         self.suspect = None
         if not self.parser.counters.frames:
             raise message
         self.warn(str(message))
+
+    def check_losses(self) -> None:
+        """Say once that most of what arrives is dropped."""
+        summary = self.summary()
+        if not self.loss_said and summary.mostly_dropped and summary.dropped >= MOSTLY_DROPPED and self.file:
+            self.loss_said = True
+            self.warn(f"Most of what arrives is not {self.format}: {summary.losses()}")
 
     def reconnect(self, error: OSError, end: float, stop: threading.Event) -> None:
         """Wait until the port can be opened again."""
@@ -237,7 +229,7 @@ class _Session:
             self.parser.reopened()
             self.set_clock()
             self.clock.reopened()
-            self.suspect = Suspect(self.format)
+            self.suspect = Suspect(self.format, self.channels)
             self.reconnects += 1
             self.event("reopened")
             self.warn(f"{self.port} is back.")
@@ -273,13 +265,20 @@ class _Session:
         counters = self.parser.counters.as_dict()
         counters |= {"reconnects": self.reconnects, "received_bytes": self.received}
         seconds = 1e-9 * (time.monotonic_ns() - self.start_ns)
-        return Summary(self.output if self.file else None, counters, seconds)
+        return Summary(self.output if self.file else None, counters, seconds, self.parser.refused)
 
     def description(self, width: int) -> dict[str, Any]:
         """Metadata that do not change."""
+        named = {"channels": channel_names(self.format, width)}
+        if self.layout is not None:
+            named = {
+                "channels": self.layout.names,
+                "units": self.layout.value_units,
+                "lines": str(self.layout),
+            }
         return {
             "format": self.format,
-            "channels": channel_names(self.format, width),
+            **named,
             "port": self.port,
             "port_description": self.described,
             "baud": self.baud,
