@@ -100,18 +100,25 @@ def record(
 
 
 def export(
-    recording: Path, /, *, output: Output = None, schema: Annotated[str, Parameter(name="--as")] = ""
+    recording: Path,
+    /,
+    *,
+    output: Output = None,
+    schema: Annotated[str, Parameter(name="--as")] = "",
+    robot: Path | None = None,
 ) -> int:
-    """Write a recording as a file that the loaders read: repro export RECORDING -o FILE.
+    """Write a recording as a table: repro export RECORDING -o FILE.csv.
 
     Parameters
     ----------
     recording
-        From repro record.
+        From repro record, of any number of channels.
     output
-        A new file: CSV for hall and millivolts, a ROS 1 bag for quaternions.
+        A new file: CSV with time_s, unix_s, stream and sequence where there are any, and a column for each value.
     schema
-        hall, millivolts or quaternions; needed for a recording of the format frames, which tells no unit.
+        The layout of a paper instead: hall, millivolts (CSV) or quaternions (a ROS 1 bag).
+    robot
+        The robot file that says which unit the values have; columns are named by it.
     """
     from repro.live.record.export import export as export_to
     from repro.live.record.recording import read_recording
@@ -121,8 +128,17 @@ def export(
         raise bad_input("output", "repro export", "given (-o FILE)", "none")
     if not recording.is_file():
         raise bad_input("recording", "repro export", "a file", f"{recording}, which is not there")
+    unit = ""
     read = read_recording(recording)
-    remarks = export_to(read, output, schema)
+    if robot is not None:
+        from repro.live.robot.robot_file import load_robot
+
+        described = load_robot(robot)
+        unit = described.unit if described.channel else ""
+        if unit and len(read.channels) != described.channels:
+            expected = f"of {described.channels} channels, as described in {described.name}"
+            raise bad_input("recording", "repro export", expected, f"one of {len(read.channels)}")
+    remarks = export_to(read, output, schema, unit=unit)
     if left_out := read.torn_bytes + read.damaged_bytes:
         remarks = [f"{left_out} bytes of the recording are not whole and were left out", *remarks]
     for remark in remarks:

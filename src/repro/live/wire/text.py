@@ -144,7 +144,7 @@ class TextParser:
             if frame is None:
                 counters.malformed += 1
                 counters.discarded_bytes += len(line)
-                self.refused = self.refused or repr(line[:80])[1:]
+                self.refused = self.refused or repr(line[:80].removesuffix(b"\r"))[1:]
             else:
                 frames.append(frame)
         counters.frames += len(frames)
