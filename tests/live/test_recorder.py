@@ -368,4 +368,4 @@ def test_frames_are_exported_only_as_what_they_are_said_to_be(board, tmp_path):
     export(recording, tmp_path / "a.csv", "millivolts")
     head, first, *_ = (tmp_path / "a.csv").read_text().splitlines()
     assert head == "u1,u2,u3,time_s"
-    assert first == f"1.0,0.5,-2.0,{recording.frames['time_s'][0]!r}"
+    assert first == f"1.0,0.5,-2.0,{float(recording.frames['time_s'][0])!r}"

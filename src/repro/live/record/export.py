@@ -41,8 +41,8 @@ def export(recording: Recording, path: Path, schema: str = "", *, unit: str = ""
     path
         A new file. By default a CSV of all frames, with any number of values: ``time_s``, arrival after the start of
         the recording; ``unix_s``, the same since 1970 by the computer's clock; ``stream`` and ``sequence`` where the
-        format has them; ``device_us``, the clock of the board as sent, where it sends one; then the values under their
-        names, empty where a frame has none or NaN.
+        format has them; ``device_us``, the clock of the board as sent, where it sends one; then the values under
+        their names, empty where a frame has none or NaN.
     schema
         One of :data:`SCHEMAS` for another layout: rows ``[x y z],unix_time`` in thousands of counts for ``hall``;
         columns u1, u2, u3 [mV] and time_s for ``millivolts``; for ``quaternions`` a ROS 1 bag, whose components are
@@ -87,15 +87,7 @@ def export(recording: Recording, path: Path, schema: str = "", *, unit: str = ""
 
 
 def named_with_unit(recording: Recording, unit: str) -> list[str]:
-    """Names of the values of a recording; those without a unit get one, if it is given.
-
-    Examples
-    --------
-    >>> head = {"format": "frames", "start_host_ns": 0}
-    >>> recording = Recording(pd.DataFrame(columns=["", "", "", "", "", "u1", "u2"]), head, np.zeros(0), [], 0, 0)
-    >>> named_with_unit(recording, "mT")
-    ['u1_mT', 'u2_mT']
-    """
+    """Return the names of the values of a recording; those without a unit get one, if it is given."""
     said = recording.metadata.get("units")
     known = said if isinstance(said, list) and len(said) == len(recording.channels) else []
     if recording.format not in ("frames", "csv") or not unit:
