@@ -299,9 +299,9 @@ def test_another_unit_than_the_robot_files_is_refused():
     reader, _ = read(*["X: 1.2 uT, Y: 3 uT"] * 3)
     assert reader.layout is not None
     for unit in (None, "raw", "uT"):
-        check_units(reader.layout, unit)
+        check_units(reader.layout.names, reader.layout.value_units, unit)
     with pytest.raises(InputError) as refused:
-        check_units(reader.layout, "mT")
+        check_units(reader.layout.names, reader.layout.value_units, "mT")
     assert str(refused.value) == (
         'Input unit of the robot file must be uT, as the lines say of X_uT (or "raw", with gains in uT/mT); '
         "instead received mT."

@@ -105,7 +105,7 @@ def _write_table(recording: Recording, path: Path, unit: str) -> list[str]:
         columns["unix_s"] = 1e-9 * (frames["host_ns"] + start_ns)
     if recording.format in ("frames", "quaternions"):
         columns["stream"] = frames["stream"]
-    columns |= {name: frames[name] for name in ("sequence", "device_us") if frames[name].notna().any()}
+    columns |= {name: frames[name] for name in ("sequence", "device_us") if bool(frames[name].notna().any())}
     values = zip(named_with_unit(recording, unit), recording.channels, strict=True)
     columns |= {name: frames[channel] for name, channel in values}
     write_whole(path, pd.DataFrame(columns).to_csv(index=False, lineterminator="\n"))

@@ -174,7 +174,7 @@ class _Session:
             return
         if self.layout is None and isinstance(self.parser, CsvParser) and self.parser.layout is not None:
             self.layout = self.parser.layout
-            check_units(self.layout, self.unit)
+            check_units(self.layout.names, self.layout.value_units, self.unit)
             self.warn(f"The lines have {self.layout}.")
         if self.each is not None:
             self.each(host_ns, frames)

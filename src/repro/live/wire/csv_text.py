@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from repro.errors import bad_input
@@ -255,15 +256,15 @@ class CsvParser:
         self.refused = self.refused or f"{text[:80]!r}: {why}"
 
 
-def check_units(layout: Layout, unit: str | None) -> None:
-    """Refuse lines that say another unit than expected; ``raw`` and none take any.
+def check_units(names: Sequence[str], units: Sequence[str], unit: str | None) -> None:
+    """Refuse values that are said to have another unit than expected; ``raw`` and none take any.
 
     Raises
     ------
     InputError
         If there is one.
     """
-    for name, said in zip(layout.names, layout.value_units, strict=True):
+    for name, said in zip(names, units, strict=True):
         if said and unit not in (None, "raw") and said.lower() != unit.lower():
             must = f'{said}, as the lines say of {name} (or "raw", with gains in {said}/mT)'
             raise bad_input("unit", "the robot file", must, unit)
