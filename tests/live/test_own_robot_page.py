@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
@@ -112,7 +113,7 @@ def test_no_command_is_forgotten():
     known = [
         *("repro emulate", "repro record"),
         *("repro calibrate board", "repro calibrate held.rec"),
-        "repro live",
+        *("repro live", "repro export", "repro track"),
     ]
     assert sorted(COMMANDS) == sorted(map(one, known))
 
@@ -125,6 +126,25 @@ def test_emulate_record_and_live(folder):
     assert len(read_recording(folder / "first.rec").frames) > 100
     assert "estimates/s by levenberg_marquardt" in told
     assert "delta_x_1 " in told
+
+
+def test_the_recording_is_taken_out_and_estimated(folder):
+    if not (folder / "first.rec").exists():
+        with board(folder, one("repro emulate")):
+            run(folder, one("repro record"))
+    n = len(read_recording(folder / "first.rec").frames)
+    assert f"first.csv  ({n} frames)" in run(folder, one("repro export"))
+    assert list(pd.read_csv(folder / "first.csv"))[-3:] == ["u1_mT", "u2_mT", "u3_mT"]
+    assert f"estimates.csv  ({n} estimates)" in run(folder, one("repro track"))
+    page = (PROJECT / "book" / "own_robot.md").read_text()
+    (code,) = [block for block in re.findall(r"```python\n(.*?)```", page, re.S) if "read_recording" in block]
+    subprocess.run([sys.executable, "-c", code], cwd=folder, check=True)
+    table, named = pd.read_csv(folder / "estimates.csv"), set(re.findall(r"`(\w+)`", page))
+    assert {name for name in table if "_1" not in name and "y" not in name and "z" not in name} <= named
+    # the same from the table that was exported
+    again = one("repro track").replace("first.rec", "first.csv").replace("estimates.csv", "again.csv")
+    run(folder, again)
+    assert (folder / "again.csv").read_bytes() == (folder / "estimates.csv").read_bytes()
 
 
 def test_calibrate_from_a_recording_and_live_with_it(folder):
