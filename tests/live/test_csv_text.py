@@ -306,6 +306,9 @@ def test_another_unit_than_the_robot_files_is_refused():
         'Input unit of the robot file must be uT, as the lines say of X_uT (or "raw", with gains in uT/mT); '
         "instead received mT."
     )
+    reader = CsvParser(unit="mT")
+    with pytest.raises(InputError, match="unit of the robot file must be uT"):
+        reader.feed(b"\n" + 3 * b"X: 1.2 uT\r\n")
 
 
 @pytest.mark.parametrize(

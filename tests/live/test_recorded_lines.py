@@ -5,17 +5,25 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from test_recorder import COMMANDS, Board, Recorder, coded, frames, recorded
 
 from repro.errors import InputError
+from repro.live.emulate.board import passages
+from repro.live.emulate.takes import open_take
+from repro.live.follow.played import played
+from repro.live.follow.robot_estimator import robot_estimator
+from repro.live.follow.session import follow
 from repro.live.record.recording import read_recording
 from repro.live.record.recording_file import sidecar_path
 from repro.live.record.suspect import Suspect
 from repro.live.robot.calibration_poses import Poses, recorded_readings
+from repro.live.wire.csv_text import CsvParser
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals")
 
@@ -58,6 +66,42 @@ def test_recordings_of_lines_go_into_a_calibration(board, tmp_path, one_segment)
     poses = Poses(one_segment.start[None], np.array([[0.0, 60.0]]), ("straight",))
     found = recorded_readings(recording, one_segment, poses)
     assert found.values.tolist() == [[1.0, 2.0, 3.0]]
+    recording.metadata["units"] = ["uT"] * 3
+    with pytest.raises(InputError, match="unit of the robot file must be uT, as the lines say of x"):
+        recorded_readings(recording, one_segment, poses)
+
+
+def test_a_sketch_is_followed_live_and_played_again(board, tmp_path, one_segment):
+    """Labels, units and times of the sketch's own; then its recording as a board that sends the same numbers."""
+    sent = played(replace(one_segment, format="frames"), rate_hz=50.0, seconds=2.0, seed=1)
+    over, found, said = threading.Event(), [], []
+    estimator = robot_estimator(one_segment)
+    options = {"output": tmp_path / "a.rec", "stop": over, "each": found.append, "warn": said.append}
+    thread = threading.Thread(target=lambda: said.append(follow(str(board.port), estimator, **options)))
+    estimator.prepared()
+    thread.start()
+    time.sleep(1.0)
+    board.send(b"\n")
+    for k, row in enumerate(sent.take.values.tolist()):
+        text = ", ".join(f"{name}: {x!r} mT" for name, x in zip("XYZ", row, strict=True))
+        board.send(f"millis: {20 * k}, {text}\r\n".encode())
+        time.sleep(0.005)
+    time.sleep(1.0)
+    over.set()
+    thread.join(30)
+    assert (
+        said[0] == "The lines have 3 values a line, separated by commas: X_mT, Y_mT, Z_mT; times in millis."
+    )
+    assert len(found) == len(sent.q) == 100
+    np.testing.assert_allclose([e.step.time_s for e in found], 0.02 * np.arange(100), atol=1e-9)
+    errors = [float((e.estimate.q - q).abs().max()) for e, q in zip(found, sent.q, strict=True)]
+    assert np.median(errors) < 3e-4
+    take = open_take(str(tmp_path / "a.rec"))
+    assert take.format == "csv"
+    np.testing.assert_array_equal(take.values, sent.take.values)
+    [passage] = passages(take.readings(), "csv")
+    reader = CsvParser()
+    np.testing.assert_array_equal([f.values for f in reader.feed(b"\n" + passage.data)], sent.take.values)
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from repro.live.record.recording import channel_names
 from repro.live.record.recording_file import RecordingFile, WriteFailed, check_new, write_sidecar
 from repro.live.record.summary import Summary
 from repro.live.record.suspect import Suspect
-from repro.live.wire.csv_text import CsvParser, Layout, check_units
+from repro.live.wire.csv_text import CsvParser, Layout
 from repro.live.wire.formats import parser
 from repro.live.wire.frame import Frame, Parser
 
@@ -61,7 +61,7 @@ def record(
     ----------
     port, baud
         As for `repro.live.record.ports.open_port`.
-    format, channels
+    format, channels, unit
         As for `repro.live.wire.formats.parser`.
     output
         The recording; its metadata are written beside it, see `repro.live.record.recording.sidecar_path`. None to
@@ -76,8 +76,6 @@ def record(
         Is given what the user should know at once: the port is gone, is back, sends something else.
     each
         Is given arrival [ns] and frames of everything that arrives, before it is written; must not take long.
-    unit
-        What lines of ``csv`` must say if they say a unit; any by default.
 
     Returns
     -------
@@ -118,10 +116,10 @@ class _Session:
         each: Callable[[int, Sequence[Frame]], None] | None,
     ) -> None:
         self.port, self.format, self.output, self.baud, self.warn = port, format, output, baud, warn
-        self.each, self.channels, self.unit = each, channels, unit
+        self.each, self.channels = each, channels
         self.layout: Layout | None = None
         self.loss_said = False
-        self.parser: Parser = parser(format, channels)
+        self.parser: Parser = parser(format, channels, unit)
         self.clock = DeviceClock()
         self.times: list[tuple[int, int]] = []  # host [ns], device [us]; not yet given to the clock
         self.file: RecordingFile | None = None
@@ -174,7 +172,6 @@ class _Session:
             return
         if self.layout is None and isinstance(self.parser, CsvParser) and self.parser.layout is not None:
             self.layout = self.parser.layout
-            check_units(self.layout.names, self.layout.value_units, self.unit)
             self.warn(f"The lines have {self.layout}.")
         if self.each is not None:
             self.each(host_ns, frames)
@@ -208,7 +205,9 @@ class _Session:
     def check_losses(self) -> None:
         """Say once that most of what arrives is dropped."""
         summary = self.summary()
-        if not self.loss_said and summary.mostly_dropped and summary.dropped >= MOSTLY_DROPPED and self.file:
+        if self.suspect or self.loss_said or summary.dropped < MOSTLY_DROPPED:
+            return
+        if summary.mostly_dropped:
             self.loss_said = True
             self.warn(f"Most of what arrives is not {self.format}: {summary.losses()}")
 
@@ -296,6 +295,7 @@ class _Session:
             "seconds": summary.seconds,
             "ended": ended,
             "counters": summary.counters,
+            "first_malformed": summary.refused or None,
             # JSON has no NaN
             "clock": {k: None if math.isnan(v) else v for k, v in numbers.items()} or None,
         }

@@ -123,6 +123,8 @@ class CsvParser:
     ----------
     channels
         Values that every line must have, without a time; by default those of the first lines that agree.
+    unit
+        What lines must say if they say a unit; otherwise `feed` raises InputError. By default, and for ``raw``, any.
 
     Attributes
     ----------
@@ -132,11 +134,11 @@ class CsvParser:
         The first line that was not accepted, and why; empty if there is none.
     """
 
-    def __init__(self, channels: int | None = None) -> None:
+    def __init__(self, channels: int | None = None, unit: str | None = None) -> None:
         self.counters = Counters()
         self.refused = ""
         self.layout: Layout | None = None
-        self._channels = channels
+        self._channels, self._unit = channels, unit
         self._splitter = Splitter(b"\n", LONGEST_LINE, self.counters)
         self._header: tuple[str, ...] = ()
         self._header_separator = ""
@@ -201,6 +203,7 @@ class CsvParser:
                 _, _, first, bytes_of_it = self._held.pop(0)
                 self._refuse(first, f"no {AGREEING} of the first lines have one form", bytes_of_it)
             return []
+        check_units(layout.names, layout.value_units, self._unit)
         self.layout = layout
         if (k := layout.time_column) is not None:
             self._time = (k, time_scale(*layout.columns[k]) or 0.0)

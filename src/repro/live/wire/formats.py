@@ -13,7 +13,7 @@ FORMATS = ("frames", "hall", "millivolts", "quaternions", "csv")
 lines of numbers as sketches print them."""
 
 
-def parser(format: str, channels: int | None = None) -> Parser:
+def parser(format: str, channels: int | None = None, unit: str | None = None) -> Parser:
     r"""Return a new parser of a format, as after opening a port.
 
     Parameters
@@ -23,6 +23,8 @@ def parser(format: str, channels: int | None = None) -> Parser:
     channels
         Values that every frame must have. By default any number for ``frames``, that of the first lines for ``csv``,
         three for ``millivolts``; ``hall`` has three and ``quaternions`` four.
+    unit
+        Unit that lines of ``csv`` must say if they say one; by default, and for ``raw``, any. Other formats say none.
 
     Raises
     ------
@@ -45,7 +47,7 @@ def parser(format: str, channels: int | None = None) -> Parser:
     if format == "csv":
         if channels is not None and not 1 <= channels <= MOST_VALUES:
             raise bad_input("channels", "csv", f"1 to {MOST_VALUES}", channels)
-        return CsvParser(channels)
+        return CsvParser(channels, unit)
     return TextParser(_line(format, channels))
 
 
