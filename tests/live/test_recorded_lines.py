@@ -130,11 +130,16 @@ def test_a_format_is_recommended_only_if_nearly_all_lines_fit():
     assert "179 of 179 frames are csv (--format csv)" in said
     assert "the first '-1.5,1.25,1.0'" in said
     positive = signed.replace(b"-", b"")
-    assert "179 of 179 frames are millivolts (--format millivolts)" in verdict("frames", positive)
+    assert (
+        "179 of 179 frames are millivolts (--format millivolts), or other numbers (--format csv)"
+        in verdict("frames", positive)
+    )
     few = b"".join(b"1,2,3\r\n" if k % 4 == 0 else b"<%d>\r\n" % k for k in range(100))
     said = verdict("frames", few)
     assert "text that fits none of frames, hall, millivolts, quaternions, csv" in said
     assert "--format" not in said
+    assert "the first 31 2c 00" in verdict("hall", 100 * b"1,\x00\xff\n")
+    assert "text that fits none of" in verdict("csv", 100 * b"1,2\r"), "lines that do not end"
 
 
 def test_another_number_of_values_is_said_so():

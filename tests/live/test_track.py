@@ -26,7 +26,7 @@ from repro.live.follow.estimate_table import CONSISTENCY, EstimateFile, Estimate
 from repro.live.follow.offline import read_readings, track_readings
 from repro.live.follow.played import played
 from repro.live.follow.readings_table import read_table
-from repro.live.follow.robot_estimator import Follower, robot_estimator
+from repro.live.follow.robot_estimator import ESTIMATORS, Follower, robot_estimator
 from repro.live.follow.time_steps import TimeStep
 from repro.live.record.export import export
 from repro.live.record.recording import read_recording
@@ -127,21 +127,37 @@ def test_uncertainties_are_those_of_the_covariance(tmp_path, estimator, sent):
 
 
 def test_columns_of_every_kind_of_estimate(estimator):
-    rows, q = EstimateRows(estimator), torch.zeros(3, dtype=torch.float64)
+    q = torch.zeros(3, dtype=torch.float64)
     plain = Estimate(q, None, q)
-    assert rows.header(plain) == [
+    rows = EstimateRows(estimator, plain)
+    assert rows.header == [
         "time_s", "delta_x_1_mm", "delta_y_1_mm", "delta_L_1_mm", "tip_x_mm", "tip_y_mm", "tip_z_mm",
     ]  # fmt: skip
     assert rows.rows([0.5], [plain]) == [["0.500000", "0", "0", "0", "0", "0", "110"]]
     said = Estimate(
         q, None, q, {"chi2": torch.tensor(3.5), "dof": torch.tensor(2), "status": torch.tensor(1)}
     )
-    assert rows.header(said)[-3:] == ["chi2", "dof", "consistency"]
-    assert rows.rows([0.5], [said])[0][-3:] == ["3.5", "2", CONSISTENCY[1]]
+    rows = EstimateRows(estimator, said)
+    assert rows.header[-3:] == ["chi2", "dof", "consistency"]
+    assert [row[-3:] for row in rows.rows([0.5, 0.6], [said, plain])] == [
+        ["3.5", "2", CONSISTENCY[1]],
+        [""] * 3,
+    ]
     held = Estimate(q, torch.zeros(3, 3, dtype=torch.float64), q)
-    (cells,) = rows.rows([0.5], [held])
-    assert len(cells) == len(rows.header(held)) == 1 + 3 + 3 + 3 + 3 + 3 + 3
-    assert cells[4:10] == ["0"] * 3 + [""] * 3, "correlations of nothing"
+    rows = EstimateRows(estimator, held)
+    first, second = rows.rows([0.5, 0.6], [held, plain])
+    assert len(first) == len(second) == len(rows.header) == 1 + 3 + 3 + 3 + 3 + 3 + 3
+    assert first[4:10] == ["0"] * 3 + [""] * 3, "correlations of nothing"
+    assert second[4:10] == [""] * 6
+
+
+@pytest.mark.parametrize("name", ESTIMATORS[:-1])
+def test_every_estimator_is_stored(tmp_path, robot, sent, name):
+    path = recording(tmp_path / "a.rec", frames_of(sent)[:5])
+    done, table = tracked(path, robot_estimator(robot, name), tmp_path / "e.csv")
+    assert done.follower.estimated == len(table) == 5
+    assert np.isfinite(table.to_numpy()).all()
+    assert ("tip_x_sd_mm" in table) == (name != "gradient_descent")
 
 
 def test_imus_give_points_and_the_tip(tmp_path):

@@ -51,31 +51,41 @@ class EstimateRows:
     ----------
     estimator
         Whose estimates.
+    first
+        The first of them: it tells which columns there are.
+
+    Attributes
+    ----------
+    header
+        Names of the columns.
     """
 
-    def __init__(self, estimator: RobotEstimator) -> None:
+    def __init__(self, estimator: RobotEstimator, first: Estimate) -> None:
         self._estimator = estimator
         if estimator.positions:
             points = range(1, len(estimator.start) // 3 + 1)
             self._columns = {f"point_{k}_{axis}_mm": MM for k in points for axis in "xyz"}
         else:
             self._columns = coordinate_columns(estimator.robot)
-
-    def header(self, estimate: Estimate) -> list[str]:
-        """Names of the columns, as those of this estimate."""
+        self._known = first.covariance is not None
+        self._said = [name for name in ("chi2", "dof", "status") if name in first.diagnostics]
         names, tip = list(self._columns), [f"tip_{axis}_mm" for axis in "xyz"]
-        known, shown = estimate.covariance is not None, not self._estimator.positions
-        columns = ["time_s", *names, *(_uncertainty(names) if known and shown else [])]
-        columns += [*tip, *(_uncertainty(tip) if known else [])]
-        columns += [name for name in ("chi2", "dof") if name in estimate.diagnostics]
-        return columns + ["consistency"] * ("status" in estimate.diagnostics)
+        self.header = [
+            "time_s",
+            *names,
+            *(_uncertainty(names) if self._known and not estimator.positions else []),
+        ]
+        self.header += [*tip, *(_uncertainty(tip) if self._known else [])]
+        self.header += ["consistency" if name == "status" else name for name in self._said]
 
     def rows(self, times_s: Sequence[float], estimates: Sequence[Estimate]) -> list[list[str]]:
-        """Cells of estimates; empty where a number is not finite."""
+        """Cells of estimates; empty where a number is missing or not finite."""
         factor = torch.tensor(list(self._columns.values()), dtype=torch.float64)
-        q = torch.stack([estimate.q for estimate in estimates])
-        covariances = [e.covariance for e in estimates if e.covariance is not None]
-        C = torch.stack(covariances) if len(covariances) == len(estimates) else None
+        q = torch.stack([estimate.q.double() for estimate in estimates])
+        C = None
+        if self._known:
+            nothing = q.new_full((q.shape[1],) * 2, torch.nan)
+            C = torch.stack([nothing if e.covariance is None else e.covariance.double() for e in estimates])
         parts = [q / factor]
         if self._estimator.positions:
             tip, tip_C = q[:, -3:], None if C is None else C[:, -3:, -3:]
@@ -85,16 +95,14 @@ class EstimateRows:
             tip_C = None if C is None else J @ C @ J.mT
             parts += _spread(C, factor)
         parts += [tip / MM, *_spread(tip_C, factor.new_full((3,), MM))]
-        found = [e.diagnostics for e in estimates]
-        parts += [
-            torch.stack([d[name].to(factor).reshape(1) for d in found])
-            for name in ("chi2", "dof")
-            if name in found[0]
-        ]
         cells = [[_cell(x) for x in row] for row in torch.cat(parts, -1).tolist()]
-        words = [[CONSISTENCY[int(d["status"])]] if "status" in d else [] for d in found]
-        times = [[f"{time_s:.6f}"] for time_s in times_s]
-        return [a + b + c for a, b, c in zip(times, cells, words, strict=True)]
+        for row, estimate in zip(cells, estimates, strict=True):
+            said = (float(estimate.diagnostics.get(name, torch.nan)) for name in self._said)
+            row += [
+                CONSISTENCY[int(x)] if name == "status" and not math.isnan(x) else _cell(x)
+                for name, x in zip(self._said, said, strict=True)
+            ]
+        return [[f"{time_s:.6f}", *row] for time_s, row in zip(times_s, cells, strict=True)]
 
 
 def _uncertainty(names: Sequence[str]) -> list[str]:
@@ -142,10 +150,10 @@ class EstimateFile:
         self.path = path
         self.written = 0
         """Estimates in the file."""
-        self._rows = EstimateRows(estimator)
+        self._estimator = estimator
+        self._rows: EstimateRows | None = None
         self._waiting: queue.Queue[tuple[float, Estimate] | None] = queue.Queue(MOST_WAITING)
         self._failure: BaseException | None = None
-        self._header: list[str] = []
         self._file = -1
         self._bytes = 0
         self._thread = threading.Thread(target=self._write_all, daemon=True)
@@ -211,12 +219,12 @@ class EstimateFile:
 
     def _write(self, part: list[tuple[float, Estimate]]) -> None:
         lines = []
-        if self._file < 0:
-            self._header = self._rows.header(part[0][1])
+        if self._rows is None:
+            self._rows = EstimateRows(self._estimator, part[0][1])
             self.path.parent.mkdir(parents=True, exist_ok=True)
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_BINARY", 0)
             self._file = os.open(self.path, flags, 0o666)
-            lines.append(self._header)
+            lines.append(self._rows.header)
         lines += self._rows.rows([time_s for time_s, _ in part], [estimate for _, estimate in part])
         data = "".join(",".join(line) + "\n" for line in lines).encode()
         try:

@@ -205,9 +205,8 @@ class _Session:
     def check_losses(self) -> None:
         """Say once that most of what arrives is dropped."""
         summary = self.summary()
-        if self.suspect or self.loss_said or summary.dropped < MOSTLY_DROPPED:
-            return
-        if summary.mostly_dropped:
+        known = self.suspect or self.loss_said
+        if not known and summary.mostly_dropped and summary.dropped >= MOSTLY_DROPPED:
             self.loss_said = True
             self.warn(f"Most of what arrives is not {self.format}: {summary.losses()}")
 
@@ -290,12 +289,11 @@ class _Session:
         """Return metadata that change."""
         self.set_clock()
         summary, fit = self.summary(), self.clock.fit()
-        numbers = {} if fit is None else asdict(fit)
         return {
             "seconds": summary.seconds,
             "ended": ended,
             "counters": summary.counters,
             "first_malformed": summary.refused or None,
             # JSON has no NaN
-            "clock": {k: None if math.isnan(v) else v for k, v in numbers.items()} or None,
+            "clock": fit and {k: None if math.isnan(v) else v for k, v in asdict(fit).items()},
         }

@@ -55,6 +55,8 @@ class Suspect:
                 must = f"{counts} ({what} of {counts} values arrived, {self.channels} were expected)"
                 return bad_input("channels", "repro record", must, self.channels)
             must = f"that of the board: {len(frames)} of {packets} frames are {other} (--format {other})"
+            if other in ("hall", "millivolts"):
+                must += ", or other numbers (--format csv)"
             return bad_input("format", "repro record", must, f"{self.format}, {seen}")
         if self._is_text():
             must = f"that of the board; its lines are text that fits none of {', '.join(FORMATS)}"
@@ -65,13 +67,13 @@ class Suspect:
 
     def _is_text(self) -> bool:
         printable = sum(byte in b"\t\r\n" or 32 <= byte < 127 for byte in self.bytes)
-        return printable >= FITTING * len(self.bytes) and self.bytes.count(b"\n") > 1
+        return printable >= FITTING * len(self.bytes)
 
     def _tried(self, format: str) -> tuple[list[Frame], int]:
         """Return frames that a parser of a format finds, and how many packets or lines it has seen."""
         _, _, behind = bytes(self.bytes).partition(b"\n")
         n = behind.partition(b"\n")[0].count(b",") + 1
-        trial = parser(format, n if format == "millivolts" else None)
+        trial = parser(format, n if format == "millivolts" == self.format else None)
         frames: list[Frame] = []
         for first in range(0, len(self.bytes), 4096):
             frames += trial.feed(bytes(self.bytes[first : first + 4096]))
@@ -85,4 +87,5 @@ def first_line(data: bytes) -> str:
     parts = data.split(b"\n", 2)
     line = (parts[1] if len(parts) == 3 else data)[:SHOWN_BYTES].rstrip(b"\r\n")
     text = line.decode(errors="replace")
-    return repr(text) if text.isprintable() or "\t" in text else line[:16].hex(" ")
+    plain = text.replace("\t", " ").replace("\r", " ")
+    return repr(text) if plain.isprintable() and "\ufffd" not in plain else line[:16].hex(" ")
