@@ -315,6 +315,24 @@ def test_lines_in_another_unit_are_refused(tmp_path):
     with pytest.raises(InputError, match="unit of the robot file must be uT, as the lines say of x_uT"):
         read_readings(recording(tmp_path / "a.rec", frames, "csv", **about), estimator)
     assert len(read_readings(recording(tmp_path / "b.rec", frames, "csv"), estimator).frames) == 3
+    (tmp_path / "c.csv").write_text("time_s,x_uT,y_uT,z_uT\n0,1,2,3\n")
+    with pytest.raises(InputError, match="unit of the robot file must be uT, as the lines say of x_uT"):
+        read_readings(tmp_path / "c.csv", estimator)
+
+
+def test_labels_of_a_sketch_come_back_from_an_export_in_their_order(tmp_path):
+    text = (ROBOTS / "one_segment.toml").read_text().replace('"frames"', '"csv"')
+    (tmp_path / "robot.toml").write_text(text)
+    estimator = robot_estimator(load_robot(tmp_path / "robot.toml"))
+    frames = [Frame(0, None, 20_000 * k, (1.0, 2.0, 3.0 + k)) for k in range(3)]
+    about = {"channels": ["Z_mT", "Y_mT", "X_mT"], "units": ["mT"] * 3}
+    path = recording(tmp_path / "a.rec", frames, "csv", **about)
+    export(read_recording(path), tmp_path / "a.csv")
+    found = read_readings(tmp_path / "a.csv", estimator)
+    assert [frame for _, frame in found.frames] == frames
+    (tmp_path / "b.csv").write_text("time_s,Z,Y\n0,1,2\n")
+    with pytest.raises(InputError, match="channel 1 of b.csv must be one column"):
+        read_readings(tmp_path / "b.csv", estimator)
 
 
 # ---- the file of estimates ----

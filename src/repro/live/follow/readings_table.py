@@ -16,7 +16,7 @@ from repro.live.follow.robot_estimator import RobotEstimator
 from repro.live.record.recording import channel_names
 from repro.live.robot.robot_file import RobotFile
 from repro.live.wire.csv_fields import name_and_unit, time_scale
-from repro.live.wire.csv_text import WRAP
+from repro.live.wire.csv_text import WRAP, check_units
 from repro.live.wire.frame import Frame
 
 KNOWN = ("unix_s", "host_ns", "sequence", "stream", "device_us")
@@ -33,7 +33,9 @@ def read_table(path: Path, estimator: RobotEstimator) -> tuple[list[tuple[int, F
         A CSV with a header. Times are in ``time_s``, ``time_ms`` or the like; ``device_us`` and ``stream`` are used
         where they are. A reading of channel 2 is in ``u2``, ``ch2``, ``channel_2``, under the name of the format
         (``y_counts``), or under the number of its sensor, ``sensor_2``; each with a unit behind it, as ``u2_mT`` or
-        ``u2 [mT]``, or without. IMUs are in ``x``, ``y``, ``z``, ``w`` with their ``stream``.
+        ``u2 [mT]``, or without. Of a board that sends ``csv``, labels of its own count in their order, as in its
+        lines, if they are as many as its channels and no column is numbered. IMUs are in ``x``, ``y``, ``z``, ``w``
+        with their ``stream``.
     estimator
         Whose robot sent the readings.
 
@@ -69,7 +71,13 @@ def read_table(path: Path, estimator: RobotEstimator) -> tuple[list[tuple[int, F
         if missing := [name for name in ("stream", *"xyzw") if name not in names]:
             raise bad_input("columns", path.name, "stream, x, y, z, w", f"none called {', '.join(missing)}")
     else:
-        chosen = _channels(path.name, names, robot)
+        labels = [name for name in names if name not in (time_column, *KNOWN)]
+        numbered = any(_NUMBERED.fullmatch(name_and_unit(name)[0]) for name in labels)
+        if robot.format == "csv" and not numbered and len(labels) == robot.channels:
+            check_units(labels, [name_and_unit(name)[1] for name in labels], robot.unit)
+            chosen = labels
+        else:
+            chosen = _channels(path.name, names, robot)
     values = np.full((len(table), len(chosen)), np.nan)
     for k, name in enumerate(chosen):
         if name is not None:
