@@ -46,13 +46,14 @@ def record(
         Such as /dev/ttyACM0, COM3 or socket://localhost:7000.
     format
         What the board sends: frames (ours), hall (integers of Mitchell et al.), millivolts (rig of Baaij et al.),
-        quaternions (IMUs of Martin et al.).
+        quaternions (IMUs of Martin et al.), csv (lines of numbers, with labels and units or without).
     output
         The recording, a new file; its metadata are written beside it.
     baud
         Bits per second; means nothing to a board that is itself a USB device.
     channels
-        Values that every frame must have; by default any number for frames, three for millivolts.
+        Values that every frame must have; by default any number for frames, that of the first lines
+        for csv, three for millivolts.
     duration
         Stop after this many seconds.
     list_only
@@ -92,22 +93,31 @@ def record(
         screen.line("No frame came; nothing was written.")
         return 1
     print(shown(summary.path))
-    return 0
+    if summary.dropped:
+        screen.line(summary.losses())
+    return int(summary.mostly_dropped)
 
 
 def export(
-    recording: Path, /, *, output: Output = None, schema: Annotated[str, Parameter(name="--as")] = ""
+    recording: Path,
+    /,
+    *,
+    output: Output = None,
+    schema: Annotated[str, Parameter(name="--as")] = "",
+    robot: Path | None = None,
 ) -> int:
-    """Write a recording as a file that the loaders read: repro export RECORDING -o FILE.
+    """Write a recording as a table: repro export RECORDING -o FILE.csv.
 
     Parameters
     ----------
     recording
-        From repro record.
+        From repro record, of any number of channels.
     output
-        A new file: CSV for hall and millivolts, a ROS 1 bag for quaternions.
+        A new file: CSV with time_s, unix_s, stream and sequence where there are any, and a column for each value.
     schema
-        hall, millivolts or quaternions; needed for a recording of the format frames, which tells no unit.
+        The layout of a paper instead: hall, millivolts (CSV) or quaternions (a ROS 1 bag).
+    robot
+        The robot file that says which unit the values have; columns are named by it.
     """
     from repro.live.record.export import export as export_to
     from repro.live.record.recording import read_recording
@@ -117,8 +127,17 @@ def export(
         raise bad_input("output", "repro export", "given (-o FILE)", "none")
     if not recording.is_file():
         raise bad_input("recording", "repro export", "a file", f"{recording}, which is not there")
+    unit = ""
     read = read_recording(recording)
-    remarks = export_to(read, output, schema)
+    if robot is not None:
+        from repro.live.robot.robot_file import load_robot
+
+        described = load_robot(robot)
+        unit = described.unit if described.channel else ""
+        if unit and len(read.channels) != described.channels:
+            expected = f"of {described.channels} channels, as described in {described.name}"
+            raise bad_input("recording", "repro export", expected, f"one of {len(read.channels)}")
+    remarks = export_to(read, output, schema, unit=unit)
     if left_out := read.torn_bytes + read.damaged_bytes:
         remarks = [f"{left_out} bytes of the recording are not whole and were left out", *remarks]
     for remark in remarks:

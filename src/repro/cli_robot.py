@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from repro.cli_terminal import set_by_signals, to_terminal
+from repro.cli_track import live_file
 
 if TYPE_CHECKING:
     from repro.live.follow.browser import BrowserView
@@ -103,13 +104,14 @@ def live(
     failed: Annotated[list[int] | None, Parameter(negative="", metavar="NUMBER")] = None,
     baud: int = 115200,
     duration: float = math.inf,
+    estimates: Path | None = None,
 ) -> int:
     """Estimate the shape from a port: repro live PORT --robot ROBOT.toml -o RECORDING; stop with Ctrl-C.
 
     Parameters
     ----------
     port
-        Such as /dev/ttyACM0, COM3 or socket://localhost:7000.
+        Such as /dev/ttyACM0, COM3 or socket://localhost:7000; or a recording, which is estimated at full speed.
     robot
         The robot as described.
     calibration
@@ -129,12 +131,23 @@ def live(
         Bits per second of the port.
     duration
         Stop after this many seconds.
+    estimates
+        Store the estimates as they come, as repro track does; a new CSV.
     """
     import torch
 
     from repro.errors import bad_input
+
+    if Path(port).is_file():
+        given = {"output": output is not None, "browser": browser, "duration": duration != math.inf}
+        of_a_port = [name for name, is_given in given.items() if is_given]
+        return live_file(
+            Path(port), robot, calibration, estimator, failed or [], estimates, of_a_port=of_a_port
+        )
+
     from repro.live.follow import live_text
     from repro.live.follow.browser import BrowserView
+    from repro.live.follow.estimate_table import EstimateFile
     from repro.live.follow.robot_estimator import robot_estimator
     from repro.live.follow.session import follow
     from repro.live.record.recording_file import WriteFailed
@@ -152,12 +165,15 @@ def live(
     view = BrowserView(method, browser_socket or 0) if browser else None
     screen = _Block(method, view)
     print("Preparing the estimator (the first time its kernels are compiled: a minute).", file=sys.stderr)
+    table = None if estimates is None else EstimateFile(estimates, method)
+    each = None if table is None else lambda found: table.add(found.step.time_s, found.estimate)
     with view or nullcontext():
         if view is not None:
             print(f"Open {view.address} in a browser.", flush=True)
-        options = {"output": output, "baud": baud, "duration_s": duration}
+        options = {"output": output, "baud": baud, "duration_s": duration, "each": each}
         try:
-            state = follow(port, method, **options, stop=stop, show=screen.show, warn=screen.line)
+            with table or nullcontext():
+                state = follow(port, method, **options, stop=stop, show=screen.show, warn=screen.line)
         except WriteFailed as failure:
             screen.line(f"repro: {failure}")
             return 1
@@ -167,6 +183,8 @@ def live(
         return 1
     if state.recorded.path is not None:
         print(shown(state.recorded.path))
+    if table is not None:
+        print(f"{shown(table.path)}  ({table.written} estimates)")
     return 0
 
 
@@ -225,7 +243,10 @@ def _port_frames(port: str, baud: int, robot: RobotFile) -> Iterator[Frame]:
     from repro.live.record.ports import open_port, read_available
     from repro.live.wire.formats import parser
 
-    opened, parse = open_port(port, baud), parser(robot.format)
+    opened, parse = (
+        open_port(port, baud),
+        parser(robot.format, robot.channels if robot.format == "csv" else None),
+    )
 
     def frames() -> Iterator[Frame]:
         while True:

@@ -11,6 +11,7 @@ EXAMPLES = {
     "hall": Frame(0, None, None, (-12.0, 187.0, -2310.0)),
     "millivolts": Frame(0, None, None, (1282.125, 1205.0625, 1387.4375)),
     "quaternions": Frame(3, None, None, TURN),
+    "csv": Frame(0, None, None, (1.25, -3.5, 0.0625)),
 }
 
 
@@ -46,7 +47,7 @@ def received(format: str, damaged: bytes) -> list[Frame]:
     """What a parser delivers of the damaged bytes between two sound neighbours, on a line long open."""
     before, after = (encode(format, frame) for frame in neighbours(format))
     reader = parser(format)
-    reader.feed(b"" if format == "frames" else b"\n")
+    reader.feed(b"" if format == "frames" else b"\n" + 3 * before)  # three lines of csv tell their form
     return reader.feed(before + damaged + after)
 
 

@@ -55,7 +55,14 @@ def try_one(data: bytes) -> None:
         if again is not None:
             reader = parser(format)
             reader.feed(b"" if format == "frames" else b"\n")
-            check(len(reader.feed(again)) == 1, f"{frame} is not read again")
+            if format == "csv":  # three lines that agree tell their form
+                reader.feed(again + again)
+                again_read = reader.feed(again)[-1:]
+                check(
+                    repr(again_read) == repr([frame._replace(device_us=None)]), f"{frame} is read otherwise"
+                )
+            else:
+                check(len(reader.feed(again)) == 1, f"{frame} is not read again")
     if format == "frames":
         accepted = alone(stream)
         check(repr([frame for _, frame in accepted]) == repr(frames), "a frame depends on its neighbours")
@@ -101,6 +108,7 @@ def seeds() -> list[bytes]:
         b"\n-12,187,-2310\r\n0,5,8191\r\n",
         b"\n1282.1250,1205.0625,1387.4375\r\n0,1e-3,2048\r\n",
         b"\n3,0.826797,0.062500,-0.250000,0.500000\r\n",
+        b"time_ms,X (uT),Y (uT)\r\n" + b"12,1.5,-.25e2\r\n" * 4 + b"ok\r\n12,nan,1\r\n",
         bytes.fromhex("01070101 01000000 e8030000 0000803f")
         + b"\xff\xff"
         + bytes.fromhex("010702010200000000000000f4ff"),

@@ -118,7 +118,7 @@ def test_a_terminated_emulator_leaves_no_port(tmp_path):
         ),
         (
             ("lemniscate", "--format", "hall"),
-            "Input format of the take lemniscate must be frames; instead received hall.",
+            "Input format of the take lemniscate must be frames or csv; instead received hall.",
         ),
         (
             ("lemniscate", "--fault", "fires", "1"),

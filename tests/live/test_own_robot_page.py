@@ -226,3 +226,25 @@ def test_live_with_a_broken_sensor(followed):
     _, text = said(followed, "repro live board --robot data/robots/two_segments.toml")
     assert "estimates/s by levenberg_marquardt" in text
     assert "delta_x_2 " in text
+
+
+def test_the_recording_is_taken_out_and_estimated(followed):
+    folder, exported = said(followed, "repro export")
+    _, tracked = said(followed, "repro track")
+    n = len(read_recording(folder / "first.rec").frames)
+    assert f"first.csv  ({n} frames)" in exported
+    assert list(pd.read_csv(folder / "first.csv"))[-3:] == ["u1_mT", "u2_mT", "u3_mT"]
+    assert f"estimates.csv  ({n} estimates)" in tracked
+    page = (PROJECT / "book" / "own_robot.md").read_text()
+    (code,) = [block for block in re.findall(r"```python\n(.*?)```", page, re.S) if "read_recording" in block]
+    subprocess.run([sys.executable, "-c", code], cwd=folder, check=True)
+    table, named = pd.read_csv(folder / "estimates.csv"), set(re.findall(r"`(\w+)`", page))
+    assert {name for name in table if "_1" not in name and "y" not in name and "z" not in name} <= named
+
+
+def test_the_exported_table_gives_the_same_estimates(followed):
+    folder, _ = said(followed, "repro track")
+    (command,) = [command for command in COMMANDS if command.startswith("repro track")]
+    again = command.replace("first.rec", "first.csv").replace("estimates.csv", "again.csv")
+    Terminal(folder, again).end()
+    assert (folder / "again.csv").read_bytes() == (folder / "estimates.csv").read_bytes()

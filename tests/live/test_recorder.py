@@ -283,13 +283,13 @@ def test_millivolts_reach_their_loader(board, tmp_path):
     readings = np.round(rng.uniform(1, 2047, (40, 3)) * 16) / 16  # steps of the converter
     lines = coded([Frame(0, None, None, tuple(row)) for row in readings], "millivolts")
     recording = recorded(board, "millivolts", b"1.0\r\n" + lines, tmp_path / "a.rec")
-    remarks = export(recording, tmp_path / "T_SV.csv")
+    remarks = export(recording, tmp_path / "T_SV.csv", "millivolts")
     found, dropped = read_rig(tmp_path / "T_SV.csv")
     np.testing.assert_array_equal(found, readings)
     assert dropped == 0
     assert "the loader takes 40 Hz" in remarks[0]  # they came at once
     with pytest.raises(InputError, match="output of export must be a new file"):
-        export(recording, tmp_path / "T_SV.csv")
+        export(recording, tmp_path / "T_SV.csv", "millivolts")
     with pytest.raises(InputError, match="recording of export as hall must be of the format hall or frames"):
         export(recording, tmp_path / "hall.csv", "hall")
 
@@ -304,7 +304,7 @@ def test_hall_lines_reach_their_loader(board, tmp_path):
         time.sleep(0.012)
     recorder.finish()
     recording = read_recording(path)
-    export(recording, tmp_path / "hall.csv")
+    export(recording, tmp_path / "hall.csv", "hall")
     take = read_hall(tmp_path / "hall.csv")
     kept = len(take.readings)
     assert kept + take.drained == 30
@@ -321,7 +321,9 @@ def test_quaternions_reach_their_loader(board, tmp_path):
     quaternions = np.round(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True), 6)
     lines = coded([Frame(k % 8, None, None, tuple(row)) for k, row in enumerate(quaternions)], "quaternions")
     recording = recorded(board, "quaternions", b"0.1\r\n" + lines, tmp_path / "a.rec")
-    remarks = export(recording, tmp_path / "imus.bag")
+    with pytest.raises(InputError, match=r"must be a CSV \(--as quaternions writes a bag\)"):
+        export(recording, tmp_path / "imus.bag")
+    remarks = export(recording, tmp_path / "imus.bag", "quaternions")
     found = read_imus(tmp_path / "imus.bag")
     np.testing.assert_allclose(found[["x", "y", "z", "w"]].to_numpy(), quaternions, atol=6e-8)
     assert found["imu"].tolist() == [k % 8 for k in range(24)]
@@ -332,11 +334,13 @@ def test_quaternions_reach_their_loader(board, tmp_path):
 
 def test_frames_are_exported_only_as_what_they_are_said_to_be(board, tmp_path):
     recording = recorded(board, "frames", coded(frames(1, 5)), tmp_path / "a.rec")
-    with pytest.raises(InputError, match="schema of export must be one of hall, millivolts, quaternions"):
-        export(recording, tmp_path / "a.csv")
+    with pytest.raises(InputError, match="schema of export must be one of hall, millivolts, quaternions, or"):
+        export(recording, tmp_path / "a.csv", "frames")
     with pytest.raises(
         InputError, match="as quaternions must be frames of 4 values each; instead received .3.[.]$"
     ):
         export(recording, tmp_path / "a.bag", "quaternions")
     export(recording, tmp_path / "a.csv", "millivolts")
-    assert (tmp_path / "a.csv").read_text().splitlines()[:2] == ["u1,u2,u3", "1.0,0.5,-2.0"]
+    head, first, *_ = (tmp_path / "a.csv").read_text().splitlines()
+    assert head == "u1,u2,u3,time_s"
+    assert first == f"1.0,0.5,-2.0,{float(recording.frames['time_s'][0])!r}"

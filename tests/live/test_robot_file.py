@@ -246,7 +246,7 @@ WRONG = [
     ('unit', "unit = 'T'", '[stream]',
      "one of 'mT', 'mV', 'raw'", "'T'"),
     ('format', "format = 'binary'", '[stream]',
-     "one of 'frames', 'hall', 'millivolts', 'quaternions'", "'binary'"),
+     "one of 'frames', 'hall', 'millivolts', 'quaternions', 'csv'", "'binary'"),
     ('noise_mt', 'noise_mv = 0.5', '[stream]',
      'noise_mt', 'a key that does not exist'),
     ('noise_mt', 'noise_mt = nan', '[stream]',

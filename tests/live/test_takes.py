@@ -106,7 +106,7 @@ def test_a_recording_is_played_as_it_came(tmp_path):
         ),
         (
             ("lemniscate", "hall"),
-            "Input format of the take lemniscate must be frames; instead received hall.",
+            "Input format of the take lemniscate must be frames or csv; instead received hall.",
         ),
         (
             ("arm", "millivolts"),
@@ -114,7 +114,11 @@ def test_a_recording_is_played_as_it_came(tmp_path):
         ),
         (
             ("arm", "csv"),
-            "Input format of open_take must be one of frames, hall, millivolts, quaternions; instead received csv.",
+            "Input format of the take arm must be quaternions or frames; instead received csv.",
+        ),
+        (
+            ("arm", "mcap"),
+            "Input format of open_take must be one of frames, hall, millivolts, quaternions, csv; .* mcap.",
         ),
     ],
 )

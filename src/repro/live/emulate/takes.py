@@ -82,7 +82,7 @@ def open_take(source: str, format: str = "", *, rate_hz: float | None = None, se
         One of :data:`SOURCES`, or the path of a recording.
     format
         One of :data:`repro.live.wire.formats.FORMATS`; by default that of the source. Our own frames
-        take any source, the text formats only what they were made for.
+        take any source, ``csv`` any of one stream, the other text formats only what they were made for.
     rate_hz
         Readings per second of each stream; by default 40 Hz for Baaij et al., 100 for Mitchell et al., 35 for Martin
         et al., and as recorded. Readings in between are interpolated, but those of a recording only move in time.
@@ -112,8 +112,10 @@ def open_take(source: str, format: str = "", *, rate_hz: float | None = None, se
         expected = f"one of {', '.join(SOURCES)}, or the path of a recording"
         raise bad_input("source", "open_take", expected, repr(source))
     chosen = format or take.format
-    if chosen not in (take.format, "frames"):
-        fitting = " or ".join(dict.fromkeys((take.format, "frames")))
+    one_stream = ["csv"] if (take.stream == 0).all() else []
+    fitting = dict.fromkeys((take.format, "frames", *one_stream))
+    if chosen not in fitting:
+        fitting = " or ".join(fitting)
         raise bad_input("format", f"the take {source}", fitting, chosen)
     values = _carried(chosen, take.values)
     return Take(take.label, chosen, take.time_s, take.stream, values, take.period_s)
@@ -123,6 +125,8 @@ def _carried(format: str, values: np.ndarray) -> np.ndarray:
     """Round to what the format carries, so that what is sent can be compared with what arrives."""
     if format == "frames":
         return values.astype(np.float32).astype(float)
+    if format == "csv":
+        return values
     return np.round(values, {"hall": 0, "millivolts": 4, "quaternions": 6}[format]) + 0.0
 
 

@@ -141,11 +141,12 @@ class _Session:
         """Record; in a thread of its own."""
         robot = self.estimator.robot
         # Frames of ours that have another number of values can be told from garbage, and are in `step`.
-        channels = robot.channels if robot.format == "millivolts" else None
+        channels = robot.channels or None if robot.format in ("millivolts", "csv") else None
         try:
             summary = record(
                 port, robot.format, output, baud=baud, channels=channels, duration_s=duration_s, stop=self.stop,
                 show=self.tally.note, warn=self.warn, each=self.put, watch=self.tally.watch, owner=OWNER,
+                unit=robot.unit,
             )  # fmt: skip
             self.tally.note(summary)
         except BaseException as error:  # belongs to the thread that estimates

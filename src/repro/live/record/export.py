@@ -1,4 +1,4 @@
-"""A recording as a file that the loaders of `repro.recordings` read."""
+"""A recording as a table, or as a file that the loaders of `repro.recordings` read."""
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 
@@ -9,6 +9,7 @@ import uuid
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Int
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -20,7 +21,7 @@ from repro.report.files import write_whole
 from repro.sensing.rig import RIG_RATE_HZ
 
 SCHEMAS = {"hall": 3, "millivolts": 3, "quaternions": 4}
-"""What can be written, and the number of values of a frame: `repro.recordings.mitchell2021.read_hall`,
+"""Layouts of the three papers, and the number of values of a frame: `repro.recordings.mitchell2021.read_hall`,
 `repro.recordings.baaij2023.read_readings` and `repro.recordings.martin2022.read_readings` read them."""
 TIE_NS = 1000
 """Readings that arrived together are written this much apart, since times in these files must increase [ns]."""
@@ -30,19 +31,24 @@ _TYPE = "estimator/msg/quat"
 _MESSAGE = "std_msgs/Header header\nuint8 ID\nfloat32 w\nfloat32 x\nfloat32 y\nfloat32 z\n"
 
 
-def export(recording: Recording, path: Path, schema: str = "") -> list[str]:
-    """Write the readings of a recording in the schema of a loader.
+def export(recording: Recording, path: Path, schema: str = "", *, unit: str = "") -> list[str]:
+    """Write the readings of a recording as a table, or in the schema of a loader.
 
     Parameters
     ----------
     recording
         What to write.
     path
-        A new file: rows ``[x y z],unix_time`` in thousands of counts for ``hall``; columns u1, u2, u3 [mV] for
-        ``millivolts``; for ``quaternions`` a ROS 1 bag, whose components are float32.
+        A new file. By default a CSV of all frames, with any number of values: ``time_s``, arrival after the start of
+        the recording; ``unix_s``, the same since 1970 by the computer's clock; ``stream`` and ``sequence`` where the
+        format has them; ``device_us``, the clock of the board as sent, where it sends one; then the values under
+        their names, empty where a frame has none or NaN.
     schema
-        One of :data:`SCHEMAS`; by default the format of the recording. A recording of the format ``frames`` does not
-        know the unit of its values, so it must be given.
+        One of :data:`SCHEMAS` for another layout: rows ``[x y z],unix_time`` in thousands of counts for ``hall``;
+        columns u1, u2, u3 [mV] and time_s for ``millivolts``; for ``quaternions`` a ROS 1 bag, whose components are
+        float32. The recording must have that format, or ``frames``, which do not know the unit of their values.
+    unit
+        Unit of the values of a table, where their names do not say it.
 
     Returns
     -------
@@ -55,15 +61,20 @@ def export(recording: Recording, path: Path, schema: str = "") -> list[str]:
         If the recording has another format, or the wrong number of values or of streams, or no frame; or the file
         exists.
     """
-    schema = schema or recording.format
-    if schema not in SCHEMAS:
-        raise bad_input("schema", "export", f"one of {', '.join(SCHEMAS)}", schema)
-    if recording.format not in ("frames", schema):
+    if schema not in ("", *SCHEMAS):
+        raise bad_input("schema", "export", f"one of {', '.join(SCHEMAS)}, or left out", schema)
+    if schema and recording.format not in ("frames", schema):
         raise bad_input(
             "recording", f"export as {schema}", f"of the format {schema} or frames", recording.format
         )
     if path.exists():
         raise bad_input("output", "export", "a new file (give another name, or move the old one)", path)
+    if not schema:
+        if path.suffix == ".bag":
+            raise bad_input("output", "export", "a CSV (--as quaternions writes a bag)", path)
+        if not len(recording.frames):
+            raise bad_input("recording", "export", "one with frames", "no frame")
+        return _write_table(recording, path, unit)
     if not len(recording.frames) or (recording.widths != SCHEMAS[schema]).any():
         must = f"frames of {SCHEMAS[schema]} values each"
         found = sorted(set(recording.widths.tolist())) or "no frame"
@@ -73,6 +84,33 @@ def export(recording: Recording, path: Path, schema: str = "") -> list[str]:
     path.parent.mkdir(parents=True, exist_ok=True)
     write = {"hall": _write_hall, "millivolts": _write_millivolts, "quaternions": _write_bag}[schema]
     return write(recording, path)
+
+
+def named_with_unit(recording: Recording, unit: str) -> list[str]:
+    """Return the names of the values of a recording; those without a unit get one, if it is given."""
+    said = recording.metadata.get("units")
+    known = said if isinstance(said, list) and len(said) == len(recording.channels) else []
+    if recording.format not in ("frames", "csv") or not unit:
+        return recording.channels
+    return [
+        name if k < len(known) and known[k] else f"{name}_{unit}" for k, name in enumerate(recording.channels)
+    ]
+
+
+def _write_table(recording: Recording, path: Path, unit: str) -> list[str]:
+    frames = recording.frames
+    columns = {"time_s": frames["time_s"]}
+    if "start_unix_s" in recording.metadata:
+        start_ns = round(1e9 * recording.metadata["start_unix_s"]) - recording.metadata["start_host_ns"]
+        columns["unix_s"] = 1e-9 * (frames["host_ns"] + start_ns)
+    if recording.format in ("frames", "quaternions"):
+        columns["stream"] = frames["stream"]
+    columns |= {name: frames[name] for name in ("sequence", "device_us") if bool(frames[name].notna().any())}
+    values = zip(named_with_unit(recording, unit), recording.channels, strict=True)
+    columns |= {name: frames[channel] for name, channel in values}
+    write_whole(path, pd.DataFrame(columns).to_csv(index=False, lineterminator="\n"))
+    widths = sorted(set(recording.widths.tolist()))
+    return [f"frames have {widths[0]} to {widths[-1]} values; missing ones are empty"] if widths[1:] else []
 
 
 def _write_hall(recording: Recording, path: Path) -> list[str]:
@@ -86,6 +124,7 @@ def _write_hall(recording: Recording, path: Path) -> list[str]:
 
 def _write_millivolts(recording: Recording, path: Path) -> list[str]:
     table = recording.frames[recording.channels].set_axis(READINGS, axis=1)
+    table = table.assign(time_s=recording.frames["time_s"])  # the loader takes columns by their names
     write_whole(path, table.to_csv(index=False, lineterminator="\n"))
     time_s = recording.frames["time_s"].to_numpy()
     if len(time_s) < 2:

@@ -22,6 +22,7 @@ from repro.live.record.recording import channel_names
 from repro.live.record.recording_file import RecordingFile, WriteFailed, check_new, write_sidecar
 from repro.live.record.summary import Summary
 from repro.live.record.suspect import Suspect
+from repro.live.wire.csv_text import CsvParser, Layout
 from repro.live.wire.formats import parser
 from repro.live.wire.frame import Frame, Parser
 
@@ -31,6 +32,8 @@ SHOW_S = 1.0
 SIDECAR_S = 10.0
 CLOCK_FRAMES = 256
 """The device's clock is compared with the host's when so many frames have come, and when the metadata are written."""
+MOSTLY_DROPPED = 20
+"""So many lines or frames that were dropped are said at once if they are more than were accepted."""
 RETRY_S = (0.05, 1.0)
 """Shortest and longest wait before a lost port is opened again [s]; it doubles in between."""
 
@@ -49,6 +52,7 @@ def record(
     each: Callable[[int, Sequence[Frame]], None] | None = None,
     watch: Callable[[str, str], None] | None = None,
     owner: str = "repro record",
+    unit: str | None = None,
 ) -> Summary:
     """Record a port until told to stop.
 
@@ -59,7 +63,7 @@ def record(
     ----------
     port, baud
         As for `repro.live.record.ports.open_port`.
-    format, channels
+    format, channels, unit
         As for `repro.live.wire.formats.parser`.
     output
         The recording; its metadata are written beside it, see `repro.live.record.recording.sidecar_path`. None to
@@ -88,14 +92,14 @@ def record(
     Raises
     ------
     InputError
-        The port cannot be opened, or what it sends in the first two seconds has no frame of the format (wrong rate or
-        format); the file exists.
+        The port cannot be opened, or what it sends in the first two seconds has no frame of the format (wrong rate,
+        format or number of values) or says another unit; the file exists.
     WriteFailed
         The disk is full or refuses. What was written is kept.
     """
     if not duration_s > 0:
         raise bad_input("duration", owner, "a time above zero [s]", duration_s)
-    session = _Session(port, format, output, baud, channels, warn, each, watch, owner)
+    session = _Session(port, format, output, baud, channels, unit, warn, each, watch, owner)
     stop = stop or threading.Event()
     try:
         session.run(duration_s, stop, show)
@@ -114,19 +118,22 @@ class _Session:
         output: Path | None,
         baud: int,
         channels: int | None,
+        unit: str | None,
         warn: Callable[[str], None],
         each: Callable[[int, Sequence[Frame]], None] | None,
         watch: Callable[[str, str], None] | None,
         owner: str,
     ) -> None:
         self.port, self.format, self.output, self.baud, self.warn = port, format, output, baud, warn
-        self.each, self.watch, self.owner = each, watch, owner
-        self.parser: Parser = parser(format, channels)
+        self.each, self.watch, self.owner, self.channels = each, watch, owner, channels
+        self.layout: Layout | None = None
+        self.loss_said = False
+        self.parser: Parser = parser(format, channels, unit)
         self.clock = DeviceClock()
         self.times: list[tuple[int, int]] = []  # host [ns], device [us]; not yet given to the clock
         self.file: RecordingFile | None = None
         self.reconnects = self.received = 0
-        self.suspect: Suspect | None = Suspect(format)
+        self.suspect: Suspect | None = Suspect(format, channels)
         self.unchanging: dict[str, Any] = {}
         if output is not None:
             check_new(output, owner)
@@ -143,6 +150,7 @@ class _Session:
             if now - shown >= SHOW_S:
                 shown += SHOW_S * ((now - shown) // SHOW_S)
                 self.check_garbage()
+                self.check_losses()
                 if show is not None:
                     show(self.summary())
             if self.file is not None and now - saved >= SIDECAR_S:
@@ -171,6 +179,9 @@ class _Session:
                 self.check_garbage()
         if not frames:
             return
+        if self.layout is None and isinstance(self.parser, CsvParser) and self.parser.layout is not None:
+            self.layout = self.parser.layout
+            self.warn(f"The lines have {self.layout}.")
         if self.each is not None:
             self.each(host_ns, frames)
         if self.file is None and self.output is not None:
@@ -194,11 +205,19 @@ class _Session:
         """Refuse, or after good frames report, bytes that hold no frame of the format."""
         if self.suspect is None or not self.suspect.ripe():
             return
-        message = self.suspect.verdict(self.port, self.baud, self.owner)
+        message = self.suspect.verdict(self.port, self.baud, self.owner, self.parser.refused)
         self.suspect = None
         if not self.parser.counters.frames and self.watch is None:
             raise message
         self.tell("foreign", str(message))
+
+    def check_losses(self) -> None:
+        """Say once that most of what arrives is dropped."""
+        summary = self.summary()
+        known = self.suspect or self.loss_said
+        if not known and summary.mostly_dropped and summary.dropped >= MOSTLY_DROPPED:
+            self.loss_said = True
+            self.warn(f"Most of what arrives is not {self.format}: {summary.losses()}")
 
     def reconnect(self, error: OSError, end: float, stop: threading.Event) -> None:
         """Wait until the port can be opened again."""
@@ -217,7 +236,7 @@ class _Session:
             self.parser.reopened()
             self.set_clock()
             self.clock.reopened()
-            self.suspect = Suspect(self.format)
+            self.suspect = Suspect(self.format, self.channels)
             self.reconnects += 1
             self.event("reopened")
             self.tell("reopened", f"{self.port} is back.")
@@ -258,13 +277,20 @@ class _Session:
         counters = self.parser.counters.as_dict()
         counters |= {"reconnects": self.reconnects, "received_bytes": self.received}
         seconds = 1e-9 * (time.monotonic_ns() - self.start_ns)
-        return Summary(self.output if self.file else None, counters, seconds)
+        return Summary(self.output if self.file else None, counters, seconds, self.parser.refused)
 
     def description(self, width: int) -> dict[str, Any]:
         """Metadata that do not change."""
+        named = {"channels": channel_names(self.format, width)}
+        if self.layout is not None:
+            named = {
+                "channels": self.layout.names,
+                "units": self.layout.value_units,
+                "lines": str(self.layout),
+            }
         return {
             "format": self.format,
-            "channels": channel_names(self.format, width),
+            **named,
             "port": self.port,
             "port_description": self.described,
             "baud": self.baud,
@@ -277,11 +303,11 @@ class _Session:
         """Return metadata that change."""
         self.set_clock()
         summary, fit = self.summary(), self.clock.fit()
-        numbers = {} if fit is None else asdict(fit)
         return {
             "seconds": summary.seconds,
             "ended": ended,
             "counters": summary.counters,
+            "first_malformed": summary.refused or None,
             # JSON has no NaN
-            "clock": {k: None if math.isnan(v) else v for k, v in numbers.items()} or None,
+            "clock": fit and {k: None if math.isnan(v) else v for k, v in asdict(fit).items()},
         }

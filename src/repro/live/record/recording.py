@@ -27,6 +27,7 @@ from repro.live.record.recording_file import (
     row_type,
     sidecar_path,
 )
+from repro.live.wire.csv_text import RESERVED
 from repro.live.wire.frame import Frame
 
 HEADER_BYTES = BLOCK.size + CRC.size
@@ -59,6 +60,15 @@ def channel_names(format: str, n: int) -> list[str]:
     return [f"u{j + 1}{unit}" for j in range(n)]
 
 
+def _columns(head: dict[str, Any], n: int) -> list[str]:
+    """Return the names of the values: those of the lines where they have any."""
+    names = head.get("channels")
+    if head["format"] != "csv" or not isinstance(names, list) or len(names) != n:
+        return channel_names(head["format"], n)
+    plain = all(isinstance(name, str) and name not in RESERVED for name in names) and len(set(names)) == n
+    return names if plain else channel_names("csv", n)
+
+
 @dataclass(frozen=True)
 class Recording:
     """A recording as read from its file.
@@ -68,7 +78,8 @@ class Recording:
     frames
         One row per frame in order of arrival: ``time_s``, arrival after the start of the recording; ``host_ns``,
         arrival by the host's monotonic clock; ``stream``; ``sequence`` and ``device_us``, as sent, missing where the
-        format has none; then the values under the names of :func:`channel_names`, NaN where a frame has fewer.
+        format has none; then the values under the names of :func:`channel_names` or, of ``csv``, of the lines;
+        NaN where a frame has fewer.
     metadata
         The sidecar, or the first block of the file where there is no readable sidecar.
     widths
@@ -197,5 +208,5 @@ def _table(
     table = pd.DataFrame(
         {"time_s": 1e-9 * (host_ns - head["start_host_ns"]), "host_ns": host_ns, "stream": stream} | numbers
     )
-    names = channel_names(head["format"], most)
+    names = _columns(head, most)
     return pd.concat([table, pd.DataFrame(values, columns=names)], axis=1), widths

@@ -1,9 +1,11 @@
-"""What a recorder has counted."""
+"""What a recording holds, in numbers and in words."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+
+_DROPPED = ("malformed", "checksum_errors", "oversized")
 
 
 @dataclass(frozen=True)
@@ -18,11 +20,35 @@ class Summary:
         Those of `repro.live.wire.frame.Counters`, ``reconnects`` and ``received_bytes``.
     seconds
         How long it was recorded.
+    refused
+        The first whole line or frame that was malformed, in words.
     """
 
     path: Path | None
     counters: dict[str, int]
     seconds: float
+    refused: str = ""
+
+    @property
+    def dropped(self) -> int:
+        """Whole lines or frames that were not accepted, and so not recorded."""
+        return sum(self.counters.get(name, 0) for name in _DROPPED)
+
+    @property
+    def mostly_dropped(self) -> bool:
+        """Whether more was dropped than accepted."""
+        return self.dropped > self.counters["frames"]
+
+    def losses(self) -> str:
+        """Return in words what was dropped, and how the first of it looked; empty if nothing was."""
+        if not self.dropped:
+            return ""
+        parts = [
+            f"{self.counters[name]} {name.replace('_', ' ')}" for name in _DROPPED if self.counters.get(name)
+        ]
+        total = self.dropped + self.counters["frames"]
+        first = f"; the first: {self.refused}" if self.refused else ""
+        return f"{self.dropped} of {total} lines or frames were dropped ({', '.join(parts)}){first}."
 
     def __str__(self) -> str:
         """Return one line for the screen: frames, and everything else that is not zero."""

@@ -19,6 +19,7 @@ from torch import Tensor
 from repro.errors import bad_input
 from repro.live.record.recording import Recording
 from repro.live.robot.robot_file import RobotFile
+from repro.live.wire.csv_text import check_units
 from repro.live.wire.frame import Frame
 
 WINDOW_S = 0.5
@@ -138,6 +139,9 @@ def recorded_readings(recording: Recording, robot: RobotFile, poses: Poses) -> P
     if len(recording.channels) != robot.channels:
         expected = f"of {robot.channels} channels, as described"
         raise bad_input("recording", robot.name, expected, f"one of {len(recording.channels)}")
+    units = recording.metadata.get("units")
+    if recording.format == "csv" and isinstance(units, list) and len(units) == robot.channels:
+        check_units(recording.channels, units, robot.unit)
     if poses.window_s is None:
         raise bad_input("poses", "a recording", "given with time_s, or start_s and end_s", "no times")
     time_s = recording.frames["time_s"].to_numpy()

@@ -98,6 +98,7 @@ class BinaryParser:
 
     def __init__(self, channels: int | None = None) -> None:
         self.counters = Counters()
+        self.refused = ""
         self._splitter = Splitter(b"\0", LONGEST_PACKET, self.counters)
         self._layouts = _LAYOUTS
         if channels is not None:
@@ -130,6 +131,13 @@ class BinaryParser:
             if layout is None or layout[0] != len(body) or body[0] != VERSION:
                 counters.malformed += 1
                 counters.discarded_bytes += len(packet)
+                known = _LAYOUTS.get(body[2:4])
+                what = (
+                    "another version or length"
+                    if known is None or body[0] != VERSION
+                    else f"{body[3]} values"
+                )
+                self.refused = self.refused or f"a frame of {what}"
                 continue
             sequence, device_us, *values = layout[1](body)
             stream = body[1]

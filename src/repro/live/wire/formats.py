@@ -1,17 +1,19 @@
-"""The four formats by name: a parser, and the bytes of a frame."""
+"""The five formats by name: a parser, and the bytes of a frame."""
 
 from __future__ import annotations
 
 from repro.errors import bad_input
 from repro.live.wire.binary import KINDS, BinaryParser, encode_frame
+from repro.live.wire.csv_text import MOST_VALUES, CsvParser, write_line
 from repro.live.wire.frame import Frame, Parser
 from repro.live.wire.text import HALL, QUATERNION, Line, TextParser, millivolts
 
-FORMATS = ("frames", "hall", "millivolts", "quaternions")
-"""Our own frames; the lines of Mitchell et al. [counts], of Baaij et al. [mV], and of Martin et al. (x, y, z, w)."""
+FORMATS = ("frames", "hall", "millivolts", "quaternions", "csv")
+"""Our own frames; the lines of Mitchell et al. [counts], of Baaij et al. [mV], and of Martin et al. (x, y, z, w); and
+lines of numbers as sketches print them."""
 
 
-def parser(format: str, channels: int | None = None) -> Parser:
+def parser(format: str, channels: int | None = None, unit: str | None = None) -> Parser:
     r"""Return a new parser of a format, as after opening a port.
 
     Parameters
@@ -19,8 +21,10 @@ def parser(format: str, channels: int | None = None) -> Parser:
     format
         One of :data:`FORMATS`.
     channels
-        Values that every frame must have. By default any number for ``frames``, three for ``millivolts``; ``hall``
-        has three and ``quaternions`` four.
+        Values that every frame must have. By default any number for ``frames``, that of the first lines for ``csv``,
+        three for ``millivolts``; ``hall`` has three and ``quaternions`` four.
+    unit
+        Unit that lines of ``csv`` must say if they say one; by default, and for ``raw``, any. Other formats say none.
 
     Raises
     ------
@@ -40,14 +44,18 @@ def parser(format: str, channels: int | None = None) -> Parser:
         if channels is not None and not 1 <= channels <= most:
             raise bad_input("channels", "frames", f"1 to {most}", channels)
         return BinaryParser(channels)
+    if format == "csv":
+        if channels is not None and not 1 <= channels <= MOST_VALUES:
+            raise bad_input("channels", "csv", f"1 to {MOST_VALUES}", channels)
+        return CsvParser(channels, unit)
     return TextParser(_line(format, channels))
 
 
 def encode(format: str, frame: Frame, *, kind: str = "float32") -> bytes:
     """Return the bytes that a board sends for a frame, delimiters included.
 
-    Text lines are rounded to what a board prints (``millivolts`` 4 decimals, ``quaternions`` 6) and have no place for
-    sequence and time; ``hall`` and ``int16`` take whole numbers only.
+    Text lines are rounded to what a board prints (``millivolts`` 4 decimals, ``quaternions`` 6, ``csv`` all) and
+    have no place for sequence and time; ``hall`` and ``int16`` take whole numbers only.
 
     Parameters
     ----------
@@ -65,6 +73,8 @@ def encode(format: str, frame: Frame, *, kind: str = "float32") -> bytes:
     """
     if format == "frames":
         return encode_frame(frame, kind)
+    if format == "csv":
+        return write_line(frame)
     return _line(format, len(frame.values) if format == "millivolts" else None).write(frame)
 
 

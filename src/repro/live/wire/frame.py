@@ -70,9 +70,18 @@ class Counters:
 
 @runtime_checkable
 class Parser(Protocol):
-    """Bytes in, frames out; chunks may be cut anywhere."""
+    """Bytes in, frames out; chunks may be cut anywhere.
+
+    Attributes
+    ----------
+    counters
+        What it has seen.
+    refused
+        The first whole packet or line that counts as malformed, in words; empty before there is one.
+    """
 
     counters: Counters
+    refused: str
 
     def feed(self, chunk: bytes) -> list[Frame]:
         """Take the next bytes; return the frames that they complete, in order."""

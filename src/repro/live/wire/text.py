@@ -128,6 +128,7 @@ class TextParser:
 
     def __init__(self, line: Line) -> None:
         self.counters = Counters()
+        self.refused = ""
         self._line = line
         self._splitter = Splitter(b"\n", LONGEST_FIELD * (line.count + line.identity), self.counters)
 
@@ -143,6 +144,7 @@ class TextParser:
             if frame is None:
                 counters.malformed += 1
                 counters.discarded_bytes += len(line)
+                self.refused = self.refused or repr(line[:80].removesuffix(b"\r"))[1:]
             else:
                 frames.append(frame)
         counters.frames += len(frames)
