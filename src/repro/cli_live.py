@@ -119,10 +119,7 @@ def export(
     if not recording.is_file():
         raise bad_input("recording", "repro export", "a file", f"{recording}, which is not there")
     read = read_recording(recording)
-    remarks = export_to(read, output, schema)
-    if left_out := read.torn_bytes + read.damaged_bytes:
-        remarks = [f"{left_out} bytes of the recording are not whole and were left out", *remarks]
-    for remark in remarks:
+    for remark in (*read.remarks, *export_to(read, output, schema)):
         print(f"Note: {remark}.", file=sys.stderr)
     print(f"{shown(output)}  ({len(read.frames)} frames)")
     return 0
