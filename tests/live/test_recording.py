@@ -195,6 +195,51 @@ def test_an_existing_recording_is_never_overwritten(tmp_path):
         RecordingFile(tmp_path / "b.rec", HEAD)
 
 
+RACE = """
+import sys, time
+from pathlib import Path
+from repro.errors import InputError
+from repro.live.wire.frame import Frame
+from repro.live.record.recording_file import RecordingFile
+folder, number = Path(sys.argv[1]), int(sys.argv[2])
+(folder / f"ready-{number}").touch()
+while not (start := folder / "start").exists():
+    pass
+begin = start.stat().st_mtime
+for k in range(40):
+    while time.time() < begin + 0.03 * (k + 1):
+        pass
+    try:
+        with RecordingFile(folder / f"{k}.rec", {"format": "frames", "start_host_ns": 0, "by": number}) as file:
+            file.append(k, [Frame(0, j, None, (float(number),)) for j in range(50)])
+        print(k, "made")
+    except InputError as error:
+        print(k, error)
+"""
+
+
+def test_of_two_processes_that_make_one_file_at_once_exactly_one_does(tmp_path):
+    command = [sys.executable, "-c", RACE, str(tmp_path)]
+    both = [subprocess.Popen([*command, str(n)], stdout=subprocess.PIPE, text=True) for n in range(2)]
+    while len(list(tmp_path.glob("ready-*"))) < 2:
+        assert all(process.poll() is None for process in both)
+        time.sleep(0.01)
+    (tmp_path / "start").touch()
+    said = [process.communicate(timeout=60)[0].splitlines() for process in both]
+    assert [process.returncode for process in both] == [0, 0]
+    for k in range(40):
+        recording = read_recording(tmp_path / f"{k}.rec")
+        by = recording.metadata["by"]
+        assert said[by][k] == f"{k} made"
+        refused = said[1 - by][k]
+        assert refused.startswith(
+            f"{k} Input output of RecordingFile must be a new file (give another name"
+        ), refused
+        assert recording.frames["u1"].tolist() == [by] * 50
+        assert (recording.torn_bytes, recording.damaged_bytes) == (0, 0)
+    assert not list(tmp_path.glob(".*"))
+
+
 def test_the_sidecar_adds_to_the_first_block_and_may_be_lost(tmp_path):
     written(path := tmp_path / "a.rec")
     write_sidecar(path, {"counters": {"frames": 20}})
