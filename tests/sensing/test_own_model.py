@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import warnings
 from itertools import pairwise
 from pathlib import Path
@@ -19,7 +20,7 @@ from repro.live.follow.robot_estimator import robot_estimator
 from repro.live.robot.robot_file import load_robot
 from repro.sensing.import_network import import_network
 from repro.sensing.magnetic import MagneticSensing
-from repro.sensing.network import Dropout, paper_network
+from repro.sensing.network import Dropout, PerSensor, paper_network
 from repro.sensing.own_model import OwnModel
 from repro.sensing.weights import load_paper_network
 from repro.simulation.trajectories import lemniscate
@@ -150,6 +151,10 @@ def test_one_network_per_sensor_and_one_per_segment():
     torch.testing.assert_close(per_sensor, alone[range(n), range(n)])
     per_segment = robot.sensing(networks[:3], inputs="angles")(robot.start)
     torch.testing.assert_close(per_segment, alone[segment, range(n)])
+    same = robot.sensing(nn.ModuleList(networks), inputs="angles")(robot.start)
+    torch.testing.assert_close(same, per_sensor)
+    whole = PerSensor(networks, range(n))  # a module on the relations of all sensors at once
+    torch.testing.assert_close(robot.sensing(whole, inputs="angles")(robot.start), per_sensor)
     with pytest.raises(
         InputError, match=rf"must be one, or 3 \(one per segment\), or {n} \(one per sensor\)"
     ):
@@ -204,7 +209,9 @@ def test_torchscript_in_a_robot_file(tmp_path, dtype):
     )
     (note,) = robot.notes
     assert "networks in TorchScript are not compiled but run in torch: some 50 ms for an estimate" in note
-    method = robot_estimator(robot).method
+    estimator = robot_estimator(robot)
+    estimator.prepared()
+    method = estimator.method
     assert float((track(method, robot.sensing()(q), robot.start).q - q).abs().max()) < 1e-4
     quiet("script", ArcCosine(dtype)).save(tmp_path / "arc.pt")
     robot = load_robot(with_networks(tmp_path, '"arc.pt"', 'inputs = "cosines"\n'))
@@ -322,3 +329,16 @@ def test_files_that_are_no_state_dict(tmp_path):
         InputError, match="target of import_network must be a new file that ends in .safetensors"
     ):
         import_network(saved(trained(), tmp_path / "b.pt"), tmp_path / "b.pt")
+
+
+def test_the_page_runs(tmp_path, monkeypatch):
+    page = (DATA.parent / "book" / "own_robot.md").read_text()
+    section = page[page.index("(own-model)=") :]
+    shutil.copytree(ROBOTS, tmp_path / "data" / "robots")
+    saved(trained(), tmp_path / "weights.pth")
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", section, re.S)
+    assert len(blocks) == 2
+    for block in blocks:
+        exec(block, {})
+    assert load_robot(with_networks(tmp_path, '"segment1.safetensors"')).notes == ()

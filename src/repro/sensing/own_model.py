@@ -117,7 +117,7 @@ def own_model(
         If it is no model, their number does not fit, or it does not take the relations and return a finite reading,
         with finite derivatives, for every sensor.
     """
-    given = list(model) if isinstance(model, list | tuple) else [model]
+    given = list(model) if isinstance(model, list | tuple | nn.ModuleList) else [model]
     loaded = [_loaded(one) for one in given]
     n, segments = len(relations), max(of_segment) + 1
     if len(loaded) == 1:

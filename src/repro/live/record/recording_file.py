@@ -18,7 +18,9 @@ A frame takes 20 bytes and 8 for each value: arrival by the host's monotonic clo
 (uint32), sequence number (uint32), stream (uint16), number of values (uint8), which of sequence number (1) and device
 time (2) the format has (uint8), values (float64). The first block tells the format and the start; later texts are
 notes, such as that the port was opened anew. A block cut off at the end, or damaged, fails its checksum and is left
-out and reported; the blocks after it are found again. The file can be read while it is being written.
+out and reported; the blocks after it are found again. Where it is the first one, the file beside the recording says
+the same; without that, format and start are not known, and the frames are read all the same. The file can be read
+while it is being written.
 """
 
 from __future__ import annotations
