@@ -137,10 +137,7 @@ def export(
         if unit and len(read.channels) != described.channels:
             expected = f"of {described.channels} channels, as described in {described.name}"
             raise bad_input("recording", "repro export", expected, f"one of {len(read.channels)}")
-    remarks = export_to(read, output, schema, unit=unit)
-    if left_out := read.torn_bytes + read.damaged_bytes:
-        remarks = [f"{left_out} bytes of the recording are not whole and were left out", *remarks]
-    for remark in remarks:
+    for remark in (*read.remarks, *export_to(read, output, schema, unit=unit)):
         print(f"Note: {remark}.", file=sys.stderr)
     print(f"{shown(output)}  ({len(read.frames)} frames)")
     return 0

@@ -56,7 +56,7 @@ def sweep(
     from repro.report.parameters import declared_parameters
     from repro.report.project import find_project, runs_folder, shown
     from repro.report.runner import read_notebook, stop_on_termination
-    from repro.report.sweep import check_folder, local_runner, plan, run_points
+    from repro.report.sweep import SweepStopped, check_folder, finished, local_runner, plan, run_points
     from repro.report.sweep_grid import grid_points, read_grid, read_part
     from repro.report.sweep_tables import write_sweep
 
@@ -79,14 +79,18 @@ def sweep(
         runner = cluster_runner(client)
     else:
         runner = local_runner(jobs)
+    stopped: SweepStopped | None = None
     try:
         failures = run_points(points, runner, progress=sys.stderr.isatty())
+    except SweepStopped as stop:
+        stopped, failures = stop, stop.failures
     finally:
         if client is not None:
             client.close()
     name = "sweep" if parts == 1 else f"sweep-{number}-of-{parts}"
+    missing = {point.index for point in points if not finished(point)} if stopped else set(failures)
     paths, left_out = write_sweep(
-        folder, name, notebook, values, points, failures, declared=declared, chosen=table
+        folder, name, notebook, values, points, missing, declared=declared, chosen=table
     )
     for path in paths:
         print(shown(path))
@@ -96,5 +100,9 @@ def sweep(
         if point.index in failures:
             reason = failures[point.index].replace("\n", "\n  ")
             print(f"{point.label()}: {reason}", file=sys.stderr)
-    print(f"{len(points) - len(failures)} of {len(points)} points are finished.", file=sys.stderr)
-    return 1 if failures else 0
+    count = f"{len(points) - len(missing)} of {len(points)} points are finished"
+    if stopped is None:
+        print(f"{count}.", file=sys.stderr)
+        return 1 if failures else 0
+    print(f"{stopped}: {count}; run the same command again to go on.", file=sys.stderr)
+    return 130 if isinstance(stopped.__cause__, KeyboardInterrupt) else 1

@@ -252,6 +252,52 @@ def test_a_signal_ends_the_command_cleanly(board, tmp_path, number):
     assert len(recording.frames) == recording.metadata["counters"]["frames"] > 0
 
 
+def has_open(process: subprocess.Popen[str], port: Path) -> bool:
+    """Whether a process has opened a port."""
+    links = Path(f"/proc/{process.pid}/fd").iterdir()
+    return any(os.path.realpath(link) == os.path.realpath(port) for link in links)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_two_recorders_with_one_output_whose_first_frames_come_together(tmp_path):
+    for attempt in range(3):
+        output, boards = tmp_path / f"{attempt}.rec", []
+        for n in range(2):
+            (folder := tmp_path / f"{attempt}-{n}").mkdir()
+            boards.append(Board(folder))
+            boards[n].plug_in()
+        command = [sys.executable, "-c", COMMANDS, "record", "--format", "hall", "-o", str(output)]
+        both = [
+            subprocess.Popen([*command, str(board.port)], stdout=-1, stderr=-1, text=True) for board in boards
+        ]
+        deadline = time.monotonic() + 30
+        while not all(has_open(p, board.port) for p, board in zip(both, boards, strict=True)):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        time.sleep(0.3)  # opening a port empties it
+        for k in range(20):
+            for n, board in enumerate(boards):
+                board.send(b"%d,%d,0\r\n" % (n, k))
+            time.sleep(0.02)
+        while all(process.poll() is None for process in both):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        for process in both:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+        said = [process.communicate(timeout=20)[1] for process in both]
+        codes = [process.returncode for process in both]
+        assert sorted(codes) == [0, 2], said
+        loser = codes.index(2)
+        assert "Input output of RecordingFile must be a new file (give another name" in said[loser]
+        recording = read_recording(output)
+        assert set(recording.frames[recording.channels[0]]) == {1.0 - loser}
+        assert recording.remarks == ()
+        assert recording.metadata["port"] == str(boards[1 - loser].port)
+        for board in boards:
+            board.unplug()
+
+
 def test_the_command_says_what_is_wrong(board, tmp_path):
     def repro(*arguments: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-c", COMMANDS, *arguments]

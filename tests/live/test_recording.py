@@ -17,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from repro.errors import InputError
+from repro.live.record.export import export
 from repro.live.record.kill_soak import kill_soak
 from repro.live.record.recording import channel_names, read_recording
 from repro.live.record.recording_file import (
@@ -194,12 +195,230 @@ def test_an_existing_recording_is_never_overwritten(tmp_path):
         RecordingFile(tmp_path / "b.rec", HEAD)
 
 
+RACE = """
+import sys, time
+from pathlib import Path
+from repro.errors import InputError
+from repro.live.wire.frame import Frame
+from repro.live.record.recording_file import RecordingFile
+folder, number = Path(sys.argv[1]), int(sys.argv[2])
+(folder / f"ready-{number}").touch()
+while not (start := folder / "start").exists():
+    pass
+begin = start.stat().st_mtime
+for k in range(40):
+    while time.time() < begin + 0.03 * (k + 1):
+        pass
+    try:
+        with RecordingFile(folder / f"{k}.rec", {"format": "frames", "start_host_ns": 0, "by": number}) as file:
+            file.append(k, [Frame(0, j, None, (float(number),)) for j in range(50)])
+        print(k, "made")
+    except InputError as error:
+        print(k, error)
+"""
+
+
+def test_of_two_processes_that_make_one_file_at_once_exactly_one_does(tmp_path):
+    command = [sys.executable, "-c", RACE, str(tmp_path)]
+    both = [subprocess.Popen([*command, str(n)], stdout=subprocess.PIPE, text=True) for n in range(2)]
+    while len(list(tmp_path.glob("ready-*"))) < 2:
+        assert all(process.poll() is None for process in both)
+        time.sleep(0.01)
+    (tmp_path / "start").touch()
+    said = [process.communicate(timeout=60)[0].splitlines() for process in both]
+    assert [process.returncode for process in both] == [0, 0]
+    for k in range(40):
+        recording = read_recording(tmp_path / f"{k}.rec")
+        by = recording.metadata["by"]
+        assert said[by][k] == f"{k} made"
+        refused = said[1 - by][k]
+        assert refused.startswith(
+            f"{k} Input output of RecordingFile must be a new file (give another name"
+        ), refused
+        assert recording.frames["u1"].tolist() == [by] * 50
+        assert (recording.torn_bytes, recording.damaged_bytes) == (0, 0)
+    assert not list(tmp_path.glob(".*"))
+
+
 def test_the_sidecar_adds_to_the_first_block_and_may_be_lost(tmp_path):
     written(path := tmp_path / "a.rec")
     write_sidecar(path, {"counters": {"frames": 20}})
     assert read_recording(path).metadata == HEAD | {"counters": {"frames": 20}}
     sidecar_path(path).write_text("{")
     assert read_recording(path).metadata == HEAD
+
+
+def block_starts(data: bytes) -> list[int]:
+    """Return where the blocks of a recording begin, and its length."""
+    starts = [0]
+    while starts[-1] < len(data):
+        kind, width, count = struct.unpack_from("<4xcxHI", data, starts[-1])
+        starts.append(starts[-1] + 16 + count * (20 + 8 * width if kind == b"F" else 1))
+    return starts
+
+
+MIXED = {
+    "frames": lambda k: some_frames(3 * k, 3, 1 + k),
+    "millivolts": lambda k: [Frame(0, None, None, (k + 0.5, 2.0, 3.0))],
+}
+
+
+def mixed(path: Path, format: str, sidecar: bool) -> list[list[tuple[int, Frame]]]:
+    """Write a recording of texts and blocks of several widths; return the frames of every block."""
+    head = HEAD | {"format": format}
+    blocks: list[list[tuple[int, Frame]]] = [[]]
+    with RecordingFile(path, head) as file:
+        for k in range(4):
+            part = MIXED[format](k)
+            file.append(5000 + k, part)
+            file.note({"event": "lost", "host_ns": 5000 + k})
+            blocks += [[(5000 + k, frame) for frame in part], []]
+    if sidecar:
+        write_sidecar(path, head | {"counters": {"frames": 12}})
+    return blocks
+
+
+@settings(max_examples=150)
+@given(st.data(), st.sampled_from(list(MIXED)), st.booleans())
+def test_any_flipped_bit_loses_at_most_its_block_and_is_told(tmp_path_factory, data, format, sidecar):
+    path = tmp_path_factory.mktemp("flipped") / "a.rec"
+    blocks = mixed(path, format, sidecar)
+    content = bytearray(path.read_bytes())
+    intact = read_recording(path)
+    assert intact.remarks == ()
+    bit = data.draw(st.integers(0, 8 * len(content) - 1) | st.integers(0, 8 * 80))
+    starts = block_starts(bytes(content))
+    (hit,) = [k for k, start in enumerate(starts[:-1]) if start <= bit // 8 < starts[k + 1]]
+    content[bit // 8] ^= 1 << bit % 8
+    path.write_bytes(content)
+    recording = read_recording(path)
+    expected = [frame for k, block in enumerate(blocks) if k != hit for frame in block]
+    assert list(recording.as_frames()) == expected
+    assert len(recording.notes) == 4 - (hit > 0 and not blocks[hit])
+    lost = starts[hit + 1] - starts[hit]
+    assert recording.torn_bytes + recording.damaged_bytes == lost
+    assert recording.remarks[0] == f"{lost} bytes of the recording are not whole and were left out"
+    if hit > 0 or sidecar:
+        assert recording.metadata == intact.metadata
+        kept = intact.frames["host_ns"].isin(recording.frames["host_ns"])
+        assert recording.frames["time_s"].tolist() == intact.frames["time_s"][kept].tolist()
+    if hit == 0:
+        assert recording.remarks[1].startswith("its first block is damaged")
+        assert len(recording.remarks) == (2 if sidecar else 4 if format == "millivolts" else 3)
+
+
+@settings(max_examples=60)
+@given(st.data())
+def test_a_flipped_bit_of_the_sidecar_changes_no_frame(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("flipped") / "a.rec"
+    mixed(path, "frames", sidecar=True)
+    intact = read_recording(path)
+    content = bytearray(sidecar_path(path).read_bytes())
+    bit = data.draw(st.integers(0, 8 * len(content) - 1))
+    content[bit // 8] ^= 1 << bit % 8
+    sidecar_path(path).write_bytes(content)
+    recording = read_recording(path)
+    assert recording.frames.equals(intact.frames)
+    assert recording.metadata.items() >= (HEAD | {"format": "frames"}).items()
+
+
+def with_head(path: Path, text: bytes, n: int = 4) -> None:
+    """Write a recording whose first block is a text with a checksum that is right."""
+    written(path, 1, n)
+    data = path.read_bytes()
+    head = struct.pack("<4scxHI", b"RRB1", b"H", 0, len(text))
+    path.write_bytes(head + struct.pack("<I", zlib.crc32(head + text)) + text + data[block_starts(data)[1] :])
+
+
+DEEP = "[" * 200_000
+
+
+@pytest.mark.parametrize(
+    ("text", "remark"),
+    [
+        ("{", "its first block is damaged, and nothing beside it says the same"),
+        (DEEP, "its first block is damaged, and nothing beside it says the same"),
+        ("[1, 2]", "its first block is damaged, and nothing beside it says the same"),
+        ('{"format": "frames"}', "when it started is not known: time is counted from its first frame"),
+        (
+            '{"format": "frames", "start_host_ns": "soon", "channels": 3}',
+            "its first block has no usable start_host_ns, channels",
+        ),
+    ],
+)
+def test_a_first_block_that_says_nothing_usable(tmp_path, text, remark):
+    with_head(path := tmp_path / "a.rec", text.encode())
+    recording = read_recording(path)
+    assert remark in recording.remarks
+    assert [frame for _, frame in recording.as_frames()] == some_frames(0, 4)
+    assert recording.frames["time_s"].tolist() == [0.0] * 4
+
+
+def test_without_frames_such_a_recording_is_empty(tmp_path):
+    text = b'{"start_host_ns": 1e999, "channels": [7]}'
+    with_head(path := tmp_path / "a.rec", text)
+    path.write_bytes(path.read_bytes()[: 16 + len(text)])
+    recording = read_recording(path)
+    assert (len(recording.frames), recording.format) == (0, "frames")
+    assert recording.remarks[0] == "its first block has no usable start_host_ns, channels"
+
+
+@pytest.mark.parametrize(
+    ("text", "remark"),
+    [
+        ("[]", "a.rec.json is not a JSON object and was left out"),
+        (DEEP, "a.rec.json is not a JSON object and was left out"),
+        ("\x00", "a.rec.json is not a JSON object and was left out"),
+        (
+            '{"counters": 3, "start_unix_s": 1' + "0" * 400 + "}",
+            "a.rec.json has no usable start_unix_s, counters",
+        ),
+        (
+            '{"start_host_ns": 7, "format": "hall"}',
+            "a.rec.json belongs to another recording and was left out",
+        ),
+    ],
+)
+def test_a_sidecar_that_is_wrong_is_left_out_and_told(tmp_path, text, remark):
+    written(path := tmp_path / "a.rec")
+    sidecar_path(path).write_text(text)
+    recording = read_recording(path)
+    assert (recording.remarks, recording.metadata) == ((remark,), HEAD)
+
+
+def test_a_text_that_is_no_json_costs_itself(tmp_path):
+    path = tmp_path / "a.rec"
+    with RecordingFile(path, HEAD) as file:
+        file.append(1, some_frames(0, 4))
+        before = path.stat().st_size
+        file._write(
+            b"RRB1H\0\0\0\x01\0\0\0" + struct.pack("<I", zlib.crc32(b"RRB1H\0\0\0\x01\0\0\0{")) + b"{"
+        )
+        bad = path.stat().st_size - before
+        file.append(2, some_frames(4, 4))
+    recording = read_recording(path)
+    assert [frame for _, frame in recording.as_frames()] == some_frames(0, 8)
+    assert recording.damaged_bytes == bad
+
+
+def test_nothing_whole_is_said_as_it_is(tmp_path):
+    RecordingFile(path := tmp_path / "a.rec", HEAD).close()
+    data = bytearray(path.read_bytes())
+    data[20] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(InputError) as refused:
+        read_recording(path)
+    assert str(refused.value) == (
+        "Input file of a.rec must be a recording (at least one block is whole); "
+        f"instead received {len(data)} bytes without a whole block."
+    )
+
+
+def test_an_unknown_start_is_no_time_of_day(tmp_path):
+    with_head(path := tmp_path / "a.rec", b'{"format": "hall", "start_host_ns": 0}', 1)
+    expected = "recording of export must be one that says when it started"
+    with pytest.raises(InputError, match=expected):
+        export(read_recording(path), tmp_path / "a.csv")
 
 
 def test_a_recording_killed_before_its_first_frame_has_its_columns(tmp_path):

@@ -139,7 +139,14 @@ def test_notebooks_that_cannot_be_read(root):
         InputError, match=r"notebook of repro run must be an existing file; instead received no.ipynb"
     ):
         read_notebook(Path("no.ipynb"))
-    for text in ("{", "[]", "{}", '{"cells": 3, "nbformat": 4, "nbformat_minor": 5, "metadata": {}}'):
+    for text in (
+        "{",
+        "[]",
+        "{}",
+        "[" * 200_000,
+        '{"cells": [{"source": ' + "[" * 200_000,
+        '{"cells": 3, "nbformat": 4, "nbformat_minor": 5, "metadata": {}}',
+    ):
         Path("bad.ipynb").write_text(text)
         with pytest.raises(
             InputError, match="notebook of repro run must be a Jupyter notebook; instead received bad"

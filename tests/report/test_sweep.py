@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -53,7 +55,8 @@ def test_a_sweep_and_the_same_again(root, notebook, capsys):
         "tables": ["sweep.csv"],
     }
 
-    # a larger grid: what is finished is found, what failed is tried again
+    # a larger grid: what is finished is found, what failed is tried again; that its list is damaged is no matter
+    table.with_suffix(".json").write_text("[" * 200_000)
     assert command(*arguments[:3], "2,6,13,9", "--jobs", "1") == 1
     assert logged(root, "begun") == {2: 1, 6: 1, 13: 2, 9: 1}
     assert table.read_text() == "n,table_n,third\n2,2,0.666667\n6,6,2\n9,9,3\n"
@@ -91,6 +94,25 @@ def test_a_sweep_that_is_killed_goes_on(root, notebook):
     assert command(*arguments) == 0
     assert logged(root, "begun") == logged(root, "done") == dict.fromkeys(range(3), 1)
     assert len((root / "runs" / "a-sweep" / "sweep.csv").read_text().splitlines()) == 4
+
+
+def test_an_interrupted_sweep_says_how_to_go_on(root, notebook):
+    arguments = ["notebooks/a.ipynb", "-p", "n", "13,0,1,2", "-p", "seconds", "2", "--jobs", "1"]
+    sweeping = in_background(*arguments)
+    wait_for(lambda: sum(logged(root, "begun").values()) == 3)
+    os.killpg(sweeping.pid, signal.SIGINT)  # as the keyboard does: to all processes
+    out, err = sweeping.communicate(timeout=60)
+    assert sweeping.returncode == 130
+    assert "Traceback" not in err
+    lines = err.splitlines()
+    assert lines[0].startswith("n=13 seconds=2.0: notebooks/a.ipynb failed in code cell 3")
+    assert lines[-1] == "Interrupted: 1 of 4 points are finished; run the same command again to go on."
+    assert out.splitlines() == ["runs/a-sweep/sweep.json", "runs/a-sweep/sweep.csv"]
+    assert len((root / "runs" / "a-sweep" / "sweep.csv").read_text().splitlines()) == 2
+    about = json.loads((root / "runs" / "a-sweep" / "sweep.json").read_text())
+    assert [point["n"] for point in about["failed"]] == [13, 1, 2]
+    assert command(*arguments[:3], "0:3", *arguments[4:]) == 0
+    assert logged(root, "done")[0] == 1
 
 
 def test_a_half_written_point_is_run_again(root, notebook):

@@ -49,14 +49,14 @@ def cluster(root):
     def scheduler(**changes: str) -> str:
         options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--no-show"]
         start("distributed.cli.dask_scheduler", *options, "--scheduler-file", str(file), **changes)
-        wait_for(file.exists)
+        wait_for(lambda: file.exists() and file.stat().st_size > 0)
         return json.loads(file.read_text())["address"]
 
     def worker(name: str, **changes: str) -> subprocess.Popen:
         options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--name", name]
         return start("distributed.cli.dask_worker", *options, "--scheduler-file", str(file), **changes)
 
-    yield scheduler, worker
+    yield scheduler, worker, processes
     for process in processes:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
@@ -65,7 +65,7 @@ def cluster(root):
 
 @pytest.mark.parametrize("with_its_point", [False, True])
 def test_a_worker_that_is_killed(root, notebook, cluster, with_its_point):
-    scheduler, worker = cluster
+    scheduler, worker, _ = cluster
     address = scheduler()
     workers = [worker("one"), worker("two")]
     arguments = ["notebooks/a.ipynb", "-p", "n", "0:4", "-p", "seconds", "1", "--scheduler", address]
@@ -85,7 +85,7 @@ def test_a_worker_that_is_killed(root, notebook, cluster, with_its_point):
 def test_a_point_that_no_worker_survives_fails_and_the_others_do_not(root, notebook_at, cluster, capsys):
     kills_the_worker = "import os\nif n == 1:\n    os.kill(int(os.environ['WORKER']), 9)"
     notebook_at(root / "notebooks" / "a.ipynb", kills_the_worker)
-    scheduler, worker = cluster
+    scheduler, worker, _ = cluster
     address = scheduler(DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES="0")
     # what a worker starts, and only that, knows the worker
     starts = "import os; os.environ['WORKER'] = str(os.getpid())"
@@ -113,8 +113,41 @@ def another_package(root):
     return os.pathsep.join([str(copy), os.environ.get("PYTHONPATH", "")])
 
 
+def test_a_cluster_of_one_thread(root, notebook, cluster, capsys):
+    scheduler, worker, _ = cluster
+    address = scheduler()
+    worker("one")
+    assert sweep(Path("notebooks/a.ipynb"), parameters=[("n", "0:3")], scheduler=address) == 0
+    assert capsys.readouterr().err.splitlines()[-1] == "3 of 3 points are finished."
+    assert logged(root, "done") == dict.fromkeys(range(3), 1)
+
+
+def test_a_scheduler_that_is_killed(root, notebook, cluster):
+    scheduler, worker, processes = cluster
+    address = scheduler()
+    worker("one")
+    running = in_background(
+        "notebooks/a.ipynb", "-p", "n", "0:4", "-p", "seconds", "2", "--scheduler", address
+    )
+    wait_for(lambda: sum(logged(root, "begun").values()) == 2)
+    os.killpg(processes[0].pid, signal.SIGKILL)
+    out, err = running.communicate(timeout=120)
+    last = err.splitlines()[-1]
+    assert (running.returncode, last) == (
+        1,
+        "The scheduler is gone: 1 of 4 points are finished; run the same command again to go on.",
+    ), err
+    assert "Traceback" not in err
+    assert out.splitlines() == ["runs/a-sweep/sweep.json", "runs/a-sweep/sweep.csv"]
+    assert len((root / "runs" / "a-sweep" / "sweep.csv").read_text().splitlines()) == 2
+    # what was running is waited for or done again, what is finished is found
+    assert sweep(Path("notebooks/a.ipynb"), parameters=[("n", "0:4"), ("seconds", "2")], jobs=1) == 0
+    assert len((root / "runs" / "a-sweep" / "sweep.csv").read_text().splitlines()) == 5
+    assert sorted(logged(root, "done").values()) == [1] * 4
+
+
 def test_workers_with_another_package_are_named(root, notebook, cluster, another_package):
-    scheduler, worker = cluster
+    scheduler, worker, _ = cluster
     address = scheduler()
     worker("two", PYTHONPATH=another_package)
     with pytest.raises(InputError) as refused:
@@ -126,7 +159,7 @@ def test_workers_with_another_package_are_named(root, notebook, cluster, another
 
 
 def test_a_worker_that_joins_later_is_asked_too(root, notebook, cluster, another_package):
-    scheduler, worker = cluster
+    scheduler, worker, _ = cluster
     address = scheduler()
     worker("one")
     client = connect(address)

@@ -174,9 +174,29 @@ def test_values_of_a_file_that_are_refused(tmp_path, text, message):
     assert str(refused.value) == f"Input {message}"
 
 
+LAUGHS = "[*a{0}, *a{0}, *a{0}, *a{0}, *a{0}, *a{0}, *a{0}, *a{0}, *a{0}, *a{0}]"
+NESTED = "- &a0 [1]\n" + "".join(f"- &a{k + 1} {LAUGHS.format(k)}\n" for k in range(15))
+
+
+def test_aliases_of_aliases_are_refused_before_they_are_written_out(tmp_path):
+    (file := tmp_path / "g.yaml").write_text("gains:\n" + NESTED)
+    for refusal, arguments in (
+        (f"Input grid {file} of repro sweep", {"file": file}),
+        ("Input parameter gains of a.ipynb", None),
+    ):
+        with pytest.raises(InputError) as refused:
+            grid(**arguments) if arguments else convert(DECLARED["gains"], NESTED, "a.ipynb")
+        expected = "must be at most 1000000 values, aliases counted as often as used; instead received more."
+        assert str(refused.value) == f"{refusal} {expected}"
+    file.write_text("gains: [&a [1, 2], [*a, *a]]")
+    assert grid(file=file)["gains"] == [[1, 2], [[1, 2], [1, 2]]]
+
+
 @pytest.mark.parametrize(
     ("name", "text"),
     [
+        ("g.yaml", "gains: " + "[" * 5000),
+        ("g.json", '{"gains": ' + "[" * 200_000),
         ("g.yaml", "[1, 2]"),
         ("g.yaml", "n: [1]\nn: [2]"),
         ("g.yaml", "n: ["),

@@ -7,6 +7,7 @@ A notebook declares them in its cell tagged ``parameters``, one a line:
 from __future__ import annotations
 
 import ast
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -28,6 +29,8 @@ KINDS = {
     "dict": "a dictionary in YAML with texts as keys, such as {a: 1}",
 }
 """Types that a parameter can have, and what a value of each must be."""
+MOST_VALUES = 1_000_000
+"""Values that a list or dictionary may hold, those within its values included."""
 
 
 @dataclass(frozen=True)
@@ -178,12 +181,39 @@ def convert(parameter: Parameter, text: str, owner: str) -> Any:
                 raise refusal from None
         case "list" | "dict":
             try:
+                check_size(yaml.compose(text, _CoreLoader), f"parameter {parameter.name}", owner)
                 value = yaml.load(text, _CoreLoader)
-            except (yaml.YAMLError, ValueError):
+            except InputError:
+                raise
+            except (yaml.YAMLError, ValueError, RecursionError):
                 raise refusal from None
             if isinstance(value, list if parameter.type == "list" else dict) and _is_plain(value, depth=20):
                 return value
     raise refusal
+
+
+def check_size(node: yaml.Node | None, name: str, owner: str) -> None:
+    """Refuse YAML that a few aliases of aliases make too large to be written out, or endless.
+
+    Raises
+    ------
+    InputError
+        If there are more than :data:`MOST_VALUES` values, each counted as often as it is named.
+    """
+    sizes: dict[int, float] = {}
+
+    def size(node: Any) -> int | float:
+        if id(node) not in sizes:
+            sizes[id(node)] = math.inf  # of a node within itself
+            parts = node.value if isinstance(node, yaml.CollectionNode) else ()
+            pairs = (part if isinstance(part, tuple) else (part,) for part in parts)
+            sizes[id(node)] = 1 + sum(size(item) for pair in pairs for item in pair)
+        return sizes[id(node)]
+
+    if size(node) > MOST_VALUES:
+        raise bad_input(
+            name, owner, f"at most {MOST_VALUES} values, aliases counted as often as used", "more"
+        )
 
 
 def _is_plain(value: Any, depth: int) -> bool:

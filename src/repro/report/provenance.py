@@ -168,5 +168,5 @@ def read_record(path: Path) -> Record | None:
     """Return the record at a path; None where there is none, or none that this version can read."""
     try:
         return Record(**json.loads(path.read_text(encoding="utf-8")))
-    except (FileNotFoundError, ValueError, TypeError):
+    except (FileNotFoundError, ValueError, TypeError, RecursionError):
         return None

@@ -55,6 +55,10 @@ def read_notebook(path: Path) -> NotebookNode:
         raise bad_input("notebook", "repro run", "an existing file", path)
     try:
         return nbformat.read(path, as_version=4)
+    except RecursionError as error:
+        raise bad_input(
+            "notebook", "repro run", "a Jupyter notebook", f"{path} (nested too deeply)"
+        ) from error
     except (ValueError, AttributeError, KeyError, TypeError, nbformat.ValidationError) as error:
         raise bad_input("notebook", "repro run", "a Jupyter notebook", f"{path} ({error})") from error
 

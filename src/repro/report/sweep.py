@@ -71,6 +71,26 @@ class Outcome:
     """Why it has no result; empty when it has."""
 
 
+class RunnerGone(Exception):
+    """What runs the points is gone; the message says what it was."""
+
+
+class SweepStopped(Exception):
+    """A sweep was stopped before its end, as the message says; what is finished is kept.
+
+    Parameters
+    ----------
+    why
+        The message.
+    failures
+        Index to reason of every point that failed before.
+    """
+
+    def __init__(self, why: str, failures: dict[int, str]) -> None:
+        super().__init__(why)
+        self.failures = failures
+
+
 Runner = Callable[[Sequence[Point]], Iterable[Outcome]]
 """Runs points in any order, side by side."""
 
@@ -197,16 +217,25 @@ def run_points(points: Sequence[Point], runner: Runner, *, progress: bool = Fals
     -------
     dict
         Index to reason of every point that has no result now.
+
+    Raises
+    ------
+    SweepStopped
+        On an interruption from the keyboard, or where the scheduler of a cluster goes away.
     """
     from tqdm import tqdm
 
     todo = [point for point in points if not finished(point)]
     reasons = {point.index: "not run, because a worker process was killed: try again" for point in todo}
+    told: dict[int, str] = {}
     with tqdm(total=len(points), initial=len(points) - len(todo), unit="point", disable=not progress) as bar:
         try:
             for outcome in runner(todo) if todo else ():
-                reasons[outcome.index] = outcome.failure
+                told[outcome.index] = outcome.failure
                 bar.update()
         except BrokenProcessPool:
             pass  # what was running goes on and is found by the next call
-    return {index: reason for index, reason in reasons.items() if reason}
+        except (KeyboardInterrupt, RunnerGone) as stop:
+            failures = {index: reason for index, reason in told.items() if reason}
+            raise SweepStopped(str(stop) or "Interrupted", failures) from stop
+    return {index: reason for index, reason in (reasons | told).items() if reason}

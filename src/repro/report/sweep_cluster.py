@@ -1,18 +1,19 @@
-"""Points of a sweep on a Dask cluster that is there already: joblib's dask backend, and a look at every worker.
+"""Points of a sweep on a Dask cluster that is there already, after a look at every worker.
 
 Needs the optional extra ``cluster`` (``dask[distributed]``).
 """
 
-# The stubs of joblib know less than the library does, and Dask may be missing.
-# pyright: reportArgumentType=false, reportReturnType=false, reportMissingImports=false
+# Dask may be missing.
+# pyright: reportMissingImports=false
 
 from __future__ import annotations
 
 import importlib.metadata
+import logging
 import platform
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from typing import Any
 import repro
 from repro.errors import InputError, bad_input
 from repro.report.files import combined_digest, tree_digests
-from repro.report.sweep import Outcome, Point, Runner, run_point
+from repro.report.sweep import Outcome, Point, Runner, RunnerGone, run_point
 from repro.report.sweep_grid import OWNER
 
 TIMEOUT_S = 10
@@ -125,41 +126,24 @@ def check_workers(client: Any) -> None:
 
 
 def cluster_runner(client: Any) -> Runner:
-    """Return a runner on the workers of a Dask client, each of which runs as many points as it has threads."""
+    """Return a runner on the workers of a Dask client, each of which runs as many points as it has threads.
+
+    It raises :class:`~repro.report.sweep.RunnerGone` where the scheduler goes away.
+    """
 
     def run(points: Sequence[Point]) -> Iterator[Outcome]:
-        import joblib
+        from distributed import as_completed
 
         # All points are handed over at once: a cluster that grows with its queue sees how long it is.
-        parallel = joblib.Parallel(
-            n_jobs=-1,
-            backend=_backend(client),
-            batch_size=1,
-            pre_dispatch="all",
-            return_as="generator_unordered",
-        )
-        yield from parallel(joblib.delayed(run_checked)(point, identity()) for point in points)
+        futures = client.map(run_checked, points, expected=identity(), pure=False)
+        point_of = dict(zip(futures, points, strict=True))
+        for future in as_completed(futures, loop=client.loop):
+            if future.cancelled():  # nobody here cancels: the client does so when it loses the scheduler
+                # it would print how its attempt to connect again ends when it is closed
+                logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+                raise RunnerGone("The scheduler is gone")
+            error = future.exception()
+            said = f"{type(error).__name__}: {error}"
+            yield future.result() if error is None else Outcome(point_of[future].index, said)
 
     return run
-
-
-def _backend(client: Any) -> Any:
-    from concurrent.futures import Future
-
-    from joblib._dask import DaskDistributedBackend
-
-    class Backend(DaskDistributedBackend):
-        """joblib's backend, for which a task that Dask gives up has failed; joblib alone would wait for ever."""
-
-        def submit(self, func: Any, callback: Callable[[Any], None] | None = None) -> Any:
-            ((_, (point, _), _),) = func.items
-
-            def report(future: Future) -> None:
-                if callback and (error := future.exception()):
-                    callback([Outcome(point.index, f"{type(error).__name__}: {error}")])
-
-            future = super().submit(func, callback)
-            future.add_done_callback(report)
-            return future
-
-    return Backend(client=client)

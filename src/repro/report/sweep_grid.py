@@ -17,7 +17,7 @@ from typing import Any
 import yaml
 
 from repro.errors import InputError, bad_input
-from repro.report.parameters import KINDS, Parameter, convert, listing
+from repro.report.parameters import KINDS, Parameter, check_size, convert, listing
 
 OWNER = "repro sweep"
 MOST_POINTS = 100_000
@@ -125,10 +125,15 @@ def _read_file(file: Path) -> dict[str, Any]:
         text = file.read_text(encoding="utf-8")
         if file.suffix == ".json":
             return json.loads(text, object_pairs_hook=_without_repeats)
-        _check_keys(yaml.compose(text, yaml.SafeLoader))
+        node = yaml.compose(text, yaml.SafeLoader)
+        _check_keys(node)
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+        raise bad_input("grid", OWNER, form, file) from error
+    check_size(node, f"grid {file}", OWNER)
+    try:
         # the reader of -p knows 1e-3 as a number and "on" as a text; plain YAML loaders do not
         return convert(Parameter(str(file), "dict", "", ""), text, OWNER)
-    except (OSError, ValueError, yaml.YAMLError) as error:
+    except (ValueError, RecursionError) as error:
         raise bad_input("grid", OWNER, form, file) from error
 
 
@@ -165,7 +170,7 @@ def _can_be_typed(parameter: Parameter, value: Any) -> bool:
     """Return whether ``repro run -p NAME TEXT`` gives the notebook this very value."""
     try:
         return _same(convert(parameter, value_text(value), OWNER), value)
-    except ValueError:
+    except (ValueError, RecursionError):
         return False
 
 

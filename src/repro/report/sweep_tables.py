@@ -61,9 +61,8 @@ def write_sweep(
     """
     tables, left_out = joined_tables(tables_of(points), chosen)
     about = folder / f"{name}.json"
-    earlier = json.loads(about.read_text(encoding="utf-8"))["tables"] if about.is_file() else []
     names = {table: f"{name}.csv" if len(tables) == 1 else f"{name}_{table}.csv" for table in tables}
-    for old in set(earlier) - set(names.values()):
+    for old in set(_tables_before(about)) - set(names.values()):
         (folder / old).unlink(missing_ok=True)
     for table, text in tables.items():
         write_whole(folder / names[table], text)
@@ -77,6 +76,20 @@ def write_sweep(
     }
     write_whole(about, json.dumps(settings, indent=1) + "\n")
     return [about, *(folder / file for file in settings["tables"])], left_out
+
+
+def _tables_before(about: Path) -> list[str]:
+    try:
+        names = json.loads(about.read_text(encoding="utf-8"))["tables"]
+    except (
+        OSError,
+        ValueError,
+        LookupError,
+        TypeError,
+        RecursionError,
+    ):  # none, or damaged: nothing is removed
+        return []
+    return names if isinstance(names, list) and all(isinstance(x, str) for x in names) else []
 
 
 def joined_tables(

@@ -189,4 +189,5 @@ def _recorded(path: Path, rate_hz: float | None) -> Take:
         time_s = np.arange(len(table)) / (rate_hz * len(np.unique(stream)))
     values = table[recording.channels].to_numpy(float)
     period_s = time_s[-1] * len(table) / (len(table) - 1)
-    return Take(path.name, recording.format, time_s, stream, values, period_s)
+    label = "; ".join([path.name, *recording.remarks])
+    return Take(label, recording.format, time_s, stream, values, period_s)

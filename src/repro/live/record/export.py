@@ -164,6 +164,9 @@ def _write_bag(recording: Recording, path: Path) -> list[str]:
 
 def _times(recording: Recording) -> tuple[Int[np.ndarray, " frames"], list[str]]:
     """Times of arrival since 1970 [ns], made to increase."""
+    if "start_unix_s" not in recording.metadata:
+        expected = "one that says when it started (its first block, or the file beside it)"
+        raise bad_input("recording", "export", expected, "one whose start is not known")
     host_ns = recording.frames["host_ns"].to_numpy() - recording.metadata["start_host_ns"]
     steps = np.arange(len(host_ns), dtype=np.int64) * TIE_NS
     apart = np.maximum.accumulate(host_ns - steps) + steps

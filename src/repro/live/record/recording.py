@@ -4,12 +4,11 @@
 
 from __future__ import annotations
 
-import json
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -25,8 +24,8 @@ from repro.live.record.recording_file import (
     MOST_TEXT,
     SEQUENCE,
     row_type,
-    sidecar_path,
 )
+from repro.live.record.recording_metadata import metadata_of, parsed
 from repro.live.wire.csv_text import RESERVED
 from repro.live.wire.frame import Frame
 
@@ -81,7 +80,7 @@ class Recording:
         format has none; then the values under the names of :func:`channel_names` or, of ``csv``, of the lines;
         NaN where a frame has fewer.
     metadata
-        The sidecar, or the first block of the file where there is no readable sidecar.
+        The first block and the sidecar, or what there is of them; ``format`` and ``start_host_ns`` in any case.
     widths
         Number of values of each frame.
     notes
@@ -90,6 +89,8 @@ class Recording:
         Bytes after the last whole block: cut off by a crash, or being written at the moment. Left out.
     damaged_bytes
         Bytes of damaged blocks before that; left out.
+    remarks
+        What is damaged or not known, in words; empty if nothing.
     """
 
     frames: pd.DataFrame
@@ -98,6 +99,7 @@ class Recording:
     notes: list[dict[str, Any]]
     torn_bytes: int
     damaged_bytes: int
+    remarks: tuple[str, ...] = ()
 
     @property
     def format(self) -> str:
@@ -122,32 +124,65 @@ class Recording:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a recording, finished or not.
+    """Read a recording, finished or not, whole or damaged: a damaged block costs what it held.
+
+    Where the first block is damaged, the file beside the recording says what it said; without that file, format and
+    start are taken from the frames, and the remarks say what is not known.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     InputError
-        If it does not start as a recording does.
+        If it has no whole block of a recording.
     """
     data = path.read_bytes()
-    texts, found, torn, damaged = _scan(data)
-    if not texts or "format" not in texts[0]:
-        raise bad_input("file", path.name, f"a recording (it starts with {MAGIC.decode()})", data[:16])
-    head, notes = texts[0], texts[1:]
-    try:
-        metadata = head | json.loads(sidecar_path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError):  # a power cut may have left none: the file itself tells what is needed
-        metadata = head
-    frames, widths = _table(found, head)
-    return Recording(frames, metadata, widths, notes, torn, damaged)
+    found = _scan(data)
+    if not found.blocks:
+        begins = data.startswith(MAGIC)
+        expected = (
+            f"a recording ({'at least one block is whole' if begins else f'it starts with {MAGIC.decode()}'})"
+        )
+        received = f"{len(data)} bytes without a whole block" if begins else data[:16]
+        raise bad_input("file", path.name, expected, received)
+    tables = [
+        np.frombuffer(b"".join(block.payload for block in blocks), row_type(width))
+        for width, blocks in found.frames.items()
+    ]
+    first_ns = min((int(table["host_ns"].min()) for table in tables if len(table)), default=None)
+    numbered = any(bool(table["known"].any()) for table in tables)
+    metadata, remarks = metadata_of(path, found.head, first_ns, numbered=numbered)
+    if left_out := found.torn_bytes + found.damaged_bytes:
+        remarks.insert(0, f"{left_out} bytes of the recording are not whole and were left out")
+    frames, widths = _table(found.frames, tables, metadata)
+    return Recording(
+        frames, metadata, widths, found.notes, found.torn_bytes, found.damaged_bytes, tuple(remarks)
+    )
 
 
-def _scan(data: bytes) -> tuple[list[dict[str, Any]], dict[int, list[tuple[int, int, bytes]]], int, int]:
-    """Return texts; blocks of frames by width, as (number of the block, frames, bytes); torn and damaged bytes."""
-    texts: list[dict[str, Any]] = []
-    found: dict[int, list[tuple[int, int, bytes]]] = {}
+class _Block(NamedTuple):
+    number: int
+    """Place among the blocks of the file."""
+    frames: int
+    payload: bytes
+
+
+class _Scan(NamedTuple):
+    head: dict[str, Any] | None
+    """Content of the text at the beginning of the file; None if that is damaged."""
+    notes: list[dict[str, Any]]
+    frames: dict[int, list[_Block]]
+    """Blocks of frames by width."""
+    blocks: int
+    """Whole blocks of any kind."""
+    torn_bytes: int
+    damaged_bytes: int
+
+
+def _scan(data: bytes) -> _Scan:
+    head: dict[str, Any] | None = None
+    notes: list[dict[str, Any]] = []
+    frames: dict[int, list[_Block]] = {}
     at = lost = number = 0
     good_until = 0
     while at + HEADER_BYTES <= len(data):
@@ -159,33 +194,34 @@ def _scan(data: bytes) -> tuple[list[dict[str, Any]], dict[int, list[tuple[int, 
         )
         payload = data[at + HEADER_BYTES : end] if plausible else b""
         (crc,) = CRC.unpack_from(data, at + BLOCK.size)
-        if not plausible or zlib.crc32(payload, zlib.crc32(data[at : at + BLOCK.size])) != crc:
-            again = data.find(MAGIC, at + 1)
+        whole = plausible and zlib.crc32(payload, zlib.crc32(data[at : at + BLOCK.size])) == crc
+        text = parsed(payload) if whole and kind == b"H" else None
+        if not whole or (kind == b"H" and text is None):
+            again = data.find(MAGIC, end if whole else at + 1)
             at = len(data) if again < 0 else again
             continue
         lost += at - good_until
         if kind == b"F":
-            found.setdefault(width, []).append((number, count, payload))
-        else:
-            texts.append(json.loads(payload))
+            frames.setdefault(width, []).append(_Block(number, count, payload))
+        elif at == 0:
+            head = text
+        elif text is not None:
+            notes.append(text)
         number += 1
         at = good_until = end
-    return texts, found, len(data) - good_until, lost
+    return _Scan(head, notes, frames, number, len(data) - good_until, lost)
 
 
 def _table(
-    found: dict[int, list[tuple[int, int, bytes]]], head: dict[str, Any]
+    found: dict[int, list[_Block]], tables: list[np.ndarray], head: dict[str, Any]
 ) -> tuple[pd.DataFrame, np.ndarray]:
     """Put the frames of all blocks into one table, in the order of the file; return it and the frames' widths."""
     # Killed at once it has no frames yet, but the head tells their columns.
     most = max(found, default=len(head.get("channels", ())))
     numbers_of_blocks = [
-        np.repeat([b[0] for b in blocks], [b[1] for b in blocks]) for blocks in found.values()
+        np.repeat([b.number for b in blocks], [b.frames for b in blocks]) for blocks in found.values()
     ]
     order = np.concatenate(numbers_of_blocks or [np.zeros(0)]).argsort(kind="stable")
-    tables = [
-        np.frombuffer(b"".join(b[2] for b in blocks), row_type(width)) for width, blocks in found.items()
-    ]
 
     def column(name: str) -> np.ndarray:
         return np.concatenate([table[name] for table in tables] or [np.zeros(0, np.int64)])[order]

@@ -18,7 +18,9 @@ A frame takes 20 bytes and 8 for each value: arrival by the host's monotonic clo
 (uint32), sequence number (uint32), stream (uint16), number of values (uint8), which of sequence number (1) and device
 time (2) the format has (uint8), values (float64). The first block tells the format and the start; later texts are
 notes, such as that the port was opened anew. A block cut off at the end, or damaged, fails its checksum and is left
-out and reported; the blocks after it are found again. The file can be read while it is being written.
+out and reported; the blocks after it are found again. Where it is the first one, the file beside the recording says
+the same; without that, format and start are not known, and the frames are read all the same. The file can be read
+while it is being written.
 """
 
 from __future__ import annotations
@@ -51,6 +53,7 @@ CRC = struct.Struct("<I")
 MOST_TEXT = 1 << 20
 """Bytes of one text."""
 SEQUENCE, DEVICE = 1, 2
+NEW = "a new file (give another name, or move the old one)"
 
 
 class WriteFailed(RuntimeError):
@@ -118,7 +121,7 @@ class RecordingFile:
     Raises
     ------
     InputError
-        If the file exists.
+        If the file exists, or another process makes it at the same moment: one of them has it, the other is refused.
     WriteFailed
         If it cannot be written.
     """
@@ -134,7 +137,10 @@ class RecordingFile:
         self._closing = threading.Event()
         head = _text(metadata)
         try:
-            _create(path, head)
+            if not _created(path, head):
+                raise bad_input(
+                    "output", "RecordingFile", NEW, f"{path}, which another program has just made"
+                )
             self._file = os.open(path, os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0))
         except OSError as error:
             raise WriteFailed(f"{path} cannot be written: {error.strerror}.") from error
@@ -219,16 +225,24 @@ class RecordingFile:
         return WriteFailed(f"Writing {self.path.name} failed: {error.strerror}; {kept}.")
 
 
-def _create(path: Path, head: bytes) -> None:
-    """Put a file with its first block at ``path`` in one step: whoever finds the file can read it."""
+def _created(path: Path, head: bytes) -> bool:
+    """Put a file with its first block at ``path`` in one step: whoever finds the file can read it.
+
+    Return False, and change nothing, if there is one.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}-{uuid.uuid4().hex}")
     try:
-        with temporary.open("xb") as stream:
-            stream.write(head)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.rename(path)
+        _write_new(temporary, head)
+        try:
+            os.link(temporary, path)  # never replaces a file, as a renaming does
+        except FileExistsError:
+            return False
+        except OSError:  # a disk without links: the name is taken first, the block follows at once
+            try:
+                _write_new(path, head)
+            except FileExistsError:
+                return False
     finally:
         temporary.unlink(missing_ok=True)
     if os.name == "posix":  # the name of a file is kept by its folder
@@ -237,13 +251,21 @@ def _create(path: Path, head: bytes) -> None:
             os.fsync(folder)
         finally:
             os.close(folder)
+    return True
+
+
+def _write_new(path: Path, content: bytes) -> None:
+    with path.open("xb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
 
 
 def check_new(path: Path, owner: str) -> None:
     """Refuse a path at which a recording or its sidecar lies already."""
     for taken in (path, sidecar_path(path)):
         if taken.exists():
-            raise bad_input("output", owner, "a new file (give another name, or move the old one)", taken)
+            raise bad_input("output", owner, NEW, taken)
 
 
 def sidecar_path(path: Path) -> Path:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -155,7 +155,9 @@ def recorded_readings(recording: Recording, robot: RobotFile, poses: Poses) -> P
             expected = f"within the recording ({span})"
             raise bad_input(f"pose {k + 1}", "the table", expected, f"no frame from {start:g} to {end:g} s")
         parts.append(values[inside])
-    return _averages(parts, robot)
+    averages = _averages(parts, robot)
+    told = tuple(f"Recording: {remark}." for remark in recording.remarks)
+    return replace(averages, notes=told + averages.notes)
 
 
 def guide(

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
+from repro.errors import InputError
 from repro.kinematics.robot import Robot
 from repro.live.robot.robot_tables import Document
 from repro.sensing.magnets import Cube, Ring
+from repro.sensing.own_model import are_scripts
 
+OWN_MODEL_MS = 50
+"""Time of an estimate with a network that is not compiled, about [ms]."""
 IN_RANGE = 10.0
 """A magnet is in range of a sensor if it can change the reading by this many standard deviations of its noise."""
 
@@ -33,6 +38,11 @@ class _Sensed(Protocol):
     def noise(self) -> float: ...
     @property
     def unit(self) -> str: ...
+    @property
+    def networks(self) -> tuple[Path, ...]: ...
+    @property
+    def network_inputs(self) -> str: ...
+    def sensing(self) -> Any: ...
 
 
 def check_place(
@@ -102,6 +112,28 @@ def check_observed(document: Document, robot: Robot, imus: Sequence[tuple[int, f
             raise document.error(("segments", i, "kind"), expected, document.tables("segments")[i]["kind"])
 
 
+def check_networks(document: Document, found: _Sensed) -> tuple[str, ...]:
+    """Refuse networks that do not fit, now and not when they are first used; return a warning if they are slow.
+
+    Raises
+    ------
+    InputError
+        As said.
+    """
+    if not found.networks:
+        return ()
+    line, scripts = f"{document.name}, line {document.line('model', 'networks')}", are_scripts(found.networks)
+    if found.network_inputs != "angles" and not scripts:
+        expected = "'angles', which networks of the paper's recipe take"
+        raise document.error(("model", "inputs"), expected, repr(found.network_inputs))
+    try:
+        found.sensing()
+    except InputError as error:
+        raise InputError(f"{line}, [model]: {error}") from error
+    slow = f"some {OWN_MODEL_MS} ms for an estimate instead of 1"
+    return (f"{line}: networks in TorchScript are not compiled but run in torch: {slow}.",) if scripts else ()
+
+
 def out_of_range(document: Document, found: _Sensed) -> tuple[str, ...]:
     """Return warnings about sensors that no magnet reaches, with the distances where estimators start.
 
@@ -127,7 +159,8 @@ def out_of_range(document: Document, found: _Sensed) -> tuple[str, ...]:
             expected = f"farther than {reach * 1e3:.1f} mm from the centre of magnet {near + 1}"
             raise document.error(("sensors", j, "at_mm"), expected, f"{row[near] * 1e3:.1f} mm from it")
         signal = abs(2 * float(found.moments[0]) / row[near] ** 3 * float(found.gain[j]))
-        if signal < IN_RANGE * found.noise:
+        # with networks nobody says how much a sensor reads per flux density
+        if signal < IN_RANGE * found.noise and not found.networks:
             distances = ", ".join(f"magnet {k + 1} at {d * 1e3:.0f} mm" for k, d in enumerate(row))
             notes.append(
                 f"{document.name}, line {document.line('sensors', j)}: no magnet is in range of sensor {j + 1} "

@@ -7,7 +7,7 @@ is made of it. Segments, magnets and sensors count from 1 at the base, in the fi
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,7 +33,9 @@ from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.magnets import Cube, Ring
 from repro.sensing.network import PerSensor
+from repro.sensing.own_model import Given, are_scripts, own_model
 from repro.sensing.placement import placed
+from repro.sensing.relations import relations
 from repro.sensing.weights import load_paper_network
 
 
@@ -74,6 +76,8 @@ class RobotFile:
         sensors, one per segment, or one per sensor.
     notes
         Warnings: what is allowed but probably not meant.
+    network_inputs
+        What networks in TorchScript take: ``"angles"`` or ``"cosines"``.
     """
 
     name: str
@@ -95,6 +99,7 @@ class RobotFile:
     imus: tuple[Imu, ...]
     networks: tuple[Path, ...]
     notes: tuple[str, ...]
+    network_inputs: str = "angles"
 
     @property
     def start(self) -> Float[Tensor, " n_q"]:
@@ -103,7 +108,9 @@ class RobotFile:
         bends = torch.tensor([not name.startswith(("delta_L", "phi")) for name in self.robot.coordinates])
         return torch.where(bends, torch.zeros_like(middle).clamp(self.lower, self.upper), middle)
 
-    def sensing(self, model: Callable[[Tensor], Tensor] | None = None) -> LinearisedSensing | MagneticSensing:
+    def sensing(
+        self, model: Given | Sequence[Given] | None = None, *, inputs: str = "cosines"
+    ) -> LinearisedSensing | MagneticSensing:
         """Sensor model of an estimator: configuration to :meth:`signal` [unit].
 
         Estimators with ``backend="compiled"`` take it, unless ``model`` is given.
@@ -111,22 +118,33 @@ class RobotFile:
         Parameters
         ----------
         model
-            A sensor model of your own: relations as cosines (:mod:`repro.sensing.relations`) to readings [unit].
+            A sensor model of your own, from relations (:mod:`repro.sensing.relations`) to readings [unit]: a module
+            of torch, TorchScript or the path of its file, or any callable; a list for one per segment or per sensor.
+            See :func:`repro.sensing.own_model.own_model`.
+        inputs
+            Whether your model takes the relations as ``"cosines"`` or as ``"angles"`` [rad].
 
         Raises
         ------
         InputError
-            If the robot has no magnetic sensors, or the network does not fit it.
+            If the robot has no magnetic sensors, or the model does not fit it.
         """
         if not len(self.robot.sensors) or self.moments is None:
             expected = "a robot with magnets and magnetic sensors"
             raise bad_input("robot", self.name, expected, f"one with {len(self.imus)} IMUs")
         size = float(torch.linalg.vector_norm(self.earth_mt))
         axis = self.earth_mt / size if size else None
-        if model is not None:
-            return MagneticSensing(self.robot, model, earth_axis=axis)
-        if self.networks:
+        if model is None and self.networks and not are_scripts(self.networks):
             return MagneticSensing(self.robot, self._network(), "angles", axis)
+        if model is None and self.networks:
+            model, inputs = self.networks, self.network_inputs
+        if model is not None:
+            if inputs not in ("angles", "cosines"):
+                raise bad_input("inputs", "sensing", "'angles' or 'cosines'", repr(inputs))
+            at_start = relations(self.robot, self.start, axis)
+            xi = at_start.cosines() if inputs == "cosines" else at_start.angles()
+            own = own_model(model, xi, self.robot.sensors.segment, inputs)
+            return MagneticSensing(self.robot, own, inputs, axis)
         return LinearisedSensing(self.robot, self.moments, self.gain, self.earth_mt)
 
     def _network(self) -> PerSensor:
@@ -219,8 +237,8 @@ def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
     values = document.checked(stream_keys(bool(sensors), stream.get("unit")), "stream")
     unit = values.get("unit", UNITS[0])
     model = document.table("model")
-    names = document.checked(model_keys(len(segments), len(sensors)), "model")["networks"] if model else []
-    networks = tuple(folder / name for name in names)
+    own = document.checked(model_keys(len(segments), len(sensors)), "model") if model else {}
+    networks = tuple(folder / name for name in own.get("networks", ()))
     if missing := [str(path) for path in networks if not path.is_file()]:
         raise document.error(("model", "networks"), "files beside this one", f"no {missing[0]}")
     rows = [document.checked(sensor_keys(unit, bool(networks)), "sensors", k) for k in range(len(sensors))]
@@ -253,8 +271,10 @@ def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
         imus=imus,
         networks=networks,
         notes=(),
+        network_inputs=own.get("inputs", "angles"),
     )
     robot_checks.check_observed(document, robot, [(imu.segment, imu.at_m) for imu in imus], bool(earth.any()))
     if rows and magnet is None:
         raise document.error(("sensors", 0, "channel"), "of a robot with [[magnets]]", "one without")
-    return replace(found, notes=robot_checks.out_of_range(document, found))
+    notes = robot_checks.out_of_range(document, found)
+    return replace(found, notes=notes + robot_checks.check_networks(document, found))
