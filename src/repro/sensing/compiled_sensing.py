@@ -67,7 +67,7 @@ class CompiledSensing:
     def __init__(self, sensing: Callable[[Tensor], Tensor]) -> None:
         if isinstance(sensing, LinearisedSensing):
             earth = torch.zeros(3) if sensing.earth_mt is None else sensing.earth_mt
-            gain, model, angles = sensing.gain, sensing.moments.unsqueeze(-2), False
+            gain, model, angles = sensing.gain, sensing.moment_rows, False
         elif isinstance(sensing, MagneticSensing):
             earth = torch.tensor([1.0, 0.0, 0.0]) if sensing.earth_axis is None else sensing.earth_axis
             earth = earth.double() / torch.linalg.vector_norm(earth.double(), dim=-1, keepdim=True)
