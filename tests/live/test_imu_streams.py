@@ -18,6 +18,7 @@ from repro.live.follow.robot_estimator import Follower, robot_estimator
 from repro.live.follow.time_steps import TimeStep, TimeSteps
 from repro.live.robot.robot_file import load_robot
 from repro.live.wire.frame import Frame
+from repro.sensing.compiled_sensing import CompiledSensing
 from repro.sensing.magnetic import readings
 
 NOISE_RAD = math.radians(0.3)
@@ -40,7 +41,8 @@ def both(base=BASE, heading="absolute"):
         for k in (0, 1):
             text += f"[[sensors]]\nchannel = {2 * i - k}\nsegment = {i}\nat_mm = 90\nradial_mm = 10\n"
             text += f"azimuth_deg = {90 * k}\n"
-        text += f'[[imus]]\nstream = {i}\nsegment = {i}\nat_mm = 95\nheading = "{heading if i == 2 else "absolute"}"\n'
+        known = heading if i == 2 else "absolute"
+        text += f'[[imus]]\nstream = {i}\nsegment = {i}\nat_mm = 95\nheading = "{known}"\n'
         text += f"mounted = {quaternion(MOUNTED[i - 1])}\n"
     return text
 
@@ -102,15 +104,22 @@ def test_magnets_and_imus_together_are_as_good_as_they_say(tmp_path, heading, na
     np.testing.assert_allclose(estimator.shown(u)[:4], [sent[0].values[k] for k in found.channel], atol=1e-12)
 
 
+def test_compiled_is_torch(tmp_path):
+    found = loaded(tmp_path, both(heading="free"))
+    stacked, q = robot_estimator(found).stacked, configurations(found, 20)
+    for ours, theirs in zip(CompiledSensing(stacked).linearise(q), stacked.linearise(q), strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-11, atol=1e-8)  # in units of the noise
+    with pytest.raises(InputError, match="sensing.parts of an estimator must be LinearisedSensing, or"):
+        CompiledSensing(replace(stacked, parts=(stacked.parts[0], stacked.parts[0])))
+
+
 def test_neither_alone_sees_all_six_coordinates(tmp_path):
     text = both()
-    alone = "".join(part for part in text.split("[[") if not part.startswith("imus"))
-    text = both()
-    start = text.index("[[imus]]")
-    end = text.index("[[segments]]", start)
-    alone = text[:start] + text[end : text.index("[[imus]]", end)]
-    found = loaded(tmp_path, alone.replace("noise_deg = 0.3\n", ""))
-    assert found.notes[-2].startswith("arm.toml: 4 readings for 6 unknowns.")
+    start, last = text.index("[[imus]]"), text.rindex("[[imus]]")
+    alone = text[:start] + text[text.index("[[segments]]", start) : last]
+    path = tmp_path / "arm.toml"
+    path.write_text(alone.replace("noise_deg = 0.3\n", ""))
+    assert load_robot(path).notes[-2].startswith("arm.toml: 4 readings for 6 unknowns.")
 
 
 def test_how_far_the_robot_leans_is_shown(tmp_path):

@@ -13,9 +13,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from repro import se3
 from repro.errors import bad_input
 from repro.kinematics.motion import backbone_motion
 from repro.kinematics.mounts import Mounts
@@ -67,6 +69,20 @@ class SeenDirections:
             raise bad_input("directions", "SeenDirections", "one for each of seen_by", received)
         if not all(0 <= k < len(self.imus) for k in self.seen_by):
             raise bad_input("seen_by", "SeenDirections", f"from 0 to {len(self.imus) - 1}", self.seen_by)
+
+    @property
+    def axes(self) -> Mounts:
+        """Mounts whose z axes are those along which the components are, in their order."""
+        at = [k for k in self.seen_by for _ in range(3)]
+        # x, y and z of a sensor in turn become the last column; the others follow, so that it stays a rotation.
+        turns = (
+            torch.eye(3)
+            .double()[torch.tensor([[1, 2, 0], [2, 0, 1], [0, 1, 2]])]
+            .mT.repeat(len(self.seen_by), 1, 1)
+        )
+        local = self.imus.local.double()[..., at, :, :]
+        local = se3.pose(local[..., :3, :3] @ turns, local[..., :3, 3])
+        return Mounts(tuple(self.imus.segment[k] for k in at), self.imus.axial[..., at], local)
 
     def __call__(self, q: Float[Tensor, "*batch n_q"]) -> Float[Tensor, "*batch s"]:
         """Return the components of all directions, one after the other."""

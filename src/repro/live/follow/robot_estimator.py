@@ -179,12 +179,13 @@ def robot_estimator(
         method, use = imu_streams.chain(robot), torch.cat([torch.tensor([True]), works]).repeat_interleave(4)
         start = torch.zeros(3 * len(method.arc_lengths), dtype=torch.float64)
         return RobotEstimator(robot, name, method, start, tuple(imu.stream for imu in robot.imus), use)
+    backend = "torch" if model is not None else "compiled"
     sensing, streams = robot.sensing(model), (MAGNETIC_STREAM, *(imu.stream for imu in robot.imus))
     if robot.imus:
         stacked, use = imu_streams.stacked(robot, sensing), imu_streams.by_reading(robot, works)
-        method = _magnetic(robot, name, stacked, 1.0, "torch")
+        method = _magnetic(robot, name, stacked, 1.0, backend)
         return RobotEstimator(robot, name, method, robot.start, streams, use, stacked)
-    method = _magnetic(robot, name, sensing, robot.noise, "torch" if model is not None else "compiled")
+    method = _magnetic(robot, name, sensing, robot.noise, backend)
     return RobotEstimator(robot, name, method, robot.start, streams, works)
 
 
