@@ -10,10 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
 from repro.kinematics.mounts import directed_sensors, magnet_mounts, sensor_mounts
+from repro.live.robot.calibrate import calibrate, pose_covariance
+from repro.live.robot.calibration_file import write_calibration
 from repro.live.robot.robot_file import load_robot
 from repro.sensing.compiled_sensing import CompiledSensing
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
+from repro.sensing.placement import PlacedReadings, parameter_names, placed
 
 RING = 'kind = "ring"\nouter_diameter_mm = {}\ninner_diameter_mm = 3\nheight_mm = 4\npolarisation_mt = {}\n'
 AXES = ([1, 0, 0], [0, -2, 0], [0.5, 0, 0.5])
@@ -133,6 +136,29 @@ def test_magnets_that_are_alike_share_their_moments(tmp_path):
     q = configurations(found)
     assert torch.equal(rows(q), found.sensing()(q))
     assert load_robot(written(tmp_path, UNLIKE)).magnet is None
+
+
+def test_unlike_magnets_are_calibrated_each_by_itself(tmp_path):
+    """Readings of a robot whose moments differ from the file by some per cent, of each magnet another one."""
+    found = load_robot(written(tmp_path, UNLIKE))
+    names = parameter_names(found.robot, found.moments.shape)
+    assert names[-10:-8] == ("magnet 1 moment A1", "magnet 1 moment A3")
+    assert names[-5] == "magnet 2 moment A1"
+    q, p = configurations(found, 60), torch.zeros(len(names)).double()
+    p[names.index("magnet 1 moment A1")], p[names.index("magnet 2 moment A1")] = 0.03, -0.04
+    model = PlacedReadings(found.robot, q, found.moments, found.earth_mt)
+    u, J, _ = model.linearise(p)
+    true = placed(found.robot, found.moments, p)
+    sensing = LinearisedSensing(found.robot, true.moments, earth_mt=found.earth_mt, per_magnet=True)
+    torch.testing.assert_close(u, sensing(q), rtol=0, atol=1e-12)
+    step = 1e-6 * torch.eye(len(names)).double()
+    numeric = torch.stack([model.linearise(p + d)[0] - model.linearise(p - d)[0] for d in step], -1) / 2e-6
+    torch.testing.assert_close(J, numeric, rtol=1e-5, atol=1e-6)
+    calibration = calibrate(found, u, q, pose_covariance(found, 1e-5, 1e-3))
+    path = tmp_path / "calibration.json"
+    write_calibration(path, calibration)
+    moments = load_robot(tmp_path / "arm.toml", path).moments[:, 0] / found.moments[:, 0]
+    np.testing.assert_allclose(moments, [1.03, 0.96], atol=5e-3)
 
 
 def test_directions_equal_azimuth_and_tilt_where_both_can_say_it():
