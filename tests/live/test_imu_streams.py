@@ -14,8 +14,13 @@ from repro.live.emulate.board import Reading, passages
 from repro.live.emulate.emulator import Emulator
 from repro.live.emulate.links import SocketLink
 from repro.live.follow import live_text, session
+from repro.live.follow.imu_streams import redundant
 from repro.live.follow.robot_estimator import Follower, robot_estimator
 from repro.live.follow.time_steps import TimeStep, TimeSteps
+from repro.live.record.recording import read_recording
+from repro.live.record.recording_file import RecordingFile
+from repro.live.robot.calibration_poses import Poses, recorded_readings
+from repro.live.robot.imu_readings import sent as sent_by
 from repro.live.robot.robot_file import load_robot
 from repro.live.wire.frame import Frame
 from repro.sensing.compiled_sensing import CompiledSensing
@@ -56,12 +61,10 @@ def loaded(tmp_path, text):
 def quaternions(found, q, rng, *, noise_rad=NOISE_RAD, turned=0.0):
     """What the IMUs send: of the cross-sections, by the kinematics; the second is turned about the vertical."""
     mounts = magnet_mounts([imu.segment for imu in found.imus], [imu.at_m for imu in found.imus])
-    R = Rotation.from_matrix(found.robot.mount_poses(q, mounts)[:, :3, :3].numpy())
-    base = Rotation.from_quat(found.base_orientation)
-    mounted = Rotation.from_quat([imu.mounted for imu in found.imus])
+    R = found.robot.mount_poses(q, mounts)[:, :3, :3].numpy()
     noise = Rotation.from_rotvec(noise_rad * rng.standard_normal((len(found.imus), 3)))
     heading = Rotation.from_rotvec([[0, 0, 0]] * (len(found.imus) - 1) + [[0, 0, turned]])
-    return (heading * base * R * mounted * noise).as_quat()
+    return (heading * Rotation.from_quat(sent_by(R, found.imus, found.base_orientation)) * noise).as_quat()
 
 
 def frames(found, q, rng, **options):
@@ -86,7 +89,7 @@ def test_magnets_and_imus_together_are_as_good_as_they_say(tmp_path, heading, na
     found = loaded(tmp_path, both(heading=heading))
     assert not [note for note in found.notes if "readings" in note]
     estimator, rng = robot_estimator(found, name), np.random.default_rng(0)
-    nees, n = [], 40
+    nees, chi2, n = [], [], 40
     for q in configurations(found, n):
         follower = Follower(estimator)
         for k in range(1 if name == "levenberg_marquardt" else 8):  # the filter begins wide and settles
@@ -95,9 +98,13 @@ def test_magnets_and_imus_together_are_as_good_as_they_say(tmp_path, heading, na
             u, estimate = follower.step(TimeStep(0.02 * k, 0, 0, sent))
         error = estimate.q - q
         nees.append(float(error @ torch.linalg.solve(estimate.covariance, error)))
+        chi2.append(float((u - estimate.u_hat).square().sum()))
         assert not any(follower.missing)
     if name == "levenberg_marquardt":
         assert 6 - 4 * math.sqrt(12 / n) < np.mean(nees) < 6 + 4 * math.sqrt(12 / n)
+        dof = len(u) - redundant(found, estimator.use) - 6
+        assert dof == (4 if heading == "absolute" else 3)
+        assert dof - 4 * math.sqrt(2 * dof / n) < np.mean(chi2) < dof + 4 * math.sqrt(2 * dof / n)
     else:
         assert np.mean(nees) < 8  # more certain than it says: the robot rests
     assert len(estimator.sensors) == len(estimator.shown(u)) == 6
@@ -183,6 +190,20 @@ def test_a_board_that_sends_both_is_followed(tmp_path):
     assert float((whole[-1].estimate.q - q).abs().max()) < 5e-3
     assert "Not used, as asked: sensor 4." in live_text.troubles(estimator, state)
     assert not [text for text in live_text.troubles(estimator, state) if "no reading" in text]
+
+
+def test_a_calibration_takes_the_magnetic_stream_alone(tmp_path):
+    """Four magnetic channels and quaternions of four values: they must not be mixed."""
+    found = loaded(tmp_path, both())
+    rng, q = np.random.default_rng(3), configurations(found, 2)
+    about = {"format": "frames", "start_unix_s": 0.0, "start_host_ns": 0}
+    with RecordingFile(tmp_path / "held.rec", about) as file:
+        for k in range(40):
+            for frame in frames(found, q[k // 20], rng):
+                file.append(k * 20_000_000, [frame])
+    window = np.array([[0.0, 0.39], [0.41, 0.8]])
+    taken = recorded_readings(read_recording(tmp_path / "held.rec"), found, Poses(q, window, ("", "")))
+    torch.testing.assert_close(taken.values, found.values(q), rtol=0, atol=2e-3)
 
 
 ARM = "".join(

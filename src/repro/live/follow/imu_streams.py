@@ -16,7 +16,14 @@ from repro.estimation.imu_models import exact_arcs
 from repro.estimation.imu_selection import Selection
 from repro.estimation.imu_shape import ImuShape
 from repro.live.follow.time_steps import TimeStep
-from repro.live.robot.imu_readings import beside_imus, directions, in_cross_section, seen, sizes
+from repro.live.robot.imu_readings import (
+    beside_imus,
+    directions,
+    freedoms,
+    in_cross_section,
+    seen,
+    sizes,
+)
 from repro.live.robot.robot_file import RobotFile
 from repro.live.robot.robot_tables import UPRIGHT
 from repro.live.wire.frame import Frame
@@ -109,6 +116,16 @@ def by_sensor(robot: RobotFile, flags: Bool[Tensor, " readings"]) -> list[bool]:
 def by_reading(robot: RobotFile, works: Bool[Tensor, " sensors"]) -> Bool[Tensor, " readings"]:
     """Flags of magnetic sensors and IMUs, repeated for every component of an IMU."""
     return works.repeat_interleave(torch.tensor([1] * len(robot.channel) + list(sizes(robot.imus))))
+
+
+def redundant(robot: RobotFile, use: Bool[Tensor, " readings"]) -> int:
+    """Return how many of the readings that are used are no numbers of their own: nine components are three angles.
+
+    The sum of squared residuals, in units of the noise, has as many degrees of freedom fewer.
+    """
+    parts = use[len(robot.channel) :].split(sizes(robot.imus))
+    pairs = zip(parts, robot.imus, strict=True)
+    return sum(len(part) - freedoms([imu]) for part, imu in pairs if bool(part.all()))
 
 
 def shown(

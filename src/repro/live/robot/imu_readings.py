@@ -49,6 +49,23 @@ def freedoms(imus: Sequence[Imu]) -> int:
     return sum(2 if imu.free_heading else 3 for imu in imus)
 
 
+def sent(
+    cross_sections: Float[np.ndarray, "*batch imus 3 3"],
+    imus: Sequence[Imu],
+    base_orientation: Sequence[float],
+) -> Float[np.ndarray, "*batch imus 4"]:
+    """Quaternions that IMUs without errors send, from the orientations of their cross-sections in the base.
+
+    Examples
+    --------
+    >>> sent(np.eye(3)[None], [Imu(1, 0, 0.1, 0.1, mounted=(1.0, 0.0, 0.0, 0.0))], UPRIGHT) + 0.0
+    array([[1., 0., 0., 0.]])
+    """
+    mounted = Rotation.from_quat([imu.mounted for imu in imus]).as_matrix()
+    R = Rotation.from_quat(base_orientation).as_matrix() @ cross_sections @ mounted
+    return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat().reshape(*R.shape[:-2], 4)
+
+
 def directions(robot: Robot, imus: Sequence[Imu], base_orientation: Sequence[float]) -> SeenDirections:
     """Sensor model of the IMUs: the axes of the base, or the vertical, as each sees them."""
     to_world = Rotation.from_quat(base_orientation).as_matrix()
