@@ -249,6 +249,20 @@ WRONG = [
      "one of 'frames', 'hall', 'millivolts', 'quaternions', 'csv'", "'binary'"),
     ('noise_mt', 'noise_mv = 0.5', '[stream]',
      'noise_mt', 'a key that does not exist'),
+    ('delta_L_mm', 'delta_L_mm = [-110, 6.6]', '[[segments]] 1',
+     'above -110: a segment is longer than 0 (line 12) [mm]', '[-110, 6.6]'),
+    ('channel = 2', 'channel = 100000000000000000000', '[[sensors]] 2',
+     'a whole number from 1 to 255', '100000000000000000000'),
+    ('channel = 2', 'channel = 119', '[[sensors]] 2',
+     'at most 118 (line 5)', '119'),
+    ('rate_hz', 'channels = 200\nrate_hz = 9', '[stream]',
+     'at most 118, the values of a frame of this format', '200'),
+    ('format', 'format = "quaternions"', '[stream]',
+     'of magnetic sensors: quaternions are of IMUs', "'quaternions'"),
+    ('segment = 1', 'segment = ' + 400 * '9', '[[magnets]] 1',
+     'a whole number from 1 to 10000', 197 * '9' + '...'),
+    ('length_mm', 'length_mm = ' + 400 * '9', '[[segments]] 1',
+     'between 1 and 5000 [mm]', 197 * '9' + '...'),
     ('noise_mt', 'noise_mt = nan', '[stream]',
      'between 1e-09 and 1e+06 [mt]', 'nan'),
     ('[stream]', 'earth_mt = [0.0, 0.0, 48.0]\n[stream]', '',
@@ -316,7 +330,10 @@ def test_a_sensor_without_a_magnet_is_warned_of_with_distances(tmp_path):
     text, _ = replaced("length_mm", "length_mm = 1500")
     text = text.replace("at_mm = 110.0", "at_mm = 1400.0", 1)
     found = load_robot(written(tmp_path, text))
-    (note,) = found.notes
+    note, left_open = found.notes
+    assert left_open.startswith(
+        "arm.toml: at the start the readings do not determine, in units of the bounds: "
+    )
     line = line_of(text, "[[sensors]]")
     assert note.startswith(
         f"arm.toml, line {line}: no magnet is in range of sensor 1 (magnet 1 at 1348 mm): "
@@ -355,17 +372,6 @@ def test_unobserved_is_what_the_slopes_say():
     J = LinearisedSensing(lone, moments).linearise(lemniscate(3, steps=5))[1]
     assert float(J[..., :3].abs().max()) < 1e-12
     assert float(J[..., 3:].abs().amax((0, 1)).min()) > 1.0
-
-
-def test_magnets_that_differ_are_refused(tmp_path):
-    text = (ROBOTS / "three_segments.toml").read_text()
-    text = text[::-1].replace("height_mm = 6.0"[::-1], "height_mm = 5.0"[::-1], 1)[::-1]
-    with pytest.raises(InputError) as error:
-        load_robot(written(tmp_path, text))
-    assert str(error.value) == (
-        f"Input height_mm of arm.toml, line {line_of(text, 'height_mm', 2)}, [[magnets]] 3, must be that of magnet "
-        "1, 6.0: magnets of one robot are alike; instead received 5.0."
-    )
 
 
 def test_other_wrong_files(tmp_path):
@@ -414,6 +420,87 @@ def test_a_frame_of_another_board(tmp_path):
     assert str(error.value) == (
         "Input frame of the stream must be of 3 channels, as described in one_segment.toml; instead received 2 "
         "values."
+    )
+
+
+def test_what_a_format_cannot_carry(tmp_path):
+    """Lines of hall have three counts, those of millivolts are millivolts; both carry no IMUs."""
+    hall = (ROBOTS / "bend_sensor.toml").read_text()
+    text = hall.replace("channel = 2", "channel = 5")
+    with pytest.raises(InputError) as error:
+        load_robot(written(tmp_path, text))
+    assert str(error.value) == (
+        f"Input channel of arm.toml, line {line_of(text, 'channel = 5')}, [[sensors]] 2, must be at most 3 "
+        f"(line {line_of(text, 'format')}); instead received 5."
+    )
+    with pytest.raises(
+        InputError, match=r"channels of .* must be 3, the values of a frame of this format; .* 4"
+    ):
+        load_robot(written(tmp_path, hall.replace("rate_hz", "channels = 4\nrate_hz")))
+    two = hall[: hall.rindex("[[sensors]]")]
+    assert load_robot(written(tmp_path, two)).channels == 3
+    text = ONE.replace('"frames"', '"millivolts"')
+    with pytest.raises(InputError) as error:
+        load_robot(written(tmp_path, text))
+    assert str(error.value) == (
+        f"Input unit of arm.toml, line {line_of(text, 'unit')}, [stream], must be 'mV', the unit of millivolts "
+        f"(line {line_of(text, 'format')}); instead received 'mT'."
+    )
+    imu = "\n[[imus]]\nstream = 1\nsegment = 1\nat_mm = 50\n"
+    with pytest.raises(
+        InputError, match="format of .* must be 'frames' for magnetic sensors and IMUs together"
+    ):
+        load_robot(written(tmp_path, text + imu))
+    arm = (ROBOTS / "imu_arm.toml").read_text().replace("quaternions", "hall")
+    with pytest.raises(
+        InputError, match="format of .* must be 'frames' or 'quaternions' for IMUs; .* 'hall'"
+    ):
+        load_robot(written(tmp_path, arm))
+
+
+def test_a_byte_order_mark_is_read_and_deep_nesting_is_told(tmp_path):
+    path = written(tmp_path, ONE)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert load_robot(path).format == "frames"
+    with pytest.raises(InputError) as error:
+        load_robot(written(tmp_path, "a = " + 5000 * "["))
+    assert str(error.value) == (
+        "Input file of arm.toml must be valid TOML; instead received arrays or tables nested too deeply."
+    )
+    with pytest.raises(
+        InputError, match="Input file of arm.toml must be valid TOML; instead received Exceeds"
+    ):
+        load_robot(written(tmp_path, "a = " + 5000 * "1"))
+
+
+def test_fewer_readings_than_unknowns_are_told_with_what_stays_open(tmp_path):
+    """Two sensors for three coordinates; and as many as coordinates, all of which say the same."""
+    found = load_robot(written(tmp_path, ONE[: ONE.rindex("[[sensors]]")]))
+    count, left_open = found.notes
+    assert count.startswith("arm.toml: 2 readings for 3 unknowns. Those of one moment do not determine the")
+    found_open = re.fullmatch(
+        r"arm.toml: at the start the readings do not determine, in units of the bounds: (.*)\.", left_open
+    )
+    assert found_open is not None
+    # the direction that two sensors at 0 and 120 degrees do not see, from their slopes
+    J = found.sensing().linearise(found.start)[1] * (found.upper - found.lower)
+    null = torch.linalg.svd(J).Vh[-1]
+    said = {name: float(x) for x, name in re.findall(r"([-+]\d\.\d\d) (\S+)", found_open[1])}
+    for name, x in zip(
+        found.robot.coordinates, (null * null.abs().argmax().sign() * 1).tolist(), strict=True
+    ):
+        assert abs(abs(said.get(name, 0.0)) - abs(x)) < (
+            0.006 if name in said else float(null.abs().max()) / 2
+        )
+    on_axis = ONE.replace("radial_mm = 13.0", "radial_mm = 0")
+    (note,) = load_robot(written(tmp_path, on_axis)).notes
+    assert note == (
+        "arm.toml: at the start the readings do not determine, in units of the bounds: +1.00 delta_x_1; "
+        "+1.00 delta_y_1."
+    )
+    polar = load_robot(written(tmp_path, AFFINE)).notes
+    assert polar == (
+        "arm.toml: at the start the readings do not determine, in units of the bounds: +1.00 phi_1. Bent, they do.",
     )
 
 

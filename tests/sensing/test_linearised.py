@@ -41,6 +41,15 @@ def test_backbone_motion_is_the_derivative_of_mount_poses(segments, shape):
     torch.testing.assert_close(dT, reference.movedim(0, -3), atol=1e-12, rtol=1e-12)
 
 
+def test_motion_of_mounts_below_the_last_segments():
+    robot, q = pcc_robot(3), 0.03 * random(9)
+    mounts = Mounts((0, 1), torch.tensor([0.05, 0.06]).double(), torch.eye(4).double().expand(2, 4, 4))
+    T, dT = backbone_motion(robot, q, mounts)
+    torch.testing.assert_close(T, robot.mount_poses(q, mounts))
+    reference = torch.func.jacfwd(lambda x: robot.mount_poses(x, mounts))(q).movedim(-1, 1)
+    torch.testing.assert_close(dT, reference, atol=1e-12, rtol=1e-12)
+
+
 def test_motion_of_unequal_segments_and_a_batch_of_mounts():
     from repro.kinematics.constant_curvature import ConstantCurvature
 

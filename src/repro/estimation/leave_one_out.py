@@ -56,18 +56,18 @@ class LeftOut(NamedTuple):
         whole = (self.whole[0] + before.whole[0], self.whole[1] + before.whole[1])
         return LeftOut(self.q, chi2, dof, jump, whole)
 
-    def wrong(self, use: Bool[Tensor, " s"], frozen: Bool[Tensor, " s"]) -> tuple[str, tuple[int, ...]]:
+    def wrong(self, used: Bool[Tensor, " s"], frozen: Bool[Tensor, " s"]) -> tuple[str, tuple[int, ...]]:
         """Return the cause as in :class:`~repro.estimation.consistency.Verdict`, and the sensors named, one or two.
 
         Parameters
         ----------
-        use
+        used
             Sensors in use.
         frozen
             Sensors whose last readings are the same to the last digit, while those of others are not.
         """
         chi2, dof = self.chi2.tolist(), self.dof.tolist()
-        candidates = [k for k, used in enumerate(use.tolist()) if used]
+        candidates = [k for k, is_used in enumerate(used.tolist()) if is_used]
         if not max(dof):
             return "no redundancy", ()
         if max(dof) < ENOUGH:
@@ -87,6 +87,7 @@ class LeftOut(NamedTuple):
 
 def begun(
     solver: Estimator[Any],
+    sensors: Tensor,
     u: Tensor,
     use: Tensor,
     starts: Tensor,
@@ -95,10 +96,12 @@ def begun(
 ) -> LeftOut:
     """Fit a reading without each sensor, from all starts ``[k, n_q]``; the first start that explains it counts.
 
+    ``sensors`` ``[sensors, s]`` says which readings are those of each.
+
     ``before`` says where the robot was, and the standard deviation of how far it may have moved since.
     """
-    every = torch.arange(len(u))
-    found = _fitted(solver, starts.expand(len(u), -1, -1), u, use, known)
+    every = torch.arange(len(sensors))
+    found = _fitted(solver, sensors, starts.expand(len(sensors), -1, -1), u, use, known)
     chi2, dof = (found.diagnostics[name].to(u) for name in ("chi2", "dof"))
     explains = chi2 <= torch.tensor([[limit(EXPLAINED, d) for d in row] for row in dof.tolist()])
     first = torch.where(explains.any(-1), explains.int().argmax(-1), chi2.argmin(-1))
@@ -112,6 +115,7 @@ def begun(
 
 def followed(
     solver: Estimator[Any],
+    sensors: Tensor,
     left: LeftOut,
     u: Tensor,
     use: Tensor,
@@ -121,17 +125,23 @@ def followed(
     weight: float,
 ) -> LeftOut:
     """Fits of the next reading from the last ones; their residuals count with a weight, ``whole`` those of all."""
-    found = _fitted(solver, left.q[:, None], u, use, known)
+    found = _fitted(solver, sensors, left.q[:, None], u, use, known)
     chi2, dof = (found.diagnostics[name][:, 0].to(u) for name in ("chi2", "dof"))
     total = left.chi2 + weight * chi2.clamp_max(HEAVIEST), left.dof + weight * dof
     return LeftOut(found.q[:, 0], *total, left.jump, (left.whole[0] + whole, left.whole[1] + 1))
 
 
 def recovered(
-    solver: Estimator[Any], left: LeftOut, u: Tensor, use: Tensor, starts: Tensor, known: Tensor | None
+    solver: Estimator[Any],
+    sensors: Tensor,
+    left: LeftOut,
+    u: Tensor,
+    use: Tensor,
+    starts: Tensor,
+    known: Tensor | None,
 ) -> LeftOut:
     """Try other starts for the fits that are excluded; what spoke against those that then explain is halved."""
-    fresh = begun(solver, u, use, starts, known)
+    fresh = begun(solver, sensors, u, use, starts, known)
     out = [
         c > limit(EXCLUDED, round(d, 1)) for c, d in zip(left.chi2.tolist(), left.dof.tolist(), strict=True)
     ]
@@ -144,7 +154,7 @@ def recovered(
 
 def _fitted(solver: Estimator[Any], starts: Tensor, u: Tensor, use: Tensor, known: Tensor | None) -> Estimate:
     """Fits without each sensor, ``[s, k, ...]``."""
-    without = use & ~torch.eye(len(u), dtype=torch.bool)[:, None]
+    without = use & ~sensors[:, None]
     without = torch.where(
         without.any(-1, keepdim=True), without, use
     )  # the only one in use cannot be left out

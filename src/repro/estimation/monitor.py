@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from repro.errors import bad_input
@@ -83,6 +83,8 @@ class Monitored(Generic[S]):
         At most, of consistent data.
     look_s
         Time between two looks for what is wrong, while there is an alarm [s].
+    sensors
+        Readings of each sensor; each is one of its own when not given.
     unknowns
         Fewer readings than this do not determine the configuration: that is an alarm, too.
 
@@ -114,6 +116,7 @@ class Monitored(Generic[S]):
     false_alarms_per_hour: float = 0.1
     look_s: float = 0.25
     unknowns: int = 0
+    sensors: Bool[Tensor, "sensors s"] | None = None
 
     def __post_init__(self) -> None:
         if not len(self.starts):
@@ -168,7 +171,7 @@ class Monitored(Generic[S]):
             state = replace(state, verdict=state.verdict._replace(status=SUSPICIOUS, cause="too few"))
         elif state.verdict.status == CONSISTENT or state.verdict.cause == "anew":
             state = replace(state, good=estimate.q, good_at=t, look_at=0)
-        return state, _said(estimate, state)
+        return state, _said(estimate, state, len(self._sensors(state.window[-1])))
 
     def _tested(self, window: tuple[Seen, ...], state: MonitorState[S]) -> MonitorState[S]:
         """State with the verdict on a window; what was found out before about an alarm that lasts is kept."""
@@ -208,21 +211,25 @@ class Monitored(Generic[S]):
         width = self.starts.amax(0) - self.starts.amin(0)
         return torch.where(width > 0, width, 1.0)
 
+    def _sensors(self, seen: Seen) -> Tensor:
+        return torch.eye(len(seen.u), dtype=torch.bool) if self.sensors is None else self.sensors
+
     def _starts(self, state: MonitorState[S], q: Tensor) -> Tensor:
         return torch.cat([state.good[None], q[None], self.starts.to(q)])
 
     def _blamed(self, state: MonitorState[S], q: Tensor, t: float, known: Tensor | None) -> MonitorState[S]:
         """State with the fits without each sensor, begun, or looked after."""
         seen, starts = state.window[-1], self._starts(state, q)
+        sensors = self._sensors(seen)
         old = state.left if t - state.left_at[1] < FORGOTTEN_S else None
         if old is not None and state.left_at[0] >= state.steps - 2 * max(
             1, round(self.rate_hz / FOLLOWED_HZ)
         ):
-            left = recovered(self.solver, old, seen.u, seen.use, starts, known)
+            left = recovered(self.solver, sensors, old, seen.u, seen.use, starts, known)
         else:
             moved = None if state.good_at is None else USUAL_SPEED * (t - state.good_at) * self._width.to(q)
             before = None if moved is None else (state.good, moved)
-            left = begun(self.solver, seen.u, seen.use, starts, known, before)
+            left = begun(self.solver, sensors, seen.u, seen.use, starts, known, before)
             left = left if old is None else left.added(old)
         return self._followed(replace(state, left=left), t, known, at_once=True)
 
@@ -235,18 +242,19 @@ class Monitored(Generic[S]):
             return state
         seen, n = state.window[-1], 1.0 + float(state.left.dof.max())
         weight = 1 - seen.systematic**2 + seen.systematic**2 / n
+        sensors = self._sensors(seen)
         evidence = {"whole": seen.chi2, "weight": weight}
-        left = followed(self.solver, state.left, seen.u, seen.use, known, **evidence)
-        cause, suspects = left.wrong(seen.use, frozen(state.window))
+        left = followed(self.solver, sensors, state.left, seen.u, seen.use, known, **evidence)
+        cause, suspects = left.wrong((seen.use & sensors).any(-1), (frozen(state.window) | ~sensors).all(-1))
         good = left.q[int(left.chi2.argmin())] if cause == "sensors" else state.good
         verdict = state.verdict._replace(cause=cause, suspects=suspects)
         return replace(state, left=left, left_at=(state.steps, t), verdict=verdict, good=good)
 
 
-def _said(estimate: Estimate, state: MonitorState[Any]) -> Estimate:
+def _said(estimate: Estimate, state: MonitorState[Any], sensors: int) -> Estimate:
     """Return the estimate with the verdict on it."""
     verdict, C = state.verdict, estimate.covariance
-    suspects = torch.zeros(state.window[-1].u.shape[-1], dtype=torch.bool)
+    suspects = torch.zeros(sensors, dtype=torch.bool)
     suspects[list(verdict.suspects)] = True
     said = {"status": torch.tensor(verdict.status), "suspects": suspects, "anew": torch.tensor(state.anew)}
     if C is not None and verdict.status and verdict.excess > 1:

@@ -48,7 +48,6 @@ def backbone_motion(
     """
     frames, plane_of_mount = _frames(robot, mounts)
     own_poses, own_motions = _own_motion(robot, q, frames)
-    last = len(robot.segments) - 1
     base = torch.eye(4).to(q).expand(*q.shape[:-1], 4, 4)
     carried = q.new_zeros(*q.shape[:-1], 0, 4, 4)
     poses, motions = [], []
@@ -59,7 +58,7 @@ def backbone_motion(
         moved = torch.cat([moved.expand(*batch, *moved.shape[-3:]), own], dim=-3)
         poses.append(T)
         motions.append(_padded(moved, robot.n_q))
-        if i < last and frames[k + 1][0] > i:  # the tip, last of its segment
+        if k + 1 < len(frames) and frames[k + 1][0] > i:  # the tip, last of its segment
             base = T
             carried = (moved.flatten(-3, -2) @ se3.inverse(T)).unflatten(-2, (-1, 4))
     T = torch.stack(torch.broadcast_tensors(*poses), dim=-3)

@@ -61,8 +61,10 @@ class Mounts:
         return Mounts(self.segment + other.segment, axial, local)
 
 
-def magnet_mounts(segment: Sequence[int], axial: Numbers) -> Mounts:
-    """Magnets on the backbone, magnetised along it (Baaij et al. 2023, section 2.2).
+def magnet_mounts(
+    segment: Sequence[int], axial: Numbers, direction: Sequence[Sequence[float]] | Tensor | None = None
+) -> Mounts:
+    """Magnets on the backbone, magnetised along it (Baaij et al. 2023, section 2.2) or in directions of their own.
 
     Parameters
     ----------
@@ -70,9 +72,25 @@ def magnet_mounts(segment: Sequence[int], axial: Numbers) -> Mounts:
         Segment of each magnet, from 0.
     axial
         Distance ``d_m`` [m] from the base of the segment to the centre of the magnet.
+    direction
+        Direction of magnetisation of each magnet, ``[m, 3]``, in the frame of the cross-section (z along the
+        backbone towards the tip) and of any length; along the backbone when not given.
+
+    Raises
+    ------
+    InputError
+        If a number is missing or not finite, or a direction is zero.
+
+    Examples
+    --------
+    >>> magnet_mounts([0], 0.05, [[2.0, 0.0, 0.0]]).local[0, :3, 2]
+    tensor([1., 0., 0.], dtype=torch.float64)
     """
     d = _numbers("axial", "magnet_mounts", axial, len(segment))
     local = torch.eye(4, dtype=d.dtype).expand(*d.shape, 4, 4)
+    if direction is not None:
+        rotation = _directed(direction, d.new_tensor([0.0, 1.0, 0.0]), len(segment), "magnet_mounts")
+        local = se3.pose(rotation, local[..., :3, 3])
     return Mounts(tuple(segment), d, local)
 
 
@@ -121,6 +139,61 @@ def sensor_mounts(
     rotation = se3.rotation_z(phi) @ se3.rotation_y(psi) @ flip
     position = torch.stack([r * phi.cos(), r * phi.sin(), torch.zeros_like(r)], dim=-1)
     return Mounts(tuple(segment), d, se3.pose(rotation, position))
+
+
+def directed_sensors(
+    segment: Sequence[int],
+    axial: Numbers,
+    radial: Numbers,
+    azimuth: Numbers,
+    direction: Sequence[Sequence[float]] | Tensor,
+) -> Mounts:
+    """Sensors at any place of a cross-section that measure in any direction.
+
+    Parameters
+    ----------
+    segment, axial, radial, azimuth
+        As for :func:`sensor_mounts`; the azimuth says where a sensor is, and nothing about its direction.
+    direction
+        Measurement directions ``[s, 3]`` in the frame of the cross-section (z along the backbone towards the tip),
+        of any length.
+
+    Raises
+    ------
+    InputError
+        As :func:`sensor_mounts`, and if a direction is zero.
+
+    Examples
+    --------
+    A three-axis sensor beside the backbone; of azimuth and tilt none could measure along y there:
+
+    >>> mounts = directed_sensors([0] * 3, 0.1, 0.013, 0.0, torch.eye(3))
+    >>> mounts.local[:, :3, 2]
+    tensor([[1., 0., 0.],
+            [0., 1., 0.],
+            [0., 0., 1.]], dtype=torch.float64)
+    """
+    placed = sensor_mounts(segment, axial, radial, azimuth)
+    # The tilt of a calibration turns a mount about its y axis: opposite to the tangential direction if it can be.
+    rotation = _directed(direction, placed.local[..., :3, 1], len(segment), "directed_sensors")
+    return Mounts(placed.segment, placed.axial, se3.pose(rotation, placed.local[..., :3, 3]))
+
+
+def _directed(direction: Sequence[Sequence[float]] | Tensor, side: Tensor, n: int, owner: str) -> Tensor:
+    """Rotations ``[n, 3, 3]`` whose z axis is a direction; y is across it and the backbone, on the given side."""
+    d = torch.as_tensor(direction, dtype=torch.float64)
+    if d.shape != (n, 3):
+        raise bad_input("direction", owner, f"of shape ({n}, 3)", f"shape {tuple(d.shape)}")
+    se3.require_finite(d, "direction", owner)
+    length = torch.linalg.vector_norm(d, dim=-1, keepdim=True)
+    if not bool((length > 0).all()):
+        raise bad_input("direction", owner, "not zero", d[int(length.argmin())].tolist())
+    z, side = d / length, side.expand(n, 3)
+    y = torch.linalg.cross(d.new_tensor([0.0, 0.0, 1.0]).expand(n, 3), z)
+    y = torch.where((y * side).sum(-1, keepdim=True) < 0, -y, y)
+    sine = torch.linalg.vector_norm(y, dim=-1, keepdim=True)
+    y = torch.where(sine > 0, y / torch.where(sine > 0, sine, 1.0), side)
+    return torch.stack([torch.linalg.cross(y, z), y, z], dim=-1)
 
 
 def ring_azimuths(n: int, offset: Tensor | float = 0.0) -> Tensor:

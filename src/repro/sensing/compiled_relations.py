@@ -83,6 +83,17 @@ def relate(axis, position, j, earth, angles, room):
 
 
 @compiled()
+def see(axis, j, direction, room):
+    """Component of a direction fixed in the base along the axis of mount ``j``, and the torque of its slope."""
+    o, wrench = axis[j], room.wrench
+    wrench[:] = 0.0
+    _cross(o, direction, room.turn[0])
+    for r in range(3):
+        wrench[0, r] = room.turn[0, r]
+    return o[0] * direction[0] + o[1] * direction[1] + o[2] * direction[2]
+
+
+@compiled()
 def wrenches(position, j, angles, room):
     """Torques and forces on sensor mount ``j`` from the slopes by its relations."""
     gradient, turn, wrench = room.gradient, room.turn, room.wrench

@@ -19,16 +19,19 @@ from repro.errors import InputError, bad_input
 from repro.kinematics.compiled_motion import Chain, array, chain, move, scratch
 from repro.sensing.compiled_multipole import ORDERS, multipole
 from repro.sensing.compiled_network import NO_NETWORK, Layers, layers, nodes, predict
-from repro.sensing.compiled_relations import pairs, pull_back, relate, wrenches
+from repro.sensing.compiled_relations import pairs, pull_back, relate, see, wrenches
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.multipole import MultipoleField
 from repro.sensing.network import CosineNetwork, PerSensor
+from repro.sensing.seen_directions import SeenDirections
+from repro.sensing.stacked import StackedSensing
 
 SUPPORTED = (
     "LinearisedSensing, or MagneticSensing with a MultipoleField on cosines, networks of the paper or on cosines "
-    "(alone, in PerSensor or in SeedEnsemble), for backend='compiled'"
+    "(alone, in PerSensor or in SeedEnsemble), or one of them with SeenDirections in StackedSensing, for "
+    "backend='compiled'"
 )
 
 
@@ -40,6 +43,8 @@ class Tables(NamedTuple):
     """Moments ``[fields, m, terms]`` [mT m^(l+2)]; no terms for networks."""
     gain: np.ndarray
     """Gains ``[gains, s]``."""
+    seen: np.ndarray
+    """Directions ``[k, 3]`` fixed in the base of which the last ``k`` sensors see a component."""
     earth: np.ndarray
     """Direction ``[earths, 3]`` of the Earth field for networks, the field itself [mT] else."""
     angles: bool
@@ -56,7 +61,8 @@ class CompiledSensing:
     ----------
     sensing
         :class:`~repro.sensing.linearised.LinearisedSensing`, or
-        :class:`~repro.sensing.magnetic.MagneticSensing` with a multipole field or networks.
+        :class:`~repro.sensing.magnetic.MagneticSensing` with a multipole field or networks; or one of them and
+        :class:`~repro.sensing.seen_directions.SeenDirections` in :class:`~repro.sensing.stacked.StackedSensing`.
 
     Raises
     ------
@@ -65,9 +71,16 @@ class CompiledSensing:
     """
 
     def __init__(self, sensing: Callable[[Tensor], Tensor]) -> None:
+        whole, seen, noise = sensing, None, [torch.ones(()), torch.ones(())]
+        if isinstance(sensing, StackedSensing) and len(sensing.parts) == 2:
+            noise = [torch.as_tensor(x, dtype=torch.float64) for x in sensing.noise]
+            sensing, beside = sensing.parts
+            if not isinstance(beside, SeenDirections):
+                raise bad_input("sensing.parts", "an estimator", SUPPORTED, type(beside).__name__)
+            seen = beside
         if isinstance(sensing, LinearisedSensing):
             earth = torch.zeros(3) if sensing.earth_mt is None else sensing.earth_mt
-            gain, model, angles = sensing.gain, sensing.moments.unsqueeze(-2), False
+            gain, model, angles = sensing.gain, sensing.moment_rows, False
         elif isinstance(sensing, MagneticSensing):
             earth = torch.tensor([1.0, 0.0, 0.0]) if sensing.earth_axis is None else sensing.earth_axis
             earth = earth.double() / torch.linalg.vector_norm(earth.double(), dim=-1, keepdim=True)
@@ -80,9 +93,15 @@ class CompiledSensing:
         else:
             raise bad_input("sensing", "an estimator", SUPPORTED, type(sensing).__name__)
         robot = sensing.robot
-        n_m, self.n_sensors = len(robot.magnets), len(robot.sensors)
-        links, robots = chain(robot, robot.magnets.joined(robot.sensors))
-        gain = torch.ones(self.n_sensors) if gain is None else gain
+        n_m, mounts = len(robot.magnets), robot.magnets.joined(robot.sensors)
+        gain = torch.ones(len(robot.sensors)) if gain is None else gain
+        directions = torch.zeros(0, 3)
+        if seen is not None:
+            mounts, directions = mounts.joined(seen.axes), seen.directions.repeat_interleave(3, 0)
+            scale = (1 / noise[1]).expand(*gain.shape[:-1], len(directions))
+            gain = torch.cat([gain.double() / noise[0], scale], dim=-1)
+        self.n_sensors = gain.shape[-1]
+        links, robots = chain(robot, mounts)
         if isinstance(model, SeedEnsemble):
             # An ensemble of one's own making has no dimension for seeds.
             self.n_seeds = model.n_seeds if model is getattr(sensing, "model", None) else None
@@ -93,14 +112,14 @@ class CompiledSensing:
             if moments.shape[-1] > ORDERS:
                 raise bad_input("moments", "backend='compiled'", f"at most {ORDERS}", moments.shape[-1])
         self.batches = (robots, fields, gain.shape[:-1], earth.shape[:-1])
-        constants = array(moments), array(gain.reshape(-1, self.n_sensors)), array(earth.reshape(-1, 3))
-        self.tables = Tables(links, *constants, angles, networks)
+        constants = array(moments), array(gain.reshape(-1, self.n_sensors)), array(directions)
+        self.tables = Tables(links, *constants, array(earth.reshape(-1, 3)), angles, networks)
         self.n_q = robot.n_q
         # Those of the last batch: an estimator asks for the same ones at every time step.
         self._rows: tuple[torch.Size, np.ndarray] | None = None
         rank = max(map(len, self.batches))
         batch = self.batch(() if self.n_seeds is None else (self.n_seeds, *(1,) * rank))
-        sensing(torch.zeros(*batch, self.n_q, dtype=torch.float64))  # refuses what does not fit
+        whole(torch.zeros(*batch, self.n_q, dtype=torch.float64))  # refuses what does not fit
 
     def batch(self, *shapes: Sequence[int]) -> torch.Size:
         """Shape of the batch of results for operands with these batches."""
@@ -183,12 +202,17 @@ def evaluate(tables, which, q, wanted, slopes, u, J, space):
     """Readings ``u`` of the sensors ``wanted`` of one member, and the rows of ``J`` if ``slopes``."""
     motion, pair, hidden = space
     chain, n_m, xi, gradient = tables.chain, tables.moments.shape[1], pair.xi, pair.gradient
-    networks = len(tables.layers.widths) > 0
+    networks, unseen = len(tables.layers.widths) > 0, len(u) - len(tables.seen)
     move(chain, which[0], q, slopes, motion)
     for s in range(len(u)):
         if not wanted[s]:
             continue
-        j = n_m + s
+        j, gain = n_m + s, tables.gain[which[2], s]
+        if s >= unseen:
+            u[s] = gain * see(motion.axis, j, tables.seen[s - unseen], pair)
+            if slopes:
+                pull_back(chain, motion, j, gain, pair, J[s])
+            continue
         relate(motion.axis, motion.position, j, tables.earth[which[3]], tables.angles, pair)
         if networks:
             reading = predict(tables.layers, tables.layers.network[which[1], s], xi, slopes, gradient, hidden)
@@ -200,7 +224,6 @@ def evaluate(tables, which, q, wanted, slopes, u, J, space):
                     moments, xi[at], xi[at + 1], xi[at + 2], xi[at + 3]
                 )
                 reading += part
-        gain = tables.gain[which[2], s]
         u[s] = gain * reading
         if slopes:
             wrenches(motion.position, j, tables.angles, pair)

@@ -113,11 +113,14 @@ class LinearisedSensing:
     robot
         With its magnets and sensors; a batch of robots broadcasts against the batch of ``q``.
     moments
-        Moments :math:`A_1, A_3, ...` [mT m^(l+2)], common to all magnets, with the batch of the robots.
+        Moments :math:`A_1, A_3, ...` [mT m^(l+2)], common to all magnets, with the batch of the robots; with
+        ``per_magnet`` a row for each magnet, ``[*batch, m, terms]``.
     gain
         Gain of every sensor; 1 when not given.
     earth_mt
         Earth field in the base frame [mT]; none when not given.
+    per_magnet
+        Whether each magnet has moments of its own.
 
     Raises
     ------
@@ -135,9 +138,10 @@ class LinearisedSensing:
     """
 
     robot: Robot
-    moments: Float[Tensor, "*batch terms"]
+    moments: Float[Tensor, "*moments terms"]
     gain: Float[Tensor, "*batch s"] | None = None
     earth_mt: Float[Tensor, " 3"] | None = None
+    per_magnet: bool = False
 
     def __post_init__(self) -> None:
         owner, n_s = "LinearisedSensing", len(self.robot.sensors)
@@ -146,10 +150,19 @@ class LinearisedSensing:
             raise bad_input("robot", owner, "a robot with magnets and sensors", counts)
         if not self.moments.numel() or not bool(torch.isfinite(self.moments).all()):
             raise bad_input("moments", owner, "finite, at least one", self.moments.tolist())
+        n_m = len(self.robot.magnets)
+        if self.per_magnet and (self.moments.ndim < 2 or self.moments.shape[-2] != n_m):
+            shape = f"shape {tuple(self.moments.shape)}"
+            raise bad_input("moments", owner, f"a row for each of {n_m} magnets", shape)
         if self.gain is not None and self.gain.shape[-1:] != (n_s,):
             raise bad_input(
                 "gain", owner, f"one for each of {n_s} sensors", f"shape {tuple(self.gain.shape)}"
             )
+
+    @property
+    def moment_rows(self) -> Float[Tensor, "*moments m terms"]:
+        """Moments [mT m^(l+2)], a row for each magnet or one for all."""
+        return self.moments if self.per_magnet else self.moments.unsqueeze(-2)
 
     def __call__(self, q: Float[Tensor, "*q n_q"]) -> Float[Tensor, "*batch s"]:
         """Return the predicted readings [mT] at configuration ``q``."""
@@ -168,7 +181,7 @@ class LinearisedSensing:
         d_axis, d_position = moved[..., :3, :].unbind(-1)
         offset = position[..., n_m:, None, :] - position[..., None, :n_m, :]
         o, m = axis[..., n_m:, :], axis[..., :n_m, :]
-        pairs = pair_readings(self.moments[..., None, None, :], o, m, offset)
+        pairs = pair_readings(self.moment_rows.unsqueeze(-3), o, m, offset)
         u, by_o = pairs.u.sum(-1), pairs.by_sensor_axis.sum(-2)
         if self.earth_mt is not None:
             earth = self.earth_mt.to(q)

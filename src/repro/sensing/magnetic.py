@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +65,7 @@ class MagneticSensing:
 def field_at_sensors(
     robot: Robot,
     q: Float[Tensor, "*q n_q"],
-    magnet: Ring | Cube,
+    magnet: Ring | Cube | Sequence[Ring | Cube],
     *,
     route: str = "magpylib",
     l_max: int = 9,
@@ -80,7 +80,7 @@ def field_at_sensors(
     q
         Configuration.
     magnet
-        The magnet at every magnet mount.
+        The magnet at every magnet mount, or one for each of them (``"magpylib"`` only).
     route
         ``"magpylib"``: closed forms, the oracle, no derivatives. ``"multipole"``: the axisymmetric series up
         to ``l_max`` in torch, differentiable.
@@ -97,14 +97,15 @@ def field_at_sensors(
     Raises
     ------
     InputError
-        If the route is unknown, or the series is asked for a magnet that is not axisymmetric.
+        If the route is unknown, the magnets are not as many as their mounts, or the series is asked for several
+        magnets or for one that is not axisymmetric.
     """
     T_m, T_s = robot.magnet_and_sensor_poses(q)
     offset = T_s[..., :, None, :3, 3] - T_m[..., None, :, :3, 3]
     rotation = T_m[..., None, :, :3, :3]
     if route == "magpylib":
         local = (rotation.transpose(-1, -2) @ offset.unsqueeze(-1)).squeeze(-1)
-        flux = torch.from_numpy(magnet.field(local.detach().cpu().double().numpy())).to(q)
+        flux = torch.from_numpy(_fields(magnet, local.detach().cpu().double().numpy())).to(q)
         B = (rotation @ flux.unsqueeze(-1)).squeeze(-1).sum(-2)
     elif route == "multipole":
         if not isinstance(magnet, Ring):
@@ -120,10 +121,20 @@ def field_at_sensors(
     return (T_s[..., :3, :3].transpose(-1, -2) @ B.unsqueeze(-1)).squeeze(-1)
 
 
+def _fields(magnet: Ring | Cube | Sequence[Ring | Cube], local: np.ndarray) -> np.ndarray:
+    """Field of every magnet at positions ``[..., s, m, 3]`` in its own frame."""
+    if isinstance(magnet, Ring | Cube):
+        return magnet.field(local)
+    if len(magnet) != local.shape[-2]:
+        expected = f"one, or one for each of {local.shape[-2]} mounts"
+        raise bad_input("magnet", "field_at_sensors", expected, f"{len(magnet)} magnets")
+    return np.stack([one.field(local[..., k, :]) for k, one in enumerate(magnet)], axis=-2)
+
+
 def readings(
     robot: Robot,
     q: Float[Tensor, "*q n_q"],
-    magnet: Ring | Cube,
+    magnet: Ring | Cube | Sequence[Ring | Cube],
     *,
     route: str = "magpylib",
     l_max: int = 9,

@@ -63,16 +63,25 @@ class Tolerances:
         if not all(x > 0 for x in astuple(self)):
             raise bad_input("tolerances", "Tolerances", "positive", self)
 
-    def of_parameters(self, robot: Robot, terms: int) -> Float[Tensor, " k"]:
+    def of_parameters(self, robot: Robot, terms: int | torch.Size) -> Float[Tensor, " k"]:
         """Tolerance of every parameter of a robot, in the order of :func:`parameter_names`."""
+        terms = terms if isinstance(terms, int) else terms.numel()
         magnet = [self.magnet_position_m] * 3 + [self.magnet_tilt_rad] * 2
         sensor = [self.sensor_azimuth_rad, self.sensor_radius, self.sensor_tilt_rad, self.sensor_gain]
         values = magnet * len(robot.magnets) + sensor * len(robot.sensors) + [self.moments] * terms
         return torch.tensor(values, dtype=torch.float64)
 
 
-def parameter_names(robot: Robot, terms: int) -> tuple[str, ...]:
+def parameter_names(robot: Robot, terms: int | torch.Size) -> tuple[str, ...]:
     """Names of the parameters: magnets, then sensors, both from base to tip and counted from 1, then moments.
+
+    Parameters
+    ----------
+    robot
+        With its magnets and sensors.
+    terms
+        Number of moments that the magnets share, or the shape of the moments: ``[terms]``, or ``[m, terms]`` where
+        each magnet has its own.
 
     Examples
     --------
@@ -83,7 +92,9 @@ def parameter_names(robot: Robot, terms: int) -> tuple[str, ...]:
     """
     magnets = [f"magnet {k + 1} {name}" for k in range(len(robot.magnets)) for name in MAGNET]
     sensors = [f"sensor {j + 1} {name}" for j in range(len(robot.sensors)) for name in SENSOR]
-    return (*magnets, *sensors, *(f"moment A{2 * k + 1}" for k in range(terms)))
+    *unlike, n = [terms] if isinstance(terms, int) else terms
+    owners = [f"magnet {k + 1} " for k in range(unlike[0])] if unlike else [""]
+    return (*magnets, *sensors, *(f"{owner}moment A{2 * k + 1}" for owner in owners for k in range(n)))
 
 
 @dataclass(frozen=True)
@@ -93,10 +104,10 @@ class Parts:
     magnets: Mounts
     sensors: Mounts
     gain: Float[Tensor, "*batch s"]
-    moments: Float[Tensor, "*batch terms"]
+    moments: Float[Tensor, "*moments terms"]
 
 
-def placed(robot: Robot, moments: Float[Tensor, " terms"], parameters: Float[Tensor, "*batch k"]) -> Parts:
+def placed(robot: Robot, moments: Float[Tensor, "*m terms"], parameters: Float[Tensor, "*batch k"]) -> Parts:
     """Mounts, gains and moments of a robot that differs from its drawing by ``parameters``.
 
     Parameters
@@ -104,7 +115,7 @@ def placed(robot: Robot, moments: Float[Tensor, " terms"], parameters: Float[Ten
     robot
         As drawn.
     moments
-        As drawn [mT m^(l+2)].
+        As drawn [mT m^(l+2)], common to all magnets or a row for each.
     parameters
         In the order of :func:`parameter_names`; m, rad, relative.
 
@@ -113,7 +124,7 @@ def placed(robot: Robot, moments: Float[Tensor, " terms"], parameters: Float[Ten
     InputError
         If the number of parameters does not fit.
     """
-    magnet, sensor, moment = _split(robot, moments.shape[-1], parameters)
+    magnet, sensor, moment = _split(robot, moments.shape, parameters)
     return Parts(
         _with_local(robot.magnets, _moved_magnets(robot.magnets.local, magnet)),
         _with_local(robot.sensors, _moved_sensors(robot.sensors.local, sensor)),
@@ -132,7 +143,7 @@ class PlacedReadings:
     q
         Configurations of the poses; a batch belongs to a batch of parameters.
     moments
-        As drawn [mT m^(l+2)].
+        As drawn [mT m^(l+2)], common to all magnets or a row for each.
     earth_mt
         Earth field in the base frame [mT]; none when not given.
 
@@ -146,7 +157,7 @@ class PlacedReadings:
         self,
         robot: Robot,
         q: Float[Tensor, "*batch poses n_q"],
-        moments: Float[Tensor, " terms"],
+        moments: Float[Tensor, "*m terms"],
         earth_mt: Float[Tensor, " 3"] | None = None,
     ) -> None:
         mounts = robot.magnets.joined(robot.sensors)
@@ -164,8 +175,10 @@ class PlacedReadings:
         Float[Tensor, "*batch poses s n_q"],
     ]:
         """Readings [mT] and their derivatives with respect to the parameters and to the configurations."""
-        n_m, terms = len(self.robot.magnets), self.moments.shape[-1]
-        magnet, sensor, moment = _split(self.robot, terms, parameters.unsqueeze(-2))  # the same in all poses
+        n_m, shared = len(self.robot.magnets), self.moments.ndim == 1
+        magnet, sensor, moment = _split(
+            self.robot, self.moments.shape, parameters.unsqueeze(-2)
+        )  # the same in all poses
         local_m, by_magnet = _derivatives(_moved_magnets, self.robot.magnets.local, magnet)
         local_s, by_sensor = _derivatives(_moved_sensors, self.robot.sensors.local, sensor[..., :3])
         local = torch.cat([local_m, local_s], dim=-3)
@@ -173,7 +186,8 @@ class PlacedReadings:
         offset = position[..., n_m:, None, :] - position[..., None, :n_m, :]
         o, m = axis[..., n_m:, :], axis[..., :n_m, :]
         moments = self.moments * (1 + moment)
-        pairs = pair_readings(moments[..., None, None, :], o, m, offset)
+        pairs = pair_readings((moments.unsqueeze(-2) if shared else moments).unsqueeze(-3), o, m, offset)
+        by_moment = pairs.columns.sum(-2) * self.moments if shared else pairs.columns * self.moments
         by_o, by_m, by_p = pairs.by_sensor_axis.sum(-2), pairs.by_magnet_axis, pairs.by_offset
         u = pairs.u.sum(-1)
         if self.earth_mt is not None:
@@ -193,7 +207,12 @@ class PlacedReadings:
         own = torch.cat([own, (u / gain).unsqueeze(-1)], dim=-1)  # all rows are multiplied by the gain below
         sensors = torch.diag_embed(own.movedim(-1, -2)).movedim(-3, -1)  # [..., s, s, 4]
         J = torch.cat(
-            [magnets.sum(-1).flatten(-2), sensors.flatten(-2), pairs.columns.sum(-2) * self.moments], dim=-1
+            [
+                magnets.sum(-1).flatten(-2),
+                sensors.flatten(-2),
+                by_moment if shared else by_moment.flatten(-2),
+            ],
+            dim=-1,
         )
         motion = (self._motions.flatten(-3, -2) @ local).unflatten(-2, (-1, 4))
         d_axis, d_position = motion[..., :3, :].unbind(-1)
@@ -204,14 +223,15 @@ class PlacedReadings:
         return gain.squeeze(-1) * u, gain * J, gain * J_q
 
 
-def _split(robot: Robot, terms: int, parameters: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _split(robot: Robot, moments: torch.Size, parameters: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     n_m, n_s = len(robot.magnets), len(robot.sensors)
-    sizes = [len(MAGNET) * n_m, len(SENSOR) * n_s, terms]
+    sizes = [len(MAGNET) * n_m, len(SENSOR) * n_s, moments.numel()]
     if parameters.shape[-1] != sum(sizes):
         expected = f"of last dimension {sum(sizes)}"
         raise bad_input("parameters", "placed", expected, f"shape {tuple(parameters.shape)}")
     magnet, sensor, moment = parameters.split(sizes, dim=-1)
-    return magnet.unflatten(-1, (n_m, len(MAGNET))), sensor.unflatten(-1, (n_s, len(SENSOR))), moment
+    magnet, sensor = magnet.unflatten(-1, (n_m, len(MAGNET))), sensor.unflatten(-1, (n_s, len(SENSOR)))
+    return magnet, sensor, moment.unflatten(-1, moments)
 
 
 def _with_local(mounts: Mounts, local: Tensor) -> Mounts:

@@ -192,11 +192,8 @@ def _largest_mm(blocks: torch.Tensor, robot: RobotFile) -> list[float]:
 
 
 def _traces(estimator: RobotEstimator, u: torch.Tensor) -> list[float | None]:
-    """Readings, or of IMUs how far their axes along the arm are from upright [deg]."""
-    if estimator.positions:
-        x, y = u.unflatten(-1, (-1, 4))[1:, :2].unbind(-1)
-        u = torch.rad2deg(torch.arccos((1 - 2 * (x * x + y * y)).clamp(-1, 1)))
-    return [float(f"{x:.6g}") if math.isfinite(x) else None for x in u.tolist()]
+    """Readings, or of IMUs how far the arm leans there [deg]."""
+    return [float(f"{x:.6g}") if math.isfinite(x) else None for x in estimator.shown(u).tolist()]
 
 
 def _put(client: queue.Queue[str | None], text: str | None) -> None:

@@ -140,7 +140,7 @@ def troubles(estimator: RobotEstimator, state: LiveState) -> list[str]:
         if count:
             since = "gives no reading" if now and not state.silent else "gave no reading"
             said.append(f"{name} {since} and is left out: {count} time steps so far.")
-    unused = [name for name, used in zip(estimator.sensors, _used(estimator), strict=True) if not used]
+    unused = [name for name, used in zip(estimator.sensors, estimator.used, strict=True) if not used]
     if unused:
         said.append(f"Not used, as asked: {', '.join(unused)}.")
     if state.refused:
@@ -182,8 +182,3 @@ def block(estimator: RobotEstimator, state: LiveState) -> list[str]:
 def line(estimator: RobotEstimator, state: LiveState) -> str:
     """All of it in one line, for where no terminal shows it."""
     return " | ".join(block(estimator, state))
-
-
-def _used(estimator: RobotEstimator) -> list[bool]:
-    use = estimator.use.unflatten(-1, (-1, 4)).all(-1)[1:] if estimator.positions else estimator.use
-    return use.tolist()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import torch
@@ -15,40 +14,33 @@ from repro.errors import InputError, bad_input
 from repro.estimation.base import Estimate, Estimator
 from repro.estimation.consistency import Verdict
 from repro.estimation.gradient_descent import GradientDescent
-from repro.estimation.imu_models import exact_arcs
-from repro.estimation.imu_selection import Selection
-from repro.estimation.imu_shape import ImuShape
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian
 from repro.estimation.monitor import Monitored
 from repro.estimation.multistart import starts_within
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box
+from repro.live.follow import imu_streams
 from repro.live.follow.time_steps import TimeStep
 from repro.live.robot.robot_file import RobotFile
-from repro.report.robot_view import POINTS_PER_SEGMENT
-from repro.sensing.linearised import LinearisedSensing
+from repro.live.robot.robot_parts import MAGNETIC_STREAM
+from repro.live.robot.robot_tables import UPRIGHT
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.own_model import Given, OwnModel
+from repro.sensing.stacked import StackedSensing
 
 ESTIMATORS = ("levenberg_marquardt", "kalman", "gradient_descent", "particle_filter", "imu_chain")
 """The first is that of magnetic sensors, the last that of IMUs."""
-MAGNETIC_STREAM = 0
-"""Stream of the frames that hold the readings of magnetic sensors."""
 ACCELERATION_SHARE, VELOCITY_SHARE = 0.2, 0.5
 """Of the Kalman filter, in widths of the bounds: as chosen on T2 for the robots of Baaij et al."""
 MOST_PARTICLE_COORDINATES = 4
 PARTICLES = 500
 MOVE_SHARE = 0.5
 """Random walk of a particle in one second, in widths of the bounds."""
-IMU_NOISE_RAD = 0.0035
-"""Standard deviation of an orientation about each axis, 0.2 degrees, assumed [rad]."""
 STARTS = 8
 """Configurations from which a monitor looks for a better start, besides where the robot starts."""
 LOOK_S, SLOW_LOOK_S = 0.25, 5.0
 """Time between two looks of the monitor for what is wrong, and with a model of one's own, whose fits are slow [s]."""
-FREE_BASE = (0.0, 0.0, 0.0, 1.0)
-"""Orientation of the base: upright."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +62,9 @@ class RobotEstimator:
         Streams of the frames of a time step.
     use
         Which readings to use.
+    stacked
+        Sensor model of magnetic sensors and IMUs together, whose readings are in units of their noise; none where
+        there are only the ones or the others.
     """
 
     robot: RobotFile
@@ -78,6 +73,7 @@ class RobotEstimator:
     start: Float[Tensor, " n_q"]
     streams: tuple[int, ...]
     use: Bool[Tensor, " readings"]
+    stacked: StackedSensing | None = None
 
     @property
     def positions(self) -> bool:
@@ -87,9 +83,8 @@ class RobotEstimator:
     @property
     def sensors(self) -> tuple[str, ...]:
         """Names of the sensors, in the order of :meth:`missing`."""
-        if self.positions:
-            return tuple(f"IMU {stream}" for stream in self.streams)
-        return tuple(f"sensor {k + 1}" for k in range(len(self.robot.channel)))
+        magnetic = tuple(f"sensor {k + 1}" for k in range(len(self.robot.channel)))
+        return magnetic + tuple(f"IMU {imu.stream}" for imu in self.robot.imus)
 
     def readings(self, step: TimeStep) -> Float[Tensor, " readings"]:
         """What the estimator takes of a time step; NaN where a reading is missing.
@@ -99,31 +94,43 @@ class RobotEstimator:
         InputError
             If a frame has another number of values than the robot file says.
         """
+        if self.stacked is not None:
+            return imu_streams.readings(self.robot, self.stacked, step)
         if not self.positions:
             (frame,) = step.frames
             assert frame is not None  # with one stream a step is one frame
             return self.robot.signal(frame.values)
-        rows: list[Sequence[float]] = [FREE_BASE]
-        for frame in step.frames:
-            if frame is not None and len(frame.values) != len(FREE_BASE):
-                expected = f"a quaternion of 4 values, as described in {self.robot.name}"
-                raise bad_input("frame", "the stream", expected, f"{len(frame.values)} values")
-            rows.append([float("nan")] * len(FREE_BASE) if frame is None else frame.values)
-        return torch.tensor(rows, dtype=torch.float64).flatten()
+        return imu_streams.quaternions(self.robot, step)
+
+    def shown(self, u: Float[Tensor, " readings"]) -> Float[Tensor, " sensors"]:
+        """Readings to draw, one for each sensor: in its unit, of an IMU how far the robot leans there [deg]."""
+        if self.stacked is not None:
+            return imu_streams.shown(self.robot, self.stacked, u)
+        if not self.positions:
+            return u
+        x, y = u.unflatten(-1, (-1, 4))[1:, :2].unbind(-1)
+        return torch.rad2deg(torch.arccos((1 - 2 * (x * x + y * y)).clamp(-1, 1)))
 
     def missing(self, u: Float[Tensor, " readings"]) -> list[bool]:
         """Whether each sensor gave no number, without those that shall not be used."""
-        gone = torch.isnan(u) & self.use
-        if self.positions:
-            gone = gone.unflatten(-1, (-1, len(FREE_BASE))).any(-1)[1:]
-        return gone.tolist()
+        return self._by_sensor(torch.isnan(u) & self.use)
+
+    @property
+    def used(self) -> list[bool]:
+        """Whether each sensor is used."""
+        return self._by_sensor(self.use)
+
+    def _by_sensor(self, flags: Bool[Tensor, " readings"]) -> list[bool]:
+        if self.stacked is not None:
+            return imu_streams.by_sensor(self.robot, flags)
+        return (flags.unflatten(-1, (-1, 4)).any(-1)[1:] if self.positions else flags).tolist()
 
     def prepared(self) -> None:
         """Estimate once from readings made up: kernels are compiled now, not when the first frame waits."""
         if self.positions:
-            u = torch.tensor([FREE_BASE] * (len(self.streams) + 1), dtype=torch.float64).flatten()
+            u = torch.tensor(UPRIGHT * (len(self.streams) + 1), dtype=torch.float64)
         else:
-            u = self.robot.sensing()(self.start)
+            u = (self.stacked or self.robot.sensing())(self.start)
         state = self.method.init(self.start, seed=0)
         for k in range(2):
             state, _ = self.method.step(state, u, 0.1 * k, mask=self.use)
@@ -149,7 +156,7 @@ def robot_estimator(
     name
         One of :data:`ESTIMATORS`; by default the one for the sensors of the robot.
     failed
-        Numbers of sensors not to use, from 1 (IMUs: from 1 at the base).
+        Numbers of sensors not to use, from 1 (IMUs: from 1 at the base, after the magnetic sensors if there are any).
     model
         A sensor model of your own, as for :meth:`repro.live.robot.robot_file.RobotFile.sensing`: a module of torch,
         TorchScript or the path of its file, any callable, or a list of them.
@@ -176,44 +183,53 @@ def robot_estimator(
         sensors = "magnetic sensors" if magnetic else "IMUs"
         expected = f"{' or '.join(fitting)} for the {sensors} of {robot.name}"
         raise bad_input("estimator", "repro live", expected, name)
-    n = len(robot.channel) if magnetic else len(robot.imus)
+    n = len(robot.channel) + len(robot.imus)
     if wrong := [k for k in failed if not 1 <= k <= n]:
         raise bad_input("failed", "repro live", f"numbers of sensors, 1 to {n}", wrong[0])
     if len(set(failed)) == n:
         raise bad_input("failed", "repro live", f"fewer than all {n} sensors", f"{n} of them")
     works = torch.tensor([k + 1 not in failed for k in range(n)])
     if not magnetic:
-        method, use = _imu_chain(robot), torch.cat([torch.tensor([True]), works]).repeat_interleave(4)
+        method, use = imu_streams.chain(robot), torch.cat([torch.tensor([True]), works]).repeat_interleave(4)
         start = torch.zeros(3 * len(method.arc_lengths), dtype=torch.float64)
         watched = Monitored(method, method, start[None], robot.rate_hz)
         return RobotEstimator(robot, name, watched, start, tuple(imu.stream for imu in robot.imus), use)
     sensing = robot.sensing(model, inputs=inputs)
     own = isinstance(sensing, MagneticSensing) and isinstance(sensing.model, OwnModel)
-    backend = "torch" if own else "compiled"
-    solver = LevenbergMarquardt(sensing, robot.lower, robot.upper, noise_mt=robot.noise, backend=backend)
-    method = _magnetic(robot, name, sensing, solver)
+    backend, noise, stacked, use = "torch" if own else "compiled", robot.noise, None, works
+    if robot.imus:
+        stacked, use, noise = imu_streams.stacked(robot, sensing), imu_streams.by_reading(robot, works), 1.0
+    solver = LevenbergMarquardt(stacked or sensing, robot.lower, robot.upper, noise_mt=noise, backend=backend)
+    watched = _monitored(robot, solver, _magnetic(robot, name, solver), LOOK_S if not own else SLOW_LOOK_S)
+    streams = (MAGNETIC_STREAM, *(imu.stream for imu in robot.imus))
+    return RobotEstimator(robot, name, watched, robot.start, streams, use, stacked)
+
+
+def _monitored(
+    robot: RobotFile, solver: LevenbergMarquardt, method: Estimator[Any], look_s: float
+) -> Monitored[Any]:
+    """Watch a method for magnetic sensors; that of least squares looks for other starts."""
     starts = torch.cat([robot.start[None], starts_within(robot.lower, robot.upper, STARTS, seed=0)])
-    options = {"unknowns": len(robot.lower), "look_s": SLOW_LOOK_S if own else LOOK_S}
-    watched = Monitored(method, solver, starts, robot.rate_hz, **options)
-    return RobotEstimator(robot, name, watched, robot.start, (MAGNETIC_STREAM,), works)
+    options: dict[str, Any] = {"unknowns": len(robot.lower), "look_s": look_s}
+    if not robot.imus:
+        return Monitored(method, solver, starts, robot.rate_hz, **options)
+    n = len(robot.channel) + len(robot.imus)
+    options["sensors"] = torch.stack([imu_streams.by_reading(robot, torch.arange(n) == k) for k in range(n)])
+    counted = (imu_streams.Counted(each, robot) for each in (method, solver))
+    return Monitored(*counted, starts, robot.rate_hz, **options)
 
 
-def _magnetic(
-    robot: RobotFile,
-    name: str,
-    sensing: LinearisedSensing | MagneticSensing,
-    solver: LevenbergMarquardt,
-) -> Estimator[Any]:
-    low, high, backend = robot.lower, robot.upper, solver.backend
-    width = high - low
+def _magnetic(robot: RobotFile, name: str, solver: LevenbergMarquardt) -> Estimator[Any]:
+    sensing, low, high, noise = solver.sensing, robot.lower, robot.upper, solver.noise_mt
+    width, backend = high - low, solver.backend
     if name == "levenberg_marquardt":
         return solver
     if name == "kalman":
         acceleration, velocity = ACCELERATION_SHARE * width, VELOCITY_SHARE * width
-        options = {"noise_mt": robot.noise, "backend": backend}
+        options = {"noise_mt": noise, "backend": backend}
         return IteratedKalmanFilter(sensing, low, high, acceleration, velocity, **options)
     if name == "gradient_descent":
-        return GradientDescent(sensing, _step_size(robot, sensing), backend=backend, noise_mt=robot.noise)
+        return GradientDescent(sensing, _step_size(robot, sensing), backend=backend, noise_mt=noise)
     if len(low) > MOST_PARTICLE_COORDINATES:
         expected = (
             f"another one for {robot.name}: particles fill at most {MOST_PARTICLE_COORDINATES} coordinates"
@@ -221,7 +237,7 @@ def _magnetic(
         raise bad_input("estimator", "repro live", expected, f"{name} for {len(low)}")
     walk = MOVE_SHARE * width / robot.rate_hz**0.5
     options = {"particles": PARTICLES, "region": Box(low, high), "estimate": "Gauss-Newton"}
-    return ParticleFilter(sensing, walk, robot.noise, **options)
+    return ParticleFilter(sensing, walk, noise, **options)
 
 
 def _step_size(robot: RobotFile, sensing: Callable[[Tensor], Tensor]) -> Float[Tensor, " n_q"]:
@@ -234,18 +250,6 @@ def _step_size(robot: RobotFile, sensing: Callable[[Tensor], Tensor]) -> Float[T
     _, J = jacobian(sensing, torch.cat([ends, robot.start[None]]))
     curvature = 2 * J.square().mean(-2).amax(0)
     return 1 / (len(robot.lower) * curvature.clamp_min(torch.finfo(J.dtype).tiny))
-
-
-def _imu_chain(robot: RobotFile) -> ImuShape:
-    arcs = [imu.arc_m for imu in robot.imus]
-    if arcs[0] == 0:
-        expected = "above 0: the base is upright by itself, an IMU there tells nothing"
-        raise bad_input("at_mm of IMU 1", robot.name, expected, "0")
-    ends = (0.0, *arcs)
-    selection = Selection(tuple(range(len(ends))), ends, tuple(b - a for a, b in pairwise(ends)), sub_links=1)
-    n = (POINTS_PER_SEGMENT - 1) * len(robot.robot.segments)
-    points = tuple(arcs[-1] * (k + 1) / n for k in range(n))
-    return ImuShape(exact_arcs, selection, points, IMU_NOISE_RAD)
 
 
 class Follower:
@@ -276,6 +280,7 @@ class Follower:
         self.estimated = self.refused = 0
         self.refusal = ""
         self.missing = [0] * len(estimator.sensors)
+        self._silences = imu_streams.Silences(len(estimator.robot.channel))
         self._state = estimator.method.init(estimator.start, seed=seed)
 
     @property
@@ -291,7 +296,10 @@ class Follower:
         u = torch.full(self.estimator.use.shape, torch.nan, dtype=torch.float64)
         try:
             u = self.estimator.readings(step)
-            for k, gone in enumerate(self.estimator.missing(u)):
+            missing = self.estimator.missing(u)
+            if self.estimator.stacked is not None:
+                missing = self._silences.told(step, missing)
+            for k, gone in enumerate(missing):
                 self.missing[k] += gone
             self._state, estimate = self.estimator.method.step(
                 self._state, u, step.time_s, mask=self.estimator.use

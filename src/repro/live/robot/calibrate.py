@@ -142,7 +142,7 @@ class _Problem:
         self.file, self.u, self.q, self.covariance = robot, u, q, covariance
         self.moments = robot.moments if robot.moments is not None else u.new_zeros(0)
         self.noise = torch.diag((robot.noise / robot.gain).square())
-        placement = priors.placement.of_parameters(robot.robot, len(self.moments))
+        placement = priors.placement.of_parameters(robot.robot, self.moments.shape)
         rest = [priors.offset_mt] * u.shape[-1] + [priors.earth_mt] * 3
         self.scale = torch.cat([placement, u.new_tensor(rest)])
         self.sizes = [len(placement), u.shape[-1], 3]
@@ -186,7 +186,7 @@ class _Problem:
         p, offset, earth = self.split(z)
         sensors = range(1, len(offset) + 1)
         names = (
-            *parameter_names(self.file.robot, len(self.moments)),
+            *parameter_names(self.file.robot, self.moments.shape),
             *(f"sensor {j} offset" for j in sensors),
             *(f"Earth field along {axis}" for axis in "xyz"),
         )

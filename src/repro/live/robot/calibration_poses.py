@@ -19,6 +19,7 @@ from torch import Tensor
 from repro.errors import bad_input
 from repro.live.record.recording import Recording
 from repro.live.robot.robot_file import RobotFile
+from repro.live.robot.robot_parts import MAGNETIC_STREAM
 from repro.live.wire.csv_text import check_units
 from repro.live.wire.frame import Frame
 
@@ -136,16 +137,18 @@ def recorded_readings(recording: Recording, robot: RobotFile, poses: Poses) -> P
     """
     if recording.format != robot.format:
         raise bad_input("recording", robot.name, f"of the format {robot.format}", recording.format)
-    if len(recording.channels) != robot.channels:
+    magnetic = (recording.frames["stream"] == MAGNETIC_STREAM).to_numpy() if robot.imus else slice(None)
+    channels = recording.channels[: robot.channels] if robot.imus else recording.channels
+    if len(channels) != robot.channels:
         expected = f"of {robot.channels} channels, as described"
-        raise bad_input("recording", robot.name, expected, f"one of {len(recording.channels)}")
+        raise bad_input("recording", robot.name, expected, f"one of {len(channels)}")
     units = recording.metadata.get("units")
     if recording.format == "csv" and isinstance(units, list) and len(units) == robot.channels:
         check_units(recording.channels, units, robot.unit)
     if poses.window_s is None:
         raise bad_input("poses", "a recording", "given with time_s, or start_s and end_s", "no times")
-    time_s = recording.frames["time_s"].to_numpy()
-    values = recording.frames[recording.channels].to_numpy(dtype=float)
+    time_s = recording.frames["time_s"].to_numpy()[magnetic]
+    values = recording.frames[channels].to_numpy(dtype=float)[magnetic]
     complete = np.isfinite(values).all(axis=1)
     parts = []
     for k, (start, end) in enumerate(poses.window_s):
@@ -192,7 +195,7 @@ def guide(
     InputError
         If no frames come, or frames have another number of values than the file says.
     """
-    source = _Collector(frames)
+    source = _Collector(frame for frame in frames if not robot.imus or frame.stream == MAGNETIC_STREAM)
     parts = []
     for k, words in enumerate(poses.words):
         question = f"Pose {k + 1} of {len(poses.words)}: {words}. Hold it still and press Enter. "

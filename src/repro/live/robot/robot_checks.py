@@ -12,12 +12,19 @@ from torch import Tensor
 
 from repro.errors import InputError
 from repro.kinematics.robot import Robot
-from repro.live.robot.robot_tables import Document
+from repro.live.robot.document import Document
+from repro.live.robot.robot_tables import MOST_CHANNELS
+from repro.live.wire.binary import KINDS
+from repro.live.wire.text import HALL
 from repro.sensing.magnets import Cube, Ring
 from repro.sensing.own_model import are_scripts
 
 OWN_MODEL_MS = 50
 """Time of an estimate with a network that is not compiled, about [ms]."""
+MOST_VALUES = {"frames": max(most for _, _, most in KINDS.values()), "hall": HALL.count}
+"""Values of a frame at most, by format."""
+OWN_UNIT = {"hall": "raw", "millivolts": "mV"}
+"""Formats whose values have a unit by themselves."""
 IN_RANGE = 10.0
 """A magnet is in range of a sensor if it can change the reading by this many standard deviations of its noise."""
 
@@ -29,7 +36,7 @@ class _Sensed(Protocol):
     @property
     def start(self) -> Tensor: ...
     @property
-    def magnet(self) -> Ring | Cube | None: ...
+    def magnets(self) -> tuple[Ring | Cube, ...]: ...
     @property
     def moments(self) -> Tensor | None: ...
     @property
@@ -37,9 +44,9 @@ class _Sensed(Protocol):
     @property
     def noise(self) -> float: ...
     @property
-    def unit(self) -> str: ...
-    @property
     def networks(self) -> tuple[Path, ...]: ...
+    @property
+    def unit(self) -> str: ...
     @property
     def network_inputs(self) -> str: ...
     def sensing(self) -> Any: ...
@@ -67,25 +74,75 @@ def check_place(
         raise document.error((name, k, "at_mm"), expected, row["at_mm"])
 
 
-def check_channels(document: Document, rows: Sequence[Mapping[str, Any]], channels: int) -> None:
-    """Refuse two sensors on one channel, and channels that the stream does not have.
+def check_channels(document: Document, rows: Sequence[Mapping[str, Any]], stream: Mapping[str, Any]) -> int:
+    """Refuse two sensors on one channel, and channels that the stream does not have; return how many it has.
 
     Raises
     ------
     InputError
         As said.
     """
+    given, exact = stream.get("channels", 0), stream["format"] == "hall"
+    most = MOST_VALUES.get(stream["format"], MOST_CHANNELS)
+    if given and (given > most or (exact and given != most)):
+        expected = f"{'' if exact else 'at most '}{most}, the values of a frame of this format"
+        raise document.error(("stream", "channels"), expected, given)
+    channels = most if exact else given or max((row["channel"] for row in rows), default=0)
+    line = document.line("stream", "channels" if given else "format")
     first: dict[int, int] = {}
     for k, row in enumerate(rows):
         channel = row["channel"]
         if channel in first:
-            line = document.line("sensors", first[channel], "channel")
-            expected = f"another channel than that of sensor {first[channel] + 1} (line {line})"
+            before = document.line("sensors", first[channel], "channel")
+            expected = f"another channel than that of sensor {first[channel] + 1} (line {before})"
             raise document.error(("sensors", k, "channel"), expected, channel)
-        if channel > channels:
-            line = document.line("stream", "channels")
-            raise document.error(("sensors", k, "channel"), f"at most {channels} (line {line})", channel)
+        if channel > min(channels, most):
+            expected = f"at most {min(channels, most)} (line {line})"
+            raise document.error(("sensors", k, "channel"), expected, channel)
         first[channel] = k
+    return channels
+
+
+def check_format(document: Document, format: str, unit: str, sensors: bool, imus: bool) -> None:
+    """Refuse a format that cannot carry what the robot has, or not in that unit.
+
+    Raises
+    ------
+    InputError
+        As said.
+    """
+    if sensors and imus and format != "frames":
+        expected = "'frames' for magnetic sensors and IMUs together"
+        raise document.error(("stream", "format"), expected, repr(format))
+    if sensors and format == "quaternions":
+        raise document.error(
+            ("stream", "format"), "of magnetic sensors: quaternions are of IMUs", repr(format)
+        )
+    if imus and format in OWN_UNIT:
+        raise document.error(("stream", "format"), "'frames' or 'quaternions' for IMUs", repr(format))
+    if sensors and unit != OWN_UNIT.get(format, unit):
+        expected = f"{OWN_UNIT[format]!r}, the unit of {format} (line {document.line('stream', 'format')})"
+        raise document.error(("stream", "unit"), expected, repr(unit))
+
+
+def check_direction(document: Document, k: int) -> None:
+    """Refuse a sensor with a direction and what else would say where it points.
+
+    Raises
+    ------
+    InputError
+        As said.
+    """
+    table = document.tables("sensors")[k]
+    if "direction" not in table:
+        return
+    line = document.line("sensors", k, "direction")
+    if "tilt_deg" in table:
+        expected = f"left out: direction (line {line}) says where the sensor points"
+        raise document.error(("sensors", k, "tilt_deg"), expected, table["tilt_deg"])
+    if "azimuth_deg" in table and not table.get("radial_mm"):
+        expected = f"left out on the backbone: direction (line {line}) does not turn with it"
+        raise document.error(("sensors", k, "azimuth_deg"), expected, table["azimuth_deg"])
 
 
 def check_observed(document: Document, robot: Robot, imus: Sequence[tuple[int, float]], earth: bool) -> None:
@@ -144,27 +201,33 @@ def out_of_range(document: Document, found: _Sensed) -> tuple[str, ...]:
     InputError
         If a sensor is so close to a magnet that the series of its field has no meaning.
     """
-    if found.magnet is None or found.moments is None:
+    if found.moments is None:
         return ()
     T_m, T_s = found.robot.magnet_and_sensor_poses(found.start)
     distance = torch.linalg.vector_norm(T_s[:, None, :3, 3] - T_m[None, :, :3, 3], dim=-1)
-    if isinstance(found.magnet, Ring):
-        reach = math.hypot(found.magnet.outer_diameter, found.magnet.height) / 2
-    else:
-        reach = math.sqrt(3) / 2 * found.magnet.edge
+    signal = (2 * found.moments[..., 0] / distance**3).abs() * found.gain.abs().unsqueeze(-1)
     notes = []
     for j, row in enumerate(distance.tolist()):
         near = min(range(len(row)), key=row.__getitem__)
-        if not row[near] > reach:
-            expected = f"farther than {reach * 1e3:.1f} mm from the centre of magnet {near + 1}"
-            raise document.error(("sensors", j, "at_mm"), expected, f"{row[near] * 1e3:.1f} mm from it")
-        signal = abs(2 * float(found.moments[0]) / row[near] ** 3 * float(found.gain[j]))
-        # with networks nobody says how much a sensor reads per flux density
-        if signal < IN_RANGE * found.noise and not found.networks:
+        for k in sorted(range(len(row)), key=row.__getitem__):
+            reach = _radius(found.magnets[k])
+            if not row[k] > reach:
+                expected = f"farther than {reach * 1e3:.1f} mm from the centre of magnet {k + 1}"
+                raise document.error(("sensors", j, "at_mm"), expected, f"{row[k] * 1e3:.1f} mm from it")
+        strong = int(signal[j].argmax())
+        if not found.networks and float(signal[j, strong]) < IN_RANGE * found.noise:
             distances = ", ".join(f"magnet {k + 1} at {d * 1e3:.0f} mm" for k, d in enumerate(row))
+            who = "the nearest" if strong == near else f"magnet {strong + 1}"
             notes.append(
                 f"{document.name}, line {document.line('sensors', j)}: no magnet is in range of sensor {j + 1} "
-                f"({distances}): the nearest gives it {signal:.2g} {found.unit} at most, "
+                f"({distances}): {who} gives it {float(signal[j, strong]):.2g} {found.unit} at most, "
                 f"with a noise of {found.noise:.2g}."
             )
     return tuple(notes)
+
+
+def _radius(magnet: Ring | Cube) -> float:
+    """Radius of the sphere around a magnet [m]."""
+    if isinstance(magnet, Ring):
+        return math.hypot(magnet.outer_diameter, magnet.height) / 2
+    return math.sqrt(3) / 2 * magnet.edge

@@ -7,6 +7,7 @@ is made of it. Segments, magnets and sensors count from 1 at the base, in the fi
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,16 +20,17 @@ from repro.errors import bad_input
 from repro.kinematics.robot import Robot
 from repro.live.robot import robot_checks
 from repro.live.robot.calibration_file import RobotCalibration, read_calibration
+from repro.live.robot.document import Document
 from repro.live.robot.magnet_moments import moments_of
 from repro.live.robot.robot_parts import Imu, imus_of, magnets_of, segments_of, sensors_of
 from repro.live.robot.robot_tables import (
     UNITS,
-    Document,
     model_keys,
     sensor_keys,
     stream_keys,
     top_keys,
 )
+from repro.live.robot.unobserved import unobserved
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.magnets import Cube, Ring
@@ -62,15 +64,20 @@ class RobotFile:
     noise
         Standard deviation of a reading [unit].
     moments
-        Multipole moments that the magnets share [mT m^(l+2)]; none without magnets.
-    magnet
-        The magnet as described, or none.
+        Multipole moments [mT m^(l+2)]: those that the magnets share, or a row for each magnet where they are not
+        alike; none without magnets.
+    magnets
+        The magnets as described, from the file.
     earth_mt
         Earth field in the base frame [mT].
     lower, upper
         Bounds of the configuration.
     imus
         From base to tip.
+    imu_noise
+        Standard deviation of an orientation about each axis [rad].
+    base_orientation
+        Unit quaternion XYZW from the frame of the base to the world of the IMUs.
     networks
         Files of trained networks that say what the sensors read, instead of the field of the magnets: one for all
         sensors, one per segment, or one per sensor.
@@ -91,15 +98,22 @@ class RobotFile:
     gain: Float[Tensor, " s"]
     offset: Float[Tensor, " s"]
     noise: float
-    moments: Float[Tensor, " terms"] | None
-    magnet: Ring | Cube | None
+    moments: Float[Tensor, "*m terms"] | None
+    magnets: tuple[Ring | Cube, ...]
     earth_mt: Float[Tensor, " 3"]
     lower: Float[Tensor, " n_q"]
     upper: Float[Tensor, " n_q"]
     imus: tuple[Imu, ...]
+    imu_noise: float
+    base_orientation: tuple[float, ...]
     networks: tuple[Path, ...]
     notes: tuple[str, ...]
     network_inputs: str = "angles"
+
+    @property
+    def magnet(self) -> Ring | Cube | None:
+        """The magnet that all of them are; none without magnets, or where they are not alike."""
+        return self.magnets[0] if len(set(self.magnets)) == 1 else None
 
     @property
     def start(self) -> Float[Tensor, " n_q"]:
@@ -145,7 +159,7 @@ class RobotFile:
             xi = at_start.cosines() if inputs == "cosines" else at_start.angles()
             own = own_model(model, xi, self.robot.sensors.segment, inputs)
             return MagneticSensing(self.robot, own, inputs, axis)
-        return LinearisedSensing(self.robot, self.moments, self.gain, self.earth_mt)
+        return LinearisedSensing(self.robot, self.moments, self.gain, self.earth_mt, self.moments.ndim == 2)
 
     def _network(self) -> PerSensor:
         segments, n = self.robot.sensors.segment, len(self.networks)
@@ -219,7 +233,7 @@ def load_robot(path: Path | str, calibration: Path | str | None = None) -> Robot
         raise bad_input("path", "load_robot", "a robot file", path)
     content = path.read_bytes()
     try:
-        text = content.decode()
+        text = content.decode("utf-8-sig")  # some editors of Windows begin with a byte-order mark
     except UnicodeDecodeError as error:
         raise bad_input("file", path.name, "text in UTF-8", error) from error
     document = Document.of(path.name, text.replace("\r\n", "\n"))
@@ -228,29 +242,30 @@ def load_robot(path: Path | str, calibration: Path | str | None = None) -> Robot
 
 
 def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
-    document.checked(top_keys())
+    top = document.checked(top_keys())
     segments, bounds = segments_of(document)
     lengths = tuple(segment.length for segment in segments)
-    magnets, magnet = magnets_of(document, lengths)
+    mounts, magnets = magnets_of(document, lengths)
     stream = document.table("stream")
     sensors = document.tables("sensors")
-    values = document.checked(stream_keys(bool(sensors), stream.get("unit")), "stream")
+    imus = imus_of(document, lengths)
+    values = document.checked(stream_keys(bool(sensors), bool(imus), stream.get("unit")), "stream")
     unit = values.get("unit", UNITS[0])
+    robot_checks.check_format(document, values["format"], unit, bool(sensors), bool(imus))
     model = document.table("model")
     own = document.checked(model_keys(len(segments), len(sensors)), "model") if model else {}
     networks = tuple(folder / name for name in own.get("networks", ()))
     if missing := [str(path) for path in networks if not path.is_file()]:
         raise document.error(("model", "networks"), "files beside this one", f"no {missing[0]}")
     rows = [document.checked(sensor_keys(unit, bool(networks)), "sensors", k) for k in range(len(sensors))]
-    channels = values.get("channels") or max((row["channel"] for row in rows), default=0)
-    robot_checks.check_channels(document, rows, channels)
+    channels = robot_checks.check_channels(document, rows, values)
     for k, row in enumerate(rows):
         robot_checks.check_place(document, "sensors", k, row, lengths)
-    imus = imus_of(document, lengths)
+        robot_checks.check_direction(document, k)
     column = {name: [row[name] for row in rows] for name in rows[0]} if rows else {}
     gain = column.get("gain", column.get(f"gain_{unit.lower()}_per_mt", [1.0] * len(rows)))
-    earth = torch.tensor(document.content.get("earth_mt", [0.0] * 3), dtype=torch.float64)
-    robot = Robot(segments, magnets, sensors_of(column))
+    earth = torch.tensor(top["earth_mt"], dtype=torch.float64)
+    robot = Robot(segments, mounts, sensors_of(column))
     found = RobotFile(
         name=document.name,
         sha256=sha256,
@@ -263,18 +278,27 @@ def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
         gain=torch.tensor(gain, dtype=torch.float64),
         offset=torch.tensor(column.get(f"offset_{unit.lower()}", []), dtype=torch.float64),
         noise=float(values.get(f"noise_{unit.lower()}", 1.0)),
-        moments=None if magnet is None else moments_of(magnet),
-        magnet=magnet,
+        moments=_moments(magnets),
+        magnets=magnets,
         earth_mt=earth,
         lower=torch.tensor([low for low, _ in bounds], dtype=torch.float64),
         upper=torch.tensor([high for _, high in bounds], dtype=torch.float64),
         imus=imus,
+        imu_noise=math.radians(values.get("noise_deg", 0.0)),
+        base_orientation=tuple(map(float, top["base_orientation"])),
         networks=networks,
         notes=(),
         network_inputs=own.get("inputs", "angles"),
     )
     robot_checks.check_observed(document, robot, [(imu.segment, imu.at_m) for imu in imus], bool(earth.any()))
-    if rows and magnet is None:
+    if rows and not magnets:
         raise document.error(("sensors", 0, "channel"), "of a robot with [[magnets]]", "one without")
-    notes = robot_checks.out_of_range(document, found)
+    notes = robot_checks.out_of_range(document, found) + unobserved(found)
     return replace(found, notes=notes + robot_checks.check_networks(document, found))
+
+
+def _moments(magnets: Sequence[Ring | Cube]) -> Tensor | None:
+    """Moments that magnets share, a row for each where they are not alike, none without magnets."""
+    if len(set(magnets)) > 1:
+        return torch.stack([moments_of(magnet) for magnet in magnets])
+    return moments_of(magnets[0]) if magnets else None

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+import torch
 
 from repro.kinematics.affine_curvature import AffineCurvature
 from repro.kinematics.constant_curvature import ConstantCurvature
-from repro.kinematics.mounts import Mounts, magnet_mounts, sensor_mounts
+from repro.kinematics.mounts import Mounts, directed_sensors, magnet_mounts, sensor_mounts
 from repro.kinematics.robot import Segment
+from repro.live.robot.document import Document
 from repro.live.robot.robot_checks import check_place
-from repro.live.robot.robot_tables import MAGNET_KINDS, SEGMENT_KINDS, Document, imu_keys
+from repro.live.robot.robot_tables import MAGNET_KEYS, MAGNET_KINDS, SEGMENT_KINDS, UPRIGHT, imu_keys
 from repro.sensing.magnets import Cube, Ring
+
+MAGNETIC_STREAM = 0
+"""Stream of the frames that hold the readings of magnetic sensors."""
 
 
 @dataclass(frozen=True)
@@ -30,12 +36,18 @@ class Imu:
         Distance from the base of that segment along the unextended backbone [m].
     arc_m
         Distance from the base of the robot [m].
+    mounted
+        Unit quaternion XYZW from the frame of the IMU to that of the cross-section.
+    free_heading
+        Whether its orientation about the vertical is arbitrary.
     """
 
     stream: int
     segment: int
     at_m: float
     arc_m: float
+    mounted: tuple[float, ...] = tuple(UPRIGHT)
+    free_heading: bool = False
 
 
 def segments_of(document: Document) -> tuple[tuple[Segment, ...], list[tuple[float, float]]]:
@@ -51,7 +63,7 @@ def segments_of(document: Document) -> tuple[tuple[Segment, ...], list[tuple[flo
     """
     segments, bounds = [], []
     for k in range(len(document.tables("segments"))):
-        row = document.checked_kind(SEGMENT_KINDS, "segments", k, placed=False)
+        row = document.checked_kind(SEGMENT_KINDS, {}, "segments", k)
         length = row["length_mm"] / 1e3
         stretch = (-0.1 * length, 0.1 * length)
         if row["kind"] == "constant_curvature":
@@ -67,54 +79,62 @@ def segments_of(document: Document) -> tuple[tuple[Segment, ...], list[tuple[flo
         for key, standard in usual.items():
             convert = to_si[key.rsplit("_", 1)[1]]
             low, high = map(convert, row[key]) if row[key] else standard
+            if key == "delta_L_mm" and not low > -length:
+                line = document.line("segments", k, "length_mm")
+                expected = f"above {-row['length_mm']:g}: a segment is longer than 0 (line {line}) [mm]"
+                raise document.error(("segments", k, key), expected, row[key])
             bounds.append((low, high))
     if not segments:
         raise document.error(("segments",), "given: at least one table [[segments]]", "nothing")
     return tuple(segments), bounds
 
 
-def magnets_of(document: Document, lengths: Sequence[float]) -> tuple[Mounts, Ring | Cube | None]:
-    """Mounts of the magnets, and the magnet that they all are; none without magnets.
+def magnets_of(document: Document, lengths: Sequence[float]) -> tuple[Mounts, tuple[Ring | Cube, ...]]:
+    """Mounts of the magnets, and what each of them is.
 
     Raises
     ------
     InputError
-        If a table does not describe a magnet, or magnets differ.
+        If a table does not describe a magnet.
     """
     rows = [
-        document.checked_kind(MAGNET_KINDS, "magnets", k, placed=True)
+        document.checked_kind(MAGNET_KINDS, MAGNET_KEYS, "magnets", k)
         for k in range(len(document.tables("magnets")))
     ]
     for k, row in enumerate(rows):
         check_place(document, "magnets", k, row, lengths)
-        for key in rows[0].keys() | row.keys():
-            if key not in ("segment", "at_mm") and row.get(key) != rows[0].get(key):
-                expected = f"that of magnet 1, {rows[0].get(key)!r}: magnets of one robot are alike"
-                raise document.error(("magnets", k, key), expected, row.get(key))
-    mounts = magnet_mounts([row["segment"] - 1 for row in rows], [row["at_mm"] / 1e3 for row in rows])
-    if not rows:
-        return mounts, None
-    row = rows[0]
+    segment, axial = [row["segment"] - 1 for row in rows], [row["at_mm"] / 1e3 for row in rows]
+    turned = any(row["direction"] for row in rows)
+    direction = [[float(x) for x in row["direction"] or (0, 0, 1)] for row in rows] if turned else None
+    magnets = tuple(_magnet(document, k, row) for k, row in enumerate(rows))
+    return magnet_mounts(segment, axial, direction), magnets
+
+
+def _magnet(document: Document, k: int, row: Mapping[str, Any]) -> Ring | Cube:
     if row["kind"] == "cube":
-        return mounts, Cube(row["edge_mm"] / 1e3, float(row["polarisation_mt"]))
+        return Cube(row["edge_mm"] / 1e3, float(row["polarisation_mt"]))
     if not row["inner_diameter_mm"] < row["outer_diameter_mm"]:
         expected = f"below outer_diameter_mm, {row['outer_diameter_mm']!r}"
-        raise document.error(("magnets", 0, "inner_diameter_mm"), expected, row["inner_diameter_mm"])
+        raise document.error(("magnets", k, "inner_diameter_mm"), expected, row["inner_diameter_mm"])
     outer, inner, height = (row[key] / 1e3 for key in ("outer_diameter_mm", "inner_diameter_mm", "height_mm"))
-    return mounts, Ring(outer, inner, height, float(row["polarisation_mt"]))
+    return Ring(outer, inner, height, float(row["polarisation_mt"]))
 
 
 def sensors_of(column: Mapping[str, Sequence[Any]]) -> Mounts:
     """Mounts of the sensors, from the columns of their tables."""
     if not column:
         return sensor_mounts([], [])
-    return sensor_mounts(
-        [int(k) - 1 for k in column["segment"]],
-        [x / 1e3 for x in column["at_mm"]],
-        [x / 1e3 for x in column["radial_mm"]],
-        [math.radians(x) for x in column["azimuth_deg"]],
-        [math.radians(x) for x in column["tilt_deg"]],
-    )
+    segment = [int(k) - 1 for k in column["segment"]]
+    axial, radial = ([x / 1e3 for x in column[key]] for key in ("at_mm", "radial_mm"))
+    azimuth, tilt = ([math.radians(x) for x in column[key]] for key in ("azimuth_deg", "tilt_deg"))
+    mounts = sensor_mounts(segment, axial, radial, azimuth, tilt)
+    if directed := [k for k, direction in enumerate(column["direction"]) if direction]:
+        direction = torch.tensor([x or [1.0, 0.0, 0.0] for x in column["direction"]], dtype=torch.float64)
+        turned = directed_sensors(segment, axial, radial, azimuth, direction)
+        local = mounts.local.clone()
+        local[directed] = turned.local[directed]
+        mounts = replace(mounts, local=local)
+    return mounts
 
 
 def imus_of(document: Document, lengths: Sequence[float]) -> tuple[Imu, ...]:
@@ -123,9 +143,10 @@ def imus_of(document: Document, lengths: Sequence[float]) -> tuple[Imu, ...]:
     Raises
     ------
     InputError
-        If a table does not describe one, two share a stream, or they are not in order.
+        If a table does not describe one, two share a stream or one has that of the magnetic sensors, they are not
+        in order, or one has no heading on a robot of IMUs alone.
     """
-    found, seen = [], {}
+    found, seen, sensors = [], {}, bool(document.tables("sensors"))
     for k in range(len(document.tables("imus"))):
         row = document.checked(imu_keys(), "imus", k)
         check_place(document, "imus", k, row, lengths)
@@ -135,8 +156,15 @@ def imus_of(document: Document, lengths: Sequence[float]) -> tuple[Imu, ...]:
                 ("imus", k, "stream"), f"another stream than that of line {line}", row["stream"]
             )
         seen[row["stream"]] = k
-        segment, at = row["segment"] - 1, row["at_mm"] / 1e3
-        found.append(Imu(row["stream"], segment, at, sum(lengths[:segment]) + at))
+        if sensors and row["stream"] == MAGNETIC_STREAM:
+            expected = f"another than {MAGNETIC_STREAM}, the stream of the magnetic sensors"
+            raise document.error(("imus", k, "stream"), expected, row["stream"])
+        free = row["heading"] == "free"
+        if free and not sensors:
+            expected = "'absolute' without magnetic sensors: a chain of IMUs takes their headings as they are"
+            raise document.error(("imus", k, "heading"), expected, "'free'")
+        segment, at, mounted = row["segment"] - 1, row["at_mm"] / 1e3, tuple(map(float, row["mounted"]))
+        found.append(Imu(row["stream"], segment, at, sum(lengths[:segment]) + at, mounted, free))
     arcs = [imu.arc_m for imu in found]
     for k in range(1, len(arcs)):
         if not arcs[k] > arcs[k - 1]:
