@@ -19,6 +19,7 @@ from repro.estimation.imu_selection import Selection
 from repro.estimation.imu_shape import ImuShape
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian
+from repro.estimation.model_error import WithModelError
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box
 from repro.live.follow.time_steps import TimeStep
@@ -172,6 +173,9 @@ def robot_estimator(
         start = torch.zeros(3 * len(method.arc_lengths), dtype=torch.float64)
         return RobotEstimator(robot, name, method, start, tuple(imu.stream for imu in robot.imus), use)
     method = _magnetic(robot, name, model)
+    if robot.error is not None and model is None:
+        bounds = None if name == "gradient_descent" else (robot.lower, robot.upper)
+        method = WithModelError(method, robot.sensing(), robot.noise, robot.error, bounds, "compiled")
     return RobotEstimator(robot, name, method, robot.start, (MAGNETIC_STREAM,), works)
 
 

@@ -20,6 +20,7 @@ from repro.kinematics.robot import Robot
 from repro.live.robot import robot_checks
 from repro.live.robot.calibration_file import RobotCalibration, read_calibration
 from repro.live.robot.magnet_moments import moments_of
+from repro.live.robot.reading_errors import CalibrationError, NetworkError
 from repro.live.robot.robot_parts import Imu, imus_of, magnets_of, segments_of, sensors_of
 from repro.live.robot.robot_tables import (
     UNITS,
@@ -74,6 +75,9 @@ class RobotFile:
         sensors, one per segment, or one per sensor.
     notes
         Warnings: what is allowed but probably not meant.
+    error
+        Covariance of the readings at a configuration that comes from an imperfect model [unit^2]: of what a
+        calibration left uncertain, or of trained networks; none for a robot taken exactly as described.
     """
 
     name: str
@@ -95,6 +99,7 @@ class RobotFile:
     imus: tuple[Imu, ...]
     networks: tuple[Path, ...]
     notes: tuple[str, ...]
+    error: Callable[[Tensor], Tensor] | None = None
 
     @property
     def start(self) -> Float[Tensor, " n_q"]:
@@ -130,10 +135,7 @@ class RobotFile:
         return LinearisedSensing(self.robot, self.moments, self.gain, self.earth_mt)
 
     def _network(self) -> PerSensor:
-        segments, n = self.robot.sensors.segment, len(self.networks)
-        of_sensor = (
-            segments if n == len(self.robot.segments) else [0 if n == 1 else j for j in range(len(segments))]
-        )
+        of_sensor = network_of_sensor(self.robot, len(self.networks))
         return PerSensor([load_paper_network(path) for path in self.networks], of_sensor).double()
 
     def signal(self, values: Sequence[float]) -> Float[Tensor, " s"]:
@@ -185,7 +187,16 @@ class RobotFile:
             gain=self.gain * parts.gain,
             offset=self.offset + calibration.offset,
             earth_mt=calibration.earth_mt,
+            error=CalibrationError(self.robot, self.moments, self.gain, calibration),
         )
+
+
+def network_of_sensor(robot: Robot, networks: int) -> tuple[int, ...]:
+    """Which network predicts each sensor: the only one, that of its segment, or its own."""
+    n = len(robot.sensors)
+    if networks == len(robot.segments):
+        return robot.sensors.segment
+    return (0,) * n if networks == 1 else tuple(range(n))
 
 
 def load_robot(path: Path | str, calibration: Path | str | None = None) -> RobotFile:
@@ -253,6 +264,7 @@ def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
         imus=imus,
         networks=networks,
         notes=(),
+        error=NetworkError(networks, network_of_sensor(robot, len(networks)), unit) if networks else None,
     )
     robot_checks.check_observed(document, robot, [(imu.segment, imu.at_m) for imu in imus], bool(earth.any()))
     if rows and magnet is None:
