@@ -47,8 +47,10 @@ class CalibrationError:
 
     @cached_property
     def _root(self) -> Float[Tensor, "all all"]:
-        values, vectors = torch.linalg.eigh(self.calibration.covariance)
-        return vectors * values.clamp_min(0.0).sqrt()
+        C = self.calibration.covariance
+        size = C.diagonal().clamp_min(torch.finfo(C.dtype).tiny).sqrt()  # of parameters in units far apart
+        values, vectors = torch.linalg.eigh(C / size.unsqueeze(-1) / size)
+        return size.unsqueeze(-1) * vectors * values.clamp_min(0.0).sqrt()
 
     def __call__(self, q: Float[Tensor, "*batch n_q"]) -> Float[Tensor, "*batch s s"]:
         """Covariance at configurations [unit^2]."""
