@@ -7,9 +7,9 @@ with the covariance :math:`C` by noise is wrong by
 .. math:: C + G E G^T, \qquad G = (J^T J + \sigma^2 P^{-1})^{-1} J^T ,
 
 where :math:`P` is the variance of a uniform distribution between the bounds, if there are any: as good as
-:math:`(J^T J)^{-1} J^T` wherever the readings determine the configuration. A filter gives a single reading less weight,
-but it takes in the same error with every reading and in the end follows it as far as least squares does: with the
-gain :math:`C J^T/\sigma^2` of one update the Kalman filter would claim a tenth of the variance that its errors have.
+:math:`(J^T J)^{-1} J^T` wherever the readings determine the configuration. A filter gives a single reading less
+weight, but it takes in the same error with every reading and in the end follows it as far as least squares does: with
+the gain :math:`C J^T/\sigma^2` of one update the Kalman filter would claim a tenth of the variance of its errors.
 
 What the model cannot explain is judged against the same: with the columns of :math:`N` an orthonormal basis of what
 no move of the free coordinates changes in the sensors in use, :math:`p = N^T (u - \hat u)`,
