@@ -1,5 +1,6 @@
 """Calibrating at a port: boards that go away, sessions that go on, readings that are kept; nonsense refused."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -80,13 +81,15 @@ def test_a_port_that_disappears_is_opened_again(tmp_path):
     def terminal():
         master, slave = os.openpty()
         tty.setraw(slave)
+        os.set_blocking(master, False)
         link.unlink(missing_ok=True)
         link.symlink_to(os.ttyname(slave))
         return master, slave
 
     def send(master, n):
         for k in range(n):
-            os.write(master, encode("frames", Frame(0, k, k, values)))
+            with contextlib.suppress(BlockingIOError):  # nobody reads after the last pose
+                os.write(master, encode("frames", Frame(0, k, k, values)))
             time.sleep(0.01)
 
     def board():
@@ -115,12 +118,14 @@ def test_half_a_second_is_a_time_and_the_rate_is_told(tmp_path):
     """A board of 40 Hz with a robot file that says 1000 Hz."""
     master, slave = os.openpty()
     tty.setraw(slave)
+    os.set_blocking(master, False)
     stop = threading.Event()
 
     def send():
         k = 0
         while not stop.wait(0.025):
-            os.write(master, encode("frames", Frame(0, k, k, (1.0, 2.0, 3.0))))
+            with contextlib.suppress(BlockingIOError):
+                os.write(master, encode("frames", Frame(0, k, k, (1.0, 2.0, 3.0))))
             k += 1
 
     thread = threading.Thread(target=send)
@@ -138,16 +143,16 @@ def test_half_a_second_is_a_time_and_the_rate_is_told(tmp_path):
     assert note.endswith("frames arrive per second; one_segment.toml says rate_hz = 1000.")
 
 
-def stream(robot, q_of, *, rows=None):
-    """Frames without end, in time, of the configuration that ``q_of()`` returns."""
+def stream(values_of):
+    """Frames without end, in time, of what ``values_of()`` returns."""
     while True:
         time.sleep(2e-3)
-        values = tuple(robot.values(q_of())[0].tolist())
-        yield Frame(0, 0, 0, values if rows is None else rows(values))
+        yield Frame(0, 0, 0, tuple(values_of()))
 
 
 def test_a_session_goes_on_where_it_was_interrupted(tmp_path):
     q, at, said = random_poses(ROBOT, 4), [0], []
+    values = ROBOT.values(q).tolist()
     poses, path = read_poses(table(tmp_path, q), ROBOT), tmp_path / "c.readings.csv"
 
     def session(last):
@@ -159,7 +164,9 @@ def test_a_session_goes_on_where_it_was_interrupted(tmp_path):
             if at[0] == last:
                 raise KeyboardInterrupt
 
-        return guide(ROBOT, poses, stream(ROBOT, lambda: q[at]), say=said.append, ask=ask, kept=kept)
+        return guide(
+            ROBOT, poses, stream(lambda: values[at[0]]), say=said.append, ask=ask, kept=kept, silence_s=60.0
+        )
 
     with pytest.raises(KeyboardInterrupt):
         session(2)
@@ -211,14 +218,14 @@ def test_files_of_readings_that_are_damaged(tmp_path):
 
 def test_some_frames_of_another_width_are_left_out_many_are_refused(tmp_path):
     q = random_poses(ROBOT, 1)
-    poses, count = read_poses(table(tmp_path, q), ROBOT), [0]
+    poses, count, values = read_poses(table(tmp_path, q), ROBOT), [0], ROBOT.values(q)[0].tolist()
 
     def every(n, other):
-        def rows(values):
+        def row():
             count[0] += 1
             return other if count[0] % n == 0 else values
 
-        return stream(ROBOT, lambda: q, rows=rows)
+        return stream(row)
 
     for other in ((9.0, 9.0), (9.0, float("nan"), 9.0)):
         taken = guide(ROBOT, poses, every(5, other), say=print, ask=lambda _: None)

@@ -79,8 +79,9 @@ def guide(
         say(
             f"{kept.path.name} holds the readings of {len(parts)} poses. {rest}; to begin anew, move it away."
         )
-    if len(parts) < len(poses.words):
-        source = _Collector(frames)
+    if len(parts) == len(poses.words):
+        return pose_readings(parts, robot)
+    with _Collector(frames) as source:
         for k in range(len(parts), len(poses.words)):
             question = (
                 f"Pose {k + 1} of {len(poses.words)}: {poses.words[k]}. Hold it still and press Enter. "
@@ -124,15 +125,18 @@ def port_frames(port: str, baud: int, format: str, say: Callable[[str], object])
 
     def frames() -> Iterator[Frame]:
         nonlocal opened
-        while True:
-            try:
-                yield from parse.feed(read_available(opened, 0.1))
-            except OSError as error:
-                say(f"{port} is gone ({error}); waiting for it.")
-                close_port(opened)
-                opened = _reopened(port, baud)
-                parse.reopened()
-                say(f"{port} is back.")
+        try:
+            while True:
+                try:
+                    yield from parse.feed(read_available(opened, 0.1))
+                except OSError as error:
+                    say(f"{port} is gone ({error}); waiting for it.")
+                    close_port(opened)
+                    opened = _reopened(port, baud)
+                    parse.reopened()
+                    say(f"{port} is back.")
+        finally:
+            close_port(opened)
 
     return frames()
 
@@ -201,12 +205,21 @@ class _Collector:
         self._changed = threading.Condition()
         self._taken: list[tuple[float, Frame]] | None = None
         self._end: BaseException | None = None
+        self._over = False
         threading.Thread(target=self._read, args=(frames,), daemon=True).start()
+
+    def __enter__(self) -> _Collector:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over = True  # the thread ends with the next frame
 
     def _read(self, frames: Iterator[Frame]) -> None:
         end: BaseException = EOFError("the stream ended")
         try:
             for frame in frames:
+                if self._over:
+                    break
                 with self._changed:
                     if self._taken is not None:
                         self._taken.append((time.monotonic(), frame))
