@@ -21,7 +21,7 @@ has as many degrees of freedom as :math:`N` has columns.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -123,9 +123,9 @@ class WithModelError:
             raise bad_input("error", "WithModelError", "finite", "a covariance that is not")
         if batch:
             arrays = [x.reshape(-1, *x.shape[len(batch) :]) for x in arrays]
-            members = [_of_member(*member, self._box, self.noise) for member in zip(*arrays, strict=True)]
+            members = [_of_member(member, self._box, self.noise) for member in zip(*arrays, strict=True)]
         else:
-            members = [_of_member(*arrays, self._box, self.noise)]
+            members = [_of_member(arrays, self._box, self.noise)]
         tests, added = np.array([x for x, _ in members]), np.array([x for _, x in members])
         values = torch.from_numpy(tests).to(q).reshape(*batch, 3).unbind(-1)
         diagnostics = {**found.diagnostics, **dict(zip(("chi2", "dof", "systematic"), values, strict=True))}
@@ -140,16 +140,10 @@ class WithModelError:
 
 
 def _of_member(
-    q: np.ndarray,
-    E: np.ndarray,
-    J: np.ndarray,
-    r: np.ndarray,
-    used: np.ndarray,
-    unknown: np.ndarray,
-    box: tuple[np.ndarray, np.ndarray] | None,
-    noise: float,
+    member: Sequence[np.ndarray], box: tuple[np.ndarray, np.ndarray] | None, noise: float
 ) -> tuple[tuple[float, int, float], np.ndarray]:
     """Chi-square of a residual, its degrees of freedom and systematic share; covariance of ``q`` by the model."""
+    q, E, J, r, used, unknown = member
     if not used.all():
         E, J, r = E[used][:, used], J[used], r[used]
     free, prior = unknown, np.zeros(len(q))

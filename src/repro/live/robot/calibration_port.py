@@ -30,6 +30,8 @@ PATIENCE_S = 300.0
 """A board that stays away for longer is not waited for [s]."""
 RETRY_S = 0.2
 """Time between two attempts to open a port that is gone [s]."""
+SETTLE_S = 0.1
+"""Frames that arrive so soon after the key may have been sent before it [s]: they lay in a buffer on the way."""
 LEAST_FRAMES = 2
 """Frames of a pose at least, however slow the board is."""
 
@@ -164,16 +166,15 @@ def _taken(
     source.begin()
     since, seen, told = time.monotonic(), 0, False
     while True:
-        arrived, end = source.wait(seen, silence_s)
+        arrived, end = source.wait(silence_s, first=told)
         now = time.monotonic()
-        if len(arrived) > seen:
-            if told:
-                say("The board is back; half a second from now on.")
-                source.begin()
-                arrived, told = [], False
-            since, seen = now, len(arrived)
+        if told and arrived:
+            say("The board is back; half a second from now on.")
+            source.begin()
+            since, seen, told = now, 0, False
+            continue
         fit = [(t, f) for t, f in arrived if len(f.values) == robot.channels and np.isfinite(f.values).all()]
-        if len(arrived) >= LEAST_FRAMES and arrived[-1][0] - arrived[0][0] >= WINDOW_S:
+        if complete(arrived):
             if 2 * len(fit) >= len(arrived):
                 return part_of(np.array([f.values for _, f in fit]), fit[-1][0] - fit[0][0])
             _refuse(robot, arrived)
@@ -182,12 +183,20 @@ def _taken(
                 _refuse(robot, arrived)
             received = f"{len(arrived)} of them: {end}"
             raise bad_input("frames", "repro calibrate", f"{WINDOW_S:g} s of them for a pose", received)
+        if len(arrived) > seen:
+            since, seen = arrived[-1][0], len(arrived)
         if now - since >= patience_s:
-            received = f"{len(arrived)}, then none for {patience_s:g} s"
+            received = f"none for {patience_s:g} s"
             raise bad_input("frames", "repro calibrate", f"{WINDOW_S:g} s of them for a pose", received)
         if now - since >= silence_s and not told:
             say(f"No frame for {silence_s:g} s: waiting for the board. Keep the pose; Ctrl-C ends.")
-            told = True
+            source.begin()
+            seen, told = 0, True
+
+
+def complete(arrived: list[tuple[float, Frame]]) -> bool:
+    """Whether frames with their arrival [s] are enough for a pose."""
+    return len(arrived) >= LEAST_FRAMES and arrived[-1][0] - arrived[0][0] >= WINDOW_S
 
 
 def _refuse(robot: RobotFile, arrived: list[tuple[float, Frame]]) -> None:
@@ -205,7 +214,7 @@ class _Collector:
         self._changed = threading.Condition()
         self._taken: list[tuple[float, Frame]] | None = None
         self._end: BaseException | None = None
-        self._over = False
+        self._over, self._from_s = False, 0.0
         threading.Thread(target=self._read, args=(frames,), daemon=True).start()
 
     def __enter__(self) -> _Collector:
@@ -221,9 +230,10 @@ class _Collector:
                 if self._over:
                     break
                 with self._changed:
-                    if self._taken is not None:
-                        self._taken.append((time.monotonic(), frame))
-                        self._changed.notify()
+                    if self._taken is not None and (now := time.monotonic()) >= self._from_s:
+                        self._taken.append((now, frame))
+                        if len(self._taken) == 1 or complete(self._taken):
+                            self._changed.notify()
         except Exception as error:  # belongs to whoever waits for frames
             end = error
         with self._changed:
@@ -231,14 +241,19 @@ class _Collector:
             self._changed.notify()
 
     def begin(self) -> None:
-        """Keep what arrives from now on."""
+        """Keep what arrives from now on, but for what was on the way."""
         with self._changed:
-            self._taken = []
+            self._taken, self._from_s = [], time.monotonic() + SETTLE_S
 
-    def wait(self, seen: int, timeout_s: float) -> tuple[list[tuple[float, Frame]], BaseException | None]:
-        """Wait for more frames than ``seen``, and return those since the beginning, and why no more will come."""
-        with self._changed:
+    def wait(
+        self, timeout_s: float, *, first: bool
+    ) -> tuple[list[tuple[float, Frame]], BaseException | None]:
+        """Wait for the first frame, or else for enough for a pose; return what came, and why no more will come."""
+
+        def ready() -> bool:
             taken = self._taken or []
-            self._changed.wait_for(lambda: len(self._taken or []) > seen or self._end is not None, timeout_s)
-            taken = list(self._taken or [])
-            return taken, self._end if len(taken) == seen else None
+            return self._end is not None or (bool(taken) if first else complete(taken))
+
+        with self._changed:
+            self._changed.wait_for(ready, timeout_s)
+            return list(self._taken or []), self._end
