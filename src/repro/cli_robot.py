@@ -8,7 +8,6 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,8 +21,8 @@ if TYPE_CHECKING:
     from repro.live.follow.browser import BrowserView
     from repro.live.follow.live_state import LiveState
     from repro.live.follow.robot_estimator import RobotEstimator
+    from repro.live.robot.calibration_poses import PoseReadings, Poses
     from repro.live.robot.robot_file import RobotFile
-    from repro.live.wire.frame import Frame
 
 BLOCK_S, PLAIN_S = 0.25, 10.0
 """Time between two states: on a terminal, which shows them in one place, and elsewhere [s]."""
@@ -48,13 +47,15 @@ def calibrate(
     Parameters
     ----------
     source
-        A port, such as /dev/ttyACM0, or a file that repro record wrote.
+        A port, such as /dev/ttyACM0; or a file that repro record wrote; or the readings that an earlier session at a
+        port has left beside its output, such as calibration.readings.csv.
     robot
         The robot as described.
     poses
         A CSV with a column per coordinate, such as delta_x_1_mm; for a recording also time_s, or start_s and end_s.
     output
-        The calibration, JSON; must not exist yet.
+        The calibration, JSON; must not exist yet. At a port the readings of every pose are kept beside it as they
+        come, and the same command goes on after an interruption.
     pose_noise_mm, pose_noise_deg
         How well the poses are known: standard deviation of coordinates in mm, and of those in rad and deg.
     baud
@@ -63,11 +64,10 @@ def calibrate(
     import torch
 
     from repro.errors import bad_input
-    from repro.live.record.recording import read_recording
     from repro.live.robot.calibrate import calibrate as fit
-    from repro.live.robot.calibrate import pose_covariance, report
+    from repro.live.robot.calibrate import check_plausible, pose_covariance, report
     from repro.live.robot.calibration_file import write_calibration
-    from repro.live.robot.calibration_poses import guide, read_poses, recorded_readings
+    from repro.live.robot.calibration_poses import read_poses
     from repro.live.robot.robot_file import load_robot
 
     torch.set_num_threads(1)
@@ -79,13 +79,11 @@ def calibrate(
     described.sensing()  # refuses robots without magnetic sensors before anybody is asked for poses
     table = read_poses(poses, described)
     covariance = pose_covariance(described, pose_noise_mm * 1e-3, pose_noise_deg * torch.pi / 180)
-    if Path(source).is_file():
-        taken = recorded_readings(read_recording(Path(source)), described, table)
-    else:
-        taken = guide(described, table, _port_frames(source, baud, described), say=print, ask=_ask)
+    taken = _pose_readings(source, described, table, output, baud)
     for note in taken.notes:
         print(f"Warning: {note}")
     found = fit(described, taken.values, table.q, covariance)
+    check_plausible(found, described)
     write_calibration(output, found)
     print(f"{report(found, described.unit)}\nWritten: {output}")
     return 0
@@ -229,6 +227,26 @@ class _Block:
         return f"\x1b[{self._height}F\x1b[J" if self._height else ""
 
 
+def _pose_readings(source: str, robot: RobotFile, poses: Poses, output: Path, baud: int) -> PoseReadings:
+    """Readings in poses from a recording, from a file of readings, or from a person at a port."""
+    from repro.live.record.recording import read_recording
+    from repro.live.robot.calibration_port import guide, port_frames
+    from repro.live.robot.calibration_poses import coordinate_columns, read_kept_readings, recorded_readings
+    from repro.live.robot.kept_readings import KeptReadings, is_kept
+
+    if is_kept(Path(source)):
+        return read_kept_readings(Path(source), robot, poses)
+    if Path(source).is_file():
+        return recorded_readings(read_recording(Path(source)), robot, poses)
+    frames = port_frames(source, baud, robot, print)
+    beside = output.with_name(f"{output.stem}.readings.csv")
+    kept = KeptReadings(beside, robot.channels, tuple(coordinate_columns(robot)))
+    try:
+        return guide(robot, poses, frames, say=print, ask=_ask, kept=kept)
+    finally:
+        print(f"Readings of {len(kept.parts)} of {len(poses.words)} poses are in {beside}.")
+
+
 def _ask(question: str) -> None:
     from repro.errors import bad_input
 
@@ -236,20 +254,3 @@ def _ask(question: str) -> None:
         input(question)
     except EOFError as error:
         raise bad_input("answer", "repro calibrate", "the Enter key", "the end of the input") from error
-
-
-def _port_frames(port: str, baud: int, robot: RobotFile) -> Iterator[Frame]:
-    """Open a port now, and return its frames, without end."""
-    from repro.live.record.ports import open_port, read_available
-    from repro.live.wire.formats import parser
-
-    opened, parse = (
-        open_port(port, baud),
-        parser(robot.format, robot.channels if robot.format == "csv" else None),
-    )
-
-    def frames() -> Iterator[Frame]:
-        while True:
-            yield from parse.feed(read_available(opened, 0.2))
-
-    return frames()

@@ -20,7 +20,8 @@ from repro.estimation.calibration import calibrate as calibrate_geometry
 from repro.live.record.recording import Recording, read_recording
 from repro.live.robot.calibrate import Priors, calibrate, pose_covariance, report
 from repro.live.robot.calibration_file import read_calibration, write_calibration
-from repro.live.robot.calibration_poses import guide, read_poses, recorded_readings
+from repro.live.robot.calibration_port import guide, port_frames
+from repro.live.robot.calibration_poses import read_poses, recorded_readings
 from repro.live.robot.robot_file import load_robot
 from repro.live.wire.formats import encode
 from repro.live.wire.frame import Frame
@@ -201,7 +202,7 @@ def test_the_file_returns_the_same_bits(tmp_path):
         assert torch.equal(other, value) if isinstance(value, torch.Tensor) else other == value
     loaded, q = load_robot(ROBOTS / "one_segment.toml", path), random_poses(ROBOT, 5)
     assert torch.equal(loaded.values(q), ROBOT.calibrated(found).values(q))
-    assert path.stat().st_size < 10_000
+    assert path.stat().st_size < 1000 * len(found.names)
 
 
 def test_a_calibration_belongs_to_one_file(tmp_path):
@@ -225,23 +226,101 @@ def test_wrong_calibration_files(tmp_path):
     path.write_text("{")
     with pytest.raises(InputError, match="file of c.json must be JSON that repro calibrate wrote"):
         read_calibration(path)
-    path.write_text('{"schema": 2}')
+    path.write_text('{"schema": 1}')
     with pytest.raises(InputError) as error:
         read_calibration(path)
-    assert str(error.value) == "Input schema of c.json must be 1; instead received 2."
+    assert str(error.value) == (
+        "Input schema of c.json must be 2 (older files lack the uncertainty of their parameters: calibrate again); "
+        "instead received 1."
+    )
     write_calibration(path, calibrate(ROBOT, *session(ROBOT, ROBOT, 8), COVARIANCE))
     content = json.loads(path.read_text())
     path.write_text(json.dumps({k: v for k, v in content.items() if k != "chi2"}))
     with pytest.raises(InputError, match="instead received a difference in chi2"):
         read_calibration(path)
     path.write_text(json.dumps(content | {"offset": [0.0, None, 1.0]}))
-    with pytest.raises(InputError, match=r"offset of c.json must be a list of numbers"):
+    with pytest.raises(InputError, match=r"offset of c.json must be a list of finite numbers"):
         read_calibration(path)
     path.write_text(json.dumps(content | {"offset": [0.0]}))
+    with pytest.raises(InputError, match=r"names of c.json must be those of 26 numbers; instead received 28"):
+        read_calibration(path)
+    rows = [row[:-2] for row in content["covariance"][:-2]]
+    fewer = content | {"offset": [0.0], "names": content["names"][:-2], "covariance": rows}
+    path.write_text(json.dumps(fewer))
     with pytest.raises(
         InputError, match="must be of 3 offsets and 3 components of the Earth field; .* 1 and 3"
     ):
         load_robot(ROBOTS / "one_segment.toml", path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"robot_sha256": 5}, "robot_sha256 of c.json must be text; instead received 5."),
+        ({"names": None}, "names of c.json must be a list of texts; instead received None."),
+        ({"names": [None]}, "names of c.json must be a list of texts; instead received [None]."),
+        ({"undetermined": "abc"}, "undetermined of c.json must be a list of texts; instead received 'abc'."),
+        (
+            {"parameters": [True]},
+            "parameters of c.json must be a list of finite numbers; instead received [True].",
+        ),
+        (
+            {"earth_mt": [math.nan, 0, 0]},
+            "earth_mt of c.json must be three finite numbers; instead received [nan",
+        ),
+        ({"earth_mt": [[0], 0, 0]}, "earth_mt of c.json must be three finite numbers; instead received [[0]"),
+        ({"chi2": 10**400}, "chi2 of c.json must be a finite number; instead received 1000"),
+        ({"before": "1"}, "before of c.json must be a finite number, or null; instead received '1'."),
+        ({"poses": 2.5}, "poses of c.json must be a whole number, not negative; instead received 2.5."),
+        ({"covariance": [[1.0, 2.0]]}, "covariance of c.json must be a square table of finite numbers; "),
+        (
+            {"covariance": [[1.0]]},
+            "covariance of c.json must be symmetric, 28 x 28; instead received shape (1, 1)",
+        ),
+        (
+            {"covariance": {}},
+            "covariance of c.json must be a square table of finite numbers; instead received {}",
+        ),
+    ],
+)
+def test_damaged_calibration_files(tmp_path, change, message):
+    path = tmp_path / "c.json"
+    write_calibration(path, calibrate(ROBOT, *session(ROBOT, ROBOT, 8, n=8), COVARIANCE))
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(InputError) as error:
+        read_calibration(path)
+    assert str(error.value).startswith(f"Input {message}")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "[" * 10**6,
+        '{"schema": ' * 10**5,
+        "9" * 5000,
+        b"\xff\xfe",
+        '{"schema": 2, "parameters": [1e',
+    ],
+)
+def test_files_that_are_no_json(tmp_path, content):
+    path = tmp_path / "c.json"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(InputError, match="file of c.json must be JSON that repro calibrate wrote"):
+        read_calibration(path)
+
+
+def test_a_covariance_with_a_negative_variance_is_refused(tmp_path):
+    path = tmp_path / "c.json"
+    write_calibration(path, calibrate(ROBOT, *session(ROBOT, ROBOT, 8, n=8), COVARIANCE))
+    content = json.loads(path.read_text())
+    content["covariance"][0][1] = content["covariance"][1][0] = 1.0
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="must be that of random numbers; .* one with a negative variance"):
+        read_calibration(path)
+    content["covariance"][0][1] = 2.0
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="must be symmetric, 28 x 28"):
+        read_calibration(path)
 
 
 def test_wrong_input():
@@ -292,6 +371,9 @@ def recorded(tmp_path, truth, q, hold_s=1.0):
     return path
 
 
+RATE_NOTE = "50 frames arrive per second; one_segment.toml says rate_hz = 1000."
+
+
 def test_poses_of_a_recording_are_averaged(tmp_path):
     q = random_poses(ROBOT, 12)
     path = recorded(tmp_path, ROBOT, q)
@@ -302,12 +384,13 @@ def test_poses_of_a_recording_are_averaged(tmp_path):
         poses = read_poses(table(tmp_path, q, times), ROBOT)
         torch.testing.assert_close(poses.q, q, rtol=0, atol=1e-15)
         taken = recorded_readings(recording, ROBOT, poses)
-        assert taken.notes == ()
+        assert taken.notes == (RATE_NOTE,)
         error = (taken.values - ROBOT.values(q)) / (ROBOT.noise / math.sqrt(count))
         assert 0.7 < float(error.square().mean().sqrt()) < 1.3
     moving = read_poses(table(tmp_path, q[:1], (["start_s", "end_s"], [[0.5, 1.5]])), ROBOT)
     assert recorded_readings(recording, ROBOT, moving).notes == (
         "Pose 1 was not still: its readings scatter by more than 5 times the noise of one_segment.toml.",
+        RATE_NOTE,
     )
 
 
@@ -434,12 +517,6 @@ def test_a_person_at_a_port(tmp_path, bench):
     assert rms(ROBOT, bench.truth, q) > 10 * rms(found, bench.truth, q)
 
 
-def port_frames(bench):
-    from repro.cli_robot import _port_frames
-
-    return _port_frames(bench.port, 115200, ROBOT)
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_frames_from_before_the_key_are_not_taken(tmp_path, bench):
     """The robot stays in the wrong pose while it is asked for: readings of that time must not count."""
@@ -456,10 +533,10 @@ def test_frames_from_before_the_key_are_not_taken(tmp_path, bench):
         time.sleep(0.05)
         asked.append(question)
 
-    taken = guide(ROBOT, poses, port_frames(bench), say=said.append, ask=ask)
+    taken = guide(ROBOT, poses, port_frames(bench.port, 115200, ROBOT, print), say=said.append, ask=ask)
     assert said == ["That was not still: once more."]
     assert [question.split(":")[0] for question in asked] == [f"Pose {k} of 3" for k in (1, 2, 2, 3)]
-    assert taken.notes == ()
+    assert [note for note in taken.notes if "rate_hz" not in note] == []
     torch.testing.assert_close(taken.values, bench.truth.values(q), rtol=0, atol=5e-4)
 
 
@@ -467,9 +544,11 @@ def test_streams_that_end_stall_or_do_not_fit(tmp_path):
     poses = read_poses(table(tmp_path, random_poses(ROBOT, 2)), ROBOT)
     gate = threading.Event()
 
-    def after_key(frames):
+    def after_key(frames, pause):
         gate.wait()
-        yield from frames
+        for frame in frames:
+            time.sleep(pause)
+            yield frame
 
     def silent():
         gate.wait()
@@ -482,13 +561,14 @@ def test_streams_that_end_stall_or_do_not_fit(tmp_path):
         return guide(ROBOT, poses, frames, say=print, ask=answer, **options)
 
     with pytest.raises(InputError) as error:
-        run(after_key(iter([Frame(0, 0, 0, (1.0, 2.0, 3.0))] * 3)))
+        run(after_key(iter([Frame(0, 0, 0, (1.0, 2.0, 3.0))] * 3), 0.1))
     assert str(error.value) == (
-        "Input frames of repro calibrate must be 500 for a pose; instead received 3: the stream ended."
+        "Input frames of repro calibrate must be 0.5 s of them for a pose; instead received 3 of them: the stream "
+        "ended."
     )
-    with pytest.raises(InputError, match=r"must be 500 for a pose; instead received 1, then none for 0\.3 s"):
-        run(silent(), silence_s=0.3)
+    with pytest.raises(InputError, match=r"must be 0\.5 s of them for a pose; .* none for 0\.6 s"):
+        run(silent(), silence_s=0.3, patience_s=0.6)
     with pytest.raises(
         InputError, match="must be of 3 channels, as described in one_segment.toml; .* 2 values"
     ):
-        run(after_key(iter([Frame(0, 0, 0, (1.0, 2.0))] * 500)))
+        run(after_key(iter([Frame(0, 0, 0, (1.0, 2.0))] * 500), 1e-3))

@@ -18,9 +18,10 @@ from repro.live.emulate.robot_readings import (
     robot_readings,
     true_robot,
 )
-from repro.live.follow.robot_estimator import IMU_NOISE_RAD, robot_estimator
+from repro.live.follow.robot_estimator import robot_estimator
 from repro.live.robot.calibrate import Priors
 from repro.live.robot.robot_file import load_robot
+from repro.live.robot.robot_tables import IMU_NOISE_RAD
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 NAMES = ("one_segment", "two_segments", "three_segments", "bend_sensor", "imu_arm")

@@ -14,8 +14,8 @@ from repro.live.emulate.sensor_faults import (
     sensor_faults_named,
     with_sensor_faults,
 )
-from repro.live.follow.robot_estimator import IMU_NOISE_RAD
 from repro.live.robot.robot_file import load_robot
+from repro.live.robot.robot_tables import IMU_NOISE_RAD
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 FROM_S, SINCE = 4.0, 400

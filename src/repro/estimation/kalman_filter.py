@@ -8,6 +8,13 @@ The state is :math:`(q, \dot q)`; each coordinate is driven by white acceleratio
 
 found by Levenberg-Marquardt within the bounds, and the velocity follows by regression on :math:`q`. For a linear
 :math:`h` without active bounds this is the Kalman filter.
+
+The readings' error is taken for white noise, new with every reading. The error of a model lasts, and no average
+removes it: with networks of Baaij et al. on a lemniscate at 40 Hz, and their root mean square error in
+:math:`\sigma`, the filter errs up to 21 % more than least squares, and its ellipsoids for 95 % hold 33 to 81 %. Leave
+:math:`\sigma` at the noise, and state the error of the model by
+:class:`~repro.estimation.model_error.WithModelError`: then the filter errs at most 1 % more, and the ellipsoids hold
+(all of them, as those of least squares do).
 """
 
 from __future__ import annotations

@@ -152,12 +152,13 @@ def recovered(
     return LeftOut(q, share * left.chi2, share * left.dof, left.jump, left.whole)
 
 
-def _fitted(solver: Estimator[Any], starts: Tensor, u: Tensor, use: Tensor, known: Tensor | None) -> Estimate:
+def _fitted(
+    solver: Estimator[Any], sensors: Tensor, starts: Tensor, u: Tensor, use: Tensor, known: Tensor | None
+) -> Estimate:
     """Fits without each sensor, ``[s, k, ...]``."""
     without = use & ~sensors[:, None]
-    without = torch.where(
-        without.any(-1, keepdim=True), without, use
-    )  # the only one in use cannot be left out
+    # The only one in use cannot be left out.
+    without = torch.where(without.any(-1, keepdim=True), without, use)
     without = without.expand(*starts.shape[:-1], -1)
     readings = u.expand(without.shape)
     return solver.step(solver.init(starts, seed=0), readings, 0.0, mask=without, known=known)[1]

@@ -223,6 +223,16 @@ class PlacedReadings:
         return gain.squeeze(-1) * u, gain * J, gain * J_q
 
 
+def mount_slopes(
+    robot: Robot, moments: Float[Tensor, "*m terms"], parameters: Float[Tensor, " k"]
+) -> tuple[Float[Tensor, "m 5 2 3"], Float[Tensor, "s 3 2 3"]]:
+    """Axis and position [m] of magnets and of sensors by the parameters that move them, in the backbone frame."""
+    magnet, sensor, _ = _split(robot, moments.shape, parameters)
+    _, by_magnet = _derivatives(_moved_magnets, robot.magnets.local, magnet)
+    _, by_sensor = _derivatives(_moved_sensors, robot.sensors.local, sensor[..., :3])
+    return by_magnet[..., :3, :].mT, by_sensor[..., :3, :].mT
+
+
 def _split(robot: Robot, moments: torch.Size, parameters: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     n_m, n_s = len(robot.magnets), len(robot.sensors)
     sizes = [len(MAGNET) * n_m, len(SENSOR) * n_s, moments.numel()]

@@ -19,9 +19,10 @@ from torch import Tensor
 from repro.errors import bad_input
 from repro.kinematics.mounts import magnet_mounts
 from repro.live.emulate.board import Reading
-from repro.live.follow.robot_estimator import IMU_NOISE_RAD, MAGNETIC_STREAM
 from repro.live.robot.calibrate import Priors
+from repro.live.robot.imu_readings import sent
 from repro.live.robot.robot_file import RobotFile
+from repro.live.robot.robot_parts import MAGNETIC_STREAM
 from repro.sensing.magnetic import readings as field_readings
 from repro.sensing.placement import placed
 
@@ -186,27 +187,31 @@ def true_robot(robot: RobotFile, tolerances: float, *, seed: int = 0) -> RobotFi
     """
     if not 0 <= tolerances < math.inf:
         raise bad_input("tolerances", "true_robot", "0 or more", tolerances)
-    if tolerances == 0 or robot.magnet is None or robot.moments is None:
+    if tolerances == 0 or robot.moments is None:
         return robot
     if robot.networks:
         expected = f"0 for {robot.name}: its networks say what the sensors read"
         raise bad_input("tolerances", "true_robot", expected, tolerances)
     rng, priors = np.random.default_rng([seed, 1]), Priors()
-    terms, n = len(robot.moments), len(robot.robot.sensors)
-    deviation = priors.placement.of_parameters(robot.robot, terms)
+    n = len(robot.robot.sensors)
+    deviation = priors.placement.of_parameters(robot.robot, robot.moments.shape)
     parameters = tolerances * deviation * torch.from_numpy(rng.standard_normal(len(deviation)))
-    parameters[-terms:] = parameters[-terms]
+    of_moments = parameters[-robot.moments.numel() :].view(robot.moments.shape)
+    of_moments[:] = of_moments[..., :1].clone()  # one factor for all terms of a magnet
+    strengths = (1 + of_moments[..., 0]).expand(len(robot.magnets)).tolist()
     offset_mt = tolerances * priors.offset_mt * torch.from_numpy(rng.standard_normal(n))
     earth_mt = tolerances * priors.earth_mt * torch.from_numpy(rng.standard_normal(3))
     parts = placed(robot.robot, robot.moments, parameters)
-    strength = float(1 + parameters[-1])
     return replace(
         robot,
         robot=replace(robot.robot, magnets=parts.magnets, sensors=parts.sensors),
         gain=robot.gain * parts.gain,
         offset=robot.offset + robot.gain * offset_mt,
         moments=parts.moments,
-        magnet=replace(robot.magnet, polarisation_mt=strength * robot.magnet.polarisation_mt),
+        magnets=tuple(
+            replace(magnet, polarisation_mt=strength * magnet.polarisation_mt)
+            for magnet, strength in zip(robot.magnets, strengths, strict=True)
+        ),
         earth_mt=robot.earth_mt + earth_mt,
     )
 
@@ -243,9 +248,10 @@ def readings_along(
     if robot.imus:
         mounts = magnet_mounts([imu.segment for imu in robot.imus], [imu.at_m for imu in robot.imus])
         T = robot.robot.mount_poses(configurations, mounts)
-        turn = Rotation.from_matrix(T[..., :3, :3].reshape(-1, 3, 3).numpy())
+        quaternions = sent(T[..., :3, :3].numpy(), robot.imus, robot.base_orientation)
+        turn = Rotation.from_quat(quaternions.reshape(-1, 4))
         if rng is not None:
-            turn = turn * Rotation.from_rotvec(IMU_NOISE_RAD * rng.standard_normal((len(turn), 3)))
+            turn = turn * Rotation.from_rotvec(robot.imu_noise * rng.standard_normal((len(turn), 3)))
         orientations = turn.as_quat().reshape(orientations.shape)
     return RobotReadings(robot, time_s, q, values, orientations)
 
@@ -253,5 +259,4 @@ def readings_along(
 def _magnetic(robot: RobotFile, q: Tensor) -> Tensor:
     if robot.networks:
         return robot.sensing()(q).detach() + robot.offset
-    assert robot.magnet is not None  # a robot with sensors has magnets
-    return robot.gain * field_readings(robot.robot, q, robot.magnet, earth_mt=robot.earth_mt) + robot.offset
+    return robot.gain * field_readings(robot.robot, q, robot.magnets, earth_mt=robot.earth_mt) + robot.offset

@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from repro.errors import bad_input
 from repro.live.emulate.robot_readings import RobotReadings, course, readings_along
-from repro.live.follow.robot_estimator import IMU_NOISE_RAD
 from repro.live.robot.robot_file import RobotFile
 from repro.sensing.magnets import MT_PER_T
 
@@ -176,7 +175,7 @@ def with_sensor_faults(
     if part.robot.channel:
         _break_magnetic(part, faults, values, since, before, rng)
     else:
-        _break_imus(faults, orientations, since, before, rng)
+        _break_imus(part.robot.imu_noise, faults, orientations, since, before, rng)
     return replace(part, values=values, orientations=orientations)
 
 
@@ -211,6 +210,7 @@ def _break_magnetic(
 
 
 def _break_imus(
+    noise_rad: float,
     faults: SensorFaults,
     orientations: np.ndarray,
     since: int,
@@ -219,7 +219,7 @@ def _break_imus(
 ) -> None:
     late = orientations[since:]
     if faults.noise > 1:
-        more = IMU_NOISE_RAD * math.sqrt(faults.noise**2 - 1)
+        more = noise_rad * math.sqrt(faults.noise**2 - 1)
         turn = Rotation.from_rotvec(more * rng.standard_normal((late[..., 0].size, 3)))
         late[:] = (Rotation.from_quat(late.reshape(-1, 4)) * turn).as_quat().reshape(late.shape)
     if k := faults.stick:

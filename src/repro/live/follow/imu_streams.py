@@ -77,6 +77,17 @@ def stacked(robot: RobotFile, magnetic: Callable[[Tensor], Tensor]) -> StackedSe
     return beside_imus(magnetic, robot.noise, robot.imus, robot.imu_noise, model)
 
 
+def error_beside(robot: RobotFile) -> Callable[[Tensor], Tensor]:
+    """Covariance of the readings of :func:`stacked` by the error of the magnetic model: that of IMUs has none."""
+    n = sum(sizes(robot.imus))
+
+    def error(q: Tensor) -> Tensor:
+        assert robot.error is not None  # asked of robots that have one
+        return torch.nn.functional.pad(robot.error(q) / robot.noise**2, (0, n, 0, n))
+
+    return error
+
+
 def readings(robot: RobotFile, model: StackedSensing, step: TimeStep) -> Float[Tensor, " readings"]:
     """What :func:`stacked` predicts of a time step, as measured; NaN where nothing came.
 

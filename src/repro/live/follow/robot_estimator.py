@@ -16,6 +16,7 @@ from repro.estimation.consistency import Verdict
 from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian
+from repro.estimation.model_error import WithModelError
 from repro.estimation.monitor import Monitored
 from repro.estimation.multistart import starts_within
 from repro.estimation.particle_filter import ParticleFilter
@@ -200,23 +201,34 @@ def robot_estimator(
     if robot.imus:
         stacked, use, noise = imu_streams.stacked(robot, sensing), imu_streams.by_reading(robot, works), 1.0
     solver = LevenbergMarquardt(stacked or sensing, robot.lower, robot.upper, noise_mt=noise, backend=backend)
-    watched = _monitored(robot, solver, _magnetic(robot, name, solver), LOOK_S if not own else SLOW_LOOK_S)
+    watched = _monitored(robot, solver, _magnetic(robot, name, solver), own=own)
     streams = (MAGNETIC_STREAM, *(imu.stream for imu in robot.imus))
     return RobotEstimator(robot, name, watched, robot.start, streams, use, stacked)
 
 
 def _monitored(
-    robot: RobotFile, solver: LevenbergMarquardt, method: Estimator[Any], look_s: float
+    robot: RobotFile, solver: LevenbergMarquardt, method: Estimator[Any], *, own: bool
 ) -> Monitored[Any]:
-    """Watch a method for magnetic sensors; that of least squares looks for other starts."""
+    """Watch a method for magnetic sensors, with the error of the model; least squares looks for other starts."""
+    pair: tuple[Estimator[Any], Estimator[Any]] = (method, solver)
+    if robot.error is not None and not own:
+        box = (robot.lower, robot.upper)
+        own_box = None if isinstance(method, GradientDescent) else box
+        error = imu_streams.error_beside(robot) if robot.imus else robot.error
+        given = (solver.sensing, solver.noise_mt, error)
+        pair = (
+            WithModelError(method, *given, own_box, "compiled"),
+            WithModelError(solver, *given, box, "compiled"),
+        )
     starts = torch.cat([robot.start[None], starts_within(robot.lower, robot.upper, STARTS, seed=0)])
-    options: dict[str, Any] = {"unknowns": len(robot.lower), "look_s": look_s}
-    if not robot.imus:
-        return Monitored(method, solver, starts, robot.rate_hz, **options)
-    n = len(robot.channel) + len(robot.imus)
-    options["sensors"] = torch.stack([imu_streams.by_reading(robot, torch.arange(n) == k) for k in range(n)])
-    counted = (imu_streams.Counted(each, robot) for each in (method, solver))
-    return Monitored(*counted, starts, robot.rate_hz, **options)
+    options: dict[str, Any] = {"unknowns": len(robot.lower), "look_s": SLOW_LOOK_S if own else LOOK_S}
+    if robot.imus:
+        n = len(robot.channel) + len(robot.imus)
+        options["sensors"] = torch.stack(
+            [imu_streams.by_reading(robot, torch.arange(n) == k) for k in range(n)]
+        )
+        pair = (imu_streams.Counted(pair[0], robot), imu_streams.Counted(pair[1], robot))
+    return Monitored(pair[0], pair[1], starts, robot.rate_hz, **options)
 
 
 def _magnetic(robot: RobotFile, name: str, solver: LevenbergMarquardt) -> Estimator[Any]:

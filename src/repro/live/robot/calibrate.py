@@ -26,6 +26,16 @@ from repro.sensing.placement import PlacedReadings, Tolerances, parameter_names,
 ITERATIONS = 12
 HOLD_OUT_EVERY = 4
 """Of the poses every fourth is held out, if there are at least eight."""
+DOUBTFUL_CHI2 = 4.0
+MOST_CHI2 = 16.0
+"""Residuals twice, and four times, as large as stated: doubtful, and refused. In simulation, poses that are as good
+as stated give 0.3 to 1.2, three times worse ones 9 at most; exchanged axes, another unit, order or sign give 26 and
+more, as a rule above 1000."""
+CAUSES = (
+    "axes exchanged or of the wrong sign, another unit than the column says (m or cm for mm), poses in another order "
+    "than the readings, a robot file of another robot, or poses known less well than stated (--pose-noise-mm, "
+    "--pose-noise-deg)"
+)
 
 
 @dataclass(frozen=True)
@@ -190,9 +200,10 @@ class _Problem:
             *(f"sensor {j} offset" for j in sensors),
             *(f"Earth field along {axis}" for axis in "xyz"),
         )
-        deviation = covariance.diagonal().sqrt() * self.scale
+        units = self.scale.clone()
         n, s = self.sizes[0], self.sizes[1]
-        deviation[n : n + s] *= self.file.gain.abs()
+        units[n : n + s] *= self.file.gain
+        scaled = units.unsqueeze(-1) * covariance * units
         return RobotCalibration(
             robot=self.file.name,
             robot_sha256=self.file.sha256,
@@ -200,7 +211,7 @@ class _Problem:
             parameters=p,
             offset=offset * self.file.gain,
             earth_mt=earth,
-            deviation=deviation,
+            covariance=(scaled + scaled.mT) / 2,
             undetermined=tuple(undetermined(names, covariance.numpy())),
             poses=len(self.q),
             held_out=0,
@@ -217,6 +228,35 @@ def _rms(robot: RobotFile, q: Tensor, values: Tensor, calibration: RobotCalibrat
     return float(r.square().mean().sqrt())
 
 
+def check_plausible(calibration: RobotCalibration, robot: RobotFile) -> None:
+    """Refuse a calibration that cannot be right, whatever the reason.
+
+    Raises
+    ------
+    InputError
+        If the residuals are more than four times as large as stated, or poses that the fit has not seen are
+        predicted worse than by the robot as described while the fit does not explain its own poses either.
+    """
+    if calibration.chi2 > MOST_CHI2:
+        received = (
+            f"chi2 {calibration.chi2:.3g}, residuals {calibration.chi2**0.5:.3g} times as large as stated"
+        )
+    elif (
+        calibration.before is not None
+        and calibration.after is not None
+        and calibration.after > calibration.before
+        and calibration.chi2 > DOUBTFUL_CHI2
+    ):
+        received = (
+            f"a residual of {calibration.after:.3g} {robot.unit} in poses held out of the fit, above the "
+            f"{calibration.before:.3g} {robot.unit} as described, and chi2 {calibration.chi2:.3g}"
+        )
+    else:
+        return
+    expected = f"readings of {robot.name} in these poses (usual causes if not: {CAUSES})"
+    raise bad_input("poses and readings", "repro calibrate", expected, received)
+
+
 def report(calibration: RobotCalibration, unit: str) -> str:
     """Say in words what a calibration found: residuals, and what the poses do not determine."""
     lines = [f"{calibration.poses} poses, {len(calibration.names)} parameters, chi2 {calibration.chi2:.2f}."]
@@ -227,7 +267,7 @@ def report(calibration: RobotCalibration, unit: str) -> str:
         )
     else:
         lines.append(f"No residual of poses held out of the fit: that takes {2 * HOLD_OUT_EVERY} poses.")
-    if calibration.chi2 > 4:
+    if calibration.chi2 > DOUBTFUL_CHI2:
         lines.append("chi2 should be near 1: noise, poses or parts are farther off than stated.")
     if calibration.undetermined:
         lines.append("Not determined by these poses, kept near the robot file within the tolerance:")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,10 @@ from torch import Tensor
 from repro.errors import bad_input
 from repro.report.files import write_whole
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of the format."""
-_TENSORS = ("parameters", "deviation", "offset", "earth_mt")
+_LARGEST = 2**53
+"""Beyond it a whole number is no longer exact as a JSON number; no count of poses comes near."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,8 @@ class RobotCalibration:
         Added to the offsets of the file [unit of the readings].
     earth_mt
         Earth field in the base frame [mT].
-    deviation
-        Posterior standard deviation of everything in ``names``: m, rad, relative, then [unit] and mT.
+    covariance
+        Posterior covariance of everything in ``names``, in their units: m, rad, relative, then [unit] and mT.
     undetermined
         What the poses do not determine, in words; it stays near the file, within its tolerance.
     poses, held_out
@@ -56,7 +58,7 @@ class RobotCalibration:
     parameters: Float[Tensor, " k"]
     offset: Float[Tensor, " s"]
     earth_mt: Float[Tensor, " 3"]
-    deviation: Float[Tensor, " all"]
+    covariance: Float[Tensor, "all all"]
     undetermined: tuple[str, ...]
     poses: int
     held_out: int
@@ -64,14 +66,24 @@ class RobotCalibration:
     after: float | None
     chi2: float
 
+    @property
+    def deviation(self) -> Float[Tensor, " all"]:
+        """Posterior standard deviation of everything in ``names``, in their units."""
+        return self.covariance.diagonal().sqrt()
+
 
 def write_calibration(path: Path, calibration: RobotCalibration) -> None:
     """Write a calibration as JSON, whole or not at all; reading it returns the same bits."""
+    rows = calibration.covariance.tolist()
     content: dict[str, Any] = {"schema": SCHEMA}
     for field in fields(calibration):
         value = getattr(calibration, field.name)
         content[field.name] = value.tolist() if isinstance(value, Tensor) else value
-    write_whole(path, json.dumps(content, indent=1) + "\n")
+    content["covariance"] = [f"row {k}" for k in range(len(rows))]
+    text = json.dumps(content, indent=1)
+    for k, row in enumerate(rows):  # a row of the matrix in a line, not every number
+        text = text.replace(f'"row {k}"', json.dumps(row), 1)
+    write_whole(path, text + "\n")
 
 
 def read_calibration(path: Path) -> RobotCalibration:
@@ -80,30 +92,89 @@ def read_calibration(path: Path) -> RobotCalibration:
     Raises
     ------
     InputError
-        If the file is not there, is not a calibration, or has another version.
+        If the file is not there, is not a calibration, has another version, or a value in it is of another kind,
+        not finite, or does not fit the others.
     """
     owner = str(path.name)
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
+    except OSError as error:
         raise bad_input("path", "read_calibration", "a file that repro calibrate wrote", path) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise bad_input("file", owner, "JSON that repro calibrate wrote", error) from error
-    if not isinstance(content, Mapping) or content.get("schema") != SCHEMA:
-        received = content.get("schema") if isinstance(content, Mapping) else type(content).__name__
-        raise bad_input("schema", owner, f"{SCHEMA}", received)
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        received = content.get("schema") if isinstance(content, dict) else type(content).__name__
+        expected = f"{SCHEMA} (older files lack the uncertainty of their parameters: calibrate again)"
+        raise bad_input("schema", owner, expected, received)
     names = {field.name for field in fields(RobotCalibration)}
     if wrong := names.symmetric_difference(content.keys() - {"schema"}):
         raise bad_input(
             "keys", owner, f"{', '.join(sorted(names))}", f"a difference in {', '.join(sorted(wrong))}"
         )
+    for name, (is_it, words) in _KINDS.items():
+        if not is_it(content[name]):
+            raise bad_input(name, owner, words, repr(content[name]))
     values: dict[str, Any] = {name: content[name] for name in names}
-    for name in _TENSORS:
-        numbers = values[name]
-        if not isinstance(numbers, list) or not all(isinstance(x, int | float) for x in numbers):
-            raise bad_input(name, owner, "a list of numbers", numbers)
-        values[name] = torch.tensor(numbers, dtype=torch.float64)
-        if not bool(torch.isfinite(values[name]).all()):
-            raise bad_input(name, owner, "finite", numbers)
-    values |= {name: tuple(values[name]) for name in ("names", "undetermined")}
-    return RobotCalibration(**values)
+    for name in ("parameters", "offset", "earth_mt", "covariance"):
+        values[name] = torch.tensor(content[name], dtype=torch.float64)
+    for name in ("names", "undetermined"):
+        values[name] = tuple(content[name])
+    found = RobotCalibration(**values)
+    n = len(found.parameters) + len(found.offset) + len(found.earth_mt)
+    if len(found.names) != n:
+        raise bad_input("names", owner, f"those of {n} numbers", f"{len(found.names)}")
+    C = found.covariance
+    if C.shape != (n, n) or not torch.equal(C, C.mT):
+        raise bad_input("covariance", owner, f"symmetric, {n} x {n}", f"shape {tuple(C.shape)}")
+    d = C.diagonal().clamp_min(torch.finfo(C.dtype).tiny).sqrt()
+    if float(torch.linalg.eigvalsh(C / d.unsqueeze(-1) / d).min()) < -1e-9 * n:
+        raise bad_input("covariance", owner, "that of random numbers", "one with a negative variance")
+    return found
+
+
+def _number(value: Any) -> bool:
+    """Whether it is a number that double precision holds; neither NaN nor infinite."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return math.isfinite(float(value))
+    except OverflowError:
+        return False
+
+
+def _count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < _LARGEST
+
+
+def _numbers(value: Any) -> bool:
+    return isinstance(value, list) and all(map(_number, value))
+
+
+def _rows(value: Any) -> bool:
+    return isinstance(value, list) and all(_numbers(row) and len(row) == len(value) for row in value)
+
+
+def _text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _texts(value: Any) -> bool:
+    return isinstance(value, list) and all(map(_text, value))
+
+
+def _number_or_none(value: Any) -> bool:
+    return value is None or _number(value)
+
+
+_Kind = tuple[Callable[[Any], bool], str]
+_KINDS: dict[str, _Kind] = {
+    **dict.fromkeys(("robot", "robot_sha256"), (_text, "text")),
+    **dict.fromkeys(("names", "undetermined"), (_texts, "a list of texts")),
+    **dict.fromkeys(("parameters", "offset"), (_numbers, "a list of finite numbers")),
+    "earth_mt": (lambda value: _numbers(value) and len(value) == 3, "three finite numbers"),
+    "covariance": (_rows, "a square table of finite numbers"),
+    **dict.fromkeys(("poses", "held_out"), (_count, "a whole number, not negative")),
+    **dict.fromkeys(("before", "after"), (_number_or_none, "a finite number, or null")),
+    "chi2": (_number, "a finite number"),
+}
+"""What every value must be."""

@@ -1,12 +1,10 @@
-"""Readings in known poses: cut out of a recording, or taken one after the other by a person at the robot."""
+"""Tables of known poses, and the readings that belong to them: cut out of a recording, or kept in a file."""
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
 import math
-import threading
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,15 +16,15 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.live.record.recording import Recording
+from repro.live.robot.kept_readings import Part, part_of, read_kept
 from repro.live.robot.robot_file import RobotFile
 from repro.live.robot.robot_parts import MAGNETIC_STREAM
 from repro.live.wire.csv_text import check_units
-from repro.live.wire.frame import Frame
 
 WINDOW_S = 0.5
 """Readings are averaged over this time [s]: around ``time_s`` of a table, or after a key was pressed."""
-SILENCE_S = 5.0
-"""Without a frame for so long [s] there is something wrong with the port."""
+RATE_FACTOR = 1.25
+"""A rate that differs from the stated one by more than this factor is told."""
 STILL = 5.0
 """A reading that scatters by more than this many standard deviations of its noise was not still."""
 
@@ -59,7 +57,7 @@ class PoseReadings:
     values
         Values of a frame, averaged over each pose.
     notes
-        Warnings about poses that were not still.
+        Warnings: poses that were not still, another rate than stated.
     """
 
     values: Float[Tensor, "poses channels"]
@@ -157,116 +155,45 @@ def recorded_readings(recording: Recording, robot: RobotFile, poses: Poses) -> P
             span = f"{time_s.min():.3f} to {time_s.max():.3f} s" if len(time_s) else "no frame at all"
             expected = f"within the recording ({span})"
             raise bad_input(f"pose {k + 1}", "the table", expected, f"no frame from {start:g} to {end:g} s")
-        parts.append(values[inside])
-    averages = _averages(parts, robot)
-    told = tuple(f"Recording: {remark}." for remark in recording.remarks)
-    return replace(averages, notes=told + averages.notes)
+        parts.append(part_of(values[inside], float(np.ptp(time_s[inside]))))
+    found = pose_readings(parts, robot)
+    said = tuple(f"Recording: {remark}." for remark in recording.remarks)
+    return replace(found, notes=said + found.notes)
 
 
-def guide(
-    robot: RobotFile,
-    poses: Poses,
-    frames: Iterator[Frame],
-    *,
-    say: Callable[[str], object],
-    ask: Callable[[str], object],
-    silence_s: float = SILENCE_S,
-) -> PoseReadings:
-    """Lead a person through the poses: say each, wait for a key, average what then arrives.
-
-    Frames are taken in all the time, so that those averaged arrived after the key was pressed. A pose that was not
-    still is asked for once more.
-
-    Parameters
-    ----------
-    robot
-        As described.
-    poses
-        In the order in which they are asked for; times have no meaning here.
-    frames
-        From a port, without end; read in a thread of its own.
-    say, ask
-        Show a line; show a line and wait for the Enter key.
-    silence_s
-        Longest wait for frames [s].
+def read_kept_readings(path: Path, robot: RobotFile, poses: Poses) -> PoseReadings:
+    """Readings in poses that a session at a port has left in a file.
 
     Raises
     ------
     InputError
-        If no frames come, or frames have another number of values than the file says.
+        If the file is damaged or of another kind of robot, or holds another number of poses than the table.
     """
-    source = _Collector(frame for frame in frames if not robot.imus or frame.stream == MAGNETIC_STREAM)
-    parts = []
-    for k, words in enumerate(poses.words):
-        question = f"Pose {k + 1} of {len(poses.words)}: {words}. Hold it still and press Enter. "
-        part = _taken(robot, source, question, ask, silence_s)
-        if _moved(part, robot):
-            say("That was not still: once more.")
-            part = _taken(robot, source, question, ask, silence_s)
-        parts.append(part)
-    return _averages(parts, robot)
+    parts, q = read_kept(path, robot.channels, tuple(coordinate_columns(robot)))
+    if len(parts) != len(poses.q):
+        expected = f"of all {len(poses.q)} poses of the table (with the port in its place a session goes on)"
+        raise bad_input("readings", path.name, expected, f"{len(parts)} poses")
+    taken = pose_readings(parts, robot)
+    if torch.allclose(q, poses.q, rtol=1e-9, atol=1e-12):
+        return taken
+    other = f"{path.name} was taken with another table of poses; the one given is used."
+    return PoseReadings(taken.values, (*taken.notes, other))
 
 
-def _taken(
-    robot: RobotFile, source: _Collector, question: str, ask: Callable[[str], object], silence_s: float
-) -> np.ndarray:
-    ask(question)
-    frames = source.next(max(2, round(WINDOW_S * robot.rate_hz)), silence_s)
-    for frame in frames:
-        robot.signal(frame.values)  # refuses frames of another number of values
-    return np.array([frame.values for frame in frames])
+def moved(part: Part, robot: RobotFile) -> bool:
+    """Whether readings scatter more than they would if the robot were still."""
+    return bool((part.deviation[list(robot.channel)] > STILL * robot.noise).any())
 
 
-class _Collector:
-    """Reads frames in a thread, and keeps those that are asked for."""
-
-    def __init__(self, frames: Iterator[Frame]) -> None:
-        self._changed = threading.Condition()
-        self._wanted, self._taken = 0, []
-        self._end: BaseException | None = None
-        threading.Thread(target=self._read, args=(frames,), daemon=True).start()
-
-    def _read(self, frames: Iterator[Frame]) -> None:
-        end: BaseException = EOFError("the stream ended")
-        try:
-            for frame in frames:
-                with self._changed:
-                    if len(self._taken) < self._wanted:
-                        self._taken.append(frame)
-                        self._changed.notify()
-        except Exception as error:  # belongs to whoever waits for frames
-            end = error
-        with self._changed:
-            self._end = end
-            self._changed.notify()
-
-    def next(self, count: int, silence_s: float) -> list[Frame]:
-        """Return frames that arrive from now on."""
-        with self._changed:
-            self._taken, self._wanted = [], count
-            while len(self._taken) < count:
-                have = len(self._taken)
-                if self._end is not None:
-                    raise bad_input(
-                        "frames", "repro calibrate", f"{count} for a pose", f"{have}: {self._end}"
-                    )
-                if not self._changed.wait(silence_s) and len(self._taken) == have:
-                    received = f"{have}, then none for {silence_s:g} s"
-                    raise bad_input("frames", "repro calibrate", f"{count} for a pose", received)
-            self._wanted = 0
-            return self._taken
-
-
-def _moved(part: np.ndarray, robot: RobotFile) -> bool:
-    return len(part) > 1 and bool(
-        (part[:, list(robot.channel)].std(axis=0, ddof=1) > STILL * robot.noise).any()
-    )
-
-
-def _averages(parts: list[np.ndarray], robot: RobotFile) -> PoseReadings:
-    notes = tuple(
+def pose_readings(parts: list[Part], robot: RobotFile) -> PoseReadings:
+    """Put poses together, with notes on those that were not still, and on another rate than the file says."""
+    notes = [
         f"Pose {k + 1} was not still: its readings scatter by more than {STILL:g} times the noise of {robot.name}."
         for k, part in enumerate(parts)
-        if _moved(part, robot)
-    )
-    return PoseReadings(torch.from_numpy(np.array([part.mean(axis=0) for part in parts])), notes)
+        if moved(part, robot)
+    ]
+    seconds = sum(part.seconds for part in parts)
+    rate = sum(part.frames - 1 for part in parts) / seconds if seconds else robot.rate_hz
+    if not 1 / RATE_FACTOR < rate / robot.rate_hz < RATE_FACTOR:
+        notes.append(f"{rate:.3g} frames arrive per second; {robot.name} says rate_hz = {robot.rate_hz:g}.")
+    return PoseReadings(torch.from_numpy(np.array([part.mean for part in parts])), tuple(notes))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from repro.live.robot import robot_checks
 from repro.live.robot.calibration_file import RobotCalibration, read_calibration
 from repro.live.robot.document import Document
 from repro.live.robot.magnet_moments import moments_of
+from repro.live.robot.reading_errors import CalibrationError, NetworkError
 from repro.live.robot.robot_parts import Imu, imus_of, magnets_of, segments_of, sensors_of
 from repro.live.robot.robot_tables import (
     UNITS,
@@ -85,6 +86,9 @@ class RobotFile:
         Warnings: what is allowed but probably not meant.
     network_inputs
         What networks in TorchScript take: ``"angles"`` or ``"cosines"``.
+    error
+        Covariance of the readings at a configuration that comes from an imperfect model [unit^2]: of what a
+        calibration left uncertain, or of trained networks; none for a robot taken exactly as described.
     """
 
     name: str
@@ -109,6 +113,7 @@ class RobotFile:
     networks: tuple[Path, ...]
     notes: tuple[str, ...]
     network_inputs: str = "angles"
+    error: Callable[[Tensor], Tensor] | None = None
 
     @property
     def magnet(self) -> Ring | Cube | None:
@@ -162,10 +167,7 @@ class RobotFile:
         return LinearisedSensing(self.robot, self.moments, self.gain, self.earth_mt, self.moments.ndim == 2)
 
     def _network(self) -> PerSensor:
-        segments, n = self.robot.sensors.segment, len(self.networks)
-        of_sensor = (
-            segments if n == len(self.robot.segments) else [0 if n == 1 else j for j in range(len(segments))]
-        )
+        of_sensor = network_of_sensor(self.robot, len(self.networks))
         return PerSensor([load_paper_network(path) for path in self.networks], of_sensor).double()
 
     def signal(self, values: Sequence[float]) -> Float[Tensor, " s"]:
@@ -217,7 +219,16 @@ class RobotFile:
             gain=self.gain * parts.gain,
             offset=self.offset + calibration.offset,
             earth_mt=calibration.earth_mt,
+            error=CalibrationError(self.robot, self.moments, self.gain, calibration),
         )
+
+
+def network_of_sensor(robot: Robot, networks: int) -> tuple[int, ...]:
+    """Which network predicts each sensor: the only one, that of its segment, or its own."""
+    n = len(robot.sensors)
+    if networks == len(robot.segments):
+        return robot.sensors.segment
+    return (0,) * n if networks == 1 else tuple(range(n))
 
 
 def load_robot(path: Path | str, calibration: Path | str | None = None) -> RobotFile:
@@ -289,12 +300,20 @@ def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
         networks=networks,
         notes=(),
         network_inputs=own.get("inputs", "angles"),
+        error=_network_error(networks, robot, unit),
     )
     robot_checks.check_observed(document, robot, [(imu.segment, imu.at_m) for imu in imus], bool(earth.any()))
     if rows and not magnets:
         raise document.error(("sensors", 0, "channel"), "of a robot with [[magnets]]", "one without")
     notes = robot_checks.out_of_range(document, found) + unobserved(found)
     return replace(found, notes=notes + robot_checks.check_networks(document, found))
+
+
+def _network_error(networks: Sequence[Path], robot: Robot, unit: str) -> NetworkError | None:
+    """Error of trained networks as their manifests state it; nothing is known of that of others."""
+    if not networks or are_scripts(networks):
+        return None
+    return NetworkError(tuple(networks), network_of_sensor(robot, len(networks)), unit)
 
 
 def _moments(magnets: Sequence[Ring | Cube]) -> Tensor | None:

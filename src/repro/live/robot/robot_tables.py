@@ -177,7 +177,7 @@ def model_keys(segments: int, sensors: int) -> dict[str, Key]:
     def fits(x: Any) -> bool:
         return isinstance(x, list) and len(x) in counts and all(isinstance(name, str) for name in x)
 
-    inputs = _word("angles", "cosines")._replace(default="angles")
+    inputs = word("angles", "cosines", default="angles")
     return {
         "networks": Key("files: one for all sensors, one per segment, or one per sensor", fits),
         "inputs": inputs,

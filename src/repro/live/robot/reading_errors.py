@@ -1,0 +1,99 @@
+"""How far the readings of a robot's model may be off: after a calibration, and with networks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from repro.errors import bad_input
+from repro.kinematics.robot import Robot
+from repro.live.robot.calibration_file import RobotCalibration
+from repro.sensing.weights import read_manifest
+
+
+@dataclass(frozen=True)
+class CalibrationError:
+    r"""Covariance :math:`J_z S J_z^T` of readings that a calibration leaves uncertain.
+
+    :math:`S` is the posterior covariance of all its parameters, :math:`J_z` the derivatives of the readings by them
+    in closed form, made anew for every configuration by a compiled kernel.
+
+    Parameters
+    ----------
+    robot, moments, gain
+        As drawn; gain in unit/mT.
+    calibration
+        What was found.
+    """
+
+    robot: Robot
+    moments: Float[Tensor, "*m terms"]
+    gain: Float[Tensor, " s"]
+    calibration: RobotCalibration
+
+    @cached_property
+    def _slopes(self) -> Any:
+        from repro.sensing.compiled_placement import PlacementSlopes  # here: numba takes a second to import
+
+        found = self.calibration
+        return PlacementSlopes(self.robot, self.moments, found.parameters, self.gain, found.earth_mt)
+
+    @cached_property
+    def _root(self) -> Float[Tensor, "all all"]:
+        C = self.calibration.covariance
+        size = C.diagonal().clamp_min(torch.finfo(C.dtype).tiny).sqrt()  # of parameters in units far apart
+        values, vectors = torch.linalg.eigh(C / size.unsqueeze(-1) / size)
+        return size.unsqueeze(-1) * vectors * values.clamp_min(0.0).sqrt()
+
+    def __call__(self, q: Float[Tensor, "*batch n_q"]) -> Float[Tensor, "*batch s s"]:
+        """Covariance at configurations [unit^2]."""
+        J = torch.from_numpy(self._slopes(q.detach().reshape(-1, q.shape[-1]).numpy()))
+        J = (J @ self._root).reshape(*q.shape[:-1], *J.shape[1:])
+        return J @ J.mT
+
+
+@dataclass(frozen=True)
+class NetworkError:
+    """Covariance of readings predicted by trained networks: the validation error that their manifests state.
+
+    White from sensor to sensor and configuration to configuration, which is all that is known of it.
+
+    Parameters
+    ----------
+    networks
+        Files of weights.
+    of_sensor
+        Which of them predicts each sensor.
+    unit
+        Unit of the readings.
+    """
+
+    networks: tuple[Path, ...]
+    of_sensor: Sequence[int]
+    unit: str
+
+    @cached_property
+    def _variance(self) -> Float[Tensor, " s"]:
+        squared = [self._rmse(path) ** 2 for path in self.networks]
+        return torch.tensor([squared[k] for k in self.of_sensor], dtype=torch.float64)
+
+    def _rmse(self, path: Path) -> float:
+        key = f"metrics_{self.unit.lower()}"
+        metrics = read_manifest(path).get(key)
+        value = metrics.get("rmse_validation") if isinstance(metrics, dict) else None
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < float("inf"):
+            expected = f"with the validation error rmse_validation [{self.unit}] in {key}"
+            raise bad_input("manifest", path.with_suffix(".json").name, expected, metrics)
+        return float(value)
+
+    def __call__(self, q: Float[Tensor, "*batch n_q"]) -> Float[Tensor, "*batch s s"]:
+        """Covariance at configurations [unit^2]."""
+        n = len(self.of_sensor)
+        return torch.diag(self._variance).expand(*q.shape[:-1], n, n)
