@@ -7,6 +7,7 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from repro.live.own.fit import Fit
@@ -16,11 +17,13 @@ from repro.report.style import STYLE
 
 MOST_POINTS = 3000
 """Frames that are drawn; every so many-th one if there are more."""
+LEAST_DRAWN = 1e-3
+"""Smallest residual that is drawn, in standard deviations of the noise: no residual is exactly 0."""
 COLOURS = {"levenberg_marquardt": "#0072B2", "kalman": "#D55E00"}
 
 
 def estimates_figure(found: Fit) -> Figure:
-    """Measured (black) and estimated coordinates with two standard deviations, tip error, residual of the readings.
+    """Measured (grey) and estimated coordinates with two standard deviations, tip error, residual of the readings.
 
     Gaps of the motion capture stay empty. Dotted in the lower panels: the robot as described.
     """
@@ -43,22 +46,25 @@ def estimates_figure(found: Fit) -> Figure:
                 panels[k].plot(time_s, x, color=colour, lw=0.9)
                 panels[k].fill_between(time_s, x - band, x + band, color=colour, alpha=0.25, lw=0)
         for k, (name, factor) in enumerate(columns.items()):
-            panels[k].plot(time_s, found.truth.q[every, k] / factor, "k-", lw=0.7, label="measured")
+            panels[k].plot(
+                time_s, found.truth.q[every, k] / factor, color="0.75", lw=3.0, zorder=1, label="measured"
+            )
             _frame(panels[k], found, k, factor)
             coordinate, unit = name.rsplit("_", 1)
             panels[k].set_ylabel(f"{coordinate}\n[{unit}]")
-        panels[0].legend(loc="upper right")
         panels[n].set_ylabel("tip error\n[mm]")
         panels[n + 1].set_ylabel(f"residual\n[{found.robot.unit}]")
         for panel in panels[n:]:
             panel.set_yscale("log")
-        panels[n].legend(loc="upper right", ncols=2)
+            panel.set_ylim(bottom=LEAST_DRAWN * found.robot.noise if panel is panels[-1] else None)
+        handles = [*panels[0].get_legend_handles_labels()[0], *panels[n].get_legend_handles_labels()[0]]
+        figure.legend(handles=handles, loc="outside upper center", ncols=3)
         panels[-1].set_xlabel("time by the clock of the readings [s]")
     plt.close(figure)
     return figure
 
 
-def _frame(panel: plt.Axes, found: Fit, k: int, factor: float) -> None:
+def _frame(panel: Axes, found: Fit, k: int, factor: float) -> None:
     """Show what was measured and what the bounds allow, not how far a band reaches."""
     low, high = float(found.robot.lower[k]) / factor, float(found.robot.upper[k]) / factor
     measured = found.truth.q[found.truth.known, k].numpy() / factor

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.live.follow.robot_estimator import robot_estimator
+from repro.live.follow.time_steps import TimeStep
 from repro.live.own.align import find_clock_lag, judged_at, on_one_clock, predicted
 from repro.live.own.judge import Tracked, Truth, tip_positions, tracked
 from repro.live.own.lag import Lag, Samples, refined
@@ -120,6 +121,7 @@ def fit(
     parts = _parts(readings, poses, lag, share)
     measured, calibration, networks, left_out = Samples.of(readings.time_s, readings.signal), None, None, 0
     say("Calibrating." if model == "calibration" else "Training networks.")
+    expected = predicted(robot.sensing(), poses, poses.q)
     for _ in range(MOST_ROUNDS):  # the new model tells the lag better, and that the model
         before_s, use = lag.lag_s, parts.first & np.isfinite(readings.signal).all(axis=1)
         values, q, covariance = _training(readings, poses, lag, use)
@@ -154,19 +156,25 @@ def fit(
 
 def _parts(readings: TimedReadings, poses: MeasuredPoses, lag: Lag, share: float) -> Parts:
     known = np.isfinite(poses.at(poses.q.numpy(), readings.time_s - lag.lag_s)).all(axis=1)
-    return split_in_time(readings.time_s, known, share)
+    return split_in_time(readings.time_s, np.asarray(known), share)
 
 
 def _training(
     readings: TimedReadings, poses: MeasuredPoses, lag: Lag, use: np.ndarray
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Values, configurations and their covariances of chosen frames; the error of the lag is in the last."""
-    values = torch.tensor([readings.steps[k].frames[0].values for k in np.flatnonzero(use)]).double()
+    values = torch.tensor([_values(readings.steps[k]) for k in np.flatnonzero(use)], dtype=torch.float64)
     time_s = readings.time_s[use]
     q, covariance, _ = judged_at(poses, time_s, lag)
     ahead, behind = (judged_at(poses, time_s + shift, lag)[0] for shift in (poses.step_s, -poses.step_s))
     speed = torch.nan_to_num(ahead - behind) / (2 * poses.step_s)
     return values, q, covariance + lag.error_s**2 * speed.unsqueeze(-1) * speed.unsqueeze(-2)
+
+
+def _values(step: TimeStep) -> tuple[float, ...]:
+    (frame,) = step.frames
+    assert frame is not None  # with one stream a step is one frame
+    return tuple(frame.values)
 
 
 def _during(signal: Samples, span_s: tuple[float, float]) -> Samples:

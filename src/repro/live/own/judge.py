@@ -114,7 +114,7 @@ def errors(robot: RobotFile, truth: Truth, tracks: list[Tracked]) -> pd.DataFram
     return pd.DataFrame([row for track in tracks for row in _rows(robot, truth, track)])
 
 
-def _rows(robot: RobotFile, truth: Truth, track: Tracked) -> Iterator[dict[str, object]]:
+def _rows(robot: RobotFile, truth: Truth, track: Tracked) -> Iterator[dict[str, str | float]]:
     use = truth.known & torch.isfinite(track.q).all(-1)
     difference, P, R = (track.q - truth.q)[use], track.covariance[use], truth.covariance[use]
     head = {"model": track.model, "estimator": track.estimator}

@@ -222,17 +222,23 @@ def refined(readings: Samples, predicted: Samples, near_s: float) -> Lag:
     if len(u) < 4 * BLOCKS:
         raise bad_input("readings and poses", OWNER, f"at least {4 * BLOCKS} in common", len(u))
     u = u - u.mean(axis=0)
-    shift = 0.0
-    for _ in range(ITERATIONS):
+
+    def fitted(shift: float) -> tuple[np.ndarray, np.ndarray]:
+        """Prediction without its mean, and its gain for each sensor."""
         x = predicted.at(time_s - near_s - shift)
         x = x - x.mean(axis=0)
-        gain = (u * x).sum(axis=0) / np.maximum((x**2).sum(axis=0), np.finfo(float).tiny)
-        left = u - gain * x
-        change = float((rate * left).sum() / max((rate**2).sum(), np.finfo(float).tiny))
+        return x, (u * x).sum(axis=0) / np.maximum((x**2).sum(axis=0), np.finfo(float).tiny)
+
+    shift = 0.0
+    for _ in range(ITERATIONS):
+        x, gain = fitted(shift)
+        change = float((rate * (u - gain * x)).sum() / max((rate**2).sum(), np.finfo(float).tiny))
         shift = float(np.clip(shift - change, -reach, reach))
     if abs(shift) >= reach:
         expected = f"alike near the lag {near_s:+.3f} s"
         raise bad_input("readings and poses", OWNER, expected, "a correlation that rises away from there")
+    x, gain = fitted(shift)
+    left = u - gain * x
     error_s, drift, drift_error = _blocks(time_s, -left, rate)
     r = float((gain * x * u).sum() / np.sqrt(((gain * x) ** 2).sum() * (u**2).sum()))
     slope = float((x * u).sum() / (x**2).sum())

@@ -165,7 +165,7 @@ def _of_bodies(
     noise_m: float,
     noise_rad: float,
 ) -> MeasuredPoses:
-    seen = np.isfinite(table).all(axis=(1, 2))
+    seen = np.asarray(np.isfinite(table).all(axis=(1, 2)))
     if not seen.any():
         raise bad_input("poses", path.name, "seen in some frame by all bodies", "none in any frame")
     T = end_poses(path.name, robot, time_s[seen], table[seen], straight_s)

@@ -106,7 +106,8 @@ def _recorded(path: Path, robot: RobotFile) -> TimedReadings:
 
 
 def _timed(steps: tuple[TimeStep, ...], robot: RobotFile, notes: tuple[str, ...]) -> TimedReadings:
-    signal = np.array([robot.signal(step.frames[0].values).numpy() for step in steps])
+    frames = [frame for step in steps for frame in step.frames if frame is not None]
+    signal = np.array([robot.signal(frame.values).numpy() for frame in frames])
     if missing := int(np.isnan(signal).any(axis=1).sum()):
         notes = (*notes, f"{missing} frames lack a reading.")
     rate_hz = 1.0 / float(np.median(np.diff([step.time_s for step in steps])))

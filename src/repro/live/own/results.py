@@ -147,9 +147,9 @@ def _table(table: pd.DataFrame) -> str:
         f"{'':32s}{'tip error [mm]':>24s}{'':>10s}{'in 95 % ellipsoid':>20s}{'NEES':>10s}",
         f"{'':32s}{'mean':>8s}{'RMSE':>8s}{'95 %':>8s}{'% length':>10s}{'all':>10s}{'tip':>10s}{'all':>10s}",
     ]
-    for (model, estimator), rows in table.groupby(["model", "estimator"], sort=False):
+    for name, rows in table.groupby(table["model"] + ", " + table["estimator"], sort=False):
         tip, full = (rows[rows["quantity"] == name].iloc[0] for name in ("tip", "configuration"))
         numbers = f"{tip['mean']:8.3f}{tip['rmse']:8.3f}{tip['p95']:8.3f}{tip['percent_of_length']:10.3f}"
         shares = f"{full['coverage']:10.1%}{tip['coverage']:10.1%}{full['nees']:10.3g}"
-        lines.append(f"{f'{model}, {estimator}':32s}{numbers}{shares}")
+        lines.append(f"{name:32s}{numbers}{shares}")
     return "\n".join(lines)
