@@ -34,7 +34,7 @@ class Rig:
     seed: int
 
     @classmethod
-    def of(cls, name: str, *, seed: int = 0, rate_hz: float = 100.0, seconds: float = 40.0) -> Rig:
+    def of(cls, name: str, *, seed: int = 0, rate_hz: float = 50.0, seconds: float = 26.0) -> Rig:
         robot = load_robot(ROBOTS / f"{name}.toml")
         generator = torch.Generator().manual_seed(seed)
         scale = Tolerances(sensor_gain=0.03).of_parameters(robot.robot, len(robot.moments))
@@ -85,7 +85,7 @@ class Rig:
         return np.arange(n) / rate_hz + 0.4 - lag_s
 
     def measured(
-        self, rate_hz: float = 120.0, lag_s: float = 0.37, noise_m: float = 5e-5
+        self, rate_hz: float = 60.0, lag_s: float = 0.37, noise_m: float = 5e-5
     ) -> tuple[np.ndarray, torch.Tensor]:
         """Times by motion capture's clock, and measured configurations."""
         time_s = self.capture_s(rate_hz, lag_s)

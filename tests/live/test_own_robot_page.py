@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from own_rig import Rig
 
 from repro.live.emulate.links import HAS_PTY
 from repro.live.record.recording import read_recording
@@ -112,7 +113,7 @@ def test_no_command_is_forgotten():
     known = [
         *("repro emulate", "repro record"),
         *("repro calibrate board", "repro calibrate held.rec"),
-        "repro live",
+        *("repro live", "repro fit"),
     ]
     assert sorted(COMMANDS) == sorted(map(one, known))
 
@@ -144,3 +145,14 @@ def test_calibrate_at_the_port(folder):
         told = run(folder, one("repro calibrate board"), given=ENTER)
     assert "Pose 4 of 4" in told
     assert "Written: calibration.json" in told
+
+
+def test_fit(folder):
+    rig = Rig.of("one_segment")
+    rig.write_recording(folder / "motion.rec")
+    rig.write_poses(folder / "captured.csv", *rig.measured())
+    told = run(folder, one("repro fit"))
+    assert "Lag: +3" in told
+    assert "Written: judged" in told
+    named = {"errors.csv", "estimates.csv", "estimates.png", "report.txt", "calibration.json"}
+    assert {path.name for path in (folder / "judged").iterdir()} == named

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import InputError, bad_input
-from repro.live.own.lag import MARGIN, OWNER, Correlations, Lag, Samples, check_peak, correlations, refined
+from repro.live.own.lag import MARGIN, OWNER, Correlations, Samples, check_peak, correlations
 from repro.live.own.poses import MeasuredPoses
 from repro.live.own.readings import TimedReadings
 from repro.live.robot.robot_file import RobotFile
@@ -42,8 +42,10 @@ def on_one_clock(readings: TimedReadings, poses: MeasuredPoses) -> tuple[TimedRe
     return readings.counted_from(starts[0]), poses.counted_from(starts[1]), True
 
 
-def find_clock_lag(robot: RobotFile, readings: TimedReadings, poses: MeasuredPoses, longest_s: float) -> Lag:
-    """Lag of readings behind poses, of a robot as described.
+def find_clock_lag(
+    robot: RobotFile, readings: TimedReadings, poses: MeasuredPoses, longest_s: float
+) -> float:
+    """Lag of readings behind poses by a robot as described, to a sample [s].
 
     Raises
     ------
@@ -57,7 +59,7 @@ def find_clock_lag(robot: RobotFile, readings: TimedReadings, poses: MeasuredPos
     as_given = correlations(measured, predicted(robot.sensing(), poses, poses.q), longest_s)
     _check_axes(robot, measured, poses, as_given, longest_s)
     check_peak(as_given, robot.name)
-    return refined(measured, predicted(robot.sensing(), poses, poses.q), float(as_given.lag_s[as_given.best]))
+    return float(as_given.lag_s[as_given.best])
 
 
 def predicted(
@@ -98,10 +100,10 @@ def _delta_names(segments: int) -> set[str]:
 
 
 def judged_at(
-    poses: MeasuredPoses, readings_s: Float[np.ndarray, " times"], lag: Lag
+    poses: MeasuredPoses, readings_s: Float[np.ndarray, " times"], lag_s: float
 ) -> tuple[Tensor, Tensor, Tensor | None]:
     """Configurations, their covariances and measured tips at the times of readings; NaN in gaps."""
-    at = readings_s - lag.lag_s
+    at = readings_s - lag_s
     n = poses.q.shape[-1]
     covariance = poses.at(poses.covariance.flatten(-2).numpy(), at)
     tip = None if poses.tip is None else torch.from_numpy(poses.at(poses.tip.numpy(), at))

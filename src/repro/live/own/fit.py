@@ -117,13 +117,15 @@ def fit(
     if from_first:
         notes.append("The clocks have no time in common: each is counted from its first row.")
     say("Looking for the lag between the clocks.")
-    lag = find_clock_lag(robot, readings, poses, longest_lag_s)
-    parts = _parts(readings, poses, lag, share)
+    near_s = find_clock_lag(robot, readings, poses, longest_lag_s)
+    parts = _parts(readings, poses, near_s, share)
     measured, calibration, networks, left_out = Samples.of(readings.time_s, readings.signal), None, None, 0
     say("Calibrating." if model == "calibration" else "Training networks.")
     expected = predicted(robot.sensing(), poses, poses.q)
+    lag = refined(_during(measured, parts.first_s), expected, near_s)
     for _ in range(MOST_ROUNDS):  # the new model tells the lag better, and that the model
-        before_s, use = lag.lag_s, parts.first & np.isfinite(readings.signal).all(axis=1)
+        before_s, parts = lag.lag_s, _parts(readings, poses, lag.lag_s, share)
+        use = parts.first & np.isfinite(readings.signal).all(axis=1)
         values, q, covariance = _training(readings, poses, lag, use)
         if model == "calibration":
             calibration, left_out = calibrated(robot, values, q, covariance)
@@ -133,9 +135,9 @@ def fit(
             sensing = networks.sensing(robot)
         expected = predicted(sensing, poses, poses.q)
         lag = refined(_during(measured, parts.first_s), expected, lag.lag_s)
-        parts = _parts(readings, poses, lag, share)
         if abs(lag.lag_s - before_s) < SETTLED * lag.error_s:
             break
+    parts = _parts(readings, poses, lag.lag_s, share)
     if left_out:
         notes.append(f"{left_out} poses of the first part do not go with their readings: not fitted.")
     rest_lag = refined(_during(measured, parts.rest_s), expected, lag.lag_s)
@@ -154,8 +156,8 @@ def fit(
     return Fit(robot, lag, rest_lag, parts, time_s, truth, tracks, calibration, networks, tuple(notes))
 
 
-def _parts(readings: TimedReadings, poses: MeasuredPoses, lag: Lag, share: float) -> Parts:
-    known = np.isfinite(poses.at(poses.q.numpy(), readings.time_s - lag.lag_s)).all(axis=1)
+def _parts(readings: TimedReadings, poses: MeasuredPoses, lag_s: float, share: float) -> Parts:
+    known = np.isfinite(poses.at(poses.q.numpy(), readings.time_s - lag_s)).all(axis=1)
     return split_in_time(readings.time_s, np.asarray(known), share)
 
 
@@ -165,8 +167,10 @@ def _training(
     """Values, configurations and their covariances of chosen frames; the error of the lag is in the last."""
     values = torch.tensor([_values(readings.steps[k]) for k in np.flatnonzero(use)], dtype=torch.float64)
     time_s = readings.time_s[use]
-    q, covariance, _ = judged_at(poses, time_s, lag)
-    ahead, behind = (judged_at(poses, time_s + shift, lag)[0] for shift in (poses.step_s, -poses.step_s))
+    q, covariance, _ = judged_at(poses, time_s, lag.lag_s)
+    ahead, behind = (
+        judged_at(poses, time_s + shift, lag.lag_s)[0] for shift in (poses.step_s, -poses.step_s)
+    )
     speed = torch.nan_to_num(ahead - behind) / (2 * poses.step_s)
     return values, q, covariance + lag.error_s**2 * speed.unsqueeze(-1) * speed.unsqueeze(-2)
 
@@ -183,7 +187,7 @@ def _during(signal: Samples, span_s: tuple[float, float]) -> Samples:
 
 
 def _truth(robot: RobotFile, poses: MeasuredPoses, time_s: np.ndarray, lag: Lag) -> Truth:
-    q, covariance, tip = judged_at(poses, time_s, lag)
+    q, covariance, tip = judged_at(poses, time_s, lag.lag_s)
     by_q, tip_covariance = tip_positions(robot, q, covariance)
     if tip is None or poses.tip_covariance is None:
         return Truth(q, covariance, by_q, tip_covariance)
