@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -69,7 +70,7 @@ def fit(
 
     torch.set_num_threads(1)
     check_new(output)
-    if not (pose_noise_mm > 0 and pose_noise_deg > 0):
+    if not (0 < pose_noise_mm < math.inf and 0 < pose_noise_deg < math.inf):
         given = f"{pose_noise_mm:g} mm and {pose_noise_deg:g} deg"
         raise bad_input("pose noise", "repro fit", "positive", given)
     described = load_robot(robot)

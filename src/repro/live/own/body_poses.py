@@ -17,6 +17,7 @@ from repro.live.robot.robot_file import RobotFile
 
 MOST_UNFIT = 0.05
 """Share of the poses that may be none that the robot can take."""
+TRIED = 20
 MOST_MISFIT = 0.1, 0.35
 """Largest misfit of the kinematics, root mean square: share of the length of the robot, and angle [rad]."""
 
@@ -90,26 +91,37 @@ def configurations_of(
     parts: list[tuple[Tensor, Tensor]] = []
     most = math.ceil(MOST_UNFIT * len(T))
     waiting, unfit = [(0, len(T))], 0
+
+    def fitted(first: int, last: int) -> tuple[Tensor, Tensor] | None:
+        try:
+            return configurations(robot.robot, T[first:last], position_m=noise_m, rotation_rad=noise_rad)
+        except (InputError, RuntimeError):  # the latter from singular matrices
+            return None
+
     while waiting:
         first, last = waiting.pop()
-        try:
-            found = configurations(robot.robot, T[first:last], position_m=noise_m, rotation_rad=noise_rad)
-        except (InputError, RuntimeError):  # the latter from singular matrices
+        found = fitted(first, last)
+        if found is None:
+            if last - first == len(T):  # a few tell at once whether it is nearly all of them
+                tried = np.unique(np.linspace(0, len(T) - 1, TRIED).astype(int)).tolist()
+                bad = sum(fitted(k, k + 1) is None for k in tried)
+                if bad > len(tried) / 2:
+                    raise _misfit(owner, f"{bad} of {len(tried)} tried without a fit")
             if last - first > 1:
                 middle = (first + last) // 2
                 waiting += [(middle, last), (first, middle)]
                 continue
             unfit += 1
             if unfit > most:
-                raise _misfit(owner, f"more than {most} of {len(T)} without a fit") from None
+                raise _misfit(owner, f"more than {most} of {len(T)} without a fit")
             continue
         parts.append(found)
         fits[first:last] = True
     q, covariance = (torch.cat(values) for values in zip(*parts, strict=True))
-    fitted = robot.robot.base_poses(q)[:, 1:]
+    nearest = robot.robot.base_poses(q)[:, 1:]
     measured = T[torch.from_numpy(fits)]
-    miss = float((fitted - measured)[..., :3, 3].square().sum(-1).mean().sqrt())
-    turn = float((fitted - measured)[..., :3, :3].square().sum((-2, -1)).mean().sqrt()) / math.sqrt(2)
+    miss = float((nearest - measured)[..., :3, 3].square().sum(-1).mean().sqrt())
+    turn = float((nearest - measured)[..., :3, :3].square().sum((-2, -1)).mean().sqrt()) / math.sqrt(2)
     text = f"{1e3 * miss:.2f} mm and {math.degrees(turn):.2f} deg"
     if miss > MOST_MISFIT[0] * robot.robot.length or turn > MOST_MISFIT[1]:
         raise _misfit(owner, f"poses that its nearest shapes miss by {text} (root mean square)")

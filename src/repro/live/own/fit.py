@@ -110,8 +110,8 @@ def fit(
     """
     if model not in MODELS:
         raise bad_input("model", "repro fit", " or ".join(MODELS), repr(model))
-    if not longest_lag_s > 0:
-        raise bad_input("longest-lag", "repro fit", "above 0", longest_lag_s)
+    if not 0 < longest_lag_s < np.inf:
+        raise bad_input("longest-lag", "repro fit", "above 0, and finite", longest_lag_s)
     readings, poses, from_first = on_one_clock(readings, poses)
     notes = [*readings.notes, *poses.notes]
     if from_first:

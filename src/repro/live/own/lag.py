@@ -125,7 +125,7 @@ def correlations(readings: Samples, predicted: Samples, longest_s: float) -> Cor
         first, last = int(np.ceil(signal.time_s[0] / step_s)), int(np.floor(signal.time_s[-1] / step_s))
         starts.append(first)
         grids.append(signal.at(np.arange(first, last + 1) * step_s))
-    n = round(longest_s / step_s)
+    n = min(round(longest_s / step_s), abs(starts[0] - starts[1]) + sum(map(len, grids)))
     shifts = np.arange(-n, n + 1)
     known = [np.isfinite(grid).all(axis=1) for grid in grids]
     # Centred, so that differences of large sums lose no digits.

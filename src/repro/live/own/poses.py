@@ -116,6 +116,8 @@ def read_measured_poses(
     InputError
         If the file does not hold poses of this robot; the message names column and line, or says what does not fit.
     """
+    if not 0 <= straight_s < math.inf:
+        raise bad_input("straight-s", "repro fit", "0 or above", straight_s)
     if is_motive(path):
         ends = len(robot.robot.segments)
         if len(bodies) not in (ends, ends + 1) or len(set(bodies)) != len(bodies):
