@@ -152,7 +152,7 @@ def test_no_judged_pose_enters_an_estimate(rig, files, tmp_path):
     readings, poses = both(rig, *files)
     ours = fit(rig.robot, readings, poses)
     q = poses.q.clone()
-    q[poses.time_s > ours.parts.rest_s[0], 0] += 2e-3
+    q[poses.time_s > ours.parts.rest_s[0] - LAG_S - 0.1, 0] += 2e-3
     moved = fit(rig.robot, readings, replace(poses, q=q))
     for one, other in zip(ours.tracks, moved.tracks, strict=True):
         assert torch.equal(one.q, other.q)

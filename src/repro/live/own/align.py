@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import InputError, bad_input
-from repro.live.own.lag import MARGIN, OWNER, Correlations, Samples, check_peak, correlations
+from repro.live.own.lag import LEAST_R, MARGIN, OWNER, Correlations, Samples, check_peak, correlations
 from repro.live.own.poses import MeasuredPoses
 from repro.live.own.readings import TimedReadings
 from repro.live.robot.robot_file import RobotFile
@@ -89,7 +89,7 @@ def _check_axes(
     except InputError:
         pass
     words = max(better, key=better.__getitem__, default="")
-    if words and better[words] > max(r + CLEARLY, 0.5):
+    if words and better[words] > max(r + CLEARLY, LEAST_R):
         expected = f"of one motion, in the axes of {robot.name}"
         seen = f"r = {r:.3f} at best, but {better[words]:.3f} with {words}"
         raise bad_input("readings and poses", OWNER, expected, seen)
