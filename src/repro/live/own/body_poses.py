@@ -16,7 +16,7 @@ from repro.estimation.poses import configurations
 from repro.live.robot.robot_file import RobotFile
 
 MOST_UNFIT = 0.05
-"""Share of the poses that may be none that the robot can take."""
+"""Share of the poses that may be none that the robot can take; 20 of them at most."""
 TRIED = 20
 MOST_MISFIT = 0.1, 0.35
 """Largest misfit of the kinematics, root mean square: share of the length of the robot, and angle [rad]."""
@@ -89,7 +89,7 @@ def configurations_of(
     """
     fits = np.zeros(len(T), dtype=bool)
     parts: list[tuple[Tensor, Tensor]] = []
-    most = math.ceil(MOST_UNFIT * len(T))
+    most = min(math.ceil(MOST_UNFIT * len(T)), TRIED)
     waiting, unfit = [(0, len(T))], 0
 
     def fitted(first: int, last: int) -> tuple[Tensor, Tensor] | None:
@@ -102,10 +102,10 @@ def configurations_of(
         first, last = waiting.pop()
         found = fitted(first, last)
         if found is None:
-            if last - first == len(T):  # a few tell at once whether it is nearly all of them
+            if last - first == len(T):  # a few tell at once whether it is many
                 tried = np.unique(np.linspace(0, len(T) - 1, TRIED).astype(int)).tolist()
                 bad = sum(fitted(k, k + 1) is None for k in tried)
-                if bad > len(tried) / 2:
+                if bad > 2 * MOST_UNFIT * len(tried):
                     raise _misfit(owner, f"{bad} of {len(tried)} tried without a fit")
             if last - first > 1:
                 middle = (first + last) // 2
