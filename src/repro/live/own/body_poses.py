@@ -98,15 +98,16 @@ def configurations_of(
         except (InputError, RuntimeError):  # the latter from singular matrices
             return None
 
+    # A few tell at once whether these are poses of the robot: in other axes most have a fit, a bad one.
+    tried = np.unique(np.linspace(0, len(T) - 1, TRIED).astype(int)).tolist()
+    few = [(k, found[0]) for k in tried if (found := fitted(k, k + 1)) is not None]
+    if len(tried) - len(few) > 2 * MOST_UNFIT * len(tried):
+        raise _misfit(owner, f"{len(tried) - len(few)} of {len(tried)} tried without a fit")
+    _misses(owner, robot, torch.cat([q for _, q in few]), T[[k for k, _ in few]])
     while waiting:
         first, last = waiting.pop()
         found = fitted(first, last)
         if found is None:
-            if last - first == len(T):  # a few tell at once whether it is many
-                tried = np.unique(np.linspace(0, len(T) - 1, TRIED).astype(int)).tolist()
-                bad = sum(fitted(k, k + 1) is None for k in tried)
-                if bad > 2 * MOST_UNFIT * len(tried):
-                    raise _misfit(owner, f"{bad} of {len(tried)} tried without a fit")
             if last - first > 1:
                 middle = (first + last) // 2
                 waiting += [(middle, last), (first, middle)]
@@ -118,16 +119,21 @@ def configurations_of(
         parts.append(found)
         fits[first:last] = True
     q, covariance = (torch.cat(values) for values in zip(*parts, strict=True))
-    nearest = robot.robot.base_poses(q)[:, 1:]
-    measured = T[torch.from_numpy(fits)]
-    miss = float((nearest - measured)[..., :3, 3].square().sum(-1).mean().sqrt())
-    turn = float((nearest - measured)[..., :3, :3].square().sum((-2, -1)).mean().sqrt()) / math.sqrt(2)
-    text = f"{1e3 * miss:.2f} mm and {math.degrees(turn):.2f} deg"
-    if miss > MOST_MISFIT[0] * robot.robot.length or turn > MOST_MISFIT[1]:
-        raise _misfit(owner, f"poses that its nearest shapes miss by {text} (root mean square)")
+    text = _misses(owner, robot, q, T[torch.from_numpy(fits)])
     note = f"The kinematics of {robot.name} miss the measured poses by {text} (root mean square)."
     lost = (f"{unfit} poses are none that the robot can take.",) if unfit else ()
     return q, covariance, fits, (note, *lost)
+
+
+def _misses(owner: str, robot: RobotFile, q: Tensor, measured: Tensor) -> str:
+    """Say by how much the kinematics miss measured poses; refuse if it is by far."""
+    difference = robot.robot.base_poses(q)[:, 1:] - measured
+    miss = float(difference[..., :3, 3].square().sum(-1).mean().sqrt())
+    turn = float(difference[..., :3, :3].square().sum((-2, -1)).mean().sqrt()) / math.sqrt(2)
+    text = f"{1e3 * miss:.2f} mm and {math.degrees(turn):.2f} deg"
+    if miss > MOST_MISFIT[0] * robot.robot.length or turn > MOST_MISFIT[1]:
+        raise _misfit(owner, f"poses that its nearest shapes miss by {text} (root mean square)")
+    return text
 
 
 def _misfit(owner: str, received: str) -> InputError:
