@@ -11,7 +11,7 @@ from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 
-from repro import cli_diff, cli_live, cli_robot, cli_sweep, cli_track
+from repro import cli_diff, cli_fit, cli_live, cli_robot, cli_sweep, cli_track
 from repro.cli_pairs import pairs
 from repro.errors import InputError, bad_input
 
@@ -217,6 +217,7 @@ def fetch(
 for command in (cli_live.record, cli_live.export, cli_live.emulate, cli_robot.calibrate, cli_robot.live):
     app.command(command)
 app.command(cli_track.track)
+app.command(cli_fit.fit)
 app.command(cli_sweep.sweep)
 app.command(cli_diff.diff)
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from own_rig import Rig
 
 from repro.live.emulate.links import HAS_PTY
 from repro.live.emulate.robot_readings import robot_readings
@@ -158,6 +159,10 @@ class Reader:
 def read_by_one(folder: Path, commands: list[str]) -> Reader:
     """Follow commands of the page in a folder that has the robots."""
     shutil.copytree(PROJECT / "data" / "robots", folder / "data" / "robots")
+    if any(command.startswith("repro fit") for command in commands):
+        rig = Rig.of("one_segment")  # what a reader has recorded with motion capture
+        rig.write_recording(folder / "motion.rec")
+        rig.write_poses(folder / "captured.csv", *rig.measured())
     reader = Reader(folder)
     try:
         for command in commands:
@@ -248,3 +253,11 @@ def test_the_exported_table_gives_the_same_estimates(followed):
     again = command.replace("first.rec", "first.csv").replace("estimates.csv", "again.csv")
     Terminal(folder, again).end()
     assert (folder / "again.csv").read_bytes() == (folder / "estimates.csv").read_bytes()
+
+
+def test_fit(followed):
+    folder, text = said(followed, "repro fit")
+    assert "Lag: +3" in text
+    assert "Written: judged" in text
+    named = {"errors.csv", "estimates.csv", "estimates.png", "report.txt", "calibration.json"}
+    assert {path.name for path in (folder / "judged").iterdir()} == named
