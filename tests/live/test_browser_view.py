@@ -20,10 +20,11 @@ from page_on_screen import NO_GPU, differing, pixels, wait_until
 
 from repro.errors import InputError
 from repro.live.follow.browser import MOST_CLIENTS, WAITING, BrowserView, message
+from repro.live.follow.follower import Follower
 from repro.live.follow.latency import STAGES, Latencies
 from repro.live.follow.live_state import LiveState
 from repro.live.follow.page_server import ASK_S, FILES, MOST_CONNECTIONS
-from repro.live.follow.robot_estimator import Follower, robot_estimator
+from repro.live.follow.robot_estimator import robot_estimator
 from repro.live.follow.time_steps import TimeStep
 from repro.live.record.recorder import Summary
 from repro.live.robot.robot_file import load_robot

@@ -14,8 +14,9 @@ from repro.live.emulate.board import Reading, passages
 from repro.live.emulate.emulator import Emulator
 from repro.live.emulate.links import SocketLink
 from repro.live.follow import live_text, session
+from repro.live.follow.follower import Follower
 from repro.live.follow.imu_streams import redundant
-from repro.live.follow.robot_estimator import Follower, robot_estimator
+from repro.live.follow.robot_estimator import robot_estimator
 from repro.live.follow.time_steps import TimeStep, TimeSteps
 from repro.live.record.recording import read_recording
 from repro.live.record.recording_file import RecordingFile

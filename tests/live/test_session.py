@@ -17,9 +17,10 @@ from repro.live.emulate.emulator import Emulator
 from repro.live.emulate.links import SocketLink
 from repro.live.emulate.takes import open_take
 from repro.live.follow import live_text, session
+from repro.live.follow.follower import Follower
 from repro.live.follow.latency import Latencies
 from repro.live.follow.played import played
-from repro.live.follow.robot_estimator import ESTIMATORS, Follower, robot_estimator
+from repro.live.follow.robot_estimator import ESTIMATORS, robot_estimator
 from repro.live.follow.session import follow
 from repro.live.follow.time_steps import TimeStep, TimeSteps
 from repro.live.record.recording import read_recording

@@ -23,10 +23,11 @@ from repro.live.emulate.emulator import Emulator
 from repro.live.emulate.links import SocketLink
 from repro.live.emulate.takes import open_take
 from repro.live.follow.estimate_table import CONSISTENCY, EstimateFile, EstimateRows
+from repro.live.follow.follower import Follower
 from repro.live.follow.offline import read_readings, track_readings
 from repro.live.follow.played import played
 from repro.live.follow.readings_table import read_table
-from repro.live.follow.robot_estimator import ESTIMATORS, Follower, robot_estimator
+from repro.live.follow.robot_estimator import ESTIMATORS, robot_estimator
 from repro.live.follow.time_steps import TimeStep
 from repro.live.record.export import export
 from repro.live.record.recording import read_recording

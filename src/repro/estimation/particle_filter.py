@@ -115,12 +115,8 @@ class ParticleFilter:
         for name in ("noise_mt", "particles", "lost_at"):
             if not getattr(self, name) > 0:
                 raise bad_input(name, owner, "positive", getattr(self, name))
-        for name, known in (
-            ("estimate", ESTIMATES),
-            ("resampling", SCHEMES),
-            ("motion", MOTIONS),
-            ("backend", BACKENDS),
-        ):
+        choices = {"estimate": ESTIMATES, "resampling": SCHEMES, "motion": MOTIONS, "backend": BACKENDS}
+        for name, known in choices.items():
             if getattr(self, name) not in known:
                 choice = f"one of {', '.join(map(repr, known))}"
                 raise bad_input(name, owner, choice, repr(getattr(self, name)))

@@ -13,8 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.estimation.base import Estimate
+from repro.estimation.consistency import CONSISTENT, WRONG, Verdict
+from repro.live.follow.follower import Follower
 from repro.live.follow.latency import STAGES, Latencies
-from repro.live.follow.robot_estimator import Follower
 from repro.live.follow.time_steps import TimeStep, TimeSteps
 from repro.live.record.summary import Summary
 
@@ -65,6 +66,10 @@ class LiveState:
         Time of the first time step from which they came without a gap until this one; NaN before there is one.
     readings, estimate
         Of that time step; None before there is one.
+    verdict
+        Whether these readings fit the robot.
+    doubted
+        Time steps whose readings did not.
     age_s
         Since the last estimate, or without one since the session began [s].
     silent
@@ -99,6 +104,8 @@ class LiveState:
     since_s: float
     readings: Float[Tensor, " readings"] | None
     estimate: Estimate | None
+    verdict: Verdict
+    doubted: int
     age_s: float
     silent: bool
     arriving: Arriving
@@ -118,8 +125,8 @@ class LiveState:
 
 
 def trusted(state: LiveState) -> bool:
-    """Whether the shape that is shown is one of now."""
-    return state.estimate is not None and not state.silent
+    """Whether the shape that is shown is one of now, and explains the readings."""
+    return state.estimate is not None and not state.silent and state.verdict.status < WRONG
 
 
 class Tally:
@@ -147,6 +154,7 @@ class Tally:
         self._counted, self._counted_at = 0, self._began
         self._time_s = self._since_s = math.nan
         self._last: tuple[Tensor, Estimate] | None = None
+        self._doubted = 0
         self._missing_now = (False,) * len(follower.missing)
         self._estimated_at = self._began
         self._arrived_at = self._bytes_at = self._dropped_at = self._refused_at = -math.inf
@@ -168,6 +176,11 @@ class Tally:
         self._lost = what == "lost" or (self._lost and what != "reopened")
         self._foreign = words if what == "foreign" else ""
 
+    @property
+    def verdict(self) -> Verdict:
+        """On the readings of the last time step."""
+        return self._follower.verdict
+
     def note(self, summary: Summary) -> None:
         """Take what the recorder counted."""
         before, now = self._recorded.counters, summary.counters
@@ -184,6 +197,7 @@ class Tally:
         if estimate is None:
             self._refused_at = 1e-9 * done_ns
             return None
+        self._doubted += self._follower.verdict.status > CONSISTENT
         moments = (step.arrival_ns, step.parsed_ns, taken_ns, done_ns)
         for stage, start, end in zip(STAGES, moments, moments[1:], strict=False):
             self._latencies[stage].add(1e-9 * (end - start))
@@ -227,6 +241,8 @@ class Tally:
             since_s=self._since_s,
             readings=readings,
             estimate=estimate,
+            verdict=follower.verdict,
+            doubted=self._doubted,
             age_s=age_s,
             silent=age_s > window_s,
             arriving=arriving,

@@ -26,9 +26,10 @@ from repro.live.emulate.links import HAS_PTY, PtyLink, SocketLink
 from repro.live.emulate.noted_link import NotedLink
 from repro.live.emulate.recording_study import play_and_record
 from repro.live.emulate.takes import Take
+from repro.live.follow.follower import Follower
 from repro.live.follow.live_state import LiveEstimate, LiveState
 from repro.live.follow.played import PERIOD_S, Played, played, with_sensors
-from repro.live.follow.robot_estimator import Follower, RobotEstimator, robot_estimator
+from repro.live.follow.robot_estimator import RobotEstimator, robot_estimator
 from repro.live.follow.session import follow
 from repro.live.follow.time_steps import TimeSteps
 from repro.live.record.recording import Recording, read_recording

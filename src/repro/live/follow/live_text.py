@@ -7,9 +7,11 @@ from typing import NamedTuple
 
 import torch
 
+from repro.estimation.consistency import STATUS
 from repro.live.follow.latency import STAGES
 from repro.live.follow.live_state import LiveState, trusted
 from repro.live.follow.robot_estimator import RobotEstimator
+from repro.live.follow.verdict_words import lasting_words, redundancy_words, verdict_words
 from repro.live.robot.calibration_poses import coordinate_columns
 
 SHOWN_COUNTERS = ("frames", "gaps", "checksum_errors", "malformed", "reconnects")
@@ -85,7 +87,12 @@ def pace(estimator: RobotEstimator, state: LiveState) -> str:
 
 def mark(state: LiveState) -> str:
     """What to put beside a shape that is not to be trusted; empty where it is, or there is none."""
-    return "" if trusted(state) or state.estimate is None else f"{state.age_s:.0f} s old"
+    if state.estimate is None:
+        return ""
+    if state.silent:
+        return f"{state.age_s:.0f} s old"
+    doubt = STATUS[state.verdict.status] if state.verdict.status else ""
+    return doubt if trusted(state) else f"{doubt}, not to be trusted"
 
 
 def silence(estimator: RobotEstimator, state: LiveState) -> str:
@@ -128,6 +135,10 @@ def troubles(estimator: RobotEstimator, state: LiveState) -> list[str]:
     """What is or was wrong, one sentence or two each; none if all is and was well."""
     reason, look = silence(estimator, state), hint(estimator, state)
     said = [f"{reason} {look}".strip()] if reason else []
+    if not state.silent and state.verdict.status:
+        said.append(verdict_words(state.verdict, estimator.sensors))
+    elif state.doubted:
+        said.append(f"{state.doubted} estimates did not explain their readings, at a time that is over.")
     if state.dropped:
         kept = "the recording has them." if state.recorded.path else "nothing is recorded."
         count = f"{state.dropped} time steps were not estimated"
@@ -148,7 +159,8 @@ def troubles(estimator: RobotEstimator, state: LiveState) -> list[str]:
     if state.other_streams:
         streams = ", ".join(f"{stream} ({count} frames)" for stream, count in state.other_streams.items())
         said.append(f"Streams that {estimator.robot.name} does not have: {streams}.")
-    return said
+    never = redundancy_words(*estimator.redundancy)
+    return [*said, never] if never else said
 
 
 def alerts(estimator: RobotEstimator, state: LiveState) -> list[str]:
@@ -157,6 +169,7 @@ def alerts(estimator: RobotEstimator, state: LiveState) -> list[str]:
     if state.dropped_now:
         said.append("Overload: the estimator is too slow, time steps are left out.")
     if not state.silent:
+        said += [lasting_words(state.verdict, estimator.sensors)] * bool(state.verdict.status)
         pairs = zip(estimator.sensors, state.missing_now, strict=True)
         said += [f"{name} gives no reading and is left out." for name, gone in pairs if gone]
         said += ["Readings that cannot be used came."] * state.refused_now

@@ -13,8 +13,9 @@ from tqdm import tqdm
 from repro.errors import bad_input
 from repro.estimation.base import Estimate
 from repro.live.follow.estimate_table import CONSISTENCY
+from repro.live.follow.follower import Follower
 from repro.live.follow.readings_table import read_table
-from repro.live.follow.robot_estimator import Follower, RobotEstimator
+from repro.live.follow.robot_estimator import RobotEstimator
 from repro.live.follow.time_steps import TimeStep, TimeSteps
 from repro.live.record.recording import Recording, read_recording
 from repro.live.record.recording_file import MAGIC, sidecar_path

@@ -16,10 +16,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from repro.errors import bad_input
+from repro.estimation.consistency import STATUS
+from repro.live.follow.follower import Follower
 from repro.live.follow.live_state import LiveEstimate, LiveState, Tally
-from repro.live.follow.robot_estimator import Follower, RobotEstimator
+from repro.live.follow.robot_estimator import RobotEstimator
 from repro.live.follow.time_steps import TimeStep, TimeSteps
 from repro.live.record.ports import check_port
 from repro.live.record.recorder import record
@@ -134,6 +137,8 @@ class _Session:
         self.queue: queue.SimpleQueue[TimeStep] = queue.SimpleQueue()  # only one thread puts
         self.longest = max(SHORTEST_QUEUE, math.ceil(QUEUE_S * rate_hz))
         self.tally = Tally(Follower(estimator, seed=seed), self.steps, rate_hz, duration_s)
+        self.notes: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self.noted = ("consistent", "", ())
         self.ended = threading.Event()
         self.failure: BaseException | None = None
 
@@ -146,7 +151,7 @@ class _Session:
             summary = record(
                 port, robot.format, output, baud=baud, channels=channels, duration_s=duration_s, stop=self.stop,
                 show=self.tally.note, warn=self.warn, each=self.put, watch=self.tally.watch, owner=OWNER,
-                unit=robot.unit,
+                unit=robot.unit, notes=self.notes,
             )  # fmt: skip
             self.tally.note(summary)
         except BaseException as error:  # belongs to the thread that estimates
@@ -181,6 +186,7 @@ class _Session:
                 pass
             else:
                 found = self.tally.step(step)
+                self.note_verdict(step)
                 if found is not None and each is not None:
                     each(found)
             self.tally.tick(self.stop.is_set())
@@ -188,3 +194,13 @@ class _Session:
             if show is not None and now - shown >= SHOW_S:
                 shown = now
                 show(self.tally.state())
+
+    def note_verdict(self, step: TimeStep) -> None:
+        """Write into the recording whether the readings fit, whenever that changes."""
+        verdict = self.tally.verdict
+        known = (STATUS[verdict.status], verdict.cause, verdict.suspects)
+        if known != self.noted:
+            self.noted = known
+            suspects = [self.estimator.sensors[k] for k in verdict.suspects]
+            said = {"consistency": known[0], "cause": known[1], "suspects": suspects}
+            self.notes.put({"event": "consistency", "host_ns": step.arrival_ns, **said})

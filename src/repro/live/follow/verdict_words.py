@@ -39,14 +39,30 @@ def verdict_words(verdict: Verdict, sensors: Sequence[str]) -> str:
         return ""
     doubt = "not to be trusted" if verdict.status == WRONG else "perhaps not to be trusted"
     head = f"{STATUS[verdict.status].capitalize()}, {doubt}"
-    if verdict.cause in ("anew", "too few"):
-        return f"{head}. {CAUSES[verdict.cause]}"
-    head += f": residuals are {verdict.excess:.2g} times those of the noise."
-    if verdict.cause == "sensors":
-        names = " or ".join(sensors[k] for k in verdict.suspects)
-        options = " or ".join(f"--failed {k + 1}" for k in verdict.suspects)
-        return f"{head} It is {names} ({options} leaves it out)."
-    return f"{head} {CAUSES[verdict.cause]}".rstrip()
+    if verdict.cause not in ("anew", "too few"):
+        head += f": residuals are {verdict.excess:.2g} times those of the noise"
+    return f"{head}. {_cause(verdict, sensors)}".rstrip()
+
+
+def lasting_words(verdict: Verdict, sensors: Sequence[str]) -> str:
+    """Return the same without numbers, so that it stays the same while it lasts.
+
+    Examples
+    --------
+    >>> lasting_words(Verdict(WRONG, True, 41.7, "several"), ["sensor 1", "sensor 2"])[:66]
+    'The shape does not explain the readings. No single sensor explains'
+    """
+    if verdict.status == CONSISTENT:
+        return ""
+    return f"The shape does not explain the readings. {_cause(verdict, sensors)}".rstrip()
+
+
+def _cause(verdict: Verdict, sensors: Sequence[str]) -> str:
+    if verdict.cause != "sensors":
+        return CAUSES[verdict.cause]
+    names = " or ".join(sensors[k] for k in verdict.suspects)
+    options = " or ".join(f"--failed {k + 1}" for k in verdict.suspects)
+    return f"It is {names} ({options} leaves it out)."
 
 
 def redundancy_words(readings: int, unknowns: int) -> str:

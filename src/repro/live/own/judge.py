@@ -17,7 +17,8 @@ from torch import Tensor
 from repro.estimation.base import Estimate
 from repro.kinematics.motion import backbone_motion
 from repro.kinematics.mounts import magnet_mounts
-from repro.live.follow.robot_estimator import Follower, RobotEstimator
+from repro.live.follow.follower import Follower
+from repro.live.follow.robot_estimator import RobotEstimator
 from repro.live.own.readings import TimedReadings
 from repro.live.robot.calibration_poses import coordinate_columns
 from repro.live.robot.robot_file import RobotFile

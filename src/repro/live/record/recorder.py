@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
+import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -18,9 +19,8 @@ import serial
 from repro.errors import InputError, bad_input
 from repro.live.record.clock import DeviceClock
 from repro.live.record.ports import close_port, open_port, ports, read_available
-from repro.live.record.recording import channel_names
 from repro.live.record.recording_file import RecordingFile, WriteFailed, check_new, write_sidecar
-from repro.live.record.summary import Summary
+from repro.live.record.summary import Summary, channels_of
 from repro.live.record.suspect import Suspect
 from repro.live.wire.csv_text import CsvParser, Layout
 from repro.live.wire.formats import parser
@@ -53,6 +53,7 @@ def record(
     watch: Callable[[str, str], None] | None = None,
     owner: str = "repro record",
     unit: str | None = None,
+    notes: queue.SimpleQueue[dict[str, Any]] | None = None,
 ) -> Summary:
     """Record a port until told to stop.
 
@@ -83,6 +84,8 @@ def record(
         frame of the format. With it these do not end the recording, whenever they come.
     owner
         The command that asks, for the messages of errors.
+    notes
+        What is put in from another thread is written among the frames: texts as JSON can hold them.
 
     Returns
     -------
@@ -99,7 +102,7 @@ def record(
     """
     if not duration_s > 0:
         raise bad_input("duration", owner, "a time above zero [s]", duration_s)
-    session = _Session(port, format, output, baud, channels, unit, warn, each, watch, owner)
+    session = _Session(port, format, output, baud, channels, unit, warn, each, watch, owner, notes)
     stop = stop or threading.Event()
     try:
         session.run(duration_s, stop, show)
@@ -123,9 +126,11 @@ class _Session:
         each: Callable[[int, Sequence[Frame]], None] | None,
         watch: Callable[[str, str], None] | None,
         owner: str,
+        notes: queue.SimpleQueue[dict[str, Any]] | None,
     ) -> None:
         self.port, self.format, self.output, self.baud, self.warn = port, format, output, baud, warn
         self.each, self.watch, self.owner, self.channels = each, watch, owner, channels
+        self.notes = notes or queue.SimpleQueue[dict[str, Any]]()
         self.layout: Layout | None = None
         self.loss_said = False
         self.parser: Parser = parser(format, channels, unit)
@@ -140,6 +145,7 @@ class _Session:
         # before the port is open: it takes longer than a buffer may hold frames
         self.described = dict(ports()).get(port, "")
         self.versions = {name: version(name) for name in ("repro", "pyserial", "numpy")}
+        self.versions |= {"python": platform.python_version(), "system": platform.system()}
         self.opened: serial.SerialBase | None = open_port(port, baud, owner)
         self.start_ns, self.start_unix_s = time.monotonic_ns(), time.time()
 
@@ -190,6 +196,7 @@ class _Session:
             self.save(self.file.path)
         if self.file is not None:
             self.file.append(host_ns, frames)
+            self.write_notes(self.file)
         self.times += [(host_ns, sent_us) for _, _, sent_us, _ in frames if sent_us is not None]
         if len(self.times) >= CLOCK_FRAMES:
             self.set_clock()
@@ -258,6 +265,10 @@ class _Session:
         if self.file is not None:
             self.file.note({"event": name, "host_ns": time.monotonic_ns()})
 
+    def write_notes(self, file: RecordingFile) -> None:
+        while not self.notes.empty():
+            file.note(self.notes.get())
+
     def finish(self, reason: str) -> None:
         """Close port and file, and complete the metadata."""
         if self.opened is not None:
@@ -266,6 +277,7 @@ class _Session:
         if self.file is None:
             return
         try:
+            self.write_notes(self.file)
             self.file.close()
         finally:
             try:
@@ -281,33 +293,14 @@ class _Session:
 
     def description(self, width: int) -> dict[str, Any]:
         """Metadata that do not change."""
-        named = {"channels": channel_names(self.format, width)}
-        if self.layout is not None:
-            named = {
-                "channels": self.layout.names,
-                "units": self.layout.value_units,
-                "lines": str(self.layout),
-            }
-        return {
-            "format": self.format,
-            **named,
-            "port": self.port,
-            "port_description": self.described,
-            "baud": self.baud,
-            "start_unix_s": self.start_unix_s,
-            "start_host_ns": self.start_ns,
-            "versions": self.versions | {"python": platform.python_version(), "system": platform.system()},
-        }
+        host = {"start_unix_s": self.start_unix_s, "start_host_ns": self.start_ns, "versions": self.versions}
+        named = {"port": self.port, "port_description": self.described, "baud": self.baud}
+        return {"format": self.format, **channels_of(self.format, width, self.layout), **named, **host}
 
     def metadata(self, ended: str | None) -> dict[str, Any]:
         """Return metadata that change."""
         self.set_clock()
         summary, fit = self.summary(), self.clock.fit()
-        return {
-            "seconds": summary.seconds,
-            "ended": ended,
-            "counters": summary.counters,
-            "first_malformed": summary.refused or None,
-            # JSON has no NaN
-            "clock": fit and {k: None if math.isnan(v) else v for k, v in asdict(fit).items()},
-        }
+        clock = fit and {k: None if math.isnan(v) else v for k, v in asdict(fit).items()}  # JSON has no NaN
+        counted = {"counters": summary.counters, "first_malformed": summary.refused or None}
+        return {"seconds": summary.seconds, "ended": ended, **counted, "clock": clock}

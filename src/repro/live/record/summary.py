@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from repro.live.record.recording import channel_names
+from repro.live.wire.csv_text import Layout
 
 _DROPPED = ("malformed", "checksum_errors", "oversized")
 
@@ -60,3 +64,10 @@ class Summary:
             if number and name != "frames"
         ]
         return ", ".join([f"{self.seconds:.0f} s: {self.counters['frames']} frames ({rate:.1f}/s)", *others])
+
+
+def channels_of(format: str, width: int, layout: Layout | None) -> dict[str, Any]:
+    """Return metadata on the values of a frame: their names, and of lines with labels all that these say."""
+    if layout is None:
+        return {"channels": channel_names(format, width)}
+    return {"channels": layout.names, "units": layout.value_units, "lines": str(layout)}

@@ -15,6 +15,7 @@ from torch import Tensor
 from repro.errors import bad_input
 from repro.kinematics.robot import Robot
 from repro.live.robot.calibration_file import RobotCalibration
+from repro.sensing.own_model import are_scripts
 from repro.sensing.weights import read_manifest
 
 
@@ -97,3 +98,18 @@ class NetworkError:
         """Covariance at configurations [unit^2]."""
         n = len(self.of_sensor)
         return torch.diag(self._variance).expand(*q.shape[:-1], n, n)
+
+
+def network_error(networks: Sequence[Path], robot: Robot, unit: str) -> NetworkError | None:
+    """Error of trained networks as their manifests state it; of others nothing is known."""
+    if not networks or are_scripts(networks):
+        return None
+    return NetworkError(tuple(networks), network_of_sensor(robot, len(networks)), unit)
+
+
+def network_of_sensor(robot: Robot, networks: int) -> tuple[int, ...]:
+    """Which network predicts each sensor: the only one, that of its segment, or its own."""
+    n = len(robot.sensors)
+    if networks == len(robot.segments):
+        return robot.sensors.segment
+    return (0,) * n if networks == 1 else tuple(range(n))

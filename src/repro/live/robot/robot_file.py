@@ -22,7 +22,7 @@ from repro.live.robot import robot_checks
 from repro.live.robot.calibration_file import RobotCalibration, read_calibration
 from repro.live.robot.document import Document
 from repro.live.robot.magnet_moments import moments_of
-from repro.live.robot.reading_errors import CalibrationError, NetworkError
+from repro.live.robot.reading_errors import CalibrationError, network_error, network_of_sensor
 from repro.live.robot.robot_parts import Imu, imus_of, magnets_of, segments_of, sensors_of
 from repro.live.robot.robot_tables import (
     UNITS,
@@ -223,14 +223,6 @@ class RobotFile:
         )
 
 
-def network_of_sensor(robot: Robot, networks: int) -> tuple[int, ...]:
-    """Which network predicts each sensor: the only one, that of its segment, or its own."""
-    n = len(robot.sensors)
-    if networks == len(robot.segments):
-        return robot.sensors.segment
-    return (0,) * n if networks == 1 else tuple(range(n))
-
-
 def load_robot(path: Path | str, calibration: Path | str | None = None) -> RobotFile:
     """Read a robot file, and apply a calibration if there is one.
 
@@ -300,20 +292,13 @@ def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
         networks=networks,
         notes=(),
         network_inputs=own.get("inputs", "angles"),
-        error=_network_error(networks, robot, unit),
+        error=network_error(networks, robot, unit),
     )
     robot_checks.check_observed(document, robot, [(imu.segment, imu.at_m) for imu in imus], bool(earth.any()))
     if rows and not magnets:
         raise document.error(("sensors", 0, "channel"), "of a robot with [[magnets]]", "one without")
     notes = robot_checks.out_of_range(document, found) + unobserved(found)
     return replace(found, notes=notes + robot_checks.check_networks(document, found))
-
-
-def _network_error(networks: Sequence[Path], robot: Robot, unit: str) -> NetworkError | None:
-    """Error of trained networks as their manifests state it; nothing is known of that of others."""
-    if not networks or are_scripts(networks):
-        return None
-    return NetworkError(tuple(networks), network_of_sensor(robot, len(networks)), unit)
 
 
 def _moments(magnets: Sequence[Ring | Cube]) -> Tensor | None:
