@@ -142,12 +142,13 @@ def studies() -> int:
 
     from repro.experiments.martin2022.calibration import write_martin_study
     from repro.experiments.placement.study import write_placement_study
+    from repro.live.follow.alarm_study import write_alarm_study
     from repro.report.project import find_project, shown
     from repro.report.studies import write_studies
 
     torch.set_num_threads(1)
     folder = find_project().data / "studies"
-    for write in (write_studies, write_placement_study, write_martin_study):
+    for write in (write_studies, write_placement_study, write_martin_study, write_alarm_study):
         for path in write(folder, progress=sys.stderr.isatty()):
             print(shown(path), flush=True)
     return 0

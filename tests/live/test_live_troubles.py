@@ -18,11 +18,13 @@ from pty_board import Board
 
 from repro import cli_robot
 from repro.errors import InputError
+from repro.estimation.consistency import Verdict
 from repro.live.emulate.links import HAS_PTY
 from repro.live.follow import live_text, session
 from repro.live.follow.live_state import LiveState, trusted
 from repro.live.follow.robot_estimator import RobotEstimator, robot_estimator
 from repro.live.follow.session import follow
+from repro.live.follow.verdict_words import CAUSES
 from repro.live.record.recording import read_recording
 from repro.live.robot.robot_file import load_robot
 from repro.live.wire.formats import encode
@@ -295,16 +297,21 @@ def test_the_page_quotes_what_is_said(estimator, board):
         {"dropped": 3, "dropped_now": True},
         {"dropped": 3},
         {"missing": (0, 3, 0), "missing_now": (False, True, False)},
+        {"verdict": Verdict(2, True, 42.0, "sensors", (2,))},
+        {"verdict": Verdict(2, True, 42.0, "sensors", (2, 0))},
+        *({"verdict": Verdict(2, True, 42.0, cause)} for cause in CAUSES if cause),
     ]
     said = "\n".join(live_text.line(estimator, replace(state, **case)) for case in cases)
-    section = (ONE_SEGMENT.parents[2] / "book" / "own_robot.md").read_text().split("## Estimate")[1]
+    said = said.replace("or sensor 1", "or sensor 5")  # the robot of the page has more sensors
+    page = (ONE_SEGMENT.parents[2] / "book" / "own_robot.md").read_text()
+    tables = [part.split("\n\n")[0] for part in page.split("| it says |")[1:]]
     quoted = [
         words
-        for row in section.splitlines()
+        for row in "\n".join(tables).splitlines()
         if row.startswith("| `")
         for words in re.findall("`(.*?)`", row.split("|")[1])
     ]
-    assert len(quoted) == 9
+    assert len(quoted) == 18
     for words in quoted:
         assert re.search(".*".join(map(re.escape, words.split("…"))), said), words
 

@@ -228,8 +228,11 @@ def test_live(followed):
 
 
 def test_live_with_a_broken_sensor(followed):
+    """It says that the readings do not fit, and which sensor it is."""
     _, text = said(followed, "repro live board --robot data/robots/two_segments.toml")
     assert "estimates/s by levenberg_marquardt" in text
+    assert "Wrong, not to be trusted: residuals are" in text
+    assert "It is sensor 3 (--failed 3 leaves it out)." in text
     assert "delta_x_2 " in text
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from scipy import stats
 from torch import Tensor
+from tqdm import tqdm
 
 from repro.estimation.consistency import CONSISTENT
 from repro.estimation.levenberg_marquardt import jacobian
@@ -19,8 +20,14 @@ from repro.live.emulate.robot_readings import RobotReadings, course, readings_al
 from repro.live.emulate.sensor_faults import SensorFaults, with_sensor_faults
 from repro.live.follow.robot_estimator import RobotEstimator, robot_estimator
 from repro.live.robot.robot_file import RobotFile, load_robot
+from repro.report.files import write_whole
 from repro.report.project import find_project
 
+NAME = "alarms"
+SETTINGS = {"two_segments": 100.0, "one_segment": 40.0}
+"""Robots of the study, and readings per second of each."""
+JUDGED = ("levenberg_marquardt", "kalman")
+TRIALS, FIRST_SEED = 20, 1000
 SCENARIOS: dict[str, dict[str, float]] = {
     "none": {},
     "start bent": {},
@@ -125,7 +132,7 @@ def watched(
     )
 
 
-def alarm_counts(run: Watched, sensor: int, rate_hz: float) -> dict[str, float]:
+def alarm_counts(run: Watched, sensor: int, rate_hz: float) -> dict[str, int]:
     """What became of one run, after the fault.
 
     ``due`` readings are those where the tip has been off by :data:`TIMES` its interval and the signal above
@@ -145,9 +152,10 @@ def alarm_counts(run: Watched, sensor: int, rate_hz: float) -> dict[str, float]:
         "due": int(due.sum()),
         "noticed": int((due & alarm).sum()),
         "unseen": int((_lasting(wrong & (run.signal <= SEEN), patience)).sum()),
-        "clear": bool(clear.any()),
-        "named": bool(named),
-        "named_right": bool(named) and right[-1],
+        "clear": int(clear.any()),
+        "named": int(bool(named)),
+        "named_clear": int(bool(named) and bool(clear.any())),
+        "named_right": int(bool(named) and right[-1]),
         "named_readings": len(named),
         "named_readings_right": sum(right),
         "alarms": int((alarm & after).sum()),
@@ -159,43 +167,88 @@ def alarm_counts(run: Watched, sensor: int, rate_hz: float) -> dict[str, float]:
 
 
 def alarm_trials(
-    robots: Sequence[str], rates_hz: Sequence[float], estimators: Sequence[str], trials: int, seed: int
-) -> pd.DataFrame:
-    """Counts of :func:`alarm_counts` over trials, each with its own motion, noise and sensor that fails.
+    described: RobotFile, name: str, scenario: str, *, trials: int, seed: int
+) -> dict[str, int]:
+    """Sums of :func:`alarm_counts` over trials, each with its own motion, noise and sensor that fails.
 
     Parameters
     ----------
-    robots, rates_hz
-        Robot files in ``data/robots``, and readings per second of each.
-    estimators
-        Of :data:`repro.live.follow.robot_estimator.ESTIMATORS`.
-    trials
-        Of every scenario.
-    seed
-        Of the first trial.
+    described
+        The robot; its file says the rate.
+    name
+        One of :data:`repro.live.follow.robot_estimator.ESTIMATORS`.
+    scenario
+        One of :data:`SCENARIOS`.
+    trials, seed
+        How many, and the seed of the first.
+    """
+    estimator, rows = robot_estimator(described, name), []
+    for trial in range(trials):
+        sensor = 1 + (seed + trial) % len(described.channel)
+        run = watched(
+            described, estimator, scenario, sensor=sensor, rate_hz=described.rate_hz, seed=seed + trial
+        )
+        rows.append(alarm_counts(run, sensor, described.rate_hz))
+    return {"trials": trials, **{name: sum(row[name] for row in rows) for name in rows[0]}}
+
+
+def write_alarm_study(folder: Path, *, progress: bool) -> list[Path]:
+    """Write ``alarms.csv``: :func:`alarm_trials` for all robots, estimators and scenarios, some ten minutes.
+
+    Nothing is computed where the file is there: remove it to have it computed anew.
+
+    Parameters
+    ----------
+    folder
+        ``data/studies``.
+    progress
+        Show a bar.
+
+    Returns
+    -------
+    list of Path
+        The file.
+    """
+    path = folder / f"{NAME}.csv"
+    if path.is_file():
+        return [path]
+    cases = [(robot, name, scenario) for robot in SETTINGS for name in JUDGED for scenario in SCENARIOS]
+    rows = []
+    for robot, name, scenario in tqdm(cases, desc=NAME, disable=not progress):
+        described = load_robot(find_project().data / "robots" / f"{robot}.toml")
+        described = replace(described, rate_hz=SETTINGS[robot])
+        sums = alarm_trials(described, name, scenario, trials=TRIALS, seed=FIRST_SEED)
+        rows.append({"robot": robot, "estimator": name, "scenario": scenario} | sums)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(path, pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"))
+    return [path]
+
+
+def alarm_table(study: pd.DataFrame) -> pd.DataFrame:
+    """What the study says, in per cent.
 
     Returns
     -------
     pandas.DataFrame
-        One row for each robot, estimator and scenario, with the sums over its trials.
+        ``robot, estimator, scenario``; ``off_percent``, readings after the fault at which the tip is off;
+        ``noticed_percent`` of those that are due; ``unseen_percent``, readings at which it is off and the residuals
+        cannot tell; ``named_percent``, trials with a clear signal in which a sensor was named, and
+        ``named_right_percent`` of those in which one was; ``alarms_before``, readings with an alarm before the fault;
+        ``holds_percent``, trusted readings whose 95 % ellipsoid holds the truth.
     """
-    rows = []
-    for robot, rate_hz in zip(robots, rates_hz, strict=True):
-        described = replace(load_robot(find_project().data / "robots" / f"{robot}.toml"), rate_hz=rate_hz)
-        for name in estimators:
-            estimator = robot_estimator(described, name)
-            for scenario in SCENARIOS:
-                total = dict.fromkeys(("robot", "estimator", "scenario"), "")
-                counts = []
-                for trial in range(trials):
-                    sensor = 1 + (seed + trial) % len(described.channel)
-                    options = {"sensor": sensor, "rate_hz": rate_hz, "seed": seed + trial}
-                    counts.append(
-                        alarm_counts(watched(described, estimator, scenario, **options), sensor, rate_hz)
-                    )
-                total = {"robot": robot, "estimator": name, "scenario": scenario, "trials": trials}
-                rows.append(total | pd.DataFrame(counts).sum().to_dict())
-    return pd.DataFrame(rows)
+    share = {
+        "off_percent": ("wrong", "readings"),
+        "noticed_percent": ("noticed", "due"),
+        "unseen_percent": ("unseen", "readings"),
+        "named_percent": ("named_clear", "clear"),
+        "named_right_percent": ("named_right", "named"),
+        "holds_percent": ("trusted_hold", "trusted"),
+    }
+    table = study[["robot", "estimator", "scenario"]].copy()
+    for column, (part, whole) in share.items():
+        table[column] = 100 * study[part] / study[whole].where(study[whole] > 0)
+    table["alarms_before"] = study["alarms_before"].astype(int)
+    return table
 
 
 def tips_of(described: RobotFile, q: Tensor) -> tuple[Tensor, Tensor]:

@@ -48,3 +48,10 @@ def cube_moments(cube: Cube, l_max: int) -> Float[np.ndarray, " terms"]:
     scale = half**2 * np.outer(weights, weights) * cube.polarisation_mt / (2 * math.pi)
     orders = range(1, l_max + 1, 2)
     return np.array([float((scale * r**n * Legendre.basis(n)(half / r)).sum()) for n in orders])
+
+
+def shared_moments(magnets: Sequence[Ring | Cube]) -> Tensor | None:
+    """Moments that magnets share, a row for each where they are not alike, none without magnets."""
+    if len(set(magnets)) > 1:
+        return torch.stack([moments_of(magnet) for magnet in magnets])
+    return moments_of(magnets[0]) if magnets else None

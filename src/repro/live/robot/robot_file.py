@@ -21,7 +21,7 @@ from repro.kinematics.robot import Robot
 from repro.live.robot import robot_checks
 from repro.live.robot.calibration_file import RobotCalibration, read_calibration
 from repro.live.robot.document import Document
-from repro.live.robot.magnet_moments import moments_of
+from repro.live.robot.magnet_moments import shared_moments
 from repro.live.robot.reading_errors import CalibrationError, network_error, network_of_sensor
 from repro.live.robot.robot_parts import Imu, imus_of, magnets_of, segments_of, sensors_of
 from repro.live.robot.robot_tables import (
@@ -281,7 +281,7 @@ def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
         gain=torch.tensor(gain, dtype=torch.float64),
         offset=torch.tensor(column.get(f"offset_{unit.lower()}", []), dtype=torch.float64),
         noise=float(values.get(f"noise_{unit.lower()}", 1.0)),
-        moments=_moments(magnets),
+        moments=shared_moments(magnets),
         magnets=magnets,
         earth_mt=earth,
         lower=torch.tensor([low for low, _ in bounds], dtype=torch.float64),
@@ -299,10 +299,3 @@ def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
         raise document.error(("sensors", 0, "channel"), "of a robot with [[magnets]]", "one without")
     notes = robot_checks.out_of_range(document, found) + unobserved(found)
     return replace(found, notes=notes + robot_checks.check_networks(document, found))
-
-
-def _moments(magnets: Sequence[Ring | Cube]) -> Tensor | None:
-    """Moments that magnets share, a row for each where they are not alike, none without magnets."""
-    if len(set(magnets)) > 1:
-        return torch.stack([moments_of(magnet) for magnet in magnets])
-    return moments_of(magnets[0]) if magnets else None
