@@ -1,8 +1,8 @@
 """Does another bend explain the readings much better? Consistency of estimates on T0 to T5, judged without the truth.
 
 The map of T5.train, with a common bias of the sensors that has a prior, is fitted to every reading: at the estimate,
-where only the bias is free, and from bends all over the box. Where the best of these fits is better by far, and for long,
-the estimate is wrong, whatever it claims.
+where only the bias is free, and from bends all over the box. Where the best of these fits is better by far, and for
+long, the estimate is wrong, whatever it claims.
 """
 
 from __future__ import annotations

@@ -166,9 +166,7 @@ def alarm_counts(run: Watched, sensor: int, rate_hz: float) -> dict[str, int]:
     }
 
 
-def alarm_trials(
-    described: RobotFile, name: str, scenario: str, *, trials: int, seed: int
-) -> dict[str, int]:
+def alarm_trials(described: RobotFile, name: str, scenario: str, *, trials: int, seed: int) -> dict[str, int]:
     """Sums of :func:`alarm_counts` over trials, each with its own motion, noise and sensor that fails.
 
     Parameters

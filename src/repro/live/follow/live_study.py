@@ -19,6 +19,7 @@ import pandas as pd
 import torch
 from torch import Tensor
 
+from repro.estimation.base import Estimate
 from repro.live.emulate.board import Passage, passages
 from repro.live.emulate.emulator import Emulator
 from repro.live.emulate.faults import Faults
@@ -116,8 +117,7 @@ def live_run(sent: Played, name: str = "", *, seed: int = 0) -> LiveRun:
     names = ("line_ms", "parse_ms", "queue_ms", "estimate_ms")
     latencies = pd.DataFrame(np.diff(moments) * 1e-6, columns=names)
     latencies["total_ms"] = (moments[:, -1] - moments[:, 0]) * 1e-6
-    pairs = [(one.estimate.q, one.estimate.covariance) for one in found]
-    live = _table(sent, rows, [s.step.time_s for s in found], pairs)
+    live = _table(sent, rows, [s.step.time_s for s in found], [one.estimate for one in found])
     return LiveRun(state, latencies, live, estimates(sent, recording, estimator, seed=seed))
 
 
@@ -131,18 +131,19 @@ def estimates(
     pandas.DataFrame
         One row per time step: its number ``row``, ``time_s``, for each coordinate truth, estimate and standard
         deviation (``delta_x_1_true_mm, delta_x_1_mm, delta_x_1_std_mm``, NaN for estimators without), and the
-        distance of the estimated tip from the true one, ``tip_error_mm``.
+        distance of the estimated tip from the true one, ``tip_error_mm``; ``status`` of the monitor, above 0 in an
+        alarm.
     """
     steps, follower = TimeSteps(estimator.streams, sent.robot.rate_hz), Follower(estimator, seed=seed)
-    rows, times, pairs = [], [], []
+    rows, times, found = [], [], []
     for host_ns, frame in recording.as_frames():
         for step in steps.add(host_ns, [frame]):
             _, estimate = follower.step(step)
             if estimate is not None:
                 rows.append(frame.sequence)
                 times.append(step.time_s)
-                pairs.append((estimate.q, estimate.covariance))
-    return _table(sent, rows, times, pairs)
+                found.append(estimate)
+    return _table(sent, rows, times, found)
 
 
 def failures(
@@ -176,8 +177,8 @@ def failures(
     Returns
     -------
     pandas.DataFrame
-        ``sensors, failure, time_s, tip_error_mm, tip_std_mm``; the last is the root of the sum of the variances of
-        the tip's position by the covariance of the estimator.
+        ``sensors, failure, time_s, tip_error_mm, tip_std_mm, status``; ``tip_std_mm`` is the root of the sum of the
+        variances of the tip's position by the covariance of the estimator, ``status`` that of the monitor.
     """
     parts = []
     for n in sensors:
@@ -189,18 +190,20 @@ def failures(
                 broken.robot, name, failed=[failed] if failure == FAILURES[-1] else []
             )
             table = estimates(broken, run.recording, estimator)
-            parts.append(table[["time_s", "tip_error_mm", "tip_std_mm"]].assign(sensors=n, failure=failure))
+            shown = ["time_s", "tip_error_mm", "tip_std_mm", "status"]
+            parts.append(table[shown].assign(sensors=n, failure=failure))
     return pd.concat(parts, ignore_index=True)
 
 
 def failure_summary(table: pd.DataFrame, at_s: float) -> pd.DataFrame:
-    """Median and largest error of the tip after the failure, and its median standard deviation by the estimator."""
+    """After the failure: error of the tip, its standard deviation as estimated, and how often there is an alarm."""
     after = table[table["time_s"] >= at_s].groupby(["sensors", "failure"], sort=False)
     return pd.DataFrame(
         {
             "median_tip_error_mm": after["tip_error_mm"].median(),
             "largest_tip_error_mm": after["tip_error_mm"].max(),
             "median_tip_std_mm": after["tip_std_mm"].median(),
+            "alarm_percent": after["status"].apply(lambda status: 100 * (status > 0).mean()),
         }
     ).reset_index()
 
@@ -221,12 +224,11 @@ def _row(one: LiveEstimate) -> int:
     return frame.sequence
 
 
-def _table(
-    sent: Played, rows: list[int], times: list[float], pairs: list[tuple[Tensor, Tensor | None]]
-) -> pd.DataFrame:
+def _table(sent: Played, rows: list[int], times: list[float], estimates: list[Estimate]) -> pd.DataFrame:
     robot = sent.robot.robot
-    q, truth = torch.stack([q for q, _ in pairs]), sent.q[rows]
-    C = torch.stack([torch.full((robot.n_q,) * 2, torch.nan).to(q) if c is None else c for _, c in pairs])
+    q, truth = torch.stack([one.q for one in estimates]), sent.q[rows]
+    unknown = torch.full((robot.n_q,) * 2, torch.nan).to(q)
+    C = torch.stack([unknown if one.covariance is None else one.covariance for one in estimates])
     deviation = C.diagonal(dim1=-2, dim2=-1).sqrt()
     found: dict[str, object] = {"row": rows, "time_s": times}
     for k, (column, factor) in enumerate(coordinate_columns(sent.robot).items()):
@@ -237,6 +239,7 @@ def _table(
     found["tip_error_mm"] = 1e3 * torch.linalg.vector_norm(tips - _tips(sent.robot, truth)[0], dim=-1).numpy()
     spread = (J @ C @ J.mT).diagonal(dim1=-2, dim2=-1).sum(-1)
     found["tip_std_mm"] = 1e3 * spread.clamp_min(0).sqrt().numpy()
+    found["status"] = [int(one.diagnostics["status"]) for one in estimates]
     return pd.DataFrame(found)
 
 
