@@ -242,11 +242,10 @@ def alarm_table(study: pd.DataFrame) -> pd.DataFrame:
         "named_right_percent": ("named_right", "named"),
         "holds_percent": ("trusted_hold", "trusted"),
     }
-    table = study[["robot", "estimator", "scenario"]].copy()
+    columns = {name: study[name] for name in ("robot", "estimator", "scenario")}
     for column, (part, whole) in share.items():
-        table[column] = 100 * study[part] / study[whole].where(study[whole] > 0)
-    table["alarms_before"] = study["alarms_before"].astype(int)
-    return table
+        columns[column] = 100 * study[part] / study[whole].where(study[whole] > 0)
+    return pd.DataFrame(columns | {"alarms_before": study["alarms_before"].astype(int)})
 
 
 def tips_of(described: RobotFile, q: Tensor) -> tuple[Tensor, Tensor]:
