@@ -78,6 +78,7 @@ def estimated(
     from repro.live.follow.estimate_table import EstimateFile
     from repro.live.follow.offline import read_readings, track_readings
     from repro.live.follow.robot_estimator import robot_estimator
+    from repro.live.follow.verdict_words import redundancy_words
     from repro.live.record.recording_file import WriteFailed
     from repro.live.robot.robot_file import load_robot
     from repro.report.project import shown
@@ -87,6 +88,8 @@ def estimated(
     for note in described.notes:
         print(f"Warning: {note}", file=sys.stderr)
     method = robot_estimator(described, estimator, failed=failed)
+    if never := redundancy_words(*method.redundancy):
+        print(f"Note: {never}", file=sys.stderr)
     readings = read_readings(file, method)
     table = None if output is None else EstimateFile(output, method)
     each = (lambda *_: None) if table is None else table.add

@@ -19,6 +19,7 @@ import pytest
 from page_on_screen import NO_GPU, differing, pixels, wait_until
 
 from repro.errors import InputError
+from repro.estimation.consistency import Verdict
 from repro.live.follow.browser import MOST_CLIENTS, WAITING, BrowserView, message
 from repro.live.follow.follower import Follower
 from repro.live.follow.latency import STAGES, Latencies
@@ -68,6 +69,8 @@ def states(estimator) -> list[LiveState]:
 
 def state(estimator, follower, time_s=math.nan, u=None, estimate=None, gone=False) -> LiveState:
     return LiveState(
+        verdict=Verdict(),
+        doubted=0,
         seconds=1.0,
         time_s=time_s,
         since_s=0.0,

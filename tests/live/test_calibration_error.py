@@ -113,7 +113,7 @@ def test_ellipsoids_of_calibrated_robots_hold(poses):
         generator = torch.Generator().manual_seed(1000 * seed + poses)
         truth = built(robot, generator, Priors())
         found = calibrated(robot, truth, poses, generator)
-        method = robot_estimator(found).method
+        method = robot_estimator(found).method.estimator  # of a batch, which is not watched
         q = random_q(robot, 30, generator, share=0.8)
         u = (truth.values(q) + robot.noise * normal((30, 9), generator))[:, list(robot.channel)]
         _, estimate = method.step(method.init(q, seed=0), u - found.offset, 0.0)
@@ -140,7 +140,7 @@ def test_chi_square_of_calibrated_robots_is_one_per_degree_of_freedom(tmp_path):
         generator = torch.Generator().manual_seed(seed)
         truth = built(robot, generator, Priors())
         found = calibrated(robot, truth, 10, generator)
-        method = robot_estimator(found).method
+        method = robot_estimator(found).method.estimator  # of a batch, which is not watched
         q = random_q(robot, 30, generator, share=0.8)
         u = truth.values(q) + robot.noise * normal((30, 6), generator) - found.offset
         _, estimate = method.step(method.init(q, seed=0), u, 0.0)
@@ -160,7 +160,7 @@ def test_the_error_of_networks_is_that_of_their_manifest(tmp_path):
     robot, manifest = load_robot(path), json.loads((tmp_path / "net.json").read_text())
     rmse = manifest["metrics_mt"]["rmse_validation"]
     torch.testing.assert_close(robot.error(robot.start), rmse**2 * torch.eye(3).double())
-    method = robot_estimator(robot).method
+    method = robot_estimator(robot).method.estimator
     q = robot.start + torch.tensor([0.003, -0.002, 0.0])
     options = method.init(q, seed=0), robot.sensing()(q).detach(), 0.0
     whole, noise = (m.step(*options)[1].covariance for m in (method, method.estimator))

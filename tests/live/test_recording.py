@@ -418,7 +418,9 @@ def test_an_unknown_start_is_no_time_of_day(tmp_path):
     with_head(path := tmp_path / "a.rec", b'{"format": "hall", "start_host_ns": 0}', 1)
     expected = "recording of export must be one that says when it started"
     with pytest.raises(InputError, match=expected):
-        export(read_recording(path), tmp_path / "a.csv")
+        export(read_recording(path), tmp_path / "a.csv", "hall")
+    export(read_recording(path), tmp_path / "b.csv")
+    assert "unix_s" not in (tmp_path / "b.csv").read_text().splitlines()[0]
 
 
 def test_a_recording_killed_before_its_first_frame_has_its_columns(tmp_path):

@@ -152,7 +152,7 @@ def message(estimator: RobotEstimator, state: LiveState) -> dict[str, Any]:
         "quantities": [str(quantity) for quantity in live_text.quantities(estimator, state)],
         "head": f"{live_text.pace(estimator, state)}; {live_text.latency(state)}",
         "counters": live_text.counters(state),
-        "troubles": live_text.troubles(estimator, state),
+        "troubles": live_text.troubles(estimator, state) + live_text.limits(estimator),
         "alerts": live_text.alerts(estimator, state),
     }
 

@@ -159,8 +159,13 @@ def troubles(estimator: RobotEstimator, state: LiveState) -> list[str]:
     if state.other_streams:
         streams = ", ".join(f"{stream} ({count} frames)" for stream, count in state.other_streams.items())
         said.append(f"Streams that {estimator.robot.name} does not have: {streams}.")
+    return said
+
+
+def limits(estimator: RobotEstimator) -> list[str]:
+    """What can never be told of this robot."""
     never = redundancy_words(*estimator.redundancy)
-    return [*said, never] if never else said
+    return [never] if never else []
 
 
 def alerts(estimator: RobotEstimator, state: LiveState) -> list[str]:
@@ -189,7 +194,7 @@ def block(estimator: RobotEstimator, state: LiveState) -> list[str]:
     rows, old = [str(quantity) for quantity in quantities(estimator, state)], mark(state)
     told = f"{old}: " if old else ""
     lines = [head, *(told + "   ".join(rows[k : k + 3]) for k in range(0, len(rows), 3))]
-    return [*lines, counters(state), *troubles(estimator, state)]
+    return [*lines, counters(state), *limits(estimator), *troubles(estimator, state)]
 
 
 def line(estimator: RobotEstimator, state: LiveState) -> str:
