@@ -244,7 +244,9 @@ def test_everything_is_estimated_and_recorded_in_order(robot, patient, tmp_path)
     assert text[0].startswith(f"{state.seconds:.0f} s: ")
     assert text[1].startswith("delta_x_1 ")
     assert " mm   delta_y_1 " in text[1]
-    assert text[2:] == ["100 frames"], "nothing to complain about"
+    assert text[2:3] == ["100 frames"]
+    never = "a wrong sensor looks like another shape and cannot be told."
+    assert text[3:] == [f"No redundancy, 3 readings for 3 unknowns: {never}"], "nothing to complain about"
 
 
 def test_overload_drops_the_newest_says_so_and_the_recording_has_all(robot, tmp_path, monkeypatch):
@@ -290,10 +292,10 @@ def test_a_sensor_that_falls_silent_is_left_out_and_named(robot, patient):
     estimator = robot_estimator(sent.robot, "kalman")
     state, _, _ = followed(board(take.readings()), estimator)
     assert state.missing == (0, 30, 0)
-    assert live_text.troubles(estimator, state) == [
-        "sensor 2 gives no reading and is left out: 30 time steps so far."
-    ]
-    assert live_text.alerts(estimator, state) == ["sensor 2 gives no reading and is left out."]
+    doubt, left_out = live_text.troubles(estimator, state)
+    assert doubt.endswith("There are fewer readings than unknowns: they do not determine the shape.")
+    assert left_out == "sensor 2 gives no reading and is left out: 30 time steps so far."
+    assert live_text.alerts(estimator, state)[1:] == ["sensor 2 gives no reading and is left out."]
     assert state.recorded.path is None, "nothing was to be recorded"
 
 
@@ -348,4 +350,6 @@ def test_a_coordinate_that_no_reading_determines_is_called_so(robot):
     sent = played(robot, rate_hz=100.0, seconds=0.3, seed=0)
     state, _, _ = followed(board(sent.take.readings()), estimator)
     assert all(str(x).endswith(" mm (undetermined)") for x in live_text.quantities(estimator, state))
-    assert live_text.troubles(estimator, state) == ["Not used, as asked: sensor 2."]
+    doubt, asked = live_text.troubles(estimator, state)
+    assert doubt.endswith("There are fewer readings than unknowns: they do not determine the shape.")
+    assert asked == "Not used, as asked: sensor 2."

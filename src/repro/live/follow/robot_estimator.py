@@ -210,15 +210,27 @@ def robot_estimator(
     if robot.imus:
         stacked, use, noise = imu_streams.stacked(robot, sensing), imu_streams.by_reading(robot, works), 1.0
     solver = LevenbergMarquardt(stacked or sensing, robot.lower, robot.upper, noise_mt=noise, backend=backend)
-    watched = _monitored(robot, solver, _magnetic(robot, name, solver), own=own)
+    watched = monitored(robot, solver, _magnetic(robot, name, solver), own=own)
     streams = (MAGNETIC_STREAM, *(imu.stream for imu in robot.imus))
     return RobotEstimator(robot, name, watched, robot.start, streams, use, stacked)
 
 
-def _monitored(
-    robot: RobotFile, solver: LevenbergMarquardt, method: Estimator[Any], *, own: bool
+def monitored(
+    robot: RobotFile, solver: LevenbergMarquardt, method: Estimator[Any], *, own: bool = False
 ) -> Monitored[Any]:
-    """Watch a method for magnetic sensors, with the error of the model; least squares looks for other starts."""
+    """Watch a method for magnetic sensors, with the error of the model, if the robot knows it.
+
+    Parameters
+    ----------
+    robot
+        Whose readings these are.
+    solver
+        Least squares, which looks for other starts.
+    method
+        What is watched.
+    own
+        Whether the sensor model is one of the user's: slow, and of an error that nobody knows.
+    """
     pair: tuple[Estimator[Any], Estimator[Any]] = (method, solver)
     if robot.error is not None and not own:
         box = (robot.lower, robot.upper)

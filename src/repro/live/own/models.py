@@ -15,6 +15,7 @@ from repro.live.follow.robot_estimator import (
     ACCELERATION_SHARE,
     VELOCITY_SHARE,
     RobotEstimator,
+    monitored,
     robot_estimator,
 )
 from repro.live.own.parts import spread
@@ -59,13 +60,12 @@ class Networks:
         """Return one of :data:`TRACKERS` with the networks for a sensor model, and their error for noise."""
         sensing, low, high = self.sensing(robot), robot.lower, robot.upper
         noise = max(robot.noise, sum(x * x for x in self.rmse) ** 0.5 / len(self.rmse) ** 0.5)
+        options = {"noise_mt": noise, "backend": "compiled"}
+        method = solver = LevenbergMarquardt(sensing, low, high, **options)
         if name == "kalman":
             scale = ACCELERATION_SHARE * (high - low), VELOCITY_SHARE * (high - low)
-            options = {"noise_mt": noise, "backend": "compiled"}
             method = IteratedKalmanFilter(sensing, low, high, *scale, **options)
-        else:
-            method = LevenbergMarquardt(sensing, low, high, noise_mt=noise, backend="compiled")
-        return replace(robot_estimator(robot, name), method=method)
+        return replace(robot_estimator(robot, name), method=monitored(robot, solver, method))
 
 
 def earth_axis(robot: RobotFile) -> Float[Tensor, " 3"] | None:
