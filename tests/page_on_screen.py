@@ -7,6 +7,7 @@ import io
 import numpy as np
 import pytest
 from PIL import Image
+from playwright.sync_api import Error as PlaywrightError
 
 NO_GPU = "GPU stall due to ReadPixels"
 """What Chromium says of every 3-D view when there is no GPU; a page cannot prevent it."""
@@ -15,8 +16,12 @@ NO_GPU = "GPU stall due to ReadPixels"
 def wait_until(page, condition: str) -> None:
     """Wait for a condition; the browser's own way of doing so evaluates text, which our pages forbid."""
     for _ in range(200):
-        if page.evaluate(condition):
-            return
+        try:
+            if page.evaluate(condition):
+                return
+        except PlaywrightError as error:  # the page was just reloading itself
+            if "Execution context was destroyed" not in str(error):
+                raise
         page.wait_for_timeout(50)
     pytest.fail(f"never: {condition}")
 
