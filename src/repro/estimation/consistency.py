@@ -36,7 +36,7 @@ class Verdict(NamedTuple):
     Attributes
     ----------
     status
-        :data:`CONSISTENT`, :data:`SUSPICIOUS` or :data:`WRONG`.
+        Number of one of :data:`STATUS`.
     testable
         Whether there is redundancy: without it nothing can be told, and ``status`` means nothing.
     excess

@@ -16,7 +16,7 @@ from repro.live.own.align import find_clock_lag, judged_at, on_one_clock, predic
 from repro.live.own.judge import Tracked, Truth, tip_positions, tracked
 from repro.live.own.lag import Lag, Samples, refined
 from repro.live.own.models import TRACKERS, Networks, calibrated, trained
-from repro.live.own.parts import Parts, split_in_time
+from repro.live.own.parts import TimeParts, split_in_time
 from repro.live.own.poses import MeasuredPoses
 from repro.live.own.readings import TimedReadings
 from repro.live.robot.calibration_file import RobotCalibration
@@ -57,7 +57,7 @@ class Fit:
     robot: RobotFile
     lag: Lag
     rest_lag: Lag
-    parts: Parts
+    parts: TimeParts
     time_s: np.ndarray
     truth: Truth
     tracks: list[Tracked]
@@ -93,7 +93,7 @@ def fit(
     readings, poses
         Each on its own clock.
     model
-        One of :data:`MODELS`.
+        ``"calibration"`` or ``"network"``.
     share
         Of the time, for the first part.
     longest_lag_s
@@ -156,7 +156,7 @@ def fit(
     return Fit(robot, lag, rest_lag, parts, time_s, truth, tracks, calibration, networks, tuple(notes))
 
 
-def _parts(readings: TimedReadings, poses: MeasuredPoses, lag_s: float, share: float) -> Parts:
+def _parts(readings: TimedReadings, poses: MeasuredPoses, lag_s: float, share: float) -> TimeParts:
     known = np.isfinite(poses.at(poses.q.numpy(), readings.time_s - lag_s)).all(axis=1)
     return split_in_time(readings.time_s, np.asarray(known), share)
 

@@ -22,7 +22,7 @@ LEAST_POSES = 20
 
 
 @dataclass(frozen=True)
-class Parts:
+class TimeParts:
     """What a robot is calibrated with, and what it is judged on.
 
     Parameters
@@ -43,7 +43,7 @@ class Parts:
 
 def split_in_time(
     time_s: Float[np.ndarray, " readings"], known: Bool[np.ndarray, " readings"], share: float
-) -> Parts:
+) -> TimeParts:
     """Split the time over which poses are known: a share first, a gap of one second, the rest.
 
     Parameters
@@ -77,7 +77,7 @@ def split_in_time(
         if chosen.sum() < LEAST_POSES:
             expected = f"at least {LEAST_POSES} readings with a pose in {words}"
             raise bad_input("readings and poses", "repro fit", expected, int(chosen.sum()))
-    return Parts(first, rest, (start, border), (border + APART_S, end))
+    return TimeParts(first, rest, (start, border), (border + APART_S, end))
 
 
 def spread(robot: RobotFile, q: Float[Tensor, "poses n_q"], most: int = POSES) -> Int[Tensor, " chosen"]:

@@ -6,7 +6,7 @@ import re
 from typing import NamedTuple
 
 SEPARATORS = {";": "semicolons", ",": "commas", "\t": "tabs", " ": "blanks"}
-"""The first of these that a line has separates its fields; :data:`BLANKS` around a field mean nothing."""
+"""The first of these that a line has separates its fields; blanks around a field mean nothing."""
 BLANKS = " \t"
 _LETTER = "A-Za-zµμΩ°%"
 NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?|[+-]?(?i:nan)(?![A-Za-z])"
