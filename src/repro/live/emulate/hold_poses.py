@@ -35,7 +35,7 @@ POSE_NOISE = (2e-4, math.radians(0.5))
 """How well poses are measured [m, rad]: what ``repro calibrate`` assumes."""
 
 Motion = Iterator[tuple[np.ndarray, np.ndarray]]
-"""Parts of a motion: times since the board was switched on [s], and configurations."""
+"""Times since the board was switched on [s] and configurations, one part of a motion after the other."""
 
 
 def spread_poses(robot: RobotFile, *, seed: int = 0, count: int | None = None) -> Float[np.ndarray, "n n_q"]:
