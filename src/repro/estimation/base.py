@@ -145,38 +145,32 @@ def usable(u: Float[Tensor, "*batch s"], mask: Tensor | None, owner: str) -> Boo
     InputError
         If the mask does not fit, a reading is infinite, or no sensor is left.
     """
-    if mask is None and u.shape[-1] and math.isfinite(u.sum()):  # the usual case, at a fifth of the time
-        return torch.ones_like(u, dtype=torch.bool)
-    if bool(torch.isinf(u).any()):
+    if mask is not None and (mask.dtype != torch.bool or mask.shape[-1:] != u.shape[-1:]):
+        expected = f"boolean, one for each of {u.shape[-1]} sensors"
+        raise bad_input("mask", owner, expected, f"{mask.dtype} of shape {tuple(mask.shape)}")
+    if math.isfinite(u.sum()):  # the usual case, at a fifth of the time
+        use = torch.ones_like(u, dtype=torch.bool)
+    elif bool(torch.isinf(u).any()):
         raise bad_input("u", owner, "finite, or NaN for a missing reading", "infinite readings")
-    use = ~torch.isnan(u)
-    if mask is not None:
-        if mask.dtype != torch.bool or mask.shape[-1:] != u.shape[-1:]:
-            expected = f"boolean, one for each of {u.shape[-1]} sensors"
-            raise bad_input("mask", owner, expected, f"{mask.dtype} of shape {tuple(mask.shape)}")
-        use = use & mask
-    if not bool(use.any(-1).all()):
+    else:
+        use = ~torch.isnan(u)
+    use = use if mask is None else use & mask
+    if not (u.shape[-1] and (bool(use.all()) or bool(use.any(-1).all()))):
         raise bad_input("u", owner, "at least one reading that is a number and not masked", "none")
     return use
 
 
-def redundancy(
-    use: Tensor, q: Tensor, free: Tensor, bounds: tuple[Tensor, Tensor] | None = None, prior: int = 0
-) -> Tensor:
+def redundancy(used: Tensor, free: Tensor) -> Tensor:
     """Degrees of freedom of the residuals: those there are, less the coordinates that were free to follow them.
 
     Parameters
     ----------
-    use, free
-        Readings ``[*batch, s]`` in use, and coordinates ``[*batch, n_q]`` that are not held.
-    q, bounds
-        An estimate, and its bounds: a coordinate at one of them could not follow.
-    prior
-        Number of residuals that a prior adds to those of the readings.
+    used
+        Number of residuals, of every member of a batch.
+    free
+        Coordinates ``[*batch, n_q]`` that could follow: neither held nor at a bound.
     """
-    if bounds is not None:
-        free = free & (q > bounds[0]) & (q < bounds[1])
-    return (use.sum(-1) + prior - free.sum(-1)).clamp_min(0)
+    return (used - free.sum(-1)).clamp_min(0)
 
 
 def held(q: Tensor, known: Tensor | None) -> tuple[Tensor, Tensor]:

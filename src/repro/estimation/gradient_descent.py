@@ -113,7 +113,7 @@ class GradientDescent:
             "best_iteration": best_at,
             "masked": (~use).sum(-1),
             "chi2": loss * use.sum(-1) / self.noise_mt**2,
-            "dof": redundancy(use, q, free),
+            "dof": redundancy(use.sum(-1), free),
         }
         return GradientState(q, b), Estimate(q, None, u_hat, diagnostics)
 

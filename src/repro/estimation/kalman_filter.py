@@ -150,15 +150,17 @@ class IteratedKalmanFilter:
         P = (P + P.mT) / 2  # rounding would add up over the steps
         residual = torch.where(use, u - u_hat, 0.0)
         surprise = (W.mT @ (new - q).unsqueeze(-1)).squeeze(-1)
-        bounds = (self.lower.to(new), self.upper.to(new))
+        used, bound = use.sum(-1), (new <= self.lower.to(new)) | (new >= self.upper.to(new))
         free = torch.ones_like(new, dtype=torch.bool) if known is None else torch.isnan(known).expand_as(new)
         diagnostics = {
-            "rmse": (residual.square().sum(-1) / use.sum(-1)).sqrt(),
+            "rmse": (residual.square().sum(-1) / used).sqrt(),
             "iterations": iterations,
-            "at_bound": ((new <= bounds[0]) | (new >= bounds[1])).any(-1),
-            "masked": (~use).sum(-1),
+            "at_bound": bound.any(-1),
+            "masked": use.shape[-1] - used,
             "chi2": (residual / self.noise_mt).square().sum(-1) + surprise.square().sum(-1),
-            "dof": redundancy(use, new, free, bounds, prior=free.shape[-1]),
+            "dof": redundancy(
+                used + free.shape[-1], free & ~bound
+            ),  # the prior is a residual of every coordinate
         }
         return KalmanState(new, velocity, P, t), Estimate(new, C, u_hat, diagnostics)
 

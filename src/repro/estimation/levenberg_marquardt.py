@@ -98,13 +98,14 @@ class LevenbergMarquardt:
             q, u_hat, rmse, count, C = self._fit_compiled(q, u, use, free, low, high)
         else:
             q, u_hat, rmse, count, C = self._fit(q, u, use, free, low, high)
+        used, bound = use.sum(-1), (q <= low) | (q >= high)
         diagnostics = {
             "rmse": rmse,
             "iterations": count,
-            "at_bound": ((q <= low) | (q >= high)).any(-1),
-            "masked": (~use).sum(-1),
-            "chi2": (rmse / self.noise_mt).square() * use.sum(-1),
-            "dof": redundancy(use, q, free, (low, high)),
+            "at_bound": bound.any(-1),
+            "masked": use.shape[-1] - used,
+            "chi2": (rmse / self.noise_mt).square() * used,
+            "dof": redundancy(used, free & ~bound),
         }
         return LeastSquaresState(q), Estimate(q, C, u_hat, diagnostics)
 

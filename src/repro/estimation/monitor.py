@@ -8,7 +8,7 @@ explains them; if none does, fits that leave one sensor out say which sensor is 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Generic, TypeVar
 
 import torch
@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, Estimator, usable
+from repro.estimation.base import Estimate, Estimator
 from repro.estimation.consistency import (
     CONSISTENT,
     SUSPICIOUS,
@@ -148,9 +148,8 @@ class Monitored(Generic[S]):
     ) -> tuple[MonitorState[S], Estimate]:
         """Step the estimator, test what it says, and start it anew if that explains the readings much better."""
         inner, estimate = self.estimator.step(state.inner, u, t, mask=mask, known=known)
-        use = usable(u, mask, "Monitored")
-        state = replace(state, inner=inner, steps=state.steps + 1)
-        state = self._tested((*state.window, seen_by(u, use, estimate))[-WINDOW:], state)
+        seen = seen_by(u, ~torch.isnan(u) if mask is None else ~torch.isnan(u) & mask, estimate)
+        state = self._tested((*state.window, seen)[-WINDOW:], state, inner, state.steps + 1)
         if state.verdict.status and state.steps >= state.look_at:
             state = replace(state, look_at=state.steps + max(1, round(self.look_s * self.rate_hz)))
             start, lags = self._start(state, estimate, known)
@@ -158,7 +157,8 @@ class Monitored(Generic[S]):
                 again = self.estimator.init(start, seed=state.seed + state.anew + 1)
                 inner, estimate = self.estimator.step(again, u, t, mask=mask, known=known)
                 fresh = {"anew": state.anew + 1, "anew_at": state.steps, "verdict": Verdict(), "left": None}
-                state = self._tested((seen_by(u, use, estimate),), replace(state, inner=inner, **fresh))
+                window = (seen_by(u, seen.use, estimate),)
+                state = self._tested(window, replace(state, **fresh), inner, state.steps)
             elif lags:
                 state = replace(
                     state, verdict=state.verdict._replace(cause="estimator", suspects=()), left=None
@@ -167,20 +167,22 @@ class Monitored(Generic[S]):
                 state = self._blamed(state, estimate.q, t, known)
         elif state.verdict.status and state.left is not None:
             state = self._followed(state, t, known)
-        if state.verdict.status == CONSISTENT and int(use.sum()) < self.unknowns:
+        if state.verdict.status == CONSISTENT and int(seen.use.sum()) < self.unknowns:
             state = replace(state, verdict=state.verdict._replace(status=SUSPICIOUS, cause="too few"))
         elif state.verdict.status == CONSISTENT or state.verdict.cause == "anew":
             state = replace(state, good=estimate.q, good_at=t, look_at=0)
-        return state, _said(estimate, state, len(self._sensors(state.window[-1])))
+        return state, _said(estimate, state, len(u) if self.sensors is None else len(self.sensors))
 
-    def _tested(self, window: tuple[Seen, ...], state: MonitorState[S]) -> MonitorState[S]:
-        """State with the verdict on a window; what was found out before about an alarm that lasts is kept."""
+    def _tested(
+        self, window: tuple[Seen, ...], state: MonitorState[S], inner: S, steps: int
+    ) -> MonitorState[S]:
+        """State after a step with the verdict on a window; what was found out about an alarm that lasts is kept."""
         verdict = verdict_on(window, self.false_alarms_per_hour / (3600 * self.rate_hz))
         if verdict.status and state.verdict.status and state.verdict.cause != "too few":
             verdict = verdict._replace(cause=state.verdict.cause, suspects=state.verdict.suspects)
-        elif not verdict.status and state.anew and state.steps - state.anew_at < WINDOW:
+        elif not verdict.status and state.anew and steps - state.anew_at < WINDOW:
             verdict = verdict._replace(status=SUSPICIOUS, cause="anew")
-        return replace(state, window=window, verdict=verdict)
+        return replace(state, inner=inner, steps=steps, window=window, verdict=verdict)
 
     def _start(
         self, state: MonitorState[S], estimate: Estimate, known: Tensor | None
@@ -254,9 +256,14 @@ class Monitored(Generic[S]):
 def _said(estimate: Estimate, state: MonitorState[Any], sensors: int) -> Estimate:
     """Return the estimate with the verdict on it."""
     verdict, C = state.verdict, estimate.covariance
-    suspects = torch.zeros(sensors, dtype=torch.bool)
-    suspects[list(verdict.suspects)] = True
-    said = {"status": torch.tensor(verdict.status), "suspects": suspects, "anew": torch.tensor(state.anew)}
+    said = _words(verdict.status, verdict.suspects, state.anew, sensors)
     if C is not None and verdict.status and verdict.excess > 1:
         C = verdict.excess**2 * C
-    return replace(estimate, covariance=C, diagnostics={**estimate.diagnostics, **said})
+    return Estimate(estimate.q, C, estimate.u_hat, {**estimate.diagnostics, **said})
+
+
+@lru_cache(maxsize=64)
+def _words(status: int, suspects: tuple[int, ...], anew: int, sensors: int) -> dict[str, Tensor]:
+    flags = torch.zeros(sensors, dtype=torch.bool)
+    flags[list(suspects)] = True
+    return {"status": torch.tensor(status), "suspects": flags, "anew": torch.tensor(anew)}

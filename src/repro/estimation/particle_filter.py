@@ -201,7 +201,7 @@ class ParticleFilter:
             "lost": lost,
             "masked": (~use).sum(-1),
             "chi2": (torch.where(use, u - u_hat, 0.0) / self.noise_mt).square().sum(-1),
-            "dof": redundancy(use, best, free),
+            "dof": redundancy(use.sum(-1), free),
         }
         q, velocity = self._following(q, velocity, found.w, stream(state.seed, state.steps))
         following = ParticleState(q, velocity, state.seed, state.steps + 1)

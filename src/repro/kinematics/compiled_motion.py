@@ -102,8 +102,8 @@ def chain(robot: Robot, mounts: Mounts) -> tuple[Chain, torch.Size]:
 
 def array(x: Tensor) -> np.ndarray:
     """Copy of a tensor as kernels take it: contiguous, truth values or double precision."""
-    x = x.detach().cpu()
-    return np.array((x if x.dtype == torch.bool else x.double()).numpy(), order="C")
+    values = x.numpy(force=True)
+    return np.array(values, np.bool_ if values.dtype == np.bool_ else np.float64, order="C")
 
 
 @compiled()

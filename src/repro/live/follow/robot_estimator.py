@@ -210,27 +210,25 @@ def robot_estimator(
     if robot.imus:
         stacked, use, noise = imu_streams.stacked(robot, sensing), imu_streams.by_reading(robot, works), 1.0
     solver = LevenbergMarquardt(stacked or sensing, robot.lower, robot.upper, noise_mt=noise, backend=backend)
-    watched = monitored(robot, solver, _magnetic(robot, name, solver), own=own)
+    watched = monitored(robot, name, solver)
     streams = (MAGNETIC_STREAM, *(imu.stream for imu in robot.imus))
     return RobotEstimator(robot, name, watched, robot.start, streams, use, stacked)
 
 
-def monitored(
-    robot: RobotFile, solver: LevenbergMarquardt, method: Estimator[Any], *, own: bool = False
-) -> Monitored[Any]:
-    """Watch a method for magnetic sensors, with the error of the model, if the robot knows it.
+def monitored(robot: RobotFile, name: str, solver: LevenbergMarquardt) -> Monitored[Any]:
+    """Estimator for magnetic sensors, watched, and with the error of the model, if the robot knows it.
 
     Parameters
     ----------
     robot
         Whose readings these are.
+    name
+        One of :data:`ESTIMATORS`.
     solver
-        Least squares, which looks for other starts.
-    method
-        What is watched.
-    own
-        Whether the sensor model is one of the user's: slow, and of an error that nobody knows.
+        Least squares with the sensor model, which looks for other starts. In torch the model is one of the user's:
+        slow, and of an error that nobody knows.
     """
+    method, own = _magnetic(robot, name, solver), solver.backend == "torch"
     pair: tuple[Estimator[Any], Estimator[Any]] = (method, solver)
     if robot.error is not None and not own:
         box = (robot.lower, robot.upper)

@@ -9,18 +9,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.live.follow.robot_estimator import (
-    ACCELERATION_SHARE,
-    VELOCITY_SHARE,
-    RobotEstimator,
-    monitored,
-    robot_estimator,
-)
+from repro.live.follow.robot_estimator import RobotEstimator, monitored, robot_estimator
 from repro.live.own.parts import spread
 from repro.live.robot.calibrate import calibrate
 from repro.live.robot.calibration_file import RobotCalibration
+from repro.live.robot.reading_errors import WhiteError
 from repro.live.robot.robot_file import RobotFile
 from repro.sensing.fast_training import BATCH, train_fast
 from repro.sensing.magnetic import MagneticSensing
@@ -57,15 +51,11 @@ class Networks:
         return MagneticSensing(robot.robot, model, earth_axis=earth_axis(robot))
 
     def estimator(self, robot: RobotFile, name: str) -> RobotEstimator:
-        """Return one of :data:`TRACKERS` with the networks for a sensor model, and their error for noise."""
-        sensing, low, high = self.sensing(robot), robot.lower, robot.upper
-        noise = max(robot.noise, sum(x * x for x in self.rmse) ** 0.5 / len(self.rmse) ** 0.5)
-        options = {"noise_mt": noise, "backend": "compiled"}
-        method = solver = LevenbergMarquardt(sensing, low, high, **options)
-        if name == "kalman":
-            scale = ACCELERATION_SHARE * (high - low), VELOCITY_SHARE * (high - low)
-            method = IteratedKalmanFilter(sensing, low, high, *scale, **options)
-        return replace(robot_estimator(robot, name), method=monitored(robot, solver, method))
+        """Return one of :data:`TRACKERS` with the networks for a sensor model, and their error beside the noise."""
+        robot = replace(robot, error=WhiteError(torch.tensor(self.rmse, dtype=torch.float64)))
+        options = {"noise_mt": robot.noise, "backend": "compiled"}
+        solver = LevenbergMarquardt(self.sensing(robot), robot.lower, robot.upper, **options)
+        return replace(robot_estimator(robot, name), method=monitored(robot, name, solver))
 
 
 def earth_axis(robot: RobotFile) -> Float[Tensor, " 3"] | None:

@@ -61,50 +61,45 @@ class CalibrationError:
 
 
 @dataclass(frozen=True)
-class NetworkError:
-    """Covariance of readings predicted by trained networks: the validation error that their manifests state.
-
-    White from sensor to sensor and configuration to configuration, which is all that is known of it.
+class WhiteError:
+    """Covariance of readings whose model errs independently from sensor to sensor and place to place.
 
     Parameters
     ----------
-    networks
-        Files of weights.
-    of_sensor
-        Which of them predicts each sensor.
-    unit
-        Unit of the readings.
+    rmse
+        Root mean square error of the model for every sensor [unit].
     """
 
-    networks: tuple[Path, ...]
-    of_sensor: Sequence[int]
-    unit: str
-
-    @cached_property
-    def _variance(self) -> Float[Tensor, " s"]:
-        squared = [self._rmse(path) ** 2 for path in self.networks]
-        return torch.tensor([squared[k] for k in self.of_sensor], dtype=torch.float64)
-
-    def _rmse(self, path: Path) -> float:
-        key = f"metrics_{self.unit.lower()}"
-        metrics = read_manifest(path).get(key)
-        value = metrics.get("rmse_validation") if isinstance(metrics, dict) else None
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < float("inf"):
-            expected = f"with the validation error rmse_validation [{self.unit}] in {key}"
-            raise bad_input("manifest", path.with_suffix(".json").name, expected, metrics)
-        return float(value)
+    rmse: Float[Tensor, " s"]
 
     def __call__(self, q: Float[Tensor, "*batch n_q"]) -> Float[Tensor, "*batch s s"]:
         """Covariance at configurations [unit^2]."""
-        n = len(self.of_sensor)
-        return torch.diag(self._variance).expand(*q.shape[:-1], n, n)
+        return torch.diag(self.rmse.square()).expand(*q.shape[:-1], len(self.rmse), len(self.rmse))
 
 
-def network_error(networks: Sequence[Path], robot: Robot, unit: str) -> NetworkError | None:
-    """Error of trained networks as their manifests state it; of others nothing is known."""
+def network_error(networks: Sequence[Path], robot: Robot, unit: str) -> WhiteError | None:
+    """Error of trained networks: the validation error that their manifests state; of others nothing is known.
+
+    Raises
+    ------
+    InputError
+        If a manifest does not state it in this unit.
+    """
     if not networks or are_scripts(networks):
         return None
-    return NetworkError(tuple(networks), network_of_sensor(robot, len(networks)), unit)
+    rmse = [_rmse(path, unit) for path in networks]
+    of_sensor = network_of_sensor(robot, len(networks))
+    return WhiteError(torch.tensor([rmse[k] for k in of_sensor], dtype=torch.float64))
+
+
+def _rmse(path: Path, unit: str) -> float:
+    key = f"metrics_{unit.lower()}"
+    metrics = read_manifest(path).get(key)
+    value = metrics.get("rmse_validation") if isinstance(metrics, dict) else None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < float("inf"):
+        expected = f"with the validation error rmse_validation [{unit}] in {key}"
+        raise bad_input("manifest", path.with_suffix(".json").name, expected, metrics)
+    return float(value)
 
 
 def network_of_sensor(robot: Robot, networks: int) -> tuple[int, ...]:
