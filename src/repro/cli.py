@@ -138,18 +138,20 @@ def train(*, only: str = "") -> int:
 @app.command
 def studies() -> int:
     """Compute the tables in data/studies/ that are missing or belong to other settings (minutes each, resumable)."""
+    from functools import partial
+
     import torch
 
-    from repro.experiments.martin2022.calibration import write_martin_study
     from repro.experiments.placement.study import write_placement_study
-    from repro.live.follow.alarm_study import write_alarm_study
+    from repro.live.follow.alarm_study import ALARMS
     from repro.report.project import find_project, shown
     from repro.report.studies import write_studies
 
     torch.set_num_threads(1)
     folder = find_project().data / "studies"
-    for write in (write_studies, write_placement_study, write_martin_study, write_alarm_study):
-        for path in write(folder, progress=sys.stderr.isatty()):
+    progress = sys.stderr.isatty()
+    for write in (partial(write_studies, further=[ALARMS]), write_placement_study):
+        for path in write(folder, progress=progress):
             print(shown(path), flush=True)
     return 0
 

@@ -2,12 +2,13 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from scipy import stats
 
 from repro.estimation.base import track
-from repro.estimation.consistency import Seen, limit, verdict_on
+from repro.estimation.consistency import Seen, lasting, limit, verdict_on
 from repro.estimation.kalman_filter import IteratedKalmanFilter, driven
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 
@@ -110,3 +111,17 @@ def test_a_trajectory_carries_chi_square():
     found = track(method, linear(torch.ones(4, 2, dtype=torch.float64)), torch.zeros(2, dtype=torch.float64))
     assert found.diagnostics["chi2"].shape == found.diagnostics["dof"].shape == (4,)
     assert float(found.diagnostics["chi2"].max()) < 1e-12
+
+
+@pytest.mark.parametrize("readings", [0, 1, 2.5, 3, 100])
+def test_a_condition_lasts_where_all_of_the_last_readings_meet_it(readings):
+    condition = np.random.default_rng(3).random(200) < 0.7
+    n = math.floor(readings) + 1  # more than so many
+    expected = [k + 1 >= n and bool(condition[k + 1 - n : k + 1].all()) for k in range(200)]
+    assert lasting(condition, readings).tolist() == expected
+
+
+def test_a_condition_that_always_or_never_holds():
+    assert lasting(np.ones(5, dtype=bool), 3).tolist() == [False, False, False, True, True]
+    assert not lasting(np.zeros(5, dtype=bool), 0).any()
+    assert lasting(np.zeros(0, dtype=bool), 0).tolist() == []

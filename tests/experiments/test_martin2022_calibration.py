@@ -10,14 +10,14 @@ from short_arm import DATA, short_arm
 from repro.errors import InputError
 from repro.experiments.martin2022.calibration import (
     BASELINE,
-    DRAWS,
     FIRST_S,
     MARKERS_MEAN,
-    NAME,
     calibration_errors,
+    over_sensors,
     ratios,
 )
 from repro.experiments.martin2022.draws import draw, drawn
+from repro.report.studies import read_study
 from repro.sensing.inertial import PERFECT
 from repro.simulation.arm_recording import MotionCapture
 from repro.simulation.stick_motion import SCHEDULE
@@ -85,13 +85,20 @@ def test_ratios_are_paired():
 @pytest.fixture(scope="module")
 def study():
     """The committed table."""
-    return pd.read_csv(DATA / "studies" / f"{NAME}.csv")
+    return read_study("martin_calibration")[0]
 
 
 def test_study_is_whole(study):
     counts = [study[name].nunique() for name in ("draw", "method", "mode", "point_mm")]
-    assert counts == [DRAWS, 6, 4, 5]
+    assert counts == [10, 6, 4, 5]
     assert len(study) == np.prod(counts)
+
+
+def test_a_draw_of_the_study_is_found_again(study):
+    _, settings = read_study("martin_calibration")
+    table = over_sensors(**settings | {"draws": [3]}, data=DATA)
+    expected = study[study["draw"] == 3].reset_index(drop=True)
+    pd.testing.assert_frame_equal(table, expected, check_dtype=False, rtol=1e-4)
 
 
 def test_first_part_holds_one_mode():

@@ -4,24 +4,25 @@ import math
 import threading
 import time
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import pandas as pd
 import pytest
-from pty_board import Board
 
 from repro.estimation.consistency import WRONG
 from repro.live.emulate.links import HAS_PTY
 from repro.live.emulate.robot_readings import robot_readings
 from repro.live.emulate.sensor_faults import SensorFaults, with_sensor_faults
 from repro.live.follow import live_text
-from repro.live.follow.alarm_study import SCENARIOS, alarm_table, alarm_trials
+from repro.live.follow.alarm_study import ALARMS, SCENARIOS, alarm_sums, alarm_table, alarm_trials
 from repro.live.follow.robot_estimator import robot_estimator
 from repro.live.follow.session import follow
 from repro.live.record.recording import read_recording
 from repro.live.robot.robot_file import load_robot
 from repro.live.wire.formats import encode
 from repro.live.wire.frame import Frame
+from repro.report.studies import read_study
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 TWO = load_robot(ROBOTS / "two_segments.toml")
@@ -71,14 +72,28 @@ def test_shares_are_those_of_the_counts(counts):
     assert math.isnan(table.loc["none", "noticed_percent"])
 
 
+def test_the_table_has_a_row_for_every_case(counts):
+    options = {"estimators": ["levenberg_marquardt"], "scenarios": ["none", "stuck"], "trials": 1, "seed": 7}
+    table = alarm_sums({"two_segments": 40.0}, **options)
+    head = {"robot": "two_segments", "estimator": "levenberg_marquardt"}
+    assert table.to_dict("records") == [head | {"scenario": x} | counts[x] for x in ("none", "stuck")]
+
+
+def test_the_committed_table_belongs_to_the_settings_of_today():
+    table, settings = read_study(ALARMS.name)
+    assert settings == ALARMS.settings
+    cases = product(settings["rates_hz"], settings["estimators"], settings["scenarios"])
+    assert list(table[["robot", "estimator", "scenario"]].itertuples(index=False, name=None)) == list(cases)
+    assert (table["trials"] == settings["trials"]).all()
+
+
 @pytest.mark.skipif(not HAS_PTY, reason="no pseudo-terminals on this system")
-def test_a_session_names_the_sensor_marks_the_shape_and_notes_it_in_the_recording(tmp_path):
+def test_a_session_names_the_sensor_marks_the_shape_and_notes_it_in_the_recording(board, tmp_path):
     slow = replace(TWO, rate_hz=50.0)
     sound = robot_readings(slow, duration_s=3.0, seed=1)
     sent = with_sensor_faults(sound, SensorFaults(unplug=3), from_s=1.0)
     estimator, states, stop = robot_estimator(slow), [], threading.Event()
-    board, path = Board(tmp_path), tmp_path / "run.rec"
-    board.plug_in()
+    path = tmp_path / "run.rec"
     options = {"output": path, "stop": stop, "show": states.append}
     session = threading.Thread(target=lambda: follow(str(board.port), estimator, **options), daemon=True)
     session.start()

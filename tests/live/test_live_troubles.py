@@ -42,15 +42,6 @@ def estimator() -> RobotEstimator:
     return made
 
 
-@pytest.fixture
-def board(tmp_path):
-    board = Board(tmp_path)
-    board.plug_in()
-    yield board
-    if board.master >= 0:
-        board.unplug()
-
-
 class Session(threading.Thread):
     """A live session in a thread of its own, and the states it shows."""
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_recorder import COMMANDS, Board, Recorder, coded, frames, recorded
+from test_recorder import COMMANDS, Recorder, coded, frames, recorded
 
 from repro.errors import InputError
 from repro.live.emulate.board import passages
@@ -26,14 +26,6 @@ from repro.live.robot.calibration_poses import Poses, recorded_readings
 from repro.live.wire.csv_text import CsvParser
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals")
-
-
-@pytest.fixture
-def board(tmp_path):
-    board = Board(tmp_path)
-    board.plug_in()
-    yield board
-    board.unplug()
 
 
 def test_lines_with_labels_are_recorded_with_their_names_units_and_times(board, tmp_path):
@@ -167,9 +159,7 @@ def test_lines_that_no_format_takes_are_shown_with_the_reason(board, tmp_path):
 # ---- nothing is dropped without a word ----
 
 
-def command(
-    board: Board, data: bytes, *arguments: str, seconds: float = 2.0
-) -> subprocess.CompletedProcess[str]:
+def command(board, data: bytes, *arguments: str, seconds: float = 2.0) -> subprocess.CompletedProcess[str]:
     """Run `repro record` over a port that sends data once."""
     process = subprocess.Popen(
         [sys.executable, "-c", COMMANDS, "record", str(board.port), "--duration", f"{seconds}", *arguments],

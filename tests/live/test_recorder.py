@@ -40,15 +40,6 @@ except InputError as error:
 """
 
 
-@pytest.fixture
-def board(tmp_path):
-    board = Board(tmp_path)
-    board.plug_in()
-    yield board
-    if board.master >= 0:
-        board.unplug()
-
-
 class Recorder(threading.Thread):
     """`record` in a thread; `finish` stops it and returns what it returned, or raises what it raised."""
 

@@ -18,11 +18,12 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.base import Estimate
+from repro.estimation.consistency import STATUS
 from repro.live.emulate.board import passages
 from repro.live.emulate.emulator import Emulator
 from repro.live.emulate.links import SocketLink
 from repro.live.emulate.takes import open_take
-from repro.live.follow.estimate_table import CONSISTENCY, EstimateFile, EstimateRows
+from repro.live.follow.estimate_table import EstimateFile, EstimateRows
 from repro.live.follow.follower import Follower
 from repro.live.follow.offline import read_readings, track_readings
 from repro.live.follow.played import played
@@ -141,7 +142,7 @@ def test_columns_of_every_kind_of_estimate(estimator):
     rows = EstimateRows(estimator, said)
     assert rows.header[-3:] == ["chi2", "dof", "consistency"]
     assert [row[-3:] for row in rows.rows([0.5, 0.6], [said, plain])] == [
-        ["3.5", "2", CONSISTENCY[1]],
+        ["3.5", "2", STATUS[1]],
         [""] * 3,
     ]
     held = Estimate(q, torch.zeros(3, 3, dtype=torch.float64), q)

@@ -9,6 +9,7 @@ from repro.errors import InputError
 from repro.experiments.baaij2023.noise import against_bound
 from repro.experiments.baaij2023.tolerances import tolerance_errors
 from repro.report import studies as module
+from repro.report.project import find_project
 from repro.report.studies import Study, committed, read_study, settings_of_studies, studies, write_studies
 
 SMALL = {"n_segments": 1, "kinds": ["sensor_gain"], "factors": [0.1, 1.0], "draws": 1, "steps": 4}
@@ -68,6 +69,16 @@ def test_table_and_settings_as_written(tmp_path, computed):
         "0.1, 1.0": "gain_0",
         "0.5": "gain_1",
     }
+
+
+def test_further_studies_are_written_after_them(tmp_path, computed):
+    names, _ = computed
+    more = Study("more", lambda **given: pd.DataFrame([given]), {"draws": 3}, ("data",))
+    paths = write_studies(tmp_path, [more], progress=False)
+    assert [path.stem for path in paths] == [*names, "more"]
+    table, settings = read_study("more", tmp_path)
+    assert settings == {"draws": 3}
+    assert table.to_dict("records") == [{"draws": 3, "data": str(find_project().data)}]
 
 
 def test_progress_names_the_studies(tmp_path, computed, capsys):

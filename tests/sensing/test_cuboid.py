@@ -99,8 +99,9 @@ def test_bend_sensor_reads_what_poses_and_magpylib_say(length):
     ],
 )
 def test_ideal_field_over_the_bend_space(degrees, axial, radial, absolute, singular):
-    """Golden values: shared/facts/mitchell2021.md, there for the magnet turned round (both components negative).
+    """Golden values: magpylib's Cuboid on the arc of Mitchell et al. (2021), section III, 15 mm long.
 
+    Its polarisation is 1.32 T, as in the authors' code (github.com/MasonDMitchell/pose-chain, magsim.py at 954a759).
     The cube is not quite axisymmetric: the values are means over the directions, where it matters.
     """
     direction = torch.linspace(0, 2 * torch.pi, 17, dtype=torch.float64)[:-1]

@@ -15,7 +15,9 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from jaxtyping import Bool
 from scipy import stats
 from torch import Tensor
 
@@ -105,6 +107,19 @@ def verdict_on(window: tuple[Seen, ...], chance: float) -> Verdict:
     value = chi2 / dof * free
     status = (value > limit(chance, free)) + (value > limit(WRONG_SHARE * chance, free))
     return Verdict(status, True, (chi2 / dof) ** 0.5)
+
+
+def lasting(condition: Bool[np.ndarray, " n"], readings: int | float) -> Bool[np.ndarray, " n"]:
+    """Where a condition has held for more than so many readings in a row, up to and with this one.
+
+    Examples
+    --------
+    >>> lasting(np.array([True, True, False, True, True, True, True]), 2).nonzero()[0].tolist()
+    [5, 6]
+    """
+    here = np.arange(len(condition))
+    last_without = np.maximum.accumulate(np.where(condition, -1, here))
+    return here - last_without > readings
 
 
 def frozen(window: tuple[Seen, ...]) -> Tensor:

@@ -1,4 +1,4 @@
-"""How mounts move when the configuration changes: poses and their derivatives by the chain of segments."""
+"""How mounts and the tip move when the configuration changes: where they are, and the derivatives."""
 
 from __future__ import annotations
 
@@ -64,6 +64,53 @@ def backbone_motion(
     T = torch.stack(torch.broadcast_tensors(*poses), dim=-3)
     dT = torch.stack(torch.broadcast_tensors(*motions), dim=-4)
     return T[..., plane_of_mount, :, :], dT[..., plane_of_mount, :, :, :]
+
+
+def tip_motion(
+    robot: Robot, q: Float[Tensor, "*batch n_q"]
+) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3 n_q"]]:
+    r"""Positions of the tip, and their derivatives :math:`J = \partial p / \partial q` by the configuration.
+
+    To first order a covariance :math:`C` of the configuration gives the tip the covariance :math:`J C J^T`. For one
+    point this is cheaper than :func:`backbone_motion`: three reverse passes, however many segments there are.
+
+    Parameters
+    ----------
+    robot
+        Its segments.
+    q
+        Configuration.
+
+    Returns
+    -------
+    tuple
+        Positions in the base frame [m], and their derivatives [m per unit of each configuration variable].
+
+    Raises
+    ------
+    InputError
+        If the last dimension of ``q`` is not that of the robot, or ``q`` is not finite.
+
+    Examples
+    --------
+    The tip of a straight segment moves by :math:`L/2d` when it begins to bend, and with its elongation:
+
+    >>> from repro.kinematics.constant_curvature import ConstantCurvature
+    >>> position, J = tip_motion(Robot((ConstantCurvature(0.11, 0.022),)), torch.zeros(3, dtype=torch.float64))
+    >>> position
+    tensor([0.0000, 0.0000, 0.1100], dtype=torch.float64)
+    >>> J
+    tensor([[2.5000, 0.0000, 0.0000],
+            [0.0000, 2.5000, 0.0000],
+            [0.0000, 0.0000, 1.0000]], dtype=torch.float64)
+    """
+
+    def summed(x: Tensor) -> tuple[Tensor, Tensor]:
+        position = robot.tip(x)[..., :3, 3]
+        return position.reshape(-1, 3).sum(0), position  # members of a batch do not depend on each other
+
+    J, position = torch.func.jacrev(summed, has_aux=True)(q)
+    return position, J.movedim(0, -2)
 
 
 Frame = tuple[int, Tensor]

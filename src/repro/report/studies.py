@@ -25,6 +25,7 @@ from repro.experiments.baaij2023.solvers import SOLVERS
 from repro.experiments.baaij2023.tolerances import FACTORS, KINDS, tolerance_errors
 from repro.experiments.closed_loop.estimators import changed_errors, estimator_errors, twin_errors
 from repro.experiments.closed_loop.tables import cause_errors, loop_errors
+from repro.experiments.martin2022.calibration import DRAWS, EVERY, FIRST_S, over_sensors
 from repro.experiments.mitchell2021.study import particle_studies
 from repro.report.files import write_whole
 from repro.report.project import find_project
@@ -46,8 +47,8 @@ class Study:
     settings
         Its keyword arguments, as JSON can hold them.
     needs
-        Which of ``folder`` (of the trained networks), ``cache`` (of networks that are not kept) and ``progress``
-        the function takes besides.
+        Which of ``data`` (the folder), ``folder`` (of the trained networks), ``cache`` (of networks that are not
+        kept) and ``progress`` the function takes besides.
     """
 
     name: str
@@ -57,7 +58,7 @@ class Study:
 
 
 def studies() -> tuple[Study, ...]:
-    """All studies with the settings of the committed tables."""
+    """All studies of the papers' methods and ours, with the settings of the committed tables."""
     descent, squares = SOLVERS
     descents = {
         1: MODELS,
@@ -72,6 +73,7 @@ def studies() -> tuple[Study, ...]:
         _robustness(),
         *(Study(*x) for x in particle_studies()),
         *_closed_loop(),
+        _martin_calibration(),
     )
 
 
@@ -130,7 +132,12 @@ def _robustness() -> Study:
     return Study("robustness", robustness_errors, settings, ("cache", "progress"))
 
 
-def write_studies(folder: Path, *, progress: bool) -> list[Path]:
+def _martin_calibration() -> Study:
+    settings = {"draws": list(range(DRAWS)), "first_s": FIRST_S, "every": EVERY}
+    return Study("martin_calibration", over_sensors, settings, ("data", "progress"))
+
+
+def write_studies(folder: Path, further: Sequence[Study] = (), *, progress: bool) -> list[Path]:
     """Compute the studies whose files are missing or belong to other settings; return the paths of all tables.
 
     A study is written as a whole when it is done, so that an interrupted call goes on with the next one. A change
@@ -140,17 +147,20 @@ def write_studies(folder: Path, *, progress: bool) -> list[Path]:
     ----------
     folder
         Where the tables are, ``data/studies``.
+    further
+        Studies besides :func:`studies`.
     progress
         Name each study on standard error as it starts, with progress bars.
     """
     project = find_project()
     available = {
+        "data": project.data,
         "folder": project.data / "networks",
         "cache": project.cache / "networks",
         "progress": progress,
     }
     paths = []
-    for study in studies():
+    for study in (*studies(), *further):
         path = folder / f"{study.name}.csv"
         paths.append(path)
         if path.is_file() and _settings(path) == study.settings:

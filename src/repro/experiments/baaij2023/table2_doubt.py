@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from repro.estimation.consistency import lasting
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.experiments.baaij2023.table2 import PaperRun
 from repro.experiments.baaij2023.table2_map import SCALE_MM, BendMap
@@ -75,11 +76,7 @@ def doubted(decrease: Float[np.ndarray, " t"]) -> np.ndarray:
     >>> doubted(np.array([0.0] * 10 + [50.0] * 45)).nonzero()[0].tolist()
     [50, 51, 52, 53, 54]
     """
-    run, found = 0, np.zeros(len(decrease), dtype=bool)
-    for k, better in enumerate(decrease > MUCH_BETTER):
-        run = run + 1 if better else 0
-        found[k] = run > LASTING_S * RIG_RATE_HZ
-    return found
+    return lasting(decrease > MUCH_BETTER, LASTING_S * RIG_RATE_HZ)
 
 
 def doubt_table(bend_map: BendMap, paper: PaperRun, filtered: dict[str, OursRun]) -> pd.DataFrame:

@@ -25,8 +25,7 @@ from repro.estimation.imu_selection import MARKERS, selection
 from repro.experiments.bootstrap import ratio_interval, resampled
 from repro.experiments.martin2022.draws import draw
 from repro.experiments.martin2022.trial import ArmTrial
-from repro.sensing.inertial import ImuErrors
-from repro.simulation.soft_arm import SoftArm, load_soft_arm
+from repro.simulation.soft_arm import load_soft_arm
 
 FIRST_S = 60.0
 """What a calibration may use [s]."""
@@ -41,8 +40,6 @@ TARGETS = {"PCC-16" + FRAME: 0.8, "spline" + FULL: 0.6}
 MARKERS_MEAN = "markers"
 """Name of the mean over both markers in :func:`ratios`."""
 BOOTSTRAPS = 2000
-NAME = "martin_calibration"
-"""Name of the committed table, without ending."""
 
 
 def calibration_errors(trial: ArmTrial, *, first_s: float = FIRST_S, every: int = EVERY) -> pd.DataFrame:
@@ -92,12 +89,25 @@ def calibration_errors(trial: ArmTrial, *, first_s: float = FIRST_S, every: int 
 
 
 def over_sensors(
-    arm: SoftArm, seeds: Sequence[int], *, errors: ImuErrors | None = None, progress: bool = False
+    draws: Sequence[int], *, first_s: float, every: int, data: Path, progress: bool = False
 ) -> pd.DataFrame:
-    """:func:`calibration_errors` of several draws of sensors and frames, with a column ``draw``."""
+    """:func:`calibration_errors` of several draws of sensors and frames, with a column ``draw``.
+
+    Parameters
+    ----------
+    draws
+        Their seeds.
+    first_s, every
+        As for :func:`calibration_errors`.
+    data
+        Folder of the motion, ``soft_arm.npz``.
+    progress
+        Show a bar.
+    """
+    arm = load_soft_arm(data / "soft_arm.npz")
     tables = [
-        calibration_errors(draw(arm, seed, errors=errors).trial).assign(draw=seed)
-        for seed in tqdm(seeds, desc="calibration", disable=not progress)
+        calibration_errors(draw(arm, seed).trial, first_s=first_s, every=every).assign(draw=seed)
+        for seed in tqdm(draws, desc="calibration", disable=not progress)
     ]
     return pd.concat(tables, ignore_index=True)
 
@@ -136,30 +146,3 @@ def ratios(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
                 lines.append((method, mode, name, *numbers, TARGETS.get(method, np.nan), len(ours)))
     columns = ["method", "mode", "point", "median_mm", "ratio", "ratio_low", "ratio_high", "target", "draws"]
     return pd.DataFrame(lines, columns=columns)
-
-
-def write_martin_study(folder: Path, *, progress: bool) -> list[Path]:
-    """Write ``martin_calibration.csv``: :func:`over_sensors` with ten draws, about a minute on one core.
-
-    Nothing is computed where the file is there: remove it to have it computed anew.
-
-    Parameters
-    ----------
-    folder
-        ``data/studies``; the motion is read from its parent folder.
-    progress
-        Show a bar.
-
-    Returns
-    -------
-    list of Path
-        The file.
-    """
-    path = folder / f"{NAME}.csv"
-    if path.is_file():
-        return [path]
-    arm = load_soft_arm(folder.parent / "soft_arm.npz")
-    table = over_sensors(arm, range(DRAWS), progress=progress)
-    folder.mkdir(parents=True, exist_ok=True)
-    table.to_csv(path, index=False, float_format="%.5g", lineterminator="\n")
-    return [path]

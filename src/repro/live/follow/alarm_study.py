@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -14,20 +14,16 @@ from scipy import stats
 from torch import Tensor
 from tqdm import tqdm
 
-from repro.estimation.consistency import CONSISTENT
+from repro.estimation.consistency import CONSISTENT, lasting
 from repro.estimation.levenberg_marquardt import jacobian
+from repro.kinematics.motion import tip_motion
 from repro.live.emulate.robot_readings import RobotReadings, course, readings_along
 from repro.live.emulate.sensor_faults import SensorFaults, with_sensor_faults
 from repro.live.follow.robot_estimator import RobotEstimator, robot_estimator
 from repro.live.robot.robot_file import RobotFile, load_robot
-from repro.report.files import write_whole
 from repro.report.project import find_project
+from repro.report.studies import Study
 
-NAME = "alarms"
-SETTINGS = {"two_segments": 100.0, "one_segment": 40.0}
-"""Robots of the study, and readings per second of each."""
-JUDGED = ("levenberg_marquardt", "kalman")
-TRIALS, FIRST_SEED = 20, 1000
 SCENARIOS: dict[str, dict[str, float]] = {
     "none": {},
     "start bent": {},
@@ -62,8 +58,6 @@ class Watched:
         Of the monitor.
     suspects
         Sensors that it names.
-    testable
-        Whether it could tell anything.
     holds
         Whether the 95 % ellipsoid holds the true configuration.
     tip_error, tip_interval
@@ -76,7 +70,6 @@ class Watched:
     time_s: Float[np.ndarray, " n"]
     status: np.ndarray
     suspects: list[tuple[int, ...]]
-    testable: np.ndarray
     holds: np.ndarray
     tip_error: Float[np.ndarray, " n"]
     tip_interval: Float[np.ndarray, " n"]
@@ -84,26 +77,24 @@ class Watched:
 
 
 def watched(
-    described: RobotFile, estimator: RobotEstimator, scenario: str, *, sensor: int, rate_hz: float, seed: int
+    described: RobotFile, estimator: RobotEstimator, scenario: str, *, sensor: int, seed: int
 ) -> Watched:
     """Let a robot move, let a sensor fail, and watch.
 
     Parameters
     ----------
     described
-        The robot; it is as described.
+        The robot; it is as described, and its file says the rate.
     estimator
         Of this robot.
     scenario
         One of :data:`SCENARIOS`.
     sensor
         Number of the sensor that fails, from 1.
-    rate_hz
-        Readings per second.
     seed
         Of motion and noise.
     """
-    time_s = np.arange(round(DURATION_S * rate_hz)) / rate_hz
+    time_s = np.arange(round(DURATION_S * described.rate_hz)) / described.rate_hz
     lead_s = 20.0 if scenario == "start bent" else 0.0  # the robot has long been moving
     q = course(described, time_s + lead_s, seed=seed)
     if scenario == "jump":
@@ -113,7 +104,7 @@ def watched(
     named = {name: sensor if value == 1 else value for name, value in SCENARIOS[scenario].items()}
     sent = with_sensor_faults(sound, SensorFaults(**named), from_s=FAULT_AT_S, seed=seed)  # type: ignore[arg-type]
     truth, J = torch.from_numpy(q), jacobian(described.sensing(), torch.from_numpy(q))[1]
-    tips, J_tip = tips_of(described, truth)
+    tips, J_tip = tip_motion(described.robot, truth)
     free = described.noise**2 * torch.linalg.inv(J.mT @ J)
     interval = 1.96 * (J_tip @ free @ J_tip.mT).diagonal(dim1=-2, dim2=-1).sum(-1).sqrt()
     rows = _followed(described, estimator, sent)
@@ -124,9 +115,8 @@ def watched(
         time_s,
         np.array([row[2] for row in rows]),
         [row[3] for row in rows],
-        np.array([row[4] for row in rows]),
         (squared <= stats.chi2.isf(0.05, q.shape[1])).numpy(),
-        torch.linalg.vector_norm(tips_of(described, q_hat)[0] - tips, dim=-1).numpy(),
+        torch.linalg.vector_norm(described.robot.tip(q_hat)[..., :3, 3] - tips, dim=-1).numpy(),
         interval.numpy(),
         _signal(described, sound, sent, J),
     )
@@ -141,7 +131,7 @@ def alarm_counts(run: Watched, sensor: int, rate_hz: float) -> dict[str, int]:
     patience = max(FEWEST, math.ceil(SHORTEST_S * rate_hz))
     after = run.time_s >= FAULT_AT_S
     wrong = after & (run.tip_error > TIMES * run.tip_interval)
-    due, clear = (_lasting(wrong & (run.signal > size), patience) for size in (SEEN, CLEAR))
+    due, clear = (lasting(wrong & (run.signal > size), patience) for size in (SEEN, CLEAR))
     alarm = run.status > CONSISTENT
     named = [
         suspects for suspects, is_after in zip(run.suspects, after, strict=True) if is_after and suspects
@@ -151,7 +141,7 @@ def alarm_counts(run: Watched, sensor: int, rate_hz: float) -> dict[str, int]:
         "wrong": int(wrong.sum()),
         "due": int(due.sum()),
         "noticed": int((due & alarm).sum()),
-        "unseen": int((_lasting(wrong & (run.signal <= SEEN), patience)).sum()),
+        "unseen": int(lasting(wrong & (run.signal <= SEEN), patience).sum()),
         "clear": int(clear.any()),
         "named": int(bool(named)),
         "named_clear": int(bool(named) and bool(clear.any())),
@@ -183,43 +173,54 @@ def alarm_trials(described: RobotFile, name: str, scenario: str, *, trials: int,
     estimator, rows = robot_estimator(described, name), []
     for trial in range(trials):
         sensor = 1 + (seed + trial) % len(described.channel)
-        run = watched(
-            described, estimator, scenario, sensor=sensor, rate_hz=described.rate_hz, seed=seed + trial
-        )
+        run = watched(described, estimator, scenario, sensor=sensor, seed=seed + trial)
         rows.append(alarm_counts(run, sensor, described.rate_hz))
     return {"trials": trials, **{name: sum(row[name] for row in rows) for name in rows[0]}}
 
 
-def write_alarm_study(folder: Path, *, progress: bool) -> list[Path]:
-    """Write ``alarms.csv``: :func:`alarm_trials` for all robots, estimators and scenarios, some ten minutes.
-
-    Nothing is computed where the file is there: remove it to have it computed anew.
+def alarm_sums(
+    rates_hz: dict[str, float],
+    estimators: Sequence[str],
+    scenarios: Sequence[str],
+    *,
+    trials: int,
+    seed: int,
+    progress: bool = False,
+) -> pd.DataFrame:
+    """:func:`alarm_trials` for all robots, estimators and scenarios, one row for each of them.
 
     Parameters
     ----------
-    folder
-        ``data/studies``.
+    rates_hz
+        Names of robots in ``data/robots``, and readings per second of each.
+    estimators, scenarios, trials, seed
+        As for :func:`alarm_trials`.
     progress
         Show a bar.
-
-    Returns
-    -------
-    list of Path
-        The file.
     """
-    path = folder / f"{NAME}.csv"
-    if path.is_file():
-        return [path]
-    cases = [(robot, name, scenario) for robot in SETTINGS for name in JUDGED for scenario in SCENARIOS]
+    cases = [(robot, name, scenario) for robot in rates_hz for name in estimators for scenario in scenarios]
     rows = []
-    for robot, name, scenario in tqdm(cases, desc=NAME, disable=not progress):
+    for robot, name, scenario in tqdm(cases, desc="alarms", disable=not progress):
         described = load_robot(find_project().data / "robots" / f"{robot}.toml")
-        described = replace(described, rate_hz=SETTINGS[robot])
-        sums = alarm_trials(described, name, scenario, trials=TRIALS, seed=FIRST_SEED)
+        described = replace(described, rate_hz=rates_hz[robot])
+        sums = alarm_trials(described, name, scenario, trials=trials, seed=seed)
         rows.append({"robot": robot, "estimator": name, "scenario": scenario} | sums)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_whole(path, pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"))
-    return [path]
+    return pd.DataFrame(rows)
+
+
+ALARMS = Study(
+    "alarms",
+    alarm_sums,
+    {
+        "rates_hz": {"two_segments": 100.0, "one_segment": 40.0},
+        "estimators": ["levenberg_marquardt", "kalman"],
+        "scenarios": list(SCENARIOS),
+        "trials": 20,
+        "seed": 1000,
+    },
+    ("progress",),
+)
+"""The committed study, some ten minutes."""
 
 
 def alarm_table(study: pd.DataFrame) -> pd.DataFrame:
@@ -248,26 +249,15 @@ def alarm_table(study: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(columns | {"alarms_before": study["alarms_before"].astype(int)})
 
 
-def tips_of(described: RobotFile, q: Tensor) -> tuple[Tensor, Tensor]:
-    """Positions of the tip [m], and their derivatives by the configuration."""
-
-    def summed(x: Tensor) -> tuple[Tensor, Tensor]:
-        tip = described.robot.tip(x)[..., :3, 3]
-        return tip.sum(0), tip
-
-    J, tips = torch.func.jacrev(summed, has_aux=True)(q)
-    return tips.detach(), J.detach().movedim(0, -2)
-
-
 def _followed(
     described: RobotFile, estimator: RobotEstimator, sent: RobotReadings
-) -> list[tuple[Tensor, Tensor, int, tuple[int, ...], bool]]:
+) -> list[tuple[Tensor, Tensor, int, tuple[int, ...]]]:
     state, rows = estimator.method.init(estimator.start, seed=0), []
     for time_s, values in zip(sent.time_s.tolist(), sent.values.tolist(), strict=True):
         state, found = estimator.method.step(state, described.signal(values), time_s, mask=estimator.use)
         assert found.covariance is not None
         verdict = state.verdict
-        rows.append((found.q, found.covariance, verdict.status, verdict.suspects, verdict.testable))
+        rows.append((found.q, found.covariance, verdict.status, verdict.suspects))
     return rows
 
 
@@ -282,11 +272,3 @@ def _signal(
     added = torch.where(gone, 0.0, added).unsqueeze(-1)
     explained = J @ torch.linalg.lstsq(J, added, driver="gelsd").solution
     return torch.linalg.vector_norm(added - explained, dim=(-2, -1)).numpy()
-
-
-def _lasting(what: np.ndarray, patience: int) -> np.ndarray:
-    """Where something has been so for a number of readings."""
-    count = np.zeros(len(what), dtype=int)
-    for k in range(len(what)):
-        count[k] = (count[k - 1] + 1 if k else 1) if what[k] else 0
-    return count > patience

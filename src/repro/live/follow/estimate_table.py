@@ -11,7 +11,7 @@ The columns, in this order; those that an estimator does not have are left out:
 - the tip in the base frame, ``tip_x_mm``, with its deviations and correlations, which follow from those of the
   coordinates to first order;
 - ``chi2`` and ``dof``, the squared residual in units of the noise and its degrees of freedom; ``consistency``, one of
-  :data:`CONSISTENCY`.
+  :data:`~repro.estimation.consistency.STATUS`.
 """
 
 from __future__ import annotations
@@ -30,13 +30,12 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.estimation.base import Estimate
-from repro.estimation.levenberg_marquardt import jacobian
+from repro.estimation.consistency import STATUS
+from repro.kinematics.motion import tip_motion
 from repro.live.follow.robot_estimator import RobotEstimator
 from repro.live.record.recording_file import WriteFailed
 from repro.live.robot.calibration_poses import coordinate_columns
 
-CONSISTENCY = ("consistent", "suspicious", "wrong")
-"""What ``diagnostics["status"]`` says of the residual of an estimate."""
 WRITE_S = 0.2
 """Estimates are written this often [s]: together, since the tips of many cost little more than that of one."""
 MOST_WAITING = 1 << 16
@@ -90,8 +89,7 @@ class EstimateRows:
         if self._estimator.positions:
             tip, tip_C = q[:, -3:], None if C is None else C[:, -3:, -3:]
         else:
-            robot = self._estimator.robot.robot
-            tip, J = jacobian(lambda q: robot.tip(q)[..., :3, 3], q)
+            tip, J = tip_motion(self._estimator.robot.robot, q)
             tip_C = None if C is None else J @ C @ J.mT
             parts += _spread(C, factor)
         parts += [tip / MM, *_spread(tip_C, factor.new_full((3,), MM))]
@@ -99,7 +97,7 @@ class EstimateRows:
         for row, estimate in zip(cells, estimates, strict=True):
             said = (float(estimate.diagnostics.get(name, torch.nan)) for name in self._said)
             row += [
-                CONSISTENCY[int(x)] if name == "status" and not math.isnan(x) else _cell(x)
+                STATUS[int(x)] if name == "status" and not math.isnan(x) else _cell(x)
                 for name, x in zip(self._said, said, strict=True)
             ]
         return [[f"{time_s:.6f}", *row] for time_s, row in zip(times_s, cells, strict=True)]

@@ -17,9 +17,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 import torch
-from torch import Tensor
 
 from repro.estimation.base import Estimate
+from repro.kinematics.motion import tip_motion
 from repro.live.emulate.board import Passage, passages
 from repro.live.emulate.emulator import Emulator
 from repro.live.emulate.faults import Faults
@@ -235,20 +235,10 @@ def _table(sent: Played, rows: list[int], times: list[float], estimates: list[Es
         name, unit = column.rsplit("_", 1)
         for kind, values in (("true_", truth), ("", q), ("std_", deviation)):
             found[f"{name}_{kind}{unit}"] = (values[:, k] / factor).numpy()
-    tips, J = _tips(sent.robot, q)
-    found["tip_error_mm"] = 1e3 * torch.linalg.vector_norm(tips - _tips(sent.robot, truth)[0], dim=-1).numpy()
+    tips, J = tip_motion(robot, q)
+    away = tips - robot.tip(truth)[..., :3, 3]
+    found["tip_error_mm"] = 1e3 * torch.linalg.vector_norm(away, dim=-1).numpy()
     spread = (J @ C @ J.mT).diagonal(dim1=-2, dim2=-1).sum(-1)
     found["tip_std_mm"] = 1e3 * spread.clamp_min(0).sqrt().numpy()
     found["status"] = [int(one.diagnostics["status"]) for one in estimates]
     return pd.DataFrame(found)
-
-
-def _tips(robot: RobotFile, q: Tensor) -> tuple[Tensor, Tensor]:
-    """Positions of the tip [m], and their derivatives by the configuration."""
-
-    def summed(x: Tensor) -> tuple[Tensor, Tensor]:
-        tip = robot.robot.tip(x)[..., :3, 3]
-        return tip.sum(0), tip
-
-    J, tips = torch.func.jacrev(summed, has_aux=True)(q)
-    return tips.detach(), J.detach().movedim(0, -2)

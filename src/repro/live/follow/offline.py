@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from repro.errors import bad_input
 from repro.estimation.base import Estimate
-from repro.live.follow.estimate_table import CONSISTENCY
+from repro.estimation.consistency import STATUS
 from repro.live.follow.follower import Follower
 from repro.live.follow.readings_table import read_table
 from repro.live.follow.robot_estimator import RobotEstimator
@@ -63,7 +63,7 @@ class Tracked:
     follower: Follower
     seconds: float = 0.0
     notes: list[str] = field(default_factory=list)
-    consistency: list[int] = field(default_factory=lambda: [0] * len(CONSISTENCY))
+    consistency: list[int] = field(default_factory=lambda: [0] * len(STATUS))
 
     def lines(self) -> list[str]:
         """Return the summary in words: estimates, consistency, and what could not be used."""
@@ -71,7 +71,7 @@ class Tracked:
         rate = f", {follower.estimated / self.seconds:.0f} per second" if self.seconds else ""
         said = [f"{follower.estimated} estimates by {follower.estimator.name} in {self.seconds:.1f} s{rate}."]
         if sum(self.consistency):
-            counts = zip(self.consistency, CONSISTENCY, strict=True)
+            counts = zip(self.consistency, STATUS, strict=True)
             said.append(f"Consistency: {', '.join(f'{n} {word}' for n, word in counts)}.")
         if follower.refused:
             said.append(f"{follower.refused} time steps without an estimate. {follower.refusal}")

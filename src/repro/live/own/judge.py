@@ -15,8 +15,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from repro.estimation.base import Estimate
-from repro.kinematics.motion import backbone_motion
-from repro.kinematics.mounts import magnet_mounts
+from repro.kinematics.motion import tip_motion
 from repro.live.follow.follower import Follower
 from repro.live.follow.robot_estimator import RobotEstimator
 from repro.live.own.readings import TimedReadings
@@ -96,11 +95,9 @@ def tip_positions(
 ) -> tuple[Float[Tensor, "frames 3"], Float[Tensor, "frames 3 3"]]:
     """Positions of the tip in the base frame [m] and their covariances [m^2]; NaN where ``q`` is."""
     known = torch.isfinite(q).all(-1)
-    end = magnet_mounts([len(robot.robot.segments) - 1], robot.robot.segments[-1].length)
-    T, dT = backbone_motion(robot.robot, torch.where(known[:, None], q, 0.0), end)
-    J = dT[:, 0, :, :3, 3].mT
+    tip, J = tip_motion(robot.robot, torch.where(known[:, None], q, 0.0))
     nan = torch.where(known, 0.0, torch.nan).to(q)
-    return T[:, 0, :3, 3] + nan[:, None], J @ covariance @ J.mT + nan[:, None, None]
+    return tip + nan[:, None], J @ covariance @ J.mT + nan[:, None, None]
 
 
 def errors(robot: RobotFile, truth: Truth, tracks: list[Tracked]) -> pd.DataFrame:
