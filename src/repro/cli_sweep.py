@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -105,4 +106,6 @@ def sweep(
         print(f"{count}.", file=sys.stderr)
         return 1 if failures else 0
     print(f"{stopped}: {count}; run the same command again to go on.", file=sys.stderr)
-    return 130 if isinstance(stopped.__cause__, KeyboardInterrupt) else 1
+    if isinstance(stopped.__cause__, SystemExit):  # of a request to terminate
+        return 128 + signal.SIGTERM
+    return 128 + signal.SIGINT if isinstance(stopped.__cause__, KeyboardInterrupt) else 1

@@ -10,7 +10,7 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.base import Estimator, track
-from repro.estimation.compiled_cloud import _smallest
+from repro.estimation.compiled_weighing import _smallest
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box, Disc
 from repro.experiments.benchmark.scaling import follow_flower

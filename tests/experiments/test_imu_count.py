@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from short_arm import short_arm
 
 from repro.errors import InputError
-from repro.estimation.imu_bounds import imus_needed
+from repro.estimation.imus_needed import imus_needed
 from repro.estimation.orientations import tangents
 from repro.experiments.martin2022.imu_count import (
     ARCS,

@@ -25,7 +25,8 @@ from repro.report.robot_view import (
     live_scene,
     shape_view,
 )
-from repro.report.shape_view import ROLES, VIEWER, Markers, Shape, ShapeView, Traces
+from repro.report.shape_parts import ROLES, Markers, Shape, Traces
+from repro.report.shape_view import VIEWER, ShapeView
 from repro.report.style import MAGNET, SENSOR
 from repro.simulation.robots import SENSOR_RADIAL_M, affine_robot, pcc_robot
 

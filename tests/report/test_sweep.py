@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import signal
+import time
 from pathlib import Path
 
+import psutil
 import pytest
 from cyclopts import App
 from logged_runs import LOGGED, PARAMETERS, in_background, logged, wait_for
@@ -96,13 +98,21 @@ def test_a_sweep_that_is_killed_goes_on(root, notebook):
     assert len((root / "runs" / "a-sweep" / "sweep.csv").read_text().splitlines()) == 4
 
 
-def test_an_interrupted_sweep_says_how_to_go_on(root, notebook):
+@pytest.mark.parametrize(
+    ("number", "send", "status"),
+    [
+        (signal.SIGINT, os.killpg, 130),  # as the keyboard does: to all processes
+        (signal.SIGTERM, os.kill, 143),
+        (signal.SIGTERM, os.killpg, 143),  # as some batch systems do
+    ],
+)
+def test_an_interrupted_sweep_says_how_to_go_on(root, notebook, number, send, status):
     arguments = ["notebooks/a.ipynb", "-p", "n", "13,0,1,2", "-p", "seconds", "2", "--jobs", "1"]
     sweeping = in_background(*arguments)
     wait_for(lambda: sum(logged(root, "begun").values()) == 3)
-    os.killpg(sweeping.pid, signal.SIGINT)  # as the keyboard does: to all processes
+    send(sweeping.pid, number)
     out, err = sweeping.communicate(timeout=60)
-    assert sweeping.returncode == 130
+    assert sweeping.returncode == status
     assert "Traceback" not in err
     lines = err.splitlines()
     assert lines[0].startswith("n=13 seconds=2.0: notebooks/a.ipynb failed in code cell 3")
@@ -113,6 +123,31 @@ def test_an_interrupted_sweep_says_how_to_go_on(root, notebook):
     assert [point["n"] for point in about["failed"]] == [13, 1, 2]
     assert command(*arguments[:3], "0:3", *arguments[4:]) == 0
     assert logged(root, "done")[0] == 1
+
+
+def test_a_sweep_that_is_terminated_ends_its_workers(root, notebook):
+    arguments = ["notebooks/a.ipynb", "-p", "n", "0:4", "-p", "seconds", "2", "--jobs", "2"]
+    sweeping = in_background(*arguments)
+    wait_for(lambda: sum(logged(root, "begun").values()) == 3)
+    started = psutil.Process(sweeping.pid).children(recursive=True)
+    for _ in range(2):  # as `timeout` does
+        os.kill(sweeping.pid, signal.SIGTERM)
+        time.sleep(0.02)
+    _, err = sweeping.communicate(timeout=60)
+    assert sweeping.returncode == 143
+    folder = root / "runs" / "a-sweep"
+    points = plan(notebook, [{"n": n, "seconds": 2.0} for n in range(4)], folder, find_project())
+    done = [point for point in points if finished(point)]
+    assert 1 <= len(done) <= 2
+    count = f"Interrupted: {len(done)} of 4 points are finished; run the same command again to go on."
+    assert err.splitlines() == [count]
+    assert len((folder / "sweep.csv").read_text().splitlines()) == 1 + len(done)
+    # no table stands without its record, and nobody goes on to write one
+    assert {path.parent for path in folder.glob("points/*/t.csv")} == {point.output.parent for point in done}
+    assert len(started) >= 4  # two workers, and at least one point with its kernel
+    wait_for(lambda: not any(process.is_running() and process.status() != "zombie" for process in started))
+    assert command(*arguments) == 0
+    assert len((folder / "sweep.csv").read_text().splitlines()) == 5
 
 
 def test_a_half_written_point_is_run_again(root, notebook):

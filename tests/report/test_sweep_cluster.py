@@ -146,6 +146,22 @@ def test_a_scheduler_that_is_killed(root, notebook, cluster):
     assert sorted(logged(root, "done").values()) == [1] * 4
 
 
+def test_a_sweep_on_a_cluster_that_is_terminated(root, notebook, cluster):
+    scheduler, worker, _ = cluster
+    address = scheduler()
+    worker("one")
+    arguments = ["notebooks/a.ipynb", "-p", "n", "0:4", "-p", "seconds", "2", "--scheduler", address]
+    running = in_background(*arguments)
+    wait_for(lambda: sum(logged(root, "begun").values()) == 2)
+    running.terminate()
+    _, err = running.communicate(timeout=120)
+    count = "Interrupted: 1 of 4 points are finished; run the same command again to go on."
+    assert (running.returncode, err.splitlines()) == (143, [count])
+    # the worker goes on with the point that it runs, and takes no other
+    assert sweep(Path("notebooks/a.ipynb"), parameters=[("n", "0:2"), ("seconds", "2")], jobs=1) == 0
+    assert logged(root, "begun") == logged(root, "done") == {0: 1, 1: 1}
+
+
 def test_workers_with_another_package_are_named(root, notebook, cluster, another_package):
     scheduler, worker, _ = cluster
     address = scheduler()

@@ -13,7 +13,8 @@ import torch
 from page_on_screen import NO_GPU, differing, pixels, wait_until
 
 from repro.report.robot_view import live_frame, live_scene, shape_view
-from repro.report.shape_view import VIEWER, ShapeView, Traces
+from repro.report.shape_parts import Traces
+from repro.report.shape_view import VIEWER, ShapeView
 from repro.simulation.robots import pcc_robot
 
 FRAMES = 31

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from test_viewer import seen, show  # noqa: F401  # fixtures
 
-from repro.report.shape_view import Markers, Shape, ShapeView, Traces
+from repro.report.shape_parts import Markers, Shape, Traces
+from repro.report.shape_view import ShapeView
 from repro.report.views.together import ShapeViews
 
 

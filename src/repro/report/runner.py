@@ -266,7 +266,13 @@ def _publish(record: Record, tables: Path, results: Path, partial: Path, output:
 
 def stop_on_termination() -> None:
     """Let a request to terminate run the clean-up that an interruption from the keyboard runs."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+
+    def stop(*_: object) -> None:
+        # `timeout` sends it twice: the second must not cut the clean-up short
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        sys.exit(128 + signal.SIGTERM)
+
+    signal.signal(signal.SIGTERM, stop)
 
 
 def main(arguments: list[str]) -> int:

@@ -221,7 +221,8 @@ def run_points(points: Sequence[Point], runner: Runner, *, progress: bool = Fals
     Raises
     ------
     SweepStopped
-        On an interruption from the keyboard, or where the scheduler of a cluster goes away.
+        On an interruption from the keyboard or a request to terminate (see
+        :func:`~repro.report.runner.stop_on_termination`), or where the scheduler of a cluster goes away.
     """
     from tqdm import tqdm
 
@@ -235,7 +236,8 @@ def run_points(points: Sequence[Point], runner: Runner, *, progress: bool = Fals
                 bar.update()
         except BrokenProcessPool:
             pass  # what was running goes on and is found by the next call
-        except (KeyboardInterrupt, RunnerGone) as stop:
+        except (KeyboardInterrupt, SystemExit, RunnerGone) as stop:
             failures = {index: reason for index, reason in told.items() if reason}
-            raise SweepStopped(str(stop) or "Interrupted", failures) from stop
+            why = str(stop) if isinstance(stop, RunnerGone) else "Interrupted"
+            raise SweepStopped(why, failures) from stop
     return {index: reason for index, reason in (reasons | told).items() if reason}

@@ -28,7 +28,7 @@ import numpy as np
 import pandas as pd
 
 from repro.errors import bad_input
-from repro.estimation.imu_bounds import arcs_bound, imus_needed, pcc_bound, rigid_bound
+from repro.estimation.imu_bounds import arcs_bound, pcc_bound, rigid_bound
 from repro.estimation.imu_models import (
     ShapeModel,
     exact_arcs,
@@ -38,6 +38,7 @@ from repro.estimation.imu_models import (
     tangent_spline,
 )
 from repro.estimation.imu_selection import MARKERS, Selection, selection
+from repro.estimation.imus_needed import imus_needed
 from repro.estimation.orientations import exponential, product
 from repro.experiments.martin2022.draws import drawn
 from repro.experiments.martin2022.imu_curves import STEPS, Curves

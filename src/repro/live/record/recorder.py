@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import serial
 
-from repro.errors import InputError, bad_input
+from repro.errors import bad_input
 from repro.live.record.clock import DeviceClock
-from repro.live.record.ports import close_port, open_port, ports, read_available
+from repro.live.record.lasting_port import LastingPort
 from repro.live.record.recording_file import RecordingFile, WriteFailed, check_new, write_sidecar
 from repro.live.record.summary import Summary, channels_of
 from repro.live.record.suspect import Suspect
@@ -34,8 +33,6 @@ CLOCK_FRAMES = 256
 """The device's clock is compared with the host's when so many frames have come, and when the metadata are written."""
 MOSTLY_DROPPED = 20
 """So many lines or frames that were dropped are said at once if they are more than were accepted."""
-RETRY_S = (0.05, 1.0)
-"""Shortest and longest wait before a lost port is opened again [s]; it doubles in between."""
 
 
 def record(
@@ -128,8 +125,8 @@ class _Session:
         owner: str,
         notes: queue.SimpleQueue[dict[str, Any]] | None,
     ) -> None:
-        self.port, self.format, self.output, self.baud, self.warn = port, format, output, baud, warn
-        self.each, self.watch, self.owner, self.channels = each, watch, owner, channels
+        self.format, self.output, self.warn, self.channels = format, output, warn, channels
+        self.each, self.watch = each, watch
         self.notes = notes or queue.SimpleQueue[dict[str, Any]]()
         self.layout: Layout | None = None
         self.loss_said = False
@@ -137,16 +134,15 @@ class _Session:
         self.clock = DeviceClock()
         self.times: list[tuple[int, int]] = []  # host [ns], device [us]; not yet given to the clock
         self.file: RecordingFile | None = None
-        self.reconnects = self.received = 0
+        self.received = 0
         self.suspect: Suspect | None = Suspect(format, channels)
         self.unchanging: dict[str, Any] = {}
         if output is not None:
             check_new(output, owner)
         # before the port is open: it takes longer than a buffer may hold frames
-        self.described = dict(ports()).get(port, "")
         self.versions = {name: version(name) for name in ("repro", "pyserial", "numpy")}
         self.versions |= {"python": platform.python_version(), "system": platform.system()}
-        self.opened: serial.SerialBase | None = open_port(port, baud, owner)
+        self.port = LastingPort(port, baud, owner)
         self.start_ns, self.start_unix_s = time.monotonic_ns(), time.time()
 
     def run(self, duration_s: float, stop: threading.Event, show: Callable[[Summary], None] | None) -> None:
@@ -169,9 +165,7 @@ class _Session:
 
     def take(self, timeout_s: float) -> None:
         """Read what is there, and write the frames that it completes."""
-        if self.opened is None:
-            raise ConnectionResetError(f"{self.port} is not open.")
-        chunk = read_available(self.opened, timeout_s)
+        chunk = self.port.read(timeout_s)
         host_ns = time.monotonic_ns()
         if not chunk:
             return
@@ -212,7 +206,7 @@ class _Session:
         """Refuse, or after good frames report, bytes that hold no frame of the format."""
         if self.suspect is None or not self.suspect.ripe():
             return
-        message = self.suspect.verdict(self.port, self.baud, self.owner, self.parser.refused)
+        message = self.suspect.verdict(self.port.name, self.port.baud, self.port.owner, self.parser.refused)
         self.suspect = None
         if not self.parser.counters.frames and self.watch is None:
             raise message
@@ -228,26 +222,17 @@ class _Session:
 
     def reconnect(self, error: OSError, end: float, stop: threading.Event) -> None:
         """Wait until the port can be opened again."""
-        if self.opened is not None:
-            close_port(self.opened)
-            self.opened = None
-        self.tell("lost", f"{self.port} is gone ({error}); waiting for it.")
+        self.port.close()
+        self.tell("lost", f"{self.port.name} is gone ({error}); waiting for it.")
         self.event("lost")
-        wait_s = RETRY_S[0]
-        while not stop.wait(min(wait_s, max(0.0, end - time.monotonic()))) and time.monotonic() < end:
-            wait_s = min(2 * wait_s, RETRY_S[1])
-            try:
-                self.opened = open_port(self.port, self.baud, self.owner)
-            except InputError:
-                continue
-            self.parser.reopened()
-            self.set_clock()
-            self.clock.reopened()
-            self.suspect = Suspect(self.format, self.channels)
-            self.reconnects += 1
-            self.event("reopened")
-            self.tell("reopened", f"{self.port} is back.")
+        if not self.port.reopen(end, stop):
             return
+        self.parser.reopened()
+        self.set_clock()
+        self.clock.reopened()
+        self.suspect = Suspect(self.format, self.channels)
+        self.event("reopened")
+        self.tell("reopened", f"{self.port.name} is back.")
 
     def save(self, path: Path) -> None:
         """Write the metadata as they are now."""
@@ -271,9 +256,7 @@ class _Session:
 
     def finish(self, reason: str) -> None:
         """Close port and file, and complete the metadata."""
-        if self.opened is not None:
-            close_port(self.opened)
-            self.opened = None
+        self.port.close()
         if self.file is None:
             return
         try:
@@ -287,14 +270,15 @@ class _Session:
 
     def summary(self) -> Summary:
         counters = self.parser.counters.as_dict()
-        counters |= {"reconnects": self.reconnects, "received_bytes": self.received}
+        counters |= {"reconnects": self.port.reconnects, "received_bytes": self.received}
         seconds = 1e-9 * (time.monotonic_ns() - self.start_ns)
         return Summary(self.output if self.file else None, counters, seconds, self.parser.refused)
 
     def description(self, width: int) -> dict[str, Any]:
         """Metadata that do not change."""
         host = {"start_unix_s": self.start_unix_s, "start_host_ns": self.start_ns, "versions": self.versions}
-        named = {"port": self.port, "port_description": self.described, "baud": self.baud}
+        port = self.port
+        named = {"port": port.name, "port_description": port.description, "baud": port.baud}
         return {"format": self.format, **channels_of(self.format, width, self.layout), **named, **host}
 
     def metadata(self, ended: str | None) -> dict[str, Any]:

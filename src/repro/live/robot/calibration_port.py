@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
-import serial
 import torch
 
-from repro.errors import InputError, bad_input
-from repro.live.record.ports import close_port, open_port, read_available
+from repro.errors import bad_input
+from repro.live.record.lasting_port import LastingPort
 from repro.live.robot.calibration_poses import (
     WINDOW_S,
     PoseReadings,
@@ -29,8 +29,6 @@ SILENCE_S = 2.0
 """After so long without a frame the board counts as away, and the person is told [s]."""
 PATIENCE_S = 300.0
 """A board that stays away for longer is not waited for [s]."""
-RETRY_S = 0.2
-"""Time between two attempts to open a port that is gone [s]."""
 SETTLE_S = 0.1
 """Frames that arrive so soon after the key may have been sent before it [s]: they lay in a buffer on the way."""
 LEAST_FRAMES = 2
@@ -127,35 +125,25 @@ def port_frames(port: str, baud: int, robot: RobotFile, say: Callable[[str], obj
         If it cannot be opened the first time.
     """
     channels = robot.channels if robot.format == "csv" else None
-    opened, parse = open_port(port, baud), parser(robot.format, channels, robot.unit)
+    board, parse = LastingPort(port, baud, "repro calibrate"), parser(robot.format, channels, robot.unit)
 
     def frames() -> Iterator[Frame]:
-        nonlocal opened
         try:
             while True:
                 try:
-                    for frame in parse.feed(read_available(opened, 0.1)):
+                    for frame in parse.feed(board.read(0.1)):
                         if not robot.imus or frame.stream == MAGNETIC_STREAM:
                             yield frame
                 except OSError as error:
                     say(f"{port} is gone ({error}); waiting for it.")
-                    close_port(opened)
-                    opened = _reopened(port, baud)
+                    board.close()
+                    board.reopen(math.inf, threading.Event())
                     parse.reopened()
                     say(f"{port} is back.")
         finally:
-            close_port(opened)
+            board.close()
 
     return frames()
-
-
-def _reopened(port: str, baud: int) -> serial.SerialBase:
-    while True:
-        time.sleep(RETRY_S)
-        try:
-            return open_port(port, baud)
-        except InputError:
-            continue
 
 
 def _taken(

@@ -74,7 +74,7 @@ def check_place(
         raise document.error((name, k, "at_mm"), expected, row["at_mm"])
 
 
-def check_channels(document: Document, rows: Sequence[Mapping[str, Any]], stream: Mapping[str, Any]) -> int:
+def check_channels(document: Document, used: Sequence[int], stream: Mapping[str, Any]) -> int:
     """Refuse two sensors on one channel, and channels that the stream does not have; return how many it has.
 
     Raises
@@ -87,11 +87,10 @@ def check_channels(document: Document, rows: Sequence[Mapping[str, Any]], stream
     if given and (given > most or (exact and given != most)):
         expected = f"{'' if exact else 'at most '}{most}, the values of a frame of this format"
         raise document.error(("stream", "channels"), expected, given)
-    channels = most if exact else given or max((row["channel"] for row in rows), default=0)
+    channels = most if exact else given or max(used, default=0)
     line = document.line("stream", "channels" if given else "format")
     first: dict[int, int] = {}
-    for k, row in enumerate(rows):
-        channel = row["channel"]
+    for k, channel in enumerate(used):
         if channel in first:
             before = document.line("sensors", first[channel], "channel")
             expected = f"another channel than that of sensor {first[channel] + 1} (line {before})"

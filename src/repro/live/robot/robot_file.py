@@ -23,10 +23,9 @@ from repro.live.robot.calibration_file import RobotCalibration, read_calibration
 from repro.live.robot.document import Document
 from repro.live.robot.magnet_moments import shared_moments
 from repro.live.robot.reading_errors import CalibrationError, network_error, network_of_sensor
-from repro.live.robot.robot_parts import Imu, imus_of, magnets_of, segments_of, sensors_of
+from repro.live.robot.robot_parts import Imu, imus_of, magnets_of, networks_of, segments_of, sensors_of
 from repro.live.robot.robot_tables import (
     UNITS,
-    model_keys,
     sensor_keys,
     stream_keys,
     top_keys,
@@ -154,7 +153,9 @@ class RobotFile:
         size = float(torch.linalg.vector_norm(self.earth_mt))
         axis = self.earth_mt / size if size else None
         if model is None and self.networks and not are_scripts(self.networks):
-            return MagneticSensing(self.robot, self._network(), "angles", axis)
+            of_sensor = network_of_sensor(self.robot, len(self.networks))
+            network = PerSensor([load_paper_network(path) for path in self.networks], of_sensor).double()
+            return MagneticSensing(self.robot, network, "angles", axis)
         if model is None and self.networks:
             model, inputs = self.networks, self.network_inputs
         if model is not None:
@@ -165,10 +166,6 @@ class RobotFile:
             own = own_model(model, xi, self.robot.sensors.segment, inputs)
             return MagneticSensing(self.robot, own, inputs, axis)
         return LinearisedSensing(self.robot, self.moments, self.gain, self.earth_mt, self.moments.ndim == 2)
-
-    def _network(self) -> PerSensor:
-        of_sensor = network_of_sensor(self.robot, len(self.networks))
-        return PerSensor([load_paper_network(path) for path in self.networks], of_sensor).double()
 
     def signal(self, values: Sequence[float]) -> Float[Tensor, " s"]:
         """Part of a frame that depends on the configuration [unit]: readings of the sensors without their offsets.
@@ -255,20 +252,13 @@ def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
     values = document.checked(stream_keys(bool(sensors), bool(imus), stream.get("unit")), "stream")
     unit = values.get("unit", UNITS[0])
     robot_checks.check_format(document, values["format"], unit, bool(sensors), bool(imus))
-    model = document.table("model")
-    own = document.checked(model_keys(len(segments), len(sensors)), "model") if model else {}
-    networks = tuple(folder / name for name in own.get("networks", ()))
-    if missing := [str(path) for path in networks if not path.is_file()]:
-        raise document.error(("model", "networks"), "files beside this one", f"no {missing[0]}")
-    rows = [document.checked(sensor_keys(unit, bool(networks)), "sensors", k) for k in range(len(sensors))]
-    channels = robot_checks.check_channels(document, rows, values)
-    for k, row in enumerate(rows):
-        robot_checks.check_place(document, "sensors", k, row, lengths)
-        robot_checks.check_direction(document, k)
-    column = {name: [row[name] for row in rows] for name in rows[0]} if rows else {}
-    gain = column.get("gain", column.get(f"gain_{unit.lower()}_per_mt", [1.0] * len(rows)))
+    networks, network_inputs = networks_of(document, folder, len(segments), len(sensors))
+    places, column = sensors_of(document, lengths, sensor_keys(unit, bool(networks)))
+    used = column.get("channel", [])
+    channels = robot_checks.check_channels(document, used, values)
+    gain = column.get("gain", column.get(f"gain_{unit.lower()}_per_mt", [1.0] * len(used)))
     earth = torch.tensor(top["earth_mt"], dtype=torch.float64)
-    robot = Robot(segments, mounts, sensors_of(column))
+    robot = Robot(segments, mounts, places)
     found = RobotFile(
         name=document.name,
         sha256=sha256,
@@ -277,7 +267,7 @@ def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
         rate_hz=float(values["rate_hz"]),
         unit=unit,
         channels=channels,
-        channel=tuple(row["channel"] - 1 for row in rows),
+        channel=tuple(k - 1 for k in used),
         gain=torch.tensor(gain, dtype=torch.float64),
         offset=torch.tensor(column.get(f"offset_{unit.lower()}", []), dtype=torch.float64),
         noise=float(values.get(f"noise_{unit.lower()}", 1.0)),
@@ -291,11 +281,11 @@ def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
         base_orientation=tuple(map(float, top["base_orientation"])),
         networks=networks,
         notes=(),
-        network_inputs=own.get("inputs", "angles"),
+        network_inputs=network_inputs,
         error=network_error(networks, robot, unit),
     )
     robot_checks.check_observed(document, robot, [(imu.segment, imu.at_m) for imu in imus], bool(earth.any()))
-    if rows and not magnets:
+    if sensors and not magnets:
         raise document.error(("sensors", 0, "channel"), "of a robot with [[magnets]]", "one without")
     notes = robot_checks.out_of_range(document, found) + unobserved(found)
     return replace(found, notes=notes + robot_checks.check_networks(document, found))

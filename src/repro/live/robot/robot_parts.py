@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -13,9 +14,16 @@ from repro.kinematics.affine_curvature import AffineCurvature
 from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.mounts import Mounts, directed_sensors, magnet_mounts, sensor_mounts
 from repro.kinematics.robot import Segment
-from repro.live.robot.document import Document
-from repro.live.robot.robot_checks import check_place
-from repro.live.robot.robot_tables import MAGNET_KEYS, MAGNET_KINDS, SEGMENT_KINDS, UPRIGHT, imu_keys
+from repro.live.robot.document import Document, Key
+from repro.live.robot.robot_checks import check_direction, check_place
+from repro.live.robot.robot_tables import (
+    MAGNET_KEYS,
+    MAGNET_KINDS,
+    SEGMENT_KINDS,
+    UPRIGHT,
+    imu_keys,
+    model_keys,
+)
 from repro.sensing.magnets import Cube, Ring
 
 MAGNETIC_STREAM = 0
@@ -110,6 +118,24 @@ def magnets_of(document: Document, lengths: Sequence[float]) -> tuple[Mounts, tu
     return magnet_mounts(segment, axial, direction), magnets
 
 
+def networks_of(
+    document: Document, folder: Path, segments: int, sensors: int
+) -> tuple[tuple[Path, ...], str]:
+    """Files of trained networks beside the robot file, and what those in TorchScript take; no files without any.
+
+    Raises
+    ------
+    InputError
+        If ``[model]`` does not name one for all sensors, one per segment or one per sensor, or a file is missing.
+    """
+    given = document.table("model")
+    model = document.checked(model_keys(segments, sensors), "model") if given else {}
+    networks = tuple(folder / name for name in model.get("networks", ()))
+    if missing := [str(path) for path in networks if not path.is_file()]:
+        raise document.error(("model", "networks"), "files beside this one", f"no {missing[0]}")
+    return networks, model.get("inputs", "angles")
+
+
 def _magnet(document: Document, k: int, row: Mapping[str, Any]) -> Ring | Cube:
     if row["kind"] == "cube":
         return Cube(row["edge_mm"] / 1e3, float(row["polarisation_mt"]))
@@ -120,10 +146,23 @@ def _magnet(document: Document, k: int, row: Mapping[str, Any]) -> Ring | Cube:
     return Ring(outer, inner, height, float(row["polarisation_mt"]))
 
 
-def sensors_of(column: Mapping[str, Sequence[Any]]) -> Mounts:
-    """Mounts of the sensors, from the columns of their tables."""
-    if not column:
-        return sensor_mounts([], [])
+def sensors_of(
+    document: Document, lengths: Sequence[float], keys: Mapping[str, Key]
+) -> tuple[Mounts, dict[str, list[Any]]]:
+    """Mounts of the sensors, and the columns of their tables; none without sensors.
+
+    Raises
+    ------
+    InputError
+        If a table does not describe a sensor.
+    """
+    rows = [document.checked(keys, "sensors", k) for k in range(len(document.tables("sensors")))]
+    for k, row in enumerate(rows):
+        check_place(document, "sensors", k, row, lengths)
+        check_direction(document, k)
+    if not rows:
+        return sensor_mounts([], []), {}
+    column = {name: [row[name] for row in rows] for name in keys}
     segment = [int(k) - 1 for k in column["segment"]]
     axial, radial = ([x / 1e3 for x in column[key]] for key in ("at_mm", "radial_mm"))
     azimuth, tilt = ([math.radians(x) for x in column[key]] for key in ("azimuth_deg", "tilt_deg"))
@@ -134,7 +173,7 @@ def sensors_of(column: Mapping[str, Sequence[Any]]) -> Mounts:
         local = mounts.local.clone()
         local[directed] = turned.local[directed]
         mounts = replace(mounts, local=local)
-    return mounts
+    return mounts, column
 
 
 def imus_of(document: Document, lengths: Sequence[float]) -> tuple[Imu, ...]:

@@ -7,7 +7,8 @@ from jaxtyping import Float
 
 from repro.estimation.imu_chain import adjacent_angles, point_at, rigid_body
 from repro.estimation.orientations import tangents
-from repro.report.shape_view import Markers, Shape, ShapeView, Traces
+from repro.report.shape_parts import Markers, Shape, Traces
+from repro.report.shape_view import ShapeView
 from repro.report.views.frames import every_nth
 
 RADIUS_M = 0.0125

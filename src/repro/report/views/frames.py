@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from repro.errors import bad_input
-from repro.report.shape_view import Traces
+from repro.report.shape_parts import Traces
 
 
 def every_nth(samples: int, most: int) -> slice:

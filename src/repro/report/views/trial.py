@@ -12,7 +12,8 @@ from repro.estimation.imu_shape import ImuShape
 from repro.estimation.orientations import tangents
 from repro.experiments.martin2022.draws import Draw
 from repro.experiments.martin2022.markers import MARKER_NAMES, distances_mm
-from repro.report.shape_view import Markers, Shape, ShapeView, Traces
+from repro.report.shape_parts import Markers, Shape, Traces
+from repro.report.shape_view import ShapeView
 from repro.report.views.arm import RADIUS_M, inclinations
 from repro.report.views.frames import every_nth
 from repro.sensing.inertial import ImuErrors
