@@ -113,6 +113,11 @@ def test_a_port_that_disappears_is_opened_again(tmp_path):
     torch.testing.assert_close(taken.values[0], torch.tensor(values, dtype=torch.float64))
 
 
+def test_a_port_that_was_never_there_is_refused(tmp_path):
+    with pytest.raises(InputError, match="^Input port of repro calibrate must be one that is there "):
+        port_frames(str(tmp_path / "board"), 115200, ROBOT, print)
+
+
 @needs_pty
 def test_half_a_second_is_a_time_and_the_rate_is_told(tmp_path):
     """A board of 40 Hz with a robot file that says 1000 Hz."""
