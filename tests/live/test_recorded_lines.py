@@ -72,13 +72,15 @@ def test_a_sketch_is_followed_live_and_played_again(board, tmp_path, one_segment
     thread = threading.Thread(target=lambda: said.append(follow(str(board.port), estimator, **options)))
     estimator.prepared()
     thread.start()
+    rows, deadline = sent.take.values.tolist(), time.monotonic() + 60
     time.sleep(1.0)
     board.send(b"\n")
-    for k, row in enumerate(sent.take.values.tolist()):
+    for k, row in enumerate(rows):
         text = ", ".join(f"{name}: {x!r} mT" for name, x in zip("XYZ", row, strict=True))
         board.send(f"millis: {20 * k}, {text}\r\n".encode())
         time.sleep(0.005)
-    time.sleep(1.0)
+    while len(found) < len(rows) and time.monotonic() < deadline:
+        time.sleep(0.05)
     over.set()
     thread.join(30)
     assert (
