@@ -100,3 +100,6 @@ def test_the_command_names_units_by_the_robot_file(tmp_path):
         "of one_segment.toml must be one with frames of 3 values in stream 0; instead received" in done.stderr
     )
     assert exported("b.rec", "-o", "b.csv").returncode == 0
+    recording(tmp_path / "c.rec", numbered(3), "hall")
+    done = exported("c.rec", "-o", "c.csv", "--robot", robot)
+    assert "of one_segment.toml must be of the format frames; instead received hall" in done.stderr

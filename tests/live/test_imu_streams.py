@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
@@ -20,10 +21,13 @@ from repro.live.follow.offline import track_readings
 from repro.live.follow.readings_file import read_readings
 from repro.live.follow.robot_estimator import robot_estimator
 from repro.live.follow.time_steps import TimeStep, TimeSteps
+from repro.live.own.fit import fit
+from repro.live.own.poses import read_measured_poses
+from repro.live.own.readings import timed_readings
 from repro.live.record.export import export
 from repro.live.record.recording import read_recording
 from repro.live.record.recording_file import RecordingFile
-from repro.live.robot.calibration_poses import Poses, recorded_readings
+from repro.live.robot.calibration_poses import Poses, coordinate_columns, recorded_readings
 from repro.live.robot.imu_readings import sent as sent_by
 from repro.live.robot.robot_file import load_robot
 from repro.live.wire.frame import Frame
@@ -274,6 +278,35 @@ def test_a_table_of_both_gives_the_frames_of_the_recording(tmp_path):
         InputError, match="columns of b.csv must be stream, u1, u2, u3, u4; .* none called u1"
     ):
         read_readings(tmp_path / "b.csv", found)
+
+
+def test_magnets_and_imus_are_judged_by_motion_capture(tmp_path):
+    """Every stream goes into the estimates; the residual is that of the magnetic sensors, in their unit."""
+    found = loaded(tmp_path, both().replace("rate_hz = 50", "rate_hz = 20"))
+    time_s, rng = np.arange(360) / 20, np.random.default_rng(5)
+    waves = torch.from_numpy(rng.uniform(size=(2, 6, 2)))
+    turns = (0.1 + 0.4 * waves[0]) * torch.from_numpy(time_s)[:, None, None] + waves[1]
+    q = (found.lower + found.upper) / 2
+    q = q + 0.4 * (found.upper - found.lower) * torch.sin(2 * math.pi * turns).mean(-1)
+    with RecordingFile(
+        tmp_path / "a.rec", {"format": "frames", "start_unix_s": 0.0, "start_host_ns": 0}
+    ) as file:
+        for t, pose in zip(time_s, q, strict=True):
+            file.append(round(1e9 * t), list(frames(found, pose, rng)))
+    columns = coordinate_columns(found)
+    rows = pd.DataFrame((q / torch.tensor(list(columns.values()))).numpy(), columns=list(columns))
+    rows.assign(time_s=time_s - 0.2).to_csv(tmp_path / "p.csv", index=False)
+    poses = read_measured_poses(tmp_path / "p.csv", found, noise_m=1e-4, noise_rad=0.01)
+    taken = timed_readings(read_readings(tmp_path / "a.rec", found), found)
+    judged = fit(found, taken, poses)
+    assert abs(judged.lag.lag_s - 0.2) < 5e-3
+    for track in judged.tracks:
+        assert float((track.q - judged.truth.q).abs().nanmean()) < 1e-3
+        assert 0.2 < float(np.median(track.residual)) / found.noise < 2
+    with pytest.raises(
+        InputError, match="calibration for arm.toml, which has IMUs; instead received network"
+    ):
+        fit(found, taken, poses, model="network")
 
 
 ARM = "".join(
