@@ -34,7 +34,7 @@ def fit(
     Parameters
     ----------
     readings
-        A recording of repro record, or a CSV with time_s and a column for each reading.
+        A recording of repro record, or a CSV as for repro track: time_s, and a column for each reading by its name.
     poses
         A CSV with time_s and a column for each coordinate, such as delta_x_1_mm; or for the end of every segment
         x_1_mm, y_1_mm, z_1_mm, qx_1, qy_1, qz_1, qw_1; or a CSV that Motive exported.
@@ -62,9 +62,10 @@ def fit(
     import torch
 
     from repro.errors import bad_input
+    from repro.live.follow.readings_file import read_readings
     from repro.live.own.fit import fit as fit_recording
     from repro.live.own.poses import read_measured_poses
-    from repro.live.own.readings import read_own_readings
+    from repro.live.own.readings import timed_readings
     from repro.live.own.results import check_new, write_results
     from repro.live.robot.robot_file import load_robot
 
@@ -79,7 +80,7 @@ def fit(
     described.sensing()  # refuses robots without magnetic sensors
     noise = {"noise_m": pose_noise_mm * 1e-3, "noise_rad": pose_noise_deg * torch.pi / 180}
     measured = read_measured_poses(poses, described, bodies=body or [], straight_s=straight_s, **noise)
-    taken = read_own_readings(readings, described)
+    taken = timed_readings(read_readings(readings, described), described)
     found = fit_recording(
         described,
         taken,

@@ -130,13 +130,12 @@ def export(
     unit = ""
     read = read_recording(recording)
     if robot is not None:
+        from repro.live.robot.recorded_frames import frames_of
         from repro.live.robot.robot_file import load_robot
 
         described = load_robot(robot)
-        unit = described.unit if described.channel else ""
-        if unit and len(read.channels) != described.channels:
-            expected = f"of {described.channels} channels, as described in {described.name}"
-            raise bad_input("recording", "repro export", expected, f"one of {len(read.channels)}")
+        frames_of(read, described)  # refuses recordings of another robot; the table has all frames
+        unit = described.unit if described.channel and not described.imus else ""
     for remark in (*read.remarks, *export_to(read, output, schema, unit=unit)):
         print(f"Note: {remark}.", file=sys.stderr)
     print(f"{shown(output)}  ({len(read.frames)} frames)")

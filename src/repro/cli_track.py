@@ -76,7 +76,8 @@ def estimated(
     import torch
 
     from repro.live.follow.estimate_table import EstimateFile
-    from repro.live.follow.offline import read_readings, track_readings
+    from repro.live.follow.offline import track_readings
+    from repro.live.follow.readings_file import read_readings
     from repro.live.follow.robot_estimator import robot_estimator
     from repro.live.follow.verdict_words import redundancy_words
     from repro.live.record.recording_file import WriteFailed
@@ -90,7 +91,7 @@ def estimated(
     method = robot_estimator(described, estimator, failed=failed)
     if never := redundancy_words(*method.redundancy):
         print(f"Note: {never}", file=sys.stderr)
-    readings = read_readings(file, method)
+    readings = read_readings(file, described)
     table = None if output is None else EstimateFile(output, method)
     each = (lambda *_: None) if table is None else table.add
     print("Preparing the estimator (the first time its kernels are compiled: a minute).", file=sys.stderr)

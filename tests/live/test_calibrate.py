@@ -408,7 +408,8 @@ def test_recordings_and_tables_that_do_not_fit(tmp_path):
         recorded_readings(recording, ROBOT, read_poses(table(tmp_path, q), ROBOT))
     three = load_robot(ROBOTS / "three_segments.toml")
     with pytest.raises(
-        InputError, match=r"of three_segments.toml must be of 9 channels, as described; .* one of 3"
+        InputError,
+        match="of three_segments.toml must be one with frames of 9 values .* 150 frames of 3 values",
     ):
         recorded_readings(recording, three, late)
     other = Recording(
@@ -428,7 +429,10 @@ def test_recordings_and_tables_that_do_not_fit(tmp_path):
             "delta_x_1_mm,delta_y_1_mm,delta_L_1_mm\n1,2,3\n1,,3\n",
             "must be complete; .* a number missing in pose 2",
         ),
-        ("delta_x_1_mm,delta_y_1_mm,delta_L_1_mm\n1,a,3\n", "must be a CSV of numbers with a header"),
+        (
+            "delta_x_1_mm,delta_y_1_mm,delta_L_1_mm\n1,a,3\n",
+            "delta_y_1_mm in line 2 of poses.csv must be a number",
+        ),
         ("delta_x_1_mm,delta_y_1_mm,delta_L_1_mm\n", "must be at least one pose; instead received none"),
         (
             "delta_x_1_mm,delta_y_1_mm,delta_L_1_mm,start_s,end_s\n1,2,3,4,4\n",

@@ -96,5 +96,10 @@ def test_the_command_names_units_by_the_robot_file(tmp_path):
     assert list(pd.read_csv(tmp_path / "a.csv"))[-3:] == ["u1_mT", "u2_mT", "u3_mT"]
     done = exported("b.rec", "-o", "b.csv", "--robot", robot)
     assert done.returncode == 2
-    assert "must be of 3 channels, as described in one_segment.toml; instead received one of 5" in done.stderr
+    assert (
+        "of one_segment.toml must be one with frames of 3 values in stream 0; instead received" in done.stderr
+    )
     assert exported("b.rec", "-o", "b.csv").returncode == 0
+    recording(tmp_path / "c.rec", numbered(3), "hall")
+    done = exported("c.rec", "-o", "c.csv", "--robot", robot)
+    assert "of one_segment.toml must be of the format frames; instead received hall" in done.stderr

@@ -17,14 +17,15 @@ from own_rig import ROBOTS, Rig, write
 from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
+from repro.live.follow.readings_file import read_readings
 from repro.live.own import models
 from repro.live.own.align import find_clock_lag
 from repro.live.own.fit import fit
 from repro.live.own.judge import Tracked, Truth, errors, tip_positions
 from repro.live.own.poses import read_measured_poses
-from repro.live.own.readings import read_own_readings
+from repro.live.own.readings import TimedReadings, timed_readings
 from repro.live.own.results import write_results
-from repro.live.robot.robot_file import load_robot
+from repro.live.robot.robot_file import RobotFile, load_robot
 
 LAG_S = 0.37
 NOISE = {"noise_m": 1e-4, "noise_rad": 0.01}
@@ -59,8 +60,12 @@ def files(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Pat
     return rig.write_csv(folder / "readings.csv"), rig.write_poses(folder / "poses.csv", *rig.measured())
 
 
+def own_readings(path: Path, robot: RobotFile) -> TimedReadings:
+    return timed_readings(read_readings(path, robot), robot)
+
+
 def both(rig: Rig, readings: Path, poses: Path):
-    return read_own_readings(readings, rig.robot), read_measured_poses(poses, rig.robot, **NOISE)
+    return own_readings(readings, rig.robot), read_measured_poses(poses, rig.robot, **NOISE)
 
 
 def test_a_recording_and_poses_with_gaps(tmp_path, rig):
@@ -314,9 +319,9 @@ def test_wrong_units_are_refused(rig, files, tmp_path):
     ):
         read_measured_poses(ends, rig.robot, **NOISE)
     with pytest.raises(InputError) as error:
-        read_own_readings(rig.write_csv(tmp_path / "mv.csv", unit="mV"), rig.robot)
+        own_readings(rig.write_csv(tmp_path / "mv.csv", unit="mV"), rig.robot)
     assert str(error.value) == (
-        "Input column u1_mV of mv.csv must be in mT, the unit of one_segment.toml; instead received u1_mV."
+        "Input column u1_mV of mv.csv must be in mT, the unit of one_segment.toml; instead received mV."
     )
     loud = rig.write_csv(tmp_path / "ut.csv", values=1e3 * rig.values())
     assert re.fullmatch(
@@ -355,39 +360,62 @@ def test_a_motion_that_repeats_itself_is_refused(rig, tmp_path):
     )
 
 
-def test_tables_that_are_none_are_refused_with_column_and_line(rig, tmp_path):
-    path = tmp_path / "r.csv"
+def test_readings_are_found_by_the_names_of_their_columns(rig, tmp_path):
+    """As by repro track: in any order, beside columns that are none; labels without a number are refused."""
+    readings = own_readings(rig.write_csv(tmp_path / "r.csv"), rig.robot)
+    table = pd.read_csv(tmp_path / "r.csv", dtype=str)
+    table["temperature"] = "25"
+    table[["u3_mT", "temperature", "u1_mT", "time_s", "u2_mT"]].to_csv(tmp_path / "o.csv", index=False)
+    other = own_readings(tmp_path / "o.csv", rig.robot)
+    np.testing.assert_array_equal(other.signal, readings.signal)
+    np.testing.assert_array_equal(other.time_s, readings.time_s)
+    np.testing.assert_allclose(readings.time_s, rig.readings_s, rtol=0, atol=1e-9)
+    assert other.notes == ("Columns of o.csv that are not used: temperature.", *readings.notes)
+    table.rename(columns={"u1_mT": "a"}).to_csv(tmp_path / "a.csv", index=False)
+    with pytest.raises(
+        InputError, match="channel 1 of a.csv must be one column: u1, u1_mT, channel_1 or sensor_1"
+    ):
+        own_readings(tmp_path / "a.csv", rig.robot)
+    table[:2].to_csv(tmp_path / "short.csv", index=False)
+    with pytest.raises(InputError, match="readings of repro fit must be of at least three time steps; .* 2"):
+        own_readings(tmp_path / "short.csv", rig.robot)
+    with pytest.raises(InputError, match="a recording, or a CSV of readings; .*no.csv, which is not there"):
+        own_readings(tmp_path / "no.csv", rig.robot)
+
+
+def test_poses_that_are_no_table_are_refused_with_column_and_line(rig, tmp_path):
+    path = tmp_path / "p.csv"
     for text, expected in (
-        ("a,b\n", "Input first line of r.csv must be a header with one of time_s, time_ms, time_us and"),
+        ("", "Input table of p.csv must be a CSV of numbers with a header, separated by commas;"),
         (
-            "time_s,a,b\n0,1,2\n1,1,2\n2,1,2\n",
-            "Input columns of r.csv must be time and 3 readings, the channels of one_segment.toml; "
-            "instead received 2: a, b.",
+            "a,b\n0,1\n",
+            "Input times of p.csv must be one column, such as time_s; instead received none among a, b.",
         ),
         (
             "time_s,a,b,c\n0,1,2,3\n# pause\n1,1,x,3\n",
-            "Input b in line 4 of r.csv must be a number; instead received 'x'.",
+            "Input b in line 4 of p.csv must be a number (cells are separated by commas); instead received 'x'.",
         ),
         (
             "time_s,a,b,c\n0,1,2\n",
-            "Input line 2 of r.csv must be of 4 cells, as the header; instead received 3.",
+            "Input line 2 of p.csv must be of 4 cells, as the header; instead received 3.",
         ),
-        ("time_s,a,b,c\n0,1,2,inf\n", "Input c in line 2 of r.csv must be finite; instead received inf."),
         (
-            "time_s,a,b,c\n0,1,2,3\n2,1,2,3\n1,1,2,3\n",
-            "Input time_s in line 4 of r.csv must be after the time before, 2 s; instead received 1 s.",
+            "time_s,a,b,c\n0,1,2,3\n1,1,2,3\n\n1,1,2,3\n",
+            "Input time_s in line 5 of p.csv must be after the time before, 1 s; instead received 1 s.",
         ),
-        ("time_s,a,a,c\n", "Input columns of r.csv must be of different names; instead received a twice."),
+        ("time_s,a\n0,1\n1,1\n", "Input table of p.csv must be at least three rows; instead received 2."),
+        ("time_s,a,a,c\n", "Input columns of p.csv must be of different names; instead received a twice."),
+        (
+            "time_s,delta_x_1_mm,delta_y_1_mm\n0,1,2\n1,1,2\n2,1,2\n",
+            "Input columns of p.csv must be delta_x_1_mm, delta_y_1_mm, delta_L_1_mm; instead received none called",
+        ),
     ):
         path.write_text(text)
         with pytest.raises(InputError) as error:
-            read_own_readings(path, rig.robot)
+            read_measured_poses(path, rig.robot, **NOISE)
         assert str(error.value).startswith(expected)
-    with pytest.raises(InputError, match="Input readings of repro fit must be a file that exists"):
-        read_own_readings(tmp_path / "no.csv", rig.robot)
-    path.write_text("time_s,delta_x_1_mm,delta_y_1_mm\n0,1,2\n1,1,2\n2,1,2\n")
-    with pytest.raises(InputError, match="instead received none called delta_L_1_mm"):
-        read_measured_poses(path, rig.robot, **NOISE)
+    with pytest.raises(InputError, match="must be a CSV that is there"):
+        read_measured_poses(tmp_path / "no.csv", rig.robot, **NOISE)
 
 
 def test_nothing_is_left_when_writing_fails(rig, files, tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
@@ -16,11 +17,17 @@ from repro.live.emulate.links import SocketLink
 from repro.live.follow import live_text, session
 from repro.live.follow.follower import Follower
 from repro.live.follow.imu_streams import redundant
+from repro.live.follow.offline import track_readings
+from repro.live.follow.readings_file import read_readings
 from repro.live.follow.robot_estimator import robot_estimator
 from repro.live.follow.time_steps import TimeStep, TimeSteps
+from repro.live.own.fit import fit
+from repro.live.own.poses import read_measured_poses
+from repro.live.own.readings import timed_readings
+from repro.live.record.export import export
 from repro.live.record.recording import read_recording
 from repro.live.record.recording_file import RecordingFile
-from repro.live.robot.calibration_poses import Poses, recorded_readings
+from repro.live.robot.calibration_poses import Poses, coordinate_columns, recorded_readings
 from repro.live.robot.imu_readings import sent as sent_by
 from repro.live.robot.robot_file import load_robot
 from repro.live.wire.frame import Frame
@@ -206,6 +213,100 @@ def test_a_calibration_takes_the_magnetic_stream_alone(tmp_path):
     window = np.array([[0.0, 0.39], [0.41, 0.8]])
     taken = recorded_readings(read_recording(tmp_path / "held.rec"), found, Poses(q, window, ("", "")))
     torch.testing.assert_close(taken.values, found.values(q), rtol=0, atol=2e-3)
+
+
+def recorded_both(tmp_path, n):
+    """Six magnetic channels of which four are used, quaternions, and what does not fit: a short one, a stream 7."""
+    found = loaded(tmp_path, both().replace("noise_deg", "channels = 6\nnoise_deg"))
+    rng, q = np.random.default_rng(4), configurations(found, 1)[0]
+    about = {"format": "frames", "start_unix_s": 0.0, "start_host_ns": 0}
+    with RecordingFile(tmp_path / "a.rec", about) as file:
+        for k in range(n):
+            sent = list(frames(found, q, rng))
+            if k == 5:
+                sent[1] = sent[1]._replace(values=sent[1].values[:3])
+            if k == 6:
+                sent.append(sent[2]._replace(stream=7))
+            file.append(k * 20_000_000, sent)
+    with (tmp_path / "a.rec").open("ab") as file:
+        file.write(b"RRB1F")
+    return found, q
+
+
+LEFT_OUT = [
+    "1 frames of stream 1 have another number of values than 4 and were left out.",
+    "Streams that arm.toml does not have: 7 (1 frames).",
+]
+
+
+def test_a_recording_of_both_is_read_stream_by_stream(tmp_path):
+    """Frames of IMUs are not measured by the number of magnetic channels; what is left out is said."""
+    found, q = recorded_both(tmp_path, 20)
+    readings = read_readings(tmp_path / "a.rec", found)
+    assert readings.notes == [
+        "Recording: 5 bytes of the recording are not whole and were left out.",
+        *LEFT_OUT,
+    ]
+    widths = [(frame.stream, len(frame.values)) for _, frame in readings.frames]
+    assert [widths.count(pair) for pair in ((0, 6), (1, 4), (2, 4))] == [20, 19, 20]
+    estimates = []
+    done = track_readings(readings, robot_estimator(found), lambda _, found: estimates.append(found))
+    assert done.follower.missing == [0] * 6
+    assert float((estimates[-1].q - q).abs().max()) < 5e-3
+    window = np.array([[0.0, 1.0]])
+    held = recorded_readings(read_recording(tmp_path / "a.rec"), found, Poses(q[None], window, ("",)))
+    assert list(held.notes) == readings.notes
+    torch.testing.assert_close(held.values[0, :4], found.values(q)[:4], rtol=0, atol=2e-3)
+
+
+def test_a_table_of_both_gives_the_frames_of_the_recording(tmp_path):
+    found, _ = recorded_both(tmp_path, 20)
+    recording = read_readings(tmp_path / "a.rec", found)
+    export(read_recording(tmp_path / "a.rec"), tmp_path / "a.csv")
+    table = read_readings(tmp_path / "a.csv", found)
+    assert table.notes == ["Columns of a.csv that are not used: u5, u6.", *LEFT_OUT[1:]]
+    short = next(
+        k for k, (_, frame) in enumerate(table.frames) if math.isnan(frame.values[-1]) and frame.stream
+    )
+    assert [frame.values[:4] for _, frame in (*table.frames[:short], *table.frames[short + 1 :])] == [
+        frame.values[:4] for _, frame in recording.frames
+    ]
+    assert [len(frame.values) for _, frame in table.frames[:3]] == [6, 4, 4]
+    text = (tmp_path / "a.csv").read_text()
+    (tmp_path / "b.csv").write_text(text.replace("u1,u2", "u1_mT,u2", 1))
+    with pytest.raises(
+        InputError, match="columns of b.csv must be stream, u1, u2, u3, u4; .* none called u1"
+    ):
+        read_readings(tmp_path / "b.csv", found)
+
+
+def test_magnets_and_imus_are_judged_by_motion_capture(tmp_path):
+    """Every stream goes into the estimates; the residual is that of the magnetic sensors, in their unit."""
+    found = loaded(tmp_path, both().replace("rate_hz = 50", "rate_hz = 20"))
+    time_s, rng = np.arange(360) / 20, np.random.default_rng(5)
+    waves = torch.from_numpy(rng.uniform(size=(2, 6, 2)))
+    turns = (0.1 + 0.4 * waves[0]) * torch.from_numpy(time_s)[:, None, None] + waves[1]
+    q = (found.lower + found.upper) / 2
+    q = q + 0.4 * (found.upper - found.lower) * torch.sin(2 * math.pi * turns).mean(-1)
+    with RecordingFile(
+        tmp_path / "a.rec", {"format": "frames", "start_unix_s": 0.0, "start_host_ns": 0}
+    ) as file:
+        for t, pose in zip(time_s, q, strict=True):
+            file.append(round(1e9 * t), list(frames(found, pose, rng)))
+    columns = coordinate_columns(found)
+    rows = pd.DataFrame((q / torch.tensor(list(columns.values()))).numpy(), columns=list(columns))
+    rows.assign(time_s=time_s - 0.2).to_csv(tmp_path / "p.csv", index=False)
+    poses = read_measured_poses(tmp_path / "p.csv", found, noise_m=1e-4, noise_rad=0.01)
+    taken = timed_readings(read_readings(tmp_path / "a.rec", found), found)
+    judged = fit(found, taken, poses)
+    assert abs(judged.lag.lag_s - 0.2) < 5e-3
+    for track in judged.tracks:
+        assert float((track.q - judged.truth.q).abs().nanmean()) < 1e-3
+        assert 0.2 < float(np.median(track.residual)) / found.noise < 2
+    with pytest.raises(
+        InputError, match="calibration for arm.toml, which has IMUs; instead received network"
+    ):
+        fit(found, taken, poses, model="network")
 
 
 ARM = "".join(

@@ -25,8 +25,9 @@ from repro.live.emulate.links import SocketLink
 from repro.live.emulate.takes import open_take
 from repro.live.follow.estimate_table import EstimateFile, EstimateRows
 from repro.live.follow.follower import Follower
-from repro.live.follow.offline import read_readings, track_readings
+from repro.live.follow.offline import track_readings
 from repro.live.follow.played import played
+from repro.live.follow.readings_file import read_readings
 from repro.live.follow.readings_table import read_table
 from repro.live.follow.robot_estimator import ESTIMATORS, robot_estimator
 from repro.live.follow.time_steps import TimeStep
@@ -71,7 +72,7 @@ def frames_of(sent) -> list[Frame]:
 
 def tracked(path: Path, estimator, output: Path):
     with EstimateFile(output, estimator) as table:
-        done = track_readings(read_readings(path, estimator), estimator, table.add)
+        done = track_readings(read_readings(path, estimator.robot), estimator, table.add)
     return done, pd.read_csv(output)
 
 
@@ -215,7 +216,7 @@ def test_channels_are_found_by_their_names_whatever_their_order(tmp_path, estima
     rows = [[0.5, 1.0, 2.0, 3.0], [0.6, 1.5, 2.5, 3.5]]
     lines = [[names[k] for k in order], *([str(row[k]) for k in order] for row in rows)]
     path.write_text("\n".join(",".join(line) for line in lines) + "\n")
-    frames, start_s, notes = read_table(path, estimator)
+    frames, start_s, notes = read_table(path, estimator.robot)
     assert start_s == 0.5
     assert notes == []
     assert frames == [
@@ -247,15 +248,17 @@ def test_channels_are_found_by_their_names_whatever_their_order(tmp_path, estima
             "time_s,u1_mV,u2,u3\n1,2,3,4\n",
             "column u1_mV of a.csv must be in mT, the unit of one_segment.toml",
         ),
-        ("time_s,u1,u2,u3\n1,2,3,x\n", "table of a.csv must be a CSV of numbers"),
-        ("time_s;u1;u2;u3\n1;2;3;4\n", "table of a.csv must be a CSV of numbers"),
+        ("time_s,u1,u2,u3\n1,2,3,x\n", r"u3 in line 2 of a.csv must be a number \(.*; instead received 'x'"),
+        ("time_s;u1;u2;u3\n1;2;3;4\n", r"must be a number \(cells are separated by commas\)"),
         (
-            "time_s,u1,u2,u3\n1,2,3,4\n,2,3,4\n",
-            "time_s of a.csv must be a number in every row; .* none in row 2",
+            "time_s,u1,u2,u3\n# a pause\n1,2,3\n",
+            "line 3 of a.csv must be of 4 cells, as the header; instead received 3",
         ),
+        ("time_s,u1,u2,u3\n1,2,3,4,\n2,2,3,4,\n", "line 2 of a.csv must be of 4 cells, .* received 5"),
+        ("time_s,u1,u2,u3\n1,2,3,4\n,2,3,4\n", "time_s in line 3 of a.csv must be a time; .* an empty cell"),
         (
             "time_s,u1,u2,u3\n1,2,3,4\n0.5,2,3,4\n",
-            "times that do not decrease; instead received 0.5 in row 2",
+            "time_s in line 3 of a.csv must be not before the time before, 1 s; instead received 0.5 s",
         ),
         ("time_s,u1,u2,u3\n", "at least one row"),
         ("", "table of a.csv must be a CSV of numbers"),
@@ -266,7 +269,7 @@ def test_channels_are_found_by_their_names_whatever_their_order(tmp_path, estima
 def test_tables_that_do_not_fit_are_refused_by_name(tmp_path, estimator, text, message):
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(InputError, match=message):
-        read_readings(tmp_path / "a.csv", estimator)
+        read_readings(tmp_path / "a.csv", estimator.robot)
 
 
 def test_what_cannot_be_used_is_said(tmp_path, estimator, sent):
@@ -296,21 +299,22 @@ def test_frames_that_do_not_fit_are_left_out_and_said(tmp_path, estimator, sent)
     assert len(table) == 48
     assert done.lines()[1:] == [
         "Consistency: 48 consistent, 0 suspicious, 0 wrong.",
-        "5 bytes of a.rec are not whole and were left out.",
-        "1 frames have another number of values than 3 and were left out.",
+        "Recording: 5 bytes of the recording are not whole and were left out.",
+        "1 frames of stream 0 have another number of values than 3 and were left out.",
         "Streams that one_segment.toml does not have: 4 (1 frames).",
     ]
 
 
 def test_recordings_of_another_board_are_refused(tmp_path, estimator):
     five = [Frame(0, k, None, (1.0,) * 5) for k in range(3)]
-    with pytest.raises(InputError, match="one with frames of 3 values, .* received 3 frames of .5. values"):
-        read_readings(recording(tmp_path / "a.rec", five), estimator)
+    expected = "one with frames of 3 values in stream 0; instead received 3 frames of 5 values in stream 0"
+    with pytest.raises(InputError, match=expected):
+        read_readings(recording(tmp_path / "a.rec", five), estimator.robot)
     lines = [Frame(0, None, None, (1.0,) * 3)] * 3
     with pytest.raises(InputError, match="must be of the format frames; instead received hall"):
-        read_readings(recording(tmp_path / "b.rec", lines, "hall"), estimator)
+        read_readings(recording(tmp_path / "b.rec", lines, "hall"), estimator.robot)
     with pytest.raises(InputError, match="which is not there"):
-        read_readings(tmp_path / "c.rec", estimator)
+        read_readings(tmp_path / "c.rec", estimator.robot)
 
 
 def test_lines_in_another_unit_are_refused(tmp_path):
@@ -320,11 +324,11 @@ def test_lines_in_another_unit_are_refused(tmp_path):
     frames = [Frame(0, None, None, (1.0, 2.0, 3.0))] * 3
     about = {"channels": ["x_uT", "y_uT", "z_uT"], "units": ["uT"] * 3}
     with pytest.raises(InputError, match="unit of the robot file must be uT, as the lines say of x_uT"):
-        read_readings(recording(tmp_path / "a.rec", frames, "csv", **about), estimator)
-    assert len(read_readings(recording(tmp_path / "b.rec", frames, "csv"), estimator).frames) == 3
+        read_readings(recording(tmp_path / "a.rec", frames, "csv", **about), estimator.robot)
+    assert len(read_readings(recording(tmp_path / "b.rec", frames, "csv"), estimator.robot).frames) == 3
     (tmp_path / "c.csv").write_text("time_s,x_uT,y_uT,z_uT\n0,1,2,3\n")
     with pytest.raises(InputError, match="unit of the robot file must be uT, as the lines say of x_uT"):
-        read_readings(tmp_path / "c.csv", estimator)
+        read_readings(tmp_path / "c.csv", estimator.robot)
 
 
 def test_labels_of_a_sketch_come_back_from_an_export_in_their_order(tmp_path):
@@ -335,11 +339,11 @@ def test_labels_of_a_sketch_come_back_from_an_export_in_their_order(tmp_path):
     about = {"channels": ["Z_mT", "Y_mT", "X_mT"], "units": ["mT"] * 3}
     path = recording(tmp_path / "a.rec", frames, "csv", **about)
     export(read_recording(path), tmp_path / "a.csv")
-    found = read_readings(tmp_path / "a.csv", estimator)
+    found = read_readings(tmp_path / "a.csv", estimator.robot)
     assert [frame for _, frame in found.frames] == frames
     (tmp_path / "b.csv").write_text("time_s,Z,Y\n0,1,2\n")
     with pytest.raises(InputError, match="channel 1 of b.csv must be one column"):
-        read_readings(tmp_path / "b.csv", estimator)
+        read_readings(tmp_path / "b.csv", estimator.robot)
 
 
 # ---- the file of estimates ----

@@ -7,11 +7,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from repro.errors import bad_input
 from repro.live.robot.calibrate import pose_covariance
-from repro.live.robot.calibration_poses import coordinate_columns
+from repro.live.robot.calibration_poses import coordinate_columns, farthest_points
 from repro.live.robot.robot_file import RobotFile
 from repro.report.files import write_whole
 
@@ -55,12 +56,9 @@ def spread_poses(robot: RobotFile, *, seed: int = 0, count: int | None = None) -
     low, high, start = (x.numpy() for x in (robot.lower, robot.upper, robot.start))
     count = max(LEAST_POSES, 4 * len(low)) if count is None else count
     random = np.random.default_rng([seed, 4]).uniform(-SPREAD / 2, SPREAD / 2, (CANDIDATES * count, len(low)))
-    poses = [(start - (low + high) / 2) / (high - low)]
-    distance = np.full(len(random), np.inf)
-    while len(poses) < count:
-        distance = np.minimum(distance, np.linalg.norm(random - poses[-1], axis=1))
-        poses.append(random[distance.argmax()])
-    return (low + high) / 2 + (high - low) * np.array(poses)
+    first = (start - (low + high) / 2) / (high - low)
+    chosen = farthest_points(torch.from_numpy(random), torch.from_numpy(first), count - 1)
+    return (low + high) / 2 + (high - low) * np.vstack([first, random[chosen]])
 
 
 def measured_poses(

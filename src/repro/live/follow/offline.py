@@ -3,45 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import groupby
-from pathlib import Path
 
 from tqdm import tqdm
 
-from repro.errors import bad_input
 from repro.estimation.base import Estimate
 from repro.estimation.consistency import STATUS
 from repro.live.follow.follower import Follower
-from repro.live.follow.readings_table import read_table
+from repro.live.follow.readings_file import Readings, time_steps
 from repro.live.follow.robot_estimator import RobotEstimator
-from repro.live.follow.time_steps import TimeStep, TimeSteps
-from repro.live.record.recording import Recording, read_recording
-from repro.live.record.recording_file import MAGIC, sidecar_path
-from repro.live.wire.csv_text import check_units
-from repro.live.wire.frame import Frame
-
-QUATERNION = 4
-
-
-@dataclass(frozen=True)
-class Readings:
-    """What was recorded.
-
-    Attributes
-    ----------
-    frames
-        Arrival [ns] and frame, in order.
-    start_s
-        Time of the first frame in the recording or the table [s].
-    notes
-        What was left out, one sentence each.
-    """
-
-    frames: Sequence[tuple[int, Frame]]
-    start_s: float
-    notes: list[str]
 
 
 @dataclass
@@ -81,59 +52,6 @@ class Tracked:
         return said + self.notes
 
 
-def read_readings(path: Path, estimator: RobotEstimator) -> Readings:
-    """Read what an estimator takes: a recording of `repro record`, or a CSV as `repro export` writes it.
-
-    Raises
-    ------
-    InputError
-        If the file is not there, is neither, or does not fit the robot.
-    """
-    if not path.is_file():
-        raise bad_input(
-            "file", "repro track", "a recording, or a CSV of readings", f"{path}, which is not there"
-        )
-    with path.open("rb") as stream:
-        head = stream.read(4096)
-    if head.startswith(MAGIC) or b"\0" in head or sidecar_path(path).is_file():
-        return _recorded(read_recording(path), path.name, estimator)
-    frames, start_s, notes = read_table(path, estimator)
-    return Readings(frames, start_s, notes)
-
-
-def _recorded(recording: Recording, name: str, estimator: RobotEstimator) -> Readings:
-    robot = estimator.robot
-    if recording.format != robot.format:
-        raise bad_input("recording", robot.name, f"of the format {robot.format}", recording.format)
-    units = recording.metadata.get("units")
-    if recording.format == "csv" and isinstance(units, list) and len(units) == len(recording.channels):
-        check_units(recording.channels, units, robot.unit if robot.channel else None)
-    width = QUATERNION if estimator.positions else robot.channels
-    frames = list(recording.as_frames())
-    fitting = [
-        (ns, frame)
-        for ns, frame in frames
-        if len(frame.values) == width or frame.stream not in estimator.streams
-    ]
-    notes = []
-    if lost := recording.torn_bytes + recording.damaged_bytes:
-        notes.append(f"{lost} bytes of {name} are not whole and were left out.")
-    if others := len(frames) - len(fitting):
-        notes.append(f"{others} frames have another number of values than {width} and were left out.")
-    if not any(frame.stream in estimator.streams for _, frame in fitting):
-        found = sorted({len(frame.values) for _, frame in frames})
-        expected = f"one with frames of {width} values, as described in {robot.name}"
-        raise bad_input("recording", name, expected, f"{len(frames)} frames of {found} values")
-    first_ns = next(ns for ns, frame in fitting if frame.stream in estimator.streams)
-    return Readings(fitting, 1e-9 * (first_ns - recording.metadata["start_host_ns"]), notes)
-
-
-def time_steps(readings: Readings, steps: TimeSteps) -> Iterator[list[TimeStep]]:
-    """Yield the time steps that frames complete, those that arrived together at once, as a port gives them."""
-    for arrival_ns, group in groupby(readings.frames, key=lambda pair: pair[0]):
-        yield steps.add(arrival_ns, [frame for _, frame in group])
-
-
 def track_readings(
     readings: Readings,
     estimator: RobotEstimator,
@@ -147,7 +65,7 @@ def track_readings(
     Parameters
     ----------
     readings
-        From :func:`read_readings`.
+        From :func:`repro.live.follow.readings_file.read_readings`.
     estimator
         As for a live session.
     each
@@ -157,12 +75,11 @@ def track_readings(
     seed
         Of estimators that draw random numbers.
     """
-    steps = TimeSteps(estimator.streams, estimator.robot.rate_hz)
     tracked = Tracked(Follower(estimator, seed=seed), notes=list(readings.notes))
     began = time.monotonic()
     with tqdm(total=len(readings.frames), unit="frames", disable=not progress) as bar:
         counted = 0
-        for complete in time_steps(readings, steps):
+        for complete in time_steps(readings, estimator.robot):
             for step in complete:
                 _, estimate = tracked.follower.step(step)
                 if estimate is None:
@@ -175,7 +92,4 @@ def track_readings(
             bar.update(used)
         bar.update(len(readings.frames) - counted)
     tracked.seconds = time.monotonic() - began
-    if steps.others:
-        streams = ", ".join(f"{stream} ({n} frames)" for stream, n in steps.others.items())
-        tracked.notes.append(f"Streams that {estimator.robot.name} does not have: {streams}.")
     return tracked

@@ -12,10 +12,13 @@ import numpy as np
 import pandas as pd
 
 from repro.errors import bad_input
-from repro.live.follow.robot_estimator import RobotEstimator
 from repro.live.record.recording import channel_names
+from repro.live.robot.number_table import read_numbers, times_of
+from repro.live.robot.recorded_frames import other_streams
 from repro.live.robot.robot_file import RobotFile
-from repro.live.wire.csv_fields import name_and_unit, time_scale
+from repro.live.robot.robot_parts import MAGNETIC_STREAM
+from repro.live.robot.robot_tables import UPRIGHT
+from repro.live.wire.csv_fields import name_and_unit
 from repro.live.wire.csv_text import WRAP, check_units
 from repro.live.wire.frame import Frame
 
@@ -24,7 +27,7 @@ KNOWN = ("unix_s", "host_ns", "sequence", "stream", "device_us")
 _NUMBERED = re.compile(r"(u|ch|channel|sensor)_?([1-9][0-9]*)", re.IGNORECASE)
 
 
-def read_table(path: Path, estimator: RobotEstimator) -> tuple[list[tuple[int, Frame]], float, list[str]]:
+def read_table(path: Path, robot: RobotFile) -> tuple[list[tuple[int, Frame]], float, list[str]]:
     """Read a table of readings with a column of times.
 
     Parameters
@@ -35,83 +38,61 @@ def read_table(path: Path, estimator: RobotEstimator) -> tuple[list[tuple[int, F
         (``y_counts``), or under the number of its sensor, ``sensor_2``; each with a unit behind it, as ``u2_mT`` or
         ``u2 [mT]``, or without. Of a board that sends ``csv``, labels of its own count in their order, as in its
         lines, if they are as many as its channels and no column is numbered. IMUs are in ``x``, ``y``, ``z``, ``w``
-        with their ``stream``.
-    estimator
-        Whose robot sent the readings.
+        with their ``stream``; of a board that sends ``frames`` also in ``u1`` to ``u4``, without a unit.
+    robot
+        What sent the readings.
 
     Returns
     -------
     frames, start_s, notes
-        Times [ns] and frames; the first time [s]; columns that are not used.
+        Times [ns] and frames; the first time [s]; columns and streams that are not used.
 
     Raises
     ------
     InputError
         If a column is missing, ambiguous or of another unit, or a time is missing or decreases.
     """
-    robot = estimator.robot
-    try:
-        table = pd.read_csv(path, dtype=float, comment="#", skipinitialspace=True)
-    except ValueError as error:
-        raise bad_input(
-            "table", path.name, "a CSV of numbers with a header, separated by commas", error
-        ) from error
-    names = [str(name).strip() for name in table]
-    table.columns = names
-    twice = [name for name in names if (plain := re.sub(r"\.[0-9]+$", "", name)) != name and plain in names]
-    if twice:  # so a second column of one name is called
-        raise bad_input(
-            "columns", path.name, "of different names", f"{re.sub(r'[.][0-9]+$', '', twice[0])} twice"
-        )
-    if not len(table):
-        raise bad_input("table", path.name, "at least one row", "none")
-    time_column, time_s = _times(path.name, table)
-    if estimator.positions:
-        chosen: Sequence[str | None] = list("xyzw")
-        if missing := [name for name in ("stream", *"xyzw") if name not in names]:
-            raise bad_input("columns", path.name, "stream, x, y, z, w", f"none called {', '.join(missing)}")
-    else:
+    table = read_numbers(path)
+    names = list(table)
+    time_column, time_s = times_of(path.name, table, apart=False)
+    chosen: list[str | None] = []
+    quaternion: list[str] = []
+    values: dict[int, list[list[float]]] = {}
+    if robot.channel:
         labels = [name for name in names if name not in (time_column, *KNOWN)]
         numbered = any(_NUMBERED.fullmatch(name_and_unit(name)[0]) for name in labels)
         if robot.format == "csv" and not numbered and len(labels) == robot.channels:
             check_units(labels, [name_and_unit(name)[1] for name in labels], robot.unit)
-            chosen = labels
+            chosen += labels
         else:
-            chosen = _channels(path.name, names, robot)
-    values = np.full((len(table), len(chosen)), np.nan)
-    for k, name in enumerate(chosen):
+            chosen += _channels(path.name, names, robot)
+        values[MAGNETIC_STREAM] = _rows(table, chosen)
+    if robot.imus:
+        quaternion = list("xyzw") if "x" in names else channel_names(robot.format, len(UPRIGHT))
+        wanted = ("stream", *quaternion)
+        if missing := [name for name in wanted if name not in names]:
+            raise bad_input("columns", path.name, ", ".join(wanted), f"none called {', '.join(missing)}")
+        values |= dict.fromkeys((imu.stream for imu in robot.imus), _rows(table, quaternion))
+    streams = [number or 0 for number in _whole(path.name, table, "stream", 1 << 16)]
+    device_us = _whole(path.name, table, "device_us", WRAP)
+    arrival_ns = np.round(1e9 * (time_s - time_s[0])).astype(np.int64).tolist()
+    rows = enumerate(zip(arrival_ns, streams, device_us, strict=True))
+    frames = [
+        (ns, Frame(k, None, sent_us, tuple(values[k][row]))) for row, (ns, k, sent_us) in rows if k in values
+    ]
+    start_s = float(time_s[0]) + (1e-9 * frames[0][0] if frames else 0.0)
+    unused = [name for name in names if name not in (time_column, *KNOWN, *chosen, *quaternion)]
+    notes = [f"Columns of {path.name} that are not used: {', '.join(unused)}."] if unused else []
+    return frames, start_s, notes + other_streams(robot, streams)
+
+
+def _rows(table: pd.DataFrame, columns: Sequence[str | None]) -> list[list[float]]:
+    """Values of chosen columns; NaN where none is chosen."""
+    values = np.full((len(table), len(columns)), np.nan)
+    for k, name in enumerate(columns):
         if name is not None:
             values[:, k] = table[name]
-    stream = _whole(path.name, table, "stream", 1 << 16)
-    device_us = _whole(path.name, table, "device_us", WRAP)
-    unused = [name for name in names if name not in (time_column, *KNOWN, *chosen)]
-    notes = [f"Columns of {path.name} that are not used: {', '.join(unused)}."] if unused else []
-    arrival_ns = np.round(1e9 * (time_s - time_s[0])).astype(np.int64).tolist()
-    rows = zip(arrival_ns, stream, device_us, values.tolist(), strict=True)
-    frames = [(ns, Frame(number or 0, None, sent_us, tuple(row))) for ns, number, sent_us, row in rows]
-    return frames, float(time_s[0]), notes
-
-
-def _times(owner: str, table: pd.DataFrame) -> tuple[str, np.ndarray]:
-    scales = {name: time_scale(*name_and_unit(name)) for name in table if name not in KNOWN}
-    found = [name for name, scale in scales.items() if scale is not None]
-    if len(found) != 1:
-        received = f"{len(found)}: {', '.join(found)}" if found else f"none among {', '.join(table)}"
-        raise bad_input("times", owner, "one column, such as time_s", received)
-    name = found[0]
-    scale = scales[name]
-    if not scale:
-        raise bad_input("times", owner, f"named with their unit, such as {name}_s or {name}_ms", name)
-    time_s = table[name].to_numpy() * (1e-6 * scale)
-    if not np.isfinite(time_s).all():
-        row = int(np.flatnonzero(~np.isfinite(time_s))[0]) + 1
-        raise bad_input(name, owner, "a number in every row", f"none in row {row}")
-    if (np.diff(time_s) < 0).any():
-        row = int(np.flatnonzero(np.diff(time_s) < 0)[0]) + 2
-        raise bad_input(name, owner, "times that do not decrease", f"{table[name][row - 1]:g} in row {row}")
-    if time_s[-1] - time_s[0] > 1e9:
-        raise bad_input(name, owner, "within 30 years", f"{time_s[0]:g} to {time_s[-1]:g} s")
-    return name, time_s
+    return values.tolist()
 
 
 def _channels(owner: str, names: Sequence[str], robot: RobotFile) -> list[str | None]:
@@ -153,7 +134,6 @@ def _whole(owner: str, table: pd.DataFrame, name: str, end: int) -> list[int | N
     wrong = ~np.isnan(column) & ~((column >= 0) & (column < end) & (column % 1 == 0))
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
-        raise bad_input(
-            name, owner, f"whole numbers from 0 to {end - 1}", f"{column[row]:g} in row {row + 1}"
-        )
+        received = f"{column[row]:g} in line {table.index[row]}"
+        raise bad_input(name, owner, f"whole numbers from 0 to {end - 1}", received)
     return [None if np.isnan(x) else int(x) for x in column]

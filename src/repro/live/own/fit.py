@@ -110,6 +110,8 @@ def fit(
     """
     if model not in MODELS:
         raise bad_input("model", "repro fit", " or ".join(MODELS), repr(model))
+    if model == "network" and robot.imus:
+        raise bad_input("model", "repro fit", f"calibration for {robot.name}, which has IMUs", model)
     if not 0 < longest_lag_s < np.inf:
         raise bad_input("longest-lag", "repro fit", "above 0, and finite", longest_lag_s)
     readings, poses, from_first = on_one_clock(readings, poses)
@@ -176,8 +178,8 @@ def _training(
 
 
 def _values(step: TimeStep) -> tuple[float, ...]:
-    (frame,) = step.frames
-    assert frame is not None  # with one stream a step is one frame
+    frame = step.frames[0]
+    assert frame is not None  # its signal is complete
     return tuple(frame.values)
 
 

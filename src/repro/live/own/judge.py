@@ -36,7 +36,7 @@ class Tracked:
     q, covariance
         Configurations.
     residual
-        Root mean square of readings minus prediction [unit].
+        Root mean square of magnetic readings minus prediction [unit].
     """
 
     model: str
@@ -81,13 +81,15 @@ def tracked(estimator: RobotEstimator, readings: TimedReadings, chosen: np.ndarr
         q.append(nothing if estimate is None else estimate.q)
         full = None if estimate is None else estimate.covariance
         covariance.append(nothing.expand(n, n) if full is None else full)
-        residual.append(np.nan if estimate is None else _residual(u, estimate))
+        residual.append(np.nan if estimate is None else _residual(estimator, u, estimate))
     return Tracked(model, estimator.name, torch.stack(q), torch.stack(covariance), np.array(residual))
 
 
-def _residual(u: Tensor, estimate: Estimate) -> float:
-    rest = (u - estimate.u_hat)[~torch.isnan(u)]
-    return float(rest.square().mean().sqrt())
+def _residual(estimator: RobotEstimator, u: Tensor, estimate: Estimate) -> float:
+    """Of the magnetic sensors [unit]; beside IMUs, readings are in units of their noise."""
+    rest = (u - estimate.u_hat)[: len(estimator.robot.channel)]
+    unit = 1.0 if estimator.stacked is None else estimator.robot.noise
+    return unit * float(rest[~torch.isnan(rest)].square().mean().sqrt())
 
 
 def tip_positions(

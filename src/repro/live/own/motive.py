@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from repro.errors import bad_input
-from repro.live.own.tables import check_times, read_rows
+from repro.live.robot.number_table import check_times, read_rows
 from repro.recordings.optitrack import read_header
 
 LENGTH_UNITS = {"Meters": 1.0, "Centimeters": 1e-2, "Millimeters": 1e-3}
@@ -45,7 +45,7 @@ def read_bodies(
         Another version, rotation type or unit; a body that is not there; numbers that are none; fewer frames than
         the header says.
     """
-    rows = read_rows(path, "poses")
+    rows = read_rows(path)
     axes = next((k for k, (_, row) in enumerate(rows) if row[0] == "Frame"), 0)
     heads = {row[1]: row for _, row in rows[:axes] if len(row) > 1}
     if axes < 2 or "Name" not in heads:
@@ -68,7 +68,8 @@ def read_bodies(
         table = np.array([[float(row[k] or "nan") for k in (1, *picked)] for _, row in rows[axes + 1 :]])
     except (ValueError, IndexError) as error:
         raise bad_input("frames", path.name, "rows of numbers", error) from error
-    check_times(path, "Time (Seconds)", table[:, 0], [line for line, _ in rows[axes + 1 :]])
+    lines = [line for line, _ in rows[axes + 1 :]]
+    check_times(path.name, "Time (Seconds)", table[:, 0], lines, apart=True)
     bodies = table[:, 1:].reshape(len(table), len(names), 7)
     bodies[..., :3] *= LENGTH_UNITS[header["Length Units"]]
     x, y, z = (bodies[..., [k, k + 3]].copy() for k in range(3))

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from repro.errors import bad_input
+from repro.live.robot.calibration_poses import farthest_points
 from repro.live.robot.robot_file import RobotFile
 
 LEAST_S = 5.0
@@ -86,9 +87,5 @@ def spread(robot: RobotFile, q: Float[Tensor, "poses n_q"], most: int = POSES) -
     Distances are in widths of the bounds; the first is the one nearest to the mean.
     """
     x = q / (robot.upper - robot.lower)
-    chosen = [int((x - x.mean(0)).square().sum(-1).argmin())]
-    distance = (x - x[chosen[0]]).square().sum(-1)
-    while len(chosen) < min(most, len(q)) and float(distance.max()) > 0:
-        chosen.append(int(distance.argmax()))
-        distance = torch.minimum(distance, (x - x[chosen[-1]]).square().sum(-1))
-    return torch.tensor(sorted(chosen))
+    first = (x - x.mean(0)).square().sum(-1).argmin()
+    return torch.cat([first[None], farthest_points(x, x[first], min(most, len(q)) - 1)]).sort().values

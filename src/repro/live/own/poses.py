@@ -18,9 +18,9 @@ from repro.errors import bad_input
 from repro.live.own.body_poses import configurations_of, end_poses
 from repro.live.own.gaps import GAP_STEPS, interpolated
 from repro.live.own.motive import is_motive, read_bodies
-from repro.live.own.tables import read_timed
 from repro.live.robot.calibrate import pose_covariance
 from repro.live.robot.calibration_poses import coordinate_columns
+from repro.live.robot.number_table import read_numbers, times_of
 from repro.live.robot.robot_file import RobotFile
 
 BEYOND, MOST_BEYOND = 0.25, 0.05
@@ -127,7 +127,9 @@ def read_measured_poses(
         return _of_bodies(path, robot, time_s, table, straight_s, noise_m, noise_rad)
     if bodies:
         raise bad_input("body", "repro fit", "for files of Motive only", path.name)
-    time_s, table = read_timed(path, "poses")
+    table = read_numbers(path)
+    time_column, time_s = times_of(path.name, table, apart=True)
+    table = table.drop(columns=time_column)
     columns = coordinate_columns(robot)
     if any(name in table for name in columns):
         if straight_s:

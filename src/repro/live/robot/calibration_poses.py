@@ -9,17 +9,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from repro.errors import bad_input
 from repro.live.record.recording import Recording
 from repro.live.robot.kept_readings import Part, part_of, read_kept
+from repro.live.robot.number_table import read_numbers
+from repro.live.robot.recorded_frames import frames_of
 from repro.live.robot.robot_file import RobotFile
 from repro.live.robot.robot_parts import MAGNETIC_STREAM
-from repro.live.wire.csv_text import check_units
 
 WINDOW_S = 0.5
 """Readings are averaged over this time [s]: around ``time_s`` of a table, or after a key was pressed."""
@@ -92,10 +92,7 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
     columns = coordinate_columns(robot)
     if not path.is_file():
         raise bad_input("path", "read_poses", f"a CSV with the columns {', '.join(columns)}", path)
-    try:
-        table = pd.read_csv(path, dtype=float, comment="#", skipinitialspace=True)
-    except ValueError as error:
-        raise bad_input("table", path.name, "a CSV of numbers with a header", error) from error
+    table = read_numbers(path)
     times = [name for name in ("time_s", "start_s", "end_s") if name in table]
     if missing := [name for name in columns if name not in table]:
         raise bad_input("columns", path.name, f"{', '.join(columns)}", f"none called {', '.join(missing)}")
@@ -124,29 +121,41 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
     return Poses(q, window, tuple(words))
 
 
+def farthest_points(
+    x: Float[Tensor, "points n"], first: Float[Tensor, " n"], most: int
+) -> Int[Tensor, " chosen"]:
+    """Return indices of points that spread: each is the farthest from ``first`` and from those chosen before.
+
+    Fewer than ``most`` where all others coincide with one of these.
+
+    Examples
+    --------
+    >>> x = torch.tensor([[0.0], [1.0], [2.0], [10.0]])
+    >>> farthest_points(x, torch.tensor([0.0]), 2).tolist()
+    [3, 2]
+    """
+    chosen, distance = [], (x - first).square().sum(-1)
+    while len(chosen) < most and float(distance.max()) > 0:
+        chosen.append(int(distance.argmax()))
+        distance = torch.minimum(distance, (x - x[chosen[-1]]).square().sum(-1))
+    return torch.tensor(chosen, dtype=torch.long)
+
+
 def recorded_readings(recording: Recording, robot: RobotFile, poses: Poses) -> PoseReadings:
     """Average the frames of a recording over each pose.
 
     Raises
     ------
     InputError
-        If the recording is of another format or number of channels than the robot, the table has no times, or there
-        is no frame in a pose.
+        If the recording does not fit the robot (:func:`repro.live.robot.recorded_frames.frames_of`), the table has no
+        times, or there is no frame in a pose.
     """
-    if recording.format != robot.format:
-        raise bad_input("recording", robot.name, f"of the format {robot.format}", recording.format)
-    magnetic = (recording.frames["stream"] == MAGNETIC_STREAM).to_numpy() if robot.imus else slice(None)
-    channels = recording.channels[: robot.channels] if robot.imus else recording.channels
-    if len(channels) != robot.channels:
-        expected = f"of {robot.channels} channels, as described"
-        raise bad_input("recording", robot.name, expected, f"one of {len(channels)}")
-    units = recording.metadata.get("units")
-    if recording.format == "csv" and isinstance(units, list) and len(units) == robot.channels:
-        check_units(recording.channels, units, robot.unit)
+    fits, notes = frames_of(recording, robot)
     if poses.window_s is None:
         raise bad_input("poses", "a recording", "given with time_s, or start_s and end_s", "no times")
-    time_s = recording.frames["time_s"].to_numpy()[magnetic]
-    values = recording.frames[channels].to_numpy(dtype=float)[magnetic]
+    frames = recording.frames[fits & (recording.frames["stream"] == MAGNETIC_STREAM)]
+    time_s = frames["time_s"].to_numpy()
+    values = frames[recording.channels[: robot.channels]].to_numpy(dtype=float)
     complete = np.isfinite(values).all(axis=1)
     parts = []
     for k, (start, end) in enumerate(poses.window_s):
@@ -157,8 +166,7 @@ def recorded_readings(recording: Recording, robot: RobotFile, poses: Poses) -> P
             raise bad_input(f"pose {k + 1}", "the table", expected, f"no frame from {start:g} to {end:g} s")
         parts.append(part_of(values[inside], float(np.ptp(time_s[inside]))))
     found = pose_readings(parts, robot)
-    said = tuple(f"Recording: {remark}." for remark in recording.remarks)
-    return replace(found, notes=said + found.notes)
+    return replace(found, notes=(*notes, *found.notes))
 
 
 def read_kept_readings(path: Path, robot: RobotFile, poses: Poses) -> PoseReadings:
