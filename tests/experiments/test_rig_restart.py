@@ -40,7 +40,7 @@ def test_a_wrong_start_is_left_within_a_second_and_is_kept_where_nothing_watches
     found = apart_mm(1e3 * run.q[:, :2], truth)
     first = int(np.argmax(run.anew > 0))
     assert LASTING - 1 <= first < 40
-    assert np.array_equal(1e3 * run.q[:first, :2], alone[:first])
+    assert np.array_equal(run.q[:first, :2], 1e-3 * alone[:first])
     assert found[first:].max() < 1.0
     # It says so: at the new start, and for as long as a monitor calls one new.
     assert (run.status[first : first + WINDOW] == SUSPICIOUS).all()
