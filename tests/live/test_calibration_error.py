@@ -165,9 +165,17 @@ def test_the_error_of_networks_is_that_of_their_manifest(tmp_path):
     options = method.init(q, seed=0), robot.sensing()(q).detach(), 0.0
     whole, noise = (m.step(*options)[1].covariance for m in (method, method.estimator))
     torch.testing.assert_close(whole, noise * (1 + (rmse / robot.noise) ** 2), rtol=1e-3, atol=1e-12)
-    del manifest["metrics_mt"]
+    manifest["metrics_mt"]["rmse_validation"] = -1.0
     (tmp_path / "net.json").write_text(json.dumps(manifest))
     with pytest.raises(
         InputError, match=r"manifest of net.json must be with the validation error rmse_validation"
     ):
-        robot_estimator(load_robot(path)).prepared()
+        load_robot(path)
+    del manifest["metrics_mt"]
+    (tmp_path / "net.json").write_text(json.dumps(manifest))
+    robot = load_robot(path)  # as of weights that were imported
+    assert robot.error is None
+    assert robot.notes[-1] == (
+        "robot.toml: no error of the networks is known; what estimates state holds the noise alone."
+    )
+    robot_estimator(robot).prepared()

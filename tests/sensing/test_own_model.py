@@ -199,6 +199,9 @@ def with_networks(folder: Path, names: str, more: str = "") -> Path:
     return path
 
 
+UNKNOWN_ERROR = "robot.toml: no error of the networks is known; what estimates state holds the noise alone."
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_torchscript_in_a_robot_file(tmp_path, dtype):
     quiet("trace", trained(dtype)).save(tmp_path / "net.pt")
@@ -207,7 +210,8 @@ def test_torchscript_in_a_robot_file(tmp_path, dtype):
     torch.testing.assert_close(
         robot.sensing()(q), ONE.sensing(trained(), inputs="angles")(q), rtol=0, atol=2e-5
     )
-    (note,) = robot.notes
+    note, unknown = robot.notes
+    assert unknown == UNKNOWN_ERROR
     assert "networks in TorchScript are not compiled but run in torch: some 50 ms for an estimate" in note
     estimator = robot_estimator(robot)
     estimator.prepared()
@@ -241,7 +245,7 @@ def test_a_robot_with_networks_is_not_warned_of_ranges_in_its_unit(tmp_path):
     text = re.sub("noise_mt = .*", "noise_mv = 0.24", ONE_TEXT.replace('unit = "mT"', 'unit = "mV"'))
     path = tmp_path / "robot.toml"
     path.write_text(f'{text}\n[model]\nnetworks = ["a.safetensors"]\n')
-    assert load_robot(path).notes == ()
+    assert load_robot(path).notes == (UNKNOWN_ERROR,)
 
 
 def saved(network: nn.Module, path: Path) -> Path:
@@ -341,4 +345,4 @@ def test_the_page_runs(tmp_path, monkeypatch):
     assert len(blocks) == 2
     for block in blocks:
         exec(block, {})
-    assert load_robot(with_networks(tmp_path, '"segment1.safetensors"')).notes == ()
+    assert load_robot(with_networks(tmp_path, '"segment1.safetensors"')).notes == (UNKNOWN_ERROR,)

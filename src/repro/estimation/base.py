@@ -148,7 +148,7 @@ def usable(u: Float[Tensor, "*batch s"], mask: Tensor | None, owner: str) -> Boo
     if mask is not None and (mask.dtype != torch.bool or mask.shape[-1:] != u.shape[-1:]):
         expected = f"boolean, one for each of {u.shape[-1]} sensors"
         raise bad_input("mask", owner, expected, f"{mask.dtype} of shape {tuple(mask.shape)}")
-    if math.isfinite(u.sum()):  # the usual case, at a fifth of the time
+    if math.isfinite(u.detach().sum()):  # the usual case, at a fifth of the time
         use = torch.ones_like(u, dtype=torch.bool)
     elif bool(torch.isinf(u).any()):
         raise bad_input("u", owner, "finite, or NaN for a missing reading", "infinite readings")

@@ -83,18 +83,22 @@ def network_error(networks: Sequence[Path], robot: Robot, unit: str) -> WhiteErr
     Raises
     ------
     InputError
-        If a manifest does not state it in this unit.
+        If what a manifest states is no error.
     """
     if not networks or are_scripts(networks):
         return None
     rmse = [_rmse(path, unit) for path in networks]
+    if None in rmse:
+        return None
     of_sensor = network_of_sensor(robot, len(networks))
     return WhiteError(torch.tensor([rmse[k] for k in of_sensor], dtype=torch.float64))
 
 
-def _rmse(path: Path, unit: str) -> float:
+def _rmse(path: Path, unit: str) -> float | None:
     key = f"metrics_{unit.lower()}"
     metrics = read_manifest(path).get(key)
+    if metrics is None:
+        return None
     value = metrics.get("rmse_validation") if isinstance(metrics, dict) else None
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < float("inf"):
         expected = f"with the validation error rmse_validation [{unit}] in {key}"

@@ -282,10 +282,15 @@ def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
         networks=networks,
         notes=(),
         network_inputs=network_inputs,
-        error=network_error(networks, robot, unit),
     )
     robot_checks.check_observed(document, robot, [(imu.segment, imu.at_m) for imu in imus], bool(earth.any()))
     if sensors and not magnets:
         raise document.error(("sensors", 0, "channel"), "of a robot with [[magnets]]", "one without")
     notes = robot_checks.out_of_range(document, found) + unobserved(found)
-    return replace(found, notes=notes + robot_checks.check_networks(document, found))
+    notes += robot_checks.check_networks(document, found)
+    error = network_error(networks, robot, unit)
+    if networks and error is None:
+        notes += (
+            f"{found.name}: no error of the networks is known; what estimates state holds the noise alone.",
+        )
+    return replace(found, notes=notes, error=error)
