@@ -1,4 +1,4 @@
-"""The released chains of a made-up arm, against the same sums written out here in NumPy, one sub-segment at a time."""
+"""The released chains of a made-up arm, against the same sums written out in NumPy, one sub-segment at a time."""
 
 from dataclasses import replace
 
@@ -87,7 +87,7 @@ def test_both_rules_agree_with_one_sub_segment_and_in_the_limit(arm):
 
 
 def test_inner_points_of_an_arc():
-    """A quarter circle of two links of 1 m: directions at 30 and 60 degrees, where the printed rule has 22.5 and 67.5."""
+    """A quarter circle of two links of 1 m: directions at 30 and 60 degrees; the printed rule has 22.5 and 67.5."""
     quarter = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]])
     made = Selection((0, 1), (0.0, 2.0), (2.0,), sub_links=2, interpolation="inner points")
     side, up = 0.5, np.sqrt(0.75)

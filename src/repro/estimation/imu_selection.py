@@ -99,7 +99,7 @@ class Selection:
 
     @property
     def turn_share(self) -> float:
-        """Share of a link's turn over which its n sub-segments are spread evenly, about its middle: 1, or n/(n + 1)."""
+        """Share of a link's turn that its n sub-segments are spread over, about its middle: 1, or n/(n + 1)."""
         return self.sub_links / (self.sub_links + 1) if self.interpolation == "inner points" else 1.0
 
     def of(self, orientations: Float[np.ndarray, "*samples nine 4"]) -> Float[np.ndarray, "*samples imus 4"]:

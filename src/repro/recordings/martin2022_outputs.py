@@ -2,8 +2,8 @@
 
 The tables stand in the authors' repository below ``data analysis/data``. A row has the time of its replay and eight
 points; the origin is 17.8 mm above the base. Points that a model did not give have the number 0 and are at 0, 0, 0.
-The time column is the clock of a replay (249 s in one file, 1242 s in another, for one trial), so tables are aligned by
-row.
+The time column is the clock of a replay (249 s in one file, 1242 s in another, for one trial), so tables are aligned
+by row.
 """
 
 # The stubs of pandas know less than the library does.

@@ -140,7 +140,9 @@ def trial_orientations(outputs: Mapping[str, ModelOutput]) -> TrialOrientations:
     end = min(len(eight), *(len(needed[name]) - shift for name, shift in later.items()))
     q, two, sixteen = eight[first:end], *(needed[n][first + later[n] : end + later[n]] for n in later)
     # From point 6 of pcc2.csv half a link on to IMU #7, then half a link along one of two sub-segments to point 7.
-    half = np.diff(Chain(seven.made, {6: seven.arcs[6], 7: sum(seven.made.link_lengths)}).points(q), axis=1)[:, 0]
+    half = np.diff(Chain(seven.made, {6: seven.arcs[6], 7: sum(seven.made.link_lengths)}).points(q), axis=1)[
+        :, 0
+    ]
     third = two[:, 7] - two[:, 6] - half
     third /= np.linalg.norm(third, axis=-1, keepdims=True)
     imu_8 = last_orientation(q[:, 7], third, q[:, 4], sixteen[:, 7] - sixteen[:, 4], 0.32, 8)

@@ -3,8 +3,8 @@ r"""Orientations of the IMUs in the paper's own trial, from positions that two o
 The trial's readings are not at hand, what the models made of them is. A link of ``rigid.csv`` points along the z axis
 :math:`d_{i+1}` of IMU :math:`i + 1`, and the link of ``pcc1.csv`` that ends there along the z axis :math:`m` of the
 orientation halfway between the IMUs :math:`i` and :math:`i + 1`: two directions, four equations, for the three
-unknowns of the next orientation. With the orientation halfway :math:`h`, which takes z to :math:`m` and is else turned
-about it by an unknown angle :math:`\beta`,
+unknowns of the next orientation. With the orientation halfway :math:`h`, which takes z to :math:`m` and is else
+turned about it by an unknown angle :math:`\beta`,
 
 .. math:: q_{i+1} = h\, q_i^{-1} h, \qquad h = h_0 R_z(\beta), \qquad
           R_z(\beta)\, q_i^{-1} m = h_0^{-1} d_{i+1},
