@@ -149,8 +149,8 @@ def test_one_factor_at_a_time(arm):
     table = differences(arm, ImuErrors()).set_index(["sensors", "evaluation"])
     same = table.loc[("perfect", SAME_POINT)]
     files = table.loc[("perfect", FILES)]
-    # What is printed as a difference of models is, with perfect sensors, one of the points evaluated.
-    assert files["rigid_M1_percent"] > 5 * same["rigid_M1_percent"]
+    # What is printed as a difference of models is, with perfect sensors, mostly one of the points evaluated.
+    assert files["rigid_M1_percent"] > 3 * same["rigid_M1_percent"]
     assert files["pcc_M1_percent"] == same["pcc_M1_percent"]
     expected = 100 * (1 - table["pcc_M2_percent"] / table["rigid_M2_percent"])
     np.testing.assert_allclose(table["reduction_M2_percent"], expected)

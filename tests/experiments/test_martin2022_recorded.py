@@ -388,7 +388,7 @@ class TestReleased:
         np.testing.assert_allclose(tangent, 1, atol=1e-12)
 
     def test_orientations_are_readings_of_the_sensor(self, released):
-        """Nothing was said of the sensor's steps of 2^-14, yet the orientations of IMU #1 are on them in every row."""
+        """Nothing was said of the sensor's steps of 2^-14; the orientations of IMU #1 are on them in every row."""
         _, found = released
         q = sensor_orientations(found.orientations[:, 1], "y")
         closest = np.full(len(q), np.inf)

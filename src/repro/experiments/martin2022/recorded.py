@@ -239,3 +239,56 @@ def bag_orientations(bag: str, arm: SoftArm, seed: int = 0) -> tuple[Float[np.nd
     eight = link_orientations(one_clock(read_readings(path)).orientations, BAG_AXIS)
     upright = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (len(eight), 1, 4))
     return np.concatenate([upright, eight], axis=1), "recorded"
+
+
+def said_of_files(trial: Trial, files: pd.DataFrame) -> str:
+    """What the comparison of :func:`compare_files` shows, in sentences; first of all what the data are."""
+    within = files["largest_um"] <= 1.0
+    others = files[~within]
+    words = [
+        f"**{trial.source.capitalize()}** trial, {len(trial.found.orientations)} rows.",
+        *trial.notes,
+        f"Of {len(files)} tables, {int(within.sum())} follow to 1 µm in every point of every row that is compared.",
+    ]
+    for line in others.to_dict("records"):
+        same, largest = np.floor(10 * line["same_percent"]) / 10, line["largest_um"]
+        words.append(
+            f"Of {line['file']}, {same:.1f} % of the points do; the largest distance is {largest:.1f} µm."
+        )
+    if others["file"].str.startswith("fly/pcc16/").any():
+        words.append(
+            "Straight links do not tell how an IMU is turned about the arm, and long links depend on it most."
+        )
+    if tied := int(files["half_turns"].max()):
+        words.append(
+            f"Left out: {tied} rows in which base and IMU #1 are half a turn apart, so that neither way is shorter."
+        )
+    if trial.source == "synthetic":
+        words.append(
+            "These tables were made with the same chains: a check of the orientations found, of no released one."
+        )
+    words.append(f"The equations agree to {trial.found.unevenness_deg.max():.0e} degrees on every row.")
+    return " ".join(words)
+
+
+def said_of_figure_5(table: pd.DataFrame, source: str) -> str:
+    """What :func:`figure_5` says of two IMUs, in sentences that are true of its source."""
+    two = table[table["n_imus"] == 2].set_index(["chain", "marker"])
+
+    def numbers(chain_name: str, marker: str) -> str:
+        line = two.loc[(chain_name, marker)]
+        return f"{line['median_mm']:.0f} mm (Q3 {line['q75_mm']:.0f}) at {marker}"
+
+    def both(chain_name: str) -> str:
+        return f"{numbers(chain_name, 'M1')} and {numbers(chain_name, 'M2')}"
+
+    printed = (
+        f"{m:.0f} mm (Q3 {q:.0f})"
+        for m, q in two.loc["as in the file", ["printed_median_mm", "printed_q75_mm"]].to_numpy()
+    )
+    return (
+        f"{source.capitalize()} trial, two IMUs: the chain as described is {both('as described')} from the spline, "
+        f"with the turned base at the markers {both('base turned, at the markers')}, as in the file "
+        f"{both('as in the file')}. "
+        f"Fig. 5 prints errors of {' and '.join(printed)}, against motion capture."
+    )
