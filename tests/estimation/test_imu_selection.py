@@ -39,9 +39,10 @@ def test_links(imus, reading):
     assert pcc.sub_links * len(pcc.link_lengths) == 16
     for found in (rigid, pcc):
         assert found.arcs == tuple(IMU_ARCS[imu] for imu in found.imus)
-        total = {("rigid", "files", 8): 0.56, ("pcc", "files", 8): 0.635}
-        key = ("rigid" if found is rigid else "pcc", reading, imus)
-        assert sum(found.link_lengths) == pytest.approx(total.get(key, 0.64))
+        first = np.sum(found.link_lengths) + found.origin_m[2]
+        short = {("rigid", 8): 0.0852, ("pcc", 8): 0.0052, ("rigid", 2): 0.0002, ("rigid", 4): 0.0002}
+        key = ("rigid" if found is rigid else "pcc", imus)
+        assert first == pytest.approx(0.64 - (short.get(key, 0.0) if reading == "files" else 0.0))
     if reading != "files":
         assert rigid.markers == pcc.markers == MARKERS == (0.36, 0.6)
         assert rigid.sub_links == 0
@@ -50,15 +51,36 @@ def test_links(imus, reading):
 
 
 def test_released_points():
-    below = [selection("rigid", n, "files").markers for n in (2, 4, 8)]
-    below += [selection("pcc", n, "files").markers for n in (2, 4)]
-    below += [selection("pcc", 8, "files", segments=8).markers]
-    assert set(below) == {(0.32, 0.56)}
+    """Points from the base: 40 mm below the markers but where Table II takes the PCC-extended model."""
+    made = {
+        ("rigid", 2): (319.8, 559.8), ("rigid", 4): (319.8, 559.8), ("rigid", 8): (314.8, 554.8),
+        ("pcc", 2): (320, 560), ("pcc", 4): (320, 560), ("pcc", 8): (354.8, 594.8),
+    }  # fmt: skip
+    for (model, imus), points_mm in made.items():
+        found = selection(model, imus, "files")
+        np.testing.assert_allclose(1e3 * (np.array(found.markers) + found.origin_m[2]), points_mm, atol=1e-9)
+        assert found.origin_m == (0, 0, 0.0178)
+        assert found.base_turn == ((0, 0, 1, 0) if found.imus[0] == 0 else (0, 0, 0, 1))
     assert selection("rigid", 8, "files") == selection("pcc", 8, "files", segments=8)
     for segments in (16, 32, 64):
         found = selection("pcc", 8, "files", segments=segments)
-        assert (found.markers, found.sub_links) == ((0.355, 0.595), segments // 8)
-        assert found.link_lengths == (0.075, *[0.08] * 7)
+        assert (found.markers, found.sub_links) == ((0.337, 0.577), segments // 8)
+        assert found.link_lengths == (0.057, *[0.08] * 7)
+        assert found.interpolation == "inner points"
+        assert selection("pcc", 4, "files").interpolation == "midpoints"
+
+
+def test_base_is_turned_where_it_is_picked():
+    q = np.tile([0.0, 0.0, 0.0, 1.0], (2, 9, 1))
+    made = selection("pcc", 4, "files")
+    picked = made.of(q)
+    np.testing.assert_array_equal(picked[:, 0], [[0, 0, 1, 0]] * 2)
+    np.testing.assert_array_equal(picked[:, 1:], q[:, :4])
+    np.testing.assert_array_equal(q[:, 0], [[0, 0, 0, 1]] * 2)
+    np.testing.assert_array_equal(selection("rigid", 4, "files").of(q), q[:, :4])
+    quarter = replace(made, base_turn=(0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)))
+    q[:, 0] = [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]  # z axis along -y; turned about it, x axis along z
+    np.testing.assert_allclose(quarter.of(q)[:, 0], [[0.5, -0.5, 0.5, 0.5]] * 2, atol=1e-15)
 
 
 def test_picks_orientations_in_order():
@@ -109,6 +131,19 @@ def test_picks_orientations_in_order():
         (
             lambda: replace(selection("pcc", 8), sub_links=-1),
             r"sub_links of Selection must be 0 \(rigid-body model\) or above; instead received -1",
+        ),
+        (
+            lambda: replace(selection("pcc", 8), interpolation="ends"),
+            'interpolation of Selection must be "midpoints" or "inner points"; instead received ends',
+        ),
+        (
+            lambda: replace(selection("pcc", 8), base_turn=(0.0, 0.0, 1.0, 1.0)),
+            r"base_turn of Selection must be a unit quaternion XYZW; instead received \(0.0, 0.0, 1.0, 1.0\)",
+        ),
+        (lambda: replace(selection("pcc", 8), base_turn=(0.0, 0.0, np.nan, 0.0)), "a unit quaternion XYZW"),
+        (
+            lambda: replace(selection("pcc", 8), origin_m=(0.0, np.inf, 0.0)),
+            "origin_m of Selection must be three",
         ),
     ],
 )

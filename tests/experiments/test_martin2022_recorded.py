@@ -1,7 +1,8 @@
-"""The recorded trial: chains that must agree on synthetic outputs, and the released ones where they are found."""
+"""The recorded trial: orientations found again in synthetic tables, and the released ones where they are found."""
 
 import hashlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -10,25 +11,49 @@ from scipy.spatial.transform import Rotation
 from short_arm import short_arm
 
 from repro.errors import InputError
+from repro.estimation.imu_chain import sensor_orientations
 from repro.estimation.orientations import tangents
-from repro.experiments.martin2022 import captured
-from repro.experiments.martin2022.draws import drawn
+from repro.experiments.martin2022 import captured, recorded
+from repro.experiments.martin2022.draws import draw, drawn
+from repro.experiments.martin2022.imu_curves import frames_along
 from repro.experiments.martin2022.recorded import (
-    compare_chain,
+    bag_orientations,
+    compare_files,
     fewer_imus,
-    frames_along,
+    figure_5,
     link_lengths,
-    links,
-    outputs,
+    load_trial,
+    rows_later,
     synthetic_outputs,
+)
+from repro.experiments.martin2022.released import (
+    NEEDED,
+    PCC_1,
+    PCC_2,
+    PCC_16_2,
+    RIGID,
+    Chain,
+    compared,
+    half_turns,
+    released_chains,
+    trial_orientations,
 )
 from repro.recordings import martin2022_capture
 from repro.recordings.martin2022_capture import MarkerCapture
-from repro.recordings.martin2022_outputs import MARKER_POINTS, ORIGIN_M, OUTPUT_FOLDER, OUTPUTS, find_output
+from repro.recordings.martin2022_outputs import (
+    MARKER_POINTS,
+    ORIGIN_M,
+    OUTPUT_FOLDER,
+    OUTPUTS,
+    SCORED_ROWS,
+    ModelOutput,
+    find_output,
+    read_output,
+)
 from repro.sensing.inertial import PERFECT
 from repro.simulation.arm_recording import MotionCapture
 
-ROWS = (100, 1000)
+PUBLISHED = pd.read_csv(Path(__file__).parents[2] / "data" / "published" / "published.csv")
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +66,21 @@ def trial(arm):
     return drawn(arm, 0, PERFECT, MotionCapture(noise_m=0.0)).trial
 
 
+@pytest.fixture(scope="module")
+def real_sensors(arm):
+    """A trial whose IMUs are mounted and turned a little about the arm, as real ones are."""
+    return draw(arm, 0).trial
+
+
 @pytest.fixture
 def nothing_found(tmp_path, monkeypatch):
     monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
     return tmp_path
+
+
+def angles_deg(a, b):
+    turn = Rotation.from_quat(a.reshape(-1, 4)).inv() * Rotation.from_quat(b.reshape(-1, 4))
+    return np.degrees(turn.magnitude()).reshape(a.shape[:-1])
 
 
 class TestFramesAlong:
@@ -66,65 +102,172 @@ class TestFramesAlong:
         np.testing.assert_array_equal(frames_along(np.tile([0.0, 0.0, 1.0], (3, 1)))[3], [0, 0, 0, 1])
 
 
-class TestComparison:
-    def test_shift_is_found_and_directions_agree(self, trial):
-        found = compare_chain(*synthetic_outputs(trial, shift=9), rows=ROWS)
-        assert found.shift == 9
-        # The rod hardly twists, so frames without twist are those of the IMUs.
-        assert found.points["median_mm"].max() < 1.5
-        assert found.points["direction_deg"].max() < 0.5
-        assert len(found.over_time) == ROWS[1] - ROWS[0]
-        np.testing.assert_allclose(
-            found.points["median_mm"], found.over_time.drop(columns="row").median(), rtol=1e-12
-        )
+class TestOrientations:
+    def test_those_of_the_imus_are_found_again(self, real_sensors):
+        """From positions of 32 bits, as in the released tables; on a straight link the turn about it is not told."""
+        found = trial_orientations(synthetic_outputs(real_sensors))
+        off = angles_deg(found.orientations, real_sensors.orientations)
+        assert off.shape == (len(real_sensors.time_s), 9)
+        assert np.percentile(off, 99) < 0.01
+        assert off[:, 1:8][found.told_deg.min(axis=1) > 1].max() < 0.01
+        assert found.unevenness_deg.max() < 1e-4
 
-    def test_turn_about_the_arm_shows_in_the_link_from_the_base_and_is_found(self, trial):
-        turn = Rotation.from_euler("z", 120, degrees=True)
-        q = trial.orientations.copy()
-        q[:, 1:] = (Rotation.from_quat(q[:, 1:].reshape(-1, 4)) * turn).as_quat().reshape(len(q), 8, 4)
-        found = compare_chain(*synthetic_outputs(replace(trial, orientations=q)), rows=ROWS)
-        assert found.turn_deg == pytest.approx(120, abs=2)
-        assert found.points["turned_median_mm"].max() < 1.5
-        assert found.points["median_mm"][1:].min() > 2
-        assert found.points["from_second_median_mm"][2:].max() < 1.5
-        straight = compare_chain(*synthetic_outputs(trial), rows=ROWS)
-        assert straight.turn_deg == pytest.approx(0, abs=2)
+    def test_tables_that_are_earlier_or_later(self, real_sensors):
+        outputs = synthetic_outputs(real_sensors, later=9)
+        cut = outputs[PCC_16_2]
+        outputs[PCC_16_2] = ModelOutput(cut.points[15:], cut.replay_s[15:])  # 6 rows earlier than rigid.csv
+        found = trial_orientations(outputs)
+        off = angles_deg(found.orientations, real_sensors.orientations[6:])
+        assert np.percentile(off, 99) < 0.01
+        assert compared(PCC_16_2, outputs[PCC_16_2], found.orientations)["later"] == 0
+        assert compared(PCC_1, outputs[PCC_1], found.orientations)["later"] == 15
 
-    @pytest.mark.parametrize("rows", [(10, 500), (500, 400), (100, 10_000)])
-    def test_rows_that_are_not_there(self, trial, rows):
+    def test_tables_that_are_missing_short_or_without_points(self, real_sensors):
+        outputs = synthetic_outputs(real_sensors)
         with pytest.raises(
-            InputError, match=r"Input rows of compare_chain must be within 40 and \d+; instead"
+            InputError, match=rf"outputs of trial_orientations must be .* none of \['{PCC_2}'\]"
         ):
-            compare_chain(*synthetic_outputs(trial), rows=rows)
+            trial_orientations({name: outputs[name] for name in NEEDED if name != PCC_2})
+        short = ModelOutput(outputs[RIGID].points[:60], outputs[RIGID].replay_s[:60])
+        with pytest.raises(InputError, match="rows of a released table must be 80 in common at least"):
+            trial_orientations(outputs | {RIGID: short})
+        with pytest.raises(InputError, match=f"points of {PCC_1} must be given in every row"):
+            trial_orientations(outputs | {PCC_1: outputs[PCC_16_2]})
+        with pytest.raises(InputError, match="points of a released table must be given at"):
+            compared(PCC_1, outputs[PCC_16_2], real_sensors.orientations)
+
+
+class TestComparison:
+    def test_every_table_follows(self, real_sensors):
+        outputs = synthetic_outputs(real_sensors)
+        table = compare_files(recorded.Trial(outputs, trial_orientations(outputs), "synthetic"))
+        assert table["file"].tolist() == list(released_chains())
+        assert set(table["file"]) == set(OUTPUTS)
+        assert table["largest_um"][:5].max() < 0.2
+        assert table["same_percent"].min() > 99
+        assert rows_later(table) == 6
+
+    def test_each_setting_matters(self, real_sensors, monkeypatch):
+        """A chain with the printed interpolation, an upright base or another origin does not give the table."""
+        outputs, chains = synthetic_outputs(real_sensors), released_chains()
+        nine = real_sensors.orientations
+        for changed, at_least_um in (
+            ({"interpolation": "midpoints"}, 1e3),
+            ({"base_turn": (0.0, 0.0, 0.0, 1.0)}, 1e3),
+        ):
+            made = replace(chains[PCC_2].made, **changed)
+            other = Chain(made, chains[PCC_2].arcs)
+            monkeypatch.setattr(
+                "repro.experiments.martin2022.released.released_chains", lambda c=other: {PCC_2: c}
+            )
+            assert compared(PCC_2, outputs[PCC_2], nine)["median_um"] > at_least_um
+
+    def test_half_a_turn_has_no_shorter_way(self):
+        nine = np.tile([0.0, 0.0, 0.0, 1.0], (3, 9, 1))
+        nine[1:, 1:] = [0.0, 0.0, np.sin(0.1), np.cos(0.1)]
+        chains = released_chains()
+        assert half_turns(chains[PCC_1].made, nine).tolist() == [True, False, False]
+        assert not half_turns(chains[RIGID].made, nine).any()
 
 
 def test_links_of_synthetic_outputs(trial):
-    table = link_lengths(synthetic_outputs(trial)[0])
+    table = link_lengths(synthetic_outputs(trial)[RIGID])
     assert table["expected_mm"].tolist() == [102.0] + [80.0] * 6
-    assert table["largest_error_mm"].max() < 1e-9
+    assert table["largest_error_mm"].max() < 1e-4
+
+
+class TestFigure5:
+    def test_settings_of_a_straight_arm(self):
+        """All turns about the vertical: no shape differs, but for the points of the file and the short link."""
+        table = figure_5(np.tile([0.0, 0.0, 0.0, 1.0], (3, 9, 1)), PUBLISHED)
+        medians = table.set_index(["n_imus", "chain", "marker"])["median_mm"]
+        for marker in ("M1", "M2"):
+            for n in (2, 4):
+                assert medians[n, "as described", marker] == pytest.approx(0, abs=1e-9)
+                assert medians[n, "base turned, at the markers", marker] == pytest.approx(0, abs=1e-9)
+                assert medians[n, "as in the file", marker] == pytest.approx(40, abs=1e-9)
+            assert medians[8, "as in the file", marker] == pytest.approx(5.2, abs=1e-9)
+        printed = table.set_index(["n_imus", "marker"])["printed_median_mm"]
+        assert printed[2, "M2"].unique().tolist() == [128.0]
+
+    def test_a_turned_base_is_felt_most_by_two_imus(self, real_sensors):
+        table = figure_5(real_sensors.orientations, PUBLISHED).set_index(["chain", "marker", "n_imus"])[
+            "median_mm"
+        ]
+        turned = [table["base turned, at the markers", "M1", n] for n in (2, 4, 8)]
+        assert turned == sorted(turned, reverse=True)
+        for n, one in zip((2, 4, 8), turned, strict=True):
+            assert one > 1.5 * table["as described", "M1", n]
 
 
 class TestFewerImus:
     def test_all_models_agree_on_a_straight_arm(self):
-        table = fewer_imus(np.tile([0.0, 0.0, 0.0, 1.0], (3, 8, 1)))
+        table = fewer_imus(np.tile([0.0, 0.0, 0.0, 1.0], (3, 9, 1)))
         np.testing.assert_allclose(table["median_mm"], 0, atol=1e-9)
 
     def test_fewer_are_further_away(self, trial):
-        table = fewer_imus(trial.orientations[::10, 1:])
+        table = fewer_imus(trial.orientations[::10])
         at = table[table["point_mm"] == 600].set_index(["model", "n_imus"])["median_mm"]
-        spline = [at["spline", n] for n in (2, 4, 8)]
-        assert spline == sorted(spline, reverse=True)
-        assert ("PCC-extended, 16 segments", 8) not in at.index  # the reference
+        for model in ("spline", "PCC-extended, 16 segments"):
+            own = [at[model, n] for n in (2, 4, 8) if (model, n) in at.index]
+            assert own == sorted(own, reverse=True)
+        assert ("spline", 8) not in at.index  # the reference
 
 
-def test_without_recordings_a_synthetic_trial(arm, nothing_found):
-    rigid, pcc, source = outputs(arm)
-    assert source == "synthetic"
-    assert len(pcc.points) == len(rigid.points) + 6
-    orientations, source = links("prev_saved_data_to_play.bag", arm)
-    assert (source, orientations.shape[1:]) == ("synthetic", (8, 4))
-    with pytest.raises(InputError, match="Input name of find_bag"):
-        links("other.bag", arm)
+class TestWithoutRecordings:
+    def test_nothing_found(self, arm, nothing_found):
+        found = load_trial(arm)
+        assert found.source == "synthetic"
+        assert len(found.outputs[PCC_2].points) == len(found.outputs[RIGID].points) + 6
+        assert found.notes == (f"Not found: {', '.join(OUTPUTS)}.",)
+        assert found.scored.shape[1:] == (9, 4)
+        orientations, source = bag_orientations("prev_saved_data_to_play.bag", arm)
+        assert (source, orientations.shape[1:]) == ("synthetic", (9, 4))
+        with pytest.raises(InputError, match="Input name of find_bag"):
+            bag_orientations("other.bag", arm)
+
+    def test_some_found(self, arm, nothing_found, monkeypatch, real_sensors):
+        """Only the first of the tables: synthetic, and the others named; then a needed and another one damaged."""
+        place = written_outputs(nothing_found, monkeypatch, {RIGID: synthetic_outputs(real_sensors)[RIGID]})
+        found = load_trial(arm)
+        assert found.source == "synthetic"
+        assert found.notes == (f"Not found: {', '.join(name for name in OUTPUTS if name != RIGID)}.",)
+        less = "fly/less_imu/less_imu_2.csv"
+        (place / less).parent.mkdir(parents=True)
+        (place / less).write_bytes(b"\xff\xfe\x00damaged")
+        found = load_trial(arm)
+        assert found.notes[0].startswith(
+            f"Input {less} of {OUTPUT_FOLDER} must be the released file, sha256 f2d57ecf"
+        )
+        assert less not in found.notes[1]
+        (place / RIGID).write_text((place / RIGID).read_text()[:-1000])
+        with pytest.raises(InputError, match=rf"Input {RIGID} of .* must be the released file, sha256"):
+            load_trial(arm)
+
+    def test_those_needed_found(self, arm, nothing_found, monkeypatch, real_sensors):
+        outputs = synthetic_outputs(real_sensors)
+        written_outputs(nothing_found, monkeypatch, {name: outputs[name] for name in NEEDED})
+        found = load_trial(arm)
+        assert found.source == "recorded"
+        assert list(found.outputs) == [name for name in OUTPUTS if name in NEEDED]
+        assert compare_files(found)["same_percent"].min() > 99
+
+
+def written_outputs(folder, monkeypatch, outputs):
+    """Write tables as the released ones are, and take their hashes for those of the released ones."""
+    place = folder / OUTPUT_FOLDER
+    for name, output in outputs.items():
+        start = pd.Timestamp("2022-02-23 15:44:33")
+        times = (start + pd.to_timedelta(output.replay_s, unit="s")).strftime("%Y/%m/%d/%H:%M:%S.%f")
+        columns = {"time": times}
+        for k in range(8):
+            given = np.isfinite(output.points[:, k, 0])
+            columns[f".ID_{k}"] = np.where(given, k, 0)
+            columns |= {f".{a}{k}": np.where(given, output.points[:, k, n], 0.0) for n, a in enumerate("xyz")}
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+        pd.DataFrame(columns).to_csv(place / name, index=False, float_format="%.12g")
+        monkeypatch.setitem(OUTPUTS, name, hashlib.sha256((place / name).read_bytes()).hexdigest())
+    return place
 
 
 class TestRealErrors:
@@ -132,7 +275,8 @@ class TestRealErrors:
 
     @pytest.fixture
     def models(self, trial):
-        return synthetic_outputs(trial)
+        made = synthetic_outputs(trial)
+        return made[RIGID], made[PCC_2]
 
     @pytest.fixture(autouse=True)
     def short(self, monkeypatch):
@@ -192,21 +336,75 @@ class TestRealErrors:
         pd.testing.assert_frame_equal(table, expected, rtol=1e-6)
 
 
+@pytest.fixture(scope="module")
+def released():
+    outputs = {name: read_output(path) for name in OUTPUTS if (path := find_output(name))}
+    if missing := [name for name in NEEDED if name not in outputs]:
+        pytest.skip(f"the recordings are not found: {', '.join(missing)}")
+    return outputs, trial_orientations(outputs)
+
+
 class TestReleased:
-    """The released outputs, where they are found."""
+    """The released tables, where they are found."""
 
-    @pytest.fixture
-    def released(self, arm):
-        if None in [find_output(name) for name in OUTPUTS]:
-            pytest.skip("the recordings are not found")
-        return outputs(arm)[:2]
+    @pytest.mark.parametrize("name", [name for name in OUTPUTS if name != PCC_16_2])
+    def test_points_to_a_micrometre(self, released, name):
+        """Every point of every row, but for rows in which base and IMU are half a turn apart (3 of 8,515)."""
+        outputs, found = released
+        if name not in outputs:
+            pytest.skip(f"the recording is not found: {name}")
+        line = compared(name, outputs[name], found.orientations)
+        assert line["largest_um"] <= 1.0
+        assert line["half_turns"] <= 3
+        assert line["rows"] >= 7500
 
-    def test_chain_follows_the_released_one(self, released):
-        found = compare_chain(*released)
-        assert found.shift == 6
-        # Beyond the link from the base, which needs the headings, the directions are the same.
-        assert found.points["direction_deg"][2:].max() < 0.6
-        assert found.points["from_second_median_mm"].drop(0).max() < 2.0
-        assert found.points["median_mm"].max() < 8.5
-        assert 170 <= abs(found.turn_deg) <= 180
-        assert found.points["turned_median_mm"].max() < 2.6
+    def test_points_of_pcc16_2(self, released):
+        """M1 to a micrometre where the turn of IMU #4 is told; M2 for its two equations too many.
+
+        M1 depends on how IMU #4 is turned about the arm, which straight links before it do not tell: there 1e-5 m.
+        M2 is no test of its own: IMU #8 is in no other table found here than ``pcc2.csv``, whose last point has two
+        equations for it. It is computed from these and the three of M2; for three unknowns, that leaves two.
+        """
+        outputs, found = released
+        points = released_chains()[PCC_16_2].points(found.orientations)
+        later = compared(PCC_16_2, outputs[PCC_16_2], found.orientations)["later"]
+        theirs = outputs[PCC_16_2].points[later : later + len(points)][:, [4, 7]]
+        m1 = np.linalg.norm(points[:, 0] - theirs[:, 0], axis=-1)
+        told = found.told_deg[:, :4].min(axis=1) > 1.7
+        assert told.mean() > 0.9
+        assert m1[told].max() <= 1e-6
+        assert (m1 <= 1e-6).mean() > 0.995
+        assert m1.max() < 1.1e-5
+        assert np.sqrt((m1**2).mean()) < 3e-7
+        step = np.linalg.norm(np.diff(points - theirs, axis=1)[:, 0], axis=-1)
+        assert step.max() <= 1e-6
+
+    def test_tables_agree_on_the_orientations(self, released):
+        """The two equations that each angle has agree to the rounding of the tables."""
+        _, found = released
+        assert len(found.orientations) == 8515
+        assert found.unevenness_deg.max() < 1e-4
+        tangent = np.linalg.norm(tangents(found.orientations), axis=-1)
+        np.testing.assert_allclose(tangent, 1, atol=1e-12)
+
+    def test_orientations_are_readings_of_the_sensor(self, released):
+        """Nothing was said of the sensor's steps of 2^-14; the orientations of IMU #1 are on them in every row."""
+        _, found = released
+        q = sensor_orientations(found.orientations[:, 1], "y")
+        closest = np.full(len(q), np.inf)
+        for norm in 2**14 + np.arange(-3.0, 3.01, 0.1):  # of whole numbers near 2^14, not known
+            whole = np.round(q * norm)
+            whole /= np.linalg.norm(whole, axis=-1, keepdims=True)
+            closest = np.minimum(closest, np.linalg.norm(whole - q, axis=-1))
+        assert closest.max() < 3e-7  # a hundredth of what any orientation would be off
+
+    def test_figure_5_with_two_imus(self, released):
+        """The released chain is as far from the spline as the figure prints at M1, the described one half of that."""
+        _, found = released
+        table = figure_5(found.orientations[slice(*SCORED_ROWS)], PUBLISHED)
+        at = table.set_index(["n_imus", "chain", "marker"])
+        assert at["median_mm"][2, "as in the file", "M1"] == pytest.approx(115, abs=1)
+        assert at["q75_mm"][2, "as in the file", "M1"] == pytest.approx(159, abs=1.5)
+        assert at["median_mm"][2, "as in the file", "M2"] == pytest.approx(115, abs=1)
+        assert at["q75_mm"][2, "as in the file", "M2"] == pytest.approx(151, abs=1.5)
+        assert at["median_mm"][2, "as described", "M1"] == pytest.approx(61, abs=1)

@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
 from repro.estimation.imu_chain import adjacent_angles, link_orientations, rigid_body
+from repro.estimation.imu_models import pcc_extended
+from repro.estimation.imu_selection import Selection
 from repro.recordings import martin2022
 from repro.recordings.martin2022 import find_bag, one_clock, read_messages, read_readings
 from repro.simulation.imu_stream import synthetic_stream
@@ -304,3 +306,42 @@ def test_chain_gives_the_positions_that_the_authors_recorded_beside_the_readings
     assert (off_latest < 1e-6).mean() > 0.9
     # The others were computed just before the newest reading of IMU 0 arrived.
     assert np.minimum(off_latest, off_older).max() < 1e-6
+
+
+@pytest.mark.parametrize(("marker", "arc_m"), [(0, 0.3564), (1, 0.6044)])
+def test_chain_gives_the_markers_that_the_authors_recorded_beside_the_readings(marker, arc_m):
+    """Topic markers: eight PCC-extended links with sub-segments of their own, from a base turned by half a turn.
+
+    A message was computed from the readings of some moment close to it. The first ones hold readings from before the
+    recording began, which nobody has.
+    """
+    path = released("freshly_recorded_data.bag")
+    readings, sent = read_readings(path), read_messages(path, "markers")
+    sent = sent[sent["ID"] == marker]
+    points, ids = sent[["x", "y", "z"]].to_numpy(), readings["imu"].to_numpy()
+    newest = np.stack([np.where(ids == imu, np.arange(len(ids)), -1) for imu in range(8)], axis=1)
+    newest = np.maximum.accumulate(newest)  # of each IMU, after every reading
+    q = link_orientations(readings[list("xyzw")].to_numpy(), "y")
+    latest = np.searchsorted(readings["time_s"], sent["time_s"]) - 1
+    closest = np.full(len(sent), np.inf)
+    for before in range(-2, 5):  # readings between the one used and the message
+        row = np.clip(latest - before, 0, len(ids) - 1)
+        known = (newest[row] >= 0).all(axis=1)
+        nine = np.concatenate(
+            [np.tile([0.0, 0.0, 1.0, 0.0], (known.sum(), 1, 1)), q[newest[row[known]]]], axis=1
+        )
+        off = np.linalg.norm(markers_of_the_bag(nine, arc_m) - points[known], axis=1)
+        closest[known] = np.minimum(closest[known], off)
+    assert len(sent) in (4418, 4419)
+    assert closest[8:].max() < 1e-6
+
+
+def markers_of_the_bag(nine, arc_m):
+    """Link by link, since each has its own number of sub-segments: base to IMU #1 62.2 mm, the others 80 mm."""
+    position, left = np.zeros((len(nine), 3)), arc_m
+    for link, n in enumerate((4, 4, 2, 1, 5, 2, 4, 2)):
+        length = 0.0622 if link == 0 else 0.08
+        made = Selection((0, 1), (0.0, length), (length,), sub_links=n)
+        position = position + pcc_extended(nine[:, link : link + 2], made, [min(left, length)])[:, 0]
+        left = max(left - length, 0.0)
+    return position

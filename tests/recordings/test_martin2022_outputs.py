@@ -11,7 +11,6 @@ from repro.errors import InputError
 from repro.recordings.martin2022_outputs import (
     OUTPUT_FOLDER,
     OUTPUTS,
-    PCC_POINTS_M,
     POINTS,
     RIGID_LINKS_M,
     find_output,
@@ -72,6 +71,49 @@ def test_cells_that_cannot_be_used(tmp_path, column, value, message):
         read_output(written(tmp_path / "rigid.csv", changed))
 
 
+def test_points_that_a_model_did_not_give(tmp_path):
+    changed = table()
+    changed[".ID_3"] = 0
+    changed[[".x3", ".y3", ".z3"]] = 0.0
+    found = read_output(written(tmp_path / "pcc16_2.csv", changed)).points
+    assert np.isnan(found[:, 3]).all()
+    assert np.isfinite(np.delete(found, 3, axis=1)).all()
+    changed[".z3"] = 0.1  # a position, but no number
+    with pytest.raises(InputError, match=r"Input ids of pcc16_2.csv must be 0 to 7; .* in row 0\."):
+        read_output(written(tmp_path / "pcc16_2.csv", changed))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\n\n",
+        b"\xff\xfe\x00\xd8",
+        b"time,.ID_0\n1,2\n1,2,3,4\n",
+        b'time,"unclosed\n1,2\n',
+        b"\x00\x01\x02",
+    ],
+)
+def test_files_that_are_no_table(tmp_path, content):
+    path = tmp_path / "rigid.csv"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"^Input (content|columns) of rigid\.csv must be "):
+        read_output(path)
+
+
+def test_a_file_that_was_cut(tmp_path):
+    """Wherever it ends, it is refused by name, or has whole rows (but for digits of the last number)."""
+    path = written(tmp_path / "rigid.csv", table())
+    whole, read = path.read_bytes(), []
+    for end in range(0, len(whole), 7):
+        path.write_bytes(whole[:end])
+        try:
+            read.append(len(read_output(path).points))
+        except InputError:
+            read.append(0)
+    assert set(read) == {0, 2, 3}
+
+
 def test_columns_that_are_missing(tmp_path):
     path = written(tmp_path / "rigid.csv", table().drop(columns=[".y3", "time"]))
     message = r"Input columns of rigid.csv must be time, .*; instead received none of \['time', '\.y3'\]\."
@@ -120,7 +162,7 @@ class TestReleased:
 
     @pytest.fixture
     def outputs(self):
-        paths = [find_output(name) for name in OUTPUTS]
+        paths = [find_output(name) for name in ("elephant/rigid/rigid.csv", "elephant/pcc/pcc2.csv")]
         if None in paths:
             pytest.skip("the recordings are not found")
         return [read_output(path) for path in paths]
@@ -132,9 +174,9 @@ class TestReleased:
 
     def test_points_of_the_pcc_model_are_no_further_apart_than_along_the_chain(self, outputs):
         points = outputs[1].points
-        np.testing.assert_allclose(np.linalg.norm(points[:, 0], axis=-1), PCC_POINTS_M[0], atol=1e-6)
+        np.testing.assert_allclose(np.linalg.norm(points[:, 0], axis=-1), 0.0285, atol=1e-6)
         apart = np.linalg.norm(np.diff(points, axis=1), axis=-1)
-        along = np.diff(PCC_POINTS_M)
+        along = np.array([0.0685, *[0.08] * 6])
         assert (apart < along + 1e-6).all()
         np.testing.assert_allclose(apart.max(axis=0), along, atol=1e-5)  # straight at some time
 

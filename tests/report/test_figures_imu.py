@@ -6,7 +6,12 @@ import pytest
 
 from repro.report.figures.imu import _tube, calibration_ratios, error_boxes, error_hull, errors_along_arm
 from repro.report.figures.imu_count import errors_and_bounds, placement_and_sensors
-from repro.report.figures.imu_recorded import chain_beside_output, fewer_imus
+from repro.report.figures.imu_recorded import (
+    CHAINS,
+    differences_of_files,
+    fewer_imus,
+    settings_of_figure_5,
+)
 
 MODELS = ("rigid-body, 8 IMUs", "IMUs at mid-section", "PCC-extended, 8 IMUs, 16 segments")
 
@@ -103,16 +108,31 @@ def test_ratios_with_their_targets():
     assert [label.get_text() for label in right.get_xticklabels()] == ["markers", "200"]
 
 
-def test_chain_beside_output_names_its_source():
-    points = pd.DataFrame(
-        {"arc_mm": [46.0, 115.0, 195.0], "median_mm": [4.0, 8.0, 7.0], "q75_mm": [5.0, 11.0, 10.0]}
+def test_differences_of_files_name_their_source():
+    files = pd.DataFrame(
+        {"file": ["a/one.csv", "b/two.csv"], "median_um": [0.01, 0.02], "largest_um": [0.1, 3.0]}
     )
-    points = points.assign(from_second_median_mm=[4.0, 0.0, 1.0], turned_median_mm=[1.0, 2.0, 2.0])
-    rows = pd.DataFrame({"row": [1000, 1005]} | {f"point_{k}_mm": [1.0 + k, 2.0 + k] for k in range(3)})
-    left, right = chain_beside_output(points, rows, "recorded").axes
-    assert "recorded" in left.get_title()
-    np.testing.assert_array_equal(left.lines[0].get_ydata(), points["median_mm"])
-    assert [line.get_ydata()[0] for line in right.lines] == [2.0, 3.0]  # the second point and the last
+    (panel,) = differences_of_files(files, "recorded").axes
+    assert panel.get_title() == "Released tables, recorded"
+    assert [label.get_text() for label in panel.get_yticklabels()] == ["one.csv", "two.csv"]
+    np.testing.assert_array_equal(panel.lines[0].get_xdata(), [0.01, 0.02])
+    np.testing.assert_array_equal(panel.lines[1].get_xdata(), [0.1, 3.0])
+
+
+def test_settings_of_figure_5_beside_the_printed_errors():
+    lines = [
+        (n, chain, marker, 10.0 * n, 12.0 * n, 100.0 / n, 120.0 / n)
+        for n in (2, 4)
+        for chain in CHAINS
+        for marker in ("M1", "M2")
+    ]
+    columns = ["n_imus", "chain", "marker", "median_mm", "q75_mm", "printed_median_mm", "printed_q75_mm"]
+    first, second = settings_of_figure_5(pd.DataFrame(lines, columns=columns), "synthetic").axes
+    assert (first.get_title(), second.get_title()) == ("M1, synthetic", "M2, synthetic")
+    drawn = [line.get_ydata() for line in second.lines]
+    assert len(drawn) == len(CHAINS) + 1
+    np.testing.assert_array_equal(drawn[0], [20, 40])
+    np.testing.assert_array_equal(drawn[-1], [50, 25])
 
 
 def test_fewer_imus_has_a_panel_per_point():

@@ -11,6 +11,10 @@ sub-segments is a geometric series in :math:`e^{\varphi[a]_\times/n}`, and its v
 which tends to the arc of constant curvature (and torsion) as :math:`n \to \infty`, where the denominator
 becomes 1: the left Jacobian of SO(3) applied to :math:`L t\, d(0)`. The joints of the chain lie on that arc,
 widened by the factor :math:`1/\mathrm{sinc}(\varphi/2n) = 1 + \varphi^2/24n^2 + O(n^{-4})` across the axis.
+
+These :math:`n` sub-segments are turned to the middles of :math:`n` equal parts of the turn. Where they are spread
+evenly over a share :math:`c` of it, about its middle, :math:`x(t)` has :math:`d((1 - c + ct)/2)` in place of
+:math:`d(t/2)`, and :math:`\varphi` in :math:`S` is :math:`c\varphi`.
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ def positions(
     lengths: Float[np.ndarray, " links"],
     points: Float[np.ndarray, " points"],
     n: int,
+    turn_share: float = 1.0,
 ) -> Float[np.ndarray, "*samples points 3"]:
     """Positions on arcs (``n = 0``) or on chains of ``n`` sub-segments per link.
 
@@ -39,17 +44,20 @@ def positions(
         Arc lengths [m] from the base, on the chain.
     n
         Sub-segments of each link.
+    turn_share
+        Share c of a link's turn over which they are spread.
     """
     d = tangents(q[..., :-1, :])
     axis, angle = axis_and_angle(turn_between(q[..., :-1, :], q[..., 1:, :]))
-    steps = lengths[:, None] * _chord(d, axis, angle, np.ones_like(lengths), n)
+    steps = lengths[:, None] * _chord(d, axis, angle, np.ones_like(lengths), n, turn_share)
     starts = np.cumsum(steps, axis=-2) - steps
     link, share = place(lengths, points)
     d, axis, angle = d[..., link, :], axis[..., link, :], angle[..., link]
     joint = np.minimum(np.floor(share * n), n - 1) / n if n else share
-    within = joint[:, None] * _chord(d, axis, angle, joint, n)
+    within = joint[:, None] * _chord(d, axis, angle, joint, n, turn_share)
     if n:
-        within = within + (share - joint)[:, None] * _turned(d, axis, angle * (joint + 0.5 / n))
+        middle = (1 - turn_share) / 2 + turn_share * (joint + 0.5 / n)
+        within = within + (share - joint)[:, None] * _turned(d, axis, angle * middle)
     return starts[..., link, :] + lengths[link, None] * within
 
 
@@ -62,11 +70,13 @@ def place(
     return link, np.clip((points - ends[link]) / lengths[link] + 1.0, 0.0, 1.0)
 
 
-def _chord(d: np.ndarray, axis: np.ndarray, angle: np.ndarray, share: np.ndarray, n: int) -> np.ndarray:
+def _chord(
+    d: np.ndarray, axis: np.ndarray, angle: np.ndarray, share: np.ndarray, n: int, c: float
+) -> np.ndarray:
     """Displacement per arc length from the start of a link to a share of it; see the head of this module."""
-    s = np.sinc(share * angle / (2 * np.pi)) / (np.sinc(angle / (2 * np.pi * n)) if n else 1.0)
+    s = np.sinc(share * c * angle / (2 * np.pi)) / (np.sinc(angle * c / (2 * np.pi * n)) if n else 1.0)
     along = (axis * d).sum(axis=-1, keepdims=True) * axis
-    return s[..., None] * _turned(d, axis, angle * share / 2) + (1 - s)[..., None] * along
+    return s[..., None] * _turned(d, axis, angle * (1 - c + c * share) / 2) + (1 - s)[..., None] * along
 
 
 def _turned(d: np.ndarray, axis: np.ndarray, angle: np.ndarray) -> np.ndarray:

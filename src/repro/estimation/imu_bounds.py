@@ -242,6 +242,8 @@ def _checked(
     ends = np.cumsum(lengths)
     if between and not (selection.sub_links and np.allclose(selection.arcs, [0.0, *ends], atol=1e-9)):
         raise bad_input("selection", owner, "links from IMU to IMU, from the base on", selection)
+    if selection.turn_share != 1:
+        raise bad_input("selection", owner, 'one with the interpolation "midpoints"', selection)
     if not between and selection.sub_links:
         raise bad_input("selection", owner, "one link per IMU (sub_links 0)", selection)
     points = np.atleast_1d(np.asarray(arc_lengths, dtype=float))

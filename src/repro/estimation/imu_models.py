@@ -51,7 +51,7 @@ def rigid_links(
     selection
         One link per IMU.
     arc_lengths
-        Distances from the base along the chain [m].
+        Distances from the origin of the chain along it [m].
 
     Raises
     ------
@@ -64,7 +64,7 @@ def rigid_links(
     Martin, Bruder and Wood (2022), section II-A, equation (2).
     """
     joints = rigid_body(orientations, selection.link_lengths)
-    return point_at(joints, selection.link_lengths, arc_lengths)
+    return _from_base(point_at(joints, selection.link_lengths, arc_lengths), selection)
 
 
 def pcc_extended(
@@ -76,8 +76,9 @@ def pcc_extended(
 ) -> Float[np.ndarray, "*samples points 3"]:
     """Positions on the PCC-extended rigid-body model: straight sub-segments, interpolated between adjacent IMUs.
 
-    Sub-segment k of n has the orientation ``slerp(q_i, q_i+1, (2k + 1)/2n)``, by the shorter way round.
-    Joints follow from the sum in closed form, points between them by linear interpolation.
+    Sub-segment k of n has the orientation ``slerp(q_i, q_i+1, (2k + 1)/2n)``, by the shorter way round; with the
+    selection's interpolation "inner points", ``slerp(q_i, q_i+1, (k + 1)/(n + 1))``. Joints follow from the sum in
+    closed form, points between them by linear interpolation.
 
     Parameters
     ----------
@@ -86,9 +87,10 @@ def pcc_extended(
     selection
         One link between each two IMUs, with its sub-segments.
     arc_lengths
-        Distances from the base along the chain [m].
+        Distances from the origin of the chain along it [m].
     backend
-        ``"numpy"``, or ``"compiled"``: the same to rounding, several times faster.
+        ``"numpy"``, or ``"compiled"``: the same to rounding, several times faster with the printed interpolation
+        (another one is computed by NumPy).
 
     Raises
     ------
@@ -113,14 +115,15 @@ def pcc_extended(
     _links_between(selection, "pcc_extended")
     if backend not in ("numpy", "compiled"):
         raise bad_input("backend", "pcc_extended", "'numpy' or 'compiled'", repr(backend))
-    if backend == "compiled" and np.shape(orientations)[-2:] == (len(selection.imus), 4):
+    compilable = selection.turn_share == 1 and np.shape(orientations)[-2:] == (len(selection.imus), 4)
+    if backend == "compiled" and compilable:
         from repro.estimation import compiled_chain  # here: numba takes a second to import
 
         points = _points(arc_lengths, selection, "pcc_extended")
         lengths = np.array(selection.link_lengths)
         found = compiled_chain.positions(orientations, lengths, points, selection.sub_links)
         if found is not None:  # else the other route says which quaternion is wrong
-            return found
+            return _from_base(found, selection)
     return _arcs(orientations, selection, arc_lengths, "pcc_extended", selection.sub_links)
 
 
@@ -176,13 +179,15 @@ def tangent_interpolation(
     _links_between(selection, "tangent_interpolation")
     d = _tangents(orientations, selection, "tangent_interpolation")
     n = selection.sub_links
-    middles = ((2 * np.arange(n) + 1) / (2 * n))[:, None]
+    middles = (1 - selection.turn_share) / 2 + selection.turn_share * ((2 * np.arange(n) + 1) / (2 * n))[
+        :, None
+    ]
     between = (1 - middles) * d[..., :-1, None, :] + middles * d[..., 1:, None, :]
     sub_lengths = np.repeat(np.array(selection.link_lengths) / n, n)
     directions = _unit(between, "tangent_interpolation").reshape(*d.shape[:-2], len(sub_lengths), 3)
     joints = np.cumsum(directions * sub_lengths[:, None], axis=-2)
     joints = np.concatenate([np.zeros_like(joints[..., :1, :]), joints], axis=-2)
-    return point_at(joints, sub_lengths, arc_lengths)
+    return _from_base(point_at(joints, sub_lengths, arc_lengths), selection)
 
 
 def tangent_spline(
@@ -217,7 +222,7 @@ def tangent_spline(
     basis = CubicSpline(knots, np.eye(len(knots)), bc_type="not-a-knot")(nodes)
     before = (nodes[:, None] < points) * weights[:, None]  # what each node adds to each point
     directions = _unit(np.moveaxis(np.moveaxis(d, -2, -1) @ basis.T, -2, -1), "tangent_spline")
-    return np.moveaxis(np.moveaxis(directions, -2, -1) @ before, -2, -1)
+    return _from_base(np.moveaxis(np.moveaxis(directions, -2, -1) @ before, -2, -1), selection)
 
 
 def _arcs(
@@ -227,7 +232,13 @@ def _arcs(
     q = unit_quaternions(orientations, owner)
     _one_per_imu(q, selection, owner)
     points = _points(arc_lengths, selection, owner)
-    return positions(q, np.array(selection.link_lengths), points, n)
+    turn_share = selection.turn_share if n else 1.0
+    return _from_base(positions(q, np.array(selection.link_lengths), points, n, turn_share), selection)
+
+
+def _from_base(points: np.ndarray, selection: Selection) -> np.ndarray:
+    """Move points of a chain from its origin to the base."""
+    return points + np.array(selection.origin_m) if any(selection.origin_m) else points
 
 
 def _tangents(orientations: np.ndarray, selection: Selection, owner: str) -> np.ndarray:

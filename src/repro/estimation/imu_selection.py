@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from repro.errors import bad_input
+from repro.estimation.orientations import UNIT_TOLERANCE, product
 
 IMU_ARCS = (0.0, 0.08, 0.16, 0.24, 0.32, 0.4, 0.48, 0.56, 0.64)
 """Arc positions [m] of the base and of IMUs #1 to #8 (Table I)."""
@@ -16,9 +17,13 @@ MARKERS = (0.36, 0.6)
 """Arc positions [m] of the motion-capture markers M1 and M2 (section III-A)."""
 
 READINGS = ("table", "text", "files")
+INTERPOLATIONS = ("midpoints", "inner points")
 
-# Arc positions at which most of the released curves were evaluated: the joints below the markers.
-_RELEASED_POINTS = (0.32, 0.56)
+FILES_ORIGIN_M = (0.0, 0.0, 0.0178)
+"""Where the chains of the released files begin, from the base [m]."""
+FILES_BASE_TURN = (0.0, 0.0, 1.0, 0.0)
+"""Turn of the base in the released chains, XYZW: half a turn about the vertical (``base_orientation_quaternion`` of
+``my_config.yaml``)."""
 _RIGID_IMUS = {
     ("table", 2): (2, 6),
     ("table", 4): (2, 4, 6, 8),
@@ -47,12 +52,19 @@ class Selection:
     sub_links
         Sub-segments n of each link, between two adjacent IMUs (section II-B); 0 for the rigid-body model,
         which has one link per IMU.
+    interpolation
+        How far from one IMU to the next sub-segment k of n is turned: "midpoints", (2k + 1)/2n as printed, or "inner
+        points", (k + 1)/(n + 1) as in some released files. With one sub-segment both are 1/2.
+    base_turn
+        Turn of the base's frame against the one that is handed to `of`, a unit quaternion XYZW.
+    origin_m
+        Where the chain begins, from the base, in the world frame [m]; added to every position.
 
     Raises
     ------
     InputError
-        If numbers of IMUs, arc positions and links do not fit together, arc positions do not increase, or a
-        length is not positive.
+        If numbers of IMUs, arc positions and links do not fit together, arc positions do not increase, a length is
+        not positive, the interpolation is unknown, or turn or origin cannot be used.
     """
 
     imus: tuple[int, ...]
@@ -60,6 +72,9 @@ class Selection:
     link_lengths: tuple[float, ...]
     markers: tuple[float, float] = MARKERS
     sub_links: int = 0
+    interpolation: str = "midpoints"
+    base_turn: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         arcs, lengths = np.array(self.arcs), np.array(self.link_lengths)
@@ -74,9 +89,23 @@ class Selection:
             raise bad_input("link_lengths", "Selection", f"one per link, {links} in all", self.link_lengths)
         if not (np.isfinite(lengths) & (lengths > 0)).all():
             raise bad_input("link_lengths", "Selection", "positive [m]", self.link_lengths)
+        if self.interpolation not in INTERPOLATIONS:
+            known = " or ".join(f'"{name}"' for name in INTERPOLATIONS)
+            raise bad_input("interpolation", "Selection", known, self.interpolation)
+        if np.shape(self.base_turn) != (4,) or not abs(np.linalg.norm(self.base_turn) - 1) <= UNIT_TOLERANCE:
+            raise bad_input("base_turn", "Selection", "a unit quaternion XYZW", self.base_turn)
+        if np.shape(self.origin_m) != (3,) or not np.isfinite(self.origin_m).all():
+            raise bad_input("origin_m", "Selection", "three finite coordinates [m]", self.origin_m)
+
+    @property
+    def turn_share(self) -> float:
+        """Share of a link's turn that its n sub-segments are spread over, about its middle: 1, or n/(n + 1)."""
+        return self.sub_links / (self.sub_links + 1) if self.interpolation == "inner points" else 1.0
 
     def of(self, orientations: Float[np.ndarray, "*samples nine 4"]) -> Float[np.ndarray, "*samples imus 4"]:
         """Pick the orientations of this selection out of those of the base and all IMUs, in order.
+
+        That of the base is turned by ``base_turn``.
 
         Raises
         ------
@@ -86,7 +115,10 @@ class Selection:
         if np.ndim(orientations) < 2 or np.shape(orientations)[-2] <= max(self.imus):
             expected = f"those of the base and IMUs #1 to #{max(self.imus)} at least"
             raise bad_input("orientations", "Selection", expected, f"shape {np.shape(orientations)}")
-        return orientations[..., list(self.imus), :]
+        picked = orientations[..., list(self.imus), :]
+        if self.imus[0] == 0 and self.base_turn != (0.0, 0.0, 0.0, 1.0):
+            picked[..., 0, :] = product(picked[..., 0, :], np.array(self.base_turn))
+        return picked
 
 
 def selection(model: str, n_imus: int, reading: str = "table", *, segments: int | None = None) -> Selection:
@@ -97,8 +129,9 @@ def selection(model: str, n_imus: int, reading: str = "table", *, segments: int 
     of four equal sections", section III-B1) means #1, 3, 5, 7. The PCC-extended model has one link between
     each two of the base and the IMUs in use, cut into sub-segments; table and text agree.
 
-    The reading "files" is what the curves in the authors' repository were computed with (folder ``data
-    analysis/data``), to be confirmed with the motion-capture file, which is not released:
+    The reading "files" is what the curves in the authors' repository were computed with (State-Estimator-for-Soft-
+    Arm-SESA, commit 6045c11, folder ``data analysis/data``): its chains give the points of the released tables to
+    1e-6 m from the orientations of the trial (checked in the tests where the tables are found).
 
     ========================================= ========================== ================================
     published                                 file                       IMUs; points evaluated [mm]
@@ -106,12 +139,15 @@ def selection(model: str, n_imus: int, reading: str = "table", *, segments: int 
     Fig. 3, 2 IMUs                            ``fly/less_imu_2``         #1, #6; 320, 560
     Fig. 3, 4 IMUs                            ``fly/less_imu_4``         #1, 3, 5, 7; 320, 560
     Fig. 3, 8 IMUs; Table II; Fig. 4, 8       ``elephant/pcc/pcc1``      base, #1 to 7, one sub-segment
-    segments                                                             per link; 320, 560
-    Fig. 4, 16, 32, 64; Table II; Fig. 5, 8   ``elephant/pcc/pcc2``,     base, #1 to 8, base link 5 mm
-                                              ``pcc4``, ``pcc8``         short; the markers (355, 595)
-    Fig. 5, 2 and 4 IMUs                      ``fly/pcc16_2``, ``_4``    as in the table (inferred);
-                                                                         320, 560
+    segments                                                             per link; 315, 555
+    Fig. 4, 16, 32, 64; Table II; Fig. 5, 8   ``elephant/pcc/pcc2``,     base, #1 to 8, inner points;
+                                              ``pcc4``, ``pcc8``         the markers (355, 595)
+    Fig. 5, 2 and 4 IMUs                      ``fly/pcc16_2``, ``_4``    as in the table; 320, 560
     ========================================= ========================== ================================
+
+    All begin 17.8 mm above the base; those with a link from the base have it turned by half a turn about the
+    vertical (`FILES_BASE_TURN`). In the ``pcc`` files IMU #1 is 74.8 mm from the base along the chain, where Table I
+    has 80 mm, so that their points are 5 mm short; in the others it is within 0.2 mm.
 
     So ``selection("rigid", 8, "files")`` has the links of a PCC-extended model:
     `repro.estimation.imu_models.chain` takes either.
@@ -148,10 +184,13 @@ def selection(model: str, n_imus: int, reading: str = "table", *, segments: int 
         return _pcc(n_imus, reading, 16 if segments is None else segments)
     if segments is not None:
         raise bad_input("segments", "selection", "left out for the rigid-body model", segments)
+    imus = _RIGID_IMUS.get((reading, n_imus), tuple(range(1, 9)))
+    if reading != "files":
+        return _made(imus, (0.64 / n_imus,) * n_imus)
     if n_imus == 8:
-        return _pcc(8, reading, 8) if reading == "files" else _made((1, 2, 3, 4, 5, 6, 7, 8), (0.08,) * 8)
-    points = _RELEASED_POINTS if reading == "files" else MARKERS
-    return _made(_RIGID_IMUS[reading, n_imus], (0.64 / n_imus,) * n_imus, points)
+        return _pcc(8, reading, 8)
+    lengths = (0.64 / n_imus - 0.018, *(0.64 / n_imus,) * (n_imus - 1))
+    return replace(_made(imus, lengths), markers=(0.302, 0.542), origin_m=FILES_ORIGIN_M)
 
 
 def _pcc(n_imus: int, reading: str, segments: int) -> Selection:
@@ -160,20 +199,19 @@ def _pcc(n_imus: int, reading: str, segments: int) -> Selection:
         raise bad_input("segments", "selection", f"a multiple of {n_imus} (one link per IMU)", segments)
     imus, lengths, sub_links = _PCC_IMUS[n_imus], (0.64 / n_imus,) * n_imus, segments // n_imus
     if reading != "files":
-        return _made(imus, lengths, MARKERS, sub_links)
+        return _made(imus, lengths, sub_links)
     if segments not in (released := (8, 16, 32, 64) if n_imus == 8 else (16,)):
         raise bad_input("segments", "selection", f"one of those released, {released}", segments)
-    if segments == 8:
-        return _made(imus[:-1], lengths[:-1], _RELEASED_POINTS, sub_links)
-    if n_imus == 8:
-        return _made(imus, (0.075, *lengths[1:]), (0.355, 0.595), sub_links)
-    return _made(imus, lengths, _RELEASED_POINTS, sub_links)
+    if n_imus < 8:
+        lengths = (lengths[0] - FILES_ORIGIN_M[2], *lengths[1:])
+        made = replace(_made(imus, lengths, sub_links), markers=(0.3022, 0.5422))
+    elif segments == 8:
+        made = replace(_made(imus[:-1], (0.057, *lengths[2:]), sub_links), markers=(0.297, 0.537))
+    else:
+        made = _made(imus, (0.057, *lengths[1:]), sub_links)
+        made = replace(made, markers=(0.337, 0.577), interpolation="inner points")
+    return replace(made, base_turn=FILES_BASE_TURN, origin_m=FILES_ORIGIN_M)
 
 
-def _made(
-    imus: tuple[int, ...],
-    lengths: tuple[float, ...],
-    markers: tuple[float, float] = MARKERS,
-    sub_links: int = 0,
-) -> Selection:
-    return Selection(imus, tuple(IMU_ARCS[imu] for imu in imus), lengths, markers, sub_links)
+def _made(imus: tuple[int, ...], lengths: tuple[float, ...], sub_links: int = 0) -> Selection:
+    return Selection(imus, tuple(IMU_ARCS[imu] for imu in imus), lengths, sub_links=sub_links)

@@ -101,8 +101,12 @@ def read_capture(path: Path, layout: Mapping[str, Any]) -> MarkerCapture:
         what = "a mapping that names " + "; ".join(f"{name} ({LAYOUT[name]})" for name in missing)
         raise bad_input("layout", path.name, what, f"none of them; the file begins {_beginning(path)}")
     header, first = int(layout["header_row"]), int(layout["first_row"])
-    table = pd.read_csv(path, header=None, skiprows=first)
-    names = pd.read_csv(path, header=None, skiprows=header, nrows=1).iloc[0].astype(str).tolist()
+    try:
+        table = pd.read_csv(path, header=None, skiprows=first)
+        names = pd.read_csv(path, header=None, skiprows=header, nrows=1).iloc[0].astype(str).tolist()
+    except (ValueError, IndexError) as error:  # no text, no such lines, lines of unlike lengths
+        expected = f"comma-separated values in UTF-8, names in line {header} and numbers from line {first}"
+        raise bad_input("content", path.name, expected, f"{type(error).__name__}: {error}") from error
     table.columns = [names[k] if k < len(names) else f"column {k}" for k in range(table.shape[1])]
     parts = {
         name: float(layout["metres_per_unit"]) * _columns(table, layout[name], 3, path.name)

@@ -179,7 +179,8 @@ def provenance_line(record: Record, declared: Mapping[str, Parameter]) -> str:
     recordings = record.data.get("recordings", {})
     source = str(record.data.get("source", "unknown"))
     if recordings:
-        source = f"{len(recordings)} files found in {source}, SHA-256 {combined_digest(recordings)[:12]}"
+        count = f"{len(recordings)} files found in {source}, whether this page reads them or not"
+        source = f"{count}, SHA-256 {combined_digest(recordings)[:12]}"
     facts = [
         ("Notebook", record.notebook),
         ("Parameters", changed or ("its own" if declared else "none")),

@@ -13,7 +13,6 @@ from scipy.interpolate import CubicSpline
 
 from repro.errors import bad_input
 from repro.estimation.orientations import exponential, product, tangents
-from repro.experiments.martin2022.recorded import frames_along
 from repro.simulation.soft_arm import SoftArm
 
 STEPS = 1280
@@ -135,3 +134,30 @@ def arm_curves(arm: SoftArm, *, length_m: float = 0.64, count: int = 200) -> Cur
     second = second - (second * d[:, 1:-1]).sum(axis=-1, keepdims=True) * d[:, 1:-1]
     curvature, slope = (np.linalg.norm(x, axis=-1).max(axis=1) for x in (bend, second))
     return Curves(length_m, frames, points, curvature, slope)
+
+
+def frames_along(directions: Float[np.ndarray, "*samples imus 3"]) -> Float[np.ndarray, "*samples frames 4"]:
+    """Orientations of an upright base and of IMUs whose z axes are given, without twist from one to the next.
+
+    Positions say where an IMU's z axis points, not how it is turned about it. Each frame is the one before, turned
+    by the smallest angle that takes its z axis to the next direction.
+
+    Parameters
+    ----------
+    directions
+        Unit vectors, base to tip.
+
+    Returns
+    -------
+    Float[np.ndarray, "*samples frames 4"]
+        Unit quaternions XYZW, the base first.
+    """
+    d = np.asarray(directions, dtype=float)
+    frames = [np.broadcast_to([0.0, 0.0, 0.0, 1.0], (*d.shape[:-2], 4))]
+    for following in np.moveaxis(d, -2, 0):
+        before = tangents(frames[-1])
+        axis = np.cross(before, following)
+        sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+        angle = np.arctan2(sine, (before * following).sum(axis=-1, keepdims=True))
+        frames.append(product(exponential(axis * angle / np.maximum(sine, 1e-300)), frames[-1]))
+    return np.stack(frames, axis=-2)

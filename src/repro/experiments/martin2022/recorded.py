@@ -1,29 +1,36 @@
-"""The recorded trial of Martin et al. (2022): our chain against released outputs, fewer IMUs in a recorded bag."""
+"""The recorded trial of Martin et al. (2022): orientations, released tables, Fig. 5, models with fewer IMUs."""
 
 # The stubs of pandas know less than the library does.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import InputError
 from repro.estimation.imu_chain import link_orientations
-from repro.estimation.imu_models import chain, pcc_extended, tangent_spline
-from repro.estimation.imu_selection import IMU_ARCS, MARKERS, Selection, selection
-from repro.estimation.orientations import exponential, product, tangents
+from repro.estimation.imu_models import chain, tangent_spline
+from repro.estimation.imu_selection import IMU_ARCS, MARKERS, selection
 from repro.experiments.martin2022.draws import draw
+from repro.experiments.martin2022.markers import DESCRIBED, FILES, MARKER_NAMES, SAME_POINT, Case
+from repro.experiments.martin2022.released import (
+    NEEDED,
+    PCC_2,
+    RIGID,
+    TrialOrientations,
+    compared,
+    released_chains,
+    trial_orientations,
+)
 from repro.experiments.martin2022.trial import ArmTrial
 from repro.recordings.martin2022 import find_bag, one_clock, read_readings
 from repro.recordings.martin2022_outputs import (
-    ORIGIN_M,
     OUTPUTS,
-    PCC_BASE_LINK_M,
-    PCC_POINTS_M,
+    POINTS,
     RIGID_LINKS_M,
     SCORED_ROWS,
     ModelOutput,
@@ -32,17 +39,79 @@ from repro.recordings.martin2022_outputs import (
 )
 from repro.simulation.soft_arm import SoftArm
 
-LARGEST_SHIFT = 40
-"""Largest shift that is tried [rows]."""
 BAG_AXIS = "y"
 """Axis of the IMUs along the arm in the released bags (checked on the page of the recorded arm)."""
-SHARED_POINTS = 7
-"""Points of ``pcc2.csv`` that need no IMU beyond #7; the last one lies between #7 and #8."""
-_IMU_ARCS_M = tuple(PCC_BASE_LINK_M + 0.08 * k for k in range(8))
-RELEASED_CHAIN = Selection(
-    tuple(range(8)), (0.0, *_IMU_ARCS_M[:7]), (PCC_BASE_LINK_M, *(0.08,) * 6), sub_links=2
-)
-"""Chain of ``pcc2.csv`` up to IMU #7, from its origin: base and seven IMUs, two sub-segments per link."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The paper's trial, or a synthetic one in its place.
+
+    Attributes
+    ----------
+    outputs
+        Tables by their names in `repro.recordings.martin2022_outputs.OUTPUTS`.
+    found
+        Orientations that follow from them.
+    source
+        "recorded" or "synthetic".
+    notes
+        Sentences: which tables are missing or cannot be used.
+    """
+
+    outputs: dict[str, ModelOutput]
+    found: TrialOrientations
+    source: str
+    notes: tuple[str, ...] = ()
+
+    @property
+    def scored(self) -> Float[np.ndarray, "rows 9 4"]:
+        """Orientations of the rows that the released analysis scores, as far as there are that many."""
+        return self.found.orientations[slice(*SCORED_ROWS)]
+
+
+def load_trial(arm: SoftArm, seed: int = 0) -> Trial:
+    """The recorded trial where the tables that tell its orientations are found, else a synthetic one.
+
+    A table that is not needed for the orientations and cannot be used costs its own comparison only.
+
+    Raises
+    ------
+    InputError
+        If a table that is needed is found, but is damaged or another than the released one.
+    """
+    outputs, notes = {}, []
+    for name in OUTPUTS:
+        try:
+            if path := find_output(name):
+                outputs[name] = read_output(path)
+        except InputError as refused:
+            if name in NEEDED:
+                raise
+            notes.append(str(refused))
+    if missing := [
+        name for name in OUTPUTS if name not in outputs and not any(name in note for note in notes)
+    ]:
+        notes.append(f"Not found: {', '.join(missing)}.")
+    if all(name in outputs for name in NEEDED):
+        return Trial(outputs, trial_orientations(outputs), "recorded", tuple(notes))
+    outputs = synthetic_outputs(draw(arm, seed).trial)
+    return Trial(outputs, trial_orientations(outputs), "synthetic", tuple(notes))
+
+
+def synthetic_outputs(trial: ArmTrial, later: int = 6) -> dict[str, ModelOutput]:
+    """What the released tables would hold for a synthetic trial, all but ``rigid.csv`` some rows later."""
+    times = trial.time_s - trial.time_s[0]
+    made = {}
+    for name, given in released_chains().items():
+        rows = 0 if name == RIGID else later
+        points = np.full((len(times) + rows, POINTS, 3), np.nan)
+        points[rows:, list(given.arcs)] = given.points(trial.orientations)
+        points[:rows] = points[rows]
+        late_s = np.concatenate([np.arange(-rows, 0) * (times[1] - times[0]), times])
+        # The released numbers are those of 32 bits.
+        made[name] = ModelOutput(points.astype(np.float32).astype(float), late_s - late_s[0])
+    return made
 
 
 def link_lengths(output: ModelOutput) -> pd.DataFrame:
@@ -65,158 +134,84 @@ def link_lengths(output: ModelOutput) -> pd.DataFrame:
     )
 
 
-def frames_along(directions: Float[np.ndarray, "*samples imus 3"]) -> Float[np.ndarray, "*samples frames 4"]:
-    """Orientations of an upright base and of IMUs whose z axes are given, without twist from one to the next.
-
-    Positions say where an IMU's z axis points, not how it is turned about it. Each frame is the one before, turned
-    by the smallest angle that takes its z axis to the next direction.
-
-    Parameters
-    ----------
-    directions
-        Unit vectors, base to tip.
+def compare_files(trial: Trial) -> pd.DataFrame:
+    """Every table beside what its chain gives from the orientations of the trial; see `compared`.
 
     Returns
     -------
-    Float[np.ndarray, "*samples frames 4"]
-        Unit quaternions XYZW, the base first.
+    DataFrame
+        Columns as `compared`, a line for each table there is.
     """
-    d = np.asarray(directions, dtype=float)
-    frames = [np.broadcast_to([0.0, 0.0, 0.0, 1.0], (*d.shape[:-2], 4))]
-    for following in np.moveaxis(d, -2, 0):
-        before = tangents(frames[-1])
-        axis = np.cross(before, following)
-        sine = np.linalg.norm(axis, axis=-1, keepdims=True)
-        angle = np.arctan2(sine, (before * following).sum(axis=-1, keepdims=True))
-        frames.append(product(exponential(axis * angle / np.maximum(sine, 1e-300)), frames[-1]))
-    return np.stack(frames, axis=-2)
+    lines = [compared(name, output, trial.found.orientations) for name, output in trial.outputs.items()]
+    return pd.DataFrame(lines)
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Our chain beside a released output.
-
-    Attributes
-    ----------
-    shift
-        Rows by which the released output is later.
-    turn_deg
-        By how much the IMUs are turned about the arm, against the base, if the first points are to agree best: one
-        number for all rows, in steps of 1 degree.
-    points
-        One row per point: ``point, arc_mm`` (from the base), ``median_mm`` and ``q75_mm`` of the distance,
-        ``from_second_median_mm`` (distance with both chains put at the second point), ``direction_deg``, the median
-        angle between the steps to this point (NaN for the first), and ``turned_median_mm``, the median distance with
-        the IMUs turned.
-    over_time
-        ``row`` and the distance of every point, ``point_0_mm`` and so on.
-    """
-
-    shift: int
-    turn_deg: float
-    points: pd.DataFrame
-    over_time: pd.DataFrame
+def rows_later(files: pd.DataFrame) -> int:
+    """Rows by which ``pcc2.csv`` is later than ``rigid.csv``, from :func:`compare_files`."""
+    later = files.set_index("file")["later"]
+    return int(later[PCC_2] - later[RIGID])
 
 
-def compare_chain(rigid: ModelOutput, pcc: ModelOutput, rows: tuple[int, int] | None = None) -> Comparison:
-    """Our PCC-extended chain, from the directions of IMUs #1 to #7 in ``rigid.csv``, against ``pcc2.csv``.
+def figure_5(nine: Float[np.ndarray, "rows 9 4"], published: pd.DataFrame) -> pd.DataFrame:
+    """What the released chains of Fig. 5 are off, one setting changed at a time, beside the printed errors.
 
-    One shift of rows serves all samples and points: that at which the median distance of the last point is smallest.
-    The base is taken as upright. How the IMUs are turned about the arm is not in their directions: no twist is
-    assumed. Between IMUs a common turn has no effect, but the link from the base interpolates it, so one angle is
-    also fitted there.
+    Distances are from the cubic spline through the tangents of all eight IMUs with an upright base, at the markers: a
+    model, not motion capture. What the sensors get wrong, and where the frame of the motion capture is, is not in it.
 
     Parameters
     ----------
-    rigid, pcc
-        The two outputs.
-    rows
-        First row and end of the rows of ``rigid`` that count; when not given those that the released analysis
-        scores, as far as both tables have them.
+    nine
+        Orientations of base and IMUs, unit quaternions XYZW.
+    published
+        Printed numbers, columns ``artefact, row, quantity, unit, value``.
 
-    Raises
-    ------
-    InputError
-        If a table is too short for these rows and the shifts that are tried.
+    Returns
+    -------
+    DataFrame
+        Columns ``n_imus, chain, marker, median_mm, q75_mm, printed_median_mm, printed_q75_mm``.
     """
-    last = min(len(rigid.points), len(pcc.points) - LARGEST_SHIFT)
-    first, end = rows or (SCORED_ROWS[0], min(SCORED_ROWS[1], last))
-    if not LARGEST_SHIFT <= first < end <= last:
-        raise bad_input("rows", "compare_chain", f"within {LARGEST_SHIFT} and {last}", (first, end))
-    steps = np.diff(rigid.points[first:end], axis=1)
-    directions = steps / np.linalg.norm(steps, axis=-1, keepdims=True)
-    arcs = PCC_POINTS_M[:SHARED_POINTS]
-    frames = frames_along(directions)
-    ours = pcc_extended(frames, RELEASED_CHAIN, arcs)
-
-    def theirs(shift: int) -> np.ndarray:
-        return pcc.points[first + shift : end + shift, :SHARED_POINTS]
-
-    shifts = range(-LARGEST_SHIFT, LARGEST_SHIFT + 1)
-    medians = [np.median(np.linalg.norm(theirs(k)[:, -1] - ours[:, -1], axis=-1)) for k in shifts]
-    shift = shifts[int(np.argmin(medians))]
-    released = theirs(shift)
-    turn_deg = _best_turn(frames[::10], released[::10, 0])
-    turned = pcc_extended(_about_arm(frames, turn_deg), RELEASED_CHAIN, arcs)
-    error = 1e3 * np.linalg.norm(ours - released, axis=-1)
-    moved = (ours - ours[:, 1:2]) - (released - released[:, 1:2])
-    a, b = np.diff(ours, axis=1), np.diff(released, axis=1)
-    sine = np.linalg.norm(np.cross(a, b), axis=-1)
-    angle = np.degrees(np.arctan2(sine, (a * b).sum(axis=-1)))
-    points = pd.DataFrame(
-        {
-            "point": range(SHARED_POINTS),
-            "arc_mm": 1e3 * (np.array(arcs) + ORIGIN_M),
-            "median_mm": np.median(error, axis=0),
-            "q75_mm": np.percentile(error, 75, axis=0),
-            "from_second_median_mm": 1e3 * np.median(np.linalg.norm(moved, axis=-1), axis=0),
-            "direction_deg": np.append(np.nan, np.median(angle, axis=0)),
-            "turned_median_mm": 1e3 * np.median(np.linalg.norm(turned - released, axis=-1), axis=0),
+    reference = tangent_spline(nine, selection("pcc", 8), MARKERS)
+    printed = published[published["artefact"] == "Fig. 5"].set_index(["row", "quantity"])["value"]
+    lines = []
+    for n in (2, 4, 8):
+        case = Case("Fig. 5", "pcc", n, 16)
+        released, at_markers = case.chain(FILES), case.chain(SAME_POINT)
+        chains = {
+            "as described": case.chain(DESCRIBED),
+            "base turned, at the markers": at_markers,
+            "base upright, points of the file": replace(released, base_turn=(0.0, 0.0, 0.0, 1.0)),
+            "as in the file": released,
         }
-    )
-    columns = {f"point_{k}_mm": error[:, k] for k in range(SHARED_POINTS)}
-    return Comparison(shift, turn_deg, points, pd.DataFrame({"row": np.arange(first, end)} | columns))
+        for name, made in chains.items():
+            error = 1e3 * np.linalg.norm(chain(made.of(nine), made, made.markers) - reference, axis=-1)
+            for marker, values in zip(MARKER_NAMES, error.T, strict=True):
+                row = f"{marker} PCC-extended 16 segments {n} IMUs"
+                paper = printed[row, "median"], printed[row, "q3"]
+                lines.append((n, name, marker, *np.percentile(values, [50, 75]), *paper))
+    columns = ["n_imus", "chain", "marker", "median_mm", "q75_mm", "printed_median_mm", "printed_q75_mm"]
+    return pd.DataFrame(lines, columns=columns)
 
 
-def _about_arm(frames: np.ndarray, turn_deg: float) -> np.ndarray:
-    """Turn all frames but the base about their own z axes."""
-    turn = exponential(np.array([0.0, 0.0, np.radians(turn_deg)]))
-    turned = product(frames[:, 1:], np.broadcast_to(turn, frames[:, 1:].shape))
-    return np.concatenate([frames[:, :1], turned], axis=1)
-
-
-def _best_turn(frames: np.ndarray, first_points: np.ndarray) -> float:
-    angles = np.arange(-179.0, 180.0)
-    found = [
-        pcc_extended(_about_arm(frames, angle), RELEASED_CHAIN, PCC_POINTS_M[:1])[:, 0] for angle in angles
-    ]
-    errors = np.median(np.linalg.norm(np.array(found) - first_points, axis=-1), axis=1)
-    return float(angles[np.argmin(errors)])
-
-
-def fewer_imus(orientations: Float[np.ndarray, "samples 8 4"]) -> pd.DataFrame:
-    """Models with two, four and eight IMUs against the PCC-extended model with all eight.
+def fewer_imus(nine: Float[np.ndarray, "samples 9 4"]) -> pd.DataFrame:
+    """All models with two, four and eight IMUs against the spline through the tangents of all eight.
 
     The reference is a model, not the truth: what it shares with the others, as errors of the sensors, is not seen.
 
     Parameters
     ----------
-    orientations
-        Link orientations of IMUs #1 to #8, unit quaternions XYZW; the base is taken as upright.
+    nine
+        Orientations of an upright base and of IMUs #1 to #8, unit quaternions XYZW, z along the arm.
 
     Returns
     -------
     DataFrame
         Columns ``model, n_imus, point_mm, median_mm, q75_mm`` of the distance, at the markers and at 640 mm.
     """
-    upright = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (len(orientations), 1, 4))
-    nine = np.concatenate([upright, orientations], axis=1)
-    arcs = (*MARKERS, IMU_ARCS[-1])
-    whole = selection("pcc", 8)
-    reference = chain(whole.of(nine), whole, arcs)
+    arcs, whole = (*MARKERS, IMU_ARCS[-1]), selection("pcc", 8)
+    reference = tangent_spline(whole.of(nine), whole, arcs)
     models = [("rigid-body", n, selection("rigid", n, "text"), chain) for n in (2, 4, 8)]
-    models += [("PCC-extended, 16 segments", n, selection("pcc", n), chain) for n in (2, 4)]
-    models += [("spline", n, selection("pcc", n), tangent_spline) for n in (2, 4, 8)]
+    models += [("PCC-extended, 16 segments", n, selection("pcc", n), chain) for n in (2, 4, 8)]
+    models += [("spline", n, selection("pcc", n), tangent_spline) for n in (2, 4)]
     lines = []
     for name, n, made, model in models:
         error = 1e3 * np.linalg.norm(model(made.of(nine), made, arcs) - reference, axis=-1)
@@ -225,27 +220,13 @@ def fewer_imus(orientations: Float[np.ndarray, "samples 8 4"]) -> pd.DataFrame:
     return pd.DataFrame(lines, columns=["model", "n_imus", "point_mm", "median_mm", "q75_mm"])
 
 
-def outputs(arm: SoftArm, seed: int = 0) -> tuple[ModelOutput, ModelOutput, str]:
-    """``rigid.csv`` and ``pcc2.csv`` where both are found, else what they would hold for a synthetic trial.
+def bag_orientations(bag: str, arm: SoftArm, seed: int = 0) -> tuple[Float[np.ndarray, "samples 9 4"], str]:
+    """Orientations of an upright base and the eight IMUs in a released bag where it is found, else synthetic ones.
 
     Returns
     -------
     tuple
-        The two, and "recorded" or "synthetic".
-    """
-    rigid, pcc = (find_output(name) for name in OUTPUTS)
-    if rigid is None or pcc is None:
-        return *synthetic_outputs(draw(arm, seed).trial), "synthetic"
-    return read_output(rigid), read_output(pcc), "recorded"
-
-
-def links(bag: str, arm: SoftArm, seed: int = 0) -> tuple[Float[np.ndarray, "samples 8 4"], str]:
-    """Link orientations of the eight IMUs of a released bag where it is found, else of a synthetic recording.
-
-    Returns
-    -------
-    tuple
-        Unit quaternions XYZW, and "recorded" or "synthetic".
+        Unit quaternions XYZW, z along the arm, and "recorded" or "synthetic".
 
     Raises
     ------
@@ -254,17 +235,60 @@ def links(bag: str, arm: SoftArm, seed: int = 0) -> tuple[Float[np.ndarray, "sam
     """
     path = find_bag(bag)
     if path is None:
-        return draw(arm, seed).trial.orientations[:, 1:], "synthetic"
-    return link_orientations(one_clock(read_readings(path)).orientations, BAG_AXIS), "recorded"
+        return draw(arm, seed).trial.orientations, "synthetic"
+    eight = link_orientations(one_clock(read_readings(path)).orientations, BAG_AXIS)
+    upright = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (len(eight), 1, 4))
+    return np.concatenate([upright, eight], axis=1), "recorded"
 
 
-def synthetic_outputs(trial: ArmTrial, shift: int = 6) -> tuple[ModelOutput, ModelOutput]:
-    """What the two released tables would hold for a synthetic trial, the second ``shift`` rows later."""
-    made = Selection(tuple(range(9)), (0.0, *_IMU_ARCS_M), (PCC_BASE_LINK_M, *(0.08,) * 7), sub_links=2)
-    steps = tangents(trial.orientations[:, 1:8]) * np.array(RIGID_LINKS_M)[:, None]
-    joints = np.cumsum(np.concatenate([np.zeros_like(steps[:, :1]), steps], axis=1), axis=1)
-    points = pcc_extended(made.of(trial.orientations), made, PCC_POINTS_M)
-    later = np.concatenate([np.repeat(points[:1], shift, axis=0), points])
-    times = trial.time_s - trial.time_s[0]
-    late_s = np.concatenate([np.arange(-shift, 0) * (times[1] - times[0]), times])
-    return ModelOutput(joints, times), ModelOutput(later, late_s - late_s[0])
+def said_of_files(trial: Trial, files: pd.DataFrame) -> str:
+    """What the comparison of :func:`compare_files` shows, in sentences; first of all what the data are."""
+    within = files["largest_um"] <= 1.0
+    others = files[~within]
+    words = [
+        f"**{trial.source.capitalize()}** trial, {len(trial.found.orientations)} rows.",
+        *trial.notes,
+        f"Of {len(files)} tables, {int(within.sum())} follow to 1 µm in every point of every row that is compared.",
+    ]
+    for line in others.to_dict("records"):
+        same, largest = np.floor(10 * line["same_percent"]) / 10, line["largest_um"]
+        words.append(
+            f"Of {line['file']}, {same:.1f} % of the points do; the largest distance is {largest:.1f} µm."
+        )
+    if others["file"].str.startswith("fly/pcc16/").any():
+        words.append(
+            "Straight links do not tell how an IMU is turned about the arm, and long links depend on it most."
+        )
+    if tied := int(files["half_turns"].max()):
+        words.append(
+            f"Left out: {tied} rows in which base and IMU #1 are half a turn apart, so that neither way is shorter."
+        )
+    if trial.source == "synthetic":
+        words.append(
+            "These tables were made with the same chains: a check of the orientations found, of no released one."
+        )
+    words.append(f"The equations agree to {trial.found.unevenness_deg.max():.0e} degrees on every row.")
+    return " ".join(words)
+
+
+def said_of_figure_5(table: pd.DataFrame, source: str) -> str:
+    """What :func:`figure_5` says of two IMUs, in sentences that are true of its source."""
+    two = table[table["n_imus"] == 2].set_index(["chain", "marker"])
+
+    def numbers(chain_name: str, marker: str) -> str:
+        line = two.loc[(chain_name, marker)]
+        return f"{line['median_mm']:.0f} mm (Q3 {line['q75_mm']:.0f}) at {marker}"
+
+    def both(chain_name: str) -> str:
+        return f"{numbers(chain_name, 'M1')} and {numbers(chain_name, 'M2')}"
+
+    printed = (
+        f"{m:.0f} mm (Q3 {q:.0f})"
+        for m, q in two.loc["as in the file", ["printed_median_mm", "printed_q75_mm"]].to_numpy()
+    )
+    return (
+        f"{source.capitalize()} trial, two IMUs: the chain as described is {both('as described')} from the spline, "
+        f"with the turned base at the markers {both('base turned, at the markers')}, as in the file "
+        f"{both('as in the file')}. "
+        f"Fig. 5 prints errors of {' and '.join(printed)}, against motion capture."
+    )
