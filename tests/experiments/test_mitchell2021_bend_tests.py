@@ -23,7 +23,7 @@ from repro.experiments.mitchell2021.bend_tests import (
 )
 from repro.experiments.mitchell2021.takes import axial_field, bend_takes, facts, recorded_or_synthetic
 from repro.kinematics.bend import bend_vector
-from repro.recordings.mitchell2021 import read_calibration
+from repro.recordings.mitchell2021_tables import read_calibration
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.field_ratios import FieldRatios, file_axes
 from repro.simulation.bend_curves import bend_readings
@@ -173,7 +173,6 @@ def test_without_recordings_takes_are_synthetic_and_say_so(monkeypatch, tmp_path
     monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
     found, source = recorded_or_synthetic(tests=[2], duration_s=6.0)
     assert (source, [take.name for take in found]) == ("synthetic", ["bend_2_try_1"])
-    assert not found[0].apart
     assert facts(found)["peak_tilt_y_deg"].item() == pytest.approx(50, abs=0.1)
     axial = axial_field(found[0])
     np.testing.assert_array_equal(axial["sent_mt"], axial["over_gain_mt"])

@@ -125,7 +125,7 @@ def test_a_take_without_exchanges_is_not_touched(tmp_path):
 
 @pytest.mark.parametrize("step_deg", [20.0, 60.0, 85.0])
 def test_fast_rotations_that_are_real_are_not_undone(tmp_path, step_deg):
-    """The body spins by half a turn and back within frames that are each below 90 deg, as the last test of this file does not."""
+    """The body spins by half a turn and back, in steps that are each below 90 deg."""
     frames_of_spin = int(np.ceil(180 / step_deg))
     spin = np.zeros(len(UP_AND_DOWN))
     spin[500 : 500 + frames_of_spin] = np.linspace(0, 180, frames_of_spin + 1)[1:]
