@@ -114,6 +114,13 @@ def takes(folder: Path | None = None) -> list[Take]:
     return [Take(name, *(found[name].get(kind) for kind in kinds)) for name in sorted(found)]
 
 
+def files_found(folder: Path | None = None) -> list[Path]:
+    """Return all files of the paper that are found, calibration readings among them; ``folder`` as for `takes`."""
+    folder = folder or data_dir() / FOLDER
+    found = [path for take in takes(folder) for path in (take.hall, take.capture, take.filtered) if path]
+    return found + sorted(folder.glob("calibrate_data/*/*deg_*.csv"))
+
+
 def read_hall(path: Path) -> HallTake:
     """Read a Hall file: rows ``[x y z],unix_time``.
 
