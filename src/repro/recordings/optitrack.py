@@ -45,8 +45,9 @@ class Capture:
         One row per frame: ``time_s`` after the start; ``bend_rad``, angle between the body's y axis and the world's;
         ``direction_rad``, azimuth of the body's y axis about the world's, from world z towards world x, in
         (-pi, pi] and meaningless at zero bend; ``tilt_z_rad``, angle between the body's z axis and the world's, equal
-        to the bend only where the body bends about world x; NaN in masked frames. ``moved_mm``, horizontal distance
-        of the body from where it was in its first tracked frame; ``undone``, whether an exchange of markers was
+        to the bend only where the body bends about world x; NaN in masked frames. ``moved_mm`` and
+        ``moved_towards_rad``, horizontal displacement of the body since its first tracked frame, and its azimuth,
+        counted as the direction is; ``undone``, whether an exchange of markers was
         undone.
     lost
         Frames in which the body was not tracked.
@@ -209,13 +210,15 @@ def _motion(table: np.ndarray, owner: str) -> tuple[pd.DataFrame, int, int, int,
     known = kept & ~_near_jumps(undone.quaternions, kept)
     axes = np.full((len(table), 3, 3), np.nan)
     axes[known] = Rotation.from_quat(undone.quaternions[known]).as_matrix()
+    moved = place - place[first]
     motion = pd.DataFrame(
         {
             "time_s": time_s,
             "bend_rad": np.arccos(np.clip(axes[:, 1, 1], -1.0, 1.0)),
             "direction_rad": np.arctan2(axes[:, 0, 1], axes[:, 2, 1]),
             "tilt_z_rad": np.arccos(np.clip(axes[:, 2, 2], -1.0, 1.0)),
-            "moved_mm": np.linalg.norm(place - place[first], axis=1),
+            "moved_mm": np.linalg.norm(moved, axis=1),
+            "moved_towards_rad": np.arctan2(moved[:, 0], moved[:, 1]),
             "undone": undone.frames,
         }
     )

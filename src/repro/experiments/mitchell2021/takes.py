@@ -78,7 +78,7 @@ class BendTake:
     logged: pd.DataFrame | None
     log_share: float
     log_state: str
-    facts: dict[str, float]
+    facts: dict[str, int | float]
 
     @property
     def ratios(self) -> Float[Tensor, "readings 2"]:
@@ -149,9 +149,9 @@ def facts(found: Sequence[BendTake]) -> pd.DataFrame:
 
     Columns ``take, readings``; of the Hall file ``unreadable, drained`` (rows dropped), ``beyond_range`` (readings
     left out), ``longest_gap_s, gain_switches``; of the motion capture ``turns`` (different exchanges of markers),
-    ``undone_percent, masked_percent`` (frames), ``masked_if_not_undone_percent``, and that of
-    :func:`off_displacement_deg`; ``lag_s, r, lag_off_s`` (less the median lag of the other takes);
-    ``peak_tilt_y_deg, peak_tilt_z_deg, direction_deg``.
+    ``undone_percent, undone_above_40_percent`` (of the frames, and of those above 40 deg), ``masked_percent,
+    masked_if_not_undone_percent``, and those of :func:`against_displacement`; ``lag_s, r, lag_off_s`` (less the
+    median lag of the other takes); ``peak_tilt_y_deg, peak_tilt_z_deg, direction_deg``.
     """
     rows = []
     for take in found:
@@ -178,18 +178,26 @@ def log_states(found: Sequence[BendTake]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def off_displacement_deg(capture: Capture) -> float:
-    """How well the tilt follows the body's displacement, which exchanged markers hardly move [deg].
+def against_displacement(capture: Capture) -> dict[str, float]:
+    """Compare the y axis with the body's displacement, which exchanged markers hardly change.
 
-    The root mean square of the tilt of the y axis less a polynomial of the fifth degree in the horizontal
-    displacement, fitted to the same take; NaN for a body that does not move.
+    Returns
+    -------
+    dict
+        ``off_displacement_deg``: root mean square of the tilt less a polynomial of the fifth degree in the
+        horizontal displacement, fitted to the same take. ``azimuth_off_deg``: mean azimuth of the displacement less
+        that of the y axis where the tilt is above 40 deg. NaN for a body that does not move, or bends less.
     """
     motion = capture.motion.dropna(subset=["bend_rad", "moved_mm"])
     moved, tilt = motion["moved_mm"].to_numpy(), np.degrees(motion["bend_rad"].to_numpy())
-    if not len(motion) or not moved.max() > 0:
-        return np.nan
-    powers = (moved / moved.max())[:, None] ** np.arange(1, 6)
-    return float(np.sqrt(np.mean((tilt - powers @ np.linalg.lstsq(powers, tilt, rcond=None)[0]) ** 2)))
+    off, azimuth = np.nan, np.nan
+    if len(motion) and moved.max() > 0:
+        powers = (moved / moved.max())[:, None] ** np.arange(1, 6)
+        fitted = powers @ np.linalg.lstsq(powers, tilt, rcond=None)[0]
+        off = float(np.sqrt(np.mean((tilt - fitted) ** 2)))
+        turned = (motion["moved_towards_rad"] - motion["direction_rad"]).to_numpy()[tilt > 40.0]
+        azimuth = float(np.degrees(np.angle(np.exp(1j * turned).mean()))) if len(turned) else np.nan
+    return {"off_displacement_deg": off, "azimuth_off_deg": azimuth}
 
 
 def axial_field(take: BendTake) -> pd.DataFrame:
@@ -208,6 +216,7 @@ def _aligned(take: Take) -> BendTake:
     aligned, lag = align(hall, capture)
     table = aligned.dropna(subset=FIELD)
     whole = model_axes(torch.from_numpy(hall.readings[FIELD].to_numpy(copy=True)))
+    high = capture.motion[capture.motion["bend_rad"] > np.radians(40.0)]
     logged, share, state = _logged(take.filtered, hall, table["time_s"].to_numpy())
     at_rest = torch.from_numpy((hall.readings["time_s"] < REST_S).to_numpy(copy=True))
     return BendTake(
@@ -231,9 +240,10 @@ def _aligned(take: Take) -> BendTake:
             "gain_switches": hall.switches,
             "turns": capture.turns,
             "undone_percent": 100 * capture.undone / len(capture.motion),
+            "undone_above_40_percent": 100 * float(high["undone"].mean()) if len(high) else 0.0,
             "masked_percent": 100 * capture.masked_share,
             "masked_if_not_undone_percent": 100 * capture.masked_if_not_undone,
-            "off_displacement_deg": off_displacement_deg(capture),
+            **against_displacement(capture),
             "lag_s": lag.lag_s,
             "r": lag.r,
         },
