@@ -234,7 +234,7 @@ def test_capture_of_another_time_is_refused(hall_file, tmp_path):
 def test_capture_of_another_motion_is_refused(hall_file, tmp_path):
     angles = 20 + 20 * np.sin(np.arange(1320) / 30)
     path = write_capture(tmp_path / "a.csv", bending(angles, 30.0))
-    with pytest.raises(InputError, match=r"recordings of find_lag must be with "):
+    with pytest.raises(InputError, match=r"^bend_test_0_try_1: Input recordings of find_lag must be with "):
         align(read_hall(hall_file), read_capture(path))
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import InputError, bad_input
 from repro.recordings.alignment import Lag, find_lag
 from repro.recordings.optitrack import Capture
 from repro.recordings.sources import data_dir
@@ -227,7 +227,10 @@ def align(hall: HallTake, capture: Capture) -> tuple[pd.DataFrame, Lag]:
         )
     bend = capture.motion["bend_rad"].to_numpy()
     # Seconds since 1970 leave few digits; both clocks are counted from the recording's first reading.
-    lag = find_lag(hall_s - hall_s[0], bending_signal(hall), motion_s - hall_s[0], bend)
+    try:
+        lag = find_lag(hall_s - hall_s[0], bending_signal(hall), motion_s - hall_s[0], bend)
+    except InputError as error:
+        raise InputError(f"{hall.name}: {error}") from error
     motion = capture.motion.assign(time_s=motion_s - hall_s[0] + lag.lag_s, frame=range(len(motion_s)))
     table = pd.merge_asof(
         hall.readings, motion, on="time_s", direction="nearest", tolerance=0.51 / capture.rate_hz

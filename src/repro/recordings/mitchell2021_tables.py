@@ -101,7 +101,7 @@ def on_readings(
     clock = log.assign(time_s=own_s + best[1])
     wanted = pd.DataFrame({"time_s": time_s})
     found = pd.merge_asof(wanted, clock, on="time_s", direction="nearest", tolerance=SAME_TIME_S)
-    return found[["direction_rad", "bend_rad"]]
+    return pd.DataFrame({name: found[name] for name in ("direction_rad", "bend_rad")})
 
 
 def read_calibration(folder: Path | None = None) -> pd.DataFrame:

@@ -222,13 +222,15 @@ def _motion(table: np.ndarray, owner: str) -> tuple[pd.DataFrame, int, int, int,
             "undone": undone.frames,
         }
     )
-    counts = (~tracked, tracked & ~kept, kept & ~known, undone.frames)
-    not_undone = upright & ~_near_jumps(quaternions, upright)
+    left = len(table) - int((upright & ~_near_jumps(quaternions, upright)).sum())
     return (
         motion,
-        *(int(frames.sum()) for frames in counts),
+        int((~tracked).sum()),
+        int((tracked & ~kept).sum()),
+        int((kept & ~known).sum()),
+        int(undone.frames.sum()),
         len(undone.turns_deg),
-        float((~not_undone).sum()) / len(table),
+        left / len(table),
     )
 
 

@@ -148,7 +148,7 @@ def of_factors(table: pd.DataFrame, trouble: str) -> str:
     """Factors of :func:`factors`, and why there are no calibration readings."""
     nominal = table["fitted_to"] == "calibration readings"
     text = f"The factor of a single take is {span(table['factor'][~nominal], 2)}."
-    if not nominal.any():
+    if not bool(nominal.any()):
         return f"{text} There are no calibration readings: {trouble.rstrip('.')}."
     return (
         f"{text} That of the calibration readings is {table['factor'][nominal].item():.2f}: they were taken at "
