@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from repro.recordings.download import difference
 from repro.recordings.sources import RecordedFile, data_dir
 
 
@@ -38,3 +38,33 @@ def unlike_released(
             same = "of the same size" if size == file.size else f"{size} bytes instead of {file.size}"
             unlike[name] = f"other content than the released file, {same}"
     return unlike
+
+
+def difference(file: RecordedFile, path: Path) -> str | None:
+    """Return how a file's content differs from the released one, by hash, or None.
+
+    Parameters
+    ----------
+    file
+        The released file.
+    path
+        A file that exists.
+    """
+    kind, expected = ("sha256", file.sha256) if file.sha256 else ("git blob", file.git_blob)
+    if file.sha256:
+        with path.open("rb") as stream:
+            found = hashlib.file_digest(stream, "sha256").hexdigest()
+    else:
+        found = git_blob_hash(path.read_bytes())
+    return None if found == expected else f"{kind} {found} instead of {expected}"
+
+
+def git_blob_hash(content: bytes) -> str:
+    """Return the hash under which git stores a file's content.
+
+    Examples
+    --------
+    >>> git_blob_hash(b"")
+    'e69de29bb2d1d6434b8b29ae775ad8c2e48c5391'
+    """
+    return hashlib.sha1(b"blob %d\0" % len(content) + content, usedforsecurity=False).hexdigest()
