@@ -13,6 +13,7 @@ from repro.experiments.mitchell2021.light_bulb import (
     counts,
     detector,
     events,
+    facts,
     light_tests,
     recorded_or_synthetic,
 )
@@ -46,6 +47,14 @@ def test_events_are_those_put_in(files):
     table = counts(curves, found)
     frozen = table[table["frozen"]]
     assert frozen[["light_0", "light_1", "light_2"]].to_numpy().tolist() == [[3, 3, 1]]
+
+
+def test_what_was_dropped_is_told(files):
+    table = facts(files).set_index("file")
+    assert list(table.index) == list(files)
+    assert (table["drained"] == 15).all()
+    assert (table[["unreadable", "beyond_range"]] == 0).all(axis=None)
+    assert table["longest_gap_s"].between(0.016, 0.021).all()
 
 
 def test_other_files_do_not_move_the_threshold(files):

@@ -91,3 +91,40 @@ def test_times_that_do_not_increase_are_refused():
     t = np.arange(0, 30, 0.02)
     with pytest.raises(InputError, match="time_b_s of find_lag must be at least three increasing times"):
         find_lag(t, bend(t), t[::-1].copy(), bend(t))
+
+
+def test_a_gap_is_not_bridged():
+    """Twenty seconds of readings are missing: a straight line over them would move the peak."""
+    t = np.arange(0, 60, 0.0164)
+    slow = bend(t / 2.0)
+    here = (t < 14) | (t > 34)
+    capture_s = np.arange(5, 55, 1 / 120)
+    lag = find_lag(t[here], slow[here], capture_s - 0.53, bend(capture_s / 2.0))
+    assert lag.lag_s == pytest.approx(0.53, abs=0.005)
+    assert lag.r > 0.99999
+    assert lag.common_s == pytest.approx(30, abs=0.2)
+
+
+def test_intervals_up_to_three_median_ones_are_bridged():
+    t = np.arange(0, 30, 0.02)
+    kept = np.ones(len(t), dtype=bool)
+    kept[100::50] = kept[101::50] = False
+    whole = find_lag(t[kept], bend(t)[kept], t, bend(t))
+    assert whole.common_s == pytest.approx(29.9, abs=0.1)
+    kept[102::50] = False
+    assert find_lag(t[kept], bend(t)[kept], t, bend(t)).common_s < 28.5
+
+
+@pytest.mark.parametrize("lag_s", [1.96, 1.99, -1.97])
+def test_a_lag_beside_the_end_of_the_search_is_refused(lag_s):
+    t = np.arange(0, 40, 0.02)
+    with pytest.raises(InputError, match=r"with a clear peak; .* at the end of the search"):
+        find_lag(t, bend(t), t, bend(t + lag_s), longest_s=2.0)
+    assert find_lag(t, bend(t), t, bend(t + 1.9), longest_s=2.0).lag_s == pytest.approx(1.9, abs=0.01)
+
+
+def test_a_lag_beside_those_with_too_little_in_common_is_refused():
+    """The correlation still rises where half of the shorter recording is just in common."""
+    t = np.arange(0, 12, 0.02)
+    with pytest.raises(InputError, match=r"with a clear peak; .* at the end of the search"):
+        find_lag(t, bend(t), t, bend(t + 8.0), longest_s=10.0, least_r=0.5)

@@ -49,9 +49,9 @@ def test_over_time_draws_one_calibration_with_its_band():
     assert not plt.get_fignums()
 
 
-def test_errors_by_take_sets_takes_apart():
+def test_errors_have_a_row_for_each_method_and_a_panel_for_each_column():
     rows = [
-        {"method": m, "calibration": c, "length_mm": 13.0, "take": t, "apart": t == "b", "rmse_deg": 1.0}
+        {"method": m, "calibration": c, "length_mm": 13.0, "take": t, "rmse_deg": 1.0}
         for m, c in METHODS
         for t in ("a", "b")
     ]
@@ -59,8 +59,13 @@ def test_errors_by_take_sets_takes_apart():
     left, right = figures.errors_by_take(table, 13.0, "synthetic").axes
     labels = [text.get_text() for text in left.get_yticklabels()]
     assert labels == ["ours: other tests", "ours: none", "paper, as printed"]
-    assert [line.get_markerfacecolor() for line in left.get_lines()[:2]] == [figures.OURS, "none"]
+    assert list(left.get_lines()[0].get_xdata()) == [1.0, 1.0]
     assert right.get_lines()[0].get_xdata()[0] == 3.0
+    by_bend = {"rmse_below_20_deg": 1.0, "rmse_20_to_40_deg": 2.0, "rmse_above_40_deg": float("nan")}
+    low, middle, high = figures.errors_by_bend(table.assign(**by_bend), 13.0, "synthetic").axes
+    assert low.get_title() == "bends below 20 deg, synthetic"
+    assert middle.get_lines()[0].get_xdata()[0] == 2.0
+    assert high.get_xlim() == low.get_xlim() == (0, 2.1)
 
 
 def test_light_bulb_shades_events():

@@ -10,6 +10,11 @@ from scipy.signal import correlate
 
 from repro.errors import bad_input
 
+LONGEST_INTERVAL = 3.0
+"""Longest interval that is interpolated over, in median intervals of its recording."""
+EDGE_STEPS = 5
+"""A best lag within this many steps of the end of the search may be that of a peak beyond it."""
+
 
 @dataclass(frozen=True)
 class Lag:
@@ -46,9 +51,9 @@ def find_lag(
 ) -> Lag:
     """Find the lag at which two signals correlate best, and refuse one that is not clearly the best.
 
-    Both signals are interpolated linearly at even steps; nothing is interpolated across samples that are NaN, and
-    each correlation is over the steps at which both signals are known. The best step is refined by a parabola
-    through its neighbours.
+    Both signals are interpolated linearly at even steps; nothing is interpolated across samples that are NaN, nor
+    across a gap, an interval of more than `LONGEST_INTERVAL` median ones. Each correlation is over the steps at which
+    both signals are known. The best step is refined by a parabola through its neighbours.
 
     Parameters
     ----------
@@ -70,8 +75,8 @@ def find_lag(
     ------
     InputError
         Times that do not increase; signals that at no lag have half of the shorter one in common; a constant
-        signal; no clear peak: the best correlation is too low, lies at the end of the search, or another peak is
-        nearly as high.
+        signal; no clear peak: the best correlation is too low, lies at the end of the search (within `EDGE_STEPS` of
+        it, or beside lags at which too little is in common), or another peak is nearly as high.
 
     Examples
     --------
@@ -95,9 +100,11 @@ def find_lag(
         raise bad_input("recordings", "find_lag", "of one time, with half of the shorter in common", seen)
     if not np.isfinite(r).any():
         raise bad_input("signals", "find_lag", "varying", "a constant")
+    known = np.flatnonzero(np.isfinite(r))
     r = np.where(np.isfinite(r), r, -1.0)
     best = int(np.argmax(r))
-    if not 0 < best < len(r) - 1:
+    edge = min(best - known[0], known[-1] - best) < 1 or min(best, len(r) - 1 - best) < EDGE_STEPS
+    if edge:
         seen = f"its highest correlation, {r[best]:.3f}, at the end of the search, {shifts[best] * step_s:+.2f} s"
         raise bad_input("recordings", "find_lag", "with a clear peak", seen)
     if r[best] < least_r:
@@ -118,9 +125,13 @@ def find_lag(
 
 
 def _even(time_s: np.ndarray, values: np.ndarray, step_s: float) -> tuple[int, np.ndarray]:
-    """Return the number of the first step and the values at even steps; NaN beside a sample that is NaN."""
+    """Return the number of the first step and the values at even steps; NaN beside a NaN and in gaps."""
     first, last = int(np.ceil(time_s[0] / step_s)), int(np.floor(time_s[-1] / step_s))
-    return first, np.interp(np.arange(first, last + 1) * step_s, time_s, values)
+    at = np.arange(first, last + 1) * step_s
+    intervals = np.diff(time_s)
+    gap = intervals > (LONGEST_INTERVAL + 1e-6) * np.median(intervals)
+    before = (np.searchsorted(time_s, at, side="right") - 1).clip(0, len(gap) - 1)
+    return first, np.where(gap[before] & (at > time_s[before]), np.nan, np.interp(at, time_s, values))
 
 
 def _correlations(

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import uuid
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ import pooch
 from tqdm import tqdm
 
 from repro.errors import bad_input
+from repro.recordings.released import difference
 from repro.recordings.sources import RecordedFile
 
 FILES = "https://raw.githubusercontent.com"
@@ -76,7 +76,7 @@ def address(file: RecordedFile, mirror: str | None = None) -> str:
 
 def is_there(file: RecordedFile, folder: Path) -> bool:
     """Return whether a folder of recordings holds the file, with the right content."""
-    return _difference(file, file.place(folder)) is None if file.place(folder).is_file() else False
+    return difference(file, file.place(folder)) is None if file.place(folder).is_file() else False
 
 
 def fetch(
@@ -151,7 +151,7 @@ def _download(file: RecordedFile, url: str, folder: Path, progress: bool) -> str
         with tqdm(**bar, disable=not progress) as shown:
             loader = pooch.HTTPDownloader(progressbar=shown, chunk_size=65536, timeout=TIMEOUT_S)
             loader(url, str(temporary), None)
-        if why := _difference(file, temporary):
+        if why := difference(file, temporary):
             return f"what arrived is not the released file ({why})"
         temporary.replace(place)
     except requests.HTTPError as error:
@@ -171,21 +171,3 @@ def _download(file: RecordedFile, url: str, folder: Path, progress: bool) -> str
         with suppress(OSError):  # not there, or nor is its folder
             temporary.unlink()
     return None
-
-
-def _difference(file: RecordedFile, path: Path) -> str | None:
-    """Return how a file's content differs from the released one, or None."""
-    kind, expected = ("sha256", file.sha256) if file.sha256 else ("git blob", file.git_blob)
-    found = pooch.file_hash(str(path)) if file.sha256 else git_blob_hash(path.read_bytes())
-    return None if found == expected else f"{kind} {found} instead of {expected}"
-
-
-def git_blob_hash(content: bytes) -> str:
-    """Return the hash under which git stores a file's content.
-
-    Examples
-    --------
-    >>> git_blob_hash(b"")
-    'e69de29bb2d1d6434b8b29ae775ad8c2e48c5391'
-    """
-    return hashlib.sha1(b"blob %d\0" % len(content) + content, usedforsecurity=False).hexdigest()

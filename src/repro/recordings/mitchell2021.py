@@ -1,4 +1,4 @@
-"""The recordings of Mitchell et al. (2021): Hall sensor, motion capture and calibration, as tidy tables.
+"""The recordings of Mitchell et al. (2021): Hall sensor and motion capture, as tidy tables.
 
 Axes are those of the bend state: x along the body, which is column 0 of the files (on the sensor's serial line it is
 the last field); against the model, y is mirrored. The sensor, an MLX90363, sends components that depend on its own
@@ -17,10 +17,11 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import InputError, bad_input
 from repro.recordings.alignment import Lag, find_lag
 from repro.recordings.optitrack import Capture
 from repro.recordings.sources import data_dir
+from repro.recordings.text import read_text
 
 FOLDER = "mitchell2021"
 MT_PER_UNIT = 10.0
@@ -29,13 +30,15 @@ LARGEST_UNIT = 8.192
 """End of the sensor's range in the files' unit: its components have 14 bits with sign."""
 LIVE_S = 1e-3
 """Readings that follow each other faster came out of a buffer [s]; the sensor is read every 12 to 17 ms."""
-GAIN_RATIO = 1.154
-"""Median ratio of the field's magnitude across the switches of gain in the nine bend and four light-bulb tests."""
+GAIN_RATIO = 1.155
+"""Ratio of the field's magnitude across a switch of gain: 1.154 to 1.156 at those of the recordings."""
 LEAST_GAIN_STEP = 0.1
 """Logarithm of the ratio of consecutive magnitudes that counts as a switch; other steps stay below 0.05."""
-LARGEST_SPIKE = 1.0
+LARGEST_DROPPED = 0.05
+"""Share of the rows that may be unreadable, come out of a buffer, or be beyond the sensor's range."""
+LONGEST_BUFFER = 25
+"""Rows that a buffer may hold in any case; 14 to 23 in the recordings."""
 REST_S = 2.0
-DIRECTIONS = {"0dir": 0.0, "pi2dir": np.pi / 2, "pidir": np.pi, "3pi2dir": 3 * np.pi / 2}
 FIELD = ["bx_mT", "by_mT", "bz_mT"]
 _ROW = re.compile(r"\[([^\[\],]+)\],([^\[\],]+)")
 
@@ -84,6 +87,11 @@ class HallTake:
     masked: int
     switches: int
 
+    @property
+    def longest_gap_s(self) -> float:
+        """Longest time between readings [s]."""
+        return float(self.readings["time_s"].diff().max())
+
 
 def takes(folder: Path | None = None) -> list[Take]:
     """Return the tests of which a Hall file or a motion capture is found, in order of name.
@@ -106,6 +114,13 @@ def takes(folder: Path | None = None) -> list[Take]:
     return [Take(name, *(found[name].get(kind) for kind in kinds)) for name in sorted(found)]
 
 
+def files_found(folder: Path | None = None) -> list[Path]:
+    """Return all files of the paper that are found, calibration readings among them; ``folder`` as for `takes`."""
+    folder = folder or data_dir() / FOLDER
+    found = [path for take in takes(folder) for path in (take.hall, take.capture, take.filtered) if path]
+    return found + sorted(folder.glob("calibrate_data/*/*deg_*.csv"))
+
+
 def read_hall(path: Path) -> HallTake:
     """Read a Hall file: rows ``[x y z],unix_time``.
 
@@ -117,10 +132,11 @@ def read_hall(path: Path) -> HallTake:
     FileNotFoundError
         If there is no such file.
     InputError
-        No reading left, or times that do not increase.
+        A file that is no text, no reading left, times that do not increase, or more than `LARGEST_DROPPED` of the
+        rows unreadable, out of a buffer or beyond the range.
     """
     rows, unreadable = [], 0
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in read_text(path).splitlines():
         row = _reading(line)
         if row is None:
             unreadable += 1
@@ -138,6 +154,15 @@ def read_hall(path: Path) -> HallTake:
     drained = int(live[0]) + 1
     time_s, field = table[drained:, 3], table[drained:, :3]
     outside = np.any(np.abs(field) > LARGEST_UNIT, axis=1)
+    total = len(table) + unreadable
+    for what, count, allowed in (
+        ("unreadable", unreadable, 0),
+        ("out of a buffer", drained, LONGEST_BUFFER),
+        ("beyond the sensor's range", int(outside.sum()), 0),
+    ):
+        if count > max(LARGEST_DROPPED * total, allowed):
+            expected = f"at most {LARGEST_DROPPED:.0%} {what}"
+            raise bad_input("rows", path.name, expected, f"{count} of {total}, {count / total:.1%}")
     field = np.where(outside[:, None], np.nan, field)
     gain, switches = _gain(field)
     readings = pd.DataFrame(
@@ -202,68 +227,12 @@ def align(hall: HallTake, capture: Capture) -> tuple[pd.DataFrame, Lag]:
         )
     bend = capture.motion["bend_rad"].to_numpy()
     # Seconds since 1970 leave few digits; both clocks are counted from the recording's first reading.
-    lag = find_lag(hall_s - hall_s[0], bending_signal(hall), motion_s - hall_s[0], bend)
+    try:
+        lag = find_lag(hall_s - hall_s[0], bending_signal(hall), motion_s - hall_s[0], bend)
+    except InputError as error:
+        raise InputError(f"{hall.name}: {error}") from error
     motion = capture.motion.assign(time_s=motion_s - hall_s[0] + lag.lag_s, frame=range(len(motion_s)))
     table = pd.merge_asof(
         hall.readings, motion, on="time_s", direction="nearest", tolerance=0.51 / capture.rate_hz
     )
     return table.dropna(subset="frame").drop(columns="frame").reset_index(drop=True), lag
-
-
-def read_filtered(path: Path) -> pd.DataFrame:
-    """Read the authors' logged output: ``time_s``, ``direction_rad``, ``bend_rad``.
-
-    Raises
-    ------
-    InputError
-        If a column is missing.
-    """
-    table: pd.DataFrame = pd.read_csv(path)
-    names = {"time": "time_s", "bend_dir": "direction_rad", "bend_ang": "bend_rad"}
-    if missing := [name for name in names if name not in table]:
-        raise bad_input("columns", path.name, ", ".join(names), f"none of {missing}")
-    return table.rename(columns=names).loc[:, list(names.values())]
-
-
-def read_calibration(folder: Path | None = None) -> pd.DataFrame:
-    """Read the calibration readings, taken at known bends held still.
-
-    Parameters
-    ----------
-    folder
-        As for `takes`; the files are ``calibrate_data/<direction>/<angle>deg_<repeat>.csv``.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row per reading: ``direction_rad`` and ``bend_rad``, nominal, ``repeat``, and ``bx_mT, by_mT, bz_mT``. A
-        reading that is more than 10 mT off the median of its file in any component is a spike: NaN. The gain of each
-        file is unknown.
-
-    Raises
-    ------
-    InputError
-        If a file holds anything but rows of three numbers.
-    """
-    parts = []
-    for path in sorted((folder or data_dir() / FOLDER).glob("calibrate_data/*/*deg_*.csv")):
-        match = re.fullmatch(r"(\d+)deg_(\d+)", path.stem)
-        if path.parent.name not in DIRECTIONS or not match:
-            raise bad_input(
-                "file", "calibrate_data", "DIRECTION/ANGLEdeg_REPEAT.csv", f"{path.parent.name}/{path.name}"
-            )
-        raw = pd.read_csv(path, header=None).to_numpy()
-        if raw.shape[1] != 3 or raw.dtype != float or not np.isfinite(raw).all():
-            raise bad_input(
-                "rows", f"{path.parent.name}/{path.name}", "three numbers each", f"{raw[:1].tolist()} …"
-            )
-        spike = np.any(np.abs(raw - np.median(raw, axis=0)) > LARGEST_SPIKE, axis=1)
-        field = MT_PER_UNIT * np.where(spike[:, None], np.nan, raw)
-        pose = {
-            "direction_rad": DIRECTIONS[path.parent.name],
-            "bend_rad": np.radians(float(match[1])),
-            "repeat": int(match[2]),
-        }
-        parts.append(pd.DataFrame(field, columns=FIELD).assign(**pose)[[*pose, *FIELD]])
-    columns = ["direction_rad", "bend_rad", "repeat", *FIELD]
-    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)

@@ -1,4 +1,4 @@
-"""Motion capture exported by OptiTrack Motive: its header, and (format 1.21) tilt of a body, half-turns masked.
+"""Motion capture exported by OptiTrack Motive: its header, and (format 1.21) tilt of a body, exchanges undone.
 
 Motive's world has its y axis upwards. A body's frame is parallel to the world's when the body is defined, here
 upright, so the tilt of the body's y axis is how far it bends from upright, and the azimuth of that axis is where to.
@@ -18,6 +18,8 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from repro.errors import bad_input
+from repro.recordings.marker_exchanges import not_turned, undo_exchanges
+from repro.recordings.text import read_text
 
 HEADER_LINES = 7
 """Lines of an export before the first frame."""
@@ -29,7 +31,7 @@ GUARD_FRAMES = 6
 
 @dataclass(frozen=True)
 class Capture:
-    """The motion of one rigid body, and what was masked.
+    """The motion of one rigid body, what was undone and what was masked.
 
     Attributes
     ----------
@@ -43,13 +45,22 @@ class Capture:
         One row per frame: ``time_s`` after the start; ``bend_rad``, angle between the body's y axis and the world's;
         ``direction_rad``, azimuth of the body's y axis about the world's, from world z towards world x, in
         (-pi, pi] and meaningless at zero bend; ``tilt_z_rad``, angle between the body's z axis and the world's, equal
-        to the bend only where the body bends about world x. NaN in masked frames.
+        to the bend only where the body bends about world x; NaN in masked frames. ``moved_mm`` and
+        ``moved_towards_rad``, horizontal displacement of the body since its first tracked frame, and its azimuth,
+        counted as the direction is; ``undone``, whether an exchange of markers was
+        undone.
     lost
         Frames in which the body was not tracked.
     turned
-        Frames that are half a turn or so off: markers taken for each other.
+        Frames that are turned by more than 90 deg and could not be turned back: masked.
     near_jumps
-        Other frames within 50 ms of a jump.
+        Other frames within 50 ms of a jump: masked.
+    undone
+        Frames in which an exchange of markers was undone.
+    turns
+        Different exchanges of markers that were found.
+    masked_if_not_undone
+        Share of the frames that would be masked if nothing were undone.
     """
 
     name: str
@@ -59,6 +70,9 @@ class Capture:
     lost: int
     turned: int
     near_jumps: int
+    undone: int
+    turns: int
+    masked_if_not_undone: float
 
     @property
     def masked_share(self) -> float:
@@ -69,19 +83,18 @@ class Capture:
 def read_capture(path: Path, *, body: str = "Module", utc_offset_h: float = -5.0) -> Capture:
     """Read one exported take.
 
-    What is masked follows from the motion capture alone:
+    What is undone and what is masked follows from the motion capture alone:
 
     * lost: frames with empty cells;
-    * turned: frames that are turned by more than 90 deg from the last frame that is not. Frames either agree with
-      their neighbours within a few degrees or are off by 170 to 180 deg, so that nothing depends on where in between
-      the limit lies;
+    * turned: frames that are turned by more than 90 deg from the last frame that is not. Where that is an exchange of
+      markers it is undone (:mod:`repro.recordings.marker_exchanges`), else the frame is masked;
     * near a jump: frames within `GUARD_FRAMES` of a step of more than `LARGEST_STEP_DEG` between consecutive frames
-      that are neither lost nor turned.
+      that are neither lost nor turned, after the undoing.
 
     Parameters
     ----------
     path
-        The file: CSV, quaternions XYZW (body to world), time in seconds.
+        The file: CSV, quaternions XYZW (body to world), positions in mm, time in seconds.
     body
         Name of the rigid body.
     utc_offset_h
@@ -92,24 +105,31 @@ def read_capture(path: Path, *, body: str = "Module", utc_offset_h: float = -5.0
     FileNotFoundError
         If there is no such file.
     InputError
-        Another format, version or rotation type; a body that is not there; fewer frames than the header says; numbers
-        that are none; quaternions that are not unit; or a first frame that is not upright (which frames are turned is
-        told from it).
+        A file that is no text; another format, version, rotation type or unit; a body that is not there; fewer frames
+        than the header says; numbers that are none; times that do not increase; quaternions that are not unit; or a
+        first frame that is not upright (which frames are turned is told from it).
     """
-    with path.open(newline="", encoding="utf-8-sig") as stream:
-        rows = list(csv.reader(stream))
+    try:
+        rows = list(csv.reader(read_text(path).splitlines()))
+    except csv.Error as error:
+        raise bad_input("rows", path.name, "cells between commas", error) from error
     header = read_header(rows, path.name, version="1.21", frames=len(rows) - HEADER_LINES)
     start_unix_s = _start(header, path.name, utc_offset_h)
+    if header.get("Length Units") != "Millimeters":
+        raise bad_input("Length Units", path.name, "Millimeters", header.get("Length Units", "nothing"))
     columns = list(zip(rows[3], rows[5], rows[6], strict=False))
-    if missing := [axis for axis in "XYZW" if (body, "Rotation", axis) not in columns]:
+    wanted = [(body, "Rotation", axis) for axis in "XYZW"] + [(body, "Position", axis) for axis in "XZ"]
+    if missing := [f"{kind} {axis}" for _, kind, axis in wanted if (body, kind, axis) not in columns]:
         bodies = ", ".join(sorted({name for name, _, _ in columns if name}))
         seen = f"{body}, without {', '.join(missing)}"
-        raise bad_input("body", path.name, f"one with a rotation (there are: {bodies})", seen)
-    picked = [1, *(columns.index((body, "Rotation", axis)) for axis in "XYZW")]
+        raise bad_input("body", path.name, f"one with rotation and position (there are: {bodies})", seen)
+    picked = [1, *map(columns.index, wanted)]
     try:
         table = np.array([[float(row[k] or "nan") for k in picked] for row in rows[HEADER_LINES:]])
     except (ValueError, IndexError) as error:
         raise bad_input("frames", path.name, "rows of numbers", error) from error
+    if not len(table) or not (np.diff(table[:, 0]) > 0).all():
+        raise bad_input("Time", path.name, "increasing from frame to frame", "other times, or no frame")
     rate_hz = float(header["Capture Frame Rate"])
     return Capture(header["Take Name"], start_unix_s, rate_hz, *_motion(table, path.name))
 
@@ -172,45 +192,53 @@ def _start(header: dict[str, str], owner: str, utc_offset_h: float) -> float:
     return began.timestamp()
 
 
-def _motion(table: np.ndarray, owner: str) -> tuple[pd.DataFrame, int, int, int]:
-    """Return the masked motion, and how many frames are lost, turned, or near a jump."""
-    time_s, quaternions = table[:, 0], table[:, 1:]
+def _motion(table: np.ndarray, owner: str) -> tuple[pd.DataFrame, int, int, int, int, int, float]:
+    """Return the masked motion, and the counts of :class:`Capture` in their order."""
+    time_s, quaternions, place = table[:, 0], table[:, 1:5], table[:, 5:]
     tracked = np.isfinite(quaternions).all(axis=1)
     error = np.abs(np.linalg.norm(quaternions[tracked], axis=1) - 1.0)
     if not tracked.any() or error.max() > 1e-3:
         seen = f"an error of {error.max():.3g}" if tracked.any() else "no frame at all"
         raise bad_input("quaternions", owner, "unit within 0.001", seen)
+    first = int(np.argmax(tracked))
+    tilt = np.degrees(np.arccos(np.clip(Rotation.from_quat(quaternions[first]).as_matrix()[1, 1], -1.0, 1.0)))
+    if not tilt < 45.0:
+        raise bad_input("first frame", owner, "upright within 45 deg", f"{tilt:.1f} deg")
+    upright = not_turned(quaternions, tracked)
+    undone = undo_exchanges(quaternions, tracked, upright)
+    kept = upright | undone.frames
+    known = kept & ~_near_jumps(undone.quaternions, kept)
     axes = np.full((len(table), 3, 3), np.nan)
-    axes[tracked] = Rotation.from_quat(quaternions[tracked]).as_matrix()
-    bend = np.arccos(np.clip(axes[:, 1, 1], -1.0, 1.0))
-    if not bend[tracked][0] < np.pi / 4:
-        raise bad_input(
-            "first frame", owner, "upright within 45 deg", f"{np.degrees(bend[tracked][0]):.1f} deg"
-        )
-    kept = _not_turned(quaternions, tracked)
-    pairs = np.abs((quaternions[1:] * quaternions[:-1]).sum(axis=1))
-    steps = np.degrees(2.0 * np.arccos(np.clip(pairs, 0.0, 1.0)))
-    jumps = np.flatnonzero((steps > LARGEST_STEP_DEG) & kept[1:] & kept[:-1])
-    guarded = np.zeros(len(table), dtype=bool)
-    for k in jumps:
-        guarded[max(0, k + 1 - GUARD_FRAMES) : k + 1 + GUARD_FRAMES] = True
+    axes[known] = Rotation.from_quat(undone.quaternions[known]).as_matrix()
+    moved = place - place[first]
     motion = pd.DataFrame(
         {
             "time_s": time_s,
-            "bend_rad": bend,
+            "bend_rad": np.arccos(np.clip(axes[:, 1, 1], -1.0, 1.0)),
             "direction_rad": np.arctan2(axes[:, 0, 1], axes[:, 2, 1]),
             "tilt_z_rad": np.arccos(np.clip(axes[:, 2, 2], -1.0, 1.0)),
+            "moved_mm": np.linalg.norm(moved, axis=1),
+            "moved_towards_rad": np.arctan2(moved[:, 0], moved[:, 1]),
+            "undone": undone.frames,
         }
     )
-    motion.loc[~kept | guarded, ["bend_rad", "direction_rad", "tilt_z_rad"]] = np.nan
-    return motion, int((~tracked).sum()), int((tracked & ~kept).sum()), int((kept & guarded).sum())
+    left = len(table) - int((upright & ~_near_jumps(quaternions, upright)).sum())
+    return (
+        motion,
+        int((~tracked).sum()),
+        int((tracked & ~kept).sum()),
+        int((kept & ~known).sum()),
+        int(undone.frames.sum()),
+        len(undone.turns_deg),
+        left / len(table),
+    )
 
 
-def _not_turned(quaternions: np.ndarray, tracked: np.ndarray) -> np.ndarray:
-    """Return which tracked frames are within 90 deg of the last such frame before them."""
-    kept = np.zeros(len(quaternions), dtype=bool)
-    last = quaternions[int(np.argmax(tracked))]
-    for k in np.flatnonzero(tracked):
-        if abs(quaternions[k] @ last) > np.cos(np.pi / 4):  # half of 90 deg: q and -q are one rotation
-            kept[k], last = True, quaternions[k]
-    return kept
+def _near_jumps(quaternions: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return the frames within `GUARD_FRAMES` of a jump between consecutive frames that are both kept."""
+    pairs = np.abs((quaternions[1:] * quaternions[:-1]).sum(axis=1))
+    steps = np.degrees(2.0 * np.arccos(np.clip(pairs, 0.0, 1.0)))
+    near = np.zeros(len(quaternions), dtype=bool)
+    for k in np.flatnonzero((steps > LARGEST_STEP_DEG) & kept[1:] & kept[:-1]):
+        near[max(0, k + 1 - GUARD_FRAMES) : k + 1 + GUARD_FRAMES] = True
+    return near

@@ -23,6 +23,8 @@ START_UNIX_S = 1_600_000_000.0
 """When the first synthetic recording begins [s since 1970 UTC]; invented."""
 DRAINED = 15
 """Rows from a buffer at the beginning of a Hall file: 14 to 23 in the authors'."""
+BODY_MM = 116.0
+"""Length of the arc below the body Module, whose end is captured: about that of the authors' [mm]."""
 CAPTURE_HZ = 120
 UTC_OFFSET_H = -5
 
@@ -195,10 +197,15 @@ def _write_capture(path: Path, start_unix_s: float, bend: np.ndarray, azimuth: f
         ",".join(["", "", *kinds, *kinds]),
         ",".join(["Frame", "Time", *["X", "Y", "Z", "W", "X", "Y", "Z", "error"] * 2]),
     ]
-    ground, place = "0,0,0,1,0,0,0,0", "0,0,0,0"
+    ground = "0,0,0,1,0,0,0,0"
+    # The end of an arc: (1 - cos) / bend = bend / 2 sinc^2(bend / 2), and sin / bend.
+    aside = BODY_MM * bend / 2 * np.sinc(bend / 2 / np.pi) ** 2
+    place = np.stack(
+        [np.sin(azimuth) * aside, BODY_MM * np.sinc(bend / np.pi), np.cos(azimuth) * aside], axis=1
+    )
     frames = [
-        f"{k},{k / CAPTURE_HZ:.6f},{ground},{','.join(f'{x:.6f}' for x in quaternion)},{place}"
-        for k, quaternion in enumerate(quaternions)
+        f"{k},{k / CAPTURE_HZ:.6f},{ground},{','.join(f'{x:.6f}' for x in row)},0"
+        for k, row in enumerate(np.concatenate([quaternions, place], axis=1))
     ]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join([*header, *frames]) + "\n", encoding="utf-8")

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -23,6 +24,9 @@ from repro.experiments.mitchell2021.takes import BendTake, facts
 from repro.sensing.bend_sensor import BendSensor
 
 SETTING = ["method", "calibration", "length_mm"]
+BEND_BINS_DEG = (0.0, 20.0, 40.0, 180.0)
+"""Bends by motion capture between which errors are also given [deg]."""
+BY_BEND = ["rmse_below_20_deg", "rmse_20_to_40_deg", "rmse_above_40_deg"]
 TARGET_DEG = 2.0
 """Largest median error of the bend angle for a calibration by the other try of the same test [deg]."""
 
@@ -59,7 +63,7 @@ def run_all(
     particles: int = 1000,
     seed: int = 0,
 ) -> list[Run]:
-    """Run all methods on all takes; the paper's filter at lengths other than ours on first tries not listed apart.
+    """Run all methods on all takes; the paper's filter at lengths other than ours on first tries only.
 
     Parameters
     ----------
@@ -79,10 +83,6 @@ def run_all(
     """
     if OUR_LENGTH_MM not in lengths_mm:
         raise bad_input("lengths_mm", "run_all", f"with {OUR_LENGTH_MM:g} among them", list(lengths_mm))
-
-    def first(take: BendTake) -> bool:
-        return take.attempt == 1 and not take.apart
-
     runs = []
     for length in lengths_mm:
         sensor = BendSensor(1e-3 * length)
@@ -93,7 +93,10 @@ def run_all(
                 for found in calibrations(take, takes, sensor, readings)
             ]
     filtered = [
-        (take, length) for length in lengths_mm for take in takes if length == OUR_LENGTH_MM or first(take)
+        (take, length)
+        for length in lengths_mm
+        for take in takes
+        if length == OUR_LENGTH_MM or take.attempt == 1
     ]
     if filtered:
         tables = paper_filters(filtered, particles=particles, seed=seed)
@@ -113,8 +116,9 @@ def errors(runs: Sequence[Run]) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns ``method, calibration, length_mm, take, apart, rmse_deg`` (bend angle against the tilt of the y
-        axis), ``rmse_tilt_z_deg`` (the same estimates against the tilt of the z axis), ``direction_deg`` (root mean
+        Columns ``method, calibration, length_mm, take, rmse_deg`` (bend angle against the tilt of the y axis), the
+        same over part of the readings, :data:`BY_BEND`, by the tilt of the y axis; ``rmse_tilt_z_deg`` (the same
+        estimates against the tilt of the z axis), ``direction_deg`` (root mean
         square where the bend is at least `LEAST_BEND_DEG`; for directions that are not azimuths of the motion
         capture, after the mean offset of the takes of the other tests is subtracted), ``within_percent`` (readings
         within two reported deviations).
@@ -122,8 +126,9 @@ def errors(runs: Sequence[Run]) -> pd.DataFrame:
     rows = []
     for run in runs:
         truth, found = run.take.truth, run.estimates
-        error = found["bend_rad"] - truth["bend_rad"]
-        known = truth["bend_rad"].notna().to_numpy()
+        bend = truth["bend_rad"]
+        error = found["bend_rad"] - bend
+        known = bend.notna().to_numpy()
         inside = (error.abs() <= 2.0 * found["deviation_rad"])[known]
         same = [
             other for other in runs if _setting(other) == _setting(run) and other.take.test != run.take.test
@@ -138,8 +143,11 @@ def errors(runs: Sequence[Run]) -> pd.DataFrame:
                 "calibration": run.calibration,
                 "length_mm": run.length_mm,
                 "take": run.take.name,
-                "apart": run.take.apart,
                 "rmse_deg": _rms_deg(error),
+                **{
+                    name: _rms_deg(error[bend.between(*np.radians(edges), inclusive="left")])
+                    for name, edges in zip(BY_BEND, pairwise(BEND_BINS_DEG), strict=True)
+                },
                 "rmse_tilt_z_deg": _rms_deg(found["bend_rad"] - truth["tilt_z_rad"]),
                 "direction_deg": _rms_deg(pd.Series(turned)),
                 "within_percent": 100.0 * inside.mean()
@@ -175,11 +183,10 @@ def evidence(takes: Sequence[BendTake], runs: Sequence[Run]) -> pd.DataFrame:
 
 
 def medians(table: pd.DataFrame) -> pd.DataFrame:
-    """Medians of :func:`errors` over the takes, those listed apart on their own, with the number of takes."""
-    by = table.groupby([*SETTING, "apart"], sort=False, dropna=False)
-    columns = ["rmse_deg", "rmse_tilt_z_deg", "direction_deg", "within_percent"]
-    found = by[columns].median().assign(takes=by["take"].nunique())
-    return found.reset_index()
+    """Medians of :func:`errors` over the takes, with the number of takes."""
+    by = table.groupby(SETTING, sort=False, dropna=False)
+    columns = ["rmse_deg", *BY_BEND, "rmse_tilt_z_deg", "direction_deg", "within_percent"]
+    return by[columns].median().assign(takes=by["take"].nunique()).reset_index()
 
 
 def over_time(runs: Sequence[Run], shown: Sequence[str], every: int = 4) -> pd.DataFrame:

@@ -89,6 +89,22 @@ def recorded_or_synthetic(*, seed: int = 0) -> tuple[dict[str, HallTake], str]:
         return light_tests(Path(folder)), "synthetic"
 
 
+def facts(tests: dict[str, HallTake]) -> pd.DataFrame:
+    """What was dropped of each file: ``file, readings, unreadable, drained, beyond_range, longest_gap_s``."""
+    rows = [
+        {
+            "file": name,
+            "readings": len(hall.readings),
+            "unreadable": hall.unreadable,
+            "drained": hall.drained,
+            "beyond_range": hall.masked,
+            "longest_gap_s": hall.longest_gap_s,
+        }
+        for name, hall in tests.items()
+    ]
+    return pd.DataFrame(rows)
+
+
 def detector(first: HallTake) -> Detector:
     """Find rest and threshold from one file, in which the module is left alone for a while.
 

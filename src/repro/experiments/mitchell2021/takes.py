@@ -20,14 +20,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
-from repro.recordings.mitchell2021 import FIELD, REST_S, Take, align, read_filtered, read_hall, takes
-from repro.recordings.optitrack import read_capture
+from repro.errors import InputError, bad_input
+from repro.recordings.mitchell2021 import FIELD, REST_S, HallTake, Take, align, read_hall, takes
+from repro.recordings.mitchell2021_tables import on_readings, read_calibration, read_filtered
+from repro.recordings.optitrack import Capture, read_capture
 from repro.sensing.field_ratios import model_axes, ratios
 from repro.simulation.bend_takes import write_bend_takes
 
-LARGEST_MASKED = 0.1
-"""Share of masked frames above which a take is listed apart."""
+LEAST_LOGGED = 0.9
+"""Share of the readings that the authors' output must cover to be scored."""
+LARGEST_LAG_OFF_S = 0.25
+"""Lags that differ more than this from the median of the other takes are doubtful [s]."""
 RELEASED_REST = 100
 """Readings whose mean the released code subtracts from the transverse components."""
 
@@ -54,10 +57,13 @@ class BendTake:
         ``bend_rad``, ``direction_rad`` and ``tilt_z_rad`` of motion capture at each reading, NaN where masked.
     logged
         The authors' own output at each reading, ``bend_rad, direction_rad``, in the model's axes; None where there
-        is none.
+        is none that can be scored.
+    log_share
+        Share of the readings that the authors' output covers; NaN where there is none, or none that can be read.
+    log_state
+        ``scored``, ``none``, or why the output is not scored.
     facts
-        What was found on the way: ``masked_share, lag_s, r, gain_switches``, and ``left_out``, readings beyond the
-        sensor's range.
+        What was found on the way, one number each; the columns of :func:`facts` of these names.
     """
 
     name: str
@@ -70,12 +76,9 @@ class BendTake:
     rest_field: Float[Tensor, " 3"]
     truth: pd.DataFrame
     logged: pd.DataFrame | None
-    facts: dict[str, float]
-
-    @property
-    def apart(self) -> bool:
-        """Whether so many frames are masked that the take is listed apart."""
-        return self.facts["masked_share"] > LARGEST_MASKED
+    log_share: float
+    log_state: str
+    facts: dict[str, int | float]
 
     @property
     def ratios(self) -> Float[Tensor, "readings 2"]:
@@ -126,32 +129,75 @@ def recorded_or_synthetic(
     return chosen, source
 
 
+def calibration_readings(folder: Path | None = None) -> tuple[pd.DataFrame, str]:
+    """Return the calibration readings and why there are none: they are not needed, so damage costs only them.
+
+    Parameters
+    ----------
+    folder
+        As for :func:`repro.recordings.mitchell2021.takes`.
+    """
+    try:
+        table = read_calibration(folder)
+    except InputError as error:
+        return pd.DataFrame(), str(error)
+    return table, "" if len(table) else "not found"
+
+
 def facts(found: Sequence[BendTake]) -> pd.DataFrame:
     """What was found of each take: a row with its facts, its peaks by both readings, and the azimuth bent to.
 
-    Columns ``take, readings, masked_percent, lag_s, r, gain_switches, peak_tilt_y_deg, peak_tilt_z_deg,
-    direction_deg, apart``.
+    Columns ``take, readings``; of the Hall file ``unreadable, drained`` (rows dropped), ``beyond_range`` (readings
+    left out), ``longest_gap_s, gain_switches``; of the motion capture ``turns`` (different exchanges of markers),
+    ``undone_percent, undone_above_40_percent`` (of the frames, and of those above 40 deg), ``masked_percent,
+    masked_if_not_undone_percent``, and those of :func:`against_displacement`; ``lag_s, r, lag_off_s`` (less the
+    median lag of the other takes); ``peak_tilt_y_deg, peak_tilt_z_deg, direction_deg``.
     """
     rows = []
     for take in found:
-        bent = take.truth["direction_rad"][take.truth["bend_rad"] > np.radians(40.0)]
+        bent = take.truth["direction_rad"][take.truth["bend_rad"] > np.radians(40.0)].to_numpy()
+        others = [other.facts["lag_s"] for other in found if other is not take]
         rows.append(
-            {
-                "take": take.name,
-                "readings": len(take.time_s),
-                "masked_percent": 100 * take.facts["masked_share"],
-                "lag_s": take.facts["lag_s"],
-                "r": take.facts["r"],
-                "gain_switches": take.facts["gain_switches"],
+            {"take": take.name, "readings": len(take.time_s)}
+            | take.facts
+            | {
+                "lag_off_s": take.facts["lag_s"] - np.median(others) if others else np.nan,
                 "peak_tilt_y_deg": np.degrees(take.truth["bend_rad"].max()),
                 "peak_tilt_z_deg": np.degrees(take.truth["tilt_z_rad"].max()),
-                "direction_deg": np.degrees(np.angle(np.exp(1j * bent.to_numpy()).mean()))
-                if len(bent)
-                else np.nan,
-                "apart": take.apart,
+                "direction_deg": np.degrees(np.angle(np.exp(1j * bent).mean())) if len(bent) else np.nan,
             }
         )
     return pd.DataFrame(rows)
+
+
+def log_states(found: Sequence[BendTake]) -> pd.DataFrame:
+    """What became of the authors' own output: ``take, share_percent`` (readings that it covers) and ``state``."""
+    rows = [
+        {"take": take.name, "share_percent": 100 * take.log_share, "state": take.log_state} for take in found
+    ]
+    return pd.DataFrame(rows)
+
+
+def against_displacement(capture: Capture) -> dict[str, float]:
+    """Compare the y axis with the body's displacement, which exchanged markers hardly change.
+
+    Returns
+    -------
+    dict
+        ``off_displacement_deg``: root mean square of the tilt less a polynomial of the fifth degree in the
+        horizontal displacement, fitted to the same take. ``azimuth_off_deg``: mean azimuth of the displacement less
+        that of the y axis where the tilt is above 40 deg. NaN for a body that does not move, or bends less.
+    """
+    motion = capture.motion.dropna(subset=["bend_rad", "moved_mm"])
+    moved, tilt = motion["moved_mm"].to_numpy(), np.degrees(motion["bend_rad"].to_numpy())
+    off, azimuth = np.nan, np.nan
+    if len(motion) and moved.max() > 0:
+        powers = (moved / moved.max())[:, None] ** np.arange(1, 6)
+        fitted = powers @ np.linalg.lstsq(powers, tilt, rcond=None)[0]
+        off = float(np.sqrt(np.mean((tilt - fitted) ** 2)))
+        turned = (motion["moved_towards_rad"] - motion["direction_rad"]).to_numpy()[tilt > 40.0]
+        azimuth = float(np.degrees(np.angle(np.exp(1j * turned).mean()))) if len(turned) else np.nan
+    return {"off_displacement_deg": off, "azimuth_off_deg": azimuth}
 
 
 def axial_field(take: BendTake) -> pd.DataFrame:
@@ -170,6 +216,8 @@ def _aligned(take: Take) -> BendTake:
     aligned, lag = align(hall, capture)
     table = aligned.dropna(subset=FIELD)
     whole = model_axes(torch.from_numpy(hall.readings[FIELD].to_numpy(copy=True)))
+    high = capture.motion[capture.motion["bend_rad"] > np.radians(40.0)]
+    logged, share, state = _logged(take.filtered, hall, table["time_s"].to_numpy())
     at_rest = torch.from_numpy((hall.readings["time_s"] < REST_S).to_numpy(copy=True))
     return BendTake(
         name=take.name,
@@ -181,22 +229,39 @@ def _aligned(take: Take) -> BendTake:
         rest=ratios(whole[at_rest]).nanmedian(0).values,
         rest_field=whole[:RELEASED_REST].nanmean(0),
         truth=table[["bend_rad", "direction_rad", "tilt_z_rad"]].reset_index(drop=True),
-        logged=_logged(take.filtered, hall.drained, table["time_s"]) if take.filtered else None,
+        logged=logged,
+        log_share=share,
+        log_state=state,
         facts={
-            "masked_share": capture.masked_share,
+            "unreadable": hall.unreadable,
+            "drained": hall.drained,
+            "beyond_range": len(aligned) - len(table),
+            "longest_gap_s": hall.longest_gap_s,
+            "gain_switches": hall.switches,
+            "turns": capture.turns,
+            "undone_percent": 100 * capture.undone / len(capture.motion),
+            "undone_above_40_percent": 100 * float(high["undone"].mean()) if len(high) else 0.0,
+            "masked_percent": 100 * capture.masked_share,
+            "masked_if_not_undone_percent": 100 * capture.masked_if_not_undone,
+            **against_displacement(capture),
             "lag_s": lag.lag_s,
             "r": lag.r,
-            "gain_switches": hall.switches,
-            "left_out": len(aligned) - len(table),
         },
     )
 
 
-def _logged(path: Path, drained: int, time_s: pd.Series) -> pd.DataFrame:
-    """The authors' output at the times of the readings; it has a row for every row of the Hall file but the first."""
-    table = read_filtered(path)
-    clock = table.assign(time_s=table["time_s"] - table["time_s"].iloc[drained - 1])
-    found = pd.merge_asof(time_s.to_frame(), clock, on="time_s", direction="nearest", tolerance=1e-3)
+def _logged(path: Path | None, hall: HallTake, time_s: np.ndarray) -> tuple[pd.DataFrame | None, float, str]:
+    """Return the authors' output at the times of the readings, the share that it covers, and what became of it."""
+    if path is None:
+        return None, np.nan, "none"
+    try:
+        found = on_readings(read_filtered(path), time_s, hall.readings["time_s"].to_numpy())
+    except InputError as error:
+        return None, np.nan, f"refused: {error}"
+    share = float(found["bend_rad"].notna().mean())
+    if share < LEAST_LOGGED:
+        return None, share, f"refused: covers less than {LEAST_LOGGED:.0%} of the readings"
     # Their y is not mirrored.
     turned = np.pi - found["direction_rad"].to_numpy()
-    return pd.DataFrame({"bend_rad": found["bend_rad"], "direction_rad": np.angle(np.exp(1j * turned))})
+    table = pd.DataFrame({"bend_rad": found["bend_rad"], "direction_rad": np.angle(np.exp(1j * turned))})
+    return table, share, "scored"

@@ -133,42 +133,64 @@ def errors_by_take(table: pd.DataFrame, length_mm: float, source: str) -> Figure
     Parameters
     ----------
     table
-        Columns ``method, calibration, length_mm, take, apart, rmse_deg, rmse_tilt_z_deg``.
+        Columns ``method, calibration, length_mm, take, rmse_deg, rmse_tilt_z_deg``.
     length_mm
         Arc length that is drawn [mm].
     source
-        Where the takes come from; stands in the title.
+        Where the takes come from; stands in the titles.
     """
+    panels = {"rmse_deg": "tilt of the y axis", "rmse_tilt_z_deg": "tilt of the z axis"}
+    return _rows_of_methods(table, length_mm, {name: f"{text}, {source}" for name, text in panels.items()})
+
+
+@page_figure
+def errors_by_bend(table: pd.DataFrame, length_mm: float, source: str) -> Figure:
+    """Error of the bend angle per take against the tilt of the y axis, by that tilt, one row per method.
+
+    Parameters
+    ----------
+    table
+        Columns ``method, calibration, length_mm, take, rmse_below_20_deg, rmse_20_to_40_deg, rmse_above_40_deg``.
+    length_mm
+        Arc length that is drawn [mm].
+    source
+        Where the takes come from; stands in the first title.
+    """
+    panels = {
+        "rmse_below_20_deg": f"bends below 20 deg, {source}",
+        "rmse_20_to_40_deg": "20 to 40 deg",
+        "rmse_above_40_deg": "above 40 deg",
+    }
+    return _rows_of_methods(table, length_mm, panels)
+
+
+def _rows_of_methods(table: pd.DataFrame, length_mm: float, titles: dict[str, str]) -> Figure:
+    """Draw one panel per column, in it one row per method with a dot per take and the median."""
     drawn = table[(table["length_mm"] == length_mm) | table["length_mm"].isna()]
     names = list(dict.fromkeys(zip(drawn["method"], drawn["calibration"], strict=True)))
     names.sort(key=lambda name: (name[0] == "ours", name[0]))
     figure, panels = plt.subplots(
-        1, 2, figsize=(9.4, 0.42 * len(names) + 1.5), sharey=True, sharex=True, squeeze=True
+        1, len(titles), figsize=(9.4, 0.42 * len(names) + 1.5), sharey=True, sharex=True, squeeze=True
     )
-    for panel, column, title in zip(
-        panels, ("rmse_deg", "rmse_tilt_z_deg"), ("tilt of the y axis", "tilt of the z axis"), strict=True
-    ):
+    for panel, (column, title) in zip(panels, titles.items(), strict=True):
         for row, (method, calibration) in enumerate(reversed(names)):
             part = drawn[(drawn["method"] == method) & (drawn["calibration"] == calibration)]
             colour = STYLES[method]["color"]
-            apart = part["apart"].to_numpy(dtype=bool)
-            panel.plot(part[column][~apart], np.full((~apart).sum(), row), "o", color=colour, ms=5)
-            panel.plot(part[column][apart], np.full(apart.sum(), row), "o", color=colour, mfc="none", ms=5)
+            panel.plot(part[column], np.full(len(part), row), "o", color=colour, ms=5)
             panel.plot(part[column].median(), row, "|", color=colour, ms=14, mew=2)
         panel.axvline(2.0, color="0.6", lw=0.8, ls="--")
-        panel.set(xlabel="RMSE of the bend angle [deg]", title=f"{title}, {source}")
+        panel.set(xlabel="RMSE of the bend angle [deg]", title=title)
     labels = [
         method if method != "ours" else f"ours: {calibration}" for method, calibration in reversed(names)
     ]
     panels[0].set_yticks(range(len(names)), labels)
-    largest = float(drawn[["rmse_deg", "rmse_tilt_z_deg"]].max().max())
+    largest = float(np.nanmax(drawn[list(titles)].to_numpy()))
     panels[0].set(ylim=(-0.6, len(names) - 0.4), xlim=(0, 1.05 * largest))
     handles = [
         Line2D([], [], color="0.3", marker="o", ls="none", label="take"),
-        Line2D([], [], color="0.3", marker="o", mfc="none", ls="none", label="more than 10 % masked"),
         Line2D([], [], color="0.3", marker="|", ms=12, mew=2, ls="none", label="median"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
 
 
