@@ -11,10 +11,13 @@ from scipy.stats import chi2, norm
 from repro.estimation.base import Trajectory
 from repro.experiments.baaij2023 import limits, robustness, temporal
 from repro.experiments.baaij2023.best import relative_error
+from repro.experiments.baaij2023.table2_map import fit_map
+from repro.experiments.baaij2023.table2_ours import OursConfig, estimate_bend
 from repro.experiments.mitchell2021 import segments_tables
 from repro.experiments.mitchell2021.segments import Course
 from repro.experiments.one_robot import fusion, fusion_tables
 from repro.experiments.one_robot.motion import ROBOT
+from repro.recordings.baaij2023 import Recording
 from repro.simulation.trajectories import lemniscate
 
 
@@ -184,6 +187,35 @@ class TestRobustness:
         assert medians["median"].tolist() == pytest.approx([ratio] * len(medians))
         line = robustness.by_trajectory(table).iloc[0]
         assert (line["lost_%"], line["lost_to_shorter_%"]) == (100 * lost, 100 * lost)
+
+
+class TestRig:
+    def test_bend_of_recordings_of_another_shape_scatters_as_its_covariance_says(self):
+        """Readings linear in the bend, by slopes J, each sensor off by a normal 5 mV that stays for the recording.
+
+        Least squares turns that into a spread of 25 (J^T J)^-1 mV^2; the prior of the bend takes a few per cent of
+        it away. Squared errors in units of the covariance are 1 then, with a deviation of 0.07 over 200 recordings.
+        """
+        g, slopes = np.random.default_rng(0), np.array([[-5300.0, 900.0, -4300.0], [-3000.0, -2800.0, -1200.0]])
+
+        def recorded(bend, off):
+            """Readings with noise of 0.5 mV, the elongation known to be constant."""
+            q = np.column_stack([bend, 4.5e-3 + 1e-9 * g.standard_normal(len(bend))])
+            u = [1282.0, 1205.0, 1387.0] + bend @ slopes + off
+            return Recording("toy", np.arange(len(q)), q, u + 0.5 * g.standard_normal(u.shape))
+
+        phi = np.linspace(0, 60, 4000)
+        path = 8e-3 * np.sqrt(phi / 60)[:, None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+        bend_map = fit_map(recorded(path, 0.0), degree=1)
+        # No bias that is common: its prior is 10 uV wide.
+        config = OursConfig(bias_mv=0.01, widest_mv=0.02, step_mv=0.01, shape_mv=5.0)
+        squares, bend = [], path[2000:2040]
+        for _ in range(200):
+            run = estimate_bend(bend_map, recorded(bend, 5.0 * g.standard_normal(3)).u, config)
+            error = run.q[-1, :2] - bend[-1]
+            squares.append(error @ np.linalg.solve(run.covariance[-1, :2, :2], error))
+        assert np.mean(squares) / 2 == pytest.approx(1.0, abs=0.25)
+        assert np.mean(np.array(squares) < chi2.ppf(0.95, 2)) == pytest.approx(0.95, abs=0.05)
 
 
 class TestSegments:
