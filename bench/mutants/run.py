@@ -1,7 +1,7 @@
 """Whether the tests see a changed expression: make each change of ``mutants.toml`` in a copy, and run its tests.
 
-``python bench/mutants/run.py [WORD ...]`` runs the mutants whose name or file contains one of the words; without words
-all. First the tests have to pass on the unchanged copy. Exit code: 0 if every mutant is killed, else 1.
+``python bench/mutants/run.py [WORD ...]`` runs the mutants whose name or file contains a word, without words all of
+them. First the tests have to pass on the unchanged copy. Exit code: 0 if every mutant is killed, else 1.
 """
 
 from __future__ import annotations

@@ -122,5 +122,8 @@ def test_calibrated_errors_are_those_of_the_calibrated_model_and_not_of_the_true
     assert errors[1] > 3 * errors[0]
     measured = session(ONE, coarse)
     known = calibration(ONE, measured, coarse).sensing(None)(measured.q.unsqueeze(1))
-    left = [(known - measured.readings), known - readings(measured.true_robot, measured.q[:, None], ring("released"))]
+    left = [
+        (known - measured.readings),
+        known - readings(measured.true_robot, measured.q[:, None], ring("released")),
+    ]
     assert all(float(x.square().mean().sqrt()) > 5 * NOISE_MT for x in left)

@@ -139,7 +139,7 @@ def of_gains_alone(size):
 
 
 def test_gains_alone_move_the_estimate_as_their_readings_say():
-    """Sensors whose gains are off by g read (1 + g) u; least squares turns g u into J^+ g u. By pinv, draw by draw."""
+    """Sensors whose gains are off by g read (1 + g) u; least squares turns g u into J^+ g u."""
     task = TASKS["one segment"]
     layout, size = scattered(task, seed=2), 1e-3
     u, J = LinearisedSensing(layout.robot(), ring_moments()).linearise(task.shapes[:2])
@@ -179,7 +179,9 @@ def test_guaranteed_error_is_that_of_the_direction_that_is_known_least(name):
     width = task.width[task.unknown]
     smallest = torch.linalg.eigvalsh(known * width * width.unsqueeze(-1))[..., 0].min()
     assert guaranteed_error(task, layout) == pytest.approx(100 / float(smallest.sqrt()), rel=1e-6)
-    assert guaranteed_error(task, layout, noise_mt=3 * NOISE_MT) == pytest.approx(300 / float(smallest.sqrt()))
+    assert guaranteed_error(task, layout, noise_mt=3 * NOISE_MT) == pytest.approx(
+        300 / float(smallest.sqrt())
+    )
 
 
 def test_tolerance_error_is_never_more_than_that_of_an_estimate_at_a_bound():

@@ -27,7 +27,11 @@ BY_NAME = {row.name: row for row in ROWS}
 class TestBaaij:
     @pytest.mark.parametrize(
         ("n_segments", "bending", "elongation"),
-        [(1, 3.5e-4, 3.5e-4), (2, 3e-3, 3e-4), (3, 2e-3, 2e-4)],  # section 3.3, and the same in the released code
+        [
+            (1, 3.5e-4, 3.5e-4),
+            (2, 3e-3, 3e-4),
+            (3, 2e-3, 2e-4),
+        ],  # section 3.3, and the same in the released code
     )
     def test_step_sizes_of_table_1(self, n_segments, bending, elongation):
         expected = torch.tensor([bending, bending, elongation] * n_segments, dtype=torch.float64)
@@ -124,7 +128,7 @@ class TestMitchell:
 
     @pytest.mark.parametrize("setting", [simulation.BEST, simulation.NOISY], ids=["best", "noisy"])
     def test_noise_is_that_of_the_real_sensor(self, setting):
-        """0.021 to 0.026 mT on each axis of recordings at rest; eq. (1) has no factor 1/2, so its sigma is sqrt(2) times."""
+        """0.021 to 0.026 mT on each axis at rest; eq. (1) has no factor 1/2, so its sigma is sqrt(2) times that."""
         assert 0.021 <= setting.sensor_noise_mt <= 0.026
         assert setting.sigma_mt == pytest.approx(math.sqrt(2) * setting.sensor_noise_mt)
 
@@ -132,7 +136,7 @@ class TestMitchell:
         """Least squares on each reading shows the noise: nearly straight, 1 rad moves the magnet by L/2 = 7.5 mm and
         the transverse field by 4.06 mT, so two axes of noise sigma make sigma 7.5/4.06 sqrt(2) mm.
 
-        One Gauss-Newton step from the cloud's mean is least squares, whatever the cloud, as the field is nearly linear.
+        One Gauss-Newton step from the cloud's mean is least squares, as the field is nearly linear.
         """
         setting = replace(simulation.BEST, estimate="Gauss-Newton", motion="random walk", particles=200)
         error, lost = simulation.follow(setting, steps=300, curves=["spiral"])

@@ -135,7 +135,7 @@ class TestFusion:
     """Made-up estimates: a Gaussian of a known covariance about a bent robot, so small that the tip is linear."""
 
     def test_squared_errors_in_units_of_the_covariance_are_one(self, columns):
-        """Of a position with three coordinates and of a direction with two; exact but for the curvature of the tip."""
+        """Of a position with three coordinates and of a direction with two coordinates."""
         assert float(columns["nees_tip"].mean()) == pytest.approx(1.0, abs=1e-3)
         assert float(columns["nees_direction"].mean()) == pytest.approx(1.0, abs=1e-3)
 
@@ -196,7 +196,10 @@ class TestRig:
         Least squares turns that into a spread of 25 (J^T J)^-1 mV^2; the prior of the bend takes a few per cent of
         it away. Squared errors in units of the covariance are 1 then, with a deviation of 0.07 over 200 recordings.
         """
-        g, slopes = np.random.default_rng(0), np.array([[-5300.0, 900.0, -4300.0], [-3000.0, -2800.0, -1200.0]])
+        g, slopes = (
+            np.random.default_rng(0),
+            np.array([[-5300.0, 900.0, -4300.0], [-3000.0, -2800.0, -1200.0]]),
+        )
 
         def recorded(bend, off):
             """Readings with noise of 0.5 mV, the elongation known to be constant."""

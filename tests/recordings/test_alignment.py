@@ -44,7 +44,7 @@ def test_lag_between_two_steps(share):
 
 
 def test_width_of_a_peak_of_known_shape():
-    """Two bumps exp(-t^2) correlate as exp(-lag^2/2), which is lower by 0.02 at a lag of sqrt(-2 ln 0.98) = 0.201 s."""
+    """Two bumps exp(-t^2) correlate as exp(-lag^2/2), lower by 0.02 at a lag of sqrt(-2 ln 0.98) = 0.201 s."""
     t = np.arange(0, 60, 0.01)
     bump = np.exp(-((t - 30) ** 2))
     lag = find_lag(t, bump, t, bump)

@@ -121,14 +121,14 @@ def test_released_alignment_drops_one_frame_more(start_q, start_u, apart):
         (40, 75, 0, 320, 663),
         # One frame more: 864 in common, those before 663.
         (40, 75, 1, 320, 662),
-        # Motion cut by 90 - 13 = 77 frames: 823 in common. Numbered from 0; those before 622, 77 frames later in the file.
+        # Motion cut by 90 - 13 = 77 frames: 823 in common, numbered from 0; those before 622, in the file 77 later.
         (90, 13, 0, 320 + 77, 621 + 77),
-        # One frame more: 822 in common, numbered from 1 to 822; those from 320 to 621 are 77 frames later in the file.
+        # One frame more: 822 in common, numbered from 1 to 822; those from 320 to 621, in the file 77 later.
         (90, 13, 1, 320 + 77, 621 + 77),
     ],
 )
 def test_first_and_last_frame_that_are_kept(start_q, start_u, skip, first, last):
-    """By the rule of the released code: index >= 8 s, index < last index - 5 s, at 40 Hz. Frames of motion capture."""
+    """By the rule of the released code: index >= 8 s, index < last index - 5 s, at 40 Hz."""
     recording = merge(*streams(start_q, start_u), "known", skip=skip)
     frames = np.rint(1e6 * recording.q[:, 0]).astype(int) + start_q
     np.testing.assert_array_equal(frames, np.arange(first, last + 1))
