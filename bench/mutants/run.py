@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -41,9 +42,9 @@ def outcome(root: Path, work: Path, tests: list[str], change: dict[str, Any] | N
         )
     except subprocess.TimeoutExpired:
         return "killed"
-    if done.returncode > 1:
+    if done.returncode > 1 or (done.returncode and not re.search(r"\d (failed|error)", done.stdout)):
         return f"refused: the tests cannot be run\n{done.stdout[-2000:]}{done.stderr[-2000:]}"
-    return ("survived", "killed")[done.returncode]
+    return "killed" if done.returncode else "survived"
 
 
 def run(root: Path, mutants: list[dict[str, Any]], work: Path) -> int:
