@@ -26,11 +26,12 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help book test lint check-site reproduce train studies bench diff soak fuzz vendor env clean lock
+.PHONY: help book test mutants lint check-site reproduce train studies bench diff soak fuzz vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
 	@echo 'make test        run the tests'
+	@echo 'make mutants     change one expression after the other and see whether the tests notice (minutes)'
 	@echo 'make lint        style, types and the direction of imports'
 	@echo 'make check-site  open every page of the built site in Chromium and check it'
 	@echo 'make reproduce   run all notebooks again in a clean copy and compare every table, byte by byte (minutes)'
@@ -53,6 +54,10 @@ book: env
 
 test: env
 	$(PY) -m pytest -n $(JOBS) --ignore=tests/book/test_site.py
+
+# A list that anybody may add to: bench/mutants/mutants.toml
+mutants: env
+	$(PY) bench/mutants/run.py
 
 lint: env
 	$(BIN)/ruff check .

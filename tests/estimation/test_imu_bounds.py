@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
 from smooth_curves import LENGTH, STEPS, evenly, read, smooth_curves
 
 from repro.errors import InputError
@@ -79,6 +81,44 @@ def test_circles_and_straight_arms_leave_no_error_of_arcs():
     for bound in (pcc_bound, arcs_bound, tangents_bound):
         np.testing.assert_allclose(bound(arm, POINTS, curvature=0.0, slope=0.0), 0.0, atol=1e-15)
     np.testing.assert_array_equal(rigid_bound(selection("rigid", 8), POINTS, curvature=0.0, slope=0.0), 0.0)
+
+
+def extremal_share(x):
+    """Integral of (y^2 + (1 - y)^2)/2 from the nearer end of a link of length 1: largest angle for a unit slope."""
+    near = min(x, 1 - x)
+    return (near**3 + 1 - (1 - near) ** 3) / 6
+
+
+@pytest.mark.parametrize(("k", "a"), [(0.3, 0.1), (1.0, 0.5), (2.0, 0.5)])
+def test_bound_of_one_arc_solves_the_inequality_at_the_head_of_the_module(k, a):
+    """k = curvature x length, a = slope x length^2. The constants by quadrature, the smallest solution by bracketing.
+
+    The largest angle that a slope allows, integrated over the link, is 3/32; the bound of a link is that plus Dh/4.
+    """
+    constant = quad(extremal_share, 0, 0.5)[0] + quad(extremal_share, 0.5, 1)[0]
+    assert constant == pytest.approx(3 / 32)
+
+    def excess(Dh):
+        e = a / 6 + Dh / 2
+        return k * (constant * a + Dh / 4) + (1 - e / 2 / math.tan(e / 2)) * (a / 3 + Dh) - Dh
+
+    Dh = brentq(excess, 0.0, 2.0 * constant * a * (1 + k))
+    found = arcs_bound(evenly(1, 1), LENGTH, curvature=k / LENGTH, slope=a / LENGTH**2)
+    np.testing.assert_allclose(found, LENGTH * min(constant * a + Dh / 4, k / 2), rtol=1e-6)
+
+
+def test_bound_of_an_arc_is_nearly_reached_by_an_even_change_of_curvature():
+    """A clothoid in a plane: its angle to the arc is slope x (h - x)/2, a mean of 1/12 beside 3/32, or 8/9 of it."""
+    arm, slope, n = evenly(1, 1), 0.05, 4000
+    s = np.linspace(0, LENGTH, n + 1)
+    angle = slope * s**2 / 2
+    middle = (angle[1:] + angle[:-1]) / 2
+    steps = LENGTH / n * np.stack([np.sin(middle), np.zeros(n), np.cos(middle)], axis=-1)
+    end = steps.sum(axis=0)
+    chord = 0.5 * angle[-1]
+    arc = LENGTH * np.sinc(chord / np.pi) * np.array([np.sin(chord), 0.0, np.cos(chord)])
+    bound = arcs_bound(arm, LENGTH, curvature=slope * LENGTH, slope=slope)[0]
+    assert np.linalg.norm(end - arc) / bound == pytest.approx(8 / 9, rel=0.02)
 
 
 @pytest.mark.parametrize("imus", [2, 8])

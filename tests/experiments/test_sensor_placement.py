@@ -132,6 +132,58 @@ def test_tolerance_error_is_what_least_squares_makes_of_robots_that_are_off():
     torch.testing.assert_close(torch.tensor(rms.to_numpy()), predicted, rtol=0.12, atol=0)
 
 
+def of_gains_alone(size):
+    """Tolerances of which only the gains of the sensors count."""
+    nothing = dict.fromkeys(vars(Tolerances()), 1e-12)
+    return Tolerances(**nothing | {"sensor_gain": size})
+
+
+def test_gains_alone_move_the_estimate_as_their_readings_say():
+    """Sensors whose gains are off by g read (1 + g) u; least squares turns g u into J^+ g u."""
+    task = TASKS["one segment"]
+    layout, size = scattered(task, seed=2), 1e-3
+    u, J = LinearisedSensing(layout.robot(), ring_moments()).linearise(task.shapes[:2])
+    moved = torch.linalg.pinv(J) * u.unsqueeze(-2)
+    deviation = size * torch.linalg.vector_norm(moved, dim=-1)
+    expected = expected_errors(task, layout, task.shapes[:2], tolerances=of_gains_alone(size))[1]
+    torch.testing.assert_close(expected, 100 * deviation / task.width, rtol=1e-3, atol=0)
+    few = replace(task, tests={"training": task.shapes[:2]})
+    found = measured_errors(few, {"x": layout}, draws=400, noise_mt=1e-9, tolerances=of_gains_alone(size))
+    found = found[found["robot"] == "within tolerances"]
+    rms = found.groupby("quantity", sort=False)["error_percent"].apply(lambda x: (x**2).mean() ** 0.5)
+    range_ = task.shapes[:2].amax(0) - task.shapes[:2].amin(0)
+    predicted = 100 * deviation.square().mean(0).sqrt() / range_
+    torch.testing.assert_close(torch.tensor(rms.to_numpy()), predicted, rtol=0.12, atol=0)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_every_sensor_twice_is_half_the_variance(name):
+    """Information of independent sensors adds up: all errors by noise are smaller by the root of two, no more."""
+    task = TASKS[name]
+    layout = scattered(task)
+    *sensors, magnet = layout.parts()
+    values = torch.cat([*(torch.cat([x, x]) for x in sensors), magnet])
+    twice = Layout(layout.segments, 2 * layout.sensor_segment, layout.magnet_segment, values)
+    one, two = (expected_errors(task, x)[0] for x in (layout, twice))
+    torch.testing.assert_close(one, math.sqrt(2) * two, rtol=1e-6, atol=0)
+    least = [guaranteed_error(task, x) for x in (layout, twice)]
+    assert least[0] == pytest.approx(math.sqrt(2) * least[1], rel=1e-6)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_guaranteed_error_is_that_of_the_direction_that_is_known_least(name):
+    """The smallest eigenvalue of the information in units of the ranges, over the shapes."""
+    task = TASKS[name]
+    layout = scattered(task)
+    known = information(task, layout, task.shapes)[..., task.unknown, :][..., task.unknown]
+    width = task.width[task.unknown]
+    smallest = torch.linalg.eigvalsh(known * width * width.unsqueeze(-1))[..., 0].min()
+    assert guaranteed_error(task, layout) == pytest.approx(100 / float(smallest.sqrt()), rel=1e-6)
+    assert guaranteed_error(task, layout, noise_mt=3 * NOISE_MT) == pytest.approx(
+        300 / float(smallest.sqrt())
+    )
+
+
 def test_tolerance_error_is_never_more_than_that_of_an_estimate_at_a_bound():
     task = TASKS["one segment"]
     large = Tolerances(*(1e4 * x for x in vars(Tolerances()).values()))

@@ -33,6 +33,25 @@ def test_a_shift_of_one_clock_shifts_the_lag():
     assert moved.common_s == pytest.approx(30, abs=0.05)
 
 
+@pytest.mark.parametrize("share", [-0.3, 0.3, 0.5])
+def test_lag_between_two_steps(share):
+    """A signal shifted by a share of a sample: the parabola through three steps finds it, on the right side."""
+    step_s = 0.02
+    t = np.arange(0, 30, step_s)
+    lag_s = 1.5 + share * step_s
+    lag = find_lag(t, bend(t), t, bend(t + lag_s), step_s=step_s)
+    assert lag.lag_s == pytest.approx(lag_s, abs=0.02 * step_s)
+
+
+def test_width_of_a_peak_of_known_shape():
+    """Two bumps exp(-t^2) correlate as exp(-lag^2/2), lower by 0.02 at a lag of sqrt(-2 ln 0.98) = 0.201 s."""
+    t = np.arange(0, 60, 0.01)
+    bump = np.exp(-((t - 30) ** 2))
+    lag = find_lag(t, bump, t, bump)
+    assert lag.width_s == pytest.approx(2 * np.sqrt(-2 * np.log(0.98)), rel=0.05)
+    assert lag.common_s == pytest.approx(60, abs=0.02)
+
+
 def test_masked_samples_are_not_bridged():
     t = np.arange(0, 30, 0.02)
     masked = np.where((t > 12) & (t < 18), np.nan, bend(t))

@@ -112,6 +112,31 @@ def test_released_alignment_drops_one_frame_more(start_q, start_u, apart):
     np.testing.assert_array_equal(since_u - since_q, apart)
 
 
+@pytest.mark.parametrize(
+    ("start_q", "start_u", "skip", "first", "last"),
+    [
+        # Nothing to align: of frames 0 to 899 those from 8 s = frame 320 on, and before 899 - 5 s = frame 699.
+        (40, 40, 1, 320, 698),
+        # Readings cut by 75 - 40 = 35 frames: 865 in common, the last is 864, so those before 664.
+        (40, 75, 0, 320, 663),
+        # One frame more: 864 in common, those before 663.
+        (40, 75, 1, 320, 662),
+        # Motion cut by 90 - 13 = 77 frames: 823 in common, numbered from 0; those before 622, in the file 77 later.
+        (90, 13, 0, 320 + 77, 621 + 77),
+        # One frame more: 822 in common, numbered from 1 to 822; those from 320 to 621, in the file 77 later.
+        (90, 13, 1, 320 + 77, 621 + 77),
+    ],
+)
+def test_first_and_last_frame_that_are_kept(start_q, start_u, skip, first, last):
+    """By the rule of the released code: index >= 8 s, index < last index - 5 s, at 40 Hz."""
+    recording = merge(*streams(start_q, start_u), "known", skip=skip)
+    frames = np.rint(1e6 * recording.q[:, 0]).astype(int) + start_q
+    np.testing.assert_array_equal(frames, np.arange(first, last + 1))
+    np.testing.assert_array_equal(recording.frame, np.arange(last - first + 1))
+    delay = start_u - start_q + skip * np.sign(start_u - start_q)
+    np.testing.assert_array_equal(recording.u[:, 0] - 1100.0 + start_u, frames + delay)
+
+
 def test_the_rest_of_the_longer_stream_is_cut_and_counted():
     longer = merge(*streams(40, 40, n_u=FRAMES + 50), "known")
     shorter = merge(*streams(40, 40, n_u=FRAMES - 50), "known")
