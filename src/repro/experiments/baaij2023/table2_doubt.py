@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.estimation.consistency import lasting
+from repro.estimation.consistency import CONSISTENT, lasting
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.experiments.baaij2023.table2 import PaperRun
 from repro.experiments.baaij2023.table2_map import SCALE_MM, BendMap
@@ -86,7 +86,8 @@ def doubt_table(bend_map: BendMap, paper: PaperRun, filtered: dict[str, OursRun]
     -------
     pandas.DataFrame
         ``recording, method, lost_percent, doubted_percent, lost_and_doubted_percent``; of the paper's method the mean
-        over its seeds.
+        over its seeds. Of the filter ``suspicious_percent``, the share of frames that it doubts itself, and
+        ``restarts``, how often it was started anew; of the paper's method, which does not watch, none.
     """
     rows = []
     for name, part in paper.parts.items():
@@ -103,6 +104,11 @@ def doubt_table(bend_map: BendMap, paper: PaperRun, filtered: dict[str, OursRun]
             names = ("lost_percent", "doubted_percent", "lost_and_doubted_percent")
             shares = dict(zip(names, (100 * np.mean(found, axis=0)).tolist(), strict=True))
             rows.append({"recording": name, "method": method} | shares)
+        own = filtered[name]
+        rows[-1] |= {
+            "suspicious_percent": 100 * float((own.status != CONSISTENT).mean()),
+            "restarts": own.anew[-1],
+        }
     return pd.DataFrame(rows)
 
 

@@ -17,6 +17,12 @@ it from the bias. With the priors :math:`b \sim N(0, \sigma_b^2)` of the bias pr
 :math:`\Delta_L \sim N(\bar\Delta_L, \sigma_L^2)` of T5.train, :math:`c = b + g\,(\Delta_L - \bar\Delta_L)` is
 split as the priors demand. The covariance adds what T5 cannot show: that other recordings differ from it in shape.
 
+The residual of the readings at the estimate, in units of the error of the map, tells where the bend is lost. After
+:data:`LASTING` frames above :data:`RESIDUAL` a new bank starts at the first of them, by the search of frame 0.
+It is taken if it halves the residual and ends elsewhere; else the filter goes on, and its frames are *suspicious*.
+Where the readings have become another function of the bend, and nothing is lost, a new start fits better, too, but
+near the old one, and errs as much: hence the condition that it ends elsewhere.
+
 The bank of filters was preferred to a single filter, and its settings were looked at, on random twins of seeds 1000
 to 1003; those that pages are about were not used. The settings matter little there: half and twice the prior of the
 bias, or half the distance between its values, change the mean error by less than 3 %.
@@ -24,15 +30,23 @@ bias, or half the distance between its values, change the mean error by less tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from repro.errors import bad_input
+from repro.estimation.consistency import CONSISTENT, SUSPICIOUS, WINDOW
 from repro.experiments.baaij2023.compiled_rig_filter import bank_start, bank_step, filter_bank
 from repro.experiments.baaij2023.table2_map import SCALE_MM, BendMap
 from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS
+
+RESIDUAL = 4.0
+"""Root mean square over the sensors, in units of the error of the map: above it, something is wrong."""
+LASTING = 20
+"""So many frames in a row above it, and a new start is searched; and again after as many."""
+ELSEWHERE_MM = 5.0
+"""A new start ends elsewhere if its bend is farther from the old one [mm]: what the page calls lost."""
 
 
 @dataclass(frozen=True)
@@ -92,12 +106,19 @@ class OursRun:
         Its covariance [m²]; that of bend and elongation with one another is left out.
     bias_mv, bias_deviation_mv
         Common bias and its standard deviation, given the readings so far.
+    status
+        Of each frame, a number of :data:`repro.estimation.consistency.STATUS`: *suspicious* while no new start
+        explains the readings, and just after one. Empty where nothing watches, reading by reading.
+    anew
+        How often the filter was started anew, up to each frame.
     """
 
     q: Float[np.ndarray, "t 3"]
     covariance: Float[np.ndarray, "t 3 3"]
     bias_mv: Float[np.ndarray, " t"]
     bias_deviation_mv: Float[np.ndarray, " t"]
+    status: Int[np.ndarray, " watched"] = field(default_factory=lambda: np.zeros(0, dtype=int))
+    anew: Int[np.ndarray, " watched"] = field(default_factory=lambda: np.zeros(0, dtype=int))
 
 
 @dataclass(frozen=True)
@@ -177,17 +198,38 @@ class BendFilter:
         return self._run(state.mean_mm[None], state.covariance_mm2[None], state.weights[None])
 
     def whole(self, readings_mv: Float[np.ndarray, "t 3"]) -> OursRun:
-        """All frames of a recording, the same to the bit as far as the bend goes."""
-        biases = self.config.biases()
-        found = filter_bank(
-            np.ascontiguousarray(readings_mv),
-            *self._map(),
-            -0.5 * (biases / self._common()) ** 2,
-            self._firsts(readings_mv[0]),
-            *self._start(),
-            *self._rest(),
-        )
-        return self._run(*found)
+        """All frames of a recording: as in steps, to the bit as far as the bend goes, up to the first new start."""
+        u = np.ascontiguousarray(readings_mv)
+        found = self._bank(u)
+        square = self._square(u, found)
+        status, anew, lasting, since = np.full(len(u), CONSISTENT), np.zeros(len(u), dtype=int), 0, WINDOW
+        for k in range(len(u)):
+            lasting, since = lasting + 1 if square[k] > RESIDUAL**2 else 0, since + 1
+            if lasting and lasting % LASTING == 0:
+                recent = slice(k - LASTING + 1, k + 1)
+                fresh = self._bank(u[recent])
+                better = self._square(u[recent], fresh).mean() < 0.25 * square[recent].mean()
+                if better and np.hypot(*(fresh[0][-1] - found[0][k])[:2]) > ELSEWHERE_MM:
+                    for old, new in zip(found, self._bank(u[recent.start :]), strict=True):
+                        old[k:] = new[LASTING - 1 :]
+                    square[k:] = self._square(u[k:], tuple(x[k:] for x in found))
+                    anew[k:] += 1
+                    lasting = since = 0
+            if lasting >= LASTING or since < WINDOW:
+                status[k] = SUSPICIOUS
+        return replace(self._run(*found), status=status, anew=anew)
+
+    def _bank(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        log_weights = -0.5 * (self.config.biases() / self._common()) ** 2
+        return filter_bank(u, *self._map(), log_weights, self._firsts(u[0]), *self._start(), *self._rest())
+
+    def _square(self, u: np.ndarray, found: tuple[np.ndarray, ...]) -> np.ndarray:
+        means, _, weights = found
+        apart = u - self.bend_map(means[:, :2]) - (weights @ self.config.biases())[:, None]
+        return ((apart / self._unit()) ** 2).mean(axis=1)
+
+    def _unit(self) -> np.ndarray:
+        return np.hypot(self.bend_map.noise_mv, self.bend_map.error_mv)
 
     def _map(self) -> tuple[np.ndarray, int, float, np.ndarray]:
         return self.bend_map.factors, self.bend_map.degree, SCALE_MM, self.config.biases()
@@ -206,9 +248,8 @@ class BendFilter:
 
     def _firsts(self, reading_mv: np.ndarray) -> np.ndarray:
         bend_map = self.bend_map
-        unit = np.hypot(bend_map.noise_mv, bend_map.error_mv)
         apart = (reading_mv - self.config.biases()[:, None])[:, None] - bend_map(bend_map.starts)
-        return bend_map.starts[((apart / unit) ** 2).sum(axis=-1).argmin(axis=1)]
+        return bend_map.starts[((apart / self._unit()) ** 2).sum(axis=-1).argmin(axis=1)]
 
     def _spread_l(self) -> float:
         return self.config.elongation_spread * float(self.bend_map.spread_mm[2])
