@@ -5,9 +5,12 @@ from functools import cache
 import numpy as np
 
 from repro.estimation.consistency import CONSISTENT, SUSPICIOUS, WINDOW
+from repro.experiments.baaij2023.table2 import PaperRun
 from repro.experiments.baaij2023.table2_data import RigData, load_recordings
+from repro.experiments.baaij2023.table2_doubt import doubt_table
 from repro.experiments.baaij2023.table2_map import fit_map
 from repro.experiments.baaij2023.table2_ours import LASTING, BendFilter, estimate_bend
+from repro.recordings.baaij2023 import Recording
 from repro.simulation.rig_twins import random_twin
 
 
@@ -40,7 +43,7 @@ def test_a_wrong_start_is_left_within_a_second_and_is_kept_where_nothing_watches
     found = apart_mm(1e3 * run.q[:, :2], truth)
     first = int(np.argmax(run.anew > 0))
     assert LASTING - 1 <= first < 40
-    assert np.array_equal(1e3 * run.q[:first, :2], alone[:first])
+    assert np.array_equal(run.q[:first, :2], 1e-3 * alone[:first])
     assert found[first:].max() < 1.0
     # It says so: at the new start, and for as long as a monitor calls one new.
     assert (run.status[first : first + WINDOW] == SUSPICIOUS).all()
@@ -80,3 +83,15 @@ def test_on_the_twin_of_the_page_it_is_never_started_anew():
         run = estimate_bend(bend_map, part.u)
         assert (run.status == CONSISTENT).all(), name
         assert (run.anew == 0).all(), name
+
+
+def test_the_table_of_doubt_states_restarts_and_suspicious_frames_of_the_filter_alone():
+    bend_map, whole = fit_map(lost_rig().train), lost_rig().tests["T3"]
+    part = Recording(whole.name, whole.frame[:560], whole.q[:560], whole.u[:560])
+    run = estimate_bend(bend_map, part.u)
+    paper = PaperRun({"T3": part}, (0,), {}, {("known", "T3"): part.q[:, None]})
+    table = doubt_table(bend_map, paper, {"T3": run}).set_index("method")
+    assert table.loc["filter with a map", "restarts"] == run.anew[-1] == 1
+    share = 100 * (run.status == SUSPICIOUS).mean()
+    assert table.loc["filter with a map", "suspicious_percent"] == share > 0
+    assert table.loc["paper, elongation known", ["suspicious_percent", "restarts"]].isna().all()

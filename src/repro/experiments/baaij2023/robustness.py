@@ -2,7 +2,8 @@ r"""Ours against the paper's method on random twins of the rig of Baaij et al. 2
 
 A random twin has other places and directions of the sensors, another hysteresis and drift, and other biases than the
 nominal one (:func:`repro.simulation.rig_twins.random_twin`). On each, both methods learn from its T5.train alone: the
-paper's by its recipe, one network for each sensor. Ours was fixed before a network of these twins was trained.
+paper's by its recipe, one network for each sensor. Ours was fixed before a network of these twins was trained, but
+for its new starts (`repro.experiments.baaij2023.table2_ours`), which came later.
 """
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
