@@ -26,7 +26,7 @@ def spread(seconds, shorter):
     data, model = twin_and_network()
     errors = errors_by_start(data.shortened(seconds), data, model, (0,), starts=4, shorter=shorter)
     assert set(errors["start"]) == set(range(4))
-    return rounding_table(errors)["seed_apart_percent"].max() / 100
+    return float(rounding_table(errors)["seed_apart_percent"].to_numpy().max()) / 100
 
 
 def test_rounding_grows_where_the_step_is_too_long():
