@@ -31,7 +31,7 @@ def test_bias_of_made_up_cells():
     published = pd.DataFrame([printed for printed, _ in cells])
     twice = pd.concat([published, published.assign(row="nominal")])  # another name of n_b=3, without errors
     table = bias_table(pd.DataFrame([line for _, seeds in cells for line in seeds]), twice)
-    assert table["n_b"].tolist() == [1, 3, "all"]
+    assert table["n_b"].tolist() == ["1", "3", "all"]
     assert table["cells"].tolist() == [1, 2, 3]
     assert table["below"].tolist() == [1, 1, 2]
     assert table["ratio"].tolist() == pytest.approx([0.5, math.sqrt(2 / 4), 0.25 ** (1 / 3)])

@@ -30,7 +30,7 @@ def bias_table(errors: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        ``n_b`` (a number of segments, or all), ``cells``, ``below`` (cells whose mean over the seeds is below print),
+        ``n_b`` (a number of segments, or all, as text), ``cells``, ``below`` (cells whose mean over the seeds is below print),
         ``ratio`` (of these means), ``lowest_seed`` and ``highest_seed`` (the ratio of a single seed's errors),
         ``std_ratio`` (of the standard deviations over the seeds; NaN for one seed).
     """
@@ -46,7 +46,7 @@ def bias_table(errors: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
         by_seed = np.log(group["error"] / group["published"]).groupby(group["seed"]).mean()
         lines.append(
             {
-                "n_b": label,
+                "n_b": str(label),
                 "cells": len(mean),
                 "below": int((mean < printed).sum()),
                 "ratio": np.exp(np.log(mean / printed).mean()),
