@@ -31,7 +31,7 @@ def bias_table(errors: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
     -------
     pandas.DataFrame
         ``n_b`` (a number of segments, or all, as text), ``cells``, ``below`` (cells whose mean over the seeds is
-        below print), ``ratio`` (of these means), ``lowest_seed`` and ``highest_seed`` (that of a single seed's errors),
+        below print), ``ratio`` (of these means), ``lowest_seed`` and ``highest_seed`` (of a single seed's errors),
         ``std_ratio`` (of the standard deviations over the seeds; NaN for one seed).
     """
     segments, keys = {row.name: row.n_segments for row in ROWS}, ["row", "quantity", "unit"]
