@@ -161,14 +161,15 @@ def test_scorecard(folder):
     assert repro("scorecard", "--require", "reference.csv").returncode == 0
 
 
-def test_a_scorecard_that_lost_a_row():
+def test_a_scorecard_with_another_verdict():
     Path("reference.csv").write_text(
         "paper,artefact,row,quantity,unit,verdict\na2020,Table 1,one,e_u,mT,reproduced\n"
     )
     done = repro("scorecard", "--require", "reference.csv")
     assert done.returncode == 1
     assert done.stderr == (
-        "No longer reproduced or better:\n  a2020 / Table 1 / one / e_u / mT: was reproduced, is missing\n"
+        "Verdicts other than in reference.csv:\n"
+        "  a2020 / Table 1 / one / e_u / mT: was reproduced, is missing\n"
     )
 
 

@@ -115,7 +115,8 @@ def write_placeholders(book: Path) -> None:
         :::
         """
     )
-    for name in ("counts.md", "scorecard.md", "scorecard_picture.md", "papers.md"):
+    verdicts = [f"verdicts_{paper}.md" for paper in ("baaij2023", "mitchell2021", "martin2022")]
+    for name in ("counts.md", "scorecard.md", "scorecard_picture.md", "papers.md", *verdicts):
         if not (book / "generated" / name).exists():
             write_if_changed(book / "generated" / name, text)
 

@@ -78,22 +78,28 @@ def scorecard(*, require: Path | None = None, write_reference: Path | None = Non
     Parameters
     ----------
     require
-        A reference; exit with 1 if a row that it calls reproduced or better no longer is.
+        A reference; exit with 1 if any verdict is not the one that it has, for the better or for the worse.
     write_reference
         Write today's verdicts as a reference to this file.
     """
     from repro.report.files import write_whole
     from repro.report.project import find_project, shown
-    from repro.report.scorecard import REFERENCE_COLUMNS, compute_scorecard, lost_rows, scorecard_csv, summary
+    from repro.report.scorecard import (
+        REFERENCE_COLUMNS,
+        changed_verdicts,
+        compute_scorecard,
+        scorecard_csv,
+        summary,
+    )
 
     project = find_project()
     rows = compute_scorecard(project)
     path = project.results / "scorecard.csv"
     write_whole(path, scorecard_csv(rows))
     print(f"{summary(rows)}\n\nAll rows: {shown(path)}")
-    lost = lost_rows(rows, require) if require else []
-    if lost:
-        print("No longer reproduced or better:", *lost, sep="\n  ", file=sys.stderr)
+    changed = changed_verdicts(rows, require) if require else []
+    if changed:
+        print(f"Verdicts other than in {require}:", *changed, sep="\n  ", file=sys.stderr)
         return 1
     if write_reference:
         write_whole(write_reference, scorecard_csv(rows, REFERENCE_COLUMNS))

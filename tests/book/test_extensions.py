@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -67,6 +68,13 @@ def test_placeholders_never_replace_computed_fragments(tmp_path):
     api.write_placeholders(tmp_path)
     assert (tmp_path / "generated" / "counts.md").read_text() == "7 reproduced"
     assert "make book" in (tmp_path / "generated" / "scorecard.md").read_text()
+    included = [
+        name
+        for page in (*BOOK.glob("*.md"), *BOOK.glob("chapters/*.md"))
+        for name in re.findall(r"generated/(\w+\.md)", page.read_text())
+    ]
+    written = {path.name for path in (tmp_path / "generated").iterdir()}
+    assert set(included) - {"modules.md"} <= written
 
 
 def test_names_resolve_where_they_are_defined():

@@ -8,7 +8,7 @@ import torch
 
 from repro.errors import InputError
 from repro.experiments.baaij2023.best import Config, against_published, best, calibration, session, summary
-from repro.experiments.baaij2023.limits import cold_starts, consistency, coverage, observability
+from repro.experiments.baaij2023.limits import checks, cold_starts, consistency, coverage, observability
 from repro.experiments.baaij2023.table1_rows import ROWS
 from repro.sensing.linearised import LinearisedSensing
 
@@ -97,6 +97,12 @@ def test_covariance_ellipsoids():
     found = coverage(1)
     assert found["trials"].item() == 2000
     assert 93 <= found["inside_percent"].item() <= 97
+
+
+def test_checks_tell_how_many_truths_were_tried():
+    """Of those drawn, the ones far enough inside the bounds; with three segments fewer than with one."""
+    one, three = (checks(n, starts=2, trials=5)["kept_percent"].item() for n in (1, 3))
+    assert three < one < 100
 
 
 def test_two_sensors_per_segment_leave_bending_out_of_their_plane_open():

@@ -13,13 +13,15 @@ from repro.report.results import write_scorecard_rows
 from repro.report.scorecard import (
     COLUMNS,
     REFERENCE_COLUMNS,
+    ScorecardRow,
+    changed_verdicts,
     compute_scorecard,
     geometric_mean_ratio,
-    lost_rows,
     scorecard_csv,
     summary,
 )
-from repro.report.scorecard_page import counts_page, scorecard_page
+from repro.report.scorecard_page import counts_page, scorecard_page, verdicts_page
+from repro.report.verdicts import Verdict
 
 E_U = {"paper": "a2020", "artefact": "Table 1", "row": "one", "quantity": "e_u", "unit": "mT", "setting": "x"}
 RATE = {
@@ -41,16 +43,16 @@ def project(root: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
 def test_columns():
     assert ", ".join(COLUMNS) == (
         "paper, artefact, row, quantity, unit, published, published_std, regenerated, regenerated_std, n_seeds, "
-        "setting, verdict, weak, best, best_method, note"
+        "setting, verdict, weak, near_edge, best, best_method, note"
     )
 
 
 def test_every_row_is_listed_from_the_start(project):
     assert scorecard_csv(compute_scorecard(project)) == (
         ",".join(COLUMNS) + "\n"
-        "a2020,Table 1,one,e_u,mT,0.015,0.002,,,,,missing,false,,,\n"
-        "a2020,Table 1,two,e_u,mT,0.016,,,,,,missing,false,,,\n"
-        "b2021,Fig. 2,one,update_rate,Hz,60,,,,,,missing,false,,,\n"
+        "a2020,Table 1,one,e_u,mT,0.015,0.002,,,,,missing,false,false,,,\n"
+        "a2020,Table 1,two,e_u,mT,0.016,,,,,,missing,false,false,,,\n"
+        "b2021,Fig. 2,one,update_rate,Hz,60,,,,,,missing,false,false,,,\n"
     )
 
 
@@ -119,24 +121,60 @@ def test_missing_published_numbers_are_refused(tmp_path):
         read_published(tmp_path / "published.csv")
 
 
-def test_lost_rows(project, tmp_path):
+def test_changed_verdicts(project, tmp_path):
+    """Any other verdict is told, a better one too, and a row that only one list has."""
     reference = tmp_path / "reference.csv"
     write_scorecard_rows([{**E_U, "regenerated": 0.015}, {**RATE, "regenerated": 90}], "first")
     reference.write_text(scorecard_csv(compute_scorecard(project), REFERENCE_COLUMNS))
-    assert lost_rows(compute_scorecard(project), reference) == []
+    assert changed_verdicts(compute_scorecard(project), reference) == []
     write_scorecard_rows([{**E_U, "regenerated": 0.001}, {**RATE, "regenerated": 1, "note": "slow"}], "first")
-    assert lost_rows(compute_scorecard(project), reference) == [
-        "b2021 / Fig. 2 / one / update_rate / Hz: was better, is differs"
+    assert changed_verdicts(compute_scorecard(project), reference) == [
+        "a2020 / Table 1 / one / e_u / mT: was reproduced, is better",
+        "b2021 / Fig. 2 / one / update_rate / Hz: was better, is differs",
     ]
     gone = [row for row in compute_scorecard(project) if row.paper == "a2020"]
-    assert "was better, is not listed" in lost_rows(gone, reference)[0]
+    assert "was better, is not listed" in changed_verdicts(gone, reference)[1]
+    lines = reference.read_text().splitlines(keepends=True)
+    reference.write_text("".join(lines[:-1]))
+    assert changed_verdicts(compute_scorecard(project), reference)[1:] == [
+        "b2021 / Fig. 2 / one / update_rate / Hz: is not in reference.csv, is differs"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("regenerated", "verdict", "near"),
+    # the band of 0.015 +- 0.002 is 0.002 sqrt(3) = 0.003464 wide on each side
+    [
+        (0.0182, "reproduced", False),
+        (0.0184, "reproduced", True),
+        (0.0186, "differs", True),
+        (0.0187, "differs", False),
+        (0.0116, "reproduced", True),
+        (0.0114, "better", True),
+    ],
+)
+def test_near_the_edge_of_a_band(project, tmp_path, regenerated, verdict, near):
+    """Within 5 % of the edge a row is marked, on the page, in the table, and where its verdict has changed."""
+    write_scorecard_rows([{**E_U, "regenerated": regenerated, "note": "n"}], "first")
+    rows = compute_scorecard(project)
+    assert (rows[0].verdict, rows[0].near_edge) == (verdict, near)
+    assert ("near the edge of its band" in scorecard_page(rows)) == near
+    reference = tmp_path / "reference.csv"
+    reference.write_text(scorecard_csv(rows, REFERENCE_COLUMNS).replace(verdict, "not_comparable", 1))
+    (changed,) = changed_verdicts(rows, reference)
+    assert changed.endswith("(within 5 % of the edge of its band)") == near
+
+
+def test_what_is_not_compared_is_not_near_an_edge(project):
+    write_scorecard_rows([{**E_U, "regenerated": 0.0184, "comparable": False}], "first")
+    assert not any(row.near_edge for row in compute_scorecard(project))
 
 
 def test_a_reference_with_an_unknown_verdict_is_refused(project, tmp_path):
     reference = tmp_path / "reference.csv"
     reference.write_text(",".join(REFERENCE_COLUMNS) + "\na,b,c,d,e,fine\n")
     with pytest.raises(InputError, match="Input verdict of reference.csv must be one of reproduced, better"):
-        lost_rows(compute_scorecard(project), reference)
+        changed_verdicts(compute_scorecard(project), reference)
 
 
 def test_geometric_means(project):
@@ -187,6 +225,17 @@ def test_pages(project):
         "0 are not comparable, and 1 is missing."
     )
     assert header == "| Paper | reproduced | better | differs | not comparable | missing |"
+
+
+def test_numbers_read_off_figures_are_counted():
+    """Beside the count stands how many of the numbers are printed nowhere."""
+    place = {"paper": "martin2022", "artefact": "Fig. 3", "row": "one", "quantity": "median", "unit": "mm"}
+    texts = dict.fromkeys(COLUMNS, "") | place | {"published": "160"}
+    rows = [ScorecardRow(**texts | {"verdict": Verdict.MISSING, "weak": False, "near_edge": False})]  # pyright: ignore
+    assert counts_page(rows).startswith(
+        "Of the 1 numbers that the papers print, or show in figures (1 were read off), 0 are reproduced"
+    )
+    assert verdicts_page(rows) == "Verdicts of the scorecard: Fig. 3: 1 missing.\n"
 
 
 def test_the_committed_files_list_the_same_rows():

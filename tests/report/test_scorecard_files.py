@@ -20,7 +20,9 @@ def row(verdict: Verdict, published: str = "2.0", regenerated: str = "1.0", **ot
     texts = {"paper": "baaij2023", "artefact": "Table 1", "row": "n_b=1", "quantity": "e_u", "unit": "mT"}
     texts |= {"published_std": "", "regenerated_std": "", "n_seeds": "3", "setting": "x", "best": ""}
     texts |= {"best_method": "", "note": ""} | other
-    return ScorecardRow(published=published, regenerated=regenerated, verdict=verdict, weak=False, **texts)
+    return ScorecardRow(
+        published=published, regenerated=regenerated, verdict=verdict, weak=False, near_edge=False, **texts
+    )
 
 
 ROWS = [
@@ -127,6 +129,8 @@ def test_files(tmp_path):
         "scorecard.svg",
         "scorecard_picture.md",
         "scorecard_picture.svg",
+        "verdicts_baaij2023.md",
+        "verdicts_martin2022.md",
     ]
     assert b"notebooks/imu_markers.html#fig-imu-markers" in first["scorecard.md"]
     assert b":alt: Regenerated over published for 5 numbers" in first["scorecard_picture.md"]

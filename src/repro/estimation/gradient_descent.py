@@ -48,8 +48,10 @@ class GradientDescent:
     carry_momentum
         Keep the momentum from one time step to the next, as the released code does; else start at zero.
     backend
-        ``"torch"``, for any sensor model, or ``"compiled"``: the same by one kernel, to rounding, for the models of
-        :class:`~repro.sensing.compiled_sensing.CompiledSensing`, which are copied here.
+        ``"torch"``, for any sensor model, or ``"compiled"``: the same by one kernel, for the models of
+        :class:`~repro.sensing.compiled_sensing.CompiledSensing`, which are copied here. One step agrees to rounding
+        where the descent is stable. Where a step size is too long for the curvature of the loss, iterates that differ
+        by rounding part, and the two end apart: neither is then the right one.
     noise_mt
         Standard deviation of a reading, in its unit. The descent does not need it; without it ``chi2`` is NaN.
 

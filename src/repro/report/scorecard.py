@@ -14,7 +14,7 @@ from repro.errors import bad_input
 from repro.report.project import Project
 from repro.report.published import Published, RowKey, read_csv, read_published, row_key
 from repro.report.regenerated import ROW_COLUMNS, check_row
-from repro.report.verdicts import HOLDS, Verdict, is_weak, verdict
+from repro.report.verdicts import HOLDS, Verdict, is_near_edge, is_weak, verdict
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,7 @@ class ScorecardRow:
     setting: str
     verdict: Verdict
     weak: bool
+    near_edge: bool
     best: str
     best_method: str
     note: str
@@ -46,6 +47,8 @@ class ScorecardRow:
 
 COLUMNS = tuple(ScorecardRow.__dataclass_fields__)
 REFERENCE_COLUMNS = (*RowKey._fields, "verdict")
+COMPARED = HOLDS | {Verdict.DIFFERS}
+"""Verdicts of rows that were compared."""
 
 
 def compute_scorecard(project: Project) -> list[ScorecardRow]:
@@ -104,6 +107,15 @@ def _read_rows(files: Iterable[Path], published: Mapping[RowKey, Published]) -> 
 def _compare(key: RowKey, printed: Published, row: Mapping[str, str]) -> ScorecardRow:
     regenerated, std = row.get("regenerated", ""), row.get("regenerated_std", "")
     setting = row.get("setting", "")
+    found = verdict(
+        key.quantity,
+        printed.value,
+        printed.std,
+        regenerated,
+        std,
+        setting=setting,
+        comparable=row.get("comparable", "true") == "true",
+    )
     return ScorecardRow(
         *key,
         published=printed.value,
@@ -112,16 +124,9 @@ def _compare(key: RowKey, printed: Published, row: Mapping[str, str]) -> Scoreca
         regenerated_std=std,
         n_seeds=row.get("n_seeds", ""),
         setting=setting,
-        verdict=verdict(
-            key.quantity,
-            printed.value,
-            printed.std,
-            regenerated,
-            std,
-            setting=setting,
-            comparable=row.get("comparable", "true") == "true",
-        ),
+        verdict=found,
         weak=is_weak(printed.value, printed.std, std),
+        near_edge=found in COMPARED and is_near_edge(printed.value, printed.std, regenerated, std),
         best=row.get("best", ""),
         best_method=row.get("best_method", ""),
         note=row.get("note", ""),
@@ -133,12 +138,14 @@ def scorecard_csv(rows: Iterable[ScorecardRow], columns: Sequence[str] = COLUMNS
     stream = io.StringIO()
     writer = csv.DictWriter(stream, columns, lineterminator="\n", extrasaction="ignore")
     writer.writeheader()
-    writer.writerows({**asdict(row), "weak": str(row.weak).lower()} for row in rows)
+    for row in rows:
+        truths = {name: str(getattr(row, name)).lower() for name in ("weak", "near_edge")}
+        writer.writerow(asdict(row) | truths)
     return stream.getvalue()
 
 
-def lost_rows(rows: Iterable[ScorecardRow], reference: Path) -> list[str]:
-    """Return the rows that a reference calls reproduced or better and that no longer are.
+def changed_verdicts(rows: Iterable[ScorecardRow], reference: Path) -> list[str]:
+    """Return the rows whose verdict is not that of a reference, for the better or for the worse.
 
     Parameters
     ----------
@@ -150,23 +157,28 @@ def lost_rows(rows: Iterable[ScorecardRow], reference: Path) -> list[str]:
     Returns
     -------
     list of str
-        One line per lost row: its key, and the verdict then and now.
+        One line per such row: its key, the verdict then and now, and whether it is near the edge of its band; rows
+        that only one of both lists are among them.
 
     Raises
     ------
     InputError
         If the reference is missing or broken.
     """
-    now = {row.key: row.verdict for row in rows}
-    lost = []
+    now = {row.key: row for row in rows}
+    changed = []
     for line in read_csv(reference, REFERENCE_COLUMNS):
-        key = row_key(line)
-        if line["verdict"] not in set(Verdict):
-            raise bad_input("verdict", reference.name, "one of " + ", ".join(Verdict), line["verdict"])
-        if line["verdict"] in HOLDS and now.get(key) not in HOLDS:
-            verdict_now = now[key].words if key in now else "not listed"
-            lost.append(f"{key}: was {line['verdict']}, is {verdict_now}")
-    return lost
+        row, then = now.pop(row_key(line), None), line["verdict"]
+        if then not in set(Verdict):
+            raise bad_input("verdict", reference.name, "one of " + ", ".join(Verdict), then)
+        if row is None:
+            changed.append(f"{row_key(line)}: was {Verdict(then).words}, is not listed")
+        elif row.verdict != then:
+            edge = " (within 5 % of the edge of its band)" if row.near_edge else ""
+            changed.append(f"{row.key}: was {Verdict(then).words}, is {row.verdict.words}{edge}")
+    return changed + [
+        f"{key}: is not in {reference.name}, is {row.verdict.words}" for key, row in now.items()
+    ]
 
 
 def count_verdicts(rows: Iterable[ScorecardRow]) -> dict[str, Counter[Verdict]]:
@@ -213,7 +225,7 @@ def geometric_mean_ratio(
     """
     logs = []
     for row in rows:
-        if row.verdict in HOLDS or row.verdict is Verdict.DIFFERS:
+        if row.verdict in COMPARED:
             numbers = float(over(row) or 0), float(under(row) or 0)
             if min(numbers) > 0:
                 logs.append(math.log(numbers[0] / numbers[1]))

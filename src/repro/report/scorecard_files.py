@@ -16,7 +16,7 @@ from repro.report.files import write_if_changed
 from repro.report.paper_index import index_page, index_path, places, read_index
 from repro.report.project import Project
 from repro.report.scorecard import ScorecardRow, count_verdicts
-from repro.report.scorecard_page import counts_page, scorecard_page
+from repro.report.scorecard_page import counts_page, scorecard_page, verdicts_page
 from repro.report.verdicts import HOLDS, Verdict
 
 _NUMBERS = ("published", "published_std", "regenerated", "regenerated_std", "n_seeds", "best")
@@ -49,6 +49,8 @@ def write_scorecard_files(project: Project, rows: Sequence[ScorecardRow]) -> Non
         "scorecard.svg": badge(rows),
         "scorecard.json": scorecard_json(rows),
     }
+    for paper in count_verdicts(rows):
+        texts[f"verdicts_{paper}.md"] = verdicts_page(row for row in rows if row.paper == paper)
     for name, text in texts.items():
         write_if_changed(folder / name, text)
 

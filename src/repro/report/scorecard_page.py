@@ -18,6 +18,9 @@ PAPERS = {
 }
 """Papers as they are named in running text."""
 
+READ_OFF = frozenset({("martin2022", "Fig. 3"), ("martin2022", "Fig. 5")})
+"""Figures whose numbers are printed nowhere and were read off them; those of Fig. 4 stand in the text."""
+
 _HEADER = ("Row", "Quantity", "Unit", "Published", "Regenerated", "Verdict", "Setting", "Best", "Note")
 
 
@@ -89,6 +92,7 @@ def _line(row: ScorecardRow, link: str) -> str:
     weak = (
         ' <span class="weak">(weak: zero would pass)</span>' if row.weak and row.verdict != "missing" else ""
     )
+    weak += ' <span class="weak">(near the edge of its band)</span>' if row.near_edge else ""
     css = f"verdict verdict-{row.verdict.replace('_', '-')}"
     seeds = f", {row.n_seeds} seed{'' if row.n_seeds == '1' else 's'}" if row.n_seeds else ""
     best = f"{_rounded(row.best, row.published)} ({row.best_method})" if row.best else ""
@@ -136,8 +140,10 @@ def counts_page(rows: Sequence[ScorecardRow]) -> str:
     """
     counts = count_verdicts(rows)
     total: Counter[Verdict] = sum(counts.values(), Counter())
+    read_off = sum((row.paper, row.artefact) in READ_OFF for row in rows)
+    numbers = f"print, or show in figures ({read_off} were read off)" if read_off else "print"
     lines = [
-        f"Of the {len(rows)} numbers that the papers print, {_counts_in_words(total)}.",
+        f"Of the {len(rows)} numbers that the papers {numbers}, {_counts_in_words(total)}.",
         "",
         "| Paper | " + " | ".join(verdict.words for verdict in Verdict) + " |",
         "|---|" + "---:|" * len(Verdict),
@@ -145,6 +151,25 @@ def counts_page(rows: Sequence[ScorecardRow]) -> str:
     lines += [_counts_line(name, count, name) for name, count in _named(counts)]
     lines.append(_counts_line("All", total))
     return "\n".join(lines) + "\n"
+
+
+def verdicts_page(rows: Iterable[ScorecardRow]) -> str:
+    """Return one paragraph with the counts of the verdicts by table, figure or section, for the chapter of a paper.
+
+    Parameters
+    ----------
+    rows
+        Those of one paper.
+    """
+    counts: dict[str, Counter[Verdict]] = {}
+    for row in rows:
+        counts.setdefault(row.artefact, Counter())[row.verdict] += 1
+    parts = [
+        f"{artefact}: "
+        + _joined(f"{count[verdict]} {verdict.words}" for verdict in Verdict if count[verdict])
+        for artefact, count in counts.items()
+    ]
+    return "Verdicts of the scorecard: " + "; ".join(parts) + ".\n"
 
 
 def _named(counts: Mapping[str, Counter[Verdict]]) -> list[tuple[str, Counter[Verdict]]]:

@@ -35,7 +35,10 @@ class Verdict(enum.StrEnum):
 
 
 HOLDS = frozenset({Verdict.REPRODUCED, Verdict.BETTER})
-"""Verdicts that a reference protects."""
+"""Verdicts by which a printed number holds."""
+
+NEAR_EDGE = Fraction(1, 20)
+"""Within this share of its band's edge a difference is near it: rounding or another machine may decide."""
 
 
 def half_printed_unit(printed: str) -> Fraction:
@@ -118,6 +121,22 @@ def verdict(
     if within_band(difference, published, published_std, regenerated_std):
         return Verdict.REPRODUCED
     return Verdict.BETTER if (difference > 0) == (quantity in HIGHER_IS_BETTER) else Verdict.DIFFERS
+
+
+def is_near_edge(published: str, published_std: str, regenerated: str, regenerated_std: str) -> bool:
+    """Return whether a number lies within 5 % of the edge of its band, on either side.
+
+    Examples
+    --------
+    >>> is_near_edge("1.0", "0.3", "1.85", "0.4"), is_near_edge("1.0", "0.3", "1.6", "0.4")  # the edge is 1.866
+    (True, False)
+    """
+    difference = Fraction(regenerated) - Fraction(published)
+    inner, outer = (
+        within_band(difference / x, published, published_std, regenerated_std)
+        for x in (1 - NEAR_EDGE, 1 + NEAR_EDGE)
+    )
+    return outer and not inner
 
 
 def is_weak(published: str, published_std: str, regenerated_std: str) -> bool:

@@ -86,7 +86,8 @@ def checks(n_segments: int, *, starts: int = 1000, trials: int = 2000) -> pd.Dat
     """The three checks of the multipole model with Levenberg-Marquardt in one row.
 
     Columns: ``n_segments``, ``consistency_percent`` (mean of :func:`consistency`), ``cold_starts``,
-    ``worst_cold_start_mm``, ``trials``, ``inside_95_percent_ellipsoid`` (per cent).
+    ``worst_cold_start_mm``, ``trials``, ``inside_95_percent_ellipsoid`` (per cent), ``kept_percent`` (of the truths
+    drawn, those three standard deviations inside the bounds: only these are tried).
     """
     cold, inside = cold_starts(n_segments, starts=starts), coverage(n_segments, trials=trials)
     row = {
@@ -96,6 +97,7 @@ def checks(n_segments: int, *, starts: int = 1000, trials: int = 2000) -> pd.Dat
         "worst_cold_start_mm": cold["worst_mm"].iloc[0],
         "trials": inside["trials"].iloc[0],
         "inside_95_percent_ellipsoid": inside["inside_percent"].iloc[0],
+        "kept_percent": inside["kept_percent"].iloc[0],
     }
     return pd.DataFrame([row])
 

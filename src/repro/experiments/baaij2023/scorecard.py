@@ -31,7 +31,7 @@ NOTES = {
 PSI_NOTE = (
     "the authors' own networks, evaluated on regenerated data, are 4-47 % below the printed row as well"
 )
-CLAIM_NOTE = "the mean of the 18 printed cells of the two rows is 4.2, not 3.3"
+CLAIM_NOTE = "3.3 is a slip in print: the mean of the 18 printed cells of the two rows is 4.2"
 
 
 def setting(iterations: int, step_size: Sequence[float], noise_mt: float, steps: int) -> str:
@@ -85,7 +85,7 @@ def scorecard_rows(
         reached = [value for (row, _), value in ours.items() if row in CLAIM]
         if reached:
             line |= {"best": sum(reached) / len(reached), "best_method": BEST_METHOD}
-        rows.append(line | {"note": CLAIM_NOTE})
+        rows.append(line | {"note": CLAIM_NOTE, "comparable": False})
     return rows
 
 

@@ -11,6 +11,7 @@ import pandas as pd
 
 from repro.experiments.baaij2023.scorecard import scorecard_line
 from repro.experiments.baaij2023.table2 import row_name
+from repro.experiments.baaij2023.table2_rounding import RELATIVE
 
 SETTING = "as released: elongation known, start at ground truth, momentum carried, split {train:g}/{test:g}"
 BEST_METHOD = "polynomial map fitted to T5.train, common bias estimated, no known start or elongation"
@@ -34,7 +35,12 @@ def table_2_setting(twin_sha256: str | None, *, test_share: float = 0.3, longest
 
 
 def table_2_rows(
-    table: pd.DataFrame, *, setting: str, synthetic: bool, best: pd.DataFrame | None = None
+    table: pd.DataFrame,
+    *,
+    setting: str,
+    synthetic: bool,
+    best: pd.DataFrame | None = None,
+    rounding: pd.DataFrame | None = None,
 ) -> list[dict[str, Any]]:
     """Rows of the scorecard from the errors of the paper's method.
 
@@ -48,7 +54,14 @@ def table_2_rows(
         Whether a twin recorded the data: then no row is comparable, and none has a best value.
     best
         Columns ``row, quantity, unit, error``: what ours reaches.
+    rounding
+        From :func:`~repro.experiments.baaij2023.table2_rounding.rounding_table`: notes name the chaotic rows.
     """
+    decided: dict[tuple[str, str, str], str] = {}
+    if rounding is not None:
+        for x in rounding[rounding["chaotic"]].to_dict("records"):
+            spread = f"; decided by rounding: {x['lowest']:.3g} to {x['highest']:.3g} from starts {RELATIVE:g} apart"
+            decided[x["row"], x["quantity"], x["unit"]] = spread
     ours: dict[tuple[str, str, str], float] = {}
     if best is not None and not synthetic:
         kept = best[best["quantity"] != "e_u"]
@@ -62,6 +75,7 @@ def table_2_rows(
     for cell in cells.to_dict("records"):
         key = (cell["row"], cell["quantity"], cell["unit"])
         line = scorecard_line("Table 2", *key, cell["mean"], cell["std"], cell["count"], setting) | about
+        line["note"] += decided.get(key, "")
         if key in ours:
             line |= {"best": ours[key], "best_method": BEST_METHOD}
         rows.append(line)
