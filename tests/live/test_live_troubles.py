@@ -65,6 +65,7 @@ class Session(threading.Thread):
         """Send readings at 50 Hz, or what a busy machine makes of it; return the rate."""
         began = time.monotonic()
         for _ in range(frames):
+            assert self.is_alive(), self.end  # else nobody reads, and the line fills up
             self.board.send(encode("frames", Frame(0, self.sent, 20_000 * self.sent, self.values)))
             self.sent += 1
             time.sleep(0.02)
