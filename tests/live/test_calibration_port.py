@@ -139,6 +139,7 @@ def test_half_a_second_is_a_time_and_the_rate_is_told(tmp_path):
     source = port_frames(os.ttyname(slave), 115200, ROBOT, print)
     kept = KeptReadings(tmp_path / "c.readings.csv", ROBOT.channels, COORDINATES)
     taken = guide(ROBOT, poses, source, say=print, ask=lambda _: None, kept=kept)
+    time.sleep(0.3)  # the reader ends with the next frame, else it waits for the port and takes a later one
     stop.set()
     thread.join()
     os.close(master)
