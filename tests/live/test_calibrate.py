@@ -476,7 +476,6 @@ class Bench:
             k += 1
 
     def close(self):
-        time.sleep(0.3)  # a reader ends with the next frame, else it waits for the port and takes a later one
         self._on = False
         self._thread.join()
         os.close(self._master)

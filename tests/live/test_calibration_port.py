@@ -14,6 +14,7 @@ import torch
 from test_calibrate import ROBOT, ROBOTS, Bench, built, noisy, random_poses, table
 
 from repro.errors import InputError
+from repro.live.record.ports import close_port, open_port
 from repro.live.robot.calibrate import calibrate, check_plausible, pose_covariance
 from repro.live.robot.calibration_port import guide, port_frames
 from repro.live.robot.calibration_poses import (
@@ -113,6 +114,24 @@ def test_a_port_that_disappears_is_opened_again(tmp_path):
     torch.testing.assert_close(taken.values[0], torch.tensor(values, dtype=torch.float64))
 
 
+@needs_pty
+@pytest.mark.parametrize("gone", [False, True])
+def test_the_port_is_left_when_the_poses_end_whatever_the_board_does(tmp_path, gone):
+    """A board that says nothing, or is gone: nobody reads its port any more, and the next program may."""
+    master, slave = os.openpty()
+    poses = read_poses(table(tmp_path, random_poses(ROBOT, 1)), ROBOT)
+    port, before = os.ttyname(slave), threading.active_count()
+    source = port_frames(port, 115200, ROBOT, print)
+    ask = (lambda _: (os.close(master), os.close(slave))) if gone else print
+    with pytest.raises(InputError, match="none for 0.5 s"):
+        guide(ROBOT, poses, source, say=print, ask=ask, silence_s=0.3, patience_s=0.5)
+    assert threading.active_count() == before
+    if not gone:
+        close_port(open_port(port))
+        os.close(master)
+        os.close(slave)
+
+
 def test_a_port_that_was_never_there_is_refused(tmp_path):
     with pytest.raises(InputError, match="^Input port of repro calibrate must be one that is there "):
         port_frames(str(tmp_path / "board"), 115200, ROBOT, print)
@@ -139,7 +158,6 @@ def test_half_a_second_is_a_time_and_the_rate_is_told(tmp_path):
     source = port_frames(os.ttyname(slave), 115200, ROBOT, print)
     kept = KeptReadings(tmp_path / "c.readings.csv", ROBOT.channels, COORDINATES)
     taken = guide(ROBOT, poses, source, say=print, ask=lambda _: None, kept=kept)
-    time.sleep(0.3)  # the reader ends with the next frame, else it waits for the port and takes a later one
     stop.set()
     thread.join()
     os.close(master)

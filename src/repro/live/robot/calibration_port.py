@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 
 import numpy as np
 import torch
@@ -33,12 +32,16 @@ SETTLE_S = 0.1
 """Frames that arrive so soon after the key may have been sent before it [s]: they lay in a buffer on the way."""
 LEAST_FRAMES = 2
 """Frames of a pose at least, however slow the board is."""
+LOOK_S = 0.1
+"""How long a port is looked at for frames, or for its return, at a time [s]."""
+LEAVE_S = 1.0
+"""How long the end of reading is waited for [s]."""
 
 
 def guide(
     robot: RobotFile,
     poses: Poses,
-    frames: Iterator[Frame],
+    frames: Iterator[Frame | None],
     *,
     say: Callable[[str], object],
     ask: Callable[[str], object],
@@ -58,7 +61,8 @@ def guide(
     poses
         In the order in which they are asked for; times have no meaning here.
     frames
-        From a port, without end; read in a thread of its own.
+        From a port, without end, as of :func:`port_frames`; read in a thread of its own, which ends with the next
+        one, or the next None.
     say, ask
         Show a line; show a line and wait for the Enter key.
     kept
@@ -114,10 +118,13 @@ def check_same_poses(kept: KeptReadings, poses: Poses) -> None:
         raise bad_input("readings", kept.path.name, expected, f"those of {len(q)} other poses")
 
 
-def port_frames(port: str, baud: int, robot: RobotFile, say: Callable[[str], object]) -> Iterator[Frame]:
+def port_frames(
+    port: str, baud: int, robot: RobotFile, say: Callable[[str], object]
+) -> Iterator[Frame | None]:
     """Open a port now, and return the frames of magnetic sensors, without end.
 
-    A port that disappears is opened again when it is back.
+    A port that disappears is opened again when it is back. None comes after every look at the port, so that whoever
+    reads can leave while nothing arrives.
 
     Raises
     ------
@@ -127,19 +134,21 @@ def port_frames(port: str, baud: int, robot: RobotFile, say: Callable[[str], obj
     channels = robot.channels if robot.format == "csv" else None
     board, parse = LastingPort(port, baud, "repro calibrate"), parser(robot.format, channels, robot.unit)
 
-    def frames() -> Iterator[Frame]:
+    def frames() -> Iterator[Frame | None]:
         try:
             while True:
                 try:
-                    for frame in parse.feed(board.read(0.1)):
-                        if not robot.imus or frame.stream == MAGNETIC_STREAM:
-                            yield frame
+                    arrived = parse.feed(board.read(LOOK_S))
                 except OSError as error:
                     say(f"{port} is gone ({error}); waiting for it.")
                     board.close()
-                    board.reopen(math.inf, threading.Event())
+                    while not board.reopen(time.monotonic() + LOOK_S, threading.Event()):
+                        yield None
                     parse.reopened()
                     say(f"{port} is back.")
+                    continue
+                yield from (x for x in arrived if not robot.imus or x.stream == MAGNETIC_STREAM)
+                yield None
         finally:
             board.close()
 
@@ -204,25 +213,29 @@ def _refuse(robot: RobotFile, arrived: list[tuple[float, Frame]]) -> None:
 class _Collector:
     """Reads frames in a thread, and keeps those from a beginning on, with their arrival [s]."""
 
-    def __init__(self, frames: Iterator[Frame]) -> None:
+    def __init__(self, frames: Iterator[Frame | None]) -> None:
         self._changed = threading.Condition()
         self._taken: list[tuple[float, Frame]] | None = None
         self._end: BaseException | None = None
         self._over, self._from_s = False, 0.0
-        threading.Thread(target=self._read, args=(frames,), daemon=True).start()
+        self._thread = threading.Thread(target=self._read, args=(frames,), daemon=True)
+        self._thread.start()
 
     def __enter__(self) -> _Collector:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._over = True  # the thread ends with the next frame
+        self._over = True
+        self._thread.join(LEAVE_S)
 
-    def _read(self, frames: Iterator[Frame]) -> None:
+    def _read(self, frames: Iterator[Frame | None]) -> None:
         end: BaseException = EOFError("the stream ended")
         try:
             for frame in frames:
                 if self._over:
                     break
+                if frame is None:
+                    continue
                 with self._changed:
                     if self._taken is not None and (now := time.monotonic()) >= self._from_s:
                         self._taken.append((now, frame))
@@ -230,6 +243,8 @@ class _Collector:
                             self._changed.notify()
         except Exception as error:  # belongs to whoever waits for frames
             end = error
+        if isinstance(frames, Generator):
+            frames.close()  # and with it the port
         with self._changed:
             self._end = end
             self._changed.notify()
