@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,44 @@ the time of the last. Assumed; the authors' pipeline cuts 8 s at the start and 5
 
 
 @dataclass(frozen=True)
+class Differences:
+    """How the motion differs between recordings; one entry for each of T0 to T5, in this order.
+
+    Parameters
+    ----------
+    elongation_mm
+        Elongation of the inflated, straight segment, in place of that of the bending.
+    elongation_per_mm2
+        Elongation for each mm² of the square of the bend.
+    shift_mm
+        Bend along x that is added to the neutral one.
+
+    Raises
+    ------
+    InputError
+        If there is not one number for each recording.
+    """
+
+    elongation_mm: tuple[float, ...]
+    elongation_per_mm2: tuple[float, ...]
+    shift_mm: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name, numbers in asdict(self).items():
+            if len(numbers) != len(TRAJECTORIES):
+                raise bad_input(name, "Differences", "one number for each of T0 to T5", numbers)
+
+    def bending(self, bending: Bending, number: int) -> Bending:
+        """Bending of a recording, by its number."""
+        x, y = bending.neutral_mm
+        return replace(
+            bending,
+            neutral_mm=(x + self.shift_mm[number], y),
+            elongation_mm=self.elongation_mm[number],
+        )
+
+
+@dataclass(frozen=True)
 class TwinConfig:
     """All parameters of the twin.
 
@@ -46,6 +84,8 @@ class TwinConfig:
         Standard deviation of a bias of each sensor in each recording but T5.
     gain_scatter
         Standard deviation of the relative gain, about its mean reading, of each sensor in each recording but T5.
+    differences
+        How the motion differs between recordings; None: it does not.
 
     Raises
     ------
@@ -62,6 +102,7 @@ class TwinConfig:
     bias_mv: tuple[float, ...]
     bias_scatter_mv: float
     gain_scatter: float
+    differences: Differences | None = None
 
     def __post_init__(self) -> None:
         if self.hysteresis not in MODELS:
@@ -72,8 +113,11 @@ class TwinConfig:
 
     @property
     def sha256(self) -> str:
-        """SHA-256 of all values, as JSON with sorted names."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+        """SHA-256 of all values, as JSON with sorted names; differences that are None are left out."""
+        values = asdict(self)
+        if self.differences is None:
+            del values["differences"]
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -140,7 +184,19 @@ def record_rig(
     torque = np.where(running, torque_sequence(trajectory, time_s - SEQUENCE_S, chambers, seed=seed), 0.0)
     fill = np.interp(time_s, [FILL_S, FILLED_S, end, end + 1.0], [0.0, 1.0, 1.0, 0.0])
     pressures = chambers.pressures(torque) - chambers.offset_mbar * (1.0 - fill[:, None])
-    motion = rig_motion(time_s, pressures, chambers, config.bending, config.inner, model=config.hysteresis)
+    bending, per_mm2 = config.bending, 0.0
+    if config.differences is not None:
+        bending = config.differences.bending(bending, number)
+        per_mm2 = config.differences.elongation_per_mm2[number]
+    motion = rig_motion(
+        time_s,
+        pressures,
+        chambers,
+        bending,
+        config.inner,
+        model=config.hysteresis,
+        elongation_per_mm2=per_mm2,
+    )
 
     starts = rng.uniform(0.0, config.capture.latest_start_s, 2)
     clock = np.arange(int((time_s[-1] - starts.max()) * RIG_RATE_HZ)) / RIG_RATE_HZ
