@@ -36,12 +36,11 @@ class Differences:
 
     Parameters
     ----------
-    elongation_mm
-        Elongation of the inflated, straight segment, in place of that of the bending.
-    elongation_per_mm2
-        Elongation for each mm² of the square of the bend.
     shift_mm
         Bend along x that is added to the neutral one.
+    elongation_mm, elongation_per_mm2
+        What motion capture calls elongation: that of the inflated, straight segment, and what is added for each mm²
+        of the square of the bend. What the sensors feel is that of the bending, in all recordings.
 
     Raises
     ------
@@ -49,9 +48,9 @@ class Differences:
         If there is not one number for each recording.
     """
 
+    shift_mm: tuple[float, ...]
     elongation_mm: tuple[float, ...]
     elongation_per_mm2: tuple[float, ...]
-    shift_mm: tuple[float, ...]
 
     def __post_init__(self) -> None:
         for name, numbers in asdict(self).items():
@@ -61,11 +60,13 @@ class Differences:
     def bending(self, bending: Bending, number: int) -> Bending:
         """Bending of a recording, by its number."""
         x, y = bending.neutral_mm
-        return replace(
-            bending,
-            neutral_mm=(x + self.shift_mm[number], y),
-            elongation_mm=self.elongation_mm[number],
-        )
+        return replace(bending, neutral_mm=(x + self.shift_mm[number], y))
+
+    def seen(self, q: Float[np.ndarray, "n 3"], bending: Bending, number: int) -> Float[np.ndarray, "n 3"]:
+        """Configuration [m] that motion capture sees in a recording, by its number."""
+        bend, straight = q[:, :2], q[:, 2] / bending.elongation_mm * self.elongation_mm[number]
+        more = 1e3 * self.elongation_per_mm2[number] * (bend * bend).sum(axis=1)
+        return np.column_stack([bend, straight + more])
 
 
 @dataclass(frozen=True)
@@ -184,19 +185,10 @@ def record_rig(
     torque = np.where(running, torque_sequence(trajectory, time_s - SEQUENCE_S, chambers, seed=seed), 0.0)
     fill = np.interp(time_s, [FILL_S, FILLED_S, end, end + 1.0], [0.0, 1.0, 1.0, 0.0])
     pressures = chambers.pressures(torque) - chambers.offset_mbar * (1.0 - fill[:, None])
-    bending, per_mm2 = config.bending, 0.0
-    if config.differences is not None:
-        bending = config.differences.bending(bending, number)
-        per_mm2 = config.differences.elongation_per_mm2[number]
-    motion = rig_motion(
-        time_s,
-        pressures,
-        chambers,
-        bending,
-        config.inner,
-        model=config.hysteresis,
-        elongation_per_mm2=per_mm2,
-    )
+    bending, differences = config.bending, config.differences
+    if differences is not None:
+        bending = differences.bending(bending, number)
+    motion = rig_motion(time_s, pressures, chambers, bending, config.inner, model=config.hysteresis)
 
     starts = rng.uniform(0.0, config.capture.latest_start_s, 2)
     clock = np.arange(int((time_s[-1] - starts.max()) * RIG_RATE_HZ)) / RIG_RATE_HZ
@@ -209,6 +201,8 @@ def record_rig(
     u = u + disturbance(config.board, clock, pressures_read.mean(axis=1) / chambers.offset_mbar, rng)
 
     _, q_seen, _ = motion.at(starts[1] + clock / (1.0 + 1e-6 * config.capture.clock_ppm))
+    if differences is not None:
+        q_seen = differences.seen(q_seen, bending, number)
     track = capture_ring(config.capture, clock, q_seen, rng)
     name = f"{SYNTHETIC}_{trajectory}"
     return RigRecording(name, motion, converted(u), track, float(starts[0]), float(starts[1]))

@@ -108,7 +108,6 @@ def rig_motion(
     inner: InnerShape,
     *,
     model: str = "bouc-wen",
-    elongation_per_mm2: float = 0.0,
 ) -> RigMotion:
     """Motion of the segment, from rest, under chamber pressures.
 
@@ -122,8 +121,6 @@ def rig_motion(
         The segment.
     model
         Model of both hystereses, one of :data:`repro.simulation.hysteresis.MODELS`.
-    elongation_per_mm2
-        Elongation [mm] for each mm² of the square of the tip's bend.
 
     Raises
     ------
@@ -155,8 +152,6 @@ def rig_motion(
     magnet = tip - inner.across_s * across
     magnet = magnet - inner.hysteresis_mm * _memories(tip, inner.stroke_mm, model)
     elongation = bending.elongation_mm * inflation
-    if elongation_per_mm2:
-        elongation = elongation + elongation_per_mm2 * (tip * tip).sum(axis=1, keepdims=True)
     q, q_magnet = (1e-3 * np.column_stack([xy, elongation]) for xy in (tip, magnet))
     return RigMotion(time_s, pressures_mbar, q, q_magnet)
 
