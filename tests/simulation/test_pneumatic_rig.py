@@ -6,18 +6,27 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
+from repro.experiments.baaij2023.twin import record_twin
 from repro.simulation.hysteresis import MODELS
 from repro.simulation.pneumatic_actuation import TRAJECTORIES
-from repro.simulation.pneumatic_rig import record_rig
-from repro.simulation.rig_twins import nominal_twin, random_twin
+from repro.simulation.pneumatic_rig import Differences, record_rig
+from repro.simulation.rig_twins import ELONGATION_MM, nominal_twin, random_twin, second_twin
 from repro.simulation.sensor_board import DRIFTS, FULL_SCALE_MV, LSB_MV
 
 FROZEN = "0392762d3f26ffd65d4dea95776c16d5bd67c28be19db1cb1c4c85a380f9783d"
+SECOND = "fc31ef79729d3a655e3ca6efff240fa4ed0329b30a669f28b979824e8a6ce9f4"
+MEMBER = "acd4ba71cd938c8ca7b232baa2f875d0c791f05507a787609905fcdd9b0ede52"
 
 
 def test_nominal_twin_is_frozen():
     # If this fails, everything that was concluded from the twin has to be run again.
     assert nominal_twin().sha256 == FROZEN
+
+
+def test_second_twin_and_the_first_family_are_frozen():
+    # The first family's networks are kept by these hashes: the second one may not change them.
+    assert second_twin().sha256 == SECOND
+    assert random_twin(23).sha256 == MEMBER
 
 
 def test_hash_sees_every_change():
@@ -70,8 +79,48 @@ def test_random_twins_vary_in_kind_and_never_saturate():
         assert u.max() < FULL_SCALE_MV - LSB_MV
 
 
+@pytest.fixture(scope="module")
+def second():
+    return record_twin(second_twin()).read
+
+
+@pytest.mark.parametrize(("number", "name"), list(enumerate(TRAJECTORIES)))
+def test_second_twin_has_the_known_elongation_slope_and_workspace(second, number, name):
+    q = 1e3 * second[name].q
+    slope, _ = np.polyfit((q[:, :2] ** 2).sum(axis=1), q[:, 2], 1)
+    assert q[:, 2].mean() == pytest.approx(ELONGATION_MM[number], abs=0.05)
+    assert slope == pytest.approx(-0.038 if name == "T2" else 0.025, abs=1e-3)
+    if name in ("T1", "T2"):
+        assert q[:, 0].mean() == pytest.approx({"T1": 5.1, "T2": -2.0}[name], abs=0.05)
+
+
+def test_what_is_called_elongation_is_not_felt_by_the_sensors():
+    # At equal bends the two twins have equal readings: what is known of the first one's holds for the second.
+    for name in ("T0", "T5"):
+        first, other = (record_rig(twin, name, seed=3) for twin in (nominal_twin(), second_twin()))
+        np.testing.assert_array_equal(first.readings_mv, other.readings_mv)
+        assert np.abs(first.track.ring_m - other.track.ring_m).max() > 3e-4
+
+
+def test_second_family_varies_in_elongation_and_never_saturates():
+    twins = [random_twin(seed, second=True) for seed in range(24)]
+    assert len({twin.sha256 for twin in twins}) == 24
+    assert twins[5] == random_twin(5, second=True)
+    lengths = np.array([twin.differences.elongation_mm for twin in twins])
+    lengths += np.array(ELONGATION_MM) - second_twin().differences.elongation_mm
+    assert lengths.std(axis=1, ddof=1).mean() == pytest.approx(0.3, abs=0.06)
+    for twin in twins:
+        assert twin.bending == random_twin(twins.index(twin)).bending
+        for name in ("T1", "T2"):
+            u = record_rig(twin, name, seed=0, duration_s=10.0).readings_mv
+            assert u.min() > 0
+            assert u.max() < FULL_SCALE_MV - LSB_MV
+
+
 def test_refuses_bad_input():
     twin = nominal_twin()
+    with pytest.raises(InputError, match="Input shift_mm of Differences must be one number for each of T0"):
+        Differences((0.0,), (0.0,) * 6, (0.0,) * 6)
     with pytest.raises(InputError, match="Input trajectory of record_rig must be one of T0, .*; .* 'T6'"):
         record_rig(twin, "T6", seed=0)
     with pytest.raises(

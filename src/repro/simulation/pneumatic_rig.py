@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,45 @@ the time of the last. Assumed; the authors' pipeline cuts 8 s at the start and 5
 
 
 @dataclass(frozen=True)
+class Differences:
+    """How the motion differs between recordings; one entry for each of T0 to T5, in this order.
+
+    Parameters
+    ----------
+    shift_mm
+        Bend along x that is added to the neutral one.
+    elongation_mm, elongation_per_mm2
+        What motion capture calls elongation: that of the inflated, straight segment, and what is added for each mm²
+        of the square of the bend. What the sensors feel is that of the bending, in all recordings.
+
+    Raises
+    ------
+    InputError
+        If there is not one number for each recording.
+    """
+
+    shift_mm: tuple[float, ...]
+    elongation_mm: tuple[float, ...]
+    elongation_per_mm2: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name, numbers in asdict(self).items():
+            if len(numbers) != len(TRAJECTORIES):
+                raise bad_input(name, "Differences", "one number for each of T0 to T5", numbers)
+
+    def bending(self, bending: Bending, number: int) -> Bending:
+        """Bending of a recording, by its number."""
+        x, y = bending.neutral_mm
+        return replace(bending, neutral_mm=(x + self.shift_mm[number], y))
+
+    def seen(self, q: Float[np.ndarray, "n 3"], bending: Bending, number: int) -> Float[np.ndarray, "n 3"]:
+        """Configuration [m] that motion capture sees in a recording, by its number."""
+        bend, straight = q[:, :2], q[:, 2] / bending.elongation_mm * self.elongation_mm[number]
+        more = 1e3 * self.elongation_per_mm2[number] * (bend * bend).sum(axis=1)
+        return np.column_stack([bend, straight + more])
+
+
+@dataclass(frozen=True)
 class TwinConfig:
     """All parameters of the twin.
 
@@ -46,6 +85,8 @@ class TwinConfig:
         Standard deviation of a bias of each sensor in each recording but T5.
     gain_scatter
         Standard deviation of the relative gain, about its mean reading, of each sensor in each recording but T5.
+    differences
+        How the motion differs between recordings; None: it does not.
 
     Raises
     ------
@@ -62,6 +103,7 @@ class TwinConfig:
     bias_mv: tuple[float, ...]
     bias_scatter_mv: float
     gain_scatter: float
+    differences: Differences | None = None
 
     def __post_init__(self) -> None:
         if self.hysteresis not in MODELS:
@@ -72,8 +114,11 @@ class TwinConfig:
 
     @property
     def sha256(self) -> str:
-        """SHA-256 of all values, as JSON with sorted names."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+        """SHA-256 of all values, as JSON with sorted names; differences that are None are left out."""
+        values = asdict(self)
+        if self.differences is None:
+            del values["differences"]
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -140,7 +185,10 @@ def record_rig(
     torque = np.where(running, torque_sequence(trajectory, time_s - SEQUENCE_S, chambers, seed=seed), 0.0)
     fill = np.interp(time_s, [FILL_S, FILLED_S, end, end + 1.0], [0.0, 1.0, 1.0, 0.0])
     pressures = chambers.pressures(torque) - chambers.offset_mbar * (1.0 - fill[:, None])
-    motion = rig_motion(time_s, pressures, chambers, config.bending, config.inner, model=config.hysteresis)
+    bending, differences = config.bending, config.differences
+    if differences is not None:
+        bending = differences.bending(bending, number)
+    motion = rig_motion(time_s, pressures, chambers, bending, config.inner, model=config.hysteresis)
 
     starts = rng.uniform(0.0, config.capture.latest_start_s, 2)
     clock = np.arange(int((time_s[-1] - starts.max()) * RIG_RATE_HZ)) / RIG_RATE_HZ
@@ -153,6 +201,8 @@ def record_rig(
     u = u + disturbance(config.board, clock, pressures_read.mean(axis=1) / chambers.offset_mbar, rng)
 
     _, q_seen, _ = motion.at(starts[1] + clock / (1.0 + 1e-6 * config.capture.clock_ppm))
+    if differences is not None:
+        q_seen = differences.seen(q_seen, bending, number)
     track = capture_ring(config.capture, clock, q_seen, rng)
     name = f"{SYNTHETIC}_{trajectory}"
     return RigRecording(name, motion, converted(u), track, float(starts[0]), float(starts[1]))
