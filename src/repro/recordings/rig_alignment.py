@@ -72,7 +72,8 @@ def start_of_readings(u: Float[np.ndarray, "rows 3"], owner: str, *, rule: str =
     owner
         Name of the recording, for messages.
     rule
-        ``"noise"``: by more than six times the noise at rest, at least 1 mV, from the median of the first ten rows.
+        ``"noise"``: by more than six times the noise at rest, at least 1 mV, from the median of the first ten rows;
+        rows right before that differ by half as much, and 1 mV, count.
         ``"released"``: by more than 1 mV from row 0, as in the released code; from noise of 0.3 mV on it often
         finds a start where nothing moves.
 
@@ -94,8 +95,13 @@ def start_of_readings(u: Float[np.ndarray, "rows 3"], owner: str, *, rule: str =
         raise bad_input(
             "readings", owner, expected, f"a change of {moved:.3g} mV between the halves of these"
         )
+    change = _rms(u - rest)
     still = np.arange(len(u)) < REST_ROWS  # one row that is off, as the first of a converter, is no start
-    return _first((_rms(u - rest) > limit) & ~still, owner, f"readings that change by {limit:.3g} mV")
+    start = _first((change > limit) & ~still, owner, f"readings that change by {limit:.3g} mV")
+    # The limit is passed a row or two after the start: rows just before it that are clear of the noise belong to it.
+    while start > REST_ROWS and change[start - 1] > max(START_MV, limit / 2):
+        start -= 1
+    return start
 
 
 def _rms(x: np.ndarray) -> np.ndarray:

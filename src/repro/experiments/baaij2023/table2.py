@@ -53,7 +53,7 @@ def networks(
     folder, cache
         Of the committed networks, and of those that are trained here.
     progress
-        Show one progress bar where networks are trained.
+        Show one progress bar where networks are trained, in a terminal only.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def networks(
             f" {len(missing)} are trained now, about a minute each.",
             flush=True,
         )
-    for spec in tqdm(missing, unit="network", disable=not progress or not missing):
+    for spec in tqdm(missing, unit="network", disable=None if progress else True):
         train_rig(spec, kept, kept / "checkpoints", part=part, progress=False)
     if not trained_on(part, kept, seeds):
         expected = "of the readings that their folder is named after (remove it to train anew)"

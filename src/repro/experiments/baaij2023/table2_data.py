@@ -66,7 +66,7 @@ class RigData:
     @property
     def remarks(self) -> list[str]:
         """What is to be said with all results: files that are not the authors', and alignments in doubt."""
-        own = ", ".join(self.own_files)
+        own = ", ".join(self.own_files[:2]) + (f" and {n - 2} more" if (n := len(self.own_files)) > 2 else "")
         differ = [f"Not the authors' files, so nothing is compared with print: {own}."] if own else []
         parts = {part.name: part.remarks for part in (self.train, *self.tests.values())}
         return [*differ, *(remark for remarks in parts.values() for remark in remarks)]
