@@ -1,5 +1,6 @@
 """Table 2: errors by hand, ours on a toy without noise and blind to the truth, rows of the scorecard, its figures."""
 
+import hashlib
 import json
 from dataclasses import replace
 from functools import cache
@@ -21,6 +22,7 @@ from repro.experiments.baaij2023.rig_training import (
     rig_networks,
     rig_specs,
     train_rig,
+    trained_on,
 )
 from repro.experiments.baaij2023.table2_data import load_recordings
 from repro.experiments.baaij2023.table2_figures import (
@@ -35,13 +37,16 @@ from repro.experiments.baaij2023.table2_figures import (
 )
 from repro.experiments.baaij2023.table2_map import DEGREE, correlation_s, degrees, fit_map
 from repro.experiments.baaij2023.table2_ours import OursConfig, estimate_bend
-from repro.experiments.baaij2023.table2_scorecard import table_2_rows, table_2_setting
-from repro.recordings.baaij2023 import Recording
+from repro.experiments.baaij2023.table2_scorecard import OWN_NOTE, table_2_rows, table_2_setting
+from repro.experiments.baaij2023.twin import record_twin
+from repro.recordings.baaij2023 import FOLDER, NAMES, Recording, raw_paths, split
 from repro.report.project import find_project
 from repro.report.published import read_published
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.network import paper_network
 from repro.sensing.training import train_paper
+from repro.simulation.pneumatic_rig import record_rig
+from repro.simulation.rig_files import write_recording
 from repro.simulation.rig_twins import nominal_twin, random_twin
 
 SLOPES = np.array([[-5300.0, 900.0, -4300.0], [-3000.0, -2800.0, -1200.0]])
@@ -228,6 +233,58 @@ class TestData:
             load_recordings(**{"folder": tmp_path} | options)
 
 
+@pytest.fixture
+def found(tmp_path, monkeypatch):
+    """Made-up files of T3 and T5 under the authors' names, where recordings are looked for; and their list."""
+    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
+    listed = []
+    for trajectory in ("T3", "T5"):
+        raw = record_rig(nominal_twin(), trajectory, seed=3, duration_s=30.0)
+        for path in write_recording(tmp_path / FOLDER, NAMES[trajectory], raw.track, raw.readings_mv):
+            place = path.relative_to(tmp_path / FOLDER).as_posix()
+            listed.append({"path": place, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()})
+    source = {"repository": "https://github.com/owner/name", "commit": "0" * 40, "files": listed}
+    manifest = tmp_path / "sources.json"
+    manifest.write_text(json.dumps({FOLDER: source}))
+    return manifest
+
+
+class TestFilesUnderTheAuthorsNames:
+    TRAJECTORIES = ("T3", "T5")
+
+    def test_that_are_not_theirs_get_no_verdict(self, found):
+        data = load_recordings(trajectories=self.TRAJECTORIES, sources=find_project().data / "sources.json")
+        assert data.label == "recordings of your own under these names"
+        assert data.twin_sha256 is None
+        assert not data.comparable
+        assert len(data.own_files) == 4
+        assert data.remarks[0].startswith(
+            "Not the authors' files, so nothing is compared with print: 2022-05-02_T3"
+        )
+        setting = table_2_setting(None, own_files=True)
+        assert setting.startswith("recordings not of the authors; as released")
+        table = TestScorecard().errors()
+        best = table[["row", "quantity", "unit", "error"]]
+        rows = table_2_rows(table, setting=setting, synthetic=False, own_files=True, best=best)
+        assert not any(row["comparable"] for row in rows)
+        assert {row["note"] for row in rows} == {OWN_NOTE}
+        assert not any("best" in row for row in rows)
+
+    def test_without_a_list_none_are_theirs(self, found):
+        assert not load_recordings(trajectories=self.TRAJECTORIES).comparable
+
+    def test_with_their_hashes_are_compared_and_one_other_byte_is_not(self, found):
+        theirs = load_recordings("recorded", trajectories=self.TRAJECTORIES, sources=found)
+        assert theirs.comparable
+        assert theirs.label == "recorded by the authors"
+        assert theirs.remarks == []
+        path = raw_paths(NAMES["T3"])[1]
+        path.write_bytes(path.read_bytes()[:-2] + b"1\n")
+        data = load_recordings("recorded", trajectories=self.TRAJECTORIES, sources=found)
+        assert data.own_files == (path.name,)
+        assert not data.comparable
+
+
 class TestNetworks:
     def test_one_for_each_sensor_and_seed(self):
         names = [spec.name for spec in rig_specs()]
@@ -251,6 +308,52 @@ class TestNetworks:
         with pytest.raises(InputError, match="must be trained on the twin"):
             rig_networks(tmp_path, [4], twin_sha256=random_twin(0).sha256)
 
+    def test_recorded_anew_is_trained_anew_and_says_so(self, tmp_path, monkeypatch, capsys):
+        """The same twin, name and number of frames, other noise: the networks of before must not answer for it."""
+
+        def short(xi, u, **options):
+            return train_paper(xi, u, epochs=1, swa_start=0, **options)
+
+        monkeypatch.setattr(rig_training, "train_paper", short)
+        committed, cache = tmp_path / "committed", tmp_path / "cache"
+        anew = record_twin(nominal_twin(), seed=1, trajectories=("T5",), longest_s=60.0).read["T5"]
+        n = min(len(short_data().train), len(split(anew)[0]))
+        before, after = (
+            replace(short_data(), train=replace(part, frame=part.frame[:n], q=part.q[:n], u=part.u[:n]))
+            for part in (short_data().train, split(anew)[0])
+        )
+        assert before.train.name == after.train.name
+        first = table2.networks(before, [4], committed, cache, progress=False)
+        said = capsys.readouterr().out
+        assert f"No networks are kept that were trained on this synthetic_T5 ({n} frames" in said
+        assert "3 are trained now" in said
+        second = table2.networks(after, [4], committed, cache, progress=False)
+        assert "3 are trained now" in capsys.readouterr().out
+        xi = torch.from_numpy(after.train.relations()[None, :5]).float()
+        with torch.no_grad():
+            assert not torch.equal(first(xi), second(xi))
+        monkeypatch.delattr(rig_training, "train_paper")  # each is kept for its own readings
+        again = table2.networks(before, [4], committed, cache, progress=False)
+        with torch.no_grad():
+            assert torch.equal(first(xi), again(xi))
+        assert capsys.readouterr().out == ""
+        kept = next(cache.glob("synthetic_T5_*"))
+        other = before if trained_on(after.train, kept, [4]) else after
+        with pytest.raises(
+            InputError, match=r"networks of rig_sensor1_seed4\.safetensors must be trained on"
+        ):
+            train_rig(RigSpec(0, 4), kept, kept, part=other.train, progress=False)
+
+    def test_training_shows_no_bar_in_a_notebook(self, tmp_path, monkeypatch, capsys):
+        def short(xi, u, **options):
+            return train_paper(xi, u, epochs=2, swa_start=0, **options)
+
+        monkeypatch.setattr(rig_training, "train_paper", short)
+        table2.networks(short_data(), [4, 5], tmp_path, tmp_path)
+        shown = capsys.readouterr()
+        assert shown.err == ""  # as in a kernel, no terminal
+        assert "6 are trained now, about a minute each." in shown.out
+
     @pytest.mark.skipif(
         not all(
             (find_project().data / "networks" / f"{spec.name}.safetensors").exists() for spec in rig_specs()
@@ -260,6 +363,8 @@ class TestNetworks:
     def test_committed_ones_belong_to_the_nominal_twin(self):
         folder = find_project().data / "networks"
         assert rig_networks(folder, (0, 1, 2), twin_sha256=nominal_twin().sha256).n_seeds == 3
+        assert trained_on(nominal_training_part(), folder, (0, 1, 2))
+        assert not trained_on(short_data().train, folder, (0, 1, 2))
 
 
 def toy_networks(seeds=2):

@@ -2,6 +2,7 @@ r"""The recordings T0 to T5 of Baaij et al. 2023, section 5: raw files and pipel
 
 Readings at 40 Hz and motion capture at 40 Hz have no common trigger: both show when the segment is first inflated,
 and are aligned there (section 5.2). The pipeline repeats the released one; each repair is counted in `Recording`.
+Only the start of the readings is found by another rule, unless the released one is named: it takes noise for a start.
 """
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
@@ -16,7 +17,8 @@ import pandas as pd
 import torch
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import InputError, bad_input
+from repro.recordings.rig_alignment import RULES, check_lags, doubts, start_of_motion, start_of_readings
 from repro.recordings.rig_capture import RingMotion, read_ring_motion
 from repro.recordings.sources import data_dir
 from repro.sensing.relations import relations
@@ -34,8 +36,6 @@ NAMES = {
 """The authors' names of the recordings."""
 SYNTHETIC = {trajectory: f"synthetic_{trajectory}" for trajectory in NAMES}
 """Names of the digital twin's recordings, which are synthetic."""
-START_M, START_MV = 0.2e-3, 1.0
-"""Inflation has begun where the elongation and the readings (root mean square) have changed by more [m, mV]."""
 INFLATION_S, DEFLATION_S = 8.0, 5.0
 """Cut at the start and at the end [s]."""
 CLIPPED_MV = (0.0, 2047.9375)
@@ -59,6 +59,9 @@ class Recording:
         Readings [mV].
     repairs
         What was repaired or cut, in frames, by name; empty for merged files, which do not tell.
+    remarks
+        Sentences on its alignment for whoever uses it: where the two rules of the start differ, and what speaks
+        against it. Empty where nothing does.
     """
 
     name: str
@@ -66,6 +69,7 @@ class Recording:
     q: Float[np.ndarray, "frames 3"]
     u: Float[np.ndarray, "frames 3"]
     repairs: dict[str, int] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -160,39 +164,14 @@ def read_readings(path: Path) -> tuple[Float[np.ndarray, "frames 3"], int]:
     return u, len(table) - kept
 
 
-def start_of_motion(q: Float[np.ndarray, "frames 3"], owner: str) -> int:
-    """First frame in which the elongation differs from that of frame 0 by more than 0.2 mm.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
-    return _first(
-        np.abs(q[:, 2] - q[0, 2]) > START_M, owner, f"an elongation that changes by {1e3 * START_M:g} mm"
-    )
-
-
-def start_of_readings(u: Float[np.ndarray, "frames 3"], owner: str) -> int:
-    """First row in which the readings differ from row 0 by more than 1 mV (root mean square over the sensors).
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
-    change = np.sqrt(((u - u[0]) ** 2).mean(axis=1))
-    return _first(change > START_MV, owner, f"readings that change by {START_MV:g} mV")
-
-
-def _first(found: np.ndarray, owner: str, what: str) -> int:
-    if not found.any():
-        raise bad_input("start", owner, what, "none that does")
-    return int(np.argmax(found))
-
-
 def merge(
-    motion: RingMotion, u: Float[np.ndarray, "rows 3"], name: str, *, skip: int = 1, dropped: int = 0
+    motion: RingMotion,
+    u: Float[np.ndarray, "rows 3"],
+    name: str,
+    *,
+    skip: int = 1,
+    dropped: int = 0,
+    rule: str = "noise",
 ) -> Recording:
     """Align motion capture and readings at the start of inflation, cut both ends, and number the frames from 0.
 
@@ -207,13 +186,18 @@ def merge(
         frame more than that, when they differ (the default); 0 puts the two starts at one frame.
     dropped
         Incomplete readings that were dropped, to be reported.
+    rule
+        How the start of the readings is found, see :func:`~repro.recordings.rig_alignment.start_of_readings`.
 
     Raises
     ------
     InputError
-        No detectable start; or less than 13 s in common, of which nothing is left.
+        No detectable start; less than 13 s in common, of which nothing is left; or, by the rule ``"noise"``, an
+        alignment that the readings contradict: at another lag, half a second away or more, a function of the bend
+        explains them twice as well. By the released rule this is only said, in the remarks.
     """
-    k_q, k_u = start_of_motion(motion.q, name), start_of_readings(u, name)
+    k_q, k_u = start_of_motion(motion.q, name), start_of_readings(u, name, rule=rule)
+    differing = _other_start(u, k_u, name, rule)
     extra = skip if k_q != k_u else 0
     cut_q, cut_u = (k_q - k_u + extra, 0) if k_q > k_u else (0, k_u - k_q + extra)
     q, u = motion.q[cut_q:], u[cut_u:]
@@ -238,10 +222,27 @@ def merge(
         "readings without frame": len(u) - common,
         "cut at the ends": common - int(np.sum(kept)),
     }
-    return Recording(name, np.arange(int(np.sum(kept))), q[:common][kept], u[:common][kept], repairs)
+    q, u = q[:common][kept], u[:common][kept]
+    remarks = [*differing, *doubts(check_lags(q, u), name, refuse=rule == "noise")]
+    return Recording(name, np.arange(len(q)), q, u, repairs, tuple(remarks))
 
 
-def process(name: str, folder: Path | None = None, *, skip: int = 1) -> Recording:
+def _other_start(u: np.ndarray, k_u: int, name: str, rule: str) -> list[str]:
+    """Say what the other rule of the start finds, where it differs."""
+    other = RULES[1 - RULES.index(rule)]
+    try:
+        found = start_of_readings(u, name, rule=other)
+    except InputError:
+        return [f"{name}: the readings begin in row {k_u} by the rule {rule!r}, nowhere by {other!r}."]
+    if found == k_u:
+        return []
+    apart = (found - k_u) / RIG_RATE_HZ
+    return [
+        f"{name}: the readings begin in row {k_u} by the rule {rule!r}, in row {found} ({apart:+g} s) by {other!r}."
+    ]
+
+
+def process(name: str, folder: Path | None = None, *, skip: int = 1, rule: str = "noise") -> Recording:
     """Read the raw files of a recording and run the pipeline: configurations, alignment, cut.
 
     Parameters
@@ -250,12 +251,12 @@ def process(name: str, folder: Path | None = None, *, skip: int = 1) -> Recordin
         A value of :data:`NAMES` or :data:`SYNTHETIC`.
     folder
         The paper's folder; by default ``baaij2023`` below `repro.recordings.sources.data_dir`.
-    skip
-        See :func:`merge`.
+    skip, rule
+        See :func:`merge`; the authors' own files are those of the rule ``"released"``.
     """
     capture, sensors = raw_paths(name, folder)
     u, dropped = read_readings(sensors)
-    return merge(read_ring_motion(capture), u, name, skip=skip, dropped=dropped)
+    return merge(read_ring_motion(capture), u, name, skip=skip, dropped=dropped, rule=rule)
 
 
 def split(recording: Recording, test_share: float = 0.3) -> tuple[Recording, Recording]:

@@ -94,11 +94,16 @@ def train_rig(
     ------
     FloatingPointError
         If the training diverges.
+    InputError
+        If the folder has this network trained on other readings.
     """
     target = folder / f"{spec.name}.safetensors"
-    if target.exists():
-        return target
     xi, u = spec.rows() if part is None else sensor_rows(part, spec.sensor)
+    if target.exists():
+        if read_manifest(target).get("data_sha256") != rows_sha256(xi, u):
+            expected = "trained on these readings (move them away to train anew)"
+            raise bad_input("networks", target.name, expected, "trained on others")
+        return target
     network, metrics = train_paper(
         xi,
         u,
@@ -176,6 +181,17 @@ def rig_networks(folder: Path, seeds: Sequence[int], *, twin_sha256: str | None 
                 raise bad_input("networks", path.name, f"trained on the twin {twin_sha256}", found)
         by_seed.append([load_paper_network(path) for path in paths])
     return SeedEnsemble(by_seed, range(RIG_SENSORS))
+
+
+def trained_on(part: Recording, folder: Path, seeds: Sequence[int]) -> bool:
+    """Whether a folder has the networks of all sensors and seeds, trained on just these relations and readings."""
+    for sensor in range(RIG_SENSORS):
+        wanted = rows_sha256(*sensor_rows(part, sensor))
+        for seed in seeds:
+            path = folder / f"{RigSpec(sensor, seed).name}.safetensors"
+            if not path.is_file() or read_manifest(path).get("data_sha256") != wanted:
+                return False
+    return True
 
 
 @cache

@@ -13,16 +13,18 @@ import numpy as np
 import pandas as pd
 import torch
 from jaxtyping import Float
+from tqdm import tqdm
 
 from repro.errors import bad_input
 from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
-from repro.experiments.baaij2023.rig_training import RigSpec, rig_networks, train_rig
+from repro.experiments.baaij2023.rig_training import RigSpec, rig_networks, train_rig, trained_on
 from repro.experiments.baaij2023.table2_data import RigData
 from repro.recordings.baaij2023 import Recording
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS, rig_earth_axis, rig_robot
+from repro.sensing.weights import rows_sha256
 
 STEP_SIZE = (1.5e-8, 1.5e-8, 0.0)
 """Step sizes of section 5.4 for delta_x and delta_y; the elongation is not optimised."""
@@ -39,20 +41,45 @@ def networks(
 ) -> SeedEnsemble:
     """Networks of the paper's recipe for these recordings, one for each sensor and seed.
 
-    Those of the twin are committed in ``folder``. For the authors' recordings they are trained here, about a minute
-    for each, and kept in ``cache``.
+    Those in ``folder`` are of the twin's T5.train. They answer for the very rows that they were trained on, by the
+    hash in their manifests. For any others networks are trained here, about a minute each, and kept in ``cache``.
+
+    Parameters
+    ----------
+    data
+        Its training part is what they must have been trained on.
+    seeds
+        Seeds of the networks.
+    folder, cache
+        Of the committed networks, and of those that are trained here.
+    progress
+        Show one progress bar where networks are trained, in a terminal only.
 
     Raises
     ------
+    FloatingPointError
+        If a training diverges.
     InputError
-        If the data are of a twin and the networks are not there, or belong to another twin.
+        If networks in the cache are not what their folder says.
     """
-    if data.twin_sha256 is not None:
+    part = data.train
+    if trained_on(part, folder, seeds):
         return rig_networks(folder, seeds, twin_sha256=data.twin_sha256)
-    kept = cache / f"{data.train.name}_{len(data.train)}"
-    for seed in seeds:
-        for sensor in range(RIG_SENSORS):
-            train_rig(RigSpec(sensor, seed), kept, kept / "checkpoints", part=data.train, progress=progress)
+    content = rows_sha256(torch.from_numpy(part.q), torch.from_numpy(part.u))[:12]
+    kept = cache / f"{part.name}_{content}"
+    specs = [RigSpec(sensor, seed) for seed in seeds for sensor in range(RIG_SENSORS)]
+    missing = [spec for spec in specs if not (kept / f"{spec.name}.safetensors").is_file()]
+    if missing:
+        print(
+            f"No networks are kept that were trained on this {part.name} ({len(part)} frames, SHA-256 {content}):"
+            f" {len(missing)} are trained now, about a minute each.",
+            flush=True,
+        )
+    for spec in tqdm(missing, unit="network", disable=None if progress else True):
+        train_rig(spec, kept, kept / "checkpoints", part=part, progress=False)
+    if not trained_on(part, kept, seeds):
+        expected = "of the readings that their folder is named after (remove it to train anew)"
+        raise bad_input("networks", kept.name, expected, "others")
     return rig_networks(kept, seeds)
 
 

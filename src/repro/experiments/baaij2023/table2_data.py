@@ -12,7 +12,16 @@ from pathlib import Path
 from repro.errors import bad_input
 from repro.experiments.baaij2023.rig_training import RECORDING_SEED
 from repro.experiments.baaij2023.twin import record_twin
-from repro.recordings.baaij2023 import NAMES, Recording, find_recording, process, split
+from repro.recordings.baaij2023 import (
+    FOLDER,
+    NAMES,
+    Recording,
+    find_recording,
+    process,
+    raw_paths,
+    split,
+)
+from repro.recordings.sources import data_dir, not_released
 from repro.sensing.rig import RIG_RATE_HZ
 from repro.simulation.pneumatic_actuation import TRAJECTORIES
 from repro.simulation.pneumatic_rig import TwinConfig
@@ -32,12 +41,35 @@ class RigData:
     tests
         Test part of each trajectory, whole for T4.
     twin_sha256
-        Hash of the digital twin that recorded them; None for the authors' recordings.
+        Hash of the digital twin that recorded them; None for recorded files.
+    own_files
+        Names of recorded files that are not the authors': none of the twin's, and none where all are theirs.
     """
 
     train: Recording
     tests: dict[str, Recording]
     twin_sha256: str | None
+    own_files: tuple[str, ...] = ()
+
+    @property
+    def comparable(self) -> bool:
+        """Whether the authors recorded all of it, so that it can be compared with what they printed."""
+        return self.twin_sha256 is None and not self.own_files
+
+    @property
+    def label(self) -> str:
+        """Who recorded it, for titles."""
+        if self.twin_sha256 is not None:
+            return "SYNTHETIC, digital twin"
+        return "recordings of your own under these names" if self.own_files else "recorded by the authors"
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is to be said with all results: files that are not the authors', and alignments in doubt."""
+        own = ", ".join(self.own_files[:2]) + (f" and {n - 2} more" if (n := len(self.own_files)) > 2 else "")
+        differ = [f"Not the authors' files, so nothing is compared with print: {own}."] if own else []
+        parts = {part.name: part.remarks for part in (self.train, *self.tests.values())}
+        return [*differ, *(remark for remarks in parts.values() for remark in remarks)]
 
     def shortened(self, longest_s: float) -> dict[str, Recording]:
         """Beginnings of the test parts, of at most this length [s]; all of them for 0."""
@@ -56,14 +88,15 @@ def load_recordings(
     folder: Path | None = None,
     config: TwinConfig | None = None,
     longest_s: float | None = None,
+    sources: Path | None = None,
 ) -> RigData:
     """Training part of T5 and test parts.
 
     Parameters
     ----------
     source
-        ``"recorded"``: the authors' raw files; ``"twin"``: the digital twin, synthetic; ``"auto"``: the first if all
-        files are found.
+        ``"recorded"``: raw files under the authors' names; ``"twin"``: the digital twin, synthetic; ``"auto"``: the
+        first if all files are found.
     trajectories
         Which ones to test on.
     test_share
@@ -74,6 +107,9 @@ def load_recordings(
         The twin; the nominal one when not given.
     longest_s
         Cut the twin's sequences to this length [s].
+    sources
+        List of the public recordings, ``data/sources.json``: recorded files are the authors' where they have its
+        hashes, and are aligned by the released rule. Others, and all without the list, are called the reader's own.
 
     Raises
     ------
@@ -90,17 +126,23 @@ def load_recordings(
     if source == "recorded" and missing:
         expected = "recorded: the authors' raw files of " + ", ".join(wanted)
         raise bad_input("source", "load_recordings", expected, f"none of {', '.join(missing)}")
-    digest = None
+    digest, own = None, []
     if source == "twin" or missing:
         twin = config or nominal_twin()
         recorded = record_twin(twin, seed=RECORDING_SEED, trajectories=wanted, longest_s=longest_s).read
         digest = twin.sha256
     else:
-        recorded = {name: process(NAMES[name], folder) for name in wanted}
+        paths = [path for name in wanted for path in raw_paths(NAMES[name], folder)]
+        place = folder or data_dir() / FOLDER
+        own = (
+            [path.name for path in paths] if sources is None else not_released(paths, FOLDER, place, sources)
+        )
+        rule = "noise" if own else "released"
+        recorded = {name: process(NAMES[name], folder, rule=rule) for name in wanted}
     train, _ = split(recorded["T5"], test_share)
     tests = {
         name: recorded[name] if name == "T4" else split(recorded[name], test_share)[1]
         for name in wanted
         if name in trajectories
     }
-    return RigData(train, tests, digest)
+    return RigData(train, tests, digest, tuple(own))

@@ -17,6 +17,7 @@ SETTING = "as released: elongation known, start at ground truth, momentum carrie
 BEST_METHOD = "polynomial map fitted to T5.train, common bias estimated, no known start or elongation"
 NOTE = "three networks of our own per sensor against three of the authors"
 SYNTHETIC_NOTE = "synthetic: recorded by the digital twin, so not comparable with the authors' hardware"
+OWN_NOTE = "recordings of the reader's own under the authors' names, so not comparable with what they printed"
 NOT_PRINTED = (row_name("T1"), "delta_y", "%")
 """T1 bends along x alone: the paper has no relative error of the other direction."""
 MEANS = (
@@ -26,10 +27,13 @@ MEANS = (
 """Means of the printed cells of Table 2: 4.5 % of eleven for the bend, 3.1 % of six for the readings."""
 
 
-def table_2_setting(twin_sha256: str | None, *, test_share: float = 0.3, longest_s: float = 0.0) -> str:
+def table_2_setting(
+    twin_sha256: str | None, *, own_files: bool = False, test_share: float = 0.3, longest_s: float = 0.0
+) -> str:
     """What the paper's method was run on and with."""
     released = SETTING.format(train=100 * (1 - test_share), test=100 * test_share)
-    source = [] if twin_sha256 is None else [f"synthetic twin {twin_sha256[:8]}"]
+    recorded = ["recordings not of the authors"] if own_files else []
+    source = recorded if twin_sha256 is None else [f"synthetic twin {twin_sha256[:8]}"]
     cut = [f"here the first {longest_s:g} s of each test part"] if longest_s else []
     return "; ".join([*source, released, *cut])
 
@@ -39,6 +43,7 @@ def table_2_rows(
     *,
     setting: str,
     synthetic: bool,
+    own_files: bool = False,
     best: pd.DataFrame | None = None,
     rounding: pd.DataFrame | None = None,
 ) -> list[dict[str, Any]]:
@@ -52,6 +57,8 @@ def table_2_rows(
         From :func:`table_2_setting`.
     synthetic
         Whether a twin recorded the data: then no row is comparable, and none has a best value.
+    own_files
+        Whether recorded files are not the authors': the same.
     best
         Columns ``row, quantity, unit, error``: what ours reaches.
     rounding
@@ -63,13 +70,15 @@ def table_2_rows(
             spread = f"; decided by rounding: {x['lowest']:.3g} to {x['highest']:.3g} from starts {RELATIVE:g} apart"
             decided[x["row"], x["quantity"], x["unit"]] = spread
     ours: dict[tuple[str, str, str], float] = {}
-    if best is not None and not synthetic:
+    if best is not None and not synthetic and not own_files:
         kept = best[best["quantity"] != "e_u"]
         ours = {(x["row"], x["quantity"], x["unit"]): x["error"] for x in kept.to_dict("records")}
     keys = ["row", "quantity", "unit"]
     left_out = [(x["row"], x["quantity"], x["unit"]) == NOT_PRINTED for x in table.to_dict("records")]
     printed = table.loc[[not x for x in left_out]]
-    about = {"note": SYNTHETIC_NOTE, "comparable": False} if synthetic else {"note": NOTE}
+    about: dict[str, Any] = {"note": NOTE}
+    if synthetic or own_files:
+        about = {"note": SYNTHETIC_NOTE if synthetic else OWN_NOTE, "comparable": False}
     rows: list[dict[str, Any]] = []
     cells = printed.groupby(keys, sort=False)["error"].agg(["mean", "std", "count"]).reset_index()
     for cell in cells.to_dict("records"):
