@@ -2,6 +2,7 @@
 
 import math
 import platform
+from itertools import pairwise
 
 import pytest
 import torch
@@ -80,7 +81,7 @@ class TestStreamOfTheReleasedCode:
             torch.manual_seed(7)
             order = torch.randperm(rows)
             widths = (9, 96, 256, 64, 24, 1)
-            layers = [nn.Linear(a, b) for a, b in zip(widths, widths[1:], strict=False)]
+            layers = [nn.Linear(a, b) for a, b in pairwise(widths)]
             data = torch.utils.data.TensorDataset(order)
             loaded = lambda: iter(torch.utils.data.DataLoader(data, 650))  # noqa: E731
             loaded()
@@ -105,7 +106,7 @@ class TestStreamOfTheReleasedCode:
             order = torch.randperm(len(xi))
             cut = len(xi) - int(0.3 * len(xi))
             layers = [nn.BatchNorm1d(widths[0])]
-            for a, b in zip(widths, widths[1:], strict=False):
+            for a, b in pairwise(widths):
                 layers += [nn.Dropout(0.01), nn.Linear(a, b), nn.ReLU(), nn.BatchNorm1d(b)]
             network = nn.Sequential(*layers, nn.Linear(24, 1))
             data = torch.utils.data.TensorDataset(xi, u)
