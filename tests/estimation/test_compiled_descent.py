@@ -63,7 +63,7 @@ def test_affine_flower():
     model = networks_of_the_affine_robot(FOLDER, (0, 1, 2)).double()
     data = Flower.simulated()
     u, start = data.u[:STEPS].unsqueeze(1).expand(-1, 3, -1), data.q[0].expand(3, -1)
-    sensing = MagneticSensing(affine_robot(), model, "angles")
+    sensing = MagneticSensing(affine_robot(magnet_shift_m=0.0), model, "angles")
     assert_equal(*both(sensing, torch.tensor(STEP_SIZE).double(), u, start, options={"momentum": MOMENTUM}))
 
 
