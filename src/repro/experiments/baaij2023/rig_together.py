@@ -57,9 +57,9 @@ def train_together(
     """
     if len({xi.shape for xi, _ in sets}) != 1:
         raise bad_input("sets", "train_together", "of one size, at least one", [len(xi) for xi, _ in sets])
-    network, generator, train, validation = first_draws(*sets[0][0].shape, seed)
-    rows = [(xi[train].contiguous(), u[train].contiguous()) for xi, u in sets]
-    n, n_in = rows[0][0].shape
+    n_in = sets[0][0].shape[1]
+    network, generator, train, validation = first_draws(len(sets[0][0]), n_in, seed)
+    n, rows = len(train), [(xi[train].contiguous(), u[train].contiguous()) for xi, u in sets]
     start = parameters_to_vector(network.parameters()).detach().numpy()
     theta = np.repeat(start[None], len(sets), axis=0)
     average = np.zeros_like(theta)
@@ -85,7 +85,7 @@ def train_together(
     begin_pass(generator)
     state, found = generator.get_state(), []
     for vector, (xi, u) in zip(average, sets, strict=True):
-        network, own, _, _ = first_draws(*xi.shape, seed)
+        network, own, _, _ = first_draws(len(xi), n_in, seed)
         vector_to_parameters(torch.from_numpy(vector), network.parameters())
         own.set_state(state)
         refresh_batch_norm(network, xi[train])
