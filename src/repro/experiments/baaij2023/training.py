@@ -186,7 +186,7 @@ def train(spec: NetworkSpec | AffineSpec, folder: Path, checkpoints: Path, *, pr
     """Train one network, or go on with it, and write its weights and manifest; return the weights' path.
 
     A training whose loss diverges is begun anew with the seed plus 1000, at most twice; the manifest then names the
-    seed it succeeded with (``training_seed``). Of the networks of the paper's tables this happens to one.
+    seed it succeeded with (``training_seed``).
 
     Raises
     ------
