@@ -107,13 +107,17 @@ def scorecard(*, require: Path | None = None, write_reference: Path | None = Non
 
 
 @app.command
-def train(*, only: str = "") -> int:
+def train(*, only: str = "", folder: Path | None = None, checkpoints: Path | None = None) -> int:
     """Train the networks of the paper's recipe that data/networks/ does not have yet; go on where it stopped.
 
     Parameters
     ----------
     only
         Train only those whose name starts with this, such as pcc_nb1.
+    folder
+        Folder of the networks, in place of data/networks/.
+    checkpoints
+        Folder of the state between runs, in place of .cache/book/networks/.
     """
     import torch
 
@@ -124,7 +128,7 @@ def train(*, only: str = "") -> int:
 
     torch.set_num_threads(1)  # several of these run side by side faster than one with several threads
     project = find_project()
-    folder, checkpoints = project.data / "networks", project.cache / "networks"
+    folder, checkpoints = folder or project.data / "networks", checkpoints or project.cache / "networks"
     wanted = [spec for spec in (*specs(), *rig_specs()) if spec.name.startswith(only)]
     if not wanted:
         raise bad_input("only", "repro train", "the start of a network's name", repr(only))

@@ -15,10 +15,15 @@ from repro.experiments.baaij2023.session import SENSOR_NOISE_MT, Config, release
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
+from repro.sensing.weights import read_manifest
 from repro.simulation.robots import affine_robot
 from repro.simulation.trajectories import flower
 
 DATA = Path(__file__).parents[2] / "data"
+of_these_data = pytest.mark.skipif(
+    "split" not in read_manifest(DATA / "networks" / "affine_sensor1_seed0.safetensors"),
+    reason="the networks of the affine robot are of data whose magnets slide along the backbone: make train",
+)
 PUBLISHED = {"kappa_0": 5.4, "kappa_1": 4.0, "phi": 1.3, "delta_L": 3.8}
 
 
@@ -87,6 +92,7 @@ class TestPapersMethod:
         model = affine.networks(DATA / "networks", [0, 1])
         return affine.paper_method(affine.Flower.simulated(40), model, [0, 1])
 
+    @of_these_data
     def test_errors_are_of_the_published_order(self, run):
         table = affine.errors(run)
         assert len(table) == 2 * (1 + 2 * 4)
@@ -102,6 +108,7 @@ class TestPapersMethod:
             expected = error[0, name, "%"] / 100 * float(width[k]) * affine.TO_PRINTED[k]
             assert error[0, name, unit] == pytest.approx(expected)
 
+    @of_these_data
     def test_series_and_stills(self, run):
         series = affine.series(run)
         assert len(series) == 40 * (9 + 4)

@@ -56,7 +56,7 @@ class TestTogether:
             toy_rows(),
             {"seed": 3, "learning_rate": RIG_LEARNING_RATE, "epochs": 3, "swa_start": 1},
         )
-        alone, metrics = train_paper(*rows, checkpoint=tmp_path / "a", progress=False, **options)
+        alone, metrics, _ = train_paper(*rows, checkpoint=tmp_path / "a", progress=False, **options)
         (network, own), _ = train_together([rows, (rows[0], 2 * rows[1])], **options)
         with torch.no_grad():
             np.testing.assert_allclose(network(rows[0]).numpy(), alone(rows[0]).numpy(), atol=1e-3)

@@ -301,6 +301,8 @@ class TestNetworks:
         manifest = json.loads(path.with_suffix(".json").read_text())
         assert manifest["recording"] == "synthetic_T5_train"
         assert manifest["learning_rate"] == 5e-5
+        assert manifest["metrics_mv"].keys() == {"rmse_train", "rmse_validation"}
+        assert manifest["loss_by_epoch"]["unit"] == "mV^2"
         assert "twin_sha256" not in manifest  # given a recording, it does not know of which twin
         monkeypatch.delattr(rig_training, "train_paper")  # a second call trains nothing
         assert train_rig(RigSpec(2, 4), tmp_path, tmp_path, part=short_data().train) == path

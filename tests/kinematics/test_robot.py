@@ -87,6 +87,19 @@ def test_mounts_keep_their_order_and_follow_their_segment():
     torch.testing.assert_close(T[0], bases[2] @ SEGMENT.pose(q[6:], torch.tensor(0.5)))
 
 
+def test_a_shifted_magnet_moves_rigidly_along_its_own_axis():
+    """Along the backbone or across it, each by its own shift; a shift of zero leaves every bit as it is."""
+    axial, across, shift = [L / 2, 0.02], [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], [-0.003, 0.002]
+    q = random_q(5, 9)
+    plain, shifted = (
+        three_segments(magnets=magnet_mounts([1, 2], axial, across, s)).magnet_poses(q) for s in (0.0, shift)
+    )
+    assert torch.equal(shifted[..., :3, :3], plain[..., :3, :3])
+    expected = plain[..., :3, 3] + torch.tensor(shift).double()[:, None] * plain[..., :3, 2]
+    torch.testing.assert_close(shifted[..., :3, 3], expected)
+    assert magnet_mounts([0], 0.05).local.numpy().tobytes() == torch.eye(4).double().numpy().tobytes()
+
+
 def test_backbone_runs_from_base_to_tip():
     robot, q = three_segments(), random_q(4, 9)
     points = robot.backbone(q, n_points=5)

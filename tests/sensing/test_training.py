@@ -1,6 +1,8 @@
 """Both recipes: determinism, resuming, averaging of weights, batch-norm refresh, divergence, and a real fit."""
 
 import math
+import platform
+from itertools import pairwise
 
 import pytest
 import torch
@@ -10,10 +12,10 @@ from repro.errors import InputError
 from repro.experiments.baaij2023 import training as paper_training
 from repro.experiments.baaij2023.training import AffineSpec, segment_rows, train_own, training_rows
 from repro.sensing import training
-from repro.sensing.fast_training import train_dipole_residual, train_fast
+from repro.sensing.fast_training import split_rows, train_dipole_residual, train_fast
 from repro.sensing.network import DipoleResidual, PerSensor, SignedExponential, paper_network
 from repro.sensing.relations import relations
-from repro.sensing.training import rmse, split_rows, train_paper
+from repro.sensing.training import first_draws, rmse, train_paper
 from repro.sensing.weights import load_paper_network, read_manifest
 from repro.simulation.training_set import training_set
 
@@ -40,6 +42,15 @@ def paper(rows, path, **options):
     return train_paper(*rows, checkpoint=path, **(defaults | options))
 
 
+def error_on_validation_rows(network, rows, seed=0):
+    """By the rule of the released code, with torch's own random numbers."""
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        order = torch.randperm(len(rows[0]))
+    validation = order[len(order) - int(0.3 * len(order)) :]
+    return rmse(network.eval(), rows[0][validation], rows[1][validation])
+
+
 def equal(a, b):
     return all(
         torch.equal(x, y) for x, y in zip(a.state_dict().values(), b.state_dict().values(), strict=True)
@@ -53,16 +64,84 @@ def test_split_is_a_partition():
     assert not torch.equal(train, split_rows(1000, 4)[0])
 
 
+class TestStreamOfTheReleasedCode:
+    """What seed n means: everything is drawn as a program draws that seeds torch and then trains."""
+
+    def test_first_weights_of_the_published_network(self):
+        """One segment, seed 0, 360,000 rows: near those of the released network, which are 250 epochs further."""
+        network, *_ = first_draws(360_000, 5, 0)
+        found = network[2].weight.detach().flatten()[:4]
+        assert found.tolist() == pytest.approx([0.209, -0.090, -0.332, -0.002], abs=6e-4)
+        released = [0.173, -0.136, -0.325, 0.050]
+        assert found.tolist() == pytest.approx(released, abs=0.06)
+
+    @pytest.mark.parametrize("rows", [1001, 1700])
+    def test_all_draws_are_those_of_torch(self, rows):
+        with torch.random.fork_rng():
+            torch.manual_seed(7)
+            order = torch.randperm(rows)
+            widths = (9, 96, 256, 64, 24, 1)
+            layers = [nn.Linear(a, b) for a, b in pairwise(widths)]
+            data = torch.utils.data.TensorDataset(order)
+            loaded = lambda: iter(torch.utils.data.DataLoader(data, 650))  # noqa: E731
+            loaded()
+            loaded()
+            mask = nn.functional.dropout(torch.ones(650, 9), 0.01)
+        network, generator, train, validation = first_draws(rows, 9, 7)
+        assert torch.equal(torch.cat([train, validation]), order)
+        assert len(validation) == int(0.3 * rows)
+        ours = [m for m in network if isinstance(m, nn.Linear)]
+        for a, b in zip(ours, layers, strict=True):
+            assert torch.equal(a.weight, b.weight)
+            assert torch.equal(a.bias, b.bias)
+        training.begin_pass(generator)
+        assert torch.equal(network[1](torch.ones(650, 9)), mask)
+
+    def test_three_epochs_are_those_of_a_plain_program(self, rows, tmp_path):
+        """Loaders, torch's own dropout and its averaging of weights, written out without this project."""
+        xi, u = rows
+        widths = (xi.shape[1], 96, 256, 64, 24)
+        with torch.random.fork_rng():
+            torch.manual_seed(5)
+            order = torch.randperm(len(xi))
+            cut = len(xi) - int(0.3 * len(xi))
+            layers = [nn.BatchNorm1d(widths[0])]
+            for a, b in pairwise(widths):
+                layers += [nn.Dropout(0.01), nn.Linear(a, b), nn.ReLU(), nn.BatchNorm1d(b)]
+            network = nn.Sequential(*layers, nn.Linear(24, 1))
+            data = torch.utils.data.TensorDataset(xi, u)
+            load, check = (
+                torch.utils.data.DataLoader(torch.utils.data.Subset(data, part.tolist()), 650)
+                for part in (order[:cut], order[cut:])
+            )
+            optimiser, average = torch.optim.SGD(network.parameters(), lr=0.05), torch.optim.swa_utils
+            average = average.AveragedModel(network)
+            iter(check)
+            for epoch in range(3):
+                if epoch >= 1:
+                    average.update_parameters(network)
+                for x, y in load:
+                    optimiser.zero_grad()
+                    nn.functional.mse_loss(network(x).squeeze(), y).backward()
+                    optimiser.step()
+                iter(check)
+            torch.optim.swa_utils.update_bn(load, average)
+        found, *_ = paper(rows, tmp_path / "state", seed=5, epochs=3, swa_start=2)
+        with torch.no_grad():
+            expected = average.module.eval()(xi).squeeze()
+            torch.testing.assert_close(found(xi), expected, rtol=1e-5, atol=1e-5)
+
+
 class TestPaperRecipe:
     def test_same_seed_same_bits(self, rows, tmp_path):
-        (a, _), (b, _), (c, _) = (paper(rows, tmp_path / f"{k}", seed=k // 2) for k in range(3))
+        (a, *_), (b, *_), (c, *_) = (paper(rows, tmp_path / f"{k}", seed=k // 2) for k in range(3))
         assert equal(a, b)
         assert not equal(a, c)
         assert not a.training
 
     def test_resumed_equals_uninterrupted(self, rows, tmp_path, monkeypatch):
         """Interrupted in the middle of the third epoch, after its first batch."""
-        expected, metrics = paper(rows, tmp_path / "whole")
+        expected, metrics, curve = paper(rows, tmp_path / "whole")
         epoch, calls = training._epoch, []
 
         def interrupted(network, optimiser, x, y):
@@ -75,10 +154,11 @@ class TestPaperRecipe:
         monkeypatch.setattr(training, "_epoch", interrupted)
         with pytest.raises(KeyboardInterrupt):
             paper(rows, tmp_path / "parts")
-        network, again = paper(rows, tmp_path / "parts")
+        network, again, same = paper(rows, tmp_path / "parts")
         assert len(calls) == 3 + 2  # two whole epochs, one lost, two more
         assert equal(network, expected)
         assert again == metrics
+        assert torch.equal(same, curve)
 
     def test_state_of_another_training_is_refused(self, rows, tmp_path):
         xi, u = rows
@@ -87,18 +167,32 @@ class TestPaperRecipe:
             with pytest.raises(InputError, match="Input checkpoint of train_paper must be of the same data"):
                 paper(others, tmp_path / "state")
 
-    def test_result_is_the_mean_of_the_weights_at_the_ends_of_epochs(self, rows, tmp_path, monkeypatch):
-        epoch, ends = training._epoch, []
+    def test_result_is_the_mean_of_the_weights_at_the_beginnings_of_epochs(self, rows, tmp_path, monkeypatch):
+        """From the second epoch on: after 1, 2, 3 and 4 of five epochs."""
+        epoch, begins = training._epoch, []
 
         def recorded(network, optimiser, x, y):
-            loss = epoch(network, optimiser, x, y)
-            ends.append([p.detach().clone() for p in network.parameters()])
-            return loss
+            begins.append([p.detach().clone() for p in network.parameters()])
+            return epoch(network, optimiser, x, y)
 
         monkeypatch.setattr(training, "_epoch", recorded)
-        network, _ = paper(rows, tmp_path / "state", epochs=5, swa_start=2)
-        for p, *at_ends in zip(network.parameters(), *ends[2:], strict=True):
-            torch.testing.assert_close(p.detach(), torch.stack(at_ends).mean(0))
+        network, *_ = paper(rows, tmp_path / "state", epochs=5, swa_start=2)
+        for p, *at_beginnings in zip(network.parameters(), *begins[1:], strict=True):
+            torch.testing.assert_close(p.detach(), torch.stack(at_beginnings).mean(0))
+
+    def test_curve_holds_the_losses_of_every_epoch(self, rows, tmp_path, monkeypatch):
+        """Those on the validation rows without dropout, from the weights at the end of the epoch."""
+        save, ends = training._save, []
+
+        def recorded(path, network, *others):
+            ends.append(error_on_validation_rows(network, rows) ** 2)
+            save(path, network, *others)
+
+        monkeypatch.setattr(training, "_save", recorded)
+        _, _, curve = paper(rows, tmp_path / "state")
+        assert curve.shape == (4, 2)
+        assert curve[:, 1].tolist() == pytest.approx(ends)
+        assert float(curve[3, 0]) < float(curve[0, 0])
 
     def test_refreshed_batch_norm_has_the_statistics_of_the_data(self):
         """The first one sees the raw inputs: mean over batches of their means and (unbiased) variances."""
@@ -112,11 +206,8 @@ class TestPaperRecipe:
         assert network[0].momentum == 0.1
 
     def test_metrics_are_those_of_the_result(self, rows, tmp_path):
-        network, metrics = paper(rows, tmp_path / "state")
-        _, validation = split_rows(len(rows[0]), 0)
-        with torch.no_grad():
-            error = network(rows[0][validation]) - rows[1][validation]
-        assert metrics["rmse_validation"] == pytest.approx(float(error.square().mean().sqrt()), rel=1e-5)
+        network, metrics, _ = paper(rows, tmp_path / "state")
+        assert metrics["rmse_validation"] == pytest.approx(error_on_validation_rows(network, rows))
 
     def test_divergence_is_an_error(self, rows, tmp_path):
         with pytest.raises(FloatingPointError, match="no longer finite in epoch 0: lower learning_rate"):
@@ -144,9 +235,16 @@ class TestPaperRecipe:
             "earth": False,
             "seed": 0,
         }
-        _, validation = split_rows(len(rows[0]), 0)
-        error = rmse(load_paper_network(path), rows[0][validation], rows[1][validation])
+        error = error_on_validation_rows(load_paper_network(path), rows)
         assert error == pytest.approx(manifest["metrics_mt"]["rmse_validation"])
+        losses = manifest["loss_by_epoch"]
+        assert losses["unit"] == "mT^2"
+        assert [len(losses[name]) for name in ("train", "validation")] == [2, 2]
+        assert "randperm" in manifest["split"]
+        assert manifest["threads"] == torch.get_num_threads()
+        assert manifest["processor"]
+        assert platform.node() not in manifest["processor"]
+        assert len(path.with_suffix(".json").read_text().splitlines()) == 2 + len(manifest)
         monkeypatch.delattr(paper_training, "train_paper")  # a second call trains nothing
         assert paper_training.train(spec, tmp_path / "networks", tmp_path / "state") == path
 

@@ -27,6 +27,24 @@ def test_magnets_of_the_affine_robot(shift, expected):
     torch.testing.assert_close(T[:, :3, :3], torch.eye(3, dtype=torch.float64).expand(2, 3, 3))
 
 
+def test_magnets_of_a_bent_robot_are_shifted_along_their_own_axes():
+    """On a circle: the shifted magnets lie on the tangents at 50 and 150 mm, outside the circle, and do not turn."""
+    bend, shift = 2.0, -0.003
+    radius = 0.200 / bend
+    angle = bend * torch.tensor([0.25, 0.75], dtype=torch.float64)
+    zero = torch.zeros_like(angle)
+    place = radius * torch.stack([zero, angle.cos() - 1, angle.sin()], dim=-1)
+    axis = torch.stack([zero, -angle.sin(), angle.cos()], dim=-1)
+    q = torch.tensor([bend, 0.0, 0.0, 0.0], dtype=torch.float64)
+    T = affine_robot().magnet_poses(q)
+    torch.testing.assert_close(T[:, :3, 3], place + shift * axis)
+    torch.testing.assert_close(T[:, :3, 2], axis)
+    torch.testing.assert_close(T[:, :3, :3], affine_robot(magnet_shift_m=0.0).magnet_poses(q)[:, :3, :3])
+    centre = torch.tensor([0.0, -radius, 0.0], dtype=torch.float64)
+    outside = torch.full((2,), math.hypot(radius, shift), dtype=torch.float64)
+    torch.testing.assert_close((T[:, :3, 3] - centre).norm(dim=-1), outside)
+
+
 def test_all_sensors_measure_towards_the_base():
     for robot, q in ((affine_robot(), STRAIGHT), (pcc_robot(2), STRAIGHT.new_zeros(6))):
         torch.testing.assert_close(robot.sensor_poses(q)[:, 2, 2], -torch.ones(len(robot.sensors)).double())

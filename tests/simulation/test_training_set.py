@@ -1,13 +1,16 @@
 """Statistics of the published training set, ranges of every draw, determinism."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from repro.errors import InputError
+from repro.experiments.baaij2023 import training
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
+from repro.simulation.robots import MAGNET_SHIFT_M, affine_robot
 from repro.simulation.training_set import BENDING_M, ELONGATION_M, affine_training_set, training_set
 
 
@@ -85,6 +88,14 @@ def test_bad_input():
         training_set(1, seed=0, samples=0)
 
 
+def relative_shift(data):
+    """Largest difference of the means of the three planes from the released ones, in standard errors of both."""
+    released = torch.tensor([-3.34117, -5.61551, -2.55219]).double()
+    planes = data.u.unflatten(-1, (3, 3)).mean(-2)  # sensor j is in plane j mod 3
+    error = planes.std(0) * (1 / len(planes) + 1 / 120_000) ** 0.5
+    return float(((planes.mean(0) - released).abs() / error).max())
+
+
 @pytest.fixture(scope="module")
 def affine():
     return affine_training_set(seed=1, samples=20_000)
@@ -114,6 +125,30 @@ class TestAffine:
             for other in (plane + 3, plane + 6):
                 assert abs(float(mean[plane] - mean[other])) < 5 * float(deviation[plane])
         assert float((mean[0] - mean[1]).abs()) > 1
+
+    def test_means_of_the_planes_are_those_of_the_released_data(self, affine):
+        """-3.34117, -5.61551 and -2.55219 mT, kept with the released networks, within three standard errors.
+
+        A magnet that slides along the bent backbone, and turns, is ten standard errors off in the first plane.
+        """
+        assert relative_shift(affine) < 3
+        slid = affine_robot(magnet_shift_m=0.0)
+        magnets = replace(slid.magnets, axial=slid.magnets.axial + MAGNET_SHIFT_M["released"])
+        robot = replace(affine.robot, magnets=magnets)
+        turned = replace(affine, u=readings(robot, affine.q, ring("released")))
+        assert relative_shift(turned) > 10
+
+    def test_networks_know_nothing_of_the_shift(self, monkeypatch, affine):
+        """Readings of shifted magnets; distances to where the backbone is at 50 and 150 mm."""
+        monkeypatch.setattr(training, "affine_training_set", lambda **_: affine)
+        xi, u = training.AffineSpec(sensor=4, seed=0).rows()
+        torch.testing.assert_close(u, affine.u[:, 4].float())
+        segment = affine.robot.segments[0]
+        sensor = affine.robot.sensor_poses(affine.q)[:, 4, :3, 3]
+        for k, v in enumerate((0.25, 0.75)):
+            place = segment.pose(affine.q, torch.tensor(v).double())[:, :3, 3]
+            expected = (sensor - place).norm(dim=-1).float()
+            torch.testing.assert_close(xi[:, 1 + 4 * k], expected)
 
     def test_same_seed_same_bits(self, affine):
         again = affine_training_set(seed=1, samples=20_000)

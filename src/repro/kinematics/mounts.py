@@ -62,7 +62,10 @@ class Mounts:
 
 
 def magnet_mounts(
-    segment: Sequence[int], axial: Numbers, direction: Sequence[Sequence[float]] | Tensor | None = None
+    segment: Sequence[int],
+    axial: Numbers,
+    direction: Sequence[Sequence[float]] | Tensor | None = None,
+    shift: Numbers = 0.0,
 ) -> Mounts:
     """Magnets on the backbone, magnetised along it (Baaij et al. 2023, section 2.2) or in directions of their own.
 
@@ -75,6 +78,9 @@ def magnet_mounts(
     direction
         Direction of magnetisation of each magnet, ``[m, 3]``, in the frame of the cross-section (z along the
         backbone towards the tip) and of any length; along the backbone when not given.
+    shift
+        Distance [m] by which each magnet is moved along its own axis from there. It moves rigidly, in the frame of
+        the cross-section at ``axial``: it does not follow the bent backbone.
 
     Raises
     ------
@@ -91,6 +97,8 @@ def magnet_mounts(
     if direction is not None:
         rotation = _directed(direction, d.new_tensor([0.0, 1.0, 0.0]), len(segment), "magnet_mounts")
         local = se3.pose(rotation, local[..., :3, 3])
+    along = _numbers("shift", "magnet_mounts", shift, len(segment))
+    local = se3.pose(local[..., :3, :3], local[..., :3, 3] + along.unsqueeze(-1) * local[..., :3, 2])
     return Mounts(tuple(segment), d, local)
 
 

@@ -16,11 +16,18 @@ from tqdm import tqdm
 
 from repro.errors import bad_input
 from repro.sensing.network import CosineNetwork, DipoleResidual
-from repro.sensing.training import rmse, split_rows
+from repro.sensing.training import VALIDATION_SHARE, rmse
 
 BATCH = 1000
 EPOCHS = 10
 LEARNING_RATE = 1e-2
+
+
+def split_rows(n: int, seed: int) -> tuple[Tensor, Tensor]:
+    """Random rows for training (70 %) and validation (30 %): the seed of a network also splits its data."""
+    order = torch.randperm(n, generator=torch.Generator().manual_seed(seed))
+    n_validation = round(n * VALIDATION_SHARE)
+    return order[n_validation:], order[:n_validation]
 
 
 def train_fast(

@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Iterator
+import platform
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -22,13 +24,38 @@ BATCH = 650
 EPOCHS = 250
 SWA_START = 125
 VALIDATION_SHARE = 0.3
+SPLIT = (
+    "p = torch.randperm(rows) after torch.manual_seed(seed); p[:rows - int(0.3 rows)] train, "
+    "in this order and never shuffled; the rest validate"
+)
+"""Which rows train, in which order: as in the released code, for the manifests."""
 
 
-def split_rows(n: int, seed: int) -> tuple[Tensor, Tensor]:
-    """Random rows for training (70 %) and validation (30 %): the seed of a network also splits its data."""
-    order = torch.randperm(n, generator=torch.Generator().manual_seed(seed))
-    n_validation = round(n * VALIDATION_SHARE)
-    return order[n_validation:], order[:n_validation]
+def first_draws(
+    rows: int, n_inputs: int, seed: int, *, exponential_head: bool = False
+) -> tuple[nn.Sequential, torch.Generator, Tensor, Tensor]:
+    """What the released code draws before the first epoch, from one stream of random numbers.
+
+    First the split of the rows, then the weights of the network, layer by layer; then the number that a check of two
+    batches of validation rows takes. The dropout draws what follows.
+
+    Returns
+    -------
+    nn.Sequential, torch.Generator, Tensor, Tensor
+        The network, the stream that its dropout goes on with, and the rows that train and that validate: see
+        :data:`SPLIT`.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    order = torch.randperm(rows, generator=generator)
+    n_train = rows - int(VALIDATION_SHARE * rows)
+    network = paper_network(n_inputs, generator, exponential_head=exponential_head)
+    begin_pass(generator)
+    return network, generator, order[:n_train], order[n_train:]
+
+
+def begin_pass(generator: torch.Generator) -> None:
+    """Draw the number that torch's loader of batches draws whenever it is gone through anew."""
+    torch.empty((), dtype=torch.int64).random_(generator=generator)
 
 
 def train_paper(
@@ -41,14 +68,19 @@ def train_paper(
     exponential_head: bool = False,
     epochs: int = EPOCHS,
     swa_start: int = SWA_START,
+    unit: str = "mT",
     progress: bool = True,
-) -> tuple[nn.Sequential, dict[str, float]]:
+) -> tuple[nn.Sequential, dict[str, float], Float[Tensor, "epochs 2"]]:
     """Train one network as the published ones were trained.
 
     SGD without momentum at a constant learning rate on the raw mean squared error, batches of 650 in the order
-    of the split, never shuffled. From epoch 125 on the weights at the end of each epoch are averaged (SWA); the
-    result is the average after one more pass that refreshes the batch-norm statistics. The released training
+    of the split, never shuffled. The weights at the beginning of each epoch from the 125th on are averaged (SWA);
+    the result is the average after one more pass that refreshes the batch-norm statistics. The released training
     state shows this constant rate; section 3.2 names cosine annealing.
+
+    Split, initial weights and dropout come from one stream of random numbers, as in the released code (see
+    :func:`first_draws`). As the order of the rows never changes, the last batches of an epoch are always the same
+    rows, and all networks of one seed with as many rows have them in common: the split is a part of the result.
 
     After every epoch the state goes to ``checkpoint`` (written whole or not at all), and a later call with the
     same arguments goes on from there: at most the running epoch is lost, and the result has the same bits.
@@ -58,9 +90,9 @@ def train_paper(
     xi
         Relations as angles, float32.
     u
-        Readings [mT].
+        Readings.
     seed
-        Draws the initial weights, the dropout and the split.
+        Draws the split, the initial weights and the dropout.
     learning_rate
         0.18 for constant curvature, 0.15 for affine curvature.
     checkpoint
@@ -69,47 +101,98 @@ def train_paper(
         With the last layer of section 4.2: see :func:`~repro.sensing.network.paper_network`.
     epochs, swa_start
         250 and 125 in the paper.
+    unit
+        Unit of the readings, for the progress bar.
     progress
         Show a progress bar with the losses.
 
     Returns
     -------
-    nn.Sequential, dict
-        The averaged network in evaluation mode, and its root-mean-squared errors [mT] ``rmse_train`` and
-        ``rmse_validation``.
+    nn.Sequential, dict, Tensor
+        The averaged network in evaluation mode; its root-mean-squared errors ``rmse_train`` and ``rmse_validation``
+        [unit of ``u`` ]; and the mean squared errors of every epoch on the training rows (with dropout, while the
+        weights move) and on the validation rows (at its end).
     """
-    generator = torch.Generator().manual_seed(seed)
-    network, average = (
-        paper_network(xi.shape[-1], generator, exponential_head=exponential_head) for _ in range(2)
+    network, generator, train, validation = first_draws(
+        len(xi), xi.shape[-1], seed, exponential_head=exponential_head
     )
-    train, validation = split_rows(len(xi), seed)
+    average = [p.detach().clone() for p in network.parameters()]
     x, y, x_val, y_val = xi[train], u[train], xi[validation], u[validation]
     optimiser = torch.optim.SGD(network.parameters(), lr=learning_rate)
     # What the state in the file must have come from; the number of epochs may grow.
-    settings = (seed, learning_rate, swa_start, BATCH) + (("head",) if exponential_head else ())
+    settings = (seed, learning_rate, swa_start, BATCH, SPLIT) + (("head",) if exponential_head else ())
     content = hashlib.sha256(repr(settings).encode())
     content.update(xi.numpy().tobytes() + u.numpy().tobytes())
     run = content.hexdigest()
-    start = _resume(checkpoint, network, average, run)
+    curve = _resume(checkpoint, network, average, generator, run)
+    start = len(curve)
     bar = tqdm(range(start, epochs), initial=start, total=epochs, disable=not progress, mininterval=5)
     for epoch in bar:
-        # From seed and epoch alone, so that an epoch does not depend on how the ones before it were run.
-        generator.manual_seed((seed << 32) + epoch)
+        if (share := averaging_share(epoch, swa_start)) is not None:
+            with torch.no_grad():
+                for a, p in zip(average, network.parameters(), strict=True):
+                    a.lerp_(p, share)
+        begin_pass(generator)
         loss = _epoch(network, optimiser, x, y)
         if not math.isfinite(loss):
             raise FloatingPointError(f"The loss is no longer finite in epoch {epoch}: lower learning_rate.")
-        n_averaged = epoch - swa_start
-        if n_averaged >= 0:
-            with torch.no_grad():
-                for a, p in zip(average.parameters(), network.parameters(), strict=True):
-                    a += (p - a) / (n_averaged + 1)
-        bar.set_postfix(rmse_mT=f"{loss**0.5:.4f}")
-        _save(checkpoint, network, average, {"epoch": str(epoch + 1), "run": run})
-    generator.manual_seed((seed << 32) + epochs)
-    refresh_batch_norm(average, x)
-    average.eval()
-    metrics = {"rmse_train": rmse(average, x, y), "rmse_validation": rmse(average, x_val, y_val)}
-    return average, metrics
+        begin_pass(generator)
+        network.eval()
+        loss_validation = rmse(network, x_val, y_val) ** 2
+        curve = torch.cat([curve, curve.new_tensor([[loss, loss_validation]])])
+        bar.set_postfix({f"rmse_{unit}": f"{loss**0.5:.4f}"})
+        _save(checkpoint, network, average, generator, curve, run)
+    with torch.no_grad():
+        for a, p in zip(average, network.parameters(), strict=True):
+            p.copy_(a)
+    begin_pass(generator)
+    refresh_batch_norm(network, x)
+    network.eval()
+    metrics = {"rmse_train": rmse(network, x, y), "rmse_validation": rmse(network, x_val, y_val)}
+    return network, metrics, curve
+
+
+def averaging_share(epoch: int, swa_start: int) -> float | None:
+    """Share of the weights at the beginning of an epoch (from 0) in their average so far; none before averaging."""
+    first = max(swa_start - 1, 0)
+    return None if epoch < first else 1 / (epoch - first + 1)
+
+
+def training_record(
+    unit: str, metrics: Mapping[str, float], curve: Float[Tensor, "epochs 2"] | None = None
+) -> dict[str, Any]:
+    """What the manifest of a network of this recipe says of its training.
+
+    Parameters
+    ----------
+    unit
+        Unit of the readings; the metrics are under ``metrics_mt`` or ``metrics_mv``.
+    metrics, curve
+        As :func:`train_paper` returns them; the curve is left out when not given.
+    """
+    losses = {}
+    if curve is not None:
+        columns = {name: curve[:, k].tolist() for k, name in enumerate(("train", "validation"))}
+        # Five digits: for a plot, and to see where another training parts from this one.
+        losses = {name: [float(f"{x:.5g}") for x in column] for name, column in columns.items()}
+        losses = {"loss_by_epoch": {"unit": f"{unit}^2", **losses}}
+    return {
+        f"metrics_{unit.lower()}": dict(metrics),
+        **losses,
+        "split": SPLIT,
+        "threads": torch.get_num_threads(),
+        "processor": processor(),
+    }
+
+
+def processor() -> str:
+    """Name of the processor's model: with the number of threads it decides the last digits of a training."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:  # not Linux
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
 
 
 def rmse(network: nn.Module, x: Float[Tensor, "rows xi"], y: Float[Tensor, " rows"]) -> float:
@@ -151,24 +234,34 @@ def refresh_batch_norm(network: nn.Module, x: Tensor) -> None:
         m.momentum = momentum
 
 
-def _save(path: Path, network: nn.Module, average: nn.Module, about: dict[str, str]) -> None:
+def _save(
+    path: Path, network: nn.Module, average: list[Tensor], generator: torch.Generator, curve: Tensor, run: str
+) -> None:
     state = {f"network.{k}": v for k, v in network.state_dict().items()}
-    state |= {f"average.{k}": v for k, v in average.state_dict().items()}
+    state |= {f"average.{k}": a for k, a in enumerate(average)}
+    state |= {"generator": generator.get_state(), "curve": curve}
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".partial")
-    save_file(state, partial, metadata=about)
+    save_file(state, partial, metadata={"run": run})
     os.replace(partial, path)
 
 
-def _resume(path: Path, network: nn.Module, average: nn.Module, run: str) -> int:
+def _resume(
+    path: Path, network: nn.Module, average: list[Tensor], generator: torch.Generator, run: str
+) -> Float[Tensor, "epochs 2"]:
+    """Fill in the state of the file, if there is one; return the losses of the epochs behind it."""
     if not path.exists():
-        return 0
+        return torch.empty(0, 2, dtype=torch.float64)
     with safe_open(path, framework="pt") as file:
         about = file.metadata() or {}
     if about.get("run") != run:
         expected = "of the same data, seed and learning rate (or not there)"
         raise bad_input("checkpoint", "train_paper", expected, f"another training's: {path.name}")
     state = load_file(path)
-    for name, module in (("network.", network), ("average.", average)):
-        module.load_state_dict({k.removeprefix(name): v for k, v in state.items() if k.startswith(name)})
-    return int(about["epoch"])
+    network.load_state_dict(
+        {k.removeprefix("network."): v for k, v in state.items() if k.startswith("network.")}
+    )
+    for k, a in enumerate(average):
+        a.copy_(state[f"average.{k}"])
+    generator.set_state(state["generator"])
+    return state["curve"]

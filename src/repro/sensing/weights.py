@@ -36,7 +36,9 @@ def save_weights(network: nn.Module, path: Path, manifest: Mapping[str, Any]) ->
     versions = {name: version(name) for name in ("torch", "numpy", "magpylib")}
     full = {**manifest, "weights_sha256": hashlib.sha256(weights).hexdigest(), "versions": versions}
     path.parent.mkdir(parents=True, exist_ok=True)
-    _write(path.with_suffix(".json"), (json.dumps(full, indent=1) + "\n").encode())
+    # A line for each entry: the losses of 250 epochs would be 500 lines otherwise.
+    entries = ",\n".join(f" {json.dumps(key)}: {json.dumps(value)}" for key, value in full.items())
+    _write(path.with_suffix(".json"), f"{{\n{entries}\n}}\n".encode())
     _write(path, weights)
 
 

@@ -19,7 +19,10 @@ AFFINE_LENGTH_M = 0.200
 AFFINE_PLANES_M = (0.0, 0.100, 0.200)
 AFFINE_MAGNETS_M = (0.050, 0.150)
 MAGNET_SHIFT_M = {"released": -0.003, "published": 0.0}
-"""Shift of the magnets of the affine robot along the backbone [m]: in the released training data, and in print."""
+"""Shift of the magnets of the affine robot along their own axes [m]: in the released training data, and in print.
+
+The networks of the released code know nothing of it: their relations are those of the robot as printed.
+"""
 
 
 def pcc_robot(
@@ -81,7 +84,8 @@ def affine_robot(
     Parameters
     ----------
     magnet_shift_m
-        Shift [m] of both magnets from 50 and 150 mm towards the tip: see :data:`MAGNET_SHIFT_M`.
+        Rigid shift [m] of both magnets along their own axes, towards the tip, from the cross-sections at 50 and
+        150 mm: see :data:`MAGNET_SHIFT_M`.
     azimuth_offset
         Azimuth ``phi_off`` [rad] of the first sensor; a batch of robots has a leading dimension.
 
@@ -94,9 +98,8 @@ def affine_robot(
     n = 9
     azimuth = ring_azimuths(n, azimuth_offset)
     axial = torch.tensor(AFFINE_PLANES_M * (n // len(AFFINE_PLANES_M)), dtype=torch.float64)
-    magnets = torch.tensor(AFFINE_MAGNETS_M, dtype=torch.float64) + magnet_shift_m
     return Robot(
         segments=(AffineCurvature(AFFINE_LENGTH_M),),
-        magnets=magnet_mounts([0] * len(AFFINE_MAGNETS_M), magnets),
+        magnets=magnet_mounts([0] * len(AFFINE_MAGNETS_M), AFFINE_MAGNETS_M, shift=magnet_shift_m),
         sensors=sensor_mounts([0] * n, axial, SENSOR_RADIAL_M, azimuth),
     )

@@ -97,7 +97,8 @@ def paper_method(
     """
     if len(step_size) != len(STEP_SIZE):
         raise bad_input("step_size", "paper_method", "four numbers", step_size)
-    sensing = MagneticSensing(affine_robot(), model, "angles")
+    # The networks were trained on relations to magnets that are not shifted.
+    sensing = MagneticSensing(affine_robot(magnet_shift_m=0.0), model, "angles")
     u = data.u.unsqueeze(1).expand(-1, len(seeds), -1)
     generator = torch.Generator().manual_seed(noise_seed)
     u = u + noise_mt * torch.randn(u.shape, generator=generator, dtype=u.dtype)

@@ -133,7 +133,7 @@ def by_model(data: Flower, seeds: Sequence[int], folder: Path) -> pd.DataFrame:
     seed; its error is a check of consistency.
     """
     robot = affine_robot()
-    paper = MagneticSensing(robot, networks(folder, seeds).double(), "angles")
+    paper = MagneticSensing(affine_robot(magnet_shift_m=0.0), networks(folder, seeds).double(), "angles")
     own = ((seed, MagneticSensing(robot, fast_network(seed), "cosines")) for seed in seeds)
     models: list[tuple[str, Sequence[int], Callable[[Tensor], Tensor]]] = [
         ("network of the paper", seeds, paper),

@@ -17,8 +17,17 @@ from tqdm import tqdm
 
 from repro.errors import bad_input
 from repro.experiments.baaij2023.compiled_rig_training import train_step
-from repro.sensing.network import PAPER_WIDTHS, paper_network
-from repro.sensing.training import BATCH, EPOCHS, SWA_START, refresh_batch_norm, rmse, split_rows
+from repro.sensing.network import PAPER_WIDTHS
+from repro.sensing.training import (
+    BATCH,
+    EPOCHS,
+    SWA_START,
+    averaging_share,
+    begin_pass,
+    first_draws,
+    refresh_batch_norm,
+    rmse,
+)
 
 
 def train_together(
@@ -46,20 +55,21 @@ def train_together(
     FloatingPointError
         If a training diverges.
     """
-    parts = [(xi, u, *split_rows(len(xi), seed)) for xi, u in sets]
-    if len({(len(train), xi.shape[1]) for xi, _, train, _ in parts}) != 1:
+    if len({xi.shape for xi, _ in sets}) != 1:
         raise bad_input("sets", "train_together", "of one size, at least one", [len(xi) for xi, _ in sets])
-    rows = [(xi[train].contiguous(), u[train].contiguous()) for xi, u, train, _ in parts]
-    generator = torch.Generator().manual_seed(seed)
-    n, n_in = rows[0][0].shape
-    start = parameters_to_vector(paper_network(n_in, generator).parameters()).detach().numpy()
+    n_in = sets[0][0].shape[1]
+    network, generator, train, validation = first_draws(len(sets[0][0]), n_in, seed)
+    n, rows = len(train), [(xi[train].contiguous(), u[train].contiguous()) for xi, u in sets]
+    start = parameters_to_vector(network.parameters()).detach().numpy()
     theta = np.repeat(start[None], len(sets), axis=0)
     average = np.zeros_like(theta)
     widths = (n_in, *PAPER_WIDTHS)
     spaces = {size: workspace(size, widths) for size in {min(BATCH, n), n % BATCH} if size}
     arrays = [(x.numpy(), y.numpy()) for x, y in rows]
     for epoch in tqdm(range(epochs), disable=not progress, mininterval=5):
-        generator.manual_seed((seed << 32) + epoch)
+        if (share := averaging_share(epoch, swa_start)) is not None:
+            average += (theta - average) * np.float32(share)
+        begin_pass(generator)
         loss = np.zeros(len(sets))
         for first in range(0, n, BATCH):
             size = min(BATCH, n - first)
@@ -71,27 +81,18 @@ def train_together(
                 )
         if not np.isfinite(loss).all():
             raise FloatingPointError(f"The loss is no longer finite in epoch {epoch}: lower learning_rate.")
-        if epoch >= swa_start:
-            average += (theta - average) / np.float32(epoch - swa_start + 1)
-    return [
-        _finished(vector, n_in, (seed, epochs), part) for vector, part in zip(average, parts, strict=True)
-    ]
-
-
-def _finished(
-    vector: np.ndarray, n_in: int, drawn: tuple[int, int], part: tuple[Tensor, Tensor, Tensor, Tensor]
-) -> tuple[nn.Sequential, dict[str, float]]:
-    """Averaged network with statistics of its batch norms, and its errors."""
-    seed, epochs = drawn
-    xi, u, train, validation = part
-    generator = torch.Generator()
-    network = paper_network(n_in, generator)
-    vector_to_parameters(torch.from_numpy(vector), network.parameters())
-    generator.manual_seed((seed << 32) + epochs)
-    refresh_batch_norm(network, xi[train])
-    network.eval()
-    errors = {"rmse_train": train, "rmse_validation": validation}
-    return network, {name: rmse(network, xi[rows], u[rows]) for name, rows in errors.items()}
+        begin_pass(generator)  # of the validation rows
+    begin_pass(generator)
+    state, found = generator.get_state(), []
+    for vector, (xi, u) in zip(average, sets, strict=True):
+        network, own, _, _ = first_draws(len(xi), n_in, seed)
+        vector_to_parameters(torch.from_numpy(vector), network.parameters())
+        own.set_state(state)
+        refresh_batch_norm(network, xi[train])
+        network.eval()
+        errors = {"rmse_train": train, "rmse_validation": validation}
+        found.append((network, {name: rmse(network, xi[rows], u[rows]) for name, rows in errors.items()}))
+    return found
 
 
 def dropout(size: int, widths: tuple[int, ...], generator: torch.Generator) -> tuple[np.ndarray, ...]:

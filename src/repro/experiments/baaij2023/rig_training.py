@@ -16,7 +16,7 @@ from repro.experiments.baaij2023.twin import record_twin
 from repro.recordings.baaij2023 import SYNTHETIC, Recording, split
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.rig import RIG_SENSORS
-from repro.sensing.training import train_paper
+from repro.sensing.training import SPLIT, train_paper, training_record
 from repro.sensing.weights import load_paper_network, read_manifest, rows_sha256, save_weights
 from repro.simulation.rig_twins import nominal_twin
 
@@ -37,7 +37,7 @@ class RigSpec:
     sensor
         Sensor whose reading it predicts, from 0.
     seed
-        Initial weights, dropout and split of the data.
+        Split of the data, initial weights and dropout.
     """
 
     sensor: int
@@ -104,17 +104,19 @@ def train_rig(
             expected = "trained on these readings (move them away to train anew)"
             raise bad_input("networks", target.name, expected, "trained on others")
         return target
-    network, metrics = train_paper(
+    network, metrics, curve = train_paper(
         xi,
         u,
         seed=spec.seed,
         learning_rate=spec.learning_rate,
         checkpoint=checkpoints / f"{spec.name}.safetensors",
+        unit="mV",
         progress=progress,
     )
+    trained = (network, spec, folder, (xi, u), metrics, curve)
     if part is None:
-        return save_rig_network(network, spec, folder, (xi, u), metrics, twin_sha256=nominal_twin().sha256)
-    return save_rig_network(network, spec, folder, (xi, u), metrics, recording=part.name)
+        return save_rig_network(*trained, twin_sha256=nominal_twin().sha256)
+    return save_rig_network(*trained, recording=part.name)
 
 
 def save_rig_network(
@@ -123,6 +125,7 @@ def save_rig_network(
     folder: Path,
     rows: tuple[Tensor, Tensor],
     metrics: dict[str, float],
+    curve: Tensor | None = None,
     *,
     recording: str = SYNTHETIC["T5"],
     twin_sha256: str | None = None,
@@ -135,6 +138,8 @@ def save_rig_network(
         What, which, and where.
     rows, metrics
         What it was trained on, and its errors [mV].
+    curve
+        Losses of every epoch, as :func:`~repro.sensing.training.train_paper` returns them.
     recording
         Name of the recording whose training part that is.
     twin_sha256
@@ -148,7 +153,7 @@ def save_rig_network(
         "recording": f"{recording}_train",
         **({} if twin_sha256 is None else twin),
         "data_sha256": rows_sha256(*rows),
-        "metrics_mv": metrics,
+        **training_record("mV", metrics, curve),
     }
     path = folder / f"{spec.name}.safetensors"
     save_weights(network, path, manifest)
@@ -184,12 +189,13 @@ def rig_networks(folder: Path, seeds: Sequence[int], *, twin_sha256: str | None 
 
 
 def trained_on(part: Recording, folder: Path, seeds: Sequence[int]) -> bool:
-    """Whether a folder has the networks of all sensors and seeds, trained on just these relations and readings."""
+    """Whether a folder has the networks of all sensors and seeds, trained on just these readings, by this recipe."""
     for sensor in range(RIG_SENSORS):
         wanted = rows_sha256(*sensor_rows(part, sensor))
         for seed in seeds:
             path = folder / f"{RigSpec(sensor, seed).name}.safetensors"
-            if not path.is_file() or read_manifest(path).get("data_sha256") != wanted:
+            manifest = read_manifest(path) if path.is_file() else {}
+            if (manifest.get("data_sha256"), manifest.get("split")) != (wanted, SPLIT):
                 return False
     return True
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -12,7 +12,7 @@ from torch import Tensor
 from repro.errors import bad_input
 from repro.experiments.placement.layouts import Layout, layout_of
 from repro.kinematics.robot import Robot
-from repro.simulation.robots import affine_robot, pcc_robot
+from repro.simulation.robots import MAGNET_SHIFT_M, affine_robot, pcc_robot
 from repro.simulation.training_set import BENDING_M, CURVATURE_RAD, ELONGATION_M
 from repro.simulation.trajectories import flower, lemniscate
 
@@ -128,9 +128,12 @@ def affine_task(*, seed: int = 0, shapes: int = 64, steps: int = 400) -> Task:
     bent = torch.tensor([0.0, k1 / 2, 0.0, 2.75e-3], dtype=torch.float64).repeat(6, 1)
     bent[:, 2] = around
     free = torch.tensor([0.0, k1, 2 * math.pi, 0.0], dtype=torch.float64)
+    robot = affine_robot(magnet_shift_m=0.0)
+    # A layout has its magnets on the backbone: where the shifted ones are when the robot is straight.
+    magnets = replace(robot.magnets, axial=robot.magnets.axial + MAGNET_SHIFT_M["released"])
     return Task(
         name="affine, n_s=9",
-        nominal=layout_of(affine_robot()),
+        nominal=layout_of(replace(robot, magnets=magnets)),
         low=low - free,
         high=high + free,
         width=high - low,
