@@ -173,6 +173,31 @@ class TestOurs:
         normalised = np.einsum("ni,ni->n", error, np.linalg.solve(C, error[..., None])[..., 0])
         assert normalised.mean() == pytest.approx(2.0, abs=0.95)  # 2 +- 0.32 for 40 draws
 
+    def test_elongation_that_goes_with_the_bend_is_in_the_map_and_not_in_its_spread(self):
+        train = noisy(linear_twin(spiral(4000)))
+        bend_mm, free = 1e3 * train.q[:, :2], 0.02 * np.random.default_rng(3).standard_normal(4000)
+        longer = 5.4 + 0.025 * (bend_mm**2).sum(axis=1) + free
+        bend_map = fit_map(replace(train, q=np.column_stack([train.q[:, :2], 1e-3 * longer])), degree=1)
+        assert bend_map.elongation_mm == pytest.approx([5.4, 0.025], rel=2e-3)
+        assert bend_map.elongation_spread_mm == pytest.approx(0.02, rel=0.05)
+        values, slopes = bend_map.elongation(bend_mm)
+        assert np.abs(values - longer + free).max() < 5e-3
+        apart = (bend_map.elongation(bend_mm + np.array([1e-4, 0.0]))[0] - values) / 1e-4
+        np.testing.assert_allclose(slopes[:, 0], apart, atol=1e-5)
+
+    def test_elongation_interval_holds_the_spread_between_recordings(self):
+        """Known map, recordings whose mean elongation differs by the known 0.3 mm: 95 % of the intervals hold."""
+        train = noisy(linear_twin(spiral(4000)))
+        bend_map, test, g = (
+            fit_map(train, degree=1),
+            linear_twin(spiral(4000, seed=1)[:400]),
+            np.random.default_rng(4),
+        )
+        run = estimate_bend(bend_map, noisy(test, seed=5).u)
+        deviation = np.sqrt(run.covariance[-1, 2, 2])
+        errors = run.q[-1, 2] - test.q[-1, 2] + 3e-4 * g.standard_normal(2000)
+        assert (np.abs(errors) < 1.96 * deviation).mean() == pytest.approx(0.95, abs=0.03)
+
     def test_settings_come_from_the_training_part(self):
         train = noisy(linear_twin(spiral(4000)))
         table = degrees(train, (1, 2))

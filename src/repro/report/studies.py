@@ -70,7 +70,8 @@ def studies() -> tuple[Study, ...]:
         *(_noise(f"noise_descent_nb{n}", n, models, descent) for n, models in descents.items()),
         *(_tolerances(n) for n in (1, 3)),
         _data_size(),
-        _robustness(),
+        _robustness(second=False),
+        _robustness(second=True),
         *(Study(*x) for x in particle_studies()),
         *_closed_loop(),
         _martin_calibration(),
@@ -127,9 +128,11 @@ def _data_size() -> Study:
     return Study("data_size", data_size_errors, settings, ("folder", "progress"))
 
 
-def _robustness() -> Study:
-    settings = {"twins": list(TWINS), "seed": 0, "longest_s": 60.0}
-    return Study("robustness", robustness_errors, settings, ("cache", "progress"))
+def _robustness(*, second: bool) -> Study:
+    settings = {"twins": list(TWINS), "seed": 0, "longest_s": 60.0, "second": second}
+    return Study(
+        "robustness_second" if second else "robustness", robustness_errors, settings, ("cache", "progress")
+    )
 
 
 def _martin_calibration() -> Study:

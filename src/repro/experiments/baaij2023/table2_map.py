@@ -52,7 +52,9 @@ class BendMap:
     rate
         Root mean square of the rate of an axis [mm/s].
     mean_mm, spread_mm
-        Mean and standard deviation of the configuration.
+        Mean and standard deviation of the bend.
+    elongation_mm, elongation_spread_mm
+        Elongation [mm], and its change with the square of the bend [1/mm]; the standard deviation of what they leave.
     lower, upper
         Box of the bend [mm].
     starts
@@ -68,8 +70,10 @@ class BendMap:
     error_s: float
     acceleration: float
     rate: float
-    mean_mm: Float[np.ndarray, " 3"]
-    spread_mm: Float[np.ndarray, " 3"]
+    mean_mm: Float[np.ndarray, " 2"]
+    spread_mm: Float[np.ndarray, " 2"]
+    elongation_mm: Float[np.ndarray, " 2"]
+    elongation_spread_mm: float
     lower: Float[np.ndarray, " 2"]
     upper: Float[np.ndarray, " 2"]
     starts: Float[np.ndarray, "starts 2"]
@@ -83,6 +87,13 @@ class BendMap:
         """Derivatives of the readings [mV/mm], by central differences."""
         apart = 1e-4 * np.eye(2)
         return np.stack([(self(bend_mm + d) - self(bend_mm - d)) / 2e-4 for d in apart], axis=-1)
+
+    def elongation(
+        self, bend_mm: Float[np.ndarray, "n 2"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
+        """Elongation [mm] that goes with bends [mm], and its derivatives."""
+        straight, per_mm2 = self.elongation_mm
+        return straight + per_mm2 * (bend_mm * bend_mm).sum(axis=1), 2 * per_mm2 * bend_mm
 
     def readings_mv(self, q: Float[np.ndarray, "t q"]) -> Float[np.ndarray, "t 3"]:
         """Readings [mV] at configurations [m]."""
@@ -122,6 +133,8 @@ def fit_map(train: Recording, *, degree: int = DEGREE) -> BendMap:
     half = round(0.5 * RIG_RATE_HZ)
     change = rate[half:] - rate[:-half]
     low, high = bend.min(axis=0), bend.max(axis=0)
+    bent = np.column_stack([np.ones(len(bend)), (bend * bend).sum(axis=1)])
+    elongation = np.linalg.lstsq(bent, q_mm[:, 2], rcond=None)[0]
     least = 1e-3  # [mV], for a recording without noise: a sixtieth of a step of the converter
     return BendMap(
         degree=degree,
@@ -131,8 +144,10 @@ def fit_map(train: Recording, *, degree: int = DEGREE) -> BendMap:
         error_s=correlation_s(left),
         acceleration=float(np.sqrt((change**2).mean() / 0.5)),
         rate=float(np.sqrt((rate**2).mean())),
-        mean_mm=q_mm.mean(axis=0),
-        spread_mm=q_mm.std(axis=0),
+        mean_mm=bend.mean(axis=0),
+        spread_mm=bend.std(axis=0),
+        elongation_mm=elongation,
+        elongation_spread_mm=float((q_mm[:, 2] - bent @ elongation).std()),
         lower=low - MARGIN * (high - low),
         upper=high + MARGIN * (high - low),
         starts=bend[:: max(len(bend) // STARTS, 1)],

@@ -14,19 +14,19 @@ linearisation adds information on :math:`c` that is not there. Values held fixed
 
 By the drawing, elongation moves the three readings alike, by :math:`g \approx 52` mV/mm: the readings do not tell
 it from the bias. With the priors :math:`b \sim N(0, \sigma_b^2)` of the bias proper and
-:math:`\Delta_L \sim N(\bar\Delta_L, \sigma_L^2)` of T5.train, :math:`c = b + g\,(\Delta_L - \bar\Delta_L)` is
-split as the priors demand. The covariance adds what T5 cannot show: that other recordings differ from it in shape.
+:math:`\Delta_L \sim N(\bar\Delta_L, \sigma_L^2)`, :math:`c = b + g\,(\Delta_L - \bar\Delta_L)` is split as the
+priors demand; :math:`\bar\Delta_L = a_0 + a_1 (\Delta_x^2 + \Delta_y^2)` is fitted to T5.train and leaves
+:math:`\sigma_L`. The covariance adds what T5 cannot show: other recordings differ from it in shape and elongation.
 
-The residual of the readings at the estimate, in units of the error of the map, tells where the bend is lost. After
-:data:`LASTING` frames above :data:`RESIDUAL` a new bank starts at the first of them, by the search of frame 0.
-It is taken if it halves the residual and ends elsewhere; else the filter goes on, and its frames are *suspicious*.
-Where the readings have become another function of the bend, and nothing is lost, a new start fits better, too, but
-near the old one, and may err more: hence the condition that it ends elsewhere, added after a look at the random
-twins of seeds 0 to 23.
+The residual at the estimate, in units of the error of the map, tells where the bend is lost. After :data:`LASTING`
+frames above :data:`RESIDUAL` a new bank starts at the first of them, by the search of frame 0. It is taken if it
+halves the residual and ends elsewhere; else the filter goes on, and its frames are *suspicious*.
+Where nothing is lost, but the readings have become another function of the bend, a new start fits better near the
+old one, and may err more: hence "elsewhere", added after a look at the random twins of seeds 0 to 23.
 
-The bank of filters was preferred to a single filter, and its settings were looked at, on random twins of seeds 1000
-to 1003; those that pages are about were not used. The settings matter little there: half and twice the prior of the
-bias, or half the distance between its values, change the mean error by less than 3 %.
+The bank was preferred to a single filter, and its settings were looked at, on random twins of seeds 1000 to 1003,
+which no page shows: half and twice the prior of the bias, or half the distance between its values, change the mean
+error there by less than 3 %.
 """
 
 from __future__ import annotations
@@ -61,10 +61,12 @@ class OursConfig:
     widest_mv, step_mv
         Largest bias that is considered, and the distance between two.
     elongation_spread
-        Standard deviation of the elongation, in units of that of T5.train.
+        Standard deviation of the elongation, in units of what the square of the bend leaves of it in T5.train.
     shape_mv
         Standard deviation of a sensor's difference from the map in other recordings; known are 2 to 3 mV for slow
-        and 3 to 7 mV for fast motion. It enters the covariance alone.
+        and 3 to 7 mV for fast motion; in the covariance alone.
+    elongation_mm
+        Standard deviation of the elongation between recordings, as is known; in the covariance alone.
     iterations
         Largest number of iterations in an update.
 
@@ -79,12 +81,13 @@ class OursConfig:
     step_mv: float = 1.0
     elongation_spread: float = 2.0
     shape_mv: float = 5.0
+    elongation_mm: float = 0.3
     iterations: int = 5
 
     def __post_init__(self) -> None:
         if self.iterations < 1:
             raise bad_input("iterations", "OursConfig", "at least 1", self.iterations)
-        names = ("bias_mv", "widest_mv", "step_mv", "elongation_spread", "shape_mv")
+        names = ("bias_mv", "widest_mv", "step_mv", "elongation_spread", "shape_mv", "elongation_mm")
         numbers = tuple(getattr(self, name) for name in names)
         if not all(x > 0 for x in numbers):
             raise bad_input(", ".join(names), "OursConfig", "positive", numbers)
@@ -109,7 +112,7 @@ class OursRun:
         Common bias and its standard deviation, given the readings so far.
     status
         Of each frame, a number of :data:`repro.estimation.consistency.STATUS`: *suspicious* while no new start
-        explains the readings, and just after one. Empty where nothing watches, reading by reading.
+        explains the readings, and just after one. Empty, reading by reading.
     anew
         How often the filter was started anew, up to each frame.
     """
@@ -153,15 +156,7 @@ class BendState:
 
 @dataclass(frozen=True)
 class BendFilter:
-    """Ours, reading by reading: what :func:`estimate_bend` does with a whole recording.
-
-    Parameters
-    ----------
-    bend_map
-        From :func:`~repro.experiments.baaij2023.table2_map.fit_map`.
-    config
-        Settings.
-    """
+    """Ours, reading by reading: what :func:`estimate_bend` does with a whole recording, with the same parameters."""
 
     bend_map: BendMap
     config: OursConfig = field(default_factory=OursConfig)
@@ -237,9 +232,9 @@ class BendFilter:
 
     def _start(self) -> tuple[np.ndarray, np.ndarray]:
         bend_map = self.bend_map
-        start = np.concatenate([bend_map.mean_mm[:2], np.zeros(2 + RIG_SENSORS)])
+        start = np.concatenate([bend_map.mean_mm, np.zeros(2 + RIG_SENSORS)])
         # A bend of another recording may lie anywhere in the box: twice the spread of T5 covers it.
-        return start, np.concatenate([2 * bend_map.spread_mm[:2], [bend_map.rate] * 2, bend_map.error_mv])
+        return start, np.concatenate([2 * bend_map.spread_mm, [bend_map.rate] * 2, bend_map.error_mv])
 
     def _rest(self) -> tuple[np.ndarray, ...]:
         bend_map = self.bend_map
@@ -253,7 +248,7 @@ class BendFilter:
         return bend_map.starts[((apart / self._unit()) ** 2).sum(axis=-1).argmin(axis=1)]
 
     def _spread_l(self) -> float:
-        return self.config.elongation_spread * float(self.bend_map.spread_mm[2])
+        return self.config.elongation_spread * self.bend_map.elongation_spread_mm
 
     def _common(self) -> float:
         return float(np.hypot(self.config.bias_mv, self.bend_map.elongation_slope * self._spread_l()))
@@ -263,7 +258,7 @@ class BendFilter:
         g, spread_l = bend_map.elongation_slope, self._spread_l()
         bend = means[:, :2]
         J = bend_map.slopes(bend)
-        prior = np.diag(bend_map.spread_mm[:2] ** -2)
+        prior = np.diag(bend_map.spread_mm**-2)
         shape = np.linalg.inv(J.transpose(0, 2, 1) @ J / config.shape_mv**2 + prior)
         c = weights @ biases
         c_variance = weights @ biases**2 - c**2 + config.step_mv**2 / 12
@@ -271,9 +266,11 @@ class BendFilter:
         rest = spread_l**2 * (1 - g * share)
         covariance = np.zeros((len(c), 3, 3))
         covariance[:, :2, :2] = covariances + shape
-        covariance[:, 2, 2] = rest + share**2 * c_variance
+        elongation, slopes = bend_map.elongation(bend)
+        by_bend = np.einsum("ti,tij,tj->t", slopes, covariance[:, :2, :2], slopes)
+        covariance[:, 2, 2] = by_bend + rest + share**2 * c_variance + config.elongation_mm**2
         return OursRun(
-            q=1e-3 * np.column_stack([bend, bend_map.mean_mm[2] + share * c]),
+            q=1e-3 * np.column_stack([bend, elongation + share * c]),
             covariance=1e-6 * covariance,
             bias_mv=(1 - g * share) * c,
             bias_deviation_mv=np.sqrt(g**2 * rest + (1 - g * share) ** 2 * c_variance),
