@@ -121,7 +121,7 @@ def twin_errors(twin: int, *, seed: int, longest_s: float, cache: Path, second: 
     Returns
     -------
     pandas.DataFrame
-        One row for each trajectory: ``twin, hysteresis, drift, drift_mV, trajectory, frames``, the error ``e_u_%`` of
+        One row for each trajectory: ``family, twin, hysteresis, drift, drift_mV, trajectory, frames``, the error ``e_u_%`` of
         the network's readings; root mean square errors ``<method>_delta_x_mm``, ``<method>_delta_y_mm``, for
         :data:`METHODS`; of ours, ``ours_delta_L_mm``, the shares ``covered`` and ``covered_delta_L`` of frames whose
         truth is in its 95 % ellipse and interval, and ``nees``, the median of the squared error over its covariance
@@ -141,6 +141,7 @@ def twin_errors(twin: int, *, seed: int, longest_s: float, cache: Path, second: 
         found = {variant: run.estimates[variant, name][:, 0] for variant in ("known", "mean")}
         found |= {"shorter": slower.estimates["known", name][:, 0], "ours": own.q}
         row = {
+            "family": "second" if second else "first",
             "twin": twin,
             "hysteresis": config.hysteresis,
             "drift": config.board.drift,
