@@ -1,5 +1,6 @@
 """Random twins: training side by side is the paper's, errors and ratios by hand, the step size of the descent."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -19,6 +20,7 @@ from repro.experiments.baaij2023.table2_ours import estimate_bend
 from repro.report.project import find_project
 from repro.sensing.network import PAPER_WIDTHS, paper_network
 from repro.sensing.training import train_paper
+from repro.simulation.pneumatic_rig import record_rig
 from repro.simulation.rig_twins import nominal_twin, random_twin
 
 NETWORKS = find_project().data / "networks"
@@ -118,6 +120,29 @@ def test_study_of_one_twin_trains_what_is_missing_once(tmp_path, monkeypatch):
     assert rig_networks(folder, (0,), twin_sha256=random_twin(0).sha256).n_sensors == 3
     monkeypatch.delattr(robustness, "train_together")
     robustness.train_twins([0], 0, tmp_path)
+
+
+def test_families_share_what_they_should():
+    first, second, own = (robustness.family_twin(name, 5) for name in robustness.FAMILIES)
+    assert first == random_twin(5)
+    assert second == random_twin(5, second=True)
+    assert (own.board, own.bending, own.hysteresis) == (first.board, first.bending, first.hysteresis)
+    # T5 has no bias, so it is the same recording, and the first family's networks were trained on it.
+    readings = [record_rig(twin, "T5", seed=0, duration_s=5.0).readings_mv for twin in (first, own)]
+    np.testing.assert_array_equal(*readings)
+    biases = [
+        record_rig(replace(own, gain_scatter=0.0), "T0", seed=k, duration_s=2.0).readings_mv.mean(axis=0)
+        - record_rig(
+            replace(own, gain_scatter=0.0, bias_scatter_mv=0.0), "T0", seed=k, duration_s=2.0
+        ).readings_mv.mean(axis=0)
+        for k in range(100)
+    ]
+    assert np.std(biases, axis=0) == pytest.approx([robustness.OWN_BIAS_MV] * 3, rel=0.25)
+    assert abs(np.corrcoef(np.array(biases).T)[0, 1]) < 0.3
+    with pytest.raises(
+        InputError, match="Input family of family_twin must be one of first, second, own biases"
+    ):
+        robustness.family_twin("third", 0)
 
 
 @pytest.fixture(scope="module")

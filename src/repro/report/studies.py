@@ -19,7 +19,7 @@ from repro.errors import bad_input
 from repro.experiments.baaij2023.data_size import MODELS as TRAINED
 from repro.experiments.baaij2023.data_size import PAPER, SIZES, data_size_errors
 from repro.experiments.baaij2023.noise import MODELS, NOISE_MT, noise_errors
-from repro.experiments.baaij2023.robustness import TWINS, robustness_errors
+from repro.experiments.baaij2023.robustness import FAMILIES, TWINS, robustness_errors
 from repro.experiments.baaij2023.session import SENSOR_NOISE_MT
 from repro.experiments.baaij2023.solvers import SOLVERS
 from repro.experiments.baaij2023.tolerances import FACTORS, KINDS, tolerance_errors
@@ -70,8 +70,7 @@ def studies() -> tuple[Study, ...]:
         *(_noise(f"noise_descent_nb{n}", n, models, descent) for n, models in descents.items()),
         *(_tolerances(n) for n in (1, 3)),
         _data_size(),
-        _robustness(second=False),
-        _robustness(second=True),
+        *(_robustness(family) for family in FAMILIES),
         *(Study(*x) for x in particle_studies()),
         *_closed_loop(),
         _martin_calibration(),
@@ -128,11 +127,9 @@ def _data_size() -> Study:
     return Study("data_size", data_size_errors, settings, ("folder", "progress"))
 
 
-def _robustness(*, second: bool) -> Study:
-    settings = {"twins": list(TWINS), "seed": 0, "longest_s": 60.0, "second": second}
-    return Study(
-        "robustness_second" if second else "robustness", robustness_errors, settings, ("cache", "progress")
-    )
+def _robustness(family: str) -> Study:
+    settings = {"family": family, "twins": list(TWINS), "seed": 0, "longest_s": 60.0}
+    return Study(f"robustness_{family.replace(' ', '_')}", robustness_errors, settings, ("cache", "progress"))
 
 
 def _martin_calibration() -> Study:
