@@ -22,6 +22,7 @@ from repro.experiments.baaij2023.noise import MODELS, NOISE_MT, noise_errors
 from repro.experiments.baaij2023.robustness import FAMILIES, TWINS, robustness_errors
 from repro.experiments.baaij2023.session import SENSOR_NOISE_MT
 from repro.experiments.baaij2023.solvers import SOLVERS
+from repro.experiments.baaij2023.table1 import shuffled_errors
 from repro.experiments.baaij2023.tolerances import FACTORS, KINDS, tolerance_errors
 from repro.experiments.closed_loop.estimators import changed_errors, estimator_errors, twin_errors
 from repro.experiments.closed_loop.tables import cause_errors, loop_errors
@@ -32,6 +33,8 @@ from repro.report.project import find_project
 
 DIGITS = 5
 """Significant digits of a number in the tables."""
+CACHED = ("cache", "progress")
+"""What studies that train networks take."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,7 @@ def studies() -> tuple[Study, ...]:
         *(_noise(f"noise_descent_nb{n}", n, models, descent) for n, models in descents.items()),
         *(_tolerances(n) for n in (1, 3)),
         _data_size(),
+        Study("table_1_shuffled", shuffled_errors, {"seeds": [0, 1, 2], "n_segments": [1, 2, 3]}, CACHED),
         *(_robustness(family) for family in FAMILIES),
         *(Study(*x) for x in particle_studies()),
         *_closed_loop(),
@@ -129,7 +133,7 @@ def _data_size() -> Study:
 
 def _robustness(family: str) -> Study:
     settings = {"family": family, "twins": list(TWINS), "seed": 0, "longest_s": 60.0}
-    return Study(f"robustness_{family.replace(' ', '_')}", robustness_errors, settings, ("cache", "progress"))
+    return Study(f"robustness_{family.replace(' ', '_')}", robustness_errors, settings, CACHED)
 
 
 def _martin_calibration() -> Study:

@@ -49,6 +49,7 @@ class NetworkSpec:
 
     learning_rate: ClassVar[float] = PCC_LEARNING_RATE
     exponential_head: ClassVar[bool] = False
+    shuffled: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
@@ -59,6 +60,18 @@ class NetworkSpec:
     def rows(self) -> tuple[Tensor, Tensor]:
         """Relations and readings that it is trained on."""
         return training_rows(self.n_segments, self.segment, self.earth)
+
+
+@dataclass(frozen=True)
+class ShuffledSpec(NetworkSpec):
+    """A network trained as the paper's, but with the rows in a new order in every epoch."""
+
+    shuffled: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        """File name without ending."""
+        return f"shuffled_{super().name}"
 
 
 @dataclass(frozen=True)
@@ -81,6 +94,7 @@ class AffineSpec:
     exponential_head: bool = False
 
     learning_rate: ClassVar[float] = AFFINE_LEARNING_RATE
+    shuffled: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
@@ -224,9 +238,10 @@ def _trained(
                 learning_rate=spec.learning_rate,
                 exponential_head=spec.exponential_head,
                 checkpoint=checkpoints / f"{spec.name}{suffix}.safetensors",
+                shuffled=spec.shuffled,
                 progress=progress,
             )
         except FloatingPointError:
             continue
-        return network, training_record("mT", metrics, curve), seed
+        return network, training_record("mT", metrics, curve, shuffled=spec.shuffled), seed
     raise FloatingPointError(f"{spec.name} diverges with every seed that was tried: lower its learning rate.")
