@@ -1,0 +1,85 @@
+"""What a seed of Table 1 is: a split of the rows, whose order never changes; and what another order would give."""
+
+# The stubs of pandas know less than the library does.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from repro.experiments.baaij2023.training import NetworkSpec
+from repro.sensing.weights import read_manifest
+
+RELEASED_MT = {
+    (1, 0): (0.0124, 0.0232, 0.0118),
+    (2, 0): (0.0168, 0.0210, 0.0146),
+    (2, 1): (0.0140, 0.0209, 0.0122),
+    (3, 0): (0.0158, 0.0214, 0.0158),
+    (3, 1): (0.0188, 0.0216, 0.0138),
+    (3, 2): (0.0138, 0.0209, 0.0089),
+}
+"""Root mean square error [mT] of the released networks over the training distribution, by robot, segment (from 0) and
+seed: computed from their weights, which are not part of this project."""
+
+
+def splits_table(folder: Path, seeds: Sequence[int]) -> pd.DataFrame:
+    """Errors of the networks without Earth field over the rows that trained them, by seed.
+
+    Parameters
+    ----------
+    folder
+        Networks and manifests.
+    seeds
+        Those of the networks.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``n_b, segment`` (from 1) ``, seed, rmse_mt``, ``released_mt`` (NaN where none was released), and whether it
+        is the ``worst`` of this network's seeds.
+    """
+    rows = []
+    for (n, segment), released in RELEASED_MT.items():
+        specs = [NetworkSpec(n, segment, earth=False, seed=seed) for seed in seeds]
+        errors = [
+            read_manifest(folder / f"{spec.name}.safetensors")["metrics_mt"]["rmse_train"] for spec in specs
+        ]
+        rows += [
+            {
+                "n_b": n,
+                "segment": segment + 1,
+                "seed": seed,
+                "rmse_mt": error,
+                "released_mt": dict(enumerate(released)).get(seed),
+                "worst": error == max(errors),
+            }
+            for seed, error in zip(seeds, errors, strict=True)
+        ]
+    return pd.DataFrame(rows)
+
+
+def orders_table(errors: pd.DataFrame, shuffled: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
+    """Errors with the rows in one order for ever, and in a new one in every epoch, beside the printed ones.
+
+    Parameters
+    ----------
+    errors, shuffled
+        Columns ``row, seed, quantity, unit, error``.
+    published
+        Columns ``row, quantity, unit, published``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``row, quantity, unit, published``; ``one_order`` and ``shuffled``, means over the seeds of each; rows that
+        both have.
+    """
+    keys = ["row", "quantity", "unit"]
+    table = published[[*keys, "published"]]
+    for name, part in (("one_order", errors), ("shuffled", shuffled)):
+        means = part.groupby(keys, as_index=False)["error"].mean().rename(columns={"error": name})
+        table = table.merge(means, on=keys)
+    return table
