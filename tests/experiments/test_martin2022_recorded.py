@@ -32,7 +32,7 @@ from repro.experiments.martin2022.released import (
     PCC_2,
     PCC_16_2,
     RIGID,
-    Chain,
+    ReleasedChain,
     compared,
     half_turns,
     released_chains,
@@ -156,7 +156,7 @@ class TestComparison:
             ({"base_turn": (0.0, 0.0, 0.0, 1.0)}, 1e3),
         ):
             made = replace(chains[PCC_2].made, **changed)
-            other = Chain(made, chains[PCC_2].arcs)
+            other = ReleasedChain(made, chains[PCC_2].arcs)
             monkeypatch.setattr(
                 "repro.experiments.martin2022.released.released_chains", lambda c=other: {PCC_2: c}
             )

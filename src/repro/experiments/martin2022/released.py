@@ -35,20 +35,20 @@ SAME_M = 1e-6
 
 
 @dataclass(frozen=True)
-class Chain:
+class ReleasedChain:
     """What gave a released table: a chain, and by number the arc positions of its points from its origin [m]."""
 
     made: Selection
     arcs: dict[int, float]
 
-    def up_to(self, imu: int) -> Chain:
+    def up_to(self, imu: int) -> ReleasedChain:
         """The chain as far as an IMU, and the points on it."""
         n = self.made.imus.index(imu)
         imus, arcs, links = (field[:k] for field, k in zip(
             (self.made.imus, self.made.arcs, self.made.link_lengths), (n + 1, n + 1, n), strict=True
         ))  # fmt: skip
         made = replace(self.made, imus=imus, arcs=arcs, link_lengths=links)
-        return Chain(made, {k: arc for k, arc in self.arcs.items() if arc <= sum(links) + 1e-9})
+        return ReleasedChain(made, {k: arc for k, arc in self.arcs.items() if arc <= sum(links) + 1e-9})
 
     def points(self, nine: Float[np.ndarray, "rows imus 4"]) -> Float[np.ndarray, "rows points 3"]:
         """Its points as in the tables: from the chain's own origin [m]."""
@@ -58,8 +58,8 @@ class Chain:
         return found - np.array(self.made.origin_m)
 
 
-def released_chains() -> dict[str, Chain]:
-    """Chain and points of every table of `repro.recordings.martin2022_outputs.OUTPUTS`, by its name."""
+def released_chains() -> dict[str, ReleasedChain]:
+    """ReleasedChain and points of every table of `repro.recordings.martin2022_outputs.OUTPUTS`, by its name."""
 
     def joints(first: float) -> dict[int, float]:
         return {0: 0.0} | {k: first + 0.08 * (k - 1) for k in range(1, 8)}
@@ -68,14 +68,18 @@ def released_chains() -> dict[str, Chain]:
     arcs = tuple(IMU_ARCS[k] for k in numbers)
     halves = {0: 0.0285} | {k: 0.017 + 0.08 * k for k in range(1, 8)}  # the middles of the links
     found = {
-        RIGID: Chain(Selection(numbers, arcs, RIGID_LINKS_M, origin_m=FILES_ORIGIN_M), joints(0.102)),
-        PCC_1: Chain(selection("pcc", 8, "files", segments=8), joints(0.057)),
+        RIGID: ReleasedChain(Selection(numbers, arcs, RIGID_LINKS_M, origin_m=FILES_ORIGIN_M), joints(0.102)),
+        PCC_1: ReleasedChain(selection("pcc", 8, "files", segments=8), joints(0.057)),
     }
     for n in (2, 4, 8):
-        found[f"elephant/pcc/pcc{n}.csv"] = Chain(selection("pcc", 8, "files", segments=8 * n), halves)
+        found[f"elephant/pcc/pcc{n}.csv"] = ReleasedChain(
+            selection("pcc", 8, "files", segments=8 * n), halves
+        )
     for n in (2, 4):
-        found[f"fly/less_imu/less_imu_{n}.csv"] = Chain(selection("rigid", n, "files"), joints(0.062))
-        found[f"fly/pcc16/pcc16_{n}.csv"] = Chain(selection("pcc", n, "files"), {4: 0.3022, 7: 0.5422})
+        found[f"fly/less_imu/less_imu_{n}.csv"] = ReleasedChain(selection("rigid", n, "files"), joints(0.062))
+        found[f"fly/pcc16/pcc16_{n}.csv"] = ReleasedChain(
+            selection("pcc", n, "files"), {4: 0.3022, 7: 0.5422}
+        )
     return found
 
 
@@ -140,9 +144,9 @@ def trial_orientations(outputs: Mapping[str, ModelOutput]) -> TrialOrientations:
     end = min(len(eight), *(len(needed[name]) - shift for name, shift in later.items()))
     q, two, sixteen = eight[first:end], *(needed[n][first + later[n] : end + later[n]] for n in later)
     # From point 6 of pcc2.csv half a link on to IMU #7, then half a link along one of two sub-segments to point 7.
-    half = np.diff(Chain(seven.made, {6: seven.arcs[6], 7: sum(seven.made.link_lengths)}).points(q), axis=1)[
-        :, 0
-    ]
+    half = np.diff(
+        ReleasedChain(seven.made, {6: seven.arcs[6], 7: sum(seven.made.link_lengths)}).points(q), axis=1
+    )[:, 0]
     third = two[:, 7] - two[:, 6] - half
     third /= np.linalg.norm(third, axis=-1, keepdims=True)
     imu_8 = last_orientation(q[:, 7], third, q[:, 4], sixteen[:, 7] - sixteen[:, 4], 0.32, 8)
@@ -193,7 +197,7 @@ def half_turns(made: Selection, nine: Float[np.ndarray, "rows 9 4"]) -> np.ndarr
     return tied.any(axis=1) & (made.sub_links > 0)
 
 
-def row_shift(nine: np.ndarray, given: Chain, points: np.ndarray) -> int:
+def row_shift(nine: np.ndarray, given: ReleasedChain, points: np.ndarray) -> int:
     """Rows by which a table is later than orientations: where its points are closest to those of the chain.
 
     Raises

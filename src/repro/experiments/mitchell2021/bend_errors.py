@@ -27,6 +27,7 @@ SETTING = ["method", "calibration", "length_mm"]
 BEND_BINS_DEG = (0.0, 20.0, 40.0, 180.0)
 """Bends by motion capture between which errors are also given [deg]."""
 BY_BEND = ["rmse_below_20_deg", "rmse_20_to_40_deg", "rmse_above_40_deg"]
+"""Columns of the errors between these bends."""
 TARGET_DEG = 2.0
 """Largest median error of the bend angle for a calibration by the other try of the same test [deg]."""
 

@@ -146,7 +146,7 @@ def fit_readings(readings: pd.DataFrame, sensor: BendSensor) -> Calibration:
     Parameters
     ----------
     readings
-        Table of :func:`repro.recordings.mitchell2021.read_calibration`.
+        Table of :func:`repro.recordings.mitchell2021_tables.read_calibration`.
     sensor
         The sensor as drawn.
     """
