@@ -72,7 +72,7 @@ class TestTogether:
             train_together([], **options)
 
 
-def made_up(ours=(1.0, 2.0), known=2.0):
+def made_up(ours=(1.0, 2.0), known=2.0, family="first"):
     """Two twins, two trajectories; errors of the paper's method are the same everywhere."""
     rows = []
     for twin, error in enumerate(ours):
@@ -81,7 +81,7 @@ def made_up(ours=(1.0, 2.0), known=2.0):
             errors |= {"ours_delta_x_mm": error, "ours_delta_y_mm": 4 * error}
             kind = {"hysteresis": "bouc-wen", "drift": ("ramp", "constant")[twin], "drift_mV": 1.0}
             extra = {"covered": 0.9, "nees": 1.0, "covered_delta_L": 1.0, "ours_delta_L_mm": 0.03}
-            rows.append({"twin": twin, **kind, "trajectory": trajectory, **errors, **extra})
+            rows.append({"family": family, "twin": twin, **kind, "trajectory": trajectory, **errors, **extra})
     return pd.DataFrame(rows)
 
 
@@ -99,6 +99,16 @@ class TestTables:
         assert table.loc[("ramp", "shorter"), ["low", "high"]].tolist() == pytest.approx([1.0, 1.0])
         assert table.loc[("all", "known"), "low"] == pytest.approx(1.0)
         assert table.loc[("all", "known"), "high"] == pytest.approx(2.0)
+
+    def test_families_are_not_mixed(self):
+        """The same twins with errors three times as large: each family keeps its own numbers."""
+        one, other = made_up(), made_up(ours=(3.0, 6.0), family="second")
+        for tabled in (robustness.ratios, robustness.medians, robustness.by_trajectory):
+            both = tabled(pd.concat([one, other], ignore_index=True))
+            columns = [c for c in both.columns if c not in ("low", "high")]  # their draws are others
+            for table, name in ((one, "first"), (other, "second")):
+                own = both[both["family"] == name].reset_index(drop=True)
+                pd.testing.assert_frame_equal(own[columns], tabled(table)[columns])
 
     def test_trajectories_over_twins_and_axes(self):
         table = robustness.by_trajectory(made_up())

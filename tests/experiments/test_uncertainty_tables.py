@@ -179,7 +179,14 @@ class TestRobustness:
         """Ours is worse by 2 % or 6 %: lost, however little; and by nothing where it is better."""
         cell = {f"{m}_delta_{a}_mm": 1.0 for m in robustness.METHODS for a in "xy"}
         cell |= {"ours_delta_x_mm": ratio, "ours_delta_y_mm": ratio}
-        cell |= {"twin": 0, "hysteresis": "none", "drift": "none", "drift_mV": 0.0, "trajectory": "T0"}
+        cell |= {
+            "family": "first",
+            "twin": 0,
+            "hysteresis": "none",
+            "drift": "none",
+            "drift_mV": 0.0,
+            "trajectory": "T0",
+        }
         cell |= {"covered": 0.9, "nees": 1.0, "covered_delta_L": 1.0, "ours_delta_L_mm": 0.03}
         table = pd.DataFrame([cell])
         medians = robustness.medians(table, draws=10)
