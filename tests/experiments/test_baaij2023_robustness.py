@@ -10,7 +10,7 @@ import torch
 from torch.nn.utils import parameters_to_vector
 
 from repro.errors import InputError
-from repro.experiments.baaij2023 import robustness, table2
+from repro.experiments.baaij2023 import robustness, robustness_tables, table2
 from repro.experiments.baaij2023.compiled_rig_training import train_step
 from repro.experiments.baaij2023.rig_together import dropout, train_together, workspace
 from repro.experiments.baaij2023.rig_training import RIG_LEARNING_RATE, rig_networks
@@ -87,13 +87,13 @@ def made_up(ours=(1.0, 2.0), known=2.0, family="first"):
 
 class TestTables:
     def test_ratio_is_the_geometric_mean_over_cells(self):
-        table = robustness.ratios(made_up())
+        table = robustness_tables.ratios(made_up())
         assert table["known"].tolist() == pytest.approx([1.0, 2.0])  # sqrt(1/2 * 4/2), sqrt(2/2 * 8/2)
         assert table["worst"].tolist() == ["T0 y: 2.00", "T0 y: 4.00"]
         assert table["covered"].tolist() == pytest.approx([0.9, 0.9])
 
     def test_medians_over_all_twins_and_by_kind(self):
-        table = robustness.medians(made_up(), draws=200).set_index(["kind", "against"])
+        table = robustness_tables.medians(made_up(), draws=200).set_index(["kind", "against"])
         assert table.loc[("all", "known"), "median"] == pytest.approx(1.5)
         assert table.loc[("all", "mean"), "lost"] == 1
         assert table.loc[("ramp", "shorter"), ["low", "high"]].tolist() == pytest.approx([1.0, 1.0])
@@ -103,7 +103,7 @@ class TestTables:
     def test_families_are_not_mixed(self):
         """The same twins with errors three times as large: each family keeps its own numbers."""
         one, other = made_up(), made_up(ours=(3.0, 6.0), family="second")
-        for tabled in (robustness.ratios, robustness.medians, robustness.by_trajectory):
+        for tabled in (robustness_tables.ratios, robustness_tables.medians, robustness_tables.by_trajectory):
             both = tabled(pd.concat([one, other], ignore_index=True))
             columns = [c for c in both.columns if c not in ("low", "high")]  # their draws are others
             for table, name in ((one, "first"), (other, "second")):
@@ -111,7 +111,7 @@ class TestTables:
                 pd.testing.assert_frame_equal(own[columns], tabled(table)[columns])
 
     def test_trajectories_over_twins_and_axes(self):
-        table = robustness.by_trajectory(made_up())
+        table = robustness_tables.by_trajectory(made_up())
         assert table["trajectory"].tolist() == ["T0", "T5"]
         assert table["known"].tolist() == pytest.approx([2**0.5] * 2)  # of 1/2, 4/2, 2/2, 8/2
         assert table["lost_%"].tolist() == pytest.approx([50.0, 50.0])  # 4/2 and 8/2

@@ -18,11 +18,11 @@ from repro.experiments.baaij2023 import rig_training, table2
 from repro.experiments.baaij2023.compiled_rig_filter import filter_bank
 from repro.experiments.baaij2023.rig_training import (
     RigSpec,
-    nominal_training_part,
     rig_networks,
     rig_specs,
     train_rig,
     trained_on,
+    training_part,
 )
 from repro.experiments.baaij2023.table2_data import load_recordings
 from repro.experiments.baaij2023.table2_figures import (
@@ -47,7 +47,7 @@ from repro.sensing.network import paper_network
 from repro.sensing.training import train_paper
 from repro.simulation.pneumatic_rig import record_rig
 from repro.simulation.rig_files import write_recording
-from repro.simulation.rig_twins import nominal_twin, random_twin
+from repro.simulation.rig_twins import nominal_twin, random_twin, second_twin
 
 SLOPES = np.array([[-5300.0, 900.0, -4300.0], [-3000.0, -2800.0, -1200.0]])
 LEVEL = np.array([1282.0, 1205.0, 1387.0])
@@ -209,7 +209,7 @@ class TestOurs:
 
     def test_degree_of_the_page_is_chosen_on_the_training_part(self):
         """The rule in words: the smallest within 3 % of the best."""
-        table = degrees(nominal_training_part())
+        table = degrees(training_part(nominal_twin()))
         good = table[table["readings_mV"] < 1.03 * table["readings_mV"].min()]
         assert good["degree"].min() == DEGREE
 
@@ -311,10 +311,10 @@ class TestFilesUnderTheAuthorsNames:
 
 
 class TestNetworks:
-    def test_one_for_each_sensor_and_seed(self):
+    def test_one_for_each_twin_sensor_and_seed(self):
         names = [spec.name for spec in rig_specs()]
-        assert len(set(names)) == 9
-        assert names[0] == "rig_sensor1_seed0"
+        assert len(set(names)) == 18
+        assert (names[0], names[-1]) == ("rig_sensor1_seed0", "rig_second_sensor3_seed2")
 
     def test_is_written_once_with_its_manifest_and_belongs_to_its_twin(self, tmp_path, monkeypatch):
         def short(xi, u, **options):
@@ -385,13 +385,17 @@ class TestNetworks:
         not all(
             (find_project().data / "networks" / f"{spec.name}.safetensors").exists() for spec in rig_specs()
         ),
-        reason="the nine networks are made by make train",
+        reason="the networks of the rig are made by make train",
     )
-    def test_committed_ones_belong_to_the_nominal_twin(self):
-        folder = find_project().data / "networks"
-        assert rig_networks(folder, (0, 1, 2), twin_sha256=nominal_twin().sha256).n_seeds == 3
-        assert trained_on(nominal_training_part(), folder, (0, 1, 2))
-        assert not trained_on(short_data().train, folder, (0, 1, 2))
+    @pytest.mark.parametrize("second", [False, True])
+    def test_committed_ones_belong_to_their_twin(self, second):
+        folder, twins = find_project().data / "networks", (nominal_twin(), second_twin())
+        own, other = (training_part(twins[k]) for k in (second, not second))
+        found = rig_networks(folder, (0, 1, 2), second=second, twin_sha256=twins[second].sha256)
+        assert found.n_seeds == 3
+        assert trained_on(own, folder, (0, 1, 2), second=second)
+        assert not trained_on(other, folder, (0, 1, 2), second=second)
+        assert not trained_on(short_data().train, folder, (0, 1, 2), second=second)
 
 
 def toy_networks(seeds=2):

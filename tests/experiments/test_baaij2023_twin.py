@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from repro.experiments.baaij2023 import twin as experiment
+from repro.experiments.baaij2023.twin_elongations import elongations_table
+from repro.recordings.baaij2023 import Recording
 from repro.report.figures import rig as figures_rig
 from repro.simulation.rig_twins import nominal_twin
 
@@ -84,3 +86,19 @@ def test_figures_can_be_drawn_from_the_tables(twin):
     assert len(figures_rig.actuation(actuated).axes) == 12
     assert len(figures_rig.hysteresis_loops(actuated, differences).axes) == 2
     assert len(figures_rig.readings_over_time(experiment.readings_table(twin)).axes) == 4
+
+
+def test_elongation_of_a_made_up_recording_is_taken_apart_again():
+    """One that is 5 mm when straight and grows by 0.03 mm for each mm² of the bend, whose mean square is 8 mm²."""
+    angle = np.arange(0, 400) * np.pi / 200
+    bend = np.column_stack([1.0 + np.sqrt(6.0) * np.cos(angle), np.sqrt(8.0) * np.sin(angle)])
+    elongation = 5.0 + 0.03 * (bend**2).sum(axis=1)
+    q = 1e-3 * np.column_stack([bend, elongation])
+    read = {"T2": Recording("made up", np.arange(400), q, np.zeros((400, 3)))}
+    table = elongations_table({"made up": experiment.TwinRecordings(nominal_twin(), {}, read)})
+    assert table["recording"].tolist() == ["T0", "T1", "T2", "T3", "T4", "T5", "T2"]
+    found = table.iloc[-1]
+    assert found["of"] == "made up"
+    assert found["mean_mm"] == pytest.approx(5.0 + 0.03 * 8.0)
+    assert found["per_mm2"] == pytest.approx(0.03)
+    assert found["centre_x_mm"] == pytest.approx(1.0)

@@ -9,7 +9,7 @@ import torch
 from scipy.stats import chi2, norm
 
 from repro.estimation.base import Trajectory
-from repro.experiments.baaij2023 import limits, robustness, temporal
+from repro.experiments.baaij2023 import limits, robustness, robustness_tables, temporal
 from repro.experiments.baaij2023.best import relative_error
 from repro.experiments.baaij2023.table2_map import fit_map
 from repro.experiments.baaij2023.table2_ours import OursConfig, estimate_bend
@@ -189,10 +189,10 @@ class TestRobustness:
         }
         cell |= {"covered": 0.9, "nees": 1.0, "covered_delta_L": 1.0, "ours_delta_L_mm": 0.03}
         table = pd.DataFrame([cell])
-        medians = robustness.medians(table, draws=10)
+        medians = robustness_tables.medians(table, draws=10)
         assert set(medians["lost"]) == {lost}
         assert medians["median"].tolist() == pytest.approx([ratio] * len(medians))
-        line = robustness.by_trajectory(table).iloc[0]
+        line = robustness_tables.by_trajectory(table).iloc[0]
         assert (line["lost_%"], line["lost_to_shorter_%"]) == (100 * lost, 100 * lost)
 
 

@@ -1,9 +1,9 @@
-"""The networks of Baaij et al. 2023, section 5, trained on the digital twin's recording T5; it is SYNTHETIC."""
+"""The networks of Baaij et al. 2023, section 5, trained on recordings T5 of the digital twins; they are SYNTHETIC."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import ClassVar
@@ -18,7 +18,8 @@ from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.rig import RIG_SENSORS
 from repro.sensing.training import SPLIT, train_paper, training_record
 from repro.sensing.weights import load_paper_network, read_manifest, rows_sha256, save_weights
-from repro.simulation.rig_twins import nominal_twin
+from repro.simulation.pneumatic_rig import TwinConfig
+from repro.simulation.rig_twins import nominal_twin, second_twin
 
 RIG_LEARNING_RATE = 5e-5
 """Learning rate of the networks of section 5; readings are in mV, which makes the loss large."""
@@ -38,10 +39,13 @@ class RigSpec:
         Sensor whose reading it predicts, from 0.
     seed
         Split of the data, initial weights and dropout.
+    second
+        Whether it is of the second twin, not of the nominal one.
     """
 
     sensor: int
     seed: int
+    second: bool = False
 
     learning_rate: ClassVar[float] = RIG_LEARNING_RATE
     exponential_head: ClassVar[bool] = False
@@ -49,18 +53,24 @@ class RigSpec:
     @property
     def name(self) -> str:
         """File name without ending."""
-        return f"rig_sensor{self.sensor + 1}_seed{self.seed}"
+        return f"rig_{'second_' if self.second else ''}sensor{self.sensor + 1}_seed{self.seed}"
+
+    @property
+    def twin(self) -> TwinConfig:
+        """The twin that it is trained on."""
+        return second_twin() if self.second else nominal_twin()
 
     def rows(self) -> tuple[Tensor, Tensor]:
-        """Relations and readings [mV] of T5.train of the nominal twin, float32: 70 % of them train."""
-        return sensor_rows(nominal_training_part(), self.sensor)
+        """Relations and readings [mV] of T5.train of its twin, float32: 70 % of them train."""
+        return sensor_rows(training_part(self.twin), self.sensor)
 
 
 def rig_specs() -> Iterator[RigSpec]:
-    """Yield the nine networks of Table 2: three sensors, three seeds."""
-    for seed in RIG_SEEDS:
-        for sensor in range(RIG_SENSORS):
-            yield RigSpec(sensor, seed)
+    """Yield the networks of Table 2: three sensors and three seeds, for each of two twins."""
+    for second in (False, True):
+        for seed in RIG_SEEDS:
+            for sensor in range(RIG_SENSORS):
+                yield RigSpec(sensor, seed, second)
 
 
 def sensor_rows(part: Recording, sensor: int) -> tuple[Tensor, Tensor]:
@@ -86,7 +96,7 @@ def train_rig(
     folder, checkpoints
         Of the weights, and of the state between runs.
     part
-        What it is trained on; T5.train of the nominal twin when not given.
+        What it is trained on; T5.train of its twin when not given.
     progress
         Show a progress bar.
 
@@ -115,7 +125,7 @@ def train_rig(
     )
     trained = (network, spec, folder, (xi, u), metrics, curve)
     if part is None:
-        return save_rig_network(*trained, twin_sha256=nominal_twin().sha256)
+        return save_rig_network(*trained, twin_sha256=spec.twin.sha256)
     return save_rig_network(*trained, recording=part.name)
 
 
@@ -148,7 +158,8 @@ def save_rig_network(
     twin = {"recording_seed": RECORDING_SEED, "twin_sha256": twin_sha256}
     manifest = {
         "recipe": "paper",
-        **asdict(spec),
+        "sensor": spec.sensor,
+        "seed": spec.seed,
         "learning_rate": spec.learning_rate,
         "recording": f"{recording}_train",
         **({} if twin_sha256 is None else twin),
@@ -160,7 +171,9 @@ def save_rig_network(
     return path
 
 
-def rig_networks(folder: Path, seeds: Sequence[int], *, twin_sha256: str | None = None) -> SeedEnsemble:
+def rig_networks(
+    folder: Path, seeds: Sequence[int], *, second: bool = False, twin_sha256: str | None = None
+) -> SeedEnsemble:
     """Trained networks, one for each sensor and seed.
 
     Parameters
@@ -169,6 +182,8 @@ def rig_networks(folder: Path, seeds: Sequence[int], *, twin_sha256: str | None 
         Of the weights.
     seeds
         Seeds of the networks.
+    second
+        Whether those of the second twin.
     twin_sha256
         Hash of the twin that they must have been trained on; not checked when not given.
 
@@ -179,7 +194,7 @@ def rig_networks(folder: Path, seeds: Sequence[int], *, twin_sha256: str | None 
     """
     by_seed = []
     for seed in seeds:
-        paths = [folder / f"{RigSpec(j, seed).name}.safetensors" for j in range(RIG_SENSORS)]
+        paths = [folder / f"{RigSpec(j, seed, second).name}.safetensors" for j in range(RIG_SENSORS)]
         for path in paths:
             found = read_manifest(path).get("twin_sha256")
             if twin_sha256 is not None and found != twin_sha256:
@@ -188,12 +203,12 @@ def rig_networks(folder: Path, seeds: Sequence[int], *, twin_sha256: str | None 
     return SeedEnsemble(by_seed, range(RIG_SENSORS))
 
 
-def trained_on(part: Recording, folder: Path, seeds: Sequence[int]) -> bool:
+def trained_on(part: Recording, folder: Path, seeds: Sequence[int], *, second: bool = False) -> bool:
     """Whether a folder has the networks of all sensors and seeds, trained on just these readings, by this recipe."""
     for sensor in range(RIG_SENSORS):
         wanted = rows_sha256(*sensor_rows(part, sensor))
         for seed in seeds:
-            path = folder / f"{RigSpec(sensor, seed).name}.safetensors"
+            path = folder / f"{RigSpec(sensor, seed, second).name}.safetensors"
             manifest = read_manifest(path) if path.is_file() else {}
             if (manifest.get("data_sha256"), manifest.get("split")) != (wanted, SPLIT):
                 return False
@@ -201,7 +216,7 @@ def trained_on(part: Recording, folder: Path, seeds: Sequence[int]) -> bool:
 
 
 @cache
-def nominal_training_part() -> Recording:
-    """T5.train of the nominal twin, through its raw files and the pipeline; synthetic."""
-    twin = record_twin(nominal_twin(), seed=RECORDING_SEED, trajectories=["T5"])
+def training_part(config: TwinConfig) -> Recording:
+    """T5.train of a twin, through its raw files and the pipeline; synthetic."""
+    twin = record_twin(config, seed=RECORDING_SEED, trajectories=["T5"])
     return split(twin.read["T5"])[0]

@@ -25,8 +25,8 @@ from repro.experiments.baaij2023.rig_training import RigSpec, rig_networks, save
 from repro.experiments.baaij2023.table2 import RIG_SENSORS, paper_method, reading_errors
 from repro.experiments.baaij2023.table2_data import load_recordings
 from repro.experiments.baaij2023.table2_map import fit_map
-from repro.experiments.baaij2023.table2_ours import estimate_bend
-from repro.experiments.bootstrap import interval, resampled
+from repro.experiments.baaij2023.table2_ours import OursRun, estimate_bend
+from repro.recordings.baaij2023 import Recording
 from repro.simulation.pneumatic_actuation import TRAJECTORIES
 from repro.simulation.pneumatic_rig import TwinConfig
 from repro.simulation.rig_twins import random_twin
@@ -170,8 +170,8 @@ def twin_errors(
     bend_map, rows = fit_map(data.train), []
     for name, part in parts.items():
         own = estimate_bend(bend_map, part.u)
-        found = {variant: run.estimates[variant, name][:, 0] for variant in ("known", "mean")}
-        found |= {"shorter": slower.estimates["known", name][:, 0], "ours": own.q}
+        found = {variant: run.estimates[variant, name] for variant in ("known", "mean")}
+        found |= {"shorter": slower.estimates["known", name]}
         row = {
             "family": family,
             "twin": twin,
@@ -182,101 +182,27 @@ def twin_errors(
             "frames": len(part),
             "e_u_%": reading_errors(run.predicted[name], part, data.tests[name])[1]["error"],
         }
-        for method, q in found.items():
-            for k, axis in enumerate("xy"):
-                row[f"{method}_delta_{axis}_mm"] = 1e3 * np.sqrt(((q - part.q)[:, k] ** 2).mean())
-        rows.append(row | _own_uncertainty(own.q - part.q, own.covariance))
+        rows.append(row | method_errors(part, found, own))
     return pd.DataFrame(rows)
 
 
-def ratios(table: pd.DataFrame) -> pd.DataFrame:
-    """Error of ours over that of the paper's method, for each twin: geometric mean over trajectories and axes.
+def method_errors(part: Recording, found: dict[str, np.ndarray], own: OursRun) -> dict[str, float]:
+    """Errors of the bend of several methods and of ours, as in a row of :func:`twin_errors`.
 
-    Returns
-    -------
-    pandas.DataFrame
-        ``family, twin, hysteresis, drift, drift_mV, known, mean, shorter, worst, covered``: the ratios to the
-        variants, the trajectory and axis with the largest ratio to the first, the mean share of frames in the 95 %
-        ellipse.
+    Parameters
+    ----------
+    part
+        With the truth.
+    found
+        Configurations by method ``[t, seeds, 3]``, whose errors are the means over the seeds.
+    own
+        What ours finds.
     """
-    logs = {m: np.log(table[[f"{m}_delta_{a}_mm" for a in "xy"]].to_numpy()) for m in METHODS}
-    rows = []
-    for _, inside in table.groupby(["family", "twin"], sort=False).indices.items():
-        part = table.iloc[inside]
-        against = {m: (logs["ours"] - logs[m])[inside] for m in METHODS[:-1]}
-        row, axis = np.unravel_index(against["known"].argmax(), against["known"].shape)
-        first = part.iloc[0]
-        rows.append(
-            {name: first[name] for name in ("family", "twin", "hysteresis", "drift", "drift_mV")}
-            | {m: float(np.exp(x.mean())) for m, x in against.items()}
-            | {
-                "worst": f"{part['trajectory'].iloc[row]} {'xy'[axis]}: {np.exp(against['known'].max()):.2f}",
-                "covered": part["covered"].mean(),
-            }
-        )
-    return pd.DataFrame(rows)
-
-
-def medians(table: pd.DataFrame, *, draws: int = 10_000, seed: int = 0) -> pd.DataFrame:
-    """Median ratio over the twins of a family with a bootstrap 95 % interval, over all of them and by kind of twin.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``family, kind, twins, against, median, low, high, lost, covered``: the number of twins whose ratio is above
-        one, and the mean share of frames in the 95 % ellipse.
-    """
-    rng, rows, groups = np.random.default_rng(seed), [], []
-    for family, per_twin in ratios(table).groupby("family", sort=False):
-        groups.append((family, "all", per_twin))
-        for column in ("hysteresis", "drift"):
-            groups += [(family, kind, part) for kind, part in per_twin.groupby(column)]
-    for family, kind, part in groups:
-        for against in METHODS[:-1]:
-            values = part[against].to_numpy()
-            low, high = interval(np.median(values[resampled(len(values), rng, bootstraps=draws)], axis=1))
-            rows.append(
-                {
-                    "family": family,
-                    "kind": kind,
-                    "twins": len(values),
-                    "against": against,
-                    "median": np.median(values),
-                    "low": low,
-                    "high": high,
-                    "lost": int((values > 1).sum()),
-                    "covered": part["covered"].mean(),
-                }
-            )
-    return pd.DataFrame(rows)
-
-
-def by_trajectory(table: pd.DataFrame) -> pd.DataFrame:
-    """How ours fares on each trajectory, over the twins of a family.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``family, trajectory``; the ratios ``known`` and ``shorter``, geometric means over twins and axes;
-        ``lost_%`` and ``lost_to_shorter_%``, shares of twins and axes on which the error of ours is larger; and the
-        means of ``covered, nees, covered_delta_L, ours_delta_L_mm`` of :func:`twin_errors`.
-    """
-    rows = []
-    for (family, name), part in table.groupby(["family", "trajectory"], sort=False):
-        logs = {m: np.log(part[[f"{m}_delta_{a}_mm" for a in "xy"]].to_numpy()) for m in METHODS}
-        known, shorter = logs["ours"] - logs["known"], logs["ours"] - logs["shorter"]
-        rows.append(
-            {
-                "family": family,
-                "trajectory": name,
-                "known": float(np.exp(known.mean())),
-                "shorter": float(np.exp(shorter.mean())),
-                "lost_%": 100 * float((known > 0).mean()),
-                "lost_to_shorter_%": 100 * float((shorter > 0).mean()),
-            }
-            | {m: part[m].mean() for m in ("covered", "nees", "covered_delta_L", "ours_delta_L_mm")}
-        )
-    return pd.DataFrame(rows)
+    row = {}
+    for method, q in (found | {"ours": own.q[:, None]}).items():
+        error = np.sqrt(((q - part.q[:, None]) ** 2).mean(axis=0)).mean(axis=0)
+        row |= {f"{method}_delta_{axis}_mm": 1e3 * error[k] for k, axis in enumerate("xy")}
+    return row | _own_uncertainty(own.q - part.q, own.covariance)
 
 
 def _own_uncertainty(error: np.ndarray, covariance: np.ndarray) -> dict[str, float]:

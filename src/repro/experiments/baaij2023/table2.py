@@ -41,8 +41,8 @@ def networks(
 ) -> SeedEnsemble:
     """Networks of the paper's recipe for these recordings, one for each sensor and seed.
 
-    Those in ``folder`` are of the twin's T5.train. They answer for the very rows that they were trained on, by the
-    hash in their manifests. For any others networks are trained here, about a minute each, and kept in ``cache``.
+    Those in ``folder`` are of T5.train of the two twins. They answer for the very rows that they were trained on, by
+    the hash in their manifests. For any others networks are trained here, about a minute each, and kept in ``cache``.
 
     Parameters
     ----------
@@ -63,8 +63,9 @@ def networks(
         If networks in the cache are not what their folder says.
     """
     part = data.train
-    if trained_on(part, folder, seeds):
-        return rig_networks(folder, seeds, twin_sha256=data.twin_sha256)
+    for second in (False, True):
+        if trained_on(part, folder, seeds, second=second):
+            return rig_networks(folder, seeds, second=second, twin_sha256=data.twin_sha256)
     content = rows_sha256(torch.from_numpy(part.q), torch.from_numpy(part.u))[:12]
     kept = cache / f"{part.name}_{content}"
     specs = [RigSpec(sensor, seed) for seed in seeds for sensor in range(RIG_SENSORS)]

@@ -32,7 +32,7 @@ def twin_ratios(per_twin: pd.DataFrame, title: str) -> Figure:
     Parameters
     ----------
     per_twin
-        Columns of :func:`repro.experiments.baaij2023.robustness.ratios`.
+        Columns of :func:`repro.experiments.baaij2023.robustness_tables.ratios`.
     title
         Above the panels.
     """
@@ -93,6 +93,6 @@ def error_pairs(table: pd.DataFrame, title: str) -> Figure:
     figure.supylabel("ours: RMSE [mm]", fontsize="medium")
     marks = [Line2D([], [], ls="", marker=m, color="0.3", label=rf"$\Delta_{a}$") for a, m in AXES.items()]
     marks += [Line2D([], [], ls="", marker="o", color=FAMILIES[f], label=f) for f in families]
-    figure.legend(handles=marks, loc="outside upper right", ncols=len(marks))
+    figure.legend(handles=marks, loc="outside lower center", ncols=len(marks))
     figure.suptitle(title)
     return figure
