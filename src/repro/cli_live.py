@@ -246,7 +246,9 @@ def emulate(
     emulator = Emulator(sent, link, speed=speed)
     about = f"{label}, as {form}\nPort: {emulator.address}"
     try:
-        emulator.run(lambda: print(about, flush=True))
+        with emulator:
+            print(about, flush=True)
+            emulator.wait()
     except KeyboardInterrupt:  # how it is stopped
         print(file=sys.stderr)
     return 0

@@ -3,6 +3,7 @@
 import math
 import os
 import socket
+import sys
 import time
 
 import numpy as np
@@ -196,3 +197,32 @@ def test_the_speed_must_be_positive():
     ):
         Emulator([], link, speed=math.nan)
     link.remove()
+
+
+@pytest.mark.parametrize("line", range(1, 31))
+def test_an_interruption_of_the_wait_ends_it_wherever_it_comes(line):
+    """Before any line of the wait, those of the standard library among them; no other error takes its place."""
+    left, former = line, sys.gettrace()
+
+    def trace(frame, event, argument):
+        nonlocal left
+        left -= event == "line"
+        if left == 0:
+            raise KeyboardInterrupt
+        return trace
+
+    emulator = Emulator(passages(readings(100), "frames"), SocketLink())
+
+    def play():
+        with emulator:
+            sys.settrace(trace)
+            try:
+                emulator.wait()
+            finally:
+                sys.settrace(former)
+
+    with pytest.raises(KeyboardInterrupt):
+        play()
+    emulator.wait()  # it has ended
+    with pytest.raises(InputError):
+        open_port(emulator.address)

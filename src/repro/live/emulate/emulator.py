@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -55,7 +55,7 @@ class Link(Protocol):
 
 
 class Emulator:
-    """Plays passages into a port; in a ``with`` statement it does so in a thread of its own.
+    """Plays passages into a port: in a ``with`` statement, in a thread of its own. The port is there on entry.
 
     Parameters
     ----------
@@ -97,18 +97,19 @@ class Emulator:
         """What to open: the path of a pseudo-terminal, or ``socket://…``."""
         return self._link.address
 
-    def run(self, announce: Callable[[], None] = lambda: None) -> None:
-        """Play to the end and remove the port.
+    def wait(self) -> None:
+        """Wait until it has ended; within the ``with`` statement.
 
-        Parameters
-        ----------
-        announce
-            Called once the port is there, before anything is sent.
+        In short sleeps: an interruption may come at any time, and in the wait for a lock it may leave that locked.
         """
+        while self._thread.is_alive():
+            time.sleep(POLL_S)
+
+    def _run(self) -> None:
+        """Play to the end and remove the port."""
         link = self._link
         try:
             link.appear()
-            announce()
             self._ready.set()
             if self._reader_settled():
                 self._play()
@@ -120,7 +121,7 @@ class Emulator:
             link.remove()
 
     def stop(self) -> None:
-        """Let `run` end; may be called from another thread."""
+        """Let it end, soon."""
         self._stopped.set()
 
     def __enter__(self) -> Emulator:
@@ -136,7 +137,7 @@ class Emulator:
 
     def _run_in_thread(self) -> None:
         try:
-            self.run()
+            self._run()
         except BaseException as error:
             self._error = error
         finally:

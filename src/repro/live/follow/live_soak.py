@@ -129,7 +129,9 @@ def _play(robot: str, rate_hz: float, send: Connection) -> None:
     sent = played(load_robot(robot), rate_hz=rate_hz, seconds=PERIOD_S, seed=0)
     link = PtyLink() if HAS_PTY else SocketLink()
     emulator = Emulator(passages(sent.take.readings(loop=True), sent.take.format), link)
-    emulator.run(lambda: send.send(link.address))
+    with emulator:
+        send.send(link.address)
+        emulator.wait()
 
 
 def main(arguments: Sequence[str]) -> int:
