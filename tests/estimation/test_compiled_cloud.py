@@ -15,11 +15,12 @@ from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box, Disc
 from repro.experiments.benchmark.scaling import follow_flower
 from repro.experiments.mitchell2021.simulation import BEST, GAUSS_NEWTON, PAPER, WEIGHTED
+from repro.kernels import compiled
 from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.compiled_bend import CompiledBendSensor
 from repro.simulation.bend_curves import bend_curve, bend_readings
 
 SENSOR = BendSensor(15e-3)
+FAST = compiled(SENSOR)
 START = torch.zeros(2, dtype=torch.float64)
 
 
@@ -36,7 +37,7 @@ def bend_filter(**options):
 
 def assert_equal(filter_, u, q0, **inputs):
     """Run both and compare: the particles agree to the error of the series, which sharp likelihoods magnify."""
-    one, other = (track(replace(filter_, backend=b), u, q0, seed=3, **inputs) for b in ("torch", "compiled"))
+    one, other = (track(replace(filter_, sensing=s), u, q0, seed=3, **inputs) for s in (SENSOR, FAST))
     torch.testing.assert_close(other.q, one.q, atol=1e-8, rtol=0)
     torch.testing.assert_close(other.covariance, one.covariance, atol=1e-9, rtol=1e-5)
     torch.testing.assert_close(other.u_hat, one.u_hat, atol=1e-7, rtol=0)
@@ -74,7 +75,7 @@ def test_batches_masks_missing_readings_and_known_coordinates(options):
 
 def test_a_batch_is_each_of_its_members():
     u = bend_readings(torch.stack([bend_curve(name)[:30] for name in ("spiral", "flower")], dim=1))
-    filter_ = bend_filter(backend="compiled", estimate="best tenth")
+    filter_ = bend_filter(sensing=FAST, estimate="best tenth")
     both = track(filter_, u, torch.zeros(2, 2).double())
     for k in range(2):
         torch.testing.assert_close(both.q[:, k], track(filter_, u[:, k], START).q, atol=1e-12, rtol=0)
@@ -85,7 +86,7 @@ def test_lost_and_found():
     q = torch.tensor([[0.6, 0.1], [-0.5, 0.4]], dtype=torch.float64).repeat_interleave(5, 0)
     filter_ = bend_filter(process_noise=torch.full((2,), 0.01).double(), restart=True)
     assert_equal(filter_, bend_readings(q), q[0])
-    found = track(replace(filter_, backend="compiled"), bend_readings(q), q[0])
+    found = track(replace(filter_, sensing=FAST), bend_readings(q), q[0])
     assert found.diagnostics["lost"].tolist() == [False] * 5 + [True] + [False] * 4
     assert float((found.q[-1] - q[-1]).norm()) < 0.05
 
@@ -96,19 +97,19 @@ def test_noise_wider_than_the_region_leaves_particles_inside():
     assert_equal(filter_, u, START)
     state = filter_.init(START)
     for k in range(6):
-        state, _ = replace(filter_, backend="compiled").step(state, u[k], 0.0)
+        state, _ = replace(filter_, sensing=FAST).step(state, u[k], 0.0)
         assert bool(filter_.region.contains(state.q).all())
 
 
 def test_one_particle_and_single_precision():
     u = bend_readings(bend_curve("spiral")[:5])
     assert_equal(bend_filter(particles=1, estimate="best tenth"), u, START)
-    found = track(bend_filter(backend="compiled"), u.float(), START.float())
+    found = track(bend_filter(sensing=FAST), u.float(), START.float())
     assert found.q.dtype == found.covariance.dtype == torch.float32
 
 
 def test_same_seed_same_bits_and_an_unchanged_state():
-    filter_, u = bend_filter(backend="compiled"), bend_readings(START)
+    filter_, u = bend_filter(sensing=FAST), bend_readings(START)
     state = filter_.init(START, seed=7)
     before = state.q.clone()
     (first, a), (second, b) = (filter_.step(state, u, 0.0) for _ in range(2))
@@ -130,9 +131,7 @@ def test_the_best_are_as_many_as_asked_for_also_among_equals(n, levels):
 
 
 def test_far_readings_do_not_underflow():
-    found = track(
-        bend_filter(noise_mt=1e-6, backend="compiled"), bend_readings(torch.ones(3, 2).double()), START
-    )
+    found = track(bend_filter(noise_mt=1e-6, sensing=FAST), bend_readings(torch.ones(3, 2).double()), START)
     assert bool(torch.isfinite(found.q).all() & torch.isfinite(found.diagnostics["surprise"]).all())
 
 
@@ -140,32 +139,23 @@ def test_far_readings_do_not_underflow():
     ("options", "message"),
     [
         (
-            {"sensing": lambda q: q},
-            "Input sensing of ParticleFilter must be BendSensor or CompiledBendSensor for backend='compiled'; "
-            "instead received function.",
-        ),
-        (
             {"region": None},
-            "Input region of ParticleFilter must be Disc for backend='compiled'; instead received None.",
+            "Input region of ParticleFilter must be Disc for a compiled sensor; instead received None.",
         ),
         (
             {"region": Box(-torch.ones(2), torch.ones(2))},
-            "Input region of ParticleFilter must be Disc for backend='compiled'; instead received Box.",
-        ),
-        (
-            {"backend": "numpy"},
-            "Input backend of ParticleFilter must be one of 'torch', 'compiled'; instead received 'numpy'.",
+            "Input region of ParticleFilter must be Disc for a compiled sensor; instead received Box.",
         ),
     ],
 )
 def test_supported_models(options, message):
     with pytest.raises(InputError, match=message):
-        bend_filter(**({"backend": "compiled"} | options))
+        bend_filter(sensing=FAST, **options)
 
 
 def test_linear_in_particles():
     def seconds(particles):
-        work = follow_flower(CompiledBendSensor(15e-3), 10, particles=particles, backend="compiled")
+        work = follow_flower(FAST, 10, particles=particles)
         found = []
         for _ in range(5):
             start = time.process_time()

@@ -13,6 +13,7 @@ from repro.experiments.baaij2023.affine import STEP_SIZE
 from repro.experiments.baaij2023.affine import networks as networks_of_the_affine_robot
 from repro.experiments.baaij2023.table1 import MOMENTUM, available, networks, step_sizes
 from repro.experiments.baaij2023.table1_rows import rows_named, simulate
+from repro.kernels import compiled
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
@@ -28,12 +29,12 @@ def both(sensing, step_size, u, q0, *, options=None, **inputs):
     """Trajectories by torch and by the kernel."""
     return [
         track(
-            GradientDescent(sensing, step_size, **(options or {}), backend=backend),
+            GradientDescent(model, step_size, **(options or {})),
             u,
             q0,
             **inputs,
         )
-        for backend in ("torch", "compiled")
+        for model in (sensing, compiled(sensing))
     ]
 
 
@@ -100,15 +101,15 @@ def test_start_at_the_straight_pose():
 
 def test_precision_of_the_caller_is_kept():
     sensing = LinearisedSensing(pcc_robot(1), MOMENTS)
-    method = GradientDescent(sensing, step_sizes(1), backend="compiled")
+    method = GradientDescent(compiled(sensing), step_sizes(1))
     state, estimate = method.step(method.init(torch.zeros(3)), sensing(torch.zeros(3).double()).float(), 0.0)
     assert state.q.dtype == state.momentum.dtype == estimate.u_hat.dtype == torch.float32
 
 
-@pytest.mark.parametrize("backend", ["torch", "compiled"])
-def test_divergence_is_refused(backend):
-    sensing = LinearisedSensing(pcc_robot(1), MOMENTS)
-    method = GradientDescent(sensing, torch.full((3,), 1e300, dtype=torch.float64), backend=backend)
+@pytest.mark.parametrize("made", [lambda sensing: sensing, compiled], ids=["torch", "compiled"])
+def test_divergence_is_refused(made):
+    sensing = made(LinearisedSensing(pcc_robot(1), MOMENTS))
+    method = GradientDescent(sensing, torch.full((3,), 1e300, dtype=torch.float64))
     with pytest.raises(InputError, match=r"Input q of Robot must be finite; instead received \d+ values"):
         method.step(method.init(torch.zeros(3).double()), torch.ones(3).double(), 0.0)
 
@@ -117,21 +118,13 @@ def test_divergence_is_refused(backend):
     ("act", "message"),
     [
         (
-            lambda s: GradientDescent(s, step_sizes(1), backend="numba"),
-            "Input backend of GradientDescent must be 'torch' or 'compiled'; instead received 'numba'.",
-        ),
-        (
-            lambda s: GradientDescent(lambda q: q, step_sizes(1), backend="compiled"),
-            "Input sensing of an estimator must be LinearisedSensing, or MagneticSensing with .* backend='compiled'",
-        ),
-        (
-            lambda s: GradientDescent(s, step_sizes(2), backend="compiled").step(
+            lambda s: GradientDescent(compiled(s), step_sizes(2)).step(
                 GradientDescent(s, step_sizes(2)).init(torch.zeros(6).double()), torch.ones(3).double(), 0.0
             ),
             r"Input q of GradientDescent must be of last dimension 3; instead received shape \(6,\)",
         ),
         (
-            lambda s: GradientDescent(s, step_sizes(1), backend="compiled").step(
+            lambda s: GradientDescent(compiled(s), step_sizes(1)).step(
                 GradientDescent(s, step_sizes(1)).init(torch.zeros(3).double()), torch.ones(4).double(), 0.0
             ),
             r"Input u of GradientDescent must be of last dimension 3; instead received shape \(4,\)",

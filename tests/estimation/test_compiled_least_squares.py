@@ -9,6 +9,7 @@ from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.experiments.baaij2023.best import box, start
+from repro.kernels import compiled
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing, readings
@@ -29,8 +30,8 @@ def noisy(u, seed=0):
 def both(sensing, bounds, u, q0, *, iterations=10, **inputs):
     """One time step by torch and by the kernel."""
     estimates = []
-    for backend in ("torch", "compiled"):
-        method = LevenbergMarquardt(sensing, *bounds, noise_mt=NOISE, iterations=iterations, backend=backend)
+    for model in (sensing, compiled(sensing)):
+        method = LevenbergMarquardt(model, *bounds, noise_mt=NOISE, iterations=iterations)
         estimates.append(method.step(method.init(q0), u, 0.0, **inputs)[1])
     return estimates
 
@@ -108,11 +109,11 @@ def test_robots_with_moments_of_their_own_along_a_trajectory():
     u = noisy(sensing(q.unsqueeze(1)))
     found = [
         track(
-            LevenbergMarquardt(sensing, *box(2), noise_mt=NOISE, iterations=5, backend=b),
+            LevenbergMarquardt(model, *box(2), noise_mt=NOISE, iterations=5),
             u,
             q[0].expand(3, -1),
         )
-        for b in ("torch", "compiled")
+        for model in (sensing, compiled(sensing))
     ]
     assert_equal(*found)
 
@@ -142,9 +143,9 @@ def test_networks_of_several_seeds():
 
 
 def test_precision_of_the_caller_is_kept_and_bounds_hold_in_it():
-    sensing = LinearisedSensing(pcc_robot(1), MOMENTS)
+    sensing = compiled(LinearisedSensing(pcc_robot(1), MOMENTS))
     low, high = (0.3 * x for x in box(1))
-    method = LevenbergMarquardt(sensing, low, high, backend="compiled")
+    method = LevenbergMarquardt(sensing, low, high)
     u = sensing(lemniscate(1)[::10]).float()
     state, estimate = method.step(method.init(torch.zeros(len(u), 3)), u, 0.0)
     assert estimate.q.dtype == estimate.covariance.dtype == estimate.u_hat.dtype == torch.float32
@@ -156,15 +157,11 @@ def test_precision_of_the_caller_is_kept_and_bounds_hold_in_it():
     ("act", "message"),
     [
         (
-            lambda s: LevenbergMarquardt(s, *box(1), backend="jit"),
-            "Input backend of LevenbergMarquardt must be 'torch' or 'compiled'; instead received 'jit'.",
+            lambda s: compiled(lambda q: q),
+            "Input sensing of compiled must be LinearisedSensing, or MagneticSensing with .* received function",
         ),
         (
-            lambda s: LevenbergMarquardt(lambda q: q, *box(1), backend="compiled"),
-            "Input sensing of an estimator must be LinearisedSensing, or MagneticSensing with .* backend='compiled'",
-        ),
-        (
-            lambda s: LevenbergMarquardt(s, *box(1), backend="compiled").step(
+            lambda s: LevenbergMarquardt(compiled(s), *box(1)).step(
                 LevenbergMarquardt(s, *box(1)).init(start(1)), torch.ones(2).double(), 0.0
             ),
             r"Input u of LevenbergMarquardt must be of last dimension 3; instead received shape \(2,\)",

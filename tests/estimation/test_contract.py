@@ -20,6 +20,7 @@ from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box
+from repro.kernels import compiled
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
@@ -42,11 +43,9 @@ ESTIMATORS = {
     "gradient descent, momentum reset": GradientDescent(
         SENSING, torch.full((3,), 3.5e-4), carry_momentum=False
     ),
-    "gradient descent, compiled": GradientDescent(SENSING, torch.full((3,), 3.5e-4), backend="compiled"),
+    "gradient descent, compiled": GradientDescent(compiled(SENSING), torch.full((3,), 3.5e-4)),
     "Levenberg-Marquardt": LevenbergMarquardt(SENSING, LOW, HIGH, noise_mt=1e-3),
-    "Levenberg-Marquardt, compiled": LevenbergMarquardt(
-        SENSING, LOW, HIGH, noise_mt=1e-3, backend="compiled"
-    ),
+    "Levenberg-Marquardt, compiled": LevenbergMarquardt(compiled(SENSING), LOW, HIGH, noise_mt=1e-3),
     "Kalman filter": IteratedKalmanFilter(
         SENSING,
         LOW,

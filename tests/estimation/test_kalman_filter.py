@@ -11,6 +11,7 @@ from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
+from repro.kernels import compiled
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
@@ -183,13 +184,13 @@ def test_compiled_update_is_that_of_torch(n_segments):
     a = 0.02 * torch.ones(n_q).double()
     one, other = (
         track(
-            IteratedKalmanFilter(sensing, low, high, a, a, noise_mt=0.02, backend=backend),
+            IteratedKalmanFilter(model, low, high, a, a, noise_mt=0.02),
             u,
             torch.tensor([0.0, 0.0, 3e-3] * n_segments).double().expand(3, -1),
             mask=mask,
             known=known,
         )
-        for backend in ("torch", "compiled")
+        for model in (sensing, compiled(sensing))
     )
     # Next to the minimum rounding decides which trials are taken: a nanometre, where the noise is worth millimetres.
     torch.testing.assert_close(other.q, one.q, atol=1e-9, rtol=0)
@@ -197,10 +198,3 @@ def test_compiled_update_is_that_of_torch(n_segments):
     torch.testing.assert_close(other.u_hat, one.u_hat, atol=1e-8, rtol=0)
     assert torch.equal(other.diagnostics["at_bound"], one.diagnostics["at_bound"])
     assert bool(one.diagnostics["at_bound"].any())
-
-
-def test_compiled_update_names_the_models_it_has():
-    with pytest.raises(InputError, match="must be LinearisedSensing, or MagneticSensing"):
-        linear_filter(backend="compiled")
-    with pytest.raises(InputError, match="must be 'torch' or 'compiled'; instead received 'numba'"):
-        linear_filter(backend="numba")

@@ -150,7 +150,5 @@ def test_a_filter_follows_what_lasts_as_far_as_least_squares():
 def test_wrong_input():
     with pytest.raises(InputError, match="Input noise of WithModelError must be positive"):
         WithModelError(wrapped().estimator, linear, 0.0, always)
-    with pytest.raises(InputError, match="Input sensing of an estimator must be"):
-        wrapped(backend="compiled")
     with pytest.raises(InputError, match="Input error of WithModelError must be finite"):
         estimate(wrapped(lambda q: always(q) * torch.nan))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
+from repro.estimation import compiled_chain
 from repro.estimation.imu_bounds import pcc_bound, tangents_bound
 from repro.estimation.imu_models import chain, exact_arcs, pcc_extended, tangent_interpolation, tangent_spline
 from repro.estimation.imu_selection import Selection, selection
@@ -92,10 +93,8 @@ def test_inner_points_of_an_arc():
     made = Selection((0, 1), (0.0, 2.0), (2.0,), sub_links=2, interpolation="inner points")
     side, up = 0.5, np.sqrt(0.75)
     expected = [[side, 0, up], [side + up, 0, side + up]]
-    for backend in ("numpy", "compiled"):
-        np.testing.assert_allclose(
-            pcc_extended(quarter, made, [1.0, 2.0], backend=backend), expected, atol=1e-15
-        )
+    for chain_between in (pcc_extended, compiled_chain.pcc_extended):
+        np.testing.assert_allclose(chain_between(quarter, made, [1.0, 2.0]), expected, atol=1e-15)
     linear = np.array([np.sqrt(0.2), 0, np.sqrt(0.8)])  # a third of the way along the chord
     np.testing.assert_allclose(tangent_interpolation(quarter, made, [1.0])[0], linear, atol=1e-15)
 
@@ -106,7 +105,7 @@ def test_origin_moves_every_model(arm, model):
     moved = replace(made, origin_m=(0.1, -0.2, 0.0178))
     difference = model(arm, moved, [0.0, 0.36]) - model(arm, made, [0.0, 0.36])
     np.testing.assert_allclose(difference, np.broadcast_to([0.1, -0.2, 0.0178], (5, 2, 3)), atol=1e-15)
-    found = pcc_extended(arm, moved, [0.36], backend="compiled")
+    found = compiled_chain.pcc_extended(arm, moved, [0.36])
     np.testing.assert_allclose(found, pcc_extended(arm, moved, [0.36]), atol=1e-14)
 
 

@@ -184,7 +184,6 @@ class TestStepSize:
                 (0,),
                 mean_elongation_m=4.5e-3,
                 elongations=("known",),
-                backend="compiled",
                 shorter=shorter,
             )
             apart = 1e3 * np.abs(run.estimates["known", "T2"][:, 0] - data.tests["T2"].q)[:, :2].max(axis=1)

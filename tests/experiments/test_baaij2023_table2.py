@@ -410,9 +410,9 @@ def toy_networks(seeds=2):
 
 
 @cache
-def short_run(backend="torch"):
+def short_run(solver="torch"):
     parts = short_data().shortened(0.2)
-    return table2.paper_method(parts, toy_networks(), (0, 1), mean_elongation_m=4.5e-3, backend=backend)
+    return table2.paper_method(parts, toy_networks(), (0, 1), mean_elongation_m=4.5e-3, solver=solver)
 
 
 class TestPaperMethod:

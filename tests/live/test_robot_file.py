@@ -15,6 +15,7 @@ from repro.estimation.base import track
 from repro.estimation.imu_chain import TABLE_I_LINK_LENGTHS
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.experiments.baaij2023.best import box
+from repro.kernels import compiled
 from repro.kinematics.mounts import magnet_mounts
 from repro.kinematics.robot import Robot
 from repro.live.emulate.takes import open_take
@@ -138,8 +139,8 @@ def test_readings_are_those_of_magpylib():
     )
 
 
-@pytest.mark.parametrize("backend", ["torch", "compiled"])
-def test_estimates_from_values_of_frames(tmp_path, backend):
+@pytest.mark.parametrize("made", [lambda sensing: sensing, compiled], ids=["torch", "compiled"])
+def test_estimates_from_values_of_frames(tmp_path, made):
     """Gains, offsets and an order of channels of their own; one channel is not used."""
     text = ONE.replace('unit = "mT"', 'unit = "mV"').replace(
         "noise_mt = 7.1e-4", "noise_mv = 0.5\nchannels = 4"
@@ -158,9 +159,7 @@ def test_estimates_from_values_of_frames(tmp_path, backend):
     plain = readings(pcc_robot(1), q, ring("released"))
     torch.testing.assert_close(frames[:, 2], 1300 - 50 * plain[:, 0], rtol=0, atol=1e-3)
     u = torch.stack([found.signal(tuple(row.tolist())) for row in frames])
-    method = LevenbergMarquardt(
-        found.sensing(), found.lower, found.upper, noise_mt=found.noise, backend=backend
-    )
+    method = LevenbergMarquardt(made(found.sensing()), found.lower, found.upper, noise_mt=found.noise)
     torch.testing.assert_close(track(method, u, found.start).q, q, rtol=0, atol=1e-9)
 
 
@@ -174,9 +173,7 @@ def test_a_network_and_a_model_of_ones_own(tmp_path):
     exact = load_robot(ROBOTS / "one_segment.toml")
     error = (found.sensing()(q) - exact.sensing()(q)).square().mean().sqrt()
     assert float(error.detach()) < 0.05  # the network's own error is some hundredths of a millitesla
-    LevenbergMarquardt(
-        found.sensing(), found.lower, found.upper, backend="compiled"
-    )  # is known to the kernel
+    compiled(found.sensing())  # is known to the kernel
     with pytest.raises(InputError, match=r"line \d+, \[model\], must be files beside this"):
         load_robot(written(tmp_path, ONE + '\n[model]\nnetworks = ["other.safetensors"]\n'))
     with pytest.raises(InputError, match="must be files: one for all sensors, one per segment, or one"):

@@ -181,23 +181,9 @@ def held(q: Tensor, known: Tensor | None) -> tuple[Tensor, Tensor]:
     return torch.where(free, q, known), free
 
 
-def kernel(sensing: Callable[[Tensor], Tensor], backend: str, owner: str) -> Any:
-    """Sensor model of the kernels for the backend ``"compiled"``; none for ``"torch"``.
-
-    See :class:`repro.sensing.compiled_sensing.CompiledSensing`.
-
-    Raises
-    ------
-    InputError
-        If there is no such backend, or no kernel for the sensor model.
-    """
-    if backend not in ("torch", "compiled"):
-        raise bad_input("backend", owner, "'torch' or 'compiled'", repr(backend))
-    if backend == "torch":
-        return None
-    from repro.sensing.compiled_sensing import CompiledSensing  # here: numba takes a second to import
-
-    return CompiledSensing(sensing)
+def kernel(sensing: Callable[[Tensor], Tensor]) -> Any:
+    """The sensor model, if its kernel can be used: it is one of :func:`repro.sensing.compiled`; else none."""
+    return sensing if getattr(sensing, "is_compiled", False) else None
 
 
 def check_start(

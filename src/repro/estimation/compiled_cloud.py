@@ -7,7 +7,6 @@ error of the series for the field, below 1e-8 mT for the cube and the arc of Mit
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from repro.estimation.compiled_weighing import weigh
 from repro.estimation.particle_cloud import Weighed
 from repro.estimation.regions import Disc
 from repro.estimation.resampling import draws
-from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.compiled_bend import CompiledBendSensor
 from repro.sensing.compiled_bend_series import bend_series
 
@@ -32,24 +30,21 @@ class CompiledCloud:
     Parameters
     ----------
     sensing
-        :class:`~repro.sensing.bend_sensor.BendSensor`, or the compiled one.
+        The compiled sensor.
     region
         :class:`~repro.estimation.regions.Disc` that particles never leave.
 
     Raises
     ------
     InputError
-        If model or region are others, or the series for the field is not good enough over the region.
+        If the region is another one, or the series for the field is not good enough over the region.
     """
 
-    def __init__(self, sensing: Callable[[Tensor], Tensor], region: Any) -> None:
-        if not isinstance(sensing, BendSensor | CompiledBendSensor):
-            expected = "BendSensor or CompiledBendSensor for backend='compiled'"
-            raise bad_input("sensing", "ParticleFilter", expected, type(sensing).__name__)
+    def __init__(self, sensing: CompiledBendSensor, region: Any) -> None:
         if not isinstance(region, Disc):
             received = None if region is None else type(region).__name__
-            raise bad_input("region", "ParticleFilter", "Disc for backend='compiled'", received)
-        self.exact = CompiledBendSensor(sensing.length, sensing.cube)
+            raise bad_input("region", "ParticleFilter", "Disc for a compiled sensor", received)
+        self.exact = sensing
         self.series = bend_series(sensing.length, region.radius, sensing.cube)
 
     def weigh(

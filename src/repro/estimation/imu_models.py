@@ -64,15 +64,13 @@ def rigid_links(
     Martin, Bruder and Wood (2022), section II-A, equation (2).
     """
     joints = rigid_body(orientations, selection.link_lengths)
-    return _from_base(point_at(joints, selection.link_lengths, arc_lengths), selection)
+    return from_base(point_at(joints, selection.link_lengths, arc_lengths), selection)
 
 
 def pcc_extended(
     orientations: Float[np.ndarray, "*samples imus 4"],
     selection: Selection,
     arc_lengths: Points,
-    *,
-    backend: str = "numpy",
 ) -> Float[np.ndarray, "*samples points 3"]:
     """Positions on the PCC-extended rigid-body model: straight sub-segments, interpolated between adjacent IMUs.
 
@@ -88,14 +86,11 @@ def pcc_extended(
         One link between each two IMUs, with its sub-segments.
     arc_lengths
         Distances from the origin of the chain along it [m].
-    backend
-        ``"numpy"``, or ``"compiled"``: the same to rounding, several times faster with the printed interpolation
-        (another one is computed by NumPy).
 
     Raises
     ------
     InputError
-        As `rigid_links`, and if the selection has no sub-segments or the backend is unknown.
+        As `rigid_links`, and if the selection has no sub-segments.
 
     References
     ----------
@@ -112,18 +107,7 @@ def pcc_extended(
     >>> (1e3 * exact_arcs(quarter, bent, [0.64])).round(1) + 0.0
     array([[407.4,   0. , 407.4]])
     """
-    _links_between(selection, "pcc_extended")
-    if backend not in ("numpy", "compiled"):
-        raise bad_input("backend", "pcc_extended", "'numpy' or 'compiled'", repr(backend))
-    compilable = selection.turn_share == 1 and np.shape(orientations)[-2:] == (len(selection.imus), 4)
-    if backend == "compiled" and compilable:
-        from repro.estimation import compiled_chain  # here: numba takes a second to import
-
-        points = _points(arc_lengths, selection, "pcc_extended")
-        lengths = np.array(selection.link_lengths)
-        found = compiled_chain.positions(orientations, lengths, points, selection.sub_links)
-        if found is not None:  # else the other route says which quaternion is wrong
-            return _from_base(found, selection)
+    links_between(selection, "pcc_extended")
     return _arcs(orientations, selection, arc_lengths, "pcc_extended", selection.sub_links)
 
 
@@ -149,7 +133,7 @@ def exact_arcs(
     ----------
     Martin, Bruder and Wood (2022), section II-B: "As n increases, this model approximates a PCC model".
     """
-    _links_between(selection, "exact_arcs")
+    links_between(selection, "exact_arcs")
     return _arcs(orientations, selection, arc_lengths, "exact_arcs", 0)
 
 
@@ -176,7 +160,7 @@ def tangent_interpolation(
     ----------
     Martin, Bruder and Wood (2022), section V, on computation.
     """
-    _links_between(selection, "tangent_interpolation")
+    links_between(selection, "tangent_interpolation")
     d = _tangents(orientations, selection, "tangent_interpolation")
     n = selection.sub_links
     middles = (1 - selection.turn_share) / 2 + selection.turn_share * ((2 * np.arange(n) + 1) / (2 * n))[
@@ -187,7 +171,7 @@ def tangent_interpolation(
     directions = _unit(between, "tangent_interpolation").reshape(*d.shape[:-2], len(sub_lengths), 3)
     joints = np.cumsum(directions * sub_lengths[:, None], axis=-2)
     joints = np.concatenate([np.zeros_like(joints[..., :1, :]), joints], axis=-2)
-    return _from_base(point_at(joints, sub_lengths, arc_lengths), selection)
+    return from_base(point_at(joints, sub_lengths, arc_lengths), selection)
 
 
 def tangent_spline(
@@ -211,9 +195,9 @@ def tangent_spline(
     InputError
         As `pcc_extended`, and if neighbours point in opposite directions.
     """
-    _links_between(selection, "tangent_spline")
+    links_between(selection, "tangent_spline")
     d = _tangents(orientations, selection, "tangent_spline")
-    points = _points(arc_lengths, selection, "tangent_spline")
+    points = points_on(arc_lengths, selection, "tangent_spline")
     knots = np.append(0.0, np.cumsum(selection.link_lengths))
     pieces = np.unique(np.concatenate([knots[knots <= points.max(initial=0.0)], points]))
     at, weights = leggauss(QUADRATURE_NODES)
@@ -222,7 +206,7 @@ def tangent_spline(
     basis = CubicSpline(knots, np.eye(len(knots)), bc_type="not-a-knot")(nodes)
     before = (nodes[:, None] < points) * weights[:, None]  # what each node adds to each point
     directions = _unit(np.moveaxis(np.moveaxis(d, -2, -1) @ basis.T, -2, -1), "tangent_spline")
-    return _from_base(np.moveaxis(np.moveaxis(directions, -2, -1) @ before, -2, -1), selection)
+    return from_base(np.moveaxis(np.moveaxis(directions, -2, -1) @ before, -2, -1), selection)
 
 
 def _arcs(
@@ -231,12 +215,12 @@ def _arcs(
     """Positions on arcs (n = 0) or on chains of n sub-segments per link."""
     q = unit_quaternions(orientations, owner)
     _one_per_imu(q, selection, owner)
-    points = _points(arc_lengths, selection, owner)
+    points = points_on(arc_lengths, selection, owner)
     turn_share = selection.turn_share if n else 1.0
-    return _from_base(positions(q, np.array(selection.link_lengths), points, n, turn_share), selection)
+    return from_base(positions(q, np.array(selection.link_lengths), points, n, turn_share), selection)
 
 
-def _from_base(points: np.ndarray, selection: Selection) -> np.ndarray:
+def from_base(points: np.ndarray, selection: Selection) -> np.ndarray:
     """Move points of a chain from its origin to the base."""
     return points + np.array(selection.origin_m) if any(selection.origin_m) else points
 
@@ -258,7 +242,8 @@ def _unit(vectors: np.ndarray, owner: str) -> np.ndarray:
     return vectors / norms
 
 
-def _links_between(selection: Selection, owner: str) -> None:
+def links_between(selection: Selection, owner: str) -> None:
+    """Refuse a selection without sub-segments."""
     if not selection.sub_links:
         raise bad_input("selection", owner, "one with links between IMUs (sub_links above 0)", selection)
 
@@ -269,7 +254,7 @@ def _one_per_imu(q: np.ndarray, selection: Selection, owner: str) -> None:
         raise bad_input("orientations", owner, expected, f"shape {q.shape}")
 
 
-def _points(arc_lengths: Points, selection: Selection, owner: str) -> np.ndarray:
+def points_on(arc_lengths: Points, selection: Selection, owner: str) -> np.ndarray:
     """Check arc lengths and return them as an array [m]."""
     points, total = np.atleast_1d(np.asarray(arc_lengths, dtype=float)), sum(selection.link_lengths)
     if points.ndim != 1 or not ((points >= 0) & (points <= total * (1 + 1e-12))).all():

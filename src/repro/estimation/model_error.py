@@ -62,14 +62,12 @@ class WithModelError:
         squared.
     bounds
         Bounds of ``q`` at which the estimator stops; none when not given.
-    backend
-        ``"torch"``, for any sensor model, or ``"compiled"``, as of the estimators.
 
     Raises
     ------
     InputError
-        If the noise is not positive, or the backend is unknown or does not know the sensor model; in a step if the
-        covariance of the model is not finite or does not fit the readings.
+        If the noise is not positive; in a step if the covariance of the model is not finite or does not fit the
+        readings.
 
     Examples
     --------
@@ -91,16 +89,14 @@ class WithModelError:
     noise: float
     error: Callable[[Tensor], Tensor]
     bounds: tuple[Tensor, Tensor] | None = None
-    backend: str = "torch"
 
     def __post_init__(self) -> None:
         if not self.noise > 0:
             raise bad_input("noise", "WithModelError", "positive", self.noise)
-        _ = self._kernel  # refuses other models now, not in the first step
 
     @cached_property
     def _kernel(self) -> Any:
-        return kernel(self.sensing, self.backend, "WithModelError")
+        return kernel(self.sensing)
 
     def init(self, q0: Tensor, *, seed: int = 0) -> Any:
         """State of the estimator itself."""

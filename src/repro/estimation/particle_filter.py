@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start, redundancy, usable
+from repro.estimation.base import Estimate, check_start, kernel, redundancy, usable
 from repro.estimation.levenberg_marquardt import covariance
 from repro.estimation.particle_cloud import Weighed, weighed
 from repro.estimation.particle_restart import contracted
@@ -23,7 +23,6 @@ from repro.estimation.resampling import SCHEMES, resample, stream
 
 ESTIMATES = ("best tenth", "weighted", "Gauss-Newton")
 MOTIONS = ("random walk", "constant velocity")
-BACKENDS = ("torch", "compiled")
 
 DRAWS = 50
 """Largest number of draws for a particle whose noise takes it out of the region; after that it stays."""
@@ -62,7 +61,9 @@ class ParticleFilter:
     Parameters
     ----------
     sensing
-        Configuration to predicted readings, any callable that takes batches: several segments, magnets and sensors.
+        Configuration to predicted readings, any callable that takes batches: several segments, magnets and sensors. A
+        :class:`~repro.sensing.bend_sensor.BendSensor` as of :func:`repro.kernels.compiled`, in a
+        :class:`~repro.estimation.regions.Disc`, gives the same particles to rounding, several times faster.
     process_noise
         Standard deviation of the noise that moves a particle in one step, for every coordinate, in its unit.
         Leading dimensions broadcast against the batch.
@@ -85,15 +86,12 @@ class ParticleFilter:
         A filter counts as lost when its readings are this many standard deviations too unlikely for its cloud.
     restart
         Draw the cloud anew from the region when the filter is lost.
-    backend
-        ``"torch"``, or ``"compiled"`` for a :class:`~repro.sensing.bend_sensor.BendSensor` in a
-        :class:`~repro.estimation.regions.Disc`: the same particles to rounding, several times faster.
 
     Raises
     ------
     InputError
-        If a number is not positive, a name is unknown, a restart has no region to draw from, or there is no
-        kernel for the sensor model or the region.
+        If a number is not positive, a name is unknown, a restart has no region to draw from, or a compiled sensor
+        model has no disc as its region.
     """
 
     sensing: Callable[[Tensor], Tensor]
@@ -106,7 +104,6 @@ class ParticleFilter:
     motion: str = "random walk"
     lost_at: float = 6.0
     restart: bool = False
-    backend: str = "torch"
 
     def __post_init__(self) -> None:
         owner = "ParticleFilter"
@@ -115,7 +112,7 @@ class ParticleFilter:
         for name in ("noise_mt", "particles", "lost_at"):
             if not getattr(self, name) > 0:
                 raise bad_input(name, owner, "positive", getattr(self, name))
-        choices = {"estimate": ESTIMATES, "resampling": SCHEMES, "motion": MOTIONS, "backend": BACKENDS}
+        choices = {"estimate": ESTIMATES, "resampling": SCHEMES, "motion": MOTIONS}
         for name, known in choices.items():
             if getattr(self, name) not in known:
                 choice = f"one of {', '.join(map(repr, known))}"
@@ -125,14 +122,18 @@ class ParticleFilter:
             raise bad_input("estimate", owner, expected, f"'best tenth' for {self._n_q} coordinates")
         if self.restart and self.region is None:
             raise bad_input("region", owner, "given for restart=True", None)
-        if self.backend == "compiled":
-            _ = self._compiled  # refuses other models now, not in the first step
+        _ = self._compiled  # refuses other regions now, not in the first step
 
     @cached_property
     def _compiled(self) -> Any:
+        if kernel(self.sensing) is None:
+            return None
         from repro.estimation.compiled_cloud import CompiledCloud  # here: numba takes a second to import
+        from repro.sensing.compiled_bend import CompiledBendSensor
 
-        return CompiledCloud(self.sensing, self.region)
+        return (
+            CompiledCloud(self.sensing, self.region) if isinstance(self.sensing, CompiledBendSensor) else None
+        )
 
     @property
     def _n_q(self) -> int:
@@ -208,11 +209,11 @@ class ParticleFilter:
         return following, Estimate(best, C, u_hat, diagnostics)
 
     def _predicted(self, q: Tensor) -> Tensor:
-        return self._compiled.exact(q) if self.backend == "compiled" else self.sensing(q)
+        return self._compiled.exact(q) if self._compiled is not None else self.sensing(q)
 
     def _weighed(self, q: Tensor, u: Tensor, use: Tensor) -> Weighed:
         top = self.estimate == "best tenth"
-        if self.backend == "compiled":
+        if self._compiled is not None:
             return self._compiled.weigh(q, u, use, self.noise_mt, top=top)
         return weighed(q, self._error(q, u, use), use, self.noise_mt, top=top)
 
@@ -221,7 +222,7 @@ class ParticleFilter:
     ) -> tuple[Tensor, Tensor]:
         """Particles drawn by their weights, after one step of motion, and their velocities."""
         moving = self.motion == "constant velocity"
-        if self.backend == "compiled":
+        if self._compiled is not None:
             carried = velocity if moving else None
             return self._compiled.move(
                 q, carried, w, self.process_noise, self.resampling, generator, DRAWS + 1

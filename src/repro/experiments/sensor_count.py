@@ -14,6 +14,7 @@ from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.experiments.baaij2023.best import box, relative_error, start
 from repro.experiments.baaij2023.session import released_moments
 from repro.experiments.pose_errors import pose_errors
+from repro.kernels import compiled
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
@@ -68,9 +69,7 @@ def sensor_count_errors(
     generator = torch.Generator().manual_seed(seed)
     normal = torch.randn(steps, draws, clean.shape[-1], generator=generator, dtype=clean.dtype)
     sensing = LinearisedSensing(robot, released_moments())
-    method = LevenbergMarquardt(
-        sensing, *box(n_segments), noise_mt=noise_mt, iterations=ITERATIONS, backend="compiled"
-    )
+    method = LevenbergMarquardt(compiled(sensing), *box(n_segments), noise_mt=noise_mt, iterations=ITERATIONS)
     q0 = start(n_segments).expand(steps, draws, -1)
     estimate = method.step(method.init(q0), clean + noise_mt * normal, 0.0)[1]
     variance = cramer_rao(fisher_information(sensing.linearise(q)[1], noise_mt)).diagonal(dim1=-2, dim2=-1)

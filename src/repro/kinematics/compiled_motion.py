@@ -81,7 +81,7 @@ def chain(robot: Robot, mounts: Mounts) -> tuple[Chain, torch.Size]:
     families = {ConstantCurvature: CONSTANT, AffineCurvature: AFFINE}
     for segment in robot.segments:
         if type(segment) not in families:
-            expected = "of constant or of affine curvature for backend='compiled'"
+            expected = "of constant or of affine curvature to be compiled"
             raise bad_input("segments", "Robot", expected, type(segment).__name__)
     length = torch.tensor([segment.length for segment in robot.segments], dtype=torch.float64)
     first = np.cumsum([0, *(segment.n_q for segment in robot.segments)])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -94,6 +95,7 @@ class CompiledBendSensor:
 
     length: float
     cube: Cube = B444B
+    is_compiled: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not self.length > 0:

@@ -30,8 +30,7 @@ from repro.sensing.stacked import StackedSensing
 
 SUPPORTED = (
     "LinearisedSensing, or MagneticSensing with a MultipoleField on cosines, networks of the paper or on cosines "
-    "(alone, in PerSensor or in SeedEnsemble), or one of them with SeenDirections in StackedSensing, for "
-    "backend='compiled'"
+    "(alone, in PerSensor or in SeedEnsemble), or one of them with SeenDirections in StackedSensing"
 )
 
 
@@ -52,7 +51,7 @@ class Tables(NamedTuple):
 
 
 class CompiledSensing:
-    """A sensor model whose readings and slopes come from one compiled kernel.
+    """A sensor model whose readings and slopes come from one compiled kernel; made by :func:`repro.kernels.compiled`.
 
     Weights and mounts are copied: later changes to the model have no effect. Networks are evaluated in the precision
     of their weights.
@@ -70,13 +69,16 @@ class CompiledSensing:
         If the model is another one, or does not fit its robot.
     """
 
+    is_compiled = True
+
     def __init__(self, sensing: Callable[[Tensor], Tensor]) -> None:
+        self.reference = sensing
         whole, seen, noise = sensing, None, [torch.ones(()), torch.ones(())]
         if isinstance(sensing, StackedSensing) and len(sensing.parts) == 2:
             noise = [torch.as_tensor(x, dtype=torch.float64) for x in sensing.noise]
             sensing, beside = sensing.parts
             if not isinstance(beside, SeenDirections):
-                raise bad_input("sensing.parts", "an estimator", SUPPORTED, type(beside).__name__)
+                raise bad_input("sensing.parts", "compiled", SUPPORTED, type(beside).__name__)
             seen = beside
         if isinstance(sensing, LinearisedSensing):
             earth = torch.zeros(3) if sensing.earth_mt is None else sensing.earth_mt
@@ -91,7 +93,7 @@ class CompiledSensing:
             else:
                 model = _ensemble(sensing.model, len(sensing.robot.sensors))
         else:
-            raise bad_input("sensing", "an estimator", SUPPORTED, type(sensing).__name__)
+            raise bad_input("sensing", "compiled", SUPPORTED, type(sensing).__name__)
         robot = sensing.robot
         n_m, mounts = len(robot.magnets), robot.magnets.joined(robot.sensors)
         gain = torch.ones(len(robot.sensors)) if gain is None else gain
@@ -110,7 +112,7 @@ class CompiledSensing:
             self.n_seeds, networks, fields = None, NO_NETWORK, model.shape[:-2]
             moments = model.expand(*fields, n_m, -1).reshape(-1, n_m, model.shape[-1])
             if moments.shape[-1] > ORDERS:
-                raise bad_input("moments", "backend='compiled'", f"at most {ORDERS}", moments.shape[-1])
+                raise bad_input("moments", "compiled", f"at most {ORDERS}", moments.shape[-1])
         self.batches = (robots, fields, gain.shape[:-1], earth.shape[:-1])
         constants = array(moments), array(gain.reshape(-1, self.n_sensors)), array(directions)
         self.tables = Tables(links, *constants, array(earth.reshape(-1, 3)), angles, networks)
@@ -120,6 +122,10 @@ class CompiledSensing:
         rank = max(map(len, self.batches))
         batch = self.batch(() if self.n_seeds is None else (self.n_seeds, *(1,) * rank))
         whole(torch.zeros(*batch, self.n_q, dtype=torch.float64))  # refuses what does not fit
+
+    def __call__(self, q: Float[Tensor, "*q n_q"]) -> Float[Tensor, "*batch s"]:
+        """Readings by torch, with what autograd needs of them."""
+        return self.reference(q)
 
     def batch(self, *shapes: Sequence[int]) -> torch.Size:
         """Shape of the batch of results for operands with these batches."""
@@ -179,16 +185,14 @@ def _ensemble(model: Callable[[Tensor], Tensor], n_sensors: int) -> SeedEnsemble
     if isinstance(model, SeedEnsemble):
         return model
     if not isinstance(model, nn.Sequential | CosineNetwork | PerSensor):
-        raise bad_input("sensing.model", "an estimator", SUPPORTED, type(model).__name__)
+        raise bad_input("sensing.model", "compiled", SUPPORTED, type(model).__name__)
     if any(m.training for m in model.modules() if isinstance(m, nn.BatchNorm1d)):
-        raise bad_input(
-            "sensing.model", "an estimator", "in evaluation mode for backend='compiled'", "in training"
-        )
+        raise bad_input("sensing.model", "compiled", "in evaluation mode", "in training")
     of_sensor = model.network_of_sensor if isinstance(model, PerSensor) else [0] * n_sensors
     try:
         return SeedEnsemble([list(model.networks) if isinstance(model, PerSensor) else [model]], of_sensor)
     except InputError as error:
-        raise bad_input("sensing.model", "an estimator", SUPPORTED, "networks of another kind") from error
+        raise bad_input("sensing.model", "compiled", SUPPORTED, "networks of another kind") from error
 
 
 @compiled()

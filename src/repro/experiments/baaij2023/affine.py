@@ -16,6 +16,7 @@ from repro.estimation.base import Trajectory, track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.experiments.baaij2023.table1 import ITERATIONS, MOMENTUM
 from repro.experiments.baaij2023.training import AffineSpec
+from repro.kernels import compiled
 from repro.kinematics.affine_curvature import azimuth_difference, canonical
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.magnetic import MagneticSensing, readings
@@ -103,7 +104,7 @@ def paper_method(
     generator = torch.Generator().manual_seed(noise_seed)
     u = u + noise_mt * torch.randn(u.shape, generator=generator, dtype=u.dtype)
     gamma = torch.tensor(step_size, dtype=torch.float64)
-    descent = GradientDescent(sensing, gamma, MOMENTUM, iterations, backend="compiled")
+    descent = GradientDescent(compiled(sensing), gamma, MOMENTUM, iterations)
     estimates = track(descent, u, data.q[0].expand(len(seeds), -1))
     with torch.no_grad():
         predicted = sensing(data.q.expand(len(seeds), -1, -1)).movedim(0, 1)

@@ -11,6 +11,7 @@ from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.multistart import search, starts_within
 from repro.experiments.baaij2023.best import box
 from repro.experiments.baaij2023.session import L_MAX
+from repro.kernels import compiled
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
@@ -47,7 +48,7 @@ def ambiguities(noise_mt: float = 7.1e-4, *, seed: int = 0) -> pd.DataFrame:
         u = readings(robot, q, ring("released"))
         u = u + noise_mt * torch.randn(u.shape, generator=generator, dtype=u.dtype)
         sensing = LinearisedSensing(robot, moments)
-        method = LevenbergMarquardt(sensing, low, high, noise_mt=noise_mt, iterations=50, backend="compiled")
+        method = LevenbergMarquardt(compiled(sensing), low, high, noise_mt=noise_mt, iterations=50)
         found = search(method, u, starts_within(low, high, STARTS, seed=seed))
         tips = 1e3 * robot.tip(found.q[found.candidate])[:, :3, 3]
         line = {

@@ -27,6 +27,7 @@ from repro.experiments.baaij2023.session import (
 )
 from repro.experiments.baaij2023.table1_rows import ROWS, Row
 from repro.experiments.bootstrap import ratio_interval, resampled
+from repro.kernels import compiled
 from repro.sensing.linearised import LinearisedSensing
 from repro.simulation.training_set import BENDING_M, ELONGATION_M
 from repro.simulation.trajectories import lemniscate
@@ -47,7 +48,7 @@ def start(n_segments: int) -> Float[Tensor, " n_q"]:
 def estimator(n_segments: int, sensing: LinearisedSensing, iterations: int) -> LevenbergMarquardt:
     """Levenberg-Marquardt within the training box."""
     return LevenbergMarquardt(
-        sensing, *box(n_segments), noise_mt=SENSOR_NOISE_MT, iterations=iterations, backend="compiled"
+        compiled(sensing), *box(n_segments), noise_mt=SENSOR_NOISE_MT, iterations=iterations
     )
 
 

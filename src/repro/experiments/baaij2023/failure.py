@@ -23,6 +23,7 @@ from repro.experiments.baaij2023.best import box, calibration, session, start
 from repro.experiments.baaij2023.session import SENSOR_NOISE_MT, Config
 from repro.experiments.baaij2023.table1 import ITERATIONS, MOMENTUM, available, networks, step_sizes
 from repro.experiments.baaij2023.table1_rows import Row, rows_named
+from repro.kernels import compiled
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.simulation.trajectories import RATE_HZ, STEPS, lemniscate
@@ -140,7 +141,7 @@ def paper_method(failure: Failure, seeds: Sequence[int], folder: Path, *, steps:
         raise bad_input("seeds", "paper_method", "seeds whose networks are trained", list(seeds))
     robot, q = ROW.robot(), lemniscate(ROW.n_segments, steps=steps)
     sensing = MagneticSensing(robot, networks([ROW], folder, seeds), "angles")
-    method = GradientDescent(sensing, step_sizes(ROW.n_segments), MOMENTUM, ITERATIONS, backend="compiled")
+    method = GradientDescent(compiled(sensing), step_sizes(ROW.n_segments), MOMENTUM, ITERATIONS)
     u = readings(robot, q, ring("released")).unsqueeze(1).expand(-1, len(seeds), -1)
     batch = (len(seeds), len(RUNS))
     found = track(
@@ -182,7 +183,7 @@ def ours(
     noise = [torch.randn(clean[:, 0].shape, generator=g, dtype=torch.float64) for g in generators]
     u = clean + noise_mt * torch.stack(noise, dim=1)
     method = LevenbergMarquardt(
-        sensing, *box(ROW.n_segments), noise_mt=noise_mt, iterations=config.iterations, backend="compiled"
+        compiled(sensing), *box(ROW.n_segments), noise_mt=noise_mt, iterations=config.iterations
     )
     batch = (steps, len(RUNS), draws)  # draws last: the batch of the calibrated robots
     state = method.init(start(ROW.n_segments).expand(*batch, -1))

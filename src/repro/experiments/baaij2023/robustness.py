@@ -164,9 +164,8 @@ def twin_errors(
     parts = data.shortened(longest_s)
     model = rig_networks(twin_folder(learned, cache), (seed,), twin_sha256=learned.sha256)
     held = float(data.train.q[:, 2].mean())
-    compiled = {"mean_elongation_m": held, "backend": "compiled"}
-    run = paper_method(parts, model, (seed,), **compiled)
-    slower = paper_method(parts, model, (seed,), elongations=("known",), shorter=2, **compiled)
+    run = paper_method(parts, model, (seed,), mean_elongation_m=held)
+    slower = paper_method(parts, model, (seed,), mean_elongation_m=held, elongations=("known",), shorter=2)
     bend_map, rows = fit_map(data.train), []
     for name, part in parts.items():
         own = estimate_bend(bend_map, part.u)

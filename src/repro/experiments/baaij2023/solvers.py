@@ -18,6 +18,7 @@ from repro.experiments.baaij2023.table1 import ITERATIONS, MOMENTUM, available, 
 from repro.experiments.baaij2023.table1_rows import Row, simulate
 from repro.experiments.baaij2023.training import DATA_SEED, train_own
 from repro.experiments.pose_errors import pose_errors
+from repro.kernels import compiled
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.magnets import ring
@@ -103,12 +104,10 @@ def model_by_solver(
         estimates = {}
         if SOLVERS[0] in solvers:
             scale = 1.0 if ring_name == "released" else 16.0  # step sizes belong to the squared field
-            descent = GradientDescent(
-                sensing, scale * step_sizes(n_segments), MOMENTUM, ITERATIONS, backend="compiled"
-            )
+            descent = GradientDescent(compiled(sensing), scale * step_sizes(n_segments), MOMENTUM, ITERATIONS)
             run = track(descent, u, q[0].expand(len(own), n_q))
             estimates[SOLVERS[0], "ground truth"] = run.q
-        solver = LevenbergMarquardt(sensing, low, high, noise_mt=max(noise_mt, 1e-6), backend="compiled")
+        solver = LevenbergMarquardt(compiled(sensing), low, high, noise_mt=max(noise_mt, 1e-6))
         everywhere = start(n_segments).expand(len(own), steps, n_q)
         state = solver.init(everywhere)
         estimates["Levenberg-Marquardt", "straight"] = solver.step(state, u.movedim(0, 1), 0.0)[1].q.movedim(

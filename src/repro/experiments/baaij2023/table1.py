@@ -17,6 +17,7 @@ from repro.estimation.gradient_descent import GradientDescent
 from repro.experiments.baaij2023.table1_rows import ROWS, Row, Simulation, groups, simulate
 from repro.experiments.baaij2023.training import SEEDS, NetworkSpec, ShuffledSpec, train
 from repro.experiments.parallel import table_in_processes
+from repro.kernels import compiled
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.weights import load_paper_network
@@ -92,7 +93,7 @@ def paper_method(
     generator = torch.Generator().manual_seed(noise_seed)
     u = u + noise_mt * torch.randn(u.shape, generator=generator, dtype=u.dtype)
     step_size = step_sizes(s.rows[0].n_segments) if step_size is None else step_size
-    estimator = GradientDescent(sensing, step_size, MOMENTUM, iterations, backend="compiled")
+    estimator = GradientDescent(compiled(sensing), step_size, MOMENTUM, iterations)
     estimates = track(estimator, u, start, mask=s.mask.expand(len(u), 1, *s.mask.shape), progress=progress)
     with torch.no_grad():
         predicted = sensing(s.q[None, :, None].expand(n_seeds, -1, len(s.rows), -1))

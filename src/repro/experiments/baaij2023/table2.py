@@ -20,6 +20,7 @@ from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.experiments.baaij2023.rig_training import RigSpec, rig_networks, train_rig, trained_on
 from repro.experiments.baaij2023.table2_data import RigData
+from repro.kernels import compiled
 from repro.recordings.baaij2023 import Recording
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.magnetic import MagneticSensing
@@ -31,6 +32,7 @@ STEP_SIZE = (1.5e-8, 1.5e-8, 0.0)
 MOMENTUM = 0.2
 ITERATIONS = 20
 """Evaluations of the loss in each time step."""
+SOLVERS = ("compiled", "torch")
 ELONGATIONS = ("known", "mean")
 """What the descent is told of the elongation: its true value at every step, as in the released code, or only its mean
 over T5.train."""
@@ -118,7 +120,7 @@ def paper_method(
     *,
     mean_elongation_m: float,
     elongations: Sequence[str] = ELONGATIONS,
-    backend: str = "torch",
+    solver: str = "compiled",
     shorter: int = 1,
     progress: bool = False,
 ) -> PaperRun:
@@ -136,8 +138,8 @@ def paper_method(
         Elongation that is held when it is not known [m].
     elongations
         Among :data:`ELONGATIONS`.
-    backend
-        Of :class:`~repro.estimation.gradient_descent.GradientDescent`.
+    solver
+        ``"compiled"``, or ``"torch"`` for the same without a kernel.
     shorter
         Divides the step size and multiplies the iterations: 1 is the published method.
     progress
@@ -146,16 +148,19 @@ def paper_method(
     Raises
     ------
     InputError
-        If an elongation is unknown, or the steps are not shortened by at least 1.
+        If an elongation or solver is unknown, or the steps are not shortened by at least 1.
     """
     if not elongations or not set(elongations) <= set(ELONGATIONS):
         expected = f"among {', '.join(ELONGATIONS)}, at least one"
         raise bad_input("elongations", "paper_method", expected, elongations)
     if shorter < 1:
         raise bad_input("shorter", "paper_method", "at least 1", shorter)
+    if solver not in SOLVERS:
+        raise bad_input("solver", "paper_method", f"one of {', '.join(SOLVERS)}", solver)
     sensing, shape = rig_sensing(model), (len(seeds), len(elongations))
     gamma = torch.tensor(STEP_SIZE, dtype=torch.float64) / shorter
-    descent = GradientDescent(sensing, gamma, MOMENTUM, ITERATIONS * shorter, backend=backend)
+    model_of_descent = compiled(sensing) if solver == "compiled" else sensing
+    descent = GradientDescent(model_of_descent, gamma, MOMENTUM, ITERATIONS * shorter)
     predicted, estimates = {}, {}
     for name, part in parts.items():
         q, u = (torch.from_numpy(x)[:, None, None].expand(-1, *shape, -1) for x in (part.q, part.u))

@@ -22,6 +22,7 @@ from repro.experiments.baaij2023.table2 import (
     row_name,
 )
 from repro.experiments.baaij2023.table2_data import RigData
+from repro.kernels import compiled
 from repro.recordings.baaij2023 import Recording
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.rig import RIG_RATE_HZ
@@ -70,7 +71,7 @@ def errors_by_start(
     if starts < 2:
         raise bad_input("starts", "errors_by_start", "at least 2", starts)
     gamma = torch.tensor(STEP_SIZE, dtype=torch.float64) / shorter
-    descent = GradientDescent(rig_sensing(model), gamma, MOMENTUM, ITERATIONS * shorter, backend="compiled")
+    descent = GradientDescent(compiled(rig_sensing(model)), gamma, MOMENTUM, ITERATIONS * shorter)
     generator, rows = torch.Generator().manual_seed(0), []
     apart = 1 + RELATIVE * (2 * torch.rand(starts, 3, generator=generator, dtype=torch.float64) - 1)
     for name, part in parts.items():

@@ -26,6 +26,7 @@ from repro.experiments.baaij2023.best import box, start
 from repro.experiments.baaij2023.limits import CHI2_95
 from repro.experiments.baaij2023.session import L_MAX
 from repro.experiments.bootstrap import ratio_interval, resampled
+from repro.kernels import compiled
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
@@ -129,16 +130,16 @@ def estimates(
     if method not in METHODS:
         raise bad_input("method", "estimates", f"one of {', '.join(map(repr, METHODS))}", repr(method))
     low, high = box(n_segments)
-    sensing = LinearisedSensing(pcc_robot(n_segments), torch.from_numpy(ring("released").multipoles(L_MAX)))
-    options = {"noise_mt": noise_mt, "backend": "compiled"}
+    moments = torch.from_numpy(ring("released").multipoles(L_MAX))
+    sensing = compiled(LinearisedSensing(pcc_robot(n_segments), moments))
     if method == METHODS[0]:
-        alone = LevenbergMarquardt(sensing, low, high, iterations=2 * ITERATIONS, **options)
+        alone = LevenbergMarquardt(sensing, low, high, noise_mt=noise_mt, iterations=2 * ITERATIONS)
         _, found = alone.step(alone.init(start(n_segments).expand(*u.shape[:-1], -1)), u, 0.0)
         return Trajectory(found.q, found.covariance, found.u_hat, found.diagnostics)
     share = SHARE[n_segments] if share is None else share
     width = high - low
     moving = {"acceleration": share * width, "velocity": VELOCITY_SHARE * width}
-    kalman = IteratedKalmanFilter(sensing, low, high, **moving, **options, iterations=ITERATIONS)
+    kalman = IteratedKalmanFilter(sensing, low, high, **moving, noise_mt=noise_mt, iterations=ITERATIONS)
     return track(kalman, u, start(n_segments).expand(u.shape[1], -1), rate_hz=RATE_HZ)
 
 

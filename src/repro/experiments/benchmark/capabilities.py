@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import torch
 
+from repro.estimation import compiled_chain
 from repro.estimation.imu_models import pcc_extended
 from repro.estimation.imu_selection import MARKERS, selection
 from repro.estimation.orientations import exponential
@@ -37,6 +38,7 @@ from repro.experiments.benchmark.scaling import exponent_rows, follow_flower, sc
 from repro.experiments.benchmark.trackers import multipole, tracker_rows
 from repro.experiments.martin2022.scorecard import CAPABILITY as CHAIN
 from repro.experiments.mitchell2021.scorecard import CAPABILITY as PARTICLES
+from repro.kernels import compiled
 from repro.kinematics.bend import MAX_BEND
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.compiled_bend import CompiledBendSensor
@@ -116,7 +118,7 @@ def particle_rows(steps: int = 300, repeats: int = 5) -> Iterator[dict[str, Any]
     cloud = flower[50:1050].numpy()
     series = BendSeries(LENGTH_M, MAX_BEND)
     error = float((series(flower) - bend_readings(flower)).abs().max())
-    ours = rate(follow_flower(BendSensor(LENGTH_M), steps, backend="compiled"), repeats)
+    ours = rate(follow_flower(compiled(BendSensor(LENGTH_M)), steps), repeats)
     fields = rate(lambda: len(cube_fields(cloud, LENGTH_M, B444B)) // 1000, repeats)
     note = "compiled, the field by a series; reference: {}; error: largest of the field along Flower [mT]"
     goal = Goal(5_000.0, 6.0 if error <= FIELD_ERROR_MT else np.inf, RELEASED_FILTER)
@@ -128,7 +130,7 @@ def particle_rows(steps: int = 300, repeats: int = 5) -> Iterator[dict[str, Any]
     text = note.format("the same filter in torch with magpylib as its model")
     released = Goal(released=RELEASED_FILTER)
     yield row(f"{PARTICLES}, filter by magpylib", "model", unit, (ours, filtered), error, text, released)
-    closed = rate(follow_flower(CompiledBendSensor(LENGTH_M), steps // 3), repeats)
+    closed = rate(follow_flower(lambda q: CompiledBendSensor(LENGTH_M)(q), steps // 3), repeats)
     difference = float((CompiledBendSensor(LENGTH_M)(flower) - bend_readings(flower)).abs().max())
     text = (
         "torch's filter, the closed form by a kernel; reference: this filter with magpylib; error: as above"
@@ -149,7 +151,7 @@ def chain_rows(samples: int = SAMPLES, repeats: int = 5) -> Iterator[dict[str, A
     arcs = np.minimum(np.cumsum(np.repeat(chosen.link_lengths, n) / n), sum(chosen.link_lengths))
 
     def ours() -> np.ndarray:
-        return pcc_extended(q, chosen, arcs, backend="compiled")
+        return compiled_chain.pcc_extended(q, chosen, arcs)
 
     def interpreted() -> np.ndarray:
         return pcc_extended(q, chosen, arcs)
@@ -181,7 +183,7 @@ def chain_rows(samples: int = SAMPLES, repeats: int = 5) -> Iterator[dict[str, A
         yield row(name, "implementation", unit, rates, error, note.format(text), wanted)
 
     def markers() -> np.ndarray:
-        return pcc_extended(q, chosen, MARKERS, backend="compiled")
+        return compiled_chain.pcc_extended(q, chosen, MARKERS)
 
     error = 1e3 * float(np.abs(markers() - pcc_extended(q, chosen, MARKERS)).max())
     rates = (

@@ -15,8 +15,8 @@ import pandas as pd
 import torch
 from torch import Tensor
 
+from repro.estimation import compiled_chain
 from repro.estimation.base import track
-from repro.estimation.imu_models import pcc_extended
 from repro.estimation.imu_selection import MARKERS, selection
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.orientations import exponential
@@ -25,6 +25,7 @@ from repro.experiments.baaij2023.session import SENSOR_NOISE_MT
 from repro.experiments.benchmark.rows import COLUMNS, SCALING, rate
 from repro.experiments.benchmark.tables import exponents
 from repro.experiments.mitchell2021.simulation import PAPER
+from repro.kernels import compiled
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.magnets import ring
@@ -110,7 +111,7 @@ def _least_squares(n: int, per_segment: int, samples: int) -> Callable[[], int]:
     """Three iterations on robots side by side."""
     robot = pcc_robot(n, per_segment)
     sensing = MagneticSensing(robot, MultipoleField.of(ring("released")))
-    method = LevenbergMarquardt(sensing, *box(n), noise_mt=SENSOR_NOISE_MT, iterations=3, backend="compiled")
+    method = LevenbergMarquardt(compiled(sensing), *box(n), noise_mt=SENSOR_NOISE_MT, iterations=3)
     q = lemniscate(n)[torch.arange(samples) % 400]
     noise = (
         SENSOR_NOISE_MT
@@ -128,27 +129,26 @@ def _training_set(samples: int, n: int = 3) -> Callable[[], int]:
 def _chain(samples: int) -> Callable[[], int]:
     turns = 0.2 * np.random.default_rng(0).standard_normal((samples, 9, 3))
     q, chosen = exponential(np.cumsum(turns, axis=1)), selection("pcc", 8)
-    return lambda: bool(len(pcc_extended(q, chosen, MARKERS, backend="compiled")))
+    return lambda: bool(len(compiled_chain.pcc_extended(q, chosen, MARKERS)))
 
 
 def follow_flower(
-    sensing: Callable[[Tensor], Tensor], steps: int, *, particles: int = 1000, backend: str = "torch"
+    sensing: Callable[[Tensor], Tensor], steps: int, *, particles: int = 1000
 ) -> Callable[[], int]:
     """Work: the filter of Mitchell et al. along Flower, made before and so not timed; returns the updates.
 
     Parameters
     ----------
-    sensing, particles, backend
+    sensing, particles
         As for :class:`~repro.estimation.particle_filter.ParticleFilter`.
     steps
         Number of steps.
     """
     noise, readings = PAPER.filter().process_noise[0, 0], bend_readings(bend_curve("flower")[:steps])
-    options = {"sensing": sensing, "particles": particles, "backend": backend}
-    method = replace(PAPER.filter(), process_noise=noise, **options)
+    method = replace(PAPER.filter(), process_noise=noise, sensing=sensing, particles=particles)
     return lambda: len(track(method, readings, torch.zeros(2, dtype=torch.float64)).q)
 
 
 def _particles(particles: int) -> Callable[[], int]:
-    work = follow_flower(BendSensor(LENGTH_M), 5, particles=particles, backend="compiled")
+    work = follow_flower(compiled(BendSensor(LENGTH_M)), 5, particles=particles)
     return lambda: bool(work())

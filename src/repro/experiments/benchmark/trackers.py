@@ -26,6 +26,7 @@ from repro.experiments.baaij2023.table1_rows import Row
 from repro.experiments.baaij2023.training import NetworkSpec
 from repro.experiments.benchmark.references import Model, cosines_of, readings_by_equations
 from repro.experiments.benchmark.rows import NO_GOAL, RELEASED_TRACKER, Goal, rate, row
+from repro.kernels import compiled
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
@@ -110,24 +111,25 @@ class Trackers:
     """One algorithm with one sensor model, compiled and in torch."""
 
     name: str
-    method: Tracker
+    torch: Tracker
+    """In eager torch."""
     seeds: bool = False
 
     @cached_property
-    def torch(self) -> Tracker:
-        """The same in eager torch."""
-        return replace(self.method, backend="torch")
+    def method(self) -> Tracker:
+        """The same compiled."""
+        return replace(self.torch, sensing=compiled(self.torch.sensing))
 
 
 def least_squares(n: int, name: str, sensing: MagneticSensing, *, seeds: bool = False) -> Trackers:
     """Three iterations of Levenberg-Marquardt."""
-    method = LevenbergMarquardt(sensing, *box(n), noise_mt=SENSOR_NOISE_MT, iterations=3, backend="compiled")
+    method = LevenbergMarquardt(sensing, *box(n), noise_mt=SENSOR_NOISE_MT, iterations=3)
     return Trackers(f"3 LM iterations, {name}, n_b = {n}", method, seeds)
 
 
 def descent(n: int, name: str, sensing: MagneticSensing, *, seeds: bool = False) -> Trackers:
     """Twenty iterations of the paper's gradient descent."""
-    method = GradientDescent(sensing, step_sizes(n), MOMENTUM, ITERATIONS, backend="compiled")
+    method = GradientDescent(sensing, step_sizes(n), MOMENTUM, ITERATIONS)
     return Trackers(f"20 gradient-descent iterations, {name}, n_b = {n}", method, seeds)
 
 

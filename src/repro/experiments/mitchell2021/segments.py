@@ -21,6 +21,7 @@ from repro.estimation.base import Trajectory
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.experiments.baaij2023.best import box, start
 from repro.experiments.baaij2023.session import SENSOR_NOISE_MT, released_moments
+from repro.kernels import compiled
 from repro.kinematics.robot import Robot
 from repro.sensing.compiled_sensing import CompiledSensing
 from repro.sensing.linearised import LinearisedSensing
@@ -139,7 +140,7 @@ class Course:
     def least_squares(self, iterations: int) -> LevenbergMarquardt:
         """Levenberg-Marquardt within the box."""
         options = {"noise_mt": self.noise_mt, "iterations": iterations}
-        return LevenbergMarquardt(self.model, *self.bounds, backend="compiled", **options)
+        return LevenbergMarquardt(compiled(self.model), *self.bounds, **options)
 
     def cold(self) -> Trajectory:
         """Least squares from the straight pose at mid elongation, at every step anew."""

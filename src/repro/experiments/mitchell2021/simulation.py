@@ -20,6 +20,7 @@ from torch import Tensor
 from repro.estimation.base import track
 from repro.estimation.particle_filter import ParticleFilter, noise_of_sigma
 from repro.estimation.regions import Disc
+from repro.kernels import compiled
 from repro.kinematics.bend import MAX_BEND
 from repro.sensing.bend_sensor import BendSensor
 from repro.simulation.bend_curves import CURVES, LENGTH_M, bend_curve, bend_readings, curve_times
@@ -64,7 +65,7 @@ class Setting:
         """Filter of this setting; with several process noises a batch of them, times the curves."""
         noise = torch.tensor(process_noise_pi or [self.process_noise_pi], dtype=torch.float64) * math.pi
         return ParticleFilter(
-            BendSensor(self.length_m),
+            compiled(BendSensor(self.length_m)),
             noise[:, None, None].expand(-1, 1, 2),
             noise_of_sigma(self.sigma_mt),
             Disc(MAX_BEND),
@@ -72,7 +73,6 @@ class Setting:
             estimate=self.estimate,
             resampling=self.resampling,
             motion=self.motion,
-            backend="compiled",
         )
 
 

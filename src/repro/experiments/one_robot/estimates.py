@@ -32,6 +32,7 @@ from repro.experiments.one_robot.robot import (
     MID_ELONGATION_M,
     Readings,
 )
+from repro.kernels import compiled
 from repro.kinematics.bend import MAX_BEND
 from repro.sensing.linearised import LinearisedSensing
 from repro.simulation.robots import LENGTH_M, RADIUS_M
@@ -210,15 +211,13 @@ def _least_squares(sensing: LinearisedSensing) -> LevenbergMarquardt:
     largest = RADIUS_M * LARGEST_BEND_RAD
     high = torch.tensor([largest, largest, ELONGATION_M["released"]], dtype=torch.float64)
     low = high * torch.tensor([-1.0, -1.0, 0.0], dtype=torch.float64)
-    return LevenbergMarquardt(
-        sensing, low, high, noise_mt=MAGNET_NOISE_MT, iterations=ITERATIONS, backend="compiled"
-    )
+    return LevenbergMarquardt(compiled(sensing), low, high, noise_mt=MAGNET_NOISE_MT, iterations=ITERATIONS)
 
 
 def _particle_filter() -> ParticleFilter:
     noise = torch.full((2,), PROCESS_NOISE_RAD, dtype=torch.float64)
     region = Disc(LARGEST_BEND_RAD * APART_M / LENGTH_M)
-    return ParticleFilter(HALL_SENSOR, noise, HALL_NOISE_MT, region, particles=PARTICLES, backend="compiled")
+    return ParticleFilter(compiled(HALL_SENSOR), noise, HALL_NOISE_MT, region, particles=PARTICLES)
 
 
 def _straight_and(elongation_m: float) -> Tensor:

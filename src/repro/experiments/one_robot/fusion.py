@@ -36,6 +36,7 @@ from repro.experiments.one_robot.fusion_readings import (
 )
 from repro.experiments.one_robot.motion import ROBOT
 from repro.experiments.one_robot.robot import MID_ELONGATION_M
+from repro.kernels import compiled
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.stacked import StackedSensing
 
@@ -97,10 +98,8 @@ def estimates(
     moving = (low, high, share * (high - low), VELOCITY_SHARE * (high - low))
     noise_mt = math.hypot(setting.noise_mt, shape_mt)
     if method == "magnets" and setting.stray_mt == 0:
-        field = LinearisedSensing(ROBOT, released_moments())
-        kalman = IteratedKalmanFilter(
-            field, *moving, noise_mt=noise_mt, iterations=ITERATIONS, backend="compiled"
-        )
+        field = compiled(LinearisedSensing(ROBOT, released_moments()))
+        kalman = IteratedKalmanFilter(field, *moving, noise_mt=noise_mt, iterations=ITERATIONS)
         return _tracked(kalman, recorded.magnets)
     parts: list[tuple[Callable[[Tensor], Tensor], float, Tensor]] = []
     drifts: list[Drift] = []

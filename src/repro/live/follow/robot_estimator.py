@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimator
+from repro.estimation.base import Estimator, kernel
 from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian
@@ -20,6 +20,7 @@ from repro.estimation.monitor import Monitored
 from repro.estimation.multistart import starts_within
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box
+from repro.kernels import compiled
 from repro.live.follow import imu_streams
 from repro.live.follow.time_steps import TimeStep
 from repro.live.robot.robot_file import RobotFile
@@ -206,10 +207,11 @@ def robot_estimator(
         return RobotEstimator(robot, name, watched, start, tuple(imu.stream for imu in robot.imus), use)
     sensing = robot.sensing(model, inputs=inputs)
     own = isinstance(sensing, MagneticSensing) and isinstance(sensing.model, OwnModel)
-    backend, noise, stacked, use = "torch" if own else "compiled", robot.noise, None, works
+    noise, stacked, use = robot.noise, None, works
     if robot.imus:
         stacked, use, noise = imu_streams.stacked(robot, sensing), imu_streams.by_reading(robot, works), 1.0
-    solver = LevenbergMarquardt(stacked or sensing, robot.lower, robot.upper, noise_mt=noise, backend=backend)
+    seen = (stacked or sensing) if own else compiled(stacked or sensing)
+    solver = LevenbergMarquardt(seen, robot.lower, robot.upper, noise_mt=noise)
     watched = monitored(robot, name, solver)
     streams = (MAGNETIC_STREAM, *(imu.stream for imu in robot.imus))
     return RobotEstimator(robot, name, watched, robot.start, streams, use, stacked)
@@ -228,7 +230,7 @@ def monitored(robot: RobotFile, name: str, solver: LevenbergMarquardt) -> Monito
         Least squares with the sensor model, which looks for other starts. In torch the model is one of the user's:
         slow, and of an error that nobody knows.
     """
-    method, own = _magnetic(robot, name, solver), solver.backend == "torch"
+    method, own = _magnetic(robot, name, solver), kernel(solver.sensing) is None
     pair: tuple[Estimator[Any], Estimator[Any]] = (method, solver)
     if robot.error is not None and not own:
         box = (robot.lower, robot.upper)
@@ -236,8 +238,8 @@ def monitored(robot: RobotFile, name: str, solver: LevenbergMarquardt) -> Monito
         error = imu_streams.error_beside(robot) if robot.imus else robot.error
         given = (solver.sensing, solver.noise_mt, error)
         pair = (
-            WithModelError(method, *given, own_box, "compiled"),
-            WithModelError(solver, *given, box, "compiled"),
+            WithModelError(method, *given, own_box),
+            WithModelError(solver, *given, box),
         )
     starts = torch.cat([robot.start[None], starts_within(robot.lower, robot.upper, STARTS, seed=0)])
     options: dict[str, Any] = {"unknowns": len(robot.lower), "look_s": SLOW_LOOK_S if own else LOOK_S}
@@ -252,15 +254,14 @@ def monitored(robot: RobotFile, name: str, solver: LevenbergMarquardt) -> Monito
 
 def _magnetic(robot: RobotFile, name: str, solver: LevenbergMarquardt) -> Estimator[Any]:
     sensing, low, high, noise = solver.sensing, robot.lower, robot.upper, solver.noise_mt
-    width, backend = high - low, solver.backend
+    width = high - low
     if name == "levenberg_marquardt":
         return solver
     if name == "kalman":
         acceleration, velocity = ACCELERATION_SHARE * width, VELOCITY_SHARE * width
-        options = {"noise_mt": noise, "backend": backend}
-        return IteratedKalmanFilter(sensing, low, high, acceleration, velocity, **options)
+        return IteratedKalmanFilter(sensing, low, high, acceleration, velocity, noise_mt=noise)
     if name == "gradient_descent":
-        return GradientDescent(sensing, _step_size(robot, sensing), backend=backend, noise_mt=noise)
+        return GradientDescent(sensing, _step_size(robot, sensing), noise_mt=noise)
     if len(low) > MOST_PARTICLE_COORDINATES:
         expected = (
             f"another one for {robot.name}: particles fill at most {MOST_PARTICLE_COORDINATES} coordinates"

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
+from repro.kernels import compiled
 from repro.live.follow.robot_estimator import RobotEstimator, monitored, robot_estimator
 from repro.live.own.parts import spread
 from repro.live.robot.calibrate import calibrate
@@ -53,8 +54,8 @@ class Networks:
     def estimator(self, robot: RobotFile, name: str) -> RobotEstimator:
         """Return one of :data:`TRACKERS` with the networks for a sensor model, and their error beside the noise."""
         robot = replace(robot, error=WhiteError(torch.tensor(self.rmse, dtype=torch.float64)))
-        options = {"noise_mt": robot.noise, "backend": "compiled"}
-        solver = LevenbergMarquardt(self.sensing(robot), robot.lower, robot.upper, **options)
+        sensing = compiled(self.sensing(robot))
+        solver = LevenbergMarquardt(sensing, robot.lower, robot.upper, noise_mt=robot.noise)
         return replace(robot_estimator(robot, name), method=monitored(robot, name, solver))
 
 

@@ -131,7 +131,7 @@ class RobotFile:
     ) -> LinearisedSensing | MagneticSensing:
         """Sensor model of an estimator: configuration to :meth:`signal` [unit].
 
-        Estimators with ``backend="compiled"`` take it, unless ``model`` is given.
+        :func:`repro.kernels.compiled` takes it, unless ``model`` is a callable of which it knows nothing.
 
         Parameters
         ----------
