@@ -21,7 +21,8 @@ if __name__ == "__main__":
 else:  # pytest reads every file for its doctests
     instrumented = contextlib.nullcontext()
 with instrumented:
-    from repro.live.wire.formats import FORMATS, encode, parser
+    from repro.live.robot.robot_tables import FORMATS
+    from repro.live.wire.formats import encode, parser
     from repro.live.wire.frame import Frame
 
 CHECKED = len(FORMATS)

@@ -7,8 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from repro.errors import InputError
-from repro.live.wire.formats import FORMATS, encode, parser
+from repro.estimation.orientations import UNIT_TOLERANCE
+from repro.live.robot.robot_tables import FORMATS, MOST_VALUES
+from repro.live.wire.binary import KINDS
+from repro.live.wire.formats import encode, parser
 from repro.live.wire.frame import Counters, Parser
+from repro.live.wire.text import HALL, NORM_TOLERANCE
 
 
 @pytest.mark.parametrize("format", FORMATS)
@@ -23,6 +27,11 @@ def test_every_format_has_a_parser_and_an_encoder(format):
     assert reader.refused == ""
     assert got[0].stream == EXAMPLES[format].stream
     assert got[0].values == pytest.approx(EXAMPLES[format].values, abs=5e-7)
+
+
+def test_a_robot_file_knows_how_many_values_a_frame_has_and_how_long_a_quaternion_is():
+    assert {"frames": max(most for _, _, most in KINDS.values()), "hall": HALL.count} == MOST_VALUES
+    assert UNIT_TOLERANCE == NORM_TOLERANCE
 
 
 @pytest.mark.parametrize("format", FORMATS)

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from repro.errors import bad_input
 from repro.live.emulate.board import Reading
 from repro.live.record.recording import read_recording
-from repro.live.wire.formats import FORMATS
+from repro.live.robot.robot_tables import FORMATS
 from repro.sensing.field_ratios import file_axes
 from repro.sensing.magnetic import readings as field_readings
 from repro.sensing.magnets import ring

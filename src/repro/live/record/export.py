@@ -16,15 +16,15 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from repro.errors import bad_input
 from repro.live.record.recording import Recording
-from repro.recordings.baaij2023 import READINGS
 from repro.report.files import write_whole
-from repro.sensing.rig import RIG_RATE_HZ
 
 SCHEMAS = {"hall": 3, "millivolts": 3, "quaternions": 4}
 """Layouts of the three papers, and the number of values of a frame: `repro.recordings.mitchell2021.read_hall`,
 `repro.recordings.baaij2023.read_readings` and `repro.recordings.martin2022.read_readings` read them."""
 TIE_NS = 1000
 """Readings that arrived together are written this much apart, since times in these files must increase [ns]."""
+MILLIVOLTS_HZ = 40.0
+"""Rate that the loader of the files of Baaij et al. takes."""
 COUNTS_PER_UNIT = 1000.0
 """Counts of the Hall sensor per unit of the files of Mitchell et al."""
 _TYPE = "estimator/msg/quat"
@@ -123,20 +123,20 @@ def _write_hall(recording: Recording, path: Path) -> list[str]:
 
 
 def _write_millivolts(recording: Recording, path: Path) -> list[str]:
-    table = recording.frames[recording.channels].set_axis(READINGS, axis=1)
+    table = recording.frames[recording.channels].set_axis(["u1", "u2", "u3"], axis=1)
     table = table.assign(time_s=recording.frames["time_s"])  # the loader takes columns by their names
     write_whole(path, table.to_csv(index=False, lineterminator="\n"))
     time_s = recording.frames["time_s"].to_numpy()
     if len(time_s) < 2:
         return []
     rate_hz = (len(time_s) - 1) / (time_s[-1] - time_s[0]) if time_s[-1] > time_s[0] else np.inf
-    late = int((np.diff(time_s) > 2 / RIG_RATE_HZ).sum())
+    late = int((np.diff(time_s) > 2 / MILLIVOLTS_HZ).sum())
     remarks = []
-    if abs(rate_hz / RIG_RATE_HZ - 1) > 0.02:
-        remarks.append(f"{rate_hz:.1f} frames/s were recorded; the loader takes {RIG_RATE_HZ:g} Hz")
+    if abs(rate_hz / MILLIVOLTS_HZ - 1) > 0.02:
+        remarks.append(f"{rate_hz:.1f} frames/s were recorded; the loader takes {MILLIVOLTS_HZ:g} Hz")
     if late:
         remarks.append(
-            f"{late} pauses of more than {2e3 / RIG_RATE_HZ:g} ms; the loader takes equal steps of time"
+            f"{late} pauses of more than {2e3 / MILLIVOLTS_HZ:g} ms; the loader takes equal steps of time"
         )
     return remarks
 

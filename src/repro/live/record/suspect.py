@@ -6,7 +6,8 @@ import math
 import time
 
 from repro.errors import InputError, bad_input
-from repro.live.wire.formats import FORMATS, parser
+from repro.live.robot.robot_tables import FORMATS
+from repro.live.wire.formats import parser
 from repro.live.wire.frame import Frame
 
 GARBAGE_S = 2.0

@@ -18,11 +18,11 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from repro import se3
+from repro.estimation.orientations import UNIT_TOLERANCE
 from repro.kinematics.mounts import Mounts
 from repro.kinematics.robot import Robot
 from repro.live.robot.robot_parts import Imu
 from repro.live.robot.robot_tables import UPRIGHT
-from repro.live.wire.text import NORM_TOLERANCE
 from repro.sensing.seen_directions import SeenDirections
 from repro.sensing.stacked import StackedSensing
 
@@ -121,4 +121,4 @@ def beside_imus(
 
 
 def _is_unit(values: Sequence[float]) -> bool:
-    return len(values) == len(UPRIGHT) and abs(math.hypot(*values) - 1) <= NORM_TOLERANCE
+    return len(values) == len(UPRIGHT) and abs(math.hypot(*values) - 1) <= UNIT_TOLERANCE

@@ -13,16 +13,12 @@ from torch import Tensor
 from repro.errors import InputError
 from repro.kinematics.robot import Robot
 from repro.live.robot.document import Document
-from repro.live.robot.robot_tables import MOST_CHANNELS
-from repro.live.wire.binary import KINDS
-from repro.live.wire.text import HALL
+from repro.live.robot.robot_tables import MOST_CHANNELS, MOST_VALUES
 from repro.sensing.magnets import Cube, Ring
 from repro.sensing.own_model import are_scripts
 
 OWN_MODEL_MS = 50
 """Time of an estimate with a network that is not compiled, about [ms]."""
-MOST_VALUES = {"frames": max(most for _, _, most in KINDS.values()), "hall": HALL.count}
-"""Values of a frame at most, by format."""
 OWN_UNIT = {"hall": "raw", "millivolts": "mV"}
 """Formats whose values have a unit by themselves."""
 IN_RANGE = 10.0

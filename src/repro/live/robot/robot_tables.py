@@ -8,10 +8,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from repro.estimation.orientations import UNIT_TOLERANCE
 from repro.live.robot.document import Key, word
-from repro.live.wire.formats import FORMATS
-from repro.live.wire.text import NORM_TOLERANCE
 
+FORMATS = ("frames", "hall", "millivolts", "quaternions", "csv")
+"""Of a stream: our own frames; the lines of Mitchell et al. [counts], of Baaij et al. [mV], and of Martin et al.
+(x, y, z, w); and lines of numbers as sketches print them."""
+MOST_VALUES = {"frames": 118, "hall": 3}
+"""Values of a frame at most, by format."""
 UNITS = ("mT", "mV", "raw")
 """Units that the readings of magnetic sensors may have."""
 MOST_CHANNELS = 255
@@ -63,8 +67,8 @@ def _count(lowest: int, highest: int, default: int | None = None) -> Key:
 
 
 def _quaternion(turn: str) -> Key:
-    text = f"a unit quaternion [x, y, z, w] within {NORM_TOLERANCE:g}, {turn}"
-    return Key(text, lambda x: _numbers(x, 4) and abs(math.hypot(*x) - 1) <= NORM_TOLERANCE, UPRIGHT)
+    text = f"a unit quaternion [x, y, z, w] within {UNIT_TOLERANCE:g}, {turn}"
+    return Key(text, lambda x: _numbers(x, 4) and abs(math.hypot(*x) - 1) <= UNIT_TOLERANCE, UPRIGHT)
 
 
 _LENGTH = _number(1.0, 5000.0, "mm")

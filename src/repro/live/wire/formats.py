@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from repro.errors import bad_input
+from repro.live.robot.robot_tables import FORMATS
 from repro.live.wire.binary import KINDS, BinaryParser, encode_frame
 from repro.live.wire.csv_text import MOST_VALUES, CsvParser, write_line
 from repro.live.wire.frame import Frame, Parser
 from repro.live.wire.text import HALL, QUATERNION, Line, TextParser, millivolts
-
-FORMATS = ("frames", "hall", "millivolts", "quaternions", "csv")
-"""Our own frames; the lines of Mitchell et al. [counts], of Baaij et al. [mV], and of Martin et al. (x, y, z, w); and
-lines of numbers as sketches print them."""
 
 
 def parser(format: str, channels: int | None = None, unit: str | None = None) -> Parser:
