@@ -232,7 +232,7 @@ SUPPORTED = (
         ),
         (
             lambda: CompiledSensing(LinearisedSensing(Robot((Rigid(),), *MOUNTS), MOMENTS)),
-            "Input segments of Robot must be of constant or of affine curvature to be compiled; instead received Rigid",
+            "Input segments of Robot must be of constant or of affine curvature to be .*; instead received Rigid",
         ),
         (
             lambda: CompiledSensing(LinearisedSensing(pcc_robot(1), torch.ones(33).double())),
