@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -245,8 +246,12 @@ def test_a_signal_ends_the_command_cleanly(board, tmp_path, number):
 
 def has_open(process: subprocess.Popen[str], port: Path) -> bool:
     """Whether a process has opened a port."""
-    links = Path(f"/proc/{process.pid}/fd").iterdir()
-    return any(os.path.realpath(link) == os.path.realpath(port) for link in links)
+    target = os.path.realpath(port)
+    for link in Path(f"/proc/{process.pid}/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # closed since it was listed
+            if os.path.realpath(link) == target:
+                return True
+    return False
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
