@@ -2,10 +2,11 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 import pytest
 
-from repro.experiments.baaij2023.table1_splits import RELEASED_MT, orders_table, splits_table
+from repro.experiments.baaij2023.table1_splits import RELEASED_MT, orders_table, parts_of_errors, splits_table
 from repro.experiments.baaij2023.training import NetworkSpec
 
 
@@ -28,6 +29,15 @@ def test_splits_by_seed(tmp_path):
 
 def test_seed_one_is_the_worst_of_all_released_networks():
     assert all(max(errors) == errors[1] for errors in RELEASED_MT.values())
+
+
+def test_errors_are_taken_apart_into_what_sensors_share_and_what_they_do_not():
+    """Three sensors off by 1 mT and by sqrt(2) sin(t), and by 0.3 (-1, 0, 1): squares 1, 1 and 0.06."""
+    t = np.arange(400) * np.pi / 200
+    error = 1.0 + np.sqrt(2.0) * np.sin(t)[:, None] + 0.3 * np.array([-1.0, 0.0, 1.0])
+    parts = parts_of_errors(error)
+    assert parts == pytest.approx({"offset_mt": 1.0, "shared_mt": 1.0, "between_mt": 0.3 * np.sqrt(2 / 3)})
+    assert sum(x**2 for x in parts.values()) == pytest.approx((error**2).mean())
 
 
 def test_orders_are_means_over_the_seeds_of_each():

@@ -8,9 +8,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+import torch
+from jaxtyping import Float
 
+from repro.experiments.baaij2023.table1 import networks
+from repro.experiments.baaij2023.table1_rows import rows_named, simulate
 from repro.experiments.baaij2023.training import NetworkSpec
+from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.weights import read_manifest
 
 RELEASED_MT = {
@@ -59,6 +65,57 @@ def splits_table(folder: Path, seeds: Sequence[int]) -> pd.DataFrame:
             for seed, error in zip(seeds, errors, strict=True)
         ]
     return pd.DataFrame(rows)
+
+
+def offsets_table(folder: Path, seeds: Sequence[int], steps: int = 400) -> pd.DataFrame:
+    """Errors of the networks along T3, taken apart: what the sensors of a segment share, and what they do not.
+
+    The shared part moves the estimated elongation, the other one the estimated bend.
+
+    Parameters
+    ----------
+    folder, seeds
+        Of the networks.
+    steps
+        Time steps of T3.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``n_b, segment`` (from 1) ``, seed, offset_mt, shared_mt, between_mt``: see :func:`parts_of_errors`.
+    """
+    rows = []
+    for n in sorted({n for n, _ in RELEASED_MT}):
+        row = rows_named([f"n_b={n}"])
+        s, model = simulate(row, steps=steps), networks(row, folder, seeds)
+        with torch.no_grad():
+            found = MagneticSensing(s.robot, model, "angles", s.earth_axis)(
+                s.q[None, :, None].expand(len(seeds), -1, 1, -1)
+            )
+        error = (found - s.u)[:, :, 0].unflatten(-1, (n, -1))
+        rows += [
+            {"n_b": n, "segment": segment + 1, "seed": seed} | parts_of_errors(error[k, :, segment].numpy())
+            for segment in range(n)
+            for k, seed in enumerate(seeds)
+        ]
+    return pd.DataFrame(rows)
+
+
+def parts_of_errors(error: Float[np.ndarray, "t s"]) -> dict[str, float]:
+    """Take the errors of one segment's sensors over time apart; the squares of the three add up to their mean square.
+
+    Returns
+    -------
+    dict
+        ``offset_mt``, their mean; ``shared_mt``, the deviation over time of what they share; ``between_mt``, the root
+        mean square of the rest.
+    """
+    shared = error.mean(axis=1)
+    return {
+        "offset_mt": float(shared.mean()),
+        "shared_mt": float(shared.std()),
+        "between_mt": float(np.sqrt(((error - shared[:, None]) ** 2).mean())),
+    }
 
 
 def orders_table(errors: pd.DataFrame, shuffled: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
