@@ -139,10 +139,9 @@ class TestPaperRecipe:
         assert not equal(a, c)
         assert not a.training
 
-    @pytest.mark.parametrize("shuffled", [False, True])
-    def test_resumed_equals_uninterrupted(self, rows, tmp_path, monkeypatch, shuffled):
+    def test_resumed_equals_uninterrupted(self, rows, tmp_path, monkeypatch):
         """Interrupted in the middle of the third epoch, after its first batch."""
-        expected, metrics, curve = paper(rows, tmp_path / "whole", shuffled=shuffled)
+        expected, metrics, curve = paper(rows, tmp_path / "whole")
         epoch, calls = training._epoch, []
 
         def interrupted(network, optimiser, x, y):
@@ -154,32 +153,12 @@ class TestPaperRecipe:
 
         monkeypatch.setattr(training, "_epoch", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            paper(rows, tmp_path / "parts", shuffled=shuffled)
-        network, again, same = paper(rows, tmp_path / "parts", shuffled=shuffled)
+            paper(rows, tmp_path / "parts")
+        network, again, same = paper(rows, tmp_path / "parts")
         assert len(calls) == 3 + 2  # two whole epochs, one lost, two more
         assert equal(network, expected)
         assert again == metrics
         assert torch.equal(same, curve)
-
-    def test_shuffled_rows_are_all_the_rows_in_another_order_in_every_epoch(
-        self, rows, tmp_path, monkeypatch
-    ):
-        epoch, seen = training._epoch, []
-
-        def recorded(network, optimiser, x, y):
-            seen.append(y)
-            return epoch(network, optimiser, x, y)
-
-        monkeypatch.setattr(training, "_epoch", recorded)
-        paper(rows, tmp_path / "ordered", epochs=2)
-        assert torch.equal(seen[0], seen[1])
-        paper(rows, tmp_path / "shuffled", epochs=2, shuffled=True)
-        for y in seen[2:]:
-            assert torch.equal(y.sort().values, seen[0].sort().values)
-        assert not torch.equal(seen[2], seen[0])
-        assert not torch.equal(seen[2], seen[3])
-        with pytest.raises(InputError, match="Input checkpoint of train_paper"):
-            paper(rows, tmp_path / "ordered", shuffled=True)
 
     def test_state_of_another_training_is_refused(self, rows, tmp_path):
         xi, u = rows

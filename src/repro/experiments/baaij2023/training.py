@@ -48,7 +48,6 @@ class NetworkSpec:
 
     learning_rate: ClassVar[float] = PCC_LEARNING_RATE
     exponential_head: ClassVar[bool] = False
-    shuffled: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
@@ -59,18 +58,6 @@ class NetworkSpec:
     def rows(self) -> tuple[Tensor, Tensor]:
         """Relations and readings that it is trained on."""
         return training_rows(self.n_segments, self.segment, self.earth)
-
-
-@dataclass(frozen=True)
-class ShuffledSpec(NetworkSpec):
-    """A network trained as the paper's, but with the rows in a new order in every epoch."""
-
-    shuffled: ClassVar[bool] = True
-
-    @property
-    def name(self) -> str:
-        """File name without ending."""
-        return f"shuffled_{super().name}"
 
 
 @dataclass(frozen=True)
@@ -93,7 +80,6 @@ class AffineSpec:
     exponential_head: bool = False
 
     learning_rate: ClassVar[float] = AFFINE_LEARNING_RATE
-    shuffled: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
@@ -128,10 +114,10 @@ def specs() -> Iterator[NetworkSpec | AffineSpec]:
 
 
 def training_rows(
-    n_segments: int, segment: int, earth: bool, *, samples: int = 120_000
+    n_segments: int, segment: int, earth: bool, *, samples: int = 120_000, data_seed: int = DATA_SEED
 ) -> tuple[Tensor, Tensor]:
     """Relations as angles and readings of the sensors of one segment, float32: 360,000 rows."""
-    data = training_set(n_segments, seed=DATA_SEED, samples=samples, earth=earth)
+    data = training_set(n_segments, seed=data_seed, samples=samples, earth=earth)
     return segment_rows(data, relations(data.robot, data.q, data.earth_axis).angles(), segment)
 
 
@@ -214,7 +200,6 @@ def train(spec: NetworkSpec | AffineSpec, folder: Path, checkpoints: Path, *, pr
         learning_rate=spec.learning_rate,
         exponential_head=spec.exponential_head,
         checkpoint=checkpoints / target.name,
-        shuffled=spec.shuffled,
         progress=progress,
     )
     manifest = {
@@ -223,8 +208,7 @@ def train(spec: NetworkSpec | AffineSpec, folder: Path, checkpoints: Path, *, pr
         "learning_rate": spec.learning_rate,
         "data_seed": DATA_SEED,
         "data_sha256": rows_sha256(xi, u),
-        **training_record("mT", metrics, curve, shuffled=spec.shuffled),
+        **training_record("mT", metrics, curve),
     }
     save_weights(network, target, manifest)
     return target
-
