@@ -10,7 +10,7 @@ import torch
 from torch.nn.utils import parameters_to_vector
 
 from repro.errors import InputError
-from repro.experiments.baaij2023 import robustness, robustness_tables, table2
+from repro.experiments.baaij2023 import rig_together, robustness, robustness_tables, table2
 from repro.experiments.baaij2023.compiled_rig_training import train_step
 from repro.experiments.baaij2023.rig_together import dropout, train_together, workspace
 from repro.experiments.baaij2023.rig_training import RIG_LEARNING_RATE, rig_networks
@@ -63,6 +63,23 @@ class TestTogether:
         with torch.no_grad():
             np.testing.assert_allclose(network(rows[0]).numpy(), alone(rows[0]).numpy(), atol=1e-3)
         assert own == pytest.approx(metrics, rel=1e-6)
+
+    def test_shuffled_rows_are_all_the_rows_in_another_order_in_every_epoch(self, monkeypatch):
+        seen = []
+
+        def recorded(theta, x, y, *_):
+            seen.append(y)
+            return 0.0
+
+        monkeypatch.setattr(rig_together, "train_step", recorded)
+        rows, options = toy_rows(500), {"seed": 3, "learning_rate": 0.1, "epochs": 2, "swa_start": 1}
+        for shuffled in (False, True):
+            train_together([rows], shuffled=shuffled, **options)  # 350 rows to train on, one batch
+        first, second, *new = seen
+        np.testing.assert_array_equal(first, second)
+        for y in new:
+            np.testing.assert_array_equal(np.sort(y), np.sort(first))
+        assert len({y.tobytes() for y in (first, *new)}) == 3
 
     def test_sets_of_different_size_are_refused(self):
         options = {"seed": 0, "learning_rate": RIG_LEARNING_RATE}

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from repro.experiments.baaij2023.scorecard import scorecard_rows
-from repro.experiments.baaij2023.table1_bias import bias_table
+from repro.experiments.baaij2023.table1_bias import bias_by_factor, bias_table
 from repro.report.scorecard import ScorecardRow
 from repro.report.verdict_table import VerdictTable
 from repro.report.verdicts import Verdict
@@ -38,6 +38,22 @@ def test_bias_of_made_up_cells():
     assert table["lowest_seed"].tolist() == pytest.approx([1 / 4, (1 / 8) ** 0.5, (1 / 32) ** (1 / 3)])
     assert table["highest_seed"].tolist() == pytest.approx([3 / 4, (9 / 8) ** 0.5, (27 / 32) ** (1 / 3)])
     assert table["std_ratio"].tolist() == pytest.approx([math.sqrt(2)] * 3)
+
+
+def test_bias_of_a_changed_factor_stands_beside_that_of_the_recipe():
+    """Of the recipe 1/2 and 2, of a factor tried with one robot 1/4; robots in an Earth field are no part."""
+    cells = [
+        cell("n_b=1", "delta_x_1", 4.0, [1.0, 3.0]),
+        cell("n_b=2", "delta_x_1", 1.0, [1.0, 3.0]),
+        cell("n_e=(1,0,0)", "delta_x_1", 1.0, [40.0, 50.0]),
+    ]
+    printed = pd.DataFrame([printed for printed, _ in cells])
+    errors = pd.DataFrame([line for _, seeds in cells for line in seeds])
+    other = errors[errors["row"] == "n_b=1"].assign(factor="other", error=[0.5, 1.5])
+    table = bias_by_factor(errors, other, printed)
+    assert table["changed"].tolist() == ["nothing", "other", "nothing"]
+    assert table["n_b"].tolist() == ["1", "1", "2"]
+    assert table["ratio"].tolist() == pytest.approx([1 / 2, 1 / 4, 2.0])
 
 
 def row(published, regenerated, verdict):

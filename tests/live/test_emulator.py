@@ -226,3 +226,14 @@ def test_an_interruption_of_the_wait_ends_it_wherever_it_comes(line):
     emulator.wait()  # it has ended
     with pytest.raises(InputError):
         open_port(emulator.address)
+
+
+def test_a_port_that_is_gone_when_it_begins_is_told_before_anything_is_announced(monkeypatch):
+    def gone():
+        raise OSError("no more ports")
+
+    link, entered = SocketLink(), []
+    monkeypatch.setattr(link, "appear", gone)
+    with pytest.raises(OSError, match="no more ports"), Emulator(passages(readings(3), "frames"), link):
+        entered.append(True)
+    assert not entered

@@ -22,7 +22,7 @@ from repro.experiments.baaij2023.noise import MODELS, NOISE_MT, noise_errors
 from repro.experiments.baaij2023.robustness import FAMILIES, TWINS, robustness_errors
 from repro.experiments.baaij2023.session import SENSOR_NOISE_MT
 from repro.experiments.baaij2023.solvers import SOLVERS
-from repro.experiments.baaij2023.table1 import shuffled_errors
+from repro.experiments.baaij2023.table1_factors import NEW_ORDER, OTHER_DRAWS, factor_errors
 from repro.experiments.baaij2023.tolerances import FACTORS, KINDS, tolerance_errors
 from repro.experiments.closed_loop.estimators import changed_errors, estimator_errors, twin_errors
 from repro.experiments.closed_loop.tables import cause_errors, loop_errors
@@ -68,12 +68,13 @@ def studies() -> tuple[Study, ...]:
         2: MODELS[:1],
         3: MODELS[:1],
     }  # minutes a robot: with more segments the paper's alone
+    factors = {NEW_ORDER: [1, 2, 3], OTHER_DRAWS: [2]}  # two segments: the errors furthest from print
     return (
         *(_noise(f"noise_nb{n}", n, MODELS, squares) for n in (1, 2, 3)),
         *(_noise(f"noise_descent_nb{n}", n, models, descent) for n, models in descents.items()),
         *(_tolerances(n) for n in (1, 3)),
         _data_size(),
-        Study("table_1_shuffled", shuffled_errors, {"seeds": [0, 1, 2], "n_segments": [1, 2, 3]}, CACHED),
+        Study("table_1_factors", factor_errors, {"robots": factors, "seeds": [0, 1, 2]}, CACHED),
         *(_robustness(family) for family in FAMILIES),
         *(Study(*x) for x in particle_studies()),
         *_closed_loop(),

@@ -29,7 +29,6 @@ SPLIT = (
     "in this order and never shuffled; the rest validate"
 )
 """Which rows train, in which order: as in the released code, for the manifests."""
-SHUFFLED = SPLIT.replace("in this order and never shuffled", "in a new order in every epoch")
 """The same for a training that is not the paper's in this alone."""
 
 
@@ -70,7 +69,6 @@ def train_paper(
     exponential_head: bool = False,
     epochs: int = EPOCHS,
     swa_start: int = SWA_START,
-    shuffled: bool = False,
     unit: str = "mT",
     progress: bool = True,
 ) -> tuple[nn.Sequential, dict[str, float], Float[Tensor, "epochs 2"]]:
@@ -104,8 +102,6 @@ def train_paper(
         With the last layer of section 4.2: see :func:`~repro.sensing.network.paper_network`.
     epochs, swa_start
         250 and 125 in the paper.
-    shuffled
-        With the rows in a new order in every epoch, which is not the paper's recipe.
     unit
         Unit of the readings, for the progress bar.
     progress
@@ -125,8 +121,7 @@ def train_paper(
     x, y, x_val, y_val = xi[train], u[train], xi[validation], u[validation]
     optimiser = torch.optim.SGD(network.parameters(), lr=learning_rate)
     # What the state in the file must have come from; the number of epochs may grow.
-    order = SHUFFLED if shuffled else SPLIT
-    settings = (seed, learning_rate, swa_start, BATCH, order) + (("head",) if exponential_head else ())
+    settings = (seed, learning_rate, swa_start, BATCH, SPLIT) + (("head",) if exponential_head else ())
     content = hashlib.sha256(repr(settings).encode())
     content.update(xi.numpy().tobytes() + u.numpy().tobytes())
     run = content.hexdigest()
@@ -139,8 +134,7 @@ def train_paper(
                 for a, p in zip(average, network.parameters(), strict=True):
                     a.lerp_(p, share)
         begin_pass(generator)
-        new = torch.randperm(len(x), generator=generator) if shuffled else slice(None)
-        loss = _epoch(network, optimiser, x[new], y[new])
+        loss = _epoch(network, optimiser, x, y)
         if not math.isfinite(loss):
             raise FloatingPointError(f"The loss is no longer finite in epoch {epoch}: lower learning_rate.")
         begin_pass(generator)
@@ -169,8 +163,6 @@ def training_record(
     unit: str,
     metrics: Mapping[str, float],
     curve: Float[Tensor, "epochs 2"] | None = None,
-    *,
-    shuffled: bool = False,
 ) -> dict[str, Any]:
     """What the manifest of a network of this recipe says of its training.
 
@@ -180,8 +172,6 @@ def training_record(
         Unit of the readings; the metrics are under ``metrics_mt`` or ``metrics_mv``.
     metrics, curve
         As :func:`train_paper` returns them; the curve is left out when not given.
-    shuffled
-        Whether the rows came in a new order in every epoch.
     """
     losses = {}
     if curve is not None:
@@ -192,7 +182,7 @@ def training_record(
     return {
         f"metrics_{unit.lower()}": dict(metrics),
         **losses,
-        "split": SHUFFLED if shuffled else SPLIT,
+        "split": SPLIT,
         "threads": torch.get_num_threads(),
         "processor": processor(),
     }

@@ -1,4 +1,4 @@
-"""Many networks of the rig trained side by side by the paper's recipe, with one compiled step: for studies.
+"""Networks of one size and seed trained side by side by the paper's recipe, with one compiled step: for studies.
 
 Networks of the same seed and number of rows start from the same weights and draw the same dropout: it is drawn once
 for all of them. The result is that of :func:`repro.sensing.training.train_paper` up to rounding, in half the time.
@@ -37,6 +37,7 @@ def train_together(
     learning_rate: float,
     epochs: int = EPOCHS,
     swa_start: int = SWA_START,
+    shuffled: bool = False,
     progress: bool = False,
 ) -> list[tuple[nn.Sequential, dict[str, float]]]:
     """Train one network on each data set; the networks and their metrics, as of ``train_paper``.
@@ -47,6 +48,9 @@ def train_together(
         Relations as angles, and readings; float32, of one number of relations.
     seed, learning_rate, epochs, swa_start, progress
         As in :func:`repro.sensing.training.train_paper`.
+
+    shuffled
+        With the rows in a new order in every epoch, which is not the paper's recipe.
 
     Raises
     ------
@@ -70,6 +74,9 @@ def train_together(
         if (share := averaging_share(epoch, swa_start)) is not None:
             average += (theta - average) * np.float32(share)
         begin_pass(generator)
+        if shuffled:
+            order = torch.randperm(n, generator=generator).numpy()
+            arrays = [(x.numpy()[order], y.numpy()[order]) for x, y in rows]
         loss = np.zeros(len(sets))
         for first in range(0, n, BATCH):
             size = min(BATCH, n - first)

@@ -15,7 +15,7 @@ from repro.errors import bad_input
 from repro.estimation.base import Trajectory, track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.experiments.baaij2023.table1_rows import ROWS, Row, Simulation, groups, simulate
-from repro.experiments.baaij2023.training import SEEDS, NetworkSpec, ShuffledSpec, train
+from repro.experiments.baaij2023.training import SEEDS, NetworkSpec
 from repro.experiments.parallel import table_in_processes
 from repro.kernels import compiled
 from repro.sensing.ensemble import SeedEnsemble
@@ -33,11 +33,9 @@ def available(rows: Sequence[Row], folder: Path, seeds: Sequence[int] = SEEDS) -
     return tuple(r for r in rows if all(path.exists() for path in _files(r, folder, seeds)))
 
 
-def _files(
-    row: Row, folder: Path, seeds: Sequence[int], network: type[NetworkSpec] = NetworkSpec
-) -> list[Path]:
+def _files(row: Row, folder: Path, seeds: Sequence[int]) -> list[Path]:
     specs = (
-        network(row.n_segments, segment, row.earth_axis is not None, seed)
+        NetworkSpec(row.n_segments, segment, row.earth_axis is not None, seed)
         for seed in seeds
         for segment in range(row.n_segments)
     )
@@ -52,12 +50,10 @@ def step_sizes(n_segments: int, bending: float | None = None, elongation: float 
     return torch.tensor([xy, xy, dL] * n_segments, dtype=torch.float64)
 
 
-def networks(
-    rows: Sequence[Row], folder: Path, seeds: Sequence[int], network: type[NetworkSpec] = NetworkSpec
-) -> SeedEnsemble:
-    """Trained networks for these rows, of the paper's recipe or of another kind, one per seed and segment."""
+def networks(rows: Sequence[Row], folder: Path, seeds: Sequence[int]) -> SeedEnsemble:
+    """Trained networks for these rows, one per seed and segment."""
     widest = max(row.sensors_per_segment for row in rows)
-    files = iter(_files(rows[0], folder, seeds, network))
+    files = iter(_files(rows[0], folder, seeds))
     n = rows[0].n_segments
     by_seed = [[load_paper_network(next(files)) for _ in range(n)] for _ in seeds]
     return SeedEnsemble(by_seed, [i for i in range(n) for _ in range(widest)])
@@ -132,13 +128,11 @@ def run(
     step_size: Sequence[float] = (),
     noise_mt: float = 0.0,
     steps: int = 400,
-    network: type[NetworkSpec] = NetworkSpec,
     jobs: int | None = None,
 ) -> pd.DataFrame:
     """Errors of the paper's method on these rows: the table of :func:`errors`.
 
-    Rows that share their networks are one batch, and batches run side by side in ``jobs`` processes. The networks
-    are those of the paper's recipe, or of another kind.
+    Rows that share their networks are one batch, and batches run side by side in ``jobs`` processes.
 
     Raises
     ------
@@ -149,8 +143,7 @@ def run(
         raise bad_input("step_size", "Table 1", "two numbers, for bending and elongation", step_size)
     options = {"iterations": iterations, "noise_mt": noise_mt}
     tasks = [
-        partial(_run_group, g, tuple(seeds), folder, tuple(step_size), steps, network, options)
-        for g in groups(rows)
+        partial(_run_group, g, tuple(seeds), folder, tuple(step_size), steps, options) for g in groups(rows)
     ]
     tasks.sort(key=lambda task: -len(task.args[0]) * task.args[0][0].n_segments)  # the longest first
     if not tasks:
@@ -166,36 +159,10 @@ def _run_group(
     folder: Path,
     step_size: tuple[float, ...],
     steps: int,
-    network: type[NetworkSpec],
     options: dict[str, Any],
 ) -> pd.DataFrame:
     simulation = simulate(rows, steps=steps)
     options["step_size"] = step_sizes(rows[0].n_segments, *step_size)
-    model = networks(rows, folder, seeds, network)
+    model = networks(rows, folder, seeds)
     estimates, predicted = paper_method(simulation, model, len(seeds), **options)
     return errors(simulation, estimates, predicted, seeds)
-
-
-def shuffled_errors(
-    seeds: Sequence[int], n_segments: Sequence[int], cache: Path, *, progress: bool = False
-) -> pd.DataFrame:
-    """As :func:`run`, with networks whose training rows come in a new order in every epoch; hours.
-
-    Parameters
-    ----------
-    seeds
-        Of the networks.
-    n_segments
-        Robots, by their number of segments, all without an Earth field.
-    cache
-        Where networks are kept: those that are missing are trained.
-    progress
-        Show progress bars.
-    """
-    for n in n_segments:
-        for spec in (
-            ShuffledSpec(n, segment, earth=False, seed=seed) for seed in seeds for segment in range(n)
-        ):
-            train(spec, cache, cache / "checkpoints", progress=progress)
-    rows = [row for row in ROWS if row.n_segments in n_segments and row.earth_axis is None]
-    return run(rows, seeds, cache, network=ShuffledSpec)

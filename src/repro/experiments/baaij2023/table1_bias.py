@@ -56,3 +56,30 @@ def bias_table(errors: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(lines)
+
+
+def bias_by_factor(errors: pd.DataFrame, changed: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
+    """What changing one factor of the training does to the ratio to print, without an Earth field.
+
+    Parameters
+    ----------
+    errors, published
+        As in :func:`bias_table`, of the recipe as released.
+    changed
+        As ``errors``, with a column ``factor``
+        (:func:`repro.experiments.baaij2023.table1_factors.factor_errors`).
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``changed`` (``nothing``, or a factor), then the columns of :func:`bias_table` by number of segments.
+    """
+    still = {row.name for row in ROWS if row.earth_axis is None}
+    tables = {"nothing": errors[errors["row"].isin(still)]} | dict(
+        list(changed.groupby("factor", sort=False))
+    )
+    parts = [bias_table(table, published).assign(changed=name) for name, table in tables.items()]
+    whole = pd.concat(parts, ignore_index=True).query("n_b != 'all'")
+    return whole[["changed", *whole.columns.drop("changed")]].sort_values(
+        "n_b", kind="stable", ignore_index=True
+    )

@@ -59,7 +59,7 @@ class ReleasedChain:
 
 
 def released_chains() -> dict[str, ReleasedChain]:
-    """ReleasedChain and points of every table of `repro.recordings.martin2022_outputs.OUTPUTS`, by its name."""
+    """Chain and points of every table of `repro.recordings.martin2022_outputs.OUTPUTS`, by its name."""
 
     def joints(first: float) -> dict[int, float]:
         return {0: 0.0} | {k: first + 0.08 * (k - 1) for k in range(1, 8)}

@@ -89,7 +89,7 @@ class Emulator:
         self._stopped = threading.Event()
         self._ready = threading.Event()
         self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run_in_thread, daemon=True)
+        self._thread = threading.Thread(target=self._run, daemon=True)
         self.finished = threading.Event()
 
     @property
@@ -116,9 +116,12 @@ class Emulator:
             self.finished.set()
             while not self._hang_up and link.has_reader() and not self._stopped.wait(POLL_S):
                 pass
+        except BaseException as error:  # raised again in the thread that plays it
+            self._error = error
         finally:
-            self._ready.set()
             link.remove()
+            self.finished.set()
+            self._ready.set()
 
     def stop(self) -> None:
         """Let it end, soon."""
@@ -127,6 +130,8 @@ class Emulator:
     def __enter__(self) -> Emulator:
         self._thread.start()
         self._ready.wait()
+        if self._error is not None:
+            self.__exit__()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -134,14 +139,6 @@ class Emulator:
         self._thread.join()
         if self._error is not None:
             raise self._error
-
-    def _run_in_thread(self) -> None:
-        try:
-            self._run()
-        except BaseException as error:
-            self._error = error
-        finally:
-            self.finished.set()
 
     def _reader_settled(self) -> bool:
         while not self._link.has_reader():
