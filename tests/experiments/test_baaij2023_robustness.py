@@ -149,6 +149,25 @@ def test_study_of_one_twin_trains_what_is_missing_once(tmp_path, monkeypatch):
     robustness.train_twins([0], 0, tmp_path)
 
 
+def test_twins_are_trained_together_where_their_recordings_are_of_one_size(tmp_path, monkeypatch):
+    """Of the first family's recordings of T5, those of twins 0 and 1 differ by a row."""
+    sizes = []
+
+    def recorded(sets, **options):
+        sizes.append([len(rows) for _, rows in sets])
+        return train_together(sets, epochs=1, swa_start=0, **options)
+
+    monkeypatch.setattr(robustness, "train_together", recorded)
+    robustness.train_twins([0, 1], 0, tmp_path)
+    (fewer,), (more,) = (set(group) for group in sizes)
+    assert more == fewer + 1
+    for seed in (0, 1):
+        twin = random_twin(seed)
+        assert (
+            rig_networks(robustness.twin_folder(twin, tmp_path), (0,), twin_sha256=twin.sha256).n_sensors == 3
+        )
+
+
 def test_families_share_what_they_should():
     first, second, own = (robustness.family_twin(name, 5) for name in robustness.FAMILIES)
     assert first == random_twin(5)

@@ -14,7 +14,7 @@ from repro.experiments.baaij2023.scorecard import BEST_METHOD, SETTING, scorecar
 from repro.simulation.trajectories import STEPS
 
 NOTES = {
-    "mT": "nine networks of our own per seed against nine of the authors; the errors of the configuration agree",
+    "mT": "nine networks of our own per seed against nine of the authors",
     "%": "nine networks of our own per seed against nine of the authors",
     "rad/m": "an angle [rad]: the released code integrates the curvature over the normalised coordinate",
     "rad/m^2": "an angle [rad]: the released code integrates the curvature over the normalised coordinate",

@@ -78,6 +78,8 @@ def train_twins(
 ) -> None:
     """Train the networks of random twins that are not in ``cache``, of some twins at a time: minutes for each.
 
+    Side by side are those of recordings with as many rows: noise decides at which frame the motion begins.
+
     Parameters
     ----------
     twins, family
@@ -99,16 +101,16 @@ def train_twins(
             if missing:
                 train = load_recordings("twin", trajectories=("T5",), config=config).train
                 jobs += [(spec, folder, config.sha256, sensor_rows(train, spec.sensor)) for spec in missing]
-        if not jobs:
-            continue
-        trained = train_together(
-            [job[-1] for job in jobs],
-            seed=seed,
-            learning_rate=RigSpec.learning_rate,
-            progress=progress,
-        )
-        for (spec, folder, sha256, rows), (network, metrics) in zip(jobs, trained, strict=True):
-            save_rig_network(network, spec, folder, rows, metrics, twin_sha256=sha256)
+        for size in sorted({len(job[-1][1]) for job in jobs}):
+            group = [job for job in jobs if len(job[-1][1]) == size]
+            trained = train_together(
+                [job[-1] for job in group],
+                seed=seed,
+                learning_rate=RigSpec.learning_rate,
+                progress=progress,
+            )
+            for (spec, folder, sha256, rows), (network, metrics) in zip(group, trained, strict=True):
+                save_rig_network(network, spec, folder, rows, metrics, twin_sha256=sha256)
 
 
 def robustness_errors(
