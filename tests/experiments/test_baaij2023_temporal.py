@@ -8,16 +8,15 @@ from repro.experiments.baaij2023.ambiguity import ambiguities
 from repro.experiments.baaij2023.best import box
 from repro.experiments.baaij2023.temporal import (
     SHARE,
-    TRAJECTORIES,
     choices,
     errors,
     estimates,
     gains,
     noisy_readings,
     over_time,
-    trajectory,
 )
 from repro.report.figures.temporal import gain_and_bands
+from repro.simulation.trajectories import TRAJECTORIES, trajectory
 
 
 @pytest.mark.parametrize("n_segments", sorted(SHARE))

@@ -11,8 +11,9 @@ from repro.experiments.baaij2023 import affine, table1
 from repro.experiments.baaij2023.table1_rows import rows_named
 from repro.report.project import find_project
 from repro.report.robot_view import backbone_points
+from repro.report.views.flower import flower_view
 from repro.report.views.frames import every_nth, readings
-from repro.report.views.simulated import FRAMES, flower_view, lemniscate_view, paper_method_view
+from repro.report.views.simulated import FRAMES, lemniscate_view, paper_method_view
 from repro.simulation.robots import affine_robot, pcc_robot
 from repro.simulation.trajectories import lemniscate
 

@@ -32,6 +32,9 @@ from repro.sensing.linearised import LinearisedSensing
 from repro.simulation.training_set import BENDING_M, ELONGATION_M
 from repro.simulation.trajectories import lemniscate
 
+VELOCITY_SHARE = 0.5
+"""Standard deviation of a velocity before the first reading, in widths of the box per second."""
+
 
 def box(n_segments: int) -> tuple[Float[Tensor, " n_q"], Float[Tensor, " n_q"]]:
     """Bounds of the training box [m]: bending of 20.73 mm either way, elongation from 0 to 6.6 mm."""

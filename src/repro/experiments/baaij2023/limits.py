@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 import torch
+from scipy.stats import chi2
 from torch import Tensor
 
 from repro.estimation.levenberg_marquardt import covariance, jacobian
@@ -18,8 +19,6 @@ from repro.simulation.trajectories import lemniscate
 
 ITERATIONS = 60
 """Limit for runs that must converge to rounding; the iteration stops by itself when all have."""
-CHI2_95 = {3: 7.814727903251179, 6: 12.591587243743977, 9: 16.918977604620448}
-"""95 % quantile of the chi-square distribution by degrees of freedom."""
 
 
 def consistency(n_segments: int) -> pd.DataFrame:
@@ -76,7 +75,7 @@ def coverage(n_segments: int, *, trials: int = 2000, seed: int = 0) -> pd.DataFr
     error = (estimate.q - q).unsqueeze(-1)
     C = covariance(jacobian(sensing, estimate.q)[1], SENSOR_NOISE_MT)  # the estimator's own
     distance = (error.mT @ torch.linalg.solve(C, error)).flatten()
-    share = 100 * float((distance <= CHI2_95[3 * n_segments]).double().mean())
+    share = 100 * float((distance <= chi2.ppf(0.95, 3 * n_segments)).double().mean())
     return pd.DataFrame(
         [{"n_segments": n_segments, "trials": len(q), "inside_percent": share, "kept_percent": 100 * kept}]
     )

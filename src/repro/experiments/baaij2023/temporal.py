@@ -16,14 +16,14 @@ import numpy as np
 import pandas as pd
 import torch
 from jaxtyping import Float
+from scipy.stats import chi2
 from torch import Tensor
 
 from repro.errors import bad_input
 from repro.estimation.base import Trajectory, track
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.experiments.baaij2023.best import box, start
-from repro.experiments.baaij2023.limits import CHI2_95
+from repro.experiments.baaij2023.best import VELOCITY_SHARE, box, start
 from repro.experiments.baaij2023.session import L_MAX
 from repro.experiments.bootstrap import ratio_interval, resampled
 from repro.kernels import compiled
@@ -31,61 +31,16 @@ from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro.simulation.robots import pcc_robot
-from repro.simulation.trajectories import AMPLITUDE_M, ELONGATION_M, RATE_HZ, STEPS, lemniscate
+from repro.simulation.trajectories import RATE_HZ, STEPS, TRAJECTORIES, lemniscate, trajectory
 
 NOISE_MT = 5e-3
 """Noise of a reading [mT]: seven times the larger one of the real sensors, where the prior matters most."""
 METHODS = ("Levenberg-Marquardt", "Kalman filter")
-TRAJECTORIES = ("T0", "T1", "T2", "T3")
-"""T0: random motion, synthetic; T1: bending; T2: half lemniscate; T3: lemniscate. The choice is made on T2."""
 SHARES = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Candidates for the process noise, in widths of the box per s^1.5."""
 SHARE = {1: 0.1, 3: 0.1}
 """Process noise by number of segments: those with the best score on T2 (:func:`choices`)."""
-VELOCITY_SHARE = 0.5
-"""Standard deviation of a velocity before the first reading, in widths of the box per second."""
 ITERATIONS = 8
-
-
-def trajectory(name: str, n_segments: int, *, steps: int = STEPS) -> Float[Tensor, "t n_q"]:
-    r"""Trajectory of every segment, 400 steps at 40 Hz.
-
-    T0 is smooth random motion: each coordinate a sum of five sines of random phase, 0.1 to 0.5 Hz, scaled to three
-    quarters of the lemniscate's range. T1 bends in a plane, :math:`\Delta_x = D s`, at mid elongation.
-
-    Parameters
-    ----------
-    name
-        One of :data:`TRAJECTORIES`.
-    n_segments
-        Number of segments.
-    steps
-        Number of first steps of it.
-
-    Raises
-    ------
-    InputError
-        If there is no trajectory of that name.
-    """
-    if name not in TRAJECTORIES:
-        raise bad_input("name", "trajectory", f"one of {', '.join(map(repr, TRAJECTORIES))}", repr(name))
-    s = torch.linspace(0, 1, STEPS, dtype=torch.float64)
-    if name == "T0":
-        generator = torch.Generator().manual_seed(0)
-        periods = torch.arange(1, 6).double()  # in 10 s
-        phase = (
-            2 * math.pi * torch.rand(3 * n_segments, len(periods), generator=generator, dtype=torch.float64)
-        )
-        waves = torch.sin(2 * math.pi * periods * s[:, None, None] + phase).sum(-1)
-        unit = 0.75 * waves / waves.abs().amax(0)
-        middle = torch.tensor([0.0, 0.0, ELONGATION_M] * n_segments, dtype=torch.float64)
-        size = torch.tensor([AMPLITUDE_M, AMPLITUDE_M, ELONGATION_M] * n_segments, dtype=torch.float64)
-        q = middle + size * unit
-    elif name == "T1":
-        q = torch.stack([AMPLITUDE_M * s, 0 * s, ELONGATION_M + 0 * s], dim=-1).repeat(1, n_segments)
-    else:
-        q = lemniscate(n_segments, half=name == "T2")
-    return q[:steps]
 
 
 def noisy_readings(
@@ -187,7 +142,8 @@ def errors(
                         "method": method,
                         "seed": seed,
                         "error_percent": float(percent[k]),
-                        "covered_percent": 100 * float((distance[:, k] <= CHI2_95[n_q]).double().mean()),
+                        "covered_percent": 100
+                        * float((distance[:, k] <= chi2.ppf(0.95, n_q)).double().mean()),
                         "nees": float(distance[:, k].mean()) / n_q,
                         "score": float((distance + size)[:, k].mean()) / 2,
                     }

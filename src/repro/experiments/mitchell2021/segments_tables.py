@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import pandas as pd
 import torch
 from jaxtyping import Float
+from scipy.stats import chi2
 from torch import Tensor
 
 from repro.estimation.base import Trajectory
@@ -19,8 +20,6 @@ from repro.experiments.mitchell2021.segments import BEGUN, COLD_ITERATIONS, Cour
 from repro.experiments.mitchell2021.segments_methods import METHODS, NOISE_MT, run
 from repro.simulation.trajectories import RATE_HZ
 
-CHI2_95 = {3: 7.815, 6: 12.592, 9: 16.919}
-"""95 % quantiles of the chi-square distribution by degrees of freedom."""
 REFERENCE = "least squares, last estimate"
 """Ratios of errors are relative to this method."""
 BENT_OUT = 4
@@ -110,7 +109,7 @@ def errors(course: Course, found: Trajectory) -> dict[str, Tensor]:
         "error_percent": 100 * ((found.q - q) / span).square().mean(0).sqrt().mean(-1),
         "tip_mm": tip_errors_mm(course, found).square().mean(0).sqrt(),
         "calibration": squared.quantile(0.5, dim=0) / n_q,
-        "covered_percent": 100 * (squared < CHI2_95[n_q]).double().mean(0),
+        "covered_percent": 100 * (squared < chi2.ppf(0.95, n_q)).double().mean(0),
         "effective_sample_size": ess.mean(0),
     }
 
@@ -194,7 +193,7 @@ def two_modes(
             columns = {
                 "found_mm": 1e3 * found.q[..., BENT_OUT],
                 "tip_mm": tip_errors_mm(course, found),
-                "covered": (calibration(q.unsqueeze(1), found) < CHI2_95[q.shape[-1]]).double(),
+                "covered": (calibration(q.unsqueeze(1), found) < chi2.ppf(0.95, q.shape[-1])).double(),
             }
             if "positive" in found.diagnostics:
                 positive = found.diagnostics["positive"][..., BENT_OUT]

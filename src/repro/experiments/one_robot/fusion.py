@@ -22,9 +22,8 @@ from torch import Tensor
 from repro.errors import bad_input
 from repro.estimation.drift_filter import Drift, DriftFilter
 from repro.estimation.kalman_filter import IteratedKalmanFilter
-from repro.experiments.baaij2023.best import box, start
+from repro.experiments.baaij2023.best import VELOCITY_SHARE, box, start
 from repro.experiments.baaij2023.session import released_moments
-from repro.experiments.baaij2023.temporal import VELOCITY_SHARE
 from repro.experiments.one_robot.fusion_models import Imus, Magnets
 from repro.experiments.one_robot.fusion_readings import (
     ERRORS,

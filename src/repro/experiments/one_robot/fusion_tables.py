@@ -17,13 +17,13 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from repro.estimation.levenberg_marquardt import jacobian
-from repro.experiments.baaij2023.temporal import trajectory
 from repro.experiments.bootstrap import interval, resampled
 from repro.experiments.one_robot.fusion import METHODS, SHARE, Tracked, estimates
 from repro.experiments.one_robot.fusion_readings import SETTINGS, STEPS, Surroundings, record
 from repro.experiments.one_robot.motion import LOAD_N, ROBOT, TRAJECTORIES, Motion, motion
 from repro.sensing.orientation_readings import rotation_vector
 from repro.simulation.robots import LENGTH_M
+from repro.simulation.trajectories import trajectory
 
 SKIPPED = 10
 """First steps (1 s) that do not count: the filter starts with the box."""

@@ -25,7 +25,7 @@ from repro.live.emulate.emulator import Emulator
 from repro.live.emulate.faults import Faults
 from repro.live.emulate.links import HAS_PTY, PtyLink, SocketLink
 from repro.live.emulate.noted_link import NotedLink
-from repro.live.emulate.recording_study import play_and_record
+from repro.live.emulate.recorded_run import play_and_record
 from repro.live.emulate.takes import Take
 from repro.live.follow.follower import Follower
 from repro.live.follow.live_state import LiveEstimate, LiveState

@@ -1,4 +1,4 @@
-"""3-D views of the simulated robots of Baaij et al. 2023: constant curvature (section 3), affine (section 4)."""
+"""3-D views of the simulated robots of Baaij et al. 2023, section 3: constant curvature."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from jaxtyping import Float
 
 from repro.errors import bad_input
 from repro.experiments.baaij2023 import table1
-from repro.experiments.baaij2023.affine import PaperRun, configuration_error
 from repro.experiments.baaij2023.table1_rows import Row, simulate
 from repro.report.robot_view import shape_view
 from repro.report.shape_view import ShapeView
 from repro.report.views.frames import every_nth, readings
-from repro.simulation.robots import affine_robot, pcc_robot
+from repro.simulation.robots import pcc_robot
 from repro.simulation.trajectories import RATE_HZ, lemniscate
 
 FRAMES = 100
@@ -36,7 +35,7 @@ def lemniscate_view(n_segments: int, amplitude_m: float) -> ShapeView:
     q = lemniscate(n_segments, amplitude_m=amplitude_m)
     shown = every_nth(len(q), FRAMES)
     label = f"Simulated robot with segments of constant curvature, {n_segments} in all, along the lemniscate."
-    return shape_view(pcc_robot(n_segments), q[shown], times=_times(len(q))[shown], label=label)
+    return shape_view(pcc_robot(n_segments), q[shown], times=times(len(q))[shown], label=label)
 
 
 def paper_method_view(
@@ -87,32 +86,13 @@ def paper_method_view(
     return shape_view(
         row.robot(),
         simulation.q[shown],
-        times=_times(steps)[shown],
+        times=times(steps)[shown],
         label=label,
         estimate=found.q[shown, 0, 0],
         traces=[readings(u, "mT", u_hat)],
     )
 
 
-def flower_view(run: PaperRun) -> ShapeView:
-    """Affine segment on the flower of section 4.3, and what the paper's method finds with its first seed."""
-    q, shown = run.flower.q, every_nth(len(run.flower.q), FRAMES)
-    # The same shape has two configurations, and any number of turns: the one next to the truth is shown.
-    near = q + configuration_error(run.estimates.q[:, 0], q)
-    u, u_hat = run.flower.u[shown].numpy(), run.estimates.u_hat[shown, 0].numpy()
-    label = (
-        "Simulated segment of affine curvature on the flower, and what the paper's gradient descent on its networks "
-        f"(seed {run.seeds[0]}) finds, which starts at the ground truth."
-    )
-    return shape_view(
-        affine_robot(),
-        q[shown],
-        times=_times(len(q))[shown],
-        label=label,
-        estimate=near[shown],
-        traces=[readings(u, "mT", u_hat)],
-    )
-
-
-def _times(steps: int) -> Float[np.ndarray, " t"]:
+def times(steps: int) -> Float[np.ndarray, " t"]:
+    """Times of a simulated trajectory [s]."""
     return torch.arange(steps, dtype=torch.float64).numpy() / RATE_HZ
