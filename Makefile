@@ -49,7 +49,7 @@ help:
 	@echo 'Variables: PYTHON=$(PYTHON)  JOBS=$(JOBS)  TORCH_FLAGS=$(TORCH_FLAGS)  (see README.md)'
 
 book: env
-	@$(PY) -m repro.report.build
+	@$(PY) -m repro_companion.book.after.build
 	@echo 'The site: book/_build/html/index.html'
 
 test: env
@@ -71,7 +71,7 @@ check-site: env
 	$(PY) -m pytest -n $(JOBS) tests/book/test_site.py
 
 reproduce: env
-	@$(PY) -m repro.report.rebuild
+	@$(PY) -m repro_companion.book.after.rebuild
 
 train: env
 	nice -n 19 $(BIN)/repro train
@@ -80,12 +80,12 @@ studies: env
 	$(BIN)/repro studies
 
 bench: env
-	$(BIN)/repro bench
+	$(PY) -m bench
 
 soak: env
-	$(PY) -m repro.live.emulate.soak 10000000
-	$(PY) -m repro.live.record.kill_soak 100
-	$(PY) -m repro.live.follow.live_soak 10 1000
+	$(PY) -m soak.parsers 10000000
+	$(PY) -m soak.kills 100
+	$(PY) -m soak.live 10 1000
 
 diff: env
 	@test -n '$(RUN)' || { echo 'Name the run: make diff RUN=runs/NAME-12345678' >&2; exit 2; }
@@ -99,7 +99,7 @@ fuzz: env
 	  -artifact_prefix=.cache/fuzz-
 
 vendor:
-	node src/repro/report/viewer/bundle.mjs .cache/viewer
+	node src/repro_live/view/viewer/bundle.mjs .cache/viewer
 
 # ---------------------------------------------------------------------------------------------------------------------
 # The environment. $(STAMP) holds the content it was made from, so that neither a checkout's new modification times nor

@@ -1,4 +1,4 @@
-"""Checks every shape annotation of the package while tests run; in production they cost nothing."""
+"""Checks every shape annotation of the packages while tests run; in production they cost nothing."""
 
 import signal
 
@@ -12,4 +12,4 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 settings.register_profile("repro", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("repro")
 # Not as a context: modules are imported as tests need them, and each must be caught.
-install_import_hook("repro", "beartype.beartype")
+install_import_hook(["repro", "repro_live", "repro_companion"], "beartype.beartype")

@@ -26,14 +26,14 @@ Parameters of a.ipynb:
 """
 TABLE = """\
 import pandas as pd
-from repro.report.results import write_table
+from repro_companion.book.results import write_table
 if n < 0:
     raise ValueError("n is negative")
 write_table(pd.DataFrame({"n": [n], "step_m": [step], "fast": [fast], "gain": [gains[0]]}), "t")"""
 
 
 def repro(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "repro.cli", *arguments]
+    command = [sys.executable, "-m", "repro_companion.cli", *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
@@ -64,9 +64,8 @@ def test_help_is_instant_and_imports_nothing_heavy():
     assert done.returncode == 0
     assert "run" in done.stdout
     assert "scorecard" in done.stdout
-    code = (
-        "import sys, repro.cli; sys.exit(bool({'torch', 'pandas', 'papermill', 'numpy'} & set(sys.modules)))"
-    )
+    heavy = "{'torch', 'pandas', 'papermill', 'numpy'}"
+    code = f"import sys, repro_companion.cli; sys.exit(bool({heavy} & set(sys.modules)))"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

@@ -13,8 +13,8 @@ from types import ModuleType
 
 import pytest
 
-from repro.report.paper_index import index_path, read_index
-from repro.report.project import Project
+from repro_companion.book.after.paper_index import index_path, read_index
+from repro_companion.book.project import Project
 
 PROJECT = Project(Path(__file__).resolve().parents[1])
 NOTEBOOKS = {

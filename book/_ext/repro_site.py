@@ -10,8 +10,8 @@ from pathlib import Path
 from page_access import accessible
 from sphinx.application import Sphinx
 
-from repro.report.page_notes import with_notes, write_page_files
-from repro.report.project import Project
+from repro_companion.book.after.page_notes import with_notes, write_page_files
+from repro_companion.book.project import Project
 
 MATHJAX = "vendor/mathjax/"
 VIEWER = "shape_viewer.js"
@@ -80,7 +80,7 @@ def add_downloads(app: Sphinx, exception: Exception | None) -> None:
 def add_viewer(app: Sphinx, exception: Exception | None) -> None:
     """Put the script that shows shapes where pages find it; it lies in the package, whose live view serves it too."""
     if exception is None and app.builder.format == "html":
-        source = Path(app.srcdir).parent / "src" / "repro" / "report" / "viewer" / VIEWER
+        source = Path(app.srcdir).parent / "src" / "repro_live" / "view" / "viewer" / VIEWER
         shutil.copyfile(source, Path(app.outdir) / "_static" / VIEWER)
 
 

@@ -41,7 +41,7 @@ BREAK = re.compile(r"^To see it fail, write `([^`]+)` instead of `([^`]+)` in\s`
 
 def patched(text: str, difference: str) -> str:
     """Return a text after a difference; each of its hunks must have exactly one place."""
-    for hunk in filter(None, re.split(r"^@@\n", difference, flags=re.MULTILINE)):
+    for hunk in filter(None, re.split(r"^\n", difference, flags=re.MULTILINE)):
         lines = hunk.splitlines(keepends=True)
         old = "".join(line[1:] for line in lines if line[0] == " ")
         assert text.count(old) == 1, f"no single place for {hunk}"
@@ -151,11 +151,11 @@ def test_a_broken_example_fails(folder):
 
 def test_the_number_of_the_paper_gets_its_verdict(folder):
     arguments = command(PAGES[2], ".venv/bin/repro run ")
-    done = run(folder, "repro.cli", "run", *arguments, "-o", "runs/range.ipynb")
+    done = run(folder, "repro_companion.cli", "run", *arguments, "-o", "runs/range.ipynb")
     assert done.returncode == 0, done.stderr
     (folder / "results").mkdir()
     shutil.copy(folder / "runs" / "training_range.rows.csv", folder / "results")  # as `make book` does
-    done = run(folder, "repro.cli", "scorecard", *command(PAGES[2], ".venv/bin/repro scorecard "))
+    done = run(folder, "repro_companion.cli", "scorecard", *command(PAGES[2], ".venv/bin/repro scorecard "))
     assert done.returncode == 0, done.stderr
     reference = (folder / "data" / "scorecard_reference.csv").read_text(encoding="utf-8")
     assert "\nbaaij2023,Section 3.2,training set,tip_angle,deg,reproduced\n" in reference

@@ -10,11 +10,11 @@ from repro import se3
 from repro.errors import InputError
 from repro.estimation.calibration import calibrate
 from repro.estimation.poses import configurations
+from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro.sensing.placement import Tolerances, placed
-from repro.simulation.robots import pcc_robot
 
 MOMENTS = torch.from_numpy(ring("released").multipoles(9))
 NOISE = 7.1e-4

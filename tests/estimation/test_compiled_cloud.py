@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import torch
 
+from bench.scaling import follow_flower
 from repro.errors import InputError
 from repro.estimation.base import Estimator, track
-from repro.estimation.compiled_weighing import _smallest
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box, Disc
-from repro.experiments.benchmark.scaling import follow_flower
-from repro.experiments.mitchell2021.simulation import BEST, GAUSS_NEWTON, PAPER, WEIGHTED
 from repro.kernels import compiled
+from repro.kernels.weighing import _smallest
 from repro.sensing.bend_sensor import BendSensor
-from repro.simulation.bend_curves import bend_curve, bend_readings
+from repro_companion.twins.bend_curves import bend_curve, bend_readings
+from repro_companion.twins.bend_simulation import BEST, GAUSS_NEWTON, PAPER, WEIGHTED
 
 SENSOR = BendSensor(15e-3)
 FAST = compiled(SENSOR)

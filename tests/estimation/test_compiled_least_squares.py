@@ -8,16 +8,16 @@ import torch
 from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.experiments.baaij2023.best import box, start
 from repro.kernels import compiled
+from repro.kinematics.paper_robots import affine_robot, pcc_robot
+from repro.kinematics.trajectories import flower, lemniscate
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
 from repro.sensing.network import CosineNetwork
-from repro.simulation.robots import affine_robot, pcc_robot
-from repro.simulation.trajectories import flower, lemniscate
+from repro_companion.twins.calibrated_robots import box, start
 
 MOMENTS = torch.from_numpy(ring("released").multipoles(9))
 NOISE = 7.1e-4

@@ -21,11 +21,11 @@ from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box
 from repro.kernels import compiled
+from repro.kinematics.paper_robots import pcc_robot
+from repro.kinematics.trajectories import lemniscate
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
-from repro.simulation.robots import pcc_robot
-from repro.simulation.trajectories import lemniscate
 
 ROBOT = pcc_robot(1)
 SENSING = MagneticSensing(ROBOT, MultipoleField.of(ring("released")))

@@ -9,10 +9,10 @@ import torch
 from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, covariance, jacobian
+from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
-from repro.simulation.robots import pcc_robot
 
 A = torch.tensor([[1.0, 0.5], [-0.3, 2.0], [0.2, 0.1]], dtype=torch.float64)
 WIDE = torch.tensor([10.0, 10.0], dtype=torch.float64)

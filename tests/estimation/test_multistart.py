@@ -8,10 +8,10 @@ import torch
 from repro.errors import InputError
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.multistart import search, starts_within
+from repro.kinematics.paper_robots import affine_robot, pcc_robot
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
-from repro.simulation.robots import affine_robot, pcc_robot
 
 LOW, HIGH = torch.tensor([-0.02, -0.02, 0.0]).double(), torch.tensor([0.02, 0.02, 0.0066]).double()
 MOMENTS = torch.from_numpy(ring("released").multipoles(9))

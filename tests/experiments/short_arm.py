@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from repro.simulation.soft_arm import load_soft_arm
+from repro_companion.twins.soft_arm import load_soft_arm
 
 DATA = Path(__file__).parents[2] / "data"
 

@@ -8,16 +8,16 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.baaij2023 import affine
-from repro.experiments.baaij2023.affine_best import best, box, calibration, estimate, session
-from repro.experiments.baaij2023.affine_scorecard import affine_rows, affine_setting
-from repro.experiments.baaij2023.session import SENSOR_NOISE_MT, Config, released_moments
+from repro.kinematics.paper_robots import affine_robot
+from repro.kinematics.trajectories import flower
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro.sensing.weights import read_manifest
-from repro.simulation.robots import affine_robot
-from repro.simulation.trajectories import flower
+from repro_companion.pages.affine_curvature import method as affine
+from repro_companion.pages.affine_curvature.best import best, box, calibration, estimate, session
+from repro_companion.pages.affine_curvature.scorecard import affine_rows, affine_setting
+from repro_companion.twins.calibration_session import SENSOR_NOISE_MT, Config, released_moments
 
 DATA = Path(__file__).parents[2] / "data"
 of_these_data = pytest.mark.skipif(

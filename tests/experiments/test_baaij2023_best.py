@@ -7,10 +7,17 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.baaij2023.best import Config, against_published, best, calibration, session, summary
-from repro.experiments.baaij2023.limits import checks, cold_starts, consistency, coverage, observability
-from repro.experiments.baaij2023.table1_rows import ROWS
 from repro.sensing.linearised import LinearisedSensing
+from repro_companion.pages.table_1.limits import checks, cold_starts, consistency, coverage, observability
+from repro_companion.twins.calibrated_robots import (
+    Config,
+    against_published,
+    best,
+    calibration,
+    session,
+    summary,
+)
+from repro_companion.twins.table_1_rows import ROWS
 
 FEW = Config(draws=2)
 BY_NAME = {row.name: row for row in ROWS}

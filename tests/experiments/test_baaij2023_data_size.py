@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023.data_size import COLUMNS, MODELS, PAPER, data_size_errors
-from repro.experiments.baaij2023.noise import DIPOLE
+from repro_companion.pages.noise_and_tolerances.data_size import COLUMNS, MODELS, PAPER, data_size_errors
+from repro_companion.pages.noise_and_tolerances.noise import DIPOLE
 
 NETWORKS = Path(__file__).parents[2] / "data" / "networks"
 FIVE = "5 moments"

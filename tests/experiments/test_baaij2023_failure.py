@@ -10,19 +10,19 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, covariance, jacobian
-from repro.experiments.baaij2023 import failure as experiment
-from repro.experiments.baaij2023 import failure_tables as tables
-from repro.experiments.baaij2023.best import box, start
-from repro.experiments.baaij2023.failure import Estimates, Failure
-from repro.experiments.baaij2023.session import released_moments
 from repro.kinematics.mounts import Mounts
+from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.robot import Robot
-from repro.report.project import find_project
+from repro.kinematics.trajectories import lemniscate
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
-from repro.simulation.robots import pcc_robot
-from repro.simulation.trajectories import lemniscate
+from repro_companion.book.project import find_project
+from repro_companion.pages.sensor_failure import failure as experiment
+from repro_companion.pages.sensor_failure import tables
+from repro_companion.pages.sensor_failure.failure import Estimates, Failure
+from repro_companion.twins.calibrated_robots import box, start
+from repro_companion.twins.calibration_session import released_moments
 
 NETWORKS = find_project().data / "networks"
 MOMENTS = released_moments()

@@ -7,7 +7,12 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.baaij2023.noise import (
+from repro.kinematics.paper_robots import pcc_robot
+from repro.kinematics.trajectories import lemniscate
+from repro.sensing.network import PerSensor
+from repro.sensing.relations import relations
+from repro.sensing.training_set import training_set
+from repro_companion.pages.noise_and_tolerances.noise import (
     DIPOLE,
     MODELS,
     _dipoles,
@@ -16,13 +21,8 @@ from repro.experiments.baaij2023.noise import (
     noise_bound,
     noise_errors,
 )
-from repro.experiments.baaij2023.solvers import SOLVERS, model_by_solver
-from repro.experiments.baaij2023.training import train_own
-from repro.sensing.network import PerSensor
-from repro.sensing.relations import relations
-from repro.simulation.robots import pcc_robot
-from repro.simulation.training_set import training_set
-from repro.simulation.trajectories import lemniscate
+from repro_companion.twins.networks import train_own
+from repro_companion.twins.table_1_solvers import SOLVERS, model_by_solver
 
 NETWORKS = Path(__file__).parents[2] / "data" / "networks"
 DESCENT, SQUARES = SOLVERS

@@ -10,18 +10,21 @@ import torch
 from torch.nn.utils import parameters_to_vector
 
 from repro.errors import InputError
-from repro.experiments.baaij2023 import rig_together, robustness, robustness_tables, table2
-from repro.experiments.baaij2023.compiled_rig_training import train_step
-from repro.experiments.baaij2023.rig_together import dropout, train_together, workspace
-from repro.experiments.baaij2023.rig_training import RIG_LEARNING_RATE, rig_networks
-from repro.experiments.baaij2023.table2_data import load_recordings
-from repro.experiments.baaij2023.table2_map import fit_map
-from repro.experiments.baaij2023.table2_ours import estimate_bend
-from repro.report.project import find_project
 from repro.sensing.network import PAPER_WIDTHS, paper_network
 from repro.sensing.training import train_paper
-from repro.simulation.pneumatic_rig import record_rig
-from repro.simulation.rig_twins import nominal_twin, random_twin
+from repro_companion.book.project import find_project
+from repro_companion.pages.robustness import tables as robustness_tables
+from repro_companion.pages.robustness import twins as robustness
+from repro_companion.twins import rig_descent as table2
+from repro_companion.twins import rig_together
+from repro_companion.twins.compiled_rig_training import train_step
+from repro_companion.twins.pneumatic_rig import record_rig
+from repro_companion.twins.rig_data import load_recordings
+from repro_companion.twins.rig_filter import estimate_bend
+from repro_companion.twins.rig_map import fit_map
+from repro_companion.twins.rig_networks import RIG_LEARNING_RATE, rig_networks
+from repro_companion.twins.rig_together import dropout, train_together, workspace
+from repro_companion.twins.rig_twins import nominal_twin, random_twin
 
 NETWORKS = find_project().data / "networks"
 

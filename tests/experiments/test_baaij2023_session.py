@@ -7,14 +7,14 @@ import pytest
 import torch
 
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.experiments.baaij2023.best import best, box, calibration, session, start
-from repro.experiments.baaij2023.session import Config, draw_session, released_moments
-from repro.experiments.baaij2023.table1_rows import ROWS
+from repro.kinematics.paper_robots import pcc_robot
+from repro.kinematics.trajectories import lemniscate
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
-from repro.simulation.robots import pcc_robot
-from repro.simulation.trajectories import lemniscate
+from repro_companion.twins.calibrated_robots import best, box, calibration, session, start
+from repro_companion.twins.calibration_session import Config, draw_session, released_moments
+from repro_companion.twins.table_1_rows import ROWS
 
 NOISE_MT = 3.55 / 5000
 """Noise of a real sensor: 3.55 mV (Baaij et al. 2023, section 5.2) at 5000 mV/mT [mT]."""

@@ -5,8 +5,8 @@ from functools import partial
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023.solvers import model_by_solver
-from repro.experiments.parallel import in_processes
+from repro_companion.book.parallel import in_processes
+from repro_companion.twins.table_1_solvers import model_by_solver
 
 
 def test_multipole_model_with_both_solvers(tmp_path):

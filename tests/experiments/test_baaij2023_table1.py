@@ -10,17 +10,17 @@ import torch
 from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
-from repro.experiments.baaij2023 import table1
-from repro.experiments.baaij2023.scorecard import SETTING, scorecard_rows, setting
-from repro.experiments.baaij2023.table1_rows import ROWS, groups, rows_named, simulate
-from repro.experiments.baaij2023.training import NetworkSpec
-from repro.report.project import find_project
-from repro.report.published import read_published
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.network import PerSensor, paper_network
 from repro.sensing.weights import save_weights
+from repro_companion.book.project import find_project
+from repro_companion.book.published import read_published
+from repro_companion.twins import table_1_method as table1
+from repro_companion.twins.networks import NetworkSpec
+from repro_companion.twins.table_1_rows import ROWS, groups, rows_named, simulate
+from repro_companion.twins.table_1_scorecard import SETTING, scorecard_rows, setting
 
 
 def untrained(n_segments, seeds):

@@ -14,18 +14,13 @@ from scipy.signal import lfilter
 from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.kalman_filter import IteratedKalmanFilter
-from repro.experiments.baaij2023 import rig_training, table2
-from repro.experiments.baaij2023.compiled_rig_filter import filter_bank
-from repro.experiments.baaij2023.rig_training import (
-    RigSpec,
-    rig_networks,
-    rig_specs,
-    train_rig,
-    trained_on,
-    training_part,
-)
-from repro.experiments.baaij2023.table2_data import load_recordings
-from repro.experiments.baaij2023.table2_figures import (
+from repro.sensing.ensemble import SeedEnsemble
+from repro.sensing.network import paper_network
+from repro.sensing.training import train_paper
+from repro_companion.book.project import find_project
+from repro_companion.book.published import read_published
+from repro_companion.pages.table_2.scorecard import OWN_NOTE, table_2_rows, table_2_setting
+from repro_companion.pages.table_2.tables import (
     beside,
     landscape,
     ours_errors,
@@ -35,19 +30,25 @@ from repro.experiments.baaij2023.table2_figures import (
     stills,
     trajectories_table,
 )
-from repro.experiments.baaij2023.table2_map import DEGREE, correlation_s, degrees, fit_map
-from repro.experiments.baaij2023.table2_ours import OursConfig, estimate_bend
-from repro.experiments.baaij2023.table2_scorecard import OWN_NOTE, table_2_rows, table_2_setting
-from repro.experiments.baaij2023.twin import record_twin
-from repro.recordings.baaij2023 import FOLDER, NAMES, Recording, raw_paths, split
-from repro.report.project import find_project
-from repro.report.published import read_published
-from repro.sensing.ensemble import SeedEnsemble
-from repro.sensing.network import paper_network
-from repro.sensing.training import train_paper
-from repro.simulation.pneumatic_rig import record_rig
-from repro.simulation.rig_files import write_recording
-from repro.simulation.rig_twins import nominal_twin, random_twin, second_twin
+from repro_companion.recordings.baaij2023 import FOLDER, NAMES, Recording, raw_paths, split
+from repro_companion.twins import rig_descent as table2
+from repro_companion.twins import rig_networks as rig_training
+from repro_companion.twins.compiled_rig_filter import filter_bank
+from repro_companion.twins.pneumatic_rig import record_rig
+from repro_companion.twins.rig_data import load_recordings
+from repro_companion.twins.rig_facts import record_twin
+from repro_companion.twins.rig_files import write_recording
+from repro_companion.twins.rig_filter import OursConfig, estimate_bend
+from repro_companion.twins.rig_map import DEGREE, correlation_s, degrees, fit_map
+from repro_companion.twins.rig_networks import (
+    RigSpec,
+    rig_networks,
+    rig_specs,
+    train_rig,
+    trained_on,
+    training_part,
+)
+from repro_companion.twins.rig_twins import nominal_twin, random_twin, second_twin
 
 SLOPES = np.array([[-5300.0, 900.0, -4300.0], [-3000.0, -2800.0, -1200.0]])
 LEVEL = np.array([1282.0, 1205.0, 1387.0])

@@ -4,9 +4,10 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.baaij2023.ambiguity import ambiguities
-from repro.experiments.baaij2023.best import box
-from repro.experiments.baaij2023.temporal import (
+from repro.kinematics.trajectories import TRAJECTORIES, trajectory
+from repro_companion.pages.temporal_filter.ambiguity import ambiguities
+from repro_companion.pages.temporal_filter.figures import gain_and_bands
+from repro_companion.pages.temporal_filter.filters import (
     SHARE,
     choices,
     errors,
@@ -15,8 +16,7 @@ from repro.experiments.baaij2023.temporal import (
     noisy_readings,
     over_time,
 )
-from repro.report.figures.temporal import gain_and_bands
-from repro.simulation.trajectories import TRAJECTORIES, trajectory
+from repro_companion.twins.calibrated_robots import box
 
 
 @pytest.mark.parametrize("n_segments", sorted(SHARE))

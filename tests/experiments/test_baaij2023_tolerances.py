@@ -10,7 +10,12 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.experiments.baaij2023.tolerances import (
+from repro.kinematics.paper_robots import pcc_robot
+from repro.sensing.linearised import LinearisedSensing
+from repro.sensing.magnetic import readings
+from repro.sensing.magnets import ring
+from repro.sensing.placement import Tolerances, parameter_names
+from repro_companion.pages.noise_and_tolerances.tolerances import (
     KINDS,
     allowed,
     placed_readings,
@@ -18,11 +23,6 @@ from repro.experiments.baaij2023.tolerances import (
     tolerance_errors,
     tolerance_means,
 )
-from repro.sensing.linearised import LinearisedSensing
-from repro.sensing.magnetic import readings
-from repro.sensing.magnets import ring
-from repro.sensing.placement import Tolerances, parameter_names
-from repro.simulation.robots import pcc_robot
 
 MOMENTS = torch.tensor(ring("released").multipoles(9))
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repro.experiments.baaij2023 import twin as experiment
-from repro.experiments.baaij2023.twin_elongations import elongations_table
-from repro.recordings.baaij2023 import Recording
-from repro.report.figures import rig as figures_rig
-from repro.simulation.rig_twins import nominal_twin
+from repro_companion.pages.digital_twin import figures as figures_rig
+from repro_companion.pages.digital_twin.elongations import elongations_table
+from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.twins import rig_facts as experiment
+from repro_companion.twins.rig_twins import nominal_twin
 
 
 @pytest.fixture(scope="module")

@@ -8,18 +8,14 @@ import pandas as pd
 import pytest
 import torch
 
-from repro import cli
-from repro.errors import InputError
-from repro.estimation.imu_models import pcc_extended
-from repro.estimation.imu_selection import selection
-from repro.experiments.benchmark import capabilities as measuring
-from repro.experiments.benchmark.capabilities import (
+from bench import capabilities as measuring
+from bench.capabilities import (
     chain_rows,
     generator_rows,
     imu_orientations,
     particle_rows,
 )
-from repro.experiments.benchmark.references import (
+from bench.references import (
     chain_by_equations,
     chain_vectorised,
     cosines_of,
@@ -27,9 +23,7 @@ from repro.experiments.benchmark.references import (
     objects_per_configuration,
     readings_by_equations,
 )
-from repro.experiments.benchmark.rows import COLUMNS, KINDS, Goal, rate, row
-from repro.experiments.benchmark.tables import arithmetic, missed, ratios, target_table, with_targets
-from repro.experiments.benchmark.trackers import (
+from bench.trackers import (
     Task,
     advance,
     against,
@@ -39,12 +33,18 @@ from repro.experiments.benchmark.trackers import (
     least_squares,
     multipole,
 )
+from repro.errors import InputError
+from repro.estimation.imu_models import pcc_extended
+from repro.estimation.imu_selection import selection
+from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import B444B, ring
 from repro.sensing.multipole import MultipoleField
 from repro.sensing.relations import relations
-from repro.simulation.bend_curves import bend_curve, bend_readings
-from repro.simulation.robots import pcc_robot
+from repro_companion import cli
+from repro_companion.pages.performance.rows import COLUMNS, KINDS, Goal, rate, row
+from repro_companion.pages.performance.tables import arithmetic, missed, ratios, target_table, with_targets
+from repro_companion.twins.bend_curves import bend_curve, bend_readings
 
 DATA = Path(__file__).parents[2] / "data"
 FIELD = MultipoleField.of(ring("released"))

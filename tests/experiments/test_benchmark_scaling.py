@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro.experiments.benchmark.rows import COLUMNS
-from repro.experiments.benchmark.scaling import Curve, curves, exponent_rows, scaling
-from repro.experiments.benchmark.tables import exponent, exponents
+from bench.scaling import Curve, curves, exponent_rows, scaling
+from repro_companion.pages.performance.rows import COLUMNS
+from repro_companion.pages.performance.tables import exponent, exponents
 
 DATA = Path(__file__).parents[2] / "data"
 

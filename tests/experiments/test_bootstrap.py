@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from repro.experiments.bootstrap import interval, ratio_interval, resampled
+from repro_companion.book.bootstrap import interval, ratio_interval, resampled
 
 
 def test_interval_of_a_mean_is_that_of_the_normal_law():

@@ -8,17 +8,16 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023.table2_map import BendMap, fit_map
-from repro.experiments.baaij2023.table2_ours import BendFilter, estimate_bend
-from repro.experiments.closed_loop.curvature_control import (
+from repro_companion.pages.closed_loop import figures
+from repro_companion.pages.closed_loop.curvature_control import (
     CurvatureController,
     Gains,
     InverseMap,
     fit_inverse,
 )
-from repro.experiments.closed_loop.experiment import Commanded, turned_torque
-from repro.experiments.closed_loop.identification import identify
-from repro.experiments.closed_loop.loop import (
+from repro_companion.pages.closed_loop.experiment import Commanded, turned_torque
+from repro_companion.pages.closed_loop.identification import identify
+from repro_companion.pages.closed_loop.loop import (
     CONTROLLERS,
     GRID,
     LATE,
@@ -32,15 +31,16 @@ from repro.experiments.closed_loop.loop import (
     run_loops,
     tune,
 )
-from repro.experiments.closed_loop.rig_loop import SESSIONS, SteppedRig, sessions
-from repro.experiments.closed_loop.tables import TARGET, loops_over_time, ratios
-from repro.recordings.baaij2023 import Recording
-from repro.report.figures import closed_loop as figures
-from repro.simulation.pneumatic_actuation import Chambers
-from repro.simulation.pneumatic_rig import record_rig
-from repro.simulation.rig_motion import rig_motion
-from repro.simulation.rig_twins import nominal_twin
-from repro.simulation.sensor_board import analogue_readings, converted
+from repro_companion.pages.closed_loop.rig_loop import SESSIONS, SteppedRig, sessions
+from repro_companion.pages.closed_loop.tables import TARGET, loops_over_time, ratios
+from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.twins.pneumatic_actuation import Chambers
+from repro_companion.twins.pneumatic_rig import record_rig
+from repro_companion.twins.rig_filter import BendFilter, estimate_bend
+from repro_companion.twins.rig_map import BendMap, fit_map
+from repro_companion.twins.rig_motion import rig_motion
+from repro_companion.twins.rig_twins import nominal_twin
+from repro_companion.twins.sensor_board import analogue_readings, converted
 
 TWIN = nominal_twin()
 PLAIN = Gains(0.5, 2.0, False)

@@ -9,9 +9,7 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023.table2_map import SCALE_MM, BendMap, monomials
-from repro.experiments.baaij2023.table2_ours import BendFilter, OursConfig
-from repro.experiments.closed_loop.estimators import (
+from repro_companion.pages.closed_loop.estimators import (
     beside,
     by_group,
     other_rigs,
@@ -19,7 +17,7 @@ from repro.experiments.closed_loop.estimators import (
     told,
     worst_by,
 )
-from repro.experiments.closed_loop.experiment import (
+from repro_companion.pages.closed_loop.experiment import (
     HELD_S,
     JUMPS_S,
     REACH,
@@ -29,13 +27,15 @@ from repro.experiments.closed_loop.experiment import (
     experiment_torque,
     turned_torque,
 )
-from repro.experiments.closed_loop.filter import CommandAlone, LoopFilter, ReadingsAlone
-from repro.experiments.closed_loop.identification import STATIC_DEGREE, Segment, identify
-from repro.experiments.closed_loop.loop import CONTROLLERS, ESTIMATORS, Run, learn, run_loops
-from repro.experiments.closed_loop.rig_loop import SESSIONS
-from repro.recordings.baaij2023 import Recording
-from repro.simulation.pneumatic_rig import record_rig
-from repro.simulation.rig_twins import nominal_twin
+from repro_companion.pages.closed_loop.filter import CommandAlone, LoopFilter, ReadingsAlone
+from repro_companion.pages.closed_loop.identification import STATIC_DEGREE, Segment, identify
+from repro_companion.pages.closed_loop.loop import CONTROLLERS, ESTIMATORS, Run, learn, run_loops
+from repro_companion.pages.closed_loop.rig_loop import SESSIONS
+from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.twins.pneumatic_rig import record_rig
+from repro_companion.twins.rig_filter import BendFilter, OursConfig
+from repro_companion.twins.rig_map import SCALE_MM, BendMap, monomials
+from repro_companion.twins.rig_twins import nominal_twin
 
 TWIN = nominal_twin()
 SLOPES = np.array([[-5.0, 1.0, -4.0], [-3.0, -3.0, 1.5]])  # mV/mm

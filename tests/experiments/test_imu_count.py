@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 from short_arm import short_arm
 
 from repro.errors import InputError
-from repro.estimation.imus_needed import imus_needed
 from repro.estimation.orientations import tangents
-from repro.experiments.martin2022.imu_count import (
+from repro_companion.pages.how_many_imus.curves import STEPS, arm_curves, random_curves
+from repro_companion.pages.how_many_imus.errors import (
     ARCS,
     BOUNDS,
     END,
@@ -24,7 +24,7 @@ from repro.experiments.martin2022.imu_count import (
     placed,
     rule,
 )
-from repro.experiments.martin2022.imu_curves import STEPS, arm_curves, random_curves
+from repro_companion.pages.how_many_imus.needed import imus_needed
 
 LIMITS = {"curvature": 8.0, "slope": 60.0}
 

@@ -8,7 +8,9 @@ import pytest
 from short_arm import DATA, short_arm
 
 from repro.errors import InputError
-from repro.experiments.martin2022.calibration import (
+from repro.sensing.inertial import PERFECT
+from repro_companion.book.studies import read_study
+from repro_companion.pages.imu_markers.calibration import (
     BASELINE,
     FIRST_S,
     MARKERS_MEAN,
@@ -16,11 +18,9 @@ from repro.experiments.martin2022.calibration import (
     over_sensors,
     ratios,
 )
-from repro.experiments.martin2022.draws import draw, drawn
-from repro.report.studies import read_study
-from repro.sensing.inertial import PERFECT
-from repro.simulation.arm_recording import MotionCapture
-from repro.simulation.stick_motion import SCHEDULE
+from repro_companion.twins.arm_draws import draw, drawn
+from repro_companion.twins.arm_recording import MotionCapture
+from repro_companion.twins.stick_motion import SCHEDULE
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,9 @@ from short_arm import short_arm
 from repro.errors import InputError
 from repro.estimation.imu_models import pcc_extended
 from repro.estimation.imu_selection import MARKERS, selection
-from repro.experiments.martin2022.draws import draw, drawn, errors_with
-from repro.experiments.martin2022.markers import (
+from repro.sensing.inertial import PERFECT, ImuErrors
+from repro_companion.twins.arm_draws import draw, drawn, errors_with
+from repro_companion.twins.arm_markers import (
     DESCRIBED,
     EVALUATIONS,
     FILES,
@@ -25,8 +26,7 @@ from repro.experiments.martin2022.markers import (
     mid_section,
     over_draws,
 )
-from repro.sensing.inertial import PERFECT, ImuErrors
-from repro.simulation.arm_recording import MotionCapture
+from repro_companion.twins.arm_recording import MotionCapture
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,10 @@ from short_arm import short_arm
 from repro.errors import InputError
 from repro.estimation.imu_chain import sensor_orientations
 from repro.estimation.orientations import tangents
-from repro.experiments.martin2022 import captured, recorded
-from repro.experiments.martin2022.draws import draw, drawn
-from repro.experiments.martin2022.imu_curves import frames_along
-from repro.experiments.martin2022.recorded import (
+from repro.sensing.inertial import PERFECT
+from repro_companion.pages.how_many_imus.curves import frames_along
+from repro_companion.pages.recorded_trial import captured, recorded
+from repro_companion.pages.recorded_trial.recorded import (
     bag_orientations,
     compare_files,
     fewer_imus,
@@ -26,7 +26,7 @@ from repro.experiments.martin2022.recorded import (
     rows_later,
     synthetic_outputs,
 )
-from repro.experiments.martin2022.released import (
+from repro_companion.pages.recorded_trial.released import (
     NEEDED,
     PCC_1,
     PCC_2,
@@ -38,9 +38,9 @@ from repro.experiments.martin2022.released import (
     released_chains,
     trial_orientations,
 )
-from repro.recordings import martin2022_capture
-from repro.recordings.martin2022_capture import MarkerCapture
-from repro.recordings.martin2022_outputs import (
+from repro_companion.recordings import martin2022_capture
+from repro_companion.recordings.martin2022_capture import MarkerCapture
+from repro_companion.recordings.martin2022_outputs import (
     MARKER_POINTS,
     ORIGIN_M,
     OUTPUT_FOLDER,
@@ -50,8 +50,8 @@ from repro.recordings.martin2022_outputs import (
     find_output,
     read_output,
 )
-from repro.sensing.inertial import PERFECT
-from repro.simulation.arm_recording import MotionCapture
+from repro_companion.twins.arm_draws import draw, drawn
+from repro_companion.twins.arm_recording import MotionCapture
 
 PUBLISHED = pd.read_csv(Path(__file__).parents[2] / "data" / "published" / "published.csv")
 
@@ -158,7 +158,7 @@ class TestComparison:
             made = replace(chains[PCC_2].made, **changed)
             other = ReleasedChain(made, chains[PCC_2].arcs)
             monkeypatch.setattr(
-                "repro.experiments.martin2022.released.released_chains", lambda c=other: {PCC_2: c}
+                "repro_companion.pages.recorded_trial.released.released_chains", lambda c=other: {PCC_2: c}
             )
             assert compared(PCC_2, outputs[PCC_2], nine)["median_um"] > at_least_um
 

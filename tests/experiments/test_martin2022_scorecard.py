@@ -5,11 +5,17 @@ import pandas as pd
 import pytest
 from short_arm import DATA
 
-from repro.experiments.martin2022.markers import EVALUATIONS, FILES, QUANTILES, cases
-from repro.experiments.martin2022.scorecard import CAPABILITY, SETTING, scorecard_rows, three_ways, time_rows
-from repro.report.published import read_published, row_key
-from repro.report.results import write_scorecard_rows
-from repro.report.verdict_table import verdict_table
+from repro_companion.book.published import read_published, row_key
+from repro_companion.book.results import write_scorecard_rows
+from repro_companion.book.verdict_table import verdict_table
+from repro_companion.pages.imu_markers.scorecard import (
+    CAPABILITY,
+    SETTING,
+    scorecard_rows,
+    three_ways,
+    time_rows,
+)
+from repro_companion.twins.arm_markers import EVALUATIONS, FILES, QUANTILES, cases
 
 PUBLISHED = DATA / "published" / "published.csv"
 

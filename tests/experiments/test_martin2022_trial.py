@@ -7,11 +7,11 @@ import pytest
 
 from repro.estimation.imu_models import tangent_spline
 from repro.estimation.imu_selection import selection
-from repro.experiments.martin2022.trial import synchronised
 from repro.sensing.inertial import PERFECT, ImuErrors
-from repro.simulation.arm_recording import MotionCapture, record_soft_arm
-from repro.simulation.soft_arm import load_soft_arm
-from repro.simulation.stick_motion import MODES
+from repro_companion.twins.arm_recording import MotionCapture, record_soft_arm
+from repro_companion.twins.arm_trial import synchronised
+from repro_companion.twins.soft_arm import load_soft_arm
+from repro_companion.twins.stick_motion import MODES
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from repro.errors import InputError
-from repro.experiments.martin2022.trial_orientations import (
+from repro_companion.pages.recorded_trial.orientations import (
     last_orientation,
     next_orientation,
     orientations_between,

@@ -9,14 +9,15 @@ import pytest
 import torch
 from scipy.stats import norm
 
-from repro.experiments.bootstrap import interval
-from repro.experiments.closed_loop import tables as loops
-from repro.experiments.closed_loop.loop import LoopTrace, judged_rms_mm, reference_mm, rms_mm
-from repro.experiments.mitchell2021 import bend_errors, segments_tables
-from repro.experiments.mitchell2021.takes import BendTake
-from repro.experiments.one_robot import fusion_readings
-from repro.experiments.one_robot.motion import TRAJECTORIES, motion
 from repro.sensing.placement import Tolerances
+from repro_companion.book.bootstrap import interval
+from repro_companion.pages.bend_tests import errors as bend_errors
+from repro_companion.pages.closed_loop import tables as loops
+from repro_companion.pages.closed_loop.loop import LoopTrace, judged_rms_mm, reference_mm, rms_mm
+from repro_companion.pages.filter_on_segments import tables as segments_tables
+from repro_companion.pages.fusion import readings as fusion_readings
+from repro_companion.twins.mitchell_takes import BendTake
+from repro_companion.twins.segment_motion import TRAJECTORIES, motion
 
 
 class TestLoops:

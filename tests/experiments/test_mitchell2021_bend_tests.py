@@ -10,9 +10,12 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.mitchell2021 import bend_errors as errors
-from repro.experiments.mitchell2021 import bend_statements as say
-from repro.experiments.mitchell2021.bend_tests import (
+from repro.kinematics.bend import bend_vector
+from repro.sensing.bend_sensor import BendSensor
+from repro.sensing.field_ratios import FieldRatios, file_axes
+from repro_companion.pages.bend_tests import errors
+from repro_companion.pages.bend_tests import statements as say
+from repro_companion.pages.bend_tests.filters import (
     IDENTITY,
     NONE,
     PAPER_SETTINGS,
@@ -23,7 +26,11 @@ from repro.experiments.mitchell2021.bend_tests import (
     ours,
     paper_filters,
 )
-from repro.experiments.mitchell2021.takes import (
+from repro_companion.recordings.mitchell2021 import takes as files_of_takes
+from repro_companion.recordings.mitchell2021_tables import read_calibration
+from repro_companion.twins.bend_curves import bend_readings
+from repro_companion.twins.bend_takes import BendRecorder, write_bend_takes
+from repro_companion.twins.mitchell_takes import (
     against_displacement,
     axial_field,
     bend_takes,
@@ -32,14 +39,7 @@ from repro.experiments.mitchell2021.takes import (
     log_states,
     recorded_or_synthetic,
 )
-from repro.kinematics.bend import bend_vector
-from repro.recordings.mitchell2021 import takes as files_of_takes
-from repro.recordings.mitchell2021_tables import read_calibration
-from repro.recordings.optitrack import read_capture
-from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.field_ratios import FieldRatios, file_axes
-from repro.simulation.bend_curves import bend_readings
-from repro.simulation.bend_takes import BendRecorder, write_bend_takes
+from repro_live.own.optitrack import read_capture
 
 SENSOR = BendSensor(13e-3)
 NO_READINGS = pd.DataFrame()

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.mitchell2021.light_bulb import (
+from repro_companion.pages.light_bulb.events import (
     FIRST,
     all_events,
     as_drawn,
@@ -17,7 +17,7 @@ from repro.experiments.mitchell2021.light_bulb import (
     light_tests,
     recorded_or_synthetic,
 )
-from repro.simulation.bend_takes import BendRecorder, write_light_tests
+from repro_companion.twins.bend_takes import BendRecorder, write_light_tests
 
 MODEL = as_drawn(13.0)
 

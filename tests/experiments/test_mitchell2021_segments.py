@@ -7,14 +7,13 @@ from scipy.stats import chi2
 
 from repro.errors import InputError
 from repro.estimation.base import Trajectory
-from repro.experiments.mitchell2021 import segments as experiment
-from repro.experiments.mitchell2021 import segments_tables as tables
-from repro.experiments.mitchell2021.segments import Course
-from repro.experiments.mitchell2021.segments_methods import FILTERS, METHODS, NOISE_MT, Tuned, run, tuning
-from repro.report.figures import segments as figures
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
+from repro_companion.pages.filter_on_segments import courses as experiment
+from repro_companion.pages.filter_on_segments import figures, tables
+from repro_companion.pages.filter_on_segments.courses import Course
+from repro_companion.pages.filter_on_segments.methods import FILTERS, METHODS, NOISE_MT, Tuned, run, tuning
 
 
 @pytest.fixture(scope="module")

@@ -9,16 +9,25 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.mitchell2021.bend_space import cloud, curves_table, field_map
-from repro.experiments.mitchell2021.laws import chosen, law_mm, law_table, memoryless, over_seeds
-from repro.experiments.mitchell2021.scorecard import (
+from repro_companion.book.project import find_project
+from repro_companion.book.published import read_published
+from repro_companion.pages.probabilistic_curvature.bend_space import cloud, curves_table, field_map
+from repro_companion.pages.probabilistic_curvature.laws import (
+    chosen,
+    law_mm,
+    law_table,
+    memoryless,
+    over_seeds,
+)
+from repro_companion.pages.probabilistic_curvature.scorecard import (
     CAPABILITY,
     SETTING,
     scorecard_rows,
     setting,
     update_rate_rows,
 )
-from repro.experiments.mitchell2021.simulation import (
+from repro_companion.pages.probabilistic_curvature.studies import STUDIES, setting_errors
+from repro_companion.twins.bend_simulation import (
     BEST,
     FITS,
     GAUSS_NEWTON,
@@ -29,9 +38,6 @@ from repro.experiments.mitchell2021.simulation import (
     follow,
     summary,
 )
-from repro.experiments.mitchell2021.study import particle_studies, setting_errors
-from repro.report.project import find_project
-from repro.report.published import read_published
 
 FEW = replace(PAPER, particles=100)
 
@@ -210,14 +216,14 @@ def test_update_rate_is_taken_from_the_benchmark(tmp_path):
 
 
 def test_studies_name_their_functions_and_settings():
-    names = [name for name, _, _ in particle_studies()]
+    names = [study.name for study in STUDIES]
     assert names == ["particle_settings", "particle_process_noise", "particle_sensor_noise", "particle_count"]
-    for _, compute, options in particle_studies():
-        smaller = options | {"steps": 3}
+    for study in STUDIES:
+        smaller = study.settings | {"steps": 3}
         for many in ("seeds", "particles", "process_noise_pi", "names"):
             if many in smaller:
                 smaller[many] = smaller[many][:1]
-        table = compute(**smaller)
+        table = study.compute(**smaller)
         assert table["rmse_mm"].gt(0).all()
     with pytest.raises(
         InputError, match="Input names of the particle study must be among as printed, .*; .* best"

@@ -11,18 +11,22 @@ from scipy.spatial.transform import Rotation
 
 from repro import se3
 from repro.errors import InputError
-from repro.experiments.one_robot import tables
-from repro.experiments.one_robot.errors import (
+from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M
+from repro.sensing.bend_sensor import BendSensor
+from repro.sensing.inertial import PERFECT
+from repro.sensing.magnetic import readings
+from repro_companion.pages.one_robot import tables
+from repro_companion.pages.one_robot.errors import (
     CONDITIONS,
     QUANTITIES,
     one_robot_errors,
     shape_alone,
     shape_errors,
 )
-from repro.experiments.one_robot.estimates import METHODS, by_hall, by_imus, by_magnets
-from repro.experiments.one_robot.models import as_drawn, calibrated, two_turns
-from repro.experiments.one_robot.motion import ROBOT, TRAJECTORIES, motion
-from repro.experiments.one_robot.robot import (
+from repro_companion.pages.one_robot.estimates import METHODS, by_hall, by_imus, by_magnets
+from repro_companion.pages.one_robot.models import as_drawn, calibrated, two_turns
+from repro_companion.twins.segment_motion import ROBOT, TRAJECTORIES, motion
+from repro_companion.twins.segment_robot import (
     APART_M,
     HALL_NOISE_MT,
     HALL_STEP_MT,
@@ -33,10 +37,6 @@ from repro.experiments.one_robot.robot import (
     draw_parts,
     simulate,
 )
-from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.inertial import PERFECT
-from repro.sensing.magnetic import readings
-from repro.simulation.robots import LENGTH_M, RADIUS_M
 
 ARC, AFFINE, LOADED = TRAJECTORIES
 STEPS = 40

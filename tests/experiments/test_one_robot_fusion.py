@@ -6,14 +6,14 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.one_robot.fusion import estimates
-from repro.experiments.one_robot.fusion_models import Imus, Magnets
-from repro.experiments.one_robot.fusion_readings import SETTINGS, record
-from repro.experiments.one_robot.fusion_tables import errors, gains, judged, summary
-from repro.experiments.one_robot.motion import ROBOT, TRAJECTORIES, motion
 from repro.kinematics.mounts import magnet_mounts
-from repro.sensing.orientation_readings import OrientationReadings
-from repro.simulation.robots import LENGTH_M
+from repro.kinematics.paper_robots import LENGTH_M
+from repro_companion.pages.fusion.filters import estimates
+from repro_companion.pages.fusion.models import Imus, Magnets
+from repro_companion.pages.fusion.orientation_readings import OrientationReadings
+from repro_companion.pages.fusion.readings import SETTINGS, record
+from repro_companion.pages.fusion.tables import errors, gains, judged, summary
+from repro_companion.twins.segment_motion import ROBOT, TRAJECTORIES, motion
 
 
 def states(n, seed=0):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from repro.compilation import compiled
-from repro.experiments.benchmark.arithmetic import limit_rate, operations
-from repro.experiments.benchmark.operation_count import counting
-from repro.experiments.benchmark.trackers import Task, advance, least_squares, multipole
+from bench.arithmetic import limit_rate, operations
+from bench.operation_count import counting
+from bench.trackers import Task, advance, least_squares, multipole
+from repro.kernels.compilation import compiled
 
 
 @compiled()
@@ -58,7 +58,7 @@ def test_a_failing_kernel_is_put_back():
 
 
 def test_a_tracker_finds_the_same_while_it_is_counted():
-    from repro.estimation import compiled_least_squares
+    from repro.kernels import least_squares as compiled_least_squares
 
     method, task = least_squares(1, "multipole", multipole(1)).method, Task(1, members=2, steps=1)
     expected, found = advance(method, task, 2, seeds=False), []

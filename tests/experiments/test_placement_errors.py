@@ -10,8 +10,10 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.placement.bounds import expected_errors
-from repro.experiments.placement.errors import (
+from repro.sensing.magnetic import readings
+from repro.sensing.magnets import ring
+from repro_companion.pages.sensor_placement.bounds import expected_errors
+from repro_companion.pages.sensor_placement.errors import (
     ROBOTS,
     bound_over_time,
     estimate,
@@ -19,8 +21,8 @@ from repro.experiments.placement.errors import (
     measured_errors,
     summary,
 )
-from repro.experiments.placement.layouts import layout_from_table
-from repro.experiments.placement.study import (
+from repro_companion.pages.sensor_placement.layouts import layout_from_table
+from repro_companion.pages.sensor_placement.study import (
     NOISE_ONLY,
     NOMINAL,
     OPTIMISED,
@@ -29,9 +31,7 @@ from repro.experiments.placement.study import (
     optimised_layouts,
     quarter_turn,
 )
-from repro.experiments.placement.tasks import affine_task, pcc_task
-from repro.sensing.magnetic import readings
-from repro.sensing.magnets import ring
+from repro_companion.pages.sensor_placement.tasks import affine_task, pcc_task
 
 STUDIES = Path(__file__).parents[2] / "data" / "studies"
 TASKS = {

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.placement.layouts import Room, layout_from_table, layout_of
 from repro.kinematics.mounts import Mounts
-from repro.simulation.robots import LENGTH_M, affine_robot, pcc_robot
+from repro.kinematics.paper_robots import LENGTH_M, affine_robot, pcc_robot
+from repro_companion.pages.sensor_placement.layouts import Room, layout_from_table, layout_of
 
 ROBOTS = {
     "one segment": pcc_robot(1),

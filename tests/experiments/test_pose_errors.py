@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from repro.experiments.pose_errors import pose_errors
-from repro.simulation.robots import pcc_robot
+from repro.kinematics.paper_robots import pcc_robot
+from repro_companion.book.pose_errors import pose_errors
 
 
 def test_pure_elongation_moves_the_tip_and_turns_nothing():

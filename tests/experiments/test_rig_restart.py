@@ -5,13 +5,13 @@ from functools import cache
 import numpy as np
 
 from repro.estimation.consistency import CONSISTENT, SUSPICIOUS, WINDOW
-from repro.experiments.baaij2023.table2 import PaperRun
-from repro.experiments.baaij2023.table2_data import RigData, load_recordings
-from repro.experiments.baaij2023.table2_doubt import doubt_table
-from repro.experiments.baaij2023.table2_map import fit_map
-from repro.experiments.baaij2023.table2_ours import LASTING, BendFilter, estimate_bend
-from repro.recordings.baaij2023 import Recording
-from repro.simulation.rig_twins import random_twin
+from repro_companion.pages.table_2.doubt import doubt_table
+from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.twins.rig_data import RigData, load_recordings
+from repro_companion.twins.rig_descent import PaperRun
+from repro_companion.twins.rig_filter import LASTING, BendFilter, estimate_bend
+from repro_companion.twins.rig_map import fit_map
+from repro_companion.twins.rig_twins import random_twin
 
 
 @cache

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023.noise import noise_bound
-from repro.experiments.sensor_count import against_three, sensor_count_errors
+from repro_companion.pages.noise_and_tolerances.noise import noise_bound
+from repro_companion.twins.sensor_count import against_three, sensor_count_errors
 
 STUDY = Path(__file__).parents[2] / "data" / "studies" / "sensor_sweep.csv"
 

@@ -8,20 +8,20 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.information import fisher_information
-from repro.experiments.placement.bounds import (
+from repro.sensing.linearised import LinearisedSensing
+from repro.sensing.placement import Tolerances
+from repro_companion.pages.sensor_placement.bounds import (
     NOISE_MT,
     expected_errors,
     guaranteed_error,
     mean_errors,
     ring_moments,
 )
-from repro.experiments.placement.errors import measured_errors
-from repro.experiments.placement.layouts import Layout, Room
-from repro.experiments.placement.sensor_placement import Settings, optimise, search
-from repro.experiments.placement.study import quarter_turn
-from repro.experiments.placement.tasks import affine_task, pcc_task
-from repro.sensing.linearised import LinearisedSensing
-from repro.sensing.placement import Tolerances
+from repro_companion.pages.sensor_placement.errors import measured_errors
+from repro_companion.pages.sensor_placement.layouts import Layout, Room
+from repro_companion.pages.sensor_placement.sensor_placement import Settings, optimise, search
+from repro_companion.pages.sensor_placement.study import quarter_turn
+from repro_companion.pages.sensor_placement.tasks import affine_task, pcc_task
 
 TASKS = {
     "one segment": pcc_task(1, shapes=5, steps=8),

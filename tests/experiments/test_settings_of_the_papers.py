@@ -12,14 +12,16 @@ import pytest
 import torch
 
 from repro.estimation.base import Trajectory
-from repro.experiments.baaij2023 import scorecard, table1, table2
-from repro.experiments.baaij2023.table1_rows import ROWS, rows_named, simulate
-from repro.experiments.mitchell2021 import simulation
-from repro.experiments.mitchell2021.bend_tests import PAPER_SETTINGS
-from repro.report.project import find_project
-from repro.report.published import read_published
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.magnetic import EARTH_MT
+from repro_companion.book.project import find_project
+from repro_companion.book.published import read_published
+from repro_companion.pages.bend_tests.filters import PAPER_SETTINGS
+from repro_companion.twins import bend_simulation as simulation
+from repro_companion.twins import rig_descent as table2
+from repro_companion.twins import table_1_method as table1
+from repro_companion.twins import table_1_scorecard as scorecard
+from repro_companion.twins.table_1_rows import ROWS, rows_named, simulate
 
 BY_NAME = {row.name: row for row in ROWS}
 

@@ -5,11 +5,11 @@ import math
 import pandas as pd
 import pytest
 
-from repro.experiments.baaij2023.scorecard import scorecard_rows
-from repro.experiments.baaij2023.table1_bias import bias_by_factor, bias_table
-from repro.report.scorecard import ScorecardRow
-from repro.report.verdict_table import VerdictTable
-from repro.report.verdicts import Verdict
+from repro_companion.book.scorecard import ScorecardRow
+from repro_companion.book.verdict_table import VerdictTable
+from repro_companion.book.verdicts import Verdict
+from repro_companion.pages.table_1.bias import bias_by_factor, bias_table
+from repro_companion.twins.table_1_scorecard import scorecard_rows
 
 
 def cell(row, quantity, printed, errors, unit="%"):

@@ -5,10 +5,10 @@ from functools import partial
 import pytest
 import torch
 
-from repro.experiments.baaij2023 import table1_factors
-from repro.experiments.baaij2023.table1_factors import NEW_ORDER, OTHER_DRAWS, factor_errors
-from repro.experiments.baaij2023.training import DATA_SEED, NetworkSpec, training_rows
 from repro.sensing.weights import load_paper_network
+from repro_companion.pages.table_1 import factors as table1_factors
+from repro_companion.pages.table_1.factors import NEW_ORDER, OTHER_DRAWS, factor_errors
+from repro_companion.twins.networks import DATA_SEED, NetworkSpec, training_rows
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro.experiments.baaij2023.table1_splits import RELEASED_MT, orders_table, parts_of_errors, splits_table
-from repro.experiments.baaij2023.training import NetworkSpec
+from repro_companion.pages.table_1.splits import RELEASED_MT, orders_table, parts_of_errors, splits_table
+from repro_companion.twins.networks import NetworkSpec
 
 
 def test_splits_by_seed(tmp_path):

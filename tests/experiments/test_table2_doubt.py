@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from repro.experiments.baaij2023.table2_doubt import decrease_of_chi2, doubted
-from repro.experiments.baaij2023.table2_map import BendMap
+from repro_companion.pages.table_2.doubt import decrease_of_chi2, doubted
+from repro_companion.twins.rig_map import BendMap
 
 RNG = np.random.default_rng(0)
 MAP = BendMap(

@@ -6,12 +6,12 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023.rig_training import rig_networks
-from repro.experiments.baaij2023.table2_data import load_recordings
-from repro.experiments.baaij2023.table2_rounding import RELATIVE, errors_by_start, rounding_table
-from repro.experiments.baaij2023.table2_scorecard import table_2_rows
-from repro.report.project import find_project
-from repro.simulation.rig_twins import nominal_twin
+from repro_companion.book.project import find_project
+from repro_companion.pages.table_2.rounding import RELATIVE, errors_by_start, rounding_table
+from repro_companion.pages.table_2.scorecard import table_2_rows
+from repro_companion.twins.rig_data import load_recordings
+from repro_companion.twins.rig_networks import rig_networks
+from repro_companion.twins.rig_twins import nominal_twin
 
 
 @cache

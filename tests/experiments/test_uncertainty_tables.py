@@ -9,16 +9,19 @@ import torch
 from scipy.stats import chi2, norm
 
 from repro.estimation.base import Trajectory
-from repro.experiments.baaij2023 import robustness, robustness_tables, temporal
-from repro.experiments.baaij2023.best import relative_error
-from repro.experiments.baaij2023.table2_map import fit_map
-from repro.experiments.baaij2023.table2_ours import OursConfig, estimate_bend
-from repro.experiments.mitchell2021 import segments_tables
-from repro.experiments.mitchell2021.segments import Course
-from repro.experiments.one_robot import fusion, fusion_tables
-from repro.experiments.one_robot.motion import ROBOT
-from repro.recordings.baaij2023 import Recording
-from repro.simulation.trajectories import lemniscate
+from repro.kinematics.trajectories import lemniscate
+from repro_companion.pages.filter_on_segments import tables as segments_tables
+from repro_companion.pages.filter_on_segments.courses import Course
+from repro_companion.pages.fusion import filters as fusion
+from repro_companion.pages.fusion import tables as fusion_tables
+from repro_companion.pages.robustness import tables as robustness_tables
+from repro_companion.pages.robustness import twins as robustness
+from repro_companion.pages.temporal_filter import filters as temporal
+from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.twins.calibrated_robots import relative_error
+from repro_companion.twins.rig_filter import OursConfig, estimate_bend
+from repro_companion.twins.rig_map import fit_map
+from repro_companion.twins.segment_motion import ROBOT
 
 
 def gaussian(covariance, n, seed=0):

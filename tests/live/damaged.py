@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from repro.live.wire.formats import encode, parser
-from repro.live.wire.frame import Frame
+from repro_live.wire.formats import encode, parser
+from repro_live.wire.frame import Frame
 
 TURN = (0.0625, -0.25, 0.5, (1 - 0.0625**2 - 0.25**2 - 0.5**2) ** 0.5)
 EXAMPLES = {

@@ -21,9 +21,9 @@ if __name__ == "__main__":
 else:  # pytest reads every file for its doctests
     instrumented = contextlib.nullcontext()
 with instrumented:
-    from repro.live.robot.robot_tables import FORMATS
-    from repro.live.wire.formats import encode, parser
-    from repro.live.wire.frame import Frame
+    from repro.robot_file.tables import FORMATS
+    from repro_live.wire.formats import encode, parser
+    from repro_live.wire.frame import Frame
 
 CHECKED = len(FORMATS)
 """The mode after the formats: frames with a right checksum."""

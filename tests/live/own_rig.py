@@ -10,12 +10,12 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from repro.kinematics.robot import Robot
-from repro.live.record.recording_file import RecordingFile
-from repro.live.robot.calibration_poses import coordinate_columns
-from repro.live.robot.robot_file import RobotFile, load_robot
-from repro.live.wire.frame import Frame
+from repro.robot_file.robot_file import RobotFile, load_robot
 from repro.sensing.magnetic import readings
 from repro.sensing.placement import Tolerances, placed
+from repro_live.record.recording_file import RecordingFile
+from repro_live.robot.calibration_poses import coordinate_columns
+from repro_live.wire.frame import Frame
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 

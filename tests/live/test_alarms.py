@@ -11,18 +11,24 @@ import pandas as pd
 import pytest
 
 from repro.estimation.consistency import WRONG
-from repro.live.emulate.links import HAS_PTY
-from repro.live.emulate.robot_readings import robot_readings
-from repro.live.emulate.sensor_faults import SensorFaults, with_sensor_faults
-from repro.live.follow import live_text
-from repro.live.follow.alarm_study import ALARMS, SCENARIOS, alarm_sums, alarm_table, alarm_trials
-from repro.live.follow.robot_estimator import robot_estimator
-from repro.live.follow.session import follow
-from repro.live.record.recording import read_recording
-from repro.live.robot.robot_file import load_robot
-from repro.live.wire.formats import encode
-from repro.live.wire.frame import Frame
-from repro.report.studies import read_study
+from repro.robot_file.robot_file import load_robot
+from repro_companion.book.studies import read_study
+from repro_companion.pages.sensor_failure.alarms import (
+    SCENARIOS,
+    alarm_sums,
+    alarm_table,
+    alarm_trials,
+)
+from repro_companion.pages.sensor_failure.studies import STUDIES
+from repro_live.emulate.links import HAS_PTY
+from repro_live.emulate.robot_readings import robot_readings
+from repro_live.emulate.sensor_faults import SensorFaults, with_sensor_faults
+from repro_live.follow import live_text
+from repro_live.follow.robot_estimator import robot_estimator
+from repro_live.follow.session import follow
+from repro_live.record.recording import read_recording
+from repro_live.wire.formats import encode
+from repro_live.wire.frame import Frame
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 TWO = load_robot(ROBOTS / "two_segments.toml")
@@ -80,8 +86,9 @@ def test_the_table_has_a_row_for_every_case(counts):
 
 
 def test_the_committed_table_belongs_to_the_settings_of_today():
-    table, settings = read_study(ALARMS.name)
-    assert settings == ALARMS.settings
+    (study,) = STUDIES
+    table, settings = read_study(study.name)
+    assert settings == study.settings
     cases = product(settings["rates_hz"], settings["estimators"], settings["scenarios"])
     assert list(table[["robot", "estimator", "scenario"]].itertuples(index=False, name=None)) == list(cases)
     assert (table["trials"] == settings["trials"]).all()

@@ -17,8 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from repro.errors import InputError
-from repro.live.wire.binary import KINDS, LONGEST_PACKET, RESIDUE, BinaryParser, encode_frame
-from repro.live.wire.frame import Counters, Frame, Parser
+from repro_live.wire.binary import KINDS, LONGEST_PACKET, RESIDUE, BinaryParser, encode_frame
+from repro_live.wire.frame import Counters, Frame, Parser
 
 BOOK = Path(__file__).parents[2] / "book"
 NUMBERS = st.integers(0, 2**32 - 1)
@@ -497,8 +497,8 @@ def test_garbage_shows_at_once():
 
 SPEED = """
 import time
-from repro.live.wire.binary import BinaryParser, encode_frame
-from repro.live.wire.frame import Frame
+from repro_live.wire.binary import BinaryParser, encode_frame
+from repro_live.wire.frame import Frame
 data = b"".join(encode_frame(Frame(0, i, 1000 * i, (i + 0.25, i + 0.5, i + 0.75))) for i in range(50_000))
 best = 0.0
 for _ in range(5):

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from repro.live.emulate.board import Reading, passages
-from repro.live.emulate.faults import Faults
-from repro.live.wire.formats import FORMATS, encode, parser
-from repro.live.wire.frame import Frame
+from repro_live.emulate.board import Reading, passages
+from repro_live.emulate.faults import Faults
+from repro_live.wire.formats import FORMATS, encode, parser
+from repro_live.wire.frame import Frame
 
 RATE_HZ = 100.0
 VALUES = {

@@ -20,26 +20,26 @@ from page_on_screen import NO_GPU, differing, pixels, wait_until
 
 from repro.errors import InputError
 from repro.estimation.consistency import Verdict
-from repro.live.follow.browser import MOST_CLIENTS, WAITING, BrowserView, message
-from repro.live.follow.follower import Follower
-from repro.live.follow.latency import STAGES, Latencies
-from repro.live.follow.live_state import LiveState
-from repro.live.follow.page_server import ASK_S, FILES, MOST_CONNECTIONS
-from repro.live.follow.robot_estimator import robot_estimator
-from repro.live.follow.time_steps import TimeStep
-from repro.live.record.recorder import Summary
-from repro.live.robot.robot_file import load_robot
-from repro.live.wire.frame import Frame
-from repro.report.robot_view import backbone_deviation
+from repro.robot_file.robot_file import load_robot
+from repro_live.follow.browser import MOST_CLIENTS, WAITING, BrowserView, message
+from repro_live.follow.follower import Follower
+from repro_live.follow.latency import STAGES, Latencies
+from repro_live.follow.live_state import LiveState
+from repro_live.follow.page_server import ASK_S, FILES, MOST_CONNECTIONS
+from repro_live.follow.robot_estimator import robot_estimator
+from repro_live.follow.time_steps import TimeStep
+from repro_live.record.recorder import Summary
+from repro_live.view.robot_view import backbone_deviation
+from repro_live.wire.frame import Frame
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 
 
 SERVER = f"""
 import time
-from repro.live.follow.browser import BrowserView
-from repro.live.follow.robot_estimator import robot_estimator
-from repro.live.robot.robot_file import load_robot
+from repro_live.follow.browser import BrowserView
+from repro_live.follow.robot_estimator import robot_estimator
+from repro.robot_file.robot_file import load_robot
 with BrowserView(robot_estimator(load_robot({str(ROBOTS / "bend_sensor.toml")!r}))) as server:
     print(server.port, flush=True)
     time.sleep(100)

@@ -17,15 +17,15 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.calibration import calibrate as calibrate_geometry
-from repro.live.record.recording import Recording, read_recording
-from repro.live.robot.calibrate import Priors, calibrate, pose_covariance, report
-from repro.live.robot.calibration_file import read_calibration, write_calibration
-from repro.live.robot.calibration_port import guide, port_frames
-from repro.live.robot.calibration_poses import read_poses, recorded_readings
-from repro.live.robot.robot_file import load_robot
-from repro.live.wire.formats import encode
-from repro.live.wire.frame import Frame
+from repro.robot_file.calibration_file import read_calibration, write_calibration
+from repro.robot_file.robot_file import load_robot
 from repro.sensing.placement import Tolerances, placed
+from repro_live.record.recording import Recording, read_recording
+from repro_live.robot.calibrate import Priors, calibrate, pose_covariance, report
+from repro_live.robot.calibration_port import guide, port_frames
+from repro_live.robot.calibration_poses import read_poses, recorded_readings
+from repro_live.wire.formats import encode
+from repro_live.wire.frame import Frame
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 ROBOT = load_robot(ROBOTS / "one_segment.toml")
@@ -358,7 +358,7 @@ def table(tmp_path, q, times=None, name="poses.csv"):
 
 def recorded(tmp_path, truth, q, hold_s=1.0):
     """Recording of a board that holds every pose for a while; the file is written as a recorder writes it."""
-    from repro.live.record.recording_file import RecordingFile
+    from repro_live.record.recording_file import RecordingFile
 
     path = tmp_path / "held.rec"
     start = {"format": "frames", "start_unix_s": 0.0, "start_host_ns": 0}
@@ -495,7 +495,9 @@ def test_a_person_at_a_port(tmp_path, bench):
     """The command in a process of its own, asked and answered through pipes, at a real pseudo-terminal."""
     q = random_poses(ROBOT, 10)
     output = tmp_path / "calibration.json"
-    program = "import sys; from cyclopts import App; from repro.cli_robot import calibrate; app = App(); "
+    program = (
+        "import sys; from cyclopts import App; from repro_companion.cli_robot import calibrate; app = App(); "
+    )
     program += "app.command(calibrate); sys.exit(app(sys.argv[1:], result_action='return_value'))"
     options = ["--robot", ROBOTS / "one_segment.toml", "--poses", table(tmp_path, q), "-o", output]
     options += ["--pose-noise-mm", "0.01"]

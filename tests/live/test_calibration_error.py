@@ -11,13 +11,13 @@ import torch
 from scipy.stats import chi2
 
 from repro.errors import InputError
+from repro.kernels.placement import PlacementSlopes
 from repro.kinematics.motion import backbone_motion
 from repro.kinematics.mounts import magnet_mounts
-from repro.live.follow.robot_estimator import robot_estimator
-from repro.live.robot.calibrate import Priors, calibrate, pose_covariance
-from repro.live.robot.robot_file import load_robot
-from repro.sensing.compiled_placement import PlacementSlopes
+from repro.robot_file.robot_file import load_robot
 from repro.sensing.placement import PlacedReadings, Tolerances, placed
+from repro_live.follow.robot_estimator import robot_estimator
+from repro_live.robot.calibrate import Priors, calibrate, pose_covariance
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 NETWORKS = ROBOTS.parent / "networks"

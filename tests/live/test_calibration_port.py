@@ -14,18 +14,18 @@ import torch
 from test_calibrate import ROBOT, ROBOTS, Bench, built, noisy, random_poses, table
 
 from repro.errors import InputError
-from repro.live.record.ports import close_port, open_port
-from repro.live.robot.calibrate import calibrate, check_plausible, pose_covariance
-from repro.live.robot.calibration_port import guide, port_frames
-from repro.live.robot.calibration_poses import (
+from repro_live.record.ports import close_port, open_port
+from repro_live.robot.calibrate import calibrate, check_plausible, pose_covariance
+from repro_live.robot.calibration_port import guide, port_frames
+from repro_live.robot.calibration_poses import (
     coordinate_columns,
     pose_readings,
     read_kept_readings,
     read_poses,
 )
-from repro.live.robot.kept_readings import KeptReadings, is_kept, part_of
-from repro.live.wire.formats import encode
-from repro.live.wire.frame import Frame
+from repro_live.robot.kept_readings import KeptReadings, is_kept, part_of
+from repro_live.wire.formats import encode
+from repro_live.wire.frame import Frame
 
 COORDINATES = tuple(coordinate_columns(ROBOT))
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
@@ -318,7 +318,7 @@ def test_the_command_refuses_nonsense_and_takes_the_kept_readings_again(tmp_path
         command = [
             sys.executable,
             "-m",
-            "repro.cli",
+            "repro_companion.cli",
             "calibrate",
             path,
             "--robot",

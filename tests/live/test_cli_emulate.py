@@ -10,16 +10,16 @@ from pathlib import Path
 import pytest
 from cyclopts import App
 
-from repro.cli_live import emulate
 from repro.errors import InputError
-from repro.live.emulate.links import HAS_PTY
-from repro.live.record.ports import close_port, open_port, read_available
+from repro_companion.cli_live import emulate
+from repro_live.emulate.links import HAS_PTY
+from repro_live.record.ports import close_port, open_port, read_available
 
 ONE = str(Path(__file__).parents[2] / "data" / "robots" / "one_segment.toml")
 PROGRAM = """
 import sys
 from cyclopts import App
-from repro.cli_live import emulate
+from repro_companion.cli_live import emulate
 app = App()
 app.command(emulate)
 sys.exit(app(["emulate", *sys.argv[1:]], result_action="return_value"))

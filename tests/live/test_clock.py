@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.live.record.clock import MOST_CORNERS, WRAP_US, DeviceClock
+from repro_live.record.clock import MOST_CORNERS, WRAP_US, DeviceClock
 
 START_NS = 5_000_000_000_000
 

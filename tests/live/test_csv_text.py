@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from repro.errors import InputError
-from repro.live.wire.csv_fields import read_header, read_line
-from repro.live.wire.csv_text import AGREEING, LONGEST_LINE, MOST_HELD, CsvParser, check_units
-from repro.live.wire.formats import encode
-from repro.live.wire.frame import Counters, Frame
+from repro_live.wire.csv_fields import read_header, read_line
+from repro_live.wire.csv_text import AGREEING, LONGEST_LINE, MOST_HELD, CsvParser, check_units
+from repro_live.wire.formats import encode
+from repro_live.wire.frame import Counters, Frame
 
 
 def read(*lines: str, channels=None, first=""):

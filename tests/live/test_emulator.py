@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.live.emulate.board import Reading, passages
-from repro.live.emulate.emulator import Emulator
-from repro.live.emulate.faults import Faults
-from repro.live.emulate.links import HAS_PTY, PtyLink, SocketLink
-from repro.live.record.ports import close_port, open_port, read_available
-from repro.live.wire.formats import parser
+from repro_live.emulate.board import Reading, passages
+from repro_live.emulate.emulator import Emulator
+from repro_live.emulate.faults import Faults
+from repro_live.emulate.links import HAS_PTY, PtyLink, SocketLink
+from repro_live.record.ports import close_port, open_port, read_available
+from repro_live.wire.formats import parser
 
 LINKS = [SocketLink, *([PtyLink] if HAS_PTY else [])]
 needs_pty = pytest.mark.skipif(not HAS_PTY, reason="no pseudo-terminals on this system")

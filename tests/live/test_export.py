@@ -12,10 +12,10 @@ import pytest
 from test_recorder import COMMANDS
 
 from repro.errors import InputError
-from repro.live.record.export import export
-from repro.live.record.recording import read_recording
-from repro.live.record.recording_file import RecordingFile, write_sidecar
-from repro.live.wire.frame import Frame
+from repro_live.record.export import export
+from repro_live.record.recording import read_recording
+from repro_live.record.recording_file import RecordingFile, write_sidecar
+from repro_live.wire.frame import Frame
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 HEAD = {"start_unix_s": 1_700_000_000.25, "start_host_ns": 5 * 10**9}

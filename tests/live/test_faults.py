@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from repro.errors import InputError
-from repro.live.emulate.faults import Faults, damage, faults_named
+from repro_live.emulate.faults import Faults, damage, faults_named
 
 PACKETS = [bytes([0, *range(1, 20), 0])] * 50_000
 BYTES = sum(map(len, PACKETS))

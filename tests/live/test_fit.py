@@ -17,22 +17,22 @@ from own_rig import ROBOTS, Rig, write
 from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
-from repro.live.follow.readings_file import read_readings
-from repro.live.own import models
-from repro.live.own.align import find_clock_lag
-from repro.live.own.fit import fit
-from repro.live.own.judge import Tracked, Truth, errors, tip_positions
-from repro.live.own.poses import read_measured_poses
-from repro.live.own.readings import TimedReadings, timed_readings
-from repro.live.own.results import write_results
-from repro.live.robot.robot_file import RobotFile, load_robot
+from repro.robot_file.robot_file import RobotFile, load_robot
+from repro_live.follow.readings_file import read_readings
+from repro_live.own import models
+from repro_live.own.align import find_clock_lag
+from repro_live.own.fit import fit
+from repro_live.own.judge import Tracked, Truth, errors, tip_positions
+from repro_live.own.poses import read_measured_poses
+from repro_live.own.readings import TimedReadings, timed_readings
+from repro_live.own.results import write_results
 
 LAG_S = 0.37
 NOISE = {"noise_m": 1e-4, "noise_rad": 0.01}
 
 
 def command(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    full = [sys.executable, "-m", "repro.cli", "fit", *map(str, arguments)]
+    full = [sys.executable, "-m", "repro_companion.cli", "fit", *map(str, arguments)]
     return subprocess.run(full, cwd=folder, capture_output=True, text=True, check=False, timeout=500)
 
 
@@ -425,7 +425,7 @@ def test_nothing_is_left_when_writing_fails(rig, files, tmp_path, monkeypatch):
     def full(*_: object, **__: object) -> None:
         raise OSError("No space left on device")
 
-    monkeypatch.setattr("repro.live.own.results.write_calibration", full)
+    monkeypatch.setattr("repro_live.own.results.write_calibration", full)
     with pytest.raises(OSError, match="No space"):
         write_results(tmp_path / "found", found, poses)
     assert os.listdir(tmp_path) == []

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 
 from repro.errors import InputError
 from repro.estimation.orientations import UNIT_TOLERANCE
-from repro.live.robot.robot_tables import FORMATS, MOST_VALUES
-from repro.live.wire.binary import KINDS
-from repro.live.wire.formats import encode, parser
-from repro.live.wire.frame import Counters, Parser
-from repro.live.wire.text import HALL, NORM_TOLERANCE
+from repro.robot_file.tables import FORMATS, MOST_VALUES
+from repro_live.wire.binary import KINDS
+from repro_live.wire.formats import encode, parser
+from repro_live.wire.frame import Counters, Parser
+from repro_live.wire.text import HALL, NORM_TOLERANCE
 
 
 @pytest.mark.parametrize("format", FORMATS)

@@ -10,29 +10,29 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
+from repro.kernels.sensing import CompiledSensing
 from repro.kinematics.mounts import magnet_mounts
-from repro.live.emulate.board import Reading, passages
-from repro.live.emulate.emulator import Emulator
-from repro.live.emulate.links import SocketLink
-from repro.live.follow import live_text, session
-from repro.live.follow.follower import Follower
-from repro.live.follow.imu_streams import redundant
-from repro.live.follow.offline import track_readings
-from repro.live.follow.readings_file import read_readings
-from repro.live.follow.robot_estimator import robot_estimator
-from repro.live.follow.time_steps import TimeStep, TimeSteps
-from repro.live.own.fit import fit
-from repro.live.own.poses import read_measured_poses
-from repro.live.own.readings import timed_readings
-from repro.live.record.export import export
-from repro.live.record.recording import read_recording
-from repro.live.record.recording_file import RecordingFile
-from repro.live.robot.calibration_poses import Poses, coordinate_columns, recorded_readings
-from repro.live.robot.imu_readings import sent as sent_by
-from repro.live.robot.robot_file import load_robot
-from repro.live.wire.frame import Frame
-from repro.sensing.compiled_sensing import CompiledSensing
+from repro.robot_file.imu_readings import sent as sent_by
+from repro.robot_file.robot_file import load_robot
 from repro.sensing.magnetic import readings
+from repro_live.emulate.board import Reading, passages
+from repro_live.emulate.emulator import Emulator
+from repro_live.emulate.links import SocketLink
+from repro_live.follow import live_text, session
+from repro_live.follow.follower import Follower
+from repro_live.follow.imu_streams import redundant
+from repro_live.follow.offline import track_readings
+from repro_live.follow.readings_file import read_readings
+from repro_live.follow.robot_estimator import robot_estimator
+from repro_live.follow.time_steps import TimeStep, TimeSteps
+from repro_live.own.fit import fit
+from repro_live.own.poses import read_measured_poses
+from repro_live.own.readings import timed_readings
+from repro_live.record.export import export
+from repro_live.record.recording import read_recording
+from repro_live.record.recording_file import RecordingFile
+from repro_live.robot.calibration_poses import Poses, coordinate_columns, recorded_readings
+from repro_live.wire.frame import Frame
 
 NOISE_RAD = math.radians(0.3)
 MOUNTED = Rotation.from_rotvec([[0.3, -1.2, 2.0], [2.0, 0.1, -0.4]])

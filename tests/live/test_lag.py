@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.live.own.lag import Correlations, Samples, check_peak, correlations, refined
+from repro_live.own.lag import Correlations, Samples, check_peak, correlations, refined
 
 RATE_HZ = 50.0
 

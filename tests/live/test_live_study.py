@@ -8,11 +8,11 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.live.follow import session
-from repro.live.follow.live_study import failure_summary, failures, live_run
-from repro.live.follow.played import played, with_sensors
-from repro.live.robot.robot_file import load_robot
-from repro.report.figures import live as figures
+from repro.robot_file.robot_file import load_robot
+from repro_companion.pages.live import figures
+from repro_companion.pages.live.study import failure_summary, failures, live_run
+from repro_companion.twins.played import played, with_sensors
+from repro_live.follow import session
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 

@@ -16,19 +16,19 @@ from pathlib import Path
 import pytest
 from pty_board import Board
 
-from repro import cli_robot
 from repro.errors import InputError
 from repro.estimation.consistency import Verdict
-from repro.live.emulate.links import HAS_PTY
-from repro.live.follow import live_text, session
-from repro.live.follow.live_state import LiveState, trusted
-from repro.live.follow.robot_estimator import RobotEstimator, robot_estimator
-from repro.live.follow.session import follow
-from repro.live.follow.verdict_words import CAUSES
-from repro.live.record.recording import read_recording
-from repro.live.robot.robot_file import load_robot
-from repro.live.wire.formats import encode
-from repro.live.wire.frame import Frame
+from repro.robot_file.robot_file import load_robot
+from repro_companion import cli_robot
+from repro_live.emulate.links import HAS_PTY
+from repro_live.follow import live_text, session
+from repro_live.follow.live_state import LiveState, trusted
+from repro_live.follow.robot_estimator import RobotEstimator, robot_estimator
+from repro_live.follow.session import follow
+from repro_live.follow.verdict_words import CAUSES
+from repro_live.record.recording import read_recording
+from repro_live.wire.formats import encode
+from repro_live.wire.frame import Frame
 
 ONE_SEGMENT = Path(__file__).parents[2] / "data" / "robots" / "one_segment.toml"
 
@@ -332,7 +332,7 @@ def test_on_a_narrow_terminal_everything_can_be_read(board, estimator, monkeypat
 
 
 def command(*arguments: object) -> list[str]:
-    return [sys.executable, "-m", "repro.cli", *map(str, arguments)]
+    return [sys.executable, "-m", "repro_companion.cli", *map(str, arguments)]
 
 
 def on_a_terminal(arguments: list[str]) -> tuple[subprocess.Popen, int, list[bytes]]:

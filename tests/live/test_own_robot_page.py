@@ -20,10 +20,10 @@ import pandas as pd
 import pytest
 from own_rig import Rig
 
-from repro.live.emulate.links import HAS_PTY
-from repro.live.emulate.robot_readings import robot_readings
-from repro.live.record.recording import read_recording
-from repro.live.robot.robot_file import load_robot
+from repro.robot_file.robot_file import load_robot
+from repro_live.emulate.links import HAS_PTY
+from repro_live.emulate.robot_readings import robot_readings
+from repro_live.record.recording import read_recording
 
 PROJECT = Path(__file__).parents[2]
 COMMANDS = [
@@ -49,7 +49,7 @@ class Terminal:
         assert program == "repro"
         self._master, slave = os.openpty()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "repro.cli", *rest],
+            [sys.executable, "-m", "repro_companion.cli", *rest],
             cwd=folder,
             stdin=slave,
             stdout=slave,

@@ -12,7 +12,7 @@ import time
 import pytest
 
 from repro.errors import InputError
-from repro.live.record.ports import close_port, listing, open_port, ports, read_available
+from repro_live.record.ports import close_port, listing, open_port, ports, read_available
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
 
@@ -106,7 +106,7 @@ def test_no_permission_says_which_group_to_join(terminal, gid):
     group = grp.getgrgid(os.stat(name).st_gid).gr_name
     script = """
 import grp, os, sys  # grp while it can be read
-from repro.live.record.ports import open_port
+from repro_live.record.ports import open_port
 if os.geteuid() == 0:
     os.setgroups([]); os.setgid(65534); os.setuid(65534)
 try:

@@ -14,16 +14,16 @@ import pytest
 from test_recorder import COMMANDS, Recorder, coded, frames, recorded
 
 from repro.errors import InputError
-from repro.live.emulate.board import passages
-from repro.live.emulate.takes import open_take
-from repro.live.follow.played import played
-from repro.live.follow.robot_estimator import robot_estimator
-from repro.live.follow.session import follow
-from repro.live.record.recording import read_recording
-from repro.live.record.recording_file import sidecar_path
-from repro.live.record.suspect import Suspect
-from repro.live.robot.calibration_poses import Poses, recorded_readings
-from repro.live.wire.csv_text import CsvParser
+from repro_companion.twins.played import played
+from repro_companion.twins.takes import open_take
+from repro_live.emulate.board import passages
+from repro_live.follow.robot_estimator import robot_estimator
+from repro_live.follow.session import follow
+from repro_live.record.recording import read_recording
+from repro_live.record.recording_file import sidecar_path
+from repro_live.record.suspect import Suspect
+from repro_live.robot.calibration_poses import Poses, recorded_readings
+from repro_live.wire.csv_text import CsvParser
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals")
 
@@ -102,7 +102,7 @@ def test_a_sketch_is_followed_live_and_played_again(board, tmp_path, one_segment
 def one_segment(tmp_path):
     from pathlib import Path
 
-    from repro.live.robot.robot_file import load_robot
+    from repro.robot_file.robot_file import load_robot
 
     text = (Path(__file__).parents[2] / "data" / "robots" / "one_segment.toml").read_text()
     (tmp_path / "robot.toml").write_text(text.replace('format = "frames"', 'format = "csv"'))

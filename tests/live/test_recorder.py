@@ -17,21 +17,21 @@ import pytest
 from pty_board import Board
 
 from repro.errors import InputError
-from repro.live.record.export import export
-from repro.live.record.recorder import record
-from repro.live.record.recording import Recording, read_recording
-from repro.live.record.recording_file import sidecar_path
-from repro.live.wire.formats import encode
-from repro.live.wire.frame import Frame
-from repro.recordings.baaij2023 import read_readings as read_rig
-from repro.recordings.martin2022 import read_readings as read_imus
-from repro.recordings.mitchell2021 import read_hall
+from repro_companion.recordings.baaij2023 import read_readings as read_rig
+from repro_companion.recordings.martin2022 import read_readings as read_imus
+from repro_companion.recordings.mitchell2021 import read_hall
+from repro_live.record.export import export
+from repro_live.record.recorder import record
+from repro_live.record.recording import Recording, read_recording
+from repro_live.record.recording_file import sidecar_path
+from repro_live.wire.formats import encode
+from repro_live.wire.frame import Frame
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
 COMMANDS = """
 import sys
 from cyclopts import App
-from repro.cli_live import export, record
+from repro_companion.cli_live import export, record
 from repro.errors import InputError
 app = App(); app.command(record); app.command(export)
 try:

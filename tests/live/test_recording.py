@@ -17,17 +17,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from repro.errors import InputError
-from repro.live.record.export import export
-from repro.live.record.kill_soak import kill_soak
-from repro.live.record.recording import channel_names, read_recording
-from repro.live.record.recording_file import (
+from repro_live.record.export import export
+from repro_live.record.recording import channel_names, read_recording
+from repro_live.record.recording_file import (
     MOST_FRAMES,
     RecordingFile,
     WriteFailed,
     sidecar_path,
     write_sidecar,
 )
-from repro.live.wire.frame import Frame
+from repro_live.wire.frame import Frame
+from soak.kills import kill_soak
 
 HEAD = {"format": "frames", "start_host_ns": 1000, "start_unix_s": 1.7e9}
 numbers_32 = st.none() | st.integers(0, 2**32 - 1)
@@ -199,8 +199,8 @@ RACE = """
 import sys, time
 from pathlib import Path
 from repro.errors import InputError
-from repro.live.wire.frame import Frame
-from repro.live.record.recording_file import RecordingFile
+from repro_live.wire.frame import Frame
+from repro_live.record.recording_file import RecordingFile
 folder, number = Path(sys.argv[1]), int(sys.argv[2])
 (folder / f"ready-{number}").touch()
 while not (start := folder / "start").exists():
@@ -442,8 +442,8 @@ def test_another_file_is_refused(tmp_path):
 FILL = """
 import resource, sys
 from pathlib import Path
-from repro.live.wire.frame import Frame
-from repro.live.record.recording_file import RecordingFile, WriteFailed
+from repro_live.wire.frame import Frame
+from repro_live.record.recording_file import RecordingFile, WriteFailed
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
 try:
     with RecordingFile(Path(sys.argv[1]), {"format": "frames", "start_host_ns": 0}) as file:

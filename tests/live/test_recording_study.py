@@ -6,13 +6,13 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from repro.live.emulate.board import passages
-from repro.live.emulate.faults import Faults
-from repro.live.emulate.links import HAS_PTY
-from repro.live.emulate.recorded_run import matched, play_and_record
-from repro.live.emulate.recording_study import CASES, TOGETHER, formats_table, trace_tables
-from repro.live.emulate.takes import open_take
-from repro.live.wire.frame import Frame
+from repro_companion.pages.recording.study import CASES, TOGETHER, formats_table, trace_tables
+from repro_companion.twins.recorded_run import matched, play_and_record
+from repro_companion.twins.takes import open_take
+from repro_live.emulate.board import passages
+from repro_live.emulate.faults import Faults
+from repro_live.emulate.links import HAS_PTY
+from repro_live.wire.frame import Frame
 
 READINGS = 1500
 OFTEN = {"disconnects": 4e-3, "reboots": 4e-3}

@@ -8,9 +8,10 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.live.emulate.board import Reading, passages
-from repro.live.emulate.faults import Faults
-from repro.live.emulate.hold_poses import (
+from repro.robot_file.robot_file import load_robot
+from repro_live.emulate.board import Reading, passages
+from repro_live.emulate.faults import Faults
+from repro_live.emulate.hold_poses import (
     LEAST_POSES,
     MOVE_S,
     held_by_hand,
@@ -19,13 +20,12 @@ from repro.live.emulate.hold_poses import (
     spread_poses,
     write_poses,
 )
-from repro.live.emulate.robot_board import carried, moving, open_board, robot_board
-from repro.live.emulate.robot_readings import course, robot_readings
-from repro.live.emulate.sensor_faults import SensorFaults
-from repro.live.robot.calibrate import calibrate, pose_covariance
-from repro.live.robot.calibration_poses import read_poses
-from repro.live.robot.robot_file import load_robot
-from repro.live.wire.formats import parser
+from repro_live.emulate.robot_board import carried, moving, open_board, robot_board
+from repro_live.emulate.robot_readings import course, robot_readings
+from repro_live.emulate.sensor_faults import SensorFaults
+from repro_live.robot.calibrate import calibrate, pose_covariance
+from repro_live.robot.calibration_poses import read_poses
+from repro_live.wire.formats import parser
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 NETWORKS = ROBOTS.parent / "networks"

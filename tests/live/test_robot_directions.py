@@ -9,14 +9,14 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
+from repro.kernels.sensing import CompiledSensing
 from repro.kinematics.mounts import directed_sensors, magnet_mounts, sensor_mounts
-from repro.live.robot.calibrate import calibrate, pose_covariance
-from repro.live.robot.calibration_file import write_calibration
-from repro.live.robot.robot_file import load_robot
-from repro.sensing.compiled_sensing import CompiledSensing
+from repro.robot_file.calibration_file import write_calibration
+from repro.robot_file.robot_file import load_robot
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.placement import PlacedReadings, parameter_names, placed
+from repro_live.robot.calibrate import calibrate, pose_covariance
 
 RING = 'kind = "ring"\nouter_diameter_mm = {}\ninner_diameter_mm = 3\nheight_mm = 4\npolarisation_mt = {}\n'
 AXES = ([1, 0, 0], [0, -2, 0], [0.5, 0, 0.5])

@@ -14,25 +14,25 @@ from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.imu_chain import TABLE_I_LINK_LENGTHS
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.experiments.baaij2023.best import box
 from repro.kernels import compiled
 from repro.kinematics.mounts import magnet_mounts
+from repro.kinematics.paper_robots import affine_robot, pcc_robot
 from repro.kinematics.robot import Robot
-from repro.live.emulate.takes import open_take
-from repro.live.robot.magnet_moments import cube_moments, moments_of
-from repro.live.robot.robot_file import load_robot
-from repro.live.robot.robot_tables import MAGNET_KINDS, SEGMENT_KINDS
-from repro.live.robot.toml_lines import key_lines
-from repro.live.wire.formats import FORMATS
+from repro.kinematics.trajectories import lemniscate
+from repro.robot_file.magnet_moments import cube_moments, moments_of
+from repro.robot_file.robot_file import load_robot
+from repro.robot_file.tables import MAGNET_KINDS, SEGMENT_KINDS
+from repro.robot_file.toml_lines import key_lines
 from repro.sensing.field_ratios import file_axes
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import B444B, Cube, ring
 from repro.sensing.multipole import multipole_factors
 from repro.sensing.weights import read_manifest
-from repro.simulation.bend_curves import bend_curve, bend_readings
-from repro.simulation.robots import affine_robot, pcc_robot
-from repro.simulation.trajectories import lemniscate
+from repro_companion.twins.bend_curves import bend_curve, bend_readings
+from repro_companion.twins.calibrated_robots import box
+from repro_companion.twins.takes import open_take
+from repro_live.wire.formats import FORMATS
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 NETWORKS = ROBOTS.parent / "networks"

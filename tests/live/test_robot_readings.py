@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian
-from repro.live.emulate.robot_readings import (
+from repro.robot_file.robot_file import load_robot
+from repro.robot_file.tables import IMU_NOISE_RAD
+from repro_live.emulate.robot_readings import (
     REACH,
     SPEED,
     course,
@@ -18,10 +20,8 @@ from repro.live.emulate.robot_readings import (
     robot_readings,
     true_robot,
 )
-from repro.live.follow.robot_estimator import robot_estimator
-from repro.live.robot.calibrate import Priors
-from repro.live.robot.robot_file import load_robot
-from repro.live.robot.robot_tables import IMU_NOISE_RAD
+from repro_live.follow.robot_estimator import robot_estimator
+from repro_live.robot.calibrate import Priors
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 NAMES = ("one_segment", "two_segments", "three_segments", "bend_sensor", "imu_arm")

@@ -7,15 +7,15 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.live.emulate.robot_readings import readings_along, robot_readings
-from repro.live.emulate.sensor_faults import (
+from repro.robot_file.robot_file import load_robot
+from repro.robot_file.tables import IMU_NOISE_RAD
+from repro_live.emulate.robot_readings import readings_along, robot_readings
+from repro_live.emulate.sensor_faults import (
     SensorFaults,
     saturation_level,
     sensor_faults_named,
     with_sensor_faults,
 )
-from repro.live.robot.robot_file import load_robot
-from repro.live.robot.robot_tables import IMU_NOISE_RAD
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 FROM_S, SINCE = 4.0, 400

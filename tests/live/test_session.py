@@ -12,20 +12,20 @@ import pytest
 from repro.errors import InputError
 from repro.estimation.imu_models import exact_arcs
 from repro.estimation.imu_selection import selection
-from repro.live.emulate.board import Reading, passages
-from repro.live.emulate.emulator import Emulator
-from repro.live.emulate.links import SocketLink
-from repro.live.emulate.takes import open_take
-from repro.live.follow import live_text, session
-from repro.live.follow.follower import Follower
-from repro.live.follow.latency import Latencies
-from repro.live.follow.played import played
-from repro.live.follow.robot_estimator import ESTIMATORS, robot_estimator
-from repro.live.follow.session import follow
-from repro.live.follow.time_steps import TimeStep, TimeSteps
-from repro.live.record.recording import read_recording
-from repro.live.robot.robot_file import load_robot
-from repro.live.wire.frame import Frame
+from repro.robot_file.robot_file import load_robot
+from repro_companion.twins.played import played
+from repro_companion.twins.takes import open_take
+from repro_live.emulate.board import Reading, passages
+from repro_live.emulate.emulator import Emulator
+from repro_live.emulate.links import SocketLink
+from repro_live.follow import live_text, session
+from repro_live.follow.follower import Follower
+from repro_live.follow.latency import Latencies
+from repro_live.follow.robot_estimator import ESTIMATORS, robot_estimator
+from repro_live.follow.session import follow
+from repro_live.follow.time_steps import TimeStep, TimeSteps
+from repro_live.record.recording import read_recording
+from repro_live.wire.frame import Frame
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"
 SECOND_NS = 10**9

@@ -8,10 +8,10 @@ from dataclasses import replace
 import pytest
 
 from repro.errors import InputError
-from repro.live.emulate import soak as module
-from repro.live.emulate.board import Passage
-from repro.live.emulate.links import HAS_PTY
-from repro.live.emulate.soak import soak
+from repro_live.emulate.board import Passage
+from repro_live.emulate.links import HAS_PTY
+from soak import parsers as module
+from soak.parsers import soak
 
 PORTS = ["socket", *(["pty"] if HAS_PTY else [])]
 FRAMES = 300_000
@@ -20,7 +20,7 @@ FRAMES = 300_000
 @pytest.fixture(scope="module")
 def reports() -> dict[str, tuple[int, dict[str, float]]]:
     """Exit status and report of every port, as printed: run as programs, so that nothing slows the frames down."""
-    command = [sys.executable, "-m", "repro.live.emulate.soak", str(FRAMES)]
+    command = [sys.executable, "-m", "soak.parsers", str(FRAMES)]
     running = {port: subprocess.Popen([*command, port], stdout=subprocess.PIPE, text=True) for port in PORTS}
     printed = {port: process.communicate(timeout=120)[0] for port, process in running.items()}
     rows = {port: [line.split() for line in text.splitlines()] for port, text in printed.items()}
@@ -86,7 +86,7 @@ def test_it_notices(monkeypatch, change, wrong):
 
 def rewritten(passage, **changes):
     """Bytes of a passage whose eleventh frame was sent with another content and a right checksum."""
-    from repro.live.wire.formats import encode
+    from repro_live.wire.formats import encode
 
     frame = passage.frames[10]._replace(**changes)
     start, end = int(passage.ends[9]), int(passage.ends[10])

@@ -5,18 +5,18 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.live.emulate.takes import SOURCES, open_take
-from repro.live.record.recording_file import RecordingFile
-from repro.live.wire.formats import encode
-from repro.live.wire.frame import Frame
+from repro.kinematics.paper_robots import pcc_robot
+from repro.kinematics.trajectories import lemniscate
 from repro.sensing.field_ratios import model_axes
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
-from repro.simulation.bend_curves import bend_curve, bend_readings
-from repro.simulation.pneumatic_rig import record_rig
-from repro.simulation.rig_twins import nominal_twin
-from repro.simulation.robots import pcc_robot
-from repro.simulation.trajectories import lemniscate
+from repro_companion.twins.bend_curves import bend_curve, bend_readings
+from repro_companion.twins.pneumatic_rig import record_rig
+from repro_companion.twins.rig_twins import nominal_twin
+from repro_companion.twins.takes import SOURCES, open_take
+from repro_live.record.recording_file import RecordingFile
+from repro_live.wire.formats import encode
+from repro_live.wire.frame import Frame
 
 QUICK = [source for source in SOURCES if not source.startswith("twin")] + ["twin:T2"]
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from repro.errors import InputError
 from repro.estimation.orientations import UNIT_TOLERANCE
-from repro.live.wire.formats import encode, parser
-from repro.live.wire.frame import Counters, Frame
-from repro.live.wire.text import HALL, NORM_TOLERANCE, QUATERNION, TextParser, millivolts
+from repro_live.wire.formats import encode, parser
+from repro_live.wire.frame import Counters, Frame
+from repro_live.wire.text import HALL, NORM_TOLERANCE, QUATERNION, TextParser, millivolts
 
 PAGE = Path(__file__).parents[2] / "book/wire_formats.md"
 LINES = {"hall": HALL, "millivolts": millivolts(), "quaternions": QUATERNION}

@@ -19,23 +19,23 @@ import torch
 from repro.errors import InputError
 from repro.estimation.base import Estimate
 from repro.estimation.consistency import STATUS
-from repro.live.emulate.board import passages
-from repro.live.emulate.emulator import Emulator
-from repro.live.emulate.links import SocketLink
-from repro.live.emulate.takes import open_take
-from repro.live.follow.estimate_table import EstimateFile, EstimateRows
-from repro.live.follow.follower import Follower
-from repro.live.follow.offline import track_readings
-from repro.live.follow.played import played
-from repro.live.follow.readings_file import read_readings
-from repro.live.follow.readings_table import read_table
-from repro.live.follow.robot_estimator import ESTIMATORS, robot_estimator
-from repro.live.follow.time_steps import TimeStep
-from repro.live.record.export import export
-from repro.live.record.recording import read_recording
-from repro.live.record.recording_file import RecordingFile, WriteFailed
-from repro.live.robot.robot_file import load_robot
-from repro.live.wire.frame import Frame
+from repro.robot_file.robot_file import load_robot
+from repro_companion.twins.played import played
+from repro_companion.twins.takes import open_take
+from repro_live.emulate.board import passages
+from repro_live.emulate.emulator import Emulator
+from repro_live.emulate.links import SocketLink
+from repro_live.follow.estimate_table import EstimateFile, EstimateRows
+from repro_live.follow.follower import Follower
+from repro_live.follow.offline import track_readings
+from repro_live.follow.readings_file import read_readings
+from repro_live.follow.readings_table import read_table
+from repro_live.follow.robot_estimator import ESTIMATORS, robot_estimator
+from repro_live.follow.time_steps import TimeStep
+from repro_live.record.export import export
+from repro_live.record.recording import read_recording
+from repro_live.record.recording_file import RecordingFile, WriteFailed
+from repro_live.wire.frame import Frame
 
 PROJECT = Path(__file__).parents[2]
 ROBOTS = PROJECT / "data" / "robots"
@@ -396,7 +396,7 @@ def folder(tmp_path_factory, sent):
 
 
 def repro(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "repro.cli", *arguments]
+    command = [sys.executable, "-m", "repro_companion.cli", *arguments]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=300)
 
 
@@ -437,7 +437,7 @@ def test_live_estimates_are_stored_through_an_interrupt(folder, sent):
             "3",
         ]
         process = subprocess.Popen(
-            [sys.executable, "-m", "repro.cli", *arguments],
+            [sys.executable, "-m", "repro_companion.cli", *arguments],
             cwd=folder,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.recordings.alignment import find_lag
+from repro_companion.recordings.alignment import find_lag
 
 
 def bend(time_s: np.ndarray) -> np.ndarray:

@@ -10,7 +10,8 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.recordings.baaij2023 import (
+from repro_companion.book.project import find_project
+from repro_companion.recordings.baaij2023 import (
     NAMES,
     SYNTHETIC,
     Recording,
@@ -21,12 +22,11 @@ from repro.recordings.baaij2023 import (
     read_readings,
     split,
 )
-from repro.recordings.rig_capture import RingMotion, read_ring_motion
-from repro.recordings.rig_merged import MERGED, merged_table, read_merged, write_merged
-from repro.recordings.sources import read_sources
-from repro.report.project import find_project
-from repro.simulation.pneumatic_rig import record_rig
-from repro.simulation.rig_twins import nominal_twin
+from repro_companion.recordings.rig_capture import RingMotion, read_ring_motion
+from repro_companion.recordings.rig_merged import MERGED, merged_table, read_merged, write_merged
+from repro_companion.recordings.sources import read_sources
+from repro_companion.twins.pneumatic_rig import record_rig
+from repro_companion.twins.rig_twins import nominal_twin
 
 FRAMES = 900
 

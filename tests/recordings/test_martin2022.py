@@ -13,9 +13,9 @@ from repro.errors import InputError
 from repro.estimation.imu_chain import adjacent_angles, link_orientations, rigid_body
 from repro.estimation.imu_models import pcc_extended
 from repro.estimation.imu_selection import Selection
-from repro.recordings import martin2022
-from repro.recordings.martin2022 import find_bag, one_clock, read_messages, read_readings
-from repro.simulation.imu_stream import synthetic_stream
+from repro_companion.recordings import martin2022
+from repro_companion.recordings.martin2022 import find_bag, one_clock, read_messages, read_readings
+from repro_companion.twins.imu_stream import synthetic_stream
 
 MESSAGE = """std_msgs/Header header
 uint8 ID

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.recordings.martin2022_capture import CAPTURE, find_capture, read_capture
-from repro.recordings.martin2022_outputs import OUTPUT_FOLDER
+from repro_companion.recordings.martin2022_capture import CAPTURE, find_capture, read_capture
+from repro_companion.recordings.martin2022_outputs import OUTPUT_FOLDER
 
 LAYOUT = {
     "header_row": 1,

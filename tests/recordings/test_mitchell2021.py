@@ -8,7 +8,7 @@ import pytest
 from test_optitrack import START_UNIX_S, UP_AND_DOWN, bending, write_capture
 
 from repro.errors import InputError
-from repro.recordings.mitchell2021 import (
+from repro_companion.recordings.mitchell2021 import (
     FIELD,
     GAIN_RATIO,
     align,
@@ -16,8 +16,8 @@ from repro.recordings.mitchell2021 import (
     read_hall,
     takes,
 )
-from repro.recordings.mitchell2021_tables import on_readings, read_calibration, read_filtered
-from repro.recordings.optitrack import read_capture
+from repro_companion.recordings.mitchell2021_tables import on_readings, read_calibration, read_filtered
+from repro_live.own.optitrack import read_capture
 
 DRAINED = 15
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from repro.recordings.mitchell2021 import FOLDER, files_found
-from repro.recordings.released import unlike_released
-from repro.recordings.sources import RecordedFile, data_dir, read_sources
+from repro_companion.recordings.mitchell2021 import FOLDER, files_found
+from repro_companion.recordings.released import unlike_released
+from repro_companion.recordings.sources import RecordedFile, data_dir, read_sources
 
 HALL = "experiment_data/bend_test_0_try_1.csv"
 ROWS = "".join(f"[-2.3{k % 10} 0.1{k % 7} 0.0{k % 3}],{1.0 + 0.016 * k}\n" for k in range(300))

@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.recordings.baaij2023 import merge, process, raw_paths, read_readings, split
-from repro.recordings.rig_alignment import check_lags, noise_at_rest, start_of_motion, start_of_readings
-from repro.recordings.rig_capture import RingMotion, read_ring_motion
-from repro.simulation.pneumatic_rig import record_rig
-from repro.simulation.rig_twins import nominal_twin, random_twin
+from repro_companion.recordings.baaij2023 import merge, process, raw_paths, read_readings, split
+from repro_companion.recordings.rig_alignment import (
+    check_lags,
+    noise_at_rest,
+    start_of_motion,
+    start_of_readings,
+)
+from repro_companion.recordings.rig_capture import RingMotion, read_ring_motion
+from repro_companion.twins.pneumatic_rig import record_rig
+from repro_companion.twins.rig_twins import nominal_twin, random_twin
 
 START = 70
 """Row in which the made-up readings begin to change."""

@@ -13,10 +13,10 @@ from urllib.parse import unquote
 import pytest
 
 from repro.errors import InputError
-from repro.recordings import download
-from repro.recordings.download import address, fetch, is_there, listing
-from repro.recordings.released import git_blob_hash
-from repro.recordings.sources import RecordedFile, data_dir, read_sources
+from repro_companion.recordings import download
+from repro_companion.recordings.download import address, fetch, is_there, listing
+from repro_companion.recordings.released import git_blob_hash
+from repro_companion.recordings.sources import RecordedFile, data_dir, read_sources
 
 MANIFEST = Path(__file__).parents[2] / "data" / "sources.json"
 COMMIT = "382a4aefdf529fdf50e42244b850e330057d27e0"

@@ -19,7 +19,7 @@ b2021,Fig. 2,one,update_rate,Hz,60,
 """
 # without pandas, whose import takes longer than all the rest
 WRITES_A_TABLE = """\
-from repro.report.results import results_dir
+from repro_companion.book.results import results_dir
 (results_dir() / "TABLE.csv").write_text(f"n,third\\n{n},{n / 3:g}\\n")"""
 
 
@@ -71,7 +71,7 @@ def build(root: Path):
     """Return a function that builds the project in a process of its own."""
 
     def run() -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "repro.report.build"]
+        command = [sys.executable, "-m", "repro_companion.book.after.build"]
         return subprocess.run(
             command, cwd=root, env=dict(os.environ), capture_output=True, text=True, check=False
         )

@@ -29,7 +29,7 @@ def logged(root: Path, word: str) -> Counter[int]:
 COMMAND = """\
 import sys
 from cyclopts import App
-from repro.cli_sweep import sweep
+from repro_companion.cli_sweep import sweep
 app = App(name="repro")
 app.command(sweep)
 sys.exit(app(["sweep", *sys.argv[1:]], result_action="return_value"))"""

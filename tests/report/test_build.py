@@ -149,7 +149,7 @@ def test_an_interrupted_build_is_not_taken_for_finished(without_site, notebook_a
     root = without_site
     slow = "from pathlib import Path\nPath('begun').touch()\nimport time\ntime.sleep(60)"
     notebook_at(root / "notebooks" / "a.ipynb", slow)
-    command = [sys.executable, "-m", "repro.report.build"]
+    command = [sys.executable, "-m", "repro_companion.book.after.build"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     deadline = time.monotonic() + 30
     while not (root / "begun").exists() and time.monotonic() < deadline:

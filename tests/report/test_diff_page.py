@@ -11,14 +11,14 @@ from pathlib import Path
 import nbformat
 import pytest
 
-from repro.cli_diff import diff
 from repro.errors import InputError
-from repro.report.diff_page import write_diff
-from repro.report.project import Project
-from repro.report.runner import read_notebook, run_notebook
+from repro_companion.book.after.diff_page import write_diff
+from repro_companion.book.project import Project
+from repro_companion.book.runner import read_notebook, run_notebook
+from repro_companion.cli_diff import diff
 
 TABLES = """\
-from repro.report.results import results_dir
+from repro_companion.book.results import results_dir
 folder = results_dir()
 (folder / "same.csv").write_text("label,x_mm\\na,1\\n")
 rows = "".join(f"{i},{i * gain},{'x' if gain < 2 else 'y'}\\n" for i in range(n))

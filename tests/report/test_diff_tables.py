@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from repro.report.diff_tables import OCCURRENCE, compare_tables, read_csv
+from repro_companion.book.after.diff_tables import OCCURRENCE, compare_tables, read_csv
 
 LABELS = pd.DataFrame(
     {"row": ["a", "a", "b"], "seed": [0, 1, 0], "error_mm": [1.0, 2.0, 4.0], "kind": ["x", "y", "z"]}

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro.report.figures.arm import arm_shapes, neighbour_angles, tip_path
+from repro_companion.pages.recorded_arm.figures import arm_shapes, neighbour_angles, tip_path
 
 TIMES = np.linspace(0, 10, 12)
 JUMPS = pd.DataFrame({"time_s": [2.0, 3.0], "imu": [1, 2], "step_deg": [30.0, 25.0], "axis_z": [-1.0, 0.1]})

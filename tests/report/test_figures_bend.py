@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from repro.experiments.mitchell2021.bend_space import curves_table, field_map
-from repro.report.figures import bend as figures
+from repro_companion.pages.probabilistic_curvature import figures
+from repro_companion.pages.probabilistic_curvature.bend_space import curves_table, field_map
 
 
 def test_bend_space_draws_curves_in_degrees_and_the_cloud():

@@ -4,7 +4,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 import pytest
 
-from repro.report.figures import bend_tests as figures
+from repro_companion.pages.bend_tests import figures
 
 TAKES = pd.DataFrame(
     {

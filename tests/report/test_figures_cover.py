@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from repro.report.figures.cover import ARM_SHAPES, cover
+from repro_companion.book.after.figures_cover import ARM_SHAPES, cover
 
 
 def test_the_cover_shows_truth_and_estimate_particles_and_arms():

@@ -4,7 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro.report.figures.failure import error_and_deviation, readings_and_estimates, shape_stills
+from repro_companion.pages.sensor_failure.figures import (
+    error_and_deviation,
+    readings_and_estimates,
+    shape_stills,
+)
 
 TIMES = [0.0, 2.5, 5.0, 7.5]
 

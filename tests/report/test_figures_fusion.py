@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from repro.report.figures.fusion import errors_and_nees
+from repro_companion.pages.fusion.figures import errors_and_nees
 
 
 def test_points_are_those_of_the_table():

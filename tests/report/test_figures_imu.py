@@ -4,9 +4,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro.report.figures.imu import _tube, calibration_ratios, error_boxes, error_hull, errors_along_arm
-from repro.report.figures.imu_count import errors_and_bounds, placement_and_sensors
-from repro.report.figures.imu_recorded import (
+from repro_companion.pages.how_many_imus.figures import errors_and_bounds, placement_and_sensors
+from repro_companion.pages.imu_markers.figures import (
+    _tube,
+    calibration_ratios,
+    error_boxes,
+    error_hull,
+    errors_along_arm,
+)
+from repro_companion.pages.recorded_trial.figures import (
     CHAINS,
     differences_of_files,
     fewer_imus,

@@ -3,7 +3,11 @@
 import pandas as pd
 import pytest
 
-from repro.report.figures.noise import data_size_curves, noise_curves, tolerance_curves
+from repro_companion.pages.noise_and_tolerances.figures import (
+    data_size_curves,
+    noise_curves,
+    tolerance_curves,
+)
 
 
 def noise_table():

@@ -3,10 +3,10 @@
 import pandas as pd
 import pytest
 
-from repro.experiments.one_robot.errors import CONDITIONS, QUANTITIES
-from repro.experiments.one_robot.estimates import METHODS
-from repro.experiments.one_robot.motion import TRAJECTORIES
-from repro.report.figures.one_robot import ROBUSTNESS, three_ways
+from repro_companion.pages.one_robot.errors import CONDITIONS, QUANTITIES
+from repro_companion.pages.one_robot.estimates import METHODS
+from repro_companion.pages.one_robot.figures import ROBUSTNESS, three_ways
+from repro_companion.twins.segment_motion import TRAJECTORIES
 
 
 @pytest.fixture

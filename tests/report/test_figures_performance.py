@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro.experiments.benchmark.rows import Goal, row
-from repro.report.figures.performance import rates, scaling_curves
+from repro_companion.pages.performance.figures import rates, scaling_curves
+from repro_companion.pages.performance.rows import Goal, row
 
 
 def test_rates_with_targets_and_the_rates_of_the_sensors():

@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro.experiments.placement.layouts import layout_of
-from repro.experiments.placement.study import layouts_table
-from repro.experiments.placement.tasks import pcc_task
-from repro.report.figures.placement import all_robots, choices, judged, layouts_drawn
-from repro.simulation.robots import pcc_robot
+from repro.kinematics.paper_robots import pcc_robot
+from repro_companion.pages.sensor_placement.figures import all_robots, choices, judged, layouts_drawn
+from repro_companion.pages.sensor_placement.layouts import layout_of
+from repro_companion.pages.sensor_placement.study import layouts_table
+from repro_companion.pages.sensor_placement.tasks import pcc_task
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from repro.report.figures.recording import COUNTED, flipped_digits, interruptions
+from repro_companion.pages.recording.figures import COUNTED, flipped_digits, interruptions
 
 
 def test_silences_interrupt_the_curves_and_are_shaded():

@@ -5,7 +5,7 @@ import math
 import pandas as pd
 import pytest
 
-from repro.report.figures.sweep import sensors_noise_segments
+from repro_companion.pages.sweep.figures import sensors_noise_segments
 
 
 def test_a_panel_for_every_robot_and_a_line_for_every_noise():

@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.report.figures.table1 import calibration_gain, model_by_solver, published_and_regenerated
-from repro.report.results import write_scorecard_rows
-from repro.report.verdict_table import verdict_table
+from repro_companion.book.results import write_scorecard_rows
+from repro_companion.book.verdict_table import verdict_table
+from repro_companion.pages.table_1.figures import calibration_gain, model_by_solver, published_and_regenerated
 
 ROW = {"paper": "baaij2023", "artefact": "Table 1", "row": "n_b=1", "setting": "synthetic test values"}
 

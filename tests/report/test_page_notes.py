@@ -13,18 +13,24 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from repro.report.files import combined_digest
-from repro.report.page_notes import figures_of, page_files, provenance_line, with_notes, write_page_files
-from repro.report.parameters import declared_parameters
-from repro.report.project import find_project
-from repro.report.provenance import read_record, record_path
-from repro.report.runner import read_notebook, run_notebook
-from repro.report.style import VECTOR_LIMIT_BYTES, page_figure
+from repro.files import combined_digest
+from repro_companion.book.after.page_notes import (
+    figures_of,
+    page_files,
+    provenance_line,
+    with_notes,
+    write_page_files,
+)
+from repro_companion.book.parameters import declared_parameters
+from repro_companion.book.project import find_project
+from repro_companion.book.provenance import read_record, record_path
+from repro_companion.book.runner import read_notebook, run_notebook
+from repro_live.view.style import VECTOR_LIMIT_BYTES, page_figure
 
 PNG = base64.b64encode(b"\x89PNG of the figure").decode()
 DRAWS = """\
 import matplotlib.pyplot as plt
-from repro.report.style import page_figure
+from repro_live.view.style import page_figure
 
 @page_figure
 def line():

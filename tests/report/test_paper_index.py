@@ -10,9 +10,16 @@ from pathlib import Path
 import pytest
 
 from repro.errors import InputError
-from repro.report.paper_index import COLUMNS, IndexEntry, index_page, index_path, places, read_index
-from repro.report.project import Project
-from repro.report.published import read_published
+from repro_companion.book.after.paper_index import (
+    COLUMNS,
+    IndexEntry,
+    index_page,
+    index_path,
+    places,
+    read_index,
+)
+from repro_companion.book.project import Project
+from repro_companion.book.published import read_published
 
 PROJECT = Project(Path(__file__).resolve().parents[2])
 ENTRIES = read_index(index_path(PROJECT))
@@ -144,7 +151,7 @@ def test_broken_index(lines, message, tmp_path):
         ("repro.se3.exp", "se3"),
         ("repro.estimation.base.track", "estimation"),
         ("repro.estimation.levenberg_marquardt.LevenbergMarquardt.step", "estimation"),
-        ("repro.experiments.baaij2023.table1.errors", "experiments.baaij2023"),
+        ("repro_companion.twins.table_1_method.errors", "experiments.baaij2023"),
     ],
 )
 def test_links_of_an_entry(code, page):

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from repro.errors import InputError
-from repro.report.parameters import Parameter, convert, convert_all, declared_parameters
+from repro_companion.book.parameters import Parameter, convert, convert_all, declared_parameters
 
 DECLARED = """\
 n_segments: int = 3  # segments in series

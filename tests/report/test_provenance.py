@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from repro.recordings.sources import data_dir
-from repro.report.files import tree_digests, write_if_changed, write_whole
-from repro.report.project import find_project, shown
-from repro.report.provenance import make_record, notebook_key, read_inputs, read_record, write_record
+from repro.files import tree_digests, write_if_changed, write_whole
+from repro_companion.book.project import find_project, shown
+from repro_companion.book.provenance import make_record, notebook_key, read_inputs, read_record, write_record
+from repro_companion.recordings.sources import data_dir
 
 
 @pytest.fixture
@@ -90,7 +90,8 @@ def test_a_key_is_fast(notebook, tmp_path):
 
 def test_keys_need_no_heavy_import():
     code = (
-        "import sys; from repro.report.provenance import read_inputs; import repro.report.build; "
+        "import sys, repro_companion.book.after.build; "
+        "from repro_companion.book.provenance import read_inputs; "
         "sys.exit(bool({'torch', 'pandas', 'papermill', 'numpy'} & set(sys.modules)))"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

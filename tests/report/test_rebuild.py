@@ -7,10 +7,10 @@ import sys
 import pytest
 
 from repro.errors import InputError
-from repro.report.project import Project
-from repro.report.rebuild import copy_sources, differences, rebuild
+from repro_companion.book.after.rebuild import copy_sources, differences, rebuild
+from repro_companion.book.project import Project
 
-WRITES = 'from repro.report.results import results_dir\n(results_dir() / "{}").write_text({})'
+WRITES = 'from repro_companion.book.results import results_dir\n(results_dir() / "{}").write_text({})'
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.report.results import read_table, results_dir, write_scorecard_rows, write_table
+from repro_companion.book.results import read_table, results_dir, write_scorecard_rows, write_table
 
 ROW = {
     "paper": "a2020",

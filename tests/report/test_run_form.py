@@ -17,11 +17,11 @@ import yaml
 from click.testing import CliRunner
 from papermill.cli import papermill as papermill_command
 
-from repro.cli import app
 from repro.errors import InputError
-from repro.report.parameters import Parameter, convert_all, declared_parameters
-from repro.report.run_form import default_value, form_html, parameters_yaml
-from repro.report.runner import read_notebook
+from repro_companion.book.parameters import Parameter, convert_all, declared_parameters
+from repro_companion.book.run_form import default_value, form_html, parameters_yaml
+from repro_companion.book.runner import read_notebook
+from repro_companion.cli import app
 
 PROJECT = Path(__file__).resolve().parents[2]
 SCRIPT = PROJECT / "book" / "_static" / "run_form.js"
@@ -260,7 +260,7 @@ def test_the_printed_line_runs(page, tmp_path):
     fill(page, name="it's", rows="[1e-3]", steps="-2", fast=True)
     (tmp_path / ".venv" / "bin").mkdir(parents=True)
     program = tmp_path / ".venv" / "bin" / "repro"
-    program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m repro.cli "$@"\n')
+    program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m repro_companion.cli "$@"\n')
     program.chmod(0o755)
     done = subprocess.run(["sh", "-c", command(page, "repro")], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

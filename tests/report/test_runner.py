@@ -14,14 +14,14 @@ import nbformat
 import pytest
 
 from repro.errors import InputError
-from repro.report.files import file_digest
-from repro.report.project import find_project
-from repro.report.runner import check_output, default_output, read_notebook
+from repro.files import file_digest
+from repro_companion.book.project import find_project
+from repro_companion.book.runner import check_output, default_output, read_notebook
 
 
 def run(*places: Path) -> subprocess.CompletedProcess[str]:
     """Run a notebook as a build does: NOTEBOOK OUTPUT RESULTS FAILED."""
-    command = [sys.executable, "-m", "repro.report.runner", *map(str, places)]
+    command = [sys.executable, "-m", "repro_companion.book.runner", *map(str, places)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
@@ -112,7 +112,7 @@ def test_a_kernel_that_dies(root, places, notebook_at):
 @pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupted_run_leaves_only_the_partial_notebook(root, places, notebook_at, stop, code):
     notebook_at(places[0], "from pathlib import Path\nPath('begun').touch()\nimport time\ntime.sleep(60)")
-    command = [sys.executable, "-m", "repro.report.runner", *map(str, places)]
+    command = [sys.executable, "-m", "repro_companion.book.runner", *map(str, places)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 30
     while not (root / "begun").exists() and time.monotonic() < deadline:

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from repro.errors import InputError
-from repro.report.project import Project, find_project
-from repro.report.published import read_csv, read_published, row_key
-from repro.report.results import write_scorecard_rows
-from repro.report.scorecard import (
+from repro_companion.book.project import Project, find_project
+from repro_companion.book.published import read_csv, read_published, row_key
+from repro_companion.book.results import write_scorecard_rows
+from repro_companion.book.scorecard import (
     COLUMNS,
     REFERENCE_COLUMNS,
     ScorecardRow,
@@ -20,8 +20,8 @@ from repro.report.scorecard import (
     scorecard_csv,
     summary,
 )
-from repro.report.scorecard_page import counts_page, scorecard_page, verdicts_page
-from repro.report.verdicts import Verdict
+from repro_companion.book.scorecard_page import counts_page, scorecard_page, verdicts_page
+from repro_companion.book.verdicts import Verdict
 
 E_U = {"paper": "a2020", "artefact": "Table 1", "row": "one", "quantity": "e_u", "unit": "mT", "setting": "x"}
 RATE = {

@@ -7,12 +7,17 @@ import re
 import xml.etree.ElementTree as ET
 from fractions import Fraction
 
-from repro.report.figures.scorecard import HIGHEST, picture_alt, scorecard_picture
-from repro.report.project import Project
-from repro.report.scorecard import ScorecardRow
-from repro.report.scorecard_files import badge, badge_text, scorecard_json, write_scorecard_files
-from repro.report.scorecard_page import counts_page, scorecard_page
-from repro.report.verdicts import Verdict, band, within_band
+from repro_companion.book.after.figures_scorecard import HIGHEST, picture_alt, scorecard_picture
+from repro_companion.book.after.scorecard_files import (
+    badge,
+    badge_text,
+    scorecard_json,
+    write_scorecard_files,
+)
+from repro_companion.book.project import Project
+from repro_companion.book.scorecard import ScorecardRow
+from repro_companion.book.scorecard_page import counts_page, scorecard_page
+from repro_companion.book.verdicts import Verdict, band, within_band
 
 
 def row(verdict: Verdict, published: str = "2.0", regenerated: str = "1.0", **other: str) -> ScorecardRow:

@@ -15,8 +15,9 @@ import torch
 from PIL import Image
 
 from repro.errors import InputError
+from repro.kinematics.paper_robots import SENSOR_RADIAL_M, affine_robot, pcc_robot
 from repro.kinematics.robot import Robot
-from repro.report.robot_view import (
+from repro_live.view.robot_view import (
     POINTS_PER_SEGMENT,
     backbone_deviation,
     backbone_points,
@@ -25,10 +26,9 @@ from repro.report.robot_view import (
     live_scene,
     shape_view,
 )
-from repro.report.shape_parts import ROLES, Markers, Shape, Traces
-from repro.report.shape_view import VIEWER, ShapeView
-from repro.report.style import MAGNET, SENSOR
-from repro.simulation.robots import SENSOR_RADIAL_M, affine_robot, pcc_robot
+from repro_live.view.shape_parts import ROLES, Markers, Shape, Traces
+from repro_live.view.shape_view import VIEWER, ShapeView
+from repro_live.view.style import MAGNET, SENSOR
 
 FRAMES = 60
 TIMES = np.linspace(0.0, 5.9, FRAMES)

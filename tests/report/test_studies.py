@@ -6,18 +6,24 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023.noise import against_bound
-from repro.experiments.baaij2023.tolerances import tolerance_errors
-from repro.report import studies as module
-from repro.report.project import find_project
-from repro.report.studies import Study, committed, read_study, settings_of_studies, studies, write_studies
+from repro_companion.book.project import find_project
+from repro_companion.book.studies import (
+    Study,
+    committed,
+    read_study,
+    settings_of_studies,
+    write_studies,
+)
+from repro_companion.pages import all_studies
+from repro_companion.pages.noise_and_tolerances.noise import against_bound
+from repro_companion.pages.noise_and_tolerances.tolerances import tolerance_errors
 
 SMALL = {"n_segments": 1, "kinds": ["sensor_gain"], "factors": [0.1, 1.0], "draws": 1, "steps": 4}
 
 
 @pytest.fixture
-def computed(monkeypatch):
-    """Two small studies, and the names of those that were computed."""
+def small():
+    """Small studies of given factors, and the names of those that were computed."""
     names = []
 
     def study(name, **settings):
@@ -27,43 +33,43 @@ def computed(monkeypatch):
 
         return Study(name, compute, SMALL | settings)
 
-    def use(*factors):
-        found = tuple(study(f"gain_{k}", factors=list(f)) for k, f in enumerate(factors))
-        monkeypatch.setattr(module, "studies", lambda: found)
+    def of(*factors):
+        return tuple(study(f"gain_{k}", factors=list(f)) for k, f in enumerate(factors))
 
-    use([0.1, 1.0], [0.5])
-    return names, use
+    return names, of
 
 
-def test_what_is_there_is_not_computed_again(tmp_path, computed):
-    names, _ = computed
-    paths = write_studies(tmp_path, progress=False)
+def test_what_is_there_is_not_computed_again(tmp_path, small):
+    names, of = small
+    studies = of([0.1, 1.0], [0.5])
+    paths = write_studies(studies, tmp_path, progress=False)
     assert names == ["gain_0", "gain_1"]
     assert paths == [tmp_path / "gain_0.csv", tmp_path / "gain_1.csv"]
-    assert write_studies(tmp_path, progress=False) == paths
+    assert write_studies(studies, tmp_path, progress=False) == paths
     assert len(names) == 2
     paths[1].with_suffix(".json").unlink()  # as if interrupted between the two files
-    write_studies(tmp_path, progress=False)
+    write_studies(studies, tmp_path, progress=False)
     assert names[2:] == ["gain_1"]
 
 
-def test_other_settings_are_computed_anew(tmp_path, computed):
-    names, use = computed
-    write_studies(tmp_path, progress=False)
-    use([0.1, 1.0], [0.7])
-    write_studies(tmp_path, progress=False)
+def test_other_settings_are_computed_anew(tmp_path, small):
+    names, of = small
+    write_studies(of([0.1, 1.0], [0.5]), tmp_path, progress=False)
+    write_studies(of([0.1, 1.0], [0.7]), tmp_path, progress=False)
     assert names[2:] == ["gain_1"]
     assert read_study("gain_1", tmp_path)[1]["factors"] == [0.7]
 
 
-def test_table_and_settings_as_written(tmp_path, computed):
-    write_studies(tmp_path, progress=False)
+def test_table_and_settings_as_written(tmp_path, small):
+    _, of = small
+    studies = of([0.1, 1.0], [0.5])
+    write_studies(studies, tmp_path, progress=False)
     table, settings = read_study("gain_0", tmp_path)
     assert settings == SMALL | {"factors": [0.1, 1.0]}
     pd.testing.assert_frame_equal(table, tolerance_errors(**settings), rtol=1e-4)
-    together = committed("gain", tmp_path)
+    together = committed(studies, tmp_path)
     assert together["factor"].tolist() == [0.1, 1.0, 0.5]
-    shown = settings_of_studies(["gain"], tmp_path).set_index("setting")
+    shown = settings_of_studies(studies, tmp_path).set_index("setting")
     assert shown.loc["draws", "studies"] == "gain_0, gain_1"
     assert dict(shown.loc["factors", ["value", "studies"]].to_numpy()) == {
         "0.1, 1.0": "gain_0",
@@ -71,18 +77,17 @@ def test_table_and_settings_as_written(tmp_path, computed):
     }
 
 
-def test_further_studies_are_written_after_them(tmp_path, computed):
-    names, _ = computed
-    more = Study("more", lambda **given: pd.DataFrame([given]), {"draws": 3}, ("data",))
-    paths = write_studies(tmp_path, [more], progress=False)
-    assert [path.stem for path in paths] == [*names, "more"]
+def test_a_study_is_given_what_it_needs(tmp_path):
+    study = Study("more", lambda **given: pd.DataFrame([given]), {"draws": 3}, ("data",))
+    (path,) = write_studies([study], tmp_path, progress=False)
+    assert path.stem == "more"
     table, settings = read_study("more", tmp_path)
     assert settings == {"draws": 3}
     assert table.to_dict("records") == [{"draws": 3, "data": str(find_project().data)}]
 
 
-def test_progress_names_the_studies(tmp_path, computed, capsys):
-    write_studies(tmp_path, progress=True)
+def test_progress_names_the_studies(tmp_path, small, capsys):
+    write_studies(small[1]([0.1], [0.5]), tmp_path, progress=True)
     assert capsys.readouterr().err.splitlines() == ["gain_0", "gain_1"]
 
 
@@ -90,11 +95,17 @@ def test_studies_that_are_not_there(tmp_path):
     message = r"Input name of read_study must be a study in data/studies with its settings .* received none"
     with pytest.raises(InputError, match=message):
         read_study("none", tmp_path)
-    with pytest.raises(InputError, match="Input kind of committed must be the start of a study's name"):
-        committed("rain")
+    with pytest.raises(InputError, match=message):
+        committed([Study("none", pd.DataFrame, {})], tmp_path)
 
 
-@pytest.mark.parametrize("study", studies(), ids=lambda study: study.name)
+def test_every_study_has_a_name_of_its_own():
+    names = [study.name for study in all_studies()]
+    assert len(names) > 15
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize("study", all_studies(), ids=lambda study: study.name)
 def test_committed_tables_belong_to_the_settings_of_today(study):
     table, settings = read_study(study.name)
     assert settings == study.settings == json.loads(json.dumps(study.settings))

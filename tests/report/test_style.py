@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 from matplotlib.colors import to_hex, to_rgb
 
-from repro.report import style
-from repro.report.figures.affine import stills
-from repro.report.style import MAGNET, SENSOR, STYLE, coordinate_symbol, in_symbols
+from repro_companion.pages.affine_curvature.figures import stills
+from repro_live.view import style
+from repro_live.view.style import MAGNET, SENSOR, STYLE, coordinate_symbol, in_symbols
 
 CYCLE = mpl.rc_params_from_file(STYLE, use_default_template=False)["axes.prop_cycle"]
 PALETTE = [to_hex(colour).upper() for colour in CYCLE.by_key()["color"]]

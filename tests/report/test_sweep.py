@@ -13,11 +13,11 @@ import pytest
 from cyclopts import App
 from logged_runs import LOGGED, PARAMETERS, in_background, logged, wait_for
 
-from repro.cli_sweep import sweep
 from repro.errors import InputError
-from repro.report.project import find_project
-from repro.report.sweep import finished, local_runner, plan, run_points
-from repro.report.sweep_tables import joined_tables, shown_command
+from repro_companion.book.project import find_project
+from repro_companion.book.sweep import finished, local_runner, plan, run_points
+from repro_companion.book.sweep_tables import joined_tables, shown_command
+from repro_companion.cli_sweep import sweep
 
 
 @pytest.fixture

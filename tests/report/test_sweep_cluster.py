@@ -14,11 +14,11 @@ import pytest
 from logged_runs import LOGGED, PARAMETERS, in_background, logged, wait_for
 
 import repro
-from repro.cli_sweep import sweep
 from repro.errors import InputError
-from repro.report.project import find_project
-from repro.report.sweep import plan, run_points
-from repro.report.sweep_cluster import cluster_runner, connect, difference
+from repro_companion.book.project import find_project
+from repro_companion.book.sweep import plan, run_points
+from repro_companion.book.sweep_cluster import cluster_runner, connect, difference
+from repro_companion.cli_sweep import sweep
 
 pytest.importorskip("distributed", reason="the extra cluster is not installed")
 
@@ -206,7 +206,7 @@ def test_what_is_said_of_workers():
 
 
 def test_a_scheduler_that_does_not_answer(root, notebook, monkeypatch):
-    monkeypatch.setattr("repro.report.sweep_cluster.TIMEOUT_S", 0.2)
+    monkeypatch.setattr("repro_companion.book.sweep_cluster.TIMEOUT_S", 0.2)
     with pytest.raises(
         InputError, match=r"^Input scheduler of repro sweep must be the address of a Dask scheduler"
     ):

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from repro.errors import InputError
-from repro.report.parameters import Parameter, convert
-from repro.report.sweep_grid import grid_points, read_grid, read_part, value_text
+from repro_companion.book.parameters import Parameter, convert
+from repro_companion.book.sweep_grid import grid_points, read_grid, read_part, value_text
 
 DECLARED = {
     name: Parameter(name, kind, "0", "")

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import pytest
 
-from repro.report.verdicts import Verdict, half_printed_unit, is_weak, verdict
+from repro_companion.book.verdicts import Verdict, half_printed_unit, is_weak, verdict
 
 
 @pytest.mark.parametrize(

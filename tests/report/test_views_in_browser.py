@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from test_viewer import seen, show  # noqa: F401  # fixtures
 
-from repro.report.shape_parts import Markers, Shape, Traces
-from repro.report.shape_view import ShapeView
-from repro.report.views.together import ShapeViews
+from repro_companion.pages.table_2.views_together import ShapeViews
+from repro_live.view.shape_parts import Markers, Shape, Traces
+from repro_live.view.shape_view import ShapeView
 
 
 @pytest.fixture(scope="module")

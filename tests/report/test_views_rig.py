@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023.table2_ours import OursRun
-from repro.recordings.baaij2023 import Recording
-from repro.report.views.rig import FRAMES, LONGEST_S, rig_view, rig_views
-from repro.report.views.together import ShapeViews
 from repro.sensing.rig import RIG_LENGTH_M, RIG_RADIUS_M, RIG_RATE_HZ
+from repro_companion.pages.table_2.views import FRAMES, LONGEST_S, rig_view, rig_views
+from repro_companion.pages.table_2.views_together import ShapeViews
+from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.twins.rig_filter import OursRun
 
 DEVIATION_M = 3e-4
 

@@ -7,15 +7,16 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.baaij2023 import affine, table1
-from repro.experiments.baaij2023.table1_rows import rows_named
-from repro.report.project import find_project
-from repro.report.robot_view import backbone_points
-from repro.report.views.flower import flower_view
-from repro.report.views.frames import every_nth, readings
-from repro.report.views.simulated import FRAMES, lemniscate_view, paper_method_view
-from repro.simulation.robots import affine_robot, pcc_robot
-from repro.simulation.trajectories import lemniscate
+from repro.kinematics.paper_robots import affine_robot, pcc_robot
+from repro.kinematics.trajectories import lemniscate
+from repro_companion.book.project import find_project
+from repro_companion.book.views_frames import every_nth, readings
+from repro_companion.book.views_simulated import FRAMES, lemniscate_view, paper_method_view
+from repro_companion.pages.affine_curvature import method as affine
+from repro_companion.pages.affine_curvature.views import flower_view
+from repro_companion.twins import table_1_method as table1
+from repro_companion.twins.table_1_rows import rows_named
+from repro_live.view.robot_view import backbone_points
 
 NETWORKS = find_project().data / "networks"
 

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.sensing.compiled_bend import CompiledBendSensor
-from repro.sensing.compiled_bend_series import BendSeries
+from repro.kernels.bend import CompiledBendSensor
+from repro.kernels.bend_series import BendSeries
 from repro.sensing.magnets import Cube
-from repro.simulation.bend_curves import bend_readings
+from repro_companion.twins.bend_curves import bend_readings
 
 REACH = math.pi / 2
 

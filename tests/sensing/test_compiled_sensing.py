@@ -11,18 +11,18 @@ from torch import nn
 
 from repro.errors import InputError
 from repro.estimation.levenberg_marquardt import jacobian
+from repro.kernels.sensing import CompiledSensing
 from repro.kinematics.affine_curvature import AffineCurvature
 from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.mounts import magnet_mounts, sensor_mounts
+from repro.kinematics.paper_robots import affine_robot, pcc_robot
 from repro.kinematics.robot import Robot
-from repro.sensing.compiled_sensing import CompiledSensing
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
 from repro.sensing.network import CosineNetwork, DipoleResidual, PerSensor, paper_network
-from repro.simulation.robots import affine_robot, pcc_robot
 
 MOMENTS = torch.from_numpy(ring("released").multipoles(9))
 EARTH = torch.tensor([0.03, -0.05, 0.02], dtype=torch.float64)
@@ -257,7 +257,7 @@ def test_bad_input(act, message):
 
 def test_numba_is_imported_only_where_kernels_are():
     code = (
-        "import sys, repro.experiments.baaij2023.table1, repro.estimation.levenberg_marquardt; "
+        "import sys, repro_companion.twins.table_1_method, repro.estimation.levenberg_marquardt; "
         "sys.exit('numba' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -6,10 +6,10 @@ from torch import nn
 
 from repro.errors import InputError
 from repro.estimation.levenberg_marquardt import jacobian
+from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.ensemble import SeedEnsemble, fold_batch_norm, fold_scaling
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.network import CosineNetwork, DipoleResidual, PerSensor, paper_network
-from repro.simulation.robots import pcc_robot
 
 
 def generator(seed=0):

@@ -10,13 +10,13 @@ from repro.errors import InputError
 from repro.estimation.levenberg_marquardt import jacobian
 from repro.kinematics.motion import backbone_motion
 from repro.kinematics.mounts import Mounts
+from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.robot import Robot
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
 from repro.sensing.placement import PlacedReadings, Tolerances, placed
-from repro.simulation.robots import pcc_robot
 
 MOMENTS = torch.from_numpy(ring("released").multipoles(9))
 EARTH = torch.tensor([0.03, -0.05, 0.02], dtype=torch.float64)

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from repro.errors import InputError
+from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro.sensing.moments import fit_moments
-from repro.simulation.robots import pcc_robot
 
 
 def poses(n, segments=1, seed=0):

@@ -6,6 +6,7 @@ from torch import nn
 
 from repro.errors import InputError
 from repro.estimation.levenberg_marquardt import jacobian
+from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
@@ -19,7 +20,6 @@ from repro.sensing.network import (
     paper_network,
 )
 from repro.sensing.relations import relations
-from repro.simulation.robots import pcc_robot
 
 
 def generator(seed=0):

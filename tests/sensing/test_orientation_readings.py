@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
 from repro.kinematics.mounts import magnet_mounts
-from repro.sensing.orientation_readings import (
+from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M, pcc_robot
+from repro_companion.pages.fusion.orientation_readings import (
     OrientationReadings,
     left_jacobian,
     rotation_matrix,
     rotation_vector,
 )
-from repro.simulation.robots import LENGTH_M, RADIUS_M, pcc_robot
 
 ANGLES = (0.0, 1e-12, 1e-8, 1e-4, 0.19, 0.21, 1.0, 2.0, 3.0, math.pi - 1e-3, math.pi - 1e-7)
 

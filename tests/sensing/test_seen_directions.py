@@ -7,9 +7,9 @@ from repro import se3
 from repro.errors import InputError
 from repro.estimation.levenberg_marquardt import jacobian
 from repro.kinematics.mounts import Mounts
-from repro.sensing.orientation_readings import rotation_matrix, rotation_vector
+from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.seen_directions import SeenDirections
-from repro.simulation.robots import pcc_robot
+from repro_companion.pages.fusion.orientation_readings import rotation_matrix, rotation_vector
 
 
 def random(*shape, seed=0):

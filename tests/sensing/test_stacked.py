@@ -7,10 +7,10 @@ from repro.errors import InputError
 from repro.estimation.information import fisher_information
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian
+from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnets import ring
 from repro.sensing.stacked import StackedSensing
-from repro.simulation.robots import pcc_robot
 
 FAR = torch.full((3,), 100.0, dtype=torch.float64)
 A = torch.tensor([[1.0, 0.5, 0.0], [0.0, 2.0, -1.0]], dtype=torch.float64)

@@ -9,15 +9,15 @@ import torch
 from torch import nn
 
 from repro.errors import InputError
-from repro.experiments.baaij2023 import training as paper_training
-from repro.experiments.baaij2023.training import AffineSpec, segment_rows, train_own, training_rows
 from repro.sensing import training
 from repro.sensing.fast_training import split_rows, train_dipole_residual, train_fast
 from repro.sensing.network import DipoleResidual, PerSensor, SignedExponential, paper_network
 from repro.sensing.relations import relations
 from repro.sensing.training import first_draws, rmse, train_paper
+from repro.sensing.training_set import training_set
 from repro.sensing.weights import load_paper_network, read_manifest
-from repro.simulation.training_set import training_set
+from repro_companion.twins import networks as paper_training
+from repro_companion.twins.networks import AffineSpec, segment_rows, train_own, training_rows
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import torch
 from repro.errors import InputError
 from repro.kinematics.bend import bend_angle_and_direction
 from repro.sensing.bend_sensor import BendSensor
-from repro.simulation.bend_curves import CURVES, bend_curve, bend_readings, bend_robot, curve_times
+from repro_companion.twins.bend_curves import CURVES, bend_curve, bend_readings, bend_robot, curve_times
 
 
 def test_curves_have_the_steps_of_the_paper_and_start_straight():

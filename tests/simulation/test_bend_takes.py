@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from repro.recordings.mitchell2021 import FIELD, align, read_hall, takes
-from repro.recordings.optitrack import read_capture
-from repro.simulation.bend_takes import (
+from repro_companion.recordings.mitchell2021 import FIELD, align, read_hall, takes
+from repro_companion.twins.bend_takes import (
     DRAINED,
     BendRecorder,
     tightening,
@@ -13,6 +12,7 @@ from repro.simulation.bend_takes import (
     write_bend_takes,
     write_light_tests,
 )
+from repro_live.own.optitrack import read_capture
 
 AS_DRAWN = BendRecorder(noise_mt=0.0, transverse_gain=1.0, rest_mt=(0.0, 0.0))
 

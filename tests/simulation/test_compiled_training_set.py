@@ -3,11 +3,11 @@
 import pytest
 import torch
 
+from bench.compiled_training_set import training_rows
 from repro.errors import InputError
 from repro.sensing.magnets import ring
 from repro.sensing.relations import relations
-from repro.simulation.compiled_training_set import training_rows
-from repro.simulation.training_set import training_set
+from repro.sensing.training_set import training_set
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.simulation.cosserat_rod import Rod, Stick, simulate_rod
+from repro_companion.twins.cosserat_rod import Rod, Stick, simulate_rod
 
 BARE = Rod(length_m=0.2, imu_arcs_m=(), elements=10)
 AREA = np.pi * BARE.radius_m**2

@@ -6,8 +6,8 @@ import pytest
 
 from repro.errors import InputError
 from repro.estimation.imu_chain import TABLE_I_LINK_LENGTHS, link_orientations, rigid_body
-from repro.recordings.martin2022 import READING_COLUMNS, one_clock
-from repro.simulation.imu_stream import NEIGHBOUR_ANGLES_DEG, smooth_motion, synthetic_stream
+from repro_companion.recordings.martin2022 import READING_COLUMNS, one_clock
+from repro_companion.twins.imu_stream import NEIGHBOUR_ANGLES_DEG, smooth_motion, synthetic_stream
 
 
 def test_has_the_form_of_a_recording():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.simulation.pneumatic_actuation import (
+from repro_companion.twins.pneumatic_actuation import (
     AZIMUTH_RATE,
     DURATION_S,
     PERIOD_S,

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.experiments.baaij2023.twin import record_twin
-from repro.simulation.hysteresis import MODELS
-from repro.simulation.pneumatic_actuation import TRAJECTORIES
-from repro.simulation.pneumatic_rig import Differences, record_rig
-from repro.simulation.rig_twins import ELONGATION_MM, nominal_twin, random_twin, second_twin
-from repro.simulation.sensor_board import DRIFTS, FULL_SCALE_MV, LSB_MV
+from repro_companion.twins.hysteresis import MODELS
+from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
+from repro_companion.twins.pneumatic_rig import Differences, record_rig
+from repro_companion.twins.rig_facts import record_twin
+from repro_companion.twins.rig_twins import ELONGATION_MM, nominal_twin, random_twin, second_twin
+from repro_companion.twins.sensor_board import DRIFTS, FULL_SCALE_MV, LSB_MV
 
 FROZEN = "0392762d3f26ffd65d4dea95776c16d5bd67c28be19db1cb1c4c85a380f9783d"
 SECOND = "fc31ef79729d3a655e3ca6efff240fa4ed0329b30a669f28b979824e8a6ce9f4"

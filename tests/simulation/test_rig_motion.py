@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.simulation.pneumatic_actuation import Chambers
-from repro.simulation.rig_motion import Bending, InnerShape, rig_motion
+from repro_companion.twins.pneumatic_actuation import Chambers
+from repro_companion.twins.rig_motion import Bending, InnerShape, rig_motion
 
 CHAMBERS = Chambers()
 LINEAR = Bending((0.0, 0.0), (8.0, 8.0), (0.0, 0.0), (0.0, 0.0), 4.5, 0.2, 0.0, 3.0)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.simulation.robots import affine_robot, pcc_robot
+from repro.kinematics.paper_robots import affine_robot, pcc_robot
 
 STRAIGHT = torch.tensor([0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
 

@@ -10,8 +10,8 @@ from repro.errors import InputError
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro.sensing.rig import rig_earth_axis, rig_robot
-from repro.simulation.rig_twins import nominal_twin
-from repro.simulation.sensor_board import LSB_MV, analogue_readings, converted, disturbance, field
+from repro_companion.twins.rig_twins import nominal_twin
+from repro_companion.twins.sensor_board import LSB_MV, analogue_readings, converted, disturbance, field
 
 BOARD = nominal_twin().board
 DRAWN = replace(

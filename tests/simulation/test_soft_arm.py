@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
 from repro.estimation.imu_chain import adjacent_angles
-from repro.simulation.cosserat_rod import Rod, Stick, simulate_rod
-from repro.simulation.soft_arm import load_soft_arm, sampled, save_soft_arm, simulate_soft_arm
-from repro.simulation.stick_motion import LEAD_IN_S, STICK_ARC_M, hand_path
+from repro_companion.twins.cosserat_rod import Rod, Stick, simulate_rod
+from repro_companion.twins.soft_arm import load_soft_arm, sampled, save_soft_arm, simulate_soft_arm
+from repro_companion.twins.stick_motion import LEAD_IN_S, STICK_ARC_M, hand_path
 
 FILE = Path(__file__).parents[2] / "data" / "soft_arm.npz"
 

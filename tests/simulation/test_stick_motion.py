@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.simulation.stick_motion import DURATION_S, LEAD_IN_S, MODES, STICK_ARC_M, hand_path, mode_at
+from repro_companion.twins.stick_motion import DURATION_S, LEAD_IN_S, MODES, STICK_ARC_M, hand_path, mode_at
 
 TIME_S = np.arange(-LEAD_IN_S, DURATION_S, 0.005)
 

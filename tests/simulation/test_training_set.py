@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.experiments.baaij2023 import training
+from repro.kinematics.paper_robots import MAGNET_SHIFT_M, affine_robot
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
-from repro.simulation.robots import MAGNET_SHIFT_M, affine_robot
-from repro.simulation.training_set import BENDING_M, ELONGATION_M, affine_training_set, training_set
+from repro.sensing.training_set import BENDING_M, ELONGATION_M, affine_training_set, training_set
+from repro_companion.twins import networks as training
 
 
 @pytest.fixture(scope="module")

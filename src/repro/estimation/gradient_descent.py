@@ -100,7 +100,7 @@ class GradientDescent:
         q, b = state.q, state.momentum if self.carry_momentum else torch.zeros_like(state.momentum)
         q, free = held(q, known)
         if self._kernel is not None:
-            from repro.estimation.compiled_descent import descend
+            from repro.kernels.descent import descend
 
             options = (self.step_size, self.momentum, self.iterations)
             q, b, u_hat, loss, best_at = descend(self._kernel, (q, b), u, use, free, *options)

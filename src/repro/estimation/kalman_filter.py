@@ -165,7 +165,7 @@ class IteratedKalmanFilter:
         """Configuration, its covariance, predicted readings, iterations, for a prior at ``q``."""
         middle = torch.clamp(q, self.lower.to(q), self.upper.to(q))
         if self._kernel is not None:
-            from repro.estimation.compiled_least_squares import fit
+            from repro.kernels.least_squares import fit
 
             middle, free = held(middle, known)
             options = ((self.lower, self.upper), self.noise_mt, self.iterations, TOLERANCE)

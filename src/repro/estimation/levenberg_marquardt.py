@@ -107,7 +107,7 @@ class LevenbergMarquardt:
     def _fit_compiled(
         self, q: Tensor, u: Tensor, use: Tensor, free: Tensor, low: Tensor, high: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        from repro.estimation.compiled_least_squares import fit
+        from repro.kernels.least_squares import fit
 
         options = (self.noise_mt, self.iterations, TOLERANCE)
         q, u_hat, rmse, count, J, C, determined = fit(self._kernel, q, u, use, free, (low, high), *options)

@@ -128,8 +128,8 @@ class ParticleFilter:
     def _compiled(self) -> Any:
         if kernel(self.sensing) is None:
             return None
-        from repro.estimation.compiled_cloud import CompiledCloud  # here: numba takes a second to import
-        from repro.sensing.compiled_bend import CompiledBendSensor
+        from repro.kernels.bend import CompiledBendSensor
+        from repro.kernels.cloud import CompiledCloud  # here: numba takes a second to import
 
         return (
             CompiledCloud(self.sensing, self.region) if isinstance(self.sensing, CompiledBendSensor) else None

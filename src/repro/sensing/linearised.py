@@ -131,7 +131,7 @@ class LinearisedSensing:
     --------
     A dipole straight below a sensor that looks down: -2 A_1/d^3 at d = 55 mm:
 
-    >>> from repro.simulation.robots import pcc_robot
+    >>> from repro.kinematics.paper_robots import pcc_robot
     >>> sensing = LinearisedSensing(pcc_robot(1, 1, radial=0.0), torch.tensor([1e-4], dtype=torch.float64))
     >>> sensing(torch.zeros(3, dtype=torch.float64))
     tensor([-1.2021], dtype=torch.float64)

@@ -90,7 +90,7 @@ def fit_moments(
     --------
     >>> from repro.sensing.magnetic import readings
     >>> from repro.sensing.magnets import ring
-    >>> from repro.simulation.robots import pcc_robot
+    >>> from repro.kinematics.paper_robots import pcc_robot
     >>> q = 0.02 * torch.rand(40, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     >>> fit = fit_moments(pcc_robot(1), q, readings(pcc_robot(1), q, ring("published")), terms=2)
     >>> [round(float(x)) for x in fit.moments * torch.tensor([1e9, 1e15])]  # exact: 58725, -1453444 mT mm^(l+2)

@@ -85,7 +85,7 @@ def parameter_names(robot: Robot, terms: int | torch.Size) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> from repro.simulation.robots import pcc_robot
+    >>> from repro.kinematics.paper_robots import pcc_robot
     >>> parameter_names(pcc_robot(1, 1), terms=2)[3:]
     ('magnet 1 tilt about x', 'magnet 1 tilt about y', 'sensor 1 azimuth', 'sensor 1 radius', 'sensor 1 tilt', \
 'sensor 1 gain', 'moment A1', 'moment A3')

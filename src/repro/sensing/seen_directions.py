@@ -50,7 +50,7 @@ class SeenDirections:
     The tip of a segment bent by a quarter of a turn towards x looks along x and sees the vertical along -x:
 
     >>> from repro.kinematics.mounts import magnet_mounts
-    >>> from repro.simulation.robots import pcc_robot
+    >>> from repro.kinematics.paper_robots import pcc_robot
     >>> up = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
     >>> sensing = SeenDirections(pcc_robot(1), magnet_mounts([0], [0.11]), (0,), up)
     >>> sensing(torch.tensor([0.022 * torch.pi / 2, 0.0, 0.0], dtype=torch.float64)).round(decimals=6) + 0.0

@@ -1,1 +1,0 @@
-"""The experiments of the papers: frozen settings to tidy tables of results."""

@@ -1,1 +1,0 @@
-"""Experiments of Baaij et al. 2023, simulated and on the rig."""

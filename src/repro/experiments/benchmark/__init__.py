@@ -1,1 +1,0 @@
-"""What the capabilities of the package cost."""

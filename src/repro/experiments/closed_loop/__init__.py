@@ -1,1 +1,0 @@
-"""A curvature controller with an estimator in its loop."""

@@ -1,1 +1,0 @@
-"""Experiments of Martin et al. 2022, recorded and simulated."""

@@ -1,1 +1,0 @@
-"""Experiments of Mitchell et al. 2021, simulated and recorded."""

@@ -1,1 +1,0 @@
-"""One robot with the sensors of all three papers."""

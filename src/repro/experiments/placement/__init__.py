@@ -1,1 +1,0 @@
-"""Where sensors are best placed."""

@@ -1,1 +1,0 @@
-"""Serial frames in, recordings and estimates out."""

@@ -1,1 +1,0 @@
-"""A sensor board that is not there, with its faults."""

@@ -1,1 +1,0 @@
-"""From frames to estimates while they arrive."""

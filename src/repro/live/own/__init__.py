@@ -1,1 +1,0 @@
-"""Own recordings with motion capture: one clock, a calibration, estimates, and how far off they are."""

@@ -1,1 +1,0 @@
-"""A port to a recording that survives whatever happens."""

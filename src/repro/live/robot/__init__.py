@@ -1,1 +1,0 @@
-"""A robot in a file, and its calibration."""

@@ -1,1 +1,0 @@
-"""Bytes on a serial line to frames, and back."""

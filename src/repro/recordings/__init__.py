@@ -1,1 +1,0 @@
-"""Real recordings to tidy tables."""

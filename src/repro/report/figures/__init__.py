@@ -1,1 +1,0 @@
-"""Figures of the notebooks, one module for each notebook or paper."""

@@ -1,1 +1,0 @@
-"""3-D views of the notebooks, for the viewer."""

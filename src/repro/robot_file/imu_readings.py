@@ -1,0 +1,124 @@
+"""IMUs of a described robot: their quaternions in the frame of the robot, alone or beside magnetic sensors.
+
+Quaternions are XYZW and turn the frame of the IMU into a world whose z axis is the vertical. The file says how the
+IMU sits on its cross-section and how the base stands in that world. Beside magnetic sensors an IMU is read as
+directions that are fixed in the base, :mod:`repro.sensing.seen_directions`: the three axes of the base if its heading
+is absolute, the vertical alone if its heading is free.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from repro import se3
+from repro.estimation.orientations import UNIT_TOLERANCE
+from repro.kinematics.mounts import Mounts
+from repro.kinematics.robot import Robot
+from repro.robot_file.parts import Imu
+from repro.robot_file.tables import UPRIGHT
+from repro.sensing.seen_directions import SeenDirections
+from repro.sensing.stacked import StackedSensing
+
+
+def in_cross_section(values: Sequence[float], imu: Imu, base_orientation: Sequence[float]) -> Sequence[float]:
+    """Orientation of the cross-section in the base, from that of the IMU in the world; as given if they are the same.
+
+    Anything but a unit quaternion is returned as it is: the estimator refuses it.
+    """
+    as_they_are = list(imu.mounted) == UPRIGHT and list(base_orientation) == UPRIGHT
+    if as_they_are or not _is_unit(values):
+        return values
+    turned = Rotation.from_quat(values) * Rotation.from_quat(imu.mounted).inv()
+    return (Rotation.from_quat(base_orientation).inv() * turned).as_quat().tolist()
+
+
+def sizes(imus: Sequence[Imu]) -> tuple[int, ...]:
+    """Return how many components each IMU has in the model: nine, or three if its heading is free."""
+    return tuple(3 if imu.free_heading else 9 for imu in imus)
+
+
+def freedoms(imus: Sequence[Imu]) -> int:
+    """Return how many independent numbers the IMUs read: three angles each, or two if the heading is free."""
+    return sum(2 if imu.free_heading else 3 for imu in imus)
+
+
+def sent(
+    cross_sections: Float[np.ndarray, "*batch imus 3 3"],
+    imus: Sequence[Imu],
+    base_orientation: Sequence[float],
+) -> Float[np.ndarray, "*batch imus 4"]:
+    """Quaternions that IMUs without errors send, from the orientations of their cross-sections in the base.
+
+    Examples
+    --------
+    >>> sent(np.eye(3)[None], [Imu(1, 0, 0.1, 0.1, mounted=(1.0, 0.0, 0.0, 0.0))], UPRIGHT) + 0.0
+    array([[1., 0., 0., 0.]])
+    """
+    mounted = Rotation.from_quat([imu.mounted for imu in imus]).as_matrix()
+    R = Rotation.from_quat(base_orientation).as_matrix() @ cross_sections @ mounted
+    return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat().reshape(*R.shape[:-2], 4)
+
+
+def directions(robot: Robot, imus: Sequence[Imu], base_orientation: Sequence[float]) -> SeenDirections:
+    """Sensor model of the IMUs: the axes of the base, or the vertical, as each sees them."""
+    to_world = Rotation.from_quat(base_orientation).as_matrix()
+    seen_by, rows = [], []
+    for k, imu in enumerate(imus):
+        seen = to_world[2:] if imu.free_heading else np.eye(3)
+        seen_by += [k] * len(seen)
+        rows.append(seen)
+    mounted = torch.from_numpy(Rotation.from_quat([imu.mounted for imu in imus]).as_matrix())
+    at = torch.tensor([imu.at_m for imu in imus], dtype=torch.float64)
+    mounts = Mounts(tuple(imu.segment for imu in imus), at, se3.pose(mounted, mounted.new_zeros(3)))
+    return SeenDirections(robot, mounts, tuple(seen_by), torch.from_numpy(np.concatenate(rows)))
+
+
+def seen(
+    values: Sequence[float] | None, imu: Imu, base_orientation: Sequence[float]
+) -> Float[Tensor, " components"]:
+    """Return what :func:`directions` predicts of one IMU, from its quaternion; NaN without one, or if it is not unit.
+
+    Examples
+    --------
+    >>> seen((0.0, 0.0, 1.0, 0.0), Imu(1, 0, 0.1, 0.1, free_heading=True), UPRIGHT)
+    tensor([0., 0., 1.], dtype=torch.float64)
+    """
+    if values is None or not _is_unit(values):
+        return torch.full((sizes([imu])[0],), math.nan, dtype=torch.float64)
+    of_world = Rotation.from_quat(values).as_matrix().T  # columns: axes of the world as the IMU sees them
+    if imu.free_heading:
+        return torch.from_numpy(of_world[:, 2].copy())
+    return torch.from_numpy((of_world @ Rotation.from_quat(base_orientation).as_matrix()).T.flatten())
+
+
+def beside_imus(
+    magnetic: Callable[[Tensor], Tensor],
+    noise: float,
+    imus: Sequence[Imu],
+    imu_noise: float,
+    model: SeenDirections,
+) -> StackedSensing:
+    """Sensor model of magnetic sensors and IMUs together, each in units of its noise.
+
+    Parameters
+    ----------
+    magnetic, noise
+        Model of the magnetic sensors, and the standard deviation of their readings.
+    imus, imu_noise
+        The IMUs, and the standard deviation of an orientation about each axis [rad].
+    model
+        From :func:`directions`.
+    """
+    sigma = [imu_noise * (1.0 if n == 3 else math.sqrt(2.0)) for n in sizes(imus) for _ in range(n)]
+    return StackedSensing((magnetic, model), (noise, torch.tensor(sigma, dtype=torch.float64)))
+
+
+def _is_unit(values: Sequence[float]) -> bool:
+    return len(values) == len(UPRIGHT) and abs(math.hypot(*values) - 1) <= UNIT_TOLERANCE

@@ -1,0 +1,296 @@
+"""A robot in a TOML file: read, checked, and made into the objects that estimators take.
+
+Lengths are millimetres and angles degrees in the file, which says so in the names of its keys; SI and radians in what
+is made of it. Segments, magnets and sensors count from 1 at the base, in the file and in messages.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from repro.errors import bad_input
+from repro.kinematics.robot import Robot
+from repro.robot_file import checks as robot_checks
+from repro.robot_file.calibration_file import RobotCalibration, read_calibration
+from repro.robot_file.document import Document
+from repro.robot_file.magnet_moments import shared_moments
+from repro.robot_file.parts import Imu, imus_of, magnets_of, networks_of, segments_of, sensors_of
+from repro.robot_file.reading_errors import CalibrationError, network_error, network_of_sensor
+from repro.robot_file.tables import (
+    UNITS,
+    sensor_keys,
+    stream_keys,
+    top_keys,
+)
+from repro.robot_file.unobserved import unobserved
+from repro.sensing.linearised import LinearisedSensing
+from repro.sensing.magnetic import MagneticSensing
+from repro.sensing.magnets import Cube, Ring
+from repro.sensing.network import PerSensor
+from repro.sensing.own_model import Given, are_scripts, own_model
+from repro.sensing.placement import placed
+from repro.sensing.relations import relations
+from repro.sensing.weights import load_paper_network
+
+
+@dataclass(frozen=True)
+class RobotFile:
+    """A robot, its sensors and its stream.
+
+    Parameters
+    ----------
+    name, sha256
+        Name of the file, and the hash of its content.
+    robot
+        Segments with the mounts of magnets and sensors; after calibration, as calibrated.
+    format, rate_hz
+        Of the stream.
+    unit
+        Unit of the readings of the magnetic sensors: ``"mT"``, ``"mV"`` or ``"raw"`` (whole numbers of a converter).
+    channels
+        Values of a frame that are readings.
+    channel
+        For every sensor, which of them is its own, from 0.
+    gain, offset
+        Readings per flux density [unit/mT], and readings without field [unit], of every sensor.
+    noise
+        Standard deviation of a reading [unit].
+    moments
+        Multipole moments [mT m^(l+2)]: those that the magnets share, or a row for each magnet where they are not
+        alike; none without magnets.
+    magnets
+        The magnets as described, from the file.
+    earth_mt
+        Earth field in the base frame [mT].
+    lower, upper
+        Bounds of the configuration.
+    imus
+        From base to tip.
+    imu_noise
+        Standard deviation of an orientation about each axis [rad].
+    base_orientation
+        Unit quaternion XYZW from the frame of the base to the world of the IMUs.
+    networks
+        Files of trained networks that say what the sensors read, instead of the field of the magnets: one for all
+        sensors, one per segment, or one per sensor.
+    notes
+        Warnings: what is allowed but probably not meant.
+    network_inputs
+        What networks in TorchScript take: ``"angles"`` or ``"cosines"``.
+    error
+        Covariance of the readings at a configuration that comes from an imperfect model [unit^2]: of what a
+        calibration left uncertain, or of trained networks; none for a robot taken exactly as described.
+    """
+
+    name: str
+    sha256: str
+    robot: Robot
+    format: str
+    rate_hz: float
+    unit: str
+    channels: int
+    channel: tuple[int, ...]
+    gain: Float[Tensor, " s"]
+    offset: Float[Tensor, " s"]
+    noise: float
+    moments: Float[Tensor, "*m terms"] | None
+    magnets: tuple[Ring | Cube, ...]
+    earth_mt: Float[Tensor, " 3"]
+    lower: Float[Tensor, " n_q"]
+    upper: Float[Tensor, " n_q"]
+    imus: tuple[Imu, ...]
+    imu_noise: float
+    base_orientation: tuple[float, ...]
+    networks: tuple[Path, ...]
+    notes: tuple[str, ...]
+    network_inputs: str = "angles"
+    error: Callable[[Tensor], Tensor] | None = None
+
+    @property
+    def magnet(self) -> Ring | Cube | None:
+        """The magnet that all of them are; none without magnets, or where they are not alike."""
+        return self.magnets[0] if len(set(self.magnets)) == 1 else None
+
+    @property
+    def start(self) -> Float[Tensor, " n_q"]:
+        """Straight, in the middle of the bounds of every elongation (and of an azimuth): where estimators start."""
+        middle = (self.lower + self.upper) / 2
+        bends = torch.tensor([not name.startswith(("delta_L", "phi")) for name in self.robot.coordinates])
+        return torch.where(bends, torch.zeros_like(middle).clamp(self.lower, self.upper), middle)
+
+    def sensing(
+        self, model: Given | Sequence[Given] | None = None, *, inputs: str = "cosines"
+    ) -> LinearisedSensing | MagneticSensing:
+        """Sensor model of an estimator: configuration to :meth:`signal` [unit].
+
+        :func:`repro.kernels.compiled` takes it, unless ``model`` is a callable of which it knows nothing.
+
+        Parameters
+        ----------
+        model
+            A sensor model of your own, from relations (:mod:`repro.sensing.relations`) to readings [unit]: a module
+            of torch, TorchScript or the path of its file, or any callable; a list for one per segment or per sensor.
+            See :func:`repro.sensing.own_model.own_model`.
+        inputs
+            Whether your model takes the relations as ``"cosines"`` or as ``"angles"`` [rad].
+
+        Raises
+        ------
+        InputError
+            If the robot has no magnetic sensors, or the model does not fit it.
+        """
+        if not len(self.robot.sensors) or self.moments is None:
+            expected = "a robot with magnets and magnetic sensors"
+            raise bad_input("robot", self.name, expected, f"one with {len(self.imus)} IMUs")
+        size = float(torch.linalg.vector_norm(self.earth_mt))
+        axis = self.earth_mt / size if size else None
+        if model is None and self.networks and not are_scripts(self.networks):
+            of_sensor = network_of_sensor(self.robot, len(self.networks))
+            network = PerSensor([load_paper_network(path) for path in self.networks], of_sensor).double()
+            return MagneticSensing(self.robot, network, "angles", axis)
+        if model is None and self.networks:
+            model, inputs = self.networks, self.network_inputs
+        if model is not None:
+            if inputs not in ("angles", "cosines"):
+                raise bad_input("inputs", "sensing", "'angles' or 'cosines'", repr(inputs))
+            at_start = relations(self.robot, self.start, axis)
+            xi = at_start.cosines() if inputs == "cosines" else at_start.angles()
+            own = own_model(model, xi, self.robot.sensors.segment, inputs)
+            return MagneticSensing(self.robot, own, inputs, axis)
+        return LinearisedSensing(self.robot, self.moments, self.gain, self.earth_mt, self.moments.ndim == 2)
+
+    def signal(self, values: Sequence[float]) -> Float[Tensor, " s"]:
+        """Part of a frame that depends on the configuration [unit]: readings of the sensors without their offsets.
+
+        Raises
+        ------
+        InputError
+            If the frame has another number of values than the file says.
+        """
+        if len(values) != self.channels:
+            expected = f"of {self.channels} channels, as described in {self.name}"
+            raise bad_input("frame", "the stream", expected, f"{len(values)} values")
+        u = torch.tensor([values[k] for k in self.channel], dtype=torch.float64)
+        return u - self.offset
+
+    def values(self, q: Float[Tensor, "*q n_q"]) -> Float[Tensor, "*q channels"]:
+        """Values of the frames that a board would send at ``q`` [unit], without noise; unused channels are zero."""
+        u = self.sensing()(q) + self.offset
+        frame = u.new_zeros(*u.shape[:-1], self.channels)
+        frame[..., list(self.channel)] = u
+        return frame
+
+    def calibrated(self, calibration: RobotCalibration) -> RobotFile:
+        """Return the robot as calibrated.
+
+        Raises
+        ------
+        InputError
+            If the calibration belongs to another file, or to another content of this one.
+        """
+        if calibration.robot_sha256 != self.sha256:
+            expected = f"made with {self.name} as it is now (sha256 {self.sha256[:12]})"
+            received = f"one made with {calibration.robot} of sha256 {calibration.robot_sha256[:12]}"
+            raise bad_input("calibration", self.name, expected, received)
+        if self.moments is None or self.networks:
+            raise bad_input(
+                "calibration", self.name, "of a robot whose sensors read the field of magnets", self.name
+            )
+        sizes = (len(calibration.offset), len(calibration.earth_mt))
+        if sizes != (len(self.robot.sensors), 3):
+            expected = f"of {len(self.robot.sensors)} offsets and 3 components of the Earth field"
+            raise bad_input("calibration", self.name, expected, f"{sizes[0]} and {sizes[1]}")
+        parts = placed(self.robot, self.moments, calibration.parameters)
+        return replace(
+            self,
+            robot=replace(self.robot, magnets=parts.magnets, sensors=parts.sensors),
+            moments=parts.moments,
+            gain=self.gain * parts.gain,
+            offset=self.offset + calibration.offset,
+            earth_mt=calibration.earth_mt,
+            error=CalibrationError(self.robot, self.moments, self.gain, calibration),
+        )
+
+
+def load_robot(path: Path | str, calibration: Path | str | None = None) -> RobotFile:
+    """Read a robot file, and apply a calibration if there is one.
+
+    Raises
+    ------
+    InputError
+        If the file does not describe a robot; the message names file, line and key.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise bad_input("path", "load_robot", "a robot file", path)
+    content = path.read_bytes()
+    try:
+        text = content.decode("utf-8-sig")  # some editors of Windows begin with a byte-order mark
+    except UnicodeDecodeError as error:
+        raise bad_input("file", path.name, "text in UTF-8", error) from error
+    document = Document.of(path.name, text.replace("\r\n", "\n"))
+    described = _described(document, hashlib.sha256(content).hexdigest(), path.parent)
+    return described if calibration is None else described.calibrated(read_calibration(Path(calibration)))
+
+
+def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
+    top = document.checked(top_keys())
+    segments, bounds = segments_of(document)
+    lengths = tuple(segment.length for segment in segments)
+    mounts, magnets = magnets_of(document, lengths)
+    stream = document.table("stream")
+    sensors = document.tables("sensors")
+    imus = imus_of(document, lengths)
+    values = document.checked(stream_keys(bool(sensors), bool(imus), stream.get("unit")), "stream")
+    unit = values.get("unit", UNITS[0])
+    robot_checks.check_format(document, values["format"], unit, bool(sensors), bool(imus))
+    networks, network_inputs = networks_of(document, folder, len(segments), len(sensors))
+    places, column = sensors_of(document, lengths, sensor_keys(unit, bool(networks)))
+    used = column.get("channel", [])
+    channels = robot_checks.check_channels(document, used, values)
+    gain = column.get("gain", column.get(f"gain_{unit.lower()}_per_mt", [1.0] * len(used)))
+    earth = torch.tensor(top["earth_mt"], dtype=torch.float64)
+    robot = Robot(segments, mounts, places)
+    found = RobotFile(
+        name=document.name,
+        sha256=sha256,
+        robot=robot,
+        format=values["format"],
+        rate_hz=float(values["rate_hz"]),
+        unit=unit,
+        channels=channels,
+        channel=tuple(k - 1 for k in used),
+        gain=torch.tensor(gain, dtype=torch.float64),
+        offset=torch.tensor(column.get(f"offset_{unit.lower()}", []), dtype=torch.float64),
+        noise=float(values.get(f"noise_{unit.lower()}", 1.0)),
+        moments=shared_moments(magnets),
+        magnets=magnets,
+        earth_mt=earth,
+        lower=torch.tensor([low for low, _ in bounds], dtype=torch.float64),
+        upper=torch.tensor([high for _, high in bounds], dtype=torch.float64),
+        imus=imus,
+        imu_noise=math.radians(values.get("noise_deg", 0.0)),
+        base_orientation=tuple(map(float, top["base_orientation"])),
+        networks=networks,
+        notes=(),
+        network_inputs=network_inputs,
+    )
+    robot_checks.check_observed(document, robot, [(imu.segment, imu.at_m) for imu in imus], bool(earth.any()))
+    if sensors and not magnets:
+        raise document.error(("sensors", 0, "channel"), "of a robot with [[magnets]]", "one without")
+    notes = robot_checks.out_of_range(document, found) + unobserved(found)
+    notes += robot_checks.check_networks(document, found)
+    error = network_error(networks, robot, unit)
+    if networks and error is None:
+        notes += (
+            f"{found.name}: no error of the networks is known; what estimates state holds the noise alone.",
+        )
+    return replace(found, notes=notes, error=error)

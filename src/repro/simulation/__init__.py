@@ -1,1 +1,0 @@
-"""Synthetic recordings, called synthetic everywhere."""

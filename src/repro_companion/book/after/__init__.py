@@ -1,0 +1,1 @@
+"""What runs after the notebooks: scorecard, index of the papers, the site, comparisons of runs."""

@@ -1,0 +1,240 @@
+"""Building the book: run the notebooks whose inputs changed, compute the scorecard, build the site.
+
+``python -m repro_companion.book.after.build`` is what ``make book`` runs. With nothing changed it only hashes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from pathlib import Path
+
+from repro.errors import InputError, bad_input
+from repro.files import combined_digest, file_digest, write_if_changed, write_whole
+from repro_companion.book.after.site import SiteFailed, build_site
+from repro_companion.book.project import Project, find_project
+from repro_companion.book.provenance import (
+    RECORD_SUFFIX,
+    Inputs,
+    notebook_key,
+    read_inputs,
+    read_record,
+    record_path,
+)
+from repro_companion.book.runner import stop_on_termination
+from repro_companion.book.scorecard import ScorecardRow, compute_scorecard, scorecard_csv
+
+
+def build(project: Project, jobs: int) -> int:
+    """Build the book of a project.
+
+    Parameters
+    ----------
+    project
+        What to build.
+    jobs
+        How many notebooks may run at once.
+
+    Returns
+    -------
+    int
+        0, or 1 where a notebook, the scorecard or the site failed.
+    """
+    notebooks = sorted(project.notebooks.glob("*.ipynb"))
+    remove_leftovers(project, notebooks)
+    inputs = read_inputs(project)
+    due = [notebook for notebook in notebooks if not is_finished(project, notebook, inputs)]
+    if not run_all(project, due, jobs) or not _tables_are_told_apart(project, notebooks):
+        return 1
+    try:
+        rows = compute_scorecard(project)
+        write_if_changed(project.results / "scorecard.csv", scorecard_csv(rows))
+        _write_scorecard_pages(project, rows, inputs)
+        seconds = build_site(project)
+    except (InputError, SiteFailed) as error:
+        print(error, file=sys.stderr)
+        return 1
+    current = f"{len(notebooks) - len(due)} of {len(notebooks)} notebooks were up to date"
+    print(f"{current}; the site {'was too' if seconds is None else f'was built in {seconds:.0f} s'}.")
+    return 0
+
+
+def _write_scorecard_pages(project: Project, rows: Sequence[ScorecardRow], inputs: Inputs) -> None:
+    """Write what the site shows of the scorecard, unless all that it follows from is as it was."""
+    numbers = hashlib.sha256(scorecard_csv(rows).encode()).hexdigest()
+    key = combined_digest([inputs.sources, inputs.data, {"scorecard": numbers, "lock": inputs.lock}])
+    done, last = project.cache / "scorecard", project.book / "generated" / "scorecard.json"
+    if last.is_file() and done.is_file() and done.read_text(encoding="utf-8").strip() == key:
+        return
+    from repro_companion.book.after.scorecard_files import (
+        write_scorecard_files,  # draws: its import alone takes a second
+    )
+
+    write_scorecard_files(project, rows)
+    write_whole(done, key + "\n")
+
+
+def is_finished(project: Project, notebook: Path, inputs: Inputs) -> bool:
+    """Return whether a notebook was run from exactly these inputs, and what it made is there unchanged."""
+    record = read_record(record_path(project.results, notebook.stem))
+    if record is None or record.key != notebook_key(notebook, {}, inputs):
+        return False
+    made = {project.results / name: digest for name, digest in record.results.items()}
+    made[project.executed / notebook.name] = record.executed
+    return all(path.is_file() and file_digest(path) == digest for path, digest in made.items())
+
+
+def remove_leftovers(project: Project, notebooks: Iterable[Path]) -> None:
+    """Remove results and pages of notebooks that are no longer there."""
+    stems = {notebook.stem for notebook in notebooks}
+    for place in project.results.glob(f"*{RECORD_SUFFIX}"):
+        if place.name.removesuffix(RECORD_SUFFIX) not in stems:
+            record = read_record(place)
+            for name in record.results if record else ():
+                (project.results / name).unlink(missing_ok=True)
+            place.unlink()
+    for page in project.executed.glob("*.ipynb"):
+        if page.stem not in stems:
+            page.unlink()
+
+
+def _tables_are_told_apart(project: Project, notebooks: Iterable[Path]) -> bool:
+    """Return whether no two notebooks wrote the same table; where two did, both count as not run."""
+    writers: dict[str, list[str]] = {}
+    for notebook in notebooks:
+        record = read_record(record_path(project.results, notebook.stem))
+        for name in record.results if record else ():
+            writers.setdefault(name, []).append(notebook.stem)
+    shared = {name: stems for name, stems in writers.items() if len(stems) > 1}
+    for name, stems in shared.items():
+        print(f"The table {name} is written by more than one notebook: {', '.join(stems)}.", file=sys.stderr)
+        for stem in stems:
+            record_path(project.results, stem).unlink(missing_ok=True)
+    return not shared
+
+
+def run_all(project: Project, notebooks: Sequence[Path], jobs: int) -> bool:
+    """Run notebooks, several at once; a failure does not stop the others.
+
+    Parameters
+    ----------
+    project
+        Where outputs and tables go.
+    notebooks
+        What to run.
+    jobs
+        How many may run at once.
+
+    Returns
+    -------
+    bool
+        Whether all succeeded. Why one did not is printed when all have ended.
+    """
+    running = _Processes()
+    failures: list[str] = []
+    with ThreadPoolExecutor(max_workers=jobs) as pool:
+        futures = [pool.submit(_run_one, project, notebook, running) for notebook in notebooks]
+        try:
+            failures = [message for future in as_completed(futures) if (message := future.result())]
+        except BaseException:
+            _stop(futures, running)
+            raise
+    for message in failures:
+        print(message, file=sys.stderr)
+    return not failures
+
+
+def _run_one(project: Project, notebook: Path, running: _Processes) -> str:
+    """Run one notebook in a process of its own; return why it failed, or nothing."""
+    started = time.monotonic()
+    # one write per line: lines of several threads must not mix
+    print(f"{notebook.stem}: started\n", end="", flush=True)
+    # Partial notebooks go where readers look for runs, not where the site looks for pages.
+    failed = project.root / "runs" / f"{notebook.stem}.failed.ipynb"
+    places = (notebook, project.executed / notebook.name, project.results, failed)
+    code, output = running.run(
+        [sys.executable, "-m", "repro_companion.book.runner", *map(str, places)], project.root
+    )
+    seconds = time.monotonic() - started
+    print(f"{notebook.stem}: {'failed after' if code else 'done in'} {seconds:.1f} s\n", end="", flush=True)
+    return output.strip() or f"{notebook.stem} ended with {code}" if code else ""
+
+
+class _Processes:
+    """Processes that run now, so that they can be stopped with the build."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._running: set[subprocess.Popen[str]] = set()
+        self._stopped = False
+
+    def run(self, command: Sequence[str], folder: Path) -> tuple[int, str]:
+        with self._lock:
+            if self._stopped:
+                return 1, "stopped"
+            process = subprocess.Popen(
+                command,
+                cwd=folder,
+                text=True,
+                errors="replace",
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+            )
+            self._running.add(process)
+        try:
+            output, _ = process.communicate()
+        finally:
+            with self._lock:
+                self._running.discard(process)
+        return process.returncode, output
+
+    def stop(self) -> None:
+        with self._lock:
+            self._stopped = True
+            for process in self._running:
+                process.terminate()
+
+
+def _stop(futures: Iterable[Future[str]], running: _Processes) -> None:
+    for future in futures:
+        future.cancel()
+    running.stop()
+
+
+def jobs_from_environment() -> int:
+    """Return how many notebooks may run at once: the environment variable ``JOBS``, else one per core.
+
+    Raises
+    ------
+    InputError
+        If ``JOBS`` is no whole number of 1 or more.
+    """
+    chosen = os.environ.get("JOBS", "").strip()
+    if not chosen:
+        # Fewer than os.cpu_count() where a container or a batch system grants fewer.
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not chosen.isdecimal() or int(chosen) < 1:
+        raise bad_input("JOBS", "the build", "a whole number of 1 or more", chosen)
+    return int(chosen)
+
+
+def main() -> int:
+    """Build the book of the current project; return 0, 1 on failure or 2 for wrong input."""
+    stop_on_termination()
+    try:
+        return build(find_project(), jobs_from_environment())
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,130 @@
+"""Whether results follow from the sources alone: all notebooks run again in a clean copy, and tables are compared.
+
+``python -m repro_companion.book.after.rebuild`` is what ``make reproduce`` runs, after ``make book``.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from itertools import zip_longest
+from pathlib import Path
+
+from repro.errors import InputError, bad_input
+from repro_companion.book.after.build import is_finished, jobs_from_environment, run_all
+from repro_companion.book.project import Project, find_project
+from repro_companion.book.provenance import read_inputs
+from repro_companion.book.runner import stop_on_termination
+
+SHOWN = 100
+"""Characters of a line that are shown where two tables differ."""
+
+
+def rebuild(project: Project, jobs: int) -> list[str]:
+    """Run all notebooks of a project in a copy of its sources, and compare the tables that they write.
+
+    The copy is ``.cache/again`` and stays there. It holds what git knows or does not ignore: no results, no caches.
+
+    Parameters
+    ----------
+    project
+        Whose book is built.
+    jobs
+        How many notebooks may run at once.
+
+    Returns
+    -------
+    list of str
+        One line for each table that is not the same, byte for byte; the copy's notebooks that failed say so
+        themselves, and their tables are missing.
+
+    Raises
+    ------
+    InputError
+        If the book is not up to date, or the project is not a git checkout.
+    """
+    notebooks, inputs = sorted(project.notebooks.glob("*.ipynb")), read_inputs(project)
+    due = [notebook.stem for notebook in notebooks if not is_finished(project, notebook, inputs)]
+    if due:
+        raise bad_input(
+            "results", "make reproduce", "up to date (run make book first)", f"{', '.join(due)} to run"
+        )
+    copy = Project(project.root / ".cache" / "again")
+    copy_sources(project.root, copy.root)
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = str(copy.root / "src")  # the copy's own package, not the installed one
+    try:
+        run_all(copy, sorted(copy.notebooks.glob("*.ipynb")), jobs)
+    finally:
+        if before is None:
+            del os.environ["PYTHONPATH"]
+        else:
+            os.environ["PYTHONPATH"] = before
+    return differences(project.results, copy.results)
+
+
+def copy_sources(root: Path, copy: Path) -> None:
+    """Copy what git knows or does not ignore to a folder, which is emptied first.
+
+    Raises
+    ------
+    InputError
+        If there is no git, or the folder is not a checkout.
+    """
+    command = ["git", "-C", str(root), "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    if not (root / ".git").exists() or shutil.which("git") is None:
+        raise bad_input("project", "make reproduce", "a git checkout: git knows what are sources", root.name)
+    listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    shutil.rmtree(copy, ignore_errors=True)
+    for name in filter(None, listed.split("\0")):
+        if (root / name).is_file():  # not where a file was removed, but not from git yet
+            (copy / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(root / name, copy / name)
+
+
+def differences(first: Path, second: Path) -> list[str]:
+    """Return one line for each ``.csv`` of two folders that is not the same in both, byte for byte.
+
+    ``scorecard.csv`` is left out: the build makes it from the others.
+    """
+    names = {path.name for folder in (first, second) for path in folder.glob("*.csv")} - {"scorecard.csv"}
+    found = []
+    for name in sorted(names):
+        missing = [folder for folder in (first, second) if not (folder / name).is_file()]
+        if missing:
+            found.append(f"{name} is missing in {missing[0]}")
+            continue
+        pair = [(folder / name).read_bytes() for folder in (first, second)]
+        if pair[0] == pair[1]:
+            continue
+        lines = zip_longest(
+            *(text.decode("utf-8", "replace").split("\n") for text in pair), fillvalue="(no line)"
+        )
+        number, (a, b) = next((k, both) for k, both in enumerate(lines, 1) if both[0] != both[1])
+        found.append(f"{name} differs from line {number} on: {a[:SHOWN]} | {b[:SHOWN]}")
+    return found
+
+
+def main() -> int:
+    """Compare; return 0, 1 where a table differs, or 2 for wrong input."""
+    stop_on_termination()
+    try:
+        project = find_project()
+        found = rebuild(project, jobs_from_environment())
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    for line in found:
+        print(line, file=sys.stderr)
+    if not found:
+        count = len(list(project.results.glob("*.csv"))) - 1
+        print(f"All {count} tables are the same, byte for byte.")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,300 @@
+"""Running one notebook with papermill: whole or not at all, with a record of what it was made from.
+
+``python -m repro_companion.book.runner NOTEBOOK OUTPUT RESULTS FAILED`` is how a build runs one notebook in a process
+of its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from repro.errors import bad_input
+from repro.files import file_digest, tree_digests
+from repro_companion.book.project import Project, find_project, runs_folder, shown
+from repro_companion.book.provenance import (
+    Record,
+    make_record,
+    read_inputs,
+    read_record,
+    record_path,
+    write_record,
+)
+from repro_companion.recordings.sources import data_dir
+
+if TYPE_CHECKING:
+    from nbformat import NotebookNode
+
+# The kernel calls its own orderly end an error; what a cell raises is reported in any case.
+_QUIET_KERNEL = ("--IPKernelApp.log_level=50",)
+_ONE_THREAD = ("OMP", "MKL", "OPENBLAS", "NUMEXPR", "VECLIB_MAXIMUM", "NUMBA")
+
+
+class NotebookFailed(Exception):
+    """A notebook stopped before its end. The message names the failing cell and the partial notebook."""
+
+
+def read_notebook(path: Path) -> NotebookNode:
+    """Read a notebook.
+
+    Parameters
+    ----------
+    path
+        A file of notebook format 4.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it is no notebook.
+    """
+    import nbformat
+
+    if not path.is_file():
+        raise bad_input("notebook", "repro run", "an existing file", path)
+    try:
+        return nbformat.read(path, as_version=4)
+    except RecursionError as error:
+        raise bad_input(
+            "notebook", "repro run", "a Jupyter notebook", f"{path} (nested too deeply)"
+        ) from error
+    except (ValueError, AttributeError, KeyError, TypeError, nbformat.ValidationError) as error:
+        raise bad_input("notebook", "repro run", "a Jupyter notebook", f"{path} ({error})") from error
+
+
+def default_output(notebook: Path, key: str, project: Project) -> Path:
+    """Return where a run goes when no output is named: ``runs/<name>-<8 digits of the key>/<name>.ipynb``."""
+    return runs_folder(project) / f"{notebook.stem}-{key[:8]}" / f"{notebook.stem}.ipynb"
+
+
+def check_output(notebook: Path, output: Path, project: Project) -> None:
+    """Refuse an output that would overwrite the notebook itself or anything of the book.
+
+    Raises
+    ------
+    InputError
+        If the output is no ``.ipynb``, is a folder, is the notebook, or lies in ``book/``, ``notebooks/`` or
+        ``results/`` of the project.
+    """
+    if output.suffix != ".ipynb" or output.is_dir():
+        raise bad_input("output", "repro run", "a file name that ends in .ipynb", output)
+    if output.resolve() == notebook.resolve():
+        raise bad_input("output", "repro run", "another file than the notebook", output)
+    if owner := project.owner_of(output):
+        raise bad_input("output", "repro run", f"outside {owner}/, which belongs to the book", output)
+
+
+def run_notebook(
+    notebook: Path,
+    parameters: Mapping[str, Any],
+    output: Path,
+    results: Path,
+    *,
+    project: Project,
+    failed: Path | None = None,
+    progress: bool = False,
+) -> Record:
+    """Run a notebook; its output and tables appear when it has finished, and replace those of an earlier run.
+
+    Parameters
+    ----------
+    notebook
+        What to run; it is not changed.
+    parameters
+        Values that differ from the notebook's own, already of the declared types.
+    output
+        The executed notebook.
+    results
+        Folder of the tables and of the record ``<name of output>.provenance.json``.
+    project
+        Whose package, data and lock the record names.
+    failed
+        Where the partial notebook is kept on failure; ``<name>.failed.ipynb`` beside the output by default.
+    progress
+        Whether to draw a progress bar.
+
+    Returns
+    -------
+    Record
+        What the run was made from and what it made.
+
+    Raises
+    ------
+    NotebookFailed
+        If a cell raised an error or the kernel died. Earlier outputs and tables stay as they were.
+    InputError
+        If the notebook is missing or no notebook.
+    """
+    import papermill
+    from traitlets.config import Config
+
+    read_notebook(notebook)
+    failed = failed or output.with_name(f"{output.stem}.failed.ipynb")
+    inputs = read_inputs(project)
+    started, clock = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
+    results.mkdir(parents=True, exist_ok=True)
+    staging = Path(tempfile.mkdtemp(prefix=f".{output.stem}-", dir=results))
+    try:
+        partial, tables = staging / output.name, staging / "tables"
+        # A kernel on TCP ports dies where another program takes one of them first. Paths of sockets must be
+        # short (104 characters on macOS), hence a folder of their own.
+        with (
+            _environment(_kernel_environment(tables)),
+            tempfile.TemporaryDirectory(prefix="repro-") as sockets,
+        ):
+            try:
+                papermill.execute_notebook(
+                    _literal(notebook),
+                    _literal(partial),
+                    dict(parameters),
+                    kernel_name="python3",
+                    language="python",
+                    progress_bar=progress,
+                    extra_arguments=list(_QUIET_KERNEL),
+                    config=Config(KernelManager={"transport": "ipc", "ip": f"{sockets}/kernel"}),
+                )
+            except BaseException as error:
+                message = _keep_partial(notebook, partial, failed, error)
+                # An interruption stays one, for whoever waits for it.
+                if not isinstance(error, Exception):
+                    print(message, file=sys.stderr)
+                    raise
+                raise NotebookFailed(message) from error
+        _forget_places(partial, notebook, output)
+        record = make_record(
+            project,
+            notebook,
+            parameters,
+            inputs,
+            started=started,
+            seconds=time.monotonic() - clock,
+            results=tree_digests(tables),
+            executed=file_digest(partial),
+        )
+        _publish(record, tables, results, partial, output)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    failed.unlink(missing_ok=True)
+    return record
+
+
+def _literal(path: Path) -> str:
+    # papermill formats paths: braces are doubled to stand for themselves
+    return str(path.absolute()).replace("{", "{{").replace("}", "}}")
+
+
+def _kernel_environment(tables: Path) -> dict[str, str]:
+    threads = {name + ("_THREADS" if "MAX" in name else "_NUM_THREADS"): "1" for name in _ONE_THREAD}
+    folders = {"REPRO_RESULTS_DIR": str(tables.absolute()), "REPRO_DATA_DIR": str(data_dir())}
+    # The debugger of ipykernel warns at every start about modules that Python has frozen.
+    return {**threads, **folders, "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
+
+
+@contextlib.contextmanager
+def _environment(changes: Mapping[str, str]) -> Iterator[None]:
+    """Change the environment, which the kernel inherits, and change it back."""
+    before = {name: os.environ.get(name) for name in changes}
+    os.environ.update(changes)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _keep_partial(notebook: Path, partial: Path, failed: Path, error: BaseException) -> str:
+    """Keep the partial notebook and return a message that says where it is and which cell failed."""
+    if not partial.is_file():
+        return f"{shown(notebook)} failed before its first cell: {_describe(error)}"
+    _forget_places(partial, notebook, failed)
+    failed.parent.mkdir(parents=True, exist_ok=True)
+    partial.replace(failed)
+    number, head = _last_cell_begun(failed)
+    return "\n".join(
+        [
+            f"{shown(notebook)} failed in code cell {number}: {head}",
+            f"  {_describe(error)}",
+            f"  The partial notebook is {shown(failed)}",
+        ]
+    )
+
+
+def _describe(error: BaseException) -> str:
+    # papermill's own error prints a page; its name and value are what the cell raised
+    name, value = getattr(error, "ename", type(error).__name__), getattr(error, "evalue", str(error))
+    return f"{name}: {value}".strip().removesuffix(":")
+
+
+def _last_cell_begun(path: Path) -> tuple[int, str]:
+    """Return number, as in ``In [number]``, and first line of the last code cell that was begun."""
+    begun = [
+        cell.source
+        for cell in read_notebook(path).cells
+        if cell.cell_type == "code" and cell.metadata.get("papermill", {}).get("start_time")
+    ]
+    return len(begun), begun[-1].strip().partition("\n")[0] if begun else "(none was begun)"
+
+
+def _forget_places(path: Path, notebook: Path, output: Path) -> None:
+    """Replace the absolute paths that papermill notes in a notebook by names."""
+    import nbformat
+
+    content = nbformat.read(path, as_version=4)
+    content.metadata.papermill.update(input_path=notebook.name, output_path=output.name)
+    nbformat.write(content, path)
+
+
+def _publish(record: Record, tables: Path, results: Path, partial: Path, output: Path) -> None:
+    """Move tables and executed notebook to their places, and drop tables that only the earlier run wrote."""
+    place = record_path(results, output.stem)
+    earlier = read_record(place)
+    # Without a record nothing counts as finished: an interruption between here and its writing is noticed.
+    place.unlink(missing_ok=True)
+    for name in set(earlier.results if earlier else ()) - set(record.results):
+        (results / name).unlink(missing_ok=True)
+    for name in record.results:
+        (results / name).parent.mkdir(parents=True, exist_ok=True)
+        (tables / name).replace(results / name)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    shutil.move(partial, output)
+    write_record(record, place)
+
+
+def stop_on_termination() -> None:
+    """Let a request to terminate run the clean-up that an interruption from the keyboard runs."""
+
+    def stop(*_: object) -> None:
+        # `timeout` sends it twice: the second must not cut the clean-up short
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        sys.exit(128 + signal.SIGTERM)
+
+    signal.signal(signal.SIGTERM, stop)
+
+
+def main(arguments: list[str]) -> int:
+    """Run one notebook of a build; return 0, or 1 after printing why it failed."""
+    stop_on_termination()
+    notebook, output, results, failed = map(Path, arguments)
+    try:
+        run_notebook(notebook, {}, output, results, project=find_project(), failed=failed)
+    except NotebookFailed as failure:
+        print(failure)
+        return 1
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,1 @@
+"""The page `notebooks/affine_curvature.ipynb`."""

@@ -1,0 +1,151 @@
+"""Our figures beside section 4.4 of Baaij et al. 2023: an affine robot that is not as drawn, calibrated in 100 poses.
+
+The setting is that of :mod:`repro_companion.twins.calibrated_robots`, frozen with it: tolerances, noise, poses. Every
+time step starts anew from six shapes bent evenly around the robot; nothing starts at, or holds, a true coordinate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pandas as pd
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from repro.estimation.calibration import Calibration, calibrate
+from repro.estimation.levenberg_marquardt import LevenbergMarquardt
+from repro.estimation.poses import configurations
+from repro.kinematics.paper_robots import affine_robot
+from repro.kinematics.trajectories import flower
+from repro.sensing.linearised import LinearisedSensing
+from repro.sensing.magnetic import MagneticSensing
+from repro.sensing.network import PerSensor
+from repro.sensing.training_set import CURVATURE_RAD, ELONGATION_M, affine_training_set
+from repro_companion.pages.affine_curvature.method import QUANTITIES, ROW, Flower, networks, relative_error
+from repro_companion.twins.calibration_session import (
+    SENSOR_NOISE_MT,
+    Config,
+    Session,
+    draw_session,
+    released_moments,
+)
+from repro_companion.twins.networks import DATA_SEED, train_own
+
+STARTS = 6
+FIRST, LAST = 3, 8
+"""Iterations from every start, and those of the best of them; on random shapes more of either change nothing."""
+LEAST_BEND_RAD = 0.3 * CURVATURE_RAD[1]
+"""Calibration poses bend at least so much: the azimuth of a straight segment cannot be measured."""
+
+
+def box() -> tuple[Float[Tensor, " 4"], Float[Tensor, " 4"]]:
+    """Bounds of the canonical half of the training box; the azimuth has room for a turn around any start."""
+    k0, k1 = CURVATURE_RAD
+    low = torch.tensor([-k0, 0.0, -math.pi, 0.0], dtype=torch.float64)
+    high = torch.tensor([k0, k1, 3 * math.pi, ELONGATION_M["released"]], dtype=torch.float64)
+    return low, high
+
+
+def pose_box() -> tuple[Float[Tensor, " 4"], Float[Tensor, " 4"]]:
+    """Bounds of the calibration poses."""
+    low, high = box()
+    low[1], low[2], high[2] = LEAST_BEND_RAD, 0.0, 2 * math.pi
+    return low, high
+
+
+def starts() -> Float[Tensor, "starts 4"]:
+    """Shapes of half the largest curvature, at mid elongation, in six directions."""
+    phi = torch.arange(STARTS, dtype=torch.float64) * (2 * math.pi / STARTS)
+    one = torch.ones_like(phi)
+    return torch.stack([0 * one, CURVATURE_RAD[1] / 2 * one, phi, 2.75e-3 * one], dim=-1)
+
+
+def estimate(
+    sensing: Callable[[Tensor], Tensor], u: Float[Tensor, "*batch 9"], *, noise_mt: float = SENSOR_NOISE_MT
+) -> Float[Tensor, "*batch 4"]:
+    """Levenberg-Marquardt: a few iterations from every start, then the one with the smallest residual to the end."""
+    method, finish = (
+        LevenbergMarquardt(sensing, *box(), noise_mt=noise_mt, iterations=n) for n in (FIRST, LAST)
+    )
+    fits = [method.step(method.init(q0.expand(*u.shape[:-1], 4)), u, 0.0)[1] for q0 in starts()]
+    best = torch.stack([fit.diagnostics["rmse"] for fit in fits]).argmin(0)
+    found = torch.stack([fit.q for fit in fits])
+    q = found.gather(0, best[None, ..., None].expand(1, *found.shape[1:])).squeeze(0)
+    return finish.step(finish.init(q), u, 0.0)[1].q
+
+
+def session(config: Config, q: Float[Tensor, "t 4"]) -> Session:
+    """Draws of the affine robot on a trajectory, see `repro_companion.twins.calibration_session`."""
+    return draw_session(affine_robot(), q, pose_box(), config)
+
+
+def calibration(measured: Session, config: Config) -> Calibration:
+    """Calibrate all draws from their measured tip poses and readings."""
+    robot, T = affine_robot(), measured.poses[..., 0, :, :]
+    bending = torch.linalg.vector_norm(T[..., :2, 2], dim=-1).atan2(T[..., 2, 2])
+    phi = torch.atan2(T[..., 0, 2], -T[..., 1, 2])  # the tangent leans towards (sin phi, -cos phi)
+    first = torch.stack([bending / 2, bending, phi, torch.zeros_like(phi)], dim=-1)
+    q, covariance = configurations(
+        robot, measured.poses, position_m=config.position_m, rotation_rad=config.rotation_rad, start=first
+    )
+    return calibrate(
+        robot, q, covariance, measured.pose_readings, released_moments(), noise_mt=SENSOR_NOISE_MT
+    )
+
+
+def best(config: Config | None = None, *, steps: int = 400, every: int = 4) -> pd.DataFrame:
+    """Errors of the calibrated and of the uncalibrated multipole model, one line per draw and coordinate.
+
+    Columns as in :func:`repro_companion.twins.calibrated_robots.best`; on every fourth step of the flower as a rule.
+    """
+    config = config or Config()
+    measured = session(config, flower(steps=steps)[::every])
+    models = {
+        True: calibration(measured, config).sensing(),
+        False: LinearisedSensing(affine_robot(), released_moments()),
+    }
+    tables = []
+    for calibrated, sensing in models.items():
+        error = relative_error(estimate(sensing, measured.readings), measured.q)
+        table = pd.DataFrame(error.numpy(), columns=list(QUANTITIES)).rename_axis("draw").reset_index()
+        table = table.melt("draw", var_name="quantity", value_name="error_percent")
+        tables.append(table.assign(row=ROW, calibrated=calibrated))
+    columns = ["row", "quantity", "draw", "calibrated", "error_percent"]
+    return pd.concat(tables, ignore_index=True).reindex(columns=columns)
+
+
+def fast_network(seed: int, *, samples: int = 20_000) -> PerSensor:
+    """Dipole and residual network for all nine sensors, trained here and now.
+
+    On the validation rows its error is a quarter of that of the plain fast network, with the same training.
+    """
+    data = affine_training_set(seed=DATA_SEED, samples=samples)
+    return PerSensor(train_own(data, seed=seed, recipe="dipole", progress=False)[0], [0] * 9)
+
+
+def by_model(data: Flower, seeds: Sequence[int], folder: Path) -> pd.DataFrame:
+    """Errors of Levenberg-Marquardt with every sensor model, on readings without noise.
+
+    Columns ``model``, ``seed``, and the relative error of each coordinate in per cent. The multipole model has no
+    seed; its error is a check of consistency.
+    """
+    robot = affine_robot()
+    paper = MagneticSensing(affine_robot(magnet_shift_m=0.0), networks(folder, seeds).double(), "angles")
+    own = ((seed, MagneticSensing(robot, fast_network(seed), "cosines")) for seed in seeds)
+    models: list[tuple[str, Sequence[int], Callable[[Tensor], Tensor]]] = [
+        ("network of the paper", seeds, paper),
+        *(("dipole and residual network", [seed], sensing) for seed, sensing in own),
+        ("multipole", seeds[:1], LinearisedSensing(robot, released_moments())),
+    ]
+    tables = []
+    for name, members, sensing in models:
+        u = data.u.expand(len(members), *data.u.shape)
+        error = relative_error(estimate(sensing, u, noise_mt=1e-6).movedim(0, 1), data.q)
+        table = pd.DataFrame(error.numpy(), columns=[f"{x}_percent" for x in QUANTITIES])
+        table.insert(0, "seed", list(members))
+        table.insert(0, "model", name)
+        tables.append(table)
+    return pd.concat(tables, ignore_index=True)

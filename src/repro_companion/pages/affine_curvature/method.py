@@ -1,0 +1,203 @@
+"""Section 4 of Baaij et al. 2023 with the paper's method: one affine segment on the flower trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from repro.errors import bad_input
+from repro.estimation.base import Trajectory, track
+from repro.estimation.gradient_descent import GradientDescent
+from repro.kernels import compiled
+from repro.kinematics.affine_curvature import azimuth_difference, canonical
+from repro.kinematics.paper_robots import affine_robot
+from repro.kinematics.trajectories import RATE_HZ, flower
+from repro.sensing.ensemble import SeedEnsemble
+from repro.sensing.magnetic import MagneticSensing, readings
+from repro.sensing.magnets import ring
+from repro.sensing.weights import load_paper_network
+from repro_companion.twins.networks import AffineSpec
+from repro_companion.twins.table_1_method import ITERATIONS, MOMENTUM
+
+STEP_SIZE = (1.0, 5.0, 1.0, 2e-4)
+"""Step sizes of the released code for kappa_0, kappa_1, phi and delta_L (ring ``"released"``)."""
+ROW = "affine flower"
+QUANTITIES = ("kappa_0", "kappa_1", "phi", "delta_L")
+PRINTED_UNITS = ("rad/m", "rad/m^2", "rad", "mm")
+"""Units of the absolute errors in section 4.4; the curvatures are angles [rad], the elongation is in mm."""
+TO_PRINTED = (1.0, 1.0, 1.0, 1e3)
+
+
+@dataclass(frozen=True)
+class Flower:
+    """The flower trajectory, and what the sensors of the nominal robot read on it."""
+
+    q: Float[Tensor, "t 4"]
+    u: Float[Tensor, "t 9"]
+
+    @classmethod
+    def simulated(cls, steps: int = 400) -> Flower:
+        """Readings by magpylib, without noise."""
+        q = flower(steps=steps)
+        return cls(q, readings(affine_robot(), q, ring("released")))
+
+    def thinned(self, every: int) -> Flower:
+        """Every so many steps only."""
+        return Flower(self.q[::every], self.u[::every])
+
+
+@dataclass(frozen=True)
+class PaperRun:
+    """What the paper's method finds on a flower: estimates, and readings predicted at the truth, by seed."""
+
+    flower: Flower
+    seeds: tuple[int, ...]
+    estimates: Trajectory
+    predicted: Float[Tensor, "t seeds 9"]
+
+
+def networks(folder: Path, seeds: Sequence[int]) -> SeedEnsemble:
+    """Committed networks of the paper's recipe, one for each sensor and seed.
+
+    Raises
+    ------
+    InputError
+        If one of them is not there.
+    """
+    by_seed = [
+        [load_paper_network(folder / f"{AffineSpec(j, seed).name}.safetensors") for j in range(9)]
+        for seed in seeds
+    ]
+    return SeedEnsemble(by_seed, range(9))
+
+
+def paper_method(
+    data: Flower,
+    model: SeedEnsemble,
+    seeds: Sequence[int],
+    *,
+    iterations: int = ITERATIONS,
+    step_size: Sequence[float] = STEP_SIZE,
+    noise_mt: float = 0.0,
+    noise_seed: int = 0,
+) -> PaperRun:
+    """Gradient descent as in section 4.2, for all seeds at once.
+
+    As in the published run it starts at the ground truth and carries its momentum from step to step.
+
+    Raises
+    ------
+    InputError
+        If there are not four step sizes.
+    """
+    if len(step_size) != len(STEP_SIZE):
+        raise bad_input("step_size", "paper_method", "four numbers", step_size)
+    # The networks were trained on relations to magnets that are not shifted.
+    sensing = MagneticSensing(affine_robot(magnet_shift_m=0.0), model, "angles")
+    u = data.u.unsqueeze(1).expand(-1, len(seeds), -1)
+    generator = torch.Generator().manual_seed(noise_seed)
+    u = u + noise_mt * torch.randn(u.shape, generator=generator, dtype=u.dtype)
+    gamma = torch.tensor(step_size, dtype=torch.float64)
+    descent = GradientDescent(compiled(sensing), gamma, MOMENTUM, iterations)
+    estimates = track(descent, u, data.q[0].expand(len(seeds), -1))
+    with torch.no_grad():
+        predicted = sensing(data.q.expand(len(seeds), -1, -1)).movedim(0, 1)
+    return PaperRun(data, tuple(seeds), estimates, predicted)
+
+
+def configuration_error(
+    found: Float[Tensor, "*batch 4"], truth: Float[Tensor, "*truth 4"]
+) -> Float[Tensor, "*error 4"]:
+    """Error of affine configurations: between those with ``kappa_1 >= 0``, the azimuth as an angle below pi."""
+    found, truth = canonical(found), canonical(truth)
+    phi = azimuth_difference(found[..., 2:3], truth[..., 2:3])
+    return torch.cat([found[..., :2] - truth[..., :2], phi, found[..., 3:] - truth[..., 3:]], -1)
+
+
+def relative_error(
+    found: Float[Tensor, "t *batch 4"], truth: Float[Tensor, "t 4"]
+) -> Float[Tensor, "*batch 4"]:
+    """Relative RMSE over time, eq. (13): in per cent of the range of the truth (of the azimuth: a full turn)."""
+    width = truth.amax(0) - truth.amin(0)
+    truth = truth.reshape(len(truth), *(1,) * (found.ndim - 2), -1)
+    return 100 * configuration_error(found, truth).square().mean(0).sqrt() / width
+
+
+def errors(run: PaperRun) -> pd.DataFrame:
+    """Errors of section 4.4, one row per seed, quantity and unit: ``row, seed, quantity, unit, error``.
+
+    ``e_u`` [mT] is the root-mean-squared error of the prediction at the ground truth, averaged over the sensors.
+    The others come relative (eq. 13) and absolute, in the units in which they are printed.
+    """
+    truth = run.flower.q
+    e_u = (run.predicted - run.flower.u.unsqueeze(1)).square().mean(0).sqrt().mean(-1)
+    relative = relative_error(run.estimates.q, truth)
+    absolute = configuration_error(run.estimates.q, truth.unsqueeze(1)).square().mean(0).sqrt()
+    absolute = absolute * absolute.new_tensor(TO_PRINTED)
+    table = []
+    for i, seed in enumerate(run.seeds):
+        key = {"row": ROW, "seed": seed}
+        table.append(key | {"quantity": "e_u", "unit": "mT", "error": float(e_u[i])})
+        for values, units in ((relative, ("%",) * 4), (absolute, PRINTED_UNITS)):
+            for name, unit, value in zip(QUANTITIES, units, values[i].tolist(), strict=True):
+                table.append(key | {"quantity": name, "unit": unit, "error": value})
+    return pd.DataFrame(table)
+
+
+def series(run: PaperRun) -> pd.DataFrame:
+    """Fig. 6 as a table: ``time_s``, ``kind`` (reading or configuration), ``name``, ``truth``, ``mean``, ``std``.
+
+    Readings [mT] are those predicted at the true configuration; configurations [rad, rad, rad, mm] the estimates.
+    Mean and sample standard deviation are taken over the seeds, those of the azimuth along the continuous truth.
+    """
+    q, u = run.flower.q, run.flower.u
+    near = q.unsqueeze(1) + configuration_error(run.estimates.q, q.unsqueeze(1))
+    scale = q.new_tensor(TO_PRINTED)
+    names = [f"u_{j + 1}" for j in range(u.shape[1])]
+    tables = []
+    for kind, labels, truth, found in (
+        ("reading", names, u, run.predicted),
+        ("configuration", QUANTITIES, q * scale, near * scale),
+    ):
+        mean = found.mean(1)
+        std = found.std(1) if found.shape[1] > 1 else torch.full_like(mean, torch.nan)
+        for k, name in enumerate(labels):
+            columns = {"truth": truth[:, k], "mean": mean[:, k], "std": std[:, k]}
+            table = pd.DataFrame(
+                {"time_s": torch.arange(len(q)).numpy() / RATE_HZ, "kind": kind, "name": name}
+            )
+            tables.append(table.assign(**{key: value.numpy() for key, value in columns.items()}))
+    return pd.concat(tables, ignore_index=True)
+
+
+def stills(
+    run: PaperRun, times_s: Sequence[float] = (0.0, 1.6, 3.3, 5.0, 6.7, 8.3)
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Fig. 7 as tables: the backbone at these times, true and estimated, and the parts in the true shape.
+
+    Returns
+    -------
+    DataFrame, DataFrame
+        ``time_s``, ``kind`` (``truth``, or ``estimate`` with its ``seed``), ``x_mm``, ``y_mm``, ``z_mm``; and
+        ``time_s``, ``part`` (``magnet`` or ``sensor``), ``x_mm``, ``y_mm``, ``z_mm``.
+    """
+    robot, shapes, parts = affine_robot(), [], []
+    for step in sorted({min(round(t * RATE_HZ), len(run.flower.q) - 1) for t in times_s}):
+        truth, time_s = run.flower.q[step], step / RATE_HZ
+        curves = [("truth", -1, truth)]
+        curves += [("estimate", seed, run.estimates.q[step, i]) for i, seed in enumerate(run.seeds)]
+        for kind, seed, q in curves:
+            shapes.append(_points(robot.backbone(q)).assign(time_s=time_s, kind=kind, seed=seed))
+        for part, T in (("magnet", robot.magnet_poses(truth)), ("sensor", robot.sensor_poses(truth))):
+            parts.append(_points(T[:, :3, 3]).assign(time_s=time_s, part=part))
+    return pd.concat(shapes, ignore_index=True), pd.concat(parts, ignore_index=True)
+
+
+def _points(positions: Float[Tensor, "n 3"]) -> pd.DataFrame:
+    return pd.DataFrame(1e3 * positions.numpy(), columns=["x_mm", "y_mm", "z_mm"])

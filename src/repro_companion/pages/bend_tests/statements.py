@@ -1,0 +1,156 @@
+# The stubs of pandas know less than the library does.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+"""What the page of the bend tests says of its tables, in Markdown: every number is that of the takes found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+import torch
+
+from repro.sensing.bend_sensor import BendSensor
+from repro_companion.pages.bend_tests.errors import TARGET_DEG
+from repro_companion.pages.bend_tests.filters import OUR_LENGTH_MM, fit_readings, fit_takes
+from repro_companion.twins.mitchell_takes import LARGEST_LAG_OFF_S, BendTake
+
+SAME_OUTPUT_DEG = 0.5
+"""Largest difference at which our run of the filter and the authors' output count as the same [deg]."""
+
+
+def span(values: pd.Series, digits: int = 1) -> str:
+    """Smallest and largest value, or the one there is.
+
+    Examples
+    --------
+    >>> span(pd.Series([2.04, 1.0])), span(pd.Series([2.0]))
+    ('1.0 to 2.0', '2.0')
+    """
+    low, high = (f"{value:.{digits}f}" for value in (values.min(), values.max()))
+    return low if low == high else f"{low} to {high}"
+
+
+def of_files(found: int, unlike: Mapping[str, str]) -> str:
+    """Whether the files are the released ones."""
+    if not found:
+        return (
+            "There are no recordings: what follows is **synthetic** and says nothing about the real sensor."
+        )
+    if not unlike:
+        return f"All {found} files of this page that were found are the released ones, by their hashes."
+    lines = [f"- `{name}`: {what}" for name, what in unlike.items()]
+    said = f"**{len(unlike)} of {found} files are not the released ones; trust no number below.**"
+    return "\n".join([said, "", *lines])
+
+
+def of_hall(takes: pd.DataFrame) -> str:
+    """What was dropped of the Hall files, and their gaps."""
+    dropped = f"{takes['unreadable'].sum()} unreadable rows and {takes['drained'].sum()} from a buffer"
+    return (
+        f"Hall files: {dropped} were dropped ({span(takes['drained'], 0)} per take), {takes['beyond_range'].sum()} "
+        "readings are beyond the range. "
+        f"The longest interval between readings is {takes['longest_gap_s'].max():.2f} s."
+    )
+
+
+def of_capture(takes: pd.DataFrame) -> str:
+    """What was undone and masked of the motion capture, and what speaks for the y axis."""
+    undone, high = span(takes["undone_percent"]), takes["undone_above_40_percent"].max()
+    masked, before = span(takes["masked_percent"]), span(takes["masked_if_not_undone_percent"])
+    off, azimuth = span(takes["off_displacement_deg"], 2), span(takes["azimuth_off_deg"].abs())
+    return (
+        f"Motion capture: exchanged markers were undone in {undone} % of the frames of a take, and in up to "
+        f"{high:.0f} % of those above 40 deg; {masked} % are masked. If nothing were undone, {before} % would be "
+        f"masked. The tilt of the y axis follows the displacement of the body within {off} deg (root mean square "
+        f"about a smooth curve), and their azimuths differ by {azimuth} deg."
+    )
+
+
+def of_lags(takes: pd.DataFrame) -> str:
+    """Lags between the clocks, and those that differ from the others."""
+    text = f"Lags between the clocks: {span(takes['lag_s'], 2)} s, each with r of {takes['r'].min():.3f} or more."
+    if len(takes) == 1:
+        return text
+    doubtful = takes[takes["lag_off_s"].abs() > LARGEST_LAG_OFF_S]
+    if doubtful.empty:
+        furthest = takes["lag_off_s"].abs().max()
+        return f"{text} None is further than {furthest:.2f} s from the median of the other takes."
+    named = [f"{row.take} ({row.lag_off_s:+.2f} s)" for row in doubtful.itertuples()]
+    return f"{text} **Doubtful, far from the median of the other takes: {', '.join(named)}.**"
+
+
+def of_peaks(takes: pd.DataFrame) -> str:
+    """Largest bends by both readings of motion capture and by the sensor, and the sensor's direction."""
+    share = takes["peak_hall_deg"] / takes["peak_tilt_y_deg"]
+    return (
+        f"The sensor as drawn ends at {span(takes['peak_hall_deg'], 0)} deg, {span(share, 2)} of the tilt of the y "
+        f"axis, which peaks at {span(takes['peak_tilt_y_deg'], 0)} deg; the tilt of the z axis peaks at "
+        f"{span(takes['peak_tilt_z_deg'], 0)} deg. The direction of the sensor less the azimuth of the y axis is "
+        f"{span(takes['turned_deg'], 0)} deg."
+    )
+
+
+def of_errors(errors: pd.DataFrame, source: str) -> str:
+    """Errors of the bend angle against the tilt of the y axis: medians over the takes, with the range."""
+    drawn = errors[(errors["length_mm"] == OUR_LENGTH_MM) | errors["length_mm"].isna()]
+    by = drawn.set_index(["method", "calibration"]).sort_index()
+
+    def of(method: str, calibration: str = "none", column: str = "rmse_deg") -> str:
+        if (method, calibration) not in by.index:
+            return "not run"
+        values = by.loc[[(method, calibration)], column].dropna()
+        return f"{values.median():.1f} deg ({span(values)}; {len(values)})" if len(values) else "no reading"
+
+    logged, high = of("authors' output"), "rmse_above_40_deg"
+    return (
+        f"**Error of the bend angle, {source} takes**, median over takes (range; number of takes). "
+        f"As drawn: paper's filter as printed {of('paper, as printed')}, as released {of('paper, as released')}, "
+        f"authors' output {logged}, ours {of('ours')}. Ours with a factor and a turn fitted to the "
+        f"other try {of('ours', 'other try')}, target {TARGET_DEG:g} deg; to the other tests "
+        f"{of('ours', 'other tests')}. Above 40 deg these two are {of('ours', 'other try', high)} and "
+        f"{of('ours', 'other tests', high)}."
+    )
+
+
+def of_logs(states: pd.DataFrame, differences: pd.DataFrame) -> str:
+    """What became of the authors' own output, and how our run of the released filter compares."""
+    there = states[states["state"] != "none"]
+    if there.empty:
+        return "There is no output of the authors."
+    scored = there[there["state"] == "scored"]
+    text = f"The authors' own output exists of {len(there)} takes and is scored in {len(scored)}"
+    text += f", where it covers {span(scored['share_percent'], 0)} % of the readings." if len(scored) else "."
+    for row in there[there["state"] != "scored"].itertuples():
+        share = "" if pd.isna(row.share_percent) else f" ({row.share_percent:.0f} %)"
+        text += f" **{row.take}{share} is {row.state.rstrip('.')}.**"
+    released = differences[differences["method"] == "paper, as released"]
+    if len(released):
+        same = released[released["difference_deg"] <= SAME_OUTPUT_DEG]["take"]
+        where = ", ".join(same) if len(same) else "no take"
+        text += (
+            f" Our run of the filter as released differs from it by {span(released['difference_deg'])} deg: the "
+            f"settings of the released code are those of {where}, and not known elsewhere. Its median mixes settings."
+        )
+    return text
+
+
+def factors(takes: Sequence[BendTake], readings: pd.DataFrame) -> pd.DataFrame:
+    """Factors of the ratios against the model as drawn: ``fitted_to`` (a take, calibration readings), ``factor``."""
+    sensor = BendSensor(1e-3 * OUR_LENGTH_MM)
+    fitted = [fit_takes(take.name, [take], sensor) for take in takes]
+    if len(readings):
+        fitted.append(fit_readings(readings, sensor))
+    rows = [{"fitted_to": f.name, "factor": float(torch.linalg.vector_norm(f.matrix[0]))} for f in fitted]
+    return pd.DataFrame(rows)
+
+
+def of_factors(table: pd.DataFrame, trouble: str) -> str:
+    """Factors of :func:`factors`, and why there are no calibration readings."""
+    nominal = table["fitted_to"] == "calibration readings"
+    text = f"The factor of a single take is {span(table['factor'][~nominal], 2)}."
+    if not bool(nominal.any()):
+        return f"{text} There are no calibration readings: {trouble.rstrip('.')}."
+    return (
+        f"{text} That of the calibration readings is {table['factor'][nominal].item():.2f}: they were taken at "
+        "nominal bends of a set-up that is not described."
+    )

@@ -1,0 +1,1 @@
+"""The page `notebooks/filter_on_segments.ipynb`."""

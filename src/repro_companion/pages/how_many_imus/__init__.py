@@ -1,0 +1,1 @@
+"""The page `notebooks/how_many_imus.ipynb`."""

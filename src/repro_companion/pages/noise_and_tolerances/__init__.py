@@ -1,0 +1,1 @@
+"""The page `notebooks/noise_and_tolerances.ipynb`."""

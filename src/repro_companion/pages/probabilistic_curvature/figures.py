@@ -1,0 +1,206 @@
+"""Figures of the page on probabilistic curvature: bend space, errors, process noise, sensor noise, field."""
+
+# The stubs of matplotlib and pandas know less than the libraries do.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+from matplotlib.ticker import NullFormatter
+
+from repro_live.view.style import page_figure
+
+COLOURS = {"spiral": "#0072B2", "flower": "#D55E00", "seagull": "#009E73"}
+MARKERS = {"spiral": "o", "flower": "s", "seagull": "D"}
+PUBLISHED = "0.45"
+OFF_SCALE_MM = 0.12
+
+
+@page_figure
+def bend_space(curves: pd.DataFrame, cloud: pd.DataFrame) -> Figure:
+    """Bend space as a disc: a cloud of particles in it (Fig. 3), and the curves (Fig. 4).
+
+    Parameters
+    ----------
+    curves
+        Columns ``curve, direction_rad, angle_rad``.
+    cloud
+        Columns ``bend_x_rad, bend_y_rad, is_truth``.
+    """
+    names = list(dict.fromkeys(curves["curve"]))
+    columns = 1 + len(names)
+    figure, panels = plt.subplots(1, columns, figsize=(2.35 * columns, 2.7), sharey=True)
+    degrees = np.rad2deg(cloud[["bend_x_rad", "bend_y_rad"]].to_numpy())
+    truth = cloud["is_truth"].to_numpy(dtype=bool)
+    panels[0].plot(*degrees[~truth].T, ".", ms=2, color="0.45", alpha=0.5)
+    panels[0].plot(*degrees[truth].T, "o", ms=4, color="black")
+    panels[0].set_title("Particles and true state")
+    for panel, name in zip(panels[1:], names, strict=True):
+        part = curves[curves["curve"] == name]
+        radius = np.rad2deg(part["angle_rad"])
+        x, y = radius * np.cos(part["direction_rad"]), radius * np.sin(part["direction_rad"])
+        panel.plot(x, y, lw=1, color=COLOURS[name])
+        panel.set_title(name.capitalize())
+    for panel in panels:
+        _disc(panel)
+    panels[0].set_ylabel(r"$\varphi\,\sin\theta$ [deg]")
+    figure.supxlabel(r"$\varphi\,\cos\theta$ [deg]", fontsize="medium")
+    return figure
+
+
+def _disc(panel: Axes) -> None:
+    for radius in (30, 60, 90):
+        panel.add_patch(Circle((0, 0), radius, fill=False, lw=1.2 if radius == 90 else 0.5, color="0.6"))
+    ticks = [-90, 0, 90]
+    panel.set(aspect="equal", xlim=(-95, 95), ylim=(-95, 95), xticks=ticks, yticks=ticks)
+    panel.grid(visible=False)
+
+
+@page_figure
+def error_over_time(table: pd.DataFrame) -> Figure:
+    """Error of the position over the curves' parameter (Fig. 5), one panel per curve and process noise.
+
+    Parameters
+    ----------
+    table
+        Columns ``process_noise_pi, particles, curve, t, error_mm``.
+    """
+    curves = list(dict.fromkeys(table["curve"]))
+    walks = list(dict.fromkeys(table["process_noise_pi"]))
+    size = (4.3 * len(walks), 2.1 * len(curves) + 0.4)
+    figure, panels = plt.subplots(
+        len(curves), len(walks), figsize=size, sharex=True, sharey="col", squeeze=False
+    )
+    for row, curve in zip(panels, curves, strict=True):
+        for panel, walk in zip(row, walks, strict=True):
+            part = table[(table["curve"] == curve) & (table["process_noise_pi"] == walk)]
+            for particles, line in part.groupby("particles"):
+                colour = "#56B4E9" if particles == part["particles"].min() else "#0072B2"
+                panel.plot(line["t"], line["error_mm"], lw=0.6, color=colour, label=f"{particles} particles")
+            panel.set_title(f"{curve.capitalize()}, process noise {walk:g}π rad", loc="left")
+    for panel in panels[-1]:
+        panel.set_xlabel("parameter $t$ of the curve")
+        panel.set_ylim(0, None)
+    for panel in panels[:, 0]:
+        panel.set_ylabel("error [mm]")
+    handles = [
+        Line2D([], [], color=line.get_color(), label=line.get_label()) for line in panels[0, 0].get_lines()
+    ]
+    figure.legend(handles=handles, loc="outside upper right", ncols=len(handles))
+    return figure
+
+
+@page_figure
+def process_noise(sweep: pd.DataFrame, law: pd.DataFrame, count: pd.DataFrame) -> Figure:
+    """Error of the paper's equations over the process noise and over the number of particles, with the error law.
+
+    Parameters
+    ----------
+    sweep, count
+        Columns ``curve, process_noise_pi, particles, rmse_mm``.
+    law
+        Columns ``process_noise_pi, particles, law_mm``.
+    """
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8.6, 3.4), width_ratios=(1.35, 1))
+    left.axhspan(0.0044, 0.0046, color=PUBLISHED, lw=0, alpha=0.5)
+    left.annotate("published", (0.00052, 0.0047), fontsize=8, color="0.3", va="bottom")
+    for curve, part in sweep.groupby("curve", sort=False):
+        x, y = part["process_noise_pi"], part["rmse_mm"]
+        left.plot(x, y, MARKERS[curve], color=COLOURS[curve], ms=5, label=curve.capitalize())
+    particles = sweep["particles"].iloc[0]
+    line = law[law["particles"] == particles].sort_values("process_noise_pi")
+    left.plot(line["process_noise_pi"], line["law_mm"], color="0.2", lw=1, label="law without bias")
+    left.axvline(0.02, color="0.6", lw=0.8, ls="--")
+    left.annotate("stated", (0.019, 0.0007), ha="right", fontsize=8, color="0.3")
+    left.set(
+        xscale="log",
+        yscale="log",
+        xlabel="process noise [π rad per step]",
+        ylabel="RMSE of the position [mm]",
+    )
+    left.set(ylim=(5e-4, 6))
+    left.set_xticks(sorted(set(sweep["process_noise_pi"])))
+    left.xaxis.set_major_formatter("{x:g}")
+    left.xaxis.set_minor_formatter(NullFormatter())
+    left.legend(loc="upper center", ncols=2)
+    for curve, part in count.groupby("curve", sort=False):
+        right.plot(part["particles"], part["rmse_mm"], MARKERS[curve], color=COLOURS[curve], ms=5)
+    walk = count["process_noise_pi"].iloc[0]
+    line = law[law["process_noise_pi"] == walk].sort_values("particles")
+    right.plot(line["particles"], line["law_mm"], color="0.2", lw=1)
+    right.set(xscale="log", yscale="log", xlabel="particles $N$", ylabel="RMSE of the position [mm]")
+    right.set(title=f"process noise {walk:g}π rad")
+    return figure
+
+
+@page_figure
+def sensor_noise(sweep: pd.DataFrame, memoryless_mm: float) -> Figure:
+    """Error with sensor noise over the process noise, for both motions; the choice is made on Spiral.
+
+    Parameters
+    ----------
+    sweep
+        Columns ``motion, curve, process_noise_pi, rmse_mm``.
+    memoryless_mm
+        Error of an estimate from one reading alone [mm].
+    """
+    motions = list(dict.fromkeys(sweep["motion"]))
+    figure, panels = plt.subplots(
+        1, len(motions), figsize=(4.3 * len(motions), 3.3), sharey=True, squeeze=False
+    )
+    for panel, motion in zip(panels.flat, motions, strict=True):
+        part = sweep[sweep["motion"] == motion]
+        panel.axhline(memoryless_mm, color="0.4", lw=1, ls="--")
+        for curve, line in part.groupby("curve", sort=False):
+            style = {"color": COLOURS[curve], "marker": MARKERS[curve], "ms": 5}
+            panel.plot(line["process_noise_pi"], line["rmse_mm"], **style, label=curve.capitalize())
+        panel.set(
+            xscale="log", yscale="log", title=motion.capitalize(), xlabel="process noise [π rad per step]"
+        )
+        panel.set_xticks(sorted(set(part["process_noise_pi"])))
+        panel.xaxis.set_major_formatter("{x:g}")
+        panel.xaxis.set_minor_formatter(NullFormatter())
+        panel.yaxis.set_minor_formatter(NullFormatter())
+        panel.set(ylim=(0.038, OFF_SCALE_MM))
+        panel.set_yticks([0.04, 0.05, 0.06, 0.08, 0.1], ["0.04", "0.05", "0.06", "0.08", "0.1"])
+        beyond = part["rmse_mm"][part["rmse_mm"] > OFF_SCALE_MM]
+        if len(beyond):
+            text = f"off the scale: {beyond.min():.1f} to {beyond.max():.1f} mm"
+            panel.annotate(
+                text, (0.98, 0.97), xycoords="axes fraction", fontsize=8, color="0.3", ha="right", va="top"
+            )
+    panels[0, 0].set_ylabel("RMSE of the position [mm]")
+    panels[0, 0].annotate("least squares, one reading", (0.01, memoryless_mm), (0, 4), textcoords="offset points",
+                          fontsize=8, color="0.3", ha="right")  # fmt: skip
+    panels[0, -1].legend(loc="upper right")
+    return figure
+
+
+@page_figure
+def field_over_bend(table: pd.DataFrame) -> Figure:
+    """Field over the bend space, the condition of its derivative, and the error gain.
+
+    Parameters
+    ----------
+    table
+        Columns ``bend_x_deg, bend_y_deg, abs_mt, condition, gain_mm_per_mt``.
+    """
+    panels_of = {
+        "abs_mt": "flux density [mT]",
+        "condition": "condition of its derivative",
+        "gain_mm_per_mt": "error gain [mm/mT]",
+    }
+    figure, panels = plt.subplots(1, len(panels_of), figsize=(9.4, 2.8), sharey=True)
+    for panel, (column, label) in zip(panels, panels_of.items(), strict=True):
+        levels = panel.tricontourf(table["bend_x_deg"], table["bend_y_deg"], table[column], 12)
+        figure.colorbar(levels, ax=panel, label=label, shrink=0.85)
+        _disc(panel)
+    panels[0].set_ylabel(r"$\varphi\,\sin\theta$ [deg]")
+    figure.supxlabel(r"$\varphi\,\cos\theta$ [deg]", fontsize="medium")
+    return figure

@@ -1,0 +1,1 @@
+"""The page `notebooks/sensor_failure.ipynb`."""

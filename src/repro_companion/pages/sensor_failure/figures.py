@@ -1,0 +1,167 @@
+"""Figures of the sensor-failure page: readings and estimates over time (Fig. 4b), stills (Fig. 5), and ours."""
+
+# The stubs of matplotlib and pandas know less than the libraries do.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MultipleLocator
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from repro_companion.book.robot_figures import segment_colours
+from repro_live.view.style import MAGNET, SENSOR, coordinate_symbol, page_figure
+
+COLOURS = ("#0072B2", "#009E73", "#CC79A7", "#D55E00")
+FAILED = "#D55E00"
+GRID_MM = 100.0
+RUN_COLOURS = {"failure": "#D55E00", "all sensors": "#0072B2"}
+
+
+@page_figure
+def readings_and_estimates(u: pd.DataFrame, q: pd.DataFrame, failure_s: float) -> Figure:
+    """Fig. 4(b): readings above and configurations below, one column per segment.
+
+    Truth solid, mean over the seeds dashed, band of one standard deviation; the readings of failed sensors, which
+    the estimate no longer sees, are faint.
+
+    Parameters
+    ----------
+    u, q
+        Columns of ``over_time``.
+    failure_s
+        Time of the failure [s], marked.
+    """
+    segments = np.unique(u["segment"])
+    size = (3.2 * len(segments) + 0.4, 5.8)
+    figure, panels = plt.subplots(2, len(segments), figsize=size, sharex=True, squeeze=False)
+    for column, segment in enumerate(segments):
+        upper, lower = panels[:, column]
+        here = u[u["segment"] == segment]
+        for colour, (sensor, part) in zip(COLOURS, here.groupby("sensor"), strict=False):
+            _truth_and_mean(upper, part, "mT", colour, f"{sensor}", seen=part["working"])
+        here = q[q["segment"] == segment]
+        for colour, (quantity, part) in zip(COLOURS, here.groupby("quantity", sort=False), strict=False):
+            _truth_and_mean(lower, part, "mm", colour, coordinate_symbol(quantity.rpartition("_")[0]))
+        for panel in (upper, lower):
+            panel.axvline(failure_s, color="0.3", lw=1, ls=":")
+        upper.set_title(f"segment {segment}")
+        legend = {"loc": "lower center", "handlelength": 1, "columnspacing": 0.9}
+        upper.legend(ncols=4, title="sensor", title_fontsize="small", **legend)
+        lower.legend(ncols=3, **legend)
+        for panel, room in ((upper, 0.3), (lower, 0.2)):  # for the legends
+            low, high = panel.get_ylim()
+            panel.set_ylim(low - room * (high - low), high)
+        lower.set_xlabel("time [s]")
+    panels[0, 0].set_ylabel("reading [mT]")
+    panels[1, 0].set_ylabel("configuration [mm]")
+    figure.legend(
+        handles=[
+            Line2D([], [], color="0.3", label="truth"),
+            Line2D([], [], color="0.3", ls="--", label="mean over seeds, band: one standard deviation"),
+            Line2D([], [], color="0.3", alpha=0.35, label="truth, sensor failed"),
+            Line2D([], [], color="0.3", ls=":", lw=1, label="failure"),
+        ],
+        loc="outside lower center",
+        ncols=4,
+    )
+    return figure
+
+
+def _truth_and_mean(
+    panel: Axes, part: pd.DataFrame, unit: str, colour: str, label: str, seen: pd.Series | None = None
+) -> None:
+    t, truth, mean, std = (part[c] for c in ("time_s", f"true_{unit}", f"mean_{unit}", f"std_{unit}"))
+    if seen is None:
+        panel.plot(t, truth, color=colour, lw=1.3, label=label)
+    else:
+        panel.plot(t, truth.where(seen), color=colour, lw=1.3, label=label)
+        panel.plot(t, truth.where(~seen), color=colour, lw=1.3, alpha=0.35)
+    panel.plot(t, mean, color=colour, lw=1.3, ls=(0, (4, 2)))
+    panel.fill_between(t, mean - std, mean + std, color=colour, alpha=0.2, lw=0)
+
+
+@page_figure
+def shape_stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
+    """Fig. 5: true (opaque) and estimated (transparent) shape at several times, with magnets and sensors.
+
+    The lines of the grid are 100 mm apart.
+
+    Parameters
+    ----------
+    shapes, parts
+        Columns of ``stills``.
+    """
+    moments = np.unique(shapes["time_s"])
+    columns = min(3, len(moments))
+    lines = -(-len(moments) // columns)
+    figure = plt.figure(figsize=(3.0 * columns, 3.3 * lines + 0.4))
+    colours = segment_colours(shapes["segment"].nunique())
+    points = pd.concat([shapes, parts])[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=float)
+    middle, reach = (points.max(0) + points.min(0)) / 2, np.ptp(points, axis=0) / 2
+    for k, time_s in enumerate(moments):
+        axes = figure.add_subplot(lines, columns, k + 1, projection="3d")
+        assert isinstance(axes, Axes3D)
+        for estimated, alpha in ((False, 1.0), (True, 0.35)):
+            here = shapes[(shapes["time_s"] == time_s) & (shapes["estimated"] == estimated)]
+            for colour, (_, segment) in zip(colours, here.groupby("segment"), strict=True):
+                xyz = segment[["x_mm", "y_mm", "z_mm"]].to_numpy()
+                axes.plot(*xyz.T, color=colour, lw=3.5 if estimated else 2.5, alpha=alpha)
+            part = parts[(parts["time_s"] == time_s) & (parts["estimated"] == estimated)]
+            for kind, working, style in (
+                ("magnet", True, {"marker": "o", "color": MAGNET, "ms": 6}),
+                ("sensor", True, {"marker": "s", "color": SENSOR, "ms": 3.5}),
+                ("sensor", False, {"marker": "X", "color": FAILED, "ms": 6}),
+            ):
+                chosen = part[(part["part"] == kind) & (part["working"] == working)]
+                axes.plot(*chosen[["x_mm", "y_mm", "z_mm"]].to_numpy().T, ls="", mew=0, alpha=alpha, **style)
+        for name, centre, half in zip("xyz", middle, reach, strict=True):
+            getattr(axes, f"set_{name}lim")(centre - half, centre + half)
+            getattr(axes, f"{name}axis").set_major_locator(MultipleLocator(GRID_MM))
+            getattr(axes, f"{name}axis").set_ticklabels([])
+        axes.set_box_aspect(tuple(reach), zoom=1.3)
+        axes.view_init(elev=15, azim=-60)
+        axes.set_title(f"t = {time_s:.1f} s", loc="left", y=0.95)
+    handles = [
+        Line2D([], [], color="0.1", lw=2.5, label="truth"),
+        Line2D([], [], color="0.1", lw=3.5, alpha=0.35, label="estimate"),
+        Line2D([], [], marker="o", ls="", color=MAGNET, label="magnet"),
+        Line2D([], [], marker="s", ls="", color=SENSOR, label="sensor"),
+        Line2D([], [], marker="X", ls="", color=FAILED, mew=0, ms=8, label="failed sensor"),
+        Line2D([], [], color="0.7", lw=0.8, label=f"grid: {GRID_MM:g} mm"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), columnspacing=1.2)
+    return figure
+
+
+@page_figure
+def error_and_deviation(table: pd.DataFrame, failure_s: float) -> Figure:
+    """Ours over time, with the failure and with all sensors: error above, reported standard deviation below.
+
+    Parameters
+    ----------
+    table
+        Columns of ``uncertainty``.
+    failure_s
+        Time of the failure [s], marked.
+    """
+    quantities = list(dict.fromkeys(table["quantity"]))
+    figure, panels = plt.subplots(2, len(quantities), figsize=(9.4, 4.6), sharex=True, sharey="row")
+    for column, quantity in enumerate(quantities):
+        for row, name in enumerate(("error_mm", "deviation_mm")):
+            panel = panels[row, column]
+            for run, colour in RUN_COLOURS.items():
+                part = table[(table["quantity"] == quantity) & (table["run"] == run)]
+                panel.plot(part["time_s"], part[name], color=colour, lw=1, label=run)
+            panel.axvline(failure_s, color="0.3", lw=1, ls=":")
+        panels[0, column].set_title(coordinate_symbol(quantity))
+        panels[1, column].set_xlabel("time [s]")
+    panels[0, 0].set(ylabel="error [mm]", ylim=(0, None))
+    panels[1, 0].set(ylabel="reported standard\ndeviation [mm]", ylim=(0, None))
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure

@@ -1,0 +1,1 @@
+"""The page `notebooks/sensor_placement.ipynb`."""

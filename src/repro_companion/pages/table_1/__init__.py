@@ -1,0 +1,1 @@
+"""The page `notebooks/table_1.ipynb`."""

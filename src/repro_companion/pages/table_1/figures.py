@@ -1,0 +1,124 @@
+"""Figures of the Table 1 page: published against regenerated cells, model by solver, calibration."""
+
+# The stubs of matplotlib and pandas know less than the libraries do.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from repro_live.view.style import coordinate_symbol, in_symbols, page_figure
+
+PUBLISHED, OURS, BEST = "0.45", "#0072B2", "#D55E00"
+MODELS = {"network of the paper": "o", "fast network": "s", "multipole": "D"}
+SOLVERS = {"gradient descent": ("#0072B2", "o"), "Levenberg-Marquardt": ("#D55E00", "D")}
+
+
+@page_figure
+def published_and_regenerated(cells: pd.DataFrame) -> Figure:
+    """Every cell in % of Table 1: published, regenerated with the paper's method, and ours where it is.
+
+    Parameters
+    ----------
+    cells
+        Columns ``row, quantity, published, published_std, regenerated, regenerated_std, best``; numbers in %,
+        empty where there is none.
+    """
+    rows = list(dict.fromkeys(cells["row"]))
+    columns = 2 if len(rows) > 3 else 1
+    lines = -(-len(rows) // columns)
+    figure, panels = plt.subplots(
+        lines, columns, figsize=(4.7 * columns, 1.65 * lines + 0.5), sharey=True, squeeze=False
+    )
+    for panel, row in zip(panels.flat, rows, strict=False):
+        part = cells[cells["row"] == row]
+        x = np.arange(len(part))
+        for offset, name, colour, marker in (
+            (-0.16, "published", PUBLISHED, "s"),
+            (0.16, "regenerated", OURS, "o"),
+        ):
+            value, spread = (part[c].to_numpy(dtype=float) for c in (name, f"{name}_std"))
+            low = np.minimum(
+                np.nan_to_num(spread), 0.95 * value
+            )  # a bar below zero has no place on a log axis
+            panel.errorbar(
+                x + offset, value, yerr=[low, np.nan_to_num(spread)], fmt=marker, ms=4, lw=1.1, color=colour
+            )
+        panel.plot(x + 0.32, part["best"].to_numpy(dtype=float), "D", ms=4, color=BEST)
+        panel.set_title(in_symbols(row), loc="left")
+        labels = [coordinate_symbol(q) for q in part["quantity"]]
+        panel.set(yscale="log", xticks=x, xticklabels=labels, xlim=(-0.6, len(part) - 0.4))
+        panel.grid(axis="x", visible=False)
+    for panel in panels.flat[len(rows) :]:
+        panel.set_visible(False)
+    figure.supylabel("relative error [%]", fontsize="medium")
+    handles = [
+        Line2D([], [], marker=m, ls="", color=c, label=name)
+        for name, c, m in (
+            ("published (mean ± std of 3 networks)", PUBLISHED, "s"),
+            ("regenerated, the paper's method", OURS, "o"),
+            ("ours, robot not as drawn, with noise", BEST, "D"),
+        )
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3 if columns == 2 else 1)
+    return figure
+
+
+@page_figure
+def model_by_solver(table: pd.DataFrame) -> Figure:
+    """Error of the configuration and of the tip by sensor model and solver, one point per seed.
+
+    Parameters
+    ----------
+    table
+        Columns of ``model_by_solver``.
+    """
+    figure, panels = plt.subplots(1, 2, figsize=(8.2, 3.4))
+    models = [m for m in MODELS if m in set(table["model"])]
+    for panel, column, label in zip(
+        panels,
+        ("configuration_percent", "tip_mm"),
+        ("error of the configuration [%]", "error of the tip [mm]"),
+        strict=True,
+    ):
+        for k, (solver, (colour, marker)) in enumerate(SOLVERS.items()):
+            part = table[table["solver"] == solver]
+            x = np.array([models.index(m) for m in part["model"]]) + 0.24 * (k - 0.5)
+            panel.plot(x, part[column], marker, color=colour, ms=5, alpha=0.85, label=solver)
+        panel.set(yscale="log", ylabel=label, xticks=range(len(models)), xlim=(-0.5, len(models) - 0.5))
+        panel.set_xticklabels([m.replace(" of ", "\nof ") for m in models])
+        panel.grid(axis="x", visible=False)
+    panels[0].legend(loc="lower left")
+    return figure
+
+
+@page_figure
+def calibration_gain(summary: pd.DataFrame) -> Figure:
+    """Mean error of every row before and after calibration, with bootstrap intervals of their ratio.
+
+    Parameters
+    ----------
+    summary
+        Columns ``row, uncalibrated_percent, calibrated_percent, ratio, ratio_low, ratio_high``.
+    """
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8.2, 0.34 * len(summary) + 1.1), sharey=True)
+    y = np.arange(len(summary))[::-1]
+    left.hlines(y, summary["calibrated_percent"], summary["uncalibrated_percent"], color="0.8", lw=2)
+    left.plot(summary["uncalibrated_percent"], y, "s", color=PUBLISHED, label="as drawn")
+    left.plot(summary["calibrated_percent"], y, "D", color=BEST, label="calibrated")
+    left.set(xscale="log", xlabel="mean relative error [%]")
+    left.set_yticks(y, [in_symbols(row) for row in summary["row"]])
+    left.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    left.xaxis.set_major_formatter("{x:g}")
+    left.xaxis.set_minor_formatter(NullFormatter())
+    left.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    ratio = summary["ratio"].to_numpy()
+    spread = [ratio - summary["ratio_low"], summary["ratio_high"] - ratio]
+    right.errorbar(ratio, y, xerr=spread, fmt="o", color=OURS, capsize=2)
+    right.set(xlabel="calibrated / as drawn, 95 % interval", xlim=(0, None))
+    return figure

@@ -1,0 +1,176 @@
+"""Figures of Table 2 of Baaij et al. 2023: trajectories, loss landscape, estimates over time, stills."""
+
+# The stubs of matplotlib and pandas know less than the libraries do.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from repro_live.view.style import MAGNET, SENSOR, label_in_mm, page_figure
+
+PAPER, OURS = "#0072B2", "#D55E00"
+SHAPE, TIP = "#56B4E9", "#0072B2"
+
+
+@page_figure
+def trajectories(paths: pd.DataFrame, shapes: pd.DataFrame, title: str) -> Figure:
+    """Fig. 9: bend of the tip, and below it the shape of the segment with the path of the tip.
+
+    Parameters
+    ----------
+    paths
+        Columns ``recording, delta_x_mm, delta_y_mm, tip_x_mm, tip_y_mm, tip_z_mm``.
+    shapes
+        Columns ``recording, shape, x_mm, y_mm, z_mm``.
+    title
+        Above all panels.
+    """
+    names = list(dict.fromkeys(paths["recording"]))
+    figure = plt.figure(figsize=(1.75 * len(names) + 0.4, 4.6))
+    reach = 1.08 * float(paths[["delta_x_mm", "delta_y_mm"]].abs().to_numpy().max())
+    for k, name in enumerate(names):
+        path = paths[paths["recording"] == name]
+        flat = figure.add_subplot(2, len(names), k + 1)
+        flat.plot(path["delta_x_mm"], path["delta_y_mm"], color=TIP, lw=0.7)
+        flat.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", title=name)
+        flat.set(xticks=(-8, 0, 8), yticks=(-8, 0, 8), xlabel=r"$\Delta_x$ [mm]")
+        if k:
+            flat.set_yticklabels([])
+        else:
+            flat.set_ylabel(r"$\Delta_y$ [mm]")
+        deep = figure.add_subplot(2, len(names), len(names) + k + 1, projection="3d")
+        for _, curve in shapes[shapes["recording"] == name].groupby("shape"):
+            deep.plot(curve["x_mm"], curve["y_mm"], curve["z_mm"], color=SHAPE, lw=0.8)
+        deep.plot(path["tip_x_mm"], path["tip_y_mm"], path["tip_z_mm"], color=TIP, lw=0.7)
+        deep.set(xlim=(-40, 40), ylim=(-40, 40), zlim=(0, 115))
+        deep.set(xticks=(-30, 30), yticks=(-30, 30), zticks=(0, 50, 100))
+        deep.set_aspect("equal")
+        deep.tick_params(labelsize=7, pad=-2)
+        label_in_mm(deep, fontsize=8.0, labelpad=-7.0)
+        deep.view_init(elev=20, azim=-55)
+    figure.suptitle(title)
+    return figure
+
+
+@page_figure
+def landscape(grid: pd.DataFrame, path: pd.DataFrame, title: str) -> Figure:
+    """Fig. 10(a): error of the readings over the bend, with the path of the descent and the truth.
+
+    Parameters
+    ----------
+    grid
+        Columns ``delta_x_mm, delta_y_mm, rmse_mV`` on a regular grid.
+    path
+        Columns ``iteration, delta_x_mm, delta_y_mm, rmse_mV``; iteration -1 is the truth.
+    title
+        Above the panel.
+    """
+    figure, panel = plt.subplots(figsize=(5.4, 4.4))
+    table = grid.pivot(index="delta_y_mm", columns="delta_x_mm", values="rmse_mV")
+    mesh = panel.pcolormesh(
+        table.columns, table.index, table.to_numpy(), cmap="viridis_r", shading="nearest", rasterized=True
+    )
+    figure.colorbar(mesh, label="RMSE of the readings [mV]")
+    steps, truth = path[path["iteration"] >= 0], path[path["iteration"] == -1]
+    best = steps.loc[[steps["rmse_mV"].idxmin()]]
+    panel.plot(steps["delta_x_mm"], steps["delta_y_mm"], "o-", color=OURS, ms=3, lw=1, label="descent")
+    for point, marker, colour, label in (
+        (steps.iloc[:1], "s", "white", "start"),
+        (best, "D", OURS, "best"),
+        (truth, "*", "white", "truth"),
+    ):
+        panel.plot(
+            point["delta_x_mm"], point["delta_y_mm"], marker, color=colour, mec="black", ms=9, label=label
+        )
+    panel.set(xlabel=r"$\Delta_x$ [mm]", ylabel=r"$\Delta_y$ [mm]", title=title)
+    panel.grid(visible=False)
+    figure.legend(loc="outside lower center", ncols=4)
+    return figure
+
+
+@page_figure
+def estimates(series: pd.DataFrame, title: str, *, longest_s: float = 20.0) -> Figure:
+    """Fig. 10(b): bend over time; truth black, the paper's method dashed with a band over the seeds, ours orange.
+
+    Parameters
+    ----------
+    series
+        Columns ``recording, time_s, name, truth, mean, std, ours, ours_std``.
+    title
+        Above all panels.
+    longest_s
+        How much is drawn [s].
+    """
+    names = list(dict.fromkeys(series["recording"]))
+    figure, panels = plt.subplots(2, len(names), figsize=(4.4 * len(names), 4.6), sharex="col", squeeze=False)
+    for k, name in enumerate(names):
+        for i, axis in enumerate("xy"):
+            panel = panels[i, k]
+            chosen = (series["recording"] == name) & (series["name"] == f"delta_{axis}")
+            part = series[chosen & (series["time_s"] <= longest_s)]
+            t = part["time_s"].to_numpy()
+            panel.plot(t, part["truth"], color="black", lw=1.4)
+            for column, style, colour in (("mean", "--", PAPER), ("ours", "-", OURS)):
+                spread = part["std" if column == "mean" else "ours_std"].fillna(0).to_numpy()
+                value = part[column].to_numpy()
+                panel.plot(t, value, style, color=colour, lw=1.1)
+                panel.fill_between(t, value - spread, value + spread, color=colour, alpha=0.25, lw=0)
+            panel.set_ylabel(rf"$\Delta_{axis}$ [mm]" if k == 0 else None)
+        panels[0, k].set_title(name)
+        panels[1, k].set_xlabel("time [s]")
+    handles = [
+        Line2D([], [], color="black", label="motion capture"),
+        Line2D([], [], color=PAPER, ls="--", label="the paper's method: mean, std over seeds"),
+        Line2D([], [], color=OURS, label="ours, with its own std"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    figure.suptitle(title)
+    return figure
+
+
+@page_figure
+def stills(shapes: pd.DataFrame, parts: pd.DataFrame, title: str) -> Figure:
+    """Fig. 11, lower row: true and estimated backbone with the magnet and the sensors.
+
+    Parameters
+    ----------
+    shapes
+        Columns ``time_s, kind, seed, x_mm, y_mm, z_mm``.
+    parts
+        Columns ``time_s, part, x_mm, y_mm, z_mm``.
+    title
+        Above all panels.
+    """
+    times = np.unique(shapes["time_s"])
+    figure = plt.figure(figsize=(1.95 * len(times), 3.4))
+    for k, time_s in enumerate(times):
+        panel = figure.add_subplot(1, len(times), k + 1, projection="3d")
+        here = shapes[shapes["time_s"] == time_s]
+        for seed, part in here.groupby("seed"):
+            truth = seed == -1
+            style = {"color": "black", "lw": 5} if truth else {"color": PAPER, "lw": 1.6, "alpha": 0.7}
+            panel.plot(part["x_mm"], part["y_mm"], part["z_mm"], **style)
+        for name, colour, marker in (("magnet", MAGNET, "s"), ("sensor", SENSOR, "o")):
+            part = parts[(parts["time_s"] == time_s) & (parts["part"] == name)]
+            panel.plot(part["x_mm"], part["y_mm"], part["z_mm"], color=colour, marker=marker, ls="", ms=5)
+        panel.set(xlim=(-40, 40), ylim=(-40, 40), zlim=(0, 115))
+        panel.set_aspect("equal")
+        panel.set(xticks=(-30, 30), yticks=(-30, 30), zticks=(0, 50, 100))
+        panel.tick_params(labelsize=7, pad=-2)
+        label_in_mm(panel, fontsize=8.0, labelpad=-7.0)
+        panel.set_title(f"t = {time_s:.1f} s", y=0.98)
+        panel.view_init(elev=15, azim=-55)
+    handles = [
+        Line2D([], [], color="black", lw=4, label="true shape"),
+        Line2D([], [], color=PAPER, lw=1.6, label="estimated, one per seed"),
+        Line2D([], [], color=MAGNET, marker="s", ls="", label="magnet"),
+        Line2D([], [], color=SENSOR, marker="o", ls="", label="sensors"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    figure.suptitle(title)
+    return figure

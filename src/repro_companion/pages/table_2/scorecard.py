@@ -1,0 +1,102 @@
+"""Table 2, and the means in the abstract and section 5.5, of Baaij et al. 2023 as rows of the scorecard."""
+
+# The stubs of pandas know less than the library does.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from typing import Any
+
+import pandas as pd
+
+from repro_companion.pages.table_2.rounding import RELATIVE
+from repro_companion.twins.rig_descent import row_name
+from repro_companion.twins.table_1_scorecard import scorecard_line
+
+SETTING = "as released: elongation known, start at ground truth, momentum carried, split {train:g}/{test:g}"
+BEST_METHOD = "polynomial map fitted to T5.train, common bias estimated, no known start or elongation"
+NOTE = "three networks of our own per sensor against three of the authors"
+SYNTHETIC_NOTE = "synthetic: recorded by the digital twin, so not comparable with the authors' hardware"
+OWN_NOTE = "recordings of the reader's own under the authors' names, so not comparable with what they printed"
+NOT_PRINTED = (row_name("T1"), "delta_y", "%")
+"""T1 bends along x alone: the paper has no relative error of the other direction."""
+MEANS = (
+    ("Abstract", "experiments mean relative error", ("delta_x", "delta_y")),
+    ("Section 5.5", "experiments mean relative e_u", ("e_u",)),
+)
+"""Means of the printed cells of Table 2: 4.5 % of eleven for the bend, 3.1 % of six for the readings."""
+
+
+def table_2_setting(
+    twin_sha256: str | None, *, own_files: bool = False, test_share: float = 0.3, longest_s: float = 0.0
+) -> str:
+    """What the paper's method was run on and with."""
+    released = SETTING.format(train=100 * (1 - test_share), test=100 * test_share)
+    recorded = ["recordings not of the authors"] if own_files else []
+    source = recorded if twin_sha256 is None else [f"synthetic twin {twin_sha256[:8]}"]
+    cut = [f"here the first {longest_s:g} s of each test part"] if longest_s else []
+    return "; ".join([*source, released, *cut])
+
+
+def table_2_rows(
+    table: pd.DataFrame,
+    *,
+    setting: str,
+    synthetic: bool,
+    own_files: bool = False,
+    best: pd.DataFrame | None = None,
+    rounding: pd.DataFrame | None = None,
+) -> list[dict[str, Any]]:
+    """Rows of the scorecard from the errors of the paper's method.
+
+    Parameters
+    ----------
+    table
+        Columns ``row, seed, quantity, unit, error``, with one elongation.
+    setting
+        From :func:`table_2_setting`.
+    synthetic
+        Whether a twin recorded the data: then no row is comparable, and none has a best value.
+    own_files
+        Whether recorded files are not the authors': the same.
+    best
+        Columns ``row, quantity, unit, error``: what ours reaches.
+    rounding
+        From :func:`~repro_companion.pages.table_2.rounding.rounding_table`: notes name the chaotic rows.
+    """
+    decided: dict[tuple[str, str, str], str] = {}
+    if rounding is not None:
+        for x in rounding[rounding["chaotic"]].to_dict("records"):
+            spread = f"; decided by rounding: {x['lowest']:.3g} to {x['highest']:.3g} from starts {RELATIVE:g} apart"
+            decided[x["row"], x["quantity"], x["unit"]] = spread
+    ours: dict[tuple[str, str, str], float] = {}
+    if best is not None and not synthetic and not own_files:
+        kept = best[best["quantity"] != "e_u"]
+        ours = {(x["row"], x["quantity"], x["unit"]): x["error"] for x in kept.to_dict("records")}
+    keys = ["row", "quantity", "unit"]
+    left_out = [(x["row"], x["quantity"], x["unit"]) == NOT_PRINTED for x in table.to_dict("records")]
+    printed = table.loc[[not x for x in left_out]]
+    about: dict[str, Any] = {"note": NOTE}
+    if synthetic or own_files:
+        about = {"note": SYNTHETIC_NOTE if synthetic else OWN_NOTE, "comparable": False}
+    rows: list[dict[str, Any]] = []
+    cells = printed.groupby(keys, sort=False)["error"].agg(["mean", "std", "count"]).reset_index()
+    for cell in cells.to_dict("records"):
+        key = (cell["row"], cell["quantity"], cell["unit"])
+        line = scorecard_line("Table 2", *key, cell["mean"], cell["std"], cell["count"], setting) | about
+        line["note"] += decided.get(key, "")
+        if key in ours:
+            line |= {"best": ours[key], "best_method": BEST_METHOD}
+        rows.append(line)
+    if len(set(printed["row"])) < 6:  # a mean over some of the trajectories is another mean
+        return rows
+    for artefact, row, quantities in MEANS:
+        relative = printed[(printed["unit"] == "%") & printed["quantity"].isin(quantities)]
+        by_seed = relative.groupby("seed")["error"].mean()
+        numbers = (by_seed.mean(), by_seed.std(), len(by_seed), setting)
+        line = scorecard_line(artefact, row, "mean", "%", *numbers) | about
+        own = [e for (r, q, unit), e in ours.items() if unit == "%" and (r, q, unit) != NOT_PRINTED]
+        if own and artefact == "Abstract":
+            line |= {"best": sum(own) / len(own), "best_method": BEST_METHOD}
+        rows.append(line)
+    return rows

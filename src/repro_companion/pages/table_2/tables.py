@@ -1,0 +1,218 @@
+"""Figs 9 to 11 of Baaij et al. 2023 as tables: trajectories, a loss landscape, estimates over time, stills."""
+
+# The stubs of pandas know less than the library does.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+import torch
+
+from repro.errors import bad_input
+from repro.sensing.ensemble import SeedEnsemble
+from repro.sensing.rig import RIG_RATE_HZ, rig_robot
+from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.twins.rig_data import RigData
+from repro_companion.twins.rig_descent import (
+    ITERATIONS,
+    MOMENTUM,
+    STEP_SIZE,
+    PaperRun,
+    bend_errors,
+    reading_errors,
+    rig_sensing,
+    row_name,
+)
+from repro_companion.twins.rig_filter import OursConfig, OursRun, estimate_bend
+from repro_companion.twins.rig_map import BendMap
+
+LANDSCAPE_S = 3.0
+"""Time in T5's test part of Fig. 10(a), as in the released code [s]."""
+LANDSCAPE_CLIP_MV = 100.0
+
+
+def ours_runs(
+    bend_map: BendMap, tests: dict[str, Recording], config: OursConfig | None = None
+) -> dict[str, OursRun]:
+    """Ours on every test part; of these it takes the readings alone."""
+    return {name: estimate_bend(bend_map, part.u, config) for name, part in tests.items()}
+
+
+def ours_errors(runs: dict[str, OursRun], bend_map: BendMap, data: RigData) -> pd.DataFrame:
+    """Errors of Table 2 with ours: ``row, quantity, unit, error``, for test parts or their beginnings."""
+    rows = []
+    for name, run in runs.items():
+        whole = data.tests[name]
+        kept = slice(0, len(run.q))
+        part = Recording(whole.name, whole.frame[kept], whole.q[kept], whole.u[kept])
+        predicted = bend_map.readings_mv(part.q)[:, None]
+        for cell in reading_errors(predicted, part, whole) + bend_errors(run.q[:, None], part, whole):
+            del cell["model"]
+            rows.append({"row": row_name(name)} | cell)
+    return pd.DataFrame(rows)
+
+
+def trajectories_table(
+    tests: dict[str, Recording], *, longest_s: float = 60.0, every: int = 4
+) -> pd.DataFrame:
+    """Fig. 9: bend and tip [mm] of the first part of each trajectory, ``recording, time_s, ..., tip_z_mm``."""
+    parts = []
+    for name, part in tests.items():
+        kept = slice(0, round(longest_s * RIG_RATE_HZ), every)
+        q = part.q[kept]
+        tip = rig_robot().tip(torch.from_numpy(q))[..., :3, 3].numpy()
+        columns = {"recording": name, "time_s": part.time_s[kept]}
+        columns |= {f"delta_{axis}_mm": 1e3 * q[:, k] for k, axis in enumerate("xy")}
+        parts.append(pd.DataFrame(columns | {f"tip_{a}_mm": 1e3 * tip[:, k] for k, a in enumerate("xyz")}))
+    return pd.concat(parts, ignore_index=True)
+
+
+def shapes_table(tests: dict[str, Recording], *, shapes: int = 12, longest_s: float = 60.0) -> pd.DataFrame:
+    """Fig. 9: backbones [mm] at evenly spaced times, ``recording, shape, x_mm, y_mm, z_mm``."""
+    parts = []
+    for name, part in tests.items():
+        last = min(len(part), round(longest_s * RIG_RATE_HZ)) - 1
+        for k, step in enumerate(np.linspace(0, last, shapes).round().astype(int)):
+            curve = rig_robot().backbone(torch.from_numpy(part.q[step])).numpy()
+            table = pd.DataFrame(1e3 * curve, columns=["x_mm", "y_mm", "z_mm"])
+            parts.append(table.assign(recording=name, shape=k))
+    return pd.concat(parts, ignore_index=True)
+
+
+def landscape(
+    data: RigData, model: SeedEnsemble, seeds: Sequence[int], *, time_s: float = LANDSCAPE_S, points: int = 50
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Fig. 10(a): root mean square of the readings' error over the bend, for the first seed, and the descent's path.
+
+    Over the range of T5's test part, at the true elongation, clipped at 100 mV. The descent starts straight.
+
+    Returns
+    -------
+    DataFrame, DataFrame
+        ``delta_x_mm, delta_y_mm, rmse_mV``; and ``iteration, delta_x_mm, delta_y_mm, rmse_mV``, of which the row of
+        iteration -1 is the truth.
+
+    Raises
+    ------
+    InputError
+        If T5 is not among the tests, or does not reach this time.
+    """
+    step = round(time_s * RIG_RATE_HZ)
+    if "T5" not in data.tests or not 0 <= step < len(data.tests["T5"]):
+        raise bad_input("time_s", "landscape", "within T5's test part, which is among the tests", time_s)
+    part, sensing = data.tests["T5"], rig_sensing(model)
+    u, truth = torch.from_numpy(part.u[step]), torch.from_numpy(part.q[step])
+    axes = [np.linspace(part.q[:, k].min(), part.q[:, k].max(), points) for k in range(2)]
+    x, y = (torch.from_numpy(g.ravel()) for g in np.meshgrid(*axes))
+    grid = torch.stack([x, y, truth[2].expand_as(x)], dim=-1)
+
+    def rmse(q: torch.Tensor) -> torch.Tensor:
+        """Of the first seed; a network for each seed is evaluated."""
+        return (sensing(q.expand(len(seeds), *q.shape))[0] - u).square().mean(-1).sqrt()
+
+    with torch.no_grad():
+        values = rmse(grid).clamp_max(LANDSCAPE_CLIP_MV)
+    q, b = torch.stack([0 * truth[0], 0 * truth[0], truth[2]]), torch.zeros(3, dtype=torch.float64)
+    path = [(-1, truth, float(rmse(truth[None])))]
+    gamma = torch.tensor(STEP_SIZE, dtype=torch.float64)
+    for iteration in range(ITERATIONS):
+        q = q.detach().requires_grad_()
+        error = rmse(q[None])[0]
+        path.append((iteration, q.detach(), float(error.detach())))
+        (gradient,) = torch.autograd.grad(error.square(), q)
+        b = MOMENTUM * b + gradient
+        q = q - gamma * b
+    columns = {"delta_x_mm": 1e3 * x, "delta_y_mm": 1e3 * y, "rmse_mV": values}
+    steps = [
+        {"iteration": i, "delta_x_mm": 1e3 * float(p[0]), "delta_y_mm": 1e3 * float(p[1]), "rmse_mV": e}
+        for i, p, e in path
+    ]
+    return pd.DataFrame({k: v.numpy() for k, v in columns.items()}), pd.DataFrame(steps)
+
+
+def series_table(
+    run: PaperRun, ours: dict[str, OursRun], names: Sequence[str] = ("T2", "T5")
+) -> pd.DataFrame:
+    """Fig. 10(b): bend over time [mm]: ``recording, time_s, name, truth, mean, std, ours, ours_std``.
+
+    Mean and sample standard deviation of the paper's method with known elongation over the seeds; ours with the
+    standard deviation that it gives itself.
+    """
+    parts = []
+    for name in names:
+        part, q = run.parts[name], run.estimates["known", name]
+        own = ours[name]
+        for k, axis in enumerate("xy"):
+            several = q.shape[1] > 1
+            columns = {
+                "time_s": part.time_s,
+                "truth": 1e3 * part.q[:, k],
+                "mean": 1e3 * q[:, :, k].mean(axis=1),
+                "std": 1e3 * q[:, :, k].std(axis=1, ddof=1) if several else np.full(len(q), np.nan),
+                "ours": 1e3 * own.q[: len(part), k],
+                "ours_std": 1e3 * np.sqrt(own.covariance[: len(part), k, k]),
+            }
+            parts.append(pd.DataFrame(columns).assign(recording=name, name=f"delta_{axis}"))
+    return pd.concat(parts, ignore_index=True)
+
+
+def stills(
+    run: PaperRun, *, name: str = "T3", times_s: Sequence[float] = (0.0, 2.0, 4.0, 6.0, 8.0)
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Fig. 11: backbone along T3, true and estimated with known elongation, and the parts in the true shape.
+
+    Returns
+    -------
+    DataFrame, DataFrame
+        ``time_s, kind`` (``truth``, or ``estimate`` with its ``seed``) ``, x_mm, y_mm, z_mm``; and ``time_s, part``
+        (``magnet`` or ``sensor``) ``, x_mm, y_mm, z_mm``.
+    """
+    robot, part, shapes, parts = rig_robot(), run.parts[name], [], []
+    for step in sorted({min(round(t * RIG_RATE_HZ), len(part) - 1) for t in times_s}):
+        truth, time_s = torch.from_numpy(part.q[step]), part.time_s[step]
+        curves = [("truth", -1, truth)]
+        curves += [
+            ("estimate", s, torch.from_numpy(run.estimates["known", name][step, i]))
+            for i, s in enumerate(run.seeds)
+        ]
+        for kind, seed, q in curves:
+            shapes.append(_points(robot.backbone(q)).assign(time_s=time_s, kind=kind, seed=seed))
+        for label, T in (("magnet", robot.magnet_poses(truth)), ("sensor", robot.sensor_poses(truth))):
+            parts.append(_points(T[:, :3, 3]).assign(time_s=time_s, part=label))
+    return pd.concat(shapes, ignore_index=True), pd.concat(parts, ignore_index=True)
+
+
+def _points(positions: torch.Tensor) -> pd.DataFrame:
+    return pd.DataFrame(1e3 * positions.numpy(), columns=["x_mm", "y_mm", "z_mm"])
+
+
+def beside(published: pd.DataFrame, paper: pd.DataFrame, ours: pd.DataFrame) -> pd.DataFrame:
+    """Every row and column of Table 2: published, the paper's method with each elongation, and ours.
+
+    Parameters
+    ----------
+    published
+        Columns ``row, quantity, unit, published, published_std``.
+    paper
+        Columns ``elongation, row, seed, quantity, unit, error``.
+    ours
+        Columns ``row, quantity, unit, error``.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``row, quantity, unit, published, published_std``, for each elongation its name and ``..._std``, and
+        ``ours``; a cell that the paper does not print, the relative error across T1, is left out.
+    """
+    keys = ["row", "quantity", "unit"]
+    table = ours.rename(columns={"error": "ours"})
+    for name, part in paper.groupby("elongation", sort=False):
+        cells = part.groupby(keys)["error"].agg(["mean", "std"]).reset_index()
+        cells = cells.rename(columns={"mean": name, "std": f"{name}_std"})
+        table = table.merge(cells, on=keys, how="left")
+    table = table.merge(published, on=keys)
+    names = [f"{c}{s}" for c in ("published", *dict.fromkeys(paper["elongation"])) for s in ("", "_std")]
+    return table.loc[:, [*keys, *names, "ours"]]

@@ -1,0 +1,57 @@
+"""3-D views of the experiments of Baaij et al. 2023, section 5: motion capture, and ours with its uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+
+from repro.sensing.rig import RIG_RATE_HZ, rig_robot
+from repro_companion.book.views_frames import every_nth, readings
+from repro_companion.pages.table_2.views_together import ShapeViews
+from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.twins.rig_filter import OursRun
+from repro_live.view.robot_view import shape_view
+from repro_live.view.shape_view import ShapeView
+
+LONGEST_S = 15.0
+"""No view shows more than the beginning of this length [s]; a fast lemniscate takes a few seconds."""
+FRAMES = 75
+"""Most frames of a view: six on one page have to be light."""
+
+
+def rig_views(parts: Mapping[str, Recording], ours: Mapping[str, OursRun], source: str) -> ShapeViews:
+    """One view for each trajectory: see :func:`rig_view`.
+
+    Parameters
+    ----------
+    parts, ours
+        Recordings, and what ours finds on them, by trajectory.
+    source
+        Where the recordings come from.
+    """
+    titles = {name: f"{name} ({source})" for name in parts}
+    return ShapeViews({title: rig_view(parts[name], ours[name], title) for name, title in titles.items()})
+
+
+def rig_view(part: Recording, ours: OursRun, title: str) -> ShapeView:
+    """Segment by motion capture, ours with a tube of two standard deviations that it gives itself, and readings.
+
+    Parameters
+    ----------
+    part, ours
+        A recording, and what ours finds on it.
+    title
+        Which recording it is, and where it comes from.
+    """
+    n = min(len(part), len(ours.q), round(LONGEST_S * RIG_RATE_HZ))
+    shown = every_nth(n, FRAMES)
+    return shape_view(
+        rig_robot(),
+        torch.from_numpy(part.q[shown]),
+        times=part.time_s[shown] - part.time_s[0],
+        label=f"{title}: the segment by motion capture (truth), and ours with a tube of two standard deviations.",
+        estimate=torch.from_numpy(ours.q[shown]),
+        covariance=torch.from_numpy(ours.covariance[shown]),
+        traces=[readings(part.u[shown], "mV")],
+    )

@@ -1,0 +1,1 @@
+"""The page `notebooks/temporal_filter.ipynb`."""

@@ -1,0 +1,236 @@
+"""What the last readings say about the next ones: the iterated Kalman filter on simulated trajectories.
+
+The process noise is chosen on the half lemniscate T2 and frozen; it is judged on the others. Readings come from
+magpylib with noise; both methods have the multipole model of the robot as drawn, and neither knows where it starts.
+"""
+
+# The stubs of pandas know less than the library does.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+import torch
+from jaxtyping import Float
+from scipy.stats import chi2
+from torch import Tensor
+
+from repro.errors import bad_input
+from repro.estimation.base import Trajectory, track
+from repro.estimation.kalman_filter import IteratedKalmanFilter
+from repro.estimation.levenberg_marquardt import LevenbergMarquardt
+from repro.kernels import compiled
+from repro.kinematics.paper_robots import pcc_robot
+from repro.kinematics.trajectories import RATE_HZ, STEPS, TRAJECTORIES, lemniscate, trajectory
+from repro.sensing.linearised import LinearisedSensing
+from repro.sensing.magnetic import readings
+from repro.sensing.magnets import ring
+from repro_companion.book.bootstrap import ratio_interval, resampled
+from repro_companion.twins.calibrated_robots import VELOCITY_SHARE, box, start
+from repro_companion.twins.calibration_session import L_MAX
+
+NOISE_MT = 5e-3
+"""Noise of a reading [mT]: seven times the larger one of the real sensors, where the prior matters most."""
+METHODS = ("Levenberg-Marquardt", "Kalman filter")
+SHARES = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+"""Candidates for the process noise, in widths of the box per s^1.5."""
+SHARE = {1: 0.1, 3: 0.1}
+"""Process noise by number of segments: those with the best score on T2 (:func:`choices`)."""
+ITERATIONS = 8
+
+
+def noisy_readings(
+    q: Float[Tensor, "t n_q"], n_segments: int, seeds: Sequence[int], noise_mt: float
+) -> Float[Tensor, "t seeds s"]:
+    """Readings by magpylib, with noise of its own for every seed."""
+    u = readings(pcc_robot(n_segments), q, ring("released"))
+    noise = [
+        torch.randn(u.shape, generator=torch.Generator().manual_seed(seed), dtype=u.dtype) for seed in seeds
+    ]
+    return torch.stack([u + noise_mt * x for x in noise], dim=1)
+
+
+def estimates(
+    method: str,
+    u: Float[Tensor, "t seeds s"],
+    n_segments: int,
+    noise_mt: float,
+    *,
+    share: float | None = None,
+) -> Trajectory:
+    """Estimates from the straight pose at mid elongation: at every step anew, or carried over by the filter.
+
+    Parameters
+    ----------
+    method
+        One of :data:`METHODS`.
+    u
+        Readings.
+    n_segments
+        Number of segments.
+    noise_mt
+        Noise of a reading, which both methods know.
+    share
+        Process noise of the filter; that of :data:`SHARE` when not given.
+
+    Raises
+    ------
+    InputError
+        If the method is unknown.
+    """
+    if method not in METHODS:
+        raise bad_input("method", "estimates", f"one of {', '.join(map(repr, METHODS))}", repr(method))
+    low, high = box(n_segments)
+    moments = torch.from_numpy(ring("released").multipoles(L_MAX))
+    sensing = compiled(LinearisedSensing(pcc_robot(n_segments), moments))
+    if method == METHODS[0]:
+        alone = LevenbergMarquardt(sensing, low, high, noise_mt=noise_mt, iterations=2 * ITERATIONS)
+        _, found = alone.step(alone.init(start(n_segments).expand(*u.shape[:-1], -1)), u, 0.0)
+        return Trajectory(found.q, found.covariance, found.u_hat, found.diagnostics)
+    share = SHARE[n_segments] if share is None else share
+    width = high - low
+    moving = {"acceleration": share * width, "velocity": VELOCITY_SHARE * width}
+    kalman = IteratedKalmanFilter(sensing, low, high, **moving, noise_mt=noise_mt, iterations=ITERATIONS)
+    return track(kalman, u, start(n_segments).expand(u.shape[1], -1), rate_hz=RATE_HZ)
+
+
+def errors(
+    n_segments: int,
+    names: Sequence[str] = TRAJECTORIES,
+    seeds: Sequence[int] = tuple(range(10)),
+    *,
+    noise_mt: float = NOISE_MT,
+    share: float | None = None,
+    steps: int = STEPS,
+) -> pd.DataFrame:
+    r"""Errors and calibration of both methods, one row per trajectory, method and seed.
+
+    Columns: ``n_b, trajectory, method, seed``; ``error_percent``, the mean over the coordinates of the
+    root-mean-squared error in per cent of the range of T3, there eq. (13); ``covered_percent``, how often the
+    95 % ellipsoid contains the truth; ``nees``, the normalised squared error :math:`e^T C^{-1} e/n_q`, 1 on average
+    if the covariance is right; ``score``, the mean negative logarithm of the density at the truth, which counts
+    accuracy and calibration.
+
+    Parameters
+    ----------
+    n_segments, names, seeds, noise_mt, share, steps
+        Robot, trajectories, draws of the noise, its size, process noise and number of steps.
+    """
+    lines = []
+    full = lemniscate(n_segments)
+    span = full.amax(0) - full.amin(0)
+    for name in names:
+        q = trajectory(name, n_segments, steps=steps)
+        u = noisy_readings(q, n_segments, seeds, noise_mt)
+        for method in METHODS:
+            found = estimates(method, u, n_segments, noise_mt, share=share)
+            error = (found.q - q.unsqueeze(1)).unsqueeze(-1)
+            assert found.covariance is not None
+            distance = (error.mT @ torch.linalg.solve(found.covariance, error)).squeeze(-1).squeeze(-1)
+            n_q = q.shape[-1]
+            size = torch.linalg.slogdet(2 * math.pi * found.covariance / span / span.unsqueeze(-1)).logabsdet
+            percent = 100 * (error.squeeze(-1).square().mean(0).sqrt() / span).mean(-1)
+            for k, seed in enumerate(seeds):
+                lines.append(
+                    {
+                        "n_b": n_segments,
+                        "trajectory": name,
+                        "method": method,
+                        "seed": seed,
+                        "error_percent": float(percent[k]),
+                        "covered_percent": 100
+                        * float((distance[:, k] <= chi2.ppf(0.95, n_q)).double().mean()),
+                        "nees": float(distance[:, k].mean()) / n_q,
+                        "score": float((distance + size)[:, k].mean()) / 2,
+                    }
+                )
+    return pd.DataFrame(lines)
+
+
+def choices(
+    n_segments: int,
+    seeds: Sequence[int] = tuple(range(10)),
+    *,
+    shares: Sequence[float] = SHARES,
+    noise_mt: float = NOISE_MT,
+    steps: int = STEPS,
+) -> pd.DataFrame:
+    """Score of every process noise on T2: columns ``n_b, share, score, error_percent, covered_percent``, means.
+
+    Parameters
+    ----------
+    n_segments, seeds, noise_mt, steps
+        As for :func:`errors`.
+    shares
+        Candidates.
+    """
+    lines = []
+    for share in shares:
+        table = errors(n_segments, ["T2"], seeds, noise_mt=noise_mt, share=share, steps=steps)
+        means = table[table["method"] == METHODS[1]][["score", "error_percent", "covered_percent"]].mean()
+        lines.append({"n_b": n_segments, "share": share, **means})
+    return pd.DataFrame(lines)
+
+
+def gains(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
+    """Filter beside least squares, by robot and trajectory: means, and the ratio of errors with its 95 % interval.
+
+    The interval is a paired bootstrap over the draws of the noise. Columns: ``n_b, trajectory, chosen_here``,
+    ``lm_percent, filter_percent, ratio, ratio_low, ratio_high``, ``lm_covered_percent, filter_covered_percent``,
+    ``lm_nees, filter_nees``.
+
+    Parameters
+    ----------
+    table
+        Of :func:`errors`.
+    seed
+        Of the bootstrap.
+    """
+    rng, lines = np.random.default_rng(seed), []
+    for n_b, name in table[["n_b", "trajectory"]].drop_duplicates().itertuples(index=False):
+        part = table[(table["n_b"] == n_b) & (table["trajectory"] == name)]
+        by = part.pivot_table(
+            index="seed", columns="method", values=["error_percent", "covered_percent", "nees"]
+        )
+        alone, kalman = (by["error_percent"][method].to_numpy() for method in METHODS)
+        low, high = ratio_interval(kalman, alone, resampled(len(alone), rng))
+        lines.append(
+            {
+                "n_b": n_b,
+                "trajectory": name,
+                "chosen_here": name == "T2",
+                "lm_percent": alone.mean(),
+                "filter_percent": kalman.mean(),
+                "ratio": kalman.mean() / alone.mean(),
+                "ratio_low": low,
+                "ratio_high": high,
+                "lm_covered_percent": by["covered_percent"][METHODS[0]].mean(),
+                "filter_covered_percent": by["covered_percent"][METHODS[1]].mean(),
+                "lm_nees": by["nees"][METHODS[0]].mean(),
+                "filter_nees": by["nees"][METHODS[1]].mean(),
+            }
+        )
+    return pd.DataFrame(lines)
+
+
+def over_time(n_segments: int, name: str, *, seed: int = 0, noise_mt: float = NOISE_MT) -> pd.DataFrame:
+    r"""Error of one bending coordinate with two standard deviations, for the first segment.
+
+    Columns: ``time_s, method, error_mm, two_sigma_mm``, of :math:`\Delta_x`.
+    """
+    q = trajectory(name, n_segments)
+    u = noisy_readings(q, n_segments, [seed], noise_mt)
+    tables = []
+    for method in METHODS:
+        found = estimates(method, u, n_segments, noise_mt)
+        assert found.covariance is not None
+        error = 1e3 * (found.q[:, 0, 0] - q[:, 0])
+        two_sigma = 2e3 * found.covariance[:, 0, 0, 0].sqrt()
+        time_s = torch.arange(len(q)).double() / RATE_HZ
+        columns = {"time_s": time_s.numpy(), "method": method, "error_mm": error.numpy()}
+        tables.append(pd.DataFrame({**columns, "two_sigma_mm": two_sigma.numpy()}))
+    return pd.concat(tables, ignore_index=True)

@@ -1,0 +1,1 @@
+"""Readers of the papers' files, and where these come from."""

@@ -1,0 +1,70 @@
+"""Whether files are those that the authors released: their content against the list of the public recordings."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from repro_companion.recordings.sources import RecordedFile, data_dir
+
+
+def unlike_released(
+    paths: Iterable[Path], files: Sequence[RecordedFile], folder: Path | None = None
+) -> dict[str, str]:
+    """Return which files are not those of the list, as path below the folder and what differs; empty if all are.
+
+    A file whose columns are exchanged, whose numbers were edited or whose end is missing reads like a good one; its
+    hash does not.
+
+    Parameters
+    ----------
+    paths
+        Files that were read; they exist.
+    files
+        The list, of :func:`repro_companion.recordings.sources.read_sources`.
+    folder
+        Of the recordings; by default :func:`repro_companion.recordings.sources.data_dir`.
+    """
+    folder = folder or data_dir()
+    listed = {file.place(folder): file for file in files}
+    unlike = {}
+    for path in paths:
+        name = path.relative_to(folder).as_posix()
+        if (file := listed.get(path)) is None:
+            unlike[name] = "not in the list of the released files"
+        elif difference(file, path):
+            size = path.stat().st_size
+            same = "of the same size" if size == file.size else f"{size} bytes instead of {file.size}"
+            unlike[name] = f"other content than the released file, {same}"
+    return unlike
+
+
+def difference(file: RecordedFile, path: Path) -> str | None:
+    """Return how a file's content differs from the released one, by hash, or None.
+
+    Parameters
+    ----------
+    file
+        The released file.
+    path
+        A file that exists.
+    """
+    kind, expected = ("sha256", file.sha256) if file.sha256 else ("git blob", file.git_blob)
+    if file.sha256:
+        with path.open("rb") as stream:
+            found = hashlib.file_digest(stream, "sha256").hexdigest()
+    else:
+        found = git_blob_hash(path.read_bytes())
+    return None if found == expected else f"{kind} {found} instead of {expected}"
+
+
+def git_blob_hash(content: bytes) -> str:
+    """Return the hash under which git stores a file's content.
+
+    Examples
+    --------
+    >>> git_blob_hash(b"")
+    'e69de29bb2d1d6434b8b29ae775ad8c2e48c5391'
+    """
+    return hashlib.sha1(b"blob %d\0" % len(content) + content, usedforsecurity=False).hexdigest()

@@ -1,0 +1,1 @@
+"""Synthetic robots, motions and readings, and what several pages do with them."""

@@ -1,0 +1,236 @@
+# The stubs of pandas know less than the library does.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+r"""Section II-D of Mitchell et al. 2021: a particle filter on Spiral, Flower and Seagull.
+
+All readings are synthetic, by magpylib; the filter's own model is the closed form of
+:mod:`repro.sensing.bend_sensor`, compiled as a polynomial (:mod:`repro.kernels.bend_series`). Every filter
+starts straight, where all three curves start.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import pandas as pd
+import torch
+from torch import Tensor
+
+from repro.estimation.base import track
+from repro.estimation.particle_filter import ParticleFilter, noise_of_sigma
+from repro.estimation.regions import Disc
+from repro.kernels import compiled
+from repro.kinematics.bend import MAX_BEND
+from repro.sensing.bend_sensor import BendSensor
+from repro_companion.twins.bend_curves import CURVES, LENGTH_M, bend_curve, bend_readings, curve_times
+
+SENSOR_NOISE_MT = 0.025
+"""Noise of the real sensor per axis [mT]: 0.021-0.026 mT in the recordings at rest."""
+PROCESS_NOISE_PI = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
+"""Candidates for the process noise [pi rad]: from the smallest of the released code to the paper's."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    r"""A filter and what it is run on.
+
+    Parameters
+    ----------
+    name
+        For tables and legends.
+    process_noise_pi
+        Standard deviation of the noise that moves a particle in one step [pi rad].
+    length_m
+        Distance of sensor and magnet along the arc [m], for the readings and the filter.
+    sigma_mt
+        :math:`\sigma` of eq. (1) [mT]: :math:`\sqrt 2` times the noise per axis that the filter assumes.
+    sensor_noise_mt
+        Noise of the readings per axis [mT].
+    particles, estimate, resampling, motion
+        As for :class:`~repro.estimation.particle_filter.ParticleFilter`.
+    """
+
+    name: str
+    process_noise_pi: float = 0.02
+    length_m: float = LENGTH_M
+    sigma_mt: float = 0.01
+    sensor_noise_mt: float = 0.0
+    particles: int = 1000
+    estimate: str = "best tenth"
+    resampling: str = "multinomial"
+    motion: str = "random walk"
+
+    def filter(self, process_noise_pi: Sequence[float] | None = None) -> ParticleFilter:
+        """Filter of this setting; with several process noises a batch of them, times the curves."""
+        noise = torch.tensor(process_noise_pi or [self.process_noise_pi], dtype=torch.float64) * math.pi
+        return ParticleFilter(
+            compiled(BendSensor(self.length_m)),
+            noise[:, None, None].expand(-1, 1, 2),
+            noise_of_sigma(self.sigma_mt),
+            Disc(MAX_BEND),
+            particles=self.particles,
+            estimate=self.estimate,
+            resampling=self.resampling,
+            motion=self.motion,
+        )
+
+
+PAPER = Setting("as printed")
+"""The paper's equations at the stated process noise; sigma is that of the released code, the paper gives none."""
+FITS = replace(PAPER, name="fits, not stated", process_noise_pi=0.005, length_m=14e-3)
+"""The same with the process noise (0.01 pi/2) and the arc length of the released code's simulations."""
+WEIGHTED = replace(
+    PAPER, name="weighted mean", process_noise_pi=0.004, estimate="weighted", resampling="systematic"
+)
+GAUSS_NEWTON = replace(
+    PAPER, name="weighted mean + Gauss-Newton step", estimate="Gauss-Newton", resampling="systematic"
+)
+"""Noise-free readings of an exact model: a check of consistency, not a result."""
+NOISY = replace(
+    PAPER,
+    name="best tenth, sensor noise",
+    sigma_mt=math.sqrt(2) * SENSOR_NOISE_MT,
+    sensor_noise_mt=SENSOR_NOISE_MT,
+)
+"""The paper's equations for a real sensor."""
+BEST = replace(
+    NOISY,
+    name="weighted mean, constant velocity, sensor noise",
+    process_noise_pi=0.0005,
+    estimate="weighted",
+    resampling="systematic",
+    motion="constant velocity",
+)
+"""Ours for a real sensor; motion and process noise are those with the smallest error on Spiral (``chosen``)."""
+
+
+def follow(
+    setting: Setting,
+    *,
+    seed: int = 0,
+    process_noise_pi: Sequence[float] | None = None,
+    steps: int | None = None,
+    curves: Sequence[str] = CURVES,
+) -> tuple[Tensor, Tensor]:
+    """Run a setting along the curves.
+
+    Parameters
+    ----------
+    setting
+        What to run.
+    seed
+        Of the filter; noise of the readings has the same seed.
+    process_noise_pi
+        Several process noises [pi rad] in place of the setting's.
+    steps
+        Number of steps; all when not given.
+    curves
+        Names of the curves.
+
+    Returns
+    -------
+    tuple
+        Errors of the magnet's position [mm] and whether the filter was lost, ``[steps, process noises, curves]``.
+    """
+    q = torch.stack([bend_curve(name) for name in curves], dim=1)[:steps]
+    u = bend_readings(q, setting.length_m, noise_mt=setting.sensor_noise_mt, seed=seed)
+    many = len(process_noise_pi or [0])
+    u = u.unsqueeze(1).expand(-1, many, -1, -1)
+    start = torch.zeros(many, len(curves), 2, dtype=torch.float64)
+    found = track(setting.filter(process_noise_pi), u, start, seed=seed)
+    position = BendSensor(setting.length_m).position
+    error = torch.linalg.vector_norm(position(found.q) - position(q).unsqueeze(1), dim=-1)
+    return 1e3 * error, found.diagnostics["lost"]
+
+
+def errors(
+    settings: Sequence[Setting],
+    seeds: Sequence[int] = (0,),
+    *,
+    process_noise_pi: Sequence[float] | None = None,
+    steps: int | None = None,
+    curves: Sequence[str] = CURVES,
+) -> pd.DataFrame:
+    """Errors of the magnet's position by setting, curve and seed.
+
+    Parameters
+    ----------
+    settings, seeds, process_noise_pi, steps, curves
+        As for :func:`follow`.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``setting, estimate, motion, particles, process_noise_pi, length_mm, noise_mt, curve, seed, rmse_mm,
+        mean_mm, lost_percent``; ``noise_mt`` is that of the readings.
+    """
+    rows = []
+    for setting in settings:
+        for seed in seeds:
+            error, lost = follow(
+                setting, seed=seed, process_noise_pi=process_noise_pi, steps=steps, curves=curves
+            )
+            for k, walk in enumerate(process_noise_pi or [setting.process_noise_pi]):
+                rows += [
+                    {
+                        "setting": setting.name,
+                        "estimate": setting.estimate,
+                        "motion": setting.motion,
+                        "particles": setting.particles,
+                        "process_noise_pi": walk,
+                        "length_mm": 1e3 * setting.length_m,
+                        "noise_mt": setting.sensor_noise_mt,
+                        "curve": curve,
+                        "seed": seed,
+                        "rmse_mm": float((error[:, k, c] ** 2).mean().sqrt()),
+                        "mean_mm": float(error[:, k, c].mean()),
+                        "lost_percent": 100 * float(lost[:, k, c].double().mean()),
+                    }
+                    for c, curve in enumerate(curves)
+                ]
+    return pd.DataFrame(rows)
+
+
+def errors_over_time(
+    settings: Sequence[Setting], *, seed: int = 0, steps: int | None = None, curves: Sequence[str] = CURVES
+) -> pd.DataFrame:
+    """Error of every step, as in Fig. 5.
+
+    Parameters
+    ----------
+    settings, seed, steps, curves
+        As for :func:`follow`.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``curve, t, error_mm, setting, process_noise_pi, particles``.
+    """
+    t = curve_times()[:steps].numpy()
+    tables = []
+    for setting in settings:
+        error, _ = follow(setting, seed=seed, steps=steps, curves=curves)
+        tables += [
+            pd.DataFrame({"curve": curve, "t": t, "error_mm": error[:, 0, c].numpy()}).assign(
+                setting=setting.name,
+                process_noise_pi=setting.process_noise_pi,
+                particles=setting.particles,
+            )
+            for c, curve in enumerate(curves)
+        ]
+    return pd.concat(tables, ignore_index=True)
+
+
+def summary(over_time: pd.DataFrame) -> pd.DataFrame:
+    """Errors by setting, number of particles and curve: columns of the table and ``rmse_mm, mean_mm, worst_mm``.
+
+    Parameters
+    ----------
+    over_time
+        Table of :func:`errors_over_time`.
+    """
+    squared = over_time.assign(squared=over_time["error_mm"] ** 2)
+    by = squared.groupby(["setting", "process_noise_pi", "particles", "curve"], sort=False)
+    table = by.agg(rmse_mm=("squared", "mean"), mean_mm=("error_mm", "mean"), worst_mm=("error_mm", "max"))
+    return table.assign(rmse_mm=table["rmse_mm"] ** 0.5).reset_index()

@@ -1,0 +1,164 @@
+r"""From chamber pressures to the shape of the rig's segment: lag, asymmetry and hysteresis.
+
+The bend of the tip is not quite that of the middle, where the magnet is: two configurations describe the segment, the
+tip's, which motion capture sees, and the magnet's. Between them there is a hysteresis that depends on the path, and a
+lag across the direction of bending that depends on the rate. So readings are no function of what motion capture sees.
+Both are assumed; their size follows from how much the maps from configuration to readings differ between the authors'
+recordings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import lfilter
+
+from repro.errors import bad_input
+from repro_companion.twins.hysteresis import memory
+from repro_companion.twins.pneumatic_actuation import Chambers
+
+
+@dataclass(frozen=True)
+class Bending:
+    r"""How the tip follows the pressures; millimetres at the reference torque of the chambers.
+
+    With the torque in units of its reference, turned so that it points where it bends and delayed, each axis bends by
+    :math:`a s + b s^2 + c s^3`, less a hysteresis.
+
+    Parameters
+    ----------
+    neutral_mm
+        Bend of the inflated segment without torque (an asymmetry), along x and y.
+    linear_mm, quadratic_mm, cubic_mm
+        ``a, b, c`` along x and y.
+    elongation_mm
+        Elongation at the offset pressure.
+    lag_s
+        Time constant of the first-order lag between pressure and bend.
+    hysteresis_mm, stroke_mm
+        Amplitude of the hysteresis along both axes, and how far the bend has to travel to turn it over.
+    """
+
+    neutral_mm: tuple[float, float]
+    linear_mm: tuple[float, float]
+    quadratic_mm: tuple[float, float]
+    cubic_mm: tuple[float, float]
+    elongation_mm: float
+    lag_s: float
+    hysteresis_mm: float
+    stroke_mm: float
+
+
+@dataclass(frozen=True)
+class InnerShape:
+    """How the bend at the magnet differs from that of the tip.
+
+    Parameters
+    ----------
+    hysteresis_mm, stroke_mm
+        Amplitude of the part that depends on the path along both axes, and the way that turns it over.
+    across_s
+        Time [s] by which the magnet lags where the direction of bending turns; the lag along the direction of bending
+        is taken to be zero.
+    centre
+        Torque over the reference below which the direction of bending, and that lag, fade out.
+    """
+
+    hysteresis_mm: float
+    stroke_mm: float
+    across_s: float
+    centre: float = 0.1
+
+
+@dataclass(frozen=True)
+class RigMotion:
+    """The segment over time.
+
+    Attributes
+    ----------
+    time_s
+        Even times [s].
+    pressures_mbar
+        Chamber pressures.
+    q, q_magnet
+        Configuration of the tip, and the one that gives the pose of the magnet [m].
+    """
+
+    time_s: Float[np.ndarray, " samples"]
+    pressures_mbar: Float[np.ndarray, "samples 3"]
+    q: Float[np.ndarray, "samples 3"]
+    q_magnet: Float[np.ndarray, "samples 3"]
+
+    def at(self, time_s: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pressures [mbar] and both configurations [m] at other times [s], linearly between the samples."""
+
+        def between(values: np.ndarray) -> np.ndarray:
+            return np.column_stack([np.interp(time_s, self.time_s, column) for column in values.T])
+
+        return between(self.pressures_mbar), between(self.q), between(self.q_magnet)
+
+
+def rig_motion(
+    time_s: Float[np.ndarray, " samples"],
+    pressures_mbar: Float[np.ndarray, "samples 3"],
+    chambers: Chambers,
+    bending: Bending,
+    inner: InnerShape,
+    *,
+    model: str = "bouc-wen",
+) -> RigMotion:
+    """Motion of the segment, from rest, under chamber pressures.
+
+    Parameters
+    ----------
+    time_s
+        Even times [s].
+    pressures_mbar
+        Pressures at these times.
+    chambers, bending, inner
+        The segment.
+    model
+        Model of both hystereses, one of :data:`repro_companion.twins.hysteresis.MODELS`.
+
+    Raises
+    ------
+    InputError
+        If the times are not even or the lag is not positive.
+    """
+    steps = np.diff(time_s)
+    if len(steps) < 1 or not (np.abs(steps - steps[0]) < 1e-6).all() or not steps[0] > 0:
+        raise bad_input("time_s", "rig_motion", "at least two even, increasing times [s]", time_s)
+    if not bending.lag_s > 0:
+        raise bad_input("lag_s", "Bending", "positive [s]", bending.lag_s)
+    dt = float(steps[0])
+    torque = chambers.torque(pressures_mbar) / chambers.reference_nm
+    driven = np.column_stack(
+        [torque[:, 1], -torque[:, 0], pressures_mbar.mean(axis=1) / chambers.offset_mbar]
+    )
+    share = -np.expm1(-dt / bending.lag_s)
+    delayed = np.asarray(lfilter([share], [1.0, share - 1.0], driven, axis=0))
+    s, inflation = delayed[:, :2], delayed[:, 2:]
+    neutral = inflation * np.array(bending.neutral_mm)
+    bent = sum(
+        s**power * np.array(factor)
+        for power, factor in enumerate((bending.linear_mm, bending.quadratic_mm, bending.cubic_mm), start=1)
+    )
+    free = neutral + bent
+    tip = free - bending.hysteresis_mm * _memories(free, bending.stroke_mm, model)
+    turning = _cross(s, np.gradient(s, dt, axis=0)) / ((s * s).sum(axis=1) + inner.centre**2)
+    across = turning[:, None] * np.column_stack([-(tip - neutral)[:, 1], (tip - neutral)[:, 0]])
+    magnet = tip - inner.across_s * across
+    magnet = magnet - inner.hysteresis_mm * _memories(tip, inner.stroke_mm, model)
+    elongation = bending.elongation_mm * inflation
+    q, q_magnet = (1e-3 * np.column_stack([xy, elongation]) for xy in (tip, magnet))
+    return RigMotion(time_s, pressures_mbar, q, q_magnet)
+
+
+def _memories(xy: np.ndarray, stroke: float, model: str) -> np.ndarray:
+    return np.column_stack([memory(column, stroke, model) for column in xy.T])
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

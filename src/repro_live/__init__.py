@@ -1,0 +1,1 @@
+"""A board on a wire: its formats, recorder, live view, emulator and calibration at the board."""

@@ -1,0 +1,1 @@
+"""An emulated board, its faults and what it plays."""

@@ -1,0 +1,262 @@
+"""Readings of a described robot that moves: synthetic, never by the series of fields that estimators use.
+
+A robot file says how a robot is drawn. :func:`true_robot` draws one that was built from it, :func:`course` moves it,
+and :func:`readings_along` says what its sensors read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from repro.errors import bad_input
+from repro.kinematics.mounts import magnet_mounts
+from repro.robot_file.imu_readings import sent
+from repro.robot_file.parts import MAGNETIC_STREAM
+from repro.robot_file.robot_file import RobotFile
+from repro.sensing.magnetic import readings as field_readings
+from repro.sensing.placement import placed
+from repro_live.emulate.board import Reading
+from repro_live.robot.calibrate import Priors
+
+SPEED = 0.5
+"""Largest speed of every coordinate, in widths of its bounds per second."""
+REACH = 0.9
+"""How far from the middle of its bounds a coordinate goes, as a share of the way to them."""
+EASE_S = 0.5
+"""Time constant with which the motion begins [s]."""
+
+
+@dataclass(frozen=True)
+class RobotReadings:
+    """What the sensors of a robot read along a motion, and the truth beside it.
+
+    Attributes
+    ----------
+    robot
+        The robot that was read: not as described, but as built.
+    time_s
+        Time of each round of readings since the board was switched on [s].
+    q
+        True configuration of each.
+    values
+        Values of the frames of the magnetic sensors in the unit of the file, in the order of the channels; unused
+        channels are zero. No columns without magnetic sensors.
+    orientations
+        Quaternions XYZW of the IMUs, sensor to base, from base to tip; NaN where an IMU sends nothing.
+    """
+
+    robot: RobotFile
+    time_s: Float[np.ndarray, " rounds"]
+    q: Float[np.ndarray, "rounds n_q"]
+    values: Float[np.ndarray, "rounds channels"]
+    orientations: Float[np.ndarray, "rounds imus 4"]
+
+    def readings(self) -> Iterator[Reading]:
+        """Yield them as a board sends them: of every round one frame of all channels, then one of every IMU."""
+        streams = [imu.stream for imu in self.robot.imus]
+        rows = zip(self.time_s.tolist(), self.values.tolist(), self.orientations.tolist(), strict=True)
+        for time_s, values, orientations in rows:
+            if values:
+                yield Reading(time_s, MAGNETIC_STREAM, tuple(values))
+            for stream, quaternion in zip(streams, orientations, strict=True):
+                if not math.isnan(quaternion[0]):
+                    yield Reading(time_s, stream, tuple(quaternion))
+
+
+def robot_readings(
+    robot: RobotFile,
+    *,
+    duration_s: float = 20.0,
+    start_s: float = 0.0,
+    rate_hz: float | None = None,
+    speed: float = SPEED,
+    tolerances: float = 0.0,
+    seed: int = 0,
+) -> RobotReadings:
+    """Return the readings of a robot that moves through its configuration space; synthetic.
+
+    The parts of one seed belong to one motion of one robot: those from 0 to 5 s and from 5 to 10 s can be joined.
+    Only their noise depends on where a part begins.
+
+    Parameters
+    ----------
+    robot
+        As described.
+    duration_s, start_s
+        Length of the part and where it begins [s].
+    rate_hz
+        Rounds per second; by default as in the file.
+    speed
+        Largest speed of every coordinate, in widths of its bounds per second.
+    tolerances
+        How far the robot is from its file: 0 as described, 1 as the priors of a calibration say.
+    seed
+        Of the robot, the motion, and the noise.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range, or there is no time for one round.
+
+    Examples
+    --------
+    >>> from repro.robot_file.robot_file import load_robot
+    >>> found = robot_readings(load_robot("data/robots/two_segments.toml"), duration_s=2.0)
+    >>> found.values.shape, found.q.shape
+    ((200, 8), (200, 6))
+    """
+    rate_hz = robot.rate_hz if rate_hz is None else rate_hz
+    for name, value in (("rate_hz", rate_hz), ("duration_s", duration_s), ("speed", speed)):
+        if not 0 < value < math.inf:
+            raise bad_input(name, "robot_readings", "above zero", value)
+    first, last = math.ceil(start_s * rate_hz - 1e-6), math.ceil((start_s + duration_s) * rate_hz - 1e-6)
+    if not (start_s >= 0 and last > first):
+        raise bad_input("start_s", "robot_readings", "0 or later, with time for one round", start_s)
+    time_s = np.arange(first, last) / rate_hz
+    q = course(robot, time_s, speed=speed, seed=seed)
+    rng = np.random.default_rng([seed, 2, first])
+    return readings_along(true_robot(robot, tolerances, seed=seed), time_s, q, rng=rng)
+
+
+def course(
+    robot: RobotFile, time_s: Float[np.ndarray, " n"], *, speed: float = SPEED, seed: int = 0
+) -> Float[np.ndarray, "n n_q"]:
+    r"""Configurations of a smooth motion within the bounds; synthetic.
+
+    Every coordinate is the sum of two sines of its own, with frequencies, shares and directions drawn from the seed.
+    The motion begins at rest where estimators start (:attr:`~repro.robot_file.robot_file.RobotFile.start`, or as near
+    to it as the motion goes): its own time is :math:`t - \tau (1 - e^{-t/\tau})`, so position, speed and acceleration
+    are continuous.
+
+    Parameters
+    ----------
+    robot
+        As described.
+    time_s
+        Times since the beginning [s].
+    speed
+        Largest speed of every coordinate, in widths of its bounds per second.
+    seed
+        The same seed gives the same motion at whatever times.
+    """
+    rng = np.random.default_rng(seed)
+    low, high, start = (x.numpy() for x in (robot.lower, robot.upper, robot.start))
+    middle, half = (low + high) / 2, (high - low) / 2
+    major = REACH * rng.uniform(0.6, 0.8, len(low))
+    share = np.stack([major, REACH - major])  # of half the width
+    ratio = np.stack([rng.uniform(0.7, 1.0, len(low)), rng.uniform(1.5, 2.2, len(low))])
+    frequency = (
+        2 * speed * ratio / (share * ratio).sum(axis=0)
+    )  # [rad/s]: the speeds of both add to the limit
+    sign = rng.choice([-1.0, 1.0], len(low))
+    phase = np.arcsin(np.clip(sign * (start - middle) / (REACH * half), -1, 1))
+    own_s = time_s + EASE_S * np.expm1(-time_s / EASE_S)
+    sines = share * np.sin(own_s[:, None, None] * frequency + phase)
+    return middle + half * sign * sines.sum(axis=1)
+
+
+def true_robot(robot: RobotFile, tolerances: float, *, seed: int = 0) -> RobotFile:
+    """Return a robot that was built from a file, not quite as it says.
+
+    Places and tilts of the magnets, places, tilts, gains and offsets of the sensors, the polarisation of the magnets
+    (one factor for all: it is that of the material) and the Earth field differ by normal random numbers. Their
+    standard deviations are ``tolerances`` times those that :class:`~repro_live.robot.calibrate.Priors` assumes. IMUs
+    stay as described.
+
+    Parameters
+    ----------
+    robot
+        As described, not calibrated.
+    tolerances
+        0: as described; 1: as the priors say.
+    seed
+        The same seed draws the same robot, and with other tolerances one that is off in the same directions.
+
+    Raises
+    ------
+    InputError
+        If the tolerances are negative, or the robot has networks: they say what the sensors read, not where they are.
+    """
+    if not 0 <= tolerances < math.inf:
+        raise bad_input("tolerances", "true_robot", "0 or more", tolerances)
+    if tolerances == 0 or robot.moments is None:
+        return robot
+    if robot.networks:
+        expected = f"0 for {robot.name}: its networks say what the sensors read"
+        raise bad_input("tolerances", "true_robot", expected, tolerances)
+    rng, priors = np.random.default_rng([seed, 1]), Priors()
+    n = len(robot.robot.sensors)
+    deviation = priors.placement.of_parameters(robot.robot, robot.moments.shape)
+    parameters = tolerances * deviation * torch.from_numpy(rng.standard_normal(len(deviation)))
+    of_moments = parameters[-robot.moments.numel() :].view(robot.moments.shape)
+    of_moments[:] = of_moments[..., :1].clone()  # one factor for all terms of a magnet
+    strengths = (1 + of_moments[..., 0]).expand(len(robot.magnets)).tolist()
+    offset_mt = tolerances * priors.offset_mt * torch.from_numpy(rng.standard_normal(n))
+    earth_mt = tolerances * priors.earth_mt * torch.from_numpy(rng.standard_normal(3))
+    parts = placed(robot.robot, robot.moments, parameters)
+    return replace(
+        robot,
+        robot=replace(robot.robot, magnets=parts.magnets, sensors=parts.sensors),
+        gain=robot.gain * parts.gain,
+        offset=robot.offset + robot.gain * offset_mt,
+        moments=parts.moments,
+        magnets=tuple(
+            replace(magnet, polarisation_mt=strength * magnet.polarisation_mt)
+            for magnet, strength in zip(robot.magnets, strengths, strict=True)
+        ),
+        earth_mt=robot.earth_mt + earth_mt,
+    )
+
+
+def readings_along(
+    robot: RobotFile,
+    time_s: Float[np.ndarray, " rounds"],
+    q: Float[np.ndarray, "rounds n_q"],
+    *,
+    rng: np.random.Generator | None = None,
+) -> RobotReadings:
+    """Return what the sensors of a robot read in given configurations.
+
+    Magnetic sensors read the field of the magnets by magpylib, times their gains, plus their offsets; those of a
+    robot with networks what the networks say. IMUs read the orientation of the backbone where they sit.
+
+    Parameters
+    ----------
+    robot
+        As built: from :func:`true_robot`, or a description as it is.
+    time_s, q
+        Times [s] and configurations.
+    rng
+        Of white noise: as stated in the file, and 0.2 degrees about each axis of an IMU. No noise without it.
+    """
+    configurations = torch.from_numpy(np.ascontiguousarray(q))
+    values = np.zeros((len(q), robot.channels if robot.channel else 0))
+    if robot.channel:
+        u = _magnetic(robot, configurations).numpy()
+        if rng is not None:
+            u = u + robot.noise * rng.standard_normal(u.shape)
+        values[:, list(robot.channel)] = u
+    orientations = np.zeros((len(q), len(robot.imus), 4))
+    if robot.imus:
+        mounts = magnet_mounts([imu.segment for imu in robot.imus], [imu.at_m for imu in robot.imus])
+        T = robot.robot.mount_poses(configurations, mounts)
+        quaternions = sent(T[..., :3, :3].numpy(), robot.imus, robot.base_orientation)
+        turn = Rotation.from_quat(quaternions.reshape(-1, 4))
+        if rng is not None:
+            turn = turn * Rotation.from_rotvec(robot.imu_noise * rng.standard_normal((len(turn), 3)))
+        orientations = turn.as_quat().reshape(orientations.shape)
+    return RobotReadings(robot, time_s, q, values, orientations)
+
+
+def _magnetic(robot: RobotFile, q: Tensor) -> Tensor:
+    if robot.networks:
+        return robot.sensing()(q).detach() + robot.offset
+    return robot.gain * field_readings(robot.robot, q, robot.magnets, earth_mt=robot.earth_mt) + robot.offset

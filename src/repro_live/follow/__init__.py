@@ -1,0 +1,1 @@
+"""Estimates while readings come in, and their page."""

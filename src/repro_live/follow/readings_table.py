@@ -1,0 +1,139 @@
+"""Readings in a CSV, one column for each: which column is which channel is found by name, and never guessed."""
+
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from repro.errors import bad_input
+from repro.robot_file.parts import MAGNETIC_STREAM
+from repro.robot_file.robot_file import RobotFile
+from repro.robot_file.tables import UPRIGHT
+from repro_live.record.recording import channel_names
+from repro_live.robot.number_table import read_numbers, times_of
+from repro_live.robot.recorded_frames import other_streams
+from repro_live.wire.csv_fields import name_and_unit
+from repro_live.wire.csv_text import WRAP, check_units
+from repro_live.wire.frame import Frame
+
+KNOWN = ("unix_s", "host_ns", "sequence", "stream", "device_us")
+"""Columns beside times and readings that `repro export` writes."""
+_NUMBERED = re.compile(r"(u|ch|channel|sensor)_?([1-9][0-9]*)", re.IGNORECASE)
+
+
+def read_table(path: Path, robot: RobotFile) -> tuple[list[tuple[int, Frame]], float, list[str]]:
+    """Read a table of readings with a column of times.
+
+    Parameters
+    ----------
+    path
+        A CSV with a header. Times are in ``time_s``, ``time_ms`` or the like; ``device_us`` and ``stream`` are used
+        where they are. A reading of channel 2 is in ``u2``, ``ch2``, ``channel_2``, under the name of the format
+        (``y_counts``), or under the number of its sensor, ``sensor_2``; each with a unit behind it, as ``u2_mT`` or
+        ``u2 [mT]``, or without. Of a board that sends ``csv``, labels of its own count in their order, as in its
+        lines, if they are as many as its channels and no column is numbered. IMUs are in ``x``, ``y``, ``z``, ``w``
+        with their ``stream``; of a board that sends ``frames`` also in ``u1`` to ``u4``, without a unit.
+    robot
+        What sent the readings.
+
+    Returns
+    -------
+    frames, start_s, notes
+        Times [ns] and frames; the first time [s]; columns and streams that are not used.
+
+    Raises
+    ------
+    InputError
+        If a column is missing, ambiguous or of another unit, or a time is missing or decreases.
+    """
+    table = read_numbers(path)
+    names = list(table)
+    time_column, time_s = times_of(path.name, table, apart=False)
+    chosen: list[str | None] = []
+    quaternion: list[str] = []
+    values: dict[int, list[list[float]]] = {}
+    if robot.channel:
+        labels = [name for name in names if name not in (time_column, *KNOWN)]
+        numbered = any(_NUMBERED.fullmatch(name_and_unit(name)[0]) for name in labels)
+        if robot.format == "csv" and not numbered and len(labels) == robot.channels:
+            check_units(labels, [name_and_unit(name)[1] for name in labels], robot.unit)
+            chosen += labels
+        else:
+            chosen += _channels(path.name, names, robot)
+        values[MAGNETIC_STREAM] = _rows(table, chosen)
+    if robot.imus:
+        quaternion = list("xyzw") if "x" in names else channel_names(robot.format, len(UPRIGHT))
+        wanted = ("stream", *quaternion)
+        if missing := [name for name in wanted if name not in names]:
+            raise bad_input("columns", path.name, ", ".join(wanted), f"none called {', '.join(missing)}")
+        values |= dict.fromkeys((imu.stream for imu in robot.imus), _rows(table, quaternion))
+    streams = [number or 0 for number in _whole(path.name, table, "stream", 1 << 16)]
+    device_us = _whole(path.name, table, "device_us", WRAP)
+    arrival_ns = np.round(1e9 * (time_s - time_s[0])).astype(np.int64).tolist()
+    rows = enumerate(zip(arrival_ns, streams, device_us, strict=True))
+    frames = [
+        (ns, Frame(k, None, sent_us, tuple(values[k][row]))) for row, (ns, k, sent_us) in rows if k in values
+    ]
+    start_s = float(time_s[0]) + (1e-9 * frames[0][0] if frames else 0.0)
+    unused = [name for name in names if name not in (time_column, *KNOWN, *chosen, *quaternion)]
+    notes = [f"Columns of {path.name} that are not used: {', '.join(unused)}."] if unused else []
+    return frames, start_s, notes + other_streams(robot, streams)
+
+
+def _rows(table: pd.DataFrame, columns: Sequence[str | None]) -> list[list[float]]:
+    """Values of chosen columns; NaN where none is chosen."""
+    values = np.full((len(table), len(columns)), np.nan)
+    for k, name in enumerate(columns):
+        if name is not None:
+            values[:, k] = table[name]
+    return values.tolist()
+
+
+def _channels(owner: str, names: Sequence[str], robot: RobotFile) -> list[str | None]:
+    """Return the column of every channel; none for channels that no sensor has."""
+    found: dict[int, list[str]] = {k: [] for k in range(robot.channels)}
+    own = channel_names(robot.format, robot.channels)
+    for column in dict.fromkeys(names):
+        name, unit = name_and_unit(column)
+        numbered = _NUMBERED.fullmatch(name)
+        if column in own:
+            found[own.index(column)].append(column)
+        elif numbered:
+            k = int(numbered[2]) - 1
+            if numbered[1].lower() == "sensor":
+                k = robot.channel[k] if k < len(robot.channel) else robot.channels
+            if k in found:
+                found[k].append(column)
+        else:
+            continue
+        if unit and robot.unit != "raw" and unit.lower() != robot.unit.lower():
+            raise bad_input(f"column {column}", owner, f"in {robot.unit}, the unit of {robot.name}", unit)
+    columns: list[str | None] = [None] * robot.channels
+    for sensor, k in enumerate(robot.channel):
+        if len(found[k]) != 1:
+            expected = f"one column: {own[k]}, u{k + 1}_{robot.unit}, channel_{k + 1} or sensor_{sensor + 1}"
+            received = (
+                f"{', '.join(found[k])}: {len(found[k])}" if found[k] else f"none among {', '.join(names)}"
+            )
+            raise bad_input(f"channel {k + 1}", owner, expected, received)
+        (columns[k],) = found[k]
+    return columns
+
+
+def _whole(owner: str, table: pd.DataFrame, name: str, end: int) -> list[int | None]:
+    """Whole numbers of a column; none where it, or a number, is missing."""
+    if name not in table:
+        return [None] * len(table)
+    column = table[name].to_numpy()
+    wrong = ~np.isnan(column) & ~((column >= 0) & (column < end) & (column % 1 == 0))
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        received = f"{column[row]:g} in line {table.index[row]}"
+        raise bad_input(name, owner, f"whole numbers from 0 to {end - 1}", received)
+    return [None if np.isnan(x) else int(x) for x in column]

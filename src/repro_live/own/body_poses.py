@@ -1,0 +1,141 @@
+"""From poses of bodies on a robot to poses of its segments' ends, and to configurations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from repro import se3
+from repro.errors import InputError, bad_input
+from repro.estimation.poses import configurations
+from repro.robot_file.robot_file import RobotFile
+
+MOST_UNFIT = 0.05
+"""Share of the poses that may be none that the robot can take; 20 of them at most."""
+TRIED = 20
+MOST_MISFIT = 0.1, 0.35
+"""Largest misfit of the kinematics, root mean square: share of the length of the robot, and angle [rad]."""
+
+
+def end_poses(
+    owner: str,
+    robot: RobotFile,
+    time_s: Float[np.ndarray, " poses"],
+    bodies: Float[np.ndarray, "poses bodies 7"],
+    straight_s: float,
+) -> Float[Tensor, "poses segments 4 4"]:
+    """Poses of the segments' ends in the base frame.
+
+    Parameters
+    ----------
+    owner
+        Name of the file, for messages.
+    robot
+        As described.
+    time_s
+        Times [s].
+    bodies
+        Positions [m] and quaternions (x, y, z, w), in one frame; with one more than segments the first is the base.
+    straight_s
+        See :func:`repro_live.own.poses.read_measured_poses`.
+
+    Raises
+    ------
+    InputError
+        If a quaternion is not unit within 0.01.
+    """
+    error = np.abs(np.linalg.norm(bodies[..., 3:], axis=-1) - 1.0)
+    if error.max() > 0.01:
+        k = int(error.max(axis=1).argmax())
+        raise bad_input(
+            "quaternions", owner, "unit within 0.01", f"an error of {error.max():.3g} at {time_s[k]:g} s"
+        )
+    T = torch.zeros(*bodies.shape[:2], 4, 4, dtype=torch.float64)
+    T[..., :3, :3] = torch.from_numpy(
+        Rotation.from_quat(bodies[..., 3:].reshape(-1, 4)).as_matrix().reshape(*bodies.shape[:2], 3, 3)
+    )
+    T[..., :3, 3] = torch.from_numpy(bodies[..., :3])
+    T[..., 3, 3] = 1.0
+    if T.shape[1] > len(robot.robot.segments):
+        T = se3.inverse(T[:, :1]) @ T[:, 1:]
+    if straight_s > 0:
+        rest = torch.from_numpy(time_s < time_s[0] + straight_s)
+        mean = T[rest].mean(0)
+        U, _, V = torch.linalg.svd(mean[:, :3, :3])
+        mean[:, :3, :3] = U @ V  # the rotation nearest to the mean
+        straight = robot.robot.base_poses(torch.zeros(robot.robot.n_q, dtype=torch.float64))[1:]
+        T = T @ (se3.inverse(mean) @ straight)
+    return T
+
+
+def configurations_of(
+    owner: str,
+    robot: RobotFile,
+    T: Float[Tensor, "poses segments 4 4"],
+    noise_m: float,
+    noise_rad: float,
+) -> tuple[Tensor, Tensor, Bool[np.ndarray, " poses"], tuple[str, ...]]:
+    """Configurations and covariances of the poses that the robot can take, which these are, and how well it fits.
+
+    Raises
+    ------
+    InputError
+        If too many poses have no configuration, or the kinematics miss them by far.
+    """
+    fits = np.zeros(len(T), dtype=bool)
+    parts: list[tuple[Tensor, Tensor]] = []
+    most = min(math.ceil(MOST_UNFIT * len(T)), TRIED)
+    waiting, unfit = [(0, len(T))], 0
+
+    def fitted(first: int, last: int) -> tuple[Tensor, Tensor] | None:
+        try:
+            return configurations(robot.robot, T[first:last], position_m=noise_m, rotation_rad=noise_rad)
+        except (InputError, RuntimeError):  # the latter from singular matrices
+            return None
+
+    # A few tell at once whether these are poses of the robot: in other axes most have a fit, a bad one.
+    tried = np.unique(np.linspace(0, len(T) - 1, TRIED).astype(int)).tolist()
+    few = [(k, found[0]) for k in tried if (found := fitted(k, k + 1)) is not None]
+    if len(tried) - len(few) > 2 * MOST_UNFIT * len(tried):
+        raise _misfit(owner, f"{len(tried) - len(few)} of {len(tried)} tried without a fit")
+    _misses(owner, robot, torch.cat([q for _, q in few]), T[[k for k, _ in few]])
+    while waiting:
+        first, last = waiting.pop()
+        found = fitted(first, last)
+        if found is None:
+            if last - first > 1:
+                middle = (first + last) // 2
+                waiting += [(middle, last), (first, middle)]
+                continue
+            unfit += 1
+            if unfit > most:
+                raise _misfit(owner, f"more than {most} of {len(T)} without a fit")
+            continue
+        parts.append(found)
+        fits[first:last] = True
+    q, covariance = (torch.cat(values) for values in zip(*parts, strict=True))
+    text = _misses(owner, robot, q, T[torch.from_numpy(fits)])
+    note = f"The kinematics of {robot.name} miss the measured poses by {text} (root mean square)."
+    lost = (f"{unfit} poses are none that the robot can take.",) if unfit else ()
+    return q, covariance, fits, (note, *lost)
+
+
+def _misses(owner: str, robot: RobotFile, q: Tensor, measured: Tensor) -> str:
+    """Say by how much the kinematics miss measured poses; refuse if it is by far."""
+    difference = robot.robot.base_poses(q)[:, 1:] - measured
+    miss = float(difference[..., :3, 3].square().sum(-1).mean().sqrt())
+    turn = float(difference[..., :3, :3].square().sum((-2, -1)).mean().sqrt()) / math.sqrt(2)
+    text = f"{1e3 * miss:.2f} mm and {math.degrees(turn):.2f} deg"
+    if miss > MOST_MISFIT[0] * robot.robot.length or turn > MOST_MISFIT[1]:
+        raise _misfit(owner, f"poses that its nearest shapes miss by {text} (root mean square)")
+    return text
+
+
+def _misfit(owner: str, received: str) -> InputError:
+    expected = "poses that the robot can take, in m or mm as their columns say, z along the straight robot to its tip"
+    return bad_input("poses", owner, expected, received)

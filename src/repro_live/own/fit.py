@@ -1,0 +1,196 @@
+"""A robot judged on a recording with motion capture: aligned, calibrated on the first part, tracked on the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from repro.errors import bad_input
+from repro.robot_file.calibration_file import RobotCalibration
+from repro.robot_file.robot_file import RobotFile
+from repro_live.follow.robot_estimator import robot_estimator
+from repro_live.follow.time_steps import TimeStep
+from repro_live.own.align import find_clock_lag, judged_at, on_one_clock, predicted
+from repro_live.own.judge import Tracked, Truth, tip_positions, tracked
+from repro_live.own.lag import Lag, Samples, refined
+from repro_live.own.models import TRACKERS, Networks, calibrated, trained
+from repro_live.own.parts import TimeParts, split_in_time
+from repro_live.own.poses import MeasuredPoses
+from repro_live.own.readings import TimedReadings
+
+MODELS = ("calibration", "network")
+MOST_ROUNDS = 4
+SETTLED = 0.5
+"""A lag that changes by less than this many of its standard deviations is final."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What :func:`fit` found.
+
+    Parameters
+    ----------
+    robot
+        As described.
+    lag
+        Between the clocks; with a calibration, by the calibrated robot on the first part.
+    rest_lag
+        The same by the rest alone, for comparison.
+    parts
+        Which readings were calibrated with, and which judged.
+    time_s
+        Of the judged frames, by the clock of the readings [s].
+    truth
+        Measured poses at these.
+    tracks
+        Estimates, of the robot as described first.
+    calibration, networks
+        Whichever was made.
+    notes
+        What was left out or looks odd.
+    """
+
+    robot: RobotFile
+    lag: Lag
+    rest_lag: Lag
+    parts: TimeParts
+    time_s: np.ndarray
+    truth: Truth
+    tracks: list[Tracked]
+    calibration: RobotCalibration | None
+    networks: Networks | None
+    notes: tuple[str, ...]
+
+    @property
+    def masked(self) -> int:
+        """Judged frames without a measured pose."""
+        return int((~self.truth.known).sum())
+
+
+def fit(
+    robot: RobotFile,
+    readings: TimedReadings,
+    poses: MeasuredPoses,
+    *,
+    model: str = MODELS[0],
+    share: float = 0.4,
+    longest_lag_s: float = 10.0,
+    seed: int = 0,
+    say: Callable[[str], object] = lambda _: None,
+) -> Fit:
+    """Align, split, calibrate (or train), and track the rest from a cold start.
+
+    No measured pose enters an estimate: those of the first part enter the model, those of the rest are only compared.
+
+    Parameters
+    ----------
+    robot
+        As described, without a calibration.
+    readings, poses
+        Each on its own clock.
+    model
+        ``"calibration"`` or ``"network"``.
+    share
+        Of the time, for the first part.
+    longest_lag_s
+        Largest difference of the clocks that is tried [s].
+    seed
+        Of the networks.
+    say
+        Takes a line at every stage.
+
+    Raises
+    ------
+    InputError
+        If the two are not of one motion, too short, or do not fit the robot.
+    """
+    if model not in MODELS:
+        raise bad_input("model", "repro fit", " or ".join(MODELS), repr(model))
+    if model == "network" and robot.imus:
+        raise bad_input("model", "repro fit", f"calibration for {robot.name}, which has IMUs", model)
+    if not 0 < longest_lag_s < np.inf:
+        raise bad_input("longest-lag", "repro fit", "above 0, and finite", longest_lag_s)
+    readings, poses, from_first = on_one_clock(readings, poses)
+    notes = [*readings.notes, *poses.notes]
+    if from_first:
+        notes.append("The clocks have no time in common: each is counted from its first row.")
+    say("Looking for the lag between the clocks.")
+    near_s = find_clock_lag(robot, readings, poses, longest_lag_s)
+    parts = _parts(readings, poses, near_s, share)
+    measured, calibration, networks, left_out = Samples.of(readings.time_s, readings.signal), None, None, 0
+    say("Calibrating." if model == "calibration" else "Training networks.")
+    expected = predicted(robot.sensing(), poses, poses.q)
+    lag = refined(_during(measured, parts.first_s), expected, near_s)
+    for _ in range(MOST_ROUNDS):  # the new model tells the lag better, and that the model
+        before_s, parts = lag.lag_s, _parts(readings, poses, lag.lag_s, share)
+        use = parts.first & np.isfinite(readings.signal).all(axis=1)
+        values, q, covariance = _training(readings, poses, lag, use)
+        if model == "calibration":
+            calibration, left_out = calibrated(robot, values, q, covariance)
+            sensing = robot.calibrated(calibration).sensing()
+        else:
+            networks = trained(robot, torch.from_numpy(readings.signal[use]), q, seed)
+            sensing = networks.sensing(robot)
+        expected = predicted(sensing, poses, poses.q)
+        lag = refined(_during(measured, parts.first_s), expected, lag.lag_s)
+        if abs(lag.lag_s - before_s) < SETTLED * lag.error_s:
+            break
+    parts = _parts(readings, poses, lag.lag_s, share)
+    if left_out:
+        notes.append(f"{left_out} poses of the first part do not go with their readings: not fitted.")
+    rest_lag = refined(_during(measured, parts.rest_s), expected, lag.lag_s)
+    tracks = []
+    for name in TRACKERS:
+        say(f"Tracking with {name}.")
+        tracks.append(tracked(robot_estimator(robot, name), readings, parts.rest, "described"))
+        if networks is not None:
+            after, label = networks.estimator(robot, name), "network"
+        else:
+            assert calibration is not None
+            after, label = robot_estimator(robot.calibrated(calibration), name), "calibrated"
+        tracks.append(tracked(after, readings, parts.rest, label))
+    time_s = readings.time_s[parts.rest]
+    truth = _truth(robot, poses, time_s, lag)
+    return Fit(robot, lag, rest_lag, parts, time_s, truth, tracks, calibration, networks, tuple(notes))
+
+
+def _parts(readings: TimedReadings, poses: MeasuredPoses, lag_s: float, share: float) -> TimeParts:
+    known = np.isfinite(poses.at(poses.q.numpy(), readings.time_s - lag_s)).all(axis=1)
+    return split_in_time(readings.time_s, np.asarray(known), share)
+
+
+def _training(
+    readings: TimedReadings, poses: MeasuredPoses, lag: Lag, use: np.ndarray
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Values, configurations and their covariances of chosen frames; the error of the lag is in the last."""
+    values = torch.tensor([_values(readings.steps[k]) for k in np.flatnonzero(use)], dtype=torch.float64)
+    time_s = readings.time_s[use]
+    q, covariance, _ = judged_at(poses, time_s, lag.lag_s)
+    ahead, behind = (
+        judged_at(poses, time_s + shift, lag.lag_s)[0] for shift in (poses.step_s, -poses.step_s)
+    )
+    speed = torch.nan_to_num(ahead - behind) / (2 * poses.step_s)
+    return values, q, covariance + lag.error_s**2 * speed.unsqueeze(-1) * speed.unsqueeze(-2)
+
+
+def _values(step: TimeStep) -> tuple[float, ...]:
+    frame = step.frames[0]
+    assert frame is not None  # its signal is complete
+    return tuple(frame.values)
+
+
+def _during(signal: Samples, span_s: tuple[float, float]) -> Samples:
+    inside = (signal.time_s >= span_s[0]) & (signal.time_s <= span_s[1])
+    return Samples(signal.time_s[inside], signal.values[inside], signal.gap_s)
+
+
+def _truth(robot: RobotFile, poses: MeasuredPoses, time_s: np.ndarray, lag: Lag) -> Truth:
+    q, covariance, tip = judged_at(poses, time_s, lag.lag_s)
+    by_q, tip_covariance = tip_positions(robot, q, covariance)
+    if tip is None or poses.tip_covariance is None:
+        return Truth(q, covariance, by_q, tip_covariance)
+    return Truth(q, covariance, tip, poses.tip_covariance.expand(len(q), 3, 3))

@@ -1,0 +1,155 @@
+"""What is written of a judged recording: a folder, whole or not at all, and a report in words."""
+
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import shutil
+import uuid
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+
+from repro.errors import bad_input
+from repro.robot_file.calibration_file import write_calibration
+from repro.sensing.weights import save_weights
+from repro_live.own.figure import estimates_figure
+from repro_live.own.fit import Fit
+from repro_live.own.judge import errors, tip_positions
+from repro_live.own.parts import LEAST_S
+from repro_live.own.poses import MeasuredPoses
+from repro_live.robot.calibrate import report as calibration_report
+from repro_live.robot.calibration_poses import coordinate_columns
+
+
+def check_new(folder: Path) -> None:
+    """Refuse an output that exists.
+
+    Raises
+    ------
+    InputError
+        As said.
+    """
+    if folder.exists() or folder.is_symlink():
+        raise bad_input("output", "repro fit", "a folder that does not exist yet", folder)
+
+
+def write_results(folder: Path, found: Fit, poses: MeasuredPoses) -> str:
+    """Write all results into a new folder, and return the report in words, which is among them.
+
+    Files: ``errors.csv``, ``estimates.csv``, ``estimates.png``, ``report.txt``, and ``calibration.json`` or the
+    networks ``sensor1.safetensors`` and so on. The folder appears when all of them are written.
+
+    Raises
+    ------
+    InputError
+        If the folder exists.
+    """
+    check_new(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    stage = folder.with_name(f".{folder.name}-{uuid.uuid4().hex}")
+    stage.mkdir()
+    try:
+        table = errors(found.robot, found.truth, found.tracks)
+        text = report(found, poses, table)
+        options = {"index": False, "lineterminator": "\n", "float_format": "%.6g"}
+        table.to_csv(stage / "errors.csv", **options)
+        estimates(found).to_csv(stage / "estimates.csv", **options)
+        estimates_figure(found).savefig(stage / "estimates.png", metadata={"Software": None})
+        (stage / "report.txt").write_text(text + "\n", encoding="utf-8")
+        if found.calibration is not None:
+            write_calibration(stage / "calibration.json", found.calibration)
+        if found.networks is not None:
+            for k, network in enumerate(found.networks.networks):
+                about = {
+                    "recipe": "fast",
+                    "sensor": k + 1,
+                    f"rmse_{found.robot.unit}": found.networks.rmse[k],
+                }
+                save_weights(network.float(), stage / f"sensor{k + 1}.safetensors", about)
+        check_new(folder)
+        stage.rename(folder)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+    return text
+
+
+def estimates(found: Fit) -> pd.DataFrame:
+    """Table of the judged frames: time, measured configuration, and estimates with standard deviations.
+
+    Columns of estimates begin with model and estimator; measured ones are empty in gaps of the motion capture.
+    """
+    columns = coordinate_columns(found.robot)
+    table = {"time_s": found.time_s}
+    factor = torch.tensor(list(columns.values()), dtype=torch.float64)
+    for name, values in zip(columns, (found.truth.q / factor).T, strict=True):
+        table[f"measured_{name}"] = values.numpy()
+    for axis, values in zip("xyz", 1e3 * found.truth.tip.T, strict=True):
+        table[f"measured_tip_{axis}_mm"] = values.numpy()
+    for track in found.tracks:
+        head = f"{track.model}_{track.estimator}"
+        deviation = track.covariance.diagonal(dim1=-2, dim2=-1).clamp_min(0).sqrt() / factor
+        for k, name in enumerate(columns):
+            table[f"{head}_{name}"] = (track.q[:, k] / factor[k]).numpy()
+            table[f"{head}_sd_{name}"] = deviation[:, k].numpy()
+        tip, _ = tip_positions(found.robot, track.q, track.covariance)
+        error = torch.linalg.vector_norm(tip - found.truth.tip, dim=-1)
+        table[f"{head}_tip_error_mm"] = 1e3 * error.numpy()
+        table[f"{head}_residual_{found.robot.unit}"] = track.residual
+    return pd.DataFrame(table)
+
+
+def report(found: Fit, poses: MeasuredPoses, table: pd.DataFrame) -> str:
+    """Say in words what was found, and what to doubt."""
+    lag, parts, robot = found.lag, found.parts, found.robot
+    lines = [f"Note: {note}" for note in found.notes]
+    lines.append(
+        f"Lag: {1e3 * lag.lag_s:+.2f} +- {1e3 * lag.error_s:.2f} ms to be added to the times of the poses "
+        f"(r = {lag.r:.4f}, residual {lag.residual:.3g} {robot.unit}, {lag.common_s:.1f} s)."
+    )
+    apart = found.rest_lag.lag_s - lag.lag_s
+    lines.append(f"The judged part by itself has a lag that differs by {1e3 * apart:+.2f} ms.")
+    step = float(np.median(np.diff(found.time_s)))
+    spread = np.hypot(lag.error_s, found.rest_lag.error_s)
+    if abs(apart) > max(step / 2, 4 * spread):
+        middles = [sum(span) / 2 for span in (parts.first_s, parts.rest_s)]
+        ppm = 1e6 * apart / (middles[1] - middles[0])
+        lines.append(
+            f"Doubt: the clocks drift ({ppm:+.0f} ppm), or the robot was not the same in both parts."
+        )
+    lines.append(
+        f"Motion capture: {poses.frames} frames, {poses.frames - len(poses.time_s)} without a pose; gaps of over "
+        f"{poses.longest_gap_s:.3g} s: {poses.gaps}, not interpolated over."
+    )
+    lines.append(
+        f"First part {parts.first_s[0]:.2f} to {parts.first_s[1]:.2f} s; judged {parts.rest_s[0]:.2f} to "
+        f"{parts.rest_s[1]:.2f} s: {len(found.time_s)} frames, of which {found.masked} "
+        f"({found.masked / len(found.time_s):.1%}) have no measured pose and are not judged."
+    )
+    if found.calibration is not None:
+        lines.append(f"Calibration: {calibration_report(found.calibration, robot.unit)}")
+    if found.networks is not None:
+        text = ", ".join(f"{x:.3g}" for x in found.networks.rmse)
+        lines.append(
+            f"Networks: error on readings of the first part they were not trained on {text} {robot.unit}."
+        )
+    lines += ["", _table(table)]
+    if parts.first_s[1] - parts.first_s[0] < 4 * LEAST_S:
+        lines.append(f"Doubt: {parts.first_s[1] - parts.first_s[0]:.0f} s for the first part are few.")
+    return "\n".join(lines)
+
+
+def _table(table: pd.DataFrame) -> str:
+    """Tip and configuration by model and estimator, in words for a terminal."""
+    lines = [
+        f"{'':32s}{'tip error [mm]':>24s}{'':>10s}{'in 95 % ellipsoid':>20s}{'NEES':>10s}",
+        f"{'':32s}{'mean':>8s}{'RMSE':>8s}{'95 %':>8s}{'% length':>10s}{'all':>10s}{'tip':>10s}{'all':>10s}",
+    ]
+    for name, rows in table.groupby(table["model"] + ", " + table["estimator"], sort=False):
+        tip, full = (rows[rows["quantity"] == name].iloc[0] for name in ("tip", "configuration"))
+        numbers = f"{tip['mean']:8.3f}{tip['rmse']:8.3f}{tip['p95']:8.3f}{tip['percent_of_length']:10.3f}"
+        shares = f"{full['coverage']:10.1%}{tip['coverage']:10.1%}{full['nees']:10.3g}"
+        lines.append(f"{name:32s}{numbers}{shares}")
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""The recorder, its files, and their export."""

@@ -1,0 +1,175 @@
+"""A recording as a table, or as a file that the loaders of `repro.recordings` read."""
+
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import os
+import uuid
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Int
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from repro.errors import bad_input
+from repro.files import write_whole
+from repro_live.record.recording import Recording
+
+SCHEMAS = {"hall": 3, "millivolts": 3, "quaternions": 4}
+"""Layouts of the files of the three papers, and the number of values of a frame."""
+TIE_NS = 1000
+"""Readings that arrived together are written this much apart, since times in these files must increase [ns]."""
+MILLIVOLTS_HZ = 40.0
+"""Rate that the loader of the files of Baaij et al. takes."""
+COUNTS_PER_UNIT = 1000.0
+"""Counts of the Hall sensor per unit of the files of Mitchell et al."""
+_TYPE = "estimator/msg/quat"
+_MESSAGE = "std_msgs/Header header\nuint8 ID\nfloat32 w\nfloat32 x\nfloat32 y\nfloat32 z\n"
+
+
+def export(recording: Recording, path: Path, schema: str = "", *, unit: str = "") -> list[str]:
+    """Write the readings of a recording as a table, or in the schema of a loader.
+
+    Parameters
+    ----------
+    recording
+        What to write.
+    path
+        A new file. By default a CSV of all frames, with any number of values: ``time_s``, arrival after the start of
+        the recording; ``unix_s``, the same since 1970 by the computer's clock; ``stream`` and ``sequence`` where the
+        format has them; ``device_us``, the clock of the board as sent, where it sends one; then the values under
+        their names, empty where a frame has none or NaN.
+    schema
+        One of :data:`SCHEMAS` for another layout: rows ``[x y z],unix_time`` in thousands of counts for ``hall``;
+        columns u1, u2, u3 [mV] and time_s for ``millivolts``; for ``quaternions`` a ROS 1 bag, whose components are
+        float32. The recording must have that format, or ``frames``, which do not know the unit of their values.
+    unit
+        Unit of the values of a table, where their names do not say it.
+
+    Returns
+    -------
+    list of str
+        What the file does not hold as it was recorded; empty if nothing.
+
+    Raises
+    ------
+    InputError
+        If the recording has another format, or the wrong number of values or of streams, or no frame; or the file
+        exists.
+    """
+    if schema not in ("", *SCHEMAS):
+        raise bad_input("schema", "export", f"one of {', '.join(SCHEMAS)}, or left out", schema)
+    if schema and recording.format not in ("frames", schema):
+        raise bad_input(
+            "recording", f"export as {schema}", f"of the format {schema} or frames", recording.format
+        )
+    if path.exists():
+        raise bad_input("output", "export", "a new file (give another name, or move the old one)", path)
+    if not schema:
+        if path.suffix == ".bag":
+            raise bad_input("output", "export", "a CSV (--as quaternions writes a bag)", path)
+        if not len(recording.frames):
+            raise bad_input("recording", "export", "one with frames", "no frame")
+        return _write_table(recording, path, unit)
+    if not len(recording.frames) or (recording.widths != SCHEMAS[schema]).any():
+        must = f"frames of {SCHEMAS[schema]} values each"
+        found = sorted(set(recording.widths.tolist())) or "no frame"
+        raise bad_input("recording", f"export as {schema}", must, found)
+    if schema != "quaternions" and (streams := recording.frames["stream"].unique()).size > 1:
+        raise bad_input("recording", f"export as {schema}", "of one stream", sorted(streams.tolist()))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write = {"hall": _write_hall, "millivolts": _write_millivolts, "quaternions": _write_bag}[schema]
+    return write(recording, path)
+
+
+def named_with_unit(recording: Recording, unit: str) -> list[str]:
+    """Return the names of the values of a recording; those without a unit get one, if it is given."""
+    said = recording.metadata.get("units")
+    known = said if isinstance(said, list) and len(said) == len(recording.channels) else []
+    if recording.format not in ("frames", "csv") or not unit:
+        return recording.channels
+    return [
+        name if k < len(known) and known[k] else f"{name}_{unit}" for k, name in enumerate(recording.channels)
+    ]
+
+
+def _write_table(recording: Recording, path: Path, unit: str) -> list[str]:
+    frames = recording.frames
+    columns = {"time_s": frames["time_s"]}
+    if "start_unix_s" in recording.metadata:
+        start_ns = round(1e9 * recording.metadata["start_unix_s"]) - recording.metadata["start_host_ns"]
+        columns["unix_s"] = 1e-9 * (frames["host_ns"] + start_ns)
+    if recording.format in ("frames", "quaternions"):
+        columns["stream"] = frames["stream"]
+    columns |= {name: frames[name] for name in ("sequence", "device_us") if bool(frames[name].notna().any())}
+    values = zip(named_with_unit(recording, unit), recording.channels, strict=True)
+    columns |= {name: frames[channel] for name, channel in values}
+    write_whole(path, pd.DataFrame(columns).to_csv(index=False, lineterminator="\n"))
+    widths = sorted(set(recording.widths.tolist()))
+    return [f"frames have {widths[0]} to {widths[-1]} values; missing ones are empty"] if widths[1:] else []
+
+
+def _write_hall(recording: Recording, path: Path) -> list[str]:
+    unix_ns, remarks = _times(recording)
+    # The last field of a line is the component along the body, column 0 of the files.
+    values = recording.frames[recording.channels].to_numpy()[:, ::-1] / COUNTS_PER_UNIT
+    rows = zip(values.tolist(), (1e-9 * unix_ns).tolist(), strict=True)
+    write_whole(path, "".join(f"[{x!r} {y!r} {z!r}],{t!r}\n" for (x, y, z), t in rows))
+    return [*remarks, "the loader drops the first reading, and all that follow it within 1 ms"]
+
+
+def _write_millivolts(recording: Recording, path: Path) -> list[str]:
+    table = recording.frames[recording.channels].set_axis(["u1", "u2", "u3"], axis=1)
+    table = table.assign(time_s=recording.frames["time_s"])  # the loader takes columns by their names
+    write_whole(path, table.to_csv(index=False, lineterminator="\n"))
+    time_s = recording.frames["time_s"].to_numpy()
+    if len(time_s) < 2:
+        return []
+    rate_hz = (len(time_s) - 1) / (time_s[-1] - time_s[0]) if time_s[-1] > time_s[0] else np.inf
+    late = int((np.diff(time_s) > 2 / MILLIVOLTS_HZ).sum())
+    remarks = []
+    if abs(rate_hz / MILLIVOLTS_HZ - 1) > 0.02:
+        remarks.append(f"{rate_hz:.1f} frames/s were recorded; the loader takes {MILLIVOLTS_HZ:g} Hz")
+    if late:
+        remarks.append(
+            f"{late} pauses of more than {2e3 / MILLIVOLTS_HZ:g} ms; the loader takes equal steps of time"
+        )
+    return remarks
+
+
+def _write_bag(recording: Recording, path: Path) -> list[str]:
+    unix_ns, remarks = _times(recording)
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg(_MESSAGE, _TYPE))
+    message, head = store.types[_TYPE], store.types["std_msgs/msg/Header"]
+    zero = store.types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    temporary = path.with_name(f".{path.name}-{uuid.uuid4().hex}")
+    quaternions = recording.frames[recording.channels].to_numpy().astype(np.float32)
+    rows = zip(recording.frames["stream"].tolist(), quaternions, unix_ns.tolist(), strict=True)
+    try:
+        with Writer(temporary) as bag:
+            connection = bag.add_connection("/quat_meas", _TYPE, typestore=store)
+            for number, (imu, (x, y, z, w), time_ns) in enumerate(rows):
+                reading = message(head(number, zero, ""), ID=imu, w=w, x=x, y=y, z=z)
+                bag.write(connection, time_ns, store.serialize_ros1(reading, _TYPE))
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return remarks
+
+
+def _times(recording: Recording) -> tuple[Int[np.ndarray, " frames"], list[str]]:
+    """Times of arrival since 1970 [ns], made to increase."""
+    if "start_unix_s" not in recording.metadata:
+        expected = "one that says when it started (its first block, or the file beside it)"
+        raise bad_input("recording", "export", expected, "one whose start is not known")
+    host_ns = recording.frames["host_ns"].to_numpy() - recording.metadata["start_host_ns"]
+    steps = np.arange(len(host_ns), dtype=np.int64) * TIE_NS
+    apart = np.maximum.accumulate(host_ns - steps) + steps
+    moved = int((apart != host_ns).sum())
+    unix_ns = round(1e9 * recording.metadata["start_unix_s"]) + apart
+    remark = f"{moved} readings that arrived together are written {TIE_NS / 1e3:g} µs apart"
+    return unix_ns, [remark] if moved else []

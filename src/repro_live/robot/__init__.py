@@ -1,0 +1,1 @@
+"""Commands on a robot file that read recordings or a board."""

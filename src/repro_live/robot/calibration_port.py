@@ -1,0 +1,268 @@
+"""Poses at a port: a person brings the robot into one after the other, and what then arrives is averaged."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Generator, Iterator
+
+import numpy as np
+import torch
+
+from repro.errors import bad_input
+from repro.robot_file.parts import MAGNETIC_STREAM
+from repro.robot_file.robot_file import RobotFile
+from repro_live.record.lasting_port import LastingPort
+from repro_live.robot.calibration_poses import (
+    WINDOW_S,
+    PoseReadings,
+    Poses,
+    moved,
+    pose_readings,
+)
+from repro_live.robot.kept_readings import KeptReadings, Part, part_of
+from repro_live.wire.formats import parser
+from repro_live.wire.frame import Frame
+
+SILENCE_S = 2.0
+"""After so long without a frame the board counts as away, and the person is told [s]."""
+PATIENCE_S = 300.0
+"""A board that stays away for longer is not waited for [s]."""
+SETTLE_S = 0.1
+"""Frames that arrive so soon after the key may have been sent before it [s]: they lay in a buffer on the way."""
+LEAST_FRAMES = 2
+"""Frames of a pose at least, however slow the board is."""
+LOOK_S = 0.1
+"""How long a port is looked at for frames, or for its return, at a time [s]."""
+LEAVE_S = 1.0
+"""How long the end of reading is waited for [s]."""
+
+
+def guide(
+    robot: RobotFile,
+    poses: Poses,
+    frames: Iterator[Frame | None],
+    *,
+    say: Callable[[str], object],
+    ask: Callable[[str], object],
+    kept: KeptReadings | None = None,
+    silence_s: float = SILENCE_S,
+    patience_s: float = PATIENCE_S,
+) -> PoseReadings:
+    """Lead a person through the poses: say each, wait for a key, average half a second of what then arrives.
+
+    Frames are taken in all the time, so that those averaged arrived after the key was pressed. A pose that was not
+    still is asked for once more. If the board goes silent its pose begins anew, by itself, when it is back.
+
+    Parameters
+    ----------
+    robot
+        As described.
+    poses
+        In the order in which they are asked for; times have no meaning here.
+    frames
+        From a port, without end, as of :func:`port_frames`; read in a thread of its own, which ends with the next
+        one, or the next None.
+    say, ask
+        Show a line; show a line and wait for the Enter key.
+    kept
+        File that takes the readings of every pose as soon as they are there; poses that it holds already are not
+        asked for again. None to keep them in memory only.
+    silence_s, patience_s
+        Time without a frame after which the board counts as away, and longest wait for it [s].
+
+    Raises
+    ------
+    InputError
+        If the board stays away, frames have another number of values than the file says, or ``kept`` holds
+        readings of other poses. Poses that were taken stay in ``kept``.
+    """
+    parts = [] if kept is None else list(kept.parts)
+    if kept is not None and parts:
+        check_same_poses(kept, poses)
+        rest = f"Going on with pose {len(parts) + 1}" if len(parts) < len(poses.words) else "All are taken"
+        say(
+            f"{kept.path.name} holds the readings of {len(parts)} poses. {rest}; to begin anew, move it away."
+        )
+    if len(parts) == len(poses.words):
+        return pose_readings(parts, robot)
+    with _Collector(frames) as source:
+        for k in range(len(parts), len(poses.words)):
+            question = (
+                f"Pose {k + 1} of {len(poses.words)}: {poses.words[k]}. Hold it still and press Enter. "
+            )
+            part = _taken(robot, source, question, say, ask, (silence_s, patience_s))
+            if moved(part, robot):
+                say("That was not still: once more.")
+                part = _taken(robot, source, question, say, ask, (silence_s, patience_s))
+            parts.append(part)
+            if kept is not None:
+                kept.add(poses.q[k], part)
+    return pose_readings(parts, robot)
+
+
+def check_same_poses(kept: KeptReadings, poses: Poses) -> None:
+    """Refuse readings that were taken in other poses.
+
+    Raises
+    ------
+    InputError
+        As said.
+    """
+    q = torch.tensor(kept.q, dtype=torch.float64).reshape(-1, poses.q.shape[-1])
+    if len(q) > len(poses.q) or not torch.allclose(q, poses.q[: len(q)], rtol=1e-9, atol=1e-12):
+        expected = (
+            "of the first poses of the table (give the file in place of the port to use it with another table, or "
+            "move it away to begin anew)"
+        )
+        raise bad_input("readings", kept.path.name, expected, f"those of {len(q)} other poses")
+
+
+def port_frames(
+    port: str, baud: int, robot: RobotFile, say: Callable[[str], object]
+) -> Iterator[Frame | None]:
+    """Open a port now, and return the frames of magnetic sensors, without end.
+
+    A port that disappears is opened again when it is back. None comes after every look at the port, so that whoever
+    reads can leave while nothing arrives.
+
+    Raises
+    ------
+    InputError
+        If it cannot be opened the first time.
+    """
+    channels = robot.channels if robot.format == "csv" else None
+    board, parse = LastingPort(port, baud, "repro calibrate"), parser(robot.format, channels, robot.unit)
+
+    def frames() -> Iterator[Frame | None]:
+        try:
+            while True:
+                try:
+                    arrived = parse.feed(board.read(LOOK_S))
+                except OSError as error:
+                    say(f"{port} is gone ({error}); waiting for it.")
+                    board.close()
+                    while not board.reopen(time.monotonic() + LOOK_S, threading.Event()):
+                        yield None
+                    parse.reopened()
+                    say(f"{port} is back.")
+                    continue
+                yield from (x for x in arrived if not robot.imus or x.stream == MAGNETIC_STREAM)
+                yield None
+        finally:
+            board.close()
+
+    return frames()
+
+
+def _taken(
+    robot: RobotFile,
+    source: _Collector,
+    question: str,
+    say: Callable[[str], object],
+    ask: Callable[[str], object],
+    limits_s: tuple[float, float],
+) -> Part:
+    """Ask for a pose, and return its readings; told and waited for while the board is away."""
+    ask(question)
+    silence_s, patience_s = limits_s
+    source.begin()
+    since, seen, told = time.monotonic(), 0, False
+    while True:
+        arrived, end = source.wait(silence_s, first=told)
+        now = time.monotonic()
+        if told and arrived:
+            say("The board is back; half a second from now on.")
+            source.begin()
+            since, seen, told = now, 0, False
+            continue
+        fit = [(t, f) for t, f in arrived if len(f.values) == robot.channels and np.isfinite(f.values).all()]
+        if complete(arrived):
+            if 2 * len(fit) >= len(arrived):
+                return part_of(np.array([f.values for _, f in fit]), fit[-1][0] - fit[0][0])
+            _refuse(robot, arrived)
+        if end is not None:
+            if not fit:
+                _refuse(robot, arrived)
+            received = f"{len(arrived)} of them: {end}"
+            raise bad_input("frames", "repro calibrate", f"{WINDOW_S:g} s of them for a pose", received)
+        if len(arrived) > seen:
+            since, seen = arrived[-1][0], len(arrived)
+        if now - since >= patience_s:
+            received = f"none for {patience_s:g} s"
+            raise bad_input("frames", "repro calibrate", f"{WINDOW_S:g} s of them for a pose", received)
+        if now - since >= silence_s and not told:
+            say(f"No frame for {silence_s:g} s: waiting for the board. Keep the pose; Ctrl-C ends.")
+            source.begin()
+            seen, told = 0, True
+
+
+def complete(arrived: list[tuple[float, Frame]]) -> bool:
+    """Whether frames with their arrival [s] are enough for a pose."""
+    return len(arrived) >= LEAST_FRAMES and arrived[-1][0] - arrived[0][0] >= WINDOW_S
+
+
+def _refuse(robot: RobotFile, arrived: list[tuple[float, Frame]]) -> None:
+    """Say why frames cannot be used, if there are any."""
+    for _, frame in arrived:
+        robot.signal(frame.values)  # refuses another number of values
+    if arrived:
+        raise bad_input("frames", "the stream", "of finite numbers", arrived[-1][1].values)
+
+
+class _Collector:
+    """Reads frames in a thread, and keeps those from a beginning on, with their arrival [s]."""
+
+    def __init__(self, frames: Iterator[Frame | None]) -> None:
+        self._changed = threading.Condition()
+        self._taken: list[tuple[float, Frame]] | None = None
+        self._end: BaseException | None = None
+        self._over, self._from_s = False, 0.0
+        self._thread = threading.Thread(target=self._read, args=(frames,), daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> _Collector:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over = True
+        self._thread.join(LEAVE_S)
+
+    def _read(self, frames: Iterator[Frame | None]) -> None:
+        end: BaseException = EOFError("the stream ended")
+        try:
+            for frame in frames:
+                if self._over:
+                    break
+                if frame is None:
+                    continue
+                with self._changed:
+                    if self._taken is not None and (now := time.monotonic()) >= self._from_s:
+                        self._taken.append((now, frame))
+                        if len(self._taken) == 1 or complete(self._taken):
+                            self._changed.notify()
+        except Exception as error:  # belongs to whoever waits for frames
+            end = error
+        if isinstance(frames, Generator):
+            frames.close()  # and with it the port
+        with self._changed:
+            self._end = end
+            self._changed.notify()
+
+    def begin(self) -> None:
+        """Keep what arrives from now on, but for what was on the way."""
+        with self._changed:
+            self._taken, self._from_s = [], time.monotonic() + SETTLE_S
+
+    def wait(
+        self, timeout_s: float, *, first: bool
+    ) -> tuple[list[tuple[float, Frame]], BaseException | None]:
+        """Wait for the first frame, or else for enough for a pose; return what came, and why no more will come."""
+
+        def ready() -> bool:
+            taken = self._taken or []
+            return self._end is not None or (bool(taken) if first else complete(taken))
+
+        with self._changed:
+            self._changed.wait_for(ready, timeout_s)
+            return list(self._taken or []), self._end

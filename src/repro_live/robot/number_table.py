@@ -1,0 +1,113 @@
+"""CSV tables of numbers, with times or without: what is wrong is said with file, line and column."""
+
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from repro.errors import bad_input
+from repro_live.wire.csv_fields import name_and_unit, time_scale
+
+LONGEST_S = 1e9
+
+
+def read_rows(path: Path) -> list[tuple[int, list[str]]]:
+    """Read a CSV file as (number of the line, cells); without empty lines and comments (``#``).
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it is no text in UTF-8.
+    """
+    if not path.is_file():
+        raise bad_input("path", path.name, "a CSV that is there", path)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = csv.reader(stream)
+            return [
+                (rows.line_num, row)
+                for row in rows
+                if any(map(str.strip, row)) and not row[0].startswith("#")
+            ]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise bad_input("file", path.name, "a CSV in UTF-8", error) from error
+
+
+def read_numbers(path: Path) -> pd.DataFrame:
+    """Read a CSV of numbers with a header; the index is the number of the line, an empty cell is NaN.
+
+    Raises
+    ------
+    InputError
+        If the file is no such table; the message names line and column.
+    """
+    rows = read_rows(path)
+    head = [name.strip() for name in rows[0][1]] if rows else []
+    if not head:
+        raise bad_input("table", path.name, "a CSV of numbers with a header, separated by commas", "nothing")
+    if twice := sorted({name for name in head if head.count(name) > 1}):
+        raise bad_input("columns", path.name, "of different names", f"{', '.join(twice)} twice")
+    numbers = np.full((len(rows) - 1, len(head)), np.nan)
+    for k, (line, row) in enumerate(rows[1:]):
+        if len(row) != len(head):
+            raise bad_input(f"line {line}", path.name, f"of {len(head)} cells, as the header", len(row))
+        for j, cell in enumerate(row):
+            try:
+                numbers[k, j] = float(cell) if cell.strip() else np.nan
+            except ValueError:
+                expected = "a number (cells are separated by commas)"
+                raise bad_input(f"{head[j]} in line {line}", path.name, expected, repr(cell)) from None
+    return pd.DataFrame(numbers, index=[line for line, _ in rows[1:]], columns=head)
+
+
+def times_of(owner: str, table: pd.DataFrame, *, apart: bool) -> tuple[str, Float[np.ndarray, " rows"]]:
+    """Return the name of the column of times, such as ``time_s`` or ``time_ms``, and the times [s].
+
+    Raises
+    ------
+    InputError
+        If there is not one such column, or as :func:`check_times`.
+    """
+    scales = {name: time_scale(*name_and_unit(name)) for name in table}
+    found = {name: scale for name, scale in scales.items() if scale is not None}
+    if len(found) != 1:
+        received = f"{len(found)}: {', '.join(found)}" if found else f"none among {', '.join(table)}"
+        raise bad_input("times", owner, "one column, such as time_s", received)
+    ((name, scale),) = found.items()
+    if not scale:
+        raise bad_input("times", owner, f"named with their unit, such as {name}_s or {name}_ms", name)
+    time_s = table[name].to_numpy() * (1e-6 * scale)
+    check_times(owner, name, time_s, table.index.tolist(), apart=apart)
+    return name, time_s
+
+
+def check_times(
+    owner: str, column: str, time_s: Float[np.ndarray, " rows"], lines: Sequence[int], *, apart: bool
+) -> None:
+    """Refuse no time, a missing one, and one before the one before; with ``apart`` also equal ones, and fewer than 3.
+
+    Raises
+    ------
+    InputError
+        As said.
+    """
+    if len(time_s) < (3 if apart else 1):
+        raise bad_input("table", owner, "at least three rows" if apart else "at least one row", len(time_s))
+    if not np.isfinite(time_s).all():
+        line = lines[int(np.argmin(np.isfinite(time_s)))]
+        raise bad_input(f"{column} in line {line}", owner, "a time", "an empty cell, or an infinite one")
+    step_s = np.diff(time_s)
+    if (late := np.flatnonzero(step_s <= 0 if apart else step_s < 0)).size:
+        k = int(late[0]) + 1
+        expected = f"{'after' if apart else 'not before'} the time before, {time_s[k - 1]:.6g} s"
+        raise bad_input(f"{column} in line {lines[k]}", owner, expected, f"{time_s[k]:.6g} s")
+    if time_s[-1] - time_s[0] > LONGEST_S:
+        expected = f"within {LONGEST_S:g} s, 30 years"
+        raise bad_input(column, owner, expected, f"{time_s[0]:g} to {time_s[-1]:g} s")

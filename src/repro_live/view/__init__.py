@@ -1,0 +1,1 @@
+"""Shapes in space, as the book and the live page show them."""
