@@ -96,7 +96,7 @@ def test_a_page_takes_names_from_where_they_are_defined(page):
 def draws(module: ModuleType, name: str) -> bool:
     """Tell whether something is a function of a module of figures, and returns one."""
     function = getattr(module, name)
-    if not module.__name__.startswith("repro.report.figures.") or not inspect.isfunction(function):
+    if "figures" not in module.__name__.rsplit(".")[-1] or not inspect.isfunction(function):
         return False
     return inspect.signature(function).return_annotation == "Figure"
 

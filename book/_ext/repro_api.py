@@ -1,4 +1,4 @@
-"""The API reference: one page per folder of ``src/repro``, written before Sphinx looks for its sources.
+"""The API reference: one page per folder of the public packages, written before Sphinx looks for its sources.
 
 The list of modules is read off the source tree at every build, so a new module appears by itself. References
 to this package that cannot be resolved stay warnings (errors in our build); names of other libraries are set as
@@ -14,24 +14,18 @@ from pathlib import Path
 
 from sphinx.application import Sphinx
 
-PACKAGE = "repro"
-# The order in which one reads them; a package that is not named here comes last.
-ORDER = (
-    "se3",
-    "kinematics",
-    "sensing",
-    "estimation",
-    "simulation",
-    "recordings",
-    "experiments",
-    "live",
-    "report",
-    "cli",
-)
+# In the order in which one reads them. The book's own code is private.
+PACKAGES = {
+    "repro": ("se3", "kinematics", "sensing", "estimation", "kernels", "robot_file"),
+    "repro_live": ("wire", "record", "follow", "robot", "own", "emulate", "view"),
+}
+"""Public packages and their folders; a folder that is not named here comes last."""
+OURS = tuple(f"{package}." for package in PACKAGES)
 
 
 def modules_of(root: Path) -> dict[str, list[str]]:
-    """Return the dotted names of all modules with content, grouped by the folder that they lie in."""
+    """Return the dotted names of all modules of a package with content, grouped by the folder that they lie in."""
+    order = PACKAGES.get(root.name, ())
     groups: dict[str, list[str]] = {}
     for path in sorted(root.rglob("*.py")):
         parts = path.relative_to(root).with_suffix("").parts
@@ -42,11 +36,11 @@ def modules_of(root: Path) -> dict[str, list[str]]:
         if not parts or not path.read_text(encoding="utf-8").strip():
             continue
         folder = parts if path.name == "__init__.py" else parts[:-1] or parts
-        groups.setdefault(".".join(folder), []).append(".".join((PACKAGE, *parts)))
+        groups.setdefault(".".join(folder), []).append(".".join((root.name, *parts)))
 
     def place(group: str) -> tuple[int, str]:
         first = group.split(".")[0]
-        return ORDER.index(first) if first in ORDER else len(ORDER), group
+        return order.index(first) if first in order else len(order), group
 
     return {group: groups[group] for group in sorted(groups, key=place)}
 
@@ -60,11 +54,10 @@ def first_line(root: Path, module: str) -> str:
     return docstring.split("\n")[0]
 
 
-def page(group: str, modules: list[str]) -> str:
-    """Return the MyST source of one page."""
+def page(package: str, modules: list[str]) -> str:
+    """Return the MyST source of one page, on a folder."""
     # a long name would be broken within a word in the sidebar
-    lines = [f"# {group}" if "." in group else f"# {PACKAGE}.{group}", ""]
-    package = f"{PACKAGE}.{group}"
+    lines = [f"# {package}" if package.count(".") < 2 else f"# {package.split('.', 1)[1]}", ""]
     for module in modules:
         if module != package:
             lines += [f"## {module.removeprefix(package + '.')}", ""]
@@ -88,16 +81,17 @@ def write_if_changed(path: Path, text: str) -> None:
 
 def write_pages(book: Path) -> None:
     """Write ``api/*.md`` and the list of modules that ``api.md`` includes; remove pages that are obsolete."""
-    root = book.parent / "src" / PACKAGE
-    groups = modules_of(root)
     folder = book / "api"
     names = {}
     lines = []
-    for group, modules in groups.items():
-        names[f"{group}.md"] = page(group, modules)
-        lines += ["", f"### {PACKAGE}.{group}", ""]
-        for module in modules:
-            lines.append(f"- [`{module}`](/api/{group}.md): {first_line(root, module)}")
+    for package in PACKAGES:
+        root = book.parent / "src" / package
+        for group, modules in modules_of(root).items():
+            name = f"{package}.{group}"
+            names[f"{name}.md"] = page(name, modules)
+            lines += ["", f"### {name}", ""]
+            for module in modules:
+                lines.append(f"- [`{module}`](/api/{name}.md): {first_line(root, module)}")
     for old in folder.glob("*.md"):
         if old.name not in names:
             old.unlink()
@@ -127,7 +121,7 @@ def home_of(target: str, module: str | None) -> str | None:
     ``target`` is tried as it stands and relative to ``module``; names that a package passes on resolve to the
     module that defines them.
     """
-    candidates = [target] if target.startswith(f"{PACKAGE}.") else []
+    candidates = [target] if target.startswith(OURS) else []
     if module:
         candidates.append(f"{module}.{target}")
     for candidate in candidates:
@@ -143,7 +137,7 @@ def home_of(target: str, module: str | None) -> str | None:
             except AttributeError:
                 break
             owner, name = getattr(found, "__module__", None), getattr(found, "__qualname__", None)
-            if owner and name and owner.split(".")[0] == PACKAGE:
+            if owner and name and owner.split(".")[0] in PACKAGES:
                 return f"{owner}.{name}"
             break
     return None
@@ -162,7 +156,7 @@ def resolve(app: Sphinx, env, node, contnode):
         full = named[0] if len(named) == 1 else full
     if full in objects:
         return _link(app, env, node, objects[full], contnode)
-    ours = target.startswith(f"{PACKAGE}.") and not _is_parameter(target)
+    ours = target.startswith(OURS) and not _is_parameter(target)
     if ours and full is None:
         return None  # a warning: nothing of that name exists
     if node.get("refexplicit") or node.get("reftype") in ("func", "meth", "attr", "data", "mod"):

@@ -40,24 +40,27 @@ def test_pages_follow_the_source_tree(tmp_path):
     book = tmp_path / "book"
     api.write_pages(book)
     pages = sorted(path.name for path in (book / "api").iterdir())
-    assert pages == ["se3.md", "sensing.hall.md", "sensing.md"]
+    assert pages == ["repro.se3.md", "repro.sensing.hall.md", "repro.sensing.md"]
     modules = (book / "generated" / "modules.md").read_text().splitlines()
     assert [line for line in modules if line.startswith("###")] == [
         "### repro.se3",
         "### repro.sensing",
         "### repro.sensing.hall",
     ]
-    hall = (book / "api" / "sensing.hall.md").read_text()
+    hall = (book / "api" / "repro.sensing.hall.md").read_text()
     assert hall.index("# sensing.hall\n") < hall.index("## cube\n")
-    assert ".. automodule:: repro.sensing.magnets" in (book / "api" / "sensing.md").read_text()
-    assert "- [`repro.se3`](/api/se3.md): Rigid motions." in (book / "generated" / "modules.md").read_text()
+    assert ".. automodule:: repro.sensing.magnets" in (book / "api" / "repro.sensing.md").read_text()
+    assert (
+        "- [`repro.se3`](/api/repro.se3.md): Rigid motions."
+        in (book / "generated" / "modules.md").read_text()
+    )
 
-    before = (book / "api" / "se3.md").stat().st_mtime_ns
+    before = (book / "api" / "repro.se3.md").stat().st_mtime_ns
     (package / "sensing" / "magnets.py").unlink()
     shutil.rmtree(package / "sensing" / "hall")
     api.write_pages(book)
-    assert [path.name for path in (book / "api").iterdir()] == ["se3.md"]
-    assert (book / "api" / "se3.md").stat().st_mtime_ns == before
+    assert [path.name for path in (book / "api").iterdir()] == ["repro.se3.md"]
+    assert (book / "api" / "repro.se3.md").stat().st_mtime_ns == before
 
 
 def test_placeholders_never_replace_computed_fragments(tmp_path):

@@ -96,7 +96,10 @@ def test_page():
         "Martin et al. (2022)",
     ]
     assert '<a href="notebooks/table_1.html#fig-table-1">table 1</a>' in page
-    assert '<a href="api/sensing.html#repro.sensing.relations.Relations"><code>Relations</code></a>' in page
+    assert (
+        '<a href="api/repro.sensing.html#repro.sensing.relations.Relations"><code>Relations</code></a>'
+        in page
+    )
     assert "<td>not reproduced (photographs)</td>" in page
     assert page.count("<tr>") == len(ENTRIES) + page.count("<thead>")
     assert not re.search(r"\n\n(?!<div|## )", page.rstrip()), "an empty line ends a block of HTML"
@@ -148,13 +151,18 @@ def test_broken_index(lines, message, tmp_path):
 @pytest.mark.parametrize(
     ("code", "page"),
     [
-        ("repro.se3.exp", "se3"),
-        ("repro.estimation.base.track", "estimation"),
-        ("repro.estimation.levenberg_marquardt.LevenbergMarquardt.step", "estimation"),
-        ("repro_companion.twins.table_1_method.errors", "experiments.baaij2023"),
+        ("repro.se3.exp", "repro.se3"),
+        ("repro.estimation.base.track", "repro.estimation"),
+        ("repro.estimation.levenberg_marquardt.LevenbergMarquardt.step", "repro.estimation"),
+        ("repro_live.view.shape_view.ShapeView", "repro_live.view"),
     ],
 )
 def test_links_of_an_entry(code, page):
     entry = IndexEntry("a2020", "figure", "Fig. 1", "x", "redrawn", "notebooks/a", "fig-a", code, "")
     assert entry.link == "notebooks/a.html#fig-a"
     assert entry.code_link == f"api/{page}.html#{code}"
+
+
+@pytest.mark.parametrize("code", ["", "repro_companion.twins.table_1_method.errors"])
+def test_private_code_has_no_link(code):
+    assert not IndexEntry("a2020", "figure", "Fig. 1", "x", "redrawn", "notebooks/a", "", code, "").code_link

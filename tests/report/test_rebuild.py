@@ -23,7 +23,9 @@ def checkout(root):
 
 def execute(root):
     """Run the notebooks of a project, as the build does, without its site."""
-    program = "from repro.report import build as b, project as p\n"
+    program = (
+        "from repro_companion.book import project as p; from repro_companion.book.after import build as b\n"
+    )
     program += "pr = p.find_project()\nb.run_all(pr, sorted(pr.notebooks.glob('*.ipynb')), 2)"
     subprocess.run([sys.executable, "-c", program], cwd=root, check=True, stdout=subprocess.DEVNULL)
 

@@ -44,7 +44,7 @@ class ImuShape:
     a random walk along the arc, pinned to the IMUs there are: between two of them at distances :math:`a, b`
     the variance about each axis is :math:`\varrho^2 ab/(a + b)`, beyond the last at distance :math:`a` it is
     :math:`\varrho^2 a`, in addition to the error of the IMUs it was filled from. The error of the model
-    between IMUs is not part of it (`repro_companion.pages.how_many_imus.bounds`).
+    between IMUs is not part of it.
 
     Parameters
     ----------

@@ -53,23 +53,18 @@ def read_inputs(project: Project) -> Inputs:
     lock = project.root / "requirements.lock"
     sources = project.sources if project.sources.is_dir() else Path(__file__).parents[2]
     return Inputs(
-        sources=package_digests(sources),
+        sources={
+            f"{package}/{name}": digest
+            for package in PACKAGES
+            if (sources / package).is_dir()
+            for name, digest in tree_digests(sources / package).items()
+        },
         data=tree_digests(project.data),
         recordings=tree_digests(data_dir()),
         lock=file_digest(lock) if lock.is_file() else "",
         python=platform.python_version(),
         libraries={name: _version(name) for name in LIBRARIES},
     )
-
-
-def package_digests(sources: Path) -> dict[str, str]:
-    """Return the SHA-256 of each file of the project's packages, by path below the folder that they lie in."""
-    return {
-        f"{package}/{name}": digest
-        for package in PACKAGES
-        if (sources / package).is_dir()
-        for name, digest in tree_digests(sources / package).items()
-    }
 
 
 def _version(library: str) -> str:

@@ -15,12 +15,13 @@ import re
 import sys
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from repro.errors import InputError, bad_input
-from repro.files import combined_digest
-from repro_companion.book.provenance import package_digests
+from repro.files import combined_digest, tree_digests
+from repro_companion.book.provenance import PACKAGES
 from repro_companion.book.sweep import Outcome, Point, Runner, RunnerGone, run_point
 from repro_companion.book.sweep_grid import OWNER
 
@@ -35,7 +36,8 @@ def identity() -> dict[str, str]:
         version = importlib.metadata.version("repro")
     except importlib.metadata.PackageNotFoundError:
         version = "not installed"
-    source = combined_digest(package_digests(Path(__file__).parents[2]))[:16]
+    folders = [Path(str(import_module(name).__file__)).parent for name in PACKAGES]
+    source = combined_digest([tree_digests(folder) for folder in folders])[:16]
     return {
         "version of repro": version,
         "source of repro": source,

@@ -50,11 +50,15 @@ class IndexEntry:
 
     @property
     def code_link(self) -> str:
-        """The place in the API reference, from the root of the site; empty where no code is named."""
-        modules = [part for part in self.code.split(".")[1:-1] if part.islower()]
-        return f"api/{'.'.join(modules[:-1] or modules)}.html#{self.code}" if self.code else ""
+        """The place in the API reference, from the root of the site; empty where no public code is named."""
+        if self.code.split(".")[0] not in PUBLIC:
+            return ""
+        package, *modules = [part for part in self.code.split(".")[:-1] if part.islower()]
+        return f"api/{'.'.join((package, *(modules[:-1] or modules)))}.html#{self.code}"
 
 
+PUBLIC = ("repro", "repro_live")
+"""Packages that are in the API reference."""
 COLUMNS = tuple(IndexEntry.__dataclass_fields__)
 
 
@@ -143,7 +147,8 @@ def _line(entry: IndexEntry) -> str:
     where = f'<a href="{escape(entry.link)}">{escape(_title(entry))}</a>'
     if entry.code:
         name = entry.code.rsplit(".", 1)[-1]
-        where += f', <a href="{escape(entry.code_link)}"><code>{escape(name)}</code></a>'
+        named = f"<code>{escape(name)}</code>"
+        where += f', <a href="{escape(entry.code_link)}">{named}</a>' if entry.code_link else f", {named}"
     return (
         f'<tr><th scope="row">{escape(entry.artefact)}</th><td>{escape(entry.shows)}</td>'
         f"<td>{escape(here)}</td><td>{where}</td></tr>"
