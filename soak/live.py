@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 
 import torch
 
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro_companion.book.project import find_project
 from repro_companion.twins.played import PERIOD_S, played
 from repro_live.emulate.board import passages

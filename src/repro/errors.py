@@ -6,7 +6,17 @@ from typing import Any
 
 
 class InputError(ValueError):
-    """Input that cannot be used. The message names the input, its owner, what it must be and what it was."""
+    """Input that cannot be used. The message names the input, its owner, what it must be and what it was.
+
+    Examples
+    --------
+    >>> import repro
+    >>> try:
+    ...     repro.ConstantCurvature(length=-0.1, radius=0.02)
+    ... except repro.InputError as error:
+    ...     print(error)
+    Input length of ConstantCurvature must be positive [m]; instead received -0.1.
+    """
 
 
 def bad_input(name: str, owner: str, must_be: str, received: Any) -> InputError:

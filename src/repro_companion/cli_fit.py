@@ -62,7 +62,7 @@ def fit(
     import torch
 
     from repro.errors import bad_input
-    from repro.robot_file.robot_file import load_robot
+    from repro.robot_file.load import load_robot
     from repro_live.follow.readings_file import read_readings
     from repro_live.own.fit import fit as fit_recording
     from repro_live.own.poses import read_measured_poses

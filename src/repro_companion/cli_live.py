@@ -130,7 +130,7 @@ def export(
     unit = ""
     read = read_recording(recording)
     if robot is not None:
-        from repro.robot_file.robot_file import load_robot
+        from repro.robot_file.load import load_robot
         from repro_live.robot.recorded_frames import frames_of
 
         described = load_robot(robot)

@@ -65,7 +65,7 @@ def calibrate(
 
     from repro.errors import bad_input
     from repro.robot_file.calibration_file import write_calibration
-    from repro.robot_file.robot_file import load_robot
+    from repro.robot_file.load import load_robot
     from repro_live.robot.calibrate import calibrate as fit
     from repro_live.robot.calibrate import check_plausible, pose_covariance, report
     from repro_live.robot.calibration_poses import read_poses
@@ -143,7 +143,7 @@ def live(
             Path(port), robot, calibration, estimator, failed or [], estimates, of_a_port=of_a_port
         )
 
-    from repro.robot_file.robot_file import load_robot
+    from repro.robot_file.load import load_robot
     from repro_companion.book.project import shown
     from repro_live.follow import live_text
     from repro_live.follow.browser import BrowserView

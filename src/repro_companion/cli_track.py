@@ -75,7 +75,7 @@ def estimated(
     """Estimate a file, write the estimates if there is an output, and say what came of it."""
     import torch
 
-    from repro.robot_file.robot_file import load_robot
+    from repro.robot_file.load import load_robot
     from repro_companion.book.project import shown
     from repro_live.follow.estimate_table import EstimateFile
     from repro_live.follow.offline import track_readings

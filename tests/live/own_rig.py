@@ -10,7 +10,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from repro.kinematics.robot import Robot
-from repro.robot_file.robot_file import RobotFile, load_robot
+from repro.robot_file.load import load_robot
+from repro.robot_file.robot_file import RobotFile
 from repro.sensing.magnetic import readings
 from repro.sensing.placement import Tolerances, placed
 from repro_live.record.recording_file import RecordingFile

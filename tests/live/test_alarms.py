@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from repro.estimation.consistency import WRONG
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro_companion.book.studies import read_study
 from repro_companion.pages.sensor_failure.alarms import (
     SCENARIOS,

@@ -20,7 +20,7 @@ from page_on_screen import NO_GPU, differing, pixels, wait_until
 
 from repro.errors import InputError
 from repro.estimation.consistency import Verdict
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro_live.follow.browser import MOST_CLIENTS, WAITING, BrowserView, message
 from repro_live.follow.follower import Follower
 from repro_live.follow.latency import STAGES, Latencies
@@ -39,7 +39,7 @@ SERVER = f"""
 import time
 from repro_live.follow.browser import BrowserView
 from repro_live.follow.robot_estimator import robot_estimator
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 with BrowserView(robot_estimator(load_robot({str(ROBOTS / "bend_sensor.toml")!r}))) as server:
     print(server.port, flush=True)
     time.sleep(100)

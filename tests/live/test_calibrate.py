@@ -18,7 +18,7 @@ import torch
 from repro.errors import InputError
 from repro.estimation.calibration import calibrate as calibrate_geometry
 from repro.robot_file.calibration_file import read_calibration, write_calibration
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro.sensing.placement import Tolerances, placed
 from repro_live.record.recording import Recording, read_recording
 from repro_live.robot.calibrate import Priors, calibrate, pose_covariance, report

@@ -14,7 +14,7 @@ from repro.errors import InputError
 from repro.kernels.placement import PlacementSlopes
 from repro.kinematics.motion import backbone_motion
 from repro.kinematics.mounts import magnet_mounts
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro.sensing.placement import PlacedReadings, Tolerances, placed
 from repro_live.follow.robot_estimator import robot_estimator
 from repro_live.robot.calibrate import Priors, calibrate, pose_covariance

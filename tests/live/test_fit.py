@@ -17,7 +17,8 @@ from own_rig import ROBOTS, Rig, write
 from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
-from repro.robot_file.robot_file import RobotFile, load_robot
+from repro.robot_file.load import load_robot
+from repro.robot_file.robot_file import RobotFile
 from repro_live.follow.readings_file import read_readings
 from repro_live.own import models
 from repro_live.own.align import find_clock_lag

@@ -13,7 +13,7 @@ from repro.errors import InputError
 from repro.kernels.sensing import CompiledSensing
 from repro.kinematics.mounts import magnet_mounts
 from repro.robot_file.imu_readings import sent as sent_by
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro.sensing.magnetic import readings
 from repro_live.emulate.board import Reading, passages
 from repro_live.emulate.emulator import Emulator

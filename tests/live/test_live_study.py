@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro_companion.pages.live import figures
 from repro_companion.pages.live.study import failure_summary, failures, live_run
 from repro_companion.twins.played import played, with_sensors

@@ -20,7 +20,7 @@ import pandas as pd
 import pytest
 from own_rig import Rig
 
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro_live.emulate.links import HAS_PTY
 from repro_live.emulate.robot_readings import robot_readings
 from repro_live.record.recording import read_recording

@@ -102,7 +102,7 @@ def test_a_sketch_is_followed_live_and_played_again(board, tmp_path, one_segment
 def one_segment(tmp_path):
     from pathlib import Path
 
-    from repro.robot_file.robot_file import load_robot
+    from repro.robot_file.load import load_robot
 
     text = (Path(__file__).parents[2] / "data" / "robots" / "one_segment.toml").read_text()
     (tmp_path / "robot.toml").write_text(text.replace('format = "frames"', 'format = "csv"'))

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro_live.emulate.board import Reading, passages
 from repro_live.emulate.faults import Faults
 from repro_live.emulate.hold_poses import (

@@ -12,7 +12,7 @@ from repro.errors import InputError
 from repro.kernels.sensing import CompiledSensing
 from repro.kinematics.mounts import directed_sensors, magnet_mounts, sensor_mounts
 from repro.robot_file.calibration_file import write_calibration
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.placement import PlacedReadings, parameter_names, placed

@@ -19,8 +19,8 @@ from repro.kinematics.mounts import magnet_mounts
 from repro.kinematics.paper_robots import affine_robot, pcc_robot
 from repro.kinematics.robot import Robot
 from repro.kinematics.trajectories import lemniscate
+from repro.robot_file.load import load_robot
 from repro.robot_file.magnet_moments import cube_moments, moments_of
-from repro.robot_file.robot_file import load_robot
 from repro.robot_file.tables import MAGNET_KINDS, SEGMENT_KINDS
 from repro.robot_file.toml_lines import key_lines
 from repro.sensing.field_ratios import file_axes

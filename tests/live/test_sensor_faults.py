@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro.robot_file.tables import IMU_NOISE_RAD
 from repro_live.emulate.robot_readings import readings_along, robot_readings
 from repro_live.emulate.sensor_faults import (

@@ -12,7 +12,7 @@ import pytest
 from repro.errors import InputError
 from repro.estimation.imu_models import exact_arcs
 from repro.estimation.imu_selection import selection
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro_companion.twins.played import played
 from repro_companion.twins.takes import open_take
 from repro_live.emulate.board import Reading, passages

@@ -19,7 +19,7 @@ import torch
 from repro.errors import InputError
 from repro.estimation.base import Estimate
 from repro.estimation.consistency import STATUS
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro_companion.twins.played import played
 from repro_companion.twins.takes import open_take
 from repro_live.emulate.board import passages

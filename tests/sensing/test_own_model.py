@@ -17,7 +17,7 @@ from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.levenberg_marquardt import jacobian
 from repro.kinematics.trajectories import lemniscate
-from repro.robot_file.robot_file import load_robot
+from repro.robot_file.load import load_robot
 from repro.sensing.import_network import import_network
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.network import Dropout, PerSensor, paper_network

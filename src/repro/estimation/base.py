@@ -35,6 +35,12 @@ class Estimate:
         variances; and ``dof``, how many of these the estimate could not adapt itself to. If model and noise
         are right, ``chi2`` has a chi-square distribution with ``dof`` degrees of freedom; with none of them the
         readings say nothing about that. :class:`repro.estimation.monitor.Monitored` tests it.
+
+    Examples
+    --------
+    >>> estimate = Estimate(torch.zeros(3), None, torch.zeros(8))
+    >>> estimate.u_hat.shape
+    torch.Size([8])
     """
 
     q: Float[Tensor, "*batch n_q"]
@@ -48,6 +54,17 @@ class Estimator(Protocol[S]):
     """Readings to configuration, one time step after the other, batched over trajectories.
 
     Ground truth never enters :meth:`step`, except as ``known`` in an experiment that declares it.
+
+    Examples
+    --------
+    >>> class AlwaysStraight:
+    ...     def init(self, q0, *, seed=0):
+    ...         return None
+    ...
+    ...     def step(self, state, u, t, *, mask=None, known=None):
+    ...         return state, Estimate(torch.zeros(3), None, u)
+    >>> isinstance(AlwaysStraight(), Estimator)
+    True
     """
 
     def init(self, q0: Tensor, *, seed: int) -> S:
@@ -65,14 +82,33 @@ class Estimator(Protocol[S]):
         ...
 
 
+@runtime_checkable
+class HasTip(Protocol):
+    """A robot: its configuration says where its tip is."""
+
+    def tip(self, q: Tensor) -> Tensor:
+        """Pose of the tip ``[*batch, 4, 4]``."""
+        ...
+
+
 @dataclass(frozen=True)
 class Trajectory:
-    """Estimates over time: the fields of :class:`Estimate` with a leading time dimension."""
+    """Estimates over time: the fields of :class:`Estimate` with a leading time dimension.
+
+    Examples
+    --------
+    >>> Trajectory(torch.zeros(7, 3), None, torch.zeros(7, 8), {}).q.shape
+    torch.Size([7, 3])
+    """
 
     q: Float[Tensor, "t *batch n_q"]
     covariance: Float[Tensor, "t *batch n_q n_q"] | None
     u_hat: Float[Tensor, "t *batch s"]
     diagnostics: Mapping[str, Tensor]
+
+    def tip(self, robot: HasTip) -> Float[Tensor, "t *batch 4 4"]:
+        """Poses of the tip of a robot in the frame of its base [m]; of a `repro.Robot` or a `repro.RobotFile`."""
+        return robot.tip(self.q)
 
 
 def track(
@@ -109,6 +145,15 @@ def track(
     ------
     InputError
         If there are no readings.
+
+    Examples
+    --------
+    >>> from repro.estimation.levenberg_marquardt import LevenbergMarquardt
+    >>> one = torch.ones(1, dtype=torch.float64)
+    >>> square_root = LevenbergMarquardt(lambda q: q**2, 0 * one, 2 * one)
+    >>> u = torch.tensor([[0.25], [1.0], [2.25]], dtype=torch.float64)
+    >>> track(square_root, u, one).q.flatten().round(decimals=6)
+    tensor([0.5000, 1.0000, 1.5000], dtype=torch.float64)
     """
     if not len(readings):
         raise bad_input("readings", "track", "at least one time step", f"shape {tuple(readings.shape)}")

@@ -145,6 +145,20 @@ def calibrate(
     ------
     InputError
         If readings and poses do not fit or are not finite, there is no pose, or the noise is not positive.
+
+    Examples
+    --------
+    >>> from repro.kinematics.paper_robots import pcc_robot
+    >>> from repro.sensing.magnetic import readings
+    >>> from repro.sensing.magnets import ring
+    >>> robot, magnet = pcc_robot(1), ring("released")
+    >>> q = 0.01 * torch.rand(20, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    >>> moments = torch.from_numpy(magnet.multipoles(5))
+    >>> known = 1e-12 * torch.eye(3, dtype=torch.float64)
+    >>> u = 1.02 * readings(robot, q, magnet)  # a magnet that is stronger by 2 %
+    >>> found = calibrate(robot, q, known, u, moments, noise_mt=1e-3)
+    >>> [round(float(x), 2) for x in found.moments[0] / moments[0] * found.gain]
+    [1.02, 1.02, 1.02]
     """
     check_readings("calibrate", robot, q, u)
     if not q.shape[-2]:

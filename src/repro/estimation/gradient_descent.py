@@ -58,6 +58,14 @@ class GradientDescent:
     InputError
         If a step size is negative, the momentum is not in [0, 1), there is no iteration, or the noise is not
         positive.
+
+    Examples
+    --------
+    >>> one = torch.ones(1, dtype=torch.float64)
+    >>> method = GradientDescent(lambda q: 2 * q, 0.1 * one)  # the loss is (u - 2 q)^2: a minimum at u / 2
+    >>> _, estimate = method.step(method.init(0 * one), one, 0.0)
+    >>> round(float(estimate.q), 3)
+    0.5
     """
 
     sensing: Callable[[Tensor], Tensor]

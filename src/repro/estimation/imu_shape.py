@@ -63,6 +63,18 @@ class ImuShape:
     ------
     InputError
         If there is no point, or the noise or the roughness is not positive.
+
+    Examples
+    --------
+    >>> from repro.estimation.imu_models import pcc_extended
+    >>> from repro.estimation.imu_selection import Selection
+    >>> two = Selection((0, 8), (0.0, 0.64), (0.64,), sub_links=16)
+    >>> method = ImuShape(pcc_extended, two, (0.32, 0.64), noise_rad=0.01)
+    >>> upright = torch.tensor([0.0, 0.0, 0.0, 1.0] * 2, dtype=torch.float64)
+    >>> _, estimate = method.step(method.init(torch.zeros(6, dtype=torch.float64)), upright, 0.0)
+    >>> estimate.q.reshape(2, 3).round(decimals=6) + 0.0  # both points of an upright arm [m]
+    tensor([[0.0000, 0.0000, 0.3200],
+            [0.0000, 0.0000, 0.6400]], dtype=torch.float64)
     """
 
     model: ShapeModel

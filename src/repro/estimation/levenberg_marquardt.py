@@ -50,6 +50,14 @@ class LevenbergMarquardt:
     ------
     InputError
         If the bounds are not ordered, the noise is not positive, or there is no iteration.
+
+    Examples
+    --------
+    >>> one = torch.ones(1, dtype=torch.float64)
+    >>> method = LevenbergMarquardt(lambda q: 2 * q, -one, one, noise_mt=0.01)
+    >>> _, estimate = method.step(method.init(0 * one), one, 0.0)
+    >>> float(estimate.q), float(estimate.covariance.sqrt())  # a reading of 1, the noise halved
+    (0.5, 0.005)
     """
 
     sensing: Callable[[Tensor], Tensor]

@@ -92,6 +92,15 @@ class ParticleFilter:
     InputError
         If a number is not positive, a name is unknown, a restart has no region to draw from, or a compiled sensor
         model has no disc as its region.
+
+    Examples
+    --------
+    >>> from repro.estimation.base import track
+    >>> from repro.estimation.regions import Box
+    >>> one = torch.ones(1, dtype=torch.float64)
+    >>> method = ParticleFilter(lambda q: 2 * q, 0.05 * one, 0.02, region=Box(-one, one))
+    >>> abs(float(track(method, one.expand(20, 1), 0 * one).q[-1]) - 0.5) < 0.01
+    True
     """
 
     sensing: Callable[[Tensor], Tensor]

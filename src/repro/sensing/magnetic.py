@@ -40,6 +40,13 @@ class MagneticSensing:
     ------
     InputError
         If ``inputs`` is unknown, or the model does not return one reading for each sensor.
+
+    Examples
+    --------
+    >>> from repro.kinematics.paper_robots import pcc_robot
+    >>> sensing = MagneticSensing(pcc_robot(1), lambda xi: 1.0 / xi[..., 1] ** 3)
+    >>> sensing(torch.zeros(3, dtype=torch.float64)).shape
+    torch.Size([3])
     """
 
     robot: Robot
@@ -143,6 +150,13 @@ def readings(
     """Readings [mT] of single-axis sensors: the flux density along their measurement directions.
 
     Parameters are those of :func:`field_at_sensors`.
+
+    Examples
+    --------
+    >>> from repro.kinematics.paper_robots import pcc_robot
+    >>> from repro.sensing.magnets import ring
+    >>> readings(pcc_robot(1), torch.zeros(3, dtype=torch.float64), ring("released")).round(decimals=3)
+    tensor([-2.2480, -2.2480, -2.2480], dtype=torch.float64)
     """
     B = field_at_sensors(robot, q, magnet, route=route, l_max=l_max, earth_mt=earth_mt)
     return B[..., 2]

@@ -32,6 +32,11 @@ class Ring:
     ------
     InputError
         If the dimensions do not describe a ring.
+
+    Examples
+    --------
+    >>> Ring(24e-3, 12e-3, 6e-3, 1450.0).field(np.array([0.0, 0.0, 0.05])).round(3)  # on the axis, 50 mm away [mT]
+    array([0.   , 0.   , 3.402])
     """
 
     outer_diameter: float
@@ -99,6 +104,11 @@ class Cube:
     ------
     InputError
         If the edge is not positive.
+
+    Examples
+    --------
+    >>> Cube(10e-3, 1450.0).field(np.array([0.0, 0.0, 0.1])).round(4)  # a dipole's 2 J a^3 / (4 pi r^3) [mT]
+    array([0.    , 0.    , 0.2308])
     """
 
     edge: float

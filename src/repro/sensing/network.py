@@ -52,6 +52,12 @@ def paper_network(
         Draws the initial weights (the default ones of torch's linear layer) and the dropout.
     exponential_head
         Add :class:`SignedExponential` as a last layer (section 4.2).
+
+    Examples
+    --------
+    >>> network = paper_network(5, torch.Generator().manual_seed(0))
+    >>> network(torch.ones(650, 5)).shape
+    torch.Size([650])
     """
     layers: list[nn.Module] = [nn.BatchNorm1d(n_inputs)]
     for n_in, n_out in zip((n_inputs, *PAPER_WIDTHS), PAPER_WIDTHS, strict=False):

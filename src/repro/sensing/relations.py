@@ -87,6 +87,13 @@ def relations(
     ------
     InputError
         If the robot has no magnet or no sensor, or the direction is zero.
+
+    Examples
+    --------
+    >>> from repro.kinematics.paper_robots import pcc_robot
+    >>> straight = relations(pcc_robot(1), torch.zeros(3, dtype=torch.float64))
+    >>> straight.distance[:, 0].round(decimals=5)  # of each sensor from the magnet [m]
+    tensor([0.0565, 0.0565, 0.0565], dtype=torch.float64)
     """
     if not len(robot.magnets) or not len(robot.sensors):
         counts = f"{len(robot.magnets)} magnets and {len(robot.sensors)} sensors"

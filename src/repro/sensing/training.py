@@ -113,6 +113,15 @@ def train_paper(
         The averaged network in evaluation mode; its root-mean-squared errors ``rmse_train`` and ``rmse_validation``
         [unit of ``u`` ]; and the mean squared errors of every epoch on the training rows (with dropout, while the
         weights move) and on the validation rows (at its end).
+
+    Examples
+    --------
+    >>> from tempfile import mkdtemp
+    >>> xi = torch.rand(2000, 5, generator=torch.Generator().manual_seed(0))
+    >>> options = {"seed": 0, "learning_rate": 0.1, "epochs": 2, "swa_start": 1, "progress": False}
+    >>> network, errors, losses = train_paper(xi, xi.sum(1), checkpoint=Path(mkdtemp()) / "state", **options)
+    >>> losses.shape
+    torch.Size([2, 2])
     """
     network, generator, train, validation = first_draws(
         len(xi), xi.shape[-1], seed, exponential_head=exponential_head

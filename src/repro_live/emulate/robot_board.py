@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from repro.errors import bad_input
-from repro.robot_file.robot_file import RobotFile, load_robot
+from repro.robot_file.load import load_robot
+from repro.robot_file.robot_file import RobotFile
 from repro_live.emulate.board import BLOCK, Reading
 from repro_live.emulate.hold_poses import (
     LOOK_AHEAD_S,

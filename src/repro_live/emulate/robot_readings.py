@@ -108,7 +108,7 @@ def robot_readings(
 
     Examples
     --------
-    >>> from repro.robot_file.robot_file import load_robot
+    >>> from repro.robot_file.load import load_robot
     >>> found = robot_readings(load_robot("data/robots/two_segments.toml"), duration_s=2.0)
     >>> found.values.shape, found.q.shape
     ((200, 8), (200, 6))

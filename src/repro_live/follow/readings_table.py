@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,19 +11,18 @@ import numpy as np
 import pandas as pd
 
 from repro.errors import bad_input
+from repro.robot_file.columns import channel_columns, is_numbered, name_and_unit
 from repro.robot_file.parts import MAGNETIC_STREAM
 from repro.robot_file.robot_file import RobotFile
 from repro.robot_file.tables import UPRIGHT
 from repro_live.record.recording import channel_names
 from repro_live.robot.number_table import read_numbers, times_of
 from repro_live.robot.recorded_frames import other_streams
-from repro_live.wire.csv_fields import name_and_unit
 from repro_live.wire.csv_text import WRAP, check_units
 from repro_live.wire.frame import Frame
 
 KNOWN = ("unix_s", "host_ns", "sequence", "stream", "device_us")
 """Columns beside times and readings that `repro export` writes."""
-_NUMBERED = re.compile(r"(u|ch|channel|sensor)_?([1-9][0-9]*)", re.IGNORECASE)
 
 
 def read_table(path: Path, robot: RobotFile) -> tuple[list[tuple[int, Frame]], float, list[str]]:
@@ -60,12 +58,14 @@ def read_table(path: Path, robot: RobotFile) -> tuple[list[tuple[int, Frame]], f
     values: dict[int, list[list[float]]] = {}
     if robot.channel:
         labels = [name for name in names if name not in (time_column, *KNOWN)]
-        numbered = any(_NUMBERED.fullmatch(name_and_unit(name)[0]) for name in labels)
+        numbered = any(map(is_numbered, labels))
         if robot.format == "csv" and not numbered and len(labels) == robot.channels:
             check_units(labels, [name_and_unit(name)[1] for name in labels], robot.unit)
             chosen += labels
         else:
-            chosen += _channels(path.name, names, robot)
+            own = channel_names(robot.format, robot.channels)
+            stream = (robot.unit, robot.name, robot.channels, robot.channel)
+            chosen += channel_columns(path.name, names, *stream, own)
         values[MAGNETIC_STREAM] = _rows(table, chosen)
     if robot.imus:
         quaternion = list("xyzw") if "x" in names else channel_names(robot.format, len(UPRIGHT))
@@ -93,37 +93,6 @@ def _rows(table: pd.DataFrame, columns: Sequence[str | None]) -> list[list[float
         if name is not None:
             values[:, k] = table[name]
     return values.tolist()
-
-
-def _channels(owner: str, names: Sequence[str], robot: RobotFile) -> list[str | None]:
-    """Return the column of every channel; none for channels that no sensor has."""
-    found: dict[int, list[str]] = {k: [] for k in range(robot.channels)}
-    own = channel_names(robot.format, robot.channels)
-    for column in dict.fromkeys(names):
-        name, unit = name_and_unit(column)
-        numbered = _NUMBERED.fullmatch(name)
-        if column in own:
-            found[own.index(column)].append(column)
-        elif numbered:
-            k = int(numbered[2]) - 1
-            if numbered[1].lower() == "sensor":
-                k = robot.channel[k] if k < len(robot.channel) else robot.channels
-            if k in found:
-                found[k].append(column)
-        else:
-            continue
-        if unit and robot.unit != "raw" and unit.lower() != robot.unit.lower():
-            raise bad_input(f"column {column}", owner, f"in {robot.unit}, the unit of {robot.name}", unit)
-    columns: list[str | None] = [None] * robot.channels
-    for sensor, k in enumerate(robot.channel):
-        if len(found[k]) != 1:
-            expected = f"one column: {own[k]}, u{k + 1}_{robot.unit}, channel_{k + 1} or sensor_{sensor + 1}"
-            received = (
-                f"{', '.join(found[k])}: {len(found[k])}" if found[k] else f"none among {', '.join(names)}"
-            )
-            raise bad_input(f"channel {k + 1}", owner, expected, received)
-        (columns[k],) = found[k]
-    return columns
 
 
 def _whole(owner: str, table: pd.DataFrame, name: str, end: int) -> list[int | None]:

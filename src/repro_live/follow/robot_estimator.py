@@ -181,7 +181,7 @@ def robot_estimator(
 
     Examples
     --------
-    >>> from repro.robot_file.robot_file import load_robot
+    >>> from repro.robot_file.load import load_robot
     >>> robot_estimator(load_robot("data/robots/one_segment.toml")).name
     'levenberg_marquardt'
     """

@@ -69,7 +69,7 @@ def coordinate_columns(robot: RobotFile) -> dict[str, float]:
 
     Examples
     --------
-    >>> from repro.robot_file.robot_file import load_robot
+    >>> from repro.robot_file.load import load_robot
     >>> coordinate_columns(load_robot("data/robots/one_segment.toml"))
     {'delta_x_1_mm': 0.001, 'delta_y_1_mm': 0.001, 'delta_L_1_mm': 0.001}
     """

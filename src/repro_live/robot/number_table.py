@@ -13,7 +13,8 @@ import pandas as pd
 from jaxtyping import Float
 
 from repro.errors import bad_input
-from repro_live.wire.csv_fields import name_and_unit, time_scale
+from repro.robot_file.columns import name_and_unit
+from repro_live.wire.csv_fields import time_scale
 
 LONGEST_S = 1e9
 

@@ -23,7 +23,7 @@ def stream_widths(robot: RobotFile) -> dict[int, int]:
 
     Examples
     --------
-    >>> from repro.robot_file.robot_file import load_robot
+    >>> from repro.robot_file.load import load_robot
     >>> stream_widths(load_robot("data/robots/two_segments.toml"))
     {0: 8}
     """

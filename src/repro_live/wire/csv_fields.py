@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
+from repro.robot_file.columns import TIME_NAMES, TIME_UNITS, name_and_unit
+
 SEPARATORS = {";": "semicolons", ",": "commas", "\t": "tabs", " ": "blanks"}
 """The first of these that a line has separates its fields; blanks around a field mean nothing."""
 BLANKS = " \t"
@@ -19,21 +21,8 @@ _WORD = rf"[{_LETTER}_][{_LETTER}0-9_.()\[\]/#-]*?"
 _FIELD = re.compile(rf"(?:({_LABEL})[ \t]*[:=][ \t]*)?({NUMBER})[ \t]*({_UNIT})?")
 _ITEM = re.compile(rf"(?:({_WORD})[ ]*[:=][ ]*)?({NUMBER})(?:[ ]*({_UNIT})(?![ ]*[:=]))?(?:[ ]+|$)")
 _NAME = re.compile(rf"[{_LETTER}_][{_LETTER}0-9_ .()\[\]/²³^*#-]*")
-_NAMED_UNIT = re.compile(r"(.*?)[ _]*[(\[][ ]*(.*?)[ ]*[)\]]")
 _DECIMAL_COMMAS = re.compile(r"[+-]?[0-9]+,[0-9]+(?:,[ ]+[+-]?[0-9]+,[0-9]+)+")
 _NO_NUMBER = re.compile(r"(?i:[+-]?(?:nan|inf|infinity|ovf))")
-
-UNITS = ("nT", "uT", "µT", "μT", "mT", "mG", "gauss", "uV", "µV", "mV", "V", "counts", "raw", "deg", "rad")
-"""Units that a name may end in after ``_``; in brackets it may have any."""
-TIME_UNITS = {"s": 1e6, "sec": 1e6, "ms": 1e3, "us": 1.0, "µs": 1.0, "μs": 1.0}
-"""Microseconds of a unit of time."""
-TIME_NAMES = {
-    **dict.fromkeys(("time", "t", "timestamp"), ""),
-    **dict.fromkeys(("seconds", "sec"), "s"),
-    **dict.fromkeys(("millis", "milliseconds", "ms"), "ms"),
-    **dict.fromkeys(("micros", "microseconds", "us"), "us"),
-}
-"""Names of a column of times, and the unit that a name says."""
 
 
 class Line(NamedTuple):
@@ -135,22 +124,6 @@ def read_header(text: str) -> tuple[str, ...]:
     if not all(_NAME.fullmatch(name) and not _NO_NUMBER.fullmatch(name) for name in names):
         return ()
     return names
-
-
-def name_and_unit(text: str) -> tuple[str, str]:
-    """Split the name of a column from its unit.
-
-    Examples
-    --------
-    >>> name_and_unit("Mag X (uT)"), name_and_unit("u1_mV"), name_and_unit("time_ms"), name_and_unit("x_1")
-    (('Mag X', 'uT'), ('u1', 'mV'), ('time', 'ms'), ('x_1', ''))
-    """
-    if match := _NAMED_UNIT.fullmatch(text):
-        return match[1], match[2]
-    name, _, unit = text.rpartition("_")
-    if name and (unit in UNITS or (unit in TIME_UNITS and name.lower() in TIME_NAMES)):
-        return name, unit
-    return text, ""
 
 
 def time_scale(name: str, unit: str) -> float | None:

@@ -17,7 +17,8 @@ from tqdm import tqdm
 from repro.estimation.consistency import CONSISTENT, lasting
 from repro.estimation.levenberg_marquardt import jacobian
 from repro.kinematics.motion import tip_motion
-from repro.robot_file.robot_file import RobotFile, load_robot
+from repro.robot_file.load import load_robot
+from repro.robot_file.robot_file import RobotFile
 from repro_companion.book.project import find_project
 from repro_live.emulate.robot_readings import RobotReadings, course, readings_along
 from repro_live.emulate.sensor_faults import SensorFaults, with_sensor_faults
