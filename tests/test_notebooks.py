@@ -13,6 +13,7 @@ from types import ModuleType
 
 import pytest
 
+import repro
 from repro_companion.book.after.paper_index import index_path, read_index
 from repro_companion.book.project import Project
 
@@ -27,6 +28,7 @@ FIGURES = [
     if "figure" in cell["metadata"].get("mystnb", {})
 ]
 ENTRIES = [entry for entry in read_index(index_path(PROJECT)) if entry.status in ("regenerated", "redrawn")]
+PACKAGES = ("repro", "repro_live", "repro_companion")
 THREE_LINES = 320
 """Characters."""
 
@@ -64,7 +66,7 @@ def taken_from_repro(page: str) -> dict[str, tuple[ModuleType, str]]:
     """Return what a page takes from the package, as ``(module, name)`` by the expression that stands for it there."""
     tree, modules, taken = ast.parse("\n".join(code(page))), {}, {}
     for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "repro":
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in PACKAGES:
             for imported in node.names:
                 source, name = importlib.import_module(f"{node.module}"), imported.asname or imported.name
                 if is_package(source) and importlib.util.find_spec(f"{node.module}.{imported.name}"):
@@ -89,8 +91,17 @@ def test_a_page_takes_names_from_where_they_are_defined(page):
     for expression, (module, name) in taken.items():
         assert hasattr(module, name), f"{expression} does not exist"
         value = getattr(module, name)
-        if inspect.isfunction(value) or inspect.isclass(value):
+        if module is not repro and (inspect.isfunction(value) or inspect.isclass(value)):
             assert value.__module__ == module.__name__, f"{expression} is defined elsewhere"
+
+
+@pytest.mark.parametrize("page", sorted(NOTEBOOKS))
+def test_a_page_takes_no_code_of_another_page(page):
+    """Its key would not notice when that code changes."""
+    modules = {module.__name__ for module, _ in taken_from_repro(page).values()}
+    assert not {name for name in modules if name.startswith("repro_companion.book.after")}
+    of_pages = {name.split(".")[2] for name in modules if name.startswith("repro_companion.pages.")}
+    assert of_pages <= {page}
 
 
 def draws(module: ModuleType, name: str) -> bool:

@@ -56,7 +56,9 @@ def run(notebook: Path, /, *, parameters: Given = None, output: Output = None) -
     declared = declared_parameters(read_notebook(notebook), notebook.name)
     values = convert_all(parameters or [], declared, notebook.name)
     if output is None:
-        output = default_output(notebook, notebook_key(notebook, values, read_inputs(project)), project)
+        output = default_output(
+            notebook, notebook_key(notebook, values, read_inputs(project), project), project
+        )
     check_output(notebook, output, project)
     try:
         record = run_notebook(

@@ -28,6 +28,7 @@ from repro_companion.pages.bend_tests.filters import (
 )
 from repro_companion.recordings.mitchell2021 import takes as files_of_takes
 from repro_companion.recordings.mitchell2021_tables import read_calibration
+from repro_companion.recordings.released import said_of_files
 from repro_companion.twins.bend_curves import bend_readings
 from repro_companion.twins.bend_takes import BendRecorder, write_bend_takes
 from repro_companion.twins.mitchell_takes import (
@@ -278,12 +279,14 @@ def test_facts_tell_what_was_dropped_and_doubtful_lags(real, tmp_path):
 
 
 def test_statements_have_the_numbers_of_the_tables(real):
-    assert "**synthetic**" in say.of_files(0, {})
+    assert "**synthetic**" in said_of_files(0, {})
     assert (
-        say.of_files(3, {})
+        said_of_files(3, {})
         == "All 3 files of this page that were found are the released ones, by their hashes."
     )
-    assert "**1 of 3 files are not the released ones; trust no number below.**" in say.of_files(3, {"a": "b"})
+    assert "**1 of 3 files are not the released ones; trust no number below.**" in said_of_files(
+        3, {"a": "b"}
+    )
     rows = [
         {"method": "ours", "calibration": c, "length_mm": 13.0, "rmse_deg": e, "rmse_above_40_deg": 2 * e}
         for c, e in (("none", 8.0), ("none", 9.0), ("none", 13.0), ("other try", 1.04))

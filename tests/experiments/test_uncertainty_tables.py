@@ -18,6 +18,7 @@ from repro_companion.pages.robustness import tables as robustness_tables
 from repro_companion.pages.robustness import twins as robustness
 from repro_companion.pages.temporal_filter import filters as temporal
 from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.twins import rig_errors
 from repro_companion.twins.calibrated_robots import relative_error
 from repro_companion.twins.rig_filter import OursConfig, estimate_bend
 from repro_companion.twins.rig_map import fit_map
@@ -155,18 +156,18 @@ class TestRobustness:
         """Of 20,000 errors 95 % are within ellipse and interval (deviation 0.15 %), half below the median, 2 ln 2."""
         C = 1e-6 * SPREAD
         error = gaussian(C, 20_000)
-        found = robustness._own_uncertainty(error, np.broadcast_to(C, (len(error), 3, 3)))
+        found = rig_errors._own_uncertainty(error, np.broadcast_to(C, (len(error), 3, 3)))
         assert found["covered"] == pytest.approx(0.95, abs=0.005)
         assert found["covered_delta_L"] == pytest.approx(0.95, abs=0.005)
         assert found["nees"] == pytest.approx(2 * math.log(2), rel=0.03)
         assert found["ours_delta_L_mm"] == pytest.approx(1.0, rel=1e-6)  # 1e-3 m
-        assert chi2.cdf(robustness.ELLIPSE, 2) == pytest.approx(0.95, abs=1e-4)
+        assert chi2.cdf(rig_errors.ELLIPSE, 2) == pytest.approx(0.95, abs=1e-4)
 
     def test_shares_just_inside_and_outside_of_the_quantiles(self):
         """A unit covariance: distances 1 % to either side of sqrt(chi-square) and of the normal quantile."""
         ellipse, interval = math.sqrt(chi2.ppf(0.95, 2)), norm.ppf(0.975)
         error = np.array([[f * ellipse, 0.0, f * interval] for f in (0.99, 1.01)])
-        found = robustness._own_uncertainty(error, np.stack([np.eye(3)] * 2))
+        found = rig_errors._own_uncertainty(error, np.stack([np.eye(3)] * 2))
         assert (found["covered"], found["covered_delta_L"]) == (0.5, 0.5)
 
     @pytest.mark.parametrize(("ratio", "lost"), [(0.98, 0), (1.02, 1), (1.06, 1)])
@@ -240,6 +241,16 @@ class TestSegments:
         assert found["covered_percent"].tolist() == pytest.approx([95.0, 95.0], abs=4.0)
         exact = Trajectory(course.q.unsqueeze(1).expand(-1, 2, -1), covariance, q, {})
         assert segments_tables.errors(course, exact)["covered_percent"].tolist() == [100.0, 100.0]
+
+    @pytest.mark.parametrize(("squared", "covered"), [(7.81, 100.0), (7.82, 0.0)])
+    def test_the_ellipsoid_is_that_of_three_coordinates(self, squared, covered):
+        """95 % of chi-square with three degrees of freedom are below 7.815, in any printed table."""
+        course = Course(1, draws=2, steps=5)
+        covariance = (1e-10 * torch.eye(3, dtype=torch.float64)).expand(5, 2, 3, 3)
+        q = course.q.unsqueeze(1) + torch.tensor([0.0, 1e-5 * math.sqrt(squared), 0.0], dtype=torch.float64)
+        q = q.expand(-1, 2, -1)
+        found = segments_tables.errors(course, Trajectory(q, covariance, q, {}))
+        assert found["covered_percent"].tolist() == [covered] * 2
 
     def test_squared_error_at_the_quantile(self):
         q = torch.zeros(1, 3, dtype=torch.float64)

@@ -22,7 +22,7 @@ def notebook(root, notebook_at):
 
 
 def key(notebook: Path, **parameters) -> str:
-    return notebook_key(notebook, parameters, read_inputs(find_project()))
+    return notebook_key(notebook, parameters, read_inputs(find_project()), find_project())
 
 
 def append(path: Path) -> None:
@@ -36,6 +36,10 @@ def append(path: Path) -> None:
     [
         "src/repro/module.py",
         "src/repro/new/module.py",
+        "src/repro_live/module.py",
+        "src/repro_companion/twins/module.py",
+        "src/repro_companion/pages/a/figures.py",
+        "src/repro_companion/pages/a.py",
         "data/published/published.csv",
         "data/networks/new.safetensors",
         "requirements.lock",
@@ -47,6 +51,28 @@ def test_any_content_changes_the_key(notebook, root, path):
     before = key(notebook)
     append(root / path)
     assert key(notebook) != before
+
+
+OTHERS = [
+    "src/repro_companion/pages/other/figures.py",
+    "src/repro_companion/pages/other.py",
+    "src/repro_companion/book/after/build.py",
+]
+
+
+@pytest.mark.parametrize("path", OTHERS)
+def test_a_page_does_not_depend_on_other_pages_and_on_what_runs_afterwards(notebook, root, path):
+    before = key(notebook)
+    append(root / path)
+    assert key(notebook) == before
+
+
+@pytest.mark.parametrize("path", [*OTHERS, "src/repro_companion/pages/a/figures.py"])
+def test_a_notebook_that_is_not_a_page_depends_on_everything(root, notebook_at, path):
+    own = notebook_at(root / "mine" / "a.ipynb", "1 + n")
+    before = key(own)
+    append(root / path)
+    assert key(own) != before
 
 
 def test_a_renamed_recording_changes_the_key(notebook, root):

@@ -29,6 +29,11 @@ def load_robot(path: Path | str, calibration: Path | str | None = None) -> Robot
     ------
     InputError
         If the file does not describe a robot; the message names file, line and key.
+
+    Examples
+    --------
+    >>> load_robot("data/example/robot.toml").tip(torch.zeros(3, dtype=torch.float64))[:3, 3]  # straight [m]
+    tensor([0.0000, 0.0000, 0.1100], dtype=torch.float64)
     """
     path = Path(path)
     if not path.is_file():

@@ -78,6 +78,13 @@ class RobotFile:
     error
         Covariance of the readings at a configuration that comes from an imperfect model [unit^2]: of what a
         calibration left uncertain, or of trained networks; none for a robot taken exactly as described.
+
+    Examples
+    --------
+    >>> import repro
+    >>> robot = repro.load_robot("data/example/robot.toml")
+    >>> robot.robot.coordinates, robot.unit, robot.noise
+    (('delta_x_1', 'delta_y_1', 'delta_L_1'), 'mT', 0.00071)
     """
 
     name: str

@@ -1,8 +1,8 @@
 """What a result was made from: the key that decides whether a notebook runs again, and the record of a run.
 
 The key depends on content only, never on modification times, and on everything a notebook could read: its own
-text and parameters, all packages, all files below ``data/``, all recordings found, the lock and the
-versions installed. It may run a notebook once too often, never once too seldom.
+text and parameters, all packages but the code of other pages, all files below ``data/``, all recordings found, the
+lock and the versions installed. It may run a notebook once too often, never once too seldom.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import platform
 import shutil
 import subprocess
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ LIBRARIES = ("torch", "numpy", "numba", "scipy", "magpylib", "matplotlib", "pand
 
 PACKAGES = ("repro", "repro_live", "repro_companion")
 """What the project's code lies in."""
+PAGES, AFTER = "repro_companion/pages/", "repro_companion/book/after/"
 RECORD_SUFFIX = ".provenance.json"
 
 
@@ -74,7 +75,7 @@ def _version(library: str) -> str:
         return "not installed"
 
 
-def notebook_key(notebook: Path, parameters: Mapping[str, Any], inputs: Inputs) -> str:
+def notebook_key(notebook: Path, parameters: Mapping[str, Any], inputs: Inputs, project: Project) -> str:
     """Return the key of a notebook: 64 hexadecimal digits that change with anything its results depend on.
 
     Parameters
@@ -85,8 +86,21 @@ def notebook_key(notebook: Path, parameters: Mapping[str, Any], inputs: Inputs) 
         The parameters that differ from the notebook's own.
     inputs
         From :func:`read_inputs`; shared by all notebooks of a build.
+    project
+        Whose notebooks are pages: one of them does not depend on the code of other pages, and none on what runs
+        after the notebooks. No module that it reaches may import those (import-linter). Any other notebook may.
     """
+    if notebook.resolve().parent == project.notebooks.resolve():
+        sources = {name: x for name, x in inputs.sources.items() if _reaches(notebook.stem, name)}
+        inputs = replace(inputs, sources=sources)
     return combined_digest([file_digest(notebook), dict(parameters), asdict(inputs)])
+
+
+def _reaches(page: str, source: str) -> bool:
+    """Tell whether the notebook of a page can import a file of the packages."""
+    if source.startswith(PAGES):
+        return Path(source.removeprefix(PAGES)).parts[0] in (page, f"{page}.py", "__init__.py")
+    return not source.startswith(AFTER)
 
 
 @dataclass(frozen=True)
@@ -129,7 +143,7 @@ def make_record(
         if inside
         else notebook.name,
         parameters=dict(parameters),
-        key=notebook_key(notebook, parameters, inputs),
+        key=notebook_key(notebook, parameters, inputs, project),
         code=_code_version(project, inputs),
         python=inputs.python,
         libraries=inputs.libraries,

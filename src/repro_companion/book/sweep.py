@@ -127,7 +127,7 @@ def plan(notebook: Path, grid: Sequence[Mapping[str, Any]], folder: Path, projec
     inputs, here, data = read_inputs(project), Path.cwd(), data_dir()
     points = []
     for index, parameters in enumerate(grid):
-        key = notebook_key(notebook, parameters, inputs)
+        key = notebook_key(notebook, parameters, inputs, project)
         output = folder.absolute() / "points" / key[:16] / f"{notebook.stem}.ipynb"
         points.append(Point(index, dict(parameters), key, notebook.absolute(), output, here, data))
     return points

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from repro_companion.recordings.sources import RecordedFile, data_dir
@@ -68,3 +68,16 @@ def git_blob_hash(content: bytes) -> str:
     'e69de29bb2d1d6434b8b29ae775ad8c2e48c5391'
     """
     return hashlib.sha1(b"blob %d\0" % len(content) + content, usedforsecurity=False).hexdigest()
+
+
+def said_of_files(found: int, unlike: Mapping[str, str]) -> str:
+    """Whether the files are the released ones."""
+    if not found:
+        return (
+            "There are no recordings: what follows is **synthetic** and says nothing about the real sensor."
+        )
+    if not unlike:
+        return f"All {found} files of this page that were found are the released ones, by their hashes."
+    lines = [f"- `{name}`: {what}" for name, what in unlike.items()]
+    said = f"**{len(unlike)} of {found} files are not the released ones; trust no number below.**"
+    return "\n".join([said, "", *lines])

@@ -83,7 +83,7 @@ def _write_scorecard_pages(project: Project, rows: Sequence[ScorecardRow], input
 def is_finished(project: Project, notebook: Path, inputs: Inputs) -> bool:
     """Return whether a notebook was run from exactly these inputs, and what it made is there unchanged."""
     record = read_record(record_path(project.results, notebook.stem))
-    if record is None or record.key != notebook_key(notebook, {}, inputs):
+    if record is None or record.key != notebook_key(notebook, {}, inputs, project):
         return False
     made = {project.results / name: digest for name, digest in record.results.items()}
     made[project.executed / notebook.name] = record.executed

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import pandas as pd
 import torch
@@ -28,19 +28,6 @@ def span(values: pd.Series, digits: int = 1) -> str:
     """
     low, high = (f"{value:.{digits}f}" for value in (values.min(), values.max()))
     return low if low == high else f"{low} to {high}"
-
-
-def of_files(found: int, unlike: Mapping[str, str]) -> str:
-    """Whether the files are the released ones."""
-    if not found:
-        return (
-            "There are no recordings: what follows is **synthetic** and says nothing about the real sensor."
-        )
-    if not unlike:
-        return f"All {found} files of this page that were found are the released ones, by their hashes."
-    lines = [f"- `{name}`: {what}" for name, what in unlike.items()]
-    said = f"**{len(unlike)} of {found} files are not the released ones; trust no number below.**"
-    return "\n".join([said, "", *lines])
 
 
 def of_hall(takes: pd.DataFrame) -> str:

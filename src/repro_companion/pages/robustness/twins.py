@@ -16,16 +16,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from repro.errors import bad_input
-from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
 from repro_companion.twins.pneumatic_rig import TwinConfig
 from repro_companion.twins.rig_data import load_recordings
 from repro_companion.twins.rig_descent import RIG_SENSORS, paper_method, reading_errors
-from repro_companion.twins.rig_filter import OursRun, estimate_bend
+from repro_companion.twins.rig_errors import method_errors
+from repro_companion.twins.rig_filter import estimate_bend
 from repro_companion.twins.rig_map import fit_map
 from repro_companion.twins.rig_networks import RigSpec, rig_networks, save_rig_network, sensor_rows
 from repro_companion.twins.rig_together import train_together
@@ -43,8 +42,6 @@ FAMILIES = ("first", "second", "own biases")
 but T5, in place of one that the sensors share."""
 OWN_BIAS_MV = 3.0
 """Standard deviation of these biases: as large as the shared one is in the mean."""
-ELLIPSE = 5.991
-"""95 % quantile of chi-squared with two degrees of freedom."""
 
 
 def twin_folder(config: TwinConfig, cache: Path) -> Path:
@@ -185,35 +182,3 @@ def twin_errors(
         }
         rows.append(row | method_errors(part, found, own))
     return pd.DataFrame(rows)
-
-
-def method_errors(part: Recording, found: dict[str, np.ndarray], own: OursRun) -> dict[str, float]:
-    """Errors of the bend of several methods and of ours, as in a row of :func:`twin_errors`.
-
-    Parameters
-    ----------
-    part
-        With the truth.
-    found
-        Configurations by method ``[t, seeds, 3]``, whose errors are the means over the seeds.
-    own
-        What ours finds.
-    """
-    row = {}
-    for method, q in (found | {"ours": own.q[:, None]}).items():
-        error = np.sqrt(((q - part.q[:, None]) ** 2).mean(axis=0)).mean(axis=0)
-        row |= {f"{method}_delta_{axis}_mm": 1e3 * error[k] for k, axis in enumerate("xy")}
-    return row | _own_uncertainty(own.q - part.q, own.covariance)
-
-
-def _own_uncertainty(error: np.ndarray, covariance: np.ndarray) -> dict[str, float]:
-    """How the covariance of ours fits its errors."""
-    e, C = error[:, :2], covariance[:, :2, :2]
-    squares = np.einsum("ni,ni->n", e, np.linalg.solve(C, e[..., None])[..., 0])
-    within = np.abs(error[:, 2]) < 1.96 * np.sqrt(covariance[:, 2, 2])
-    return {
-        "ours_delta_L_mm": 1e3 * float(np.sqrt((error[:, 2] ** 2).mean())),
-        "covered": float((squares < ELLIPSE).mean()),
-        "nees": float(np.median(squares)),
-        "covered_delta_L": float(within.mean()),
-    }
