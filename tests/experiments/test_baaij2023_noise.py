@@ -98,8 +98,8 @@ def test_models_in_one_batch_are_the_models_alone():
 
 
 def test_without_noise_it_is_the_descent_of_table_1():
-    """Over 40 steps: in the first few, from the truth, errors are of the size of single precision."""
-    options = {"models": [PAPER], "solvers": [DESCENT], "steps": 40}
+    """Over 30 steps, on which no two iterates are so near in loss that rounding says which of them is the best."""
+    options = {"models": [PAPER], "solvers": [DESCENT], "steps": 30}
     here = noise_errors(1, [1e-12], [0, 1], NETWORKS, **options)
     there = model_by_solver(1, [0, 1], NETWORKS, **options)
     there = there[there["solver"] == DESCENT]
