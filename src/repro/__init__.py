@@ -76,7 +76,7 @@ _HOMES = {
 }
 """Where each name is defined. It is imported when it is first used: the rest of the package loads no torch for it."""
 
-__all__ = list(_HOMES)
+__all__ = list(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:

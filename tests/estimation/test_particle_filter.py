@@ -16,8 +16,8 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.base import Estimator, track
-from repro.estimation.particle_cloud import best_tenth
-from repro.estimation.particle_filter import ParticleFilter, noise_of_sigma
+from repro.estimation.particle_cloud import best_tenth, noise_of_sigma
+from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box, Disc
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.trajectories import lemniscate

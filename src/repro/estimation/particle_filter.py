@@ -2,7 +2,6 @@ r"""Particle filter of Mitchell, Hurley and Onal 2021 (section II): weigh, predi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -54,7 +53,7 @@ class ParticleFilter:
     .. math:: w \propto \exp\left(-\frac{\|\hat u - u\|^2}{2 \sigma_n^2}\right),
 
     with the standard deviation :math:`\sigma_n` of a reading. **Eq. (1) of the paper has no factor 1/2**: its
-    :math:`\sigma` is :math:`\sqrt 2\,\sigma_n` (:func:`noise_of_sigma`).
+    :math:`\sigma` is :math:`\sqrt 2\,\sigma_n` (:func:`~repro.estimation.particle_cloud.noise_of_sigma`).
 
     Members of a batch share their random numbers, so that each gives what it would give alone.
 
@@ -294,14 +293,3 @@ class ParticleFilter:
         if self.region is not None:
             moved = torch.where(self.region.contains(moved).unsqueeze(-1), moved, q)
         return moved, covariance(J, self.noise_mt, free)
-
-
-def noise_of_sigma(sigma_mt: float) -> float:
-    r"""Noise of a reading [mT] for the :math:`\sigma` of eq. (1) of the paper: :math:`\sigma/\sqrt 2`.
-
-    Examples
-    --------
-    >>> round(noise_of_sigma(0.01), 5)
-    0.00707
-    """
-    return sigma_mt / math.sqrt(2)

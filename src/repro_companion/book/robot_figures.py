@@ -1,5 +1,3 @@
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 """Figures of the kinematics and field pages: tables in, a matplotlib figure out."""
 
 from __future__ import annotations

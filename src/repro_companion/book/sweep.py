@@ -6,9 +6,6 @@ the sweep or the worker that started it dies, the process goes on, and whoever c
 record.
 """
 
-# The stubs of joblib know less than the library does.
-# pyright: reportArgumentType=false, reportReturnType=false
-
 from __future__ import annotations
 
 import fcntl

@@ -3,9 +3,6 @@
 Needs the optional extra ``cluster`` (``dask[distributed]``).
 """
 
-# Dask may be missing.
-# pyright: reportMissingImports=false
-
 from __future__ import annotations
 
 import importlib.metadata

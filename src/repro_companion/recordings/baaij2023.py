@@ -5,8 +5,6 @@ and are aligned there (section 5.2). The pipeline repeats the released one; each
 Only the start of the readings is found by another rule, unless the released one is named: it takes noise for a start.
 """
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Download of the public recordings: every file arrives complete and verified, or not at all."""
 
-# pyright: reportArgumentType=false
-
 from __future__ import annotations
 
 import re

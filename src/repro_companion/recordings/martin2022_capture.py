@@ -4,9 +4,6 @@ The file is listed in ``data/sources.json`` but was not available when this was 
 here. Nothing is guessed: whoever has the file says which columns hold what.
 """
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import hashlib

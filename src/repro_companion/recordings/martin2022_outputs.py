@@ -6,9 +6,6 @@ The time column is the clock of a replay (249 s in one file, 1242 s in another, 
 by row.
 """
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import hashlib

@@ -5,8 +5,6 @@ the last field); against the model, y is mirrored. The sensor, an MLX90363, send
 gain (data sheet rev. 005, section 14.4.1), and the recordings show that gain switch: see `HallTake`.
 """
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import re

@@ -1,7 +1,5 @@
 """What lies beside the recordings of Mitchell et al. (2021): the authors' filter output, and calibration readings."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import re

@@ -6,8 +6,6 @@ only the position in the first frame counts, 2.7 mm above the origin; the ring i
 frame.
 """
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import csv

@@ -1,7 +1,5 @@
 """The authors' merged files of T0 to T5: configurations, relations and readings, one row per sensor and frame."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -5,9 +5,6 @@ Text and released files differ in the IMUs of some models and in the arc positio
 with the IMUs of the files at the material points of the markers.
 """
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence

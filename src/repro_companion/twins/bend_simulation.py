@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 r"""Section II-D of Mitchell et al. 2021: a particle filter on Spiral, Flower and Seagull.
 
 All readings are synthetic, by magpylib; the filter's own model is the closed form of
@@ -18,7 +16,8 @@ import torch
 from torch import Tensor
 
 from repro.estimation.base import track
-from repro.estimation.particle_filter import ParticleFilter, noise_of_sigma
+from repro.estimation.particle_cloud import noise_of_sigma
+from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Disc
 from repro.kernels import compiled
 from repro.kinematics.bend import MAX_BEND

@@ -4,7 +4,6 @@ Base frame: z up, origin at the clamp; the undeformed rod lies along z. A frame 
 nothing twists the rod but its own shape.
 """
 
-# pyright: reportPrivateImportUsage=false, reportIncompatibleMethodOverride=false
 from __future__ import annotations
 
 from collections.abc import Callable

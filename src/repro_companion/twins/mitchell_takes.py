@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 """The bend tests of Mitchell et al. 2021 (Fig. 9) as estimators see them: fields, and what motion capture saw.
 
 Two readings of motion capture are carried side by side: the tilt of the body's y axis, which is up in these

@@ -11,8 +11,6 @@ the text gives T4's speed in kN m/s; it is read as N m/s. Area, radius and azimu
 assumed.
 """
 
-# pyright: reportArgumentType=false
-
 from __future__ import annotations
 
 from dataclasses import dataclass

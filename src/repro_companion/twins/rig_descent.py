@@ -1,8 +1,5 @@
 """Table 2 of Baaij et al. 2023 (section 5) with the paper's method, on the authors' recordings or a SYNTHETIC one."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Sequence

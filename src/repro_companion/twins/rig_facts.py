@@ -5,8 +5,6 @@ differ, and the workspace: from networks trained on the released recordings, and
 through the files: the twin writes raw ones, the pipeline reads them.
 """
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import tempfile

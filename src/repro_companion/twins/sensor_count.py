@@ -1,8 +1,5 @@
 """How many sensors a robot needs: errors on T3 by sensors per segment, noise and segments (synthetic)."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import pandas as pd

@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 """Table 1 and section 3.5 of Baaij et al. 2023 as rows of the scorecard."""
 
 from __future__ import annotations

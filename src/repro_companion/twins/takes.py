@@ -1,7 +1,5 @@
 """What an emulated board can play: a recording, or SYNTHETIC readings of the robots of the three papers."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import math

@@ -1,7 +1,5 @@
 """Readings in a CSV, one column for each: which column is which channel is found by name, and never guessed."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Sequence

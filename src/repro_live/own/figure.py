@@ -1,7 +1,5 @@
 """Figure of a judged recording: coordinates, tip error and residual over time."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,5 @@
 """How far estimates are from measured poses, and whether their uncertainty says so."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Iterator

@@ -6,9 +6,6 @@ true orientation T, the orientation seen is T H. No body moves like that: half a
 21,600 deg/s. H is known from the jumps themselves, as the mean of what each of them turned by.
 """
 
-# The stubs of SciPy know less than the library does.
-# pyright: reportArgumentType=false
-
 from __future__ import annotations
 
 from dataclasses import dataclass

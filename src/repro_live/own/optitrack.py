@@ -4,8 +4,6 @@ Motive's world has its y axis upwards. A body's frame is parallel to the world's
 upright, so the tilt of the body's y axis is how far it bends from upright, and the azimuth of that axis is where to.
 """
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import csv

@@ -1,7 +1,5 @@
 """Measured poses of one's own: configurations, or poses of the segments' ends, over time."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import math

@@ -1,7 +1,5 @@
 """What is written of a judged recording: a folder, whole or not at all, and a report in words."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import shutil

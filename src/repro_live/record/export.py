@@ -1,7 +1,5 @@
 """A recording as a table, or as a file that the loaders of `repro.recordings` read."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import os

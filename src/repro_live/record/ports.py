@@ -1,7 +1,5 @@
 """Serial ports: which there are, opening one with errors that say what to do, and reading what has arrived."""
 
-# pyright: reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import errno

@@ -1,7 +1,5 @@
 """A recording read with one call: a table of frames, its metadata, and what had to be left out."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import zlib

@@ -1,7 +1,5 @@
 """Tables of known poses, and the readings that belong to them: cut out of a recording, or kept in a file."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import math

@@ -1,7 +1,5 @@
 """CSV tables of numbers, with times or without: what is wrong is said with file, line and column."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import csv

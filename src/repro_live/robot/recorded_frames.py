@@ -1,7 +1,5 @@
 """Which frames of a recording are those of a robot; what the others are is said."""
 
-# pyright: reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections import Counter

@@ -5,8 +5,6 @@ A :class:`ShapeView` displays itself where it is the result of a notebook's cell
 without WebGL.
 """
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import base64

@@ -1,7 +1,5 @@
 """A run beside the book: one page with the parameters, tables and figures that differ."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import base64

@@ -1,7 +1,5 @@
 """A table of a run beside the same table of the book: rows that belong together, and how far numbers differ."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false, reportReturnType=false
-
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -4,8 +4,6 @@
 ``sensor_failure``, ``probabilistic_curvature`` and ``recorded_arm`` wrote there, the last one without recordings.
 """
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import io

@@ -1,6 +1,5 @@
 """The scorecard in one picture: every published number beside its regenerated one."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 from __future__ import annotations
 
 from collections import Counter

@@ -1,8 +1,5 @@
 """Figures of the affine segment: readings and configuration over time, stills, published against regenerated."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 """Section 4.4 of Baaij et al. 2023 as rows of the scorecard."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 """Errors of the estimators on the bend tests of Mitchell et al. 2021, against both readings of motion capture."""
 
 from __future__ import annotations

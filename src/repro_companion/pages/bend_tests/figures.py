@@ -1,8 +1,5 @@
 """Figures of the recorded bend tests of Mitchell et al. 2021 (Fig. 9)."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 r"""Estimators on the bend tests of Mitchell et al. 2021 (Fig. 9): the paper's filter, and ours with its calibrations.
 
 **Ours** fits the bend to the two ratios of the transverse over the axial field
@@ -26,7 +24,8 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.estimation.base import track
-from repro.estimation.particle_filter import ParticleFilter, noise_of_sigma
+from repro.estimation.particle_cloud import noise_of_sigma
+from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.ratio_inversion import invert
 from repro.estimation.regions import Disc
 from repro.kinematics.bend import MAX_BEND, bend_angle_and_direction, bend_vector

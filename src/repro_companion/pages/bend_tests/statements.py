@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 """What the page of the bend tests says of its tables, in Markdown: every number is that of the takes found."""
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """Tables of the closed loop by what ours knows: of the lag, and of the command; all SYNTHETIC."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Sequence

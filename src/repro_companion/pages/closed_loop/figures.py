@@ -1,8 +1,5 @@
 """Figures of the closed loop: paths and distances from the reference, and ratios of the tracking errors."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

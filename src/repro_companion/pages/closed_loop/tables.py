@@ -1,7 +1,5 @@
 """Tables of the closed loop: tracking errors, their ratios, and what happens over time; all SYNTHETIC."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Sequence

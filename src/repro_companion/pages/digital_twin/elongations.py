@@ -1,8 +1,5 @@
 """How the elongation differs between recordings: what is known of the authors', beside SYNTHETIC ones of twins."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Mapping

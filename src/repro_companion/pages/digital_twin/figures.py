@@ -1,7 +1,5 @@
 """Figures of the digital twin of the rig: actuation, hysteresis, readings; all data are synthetic."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

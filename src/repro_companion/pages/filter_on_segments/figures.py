@@ -1,8 +1,5 @@
 """Figures of the particle filter on several segments: errors by method, and a bend with two possible signs."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 r"""Methods that follow a course of several segments: particle filters, least squares and a Kalman filter.
 
 What could be chosen was chosen on the half lemniscate T2 (:func:`tuning`).

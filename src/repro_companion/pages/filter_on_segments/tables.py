@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 """The particle filter on several segments as tidy tables: errors and calibration, and what is left of two modes."""
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
 """Figure of magnets and IMUs in one filter: errors, and whether the covariance says so."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,5 @@
 """Tables of the fused filter: errors, normalised squared errors with bands, and gains against predictions."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Sequence

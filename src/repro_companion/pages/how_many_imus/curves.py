@@ -1,8 +1,5 @@
 """Curves that an arm can take, known exactly: random ones within limits, and the synthetic arm."""
 
-# The stubs of SciPy know less than the library does.
-# pyright: reportArgumentType=false
-
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -16,9 +16,6 @@ the term of :math:`m`). Independent errors of
 :math:`\sigma` about each axis add :math:`\sigma L\sqrt{2/n}` (root mean square).
 """
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import math

@@ -1,8 +1,5 @@
 """Figures of the page on the number of IMUs: error by number and model, by placement, with sensor errors."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Sequence

@@ -6,9 +6,6 @@ points at 200, 480 and 640 mm are never seen by a fit. In the synthetic motion t
 oscillating. The delay between the clocks is found over the whole trial, as the paper does.
 """
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Sequence

@@ -1,8 +1,5 @@
 """Figures of the errors of an arm's shape from IMUs: boxes, along the arm, hull, calibration."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Sequence

@@ -1,8 +1,5 @@
 """The printed numbers of Martin et al. (2022) as rows of the scorecard: Table II, Figs 3 to 5, sections IV-A to C."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping

@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 """The light-bulb tests of Mitchell et al. 2021 (Fig. 8): bend angle over time, and attempts to tighten the bulb.
 
 Four files exist for three published experiments. File -1 alone sets what the detector needs, the ratios at rest and

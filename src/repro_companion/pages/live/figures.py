@@ -1,8 +1,5 @@
 """Figures of the live page: where the time goes, estimates with their uncertainty, and a sensor that fails."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

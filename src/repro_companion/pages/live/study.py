@@ -4,8 +4,6 @@ All readings are SYNTHETIC: the field of the magnets by magpylib, and white nois
 computer is kept apart from what does not: estimates are taken from the recording, which holds every frame.
 """
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import threading

@@ -1,8 +1,5 @@
 """Errors on T3 against the noise of the sensors, beside the Cramér-Rao bound (Baaij et al. 2023, sections 3, 5.2)."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence

@@ -4,9 +4,6 @@ The sensor model is the multipole field of the drawing; readings come from magpy
 is studied alone, so that its share is seen, and beside what first order predicts.
 """
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import math

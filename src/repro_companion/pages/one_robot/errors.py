@@ -1,8 +1,5 @@
 """Errors of the three ways to see one robot, draw by draw (synthetic)."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from dataclasses import replace

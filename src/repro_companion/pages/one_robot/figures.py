@@ -1,8 +1,5 @@
 """Figure of the page on one robot with three sets of sensors: errors by trajectory, and what robustness costs."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

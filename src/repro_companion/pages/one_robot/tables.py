@@ -1,8 +1,5 @@
 """What the errors of the three ways to see one robot say about which one to build (synthetic)."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import pandas as pd

@@ -1,8 +1,5 @@
 """Figures of the page on performance: rates against the rates of the sensors, and how the cost grows."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Sequence

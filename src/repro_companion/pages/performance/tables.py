@@ -1,9 +1,5 @@
 """The benchmark's table, arranged for the page "Performance"; nothing is timed here."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-# pyright: reportGeneralTypeIssues=false
-
 from __future__ import annotations
 
 import numpy as np

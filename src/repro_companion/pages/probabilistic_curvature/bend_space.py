@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 """The bend space of Mitchell et al. 2021: its curves (Fig. 4), a cloud in it (Fig. 3), and the field over it."""
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
 """Figures of the page on probabilistic curvature: bend space, errors, process noise, sensor noise, field."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 """What the errors of the particle filter of Mitchell et al. 2021 follow: the law, the choice, and the reference."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 """Sections II-D and IV of Mitchell et al. 2021 as rows of the scorecard."""
 
 from __future__ import annotations

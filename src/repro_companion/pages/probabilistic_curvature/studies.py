@@ -1,5 +1,3 @@
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 """Longer tables of the particle filter: several seeds, many process noises, many numbers of particles."""
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
 """The recorded trial of Martin et al. (2022): orientations, released tables, Fig. 5, models with fewer IMUs."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from dataclasses import dataclass, replace

@@ -1,8 +1,5 @@
 """The released tables of Martin et al. (2022) as chains: which gave which points, and what ours gives instead."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Mapping

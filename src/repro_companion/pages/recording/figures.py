@@ -1,8 +1,5 @@
 """Figures of the recording page: a signal with interruptions and what was counted, and what a flipped digit does."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

@@ -4,8 +4,6 @@ All readings are SYNTHETIC. Played as fast as it is read, nothing is lost that a
 tells every number; only the estimate of the clock needs real time.
 """
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import numpy as np

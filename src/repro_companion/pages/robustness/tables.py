@@ -1,8 +1,5 @@
 """What the errors on random twins come to, by twin, by family and by trajectory."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from typing import cast

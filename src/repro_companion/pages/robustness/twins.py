@@ -8,8 +8,6 @@ was fixed before a network of these twins was trained, but for its new starts (`
 which came after the first family.
 """
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Sequence

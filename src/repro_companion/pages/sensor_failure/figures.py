@@ -1,8 +1,5 @@
 """Figures of the sensor-failure page: readings and estimates over time (Fig. 4b), stills (Fig. 5), and ours."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,5 @@
 """Figures of the placement page: layouts to scale, errors to be expected and errors made, what choices cost."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,5 @@
 """The studies of the placement page that take minutes: more robots, more starts, one freedom after the other."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import math

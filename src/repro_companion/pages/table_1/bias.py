@@ -1,8 +1,5 @@
 """Whether the regenerated errors of Table 1 lie above or below the printed ones as a whole, and by how much."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,8 +1,5 @@
 """Figures of the Table 1 page: published against regenerated cells, model by solver, calibration."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,5 @@
 """What a seed of Table 1 is: a split of the rows, whose order never changes; and what another order would give."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Sequence

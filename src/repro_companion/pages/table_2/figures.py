@@ -1,8 +1,5 @@
 """Figures of Table 2 of Baaij et al. 2023: trajectories, loss landscape, estimates over time, stills."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

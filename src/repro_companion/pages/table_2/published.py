@@ -1,7 +1,5 @@
 """The printed cells of Table 2 of Baaij et al. 2023 as a table, to stand beside regenerated ones."""
 
-# pyright: reportArgumentType=false
-
 from __future__ import annotations
 
 import pandas as pd

@@ -1,8 +1,5 @@
 """What rounding decides in Table 2: errors of the paper's method from starts that differ by as little as rounding."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false, reportOperatorIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Sequence

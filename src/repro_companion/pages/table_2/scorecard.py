@@ -1,8 +1,5 @@
 """Table 2, and the means in the abstract and section 5.5, of Baaij et al. 2023 as rows of the scorecard."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from typing import Any

@@ -1,8 +1,5 @@
 """Figs 9 to 11 of Baaij et al. 2023 as tables: trajectories, a loss landscape, estimates over time, stills."""
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Sequence

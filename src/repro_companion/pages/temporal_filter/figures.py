@@ -1,8 +1,5 @@
 """Figure of the filter over time: its gain over least squares, and its errors within their bands."""
 
-# The stubs of matplotlib and pandas know less than the libraries do.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import matplotlib.pyplot as plt

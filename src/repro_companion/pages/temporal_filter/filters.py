@@ -4,9 +4,6 @@ The process noise is chosen on the half lemniscate T2 and frozen; it is judged o
 magpylib with noise; both methods have the multipole model of the robot as drawn, and neither knows where it starts.
 """
 
-# The stubs of pandas know less than the library does.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import math
