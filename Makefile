@@ -26,7 +26,7 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help book test mutants lint check-site reproduce train studies bench diff soak fuzz vendor env clean lock
+.PHONY: help book test mutants lint check-site reproduce size train studies bench diff soak fuzz vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
@@ -35,6 +35,8 @@ help:
 	@echo 'make lint        style, types and the direction of imports'
 	@echo 'make check-site  open every page of the built site in Chromium and check it'
 	@echo 'make reproduce   run all notebooks again in a clean copy and compare every table, byte by byte (minutes)'
+	@echo 'make reproduce AGAINST=FOLDER  compare the tables with those of another build; STUDIES=1 computes the studies again (hours)'
+	@echo 'make size        count statements, public names and long modules'
 	@echo 'make train       train the networks of the paper that data/networks/ does not have yet (hours, resumable)'
 	@echo 'make studies     compute the tables in data/studies/ that are missing (minutes each, resumable)'
 	@echo 'make bench       measure what costs how much: results/bench.csv, data/benchmark*.csv'
@@ -70,8 +72,17 @@ check-site: env
 	@$(PY) tests/chromium.py
 	$(PY) -m pytest -n $(JOBS) tests/book/test_site.py
 
+# STUDIES=1: the committed studies too, computed in a folder that is empty at first and kept until they are all there.
 reproduce: env
-	@$(PY) -m repro_companion.book.after.rebuild
+	@$(PY) -m repro_companion.book.after.rebuild $(AGAINST)
+ifdef STUDIES
+	$(BIN)/repro studies --folder .cache/studies
+	@$(PY) -m repro_companion.book.after.rebuild data/studies .cache/studies
+	@rm -rf .cache/studies
+endif
+
+size: env
+	@$(PY) bench/size.py
 
 train: env
 	nice -n 19 $(BIN)/repro train

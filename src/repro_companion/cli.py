@@ -148,8 +148,14 @@ def train(*, only: str = "", folder: Path | None = None, checkpoints: Path | Non
 
 
 @app.command
-def studies() -> int:
-    """Compute the tables in data/studies/ that are missing or belong to other settings (minutes each, resumable)."""
+def studies(*, folder: Path | None = None) -> int:
+    """Compute the studies whose tables are missing or belong to other settings (minutes each, resumable).
+
+    Parameters
+    ----------
+    folder
+        Where the tables are; data/studies when not given.
+    """
     import torch
 
     from repro_companion.book.project import find_project, shown
@@ -158,7 +164,7 @@ def studies() -> int:
     from repro_companion.pages.sensor_placement.study import write_placement_study
 
     torch.set_num_threads(1)
-    folder = find_project().data / "studies"
+    folder = folder or find_project().data / "studies"
     progress = sys.stderr.isatty()
     for path in write_studies(all_studies(), folder, progress=progress):
         print(shown(path), flush=True)

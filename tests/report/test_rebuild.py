@@ -1,13 +1,14 @@
 """Results again from a clean copy: the same tables are the same, and every difference is found and named."""
 
 import os
+import shutil
 import subprocess
 import sys
 
 import pytest
 
 from repro.errors import InputError
-from repro_companion.book.after.rebuild import copy_sources, differences, rebuild
+from repro_companion.book.after.rebuild import against, copy_sources, differences, rebuild
 from repro_companion.book.project import Project
 
 WRITES = 'from repro_companion.book.results import results_dir\n(results_dir() / "{}").write_text({})'
@@ -55,6 +56,26 @@ def test_a_book_that_is_not_built_cannot_be_compared(checkout, notebook_at):
     expected = r"Input results of make reproduce must be up to date \(run make book first\); .* same to run."
     with pytest.raises(InputError, match=f"^{expected}$"):
         rebuild(Project(checkout), 2)
+
+
+def test_tables_of_another_build_are_compared_without_a_run(checkout, notebook_at, tmp_path):
+    notebook_at(checkout / "notebooks/same.ipynb", WRITES.format("same.csv", "'n\\n1\\n'"))
+    execute(checkout)
+    other, empty = tmp_path / "other", tmp_path / "empty"
+    empty.mkdir()
+    shutil.copytree(checkout / "results", other)
+    assert against(other, Project(checkout)) == []
+    (other / "same.csv").write_text("n\n2\n")
+    assert against(other, Project(checkout)) == ["same.csv differs from line 2 on: 1 | 2"]
+    with pytest.raises(
+        InputError, match="AGAINST of make reproduce must be a folder with tables of another build"
+    ):
+        against(empty, Project(checkout))
+    append = (checkout / "notebooks/same.ipynb").open("a")
+    with append:
+        append.write("\n")
+    with pytest.raises(InputError, match="up to date"):
+        against(other, Project(checkout))
 
 
 def test_a_copy_has_no_results_and_nothing_of_an_earlier_copy(checkout, tmp_path):

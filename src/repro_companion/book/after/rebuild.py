@@ -1,6 +1,7 @@
 """Whether results follow from the sources alone: all notebooks run again in a clean copy, and tables are compared.
 
-``python -m repro_companion.book.after.rebuild`` is what ``make reproduce`` runs, after ``make book``.
+``make reproduce`` runs this after ``make book``. With a folder, the tables of the book are compared with those in it,
+such as ``results/`` of another commit, and nothing is run again; with two, these two.
 """
 
 from __future__ import annotations
@@ -20,6 +21,36 @@ from repro_companion.book.runner import stop_on_termination
 
 SHOWN = 100
 """Characters of a line that are shown where two tables differ."""
+
+
+def against(folder: Path, project: Project) -> list[str]:
+    """Compare the tables of the book with those of a folder: one line for each that is not the same.
+
+    Raises
+    ------
+    InputError
+        If the book is not up to date, or the folder has no tables.
+    """
+    check_up_to_date(project)
+    if not any(folder.glob("*.csv")):
+        raise bad_input("AGAINST", "make reproduce", "a folder with tables of another build", folder)
+    return differences(project.results, folder)
+
+
+def check_up_to_date(project: Project) -> None:
+    """Refuse a book whose notebooks are to be run.
+
+    Raises
+    ------
+    InputError
+        If there is one.
+    """
+    notebooks, inputs = sorted(project.notebooks.glob("*.ipynb")), read_inputs(project)
+    due = [notebook.stem for notebook in notebooks if not is_finished(project, notebook, inputs)]
+    if due:
+        raise bad_input(
+            "results", "make reproduce", "up to date (run make book first)", f"{', '.join(due)} to run"
+        )
 
 
 def rebuild(project: Project, jobs: int) -> list[str]:
@@ -45,12 +76,7 @@ def rebuild(project: Project, jobs: int) -> list[str]:
     InputError
         If the book is not up to date, or the project is not a git checkout.
     """
-    notebooks, inputs = sorted(project.notebooks.glob("*.ipynb")), read_inputs(project)
-    due = [notebook.stem for notebook in notebooks if not is_finished(project, notebook, inputs)]
-    if due:
-        raise bad_input(
-            "results", "make reproduce", "up to date (run make book first)", f"{', '.join(due)} to run"
-        )
+    check_up_to_date(project)
     copy = Project(project.root / ".cache" / "again")
     copy_sources(project.root, copy.root)
     before = os.environ.get("PYTHONPATH")
@@ -107,12 +133,15 @@ def differences(first: Path, second: Path) -> list[str]:
     return found
 
 
-def main() -> int:
+def main(*folders: str) -> int:
     """Compare; return 0, 1 where a table differs, or 2 for wrong input."""
     stop_on_termination()
     try:
-        project = find_project()
-        found = rebuild(project, jobs_from_environment())
+        project, given = find_project(), [Path(folder) for folder in folders]
+        if len(given) == 2:
+            found = differences(*given)
+        else:
+            found = against(given[0], project) if given else rebuild(project, jobs_from_environment())
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
@@ -121,10 +150,10 @@ def main() -> int:
     for line in found:
         print(line, file=sys.stderr)
     if not found:
-        count = len(list(project.results.glob("*.csv"))) - 1
+        count = len({path.name for path in (given or [project.results])[0].glob("*.csv")} - {"scorecard.csv"})
         print(f"All {count} tables are the same, byte for byte.")
     return 1 if found else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(*sys.argv[1:]))
