@@ -28,7 +28,7 @@ STATUS = ("consistent", "suspicious", "wrong")
 """In words, for ``status`` in the diagnostics."""
 WINDOW = 10
 """Readings that are tested together."""
-WRONG_SHARE = 0.01
+_WRONG_SHARE = 0.01
 """An alarm is *wrong*, not only *suspicious*, if chance explains it so many times more rarely."""
 
 
@@ -105,7 +105,7 @@ def verdict_on(window: tuple[Seen, ...], chance: float) -> Verdict:
     independent = 1 / (last**2 + (1 - last**2) / len(window))
     free = round(dof * independent / len(window), 2)
     value = chi2 / dof * free
-    status = (value > limit(chance, free)) + (value > limit(WRONG_SHARE * chance, free))
+    status = (value > limit(chance, free)) + (value > limit(_WRONG_SHARE * chance, free))
     return Verdict(status, True, (chi2 / dof) ** 0.5)
 
 

@@ -21,7 +21,7 @@ from repro.errors import bad_input
 from repro.estimation.base import Estimate, check_start
 from repro.estimation.kalman_filter import IteratedKalmanFilter, KalmanState, driven
 
-WIDEST = 12.0
+_WIDEST = 12.0
 """Errors are kept within this many standard deviations: a bound that least squares needs and nothing reaches."""
 
 
@@ -113,7 +113,7 @@ class DriftFilter:
     def _whole(self) -> IteratedKalmanFilter:
         """The filter of ``(q, b)``; only its update is used, so the motion of ``b`` in it has no effect."""
         std = self.drift.std.to(self.lower)
-        far, one = WIDEST * std, torch.ones_like(std)
+        far, one = _WIDEST * std, torch.ones_like(std)
         return IteratedKalmanFilter(
             self.sensing,
             torch.cat([self.lower, -far]),

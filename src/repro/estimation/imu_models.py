@@ -23,7 +23,7 @@ from repro.estimation.orientations import tangents, unit_quaternions
 ShapeModel = Callable[[np.ndarray, Selection, Sequence[float]], np.ndarray]
 """From orientations ``[*samples, imus, 4]``, a selection and arc lengths to positions ``[*samples, points, 3]``."""
 
-QUADRATURE_NODES = 4
+_QUADRATURE_NODES = 4
 """Gauss-Legendre nodes per piece of the spline: exact for polynomials of degree 7, the spline is of degree 3."""
 
 _OPPOSITE = 1e-6  # tangents this close to opposite have no direction between them
@@ -200,7 +200,7 @@ def tangent_spline(
     points = points_on(arc_lengths, selection, "tangent_spline")
     knots = np.append(0.0, np.cumsum(selection.link_lengths))
     pieces = np.unique(np.concatenate([knots[knots <= points.max(initial=0.0)], points]))
-    at, weights = leggauss(QUADRATURE_NODES)
+    at, weights = leggauss(_QUADRATURE_NODES)
     nodes = (pieces[:-1, None] + np.diff(pieces)[:, None] * (at + 1) / 2).ravel()
     weights = (np.diff(pieces)[:, None] * weights / 2).ravel()
     basis = CubicSpline(knots, np.eye(len(knots)), bc_type="not-a-knot")(nodes)

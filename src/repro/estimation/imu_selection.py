@@ -17,7 +17,7 @@ MARKERS = (0.36, 0.6)
 """Arc positions [m] of the motion-capture markers M1 and M2 (section III-A)."""
 
 READINGS = ("table", "text", "files")
-INTERPOLATIONS = ("midpoints", "inner points")
+_INTERPOLATIONS = ("midpoints", "inner points")
 
 FILES_ORIGIN_M = (0.0, 0.0, 0.0178)
 """Where the chains of the released files begin, from the base [m]."""
@@ -89,8 +89,8 @@ class Selection:
             raise bad_input("link_lengths", "Selection", f"one per link, {links} in all", self.link_lengths)
         if not (np.isfinite(lengths) & (lengths > 0)).all():
             raise bad_input("link_lengths", "Selection", "positive [m]", self.link_lengths)
-        if self.interpolation not in INTERPOLATIONS:
-            known = " or ".join(f'"{name}"' for name in INTERPOLATIONS)
+        if self.interpolation not in _INTERPOLATIONS:
+            known = " or ".join(f'"{name}"' for name in _INTERPOLATIONS)
             raise bad_input("interpolation", "Selection", known, self.interpolation)
         if np.shape(self.base_turn) != (4,) or not abs(np.linalg.norm(self.base_turn) - 1) <= UNIT_TOLERANCE:
             raise bad_input("base_turn", "Selection", "a unit quaternion XYZW", self.base_turn)

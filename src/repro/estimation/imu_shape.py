@@ -20,7 +20,7 @@ from repro.estimation.imu_models import ShapeModel
 from repro.estimation.imu_selection import Selection
 from repro.estimation.orientations import exponential, filled, neighbours, product
 
-ROUGHNESS = 0.86
+_ROUGHNESS = 0.86
 """Assumed random walk of the orientation along the arm [rad/sqrt(m)]: 14 deg over 80 mm, the middle of the median
 angles between adjacent IMUs in the released recording."""
 
@@ -81,7 +81,7 @@ class ImuShape:
     selection: Selection
     arc_lengths: tuple[float, ...]
     noise_rad: float
-    roughness: float = ROUGHNESS
+    roughness: float = _ROUGHNESS
 
     def __post_init__(self) -> None:
         if not self.arc_lengths:

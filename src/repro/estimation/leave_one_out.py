@@ -13,15 +13,15 @@ from repro.estimation.consistency import limit
 
 EXPLAINED = 1e-3
 """A fit explains a reading unless chance exceeds its residual more rarely than this."""
-EXCLUDED = 3e-3
+_EXCLUDED = 3e-3
 """A sensor is not the one that is wrong if chance exceeds the residuals without it more rarely than this."""
 MUCH_BETTER = 25.0
 """A fit is much better if its chi-square is lower by so much: five standard deviations."""
-DECISIVE = 100.0
+_DECISIVE = 100.0
 """A sensor is not the one either if chi-square without it exceeds that without another one by so much."""
-ENOUGH = 20.0
+_ENOUGH = 20.0
 """Degrees of freedom before a sensor is named."""
-STRONG = 20.0
+_STRONG = 20.0
 """Root mean square of the residuals with all sensors from which one is named [standard deviations]. With two more
 readings than unknowns, what all sensors share looks like one of them in half of the cases if it is weaker."""
 HEAVIEST = 100.0
@@ -70,17 +70,17 @@ class LeftOut(NamedTuple):
         candidates = [k for k, is_used in enumerate(used.tolist()) if is_used]
         if not max(dof):
             return "no redundancy", ()
-        if max(dof) < ENOUGH:
+        if max(dof) < _ENOUGH:
             return "untold", ()
-        left = [k for k in candidates if chi2[k] <= limit(EXCLUDED, round(dof[k], 1))]
+        left = [k for k in candidates if chi2[k] <= limit(_EXCLUDED, round(dof[k], 1))]
         if not left:
             return "several", ()
         against = (self.chi2 + self.jump).tolist()
         least = min(against[k] for k in left)
-        left = [k for k in left if against[k] <= least + DECISIVE]
+        left = [k for k in left if against[k] <= least + _DECISIVE]
         if len(left) > 2:
             left = [k for k in left if frozen[k]]
-        if self.whole[0] < STRONG**2 * self.whole[1]:
+        if self.whole[0] < _STRONG**2 * self.whole[1]:
             return "untold", ()
         return ("sensors", tuple(left)) if 1 <= len(left) <= 2 else ("untold", ())
 
@@ -143,7 +143,7 @@ def recovered(
     """Try other starts for the fits that are excluded; what spoke against those that then explain is halved."""
     fresh = begun(solver, sensors, u, use, starts, known)
     out = [
-        c > limit(EXCLUDED, round(d, 1)) for c, d in zip(left.chi2.tolist(), left.dof.tolist(), strict=True)
+        c > limit(_EXCLUDED, round(d, 1)) for c, d in zip(left.chi2.tolist(), left.dof.tolist(), strict=True)
     ]
     good = [c <= limit(EXPLAINED, d) for c, d in zip(fresh.chi2.tolist(), fresh.dof.tolist(), strict=True)]
     again = torch.tensor(out) & torch.tensor(good)

@@ -32,13 +32,13 @@ from repro.estimation.leave_one_out import EXPLAINED, MUCH_BETTER, LeftOut, begu
 
 S = TypeVar("S")
 
-ELSEWHERE = 0.02
+_ELSEWHERE = 0.02
 """A new start lies elsewhere if it differs by this share of the width of the starts. Nearer, the estimator lags."""
-USUAL_SPEED = 0.5
+_USUAL_SPEED = 0.5
 """Standard deviation of a velocity, in widths of the starts per second."""
-FOLLOWED_HZ = 100.0
+_FOLLOWED_HZ = 100.0
 """Readings per second, at most, that fits without each sensor follow."""
-FORGOTTEN_S = 10.0
+_FORGOTTEN_S = 10.0
 """What was found out about the sensors counts if an alarm comes back within this time [s]."""
 
 
@@ -200,7 +200,7 @@ class Monitored(Generic[S]):
         width = self._width.to(q)
         nearest = found.q[better]
         nearest = nearest[((nearest - state.good).abs() / width).amax(-1).argmin()]
-        if float(((nearest - q).abs() / width).amax()) > ELSEWHERE:
+        if float(((nearest - q).abs() / width).amax()) > _ELSEWHERE:
             return nearest, False
         # The estimate itself explains the reading, if nothing but the past of the estimator is against it.
         _, here = self.solver.step(self.solver.init(q, seed=0), seen.u, 0.0, mask=seen.use, known=q)
@@ -223,13 +223,13 @@ class Monitored(Generic[S]):
         """State with the fits without each sensor, begun, or looked after."""
         seen, starts = state.window[-1], self._starts(state, q)
         sensors = self._sensors(seen)
-        old = state.left if t - state.left_at[1] < FORGOTTEN_S else None
+        old = state.left if t - state.left_at[1] < _FORGOTTEN_S else None
         if old is not None and state.left_at[0] >= state.steps - 2 * max(
-            1, round(self.rate_hz / FOLLOWED_HZ)
+            1, round(self.rate_hz / _FOLLOWED_HZ)
         ):
             left = recovered(self.solver, sensors, old, seen.u, seen.use, starts, known)
         else:
-            moved = None if state.good_at is None else USUAL_SPEED * (t - state.good_at) * self._width.to(q)
+            moved = None if state.good_at is None else _USUAL_SPEED * (t - state.good_at) * self._width.to(q)
             before = None if moved is None else (state.good, moved)
             left = begun(self.solver, sensors, seen.u, seen.use, starts, known, before)
             left = left if old is None else left.added(old)
@@ -240,7 +240,7 @@ class Monitored(Generic[S]):
     ) -> MonitorState[S]:
         """State after the fits without each sensor have followed the last reading."""
         assert state.left is not None
-        if not at_once and state.steps % max(1, round(self.rate_hz / FOLLOWED_HZ)):
+        if not at_once and state.steps % max(1, round(self.rate_hz / _FOLLOWED_HZ)):
             return state
         seen, n = state.window[-1], 1.0 + float(state.left.dof.max())
         weight = 1 - seen.systematic**2 + seen.systematic**2 / n

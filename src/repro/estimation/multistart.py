@@ -11,11 +11,11 @@ from torch import Tensor
 from repro.errors import bad_input
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 
-CHI2_MARGIN = 9.0
+_CHI2_MARGIN = 9.0
 """A minimum whose chi-square exceeds the best by less is not excluded by the readings: three standard deviations."""
 DISTANCE = 3.0
 """Two fits are one minimum if they differ by less than so many standard deviations."""
-FLAT = 1e-3
+_FLAT = 1e-3
 """... or by less than this share of the width of the bounds, for fits to readings of almost no noise."""
 
 
@@ -107,13 +107,13 @@ def search(
     q = fit.q.gather(-2, order.unsqueeze(-1).expand_as(fit.q))
     C = fit.covariance.gather(-3, order[..., None, None].expand_as(fit.covariance))
     width = (method.upper - method.lower).to(q)
-    candidate = (chi2 - chi2[..., :1]) < CHI2_MARGIN
+    candidate = (chi2 - chi2[..., :1]) < _CHI2_MARGIN
     for k in range(1, len(starts)):
         # The same minimum as a better one that stays: within its uncertainty.
         difference = q[..., k : k + 1, :] - q[..., :k, :]
         weighed = torch.linalg.solve(C[..., :k, :, :], difference.unsqueeze(-1)).squeeze(-1)
         near = (difference * weighed).sum(-1) < DISTANCE**2
-        near = near | ((difference.abs() / width).amax(-1) < FLAT)
+        near = near | ((difference.abs() / width).amax(-1) < _FLAT)
         candidate[..., k] &= ~(near & candidate[..., :k]).any(-1)
     return Minima(q, chi2, C, candidate)
 

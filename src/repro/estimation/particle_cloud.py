@@ -51,7 +51,7 @@ def weighed(
     """
     log_w = log_weights(error, noise_mt)
     w = weights(log_w)
-    mean, C = mean_and_covariance(q, w)
+    mean, C = _mean_and_covariance(q, w)
     unlikely = surprise(error, use, noise_mt)
     return Weighed(w, mean, C, effective_sample_size(w), unlikely, best_tenth(q, log_w) if top else None)
 
@@ -61,7 +61,7 @@ def log_weights(error: Float[Tensor, "*batch n s"], noise_mt: float | Tensor) ->
     return normalised((error * error).sum(-1) / (-2 * noise_mt**2))
 
 
-def mean_and_covariance(
+def _mean_and_covariance(
     q: Float[Tensor, "*batch n n_q"], w: Float[Tensor, "*batch n"]
 ) -> tuple[Float[Tensor, "*batch n_q"], Float[Tensor, "*batch n_q n_q"]]:
     """Mean and covariance of particles with normalised weights."""

@@ -21,11 +21,11 @@ from repro.estimation.regions import Region
 from repro.estimation.resampling import SCHEMES, resample, stream
 
 ESTIMATES = ("best tenth", "weighted", "Gauss-Newton")
-MOTIONS = ("random walk", "constant velocity")
+_MOTIONS = ("random walk", "constant velocity")
 
 DRAWS = 50
 """Largest number of draws for a particle whose noise takes it out of the region; after that it stays."""
-DAMPING = 1e-6
+_DAMPING = 1e-6
 """Of the Gauss-Newton step, relative to the information on each coordinate."""
 
 
@@ -120,7 +120,7 @@ class ParticleFilter:
         for name in ("noise_mt", "particles", "lost_at"):
             if not getattr(self, name) > 0:
                 raise bad_input(name, owner, "positive", getattr(self, name))
-        choices = {"estimate": ESTIMATES, "resampling": SCHEMES, "motion": MOTIONS}
+        choices = {"estimate": ESTIMATES, "resampling": SCHEMES, "motion": _MOTIONS}
         for name, known in choices.items():
             if getattr(self, name) not in known:
                 choice = f"one of {', '.join(map(repr, known))}"
@@ -287,7 +287,7 @@ class ParticleFilter:
         J = torch.where(free.unsqueeze(-2), J, 0.0)
         A = J.mT @ J
         # Damped a little: along a direction without information there is no step.
-        damping = torch.where(free, DAMPING * A.diagonal(dim1=-2, dim2=-1), 1.0)
+        damping = torch.where(free, _DAMPING * A.diagonal(dim1=-2, dim2=-1), 1.0)
         damping = damping.clamp_min(torch.finfo(A.dtype).tiny)
         moved = q - torch.linalg.solve(A + torch.diag_embed(damping), J.mT @ error.mT).squeeze(-1)
         if self.region is not None:

@@ -13,7 +13,7 @@ from repro.estimation.particle_cloud import log_weights
 from repro.estimation.regions import Region
 from repro.estimation.resampling import resample, weights
 
-TEMPERATURES = 12
+_TEMPERATURES = 12
 """Passes over the readings, from flat weights to the likelihood."""
 
 
@@ -46,12 +46,12 @@ def contracted(
     """
     n, n_q = q.shape[-2:]
     width, first = q.std(-2, keepdim=True), torch.empty(())
-    for k in range(TEMPERATURES):
+    for k in range(_TEMPERATURES):
         q = hold(q)
         difference = error(q)
         if k == 0:
             first = (difference * difference).mean((-1, -2)).sqrt().clamp_min(noise_mt).unsqueeze(-1)
-        share = (noise_mt / first) ** ((k + 1) / TEMPERATURES)  # of the first width of the likelihood
+        share = (noise_mt / first) ** ((k + 1) / _TEMPERATURES)  # of the first width of the likelihood
         w = weights(log_weights(difference, share * first))
         q = q.gather(-2, resample(w, "systematic", generator).unsqueeze(-1).expand_as(q))
         jitter = torch.from_numpy(generator.standard_normal((n, n_q))).to(q)

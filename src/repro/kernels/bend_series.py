@@ -26,9 +26,9 @@ from repro.kernels.bend import bend_field
 from repro.kernels.compilation import compiled
 from repro.sensing.magnets import B444B, Cube
 
-A_TERMS, B_TERMS = 8, 4
+_A_TERMS, _B_TERMS = 8, 4
 """Powers of ``a`` and of ``b``, from zero: 3 nT and less left for the cube and the arc of Mitchell et al. 2021."""
-LARGEST_ERROR_MT = 1e-4
+_LARGEST_ERROR_MT = 1e-4
 """A series further than this from the closed form is refused [mT]."""
 
 
@@ -57,7 +57,7 @@ def series_field(x, y, coefficients, reach, scratch, out):
 def _polynomial(c, a, b, out):
     """Sum of ``c[j, k] b^j a^k`` by Horner's rule."""
     out[:] = 0.0
-    for j in range(B_TERMS - 1, -1, -1):
+    for j in range(_B_TERMS - 1, -1, -1):
         c_0, c_1, c_2, c_3 = c[j, 0], c[j, 1], c[j, 2], c[j, 3]
         c_4, c_5, c_6, c_7 = c[j, 4], c[j, 5], c[j, 6], c[j, 7]
         for i in range(len(a)):
@@ -105,8 +105,8 @@ class BendSeries:
             raise bad_input("length", "BendSeries", "positive [m]", self.length)
         if not 0 < self.reach < math.pi:
             raise bad_input("reach", "BendSeries", "between 0 and pi [rad]", self.reach)
-        if not self.error_mt <= LARGEST_ERROR_MT:
-            expected = f"such that the series is within {LARGEST_ERROR_MT:g} mT of the closed form"
+        if not self.error_mt <= _LARGEST_ERROR_MT:
+            expected = f"such that the series is within {_LARGEST_ERROR_MT:g} mT of the closed form"
             received = f"{self.length:g} m and {self.reach:g} rad, {self.error_mt:.2g} mT off"
             raise bad_input("length, reach", "BendSeries", expected, received)
 
@@ -131,12 +131,12 @@ class BendSeries:
         u, s = self._closed(q), q / self.reach
         a, b = (s * s).sum(1), 4 * (s[:, 0] * s[:, 1]) ** 2
         terms = (
-            b[:, None, None] ** np.arange(B_TERMS)[:, None] * a[:, None, None] ** np.arange(A_TERMS)
+            b[:, None, None] ** np.arange(_B_TERMS)[:, None] * a[:, None, None] ** np.arange(_A_TERMS)
         ).reshape(len(q), -1)
         lateral = np.concatenate([np.hstack([c * terms, c**3 * terms]) for c in s.T[..., None]])
         P_Q = np.linalg.lstsq(lateral, u[:, :2].T.ravel(), rcond=None)[0]
         G = np.linalg.lstsq(terms, u[:, 2], rcond=None)[0]
-        return np.concatenate([P_Q, G]).reshape(3, B_TERMS, A_TERMS)
+        return np.concatenate([P_Q, G]).reshape(3, _B_TERMS, _A_TERMS)
 
     @cached_property
     def error_mt(self) -> float:

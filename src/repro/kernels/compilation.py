@@ -17,7 +17,7 @@ from typing import Any
 import numba
 import platformdirs
 
-REORDER = {"reassoc", "contract", "nsz"}
+_REORDER = {"reassoc", "contract", "nsz"}
 """Freedom to sum in any order, which lets the processor add several numbers at once; NaN and infinity stay exact."""
 
 
@@ -40,7 +40,7 @@ def compiled(*, reorder: bool = False) -> Callable[[Callable[..., Any]], Any]:
                 inspect.unwrap(function),
                 cache=_writable(folder),
                 error_model="numpy",
-                fastmath=REORDER if reorder else False,
+                fastmath=_REORDER if reorder else False,
             )
         finally:
             numba.config.CACHE_DIR = before  # type: ignore[attr-defined]

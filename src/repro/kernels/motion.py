@@ -23,7 +23,7 @@ from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.mounts import Mounts
 from repro.kinematics.robot import Robot
 
-CONSTANT, AFFINE = 0, 1
+_CONSTANT, AFFINE = 0, 1
 _NODES, _WEIGHTS = leggauss(24)
 _OWN = 4
 """Largest number of configuration variables of a segment."""
@@ -36,7 +36,7 @@ class Chain(NamedTuple):
     """Segments and mounts of a batch of robots."""
 
     family: np.ndarray
-    """``CONSTANT`` or ``AFFINE``, for each segment."""
+    """``_CONSTANT`` or ``AFFINE``, for each segment."""
     length: np.ndarray
     """Unextended lengths [m]."""
     radius: np.ndarray
@@ -78,7 +78,7 @@ def chain(robot: Robot, mounts: Mounts) -> tuple[Chain, torch.Size]:
     InputError
         If a segment is not of constant or of affine curvature.
     """
-    families = {ConstantCurvature: CONSTANT, AffineCurvature: AFFINE}
+    families = {ConstantCurvature: _CONSTANT, AffineCurvature: AFFINE}
     for segment in robot.segments:
         if type(segment) not in families:
             expected = "of constant or of affine curvature to be compiled"
@@ -172,7 +172,7 @@ def _mount(chain, robot, i, slopes, n_own, motion):
 def _frame(chain, g, q, v, slopes, motion):
     """Frame of the backbone at ``v`` of segment ``g`` in the base frame, and its twists."""
     local, base, frame, world = motion.local, motion.base, motion.frame, motion.world
-    if chain.family[g] == CONSTANT:
+    if chain.family[g] == _CONSTANT:
         f_x, f_y, p_x, p_y, p_z, S, C = _constant(chain, g, q, v, slopes, local)
     else:
         f_x, f_y, p_x, p_y, p_z, S, C = _affine(chain, g, q, v, slopes, local)

@@ -15,7 +15,7 @@ import torch
 from repro.kernels.compilation import compiled
 from repro.sensing.ensemble import SeedEnsemble
 
-RELU, SILU = 0, 1
+_RELU, _SILU = 0, 1
 
 
 class Layers(NamedTuple):
@@ -24,14 +24,14 @@ class Layers(NamedTuple):
     widths: np.ndarray
     """Inputs, nodes of the hidden layers, one output; empty when there is no network."""
     activation: int
-    """``RELU`` or ``SILU``."""
+    """``_RELU`` or ``_SILU``."""
     weights: np.ndarray
     """``[networks, size]``: for each layer the weights ``[in, out]``, then the biases; single or double precision."""
     network: np.ndarray
     """Network ``[seeds, s]`` of every sensor."""
 
 
-NO_NETWORK = Layers(np.zeros(0, dtype=np.int64), RELU, np.zeros((0, 0)), np.zeros((0, 0), dtype=np.int64))
+NO_NETWORK = Layers(np.zeros(0, dtype=np.int64), _RELU, np.zeros((0, 0)), np.zeros((0, 0), dtype=np.int64))
 
 
 def layers(ensemble: SeedEnsemble) -> Layers:
@@ -46,7 +46,7 @@ def layers(ensemble: SeedEnsemble) -> Layers:
     slot[ensemble.order or range(n_s)] = np.arange(n_s) // (n_s // slots)
     return Layers(
         np.array(widths),
-        RELU if ensemble.activation is torch.relu else SILU,
+        _RELU if ensemble.activation is torch.relu else _SILU,
         np.array(torch.cat(blocks, dim=1).cpu().numpy(), order="C"),
         slots * np.arange(ensemble.n_seeds)[:, None] + slot,
     )
@@ -79,7 +79,7 @@ def predict(layers, network, xi, slopes, gradient, room):
         if k < last - 1:
             for o in range(n_out):
                 z = value[k + 1, o]
-                if layers.activation == RELU:
+                if layers.activation == _RELU:
                     slope[k + 1, o] = 1.0 if z > 0.0 else 0.0
                     value[k + 1, o] = z if z > 0.0 or z != z else 0.0
                 else:

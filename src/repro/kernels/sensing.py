@@ -170,7 +170,7 @@ class CompiledSensing:
     ) -> tuple[Float[Tensor, "*batch s"], Float[Tensor, "*batch s n_q"]]:
         """Readings and their derivatives with respect to ``q``, in double precision."""
         batch = self.batch(q.shape[:-1])
-        found = evaluate_all(self.tables, self.which(batch), rows(q, batch, self.n_q))
+        found = _evaluate_all(self.tables, self.which(batch), rows(q, batch, self.n_q))
         u, J = (torch.from_numpy(x).reshape((*batch, *x.shape[1:])) for x in found)
         return u, J
 
@@ -235,7 +235,7 @@ def evaluate(tables, which, q, wanted, slopes, u, J, space):
 
 
 @compiled()
-def evaluate_all(tables, which, q):
+def _evaluate_all(tables, which, q):
     """Readings and slopes of all members of a flat batch."""
     n, n_s, n_q = len(q), tables.gain.shape[1], q.shape[1]
     u, J, space = np.empty((n, n_s)), np.empty((n, n_s, n_q)), room(tables)

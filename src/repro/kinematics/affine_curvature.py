@@ -3,7 +3,7 @@ r"""A segment whose curvature is an affine function of the backbone coordinate (
 With :math:`\kappa(v) = \kappa_0 + \kappa_1 v` the bending angle is :math:`\theta(v) = \kappa_0 v + \kappa_1 v^2/2`,
 eq. (17); curvatures belong to the coordinate :math:`v \in [0, 1]` and are angles [rad]. The position, eq. (18), is
 the integral of the tangent. The paper uses Simpson's rule with 101 points; here it is Gauss-Legendre quadrature with
-``NODES`` = 24 points, whose error is below 2e-14 of the length up to :math:`|\kappa_0| = \pi` and
+``_NODES`` = 24 points, whose error is below 2e-14 of the length up to :math:`|\kappa_0| = \pi` and
 :math:`|\kappa_1| = 4\pi`, and which is exact, with its derivatives, for :math:`\kappa_1 \to 0`.
 """
 
@@ -21,7 +21,7 @@ from torch import Tensor
 from repro import se3
 from repro.errors import bad_input
 
-NODES = 24
+_NODES = 24
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class AffineCurvature:
         v = v.to(q)
         k0, k1, phi, dL = q.unbind(-1)
         theta = k0 * v + k1 * v * v / 2
-        nodes, weights = (q.new_tensor(x) for x in leggauss(NODES))
+        nodes, weights = (q.new_tensor(x) for x in leggauss(_NODES))
         s = v.unsqueeze(-1) * (nodes + 1) / 2
         along = k0.unsqueeze(-1) * s + k1.unsqueeze(-1) * s * s / 2
         across, ahead = (v / 2 * (weights * f).sum(-1) for f in (along.sin(), along.cos()))

@@ -15,9 +15,9 @@ LENGTH_M = 0.110
 RADIUS_M = 0.022
 MAGNET_AXIAL_M = 0.055
 SENSOR_RADIAL_M = 0.013
-AFFINE_LENGTH_M = 0.200
-AFFINE_PLANES_M = (0.0, 0.100, 0.200)
-AFFINE_MAGNETS_M = (0.050, 0.150)
+_AFFINE_LENGTH_M = 0.200
+_AFFINE_PLANES_M = (0.0, 0.100, 0.200)
+_AFFINE_MAGNETS_M = (0.050, 0.150)
 MAGNET_SHIFT_M = {"released": -0.003, "published": 0.0}
 """Shift of the magnets of the affine robot along their own axes [m]: in the released training data, and in print.
 
@@ -97,9 +97,9 @@ def affine_robot(
     """
     n = 9
     azimuth = ring_azimuths(n, azimuth_offset)
-    axial = torch.tensor(AFFINE_PLANES_M * (n // len(AFFINE_PLANES_M)), dtype=torch.float64)
+    axial = torch.tensor(_AFFINE_PLANES_M * (n // len(_AFFINE_PLANES_M)), dtype=torch.float64)
     return Robot(
-        segments=(AffineCurvature(AFFINE_LENGTH_M),),
-        magnets=magnet_mounts([0] * len(AFFINE_MAGNETS_M), AFFINE_MAGNETS_M, shift=magnet_shift_m),
+        segments=(AffineCurvature(_AFFINE_LENGTH_M),),
+        magnets=magnet_mounts([0] * len(_AFFINE_MAGNETS_M), _AFFINE_MAGNETS_M, shift=magnet_shift_m),
         sensors=sensor_mounts([0] * n, axial, SENSOR_RADIAL_M, azimuth),
     )

@@ -13,7 +13,7 @@ from repro import se3
 from repro.errors import bad_input
 from repro.kinematics.mounts import Mounts, magnet_mounts
 
-NO_MOUNTS = magnet_mounts([], [])
+_NO_MOUNTS = magnet_mounts([], [])
 """No magnets, or no sensors."""
 
 
@@ -62,8 +62,8 @@ class Robot:
     """
 
     segments: tuple[Segment, ...]
-    magnets: Mounts = NO_MOUNTS
-    sensors: Mounts = NO_MOUNTS
+    magnets: Mounts = _NO_MOUNTS
+    sensors: Mounts = _NO_MOUNTS
 
     def __post_init__(self) -> None:
         if not self.segments:

@@ -12,7 +12,7 @@ from repro.errors import bad_input
 
 STEPS = 400
 RATE_HZ = 40.0
-AMPLITUDE_M = 22e-3 * math.pi / 4
+_AMPLITUDE_M = 22e-3 * math.pi / 4
 """Bending amplitude D = 17.28 mm: 45 degrees (section 3.4) at a radius of 22 mm."""
 ELONGATION_M = 2.75e-3
 
@@ -22,7 +22,7 @@ TRAJECTORIES = ("T0", "T1", "T2", "T3")
 
 
 def lemniscate(
-    n_segments: int, *, half: bool = False, steps: int = STEPS, amplitude_m: float = AMPLITUDE_M
+    n_segments: int, *, half: bool = False, steps: int = STEPS, amplitude_m: float = _AMPLITUDE_M
 ) -> Float[Tensor, "steps n_q"]:
     r"""Lemniscate of every segment, each shifted in phase by :math:`p = 2\pi (i - 1)/n_b`.
 
@@ -139,10 +139,10 @@ def trajectory(name: str, n_segments: int, *, steps: int = STEPS) -> Float[Tenso
         waves = torch.sin(2 * math.pi * periods * s[:, None, None] + phase).sum(-1)
         unit = 0.75 * waves / waves.abs().amax(0)
         middle = torch.tensor([0.0, 0.0, ELONGATION_M] * n_segments, dtype=torch.float64)
-        size = torch.tensor([AMPLITUDE_M, AMPLITUDE_M, ELONGATION_M] * n_segments, dtype=torch.float64)
+        size = torch.tensor([_AMPLITUDE_M, _AMPLITUDE_M, ELONGATION_M] * n_segments, dtype=torch.float64)
         q = middle + size * unit
     elif name == "T1":
-        q = torch.stack([AMPLITUDE_M * s, 0 * s, ELONGATION_M + 0 * s], dim=-1).repeat(1, n_segments)
+        q = torch.stack([_AMPLITUDE_M * s, 0 * s, ELONGATION_M + 0 * s], dim=-1).repeat(1, n_segments)
     else:
         q = lemniscate(n_segments, half=name == "T2")
     return q[:steps]

@@ -16,7 +16,7 @@ from torch import Tensor
 from repro.errors import bad_input
 from repro.files import write_whole
 
-SCHEMA = 2
+_SCHEMA = 2
 """Version of the format."""
 _LARGEST = 2**53
 """Beyond it a whole number is no longer exact as a JSON number; no count of poses comes near."""
@@ -75,7 +75,7 @@ class RobotCalibration:
 def write_calibration(path: Path, calibration: RobotCalibration) -> None:
     """Write a calibration as JSON, whole or not at all; reading it returns the same bits."""
     rows = calibration.covariance.tolist()
-    content: dict[str, Any] = {"schema": SCHEMA}
+    content: dict[str, Any] = {"schema": _SCHEMA}
     for field in fields(calibration):
         value = getattr(calibration, field.name)
         content[field.name] = value.tolist() if isinstance(value, Tensor) else value
@@ -102,9 +102,9 @@ def read_calibration(path: Path) -> RobotCalibration:
         raise bad_input("path", "read_calibration", "a file that repro calibrate wrote", path) from error
     except (ValueError, RecursionError) as error:
         raise bad_input("file", owner, "JSON that repro calibrate wrote", error) from error
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+    if not isinstance(content, dict) or content.get("schema") != _SCHEMA:
         received = content.get("schema") if isinstance(content, dict) else type(content).__name__
-        expected = f"{SCHEMA} (older files lack the uncertainty of their parameters: calibrate again)"
+        expected = f"{_SCHEMA} (older files lack the uncertainty of their parameters: calibrate again)"
         raise bad_input("schema", owner, expected, received)
     names = {field.name for field in fields(RobotCalibration)}
     if wrong := names.symmetric_difference(content.keys() - {"schema"}):

@@ -17,11 +17,11 @@ from repro.robot_file.tables import MOST_CHANNELS, MOST_VALUES
 from repro.sensing.magnets import Cube, Ring
 from repro.sensing.own_model import are_scripts
 
-OWN_MODEL_MS = 50
+_OWN_MODEL_MS = 50
 """Time of an estimate with a network that is not compiled, about [ms]."""
-OWN_UNIT = {"hall": "raw", "millivolts": "mV"}
+_OWN_UNIT = {"hall": "raw", "millivolts": "mV"}
 """Formats whose values have a unit by themselves."""
-IN_RANGE = 10.0
+_IN_RANGE = 10.0
 """A magnet is in range of a sensor if it can change the reading by this many standard deviations of its noise."""
 
 
@@ -113,10 +113,10 @@ def check_format(document: Document, format: str, unit: str, sensors: bool, imus
         raise document.error(
             ("stream", "format"), "of magnetic sensors: quaternions are of IMUs", repr(format)
         )
-    if imus and format in OWN_UNIT:
+    if imus and format in _OWN_UNIT:
         raise document.error(("stream", "format"), "'frames' or 'quaternions' for IMUs", repr(format))
-    if sensors and unit != OWN_UNIT.get(format, unit):
-        expected = f"{OWN_UNIT[format]!r}, the unit of {format} (line {document.line('stream', 'format')})"
+    if sensors and unit != _OWN_UNIT.get(format, unit):
+        expected = f"{_OWN_UNIT[format]!r}, the unit of {format} (line {document.line('stream', 'format')})"
         raise document.error(("stream", "unit"), expected, repr(unit))
 
 
@@ -182,14 +182,14 @@ def check_networks(document: Document, found: _Sensed) -> tuple[str, ...]:
         found.sensing()
     except InputError as error:
         raise InputError(f"{line}, [model]: {error}") from error
-    slow = f"some {OWN_MODEL_MS} ms for an estimate instead of 1"
+    slow = f"some {_OWN_MODEL_MS} ms for an estimate instead of 1"
     return (f"{line}: networks in TorchScript are not compiled but run in torch: {slow}.",) if scripts else ()
 
 
 def out_of_range(document: Document, found: _Sensed) -> tuple[str, ...]:
     """Return warnings about sensors that no magnet reaches, with the distances where estimators start.
 
-    A magnet reaches a sensor if its dipole, :math:`2 A_1/d^3` at most, is :data:`IN_RANGE` times the noise.
+    A magnet reaches a sensor if its dipole, :math:`2 A_1/d^3` at most, is ``_IN_RANGE`` times the noise.
 
     Raises
     ------
@@ -210,7 +210,7 @@ def out_of_range(document: Document, found: _Sensed) -> tuple[str, ...]:
                 expected = f"farther than {reach * 1e3:.1f} mm from the centre of magnet {k + 1}"
                 raise document.error(("sensors", j, "at_mm"), expected, f"{row[k] * 1e3:.1f} mm from it")
         strong = int(signal[j].argmax())
-        if not found.networks and float(signal[j, strong]) < IN_RANGE * found.noise:
+        if not found.networks and float(signal[j, strong]) < _IN_RANGE * found.noise:
             distances = ", ".join(f"magnet {k + 1} at {d * 1e3:.0f} mm" for k, d in enumerate(row))
             who = "the nearest" if strong == near else f"magnet {strong + 1}"
             notes.append(

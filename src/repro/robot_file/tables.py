@@ -20,7 +20,7 @@ UNITS = ("mT", "mV", "raw")
 """Units that the readings of magnetic sensors may have."""
 MOST_CHANNELS = 255
 """Values of a frame, at most; a format may have fewer."""
-LAST_STREAM = 255
+_LAST_STREAM = 255
 IMU_NOISE_RAD = 0.0035
 """Standard deviation of an orientation about each axis where the file states none, 0.2 degrees [rad]."""
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
@@ -153,7 +153,7 @@ def imu_keys() -> dict[str, Key]:
     """Keys of ``[[imus]]``."""
     return {
         **_PLACE,
-        "stream": _count(0, LAST_STREAM),
+        "stream": _count(0, _LAST_STREAM),
         "mounted": _quaternion("from the frame of the IMU to that of the cross-section"),
         "heading": word(*HEADINGS, default=HEADINGS[0]),
     }

@@ -20,7 +20,7 @@ from repro.sensing.training import VALIDATION_SHARE, rmse
 
 BATCH = 1000
 EPOCHS = 10
-LEARNING_RATE = 1e-2
+_LEARNING_RATE = 1e-2
 
 
 def split_rows(n: int, seed: int) -> tuple[Tensor, Tensor]:
@@ -37,7 +37,7 @@ def train_fast(
     seed: int,
     widths: Sequence[int] = (64, 64),
     epochs: int = EPOCHS,
-    learning_rate: float = LEARNING_RATE,
+    learning_rate: float = _LEARNING_RATE,
     progress: bool = True,
 ) -> tuple[CosineNetwork, dict[str, float]]:
     """Train a network on cosines.
@@ -95,7 +95,7 @@ def train_dipole_residual(
     seed: int,
     widths: Sequence[int] = (32, 32),
     epochs: int = EPOCHS,
-    learning_rate: float = LEARNING_RATE,
+    learning_rate: float = _LEARNING_RATE,
     progress: bool = True,
 ) -> tuple[DipoleResidual, dict[str, float]]:
     """Fit dipole moments and the Earth field by linear least squares, then train a network on the remainder.

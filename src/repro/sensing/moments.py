@@ -35,7 +35,7 @@ class MomentFit:
     rms_mt: float
 
 
-def moment_columns(
+def _moment_columns(
     terms: int, d: Float[Tensor, "*batch m"], cosines: tuple[Tensor, Tensor, Tensor]
 ) -> Float[Tensor, "*batch terms"]:
     r"""Reading per unit of each moment: :math:`\sum_k [-P'_l \cos\alpha_k + P'_{l+1} \cos\beta_k]/d_k^{l+2}`.
@@ -102,7 +102,7 @@ def fit_moments(
     related = relations(robot, q, earth_mt)
     cosines = related.cosines()
     d, cos_alpha, cos_beta, cos_theta = cosines[..., 1:].unflatten(-1, (-1, 4)).unbind(-1)
-    columns = moment_columns(terms, d, (cos_alpha, cos_beta, cos_theta)).reshape(-1, terms)
+    columns = _moment_columns(terms, d, (cos_alpha, cos_beta, cos_theta)).reshape(-1, terms)
     earth = 0.0 if earth_mt is None else related.sensor_axis @ earth_mt.to(q)
     rest = (u - earth).reshape(-1, 1)
     scale = torch.linalg.vector_norm(columns, dim=0)

@@ -20,13 +20,13 @@ RIG_RADIUS_M = 22e-3
 """Radius ``d`` [m]."""
 RIG_MARKERS_M = 100.05e-3
 """Distance :math:`l_r` of the ring of markers from the base along the unextended backbone [m]."""
-RIG_MAGNET_M = 46.05e-3
+_RIG_MAGNET_M = 46.05e-3
 """Distance :math:`d_m` of the magnet from the base [m]."""
-RIG_SENSORS_M = 106.05e-3
+_RIG_SENSORS_M = 106.05e-3
 """Distance :math:`d_{s,a}` of the plane of the sensors from the base [m]."""
-RIG_SENSOR_RADIAL_M = 13e-3
+_RIG_SENSOR_RADIAL_M = 13e-3
 """Distance :math:`d_{s,r}` of the sensors from the backbone [m]."""
-RIG_EARTH_AXIS = (-0.311, -0.234, 0.921)
+_RIG_EARTH_AXIS = (-0.311, -0.234, 0.921)
 """Direction of the Earth field in the base frame (section 5.2)."""
 RIG_RATE_HZ = 40.0
 """Rate of the motion capture and of the readings (section 5.2)."""
@@ -50,13 +50,13 @@ def rig_robot() -> Robot:
     """
     return Robot(
         segments=(rig_segment(),),
-        magnets=magnet_mounts([0], RIG_MAGNET_M),
+        magnets=magnet_mounts([0], _RIG_MAGNET_M),
         sensors=sensor_mounts(
-            [0] * RIG_SENSORS, RIG_SENSORS_M, RIG_SENSOR_RADIAL_M, ring_azimuths(RIG_SENSORS)
+            [0] * RIG_SENSORS, _RIG_SENSORS_M, _RIG_SENSOR_RADIAL_M, ring_azimuths(RIG_SENSORS)
         ),
     )
 
 
 def rig_earth_axis() -> Float[Tensor, " 3"]:
     """Direction of the Earth field in the base frame, as a tensor: an input of the relations."""
-    return torch.tensor(RIG_EARTH_AXIS, dtype=torch.float64)
+    return torch.tensor(_RIG_EARTH_AXIS, dtype=torch.float64)

@@ -20,7 +20,7 @@ BENDING_M = 22e-3 * math.radians(54)
 """Bound of ``delta_x`` and ``delta_y`` [m]: a bending of 54 degrees, 20.73 mm."""
 ELONGATION_M = {"released": 6.6e-3, "published": 5.5e-3}
 """Upper bound of the elongation [m]: in the released code, and in section 3.2."""
-TILT_RAD = math.radians(20)
+_TILT_RAD = math.radians(20)
 RADIAL_M = (26e-3 / 3, 52e-3 / 3)
 """Bounds of ``d_s,r`` [m]: two and four thirds of 13 mm (printed 8.7 and 17.3 mm)."""
 
@@ -83,7 +83,7 @@ def draw(
     q = torch.cat([bending, elongation], dim=-1).flatten(-2)
     azimuth = uniform(0.0, 2 * math.pi / sensors_per_segment, samples)
     if not earth:
-        tilt, radial = uniform(-TILT_RAD, TILT_RAD, samples), uniform(*RADIAL_M, samples)
+        tilt, radial = uniform(-_TILT_RAD, _TILT_RAD, samples), uniform(*RADIAL_M, samples)
         return Draws(q, azimuth, tilt, radial, None)
     axis = uniform(-1.0, 1.0, samples, 3)
     axis /= torch.linalg.vector_norm(axis, dim=-1, keepdim=True)
