@@ -22,7 +22,7 @@ ROOMS = (
     ("repro.se3",),
 )
 """From those that use to those that are used; folders in one room use each other."""
-STEP, LEFT, WIDTH = 30, 250, 620
+STEP, LEFT, WIDTH = 30, 250, 500
 """Height of a line, where the arcs begin, and width of the picture."""
 TEXT = "Rooms of the project from top to bottom, and an arc from each to every room whose modules it imports"
 
