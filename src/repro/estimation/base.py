@@ -227,7 +227,7 @@ def held(q: Tensor, known: Tensor | None) -> tuple[Tensor, Tensor]:
 
 
 def kernel(sensing: Callable[[Tensor], Tensor]) -> Any:
-    """The sensor model, if its kernel can be used: it is one of :func:`repro.sensing.compiled`; else none."""
+    """The sensor model, if its kernel can be used: it is one of :func:`repro.kernels.compiled`; else none."""
     return sensing if getattr(sensing, "is_compiled", False) else None
 
 

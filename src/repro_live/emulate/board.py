@@ -83,7 +83,7 @@ def passages(
     readings
         In the order of their times.
     format
-        One of :data:`repro_live.wire.formats.FORMATS`.
+        One of :data:`repro.robot_file.tables.FORMATS`.
     faults
         None by default.
     seed
