@@ -29,6 +29,7 @@ from repro.report.provenance import Record, notebook_key, read_inputs, read_reco
 from repro.report.sweep_grid import OWNER, value_text
 
 LOCK = ".lock"
+QUIET = "ignore:resource_tracker:UserWarning"
 _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -190,6 +191,10 @@ def local_runner(jobs: int | None) -> Runner:
     def run(points: Sequence[Point]) -> Iterator[Outcome]:
         import joblib
 
+        # The tracker of loky's locks, a process of its own, warns of those that are cleared away while it is stopped.
+        given = os.environ.get("PYTHONWARNINGS", "")
+        if QUIET not in given:
+            os.environ["PYTHONWARNINGS"] = f"{given},{QUIET}".lstrip(",")
         parallel = joblib.Parallel(
             n_jobs=min(jobs or joblib.cpu_count(), len(points)),
             backend="loky",
