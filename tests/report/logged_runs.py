@@ -42,7 +42,7 @@ def in_background(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, start_new_session=True, **streams)
 
 
-def wait_for(condition, seconds: float = 60.0) -> None:
+def wait_for(condition, seconds: float = 180.0) -> None:
     """Wait until a condition holds."""
     deadline = time.monotonic() + seconds
     while not condition():

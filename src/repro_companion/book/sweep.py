@@ -27,6 +27,7 @@ from repro_companion.book.sweep_grid import OWNER, value_text
 from repro_companion.recordings.sources import data_dir
 
 LOCK = ".lock"
+QUIET = "ignore:resource_tracker:UserWarning"
 _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -188,6 +189,10 @@ def local_runner(jobs: int | None) -> Runner:
     def run(points: Sequence[Point]) -> Iterator[Outcome]:
         import joblib
 
+        # The tracker of loky's locks, a process of its own, warns of those that are cleared away while it is stopped.
+        given = os.environ.get("PYTHONWARNINGS", "")
+        if QUIET not in given:
+            os.environ["PYTHONWARNINGS"] = f"{given},{QUIET}".lstrip(",")
         parallel = joblib.Parallel(
             n_jobs=min(jobs or joblib.cpu_count(), len(points)),
             backend="loky",
