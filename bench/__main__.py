@@ -8,7 +8,9 @@ from repro.files import write_whole
 from repro_companion.book.project import find_project, shown
 from repro_companion.pages.performance.tables import with_targets
 
-if __name__ == "__main__":
+
+def main() -> int:
+    """Measure, write and print."""
     project = find_project()
     table, points = benchmark(project.data / "networks")
     for path, part in (
@@ -20,3 +22,8 @@ if __name__ == "__main__":
         write_whole(path, part.to_csv(index=False, float_format="%.4g", lineterminator="\n"))
         print(shown(path))
     print(with_targets(table).drop(columns=["error", "note"]).to_string(index=False))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

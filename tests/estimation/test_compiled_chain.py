@@ -109,4 +109,4 @@ def test_several_times_as_fast_and_linear():
 
     seconds(100, compiled_chain.pcc_extended)
     assert seconds(8000, pcc_extended) > 3 * seconds(8000, compiled_chain.pcc_extended)
-    assert seconds(16_000, "compiled") < 8**1.3 * seconds(2000, "compiled")
+    assert seconds(16_000, compiled_chain.pcc_extended) < 8**1.3 * seconds(2000, compiled_chain.pcc_extended)

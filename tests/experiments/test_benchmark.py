@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 import torch
 
-from bench import capabilities as measuring
+from bench import __main__ as bench_command
 from bench.capabilities import (
     chain_rows,
     generator_rows,
@@ -41,7 +41,6 @@ from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import B444B, ring
 from repro.sensing.multipole import MultipoleField
 from repro.sensing.relations import relations
-from repro_companion import cli
 from repro_companion.pages.performance.rows import COLUMNS, KINDS, Goal, rate, row
 from repro_companion.pages.performance.tables import arithmetic, missed, ratios, target_table, with_targets
 from repro_companion.twins.bend_curves import bend_curve, bend_readings
@@ -189,8 +188,8 @@ def test_command_writes_all_tables_and_succeeds_when_a_target_is_missed(tmp_path
     (tmp_path / "pyproject.toml").write_text('[project]\nname = "repro"\n')
     monkeypatch.chdir(tmp_path)
     points = pd.DataFrame({"capability": ["c"], "against": ["samples"], "size": [1], "seconds": [0.1]})
-    monkeypatch.setattr(measuring, "benchmark", lambda networks: (a_table(), points))
-    assert cli.bench() == 0
+    monkeypatch.setattr(bench_command, "benchmark", lambda networks: (a_table(), points))
+    assert bench_command.main() == 0
     lines = pd.read_csv(tmp_path / "results" / "bench.csv")
     assert list(lines) == list(COLUMNS)
     assert lines["met"].tolist() == [True, False]

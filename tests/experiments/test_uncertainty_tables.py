@@ -246,8 +246,8 @@ class TestSegments:
     def test_the_ellipsoid_is_that_of_three_coordinates(self, squared, covered):
         """95 % of chi-square with three degrees of freedom are below 7.815, in any printed table."""
         course = Course(1, draws=2, steps=5)
-        covariance = (1e-10 * torch.eye(3, dtype=torch.float64)).expand(5, 2, 3, 3)
-        q = course.q.unsqueeze(1) + torch.tensor([0.0, 1e-5 * math.sqrt(squared), 0.0], dtype=torch.float64)
+        covariance = (1e-6 * torch.eye(3, dtype=torch.float64)).expand(5, 2, 3, 3)
+        q = course.q.unsqueeze(1) + torch.tensor([0.0, 1e-3 * math.sqrt(squared), 0.0], dtype=torch.float64)
         q = q.expand(-1, 2, -1)
         found = segments_tables.errors(course, Trajectory(q, covariance, q, {}))
         assert found["covered_percent"].tolist() == [covered] * 2

@@ -124,7 +124,7 @@ def test_compiled_is_torch(tmp_path):
     stacked, q = robot_estimator(found).stacked, configurations(found, 20)
     for ours, theirs in zip(CompiledSensing(stacked).linearise(q), stacked.linearise(q), strict=True):
         torch.testing.assert_close(ours, theirs, rtol=1e-11, atol=1e-8)  # in units of the noise
-    with pytest.raises(InputError, match="sensing.parts of an estimator must be LinearisedSensing, or"):
+    with pytest.raises(InputError, match="sensing.parts of compiled must be LinearisedSensing, or"):
         CompiledSensing(replace(stacked, parts=(stacked.parts[0], stacked.parts[0])))
 
 
