@@ -98,7 +98,7 @@ def test_models_in_one_batch_are_the_models_alone():
 
 
 def test_without_noise_it_is_the_descent_of_table_1():
-    """Over 30 steps, on which no two iterates are so near in loss that rounding says which of them is the best."""
+    """Over 30 steps; on other numbers of steps rounding is seen to grow, to 4e-4 of the error on 40."""
     options = {"models": [PAPER], "solvers": [DESCENT], "steps": 30}
     here = noise_errors(1, [1e-12], [0, 1], NETWORKS, **options)
     there = model_by_solver(1, [0, 1], NETWORKS, **options)

@@ -32,8 +32,7 @@ def spread(seconds, shorter):
 def test_rounding_grows_where_the_step_is_too_long():
     """In the first 5 s of T2 to a good part of the error itself.
 
-    Half of the step is still too long on a fifth of T2; a quarter is short enough on all of it. What is left then
-    comes from kinks of the network, which part iterates that differ by rounding, but drive them no further apart.
+    With this network half of the step is still too long on a fifth of T2; a quarter is short enough on all of it.
     """
     assert spread(2.0, 1) < 1e3 * RELATIVE
     assert spread(5.0, 1) > 0.1

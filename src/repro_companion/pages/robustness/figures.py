@@ -86,9 +86,8 @@ def error_pairs(table: pd.DataFrame, title: str) -> Figure:
         for side in (panel.xaxis, panel.yaxis):
             side.set_minor_formatter(NullFormatter())
             side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    panels[-1, 1].set_xlabel(
-        "paper's method, elongation known: RMSE [mm]"
-    )  # of the figure, it would lie on the legend
+    # Of the panel: one of the figure would lie on the legend.
+    panels[-1, 1].set_xlabel("paper's method, elongation known: RMSE [mm]")
     figure.supylabel("ours: RMSE [mm]", fontsize="medium")
     marks = [Line2D([], [], ls="", marker=m, color="0.3", label=rf"$\Delta_{a}$") for a, m in AXES.items()]
     marks += [Line2D([], [], ls="", marker="o", color=FAMILIES[f], label=f) for f in families]
