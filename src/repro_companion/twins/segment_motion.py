@@ -8,7 +8,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
 from repro.kinematics.affine_curvature import AffineCurvature
 from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M, pcc_robot
 from repro.kinematics.trajectories import RATE_HZ, STEPS, flower, lemniscate
@@ -51,17 +50,9 @@ class Motion:
     q: Float[Tensor, "t n_q"] | None
 
     def at(self, arc_m: float) -> Float[Tensor, "t 4 4"]:
-        """Poses at one of the arc lengths [m].
-
-        Raises
-        ------
-        InputError
-            If it is none of them.
-        """
-        (found,) = torch.nonzero((self.arcs_m - arc_m).abs() < 1e-9, as_tuple=True)
-        if len(found) != 1:
-            raise bad_input("arc_m", "Motion.at", "among arcs_m [m]", arc_m)
-        return self.poses[:, int(found[0])]
+        """Poses at one of the arc lengths [m]."""
+        ((k,),) = torch.nonzero((self.arcs_m - arc_m).abs() < 1e-9).tolist()
+        return self.poses[:, k]
 
 
 def motion(name: str, *, steps: int = STEPS, load_n: float = LOAD_N) -> Motion:
@@ -75,11 +66,6 @@ def motion(name: str, *, steps: int = STEPS, load_n: float = LOAD_N) -> Motion:
         Time steps; all trajectories take 10 s.
     load_n
         Force on the tip of the rod along x [N]. Without it the rod moves as the segment of constant curvature.
-
-    Raises
-    ------
-    InputError
-        If there is no such trajectory, or no step.
     """
     arcs = torch.linspace(0, LENGTH_M, ROD.elements + 1, dtype=torch.float64)
     v, time = arcs / LENGTH_M, torch.arange(steps, dtype=torch.float64) * (STEPS / RATE_HZ / steps)
@@ -89,8 +75,6 @@ def motion(name: str, *, steps: int = STEPS, load_n: float = LOAD_N) -> Motion:
     if name == TRAJECTORIES[1]:
         affine = flower(steps=steps) * torch.tensor([AFFINE_SCALE, AFFINE_SCALE, 1.0, 1.0]).double()
         return Motion(name, time, arcs, AffineCurvature(LENGTH_M).pose(affine.unsqueeze(-2), v), None)
-    if name == TRAJECTORIES[2]:
-        force = torch.tensor([load_n, 0.0, 0.0], dtype=torch.float64)
-        poses = ROD.equilibrium(q[:, :2] / RADIUS_M, 1 + q[:, 2] / LENGTH_M, force)
-        return Motion(name, time, arcs, poses, None)
-    raise bad_input("name", "motion", f"one of {', '.join(map(repr, TRAJECTORIES))}", repr(name))
+    force = torch.tensor([load_n, 0.0, 0.0], dtype=torch.float64)
+    poses = ROD.equilibrium(q[:, :2] / RADIUS_M, 1 + q[:, 2] / LENGTH_M, force)
+    return Motion(name, time, arcs, poses, None)

@@ -64,9 +64,7 @@ class Parts:
     errors: ImuErrors
 
 
-def draw_parts(
-    draws: int, *, seed: int = 0, as_drawn: bool = False, imu_errors: ImuErrors = IMU_ERRORS
-) -> Parts:
+def draw_parts(draws: int, *, seed: int = 0, as_drawn: bool = False) -> Parts:
     """Draw robots; every draw has a generator of its own.
 
     Tolerances are normal with the standard deviations of :class:`~repro.sensing.placement.Tolerances`, for the ring
@@ -82,8 +80,6 @@ def draw_parts(
         Of all draws.
     as_drawn
         No tolerances, and IMUs without constant errors.
-    imu_errors
-        Of the IMUs.
 
     Raises
     ------
@@ -105,7 +101,7 @@ def draw_parts(
     )
     a, b = (limits.sensor_tilt_rad * rest[:, 5:7]).unbind(-1)
     turned = se3.rotation_z(limits.sensor_azimuth_rad * rest[:, 7]) @ se3.rotation_x(a) @ se3.rotation_y(b)
-    errors = imu_errors.scaled(size)
+    errors = IMU_ERRORS.scaled(size)
     mounting = errors.mounting_rad * normal[:, 40:46].reshape(-1, 2, 3)
     world = np.concatenate(
         [
@@ -123,7 +119,7 @@ def draw_parts(
         hall_gain=1 + limits.sensor_gain * rest[:, 8:11],
         strength=1 + limits.moments * rest[:, 11:13],
         turns=np.stack([_quaternions(mounting), _quaternions(world)]),
-        errors=imu_errors,
+        errors=IMU_ERRORS,
     )
 
 

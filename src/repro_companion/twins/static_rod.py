@@ -42,22 +42,12 @@ class StaticRod:
         Young's modulus [Pa]; the shear modulus is a third of it (incompressible).
     elements
         Number of elements, each of constant curvature.
-
-    Raises
-    ------
-    InputError
-        If one of them is not positive.
     """
 
     length_m: float
     radius_m: float
     youngs_modulus_pa: float
     elements: int = 44
-
-    def __post_init__(self) -> None:
-        for name in vars(self):
-            if not 0 < getattr(self, name) < math.inf:
-                raise bad_input(name, "StaticRod", "positive", getattr(self, name))
 
     @property
     def bending_stiffness(self) -> float:
@@ -118,7 +108,7 @@ def _walked(turn: Tensor, step: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """
     z = (turn * turn).sum(-1, keepdim=True)
     chord = se3.sinc(z / 4) * step + (1 / 24 - z / 1920) * (turn * step).sum(-1, keepdim=True) * turn
-    half, whole = _rotation(turn / 2), _rotation(turn)
+    half, whole = rotation_matrix(turn / 2), rotation_matrix(turn)
     R, p = torch.eye(3).to(turn).expand(*turn.shape[:-2], 3, 3), turn.new_zeros(*turn.shape[:-2], 3)
     poses, middles, centres = [se3.pose(R, p)], [], []
     for k in range(turn.shape[-2]):
@@ -131,10 +121,22 @@ def _walked(turn: Tensor, step: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return torch.stack(poses, dim=-3), torch.stack(middles, dim=-3), torch.stack(centres, dim=-2)
 
 
-def _rotation(vector: Tensor) -> Tensor:
-    """Rodrigues' formula."""
-    z = (vector * vector).sum(-1)[..., None, None]
-    x, y, w = vector.unbind(-1)
-    zero = torch.zeros_like(x)
-    skew = torch.stack([zero, -w, y, w, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
-    return torch.eye(3).to(vector) + se3.sinc(z) * skew + se3.cosc(z) * skew @ skew
+def rotation_matrix(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Rotation by a rotation vector [rad] (Rodrigues' formula), exact with its derivatives at zero.
+
+    Examples
+    --------
+    >>> rotation_matrix(torch.tensor([0.0, 0.0, torch.pi / 2], dtype=torch.float64)).round().abs()
+    tensor([[0., 1., 0.],
+            [1., 0., 0.],
+            [0., 0., 1.]], dtype=torch.float64)
+    """
+    K, z = cross_matrix(vector), (vector * vector).sum(-1)[..., None, None]
+    return torch.eye(3).to(vector) + se3.sinc(z) * K + se3.cosc(z) * K @ K
+
+
+def cross_matrix(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Matrix of the cross product by a vector."""
+    x, y, z = vector.unbind(-1)
+    o = torch.zeros_like(x)
+    return torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).unflatten(-1, (3, 3))
