@@ -27,7 +27,7 @@ from repro.kinematics.bend import MAX_BEND
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.field_ratios import FieldRatios, model_axes, ratios
 from repro_companion.recordings.mitchell2021 import FIELD, HallTake, read_hall, takes
-from repro_companion.twins.bend_simulation import SENSOR_NOISE_MT
+from repro_companion.twins.bend_curves import SENSOR_NOISE_MT
 from repro_companion.twins.bend_takes import write_light_tests
 
 FIRST = "light_-1"
