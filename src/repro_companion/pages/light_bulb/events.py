@@ -177,15 +177,11 @@ def events(table: pd.DataFrame, threshold: float, merged_s: float = MERGED_S) ->
         Columns ``start_s, end_s, rise``, one row per event: at least `LEAST_S` long, and more than ``merged_s``
         after the end of the one before.
     """
-    rise, time_s = (table["ratio"] - table["baseline"]).to_numpy(), table["time_s"].to_numpy()
-    found: list[list[float]] = []
-    for k in np.flatnonzero(rise > threshold):
-        if found and time_s[k] - found[-1][1] <= merged_s:
-            found[-1] = [found[-1][0], float(time_s[k]), max(found[-1][2], float(rise[k]))]
-        else:
-            found.append([float(time_s[k]), float(time_s[k]), float(rise[k])])
-    kept = [event for event in found if event[1] - event[0] >= LEAST_S]
-    return pd.DataFrame(kept, columns=["start_s", "end_s", "rise"], dtype=float)
+    rise = table["ratio"] - table["baseline"]
+    above = table.assign(rise=rise)[rise > threshold]
+    event = (above["time_s"].diff() > merged_s).cumsum()
+    found = above.groupby(event).agg(start_s=("time_s", "min"), end_s=("time_s", "max"), rise=("rise", "max"))
+    return found[found["end_s"] - found["start_s"] >= LEAST_S].reset_index(drop=True)
 
 
 def all_events(tests: dict[str, HallTake], model: FieldRatios) -> tuple[Detector, pd.DataFrame, pd.DataFrame]:
@@ -218,8 +214,8 @@ def all_events(tests: dict[str, HallTake], model: FieldRatios) -> tuple[Detector
         marks.append(events(table, found.threshold).assign(file=name))
         degrees = {f"{angle}_deg": np.degrees(table[f"{angle}_rad"]) for angle in ("bend", "deviation")}
         curves.append(table[["time_s", "ratio", "baseline", "at_bound"]].assign(file=name, **degrees))
-    columns = ["file", "start_s", "end_s", "rise"]
-    return found, pd.concat(curves, ignore_index=True), pd.concat(marks, ignore_index=True).loc[:, columns]
+    marked = pd.concat(marks, ignore_index=True)[["file", "start_s", "end_s", "rise"]]
+    return found, pd.concat(curves, ignore_index=True), marked
 
 
 def counts(curves: pd.DataFrame, found: Detector) -> pd.DataFrame:
