@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from repro.kinematics.paper_robots import RADIUS_M
 from repro_companion.pages.fusion.models import Imus, left_jacobian, rotation_vector
-from repro_companion.twins.segment_motion import ROBOT
-from repro_companion.twins.static_rod import rotation_matrix
+from repro_companion.twins.segment_motion import ROBOT, rotation_matrix
 
 ANGLES = (0.0, 1e-12, 1e-8, 1e-4, 0.19, 0.21, 1.0, 2.0, 3.0, math.pi - 1e-3, math.pi - 1e-7)
 

@@ -12,7 +12,7 @@ from scipy.special import ellipk, ellipkinc
 from repro.errors import InputError
 from repro.kinematics.constant_curvature import ConstantCurvature
 from repro_companion.twins.cosserat_rod import Rod, Stick, simulate_rod
-from repro_companion.twins.static_rod import SHEAR_FACTOR, StaticRod
+from repro_companion.twins.segment_motion import SHEAR_FACTOR, StaticRod
 
 ROD = StaticRod(length_m=0.11, radius_m=0.011, youngs_modulus_pa=1e6)
 STRAIGHT, ONE = torch.zeros(2, dtype=torch.float64), torch.tensor(1.0, dtype=torch.float64)

@@ -34,8 +34,7 @@ from repro.kernels import compiled
 from repro.kinematics.paper_robots import RADIUS_M
 from repro.sensing.linearised import LinearisedSensing
 from repro_companion.twins.calibration_session import released_moments
-from repro_companion.twins.segment_motion import ROBOT
-from repro_companion.twins.static_rod import cross_matrix, rotation_matrix
+from repro_companion.twins.segment_motion import ROBOT, cross_matrix, rotation_matrix
 
 _SWITCH = 1e-2
 _ASINC = [math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(10)]

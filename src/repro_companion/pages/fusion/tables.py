@@ -70,6 +70,8 @@ def errors(
     """
     tables: list[pd.DataFrame] = []
     truth = torch.stack([x.at(LENGTH_M) for x in motions], dim=1).unsqueeze(2)
+    along = [[x.name for x in motions], seeds, motions[0].time_s[SKIPPED:].tolist()]
+    steps = pd.MultiIndex.from_product(along, names=["trajectory", "seed", "time_s"])
     alone = None
     for setting in settings:
         recorded = record(motions, seeds, setting)
@@ -79,13 +81,10 @@ def errors(
         if setting == settings[0]:
             found[INFLATED] = estimates("both", recorded, setting, share=share, shape_mt=shape_mt)
         for method, tracked in found.items():
-            columns = {name: x[SKIPPED:].numpy() for name, x in _columns(tracked, truth).items()}
-            for place, moved in enumerate(motions):
-                for k, seed in enumerate(seeds):
-                    labels = dict(zip(KEYS, (setting.name, moved.name, method), strict=True))
-                    values = {name: x[:, place, k] for name, x in columns.items()}
-                    times = moved.time_s[SKIPPED:].numpy()
-                    tables.append(pd.DataFrame({**labels, "seed": seed, "time_s": times, **values}))
+            # [time, motions, draws]; the last draw has no noise.
+            columns = {k: x[SKIPPED:, :, :-1].movedim(0, -1) for k, x in _columns(tracked, truth).items()}
+            table = pd.DataFrame({name: x.flatten().numpy() for name, x in columns.items()}, index=steps)
+            tables.append(table.reset_index().assign(setting=setting.name, method=method))
     return pd.concat(tables, ignore_index=True)
 
 
