@@ -1,8 +1,8 @@
 r"""How the one robot moves: three trajectories of the same segment, one of them a rod under load (synthetic).
 
 The rod is a Cosserat rod with a rest shape, clamped at its base and at rest under a force on its tip. With the frame
-:math:`R(s)`, the position :math:`p(s)`, the constant force :math:`F` and the stiffnesses :math:`K` of bending and twist
-and :math:`S` of shear and stretch, both in the frame of the rod,
+:math:`R(s)`, the position :math:`p(s)`, the constant force :math:`F` and the stiffnesses :math:`K` of bending and
+twist and :math:`S` of shear and stretch, both in the frame of the rod,
 
 .. math:: p' = R\,\nu, \qquad R' = R\,[\kappa]_\times, \qquad
           K (\kappa - \kappa^*) = R^T \bigl((p_\mathrm{tip} - p) \times F\bigr), \qquad
