@@ -14,10 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import torch
 from jaxtyping import Float
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from scipy.ndimage import median_filter
 from torch import Tensor
 
@@ -29,6 +32,7 @@ from repro.sensing.field_ratios import FieldRatios, model_axes, ratios
 from repro_companion.recordings.mitchell2021 import FIELD, HallTake, read_hall, takes
 from repro_companion.twins.bend_curves import SENSOR_NOISE_MT
 from repro_companion.twins.bend_takes import write_light_tests
+from repro_live.view.style import page_figure
 
 FIRST = "light_-1"
 """The file that sets rest and threshold."""
@@ -44,6 +48,7 @@ LEAST_S = 0.1
 """Shortest event [s]."""
 MERGED_S = 1.0
 """Events closer to each other are one [s]."""
+OURS, EVENT = "#0072B2", "#D55E00"
 
 
 @dataclass(frozen=True)
@@ -89,18 +94,12 @@ def recorded_or_synthetic(*, seed: int = 0) -> tuple[dict[str, HallTake], str]:
 
 def facts(tests: dict[str, HallTake]) -> pd.DataFrame:
     """What was dropped of each file: ``file, readings, unreadable, drained, beyond_range, longest_gap_s``."""
+    columns = ["file", "readings", "unreadable", "drained", "beyond_range", "longest_gap_s"]
     rows = [
-        {
-            "file": name,
-            "readings": len(hall.readings),
-            "unreadable": hall.unreadable,
-            "drained": hall.drained,
-            "beyond_range": hall.masked,
-            "longest_gap_s": hall.longest_gap_s,
-        }
+        (name, len(hall.readings), hall.unreadable, hall.drained, hall.masked, hall.longest_gap_s)
         for name, hall in tests.items()
     ]
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=columns)
 
 
 def detector(first: HallTake) -> Detector:
@@ -249,3 +248,51 @@ def _ratios(hall: HallTake) -> Tensor:
 def as_drawn(length_mm: float) -> FieldRatios:
     """Model of the ratios without calibration, for an arc length [mm]."""
     return FieldRatios(BendSensor(1e-3 * length_mm), torch.eye(2, dtype=torch.float64))
+
+
+@page_figure
+def events_over_time(curves: pd.DataFrame, events: pd.DataFrame, threshold: float, source: str) -> Figure:
+    """Bend angle and ratios over time with the events that were detected, one row per file (Fig. 8).
+
+    Parameters
+    ----------
+    curves
+        Columns ``file, time_s, ratio, baseline, bend_deg, deviation_deg``.
+    events
+        Columns ``file, start_s, end_s``.
+    threshold
+        Rise over the baseline that counts.
+    source
+        Where the files come from; stands in the title.
+    """
+    files = list(dict.fromkeys(curves["file"]))
+    figure, panels = plt.subplots(
+        len(files), 2, figsize=(9.6, 1.9 * len(files) + 0.7), sharex=True, squeeze=False
+    )
+    for (left, right), file in zip(panels, files, strict=True):
+        part = curves[curves["file"] == file]
+        band = 2.0 * part["deviation_deg"]
+        left.fill_between(
+            part["time_s"], part["bend_deg"] - band, part["bend_deg"] + band, color=OURS, alpha=0.25, lw=0
+        )
+        left.plot(part["time_s"], part["bend_deg"], color=OURS, lw=0.7)
+        left.axhline(90.0, color="0.6", lw=0.8, ls="--")
+        left.set(ylim=(0, 98), yticks=(0, 30, 60, 90))
+        right.plot(part["time_s"], part["ratio"], color="black", lw=0.7)
+        right.plot(part["time_s"], part["baseline"], color="0.6", lw=1)
+        right.plot(part["time_s"], part["baseline"] + threshold, color="0.6", lw=0.8, ls=":")
+        for _, event in events[events["file"] == file].iterrows():
+            for panel in (left, right):
+                panel.axvspan(event["start_s"], event["end_s"], color=EVENT, alpha=0.25, lw=0)
+        left.set_title(f"{file}, {source}", loc="left")
+        left.set_ylabel("bend [deg]")
+        right.set_ylabel("transverse / axial")
+    for panel in panels[-1]:
+        panel.set_xlabel("time [s]")
+    handles = [
+        Line2D([], [], color="0.6", lw=1, label="running median"),
+        Line2D([], [], color="0.6", lw=0.8, ls=":", label="threshold"),
+        Line2D([], [], color=EVENT, lw=6, alpha=0.3, label="event"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return figure
