@@ -26,8 +26,8 @@ from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
 from repro_companion.pages.performance.rows import COLUMNS, SCALING, rate
 from repro_companion.pages.performance.tables import exponents
+from repro_companion.pages.probabilistic_curvature.simulation import PAPER
 from repro_companion.twins.bend_curves import LENGTH_M, bend_curve, bend_readings
-from repro_companion.twins.bend_simulation import PAPER
 from repro_companion.twins.calibrated_robots import box
 from repro_companion.twins.calibration_session import SENSOR_NOISE_MT
 

@@ -16,8 +16,8 @@ from repro.estimation.regions import Box, Disc
 from repro.kernels import compiled
 from repro.kernels.weighing import _smallest
 from repro.sensing.bend_sensor import BendSensor
+from repro_companion.pages.probabilistic_curvature.simulation import BEST, GAUSS_NEWTON, PAPER, WEIGHTED
 from repro_companion.twins.bend_curves import bend_curve, bend_readings
-from repro_companion.twins.bend_simulation import BEST, GAUSS_NEWTON, PAPER, WEIGHTED
 
 SENSOR = BendSensor(15e-3)
 FAST = compiled(SENSOR)

@@ -12,11 +12,11 @@ from scipy.stats import norm
 from repro.sensing.placement import Tolerances
 from repro_companion.book.bootstrap import interval
 from repro_companion.pages.bend_tests import errors as bend_errors
+from repro_companion.pages.bend_tests.takes import BendTake
 from repro_companion.pages.closed_loop import tables as loops
 from repro_companion.pages.closed_loop.loop import LoopTrace, judged_rms_mm, reference_mm, rms_mm
 from repro_companion.pages.filter_on_segments import tables as segments_tables
-from repro_companion.pages.fusion import readings as fusion_readings
-from repro_companion.twins.mitchell_takes import BendTake
+from repro_companion.pages.fusion import study as fusion
 from repro_companion.twins.segment_motion import TRAJECTORIES, motion
 
 
@@ -211,16 +211,14 @@ class TestRecordOfOneRobot:
     def test_magnets_scatter_by_the_noise_of_their_setting(self):
         """7.1e-4 mT and seven times that: 20 draws of 40 steps of three sensors; the last draw has none."""
         moved = motion(TRAJECTORIES[0], steps=40)
-        for setting, noise_mt in zip(fusion_readings.SETTINGS[:2], (7.1e-4, 7 * 7.1e-4), strict=True):
-            found = fusion_readings.record([moved], range(20), setting)
+        for setting, noise_mt in zip(fusion.SETTINGS[:2], (7.1e-4, 7 * 7.1e-4), strict=True):
+            found = fusion.record([moved], range(20), setting)
             noise = found.magnets[:, 0, :-1] - found.magnets[:, 0, -1:]
             assert float(noise.std()) == pytest.approx(noise_mt, rel=0.06)
 
     def test_stray_field_is_that_of_the_earth_in_size(self):
         """0.065 mT in all, so a third of its square along a sensor; 24 draws, three of their errors."""
-        assert fusion_readings.SETTINGS[2].stray_mt == pytest.approx(0.065 / math.sqrt(3))
-        found = fusion_readings.record(
-            [motion(TRAJECTORIES[0], steps=3)], range(24), fusion_readings.SETTINGS[2]
-        )
+        assert fusion.SETTINGS[2].stray_mt == pytest.approx(0.065 / math.sqrt(3))
+        found = fusion.record([motion(TRAJECTORIES[0], steps=3)], range(24), fusion.SETTINGS[2])
         off = (found.magnets[:, 0, :-1] - found.magnets[:, 0, -1:])[2]
         assert float(off.square().mean().sqrt()) == pytest.approx(0.065 / math.sqrt(3), rel=0.43)

@@ -26,12 +26,7 @@ from repro_companion.pages.bend_tests.filters import (
     ours,
     paper_filters,
 )
-from repro_companion.recordings.mitchell2021 import takes as files_of_takes
-from repro_companion.recordings.mitchell2021_tables import read_calibration
-from repro_companion.recordings.released import said_of_files
-from repro_companion.twins.bend_curves import bend_readings
-from repro_companion.twins.bend_takes import BendRecorder, write_bend_takes
-from repro_companion.twins.mitchell_takes import (
+from repro_companion.pages.bend_tests.takes import (
     against_displacement,
     axial_field,
     bend_takes,
@@ -40,6 +35,11 @@ from repro_companion.twins.mitchell_takes import (
     log_states,
     recorded_or_synthetic,
 )
+from repro_companion.recordings.mitchell2021 import takes as files_of_takes
+from repro_companion.recordings.mitchell2021_tables import read_calibration
+from repro_companion.recordings.released import said_of_files
+from repro_companion.twins.bend_curves import bend_readings
+from repro_companion.twins.bend_takes import BendRecorder, write_bend_takes
 from repro_live.own.optitrack import read_capture
 
 SENSOR = BendSensor(13e-3)
@@ -295,7 +295,7 @@ def test_statements_have_the_numbers_of_the_tables(real):
     assert "ours 9.0 deg (8.0 to 13.0; 3)." in said
     assert "other try 1.0 deg (1.0; 1), target 2 deg; to the other tests not run." in said
     assert "Above 40 deg these two are 2.1 deg (2.1; 1) and not run." in said
-    table = say.factors(real, NO_READINGS)
+    table = errors.factors(real, NO_READINGS)
     assert table["fitted_to"].tolist() == [take.name for take in real]
     np.testing.assert_allclose(table["factor"], 1.2, rtol=0.02)  # the gain across the body that was put in
     assert say.of_factors(table, "not found").endswith("There are no calibration readings: not found.")

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro_companion.pages.light_bulb.events import (
+from repro_companion.pages.light_bulb import (
     FIRST,
     all_events,
     as_drawn,

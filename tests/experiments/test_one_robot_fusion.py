@@ -4,14 +4,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
 from repro.kinematics.mounts import magnet_mounts
 from repro.kinematics.paper_robots import LENGTH_M
-from repro_companion.pages.fusion.filters import estimates
 from repro_companion.pages.fusion.models import Imus, Magnets
-from repro_companion.pages.fusion.orientation_readings import OrientationReadings
-from repro_companion.pages.fusion.readings import SETTINGS, record
+from repro_companion.pages.fusion.study import SETTINGS, record
 from repro_companion.pages.fusion.tables import errors, gains, judged, summary
 from repro_companion.twins.segment_motion import ROBOT, TRAJECTORIES, motion
 
@@ -31,11 +30,14 @@ def test_derivatives_against_differences(model):
         torch.testing.assert_close(J[..., k], slope, atol=1e-7, rtol=1e-7)
 
 
-def test_the_imus_are_those_of_the_general_model():
+def test_the_imus_are_those_of_the_robot_with_errors_on_both_sides():
+    """By the kinematics of the robot and SciPy: log(exp(left) R_base^T R_tip exp(right))."""
     x = states(5)
-    general = OrientationReadings(ROBOT, magnet_mounts([0, 0], [0.0, LENGTH_M]))
-    expected = general(x[:, :3], x[:, 3:6] + x[:, 6:9], x[:, 9:12])
-    torch.testing.assert_close(Imus(False)(x), expected, atol=1e-13, rtol=0)
+    R = ROBOT.mount_poses(x[:, :3], magnet_mounts([0, 0], [0.0, LENGTH_M]))[..., :3, :3]
+    base, tip = (Rotation.from_matrix(R[:, k].numpy()) for k in (0, 1))
+    left, right = (Rotation.from_rotvec(e.numpy()) for e in (x[:, 3:6] + x[:, 6:9], x[:, 9:12]))
+    expected = (left * base.inv() * tip * right).as_rotvec()
+    np.testing.assert_allclose(Imus(False)(x), expected, atol=1e-13, rtol=0)
 
 
 def test_readings_without_errors_are_those_of_the_models():
@@ -54,7 +56,7 @@ def test_readings_without_errors_are_those_of_the_models():
 @pytest.fixture(scope="module")
 def table():
     moved = judged(40)[:1]
-    return errors(moved, range(10), settings=SETTINGS[1:2], methods=("magnets", "IMUs", "both"))
+    return errors(moved, range(10), settings=SETTINGS[1:2])
 
 
 def test_covariance_is_consistent_and_both_win_as_predicted(table):
@@ -97,8 +99,5 @@ def test_band_and_ratio_of_a_table_made_by_hand():
 
 
 def test_bad_input():
-    with pytest.raises(InputError, match="motions, seeds of record must be at least one of each"):
-        record([], [0], SETTINGS[0])
-    found = record([motion(TRAJECTORIES[0], steps=3)], [0], SETTINGS[0])
-    with pytest.raises(InputError, match="method of estimates must be one of 'magnets', 'IMUs', 'both'"):
-        estimates("all", found, SETTINGS[0])
+    with pytest.raises(InputError, match="draws of record must be at least 1; instead received 0."):
+        record([motion(TRAJECTORIES[0], steps=3)], [], SETTINGS[0])

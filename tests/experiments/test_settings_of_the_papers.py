@@ -17,7 +17,7 @@ from repro.sensing.magnetic import EARTH_MT
 from repro_companion.book.project import find_project
 from repro_companion.book.published import read_published
 from repro_companion.pages.bend_tests.filters import PAPER_SETTINGS
-from repro_companion.twins import bend_simulation as simulation
+from repro_companion.pages.probabilistic_curvature import simulation
 from repro_companion.twins import rig_descent as table2
 from repro_companion.twins import table_1_method as table1
 from repro_companion.twins import table_1_scorecard as scorecard

@@ -11,8 +11,8 @@ from scipy.stats import chi2, norm
 from repro.estimation.base import Trajectory
 from repro.kinematics.trajectories import lemniscate
 from repro_companion.pages.filter_on_segments import tables as segments_tables
-from repro_companion.pages.filter_on_segments.courses import Course
-from repro_companion.pages.fusion import filters as fusion
+from repro_companion.pages.filter_on_segments.methods import Course
+from repro_companion.pages.fusion import study as fusion
 from repro_companion.pages.fusion import tables as fusion_tables
 from repro_companion.pages.robustness import tables as robustness_tables
 from repro_companion.pages.robustness import twins as robustness

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from repro_companion.pages.bend_tests import figures
-from repro_companion.pages.light_bulb.figures import light_bulb
+from repro_companion.pages.light_bulb import events_over_time
 
 TAKES = pd.DataFrame(
     {
@@ -72,7 +72,7 @@ def test_errors_have_a_row_for_each_method_and_a_panel_for_each_column():
 def test_light_bulb_shades_events():
     table = pd.DataFrame({"file": "light_0", "time_s": [0.0, 1.0], "ratio": 0.1, "baseline": 0.1})
     events = pd.DataFrame({"file": ["light_0"], "start_s": [0.2], "end_s": [0.4]})
-    figure = light_bulb(table.assign(bend_deg=30.0, deviation_deg=1.0), events, 0.01, "synthetic")
+    figure = events_over_time(table.assign(bend_deg=30.0, deviation_deg=1.0), events, 0.01, "synthetic")
     left, right = figure.axes
     assert len(left.patches) == len(right.patches) == 1
     assert left.get_title(loc="left") == "light_0, synthetic"

@@ -3,9 +3,9 @@
 import pandas as pd
 import pytest
 
-from repro_companion.pages.one_robot.errors import CONDITIONS, QUANTITIES
 from repro_companion.pages.one_robot.estimates import METHODS
 from repro_companion.pages.one_robot.figures import ROBUSTNESS, three_ways
+from repro_companion.pages.one_robot.tables import CONDITIONS, QUANTITIES
 from repro_companion.twins.segment_motion import TRAJECTORIES
 
 

@@ -7,15 +7,9 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from repro.errors import InputError
-from repro.kinematics.mounts import magnet_mounts
-from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M, pcc_robot
-from repro_companion.pages.fusion.orientation_readings import (
-    OrientationReadings,
-    left_jacobian,
-    rotation_matrix,
-    rotation_vector,
-)
+from repro.kinematics.paper_robots import RADIUS_M
+from repro_companion.pages.fusion.models import Imus, left_jacobian, rotation_vector
+from repro_companion.twins.segment_motion import ROBOT, rotation_matrix
 
 ANGLES = (0.0, 1e-12, 1e-8, 1e-4, 0.19, 0.21, 1.0, 2.0, 3.0, math.pi - 1e-3, math.pi - 1e-7)
 
@@ -59,36 +53,27 @@ def test_a_small_turn_across_is_seen_larger_by_half_the_angle_over_its_sine():
 
 
 def test_a_segment_of_constant_curvature_reads_its_bending_linearly():
-    sensing = OrientationReadings(pcc_robot(1), magnet_mounts([0, 0], [0.0, LENGTH_M]))
     q = torch.tensor([[0.01, -0.004, 0.001], [0.0, 0.0, 0.005], [-0.02, 0.02, 0.0]], dtype=torch.float64)
     expected = torch.stack([-q[:, 1], q[:, 0], 0 * q[:, 0]], dim=-1) / RADIUS_M
-    torch.testing.assert_close(sensing(q), expected, atol=1e-14, rtol=0)
+    read = Imus(False)(torch.nn.functional.pad(q, (0, 9)))
+    torch.testing.assert_close(read, expected, atol=1e-14, rtol=0)
 
 
 @pytest.mark.parametrize("batch", [(), (4,), (2, 1, 3)])
 @pytest.mark.parametrize("bend", [0.0, 0.01])
 def test_closed_form_derivatives(batch, bend):
-    robot = pcc_robot(2)
-    sensing = OrientationReadings(robot, magnet_mounts([0, 0, 1], [0.0, LENGTH_M, 0.7 * LENGTH_M]))
+    """Against those of the same formula, log(exp(left) R exp(right)), by torch; straight, too."""
     g = torch.Generator().manual_seed(0)
-    q = bend * torch.randn(*batch, 6, generator=g, dtype=torch.float64)
-    left, right = (0.2 * torch.randn(*batch, 6, generator=g, dtype=torch.float64) for _ in range(2))
-    u, *slopes = sensing.linearise(q, left, right)
-    torch.testing.assert_close(u, sensing(q, left, right), atol=1e-13, rtol=0)
+    q = bend * torch.randn(*batch, 3, generator=g, dtype=torch.float64)
+    errors = 0.2 * torch.randn(*batch, 9, generator=g, dtype=torch.float64)
+    x = torch.cat([q, errors], dim=-1)
 
-    flat = [x.reshape(-1, 6) for x in (q, left, right)]
-    for k, slope in enumerate(slopes):
-        expected = torch.stack(
-            [torch.func.jacrev(sensing, argnums=k)(*one) for one in zip(*flat, strict=True)]
-        )
-        torch.testing.assert_close(slope.reshape(expected.shape), expected, atol=1e-11, rtol=1e-11)
+    def read(x):
+        left, right = rotation_matrix(x[3:6] + x[6:9]), rotation_matrix(x[9:])
+        return rotation_vector(left @ ROBOT.tip(x[:3])[:3, :3] @ right)
 
-
-def test_bad_input():
-    robot = pcc_robot(1)
-    with pytest.raises(InputError, match="imus of OrientationReadings must be at least two sensors; instead"):
-        OrientationReadings(robot, magnet_mounts([0], [0.0]))
-    sensing = OrientationReadings(robot, magnet_mounts([0, 0], [0.0, LENGTH_M]))
-    q = torch.zeros(3, dtype=torch.float64)
-    with pytest.raises(InputError, match="left of OrientationReadings must be of last dimension 3"):
-        sensing(q, q[:2])
+    u, J = Imus(False).linearise(x)
+    flat = x.reshape(-1, 12)
+    torch.testing.assert_close(u.reshape(-1, 3), torch.stack([read(one) for one in flat]), atol=1e-13, rtol=0)
+    expected = torch.stack([torch.func.jacrev(read)(one) for one in flat])
+    torch.testing.assert_close(J.reshape(expected.shape), expected, atol=1e-11, rtol=1e-11)

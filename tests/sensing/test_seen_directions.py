@@ -9,7 +9,8 @@ from repro.estimation.levenberg_marquardt import jacobian
 from repro.kinematics.mounts import Mounts
 from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.seen_directions import SeenDirections
-from repro_companion.pages.fusion.orientation_readings import rotation_matrix, rotation_vector
+from repro_companion.pages.fusion.models import rotation_vector
+from repro_companion.twins.segment_motion import rotation_matrix
 
 
 def random(*shape, seed=0):

@@ -5,7 +5,6 @@ import math
 import pytest
 import torch
 
-from repro.errors import InputError
 from repro.kinematics.bend import bend_angle_and_direction
 from repro.sensing.bend_sensor import BendSensor
 from repro_companion.twins.bend_curves import CURVES, bend_curve, bend_readings, bend_robot, curve_times
@@ -60,11 +59,3 @@ def test_readings_are_those_of_magpylib_with_white_noise():
 def test_robot_has_one_cube_and_one_sensor():
     robot = bend_robot(14e-3)
     assert (robot.n_q, len(robot.magnets), len(robot.sensors), robot.length) == (2, 1, 1, 14e-3)
-
-
-def test_unknown_curve():
-    message = (
-        "Input name of bend_curve must be one of 'spiral', 'flower', 'seagull'; instead received 'circle'."
-    )
-    with pytest.raises(InputError, match=message):
-        bend_curve("circle")

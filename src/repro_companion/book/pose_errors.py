@@ -32,11 +32,7 @@ def pose_errors(
     """
     T_hat, T = robot.tip(q_hat), robot.tip(q)
     tip = torch.linalg.vector_norm(T_hat[..., :3, 3] - T[..., :3, 3], dim=-1)
-    turn = (se3.inverse(T) @ T_hat)[..., :3, :3]
-    skew = turn - turn.mT
-    sine = torch.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], dim=-1).norm(dim=-1) / 2
-    cosine = (turn.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
-    angle = torch.atan2(sine, cosine).rad2deg()
+    angle = angle_deg((se3.inverse(T) @ T_hat)[..., :3, :3])
     points = robot.backbone(q_hat) - robot.backbone(q)
     shape = points.square().sum(-1).mean(-1)
     return {
@@ -44,3 +40,11 @@ def pose_errors(
         "orientation_deg": angle.square().mean(0).sqrt(),
         "shape_mm": 1e3 * shape.mean(0).sqrt(),
     }
+
+
+def angle_deg(turn: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch"]:
+    """Angle of a rotation [deg], exact for small ones, too."""
+    skew = turn - turn.mT
+    sine = torch.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], dim=-1).norm(dim=-1) / 2
+    cosine = (turn.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
+    return torch.atan2(sine, cosine).rad2deg()

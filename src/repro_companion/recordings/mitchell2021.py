@@ -46,9 +46,9 @@ class Take:
     """One test and the files that exist of it; None where one is missing."""
 
     name: str
-    hall: Path | None
-    capture: Path | None
-    filtered: Path | None
+    hall: Path | None = None
+    capture: Path | None = None
+    filtered: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -108,8 +108,7 @@ def takes(folder: Path | None = None) -> list[Take]:
     ):
         for path in folder.glob(pattern):
             found.setdefault(path.stem.replace("_test_", "_"), {})[kind] = path
-    kinds = ("hall", "capture", "filtered")
-    return [Take(name, *(found[name].get(kind) for kind in kinds)) for name in sorted(found)]
+    return [Take(name, **files) for name, files in sorted(found.items())]
 
 
 def files_found(folder: Path | None = None) -> list[Path]:
@@ -133,14 +132,9 @@ def read_hall(path: Path) -> HallTake:
         A file that is no text, no reading left, times that do not increase, or more than `LARGEST_DROPPED` of the
         rows unreadable, out of a buffer or beyond the range.
     """
-    rows, unreadable = [], 0
-    for line in read_text(path).splitlines():
-        row = _reading(line)
-        if row is None:
-            unreadable += 1
-        else:
-            rows.append(row)
-    table = np.array(rows).reshape(-1, 4)
+    rows = [_reading(line) for line in read_text(path).splitlines()]
+    unreadable = rows.count(None)
+    table = np.array([row for row in rows if row is not None]).reshape(-1, 4)
     intervals = np.diff(table[:, 3])
     if (intervals <= 0).any():
         row = int(np.argmax(intervals <= 0))

@@ -8,7 +8,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
 from repro.kinematics.bend import Bend, bend_vector
 from repro.kinematics.mounts import Mounts, magnet_mounts
 from repro.kinematics.robot import Robot
@@ -17,6 +16,8 @@ from repro.sensing.magnets import B444B
 
 LENGTH_M = 15e-3
 """Distance of sensor and magnet along the arc, section III-A [m]."""
+SENSOR_NOISE_MT = 0.025
+"""Noise of the real sensor per axis [mT]: 0.021-0.026 mT in the recordings at rest."""
 TIME_STEP = 0.01
 """Increment of the curves' parameter t, section II-D; it has no unit."""
 CURVES = ("spiral", "flower", "seagull")
@@ -40,24 +41,18 @@ def bend_curve(name: str) -> Float[Tensor, "steps 2"]:
     name
         One of :data:`CURVES`.
 
-    Raises
-    ------
-    InputError
-        If there is no curve of this name.
-
     Examples
     --------
     >>> float(torch.linalg.vector_norm(bend_curve("spiral"), dim=-1).max())  # doctest: +ELLIPSIS
     0.942...
     """
     t = curve_times()
-    if name == "spiral":
-        return bend_vector(0.03 * t, t)
-    if name == "flower":
-        return bend_vector(t.sin(), (0.1 * t) ** 2)
-    if name == "seagull":
-        return bend_vector(t.sin().abs(), t.sin() + math.pi / 2)
-    raise bad_input("name", "bend_curve", f"one of {', '.join(map(repr, CURVES))}", repr(name))
+    angle_and_direction = {
+        "spiral": (0.03 * t, t),
+        "flower": (t.sin(), (0.1 * t) ** 2),
+        "seagull": (t.sin().abs(), t.sin() + math.pi / 2),
+    }
+    return bend_vector(*angle_and_direction[name])
 
 
 def bend_robot(length_m: float = LENGTH_M) -> Robot:

@@ -61,10 +61,13 @@ class BendRecorder:
     rate_hz: float = 61.0
 
 
+RECORDER = BendRecorder()
+
+
 def up_and_down(
-    time_s: Float[np.ndarray, " times"], peak_rad: float = np.radians(50.0), duration_s: float = 24.0
+    time_s: Float[np.ndarray, " times"], *, duration_s: float = 24.0
 ) -> Float[np.ndarray, " times"]:
-    """Bend angle [rad] of a test that rises to a peak and falls again: at rest for 4 s, then a squared sine.
+    """Bend angle [rad] of a test that rises to 50 deg and falls again: at rest for 4 s, then a squared sine.
 
     Examples
     --------
@@ -72,7 +75,7 @@ def up_and_down(
     array([ 0., 50.,  0.])
     """
     phase = np.clip((time_s - 4.0) / duration_s, 0.0, 1.0)
-    return peak_rad * np.sin(np.pi * phase) ** 2
+    return np.radians(50.0) * np.sin(np.pi * phase) ** 2
 
 
 def tightening(time_s: Float[np.ndarray, " times"], events: Sequence[float]) -> Float[np.ndarray, " times"]:
@@ -87,7 +90,7 @@ def write_bend_takes(
     *,
     seed: int,
     takes: Sequence[tuple[int, int]] = ((0, 1), (0, 2), (2, 1), (4, 1)),
-    recorder: BendRecorder | None = None,
+    recorder: BendRecorder = RECORDER,
     duration_s: float = 24.0,
 ) -> None:
     """Write synthetic bend tests: Hall files and motion captures, 60 deg of direction from test to test.
@@ -105,7 +108,6 @@ def write_bend_takes(
     duration_s
         From the first to the last movement [s]; rests of 4 s come before and after.
     """
-    recorder = recorder or BendRecorder()
     for k, (test, attempt) in enumerate(takes):
         rng = np.random.default_rng([seed, test, attempt])
         start_s = START_UNIX_S + 100.0 * k
@@ -129,7 +131,7 @@ def write_light_tests(
     *,
     seed: int,
     events: Sequence[Sequence[float]] = ((10.0, 15.0, 20.0), (9.0, 14.0, 20.0), (15.0,)),
-    recorder: BendRecorder | None = None,
+    recorder: BendRecorder = RECORDER,
 ) -> None:
     """Write synthetic light-bulb tests: file -1 is moved and then at rest for 15 s, files 0, 1, … have events.
 
@@ -140,7 +142,6 @@ def write_light_tests(
     events
         Times at which the bulb is tightened [s], per file.
     """
-    recorder = recorder or BendRecorder()
     for k, at in enumerate([None, *events]):
         rng = np.random.default_rng([seed, 100 + k])
         time_s = _uneven(30.0, recorder.rate_hz, rng)

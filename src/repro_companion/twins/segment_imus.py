@@ -105,7 +105,7 @@ def imu_readings(
     return q / np.linalg.norm(q, axis=-1, keepdims=True)
 
 
-def as_quaternions(T: Float[Tensor, "*batch 4 4"]) -> Float[np.ndarray, "*batch 4"]:
-    """Quaternions XYZW of poses."""
+def as_quaternions(T: Float[Tensor, "*batch n n"]) -> Float[np.ndarray, "*batch 4"]:
+    """Quaternions XYZW of poses or rotations."""
     R = T[..., :3, :3].numpy()
     return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat().reshape(*R.shape[:-2], 4)

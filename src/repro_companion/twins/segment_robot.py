@@ -64,9 +64,7 @@ class Parts:
     errors: ImuErrors
 
 
-def draw_parts(
-    draws: int, *, seed: int = 0, as_drawn: bool = False, imu_errors: ImuErrors = IMU_ERRORS
-) -> Parts:
+def draw_parts(draws: int, *, seed: int = 0, as_drawn: bool = False) -> Parts:
     """Draw robots; every draw has a generator of its own.
 
     Tolerances are normal with the standard deviations of :class:`~repro.sensing.placement.Tolerances`, for the ring
@@ -82,8 +80,6 @@ def draw_parts(
         Of all draws.
     as_drawn
         No tolerances, and IMUs without constant errors.
-    imu_errors
-        Of the IMUs.
 
     Raises
     ------
@@ -105,7 +101,7 @@ def draw_parts(
     )
     a, b = (limits.sensor_tilt_rad * rest[:, 5:7]).unbind(-1)
     turned = se3.rotation_z(limits.sensor_azimuth_rad * rest[:, 7]) @ se3.rotation_x(a) @ se3.rotation_y(b)
-    errors = imu_errors.scaled(size)
+    errors = IMU_ERRORS.scaled(size)
     mounting = errors.mounting_rad * normal[:, 40:46].reshape(-1, 2, 3)
     world = np.concatenate(
         [
@@ -123,7 +119,7 @@ def draw_parts(
         hall_gain=1 + limits.sensor_gain * rest[:, 8:11],
         strength=1 + limits.moments * rest[:, 11:13],
         turns=np.stack([_quaternions(mounting), _quaternions(world)]),
-        errors=imu_errors,
+        errors=IMU_ERRORS,
     )
 
 
@@ -165,7 +161,7 @@ def simulate(
         Whether the field of the cube at the base reaches the ring's sensors, and that of the ring the Hall sensor
         at the base. Elsewhere each sensor reads its own magnet alone, as on a robot that carries one of the two.
     """
-    magnets, hall = _fields(motion.at, parts, both_magnets)
+    magnets, hall = _fields(lambda arc_m: motion.at(arc_m).unsqueeze(1), parts, both_magnets)
     steps, draws = magnets.shape[:2]
     normal = np.stack(
         [_generator(seed, draw, 1).standard_normal((steps, 9)) for draw in range(draws)], axis=1
@@ -220,16 +216,10 @@ def calibration_session(
 
 def _fields(at: Callable[[float], Tensor], parts: Parts, both: bool) -> tuple[Tensor, Tensor]:
     """Flux density [mT] along the ring's sensors ``[t, draws, s]``, at the Hall sensors ``[t, draws, places, 3]``."""
-
-    def mounted(arc_m: float, local: Tensor) -> Tensor:
-        T = at(arc_m)
-        return (T if T.ndim == 4 else T.unsqueeze(1)) @ local
-
-    T_ring = mounted(MAGNET_AXIAL_M, parts.ring)
-    T_cubes = torch.stack([mounted(place + APART_M, parts.cube) for place in PLACES_M], dim=-3)
-    T_hall = torch.stack([mounted(place, parts.hall) for place in PLACES_M], dim=-3)
-    tip = at(LENGTH_M)
-    T_tip = (tip if tip.ndim == 4 else tip.unsqueeze(1)).unsqueeze(-3) @ parts.ring_sensors
+    T_ring = at(MAGNET_AXIAL_M) @ parts.ring
+    T_cubes = torch.stack([at(place + APART_M) @ parts.cube for place in PLACES_M], dim=-3)
+    T_hall = torch.stack([at(place) @ parts.hall for place in PLACES_M], dim=-3)
+    T_tip = at(LENGTH_M).unsqueeze(-3) @ parts.ring_sensors
     ring_mt, cube_mt = parts.strength.unbind(-1)
     at_tip = ring_mt[:, None, None] * _flux(RING, T_ring.unsqueeze(-3), T_tip)
     at_hall = cube_mt[:, None, None] * _flux(B444B, T_cubes, T_hall)

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
+import torch
 
 from repro.errors import bad_input
 from repro.sensing.bend_sensor import BendSensor
@@ -16,10 +17,12 @@ from repro_companion.pages.bend_tests.filters import (
     NONE,
     OUR_LENGTH_MM,
     calibrations,
+    fit_readings,
+    fit_takes,
     ours,
     paper_filters,
 )
-from repro_companion.twins.mitchell_takes import BendTake, facts
+from repro_companion.pages.bend_tests.takes import BendTake, facts
 
 SETTING = ["method", "calibration", "length_mm"]
 BEND_BINS_DEG = (0.0, 20.0, 40.0, 180.0)
@@ -97,10 +100,9 @@ def run_all(
         for take in takes
         if length == OUR_LENGTH_MM or take.attempt == 1
     ]
-    if filtered:
-        tables = paper_filters(filtered, particles=particles, seed=seed)
-        for (take, length), by_method in zip(filtered, tables, strict=True):
-            runs += [Run(method, "none", length, take, table) for method, table in by_method.items()]
+    tables = paper_filters(filtered, particles=particles, seed=seed)
+    for (take, length), by_method in zip(filtered, tables, strict=True):
+        runs += [Run(method, "none", length, take, table) for method, table in by_method.items()]
     runs += [
         Run("authors' output", "none", np.nan, take, take.logged.assign(deviation_rad=np.nan))
         for take in takes
@@ -127,8 +129,7 @@ def errors(runs: Sequence[Run]) -> pd.DataFrame:
         truth, found = run.take.truth, run.estimates
         bend = truth["bend_rad"]
         error = found["bend_rad"] - bend
-        known = bend.notna().to_numpy()
-        inside = (error.abs() <= 2.0 * found["deviation_rad"])[known]
+        inside = (error.abs() <= 2.0 * found["deviation_rad"])[bend.notna()]
         same = [
             other for other in runs if _setting(other) == _setting(run) and other.take.test != run.take.test
         ]
@@ -163,22 +164,17 @@ def evidence(takes: Sequence[BendTake], runs: Sequence[Run]) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns of :func:`repro_companion.twins.mitchell_takes.facts`, and by ours without calibration
+        Columns of :func:`repro_companion.pages.bend_tests.takes.facts`, and by ours without calibration
         ``peak_hall_deg``, the largest bend, and ``turned_deg``, the mean of its direction less the azimuth of the y
         axis.
     """
-    rows = []
-    for run in runs:
-        if (run.method, run.calibration, run.length_mm) == ("ours", "none", OUR_LENGTH_MM):
-            peak = np.degrees(run.estimates["bend_rad"].quantile(0.999))
-            rows.append(
-                {
-                    "take": run.take.name,
-                    "peak_hall_deg": peak,
-                    "turned_deg": np.degrees(_mean_angle(_turned(run))),
-                }
-            )
-    return facts(takes).merge(pd.DataFrame(rows), on="take")
+    rows = [
+        (run.take.name, run.estimates["bend_rad"].quantile(0.999), _mean_angle(_turned(run)))
+        for run in runs
+        if (run.method, run.calibration, run.length_mm) == ("ours", "none", OUR_LENGTH_MM)
+    ]
+    table = pd.DataFrame(rows, columns=["take", "peak_hall_deg", "turned_deg"]).set_index("take")
+    return facts(takes).merge(np.degrees(table), on="take")
 
 
 def medians(table: pd.DataFrame) -> pd.DataFrame:
@@ -225,13 +221,22 @@ def beside_log(runs: Sequence[Run]) -> pd.DataFrame:
 
     Columns ``take, method, difference_deg``, for the takes of which that output exists; it may be empty.
     """
-    rows = []
-    for run in runs:
-        logged = run.take.logged
-        if logged is not None and run.method.startswith("paper") and run.length_mm == OUR_LENGTH_MM:
-            difference = _rms_deg(run.estimates["bend_rad"] - logged["bend_rad"])
-            rows.append({"take": run.take.name, "method": run.method, "difference_deg": difference})
+    rows = [
+        (run.take.name, run.method, _rms_deg(run.estimates["bend_rad"] - run.take.logged["bend_rad"]))
+        for run in runs
+        if run.take.logged is not None and run.method.startswith("paper") and run.length_mm == OUR_LENGTH_MM
+    ]
     return pd.DataFrame(rows, columns=["take", "method", "difference_deg"])
+
+
+def factors(takes: Sequence[BendTake], readings: pd.DataFrame) -> pd.DataFrame:
+    """Factors of the ratios against the model as drawn: ``fitted_to`` (a take, calibration readings), ``factor``."""
+    sensor = BendSensor(1e-3 * OUR_LENGTH_MM)
+    fitted = [fit_takes(take.name, [take], sensor) for take in takes]
+    if len(readings):
+        fitted.append(fit_readings(readings, sensor))
+    rows = [(found.name, float(torch.linalg.vector_norm(found.matrix[0]))) for found in fitted]
+    return pd.DataFrame(rows, columns=["fitted_to", "factor"])
 
 
 def _setting(run: Run) -> tuple[str, str, str]:

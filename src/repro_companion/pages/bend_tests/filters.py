@@ -31,8 +31,8 @@ from repro.estimation.regions import Disc
 from repro.kinematics.bend import MAX_BEND, bend_angle_and_direction, bend_vector
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.field_ratios import FieldRatios, model_axes, ratios
-from repro_companion.twins.bend_simulation import SENSOR_NOISE_MT
-from repro_companion.twins.mitchell_takes import BendTake
+from repro_companion.pages.bend_tests.takes import BendTake
+from repro_companion.twins.bend_curves import SENSOR_NOISE_MT
 
 OUR_LENGTH_MM = 13.0
 """Arc length of ours, that of the released code for the recorded data [mm]."""

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import pandas as pd
-import torch
 
-from repro.sensing.bend_sensor import BendSensor
 from repro_companion.pages.bend_tests.errors import TARGET_DEG
-from repro_companion.pages.bend_tests.filters import OUR_LENGTH_MM, fit_readings, fit_takes
-from repro_companion.twins.mitchell_takes import LARGEST_LAG_OFF_S, BendTake
+from repro_companion.pages.bend_tests.filters import OUR_LENGTH_MM
+from repro_companion.pages.bend_tests.takes import LARGEST_LAG_OFF_S
 
 SAME_OUTPUT_DEG = 0.5
 """Largest difference at which our run of the filter and the authors' output count as the same [deg]."""
@@ -119,18 +115,8 @@ def of_logs(states: pd.DataFrame, differences: pd.DataFrame) -> str:
     return text
 
 
-def factors(takes: Sequence[BendTake], readings: pd.DataFrame) -> pd.DataFrame:
-    """Factors of the ratios against the model as drawn: ``fitted_to`` (a take, calibration readings), ``factor``."""
-    sensor = BendSensor(1e-3 * OUR_LENGTH_MM)
-    fitted = [fit_takes(take.name, [take], sensor) for take in takes]
-    if len(readings):
-        fitted.append(fit_readings(readings, sensor))
-    rows = [{"fitted_to": f.name, "factor": float(torch.linalg.vector_norm(f.matrix[0]))} for f in fitted]
-    return pd.DataFrame(rows)
-
-
 def of_factors(table: pd.DataFrame, trouble: str) -> str:
-    """Factors of :func:`factors`, and why there are no calibration readings."""
+    """Factors of :func:`~repro_companion.pages.bend_tests.errors.factors`; why there are no calibration readings."""
     nominal = table["fitted_to"] == "calibration readings"
     text = f"The factor of a single take is {span(table['factor'][~nominal], 2)}."
     if not bool(nominal.any()):

@@ -15,8 +15,14 @@ from repro.estimation.base import Trajectory
 from repro.estimation.multistart import search, starts_within
 from repro.kinematics.trajectories import RATE_HZ
 from repro_companion.book.bootstrap import interval, ratio_interval, resampled
-from repro_companion.pages.filter_on_segments.courses import BEGUN, COLD_ITERATIONS, Course
-from repro_companion.pages.filter_on_segments.methods import METHODS, NOISE_MT, run
+from repro_companion.pages.filter_on_segments.methods import (
+    BEGUN,
+    COLD_ITERATIONS,
+    METHODS,
+    NOISE_MT,
+    Course,
+    run,
+)
 
 REFERENCE = "least squares, last estimate"
 """Ratios of errors are relative to this method."""
@@ -26,6 +32,8 @@ FAILED = (6, 8)
 """Sensors of the second segment at +y and -y; those that stay read alike for a bend along y and its mirror image."""
 STARTS = 16
 """Starts of the search for all minima."""
+CLEAR_MM = 5.0
+"""Least bending of the truth [mm] after the failure to count."""
 BOTH = 0.05
 """A cloud has two modes if each holds at least this share of the particles."""
 
@@ -58,9 +66,7 @@ def calibration(q: Float[Tensor, "*truth n_q"], found: Trajectory) -> Float[Tens
 def tracking(
     segments: Sequence[int] = (1, 2, 3),
     noise_mt: Sequence[float] = NOISE_MT,
-    methods: Sequence[str] = METHODS,
     *,
-    sensors_per_segment: int = 4,
     draws: int = 10,
     steps: int = 40,
     particles: int = 300,
@@ -75,18 +81,18 @@ def tracking(
 
     Parameters
     ----------
-    segments, noise_mt, methods
-        Robots, noise of the readings [mT], and names of methods.
-    sensors_per_segment, draws, steps
-        As for :class:`~repro_companion.pages.filter_on_segments.courses.Course`.
+    segments, noise_mt
+        Robots, and noise of the readings [mT].
+    draws, steps
+        As for :class:`~repro_companion.pages.filter_on_segments.methods.Course`.
     particles
         Of the particle filters.
     """
     rows = []
     for n in segments:
         for noise in noise_mt:
-            course = Course(n, sensors_per_segment, noise, draws, steps=steps)
-            for method in methods:
+            course = Course(n, noise, draws, steps=steps)
+            for method in METHODS:
                 found = _scored(run(course, method, particles=particles), course)
                 key = {"n_b": n, "n_s": len(course.robot.sensors), "noise_mt": noise, "method": method}
                 columns = errors(course, found)
@@ -133,7 +139,7 @@ def _evaluations(found: Trajectory, particles: int, n_q: int, method: str) -> Te
     return torch.full(found.q.shape[1:2], float(particles + 1 + step))
 
 
-def summary(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
+def summary(table: pd.DataFrame) -> pd.DataFrame:
     """Means over draws, and the error of the tip relative to least squares with a paired bootstrap interval (95 %).
 
     Columns: ``n_b``, ``n_s``, ``noise_mt``, ``method``, means of the columns of :func:`tracking`, ``tip_mm_low`` and
@@ -143,25 +149,20 @@ def summary(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
     ----------
     table
         From :func:`tracking`.
-    seed
-        Of the bootstrap.
     """
-    lines = []
-    for key, part in table.groupby(["n_b", "n_s", "noise_mt"], sort=False):
+    keys, lines = ["n_b", "n_s", "noise_mt"], []
+    for key, part in table.groupby(keys, sort=False):
         tips = part.pivot(index="draw", columns="method", values="tip_mm")
-        index = resampled(len(tips), seed)
+        index = resampled(len(tips), 0)
         reference = tips[REFERENCE].to_numpy()
         for method, rows in part.groupby("method", sort=False):
             tip = tips[method].to_numpy()
-            means = rows.drop(columns=["n_b", "n_s", "noise_mt", "method", "draw"]).mean()
+            means = rows.drop(columns=[*keys, "method", "draw"]).mean()
             low, high = interval(tip[index].mean(1))
-            ratios = ratio_interval(tip, reference, index)
-            line = dict(zip(("n_b", "n_s", "noise_mt"), tuple(key), strict=True)) | {
-                "method": method,
-                **means,
-            }
+            line = {**dict(zip(keys, key, strict=True)), "method": method, **means}
             line |= {"tip_mm_low": low, "tip_mm_high": high, "ratio": tip.mean() / reference.mean()}
-            lines.append(line | {"ratio_low": ratios[0], "ratio_high": ratios[1]})
+            line["ratio_low"], line["ratio_high"] = ratio_interval(tip, reference, index)
+            lines.append(line)
     return pd.DataFrame(lines)
 
 
@@ -217,7 +218,7 @@ def _course_table(course: Course, method: str, columns: dict[str, Tensor]) -> pd
     return pd.DataFrame({"noise_mt": course.noise_mt, "method": method, **flat})
 
 
-def modes_summary(table: pd.DataFrame, clear_mm: float = 5.0) -> pd.DataFrame:
+def modes_summary(table: pd.DataFrame) -> pd.DataFrame:
     """What is kept after the segment has passed through the plane of its two sensors, where it is clearly bent again.
 
     Columns: ``noise_mt``, ``method``, ``true_side_percent`` (of draws and steps: estimates on the true side),
@@ -228,13 +229,11 @@ def modes_summary(table: pd.DataFrame, clear_mm: float = 5.0) -> pd.DataFrame:
     ----------
     table
         From :func:`two_modes`.
-    clear_mm
-        Least bending of the truth [mm] to count.
     """
-    late = table[table["failed"] & (table["time_s"] > 5.0) & (table["true_mm"].abs() >= clear_mm)]
+    late = table[table["failed"] & (table["time_s"] > 5.0) & (table["true_mm"].abs() >= CLEAR_MM)]
     lines = []
     for key, part in late.groupby(["noise_mt", "method"], sort=False):
-        line = dict(zip(("noise_mt", "method"), tuple(key), strict=True))
+        line: dict[str, object] = dict(zip(("noise_mt", "method"), key, strict=True))
         if line["method"] == "search":
             lines.append({**line, "minima": part["minima"].mean()})
             continue

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -15,39 +14,36 @@ from torch import Tensor
 
 from repro.estimation.levenberg_marquardt import jacobian
 from repro.kinematics.paper_robots import LENGTH_M
-from repro.kinematics.trajectories import trajectory
 from repro_companion.book.bootstrap import interval, resampled
-from repro_companion.pages.fusion.filters import METHODS, SHARE, Tracked, estimates
-from repro_companion.pages.fusion.orientation_readings import rotation_vector
-from repro_companion.pages.fusion.readings import SETTINGS, STEPS, Surroundings, record
-from repro_companion.twins.segment_motion import LOAD_N, ROBOT, TRAJECTORIES, Motion, motion
+from repro_companion.pages.fusion.models import rotation_vector
+from repro_companion.pages.fusion.study import (
+    METHODS,
+    SETTINGS,
+    STEPS,
+    Surroundings,
+    Tracked,
+    estimates,
+    record,
+)
+from repro_companion.twins.segment_motion import ROBOT, TRAJECTORIES, Motion, motion
 
 SKIPPED = 10
 """First steps (1 s) that do not count: the filter starts with the box."""
 INFLATED = "both, inflated"
-ALL = (*METHODS, INFLATED)
+SHARE = 0.3
+"""Process noise in widths of the box per s^1.5. Of 0.1, 0.3, 1 and 3, the smallest whose NEES lay in its band on a
+smooth random motion of constant curvature, at 7 times the noise."""
 SHAPE_MT = 0.3
-"""Noise for a wrong shape: the choice on the rod under half the load, see :func:`shape_choices`."""
-SHARES = (0.1, 0.3, 1.0, 3.0)
-SHAPES_MT = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
+"""Noise for a wrong shape [mT]. Of 0, 0.01, 0.03, 0.1, 0.3 and 1, the one with the smallest error of the orientation
+on the rod under half the load."""
+KEYS = ["setting", "trajectory", "method"]
+QUANTITIES = ("tip_mm", "orientation_deg")
 
 
 def judged(steps: int = STEPS) -> list[Motion]:
     """Motions that are judged, or their first steps: those of the robot that carries the sensors of three papers."""
-    return [_first(motion(name, steps=STEPS), steps) for name in TRAJECTORIES]
-
-
-def random_motion() -> Motion:
-    """Smooth random motion of constant curvature, on which the process noise is chosen."""
-    whole, still = trajectory("T0", 1), motion(TRAJECTORIES[0], steps=STEPS)
-    q = whole[:: len(whole) // STEPS]
-    poses = ROBOT.segments[0].pose(q.unsqueeze(-2), still.arcs_m / LENGTH_M)
-    return Motion("random motion", still.time_s, still.arcs_m, poses, q)
-
-
-def _first(moved: Motion, steps: int) -> Motion:
-    q = None if moved.q is None else moved.q[:steps]
-    return replace(moved, time_s=moved.time_s[:steps], poses=moved.poses[:steps], q=q)
+    whole = [motion(name, steps=STEPS) for name in TRAJECTORIES]
+    return [replace(x, time_s=x.time_s[:steps], poses=x.poses[:steps], q=None) for x in whole]
 
 
 def errors(
@@ -55,7 +51,6 @@ def errors(
     seeds: Sequence[int],
     *,
     settings: Sequence[Surroundings] = SETTINGS,
-    methods: Sequence[str] = ALL,
     share: float = SHARE,
     shape_mt: float = SHAPE_MT,
 ) -> pd.DataFrame:
@@ -68,39 +63,28 @@ def errors(
 
     Parameters
     ----------
-    motions, seeds, settings, methods
-        What to run; ``INFLATED`` is both kinds with ``shape_mt``, in the first setting.
+    motions, seeds, settings
+        What to run; in the first setting also ``INFLATED``, both kinds with ``shape_mt``.
     share, shape_mt
-        As for :func:`repro_companion.pages.fusion.filters.estimates`.
+        As for :func:`repro_companion.pages.fusion.study.estimates`.
     """
     tables: list[pd.DataFrame] = []
-    alone: dict[str, Tracked] = {}
     truth = torch.stack([x.at(LENGTH_M) for x in motions], dim=1).unsqueeze(2)
+    along = [[x.name for x in motions], seeds, motions[0].time_s[SKIPPED:].tolist()]
+    steps = pd.MultiIndex.from_product(along, names=["trajectory", "seed", "time_s"])
+    alone = None
     for setting in settings:
         recorded = record(motions, seeds, setting)
-        for method in methods:
-            if method == INFLATED:
-                if setting != settings[0]:
-                    continue
-                found = estimates(METHODS[2], recorded, setting, share=share, shape_mt=shape_mt)
-            elif method == METHODS[1] and alone:
-                found = alone[method]  # the IMUs read the same whatever disturbs the magnets
-            else:
-                found = estimates(method, recorded, setting, share=share)
-            if method == METHODS[1]:
-                alone[method] = found
-            columns = _columns(found, truth)
-            for place, moved in enumerate(motions):
-                for k, seed in enumerate(seeds):
-                    labels = {
-                        "setting": setting.name,
-                        "trajectory": moved.name,
-                        "method": method,
-                        "seed": seed,
-                    }
-                    values = {name: x[SKIPPED:, place, k].numpy() for name, x in columns.items()}
-                    times = {"time_s": moved.time_s[SKIPPED:].numpy()}
-                    tables.append(pd.DataFrame({**labels, **times, **values}))
+        # The IMUs read the same whatever disturbs the magnets.
+        alone = alone or estimates("IMUs", recorded, setting, share=share)
+        found = {m: alone if m == "IMUs" else estimates(m, recorded, setting, share=share) for m in METHODS}
+        if setting == settings[0]:
+            found[INFLATED] = estimates("both", recorded, setting, share=share, shape_mt=shape_mt)
+        for method, tracked in found.items():
+            # [time, motions, draws]; the last draw has no noise.
+            columns = {k: x[SKIPPED:, :, :-1].movedim(0, -1) for k, x in _columns(tracked, truth).items()}
+            table = pd.DataFrame({name: x.flatten().numpy() for name, x in columns.items()}, index=steps)
+            tables.append(table.reset_index().assign(setting=setting.name, method=method))
     return pd.concat(tables, ignore_index=True)
 
 
@@ -151,23 +135,22 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     """
     lines = []
     draws = table["seed"].nunique()
-    for labels, part in table.groupby(["setting", "trajectory", "method"], sort=False):
-        setting, name, method = cast(tuple[str, str, str], labels)
-        line = {"setting": setting, "trajectory": name, "method": method}
-        for column in ("tip_mm", "orientation_deg"):
-            line[column] = float(np.sqrt((part[column] ** 2).mean()))
-            line[f"predicted_{column}"] = float(np.sqrt((part[f"predicted_{column}"] ** 2).mean()))
+    for labels, part in table.groupby(KEYS, sort=False):
+        line: dict[str, object] = dict(zip(KEYS, labels, strict=True))
+        for quantity in QUANTITIES:
+            for column in (quantity, f"predicted_{quantity}"):
+                line[column] = np.sqrt((part[column] ** 2).mean())
         for kind, n in (("direction", 2), ("tip", 3)):
             low, high = chi2.ppf([0.025, 0.975], n * draws) / (n * draws)
             at_time = part.groupby("time_s")[f"nees_{kind}"].mean()
-            inside = 100 * float(((at_time >= low) & (at_time <= high)).mean())
+            inside = np.nan if bool(at_time.isna().all()) else 100 * at_time.between(low, high).mean()
             line |= {f"nees_{kind}": at_time.mean(), f"low_{kind}": low, f"high_{kind}": high}
-            line[f"inside_{kind}_percent"] = np.nan if bool(at_time.isna().all()) else inside
+            line[f"inside_{kind}_percent"] = inside
         lines.append(line)
     return pd.DataFrame(lines)
 
 
-def gains(table: pd.DataFrame, *, method: str = METHODS[2], seed: int = 0) -> pd.DataFrame:
+def gains(table: pd.DataFrame, *, method: str = "both", seed: int = 0) -> pd.DataFrame:
     """Errors of a filter of both kinds over those of the better single one, with paired bootstrap intervals.
 
     Columns: ``setting, trajectory, quantity, single``, the single method with the smaller error; ``ratio, low,
@@ -184,63 +167,17 @@ def gains(table: pd.DataFrame, *, method: str = METHODS[2], seed: int = 0) -> pd
         Of the bootstrap.
     """
     rng, lines = np.random.default_rng(seed), []
-    for labels, part in table.groupby(["setting", "trajectory"], sort=False):
-        setting, name = cast(tuple[str, str], labels)
-        for quantity in ("tip_mm", "orientation_deg"):
-            if method not in set(part["method"]):
-                continue
-            squared = part.assign(x=part[quantity] ** 2).pivot_table(
-                index="seed", columns="method", values="x"
-            )
-            by_method = part.groupby("method")[f"predicted_{quantity}"].apply(lambda x: (x**2).mean())
+    chosen = table[table["setting"].isin(table["setting"][table["method"] == method])]
+    for labels, part in chosen.groupby(KEYS[:2], sort=False):
+        for quantity in QUANTITIES:
+            squared = part.assign(x=part[quantity] ** 2).pivot_table("x", index="seed", columns="method")
+            predicted = part.groupby("method")[f"predicted_{quantity}"].apply(lambda x: (x**2).mean())
             single = min(METHODS[:2], key=lambda m: squared[m].mean())
             drawn = resampled(len(squared), rng)
             both, alone = squared[method].to_numpy(), squared[single].to_numpy()
-            ratios = np.sqrt(both[drawn].mean(1) / alone[drawn].mean(1))
-            low, high = interval(ratios)
-            lines.append(
-                {
-                    "setting": setting,
-                    "trajectory": name,
-                    "quantity": quantity,
-                    "single": single,
-                    "ratio": np.sqrt(both.mean() / alone.mean()),
-                    "low": low,
-                    "high": high,
-                    "predicted": np.sqrt(by_method[method] / by_method[list(METHODS[:2])].min()),
-                }
-            )
-    return pd.DataFrame(lines)
-
-
-def choices(seeds: Sequence[int], shares: Sequence[float] = SHARES) -> pd.DataFrame:
-    """Process noise on the random motion, 7 times the noise: ``share, tip_mm, nees_tip, inside_percent``.
-
-    The choice is the smallest one whose NEES lies in its band.
-    """
-    moved, lines = [random_motion()], []
-    for share in shares:
-        options = {"settings": SETTINGS[1:2], "methods": METHODS[2:], "share": share}
-        line = summary(errors(moved, seeds, **options)).iloc[0]
-        kept = {
-            "tip_mm": line["tip_mm"],
-            "nees_tip": line["nees_tip"],
-            "inside_percent": line["inside_tip_percent"],
-        }
-        lines.append({"share": share, **kept})
-    return pd.DataFrame(lines)
-
-
-def shape_choices(seeds: Sequence[int], shapes_mt: Sequence[float] = SHAPES_MT) -> pd.DataFrame:
-    """Noise for a wrong shape, on the rod under half the load: ``shape_mt, tip_mm, orientation_deg, nees_direction``.
-
-    The choice is the one with the smallest error of the orientation.
-    """
-    moved, lines = [motion(TRAJECTORIES[2], steps=STEPS, load_n=LOAD_N / 2)], []
-    for shape_mt in shapes_mt:
-        options = {"settings": SETTINGS[:1], "methods": (INFLATED,), "shape_mt": shape_mt}
-        line = summary(errors(moved, seeds, **options)).iloc[0]
-        lines.append(
-            {"shape_mt": shape_mt, **line[["tip_mm", "orientation_deg", "nees_direction", "nees_tip"]]}
-        )
-    return pd.DataFrame(lines)
+            low, high = interval(np.sqrt(both[drawn].mean(1) / alone[drawn].mean(1)))
+            ratio = np.sqrt(both.mean() / alone.mean())
+            foretold = np.sqrt(predicted[method] / predicted[list(METHODS[:2])].min())
+            lines.append((*labels, quantity, single, ratio, low, high, foretold))
+    columns = [*KEYS[:2], "quantity", "single", "ratio", "low", "high", "predicted"]
+    return pd.DataFrame(lines, columns=columns)

@@ -1,4 +1,4 @@
-"""The shape of the one robot by each of its three sets of sensors, as drawn or calibrated.
+"""The shape of the one robot by each of its sets of sensors, as drawn or calibrated in measured poses of its tip.
 
 All take the segment for an arc, all start straight at mid elongation, and none is told the truth. Only the ring's
 sensors see the elongation; for the others it stays at its middle.
@@ -6,10 +6,7 @@ sensors see the elongation; for the others it stays at its middle.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from time import process_time
 
 import numpy as np
 import torch
@@ -18,26 +15,36 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from repro.estimation.base import track
+from repro.estimation.calibration import calibrate
 from repro.estimation.imu_models import exact_arcs
 from repro.estimation.imu_selection import Selection
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.particle_filter import ParticleFilter
+from repro.estimation.poses import configurations
 from repro.estimation.regions import Disc
 from repro.kernels import compiled
 from repro.kinematics.bend import MAX_BEND
 from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M
+from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.training_set import ELONGATION_M
-from repro_companion.pages.one_robot.models import HALL_SENSOR, STRETCH, Models, as_drawn, matrices
+from repro_companion.twins.calibration_session import released_moments
+from repro_companion.twins.segment_imus import as_quaternions
 from repro_companion.twins.segment_motion import ROBOT
 from repro_companion.twins.segment_robot import (
     APART_M,
     HALL_NOISE_MT,
     MAGNET_NOISE_MT,
     MID_ELONGATION_M,
+    PLACES_M,
+    POSE_POSITION_M,
+    POSE_ROTATION_RAD,
     Readings,
 )
 
+STRETCH = 1 + MID_ELONGATION_M / LENGTH_M
+"""Length at mid elongation over the unextended length."""
+HALL_SENSOR = BendSensor(STRETCH * APART_M)
 METHODS = ("ring and 3 sensors", "cube and Hall sensor, base", "cube and Hall sensor, middle", "2 IMUs")
 ITERATIONS = 12
 """Of Levenberg-Marquardt at every time step, each from the straight pose."""
@@ -49,6 +56,106 @@ for experiments)."""
 PARTICLES = 1000
 ROUNDED_MT = 1e-6
 PAIR = Selection(imus=(0, 1), arcs=(0.0, STRETCH * LENGTH_M), link_lengths=(STRETCH * LENGTH_M,), sub_links=1)
+STRAIGHT = torch.tensor([0.0, 0.0, MID_ELONGATION_M], dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class Models:
+    r"""What the estimators know of the robots.
+
+    Parameters
+    ----------
+    magnets
+        Sensor model of the ring's sensors.
+    hall_matrix, hall_offset
+        The transverse field of a robot is :math:`A h(q) + b` of that of the drawing; b in mT.
+    imu_world, imu_mounting
+        Constant turns about the world and of the mounting: :math:`R = E \hat R M`.
+    """
+
+    magnets: LinearisedSensing
+    hall_matrix: Float[Tensor, "*draws places 2 2"]
+    hall_offset: Float[Tensor, "*draws places 2"]
+    imu_world: Float[Tensor, "*draws imus 3 3"]
+    imu_mounting: Float[Tensor, "*draws imus 3 3"]
+
+
+def as_drawn() -> Models:
+    """Models of the drawing."""
+    eye, places = torch.eye(3, dtype=torch.float64), len(PLACES_M)
+    return Models(
+        LinearisedSensing(ROBOT, released_moments()),
+        eye[:2, :2].expand(places, 2, 2),
+        torch.zeros(places, 2, dtype=torch.float64),
+        eye.expand(2, 3, 3),
+        eye.expand(2, 3, 3),
+    )
+
+
+def calibrated(tips: Float[Tensor, "draws poses 4 4"], readings: Readings) -> Models:
+    """Models of several robots from measured poses of the tip and what was read there.
+
+    The ring's sensors: :func:`repro.estimation.calibration.calibrate`. The Hall sensor: least squares, with the bend
+    between it and the cube taken from the arc through the tip. The IMU at the tip: the two turns by which its
+    readings agree best with the measured orientations; that at the base has not moved, and one turn is all there is.
+
+    Parameters
+    ----------
+    tips
+        Measured poses ``T_base_tip``.
+    readings
+        From :func:`repro_companion.twins.segment_robot.calibration_session`, poses first.
+    """
+    q, covariance = configurations(
+        ROBOT, tips.unsqueeze(-3), position_m=POSE_POSITION_M, rotation_rad=POSE_ROTATION_RAD
+    )
+    u = readings.magnets.transpose(0, 1)
+    magnets = calibrate(ROBOT, q, covariance, u, released_moments(), noise_mt=MAGNET_NOISE_MT)
+    field = HALL_SENSOR(q[..., :2] * (APART_M / LENGTH_M / RADIUS_M))[..., :2]
+    columns = torch.cat([field, torch.ones_like(field[..., :1])], dim=-1).unsqueeze(1)  # [draws, 1, poses, 3]
+    seen = readings.hall.movedim(0, 2)[..., :2]
+    found = torch.linalg.lstsq(columns.expand(*seen.shape[:-1], 3), seen).solution
+    read = _matrices(readings.imus).movedim(0, 2)  # [draws, imus, poses, 3, 3]
+    mean = _nearest_rotation(read[:, 0].mean(1))
+    world, mounting = two_turns(read[:, 1], tips[..., :3, :3])
+    eye = torch.eye(3).to(mean).expand_as(mean)
+    return Models(
+        magnets.sensing(),
+        found[..., :2, :].mT,
+        found[..., 2, :],
+        torch.stack([mean, world], dim=1),
+        torch.stack([eye, mounting], dim=1),
+    )
+
+
+def _matrices(quaternions: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
+    """Rotation matrices of quaternions XYZW."""
+    q = quaternions.numpy()
+    return torch.from_numpy(Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(*q.shape[:-1], 3, 3))
+
+
+def two_turns(
+    read: Float[Tensor, "draws poses 3 3"], true: Float[Tensor, "draws poses 3 3"]
+) -> tuple[Float[Tensor, "draws 3 3"], Float[Tensor, "draws 3 3"]]:
+    """Turns E and M for which ``read`` is closest to ``E true M``: each by turns, with the other held.
+
+    Parameters
+    ----------
+    read, true
+        Rotation matrices of several poses that do not all share one axis.
+    """
+    M = torch.eye(3).to(read).expand(len(read), 3, 3)
+    E = M
+    for _ in range(20):
+        E = _nearest_rotation((read @ (true @ M.unsqueeze(1)).mT).sum(1))
+        M = _nearest_rotation(((E.unsqueeze(1) @ true).mT @ read).sum(1))
+    return E, M
+
+
+def _nearest_rotation(A: Tensor) -> Tensor:
+    U, _, V = torch.linalg.svd(A)
+    sign = torch.linalg.det(U @ V)
+    return U @ torch.diag_embed(torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign], -1)) @ V
 
 
 @dataclass(frozen=True)
@@ -89,13 +196,13 @@ def by_magnets(
     failed
         Number of a sensor that is left out, from 0.
     """
-    method, q0 = _least_squares(models.magnets), _straight_and(MID_ELONGATION_M).expand_as(u)
+    method, q0 = least_squares(models.magnets), STRAIGHT.expand_as(u)
     mask, known = None, None
     if failed is not None:
         mask = torch.arange(u.shape[-1]) != failed
         known = q0.new_tensor([torch.nan, torch.nan, MID_ELONGATION_M]).expand_as(q0)
     q = method.step(method.init(q0), u, 0.0, mask=mask, known=known)[1].q
-    return _arc(q, arcs_m)
+    return arc(q, arcs_m)
 
 
 def by_hall(
@@ -122,7 +229,7 @@ def by_hall(
         Of the particles.
     """
     if failed is not None:
-        straight = _arc(_straight_and(MID_ELONGATION_M).expand(*u.shape[:2], 3), arcs_m)
+        straight = arc(STRAIGHT.expand(*u.shape[:2], 3), arcs_m)
         return (straight,) * u.shape[2]
     offset = (u[..., :2] - models.hall_offset).unsqueeze(-1)
     transverse = torch.linalg.solve(models.hall_matrix, offset).squeeze(-1)
@@ -130,10 +237,10 @@ def by_hall(
     # which particle survives: far below the resolution of the sensor, but above that of the tables.
     seen = torch.round(torch.cat([transverse, u[..., 2:]], dim=-1) / ROUNDED_MT) * ROUNDED_MT
     mask = torch.tensor([True, True, False]).expand(len(u), 3)
-    bend = track(_particle_filter(), seen, seen.new_zeros(*seen.shape[1:-1], 2), seed=seed, mask=mask).q
+    bend = track(particle_filter(), seen, seen.new_zeros(*seen.shape[1:-1], 2), seed=seed, mask=mask).q
     q = bend * (LENGTH_M / APART_M * RADIUS_M)
     q = torch.cat([q, torch.full_like(q[..., :1], MID_ELONGATION_M)], dim=-1)
-    return tuple(_arc(x, arcs_m) for x in q.unbind(2))
+    return tuple(arc(x, arcs_m) for x in q.unbind(2))
 
 
 def by_imus(
@@ -157,77 +264,33 @@ def by_imus(
     failed
         0 if the IMU at the base has failed, 1 if that at the tip.
     """
-    R = models.imu_world.mT @ matrices(quaternions) @ models.imu_mounting.mT
+    R = models.imu_world.mT @ _matrices(quaternions) @ models.imu_mounting.mT
     base, tip = R.unbind(-3)
     if failed == 0:
         base = torch.eye(3).to(R).expand_as(base)
     elif failed == 1:
         tip = base
-    ends = np.stack([_quaternions(base), _quaternions(tip)], axis=-2)
+    ends = np.stack([as_quaternions(base), as_quaternions(tip)], axis=-2)
     points = exact_arcs(ends, PAIR, STRETCH * arcs_m.numpy())
     return Shape(torch.from_numpy(points), tip)
 
 
-def cpu_times(readings: Readings, arcs_m: Float[Tensor, " k"], *, repeats: int = 200) -> dict[str, float]:
-    """Processor time of one estimate of one robot [s], by method: the median of repeated single steps.
-
-    Parameters
-    ----------
-    readings
-        Of any robots; the first step of the first is used.
-    arcs_m
-        Where the backbone is wanted.
-    repeats
-        How often.
-    """
-    models = as_drawn()
-    squares, cloud = _least_squares(models.magnets), _particle_filter()
-    start, q0 = squares.init(_straight_and(MID_ELONGATION_M)), torch.zeros(2, dtype=torch.float64)
-    particles, mask = cloud.init(q0), torch.tensor([True, True, False])
-    u, hall, imus = readings.magnets[0, 0], readings.hall[0, 0, 0], readings.imus[:1, :1]
-
-    def magnets() -> None:
-        _arc(squares.step(start, u, 0.0)[1].q, arcs_m)
-
-    def bend() -> None:
-        q = cloud.step(particles, hall, 0.0, mask=mask)[1].q
-        _arc(torch.cat([q, q[:1]]), arcs_m)
-
-    calls = (magnets, bend, bend, partial(by_imus, models, imus, arcs_m))
-    return {name: _median_time(call, repeats) for name, call in zip(METHODS, calls, strict=True)}
-
-
-def _median_time(call: Callable[[], object], repeats: int) -> float:
-    call()  # the first call compiles
-    times = []
-    for _ in range(repeats):
-        start = process_time()
-        call()
-        times.append(process_time() - start)
-    return float(np.median(times))
-
-
-def _least_squares(sensing: LinearisedSensing) -> LevenbergMarquardt:
+def least_squares(sensing: LinearisedSensing) -> LevenbergMarquardt:
+    """Levenberg-Marquardt on the ring's sensors."""
     largest = RADIUS_M * LARGEST_BEND_RAD
     high = torch.tensor([largest, largest, ELONGATION_M["released"]], dtype=torch.float64)
     low = high * torch.tensor([-1.0, -1.0, 0.0], dtype=torch.float64)
     return LevenbergMarquardt(compiled(sensing), low, high, noise_mt=MAGNET_NOISE_MT, iterations=ITERATIONS)
 
 
-def _particle_filter() -> ParticleFilter:
+def particle_filter() -> ParticleFilter:
+    """The paper's filter on the Hall sensor."""
     noise = torch.full((2,), PROCESS_NOISE_RAD, dtype=torch.float64)
     region = Disc(LARGEST_BEND_RAD * APART_M / LENGTH_M)
     return ParticleFilter(compiled(HALL_SENSOR), noise, HALL_NOISE_MT, region, particles=PARTICLES)
 
 
-def _straight_and(elongation_m: float) -> Tensor:
-    return torch.tensor([0.0, 0.0, elongation_m], dtype=torch.float64)
-
-
-def _arc(q: Tensor, arcs_m: Tensor) -> Shape:
+def arc(q: Tensor, arcs_m: Tensor) -> Shape:
+    """Shape of configurations."""
     T = ROBOT.segments[0].pose(q.unsqueeze(-2), torch.cat([arcs_m / LENGTH_M, arcs_m.new_ones(1)]))
     return Shape(T[..., :-1, :3, 3], T[..., -1, :3, :3])
-
-
-def _quaternions(R: Tensor) -> np.ndarray:
-    return Rotation.from_matrix(R.reshape(-1, 3, 3).numpy()).as_quat().reshape(*R.shape[:-2], 4)

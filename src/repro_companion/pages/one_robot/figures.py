@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from repro_companion.pages.one_robot.errors import CONDITIONS, QUANTITIES
 from repro_companion.pages.one_robot.estimates import METHODS
+from repro_companion.pages.one_robot.tables import CONDITIONS, QUANTITIES
 from repro_companion.twins.segment_motion import TRAJECTORIES
 from repro_live.view.style import page_figure
 

@@ -6,12 +6,11 @@ import numpy as np
 import pandas as pd
 import torch
 
-from repro.errors import bad_input
 from repro.estimation.levenberg_marquardt import jacobian
 from repro.kinematics.bend import MAX_BEND, bend_angle_and_direction, bend_vector
 from repro.sensing.bend_sensor import BendSensor
+from repro_companion.pages.probabilistic_curvature.simulation import Setting
 from repro_companion.twins.bend_curves import CURVES, LENGTH_M, bend_curve, bend_readings, curve_times
-from repro_companion.twins.bend_simulation import Setting
 
 
 def curves_table(every: int = 4) -> pd.DataFrame:
@@ -24,15 +23,13 @@ def curves_table(every: int = 4) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def cloud(setting: Setting, *, curve: str = "flower", step: int = 240) -> pd.DataFrame:
-    """Particles before a step of a filter that started straight, Fig. 3.
+def cloud(setting: Setting, *, step: int = 240) -> pd.DataFrame:
+    """Particles before a step along Flower of a filter that started straight, Fig. 3.
 
     Parameters
     ----------
     setting
         What to run.
-    curve
-        Name of the curve.
     step
         Number of steps that the filter has taken.
 
@@ -40,15 +37,8 @@ def cloud(setting: Setting, *, curve: str = "flower", step: int = 240) -> pd.Dat
     -------
     DataFrame
         Columns ``bend_x_rad, bend_y_rad, is_truth``; the true state comes last.
-
-    Raises
-    ------
-    InputError
-        If the step is not one of the curve.
     """
-    q = bend_curve(curve)
-    if not 0 <= step < len(q):
-        raise bad_input("step", "cloud", f"between 0 and {len(q) - 1}", step)
+    q = bend_curve("flower")
     u = bend_readings(q, setting.length_m, noise_mt=setting.sensor_noise_mt)
     filter_ = setting.filter()
     state = filter_.init(torch.zeros(1, 1, 2, dtype=torch.float64))

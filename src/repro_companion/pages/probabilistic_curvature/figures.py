@@ -107,33 +107,29 @@ def process_noise(sweep: pd.DataFrame, law: pd.DataFrame, count: pd.DataFrame) -
     figure, (left, right) = plt.subplots(1, 2, figsize=(8.6, 3.4), width_ratios=(1.35, 1))
     left.axhspan(0.0044, 0.0046, color=PUBLISHED, lw=0, alpha=0.5)
     left.annotate("published", (0.00052, 0.0047), fontsize=8, color="0.3", va="bottom")
-    for curve, part in sweep.groupby("curve", sort=False):
-        x, y = part["process_noise_pi"], part["rmse_mm"]
-        left.plot(x, y, MARKERS[curve], color=COLOURS[curve], ms=5, label=curve.capitalize())
-    particles = sweep["particles"].iloc[0]
-    line = law[law["particles"] == particles].sort_values("process_noise_pi")
-    left.plot(line["process_noise_pi"], line["law_mm"], color="0.2", lw=1, label="law without bias")
+    shown = ((left, sweep, "process_noise_pi", "particles"), (right, count, "particles", "process_noise_pi"))
+    for panel, table, along, held in shown:
+        for curve, part in table.groupby("curve", sort=False):
+            style = {"color": COLOURS[curve], "ms": 5, "label": curve.capitalize()}
+            panel.plot(part[along], part["rmse_mm"], MARKERS[curve], **style)
+        line = law[law[held] == table[held].iloc[0]].sort_values(along)
+        panel.plot(line[along], line["law_mm"], color="0.2", lw=1, label="law without bias")
+        panel.set(xscale="log", yscale="log", ylabel="RMSE of the position [mm]")
     left.axvline(0.02, color="0.6", lw=0.8, ls="--")
     left.annotate("stated", (0.019, 0.0007), ha="right", fontsize=8, color="0.3")
-    left.set(
-        xscale="log",
-        yscale="log",
-        xlabel="process noise [π rad per step]",
-        ylabel="RMSE of the position [mm]",
-    )
-    left.set(ylim=(5e-4, 6))
-    left.set_xticks(sorted(set(sweep["process_noise_pi"])))
-    left.xaxis.set_major_formatter("{x:g}")
-    left.xaxis.set_minor_formatter(NullFormatter())
+    left.set_ylim(5e-4, 6)
+    _over_process_noise(left, sweep)
     left.legend(loc="upper center", ncols=2)
-    for curve, part in count.groupby("curve", sort=False):
-        right.plot(part["particles"], part["rmse_mm"], MARKERS[curve], color=COLOURS[curve], ms=5)
     walk = count["process_noise_pi"].iloc[0]
-    line = law[law["process_noise_pi"] == walk].sort_values("particles")
-    right.plot(line["particles"], line["law_mm"], color="0.2", lw=1)
-    right.set(xscale="log", yscale="log", xlabel="particles $N$", ylabel="RMSE of the position [mm]")
-    right.set(title=f"process noise {walk:g}π rad")
+    right.set(xlabel="particles $N$", title=f"process noise {walk:g}π rad")
     return figure
+
+
+def _over_process_noise(panel: Axes, table: pd.DataFrame) -> None:
+    panel.set(xscale="log", xlabel="process noise [π rad per step]")
+    panel.set_xticks(sorted(set(table["process_noise_pi"])))
+    panel.xaxis.set_major_formatter("{x:g}")
+    panel.xaxis.set_minor_formatter(NullFormatter())
 
 
 @page_figure
@@ -157,12 +153,8 @@ def sensor_noise(sweep: pd.DataFrame, memoryless_mm: float) -> Figure:
         for curve, line in part.groupby("curve", sort=False):
             style = {"color": COLOURS[curve], "marker": MARKERS[curve], "ms": 5}
             panel.plot(line["process_noise_pi"], line["rmse_mm"], **style, label=curve.capitalize())
-        panel.set(
-            xscale="log", yscale="log", title=motion.capitalize(), xlabel="process noise [π rad per step]"
-        )
-        panel.set_xticks(sorted(set(part["process_noise_pi"])))
-        panel.xaxis.set_major_formatter("{x:g}")
-        panel.xaxis.set_minor_formatter(NullFormatter())
+        panel.set(yscale="log", title=motion.capitalize())
+        _over_process_noise(panel, part)
         panel.yaxis.set_minor_formatter(NullFormatter())
         panel.set(ylim=(0.038, OFF_SCALE_MM))
         panel.set_yticks([0.04, 0.05, 0.06, 0.08, 0.1], ["0.04", "0.05", "0.06", "0.08", "0.1"])

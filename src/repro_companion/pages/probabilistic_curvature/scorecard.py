@@ -7,8 +7,8 @@ from typing import Any
 
 import pandas as pd
 
+from repro_companion.pages.probabilistic_curvature.simulation import BEST, FITS, PAPER, Setting
 from repro_companion.twins.bend_curves import CURVES, curve_times
-from repro_companion.twins.bend_simulation import BEST, FITS, PAPER, Setting
 
 SETTING = (
     "as printed: process noise 0.02 pi, L = 15 mm, noise-free; sigma 0.01 mT is not stated; start straight"

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from repro.errors import InputError, bad_input
 from repro.sensing.field_ratios import model_axes, ratios
-from repro_companion.recordings.mitchell2021 import FIELD, REST_S, HallTake, Take, align, read_hall, takes
+from repro_companion.recordings.mitchell2021 import FIELD, REST_S, HallTake, align, read_hall, takes
 from repro_companion.recordings.mitchell2021_tables import on_readings, read_calibration, read_filtered
 from repro_companion.twins.bend_takes import write_bend_takes
 from repro_live.own.optitrack import Capture, read_capture
@@ -92,7 +92,11 @@ def bend_takes(folder: Path | None = None) -> list[BendTake]:
     folder
         As for :func:`repro_companion.recordings.mitchell2021.takes`.
     """
-    return [_aligned(take) for take in takes(folder) if take.hall and take.capture]
+    return [
+        _aligned(take.name, read_hall(take.hall), read_capture(take.capture), take.filtered)
+        for take in takes(folder)
+        if take.hall and take.capture
+    ]
 
 
 def recorded_or_synthetic(
@@ -170,10 +174,8 @@ def facts(found: Sequence[BendTake]) -> pd.DataFrame:
 
 def log_states(found: Sequence[BendTake]) -> pd.DataFrame:
     """What became of the authors' own output: ``take, share_percent`` (readings that it covers) and ``state``."""
-    rows = [
-        {"take": take.name, "share_percent": 100 * take.log_share, "state": take.log_state} for take in found
-    ]
-    return pd.DataFrame(rows)
+    rows = [(take.name, 100 * take.log_share, take.log_state) for take in found]
+    return pd.DataFrame(rows, columns=["take", "share_percent", "state"])
 
 
 def against_displacement(capture: Capture) -> dict[str, float]:
@@ -204,21 +206,18 @@ def axial_field(take: BendTake) -> pd.DataFrame:
     return pd.DataFrame({"time_s": take.time_s, "sent_mt": sent, "over_gain_mt": sent / take.gain})
 
 
-def _aligned(take: Take) -> BendTake:
-    if take.hall is None or take.capture is None:
-        raise bad_input("take", "a bend test", "one with a Hall file and a motion capture", take.name)
-    numbers = re.fullmatch(r"bend_(\d+)_try_(\d+)", take.name)
+def _aligned(name: str, hall: HallTake, capture: Capture, filtered: Path | None) -> BendTake:
+    numbers = re.fullmatch(r"bend_(\d+)_try_(\d+)", name)
     if not numbers:
-        raise bad_input("name", "a bend test", "bend_TEST_try_TRY", take.name)
-    hall, capture = read_hall(take.hall), read_capture(take.capture)
+        raise bad_input("name", "a bend test", "bend_TEST_try_TRY", name)
     aligned, lag = align(hall, capture)
     table = aligned.dropna(subset=FIELD)
     whole = model_axes(torch.from_numpy(hall.readings[FIELD].to_numpy(copy=True)))
     high = capture.motion[capture.motion["bend_rad"] > np.radians(40.0)]
-    logged, share, state = _logged(take.filtered, hall, table["time_s"].to_numpy())
+    logged, share, state = _logged(filtered, hall, table["time_s"].to_numpy())
     at_rest = torch.from_numpy((hall.readings["time_s"] < REST_S).to_numpy(copy=True))
     return BendTake(
-        name=take.name,
+        name=name,
         test=int(numbers[1]),
         attempt=int(numbers[2]),
         time_s=table["time_s"].to_numpy(),

@@ -2,7 +2,8 @@ r"""Section II-D of Mitchell et al. 2021: a particle filter on Spiral, Flower an
 
 All readings are synthetic, by magpylib; the filter's own model is the closed form of
 :mod:`repro.sensing.bend_sensor`, compiled as a polynomial (:mod:`repro.kernels.bend_series`). Every filter
-starts straight, where all three curves start.
+starts straight, where all three curves start. Here are the filters, their errors, and what these follow: the law, and
+the reference.
 """
 
 from __future__ import annotations
@@ -16,16 +17,22 @@ import torch
 from torch import Tensor
 
 from repro.estimation.base import track
+from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.particle_cloud import noise_of_sigma
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Disc
 from repro.kernels import compiled
 from repro.kinematics.bend import MAX_BEND
 from repro.sensing.bend_sensor import BendSensor
-from repro_companion.twins.bend_curves import CURVES, LENGTH_M, bend_curve, bend_readings, curve_times
+from repro_companion.twins.bend_curves import (
+    CURVES,
+    LENGTH_M,
+    SENSOR_NOISE_MT,
+    bend_curve,
+    bend_readings,
+    curve_times,
+)
 
-SENSOR_NOISE_MT = 0.025
-"""Noise of the real sensor per axis [mT]: 0.021-0.026 mT in the recordings at rest."""
 PROCESS_NOISE_PI = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
 """Candidates for the process noise [pi rad]: from the smallest of the released code to the paper's."""
 
@@ -101,7 +108,8 @@ BEST = replace(
     resampling="systematic",
     motion="constant velocity",
 )
-"""Ours for a real sensor; motion and process noise are those with the smallest error on Spiral (``chosen``)."""
+"""Ours for a real sensor; motion and process noise are those with the smallest error on Spiral in the study
+``particle_sensor_noise``."""
 
 
 def follow(
@@ -210,26 +218,83 @@ def errors_over_time(
     tables = []
     for setting in settings:
         error, _ = follow(setting, seed=seed, steps=steps, curves=curves)
-        tables += [
-            pd.DataFrame({"curve": curve, "t": t, "error_mm": error[:, 0, c].numpy()}).assign(
-                setting=setting.name,
-                process_noise_pi=setting.process_noise_pi,
-                particles=setting.particles,
-            )
-            for c, curve in enumerate(curves)
-        ]
+        run = {
+            "setting": setting.name,
+            "process_noise_pi": setting.process_noise_pi,
+            "particles": setting.particles,
+        }
+        for c, curve in enumerate(curves):
+            tables.append(pd.DataFrame({"curve": curve, "t": t, "error_mm": error[:, 0, c].numpy(), **run}))
     return pd.concat(tables, ignore_index=True)
 
 
 def summary(over_time: pd.DataFrame) -> pd.DataFrame:
-    """Errors by setting, number of particles and curve: columns of the table and ``rmse_mm, mean_mm, worst_mm``.
+    """Errors of a table of :func:`errors_over_time` by setting, number of particles and curve.
 
-    Parameters
-    ----------
-    over_time
-        Table of :func:`errors_over_time`.
+    Columns: those, and ``rmse_mm, mean_mm, worst_mm``.
     """
     squared = over_time.assign(squared=over_time["error_mm"] ** 2)
     by = squared.groupby(["setting", "process_noise_pi", "particles", "curve"], sort=False)
     table = by.agg(rmse_mm=("squared", "mean"), mean_mm=("error_mm", "mean"), worst_mm=("error_mm", "max"))
     return table.assign(rmse_mm=table["rmse_mm"] ** 0.5).reset_index()
+
+
+def law_mm(process_noise_pi: float, particles: int = 1000, length_m: float = LENGTH_M) -> float:
+    r"""RMSE [mm] of the best tenth where the process noise ``q`` is much wider than motion and likelihood.
+
+    A tenth of the ``N`` particles is averaged: :math:`0.325\, q\, (L/2)/\sqrt{N/10}`, with the measured factor.
+    Where the arc is straight averaging angles adds a bias.
+
+    Examples
+    --------
+    >>> round(law_mm(0.02), 4)
+    0.0153
+    """
+    return 1e3 * 0.325 * process_noise_pi * math.pi * length_m / 2 / math.sqrt(particles / 10)
+
+
+def law_table(*tables: pd.DataFrame) -> pd.DataFrame:
+    """Error law at every process noise, number of particles and length of some tables of ``errors``.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``process_noise_pi, particles, length_mm, law_mm``.
+    """
+    points = pd.concat(tables)[["process_noise_pi", "particles", "length_mm"]].drop_duplicates()
+    law = [law_mm(walk, n, length / 1e3) for walk, n, length in points.itertuples(index=False)]
+    return points.assign(law_mm=law).reset_index(drop=True)
+
+
+def over_seeds(table: pd.DataFrame) -> pd.DataFrame:
+    """Mean and standard deviation over the seeds of a table of ``errors``, by setting and curve.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``setting, process_noise_pi, noise_mt, curve, rmse_mm, rmse_std_mm, seeds``.
+    """
+    by = table.groupby(["setting", "process_noise_pi", "noise_mt", "curve"], sort=False)["rmse_mm"]
+    columns = {"mean": "rmse_mm", "std": "rmse_std_mm", "count": "seeds"}
+    return by.agg(list(columns)).rename(columns=columns).reset_index()
+
+
+def memoryless(steps: int | None = None, *, noise_mt: float = SENSOR_NOISE_MT, seed: int = 0) -> pd.DataFrame:
+    """Error of least squares on every reading by itself, from the straight pose: columns ``curve, rmse_mm``.
+
+    Parameters
+    ----------
+    steps
+        Number of steps; all when not given.
+    noise_mt
+        Noise of the readings per axis [mT].
+    seed
+        Of the noise.
+    """
+    q = torch.stack([bend_curve(name) for name in CURVES], dim=1)[:steps]
+    u = bend_readings(q, noise_mt=noise_mt, seed=seed)
+    sensor, bound = BendSensor(LENGTH_M), torch.full((2,), MAX_BEND, dtype=torch.float64)
+    solver = LevenbergMarquardt(sensor, -bound, bound, noise_mt=noise_mt)
+    _, found = solver.step(solver.init(torch.zeros_like(q)), u, 0.0)
+    error = 1e3 * torch.linalg.vector_norm(sensor.position(found.q) - sensor.position(q), dim=-1)
+    return pd.DataFrame({"curve": CURVES, "rmse_mm": (error**2).mean(0).sqrt().numpy()})

@@ -14,10 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import torch
 from jaxtyping import Float
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from scipy.ndimage import median_filter
 from torch import Tensor
 
@@ -27,8 +30,9 @@ from repro.kinematics.bend import MAX_BEND
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.field_ratios import FieldRatios, model_axes, ratios
 from repro_companion.recordings.mitchell2021 import FIELD, HallTake, read_hall, takes
-from repro_companion.twins.bend_simulation import SENSOR_NOISE_MT
+from repro_companion.twins.bend_curves import SENSOR_NOISE_MT
 from repro_companion.twins.bend_takes import write_light_tests
+from repro_live.view.style import page_figure
 
 FIRST = "light_-1"
 """The file that sets rest and threshold."""
@@ -44,6 +48,7 @@ LEAST_S = 0.1
 """Shortest event [s]."""
 MERGED_S = 1.0
 """Events closer to each other are one [s]."""
+OURS, EVENT = "#0072B2", "#D55E00"
 
 
 @dataclass(frozen=True)
@@ -89,18 +94,12 @@ def recorded_or_synthetic(*, seed: int = 0) -> tuple[dict[str, HallTake], str]:
 
 def facts(tests: dict[str, HallTake]) -> pd.DataFrame:
     """What was dropped of each file: ``file, readings, unreadable, drained, beyond_range, longest_gap_s``."""
+    columns = ["file", "readings", "unreadable", "drained", "beyond_range", "longest_gap_s"]
     rows = [
-        {
-            "file": name,
-            "readings": len(hall.readings),
-            "unreadable": hall.unreadable,
-            "drained": hall.drained,
-            "beyond_range": hall.masked,
-            "longest_gap_s": hall.longest_gap_s,
-        }
+        (name, len(hall.readings), hall.unreadable, hall.drained, hall.masked, hall.longest_gap_s)
         for name, hall in tests.items()
     ]
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=columns)
 
 
 def detector(first: HallTake) -> Detector:
@@ -177,15 +176,11 @@ def events(table: pd.DataFrame, threshold: float, merged_s: float = MERGED_S) ->
         Columns ``start_s, end_s, rise``, one row per event: at least `LEAST_S` long, and more than ``merged_s``
         after the end of the one before.
     """
-    rise, time_s = (table["ratio"] - table["baseline"]).to_numpy(), table["time_s"].to_numpy()
-    found: list[list[float]] = []
-    for k in np.flatnonzero(rise > threshold):
-        if found and time_s[k] - found[-1][1] <= merged_s:
-            found[-1] = [found[-1][0], float(time_s[k]), max(found[-1][2], float(rise[k]))]
-        else:
-            found.append([float(time_s[k]), float(time_s[k]), float(rise[k])])
-    kept = [event for event in found if event[1] - event[0] >= LEAST_S]
-    return pd.DataFrame(kept, columns=["start_s", "end_s", "rise"], dtype=float)
+    rise = table["ratio"] - table["baseline"]
+    above = table.assign(rise=rise)[rise > threshold]
+    event = (above["time_s"].diff() > merged_s).cumsum()
+    found = above.groupby(event).agg(start_s=("time_s", "min"), end_s=("time_s", "max"), rise=("rise", "max"))
+    return found[found["end_s"] - found["start_s"] >= LEAST_S].reset_index(drop=True)
 
 
 def all_events(tests: dict[str, HallTake], model: FieldRatios) -> tuple[Detector, pd.DataFrame, pd.DataFrame]:
@@ -218,8 +213,8 @@ def all_events(tests: dict[str, HallTake], model: FieldRatios) -> tuple[Detector
         marks.append(events(table, found.threshold).assign(file=name))
         degrees = {f"{angle}_deg": np.degrees(table[f"{angle}_rad"]) for angle in ("bend", "deviation")}
         curves.append(table[["time_s", "ratio", "baseline", "at_bound"]].assign(file=name, **degrees))
-    columns = ["file", "start_s", "end_s", "rise"]
-    return found, pd.concat(curves, ignore_index=True), pd.concat(marks, ignore_index=True).loc[:, columns]
+    marked = pd.concat(marks, ignore_index=True)[["file", "start_s", "end_s", "rise"]]
+    return found, pd.concat(curves, ignore_index=True), marked
 
 
 def counts(curves: pd.DataFrame, found: Detector) -> pd.DataFrame:
@@ -253,3 +248,51 @@ def _ratios(hall: HallTake) -> Tensor:
 def as_drawn(length_mm: float) -> FieldRatios:
     """Model of the ratios without calibration, for an arc length [mm]."""
     return FieldRatios(BendSensor(1e-3 * length_mm), torch.eye(2, dtype=torch.float64))
+
+
+@page_figure
+def events_over_time(curves: pd.DataFrame, events: pd.DataFrame, threshold: float, source: str) -> Figure:
+    """Bend angle and ratios over time with the events that were detected, one row per file (Fig. 8).
+
+    Parameters
+    ----------
+    curves
+        Columns ``file, time_s, ratio, baseline, bend_deg, deviation_deg``.
+    events
+        Columns ``file, start_s, end_s``.
+    threshold
+        Rise over the baseline that counts.
+    source
+        Where the files come from; stands in the title.
+    """
+    files = list(dict.fromkeys(curves["file"]))
+    figure, panels = plt.subplots(
+        len(files), 2, figsize=(9.6, 1.9 * len(files) + 0.7), sharex=True, squeeze=False
+    )
+    for (left, right), file in zip(panels, files, strict=True):
+        part = curves[curves["file"] == file]
+        band = 2.0 * part["deviation_deg"]
+        left.fill_between(
+            part["time_s"], part["bend_deg"] - band, part["bend_deg"] + band, color=OURS, alpha=0.25, lw=0
+        )
+        left.plot(part["time_s"], part["bend_deg"], color=OURS, lw=0.7)
+        left.axhline(90.0, color="0.6", lw=0.8, ls="--")
+        left.set(ylim=(0, 98), yticks=(0, 30, 60, 90))
+        right.plot(part["time_s"], part["ratio"], color="black", lw=0.7)
+        right.plot(part["time_s"], part["baseline"], color="0.6", lw=1)
+        right.plot(part["time_s"], part["baseline"] + threshold, color="0.6", lw=0.8, ls=":")
+        for _, event in events[events["file"] == file].iterrows():
+            for panel in (left, right):
+                panel.axvspan(event["start_s"], event["end_s"], color=EVENT, alpha=0.25, lw=0)
+        left.set_title(f"{file}, {source}", loc="left")
+        left.set_ylabel("bend [deg]")
+        right.set_ylabel("transverse / axial")
+    for panel in panels[-1]:
+        panel.set_xlabel("time [s]")
+    handles = [
+        Line2D([], [], color="0.6", lw=1, label="running median"),
+        Line2D([], [], color="0.6", lw=0.8, ls=":", label="threshold"),
+        Line2D([], [], color=EVENT, lw=6, alpha=0.3, label="event"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return figure
