@@ -14,13 +14,13 @@ from repro_companion.pages.filter_on_segments import tables as segments_tables
 from repro_companion.pages.filter_on_segments.courses import Course
 from repro_companion.pages.fusion import filters as fusion
 from repro_companion.pages.fusion import tables as fusion_tables
+from repro_companion.pages.robustness import studies as robustness
 from repro_companion.pages.robustness import tables as robustness_tables
-from repro_companion.pages.robustness import twins as robustness
 from repro_companion.pages.temporal_filter import filters as temporal
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.twins import rig_errors
 from repro_companion.twins.calibrated_robots import relative_error
-from repro_companion.twins.rig_filter import OursConfig, estimate_bend
+from repro_companion.twins.rig_filter import BendFilter, OursConfig
 from repro_companion.twins.rig_map import fit_map
 from repro_companion.twins.segment_motion import ROBOT
 
@@ -217,7 +217,7 @@ class TestRig:
         config = OursConfig(bias_mv=0.01, widest_mv=0.02, step_mv=0.01, shape_mv=5.0)
         squares, bend = [], path[2000:2040]
         for _ in range(200):
-            run = estimate_bend(bend_map, recorded(bend, 5.0 * g.standard_normal(3)).u, config)
+            run = BendFilter(bend_map, config).whole(recorded(bend, 5.0 * g.standard_normal(3)).u)
             error = run.q[-1, :2] - bend[-1]
             squares.append(error @ np.linalg.solve(run.covariance[-1, :2, :2], error))
         assert np.mean(squares) / 2 == pytest.approx(1.0, abs=0.25)

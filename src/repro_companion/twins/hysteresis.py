@@ -15,8 +15,6 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from repro.errors import bad_input
-
 MODELS = ("bouc-wen", "prandtl-ishlinskii")
 """Names of the models."""
 STOPS = 6
@@ -38,23 +36,12 @@ def memory(
     model
         One of :data:`MODELS`.
 
-    Raises
-    ------
-    InputError
-        If the stroke is not positive, or there is no such model.
-
     Examples
     --------
     >>> memory(np.array([0.0, 1.0, 2.0, 1.0]), stroke=1.0).round(3)
     array([ 0.   ,  0.632,  0.865, -0.314])
     """
-    if not stroke > 0:
-        raise bad_input("stroke", "memory", "positive", stroke)
-    if model == "bouc-wen":
-        return _bouc_wen(x, stroke)
-    if model == "prandtl-ishlinskii":
-        return _prandtl_ishlinskii(x, stroke)
-    raise bad_input("model", "memory", f"one of {', '.join(map(repr, MODELS))}", repr(model))
+    return _bouc_wen(x, stroke) if model == "bouc-wen" else _prandtl_ishlinskii(x, stroke)
 
 
 def _bouc_wen(x: np.ndarray, stroke: float) -> np.ndarray:

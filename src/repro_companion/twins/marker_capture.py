@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from repro.sensing.rig import RIG_LENGTH_M, RIG_MARKERS_M, rig_segment
+from repro_companion.recordings.rig_capture import BASE_HEIGHT_M
 
 
 @dataclass(frozen=True)
@@ -68,10 +69,6 @@ class RingTrack:
     tracked: Bool[np.ndarray, " frames"]
 
 
-BASE_MARKERS_M = 2.7e-3
-"""Height of the base body above the origin of the base frame [m], as in the released code."""
-
-
 def capture_ring(
     capture: MarkerCapture,
     time_s: Float[np.ndarray, " frames"],
@@ -97,7 +94,7 @@ def capture_ring(
     ring = base + pose[:, :3, 3] + 1e-3 * np.array([*capture.ring_offset_mm, 0.0])
     noise = 1e-3 * capture.noise_mm * rng.standard_normal((2, n, 3))
     turn = Rotation.from_rotvec(np.radians(capture.noise_deg) * rng.standard_normal((n, 3)))
-    base_body = base + [0.0, 0.0, BASE_MARKERS_M] + noise[0]
+    base_body = base + [0.0, 0.0, BASE_HEIGHT_M] + noise[0]
     return RingTrack(
         time_s=time_s,
         base_m=base_body,

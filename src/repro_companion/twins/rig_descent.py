@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import torch
 from jaxtyping import Float
+from torch import Tensor
 from tqdm import tqdm
 
 from repro.errors import bad_input
@@ -110,6 +111,12 @@ def rig_sensing(model: SeedEnsemble) -> MagneticSensing:
     return MagneticSensing(rig_robot(), model, "angles", rig_earth_axis())
 
 
+def paper_descent(sensing: Callable[[Tensor], Tensor], shorter: int) -> GradientDescent:
+    """Descent of section 5.4, with the step size divided and the iterations multiplied by ``shorter``."""
+    gamma = torch.tensor(STEP_SIZE, dtype=torch.float64) / shorter
+    return GradientDescent(sensing, gamma, MOMENTUM, ITERATIONS * shorter)
+
+
 def paper_method(
     parts: dict[str, Recording],
     model: SeedEnsemble,
@@ -119,7 +126,6 @@ def paper_method(
     elongations: Sequence[str] = ELONGATIONS,
     solver: str = "compiled",
     shorter: int = 1,
-    progress: bool = False,
 ) -> PaperRun:
     """Gradient descent of section 5.4 on delta_x and delta_y, for all seeds at once.
 
@@ -139,33 +145,23 @@ def paper_method(
         ``"compiled"``, or ``"torch"`` for the same without a kernel.
     shorter
         Divides the step size and multiplies the iterations: 1 is the published method.
-    progress
-        Show a progress bar for each trajectory.
 
     Raises
     ------
     InputError
-        If an elongation or solver is unknown, or the steps are not shortened by at least 1.
+        If the solver is unknown.
     """
-    if not elongations or not set(elongations) <= set(ELONGATIONS):
-        expected = f"among {', '.join(ELONGATIONS)}, at least one"
-        raise bad_input("elongations", "paper_method", expected, elongations)
-    if shorter < 1:
-        raise bad_input("shorter", "paper_method", "at least 1", shorter)
     if solver not in SOLVERS:
         raise bad_input("solver", "paper_method", f"one of {', '.join(SOLVERS)}", solver)
     sensing, shape = rig_sensing(model), (len(seeds), len(elongations))
-    gamma = torch.tensor(STEP_SIZE, dtype=torch.float64) / shorter
-    model_of_descent = compiled(sensing) if solver == "compiled" else sensing
-    descent = GradientDescent(model_of_descent, gamma, MOMENTUM, ITERATIONS * shorter)
+    descent = paper_descent(compiled(sensing) if solver == "compiled" else sensing, shorter)
     predicted, estimates = {}, {}
     for name, part in parts.items():
         q, u = (torch.from_numpy(x)[:, None, None].expand(-1, *shape, -1) for x in (part.q, part.u))
         known = torch.full_like(q, torch.nan, memory_format=torch.contiguous_format)
         for k, elongation in enumerate(elongations):
             known[:, :, k, 2] = q[:, :, k, 2] if elongation == "known" else mean_elongation_m
-        label = name if progress else None
-        found = track(descent, u, q[0], rate_hz=RIG_RATE_HZ, known=known, progress=label).q
+        found = track(descent, u, q[0], rate_hz=RIG_RATE_HZ, known=known).q
         with torch.no_grad():
             truth = torch.from_numpy(part.q).expand(len(seeds), -1, -1)
             predicted[name] = sensing(truth).movedim(0, 1).numpy()
@@ -224,9 +220,3 @@ def paper_errors(run: PaperRun, data: RigData) -> pd.DataFrame:
             seed = run.seeds[int(cell.pop("model"))]
             rows.append({"elongation": elongation, "row": row_name(name), "seed": seed} | cell)
     return pd.DataFrame(rows)
-
-
-def summary(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean and sample standard deviation over the seeds: ``row, quantity, unit, mean, std, count``."""
-    cells = table.groupby(["row", "quantity", "unit"], sort=False)["error"]
-    return cells.agg(["mean", "std", "count"]).reset_index()

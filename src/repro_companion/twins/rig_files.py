@@ -9,9 +9,10 @@ import pandas as pd
 from jaxtyping import Float
 
 from repro.sensing.rig import RIG_RATE_HZ
+from repro_companion.recordings.baaij2023 import raw_paths
+from repro_companion.recordings.rig_capture import BODY_COLUMNS
 from repro_companion.twins.marker_capture import RingTrack
 
-BODY_COLUMNS = [*(("Rotation", axis) for axis in "XYZW"), *(("Position", axis) for axis in "XYZ")]
 SYNTHETIC = "synthetic"
 """First part of the name of every recording that this project writes, and its folder of motion capture."""
 
@@ -40,9 +41,7 @@ def write_recording(
     tuple
         The file of motion capture and that of the readings.
     """
-    data = folder / "datasets" / "experimental"
-    capture = data / "raw_motion_capture_data" / name.split("_")[0] / f"{name}_Quat.csv"
-    sensors = data / "sensor_data" / f"{name}_SV.csv"
+    capture, sensors = raw_paths(name, folder)
     for path in (capture, sensors):
         path.parent.mkdir(parents=True, exist_ok=True)
     _write_capture(capture, name, track)

@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import lfilter
 
-from repro.errors import bad_input
 from repro_companion.twins.hysteresis import memory
 from repro_companion.twins.pneumatic_actuation import Chambers
 
@@ -121,22 +120,10 @@ def rig_motion(
         The segment.
     model
         Model of both hystereses, one of :data:`repro_companion.twins.hysteresis.MODELS`.
-
-    Raises
-    ------
-    InputError
-        If the times are not even or the lag is not positive.
     """
-    steps = np.diff(time_s)
-    if len(steps) < 1 or not (np.abs(steps - steps[0]) < 1e-6).all() or not steps[0] > 0:
-        raise bad_input("time_s", "rig_motion", "at least two even, increasing times [s]", time_s)
-    if not bending.lag_s > 0:
-        raise bad_input("lag_s", "Bending", "positive [s]", bending.lag_s)
-    dt = float(steps[0])
-    torque = chambers.torque(pressures_mbar) / chambers.reference_nm
-    driven = np.column_stack(
-        [torque[:, 1], -torque[:, 0], pressures_mbar.mean(axis=1) / chambers.offset_mbar]
-    )
+    dt = float(time_s[1] - time_s[0])
+    inflated = pressures_mbar.mean(axis=1) / chambers.offset_mbar
+    driven = np.column_stack([chambers.bending_torque(pressures_mbar), inflated])
     share = -np.expm1(-dt / bending.lag_s)
     delayed = np.asarray(lfilter([share], [1.0, share - 1.0], driven, axis=0))
     s, inflation = delayed[:, :2], delayed[:, 2:]
@@ -147,8 +134,7 @@ def rig_motion(
     )
     free = neutral + bent
     tip = free - bending.hysteresis_mm * _memories(free, bending.stroke_mm, model)
-    turning = _cross(s, np.gradient(s, dt, axis=0)) / ((s * s).sum(axis=1) + inner.centre**2)
-    across = turning[:, None] * np.column_stack([-(tip - neutral)[:, 1], (tip - neutral)[:, 0]])
+    across = turned_bend(s, np.gradient(s, dt, axis=0), tip - neutral, inner.centre)
     magnet = tip - inner.across_s * across
     magnet = magnet - inner.hysteresis_mm * _memories(tip, inner.stroke_mm, model)
     elongation = bending.elongation_mm * inflation
@@ -160,5 +146,13 @@ def _memories(xy: np.ndarray, stroke: float, model: str) -> np.ndarray:
     return np.column_stack([memory(column, stroke, model) for column in xy.T])
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+def turned_bend(
+    torque: Float[np.ndarray, "n 2"],
+    rate: Float[np.ndarray, "n 2"],
+    bent_mm: Float[np.ndarray, "n 2"],
+    centre: float,
+) -> Float[np.ndarray, "n 2"]:
+    """Rate at which the direction of a torque turns, times the bend turned by a right angle [mm/s]."""
+    turning = torque[:, 0] * rate[:, 1] - torque[:, 1] * rate[:, 0]
+    turning = turning / ((torque * torque).sum(axis=1) + centre**2)
+    return turning[:, None] * np.column_stack([-bent_mm[:, 1], bent_mm[:, 0]])

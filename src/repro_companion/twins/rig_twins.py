@@ -1,7 +1,7 @@
 """Parameters of the digital twins of the rig: two calibrated ones, and random others; all recordings are SYNTHETIC.
 
 The nominal parameters were set so that the recordings show what is known of the authors' sensors
-(`repro_companion.twins.rig_facts` compares the two), before any estimator ran on them. Then they were frozen:
+(the page on the digital twin compares the two), before any estimator ran on them. Then they were frozen:
 :attr:`repro_companion.twins.pneumatic_rig.TwinConfig.sha256` tells whether they still are.
 """
 

@@ -67,7 +67,7 @@ def error_pairs(table: pd.DataFrame, title: str) -> Figure:
     Parameters
     ----------
     table
-        Columns of :func:`repro_companion.pages.robustness.twins.twin_errors`.
+        Columns of :func:`repro_companion.pages.robustness.studies.twin_errors`.
     title
         Above the panels.
     """

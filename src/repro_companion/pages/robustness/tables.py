@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from repro_companion.book.bootstrap import interval, resampled
-from repro_companion.pages.robustness.twins import METHODS
+from repro_companion.pages.robustness.studies import METHODS
 
 
 def ratios(table: pd.DataFrame) -> pd.DataFrame:
@@ -21,25 +21,24 @@ def ratios(table: pd.DataFrame) -> pd.DataFrame:
         variants, the trajectory and axis with the largest ratio to the first, the mean share of frames in the 95 %
         ellipse.
     """
-    logs = {m: np.log(table[[f"{m}_delta_{a}_mm" for a in "xy"]].to_numpy()) for m in METHODS}
     rows = []
-    for _, inside in table.groupby(["family", "twin"], sort=False).indices.items():
-        part = table.iloc[inside]
-        against = {m: (logs["ours"] - logs[m])[inside] for m in METHODS[:-1]}
-        row, axis = np.unravel_index(against["known"].argmax(), against["known"].shape)
+    for _, part in table.groupby(["family", "twin"], sort=False):
+        against = _log_ratios(part)
+        known = against["known"]
+        row, axis = np.unravel_index(known.argmax(), known.shape)
         first = part.iloc[0]
         rows.append(
             {name: first[name] for name in ("family", "twin", "hysteresis", "drift", "drift_mV")}
             | {m: float(np.exp(x.mean())) for m, x in against.items()}
             | {
-                "worst": f"{part['trajectory'].iloc[row]} {'xy'[axis]}: {np.exp(against['known'].max()):.2f}",
+                "worst": f"{part['trajectory'].iloc[row]} {'xy'[axis]}: {np.exp(known.max()):.2f}",
                 "covered": part["covered"].mean(),
             }
         )
     return pd.DataFrame(rows)
 
 
-def medians(table: pd.DataFrame, *, draws: int = 10_000, seed: int = 0) -> pd.DataFrame:
+def medians(table: pd.DataFrame, *, draws: int) -> pd.DataFrame:
     """Median ratio over the twins of a family with a bootstrap 95 % interval, over all of them and by kind of twin.
 
     Returns
@@ -48,7 +47,7 @@ def medians(table: pd.DataFrame, *, draws: int = 10_000, seed: int = 0) -> pd.Da
         ``family, kind, twins, against, median, low, high, lost, covered``: the number of twins whose ratio is above
         one, and the mean share of frames in the 95 % ellipse.
     """
-    rng, rows, groups = np.random.default_rng(seed), [], []
+    rng, rows, groups = np.random.default_rng(0), [], []
     for family, per_twin in ratios(table).groupby("family", sort=False):
         groups.append((family, "all", per_twin))
         for column in ("hysteresis", "drift"):
@@ -82,13 +81,13 @@ def by_trajectory(table: pd.DataFrame) -> pd.DataFrame:
         ``family, trajectory``; the ratios ``known`` and ``shorter``, geometric means over twins and axes;
         ``lost_%`` and ``lost_to_shorter_%``, shares of twins and axes on which the error of ours is larger; and the
         means of ``covered, nees, covered_delta_L, ours_delta_L_mm``, see
-        :func:`~repro_companion.pages.robustness.twins.twin_errors`.
+        :func:`~repro_companion.pages.robustness.studies.twin_errors`.
     """
     rows = []
     for cell, part in table.groupby(["family", "trajectory"], sort=False):
         family, name = cast("tuple[str, str]", cell)
-        logs = {m: np.log(part[[f"{m}_delta_{a}_mm" for a in "xy"]].to_numpy()) for m in METHODS}
-        known, shorter = logs["ours"] - logs["known"], logs["ours"] - logs["shorter"]
+        against = _log_ratios(part)
+        known, shorter = against["known"], against["shorter"]
         rows.append(
             {
                 "family": family,
@@ -101,3 +100,9 @@ def by_trajectory(table: pd.DataFrame) -> pd.DataFrame:
             | {m: part[m].mean() for m in ("covered", "nees", "covered_delta_L", "ours_delta_L_mm")}
         )
     return pd.DataFrame(rows)
+
+
+def _log_ratios(part: pd.DataFrame) -> dict[str, np.ndarray]:
+    """Logarithms of the ratios of ours to each variant of the paper's method, by trajectory and axis."""
+    logs = {m: np.log(part[[f"{m}_delta_{a}_mm" for a in "xy"]].to_numpy()) for m in METHODS}
+    return {m: logs["ours"] - logs[m] for m in METHODS[:-1]}
