@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from repro_companion.twins.hysteresis import MODELS, STOPS, memory
+from repro_companion.twins.rig_motion import MODELS, STOPS, memory
 
 
 def cycle(samples: int, amplitude: float = 1.0, turns: int = 4) -> np.ndarray:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repro_companion.twins.hysteresis import MODELS
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
 from repro_companion.twins.pneumatic_rig import record_rig, record_twin
+from repro_companion.twins.rig_motion import MODELS
 from repro_companion.twins.rig_twins import ELONGATION_MM, nominal_twin, random_twin, second_twin
 from repro_companion.twins.sensor_board import DRIFTS, FULL_SCALE_MV, LSB_MV
 

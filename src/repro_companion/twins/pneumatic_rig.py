@@ -18,9 +18,8 @@ from jaxtyping import Float
 
 from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS
 from repro_companion.recordings.baaij2023 import Recording, process
-from repro_companion.twins.marker_capture import MarkerCapture, RingTrack, capture_ring
 from repro_companion.twins.pneumatic_actuation import DURATION_S, TRAJECTORIES, Chambers, torque_sequence
-from repro_companion.twins.rig_files import SYNTHETIC, write_recording
+from repro_companion.twins.rig_files import SYNTHETIC, MarkerCapture, RingTrack, capture_ring, write_recording
 from repro_companion.twins.rig_motion import Bending, InnerShape, RigMotion, rig_motion
 from repro_companion.twins.sensor_board import Board, analogue_readings, converted, disturbance
 
@@ -69,7 +68,7 @@ class TwinConfig:
     chambers, bending, inner, board, capture
         Actuation, tip, magnet, sensors and motion capture.
     hysteresis
-        One of :data:`repro_companion.twins.hysteresis.MODELS`.
+        One of :data:`repro_companion.twins.rig_motion.MODELS`.
     bias_mv
         Common bias of the readings in T0 to T5, in this order.
     bias_scatter_mv

@@ -1,4 +1,4 @@
-"""Table 2 of Baaij et al. 2023 (section 5) with the paper's method, on the authors' recordings or a SYNTHETIC one."""
+"""Table 2 of Baaij et al. 2023 (section 5) with the paper's method, on recordings or SYNTHETIC ones, and errors."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS, rig_earth_axis, rig_robo
 from repro.sensing.weights import rows_sha256
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.twins.rig_data import RigData
+from repro_companion.twins.rig_filter import OursRun
 from repro_companion.twins.rig_networks import RigSpec, rig_networks, train_rig, trained_on
 
 STEP_SIZE = (1.5e-8, 1.5e-8, 0.0)
@@ -31,6 +32,8 @@ MOMENTUM = 0.2
 ITERATIONS = 20
 """Evaluations of the loss in each time step."""
 SOLVERS = ("compiled", "torch")
+ELLIPSE = 5.991
+"""95 % quantile of chi-squared with two degrees of freedom."""
 ELONGATIONS = ("known", "mean")
 """What the descent is told of the elongation: its true value at every step, as in the released code, or only its mean
 over T5.train."""
@@ -204,6 +207,38 @@ def bend_errors(
             for unit, value in (("mm", 1e3 * e[k]), ("%", 100 * e[k] / width[k])):
                 rows.append({"model": i, "quantity": quantity, "unit": unit, "error": float(value)})
     return rows
+
+
+def method_errors(part: Recording, found: dict[str, np.ndarray], own: OursRun) -> dict[str, float]:
+    """Errors of the bend of several methods and of ours, as in a row of the page on random twins.
+
+    Parameters
+    ----------
+    part
+        With the truth.
+    found
+        Configurations by method ``[t, seeds, 3]``, whose errors are the means over the seeds.
+    own
+        What ours finds.
+    """
+    row = {}
+    for method, q in (found | {"ours": own.q[:, None]}).items():
+        error = np.sqrt(((q - part.q[:, None]) ** 2).mean(axis=0)).mean(axis=0)
+        row |= {f"{method}_delta_{axis}_mm": 1e3 * error[k] for k, axis in enumerate("xy")}
+    return row | _own_uncertainty(own.q - part.q, own.covariance)
+
+
+def _own_uncertainty(error: np.ndarray, covariance: np.ndarray) -> dict[str, float]:
+    """How the covariance of ours fits its errors."""
+    e, C = error[:, :2], covariance[:, :2, :2]
+    squares = np.einsum("ni,ni->n", e, np.linalg.solve(C, e[..., None])[..., 0])
+    within = np.abs(error[:, 2]) < 1.96 * np.sqrt(covariance[:, 2, 2])
+    return {
+        "ours_delta_L_mm": 1e3 * float(np.sqrt((error[:, 2] ** 2).mean())),
+        "covered": float((squares < ELLIPSE).mean()),
+        "nees": float(np.median(squares)),
+        "covered_delta_L": float(within.mean()),
+    }
 
 
 def paper_errors(run: PaperRun, data: RigData) -> pd.DataFrame:

@@ -121,7 +121,7 @@ class SteppedRig:
 
 
 def _remember(z: np.ndarray, step: np.ndarray, stroke: float) -> np.ndarray:
-    """Bouc-Wen memory after a step of the path, as in `repro_companion.twins.hysteresis`."""
+    """Bouc-Wen memory after a step of the path, as in `repro_companion.twins.rig_motion`."""
     end = np.copysign(1.0, step)
     return end + (z - end) * np.exp(-np.abs(step) / stroke)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -14,7 +14,8 @@ from scipy import stats
 from torch import Tensor
 from tqdm import tqdm
 
-from repro.estimation.consistency import CONSISTENT, lasting
+from repro.estimation.base import Estimate
+from repro.estimation.consistency import CONSISTENT, Verdict, lasting
 from repro.estimation.levenberg_marquardt import jacobian
 from repro.kinematics.motion import tip_motion
 from repro.robot_file.load import load_robot
@@ -47,39 +48,9 @@ SEEN, CLEAR = 5.0, 30.0
 """Size of what a fault adds to the residuals, in standard deviations: from where it must be noticed, and named."""
 
 
-@dataclass(frozen=True)
-class Watched:
-    """A run: one row for each reading.
-
-    Parameters
-    ----------
-    time_s
-        Of the readings.
-    status
-        Of the monitor.
-    suspects
-        Sensors that it names.
-    holds
-        Whether the 95 % ellipsoid holds the true configuration.
-    tip_error, tip_interval
-        Distance of the tip from the true one, and 1.96 standard deviations that it has without a fault, by the noise
-        alone (root of the sum of the variances) [m].
-    signal
-        Size of what the fault adds to the readings, of that which no configuration can [standard deviations].
-    """
-
-    time_s: Float[np.ndarray, " n"]
-    status: np.ndarray
-    suspects: list[tuple[int, ...]]
-    holds: np.ndarray
-    tip_error: Float[np.ndarray, " n"]
-    tip_interval: Float[np.ndarray, " n"]
-    signal: Float[np.ndarray, " n"]
-
-
 def watched(
     described: RobotFile, estimator: RobotEstimator, scenario: str, *, sensor: int, seed: int
-) -> Watched:
+) -> pd.DataFrame:
     """Let a robot move, let a sensor fail, and watch.
 
     Parameters
@@ -94,6 +65,15 @@ def watched(
         Number of the sensor that fails, from 1.
     seed
         Of motion and noise.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row for each reading: ``time_s``; ``status`` of the monitor, and the sensors that it names, ``suspects``;
+        ``holds``, whether the 95 % ellipsoid holds the true configuration; ``tip_error`` and ``tip_interval``, the
+        distance of the tip from the true one, and 1.96 standard deviations that it has without a fault, by the noise
+        alone (root of the sum of the variances) [m]; ``signal``, the size of what the fault adds to the readings, of
+        that which no configuration can [standard deviations].
     """
     time_s = np.arange(round(DURATION_S * described.rate_hz)) / described.rate_hz
     lead_s = 20.0 if scenario == "start bent" else 0.0  # the robot has long been moving
@@ -108,53 +88,56 @@ def watched(
     tips, J_tip = tip_motion(described.robot, truth)
     free = described.noise**2 * torch.linalg.inv(J.mT @ J)
     interval = 1.96 * (J_tip @ free @ J_tip.mT).diagonal(dim1=-2, dim2=-1).sum(-1).sqrt()
-    rows = _followed(described, estimator, sent)
-    q_hat, C = torch.stack([row[0] for row in rows]), torch.stack([row[1] for row in rows])
+    estimates, verdicts = _followed(described, estimator, sent)
+    q_hat, C = (torch.stack([getattr(found, name) for found in estimates]) for name in ("q", "covariance"))
     error = (q_hat - truth).unsqueeze(-1)
     squared = (error.mT @ torch.linalg.solve(C, error)).flatten()
-    return Watched(
-        time_s,
-        np.array([row[2] for row in rows]),
-        [row[3] for row in rows],
-        (squared <= stats.chi2.isf(0.05, q.shape[1])).numpy(),
-        torch.linalg.vector_norm(described.robot.tip(q_hat)[..., :3, 3] - tips, dim=-1).numpy(),
-        interval.numpy(),
-        _signal(described, sound, sent, J),
+    return pd.DataFrame(
+        {
+            "time_s": time_s,
+            "status": [verdict.status for verdict in verdicts],
+            "suspects": [verdict.suspects for verdict in verdicts],
+            "holds": squared <= stats.chi2.isf(0.05, q.shape[1]),
+            "tip_error": torch.linalg.vector_norm(described.robot.tip(q_hat)[..., :3, 3] - tips, dim=-1),
+            "tip_interval": interval,
+            "signal": _signal(described, sound, sent, J),
+        }
     )
 
 
-def alarm_counts(run: Watched, sensor: int, rate_hz: float) -> dict[str, int]:
+def alarm_counts(run: pd.DataFrame, sensor: int, rate_hz: float) -> dict[str, int]:
     """What became of one run, after the fault.
 
     ``due`` readings are those where the tip has been off by :data:`TIMES` its interval and the signal above
     :data:`SEEN` for the time within which that is to be noticed; ``noticed`` are those of them with an alarm.
     """
     patience = max(FEWEST, math.ceil(SHORTEST_S * rate_hz))
-    after = run.time_s >= FAULT_AT_S
-    wrong = after & (run.tip_error > TIMES * run.tip_interval)
-    due, clear = (lasting(wrong & (run.signal > size), patience) for size in (SEEN, CLEAR))
-    alarm = run.status > CONSISTENT
-    named = [
-        suspects for suspects, is_after in zip(run.suspects, after, strict=True) if is_after and suspects
-    ]
+    after, alarm = (run["time_s"] >= FAULT_AT_S).to_numpy(), (run["status"] > CONSISTENT).to_numpy()
+    wrong, signal = (
+        after & (run["tip_error"] > TIMES * run["tip_interval"]).to_numpy(),
+        run["signal"].to_numpy(),
+    )
+    due, clear = (lasting(wrong & (signal > size), patience) for size in (SEEN, CLEAR))
+    named = [suspects for suspects in run.loc[after, "suspects"] if suspects]
     right = [sensor - 1 in suspects for suspects in named]
-    return {
-        "wrong": int(wrong.sum()),
-        "due": int(due.sum()),
-        "noticed": int((due & alarm).sum()),
-        "unseen": int(lasting(wrong & (run.signal <= SEEN), patience).sum()),
-        "clear": int(clear.any()),
-        "named": int(bool(named)),
-        "named_clear": int(bool(named) and bool(clear.any())),
-        "named_right": int(bool(named) and right[-1]),
+    counts = {
+        "wrong": wrong.sum(),
+        "due": due.sum(),
+        "noticed": (due & alarm).sum(),
+        "unseen": lasting(wrong & (signal <= SEEN), patience).sum(),
+        "clear": clear.any(),
+        "named": bool(named),
+        "named_clear": bool(named) and clear.any(),
+        "named_right": bool(named) and right[-1],
         "named_readings": len(named),
         "named_readings_right": sum(right),
-        "alarms": int((alarm & after).sum()),
-        "alarms_before": int((alarm & ~after).sum()),
-        "trusted": int((after & ~alarm).sum()),
-        "trusted_hold": int((after & ~alarm & run.holds).sum()),
-        "readings": int(after.sum()),
+        "alarms": (alarm & after).sum(),
+        "alarms_before": (alarm & ~after).sum(),
+        "trusted": (after & ~alarm).sum(),
+        "trusted_hold": (after & ~alarm & run["holds"]).sum(),
+        "readings": after.sum(),
     }
+    return {name: int(count) for name, count in counts.items()}
 
 
 def alarm_trials(described: RobotFile, name: str, scenario: str, *, trials: int, seed: int) -> dict[str, int]:
@@ -237,14 +220,13 @@ def alarm_table(study: pd.DataFrame) -> pd.DataFrame:
 
 def _followed(
     described: RobotFile, estimator: RobotEstimator, sent: RobotReadings
-) -> list[tuple[Tensor, Tensor, int, tuple[int, ...]]]:
-    state, rows = estimator.method.init(estimator.start, seed=0), []
+) -> tuple[list[Estimate], list[Verdict]]:
+    state, estimates, verdicts = estimator.method.init(estimator.start, seed=0), [], []
     for time_s, values in zip(sent.time_s.tolist(), sent.values.tolist(), strict=True):
         state, found = estimator.method.step(state, described.signal(values), time_s, mask=estimator.use)
-        assert found.covariance is not None
-        verdict = state.verdict
-        rows.append((found.q, found.covariance, verdict.status, verdict.suspects))
-    return rows
+        estimates.append(found)
+        verdicts.append(state.verdict)
+    return estimates, verdicts
 
 
 def _signal(
