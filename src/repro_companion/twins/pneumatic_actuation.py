@@ -115,22 +115,18 @@ def torque_sequence(
 
 
 def _shape(name: str, t: np.ndarray, reach: float, seed: int) -> np.ndarray:
-    phase = 2.0 * np.pi * t / PERIOD_S.get(name, np.inf)
-    if name == "T0":
-        return _waypoints(t, reach, seed)
-    if name == "T4":
-        return _spiral(t, reach)
-    if name == "T1":
-        shape = (1.0 - np.cos(phase)) / 2.0, np.zeros(len(t))
-    elif name == "T2":
-        shape = np.sin(phase), np.abs(np.sin(phase / 2.0))
-    elif name == "T3":
-        shape = np.sin(2.0 * phase), np.sin(phase)
-    else:
-        shape = np.sin(phase) * np.cos(AZIMUTH_RATE * t), np.sin(phase) * np.sin(AZIMUTH_RATE * t)
+    if name in SPEED_NM_PER_S:
+        return _waypoints(t, reach, seed) if name == "T0" else _spiral(t, reach)
+    phase, turn = 2.0 * np.pi * t / PERIOD_S[name], AZIMUTH_RATE * t
+    shapes = {
+        "T1": ((1.0 - np.cos(phase)) / 2.0, np.zeros(len(t))),
+        "T2": (np.sin(phase), np.abs(np.sin(phase / 2.0))),
+        "T3": (np.sin(2.0 * phase), np.sin(phase)),
+        "T5": (np.sin(phase) * np.cos(turn), np.sin(phase) * np.sin(turn)),
+    }
     turned = np.radians(TURNED_DEG.get(name, 0.0))
     c, s = np.cos(turned), np.sin(turned)
-    return np.column_stack(shape) @ np.array([[c, s], [-s, c]])
+    return np.column_stack(shapes[name]) @ np.array([[c, s], [-s, c]])
 
 
 def _waypoints(t: np.ndarray, reach: float, seed: int) -> np.ndarray:
