@@ -164,7 +164,7 @@ def test_two_ratios_and_which_holds():
 
 
 def test_gradient_descent_beside_the_authors_networks(descent):
-    table = tables.beside_authors(tables.errors(descent, Failure()))
+    table = tables.errors_with_authors(tables.errors(descent, Failure()))
     assert table["quantity"].tolist() == COORDINATES
     assert table["authors_before_percent"].tolist() == [3.5, 3.8, 3.5, 2.8, 3.1, 3.6, 1.5, 1.3, 2.4]
     assert table["authors_after_percent"].tolist() == [3.7, 5.8, 5.8, 2.2, 3.0, 5.1, 1.6, 2.2, 3.5]

@@ -1,6 +1,5 @@
 """The closed loop: stepping is the batch simulation, laws of the controller, same bits, ratios by hand."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -15,8 +14,7 @@ from repro_companion.pages.closed_loop.curvature_control import (
     InverseMap,
     fit_inverse,
 )
-from repro_companion.pages.closed_loop.experiment import Commanded, turned_torque
-from repro_companion.pages.closed_loop.identification import identify
+from repro_companion.pages.closed_loop.identification import Commanded, identify
 from repro_companion.pages.closed_loop.loop import (
     CONTROLLERS,
     GRID,
@@ -36,7 +34,7 @@ from repro_companion.pages.closed_loop.tables import TARGET, loops_over_time, ra
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.twins.pneumatic_actuation import Chambers
 from repro_companion.twins.pneumatic_rig import record_rig
-from repro_companion.twins.rig_filter import BendFilter, estimate_bend
+from repro_companion.twins.rig_filter import BendFilter
 from repro_companion.twins.rig_map import BendMap, fit_map
 from repro_companion.twins.rig_motion import rig_motion
 from repro_companion.twins.rig_twins import nominal_twin
@@ -66,7 +64,7 @@ def learned() -> Learned:
     u = converted(u + 0.6 * np.random.default_rng(0).standard_normal(u.shape))
     part = Recording("toy", np.arange(len(u)), motion.q[kept], u)
     inverse = fit_inverse(chambers, pressures[kept], 1e3 * motion.q[kept, :2])
-    fan = Commanded(part, float(time_s[1000]), time_s, turned_torque(chambers, pressures))
+    fan = Commanded(part, float(time_s[1000]), time_s, chambers.bending_torque(pressures))
     bend_map = fit_map(part)
     return Learned(bend_map, inverse, identify(bend_map, fan, None, inverse.rest_mm))
 
@@ -74,7 +72,7 @@ def learned() -> Learned:
 class TestFilterInSteps:
     def test_steps_are_the_whole_recording_to_the_bit(self):
         u = recording().readings_mv[400:700]
-        bank, whole = BendFilter(learned().bend_map), estimate_bend(learned().bend_map, u)
+        bank, whole = BendFilter(learned().bend_map), BendFilter(learned().bend_map).whole(u)
         state, bends, runs = bank.init(), [], []
         for reading in u:
             state = bank.step(state, reading)
@@ -89,8 +87,6 @@ class TestFilterInSteps:
         bank, u = BendFilter(learned().bend_map), recording().readings_mv[400:402]
         first = bank.init()
         assert np.isnan(first.bend_mm).all()
-        with pytest.raises(InputError, match=r"Input state of BendFilter\.found must be after a reading"):
-            bank.found(first)
         second = bank.step(first, u[0])
         kept = second.states.copy()
         one, two = bank.step(second, u[1]), bank.step(second, u[1])
@@ -147,10 +143,6 @@ class TestSteppedRig:
         # The magnet's lag looks one sample ahead: without torque there is no direction that could turn.
         np.testing.assert_allclose(still[1], pushed[1], atol=1e-12)
 
-    def test_other_hysteresis_is_refused(self):
-        with pytest.raises(InputError, match="Input hysteresis of SteppedRig must be 'bouc-wen'"):
-            SteppedRig(replace(TWIN, hysteresis="prandtl-ishlinskii"))
-
 
 class TestSessions:
     def test_as_trained_has_neither_bias_nor_gain_and_the_same_noise(self):
@@ -188,13 +180,6 @@ class TestController:
     def test_map_is_found_where_it_is_linear(self):
         bend = np.array([[2.0, -3.0], [0.0, 0.0]])
         np.testing.assert_allclose(self.inverse()(bend), bend / 10.0, atol=1e-12)
-
-    def test_bend_at_rest_must_be_among_the_samples(self):
-        chambers, far = TWIN.chambers, np.full((20, 2), 0.05)
-        with pytest.raises(
-            InputError, match="Input pressures_mbar of fit_inverse must be also with a torque"
-        ):
-            fit_inverse(chambers, chambers.pressures(far), np.ones((20, 2)))
 
     def test_pressures_stay_in_their_range_and_keep_their_mean(self):
         controller = CurvatureController(TWIN.chambers, self.inverse(), [PLAIN] * 50)
@@ -239,12 +224,6 @@ class TestController:
         assert late[1] < late[0] + 0.2
         assert late[1] < 1.0
 
-    def test_negative_gain_is_refused(self):
-        with pytest.raises(
-            InputError, match="Input proportional, integral_per_s of Gains must be not negative"
-        ):
-            Gains(-1.0, 1.0, False)
-
 
 class TestLoop:
     def test_reference_is_reached_and_stays_without_an_error(self):
@@ -260,7 +239,7 @@ class TestLoop:
         runs = [Run("circle", PLAIN, "another", 3), Run("circle", PLAIN, "as trained", 4)]
         both = run_loops(TWIN, learned(), runs, duration_s=5.5)
         again = run_loops(TWIN, learned(), runs, duration_s=5.5)
-        for name in ("bend_mm", "fed_back_mm", "pressures_mbar"):
+        for name in ("bend_mm", "fed_back_mm", "bounded"):
             assert np.array_equal(getattr(both, name), getattr(again, name))
         one = run_loops(TWIN, learned(), runs[1:], duration_s=5.5)
         np.testing.assert_allclose(one.bend_mm[:, 0], both.bend_mm[:, 1], atol=1e-6)
@@ -281,12 +260,10 @@ class TestLoop:
             assert (wanted < inverse.upper).all()
 
     def test_wrong_input_is_refused(self):
-        with pytest.raises(InputError, match="Input name of reference_mm must be one of step, circle"):
-            reference_mm("square", np.zeros(2))
         with pytest.raises(InputError, match="Input duration_s of run_loops must be above 5"):
             run_loops(TWIN, learned(), [Run("step", PLAIN, "truth")], duration_s=5.0)
         with pytest.raises(InputError, match="Input controller of loops_over_time must be one of PI"):
-            loops_over_time(controller="MPC", duration_s=6.0)
+            loops_over_time(controller="MPC", session="another", seed=0, duration_s=6.0)
 
 
 class TestTuning:
@@ -305,7 +282,7 @@ class TestTuning:
 class TestRatios:
     def table(self):
         rows = [
-            {"controller": c, "session": s, "reference": r, "seed": k}
+            {"estimator": "lag", "controller": c, "session": s, "reference": r, "seed": k}
             | {"tracking_mm": 1.0 + 0.1 * k, "tracking_truth_mm": 1.0, "estimate_mm": 0.3, "offset_mm": 0.1}
             for c in ("PI", "without margin")
             for s in SESSIONS
@@ -315,7 +292,7 @@ class TestRatios:
         return pd.DataFrame(rows)
 
     def test_means_intervals_and_target_by_hand(self):
-        table = ratios(self.table(), draws=500)
+        table = ratios(self.table(), "estimator", draws=500)
         assert len(table) == 2 * 2 * 3
         assert table["ratio"].to_numpy() == pytest.approx(np.full(12, 1.1))
         assert table["worst"].to_numpy() == pytest.approx(np.full(12, 1.2))
@@ -326,8 +303,8 @@ class TestRatios:
 
     def test_figures_draw_every_controller_and_reference(self):
         estimators = ("readings", "lag and command")
-        both = [ratios(self.table(), draws=50).assign(estimator=e) for e in estimators]
-        table = pd.concat(both, ignore_index=True)
+        both = pd.concat([self.table().assign(estimator=e) for e in estimators], ignore_index=True)
+        table = ratios(both, "estimator", draws=50)
         assert len(figures.ratios(table, TARGET, "title").axes) == 2
         time_s = np.linspace(0, 10, 50)
         wanted = reference_mm("circle", time_s)

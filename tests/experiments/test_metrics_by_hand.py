@@ -29,7 +29,7 @@ class TestLoops:
         reference, told = np.zeros_like(bend), bend.copy()
         reference[5:, 0] = [[3.0, 4.0], [0.0, 0.0], [3.0, -4.0], [0.0, 0.0], [5.0, 0.0]]
         told[5:, 0, 0] = 2.0
-        return LoopTrace(time_s, reference, bend, told, np.zeros((10, 1, 3)), np.zeros((10, 1), dtype=bool))
+        return LoopTrace(time_s, reference, bend, told, np.zeros((10, 1), dtype=bool))
 
     def test_tracking_error_is_the_root_mean_square_of_the_distance(self):
         """Distances 5, 0, 5, 0, 5 mm: sqrt(75/5). What was told is 2 mm off at every step."""
@@ -40,21 +40,22 @@ class TestLoops:
     def test_ratio_is_a_mean_of_ratios_and_the_target_belongs_to_it(self):
         """1.25/1 and 2.7/2: the mean of ratios is 1.3, the ratio of means would be 3.95/3 = 1.32."""
         rows = [
-            {"controller": "PI", "session": "s", "reference": "r", "seed": k, "estimate_mm": 0.2 + 0.2 * k}
-            | {"tracking_mm": own, "tracking_truth_mm": truth, "offset_mm": 0.1}
+            {"estimator": "e", "controller": "PI", "session": "s", "reference": "r", "seed": k}
+            | {"tracking_mm": own, "tracking_truth_mm": truth}
+            | {"estimate_mm": 0.2 + 0.2 * k, "offset_mm": 0.1}
             for k, (own, truth) in enumerate([(1.25, 1.0), (2.5, 2.0)])
         ]
-        line = loops.ratios(pd.DataFrame(rows), draws=100).iloc[0]
+        line = loops.ratios(pd.DataFrame(rows), "estimator", draws=100).iloc[0]
         assert (line["ratio"], line["worst"], line["seeds"]) == (1.25, 1.25, 2)
         assert (line["tracking_mm"], line["tracking_truth_mm"]) == (1.875, 1.5)
         assert line["estimate_mm"] == pytest.approx(0.3)
         rows[1]["tracking_mm"] = 2.7
-        line = loops.ratios(pd.DataFrame(rows), draws=100).iloc[0]
+        line = loops.ratios(pd.DataFrame(rows), "estimator", draws=100).iloc[0]
         assert line["ratio"] == pytest.approx(1.3)
         assert line["worst"] == pytest.approx(1.35)
         for target, met in ((2.6, True), (2.75, False)):
             rows[1]["tracking_mm"] = target
-            assert loops.ratios(pd.DataFrame(rows), draws=10).iloc[0]["met"] == met
+            assert loops.ratios(pd.DataFrame(rows), "estimator", draws=10).iloc[0]["met"] == met
 
     def test_references_have_their_sizes(self):
         """A circle of 4 mm and a lemniscate of 3 and 6 mm in 10 s about (2.5, 0); the training reaches 5 mm."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from repro_companion.pages.table_2.doubt import decrease_of_chi2, doubted
+from repro_companion.pages.table_2.reliability import decrease_of_chi2, doubted
 from repro_companion.twins.rig_map import BendMap
 
 RNG = np.random.default_rng(0)

@@ -3,11 +3,9 @@
 from functools import cache
 
 import pandas as pd
-import pytest
 
-from repro.errors import InputError
 from repro_companion.book.project import find_project
-from repro_companion.pages.table_2.rounding import RELATIVE, errors_by_start, rounding_table
+from repro_companion.pages.table_2.reliability import RELATIVE, errors_by_start, rounding_table
 from repro_companion.pages.table_2.scorecard import table_2_rows
 from repro_companion.twins.rig_data import load_recordings
 from repro_companion.twins.rig_networks import rig_networks
@@ -39,12 +37,6 @@ def test_rounding_grows_where_the_step_is_too_long():
     assert spread(5.0, 4) < 0.01
 
 
-def test_one_start_shows_no_spread():
-    data, model = twin_and_network()
-    with pytest.raises(InputError, match="Input starts of errors_by_start must be at least 2"):
-        errors_by_start(data.shortened(0.2), data, model, (0,), starts=1)
-
-
 def made_up():
     """Errors of two seeds from three starts: the first cell moves with the start, the second does not."""
     cells = {"T5.train->T2.test": [[1.0, 2.0, 3.0], [4.0, 4.0, 4.0]], "T5.train->T4": [[1.0] * 3, [3.0] * 3]}
@@ -70,6 +62,7 @@ def test_table_of_made_up_errors():
 
 def test_notes_of_the_scorecard_name_what_rounding_decides():
     errors = made_up().query("start == 0").drop(columns="start")
-    moved, kept = table_2_rows(errors, setting="x", synthetic=True, rounding=rounding_table(made_up()))
+    options = {"setting": "x", "synthetic": True, "own_files": False, "best": errors}
+    moved, kept = table_2_rows(errors, **options, rounding=rounding_table(made_up()))
     assert moved["note"].endswith("; decided by rounding: 2.5 to 3.5 from starts 1e-12 apart")
     assert "rounding" not in kept["note"]

@@ -14,13 +14,12 @@ from repro_companion.pages.filter_on_segments import tables as segments_tables
 from repro_companion.pages.filter_on_segments.methods import Course
 from repro_companion.pages.fusion import study as fusion
 from repro_companion.pages.fusion import tables as fusion_tables
-from repro_companion.pages.robustness import tables as robustness_tables
-from repro_companion.pages.robustness import twins as robustness
+from repro_companion.pages.robustness import studies as robustness
 from repro_companion.pages.temporal_filter import filters as temporal
 from repro_companion.recordings.baaij2023 import Recording
-from repro_companion.twins import rig_errors
+from repro_companion.twins import rig_descent
 from repro_companion.twins.calibrated_robots import relative_error
-from repro_companion.twins.rig_filter import OursConfig, estimate_bend
+from repro_companion.twins.rig_filter import BendFilter, OursConfig
 from repro_companion.twins.rig_map import fit_map
 from repro_companion.twins.segment_motion import ROBOT
 
@@ -156,18 +155,18 @@ class TestRobustness:
         """Of 20,000 errors 95 % are within ellipse and interval (deviation 0.15 %), half below the median, 2 ln 2."""
         C = 1e-6 * SPREAD
         error = gaussian(C, 20_000)
-        found = rig_errors._own_uncertainty(error, np.broadcast_to(C, (len(error), 3, 3)))
+        found = rig_descent._own_uncertainty(error, np.broadcast_to(C, (len(error), 3, 3)))
         assert found["covered"] == pytest.approx(0.95, abs=0.005)
         assert found["covered_delta_L"] == pytest.approx(0.95, abs=0.005)
         assert found["nees"] == pytest.approx(2 * math.log(2), rel=0.03)
         assert found["ours_delta_L_mm"] == pytest.approx(1.0, rel=1e-6)  # 1e-3 m
-        assert chi2.cdf(rig_errors.ELLIPSE, 2) == pytest.approx(0.95, abs=1e-4)
+        assert chi2.cdf(rig_descent.ELLIPSE, 2) == pytest.approx(0.95, abs=1e-4)
 
     def test_shares_just_inside_and_outside_of_the_quantiles(self):
         """A unit covariance: distances 1 % to either side of sqrt(chi-square) and of the normal quantile."""
         ellipse, interval = math.sqrt(chi2.ppf(0.95, 2)), norm.ppf(0.975)
         error = np.array([[f * ellipse, 0.0, f * interval] for f in (0.99, 1.01)])
-        found = rig_errors._own_uncertainty(error, np.stack([np.eye(3)] * 2))
+        found = rig_descent._own_uncertainty(error, np.stack([np.eye(3)] * 2))
         assert (found["covered"], found["covered_delta_L"]) == (0.5, 0.5)
 
     @pytest.mark.parametrize(("ratio", "lost"), [(0.98, 0), (1.02, 1), (1.06, 1)])
@@ -185,10 +184,10 @@ class TestRobustness:
         }
         cell |= {"covered": 0.9, "nees": 1.0, "covered_delta_L": 1.0, "ours_delta_L_mm": 0.03}
         table = pd.DataFrame([cell])
-        medians = robustness_tables.medians(table, draws=10)
+        medians = robustness.medians(table, draws=10)
         assert set(medians["lost"]) == {lost}
         assert medians["median"].tolist() == pytest.approx([ratio] * len(medians))
-        line = robustness_tables.by_trajectory(table).iloc[0]
+        line = robustness.by_trajectory(table).iloc[0]
         assert (line["lost_%"], line["lost_to_shorter_%"]) == (100 * lost, 100 * lost)
 
 
@@ -217,7 +216,7 @@ class TestRig:
         config = OursConfig(bias_mv=0.01, widest_mv=0.02, step_mv=0.01, shape_mv=5.0)
         squares, bend = [], path[2000:2040]
         for _ in range(200):
-            run = estimate_bend(bend_map, recorded(bend, 5.0 * g.standard_normal(3)).u, config)
+            run = BendFilter(bend_map, config).whole(recorded(bend, 5.0 * g.standard_normal(3)).u)
             error = run.q[-1, :2] - bend[-1]
             squares.append(error @ np.linalg.solve(run.covariance[-1, :2, :2], error))
         assert np.mean(squares) / 2 == pytest.approx(1.0, abs=0.25)

@@ -13,13 +13,13 @@ import pytest
 from repro.estimation.consistency import WRONG
 from repro.robot_file.load import load_robot
 from repro_companion.book.studies import read_study
-from repro_companion.pages.sensor_failure.alarms import (
+from repro_companion.pages.sensor_failure.studies import (
     SCENARIOS,
+    STUDIES,
     alarm_sums,
     alarm_table,
     alarm_trials,
 )
-from repro_companion.pages.sensor_failure.studies import STUDIES
 from repro_live.emulate.links import HAS_PTY
 from repro_live.emulate.robot_readings import robot_readings
 from repro_live.emulate.sensor_faults import SensorFaults, with_sensor_faults

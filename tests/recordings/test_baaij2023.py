@@ -13,9 +13,8 @@ from repro.errors import InputError
 from repro_companion.book.project import find_project
 from repro_companion.recordings.baaij2023 import (
     NAMES,
-    SYNTHETIC,
     Recording,
-    find_recording,
+    data_folder,
     merge,
     process,
     raw_paths,
@@ -23,7 +22,6 @@ from repro_companion.recordings.baaij2023 import (
     split,
 )
 from repro_companion.recordings.rig_capture import RingMotion, read_ring_motion
-from repro_companion.recordings.rig_merged import MERGED, merged_table, read_merged, write_merged
 from repro_companion.recordings.sources import read_sources
 from repro_companion.twins.pneumatic_rig import record_rig
 from repro_companion.twins.rig_twins import nominal_twin
@@ -56,21 +54,6 @@ def test_configurations_survive_the_files_to_the_noise(written):
     np.testing.assert_allclose(1e3 * motion.q, 1e3 * truth, atol=0.3)
     assert np.abs(1e3 * (motion.q - truth)).mean() < 0.06
     assert motion.filled == (~recording.track.tracked).sum()
-
-
-def test_merged_files_survive_reading_and_have_the_authors_schema(written, tmp_path):
-    recording = process(written[1].name, written[0])
-    write_merged(recording, tmp_path)
-    read = read_merged(recording.name, tmp_path)
-    np.testing.assert_array_equal(read.q, recording.q)
-    np.testing.assert_array_equal(read.u, recording.u)
-    np.testing.assert_array_equal(read.frame, recording.frame)
-    table = merged_table(read)
-    assert list(table.columns) == MERGED
-    assert len(table) == 3 * len(recording)
-    parts = [read_merged(f"{recording.name}_{part}", tmp_path) for part in ("train", "test")]
-    np.testing.assert_array_equal(np.vstack([part.u for part in parts]), recording.u)
-    assert [part.frame[0] for part in parts] == [0, 0]
 
 
 def test_relations_of_the_straight_segment_are_those_of_the_drawing():
@@ -207,34 +190,6 @@ def test_readings_that_cannot_be_trusted_are_refused(tmp_path, text, message):
         read_readings(path)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda t: t.drop(columns=["q_dL_0"]), r"columns of a\.csv must be time_idx, .*none named q_dL_0"),
-        (lambda t: t.drop(index=4), r"sensor_id of a\.csv must be 0, 1, 2 in every frame"),
-        (lambda t: t.assign(u=np.where(t.index == 4, np.nan, t["u"])), r"rows of a\.csv must be complete; .* 1 with"),
-        (lambda t: t.assign(u="x"), r"rows of a\.csv must be numbers"),
-        (lambda t: t.assign(time_idx=0), r"time_idx of a\.csv must be increasing; instead received 0 before 0"),
-    ],
-)  # fmt: skip
-def test_merged_files_that_cannot_be_trusted_are_refused(tmp_path, change, message):
-    recording = Recording("a", np.arange(10), np.zeros((10, 3)), np.zeros((10, 3)))
-    write_merged(recording, tmp_path)
-    path = next(tmp_path.rglob("a.csv"))
-    change(pd.read_csv(path)).to_csv(path, index=False)
-    with pytest.raises(InputError, match=message):
-        read_merged("a", tmp_path)
-
-
-def test_recordings_are_found_by_their_raw_files(written):
-    folder, recording = written
-    assert SYNTHETIC["T3"] == recording.name
-    assert find_recording("T3", folder, names=SYNTHETIC) == recording.name
-    assert find_recording("T3", folder) is None
-    with pytest.raises(InputError, match="trajectory of find_recording must be one of T0, .*; .* 'T6'"):
-        find_recording("T6", folder)
-
-
 def test_the_list_of_recordings_names_the_files_read_here():
     listed = {file.path for file in read_sources(find_project().data / "sources.json", ["baaij2023"])}
     for name in NAMES.values():
@@ -245,10 +200,11 @@ def test_the_list_of_recordings_names_the_files_read_here():
 
 @pytest.mark.parametrize("trajectory", NAMES)
 def test_pipeline_repeats_the_released_merged_files(trajectory):
-    name = find_recording(trajectory)
-    if name is None:
+    name = NAMES[trajectory]
+    if not all(path.is_file() for path in raw_paths(name)):
         pytest.skip("the recording is not found")
-    ours, theirs = process(name, rule="released"), read_merged(name)
-    assert len(ours) == len(theirs)
-    np.testing.assert_array_equal(ours.u, theirs.u)
-    np.testing.assert_allclose(1e3 * ours.q, 1e3 * theirs.q, atol=0.05)  # theirs are in single precision
+    ours = process(name, rule="released")
+    theirs = pd.read_csv(data_folder() / "merged_data" / f"{name}.csv")  # a row for each sensor and frame
+    np.testing.assert_array_equal(ours.u.ravel(), theirs["u"])
+    q = theirs[["q_dx_0", "q_dy_0", "q_dL_0"]].to_numpy()[::3]
+    np.testing.assert_allclose(1e3 * ours.q, 1e3 * q, atol=0.05)  # theirs are in single precision

@@ -13,8 +13,7 @@ from repro import se3
 from repro.errors import InputError
 from repro.sensing.rig import RIG_LENGTH_M, RIG_MARKERS_M, rig_segment
 from repro_companion.recordings.rig_capture import read_ring_motion, ring_configuration
-from repro_companion.twins.marker_capture import MarkerCapture, RingTrack, capture_ring
-from repro_companion.twins.rig_files import write_recording
+from repro_companion.twins.rig_files import MarkerCapture, RingTrack, capture_ring, write_recording
 
 QUIET = MarkerCapture(0.0, 0.0, 0.0, 0.0, 0.0, (0.8, -0.5), (120.0, -80.0, 300.0))
 N = 60

@@ -3,12 +3,9 @@
 import json
 
 import numpy as np
-import pytest
 
-from repro.errors import InputError
 from repro.sensing.rig import RIG_LENGTH_M, RIG_RADIUS_M, RIG_RATE_HZ
-from repro_companion.pages.table_2.views import FRAMES, LONGEST_S, rig_view, rig_views
-from repro_companion.pages.table_2.views_together import ShapeViews
+from repro_companion.pages.table_2.views import FRAMES, LONGEST_S, ShapeViews, rig_view, rig_views
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.twins.rig_filter import OursRun
 
@@ -77,9 +74,3 @@ def test_six_views_are_light_and_say_what_they_are():
 def test_titles_cannot_end_an_element():
     view = rig_view(recorded(4), found(4), "T0")
     assert "<b>" not in ShapeViews({'"<b>': view}).to_html()
-
-
-def test_no_view_is_refused():
-    with pytest.raises(InputError) as caught:
-        ShapeViews({})
-    assert str(caught.value) == "Input views of ShapeViews must be at least one; instead received none."

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from repro.errors import InputError
-from repro_companion.twins.hysteresis import MODELS, STOPS, memory
+from repro_companion.twins.rig_motion import MODELS, STOPS, memory
 
 
 def cycle(samples: int, amplitude: float = 1.0, turns: int = 4) -> np.ndarray:
@@ -59,12 +58,3 @@ def test_prandtl_ishlinskii_is_elastic_below_the_smallest_threshold():
     slope = np.mean(STOPS / np.arange(1, STOPS + 1))
     np.testing.assert_allclose(z, slope * x, atol=1e-12)
     assert loop_area(x[-100:], z[-100:]) == pytest.approx(0, abs=1e-12)
-
-
-def test_refuses_what_is_no_model():
-    with pytest.raises(InputError, match="Input stroke of memory must be positive; instead received 0.0"):
-        memory(np.zeros(3), 0.0)
-    with pytest.raises(
-        InputError, match="Input model of memory must be one of 'bouc-wen', 'prandtl-ishlinskii'"
-    ):
-        memory(np.zeros(3), 1.0, "preisach")

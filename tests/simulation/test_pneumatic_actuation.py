@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from repro.errors import InputError
 from repro_companion.twins.pneumatic_actuation import (
     AZIMUTH_RATE,
     DURATION_S,
@@ -86,16 +85,3 @@ def test_random_points_depend_on_the_seed_and_nothing_moves_outside_the_sequence
     a, b = (torque_sequence("T0", time_s, CHAMBERS, seed=seed) for seed in (0, 1))
     assert not np.allclose(a[1], b[1])
     assert (a[[0, 2]] == 0).all()
-
-
-def test_refuses_bad_input():
-    with pytest.raises(
-        InputError, match="Input name of torque_sequence must be one of T0, T1, .* received 'T6'"
-    ):
-        torque_sequence("T6", np.zeros(2), CHAMBERS, seed=0)
-    with pytest.raises(InputError, match="Input area_mm2, radius_mm of Chambers must be positive"):
-        Chambers(area_mm2=0.0)
-    with pytest.raises(
-        InputError, match="Input offset_mbar, peak_mbar of Chambers must be positive and increasing"
-    ):
-        Chambers(peak_mbar=200.0)

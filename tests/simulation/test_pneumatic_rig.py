@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repro.errors import InputError
-from repro_companion.twins.hysteresis import MODELS
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
-from repro_companion.twins.pneumatic_rig import Differences, record_rig
-from repro_companion.twins.rig_facts import record_twin
+from repro_companion.twins.pneumatic_rig import record_rig, record_twin
+from repro_companion.twins.rig_motion import MODELS
 from repro_companion.twins.rig_twins import ELONGATION_MM, nominal_twin, random_twin, second_twin
 from repro_companion.twins.sensor_board import DRIFTS, FULL_SCALE_MV, LSB_MV
 
@@ -115,21 +113,3 @@ def test_second_family_varies_in_elongation_and_never_saturates():
             u = record_rig(twin, name, seed=0, duration_s=10.0).readings_mv
             assert u.min() > 0
             assert u.max() < FULL_SCALE_MV - LSB_MV
-
-
-def test_refuses_bad_input():
-    twin = nominal_twin()
-    with pytest.raises(InputError, match="Input shift_mm of Differences must be one number for each of T0"):
-        Differences((0.0,), (0.0,) * 6, (0.0,) * 6)
-    with pytest.raises(InputError, match="Input trajectory of record_rig must be one of T0, .*; .* 'T6'"):
-        record_rig(twin, "T6", seed=0)
-    with pytest.raises(
-        InputError, match=r"Input duration_s of record_rig must be positive \[s\]; instead received 0"
-    ):
-        record_rig(twin, "T1", seed=0, duration_s=0.0)
-    with pytest.raises(InputError, match="Input hysteresis of TwinConfig must be one of 'bouc-wen'"):
-        replace(twin, hysteresis="none")
-    with pytest.raises(
-        InputError, match="Input bias_mv of TwinConfig must be one number for each of T0 to T5"
-    ):
-        replace(twin, bias_mv=(0.0,))

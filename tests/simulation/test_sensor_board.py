@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from repro.errors import InputError
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro.sensing.rig import rig_earth_axis, rig_robot
@@ -81,12 +80,3 @@ def test_shapes_of_the_drift():
     assert (walk[0] == 0).all()
     ends = np.array([drift("random walk", seed)[-1] for seed in range(150)])
     assert ends.std() == pytest.approx(1.0, rel=0.15)
-
-
-def test_refuses_bad_input():
-    with pytest.raises(
-        InputError, match="Input drift of Board must be one of 'constant', 'ramp', 'random walk'"
-    ):
-        replace(BOARD, drift="none")
-    with pytest.raises(InputError, match="of Board must be for three sensors"):
-        replace(BOARD, curvature=((0.0, 0.0, 0.0),) * 2)

@@ -38,8 +38,6 @@ NAMES = {
     "T5": "2022-05-02_FLOWER_SLOW_NOMINAL_P0_R1",
 }
 """The authors' names of the recordings."""
-SYNTHETIC = {trajectory: f"synthetic_{trajectory}" for trajectory in NAMES}
-"""Names of the digital twin's recordings, which are synthetic."""
 INFLATION_S, DEFLATION_S = 8.0, 5.0
 """Cut at the start and at the end [s]."""
 CLIPPED_MV = (0.0, 2047.9375)
@@ -87,31 +85,6 @@ class Recording:
     def relations(self) -> Float[np.ndarray, "frames 3 5"]:
         """Relations ``xi = (lambda, d, alpha, beta, theta)`` of every sensor [rad, m], of the robot as drawn."""
         return relations(rig_robot(), torch.from_numpy(self.q), rig_earth_axis()).angles().numpy()
-
-
-def find_recording(
-    trajectory: str, folder: Path | None = None, *, names: dict[str, str] = NAMES
-) -> str | None:
-    """Name of a recording whose raw files are found, or None.
-
-    Parameters
-    ----------
-    trajectory
-        One of T0 to T5.
-    folder
-        The paper's folder; by default ``baaij2023`` below `repro_companion.recordings.sources.data_dir`.
-    names
-        :data:`NAMES`, or :data:`SYNTHETIC` for the digital twin's.
-
-    Raises
-    ------
-    InputError
-        If there is no such trajectory.
-    """
-    if trajectory not in names:
-        raise bad_input("trajectory", "find_recording", f"one of {', '.join(names)}", repr(trajectory))
-    paths = raw_paths(names[trajectory], folder)
-    return names[trajectory] if all(path.is_file() for path in paths) else None
 
 
 def raw_paths(name: str, folder: Path | None = None) -> tuple[Path, Path]:
@@ -253,7 +226,7 @@ def process(name: str, folder: Path | None = None, *, skip: int = 1, rule: str =
     Parameters
     ----------
     name
-        A value of :data:`NAMES` or :data:`SYNTHETIC`.
+        A value of :data:`NAMES`, or the name of a twin's recording.
     folder
         The paper's folder; by default ``baaij2023`` below `repro_companion.recordings.sources.data_dir`.
     skip, rule

@@ -31,7 +31,8 @@ LONGEST_GAP = 2
 """Consecutive frames without the ring that are interpolated."""
 REACH_M = (0.05, 0.2)
 """Distances between ring and base that are possible [m]; another unit than metres is far outside."""
-_BODY = [("Rotation", axis) for axis in "XYZW"] + [("Position", axis) for axis in "XYZ"]
+BODY_COLUMNS = [("Rotation", axis) for axis in "XYZW"] + [("Position", axis) for axis in "XYZ"]
+"""Of a body in Motive's files: the two lines of their heads."""
 _COLUMNS = ["frame", "time_s"] + [
     f"{body}_{kind}" for body in "br" for kind in (*"XYZW", "TX", "TY", "TZ", "error")
 ]
@@ -132,8 +133,8 @@ def read_ring_motion(path: Path) -> RingMotion:
         raise bad_input("Length Units", path.name, "Meters", header.get("Length Units", "nothing"))
     columns = list(zip(head[5], head[6], strict=False))
     for first, body in ((2, "base"), (10, "ring")):
-        found = columns[first : first + len(_BODY)]
-        if found != _BODY:
+        found = columns[first : first + len(BODY_COLUMNS)]
+        if found != BODY_COLUMNS:
             expected = "rotation X, Y, Z, W and position X, Y, Z"
             raise bad_input(f"columns of the {body}", path.name, expected, found or "nothing")
     try:

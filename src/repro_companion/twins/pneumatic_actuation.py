@@ -19,8 +19,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import brentq
 
-from repro.errors import bad_input
-
 TRAJECTORIES = ("T0", "T1", "T2", "T3", "T4", "T5")
 """Names of the sequences."""
 DURATION_S = {"T0": 200.0, "T1": 90.0, "T2": 90.0, "T3": 90.0, "T4": 120.0, "T5": 1500.0}
@@ -48,11 +46,6 @@ class Chambers:
         Azimuth of the first chamber, the others 120 deg apart; assumed.
     offset_mbar, peak_mbar
         Pressure in all chambers before a sequence starts, and highest pressure (section 5.3).
-
-    Raises
-    ------
-    InputError
-        If a dimension is not positive or the peak not above the offset.
     """
 
     area_mm2: float = 150.0
@@ -60,13 +53,6 @@ class Chambers:
     azimuth_deg: float = 180.0
     offset_mbar: float = 225.0
     peak_mbar: float = 450.0
-
-    def __post_init__(self) -> None:
-        if not (self.area_mm2 > 0 and self.radius_mm > 0):
-            raise bad_input("area_mm2, radius_mm", "Chambers", "positive", (self.area_mm2, self.radius_mm))
-        if not 0 < self.offset_mbar < self.peak_mbar:
-            seen = (self.offset_mbar, self.peak_mbar)
-            raise bad_input("offset_mbar, peak_mbar", "Chambers", "positive and increasing", seen)
 
     @property
     def lever(self) -> float:
@@ -85,6 +71,11 @@ class Chambers:
     def torque(self, pressures_mbar: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
         """Torques ``(tau_x, tau_y)`` [N m] of pressures [mbar]."""
         return self.lever * pressures_mbar @ self._levers()
+
+    def bending_torque(self, pressures_mbar: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
+        """Torque of pressures [mbar] over the reference, turned to where it bends: along +x and +y."""
+        torque = self.torque(pressures_mbar) / self.reference_nm
+        return np.stack([torque[..., 1], -torque[..., 0]], axis=-1)
 
     def _levers(self) -> np.ndarray:
         azimuth = np.radians(self.azimuth_deg + 120.0 * np.arange(3))
@@ -112,14 +103,7 @@ def torque_sequence(
         For the scale: the highest pressure.
     seed
         Of T0's points.
-
-    Raises
-    ------
-    InputError
-        If there is no sequence of this name.
     """
-    if name not in TRAJECTORIES:
-        raise bad_input("name", "torque_sequence", f"one of {', '.join(TRAJECTORIES)}", repr(name))
     duration = DURATION_S[name]
     torque = _shape(name, np.clip(time_s, 0.0, duration), chambers.reference_nm, seed)
     if name not in SPEED_NM_PER_S:  # T0 and T4 have their scale from their speed
@@ -131,31 +115,26 @@ def torque_sequence(
 
 
 def _shape(name: str, t: np.ndarray, reach: float, seed: int) -> np.ndarray:
-    phase = 2.0 * np.pi * t / PERIOD_S.get(name, np.inf)
-    if name == "T0":
-        return _waypoints(t, reach, seed)
-    if name == "T4":
-        return _spiral(t, reach)
-    if name == "T1":
-        shape = (1.0 - np.cos(phase)) / 2.0, np.zeros(len(t))
-    elif name == "T2":
-        shape = np.sin(phase), np.abs(np.sin(phase / 2.0))
-    elif name == "T3":
-        shape = np.sin(2.0 * phase), np.sin(phase)
-    else:
-        shape = np.sin(phase) * np.cos(AZIMUTH_RATE * t), np.sin(phase) * np.sin(AZIMUTH_RATE * t)
+    if name in SPEED_NM_PER_S:
+        return _waypoints(t, reach, seed) if name == "T0" else _spiral(t, reach)
+    phase, turn = 2.0 * np.pi * t / PERIOD_S[name], AZIMUTH_RATE * t
+    shapes = {
+        "T1": ((1.0 - np.cos(phase)) / 2.0, np.zeros(len(t))),
+        "T2": (np.sin(phase), np.abs(np.sin(phase / 2.0))),
+        "T3": (np.sin(2.0 * phase), np.sin(phase)),
+        "T5": (np.sin(phase) * np.cos(turn), np.sin(phase) * np.sin(turn)),
+    }
     turned = np.radians(TURNED_DEG.get(name, 0.0))
     c, s = np.cos(turned), np.sin(turned)
-    return np.column_stack(shape) @ np.array([[c, s], [-s, c]])
+    return np.column_stack(shapes[name]) @ np.array([[c, s], [-s, c]])
 
 
 def _waypoints(t: np.ndarray, reach: float, seed: int) -> np.ndarray:
     """Straight lines at constant speed, from zero, between points that are uniform in a disc."""
     rng = np.random.default_rng(seed)
     length = SPEED_NM_PER_S["T0"] * DURATION_S["T0"]
-    n = 2 + int(
-        4 * length / reach
-    )  # lines are 0.9 of the radius long on average: enough for the whole length
+    # Lines are 0.9 of the radius long on average: enough for the whole length.
+    n = 2 + int(4 * length / reach)
     radius, azimuth = reach * np.sqrt(rng.random(n)), 2.0 * np.pi * rng.random(n)
     points = np.vstack([np.zeros(2), np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth)])])
     arc = np.append(0.0, np.linalg.norm(np.diff(points, axis=0), axis=1).cumsum())

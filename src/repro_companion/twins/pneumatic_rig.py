@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import hashlib
 import json
+import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from repro.errors import bad_input
 from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS
-from repro_companion.twins.hysteresis import MODELS
-from repro_companion.twins.marker_capture import MarkerCapture, RingTrack, capture_ring
+from repro_companion.recordings.baaij2023 import Recording, process
 from repro_companion.twins.pneumatic_actuation import DURATION_S, TRAJECTORIES, Chambers, torque_sequence
-from repro_companion.twins.rig_files import SYNTHETIC, write_recording
+from repro_companion.twins.rig_files import SYNTHETIC, MarkerCapture, RingTrack, capture_ring, write_recording
 from repro_companion.twins.rig_motion import Bending, InnerShape, RigMotion, rig_motion
 from repro_companion.twins.sensor_board import Board, analogue_readings, converted, disturbance
 
@@ -41,21 +41,11 @@ class Differences:
     elongation_mm, elongation_per_mm2
         What motion capture calls elongation: that of the inflated, straight segment, and what is added for each mm²
         of the square of the bend. What the sensors feel is that of the bending, in all recordings.
-
-    Raises
-    ------
-    InputError
-        If there is not one number for each recording.
     """
 
     shift_mm: tuple[float, ...]
     elongation_mm: tuple[float, ...]
     elongation_per_mm2: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        for name, numbers in asdict(self).items():
-            if len(numbers) != len(TRAJECTORIES):
-                raise bad_input(name, "Differences", "one number for each of T0 to T5", numbers)
 
     def bending(self, bending: Bending, number: int) -> Bending:
         """Bending of a recording, by its number."""
@@ -78,7 +68,7 @@ class TwinConfig:
     chambers, bending, inner, board, capture
         Actuation, tip, magnet, sensors and motion capture.
     hysteresis
-        One of :data:`repro_companion.twins.hysteresis.MODELS`.
+        One of :data:`repro_companion.twins.rig_motion.MODELS`.
     bias_mv
         Common bias of the readings in T0 to T5, in this order.
     bias_scatter_mv
@@ -87,11 +77,6 @@ class TwinConfig:
         Standard deviation of the relative gain, about its mean reading, of each sensor in each recording but T5.
     differences
         How the motion differs between recordings; None: it does not.
-
-    Raises
-    ------
-    InputError
-        If there is no such hysteresis, or not one bias for each recording.
     """
 
     chambers: Chambers
@@ -104,13 +89,6 @@ class TwinConfig:
     bias_scatter_mv: float
     gain_scatter: float
     differences: Differences | None = None
-
-    def __post_init__(self) -> None:
-        if self.hysteresis not in MODELS:
-            expected = f"one of {', '.join(map(repr, MODELS))}"
-            raise bad_input("hysteresis", "TwinConfig", expected, repr(self.hysteresis))
-        if len(self.bias_mv) != len(TRAJECTORIES):
-            raise bad_input("bias_mv", "TwinConfig", "one number for each of T0 to T5", self.bias_mv)
 
     @property
     def sha256(self) -> str:
@@ -150,6 +128,12 @@ class RigRecording:
         """Write the raw files below ``folder``, see :func:`repro_companion.twins.rig_files.write_recording`."""
         return write_recording(folder, self.name, self.track, self.readings_mv)
 
+    def read(self, *, skip: int = 1) -> Recording:
+        """Write the raw files to a temporary folder, and read them by the pipeline."""
+        with tempfile.TemporaryDirectory() as folder:
+            self.write(Path(folder))
+            return process(self.name, Path(folder), skip=skip)
+
 
 def record_rig(
     config: TwinConfig, trajectory: str, *, seed: int, duration_s: float | None = None
@@ -166,26 +150,47 @@ def record_rig(
         Seed of all random numbers; each sequence draws its own. The same seed gives the same bits.
     duration_s
         Length of the sequence [s], when shorter than in section 5.3.
-
-    Raises
-    ------
-    InputError
-        If there is no such trajectory, or the duration is not positive.
     """
-    if trajectory not in TRAJECTORIES:
-        raise bad_input("trajectory", "record_rig", f"one of {', '.join(TRAJECTORIES)}", repr(trajectory))
-    if duration_s is not None and not duration_s > 0:
-        raise bad_input("duration_s", "record_rig", "positive [s]", duration_s)
     number = TRAJECTORIES.index(trajectory)
-    rng = np.random.default_rng([seed, number])
-    end = SEQUENCE_S + min(duration_s or np.inf, DURATION_S[trajectory])
+
+    def torque(time_s: np.ndarray) -> np.ndarray:
+        return torque_sequence(trajectory, time_s, config.chambers, seed=seed)
+
+    length_s = min(duration_s or np.inf, DURATION_S[trajectory])
+    return record_torque(config, trajectory, torque, length_s, np.random.default_rng([seed, number]), number)
+
+
+def record_torque(
+    config: TwinConfig,
+    name: str,
+    torque: Callable[[np.ndarray], np.ndarray],
+    length_s: float,
+    rng: np.random.Generator,
+    number: int,
+) -> RigRecording:
+    """Record any sequence of torques; synthetic.
+
+    Parameters
+    ----------
+    config
+        The twin.
+    name
+        Last part of the name of the recording.
+    torque
+        Torques ``[samples, 2]`` [N m] at times after the start [s]; none after the end.
+    length_s
+        Time of the end [s].
+    rng
+        Of all random numbers.
+    number
+        The session is that of this one of T0 to T5.
+    """
+    end = SEQUENCE_S + length_s
     time_s = np.arange(round((end + TAIL_S) * REGULATOR_HZ) + 1) / REGULATOR_HZ
-    chambers = config.chambers
-    running = (time_s < end)[:, None]
-    torque = np.where(running, torque_sequence(trajectory, time_s - SEQUENCE_S, chambers, seed=seed), 0.0)
+    chambers, bending, differences = config.chambers, config.bending, config.differences
+    torque_nm = np.where((time_s < end)[:, None], torque(time_s - SEQUENCE_S), 0.0)
     fill = np.interp(time_s, [FILL_S, FILLED_S, end, end + 1.0], [0.0, 1.0, 1.0, 0.0])
-    pressures = chambers.pressures(torque) - chambers.offset_mbar * (1.0 - fill[:, None])
-    bending, differences = config.bending, config.differences
+    pressures = chambers.pressures(torque_nm) - chambers.offset_mbar * (1.0 - fill[:, None])
     if differences is not None:
         bending = differences.bending(bending, number)
     motion = rig_motion(time_s, pressures, chambers, bending, config.inner, model=config.hysteresis)
@@ -194,7 +199,7 @@ def record_rig(
     clock = np.arange(int((time_s[-1] - starts.max()) * RIG_RATE_HZ)) / RIG_RATE_HZ
     pressures_read, q, q_magnet = motion.at(starts[0] + clock)
     u = analogue_readings(config.board, q, q_magnet)
-    if trajectory != "T5":
+    if TRAJECTORIES[number] != "T5":
         u = u + (u - u.mean(axis=0)) * config.gain_scatter * rng.standard_normal(RIG_SENSORS)
         u = u + config.bias_scatter_mv * rng.standard_normal(RIG_SENSORS)
     u = u + config.bias_mv[number]
@@ -204,5 +209,41 @@ def record_rig(
     if differences is not None:
         q_seen = differences.seen(q_seen, bending, number)
     track = capture_ring(config.capture, clock, q_seen, rng)
-    name = f"{SYNTHETIC}_{trajectory}"
-    return RigRecording(name, motion, converted(u), track, float(starts[0]), float(starts[1]))
+    whole = f"{SYNTHETIC}_{name}"
+    return RigRecording(whole, motion, converted(u), track, float(starts[0]), float(starts[1]))
+
+
+@dataclass(frozen=True)
+class TwinRecordings:
+    """Recordings of one twin: as simulated, and as the pipeline has read them from files."""
+
+    config: TwinConfig
+    raw: dict[str, RigRecording]
+    read: dict[str, Recording]
+
+
+def record_twin(
+    config: TwinConfig,
+    *,
+    seed: int = 0,
+    trajectories: Sequence[str] = TRAJECTORIES,
+    longest_s: float | None = None,
+    skip: int = 1,
+) -> TwinRecordings:
+    """Record sequences with a twin, write them as raw files to a temporary folder, and read them by the pipeline.
+
+    Parameters
+    ----------
+    config
+        The twin.
+    seed
+        Seed of the recordings.
+    trajectories
+        Which ones.
+    longest_s
+        Cut sequences to this length [s].
+    skip
+        See :func:`repro_companion.recordings.baaij2023.merge`.
+    """
+    raw = {name: record_rig(config, name, seed=seed, duration_s=longest_s) for name in trajectories}
+    return TwinRecordings(config, raw, {name: raw[name].read(skip=skip) for name in trajectories})

@@ -15,15 +15,13 @@ from repro_companion.recordings.baaij2023 import (
     FOLDER,
     NAMES,
     Recording,
-    find_recording,
     process,
     raw_paths,
     split,
 )
 from repro_companion.recordings.sources import data_dir, not_released
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
-from repro_companion.twins.pneumatic_rig import TwinConfig
-from repro_companion.twins.rig_facts import record_twin
+from repro_companion.twins.pneumatic_rig import TwinConfig, record_twin
 from repro_companion.twins.rig_networks import RECORDING_SEED
 from repro_companion.twins.rig_twins import nominal_twin
 
@@ -102,7 +100,7 @@ def load_recordings(
     test_share
         Share of the test parts: 0.3 in the released code, 0.2 in section 5.3.
     folder
-        The paper's folder, see `repro_companion.recordings.baaij2023.find_recording`.
+        The paper's folder, see `repro_companion.recordings.baaij2023.raw_paths`.
     config
         The twin; the nominal one when not given.
     longest_s
@@ -122,7 +120,8 @@ def load_recordings(
         expected = f"among {', '.join(TRAJECTORIES)}, at least one"
         raise bad_input("trajectories", "load_recordings", expected, trajectories)
     wanted = [name for name in TRAJECTORIES if name in trajectories or name == "T5"]
-    missing = [name for name in wanted if find_recording(name, folder) is None]
+    paths = {name: raw_paths(NAMES[name], folder) for name in wanted}
+    missing = [name for name in wanted if not all(path.is_file() for path in paths[name])]
     if source == "recorded" and missing:
         expected = "recorded: the authors' raw files of " + ", ".join(wanted)
         raise bad_input("source", "load_recordings", expected, f"none of {', '.join(missing)}")
@@ -132,11 +131,9 @@ def load_recordings(
         recorded = record_twin(twin, seed=RECORDING_SEED, trajectories=wanted, longest_s=longest_s).read
         digest = twin.sha256
     else:
-        paths = [path for name in wanted for path in raw_paths(NAMES[name], folder)]
+        files = [path for name in wanted for path in paths[name]]
         place = folder or data_dir() / FOLDER
-        own = (
-            [path.name for path in paths] if sources is None else not_released(paths, FOLDER, place, sources)
-        )
+        own = [p.name for p in files] if sources is None else not_released(files, FOLDER, place, sources)
         rule = "noise" if own else "released"
         recorded = {name: process(NAMES[name], folder, rule=rule) for name in wanted}
     train, _ = split(recorded["T5"], test_share)

@@ -1,8 +1,8 @@
-"""Table 2 of Baaij et al. 2023 (section 5) with the paper's method, on the authors' recordings or a SYNTHETIC one."""
+"""Table 2 of Baaij et al. 2023 (section 5) with the paper's method, on recordings or SYNTHETIC ones, and errors."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import torch
 from jaxtyping import Float
+from torch import Tensor
 from tqdm import tqdm
 
 from repro.errors import bad_input
@@ -22,6 +23,7 @@ from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS, rig_earth_axis, rig_robo
 from repro.sensing.weights import rows_sha256
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.twins.rig_data import RigData
+from repro_companion.twins.rig_filter import OursRun
 from repro_companion.twins.rig_networks import RigSpec, rig_networks, train_rig, trained_on
 
 STEP_SIZE = (1.5e-8, 1.5e-8, 0.0)
@@ -30,6 +32,8 @@ MOMENTUM = 0.2
 ITERATIONS = 20
 """Evaluations of the loss in each time step."""
 SOLVERS = ("compiled", "torch")
+ELLIPSE = 5.991
+"""95 % quantile of chi-squared with two degrees of freedom."""
 ELONGATIONS = ("known", "mean")
 """What the descent is told of the elongation: its true value at every step, as in the released code, or only its mean
 over T5.train."""
@@ -110,6 +114,12 @@ def rig_sensing(model: SeedEnsemble) -> MagneticSensing:
     return MagneticSensing(rig_robot(), model, "angles", rig_earth_axis())
 
 
+def paper_descent(sensing: Callable[[Tensor], Tensor], shorter: int) -> GradientDescent:
+    """Descent of section 5.4, with the step size divided and the iterations multiplied by ``shorter``."""
+    gamma = torch.tensor(STEP_SIZE, dtype=torch.float64) / shorter
+    return GradientDescent(sensing, gamma, MOMENTUM, ITERATIONS * shorter)
+
+
 def paper_method(
     parts: dict[str, Recording],
     model: SeedEnsemble,
@@ -119,7 +129,6 @@ def paper_method(
     elongations: Sequence[str] = ELONGATIONS,
     solver: str = "compiled",
     shorter: int = 1,
-    progress: bool = False,
 ) -> PaperRun:
     """Gradient descent of section 5.4 on delta_x and delta_y, for all seeds at once.
 
@@ -139,33 +148,23 @@ def paper_method(
         ``"compiled"``, or ``"torch"`` for the same without a kernel.
     shorter
         Divides the step size and multiplies the iterations: 1 is the published method.
-    progress
-        Show a progress bar for each trajectory.
 
     Raises
     ------
     InputError
-        If an elongation or solver is unknown, or the steps are not shortened by at least 1.
+        If the solver is unknown.
     """
-    if not elongations or not set(elongations) <= set(ELONGATIONS):
-        expected = f"among {', '.join(ELONGATIONS)}, at least one"
-        raise bad_input("elongations", "paper_method", expected, elongations)
-    if shorter < 1:
-        raise bad_input("shorter", "paper_method", "at least 1", shorter)
     if solver not in SOLVERS:
         raise bad_input("solver", "paper_method", f"one of {', '.join(SOLVERS)}", solver)
     sensing, shape = rig_sensing(model), (len(seeds), len(elongations))
-    gamma = torch.tensor(STEP_SIZE, dtype=torch.float64) / shorter
-    model_of_descent = compiled(sensing) if solver == "compiled" else sensing
-    descent = GradientDescent(model_of_descent, gamma, MOMENTUM, ITERATIONS * shorter)
+    descent = paper_descent(compiled(sensing) if solver == "compiled" else sensing, shorter)
     predicted, estimates = {}, {}
     for name, part in parts.items():
         q, u = (torch.from_numpy(x)[:, None, None].expand(-1, *shape, -1) for x in (part.q, part.u))
         known = torch.full_like(q, torch.nan, memory_format=torch.contiguous_format)
         for k, elongation in enumerate(elongations):
             known[:, :, k, 2] = q[:, :, k, 2] if elongation == "known" else mean_elongation_m
-        label = name if progress else None
-        found = track(descent, u, q[0], rate_hz=RIG_RATE_HZ, known=known, progress=label).q
+        found = track(descent, u, q[0], rate_hz=RIG_RATE_HZ, known=known).q
         with torch.no_grad():
             truth = torch.from_numpy(part.q).expand(len(seeds), -1, -1)
             predicted[name] = sensing(truth).movedim(0, 1).numpy()
@@ -210,6 +209,38 @@ def bend_errors(
     return rows
 
 
+def method_errors(part: Recording, found: dict[str, np.ndarray], own: OursRun) -> dict[str, float]:
+    """Errors of the bend of several methods and of ours, as in a row of the page on random twins.
+
+    Parameters
+    ----------
+    part
+        With the truth.
+    found
+        Configurations by method ``[t, seeds, 3]``, whose errors are the means over the seeds.
+    own
+        What ours finds.
+    """
+    row = {}
+    for method, q in (found | {"ours": own.q[:, None]}).items():
+        error = np.sqrt(((q - part.q[:, None]) ** 2).mean(axis=0)).mean(axis=0)
+        row |= {f"{method}_delta_{axis}_mm": 1e3 * error[k] for k, axis in enumerate("xy")}
+    return row | _own_uncertainty(own.q - part.q, own.covariance)
+
+
+def _own_uncertainty(error: np.ndarray, covariance: np.ndarray) -> dict[str, float]:
+    """How the covariance of ours fits its errors."""
+    e, C = error[:, :2], covariance[:, :2, :2]
+    squares = np.einsum("ni,ni->n", e, np.linalg.solve(C, e[..., None])[..., 0])
+    within = np.abs(error[:, 2]) < 1.96 * np.sqrt(covariance[:, 2, 2])
+    return {
+        "ours_delta_L_mm": 1e3 * float(np.sqrt((error[:, 2] ** 2).mean())),
+        "covered": float((squares < ELLIPSE).mean()),
+        "nees": float(np.median(squares)),
+        "covered_delta_L": float(within.mean()),
+    }
+
+
 def paper_errors(run: PaperRun, data: RigData) -> pd.DataFrame:
     """Errors of Table 2 with the paper's method: ``elongation, row, seed, quantity, unit, error``.
 
@@ -224,9 +255,3 @@ def paper_errors(run: PaperRun, data: RigData) -> pd.DataFrame:
             seed = run.seeds[int(cell.pop("model"))]
             rows.append({"elongation": elongation, "row": row_name(name), "seed": seed} | cell)
     return pd.DataFrame(rows)
-
-
-def summary(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean and sample standard deviation over the seeds: ``row, quantity, unit, mean, std, count``."""
-    cells = table.groupby(["row", "quantity", "unit"], sort=False)["error"]
-    return cells.agg(["mean", "std", "count"]).reset_index()

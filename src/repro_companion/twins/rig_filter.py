@@ -36,7 +36,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from repro.errors import bad_input
 from repro.estimation.consistency import CONSISTENT, SUSPICIOUS, WINDOW
 from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS
 from repro_companion.twins.compiled_rig_filter import bank_start, bank_step, filter_bank
@@ -69,11 +68,6 @@ class OursConfig:
         Standard deviation of the elongation between recordings, as is known; in the covariance alone.
     iterations
         Largest number of iterations in an update.
-
-    Raises
-    ------
-    InputError
-        If there is no iteration, or another number is not positive.
     """
 
     bias_mv: float = 4.0
@@ -83,14 +77,6 @@ class OursConfig:
     shape_mv: float = 5.0
     elongation_mm: float = 0.3
     iterations: int = 5
-
-    def __post_init__(self) -> None:
-        if self.iterations < 1:
-            raise bad_input("iterations", "OursConfig", "at least 1", self.iterations)
-        names = ("bias_mv", "widest_mv", "step_mv", "elongation_spread", "shape_mv", "elongation_mm")
-        numbers = tuple(getattr(self, name) for name in names)
-        if not all(x > 0 for x in numbers):
-            raise bad_input(", ".join(names), "OursConfig", "positive", numbers)
 
     def biases(self) -> Float[np.ndarray, " values"]:
         """Values of the common bias [mV]: one filter for each."""
@@ -136,7 +122,7 @@ class BendState:
     states, moments, log_weights
         State, covariance and logarithm of the weight of each filter.
     mean_mm, covariance_mm2, weights
-        Of the mixture: bend [mm] and its rate [mm/s], covariance of the bend, and weight of each filter; None before
+        Of the mixture: bend [mm] and its rate [mm/s], covariance of the bend, and weight of each filter; NaN before
         the first reading.
     """
 
@@ -144,19 +130,27 @@ class BendState:
     states: Float[np.ndarray, "filters 7"]
     moments: Float[np.ndarray, "filters 7 7"]
     log_weights: Float[np.ndarray, " filters"]
-    mean_mm: Float[np.ndarray, " 4"] | None = None
-    covariance_mm2: Float[np.ndarray, "2 2"] | None = None
-    weights: Float[np.ndarray, " filters"] | None = None
+    mean_mm: Float[np.ndarray, " 4"]
+    covariance_mm2: Float[np.ndarray, "2 2"]
+    weights: Float[np.ndarray, " filters"]
 
     @property
     def bend_mm(self) -> Float[np.ndarray, " 2"]:
         """Bend after the newest reading [mm], the mean of all filters; NaN before the first."""
-        return np.full(2, np.nan) if self.mean_mm is None else self.mean_mm[:2]
+        return self.mean_mm[:2]
 
 
 @dataclass(frozen=True)
 class BendFilter:
-    """Ours, reading by reading: what :func:`estimate_bend` does with a whole recording, with the same parameters."""
+    """Ours, reading by reading or on a whole recording: bend, elongation and common bias.
+
+    Parameters
+    ----------
+    bend_map
+        From :func:`~repro_companion.twins.rig_map.fit_map`.
+    config
+        Settings.
+    """
 
     bend_map: BendMap
     config: OursConfig = field(default_factory=OursConfig)
@@ -165,7 +159,8 @@ class BendFilter:
         """State before the first reading."""
         biases = self.config.biases()
         states, moments = bank_start(len(biases), *self._start())
-        return BendState(0, states, moments, -0.5 * (biases / self._common()) ** 2)
+        mean, covariance, weights = (np.full(shape, np.nan) for shape in (4, (2, 2), len(biases)))
+        return BendState(0, states, moments, self._log_prior(), mean, covariance, weights)
 
     def step(self, state: BendState, reading_mv: Float[np.ndarray, " 3"]) -> BendState:
         """State after the next reading, 40 Hz."""
@@ -182,15 +177,7 @@ class BendFilter:
         return BendState(state.frame + 1, *found)
 
     def found(self, state: BendState) -> OursRun:
-        """Bend, elongation and bias after a reading, as a run of one frame.
-
-        Raises
-        ------
-        InputError
-            If there was no reading.
-        """
-        if state.mean_mm is None or state.covariance_mm2 is None or state.weights is None:
-            raise bad_input("state", "BendFilter.found", "after a reading", "the one before the first")
+        """Bend, elongation and bias after a reading, as a run of one frame; NaN before the first."""
         return self._run(state.mean_mm[None], state.covariance_mm2[None], state.weights[None])
 
     def whole(self, readings_mv: Float[np.ndarray, "t 3"]) -> OursRun:
@@ -216,8 +203,12 @@ class BendFilter:
         return replace(self._run(*found), status=status, anew=anew)
 
     def _bank(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        log_weights = -0.5 * (self.config.biases() / self._common()) ** 2
-        return filter_bank(u, *self._map(), log_weights, self._firsts(u[0]), *self._start(), *self._rest())
+        return filter_bank(
+            u, *self._map(), self._log_prior(), self._firsts(u[0]), *self._start(), *self._rest()
+        )
+
+    def _log_prior(self) -> np.ndarray:
+        return -0.5 * (self.config.biases() / self._common()) ** 2
 
     def _square(self, u: np.ndarray, found: tuple[np.ndarray, ...]) -> np.ndarray:
         means, _, weights = found
@@ -275,20 +266,3 @@ class BendFilter:
             bias_mv=(1 - g * share) * c,
             bias_deviation_mv=np.sqrt(g**2 * rest + (1 - g * share) ** 2 * c_variance),
         )
-
-
-def estimate_bend(
-    bend_map: BendMap, readings_mv: Float[np.ndarray, "t 3"], config: OursConfig | None = None
-) -> OursRun:
-    """Bend, elongation and common bias from readings, each frame from those up to it.
-
-    Parameters
-    ----------
-    bend_map
-        From :func:`~repro_companion.twins.rig_map.fit_map`.
-    readings_mv
-        Readings, 40 Hz.
-    config
-        Settings.
-    """
-    return BendFilter(bend_map, config or OursConfig()).whole(readings_mv)

@@ -7,23 +7,20 @@ map is that the readings of other recordings are another function of the bend.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 import torch
 from jaxtyping import Float
 from scipy.signal import savgol_filter
 
-from repro.errors import bad_input
 from repro.sensing.magnetic import field_at_sensors
 from repro.sensing.magnets import ring
 from repro.sensing.rig import RIG_RATE_HZ, rig_robot
 from repro_companion.recordings.baaij2023 import Recording
 
 DEGREE = 6
-"""Degree of the map, chosen on T5.train of the nominal twin by :func:`degrees`: the smallest whose error on held-out
+"""Degree of the map, chosen on T5.train of the nominal twin, as a test repeats: the smallest whose error on held-out
 blocks is within 3 % of the best."""
 MARGIN = 0.1
 """Bounds of the bend beyond the box of the training part, as a share of its width."""
@@ -113,15 +110,7 @@ def monomials(bend_mm: Float[np.ndarray, "n 2"], degree: int) -> Float[np.ndarra
 
 
 def fit_map(train: Recording, *, degree: int = DEGREE) -> BendMap:
-    """Fit the map to a training part by linear least squares, and size what it leaves, and the motion.
-
-    Raises
-    ------
-    InputError
-        If the degree is not at least 1.
-    """
-    if degree < 1:
-        raise bad_input("degree", "fit_map", "at least 1", degree)
+    """Fit the map to a training part by linear least squares, and size what it leaves, and the motion."""
     q_mm = 1e3 * train.q
     bend = q_mm[:, :2]
     columns = monomials(bend, degree)
@@ -153,27 +142,6 @@ def fit_map(train: Recording, *, degree: int = DEGREE) -> BendMap:
         starts=bend[:: max(len(bend) // STARTS, 1)],
         elongation_slope=_elongation_slope(train.q[:: max(len(bend) // 50, 1)]),
     )
-
-
-def degrees(
-    train: Recording, candidates: Sequence[int] = (2, 3, 4, 5, 6, 7, 8), blocks: int = 5
-) -> pd.DataFrame:
-    """Error of the map on held-out blocks of T5.train, by its degree; nothing else was used to choose.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Columns ``degree, readings_mV``: root mean square over all blocks and sensors.
-    """
-    rows, block = [], np.arange(len(train)) * blocks // len(train)
-    for degree in candidates:
-        columns, square = monomials(1e3 * train.q[:, :2], degree), 0.0
-        for k in range(blocks):
-            kept = block != k
-            factors = np.linalg.lstsq(columns[kept], train.u[kept], rcond=None)[0]
-            square += ((train.u[~kept] - columns[~kept] @ factors) ** 2).mean() / blocks
-        rows.append({"degree": degree, "readings_mV": square**0.5})
-    return pd.DataFrame(rows)
 
 
 def correlation_s(left: Float[np.ndarray, "t sensors"]) -> float:

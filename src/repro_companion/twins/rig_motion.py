@@ -5,19 +5,30 @@ tip's, which motion capture sees, and the magnet's. Between them there is a hyst
 lag across the direction of bending that depends on the rate. So readings are no function of what motion capture sees.
 Both are assumed; their size follows from how much the maps from configuration to readings differ between the authors'
 recordings.
+
+There are two standard models of the memory of a hysteresis, both normalised to [-1, 1] and independent of the rate:
+
+* ``"bouc-wen"``: Bouc-Wen with exponent 1 and without its second shape term, which is Dahl's model of friction,
+  :math:`\dot z = (\dot x - |\dot x| z)/r`, solved exactly between samples (Wen, 1976; Dahl, 1968);
+* ``"prandtl-ishlinskii"``: the mean of stop operators of evenly spaced thresholds up to ``r``, each divided by
+  its threshold (Brokate and Sprekels, *Hysteresis and Phase Transitions*, 1996, chapter 2).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from scipy.signal import lfilter
 
-from repro.errors import bad_input
-from repro_companion.twins.hysteresis import memory
 from repro_companion.twins.pneumatic_actuation import Chambers
+
+MODELS = ("bouc-wen", "prandtl-ishlinskii")
+"""Names of the models."""
+STOPS = 6
+"""Number of stop operators."""
 
 
 @dataclass(frozen=True)
@@ -120,23 +131,11 @@ def rig_motion(
     chambers, bending, inner
         The segment.
     model
-        Model of both hystereses, one of :data:`repro_companion.twins.hysteresis.MODELS`.
-
-    Raises
-    ------
-    InputError
-        If the times are not even or the lag is not positive.
+        Model of both hystereses, one of :data:`MODELS`.
     """
-    steps = np.diff(time_s)
-    if len(steps) < 1 or not (np.abs(steps - steps[0]) < 1e-6).all() or not steps[0] > 0:
-        raise bad_input("time_s", "rig_motion", "at least two even, increasing times [s]", time_s)
-    if not bending.lag_s > 0:
-        raise bad_input("lag_s", "Bending", "positive [s]", bending.lag_s)
-    dt = float(steps[0])
-    torque = chambers.torque(pressures_mbar) / chambers.reference_nm
-    driven = np.column_stack(
-        [torque[:, 1], -torque[:, 0], pressures_mbar.mean(axis=1) / chambers.offset_mbar]
-    )
+    dt = float(time_s[1] - time_s[0])
+    inflated = pressures_mbar.mean(axis=1) / chambers.offset_mbar
+    driven = np.column_stack([chambers.bending_torque(pressures_mbar), inflated])
     share = -np.expm1(-dt / bending.lag_s)
     delayed = np.asarray(lfilter([share], [1.0, share - 1.0], driven, axis=0))
     s, inflation = delayed[:, :2], delayed[:, 2:]
@@ -147,8 +146,7 @@ def rig_motion(
     )
     free = neutral + bent
     tip = free - bending.hysteresis_mm * _memories(free, bending.stroke_mm, model)
-    turning = _cross(s, np.gradient(s, dt, axis=0)) / ((s * s).sum(axis=1) + inner.centre**2)
-    across = turning[:, None] * np.column_stack([-(tip - neutral)[:, 1], (tip - neutral)[:, 0]])
+    across = turned_bend(s, np.gradient(s, dt, axis=0), tip - neutral, inner.centre)
     magnet = tip - inner.across_s * across
     magnet = magnet - inner.hysteresis_mm * _memories(tip, inner.stroke_mm, model)
     elongation = bending.elongation_mm * inflation
@@ -160,5 +158,57 @@ def _memories(xy: np.ndarray, stroke: float, model: str) -> np.ndarray:
     return np.column_stack([memory(column, stroke, model) for column in xy.T])
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+def turned_bend(
+    torque: Float[np.ndarray, "n 2"],
+    rate: Float[np.ndarray, "n 2"],
+    bent_mm: Float[np.ndarray, "n 2"],
+    centre: float,
+) -> Float[np.ndarray, "n 2"]:
+    """Rate at which the direction of a torque turns, times the bend turned by a right angle [mm/s]."""
+    turning = torque[:, 0] * rate[:, 1] - torque[:, 1] * rate[:, 0]
+    turning = turning / ((torque * torque).sum(axis=1) + centre**2)
+    return turning[:, None] * np.column_stack([-bent_mm[:, 1], bent_mm[:, 0]])
+
+
+def memory(
+    x: Float[np.ndarray, " samples"], stroke: float, model: str = "bouc-wen"
+) -> Float[np.ndarray, " samples"]:
+    """Memory of a path, in [-1, 1]: it tends to 1 while ``x`` rises and to -1 while it falls.
+
+    Parameters
+    ----------
+    x
+        Samples of the path. The memory is zero at the first one.
+    stroke
+        How far ``x`` has to travel for the memory to turn over, in the unit of ``x``: after a long rise the
+        Bouc-Wen memory is within ``1/e`` of 1 one stroke after the turn; all stops have turned after two.
+    model
+        One of :data:`MODELS`.
+
+    Examples
+    --------
+    >>> memory(np.array([0.0, 1.0, 2.0, 1.0]), stroke=1.0).round(3)
+    array([ 0.   ,  0.632,  0.865, -0.314])
+    """
+    return _bouc_wen(x, stroke) if model == "bouc-wen" else _prandtl_ishlinskii(x, stroke)
+
+
+def _bouc_wen(x: np.ndarray, stroke: float) -> np.ndarray:
+    z, found = 0.0, [0.0] * len(x)
+    for k, step in enumerate(np.diff(x).tolist(), start=1):
+        end = math.copysign(1.0, step)
+        z = end + (z - end) * math.exp(-abs(step) / stroke)
+        found[k] = z
+    return np.array(found)
+
+
+def _prandtl_ishlinskii(x: np.ndarray, stroke: float) -> np.ndarray:
+    found = np.zeros(len(x))
+    steps = np.diff(x).tolist()
+    for threshold in stroke * np.arange(1, STOPS + 1) / STOPS:
+        z, limit, stop = 0.0, float(threshold), [0.0] * len(x)
+        for k, step in enumerate(steps, start=1):
+            z = min(max(z + step, -limit), limit)
+            stop[k] = z
+        found += np.array(stop) / (limit * STOPS)
+    return found

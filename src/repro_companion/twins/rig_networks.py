@@ -16,9 +16,9 @@ from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.rig import RIG_SENSORS
 from repro.sensing.training import SPLIT, train_paper, training_record
 from repro.sensing.weights import load_paper_network, read_manifest, rows_sha256, save_weights
-from repro_companion.recordings.baaij2023 import SYNTHETIC, Recording, split
-from repro_companion.twins.pneumatic_rig import TwinConfig
-from repro_companion.twins.rig_facts import record_twin
+from repro_companion.recordings.baaij2023 import Recording, split
+from repro_companion.twins.pneumatic_rig import TwinConfig, record_twin
+from repro_companion.twins.rig_files import SYNTHETIC
 from repro_companion.twins.rig_twins import nominal_twin, second_twin
 
 RIG_LEARNING_RATE = 5e-5
@@ -48,7 +48,6 @@ class RigSpec:
     second: bool = False
 
     learning_rate: ClassVar[float] = RIG_LEARNING_RATE
-    exponential_head: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
@@ -123,10 +122,8 @@ def train_rig(
         unit="mV",
         progress=progress,
     )
-    trained = (network, spec, folder, (xi, u), metrics, curve)
-    if part is None:
-        return save_rig_network(*trained, twin_sha256=spec.twin.sha256)
-    return save_rig_network(*trained, recording=part.name)
+    origin = {"twin_sha256": spec.twin.sha256} if part is None else {"recording": part.name}
+    return save_rig_network(network, spec, folder, (xi, u), metrics, curve, **origin)
 
 
 def save_rig_network(
@@ -137,7 +134,7 @@ def save_rig_network(
     metrics: dict[str, float],
     curve: Tensor | None = None,
     *,
-    recording: str = SYNTHETIC["T5"],
+    recording: str = f"{SYNTHETIC}_T5",
     twin_sha256: str | None = None,
 ) -> Path:
     """Write a trained network and its manifest; return the weights' path.

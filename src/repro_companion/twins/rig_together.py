@@ -15,7 +15,6 @@ from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from tqdm import tqdm
 
-from repro.errors import bad_input
 from repro.sensing.network import PAPER_WIDTHS
 from repro.sensing.training import (
     BATCH,
@@ -45,7 +44,7 @@ def train_together(
     Parameters
     ----------
     sets
-        Relations as angles, and readings; float32, of one number of relations.
+        Relations as angles, and readings; float32, of one number of relations and of rows.
     seed, learning_rate, epochs, swa_start, progress
         As in :func:`repro.sensing.training.train_paper`.
 
@@ -54,13 +53,9 @@ def train_together(
 
     Raises
     ------
-    InputError
-        If there is none, or they differ in the number of rows to train on.
     FloatingPointError
         If a training diverges.
     """
-    if len({xi.shape for xi, _ in sets}) != 1:
-        raise bad_input("sets", "train_together", "of one size, at least one", [len(xi) for xi, _ in sets])
     n_in = sets[0][0].shape[1]
     network, generator, train, validation = first_draws(len(sets[0][0]), n_in, seed)
     n, rows = len(train), [(xi[train].contiguous(), u[train].contiguous()) for xi, u in sets]

@@ -1,7 +1,7 @@
 """Parameters of the digital twins of the rig: two calibrated ones, and random others; all recordings are SYNTHETIC.
 
 The nominal parameters were set so that the recordings show what is known of the authors' sensors
-(`repro_companion.twins.rig_facts` compares the two), before any estimator ran on them. Then they were frozen:
+(the page on the digital twin compares the two), before any estimator ran on them. Then they were frozen:
 :attr:`repro_companion.twins.pneumatic_rig.TwinConfig.sha256` tells whether they still are.
 """
 
@@ -14,11 +14,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from repro.sensing.rig import RIG_SENSORS
-from repro_companion.twins.hysteresis import MODELS
-from repro_companion.twins.marker_capture import MarkerCapture
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES, Chambers
 from repro_companion.twins.pneumatic_rig import Differences, TwinConfig
-from repro_companion.twins.rig_motion import Bending, InnerShape
+from repro_companion.twins.rig_files import MarkerCapture
+from repro_companion.twins.rig_motion import MODELS, Bending, InnerShape
 from repro_companion.twins.sensor_board import DRIFTS, Board
 
 ELONGATION_MM = (5.85, 6.38, 5.73, 6.11, 5.76, 6.13)

@@ -19,7 +19,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro import se3
-from repro.errors import bad_input
 from repro.kinematics.mounts import Mounts
 from repro.sensing.magnets import ring
 from repro.sensing.rig import RIG_SENSORS, rig_earth_axis, rig_robot
@@ -60,11 +59,6 @@ class Board:
         Standard deviation of the noise at rest, and of a further one in proportion to the mean pressure.
     drift_mv, drift
         Size and shape, one of :data:`DRIFTS`, of the drift; its sign and exact size are random for each sensor.
-
-    Raises
-    ------
-    InputError
-        If there is no such drift, or a number of sensors is not three.
     """
 
     sensitivity: tuple[Triple, ...]
@@ -81,13 +75,6 @@ class Board:
     inflated_noise_mv: float
     drift_mv: float
     drift: str
-
-    def __post_init__(self) -> None:
-        if self.drift not in DRIFTS:
-            raise bad_input("drift", "Board", f"one of {', '.join(map(repr, DRIFTS))}", repr(self.drift))
-        sizes = [len(x) for x in (self.sensitivity, self.shift_mm, self.rest_mv, self.curvature)]
-        if sizes != [RIG_SENSORS] * len(sizes):
-            raise bad_input("sensitivity, shift_mm, rest_mv, curvature", "Board", "for three sensors", sizes)
 
 
 def analogue_readings(

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from repro.errors import bad_input
 from repro.sensing.rig import RIG_RATE_HZ
 from repro_companion.twins.pneumatic_actuation import Chambers
 from repro_companion.twins.rig_map import monomials
@@ -59,18 +58,10 @@ def fit_inverse(
     """Fit the inverse static map by least squares to pressures [mbar] and bends [mm] of a slow motion there and back.
 
     Lag and hysteresis delay the bend on both ways, so that they leave the map in their middle.
-
-    Raises
-    ------
-    InputError
-        If no torque is near zero: the bend at rest is then not known.
     """
-    torque = chambers.torque(pressures_mbar) / chambers.reference_nm
-    turned = np.column_stack([torque[:, 1], -torque[:, 0]])
-    factors = np.linalg.lstsq(monomials(bend_mm, INVERSE_DEGREE), turned, rcond=None)[0]
-    near = np.linalg.norm(turned, axis=1) < NEAR
-    if not near.any():
-        raise bad_input("pressures_mbar", "fit_inverse", "also with a torque near zero", "none")
+    torque = chambers.bending_torque(pressures_mbar)
+    factors = np.linalg.lstsq(monomials(bend_mm, INVERSE_DEGREE), torque, rcond=None)[0]
+    near = np.linalg.norm(torque, axis=1) < NEAR
     return InverseMap(factors, bend_mm.min(axis=0), bend_mm.max(axis=0), bend_mm[near].mean(axis=0))
 
 
@@ -84,21 +75,11 @@ class Gains:
         Gains of the error and of its integral, millimetres of the map's input by millimetres of the error.
     feed_forward
         Whether the map is also given the reference.
-
-    Raises
-    ------
-    InputError
-        If a gain is negative.
     """
 
     proportional: float
     integral_per_s: float
     feed_forward: bool
-
-    def __post_init__(self) -> None:
-        if not (self.proportional >= 0 and self.integral_per_s >= 0):
-            seen = (self.proportional, self.integral_per_s)
-            raise bad_input("proportional, integral_per_s", "Gains", "not negative", seen)
 
 
 @dataclass(frozen=True)

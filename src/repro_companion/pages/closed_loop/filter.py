@@ -10,7 +10,8 @@ what it is; with the numbers of `repro_companion.pages.closed_loop.identificatio
 * **The command.** Instead of moving at a constant velocity, the bend is expected at :math:`f(s)`, plus a rest
   :math:`\delta` that relaxes, :math:`x_k = f(s_k) + e^{-\tau/T_\delta} (x_{k-1} - f(s_{k-1}))`.
 
-Without a lag and without the command it is the filter of Table 2, to the bit.
+Without a lag and without the command it is the filter of Table 2, to the bit. Neither is an estimator of the library:
+what was commanded is an input beside the readings.
 """
 
 from __future__ import annotations
@@ -108,24 +109,21 @@ class LoopFilter:
             Commanded from this reading to the next.
         """
         segment, dt = self.segment, 1.0 / RIG_RATE_HZ
-        faded = np.exp(-dt / segment.lag_s)
-        s = torque + (state.torque - torque) * faded
+        s = torque + (state.torque - torque) * segment.fading
         bank = self._moved(state.bank, state.torque, s) if self.follows else state.bank
-        if bank.mean_mm is None:
-            expected = segment.bend_mm(s[None])
-        else:
-            expected = (bank.mean_mm[:2] + dt * bank.mean_mm[2:])[None]
+        bend, rate = bank.mean_mm[:2], bank.mean_mm[2:]
+        expected = (bend + dt * rate)[None] if bank.frame else segment.bend_mm(s[None])
         rates = (np.stack([torque, following]) - s) / segment.lag_s
         lag, ahead = segment.lag_mv(np.stack([s, s]), rates, np.repeat(expected, 2, axis=0))
         # A jump that counts a few milliseconds early would otherwise be taken for a bend, and for a bias.
-        size = np.maximum(np.maximum(np.abs(lag), np.abs(ahead)), faded * state.lag_mv)
+        size = np.maximum(np.maximum(np.abs(lag), np.abs(ahead)), segment.fading * state.lag_mv)
         noise = np.hypot(self._map.noise_mv, segment.share * size)
         bank = BendFilter(replace(self._map, noise_mv=noise)).step(bank, reading_mv - lag)
         return LoopState(bank, s, size)
 
     def _moved(self, bank: BendState, before: np.ndarray, now: np.ndarray) -> BendState:
         """Move all filters with the command, up to the next reading."""
-        if bank.mean_mm is None:
+        if bank.frame == 0:
             return bank
         segment = self.segment
         old, new = segment.bend_mm(np.stack([before, now]))
@@ -137,27 +135,6 @@ class LoopFilter:
         moments[:, :, :2] *= kept
         moments[:, :2, :2] += self.rest_mm**2 * (1.0 - kept**2) * np.eye(2)
         return replace(bank, states=states, moments=moments, mean_mm=mean)
-
-
-@dataclass(frozen=True)
-class ReadingsAlone:
-    """The filter of Table 2 in a loop: it is told the command, and does not use it."""
-
-    bend_map: BendMap
-
-    def init(self) -> BendState:
-        """State before the first reading."""
-        return BendFilter(self.bend_map).init()
-
-    def step(
-        self,
-        state: BendState,
-        reading_mv: Float[np.ndarray, " 3"],
-        torque: Float[np.ndarray, " 2"],
-        following: Float[np.ndarray, " 2"],
-    ) -> BendState:
-        """State after the next reading, 40 Hz."""
-        return BendFilter(self.bend_map).step(state, reading_mv)
 
 
 @dataclass(frozen=True)
@@ -186,5 +163,5 @@ class CommandAlone:
         following: Float[np.ndarray, " 2"],
     ) -> CommandState:
         """State after the next reading, 40 Hz."""
-        s = torque + (state.torque - torque) * np.exp(-1.0 / RIG_RATE_HZ / self.segment.lag_s)
+        s = torque + (state.torque - torque) * self.segment.fading
         return CommandState(s, self.segment.bend_mm(s[None])[0])

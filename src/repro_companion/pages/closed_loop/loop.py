@@ -9,7 +9,7 @@ of the twin.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -24,19 +24,18 @@ from repro_companion.pages.closed_loop.curvature_control import (
     InverseMap,
     fit_inverse,
 )
-from repro_companion.pages.closed_loop.experiment import (
+from repro_companion.pages.closed_loop.filter import CommandAlone, LoopFilter
+from repro_companion.pages.closed_loop.identification import (
     Commanded,
+    Segment,
     commanded,
+    identify,
     record_experiment,
-    turned_torque,
 )
-from repro_companion.pages.closed_loop.filter import CommandAlone, LoopFilter, ReadingsAlone
-from repro_companion.pages.closed_loop.identification import Segment, identify
 from repro_companion.pages.closed_loop.rig_loop import SteppedRig, sessions
 from repro_companion.recordings.baaij2023 import split
 from repro_companion.twins.pneumatic_actuation import DURATION_S
-from repro_companion.twins.pneumatic_rig import REGULATOR_HZ, SEQUENCE_S, TwinConfig
-from repro_companion.twins.rig_facts import record_twin
+from repro_companion.twins.pneumatic_rig import REGULATOR_HZ, SEQUENCE_S, TwinConfig, record_twin
 from repro_companion.twins.rig_map import BendMap, fit_map
 from repro_companion.twins.rig_networks import RECORDING_SEED
 from repro_companion.twins.sensor_board import analogue_readings
@@ -106,25 +105,16 @@ def reference_mm(name: str, time_s: Float[np.ndarray, " t"]) -> Float[np.ndarray
 
     Steps of 3 to 9 mm every 5 s; a circle of 4 mm in 10 s; a lemniscate of 3 and 6 mm in 10 s, as T3; and for the
     tuning a raised cosine of 5 mm along each axis in 5 s.
-
-    Raises
-    ------
-    InputError
-        If there is no reference of this name.
     """
     phase = 2.0 * np.pi * time_s / 10.0
-    if name == "step":
-        corners = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [-3.0, 4.0], [-3.0, -5.0], [0.0, -5.0]])
-        shape = corners[(time_s // 5.0).astype(int) % len(corners)]
-    elif name == "circle":
-        shape = 4.0 * np.column_stack([np.cos(phase), np.sin(phase)])
-    elif name == "lemniscate":
-        shape = np.column_stack([3.0 * np.sin(2.0 * phase), 6.0 * np.sin(phase)])
-    elif name == TRAINING:
-        shape = 2.5 * (1.0 - np.cos(2.0 * phase))[:, None] * np.array([0.6, -1.0])
-    else:
-        raise bad_input("name", "reference_mm", f"one of {', '.join((*REFERENCES, TRAINING))}", repr(name))
-    return shape + np.array([2.5, 0.0])
+    corners = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [-3.0, 4.0], [-3.0, -5.0], [0.0, -5.0]])
+    shapes = {
+        "step": corners[(time_s // 5.0).astype(int) % len(corners)],
+        "circle": 4.0 * np.column_stack([np.cos(phase), np.sin(phase)]),
+        "lemniscate": np.column_stack([3.0 * np.sin(2.0 * phase), 6.0 * np.sin(phase)]),
+        TRAINING: 2.5 * (1.0 - np.cos(2.0 * phase))[:, None] * np.array([0.6, -1.0]),
+    }
+    return shapes[name] + np.array([2.5, 0.0])
 
 
 @dataclass(frozen=True)
@@ -168,8 +158,6 @@ class LoopTrace:
         Of the readings.
     reference_mm, bend_mm, fed_back_mm
         Reference, true bend, and the bend that the controller was told; in a watched run, what ours found.
-    pressures_mbar
-        Commanded at this reading, applied from the next one on.
     bounded
         Whether the command was at the bound of the pressures.
     """
@@ -178,7 +166,6 @@ class LoopTrace:
     reference_mm: Float[np.ndarray, "t runs 2"]
     bend_mm: Float[np.ndarray, "t runs 2"]
     fed_back_mm: Float[np.ndarray, "t runs 2"]
-    pressures_mbar: Float[np.ndarray, "t runs 3"]
     bounded: Bool[np.ndarray, "t runs"]
 
 
@@ -201,7 +188,7 @@ def run_loops(
     Raises
     ------
     InputError
-        If the duration is not above the time that is not judged, or there is no such estimator.
+        If the duration is not above the time that is not judged.
     """
     if not duration_s > SKIPPED_S:
         raise bad_input("duration_s", "run_loops", f"above {SKIPPED_S:g} [s]", duration_s)
@@ -210,7 +197,8 @@ def run_loops(
     wanted = np.stack([reference_mm(run.reference, time_s) for run in runs], axis=1)
     own = np.array([k for k, run in enumerate(runs) if run.session != "truth"], dtype=int)
     drawn = sessions(config, [runs[k].session for k in own], [runs[k].seed for k in own], ticks)
-    rig, ours = SteppedRig(config), [_estimator(runs[k].estimator, learned) for k in own]
+    rig, known = SteppedRig(config), _estimators(learned)
+    ours = [known[runs[k].estimator] for k in own]
     controller = CurvatureController(config.chambers, learned.inverse, [run.gains for run in runs])
     control, filters = controller.init(), [one.init() for one in ours]
     pressures = np.full((len(runs), 3), config.chambers.offset_mbar)
@@ -220,11 +208,10 @@ def run_loops(
         state, *_ = rig.step(state, pressures)
 
     watched = np.array([[run.watched] for run in runs])
-    bends: list[np.ndarray] = []
-    columns: tuple[list[np.ndarray], ...] = ([], [], [])
+    bends, fed_backs, bounded = [], [], []
     for tick in range(ticks):
         state, q, q_magnet = rig.step(state, pressures)
-        following = turned_torque(config.chambers, pressures)  # held up to the next reading
+        following = config.chambers.bending_torque(pressures)  # held up to the next reading
         bends.append(1e3 * q[:, :2])
         fed_back = np.stack([bends[max(tick - run.late, 0)][k] for k, run in enumerate(runs)])
         if len(own):
@@ -235,21 +222,21 @@ def run_loops(
                 filters[k] = ours[k].step(filters[k], u[k], torque[run], following[run])
                 fed_back[run] = filters[k].bend_mm
         torque = following
-        told = np.where(watched, bends[-1], fed_back)
-        control, pressures = controller.step(control, wanted[tick], told)
-        for column, value in zip(columns, (fed_back, pressures, control.bounded), strict=True):
-            column.append(value)
-    return LoopTrace(time_s, wanted, np.stack(bends), *(np.stack(column) for column in columns))
+        control, pressures = controller.step(control, wanted[tick], np.where(watched, bends[-1], fed_back))
+        fed_backs.append(fed_back)
+        bounded.append(control.bounded)
+    return LoopTrace(time_s, wanted, np.stack(bends), np.stack(fed_backs), np.stack(bounded))
 
 
-def _estimator(name: str, learned: Learned) -> Any:
-    if name not in ESTIMATORS:
-        raise bad_input("estimator", "run_loops", f"one of {', '.join(ESTIMATORS)}", repr(name))
-    if name == ESTIMATORS[0]:
-        return ReadingsAlone(learned.bend_map)
-    if name == ESTIMATORS[3]:
-        return CommandAlone(learned.segment)
-    return LoopFilter(learned.bend_map, learned.segment, follows=name == ESTIMATORS[2])
+def _estimators(learned: Learned) -> dict[str, Any]:
+    bend_map, segment = learned.bend_map, learned.segment
+    no_lag = replace(segment, across=np.zeros_like(segment.across), error_mv=bend_map.error_mv)
+    return {
+        "readings": LoopFilter(bend_map, no_lag, follows=False),
+        "lag": LoopFilter(bend_map, segment, follows=False),
+        "lag and command": LoopFilter(bend_map, segment, follows=True),
+        "command alone": CommandAlone(segment),
+    }
 
 
 def rms_mm(trace: LoopTrace) -> Float[np.ndarray, " runs"]:

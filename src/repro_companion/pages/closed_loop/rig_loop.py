@@ -20,6 +20,7 @@ from repro.errors import bad_input
 from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
 from repro_companion.twins.pneumatic_rig import REGULATOR_HZ, TwinConfig
+from repro_companion.twins.rig_motion import turned_bend
 from repro_companion.twins.sensor_board import converted, disturbance
 
 
@@ -47,7 +48,7 @@ class MotionState:
 
 
 @dataclass(frozen=True)
-class LoopState:
+class RigState:
     """The rig at a reading: its number, and the segment at the newest sample that is complete."""
 
     tick: int
@@ -61,33 +62,24 @@ class SteppedRig:
     Parameters
     ----------
     config
-        The twin.
-
-    Raises
-    ------
-    InputError
-        If its hysteresis is not ``"bouc-wen"``: the other model is not stepped.
+        The twin; its hysteresis is ``"bouc-wen"``, the other model is not stepped.
     """
 
     config: TwinConfig
 
-    def __post_init__(self) -> None:
-        if self.config.hysteresis != "bouc-wen":
-            raise bad_input("hysteresis", "SteppedRig", "'bouc-wen'", repr(self.config.hysteresis))
-
-    def init(self, runs: int) -> LoopState:
+    def init(self, runs: int) -> RigState:
         """Segments at rest, with empty chambers, at the first reading."""
         zero = np.zeros((runs, 2))
-        return LoopState(0, MotionState(np.zeros((runs, 3)), None, zero, zero, zero, zero))
+        return RigState(0, MotionState(np.zeros((runs, 3)), None, zero, zero, zero, zero))
 
     def step(
-        self, state: LoopState, pressures_mbar: Float[np.ndarray, "runs 3"]
-    ) -> tuple[LoopState, Float[np.ndarray, "runs 3"], Float[np.ndarray, "runs 3"]]:
+        self, state: RigState, pressures_mbar: Float[np.ndarray, "runs 3"]
+    ) -> tuple[RigState, Float[np.ndarray, "runs 3"], Float[np.ndarray, "runs 3"]]:
         """Hold pressures [mbar] from this reading to the next.
 
         Returns
         -------
-        LoopState, array, array
+        RigState, array, array
             State at the next reading; configuration of the tip, and the one of the magnet, at this one [m].
         """
         # 2.5 samples of the regulator for each reading: two and three in turn.
@@ -99,7 +91,7 @@ class SteppedRig:
             shapes.append(shape)
         share = per_reading * state.tick - first  # the reading is between two samples, or at one
         q, q_magnet = ((1 - share) * here + share * later for here, later in zip(*shapes[:2], strict=True))
-        return LoopState(state.tick + 1, motion), q, q_magnet
+        return RigState(state.tick + 1, motion), q, q_magnet
 
     def move(
         self, motion: MotionState, pressures_mbar: Float[np.ndarray, "runs 3"]
@@ -107,16 +99,14 @@ class SteppedRig:
         """One sample of the regulator on; both configurations [m] are those of the sample before."""
         config, dt = self.config, 1.0 / REGULATOR_HZ
         chambers, bending, inner = config.chambers, config.bending, config.inner
-        torque = chambers.torque(pressures_mbar) / chambers.reference_nm
         inflation = pressures_mbar.mean(axis=1) / chambers.offset_mbar
-        driven = np.column_stack([torque[:, 1], -torque[:, 0], inflation])
+        driven = np.column_stack([chambers.bending_torque(pressures_mbar), inflation])
         delayed = motion.delayed - np.expm1(-dt / bending.lag_s) * (driven - motion.delayed)
 
         s, old = motion.delayed[:, :2], motion.before
         rate = (delayed[:, :2] - s) / dt if old is None else (delayed[:, :2] - old[:, :2]) / (2 * dt)
-        turning = (s[:, 0] * rate[:, 1] - s[:, 1] * rate[:, 0]) / ((s * s).sum(axis=1) + inner.centre**2)
         bent = motion.tip_mm - motion.delayed[:, 2:] * bending.neutral_mm
-        across = turning[:, None] * np.column_stack([-bent[:, 1], bent[:, 0]])
+        across = turned_bend(s, rate, bent, inner.centre)
         magnet = motion.tip_mm - inner.across_s * across - inner.hysteresis_mm * motion.inner_memory
         elongation = bending.elongation_mm * motion.delayed[:, 2]
         q, q_magnet = (1e-3 * np.column_stack([xy, elongation]) for xy in (motion.tip_mm, magnet))
@@ -131,7 +121,7 @@ class SteppedRig:
 
 
 def _remember(z: np.ndarray, step: np.ndarray, stroke: float) -> np.ndarray:
-    """Bouc-Wen memory after a step of the path, as in `repro_companion.twins.hysteresis`."""
+    """Bouc-Wen memory after a step of the path, as in `repro_companion.twins.rig_motion`."""
     end = np.copysign(1.0, step)
     return end + (z - end) * np.exp(-np.abs(step) / stroke)
 

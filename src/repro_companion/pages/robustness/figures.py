@@ -29,7 +29,7 @@ def twin_ratios(per_twin: pd.DataFrame, title: str) -> Figure:
     Parameters
     ----------
     per_twin
-        Columns of :func:`repro_companion.pages.robustness.tables.ratios`.
+        Columns of :func:`repro_companion.pages.robustness.studies.ratios`.
     title
         Above the panels.
     """
@@ -67,7 +67,7 @@ def error_pairs(table: pd.DataFrame, title: str) -> Figure:
     Parameters
     ----------
     table
-        Columns of :func:`repro_companion.pages.robustness.twins.twin_errors`.
+        Columns of :func:`repro_companion.pages.robustness.studies.twin_errors`.
     title
         Above the panels.
     """

@@ -49,7 +49,7 @@ def errors(estimates: Estimates, failure: Failure) -> pd.DataFrame:
     )
 
 
-def beside_authors(table: pd.DataFrame) -> pd.DataFrame:
+def errors_with_authors(table: pd.DataFrame) -> pd.DataFrame:
     """Errors of the paper's method with our networks, beside those of the authors' released networks.
 
     Columns: ``quantity``; mean and sample standard deviation over seeds of the error before and after the failure

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from repro_live.view.style import MAGNET, SENSOR, label_in_mm, page_figure
 
@@ -44,12 +45,7 @@ def trajectories(paths: pd.DataFrame, shapes: pd.DataFrame, title: str) -> Figur
         for _, curve in shapes[shapes["recording"] == name].groupby("shape"):
             deep.plot(curve["x_mm"], curve["y_mm"], curve["z_mm"], color=SHAPE, lw=0.8)
         deep.plot(path["tip_x_mm"], path["tip_y_mm"], path["tip_z_mm"], color=TIP, lw=0.7)
-        deep.set(xlim=(-40, 40), ylim=(-40, 40), zlim=(0, 115))
-        deep.set(xticks=(-30, 30), yticks=(-30, 30), zticks=(0, 50, 100))
-        deep.set_aspect("equal")
-        deep.tick_params(labelsize=7, pad=-2)
-        label_in_mm(deep, fontsize=8.0, labelpad=-7.0)
-        deep.view_init(elev=20, azim=-55)
+        _in_space(deep, elevation=20)
     figure.suptitle(title)
     return figure
 
@@ -155,13 +151,8 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, title: str) -> Figure:
         for name, colour, marker in (("magnet", MAGNET, "s"), ("sensor", SENSOR, "o")):
             part = parts[(parts["time_s"] == time_s) & (parts["part"] == name)]
             panel.plot(part["x_mm"], part["y_mm"], part["z_mm"], color=colour, marker=marker, ls="", ms=5)
-        panel.set(xlim=(-40, 40), ylim=(-40, 40), zlim=(0, 115))
-        panel.set_aspect("equal")
-        panel.set(xticks=(-30, 30), yticks=(-30, 30), zticks=(0, 50, 100))
-        panel.tick_params(labelsize=7, pad=-2)
-        label_in_mm(panel, fontsize=8.0, labelpad=-7.0)
+        _in_space(panel, elevation=15)
         panel.set_title(f"t = {time_s:.1f} s", y=0.98)
-        panel.view_init(elev=15, azim=-55)
     handles = [
         Line2D([], [], color="black", lw=4, label="true shape"),
         Line2D([], [], color=PAPER, lw=1.6, label="estimated, one per seed"),
@@ -171,3 +162,13 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, title: str) -> Figure:
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
     figure.suptitle(title)
     return figure
+
+
+def _in_space(panel: Axes3D, *, elevation: float) -> None:
+    """Axes of the whole segment [mm], seen from this elevation [deg]."""
+    panel.set(xlim=(-40, 40), ylim=(-40, 40), zlim=(0, 115))
+    panel.set(xticks=(-30, 30), yticks=(-30, 30), zticks=(0, 50, 100))
+    panel.set_aspect("equal")
+    panel.tick_params(labelsize=7, pad=-2)
+    label_in_mm(panel, fontsize=8.0, labelpad=-7.0)
+    panel.view_init(elev=elevation, azim=-55)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from repro_companion.pages.table_2.rounding import RELATIVE
+from repro_companion.pages.table_2.reliability import RELATIVE
 from repro_companion.twins.rig_descent import row_name
 from repro_companion.twins.table_1_scorecard import scorecard_line
 
@@ -15,6 +15,7 @@ BEST_METHOD = "polynomial map fitted to T5.train, common bias estimated, no know
 NOTE = "three networks of our own per sensor against three of the authors"
 SYNTHETIC_NOTE = "synthetic: recorded by the digital twin, so not comparable with the authors' hardware"
 OWN_NOTE = "recordings of the reader's own under the authors' names, so not comparable with what they printed"
+KEYS = ["row", "quantity", "unit"]
 NOT_PRINTED = (row_name("T1"), "delta_y", "%")
 """T1 bends along x alone: the paper has no relative error of the other direction."""
 MEANS = (
@@ -40,9 +41,9 @@ def table_2_rows(
     *,
     setting: str,
     synthetic: bool,
-    own_files: bool = False,
-    best: pd.DataFrame | None = None,
-    rounding: pd.DataFrame | None = None,
+    own_files: bool,
+    best: pd.DataFrame,
+    rounding: pd.DataFrame,
 ) -> list[dict[str, Any]]:
     """Rows of the scorecard from the errors of the paper's method.
 
@@ -59,25 +60,24 @@ def table_2_rows(
     best
         Columns ``row, quantity, unit, error``: what ours reaches.
     rounding
-        From :func:`~repro_companion.pages.table_2.rounding.rounding_table`: notes name the chaotic rows.
+        From :func:`~repro_companion.pages.table_2.reliability.rounding_table`: notes name the chaotic rows.
     """
-    decided: dict[tuple[str, str, str], str] = {}
-    if rounding is not None:
-        for x in rounding[rounding["chaotic"]].to_dict("records"):
-            spread = f"; decided by rounding: {x['lowest']:.3g} to {x['highest']:.3g} from starts {RELATIVE:g} apart"
-            decided[x["row"], x["quantity"], x["unit"]] = spread
-    ours: dict[tuple[str, str, str], float] = {}
-    if best is not None and not synthetic and not own_files:
-        kept = best[best["quantity"] != "e_u"]
-        ours = {(x["row"], x["quantity"], x["unit"]): x["error"] for x in kept.to_dict("records")}
-    keys = ["row", "quantity", "unit"]
-    left_out = [(x["row"], x["quantity"], x["unit"]) == NOT_PRINTED for x in table.to_dict("records")]
-    printed = table.loc[[not x for x in left_out]]
+    decided = {
+        (
+            x["row"],
+            x["quantity"],
+            x["unit"],
+        ): f"; decided by rounding: {x['lowest']:.3g} to {x['highest']:.3g} from starts {RELATIVE:g} apart"
+        for x in rounding[rounding["chaotic"]].to_dict("records")
+    }
+    printed, ours = _printed(table), {}
     about: dict[str, Any] = {"note": NOTE}
     if synthetic or own_files:
         about = {"note": SYNTHETIC_NOTE if synthetic else OWN_NOTE, "comparable": False}
+    else:
+        ours = _printed(best[best["quantity"] != "e_u"]).set_index(KEYS)["error"].to_dict()
     rows: list[dict[str, Any]] = []
-    cells = printed.groupby(keys, sort=False)["error"].agg(["mean", "std", "count"]).reset_index()
+    cells = printed.groupby(KEYS, sort=False)["error"].agg(["mean", "std", "count"]).reset_index()
     for cell in cells.to_dict("records"):
         key = (cell["row"], cell["quantity"], cell["unit"])
         line = scorecard_line("Table 2", *key, cell["mean"], cell["std"], cell["count"], setting) | about
@@ -92,8 +92,12 @@ def table_2_rows(
         by_seed = relative.groupby("seed")["error"].mean()
         numbers = (by_seed.mean(), by_seed.std(), len(by_seed), setting)
         line = scorecard_line(artefact, row, "mean", "%", *numbers) | about
-        own = [e for (r, q, unit), e in ours.items() if unit == "%" and (r, q, unit) != NOT_PRINTED]
+        own = [error for (_, _, unit), error in ours.items() if unit == "%"]
         if own and artefact == "Abstract":
             line |= {"best": sum(own) / len(own), "best_method": BEST_METHOD}
         rows.append(line)
     return rows
+
+
+def _printed(table: pd.DataFrame) -> pd.DataFrame:
+    return table[~pd.MultiIndex.from_frame(table[KEYS]).isin([NOT_PRINTED])]

@@ -1,4 +1,4 @@
-"""Figs 9 to 11 of Baaij et al. 2023 as tables: trajectories, a loss landscape, estimates over time, stills."""
+"""Table 2 of Baaij et al. 2023, printed and regenerated, and its Figs 9 to 11 as tables."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import torch
 from repro.errors import bad_input
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.rig import RIG_RATE_HZ, rig_robot
+from repro_companion.book.project import find_project
+from repro_companion.book.published import read_published
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.twins.rig_data import RigData
 from repro_companion.twins.rig_descent import (
@@ -23,7 +25,7 @@ from repro_companion.twins.rig_descent import (
     rig_sensing,
     row_name,
 )
-from repro_companion.twins.rig_filter import OursConfig, OursRun, estimate_bend
+from repro_companion.twins.rig_filter import BendFilter, OursRun
 from repro_companion.twins.rig_map import BendMap
 
 LANDSCAPE_S = 3.0
@@ -31,11 +33,9 @@ LANDSCAPE_S = 3.0
 LANDSCAPE_CLIP_MV = 100.0
 
 
-def ours_runs(
-    bend_map: BendMap, tests: dict[str, Recording], config: OursConfig | None = None
-) -> dict[str, OursRun]:
+def ours_runs(bend_map: BendMap, tests: dict[str, Recording]) -> dict[str, OursRun]:
     """Ours on every test part; of these it takes the readings alone."""
-    return {name: estimate_bend(bend_map, part.u, config) for name, part in tests.items()}
+    return {name: BendFilter(bend_map).whole(part.u) for name, part in tests.items()}
 
 
 def ours_errors(runs: dict[str, OursRun], bend_map: BendMap, data: RigData) -> pd.DataFrame:
@@ -43,8 +43,8 @@ def ours_errors(runs: dict[str, OursRun], bend_map: BendMap, data: RigData) -> p
     rows = []
     for name, run in runs.items():
         whole = data.tests[name]
-        kept = slice(0, len(run.q))
-        part = Recording(whole.name, whole.frame[kept], whole.q[kept], whole.u[kept])
+        n = len(run.q)
+        part = Recording(whole.name, whole.frame[:n], whole.q[:n], whole.u[:n])
         predicted = bend_map.readings_mv(part.q)[:, None]
         for cell in reading_errors(predicted, part, whole) + bend_errors(run.q[:, None], part, whole):
             del cell["model"]
@@ -156,9 +156,7 @@ def series_table(
     return pd.concat(parts, ignore_index=True)
 
 
-def stills(
-    run: PaperRun, *, name: str = "T3", times_s: Sequence[float] = (0.0, 2.0, 4.0, 6.0, 8.0)
-) -> tuple[pd.DataFrame, pd.DataFrame]:
+def stills(run: PaperRun, *, name: str = "T3") -> tuple[pd.DataFrame, pd.DataFrame]:
     """Fig. 11: backbone along T3, true and estimated with known elongation, and the parts in the true shape.
 
     Returns
@@ -168,7 +166,7 @@ def stills(
         (``magnet`` or ``sensor``) ``, x_mm, y_mm, z_mm``.
     """
     robot, part, shapes, parts = rig_robot(), run.parts[name], [], []
-    for step in sorted({min(round(t * RIG_RATE_HZ), len(part) - 1) for t in times_s}):
+    for step in sorted({min(round(t * RIG_RATE_HZ), len(part) - 1) for t in (0.0, 2.0, 4.0, 6.0, 8.0)}):
         truth, time_s = torch.from_numpy(part.q[step]), part.time_s[step]
         curves = [("truth", -1, truth)]
         curves += [
@@ -186,13 +184,23 @@ def _points(positions: torch.Tensor) -> pd.DataFrame:
     return pd.DataFrame(1e3 * positions.numpy(), columns=["x_mm", "y_mm", "z_mm"])
 
 
-def beside(published: pd.DataFrame, paper: pd.DataFrame, ours: pd.DataFrame) -> pd.DataFrame:
+def published_table_2() -> pd.DataFrame:
+    """Columns ``row, quantity, unit, published, published_std``, in the order of the paper."""
+    rows = [
+        (key.row, key.quantity, key.unit, float(cell.value), float(cell.std))
+        for key, cell in read_published(find_project().published).items()
+        if (key.paper, key.artefact) == ("baaij2023", "Table 2")
+    ]
+    return pd.DataFrame(rows, columns=["row", "quantity", "unit", "published", "published_std"])
+
+
+def all_cells(published: pd.DataFrame, paper: pd.DataFrame, ours: pd.DataFrame) -> pd.DataFrame:
     """Every row and column of Table 2: published, the paper's method with each elongation, and ours.
 
     Parameters
     ----------
     published
-        Columns ``row, quantity, unit, published, published_std``.
+        From :func:`published_table_2`.
     paper
         Columns ``elongation, row, seed, quantity, unit, error``.
     ours

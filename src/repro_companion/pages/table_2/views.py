@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import torch
 
 from repro.sensing.rig import RIG_RATE_HZ, rig_robot
 from repro_companion.book.views_frames import every_nth, readings
-from repro_companion.pages.table_2.views_together import ShapeViews
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.twins.rig_filter import OursRun
 from repro_live.view.robot_view import shape_view
@@ -18,6 +19,34 @@ LONGEST_S = 15.0
 """No view shows more than the beginning of this length [s]; a fast lemniscate takes a few seconds."""
 FRAMES = 75
 """Most frames of a view: six on one page have to be light."""
+
+
+@dataclass(frozen=True, repr=False)
+class ShapeViews:
+    """Views, each below its title; displays itself in a notebook and in the book.
+
+    Parameters
+    ----------
+    views
+        By title.
+    """
+
+    views: Mapping[str, ShapeView]
+
+    def to_html(self) -> str:
+        """Return the views as groups named by their titles; the viewer's style puts them side by side."""
+        groups = (
+            f'<div role="group" aria-label="{html.escape(title)}">'
+            f"<p><strong>{html.escape(title)}</strong></p>{view.to_html()}</div>"
+            for title, view in self.views.items()
+        )
+        return f'<div class="shape-views">{"".join(groups)}</div>'
+
+    def _repr_html_(self) -> str:
+        return self.to_html()
+
+    def __repr__(self) -> str:
+        return "\n".join(f"{title}: {view!r}" for title, view in self.views.items())
 
 
 def rig_views(parts: Mapping[str, Recording], ours: Mapping[str, OursRun], source: str) -> ShapeViews:

@@ -7,10 +7,7 @@ through the files: the twin writes raw ones, the pipeline reads them.
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
@@ -20,9 +17,10 @@ from jaxtyping import Float
 from repro.sensing.magnetic import field_at_sensors
 from repro.sensing.magnets import ring
 from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS, rig_robot
-from repro_companion.recordings.baaij2023 import Recording, process, split
+from repro_companion.recordings.baaij2023 import Recording, split
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
-from repro_companion.twins.pneumatic_rig import FILL_S, RigRecording, TwinConfig, record_rig
+from repro_companion.twins.pneumatic_rig import FILL_S, TwinRecordings
+from repro_companion.twins.rig_twins import ELONGATION_MM
 from repro_companion.twins.sensor_board import analogue_readings
 
 SLOW, FAST = ("T0", "T4"), ("T2", "T3")
@@ -40,46 +38,17 @@ TABLE_2 = {
     "T5": (1.60, 0.58, 0.24, 1.90, 0.24, 1.40),
 }
 """Table 2: errors of the readings [mV, %] and of the bend along x and y [mm, %]; their ratios are the ranges."""
-
-
-@dataclass(frozen=True)
-class TwinRecordings:
-    """Recordings of one twin: as simulated, and as the pipeline has read them from files."""
-
-    config: TwinConfig
-    raw: dict[str, RigRecording]
-    read: dict[str, Recording]
-
-
-def record_twin(
-    config: TwinConfig,
-    *,
-    seed: int = 0,
-    trajectories: Sequence[str] = TRAJECTORIES,
-    longest_s: float | None = None,
-    skip: int = 1,
-) -> TwinRecordings:
-    """Record sequences with a twin, write them as raw files to a temporary folder, and read them by the pipeline.
-
-    Parameters
-    ----------
-    config
-        The twin.
-    seed
-        Seed of the recordings.
-    trajectories
-        Which ones.
-    longest_s
-        Cut sequences to this length [s].
-    skip
-        See :func:`repro_companion.recordings.baaij2023.merge`.
-    """
-    raw = {name: record_rig(config, name, seed=seed, duration_s=longest_s) for name in trajectories}
-    with tempfile.TemporaryDirectory() as folder:
-        for recording in raw.values():
-            recording.write(Path(folder))
-        read = {name: process(raw[name].name, Path(folder), skip=skip) for name in trajectories}
-    return TwinRecordings(config, raw, read)
+KNOWN_ELONGATION = {
+    name: {"mean_mm": mean, "per_mm2": slope, "centre_x_mm": centre}
+    for name, mean, slope, centre in zip(
+        TRAJECTORIES,
+        ELONGATION_MM,
+        (0.0255, 0.0255, -0.038, 0.0255, np.nan, 0.0255),  # the middle of 0.021 to 0.030, of T4 nothing
+        (np.nan, 5.1, -2.0, np.nan, np.nan, 1.9),
+        strict=True,
+    )
+}
+"""Elongation of the authors' recordings, from running means and variances of networks that were trained on them."""
 
 
 def quadratic(q: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 6"]:
@@ -152,7 +121,7 @@ def facts_table(twin: TwinRecordings) -> pd.DataFrame:
     return table.assign(met=off <= table["tolerance"])
 
 
-def table_2_beside(twin: TwinRecordings) -> pd.DataFrame:
+def table_2_ranges(twin: TwinRecordings) -> pd.DataFrame:
     """Ranges that follow from Table 2, and its errors of the readings, beside the twin's; nothing was fitted to them.
 
     The error of the twin is that of a quadratic map fitted to T5.train, so of another sensor model than the authors'
@@ -202,34 +171,31 @@ def repairs_table(twin: TwinRecordings) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def actuation_table(twin: TwinRecordings, *, every: int = 10, longest_s: float = 125.0) -> pd.DataFrame:
-    """Pressures, torque and bend during the first part of each sequence; every so many of 100 samples per second.
+def actuation_table(twin: TwinRecordings) -> pd.DataFrame:
+    """Pressures, torque and bend in the first 125 s of each sequence, 10 of the 100 samples per second.
 
     The inflation is left out. Torques are in units of the reference torque and turned so that they point where the
     segment bends.
     """
     parts = []
     for name, raw in twin.raw.items():
-        motion, chambers = raw.motion, twin.config.chambers
+        motion = raw.motion
         begin = int(np.searchsorted(motion.time_s, 8.0))
-        kept = slice(begin, min(begin + int(100 * longest_s), len(motion.time_s) - 500), every)
-        torque = chambers.torque(motion.pressures_mbar[kept]) / chambers.reference_nm
-        part = {
-            "time_s": motion.time_s[kept] - motion.time_s[begin],
-            "torque_x": torque[:, 1],
-            "torque_y": -torque[:, 0],
-        }
+        kept = slice(begin, min(begin + 12_500, len(motion.time_s) - 500), 10)
+        torque = twin.config.chambers.bending_torque(motion.pressures_mbar[kept])
+        part = {"time_s": motion.time_s[kept] - motion.time_s[begin]}
+        part |= {f"torque_{axis}": torque[:, k] for k, axis in enumerate("xy")}
         part |= {f"pressure_{k + 1}_mbar": motion.pressures_mbar[kept, k] for k in range(3)}
         part |= {f"delta_{axis}_mm": 1e3 * motion.q[kept, k] for k, axis in enumerate("xy")}
         parts.append(pd.DataFrame(part).assign(recording=name))
     return pd.concat(parts, ignore_index=True)
 
 
-def readings_table(twin: TwinRecordings, *, every: int = 1, longest_s: float = 30.0) -> pd.DataFrame:
-    """Readings and bend after the pipeline, first part of each recording."""
+def readings_table(twin: TwinRecordings) -> pd.DataFrame:
+    """Readings and bend after the pipeline, in the first 30 s of each recording."""
     parts = []
     for name, recording in twin.read.items():
-        kept = slice(0, int(longest_s * RIG_RATE_HZ), every)
+        kept = slice(0, int(30.0 * RIG_RATE_HZ))
         part = {"time_s": recording.time_s[kept]}
         part |= {f"delta_{axis}_mm": 1e3 * recording.q[kept, k] for k, axis in enumerate("xy")}
         part |= {f"u_{j + 1}_mV": recording.u[kept, j] for j in range(RIG_SENSORS)}
@@ -237,18 +203,35 @@ def readings_table(twin: TwinRecordings, *, every: int = 1, longest_s: float = 3
     return pd.concat(parts, ignore_index=True)
 
 
-def differences_table(
-    twin: TwinRecordings, *, names: Sequence[str] = ("T5", "T3"), longest_s: float = 20.0
-) -> pd.DataFrame:
-    """Readings less T5's quadratic map [mV], over time and bend, for the first part of some recordings."""
+def differences_table(twin: TwinRecordings) -> pd.DataFrame:
+    """Readings less T5's quadratic map [mV], over time and bend, in the first 20 s of T5 and T3."""
     map_5, _ = _fit(quadratic(twin.read["T5"].q), twin.read["T5"].u)
     parts = []
-    for name in names:
-        recording, kept = twin.read[name], slice(0, int(longest_s * RIG_RATE_HZ))
+    for name in ("T5", "T3"):
+        recording, kept = twin.read[name], slice(0, int(20.0 * RIG_RATE_HZ))
         apart = (recording.u - quadratic(recording.q) @ map_5)[kept]
         part = {"recording": name, "time_s": recording.time_s[kept], "delta_y_mm": 1e3 * recording.q[kept, 1]}
         parts.append(pd.DataFrame(part | {f"u_{j + 1}_mV": apart[:, j] for j in range(RIG_SENSORS)}))
     return pd.concat(parts, ignore_index=True)
+
+
+def elongations_table(twins: Mapping[str, TwinRecordings]) -> pd.DataFrame:
+    """What twins and the authors' recordings T0 to T5 (networks trained on them) say of the elongation.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``of, recording``; mean elongation ``mean_mm``, its change with the square of the bend ``per_mm2``, and the
+        mean bend along x ``centre_x_mm``, where known.
+    """
+    rows = [{"of": "authors", "recording": name} | KNOWN_ELONGATION[name] for name in TRAJECTORIES]
+    for of, twin in twins.items():
+        for name, recording in twin.read.items():
+            x, y, elongation = 1e3 * recording.q.T
+            slope = np.polynomial.Polynomial.fit(x**2 + y**2, elongation, 1).convert().coef[1]
+            found = {"mean_mm": elongation.mean(), "per_mm2": slope, "centre_x_mm": x.mean()}
+            rows.append({"of": of, "recording": name} | found)
+    return pd.DataFrame(rows)
 
 
 def _fit(A: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
