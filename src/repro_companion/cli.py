@@ -12,8 +12,8 @@ from typing import Annotated
 from cyclopts import App, CycloptsError, Parameter
 
 from repro.errors import InputError, bad_input
-from repro_companion import cli_diff, cli_fit, cli_live, cli_robot, cli_sweep, cli_track
-from repro_companion.cli_pairs import pairs
+from repro_companion import cli_diff, cli_live, cli_robot, cli_sweep, cli_track
+from repro_companion.cli_terminal import pairs
 
 app = App(
     name="repro",
@@ -212,7 +212,7 @@ def fetch(
 for command in (cli_live.record, cli_live.export, cli_live.emulate, cli_robot.calibrate, cli_robot.live):
     app.command(command)
 app.command(cli_track.track)
-app.command(cli_fit.fit)
+app.command(cli_track.fit)
 app.command(cli_sweep.sweep)
 app.command(cli_diff.diff)
 

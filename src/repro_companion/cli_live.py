@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from repro.errors import bad_input
-from repro_companion.cli_pairs import pairs
-from repro_companion.cli_terminal import set_by_signals, to_terminal
+from repro_companion.cli_terminal import pairs, set_by_signals, to_terminal
 
 if TYPE_CHECKING:
     from repro_live.record.recorder import Summary
@@ -131,7 +130,7 @@ def export(
     read = read_recording(recording)
     if robot is not None:
         from repro.robot_file.load import load_robot
-        from repro_live.robot.recorded_frames import frames_of
+        from repro_live.robot.readings_file import frames_of
 
         described = load_robot(robot)
         frames_of(read, described)  # refuses recordings of another robot; the table has all frames

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro_live.own.lag import Correlations, Samples, check_peak, correlations, refined
+from repro_live.own.lag import Correlations, check_peak, correlations, refined
+from repro_live.own.samples import Samples
 
 RATE_HZ = 50.0
 

@@ -23,9 +23,9 @@ from repro_companion import cli_robot
 from repro_live.emulate.links import HAS_PTY
 from repro_live.follow import live_text, session
 from repro_live.follow.live_state import LiveState, trusted
+from repro_live.follow.live_text import CAUSES
 from repro_live.follow.robot_estimator import RobotEstimator, robot_estimator
 from repro_live.follow.session import follow
-from repro_live.follow.verdict_words import CAUSES
 from repro_live.record.recording import read_recording
 from repro_live.wire.formats import encode
 from repro_live.wire.frame import Frame

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 from typing import NamedTuple
 
+from repro.robot_file.robot_file import RobotFile
+from repro_live.robot.readings_file import Readings, stream_widths
 from repro_live.wire.frame import Frame
 
 WRAP_US = 1 << 32
@@ -117,3 +120,10 @@ class _Clock:
         self._time_s += max(passed_s, SHORTEST_S)
         self._host_s, self._sent_us = host_s, sent_us
         return self._time_s
+
+
+def time_steps(readings: Readings, robot: RobotFile) -> Iterator[list[TimeStep]]:
+    """Yield the time steps that frames complete, those that arrived together at once, as a port gives them."""
+    steps = TimeSteps(tuple(stream_widths(robot)), robot.rate_hz)
+    for arrival_ns, group in groupby(readings.frames, key=lambda pair: pair[0]):
+        yield steps.add(arrival_ns, [frame for _, frame in group])

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from repro.errors import InputError, bad_input
 from repro.robot_file.robot_file import RobotFile
-from repro_live.own.lag import LEAST_R, MARGIN, OWNER, Correlations, Samples, check_peak, correlations
+from repro_live.own.lag import LEAST_R, MARGIN, OWNER, Correlations, check_peak, correlations
 from repro_live.own.poses import MeasuredPoses
-from repro_live.own.readings import TimedReadings
+from repro_live.own.samples import Samples, TimedReadings
 
 CLEARLY = 2 * MARGIN
 """Poses with other axes must correlate by this much better to be what is meant."""

@@ -16,11 +16,10 @@ from repro_live.follow.robot_estimator import robot_estimator
 from repro_live.follow.time_steps import TimeStep
 from repro_live.own.align import find_clock_lag, judged_at, on_one_clock, predicted
 from repro_live.own.judge import Tracked, Truth, tip_positions, tracked
-from repro_live.own.lag import Lag, Samples, refined
-from repro_live.own.models import TRACKERS, Networks, calibrated, trained
-from repro_live.own.parts import TimeParts, split_in_time
+from repro_live.own.lag import Lag, refined
+from repro_live.own.models import TRACKERS, Networks, TimeParts, calibrated, split_in_time, trained
 from repro_live.own.poses import MeasuredPoses
-from repro_live.own.readings import TimedReadings
+from repro_live.own.samples import Samples, TimedReadings
 
 MODELS = ("calibration", "network")
 MOST_ROUNDS = 4

@@ -17,7 +17,7 @@ from repro.kinematics.motion import tip_motion
 from repro.robot_file.robot_file import RobotFile
 from repro_live.follow.follower import Follower
 from repro_live.follow.robot_estimator import RobotEstimator
-from repro_live.own.readings import TimedReadings
+from repro_live.own.samples import TimedReadings
 from repro_live.robot.calibration_poses import coordinate_columns
 
 COVERED = 0.95

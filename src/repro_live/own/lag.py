@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.signal import correlate
 
 from repro.errors import bad_input
-from repro_live.own.gaps import interpolated, longest_gap_s
+from repro_live.own.samples import Samples
 
 LEAST_R = 0.8
 """Correlation below which no lag is accepted."""
@@ -59,35 +59,6 @@ class Lag:
     slope: float
     residual: float
     common_s: float
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Signals over time; rows with a missing value are left out.
-
-    Parameters
-    ----------
-    time_s
-        Increasing times [s].
-    values
-        One column for each sensor.
-    gap_s
-        Longest time between two samples over which is interpolated [s].
-    """
-
-    time_s: Float[np.ndarray, " n"]
-    values: Float[np.ndarray, "n s"]
-    gap_s: float
-
-    @classmethod
-    def of(cls, time_s: np.ndarray, values: np.ndarray) -> Samples:
-        """Leave out rows that are not complete."""
-        whole = np.isfinite(values).all(axis=1)
-        return cls(time_s[whole], values[whole], longest_gap_s(time_s))
-
-    def at(self, time_s: np.ndarray) -> np.ndarray:
-        """Values at times; NaN in gaps."""
-        return interpolated(self.time_s, self.values, time_s, self.gap_s)
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,8 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.robot_file.robot_file import RobotFile
-from repro_live.own.body_poses import configurations_of, end_poses
-from repro_live.own.gaps import GAP_STEPS, interpolated
-from repro_live.own.motive import is_motive, read_bodies
+from repro_live.own.bodies import configurations_of, end_poses, is_motive, read_bodies
+from repro_live.own.samples import GAP_STEPS, interpolated
 from repro_live.robot.calibrate import pose_covariance
 from repro_live.robot.calibration_poses import coordinate_columns
 from repro_live.robot.number_table import read_numbers, times_of

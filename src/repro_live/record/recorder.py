@@ -17,10 +17,9 @@ import numpy as np
 
 from repro.errors import bad_input
 from repro_live.record.clock import DeviceClock
-from repro_live.record.lasting_port import LastingPort
+from repro_live.record.ports import LastingPort
 from repro_live.record.recording_file import RecordingFile, WriteFailed, check_new, write_sidecar
-from repro_live.record.summary import Summary, channels_of
-from repro_live.record.suspect import Suspect
+from repro_live.record.summary import Summary, Suspect, channels_of
 from repro_live.wire.csv_text import CsvParser, Layout
 from repro_live.wire.formats import parser
 from repro_live.wire.frame import Frame, Parser

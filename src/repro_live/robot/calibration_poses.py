@@ -17,7 +17,7 @@ from repro.robot_file.robot_file import RobotFile
 from repro_live.record.recording import Recording
 from repro_live.robot.kept_readings import Part, part_of, read_kept
 from repro_live.robot.number_table import read_numbers
-from repro_live.robot.recorded_frames import frames_of
+from repro_live.robot.readings_file import frames_of
 
 WINDOW_S = 0.5
 """Readings are averaged over this time [s]: around ``time_s`` of a table, or after a key was pressed."""
@@ -145,7 +145,7 @@ def recorded_readings(recording: Recording, robot: RobotFile, poses: Poses) -> P
     Raises
     ------
     InputError
-        If the recording does not fit the robot (:func:`repro_live.robot.recorded_frames.frames_of`), the table has no
+        If the recording does not fit the robot (:func:`repro_live.robot.readings_file.frames_of`), the table has no
         times, or there is no frame in a pose.
     """
     fits, notes = frames_of(recording, robot)

@@ -14,8 +14,7 @@ from repro.errors import bad_input
 from repro.kinematics.motion import backbone_motion
 from repro.kinematics.mounts import Mounts, magnet_mounts
 from repro.kinematics.robot import Robot
-from repro_live.view.shape_parts import Markers, Shape, Traces
-from repro_live.view.shape_view import ShapeView
+from repro_live.view.shape_view import Markers, Shape, ShapeView, Traces
 
 POINTS_PER_SEGMENT = 9
 """Enough for a segment bent by a half turn to look smooth."""

@@ -13,8 +13,7 @@ from zlib import crc32
 from cobs import cobs
 
 from repro.errors import bad_input
-from repro_live.wire.delimited import Splitter
-from repro_live.wire.frame import Counters, Frame
+from repro_live.wire.frame import Counters, Frame, Splitter
 
 VERSION = 1
 KINDS = {"float32": (1, "f", 59), "int16": (2, "h", 118)}

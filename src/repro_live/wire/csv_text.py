@@ -25,8 +25,7 @@ from repro_live.wire.csv_fields import (
     separator_of,
     time_scale,
 )
-from repro_live.wire.delimited import Splitter
-from repro_live.wire.frame import Counters, Frame
+from repro_live.wire.frame import Counters, Frame, Splitter
 
 AGREEING = 3
 """Lines of one form that fix it."""

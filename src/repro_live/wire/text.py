@@ -12,8 +12,7 @@ import re
 from dataclasses import dataclass
 
 from repro.errors import bad_input
-from repro_live.wire.delimited import Splitter
-from repro_live.wire.frame import Counters, Frame
+from repro_live.wire.frame import Counters, Frame, Splitter
 
 HALL_RANGE = (-8192.0, 8191.0)
 """Components of the sensor of Mitchell et al., an MLX90363: 14 bits with sign [counts]."""
