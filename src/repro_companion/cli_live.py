@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_companion.cli_terminal import pairs, set_by_signals, to_terminal
 
 if TYPE_CHECKING:
@@ -66,8 +66,7 @@ def record(
     if list_only:
         print(listing())
         return 0
-    if not port:
-        raise bad_input("port", "repro record", "given (see repro record --list)", "none")
+    require(port, "port", "repro record", "given (see repro record --list)", "none")
     if output is None:
         raise bad_input("output", "repro record", "given (-o FILE)", "none")
     stop, screen = threading.Event(), _Screen()
@@ -124,8 +123,7 @@ def export(
 
     if output is None:
         raise bad_input("output", "repro export", "given (-o FILE)", "none")
-    if not recording.is_file():
-        raise bad_input("recording", "repro export", "a file", f"{recording}, which is not there")
+    require(recording.is_file(), "recording", "repro export", "a file", f"{recording}, which is not there")
     unit = ""
     read = read_recording(recording)
     if robot is not None:
@@ -205,8 +203,7 @@ def emulate(
     from repro_live.emulate.robot_board import open_board
     from repro_live.emulate.sensor_faults import NAMES, sensor_faults_named
 
-    if not fault_from >= 0:
-        raise bad_input("fault_from", "repro emulate", "0 or more [s]", fault_from)
+    require(fault_from >= 0, "fault_from", "repro emulate", "0 or more [s]", fault_from)
     if not source and robot is None:
         expected = f"one of {', '.join(SOURCES)}, or a recording; or --robot ROBOT.toml"
         raise bad_input("source", "repro emulate", expected, "none")
@@ -216,8 +213,7 @@ def emulate(
     if robot is None:
         options = {"tolerances": tolerances, "hold_poses": hold_poses, "hold": hold}
         for name, value in options.items():
-            if value is not None:
-                raise bad_input(name, "repro emulate", "left out without --robot", value)
+            require(value is None, name, "repro emulate", "left out without --robot", value)
         take = open_take(source, format, rate_hz=rate, seed=seed)
         label, form, readings = take.label, take.format, take.readings(loop=loop)
     else:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.trajectories import RATE_HZ, STEPS, lemniscate
 from repro.robot_file.robot_file import RobotFile
@@ -179,8 +179,7 @@ def _arm(rate_hz: float, seed: int) -> Take:
 def _recorded(path: Path, rate_hz: float | None) -> Take:
     recording = read_recording(path)
     table = recording.frames
-    if len(table) < 2:
-        raise bad_input("source", "open_take", "a recording of at least two frames", len(table))
+    require(len(table) >= 2, "source", "open_take", "a recording of at least two frames", len(table))
     stream = table["stream"].to_numpy(np.int64)
     if rate_hz is None:
         time_s = table["time_s"].to_numpy(float)
@@ -256,8 +255,7 @@ def played(robot: RobotFile, *, rate_hz: float, seconds: float, seed: int) -> Pl
 
 def with_sensors(robot: RobotFile, sensors: int) -> RobotFile:
     """Return a robot with another number of sensors in the tip plane of its only segment."""
-    if len(robot.robot.segments) != 1:
-        raise bad_input("robot", "with_sensors", "one of one segment", robot.name)
+    require(len(robot.robot.segments) == 1, "robot", "with_sensors", "one of one segment", robot.name)
     return replace(
         robot,
         robot=replace(robot.robot, sensors=pcc_robot(1, sensors).sensors),

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 CHANCES = ("flips", "drops", "duplicates", "bursts", "stalls", "disconnects", "reboots")
 """Those of :class:`Faults` that are chances."""
@@ -100,10 +100,8 @@ def faults_named(given: Iterable[tuple[str, str]], others: Sequence[str] = ()) -
     known = {field.name: int if field.name == "burst_bytes" else float for field in fields(Faults)}
     values: dict[str, float] = {}
     for name, text in given:
-        if name not in known:
-            raise bad_input("fault", "repro emulate", f"one of {', '.join([*known, *others])}", name)
-        if name in values:
-            raise bad_input("fault", "repro emulate", "given once", f"{name} twice")
+        require(name in known, "fault", "repro emulate", f"one of {', '.join([*known, *others])}", name)
+        require(name not in values, "fault", "repro emulate", "given once", f"{name} twice")
         try:
             values[name] = known[name](text)
         except ValueError as error:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.files import write_whole
 from repro.robot_file.robot_file import RobotFile
 from repro_live.robot.calibrate import pose_covariance
@@ -113,8 +113,7 @@ def held_in_time(q: Float[np.ndarray, "n n_q"], rate_hz: float, hold_s: float) -
     InputError
         If there is no time to hold a pose.
     """
-    if not 0 < hold_s < math.inf:
-        raise bad_input("hold", "repro emulate", "above zero [s]", hold_s)
+    require(0 < hold_s < math.inf, "hold", "repro emulate", "above zero [s]", hold_s)
     each_s = hold_s + MOVE_S
     first = 0
     for k in range(len(q)):

@@ -12,7 +12,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 HAS_PTY = sys.platform != "win32"
 """Whether there are pseudo-terminals here."""
@@ -39,10 +39,7 @@ class PtyLink:
     """
 
     def __init__(self, port_file: Path | None = None) -> None:
-        if not HAS_PTY:
-            raise bad_input(
-                "port", "PtyLink", "a socket on this system", "a pseudo-terminal, which it has not"
-            )
+        require(HAS_PTY, "port", "PtyLink", "a socket on this system", "a pseudo-terminal, which it has not")
         self._folder = None
         if port_file is None:
             self._folder = Path(tempfile.mkdtemp(prefix="repro-"))
@@ -143,8 +140,7 @@ class SocketLink:
     """
 
     def __init__(self, port: int = 0) -> None:
-        if not 0 <= port <= 65535:
-            raise bad_input("socket", "SocketLink", "0 to 65535", port)
+        require(0 <= port <= 65535, "socket", "SocketLink", "0 to 65535", port)
         self._listener: socket.socket | None = None
         self._reader: socket.socket | None = None
         self._port = port

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.load import load_robot
 from repro.robot_file.robot_file import RobotFile
 from repro_live.emulate.board import BLOCK, Reading
@@ -91,14 +91,12 @@ def open_board(
     """
     robot = load_robot(path)
     rate_hz = robot.rate_hz if rate_hz is None else rate_hz
-    if not 0 < rate_hz < math.inf:
-        raise bad_input("rate", "repro emulate", "above zero [Hz]", rate_hz)
+    require(0 < rate_hz < math.inf, "rate", "repro emulate", "above zero [Hz]", rate_hz)
     frames = len(robot.imus) + bool(robot.channel)  # of a round
     block = max(1, round(PART_S * rate_hz)) * frames
     options: dict[str, Any] = {"tolerances": tolerances, "faults": faults, "from_s": from_s, "seed": seed}
     if hold_poses is None:
-        if hold_s is not None:
-            raise bad_input("hold", "repro emulate", "left out without --hold-poses", hold_s)
+        require(hold_s is None, "hold", "repro emulate", "left out without --hold-poses", hold_s)
         return robot_board(robot, moving(robot, rate_hz, seed=seed), **options)._replace(block=block)
     q = spread_poses(robot, seed=seed)
     measured = measured_poses(robot, q, seed=seed)

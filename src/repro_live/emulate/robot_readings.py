@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.kinematics.mounts import magnet_mounts
 from repro.robot_file.imu_readings import sent
 from repro.robot_file.parts import MAGNETIC_STREAM
@@ -115,8 +115,7 @@ def robot_readings(
     """
     rate_hz = robot.rate_hz if rate_hz is None else rate_hz
     for name, value in (("rate_hz", rate_hz), ("duration_s", duration_s), ("speed", speed)):
-        if not 0 < value < math.inf:
-            raise bad_input(name, "robot_readings", "above zero", value)
+        require(0 < value < math.inf, name, "robot_readings", "above zero", value)
     first, last = math.ceil(start_s * rate_hz - 1e-6), math.ceil((start_s + duration_s) * rate_hz - 1e-6)
     if not (start_s >= 0 and last > first):
         raise bad_input("start_s", "robot_readings", "0 or later, with time for one round", start_s)
@@ -185,8 +184,7 @@ def true_robot(robot: RobotFile, tolerances: float, *, seed: int = 0) -> RobotFi
     InputError
         If the tolerances are negative, or the robot has networks: they say what the sensors read, not where they are.
     """
-    if not 0 <= tolerances < math.inf:
-        raise bad_input("tolerances", "true_robot", "0 or more", tolerances)
+    require(0 <= tolerances < math.inf, "tolerances", "true_robot", "0 or more", tolerances)
     if tolerances == 0 or robot.moments is None:
         return robot
     if robot.networks:

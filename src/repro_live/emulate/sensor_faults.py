@@ -11,7 +11,7 @@ import torch
 from magpylib.func import dipole_field
 from scipy.spatial.transform import Rotation
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.robot_file import RobotFile
 from repro.sensing.magnets import MT_PER_T
 from repro_live.emulate.robot_readings import RobotReadings, course, readings_along
@@ -116,8 +116,7 @@ def sensor_faults_named(
         if name not in known:
             others.append((name, text))
             continue
-        if name in values:
-            raise bad_input("fault", "repro emulate", "given once", f"{name} twice")
+        require(name not in values, "fault", "repro emulate", "given once", f"{name} twice")
         try:
             values[name] = known[name](text)
         except ValueError as error:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.robot_file import RobotFile
 from repro_live.follow import live_text
 from repro_live.follow.live_state import LiveState
@@ -50,8 +50,7 @@ class BrowserView:
     """
 
     def __init__(self, estimator: RobotEstimator, port: int = 0) -> None:
-        if not 0 <= port <= 65535:
-            raise bad_input("browser_socket", "repro live", "0 to 65535", port)
+        require(0 <= port <= 65535, "browser_socket", "repro live", "0 to 65535", port)
         self._estimator = estimator
         self._clients: list[queue.Queue[str | None]] = []
         self._lock = threading.Lock()

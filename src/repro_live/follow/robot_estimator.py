@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.base import Estimator, kernel
 from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.kalman_filter import IteratedKalmanFilter
@@ -187,8 +187,7 @@ def robot_estimator(
     """
     magnetic = bool(robot.channel)
     name = name or ESTIMATORS[0 if magnetic else -1]
-    if name not in ESTIMATORS:
-        raise bad_input("estimator", "repro live", f"one of {', '.join(ESTIMATORS)}", name)
+    require(name in ESTIMATORS, "estimator", "repro live", f"one of {', '.join(ESTIMATORS)}", name)
     if magnetic == (name == "imu_chain"):
         fitting = ESTIMATORS[:-1] if magnetic else ESTIMATORS[-1:]
         sensors = "magnetic sensors" if magnetic else "IMUs"
@@ -197,8 +196,7 @@ def robot_estimator(
     n = len(robot.channel) + len(robot.imus)
     if wrong := [k for k in failed if not 1 <= k <= n]:
         raise bad_input("failed", "repro live", f"numbers of sensors, 1 to {n}", wrong[0])
-    if len(set(failed)) == n:
-        raise bad_input("failed", "repro live", f"fewer than all {n} sensors", f"{n} of them")
+    require(len(set(failed)) != n, "failed", "repro live", f"fewer than all {n} sensors", f"{n} of them")
     works = torch.tensor([k + 1 not in failed for k in range(n)])
     if not magnetic:
         method, use = imu_streams.chain(robot), torch.cat([torch.tensor([True]), works]).repeat_interleave(4)

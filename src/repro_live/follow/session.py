@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.estimation.consistency import STATUS
 from repro_live.follow.follower import Follower
 from repro_live.follow.live_state import LiveEstimate, LiveState, Tally
@@ -88,8 +88,7 @@ def follow(
     WriteFailed
         The disk is full or refuses. What was written is kept.
     """
-    if not duration_s > 0:
-        raise bad_input("duration", OWNER, "a time above zero [s]", duration_s)
+    require(duration_s > 0, "duration", OWNER, "a time above zero [s]", duration_s)
     if output is not None:
         check_new(output, OWNER)
     check_port(port, baud, OWNER)

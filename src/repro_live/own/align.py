@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro.robot_file.robot_file import RobotFile
 from repro_live.own.lag import LEAST_R, MARGIN, OWNER, Correlations, check_peak, correlations
 from repro_live.own.poses import MeasuredPoses
@@ -54,8 +54,7 @@ def find_clock_lag(
         :func:`repro_live.own.lag.check_peak` and :func:`repro_live.own.lag.correlations`.
     """
     measured = Samples.of(readings.time_s, readings.signal)
-    if len(measured.time_s) < 3:
-        raise bad_input("readings", OWNER, "complete in three frames", len(measured.time_s))
+    require(len(measured.time_s) >= 3, "readings", OWNER, "complete in three frames", len(measured.time_s))
     as_given = correlations(measured, predicted(robot.sensing(), poses, poses.q), longest_s)
     _check_axes(robot, measured, poses, as_given, longest_s)
     check_peak(as_given, robot.name)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from repro import se3
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro.estimation.poses import configurations
 from repro.robot_file.robot_file import RobotFile
 from repro_live.own.optitrack import read_header
@@ -59,8 +59,7 @@ def read_bodies(
         raise bad_input("header", path.name, "one of Motive: lines with Name and Frame", "none")
     first = rows[0][1]
     version = dict(zip(first[0::2], first[1::2], strict=False)).get("Format Version", "")
-    if not version.startswith("1.2"):
-        raise bad_input("Format Version", path.name, "1.20 to 1.29", version or "nothing")
+    require(version.startswith("1.2"), "Format Version", path.name, "1.20 to 1.29", version or "nothing")
     header = read_header([first], path.name, version=version, frames=len(rows) - axes - 1)
     for name, accepted in (("Length Units", list(LENGTH_UNITS)), ("Coordinate Space", ["Global"])):
         if header.get(name) not in accepted:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.calibration_file import RobotCalibration
 from repro.robot_file.robot_file import RobotFile
 from repro_live.follow.robot_estimator import robot_estimator
@@ -107,12 +107,10 @@ def fit(
     InputError
         If the two are not of one motion, too short, or do not fit the robot.
     """
-    if model not in MODELS:
-        raise bad_input("model", "repro fit", " or ".join(MODELS), repr(model))
+    require(model in MODELS, "model", "repro fit", " or ".join(MODELS), repr(model))
     if model == "network" and robot.imus:
         raise bad_input("model", "repro fit", f"calibration for {robot.name}, which has IMUs", model)
-    if not 0 < longest_lag_s < np.inf:
-        raise bad_input("longest-lag", "repro fit", "above 0, and finite", longest_lag_s)
+    require(0 < longest_lag_s < np.inf, "longest-lag", "repro fit", "above 0, and finite", longest_lag_s)
     readings, poses, from_first = on_one_clock(readings, poses)
     notes = [*readings.notes, *poses.notes]
     if from_first:

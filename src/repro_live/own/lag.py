@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import correlate
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_live.own.samples import Samples
 
 LEAST_R = 0.8
@@ -130,8 +130,7 @@ def correlations(readings: Samples, predicted: Samples, longest_s: float) -> Cor
         square_a += sums(x**2, on_b) - sum_x**2 / count
         square_b += sums(on_a, y**2) - sum_y**2 / count
     good = (common >= least) & (square_a > 1e-9 * (a**2).sum()) & (square_b > 1e-9 * (b**2).sum())
-    if not good.any():
-        raise bad_input("readings and poses", OWNER, "moving", "a constant")
+    require(good.any(), "readings and poses", OWNER, "moving", "a constant")
     r = np.where(good, product / np.sqrt(np.where(good, square_a * square_b, 1.0)), -1.0)
     slope = np.where(good, product / np.where(good, square_b, 1.0), 0.0)
     return Correlations(shifts * step_s, r, slope)
@@ -190,8 +189,7 @@ def refined(readings: Samples, predicted: Samples, near_s: float) -> Lag:
     rate = (readings.at(readings.time_s + step_s) - readings.at(readings.time_s - step_s)) / (2 * step_s)
     use = np.isfinite(np.concatenate([*shifted, rate], axis=1)).all(axis=1)
     time_s, u, rate = readings.time_s[use], readings.values[use], rate[use]
-    if len(u) < 4 * BLOCKS:
-        raise bad_input("readings and poses", OWNER, f"at least {4 * BLOCKS} in common", len(u))
+    require(len(u) >= 4 * BLOCKS, "readings and poses", OWNER, f"at least {4 * BLOCKS} in common", len(u))
     u = u - u.mean(axis=0)
 
     def fitted(shift: float) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kernels import compiled
 from repro.robot_file.calibration_file import RobotCalibration
@@ -71,10 +71,8 @@ def split_in_time(
     InputError
         If a part is shorter than :data:`LEAST_S`, or has too few readings with a pose.
     """
-    if not 0 < share < 1:
-        raise bad_input("share", "repro fit", "between 0 and 1", share)
-    if not known.any():
-        raise bad_input("readings and poses", "repro fit", "of one time", "no reading with a pose")
+    require(0 < share < 1, "share", "repro fit", "between 0 and 1", share)
+    require(known.any(), "readings and poses", "repro fit", "of one time", "no reading with a pose")
     start, end = float(time_s[known][0]), float(time_s[known][-1])
     border = start + share * (end - start)
     lengths = border - start, end - border - APART_S

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_live.own.marker_exchanges import not_turned, undo_exchanges
 
 
@@ -179,11 +179,9 @@ def read_header(rows: list[list[str]], owner: str, *, version: str, frames: int)
     """
     header = dict(zip(rows[0][0::2], rows[0][1::2], strict=False)) if rows else {}
     for name, expected in (("Format Version", version), ("Rotation Type", "Quaternion")):
-        if header.get(name) != expected:
-            raise bad_input(name, owner, expected, header.get(name, "nothing"))
+        require(header.get(name) == expected, name, owner, expected, header.get(name, "nothing"))
     for name in ("Take Name", "Total Exported Frames", "Capture Frame Rate"):
-        if name not in header:
-            raise bad_input(name, owner, "in the header", "nothing")
+        require(name in header, name, owner, "in the header", "nothing")
     if not header["Total Exported Frames"].isdecimal():
         raise bad_input("Total Exported Frames", owner, "a whole number", header["Total Exported Frames"])
     if frames != int(header["Total Exported Frames"]):
@@ -201,8 +199,7 @@ def read_header(rows: list[list[str]], owner: str, *, version: str, frames: int)
 def _start(header: dict[str, str], owner: str, utc_offset_h: float) -> float:
     """Return the start of the capture, seconds since 1970 UTC."""
     name = "Capture Start Time"
-    if name not in header:
-        raise bad_input(name, owner, "in the header", "nothing")
+    require(name in header, name, owner, "in the header", "nothing")
     zone = timezone(timedelta(hours=utc_offset_h))
     try:
         began = datetime.strptime(header[name], "%Y-%m-%d %I.%M.%S.%f %p").replace(tzinfo=zone)
@@ -221,8 +218,7 @@ def _motion(table: np.ndarray, owner: str) -> tuple[pd.DataFrame, int, int, int,
         raise bad_input("quaternions", owner, "unit within 0.001", seen)
     first = int(np.argmax(tracked))
     tilt = np.degrees(np.arccos(np.clip(Rotation.from_quat(quaternions[first]).as_matrix()[1, 1], -1.0, 1.0)))
-    if not tilt < 45.0:
-        raise bad_input("first frame", owner, "upright within 45 deg", f"{tilt:.1f} deg")
+    require(tilt < 45.0, "first frame", owner, "upright within 45 deg", f"{tilt:.1f} deg")
     upright = not_turned(quaternions, tracked)
     undone = undo_exchanges(quaternions, tracked, upright)
     kept = upright | undone.frames

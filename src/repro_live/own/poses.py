@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.robot_file import RobotFile
 from repro_live.own.bodies import configurations_of, end_poses, is_motive, read_bodies
 from repro_live.own.samples import GAP_STEPS, interpolated
@@ -113,8 +113,7 @@ def read_measured_poses(
     InputError
         If the file does not hold poses of this robot; the message names column and line, or says what does not fit.
     """
-    if not 0 <= straight_s < math.inf:
-        raise bad_input("straight-s", "repro fit", "0 or above", straight_s)
+    require(0 <= straight_s < math.inf, "straight-s", "repro fit", "0 or above", straight_s)
     if is_motive(path):
         ends = len(robot.robot.segments)
         if len(bodies) not in (ends, ends + 1) or len(set(bodies)) != len(bodies):
@@ -167,8 +166,7 @@ def _of_bodies(
     noise_rad: float,
 ) -> MeasuredPoses:
     seen = np.asarray(np.isfinite(table).all(axis=(1, 2)))
-    if not seen.any():
-        raise bad_input("poses", path.name, "seen in some frame by all bodies", "none in any frame")
+    require(seen.any(), "poses", path.name, "seen in some frame by all bodies", "none in any frame")
     T = end_poses(path.name, robot, time_s[seen], table[seen], straight_s)
     q, covariance, fits, note = configurations_of(path.name, robot, T, noise_m, noise_rad)
     seen[seen] = fits
@@ -186,8 +184,7 @@ def _measured(
     noise_m: float,
     notes: tuple[str, ...],
 ) -> MeasuredPoses:
-    if len(q) < 3:
-        raise bad_input("poses", path.name, "at least three", f"{len(q)} of {len(seen)} rows")
+    require(len(q) >= 3, "poses", path.name, "at least three", f"{len(q)} of {len(seen)} rows")
     _check_range(path, robot, q)
     if len(q) < len(seen):
         notes = (*notes, f"{len(seen) - len(q)} of {len(seen)} rows of {path.name} have no pose.")

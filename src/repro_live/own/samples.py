@@ -8,7 +8,7 @@ from itertools import chain
 import numpy as np
 from jaxtyping import Bool, Float
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.robot_file.robot_file import RobotFile
 from repro_live.follow.time_steps import TimeStep, time_steps
 from repro_live.robot.readings_file import Readings
@@ -118,8 +118,7 @@ def timed_readings(readings: Readings, robot: RobotFile) -> TimedReadings:
         step._replace(time_s=readings.start_s + step.time_s)
         for step in chain.from_iterable(time_steps(readings, robot))
     )
-    if len(steps) < 3:
-        raise bad_input("readings", "repro fit", "of at least three time steps", len(steps))
+    require(len(steps) >= 3, "readings", "repro fit", "of at least three time steps", len(steps))
     signal = np.full((len(steps), len(robot.channel)), np.nan)
     for k, step in enumerate(steps):
         if (frame := step.frames[0]) is not None:

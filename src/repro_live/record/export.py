@@ -12,7 +12,7 @@ from jaxtyping import Int
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.files import write_whole
 from repro_live.record.recording import Recording
 
@@ -58,8 +58,7 @@ def export(recording: Recording, path: Path, schema: str = "", *, unit: str = ""
         If the recording has another format, or the wrong number of values or of streams, or no frame; or the file
         exists.
     """
-    if schema not in ("", *SCHEMAS):
-        raise bad_input("schema", "export", f"one of {', '.join(SCHEMAS)}, or left out", schema)
+    require(schema in ("", *SCHEMAS), "schema", "export", f"one of {', '.join(SCHEMAS)}, or left out", schema)
     if schema and recording.format not in ("frames", schema):
         raise bad_input(
             "recording", f"export as {schema}", f"of the format {schema} or frames", recording.format
@@ -67,10 +66,8 @@ def export(recording: Recording, path: Path, schema: str = "", *, unit: str = ""
     if path.exists():
         raise bad_input("output", "export", "a new file (give another name, or move the old one)", path)
     if not schema:
-        if path.suffix == ".bag":
-            raise bad_input("output", "export", "a CSV (--as quaternions writes a bag)", path)
-        if not len(recording.frames):
-            raise bad_input("recording", "export", "one with frames", "no frame")
+        require(path.suffix != ".bag", "output", "export", "a CSV (--as quaternions writes a bag)", path)
+        require(len(recording.frames), "recording", "export", "one with frames", "no frame")
         return _write_table(recording, path, unit)
     if not len(recording.frames) or (recording.widths != SCHEMAS[schema]).any():
         must = f"frames of {SCHEMAS[schema]} values each"

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro_live.record.clock import DeviceClock
 from repro_live.record.ports import LastingPort
 from repro_live.record.recording_file import RecordingFile, WriteFailed, check_new, write_sidecar
@@ -96,8 +96,7 @@ def record(
     WriteFailed
         The disk is full or refuses. What was written is kept.
     """
-    if not duration_s > 0:
-        raise bad_input("duration", owner, "a time above zero [s]", duration_s)
+    require(duration_s > 0, "duration", owner, "a time above zero [s]", duration_s)
     session = _Session(port, format, output, baud, channels, unit, warn, each, watch, owner, notes)
     stop = stop or threading.Event()
     try:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro import se3
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.undetermined import undetermined
 from repro.kinematics.robot import Robot
 from repro.robot_file.calibration_file import RobotCalibration
@@ -112,8 +112,7 @@ def calibrate(
         raise bad_input("values", "calibrate", expected, f"shape {tuple(values.shape)}")
     u = (values[:, list(robot.channel)] - robot.offset) / robot.gain
     check_readings("calibrate", robot.robot, q, u)
-    if not len(q):
-        raise bad_input("q", "calibrate", "at least one pose", "none")
+    require(len(q), "q", "calibrate", "at least one pose", "none")
     if q_covariance.shape[-2:] != (robot.robot.n_q, robot.robot.n_q):
         expected = f"of last dimensions ({robot.robot.n_q}, {robot.robot.n_q})"
         raise bad_input("q_covariance", "calibrate", expected, f"shape {tuple(q_covariance.shape)}")

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.parts import MAGNETIC_STREAM
 from repro.robot_file.robot_file import RobotFile
 from repro_live.record.recording import Recording
@@ -88,8 +88,7 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
         If the file is not there, a column is missing or unknown, or a number is missing.
     """
     columns = coordinate_columns(robot)
-    if not path.is_file():
-        raise bad_input("path", "read_poses", f"a CSV with the columns {', '.join(columns)}", path)
+    require(path.is_file(), "path", "read_poses", f"a CSV with the columns {', '.join(columns)}", path)
     table = read_numbers(path)
     times = [name for name in ("time_s", "start_s", "end_s") if name in table]
     if missing := [name for name in columns if name not in table]:
@@ -98,8 +97,7 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
         raise bad_input("columns", path.name, f"{', '.join(columns)} and times", f"also {', '.join(unknown)}")
     if times not in ([], ["time_s"], ["start_s", "end_s"]):
         raise bad_input("times", path.name, "time_s, or start_s and end_s", ", ".join(times))
-    if not len(table):
-        raise bad_input("table", path.name, "at least one pose", "none")
+    require(len(table), "table", path.name, "at least one pose", "none")
     if not np.isfinite(table.to_numpy()).all():
         row = int(np.flatnonzero(~np.isfinite(table.to_numpy()).all(axis=1))[0])
         raise bad_input("table", path.name, "complete", f"a number missing in pose {row + 1}")

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.columns import name_and_unit
 from repro_live.wire.csv_fields import time_scale
 
@@ -25,8 +25,7 @@ def read_rows(path: Path) -> list[tuple[int, list[str]]]:
     InputError
         If there is no such file, or it is no text in UTF-8.
     """
-    if not path.is_file():
-        raise bad_input("path", path.name, "a CSV that is there", path)
+    require(path.is_file(), "path", path.name, "a CSV that is there", path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             rows = csv.reader(stream)
@@ -49,8 +48,7 @@ def read_numbers(path: Path) -> pd.DataFrame:
     """
     rows = read_rows(path)
     head = [name.strip() for name in rows[0][1]] if rows else []
-    if not head:
-        raise bad_input("table", path.name, "a CSV of numbers with a header, separated by commas", "nothing")
+    require(head, "table", path.name, "a CSV of numbers with a header, separated by commas", "nothing")
     if twice := sorted({name for name in head if head.count(name) > 1}):
         raise bad_input("columns", path.name, "of different names", f"{', '.join(twice)} twice")
     numbers = np.full((len(rows) - 1, len(head)), np.nan)
@@ -80,8 +78,7 @@ def times_of(owner: str, table: pd.DataFrame, *, apart: bool) -> tuple[str, Floa
         received = f"{len(found)}: {', '.join(found)}" if found else f"none among {', '.join(table)}"
         raise bad_input("times", owner, "one column, such as time_s", received)
     ((name, scale),) = found.items()
-    if not scale:
-        raise bad_input("times", owner, f"named with their unit, such as {name}_s or {name}_ms", name)
+    require(scale, "times", owner, f"named with their unit, such as {name}_s or {name}_ms", name)
     time_s = table[name].to_numpy() * (1e-6 * scale)
     check_times(owner, name, time_s, table.index.tolist(), apart=apart)
     return name, time_s

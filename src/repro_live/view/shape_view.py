@@ -23,7 +23,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from PIL import Image
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_live.view.style import MAGNET, SENSOR, page_figure
 
 ROLES = {"truth": "#000000", "estimate": "#D55E00"}
@@ -143,8 +143,7 @@ class ShapeView:
 
     def __post_init__(self) -> None:
         n = len(self.time_s)
-        if not self.shapes:
-            raise bad_input("shapes", "ShapeView", "at least one", "none")
+        require(self.shapes, "shapes", "ShapeView", "at least one", "none")
         for shape in self.shapes:
             if shape.role not in ROLES:
                 raise bad_input("role", f"shape {shape.name}", f"one of {', '.join(ROLES)}", shape.role)
@@ -155,8 +154,7 @@ class ShapeView:
                 "time_s", "ShapeView", "increasing", "a time that is not later than the one before"
             )
         for name, values, limit in self._numbers():
-            if len(values) != n:
-                raise bad_input(name, "ShapeView", f"given for each of {n} frames", f"{len(values)}")
+            require(len(values) == n, name, "ShapeView", f"given for each of {n} frames", f"{len(values)}")
             if limit is not None and not bool((np.abs(values) < limit).all()):
                 raise bad_input(name, "ShapeView", f"finite and below {limit}", np.abs(values).max())
         for shape in self.shapes:
