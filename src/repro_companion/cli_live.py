@@ -198,10 +198,9 @@ def emulate(
     from repro_companion.twins.takes import SOURCES, open_take
     from repro_live.emulate.board import BLOCK, passages
     from repro_live.emulate.emulator import Emulator
-    from repro_live.emulate.faults import faults_named
     from repro_live.emulate.links import HAS_PTY, PtyLink, SocketLink
     from repro_live.emulate.robot_board import open_board
-    from repro_live.emulate.sensor_faults import NAMES, sensor_faults_named
+    from repro_live.emulate.sensor_faults import faults_named
 
     require(fault_from >= 0, "fault_from", "repro emulate", "0 or more [s]", fault_from)
     if not source and robot is None:
@@ -209,7 +208,7 @@ def emulate(
         raise bad_input("source", "repro emulate", expected, "none")
     if socket is not None and port_file is not None:
         raise bad_input("port_file", "repro emulate", "left out with --socket", port_file)
-    given, block = fault or [], BLOCK
+    (faults, sensors), block = faults_named(fault or [], of_sensors=robot is not None), BLOCK
     if robot is None:
         options = {"tolerances": tolerances, "hold_poses": hold_poses, "hold": hold}
         for name, value in options.items():
@@ -220,7 +219,6 @@ def emulate(
         for name, value in (("source", source), ("format", format), ("loop", loop)):
             if value:
                 raise bad_input(name, "repro emulate", "left out with --robot", value)
-        sensors, given = sensor_faults_named(given)
         board = open_board(
             robot,
             rate_hz=rate,
@@ -234,7 +232,6 @@ def emulate(
         label, form, readings, block = board.label, board.format, board.readings, board.block
         for note in board.notes:
             print(f"Warning: {note}", file=sys.stderr)
-    faults = faults_named(given, NAMES if robot else ())
     sent = passages(readings, form, faults, seed=seed, from_s=fault_from, block=block)
     stop_on_termination()
     link = PtyLink(port_file) if HAS_PTY and socket is None else SocketLink(socket or 0)

@@ -32,6 +32,11 @@ class PtyLink:
     port_file
         The link; by default one in a temporary folder.
 
+    Attributes
+    ----------
+    address
+        What a reader opens, the path of the link; stays the same.
+
     Raises
     ------
     InputError
@@ -44,15 +49,11 @@ class PtyLink:
         if port_file is None:
             self._folder = Path(tempfile.mkdtemp(prefix="repro-"))
         self._path = (port_file or Path(f"{self._folder}/port")).absolute()
+        self.address = str(self._path)
         if not self._path.is_symlink() and self._path.exists():
             raise bad_input("port_file", "PtyLink", "a new name, or that of an earlier port", port_file)
         self._master: int | None = None
         self._name = ""
-
-    @property
-    def address(self) -> str:
-        """Path of the link."""
-        return str(self._path)
 
     def appear(self) -> None:
         """Make a pseudo-terminal and let the link point to it."""
@@ -149,11 +150,6 @@ class SocketLink:
         except OSError as error:
             raise bad_input("socket", "SocketLink", "a free port", f"{port}: {error.strerror}") from error
 
-    @property
-    def address(self) -> str:
-        """What pyserial opens."""
-        return f"socket://127.0.0.1:{self._port}"
-
     def appear(self) -> None:
         """Listen."""
         if self._listener is not None:
@@ -169,6 +165,7 @@ class SocketLink:
             raise
         listener.setblocking(False)
         self._listener, self._port = listener, listener.getsockname()[1]
+        self.address = f"socket://127.0.0.1:{self._port}"
 
     def vanish(self) -> None:
         """Close the connection, which delivers what was sent, and listen no more."""
@@ -214,3 +211,12 @@ class SocketLink:
         if self._reader is not None:
             self._reader.close()
             self._reader = None
+
+
+Link = PtyLink | SocketLink
+"""A port that can appear and disappear."""
+
+
+def open_link(kind: str = "") -> Link:
+    """Return a port of a kind: ``pty``, ``socket``, or by default a pseudo-terminal where there are such."""
+    return PtyLink() if kind == "pty" or (not kind and HAS_PTY) else SocketLink()

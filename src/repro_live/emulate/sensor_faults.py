@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -14,15 +14,14 @@ from scipy.spatial.transform import Rotation
 from repro.errors import bad_input, require
 from repro.robot_file.robot_file import RobotFile
 from repro.sensing.magnets import MT_PER_T
+from repro_live.emulate.faults import Faults
 from repro_live.emulate.robot_readings import RobotReadings, course, readings_along
 
 GAIN_CHANGE = 0.05
 """By how much a gain is off, relative."""
 MOMENT_AM2 = 1.0
 """Moment of a foreign magnet [A m^2]: a neodymium cube of 1 cm."""
-NAMES = ("unplug", "stick", "saturate", "gain", "nan", "magnet", "noise")
-"""Those of :class:`SensorFaults`."""
-_NUMBERED = NAMES[:5]
+_NUMBERED = ("unplug", "stick", "saturate", "gain", "nan")
 _SURVEY_S = np.linspace(0.0, 60.0, 257)
 
 
@@ -94,37 +93,45 @@ class SensorFaults:
             raise bad_input("fault", robot.name, f"another one for a robot with {kind}", "magnet")
 
 
-def sensor_faults_named(
-    given: Iterable[tuple[str, str]],
-) -> tuple[SensorFaults, list[tuple[str, str]]]:
-    """Return faults of sensors from names and values as typed, and the pairs that are none of theirs.
+def faults_named(
+    given: Iterable[tuple[str, str]], *, of_sensors: bool = False
+) -> tuple[Faults, SensorFaults]:
+    """Return faults of line and board, and of sensors, from names and values as typed.
+
+    Parameters
+    ----------
+    given
+        Names of :class:`~repro_live.emulate.faults.Faults` or :class:`SensorFaults`, and their values.
+    of_sensors
+        Whether there may be faults of sensors.
 
     Raises
     ------
     InputError
-        If a fault occurs twice, or its value is not a number that it can have.
+        If there is no such fault, it occurs twice, or its value is not a number that it can have.
 
     Examples
     --------
-    >>> sensor_faults_named([("unplug", "3"), ("flips", "1e-4")])  # doctest: +ELLIPSIS
-    (SensorFaults(unplug=3, stick=0, ...), [('flips', '1e-4')])
+    >>> faults_named([("unplug", "3"), ("flips", "1e-4")], of_sensors=True)  # doctest: +ELLIPSIS
+    (Faults(flips=0.0001, drops=0.0, ...), SensorFaults(unplug=3, stick=0, ...))
     """
-    known = {name: int if name in _NUMBERED else float for name in NAMES}
-    values: dict[str, float] = {}
-    others = []
+    kinds = (Faults, SensorFaults) if of_sensors else (Faults,)
+    known = {field.name: (kind, type(field.default)) for kind in kinds for field in fields(kind)}
+    values: dict[type, dict[str, float]] = {Faults: {}, SensorFaults: {}}
     for name, text in given:
-        if name not in known:
-            others.append((name, text))
-            continue
-        require(name not in values, "fault", "repro emulate", "given once", f"{name} twice")
+        require(name in known, "fault", "repro emulate", f"one of {', '.join(known)}", name)
+        kind, number = known[name]
+        require(name not in values[kind], "fault", "repro emulate", "given once", f"{name} twice")
+        must_be = "a whole number" if number is int else "a number"
+        if name in _NUMBERED:
+            must_be = "the number of a sensor, from 1"
         try:
-            values[name] = known[name](text)
+            values[kind][name] = number(text)
         except ValueError as error:
-            what = "the number of a sensor, from 1" if known[name] is int else "a number"
-            raise bad_input(name, "repro emulate", what, repr(text)) from error
-        if known[name] is int and values[name] < 1:
-            raise bad_input(name, "repro emulate", "the number of a sensor, from 1", repr(text))
-    return SensorFaults(**values), others  # pyright: ignore[reportArgumentType]
+            raise bad_input(name, "repro emulate", must_be, repr(text)) from error
+        if name in _NUMBERED and values[kind][name] < 1:
+            raise bad_input(name, "repro emulate", must_be, repr(text))
+    return Faults(**values[Faults]), SensorFaults(**values[SensorFaults])  # pyright: ignore[reportArgumentType]
 
 
 def with_sensor_faults(
