@@ -8,22 +8,16 @@ from __future__ import annotations
 import math
 import sys
 import threading
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
 from repro.errors import bad_input, require
-from repro_companion.cli_terminal import pairs, set_by_signals, to_terminal
-
-if TYPE_CHECKING:
-    from repro_live.record.recorder import Summary
+from repro_companion.cli_terminal import Screen, pairs, set_by_signals
 
 Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
 GivenFaults = Annotated[list[tuple[str, str]] | None, pairs("--fault", "NAME VALUE")]
-PLAIN_S = 10.0
-"""Time between two lines where the output is no terminal [s]."""
 
 
 def record(
@@ -69,7 +63,7 @@ def record(
     require(port, "port", "repro record", "given (see repro record --list)", "none")
     if output is None:
         raise bad_input("output", "repro record", "given (-o FILE)", "none")
-    stop, screen = threading.Event(), _Screen()
+    stop, screen = threading.Event(), Screen(lambda summary: [str(summary)])
     set_by_signals(stop)
     try:
         summary = record_port(
@@ -244,25 +238,3 @@ def emulate(
     except KeyboardInterrupt:  # how it is stopped
         print(file=sys.stderr)
     return 0
-
-
-class _Screen:
-    """Standard error: one line that is written over on a terminal, now and then a line elsewhere."""
-
-    def __init__(self) -> None:
-        self._terminal = sys.stderr.isatty()
-        self._shown = time.monotonic()
-        self._width = 0
-
-    def show(self, summary: Summary) -> None:
-        if self._terminal:
-            text = str(summary)
-            to_terminal(f"\r{text:{self._width}}", end="")
-            self._width = len(text)
-        elif time.monotonic() - self._shown >= PLAIN_S - 0.5:
-            self._shown = time.monotonic()
-            to_terminal(str(summary))
-
-    def line(self, text: str) -> None:
-        to_terminal("\n" * (self._width > 0) + text)
-        self._width = 0

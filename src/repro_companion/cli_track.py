@@ -1,4 +1,4 @@
-"""The commands ``repro track``, ``repro live`` of a file, and ``repro fit``: estimation of what was recorded."""
+"""The commands ``repro track`` and ``repro fit``: estimation of what was recorded."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from repro.errors import bad_input
+from repro_companion.cli_terminal import load_described
 
 
 def track(
@@ -43,28 +44,6 @@ def track(
     return estimated(file, robot, calibration, estimator, failed or [], output)
 
 
-def live_file(
-    file: Path,
-    robot: Path,
-    calibration: Path | None,
-    estimator: str,
-    failed: Sequence[int],
-    estimates: Path | None,
-    *,
-    of_a_port: Sequence[str] = (),
-) -> int:
-    """Estimate a file that was given to ``repro live`` in place of a port; refuse options that only a port has."""
-    if of_a_port:
-        raise bad_input(
-            of_a_port[0], "repro live", f"left out for {file.name}, which is a file, not a port", "it"
-        )
-    print(
-        f"{file.name} is a file, not a port: it is estimated at full speed, not in its own time.",
-        file=sys.stderr,
-    )
-    return estimated(file, robot, calibration, estimator, failed, estimates)
-
-
 def estimated(
     file: Path,
     robot: Path,
@@ -74,9 +53,6 @@ def estimated(
     output: Path | None,
 ) -> int:
     """Estimate a file, write the estimates if there is an output, and say what came of it."""
-    import torch
-
-    from repro.robot_file.load import load_robot
     from repro_companion.book.project import shown
     from repro_live.follow.estimate_table import EstimateFile
     from repro_live.follow.follower import track_readings
@@ -85,10 +61,7 @@ def estimated(
     from repro_live.record.recording_file import WriteFailed
     from repro_live.robot.readings_file import read_readings
 
-    torch.set_num_threads(1)
-    described = load_robot(robot, calibration)
-    for note in described.notes:
-        print(f"Warning: {note}", file=sys.stderr)
+    described = load_described(robot, calibration, to=sys.stderr)
     method = robot_estimator(described, estimator, failed=failed)
     if never := redundancy_words(*method.redundancy):
         print(f"Note: {never}", file=sys.stderr)
@@ -169,26 +142,19 @@ def fit(
     seed
         Of the networks.
     """
-    import torch
-
-    from repro.errors import bad_input
-    from repro.robot_file.load import load_robot
     from repro_live.own.fit import fit as fit_recording
     from repro_live.own.poses import read_measured_poses
     from repro_live.own.results import check_new, write_results
     from repro_live.own.samples import timed_readings
     from repro_live.robot.readings_file import read_readings
 
-    torch.set_num_threads(1)
     check_new(output)
     if not (0 < pose_noise_mm < math.inf and 0 < pose_noise_deg < math.inf):
         given = f"{pose_noise_mm:g} mm and {pose_noise_deg:g} deg"
         raise bad_input("pose noise", "repro fit", "positive", given)
-    described = load_robot(robot)
-    for note in described.notes:
-        print(f"Warning: {note}")
+    described = load_described(robot)
     described.sensing()  # refuses robots without magnetic sensors
-    noise = {"noise_m": pose_noise_mm * 1e-3, "noise_rad": pose_noise_deg * torch.pi / 180}
+    noise = {"noise_m": pose_noise_mm * 1e-3, "noise_rad": pose_noise_deg * math.pi / 180}
     measured = read_measured_poses(poses, described, bodies=body or [], straight_s=straight_s, **noise)
     taken = timed_readings(read_readings(readings, described), described)
     found = fit_recording(

@@ -268,8 +268,3 @@ def block(estimator: RobotEstimator, state: LiveState) -> list[str]:
     told = f"{old}: " if old else ""
     lines = [head, *(told + "   ".join(rows[k : k + 3]) for k in range(0, len(rows), 3))]
     return [*lines, counters(state), *limits(estimator), *troubles(estimator, state)]
-
-
-def line(estimator: RobotEstimator, state: LiveState) -> str:
-    """All of it in one line, for where no terminal shows it."""
-    return " | ".join(block(estimator, state))
