@@ -176,7 +176,9 @@ def refined(readings: Samples, predicted: Samples, near_s: float) -> Lag:
 
     What the shifted prediction leaves shall not correlate with the rate of the readings,
     :math:`\sum \dot u\,(u - g\,\hat u(t - \text{lag})) = 0`. Least squares would lock to samples: interpolation
-    smooths the noise of the poses more the farther it is from one. In this sum that noise has mean zero.
+    smooths the noise of the poses more the farther it is from one. In this sum that noise has mean zero. How fast it
+    changes with the lag is :math:`\sum \dot u\,g\,\dot{\hat u}`, not :math:`\sum \dot u^2`, in which the noise of the
+    readings may be the larger part.
 
     Raises
     ------
@@ -189,6 +191,7 @@ def refined(readings: Samples, predicted: Samples, near_s: float) -> Lag:
     rate = (readings.at(readings.time_s + step_s) - readings.at(readings.time_s - step_s)) / (2 * step_s)
     use = np.isfinite(np.concatenate([*shifted, rate], axis=1)).all(axis=1)
     time_s, u, rate = readings.time_s[use], readings.values[use], rate[use]
+    predicted_rate = (shifted[1] - shifted[0])[use] / (2 * reach)
     require(len(u) >= 4 * BLOCKS, "readings and poses", OWNER, f"at least {4 * BLOCKS} in common", len(u))
     u = u - u.mean(axis=0)
 
@@ -201,14 +204,15 @@ def refined(readings: Samples, predicted: Samples, near_s: float) -> Lag:
     shift = 0.0
     for _ in range(ITERATIONS):
         x, gain = fitted(shift)
-        change = float((rate * (u - gain * x)).sum() / max((rate**2).sum(), np.finfo(float).tiny))
+        weight = max((rate * gain * predicted_rate).sum(), np.finfo(float).tiny)
+        change = float((rate * (u - gain * x)).sum() / weight)
         shift = float(np.clip(shift - change, -reach, reach))
     if abs(shift) >= reach:
         expected = f"alike near the lag {near_s:+.3f} s"
         raise bad_input("readings and poses", OWNER, expected, "a correlation that rises away from there")
     x, gain = fitted(shift)
     left = u - gain * x
-    error_s, drift, drift_error = _blocks(time_s, -left, rate)
+    error_s, drift, drift_error = _blocks(time_s, -left * rate, gain * predicted_rate * rate)
     r = float((gain * x * u).sum() / np.sqrt(((gain * x) ** 2).sum() * (u**2).sum()))
     slope = float((x * u).sum() / (x**2).sum())
     common_s = float(len(u) * np.median(np.diff(readings.time_s)))
@@ -216,11 +220,14 @@ def refined(readings: Samples, predicted: Samples, near_s: float) -> Lag:
     return Lag(near_s + shift, error_s, 1e6 * drift, 1e6 * drift_error, r, slope, residual, common_s)
 
 
-def _blocks(time_s: np.ndarray, left: np.ndarray, rate: np.ndarray) -> tuple[float, float, float]:
-    """Error of the lag [s], drift and its error, from the lag that each block of time asks for by itself."""
+def _blocks(time_s: np.ndarray, left: np.ndarray, slope: np.ndarray) -> tuple[float, float, float]:
+    """Error of the lag [s], drift and its error, from the lag that each block of time asks for by itself.
+
+    Of every time and sensor: what is left of the sum that shall vanish, and how fast that changes with the lag.
+    """
     parts = np.array_split(np.arange(len(time_s)), BLOCKS)
-    weight = np.array([(rate[k] ** 2).sum() for k in parts])
-    own = np.array([(left[k] * rate[k]).sum() for k in parts]) / np.maximum(weight, np.finfo(float).tiny)
+    weight = np.maximum([slope[k].sum() for k in parts], np.finfo(float).tiny)
+    own = np.array([left[k].sum() for k in parts]) / weight
     middle = np.array([time_s[k].mean() for k in parts])
     share = weight / weight.sum()
     about = middle - share @ middle
