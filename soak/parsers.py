@@ -13,13 +13,13 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from repro.errors import InputError, bad_input
-from repro_live.emulate.board import WRAP, Passage, Reading, passages
+from repro_live.emulate.board import Passage, Reading, passages
 from repro_live.emulate.emulator import Emulator
 from repro_live.emulate.faults import Faults
 from repro_live.emulate.links import open_link
 from repro_live.record.ports import close_port, open_port, read_available
 from repro_live.wire.formats import parser
-from repro_live.wire.frame import Frame
+from repro_live.wire.frame import WRAP, Frame
 
 RATE_HZ = 1000
 """Frames per second of the board's clock; they are sent as fast as they are read."""

@@ -19,6 +19,7 @@ from pty_board import Board
 from repro.errors import InputError
 from repro.estimation.consistency import Verdict
 from repro.robot_file.load import load_robot
+from repro_companion import cli_robot
 from repro_companion.cli_terminal import Screen
 from repro_live.emulate.links import HAS_PTY
 from repro_live.follow import live_text, session

@@ -165,9 +165,9 @@ def with_sensor_faults(
 
     Examples
     --------
-    >>> from repro_live.emulate.robot_readings import robot_readings
     >>> from repro.robot_file.load import load_robot
-    >>> made = robot_readings(load_robot("data/robots/two_segments.toml"), duration_s=2.0)
+    >>> robot, time_s = load_robot("data/robots/two_segments.toml"), np.arange(200) / 100
+    >>> made = readings_along(robot, time_s, course(robot, time_s), rng=np.random.default_rng([0, 2, 0]))
     >>> broken = with_sensor_faults(made, SensorFaults(unplug=3), from_s=1.0)
     >>> broken.values[99:101, 2].round(1) + 0.0
     array([-3.3,  0. ])

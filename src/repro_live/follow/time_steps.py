@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 from repro.robot_file.robot_file import RobotFile
 from repro_live.robot.readings_file import Readings, stream_widths
-from repro_live.wire.frame import Frame
+from repro_live.wire.frame import WRAP, Frame
 
-WRAP_US = 1 << 32
 PLAUSIBLE_S = 2.0
 """A board whose clock says this much more than the host's arrivals was reset [s]."""
 SHORTEST_S = 1e-6
@@ -114,7 +113,7 @@ class _Clock:
         passed_s = host_s - self._host_s
         if sent_us is not None and self._sent_us is not None:
             # one wrap is 72 minutes: a longer silence is told by the host alone
-            device_s = 1e-6 * ((sent_us - self._sent_us) % WRAP_US)
+            device_s = 1e-6 * ((sent_us - self._sent_us) % WRAP)
             if device_s < passed_s + PLAUSIBLE_S:
                 passed_s = device_s
         self._time_s += max(passed_s, SHORTEST_S)

@@ -16,7 +16,7 @@ from repro import se3
 from repro.errors import InputError, bad_input, require
 from repro.estimation.poses import configurations
 from repro.robot_file.robot_file import RobotFile
-from repro_live.own.optitrack import read_header
+from repro_live.own.optitrack import read_frames, read_header
 from repro_live.robot.number_table import check_times, read_rows
 
 LENGTH_UNITS = {"Meters": 1.0, "Centimeters": 1e-2, "Millimeters": 1e-3}
@@ -70,10 +70,7 @@ def read_bodies(
         expected = f"rigid bodies of the file ({', '.join(there) or 'there is none'})"
         raise bad_input("body", path.name, expected, ", ".join(missing))
     picked = [columns.index((name, *key)) for name in names for key in _KEYS]
-    try:
-        table = np.array([[float(row[k] or "nan") for k in (1, *picked)] for _, row in rows[axes + 1 :]])
-    except (ValueError, IndexError) as error:
-        raise bad_input("frames", path.name, "rows of numbers", error) from error
+    table = read_frames([row for _, row in rows[axes + 1 :]], [1, *picked], path.name)
     lines = [line for line, _ in rows[axes + 1 :]]
     check_times(path.name, "Time (Seconds)", table[:, 0], lines, apart=True)
     bodies = table[:, 1:].reshape(len(table), len(names), 7)

@@ -89,14 +89,14 @@ def split_in_time(
     return TimeParts(first, rest, (start, border), (border + APART_S, end))
 
 
-def spread(robot: RobotFile, q: Float[Tensor, "poses n_q"], most: int = POSES) -> Int[Tensor, " chosen"]:
+def spread(robot: RobotFile, q: Float[Tensor, "poses n_q"]) -> Int[Tensor, " chosen"]:
     """Indices of poses that spread, in order: each next one is the farthest from those chosen before.
 
     Distances are in widths of the bounds; the first is the one nearest to the mean.
     """
     x = q / (robot.upper - robot.lower)
     first = (x - x.mean(0)).square().sum(-1).argmin()
-    return torch.cat([first[None], farthest_points(x, x[first], min(most, len(q)) - 1)]).sort().values
+    return torch.cat([first[None], farthest_points(x, x[first], min(POSES, len(q)) - 1)]).sort().values
 
 
 TRACKERS = ("levenberg_marquardt", "kalman")

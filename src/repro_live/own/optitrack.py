@@ -7,12 +7,14 @@ upright, so the tilt of the body's y axis is how far it bends from upright, and 
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from repro.errors import bad_input, require
@@ -142,11 +144,7 @@ def read_capture(path: Path, *, body: str = "Module", utc_offset_h: float = -5.0
         bodies = ", ".join(sorted({name for name, _, _ in columns if name}))
         seen = f"{body}, without {', '.join(missing)}"
         raise bad_input("body", path.name, f"one with rotation and position (there are: {bodies})", seen)
-    picked = [1, *map(columns.index, wanted)]
-    try:
-        table = np.array([[float(row[k] or "nan") for k in picked] for row in rows[HEADER_LINES:]])
-    except (ValueError, IndexError) as error:
-        raise bad_input("frames", path.name, "rows of numbers", error) from error
+    table = read_frames(rows[HEADER_LINES:], [1, *map(columns.index, wanted)], path.name)
     if not len(table) or not (np.diff(table[:, 0]) > 0).all():
         raise bad_input("Time", path.name, "increasing from frame to frame", "other times, or no frame")
     rate_hz = float(header["Capture Frame Rate"])
@@ -194,6 +192,22 @@ def read_header(rows: list[list[str]], owner: str, *, version: str, frames: int)
     if not 0 < rate_hz < np.inf:
         raise bad_input("Capture Frame Rate", owner, "above zero", header["Capture Frame Rate"])
     return header
+
+
+def read_frames(
+    rows: Sequence[Sequence[str]], picked: Sequence[int], owner: str
+) -> Float[np.ndarray, "frames k"]:
+    """Numbers in the picked columns of the rows below the header; NaN where a cell is empty.
+
+    Raises
+    ------
+    InputError
+        If a row is shorter, or a cell holds no number.
+    """
+    try:
+        return np.array([[float(row[k] or "nan") for k in picked] for row in rows])
+    except (ValueError, IndexError) as error:
+        raise bad_input("frames", owner, "rows of numbers", error) from error
 
 
 def _start(header: dict[str, str], owner: str, utc_offset_h: float) -> float:

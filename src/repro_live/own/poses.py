@@ -18,7 +18,7 @@ from repro_live.own.bodies import configurations_of, end_poses, is_motive, read_
 from repro_live.own.samples import GAP_STEPS, interpolated
 from repro_live.robot.calibrate import pose_covariance
 from repro_live.robot.calibration_poses import coordinate_columns
-from repro_live.robot.number_table import read_numbers, times_of
+from repro_live.robot.number_table import check_columns, read_numbers, times_of
 
 BEYOND, MOST_BEYOND = 0.25, 0.05
 """Poses may be this share of the width of the bounds beyond them, and this share of the poses farther."""
@@ -130,7 +130,7 @@ def read_measured_poses(
     if any(name in table for name in columns):
         if straight_s:
             raise bad_input("straight-s", "repro fit", "for measured poses of bodies only", path.name)
-        _check_columns(path, list(columns), list(table.columns))
+        check_columns(path.name, list(columns), list(table), "a time")
         values = torch.from_numpy(table[list(columns)].to_numpy() * np.array(list(columns.values())))
         seen = torch.isfinite(values).all(-1).numpy()
         covariance = pose_covariance(robot, noise_m, noise_rad).expand(int(seen.sum()), -1, -1)
@@ -143,17 +143,10 @@ def read_measured_poses(
     if not any(name in table for name in names):
         expected = f"{', '.join(columns)}, or for the end of every segment {', '.join(wanted[-1])}"
         raise bad_input("columns", path.name, expected, ", ".join(table.columns))
-    _check_columns(path, names, list(table.columns))
+    check_columns(path.name, names, list(table), "a time")
     values = table[names].to_numpy(copy=True).reshape(len(table), len(wanted), 7)
     values[..., :3] *= 1.0 if unit == "_m" else 1e-3
     return _of_bodies(path, robot, time_s, values, straight_s, noise_m, noise_rad)
-
-
-def _check_columns(path: Path, wanted: list[str], found: list[str]) -> None:
-    if missing := [name for name in wanted if name not in found]:
-        raise bad_input("columns", path.name, ", ".join(wanted), f"none called {', '.join(missing)}")
-    if unknown := [name for name in found if name not in wanted]:
-        raise bad_input("columns", path.name, f"{', '.join(wanted)} and a time", f"also {', '.join(unknown)}")
 
 
 def _of_bodies(

@@ -16,9 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from repro.errors import bad_input
+from repro_live.wire.frame import WRAP
 
-WRAP_US = 1 << 32
-"""Device time starts again from 0 after this [µs], 71.6 minutes."""
 EARLY_S = 0.5
 """A frame that arrives this much earlier than the earliest before it comes from a clock that began anew [s]."""
 EARLY_PER_S = 1e-3
@@ -116,7 +115,7 @@ class DeviceClock:
             Device time since the board's last start [µs], and whether a frame is the first after one.
         """
         sent = np.asarray(device_us, dtype=np.int64)
-        if sent.size and not (sent.min() >= 0 and sent.max() < WRAP_US):
+        if sent.size and not (sent.min() >= 0 and sent.max() < WRAP):
             raise bad_input(
                 "device_us", "DeviceClock", "32 bits without sign", f"{sent.min()} to {sent.max()}"
             )
@@ -145,7 +144,7 @@ class DeviceClock:
         part = slice(first, min(len(sent), first + 4096))
         host_us = np.diff(host[part], prepend=last_host) / 1e3
         steps = np.diff(sent[part], prepend=last_sent)
-        steps += WRAP_US * np.rint((host_us - steps) / WRAP_US).astype(np.int64)
+        steps += WRAP * np.rint((host_us - steps) / WRAP).astype(np.int64)
         total = last_unwrapped + np.cumsum(steps)
         offset = host[part] / 1e3 - total
         before = np.minimum.accumulate(np.append(self._earliest_us, offset[:-1]))

@@ -153,9 +153,7 @@ class Suspect:
         frames: list[Frame] = []
         for first in range(0, len(self.bytes), 4096):
             frames += trial.feed(bytes(self.bytes[first : first + 4096]))
-        counters = trial.counters
-        dropped = counters.malformed + counters.checksum_errors + counters.oversized
-        return frames, len(frames) + dropped
+        return frames, len(frames) + sum(getattr(trial.counters, name) for name in _DROPPED)
 
 
 def first_line(data: bytes) -> str:

@@ -16,7 +16,7 @@ from repro.robot_file.parts import MAGNETIC_STREAM
 from repro.robot_file.robot_file import RobotFile
 from repro_live.record.recording import Recording
 from repro_live.robot.kept_readings import Part, part_of, read_kept
-from repro_live.robot.number_table import read_numbers
+from repro_live.robot.number_table import check_columns, read_numbers
 from repro_live.robot.readings_file import frames_of
 
 WINDOW_S = 0.5
@@ -91,10 +91,7 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
     require(path.is_file(), "path", "read_poses", f"a CSV with the columns {', '.join(columns)}", path)
     table = read_numbers(path)
     times = [name for name in ("time_s", "start_s", "end_s") if name in table]
-    if missing := [name for name in columns if name not in table]:
-        raise bad_input("columns", path.name, f"{', '.join(columns)}", f"none called {', '.join(missing)}")
-    if unknown := [name for name in table if name not in columns and name not in times]:
-        raise bad_input("columns", path.name, f"{', '.join(columns)} and times", f"also {', '.join(unknown)}")
+    check_columns(path.name, list(columns), list(table.drop(columns=times)), "times")
     if times not in ([], ["time_s"], ["start_s", "end_s"]):
         raise bad_input("times", path.name, "time_s, or start_s and end_s", ", ".join(times))
     require(len(table), "table", path.name, "at least one pose", "none")
@@ -110,10 +107,11 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
             row = int(np.flatnonzero(~(window[:, 1] > window[:, 0]))[0])
             raise bad_input("end_s", path.name, "after start_s", f"{window[row, 1]:g} in pose {row + 1}")
     q = torch.from_numpy(table[list(columns)].to_numpy() * np.array(list(columns.values())))
-    words = []
-    for row in table[list(columns)].itertuples(index=False):
-        parts = (name.rsplit("_", 1) for name in columns)
-        words.append(", ".join(f"{name} {x:g} {unit}" for x, (name, unit) in zip(row, parts, strict=True)))
+    named = [name.rsplit("_", 1) for name in columns]
+    words = (
+        ", ".join(f"{name} {x:g} {unit}" for x, (name, unit) in zip(row, named, strict=True))
+        for row in table[list(columns)].itertuples(index=False)
+    )
     return Poses(q, window, tuple(words))
 
 

@@ -64,6 +64,21 @@ def read_numbers(path: Path) -> pd.DataFrame:
     return pd.DataFrame(numbers, index=[line for line, _ in rows[1:]], columns=head)
 
 
+def check_columns(owner: str, wanted: Sequence[str], found: Sequence[str], times: str) -> None:
+    """Refuse columns, those of times apart, that are not the ones wanted; the latter are said, and ``times``.
+
+    Raises
+    ------
+    InputError
+        If one is missing, or there is another.
+    """
+    names = ", ".join(wanted)
+    if missing := [name for name in wanted if name not in found]:
+        raise bad_input("columns", owner, names, f"none called {', '.join(missing)}")
+    if unknown := [name for name in found if name not in wanted]:
+        raise bad_input("columns", owner, f"{names} and {times}", f"also {', '.join(unknown)}")
+
+
 def times_of(owner: str, table: pd.DataFrame, *, apart: bool) -> tuple[str, Float[np.ndarray, " rows"]]:
     """Return the name of the column of times, such as ``time_s`` or ``time_ms``, and the times [s].
 

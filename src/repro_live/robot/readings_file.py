@@ -20,8 +20,8 @@ from repro.robot_file.tables import UPRIGHT
 from repro_live.record.recording import Recording, channel_names, read_recording
 from repro_live.record.recording_file import MAGIC, sidecar_path
 from repro_live.robot.number_table import read_numbers, times_of
-from repro_live.wire.csv_text import WRAP, check_units
-from repro_live.wire.frame import Frame
+from repro_live.wire.csv_text import check_units
+from repro_live.wire.frame import WRAP, Frame
 
 
 def stream_widths(robot: RobotFile) -> dict[int, int]:

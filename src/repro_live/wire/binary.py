@@ -13,7 +13,7 @@ from zlib import crc32
 from cobs import cobs
 
 from repro.errors import bad_input
-from repro_live.wire.frame import Counters, Frame, Splitter
+from repro_live.wire.frame import WRAP, Counters, Frame, Splitter
 
 VERSION = 1
 KINDS = {"float32": (1, "f", 59), "int16": (2, "h", 118)}
@@ -26,7 +26,6 @@ LONGEST_PACKET = 253
 RESIDUE = 0x2144DF1C
 """CRC-32 of any bytes that are followed by their own CRC-32, lowest byte first."""
 LARGEST_FLOAT32 = (2 - 2**-23) * 2.0**127
-WRAP = 1 << 32
 _HEAD = struct.Struct("<BBBBII")
 # By type and count of the values, as in a frame: its length, its reader, whether the values are whole numbers.
 _LAYOUTS = {

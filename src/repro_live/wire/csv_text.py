@@ -25,7 +25,7 @@ from repro_live.wire.csv_fields import (
     separator_of,
     time_scale,
 )
-from repro_live.wire.frame import Counters, Frame, Splitter
+from repro_live.wire.frame import WRAP, Counters, Frame, Splitter
 
 AGREEING = 3
 """Lines of one form that fix it."""
@@ -34,7 +34,6 @@ MOST_HELD = 32
 MOST_VALUES = 118
 LONGEST_LINE = 4096
 """Bytes of a line."""
-WRAP = 1 << 32
 LATEST = 1e16
 """Times are below this, in any unit: more has no microseconds any more."""
 RESERVED = ("time_s", "host_ns", "stream", "sequence", "device_us")

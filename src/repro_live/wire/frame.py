@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import NamedTuple, Protocol, runtime_checkable
 
+WRAP = 1 << 32
+"""Sequence numbers and device times [µs] start again from 0 after this: 71.6 minutes."""
+
 
 class Frame(NamedTuple):
     """What a sensor board sent at one time.
