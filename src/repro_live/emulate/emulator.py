@@ -18,9 +18,9 @@ from repro.errors import bad_input
 from repro_live.emulate.board import Passage
 from repro_live.emulate.links import Link
 
-SETTLE_S = 0.25
+_SETTLE_S = 0.25
 """From the opening of a port to the first byte [s]; drivers clear their buffers as they open one."""
-POLL_S = 0.02
+_POLL_S = 0.02
 """How often the emulator looks for a reader, or whether it shall stop [s]."""
 
 
@@ -82,7 +82,7 @@ class Emulator:
         In short sleeps: an interruption may come at any time, and in the wait for a lock it may leave that locked.
         """
         while self._thread.is_alive():
-            time.sleep(POLL_S)
+            time.sleep(_POLL_S)
 
     def _run(self) -> None:
         """Play to the end and remove the port."""
@@ -93,7 +93,7 @@ class Emulator:
             if self._reader_settled():
                 self._play()
             self.finished.set()
-            while not self._hang_up and link.has_reader() and not self._stopped.wait(POLL_S):
+            while not self._hang_up and link.has_reader() and not self._stopped.wait(_POLL_S):
                 pass
         except BaseException as error:  # raised again in the thread that plays it
             self._error = error
@@ -121,9 +121,9 @@ class Emulator:
 
     def _reader_settled(self) -> bool:
         while not self._link.has_reader():
-            if self._stopped.wait(POLL_S):
+            if self._stopped.wait(_POLL_S):
                 return False
-        return not self._stopped.wait(SETTLE_S)
+        return not self._stopped.wait(_SETTLE_S)
 
     def _play(self) -> None:
         clock = _Clock(self._speed)
@@ -166,7 +166,7 @@ class Emulator:
 
     def _write(self, data: memoryview) -> int:
         began_ns = time.monotonic_ns()
-        if sent := self._link.write(data, POLL_S):
+        if sent := self._link.write(data, _POLL_S):
             self._each(began_ns, sent)
         return sent
 

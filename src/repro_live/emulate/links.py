@@ -16,11 +16,11 @@ from repro.errors import bad_input, require
 
 HAS_PTY = sys.platform != "win32"
 """Whether there are pseudo-terminals here."""
-CHUNK = 65536
+_CHUNK = 65536
 """Most bytes in one call of the operating system."""
-DRAIN_S = 2.0
+_DRAIN_S = 2.0
 """How long a reader has to take what was sent, before the port disappears [s]."""
-EMPTY = 30
+_EMPTY = 30
 """So many times in a row nothing waits, 3 ms apart, once all was taken: a busy system hands bytes on late."""
 
 
@@ -91,7 +91,7 @@ class PtyLink:
         events = dict(poll.poll(0)).get(self._master, 0)
         if events & select.POLLIN:  # what the reader writes is not for us
             with contextlib.suppress(OSError):
-                os.read(self._master, CHUNK)
+                os.read(self._master, _CHUNK)
         return not events & select.POLLHUP
 
     def write(self, data: memoryview, timeout_s: float) -> int:
@@ -99,13 +99,13 @@ class PtyLink:
         if self._master is None or not select.select([], [self._master], [], timeout_s)[1]:
             return 0
         try:
-            return os.write(self._master, data[:CHUNK])
+            return os.write(self._master, data[:_CHUNK])
         except OSError:  # it is full after all
             return 0
 
     def _drain(self) -> None:
-        deadline, empty = time.monotonic() + DRAIN_S, 0
-        while self.has_reader() and empty < EMPTY and time.monotonic() < deadline:
+        deadline, empty = time.monotonic() + _DRAIN_S, 0
+        while self.has_reader() and empty < _EMPTY and time.monotonic() < deadline:
             waiting = _waiting(self._name)
             empty = 0 if waiting else empty + 1
             time.sleep(0.003)
@@ -182,7 +182,7 @@ class SocketLink:
         """Whether somebody is connected."""
         if self._reader is not None:
             try:  # what the reader writes is not for us; its end is
-                if self._reader.recv(CHUNK) == b"":
+                if self._reader.recv(_CHUNK) == b"":
                     self._leave()
             except BlockingIOError:
                 pass
@@ -200,7 +200,7 @@ class SocketLink:
         if self._reader is None or not select.select([], [self._reader], [], timeout_s)[1]:
             return 0
         try:
-            return self._reader.send(data[:CHUNK])
+            return self._reader.send(data[:_CHUNK])
         except BlockingIOError:
             return 0
         except OSError:

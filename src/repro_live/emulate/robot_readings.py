@@ -30,7 +30,7 @@ SPEED = 0.5
 """Largest speed of every coordinate, in widths of its bounds per second."""
 REACH = 0.9
 """How far from the middle of its bounds a coordinate goes, as a share of the way to them."""
-EASE_S = 0.5
+_EASE_S = 0.5
 """Time constant with which the motion begins [s]."""
 
 
@@ -99,7 +99,7 @@ def course(robot: RobotFile, time_s: Float[np.ndarray, " n"], *, seed: int = 0) 
     )  # [rad/s]: the speeds of both add to the limit
     sign = rng.choice([-1.0, 1.0], len(low))
     phase = np.arcsin(np.clip(sign * (start - middle) / (REACH * half), -1, 1))
-    own_s = time_s + EASE_S * np.expm1(-time_s / EASE_S)
+    own_s = time_s + _EASE_S * np.expm1(-time_s / _EASE_S)
     sines = share * np.sin(own_s[:, None, None] * frequency + phase)
     return middle + half * sign * sines.sum(axis=1)
 

@@ -17,9 +17,9 @@ from repro.sensing.magnets import MT_PER_T
 from repro_live.emulate.faults import Faults
 from repro_live.emulate.robot_readings import RobotReadings, course, readings_along
 
-GAIN_CHANGE = 0.05
+_GAIN_CHANGE = 0.05
 """By how much a gain is off, relative."""
-MOMENT_AM2 = 1.0
+_MOMENT_AM2 = 1.0
 """Moment of a foreign magnet [A m^2]: a neodymium cube of 1 cm."""
 _NUMBERED = ("unplug", "stick", "saturate", "gain", "nan")
 _SURVEY_S = np.linspace(0.0, 60.0, 257)
@@ -202,7 +202,7 @@ def _break_magnetic(
         values[late, used] += more * rng.standard_normal((len(values) - since, len(used)))
     if k := faults.gain:
         signal, offset = values[late, used[k - 1]], float(robot.offset[k - 1])
-        values[late, used[k - 1]] = offset + (1 + GAIN_CHANGE) * (signal - offset)
+        values[late, used[k - 1]] = offset + (1 + _GAIN_CHANGE) * (signal - offset)
     if k := faults.saturate:
         offset, level = float(robot.offset[k - 1]), saturation_level(robot, k)
         values[late, used[k - 1]] = values[late, used[k - 1]].clip(offset - level, offset + level)
@@ -246,5 +246,5 @@ def _foreign_field(robot: RobotFile, q: np.ndarray, distance_m: float) -> np.nda
     """Flux density of the foreign magnet along the axes of the sensors ``[rounds, s]`` [mT], by magpylib."""
     poses = robot.robot.sensor_poses(torch.from_numpy(np.ascontiguousarray(q))).numpy()
     observers = poses[..., :3, 3].reshape(-1, 3) - np.array([distance_m, 0.0, robot.robot.length / 2])
-    flux = np.asarray(dipole_field("B", observers, np.array([0.0, 0.0, MOMENT_AM2]), squeeze=False))
+    flux = np.asarray(dipole_field("B", observers, np.array([0.0, 0.0, _MOMENT_AM2]), squeeze=False))
     return MT_PER_T * (flux.reshape(*poses.shape[:2], 3) * poses[..., :3, 2]).sum(-1)

@@ -29,7 +29,7 @@ WAITING = 4
 """Updates that wait for one browser; one more is left out."""
 MOST_CLIENTS = 8
 """Pages that are open at the same time."""
-DIFFERENCE = 1e-5
+_DIFFERENCE = 1e-5
 """Step of a derivative, in widths of the bounds."""
 
 
@@ -177,7 +177,7 @@ def _deviation_mm(robot: RobotFile, q: torch.Tensor, covariance: torch.Tensor) -
 
     By differences: torch's forward derivatives are of the whole process, and the estimator's thread may take some.
     """
-    steps = torch.diag(DIFFERENCE * (robot.upper - robot.lower))
+    steps = torch.diag(_DIFFERENCE * (robot.upper - robot.lower))
     points = torch.from_numpy(backbone_points(robot.robot, q + torch.cat([steps, -steps])))
     up, down = points.unflatten(0, (2, -1))
     J = ((up - down) / (2 * steps.diagonal())[:, None, None]).permute(1, 2, 0)

@@ -87,7 +87,7 @@ def redundancy_words(readings: int, unknowns: int) -> str:
     return f"No redundancy, {counts}: a wrong sensor looks like another shape and cannot be told."
 
 
-SHOWN_COUNTERS = ("frames", "gaps", "checksum_errors", "malformed", "reconnects")
+_SHOWN_COUNTERS = ("frames", "gaps", "checksum_errors", "malformed", "reconnects")
 
 
 class Quantity(NamedTuple):
@@ -186,7 +186,7 @@ def silence(estimator: RobotEstimator, state: LiveState) -> str:
     return f"Frames arrive, but none of a stream of {robot.name}."
 
 
-def hint(estimator: RobotEstimator, state: LiveState) -> str:
+def _hint(estimator: RobotEstimator, state: LiveState) -> str:
     """What to look at while there are no readings; empty where `silence` and the other troubles say it all."""
     robot = estimator.robot
     if not state.silent or state.arriving in ("no port", "frames"):
@@ -206,7 +206,7 @@ def hint(estimator: RobotEstimator, state: LiveState) -> str:
 
 def troubles(estimator: RobotEstimator, state: LiveState) -> list[str]:
     """What is or was wrong, one sentence or two each; none if all is and was well."""
-    reason, look = silence(estimator, state), hint(estimator, state)
+    reason, look = silence(estimator, state), _hint(estimator, state)
     said = [f"{reason} {look}".strip()] if reason else []
     if not state.silent and state.verdict.status:
         said.append(verdict_words(state.verdict, estimator.sensors))
@@ -257,7 +257,7 @@ def alerts(estimator: RobotEstimator, state: LiveState) -> list[str]:
 def counters(state: LiveState) -> str:
     """What was received and what went wrong on the way."""
     known = state.recorded.counters
-    others = [f"{known[name]} {name.replace('_', ' ')}" for name in SHOWN_COUNTERS[1:] if known.get(name)]
+    others = [f"{known[name]} {name.replace('_', ' ')}" for name in _SHOWN_COUNTERS[1:] if known.get(name)]
     return ", ".join([f"{known.get('frames', 0)} frames", *others])
 
 

@@ -11,9 +11,9 @@ from repro.robot_file.robot_file import RobotFile
 from repro_live.robot.readings_file import Readings, stream_widths
 from repro_live.wire.frame import WRAP, Frame
 
-PLAUSIBLE_S = 2.0
+_PLAUSIBLE_S = 2.0
 """A board whose clock says this much more than the host's arrivals was reset [s]."""
-SHORTEST_S = 1e-6
+_SHORTEST_S = 1e-6
 """Time from one step to the next, at least [s]: estimators want times that increase."""
 
 
@@ -114,9 +114,9 @@ class _Clock:
         if sent_us is not None and self._sent_us is not None:
             # one wrap is 72 minutes: a longer silence is told by the host alone
             device_s = 1e-6 * ((sent_us - self._sent_us) % WRAP)
-            if device_s < passed_s + PLAUSIBLE_S:
+            if device_s < passed_s + _PLAUSIBLE_S:
                 passed_s = device_s
-        self._time_s += max(passed_s, SHORTEST_S)
+        self._time_s += max(passed_s, _SHORTEST_S)
         self._host_s, self._sent_us = host_s, sent_us
         return self._time_s
 

@@ -15,9 +15,9 @@ from repro_live.own.lag import LEAST_R, MARGIN, OWNER, Correlations, check_peak,
 from repro_live.own.poses import MeasuredPoses
 from repro_live.own.samples import Samples, TimedReadings
 
-CLEARLY = 2 * MARGIN
+_CLEARLY = 2 * MARGIN
 """Poses with other axes must correlate by this much better to be what is meant."""
-COARSE_S = 0.04
+_COARSE_S = 0.04
 """Between the poses with which other axes are tried [s]."""
 _TURNS = {
     "x and y exchanged": ((0.0, 1.0), (1.0, 0.0)),
@@ -74,7 +74,7 @@ def _check_axes(
     robot: RobotFile, measured: Samples, poses: MeasuredPoses, found: Correlations, longest_s: float
 ) -> None:
     """Refuse poses whose axes would fit much better exchanged or reversed, and readings of the other sign."""
-    r, better, every = found.r[found.best], {}, max(1, round(COARSE_S / poses.step_s))
+    r, better, every = found.r[found.best], {}, max(1, round(_COARSE_S / poses.step_s))
     if not set(robot.robot.coordinates).difference(_delta_names(len(robot.robot.segments))):
         for words, turn in _TURNS.items():
             q = poses.q.clone().unflatten(-1, (-1, 3))
@@ -88,7 +88,7 @@ def _check_axes(
     except InputError:
         pass
     words = max(better, key=better.__getitem__, default="")
-    if words and better[words] > max(r + CLEARLY, LEAST_R):
+    if words and better[words] > max(r + _CLEARLY, LEAST_R):
         expected = f"of one motion, in the axes of {robot.name}"
         seen = f"r = {r:.3f} at best, but {better[words]:.3f} with {words}"
         raise bad_input("readings and poses", OWNER, expected, seen)

@@ -21,9 +21,9 @@ from repro_live.own.models import TRACKERS, Networks, TimeParts, calibrated, spl
 from repro_live.own.poses import MeasuredPoses
 from repro_live.own.samples import Samples, TimedReadings
 
-MODELS = ("calibration", "network")
-MOST_ROUNDS = 4
-SETTLED = 0.5
+_MODELS = ("calibration", "network")
+_MOST_ROUNDS = 4
+_SETTLED = 0.5
 """A lag that changes by less than this many of its standard deviations is final."""
 
 
@@ -75,7 +75,7 @@ def fit(
     readings: TimedReadings,
     poses: MeasuredPoses,
     *,
-    model: str = MODELS[0],
+    model: str = _MODELS[0],
     share: float = 0.4,
     longest_lag_s: float = 10.0,
     seed: int = 0,
@@ -107,7 +107,7 @@ def fit(
     InputError
         If the two are not of one motion, too short, or do not fit the robot.
     """
-    require(model in MODELS, "model", "repro fit", " or ".join(MODELS), repr(model))
+    require(model in _MODELS, "model", "repro fit", " or ".join(_MODELS), repr(model))
     if model == "network" and robot.imus:
         raise bad_input("model", "repro fit", f"calibration for {robot.name}, which has IMUs", model)
     require(0 < longest_lag_s < np.inf, "longest-lag", "repro fit", "above 0, and finite", longest_lag_s)
@@ -122,7 +122,7 @@ def fit(
     say("Calibrating." if model == "calibration" else "Training networks.")
     expected = predicted(robot.sensing(), poses, poses.q)
     lag = refined(_during(measured, parts.first_s), expected, near_s)
-    for _ in range(MOST_ROUNDS):  # the new model tells the lag better, and that the model
+    for _ in range(_MOST_ROUNDS):  # the new model tells the lag better, and that the model
         before_s, parts = lag.lag_s, _parts(readings, poses, lag.lag_s, share)
         use = parts.first & np.isfinite(readings.signal).all(axis=1)
         values, q, covariance = _training(readings, poses, lag, use)
@@ -134,7 +134,7 @@ def fit(
             sensing = networks.sensing(robot)
         expected = predicted(sensing, poses, poses.q)
         lag = refined(_during(measured, parts.first_s), expected, lag.lag_s)
-        if abs(lag.lag_s - before_s) < SETTLED * lag.error_s:
+        if abs(lag.lag_s - before_s) < _SETTLED * lag.error_s:
             break
     parts = _parts(readings, poses, lag.lag_s, share)
     if left_out:

@@ -20,12 +20,12 @@ LEAST_R = 0.8
 """Correlation below which no lag is accepted."""
 MARGIN = 0.02
 """By how much the best correlation must exceed that of any other peak."""
-SLOPES = 0.5, 2.0
+_SLOPES = 0.5, 2.0
 """Measured readings may move this many times as much as predicted."""
-BLOCKS = 8
+_BLOCKS = 8
 """Blocks of time whose own lags tell the error and the drift."""
-ITERATIONS = 15
-MOST_STEPS = 1 << 17
+_ITERATIONS = 15
+_MOST_STEPS = 1 << 17
 OWNER = "repro fit"
 
 
@@ -90,7 +90,7 @@ def correlations(readings: Samples, predicted: Samples, longest_s: float) -> Cor
         If at no lag half of the shorter recording is in common, or a signal does not vary.
     """
     step_s = min(float(np.median(np.diff(s.time_s))) for s in (readings, predicted))
-    step_s = max(step_s, max(float(np.ptp(s.time_s)) for s in (readings, predicted)) / MOST_STEPS)
+    step_s = max(step_s, max(float(np.ptp(s.time_s)) for s in (readings, predicted)) / _MOST_STEPS)
     starts, grids = [], []
     for signal in (readings, predicted):
         first, last = int(np.ceil(signal.time_s[0] / step_s)), int(np.floor(signal.time_s[-1] / step_s))
@@ -164,9 +164,9 @@ def check_peak(found: Correlations, robot: str) -> None:
         raise bad_input(
             "readings and poses", OWNER, "moving enough to show a lag", f"{best}, and no less at any"
         )
-    if not SLOPES[0] < found.slope[k] < SLOPES[1]:
+    if not _SLOPES[0] < found.slope[k] < _SLOPES[1]:
         expected = (
-            f"readings that move {SLOPES[0]:g} to {SLOPES[1]:g} times as much as {robot} predicts (units?)"
+            f"readings that move {_SLOPES[0]:g} to {_SLOPES[1]:g} times as much as {robot} predicts (units?)"
         )
         raise bad_input("readings", OWNER, expected, f"{found.slope[k]:.3g} times as much")
 
@@ -192,7 +192,7 @@ def refined(readings: Samples, predicted: Samples, near_s: float) -> Lag:
     use = np.isfinite(np.concatenate([*shifted, rate], axis=1)).all(axis=1)
     time_s, u, rate = readings.time_s[use], readings.values[use], rate[use]
     predicted_rate = (shifted[1] - shifted[0])[use] / (2 * reach)
-    require(len(u) >= 4 * BLOCKS, "readings and poses", OWNER, f"at least {4 * BLOCKS} in common", len(u))
+    require(len(u) >= 4 * _BLOCKS, "readings and poses", OWNER, f"at least {4 * _BLOCKS} in common", len(u))
     u = u - u.mean(axis=0)
 
     def fitted(shift: float) -> tuple[np.ndarray, np.ndarray]:
@@ -202,7 +202,7 @@ def refined(readings: Samples, predicted: Samples, near_s: float) -> Lag:
         return x, (u * x).sum(axis=0) / np.maximum((x**2).sum(axis=0), np.finfo(float).tiny)
 
     shift = 0.0
-    for _ in range(ITERATIONS):
+    for _ in range(_ITERATIONS):
         x, gain = fitted(shift)
         weight = max((rate * gain * predicted_rate).sum(), np.finfo(float).tiny)
         change = float((rate * (u - gain * x)).sum() / weight)
@@ -225,7 +225,7 @@ def _blocks(time_s: np.ndarray, left: np.ndarray, slope: np.ndarray) -> tuple[fl
 
     Of every time and sensor: what is left of the sum that shall vanish, and how fast that changes with the lag.
     """
-    parts = np.array_split(np.arange(len(time_s)), BLOCKS)
+    parts = np.array_split(np.arange(len(time_s)), _BLOCKS)
     weight = np.maximum([slope[k].sum() for k in parts], np.finfo(float).tiny)
     own = np.array([left[k].sum() for k in parts]) / weight
     middle = np.array([time_s[k].mean() for k in parts])
@@ -234,7 +234,7 @@ def _blocks(time_s: np.ndarray, left: np.ndarray, slope: np.ndarray) -> tuple[fl
     spread = share @ about**2
     drift = float(share @ (about * own) / spread)
     rest = own - share @ own
-    error_s = float(np.sqrt((share**2 * rest**2).sum() * BLOCKS / (BLOCKS - 1)))
+    error_s = float(np.sqrt((share**2 * rest**2).sum() * _BLOCKS / (_BLOCKS - 1)))
     rest = rest - drift * about
-    drift_error = float(np.sqrt((share**2 * about**2 * rest**2).sum() * BLOCKS / (BLOCKS - 2)) / spread)
+    drift_error = float(np.sqrt((share**2 * about**2 * rest**2).sum() * _BLOCKS / (_BLOCKS - 2)) / spread)
     return error_s, drift, drift_error

@@ -20,9 +20,9 @@ from repro_live.robot.calibrate import pose_covariance
 from repro_live.robot.calibration_poses import coordinate_columns
 from repro_live.robot.number_table import check_columns, read_numbers, times_of
 
-BEYOND, MOST_BEYOND = 0.25, 0.05
+_BEYOND, _MOST_BEYOND = 0.25, 0.05
 """Poses may be this share of the width of the bounds beyond them, and this share of the poses farther."""
-LEAST_MOTION = 0.05
+_LEAST_MOTION = 0.05
 """Poses must move some coordinate by this share of the width of its bounds."""
 
 
@@ -190,9 +190,9 @@ def _check_range(path: Path, robot: RobotFile, q: Tensor) -> None:
     """Refuse poses in another unit: most of them beyond the bounds, or hardly moving."""
     width = robot.upper - robot.lower
     names = list(coordinate_columns(robot).items())
-    far = (q < robot.lower - BEYOND * width) | (q > robot.upper + BEYOND * width)
+    far = (q < robot.lower - _BEYOND * width) | (q > robot.upper + _BEYOND * width)
     share = float(far.any(-1).double().mean())
-    if share > MOST_BEYOND:
+    if share > _MOST_BEYOND:
         k = int(far.double().mean(0).argmax())
         name, factor = names[k]
         low, high, least, most = (
@@ -202,8 +202,8 @@ def _check_range(path: Path, robot: RobotFile, q: Tensor) -> None:
         seen = f"{least:.4g} to {most:.4g}, {math.ceil(100 * share)} % of the poses far outside"
         raise bad_input(name, path.name, expected, seen)
     moved = (q.amax(0) - q.amin(0)) / width
-    if float(moved.max()) < LEAST_MOTION:
+    if float(moved.max()) < _LEAST_MOTION:
         k = int(moved.argmax())
-        expected = f"poses that move by {100 * LEAST_MOTION:g} % of the bounds of {robot.name} (units?)"
+        expected = f"poses that move by {100 * _LEAST_MOTION:g} % of the bounds of {robot.name} (units?)"
         seen = f"{names[k][0]} that moves by {float(moved[k]):.1%}, and no other by more"
         raise bad_input("poses", path.name, expected, seen)

@@ -24,25 +24,25 @@ from repro_live.robot.calibrate import report as calibration_report
 from repro_live.robot.calibration_poses import coordinate_columns
 from repro_live.view.style import STYLE
 
-MOST_POINTS = 3000
+_MOST_POINTS = 3000
 """Frames that are drawn; every so many-th one if there are more."""
-LEAST_DRAWN = 1e-3
+_LEAST_DRAWN = 1e-3
 """Smallest residual that is drawn, in standard deviations of the noise: no residual is exactly 0."""
-COLOURS = {"levenberg_marquardt": "#0072B2", "kalman": "#D55E00"}
+_COLOURS = {"levenberg_marquardt": "#0072B2", "kalman": "#D55E00"}
 
 
-def estimates_figure(found: Fit) -> Figure:
+def _estimates_figure(found: Fit) -> Figure:
     """Measured (grey) and estimated coordinates with two standard deviations, tip error, residual of the readings.
 
     Gaps of the motion capture stay empty. Dotted in the lower panels: the robot as described.
     """
     columns = coordinate_columns(found.robot)
-    every = slice(None, None, -(-len(found.time_s) // MOST_POINTS))
+    every = slice(None, None, -(-len(found.time_s) // _MOST_POINTS))
     time_s, n = found.time_s[every], len(columns)
     with plt.style.context(STYLE):
         figure, panels = plt.subplots(n + 2, 1, sharex=True, figsize=(9.0, 1.3 * (n + 2) + 0.8))
         for track in found.tracks:
-            colour, as_described = COLOURS[track.estimator], track.model == "described"
+            colour, as_described = _COLOURS[track.estimator], track.model == "described"
             label = f"{track.estimator.replace('_', '-')}, {track.model}"
             style = {"color": colour, "lw": 0.9, "ls": ":" if as_described else "-", "label": label}
             panels[n].plot(time_s, 1e3 * _tip_error(found, track)[every], **style)
@@ -65,7 +65,7 @@ def estimates_figure(found: Fit) -> Figure:
         panels[n + 1].set_ylabel(f"residual\n[{found.robot.unit}]")
         for panel in panels[n:]:
             panel.set_yscale("log")
-            panel.set_ylim(bottom=LEAST_DRAWN * found.robot.noise if panel is panels[-1] else None)
+            panel.set_ylim(bottom=_LEAST_DRAWN * found.robot.noise if panel is panels[-1] else None)
         handles = [*panels[0].get_legend_handles_labels()[0], *panels[n].get_legend_handles_labels()[0]]
         figure.legend(handles=handles, loc="outside upper center", ncols=3)
         panels[-1].set_xlabel("time by the clock of the readings [s]")
@@ -119,7 +119,7 @@ def write_results(folder: Path, found: Fit, poses: MeasuredPoses) -> str:
         options = {"index": False, "lineterminator": "\n", "float_format": "%.6g"}
         table.to_csv(stage / "errors.csv", **options)
         estimates(found).to_csv(stage / "estimates.csv", **options)
-        estimates_figure(found).savefig(stage / "estimates.png", metadata={"Software": None})
+        _estimates_figure(found).savefig(stage / "estimates.png", metadata={"Software": None})
         (stage / "report.txt").write_text(text + "\n", encoding="utf-8")
         if found.calibration is not None:
             write_calibration(stage / "calibration.json", found.calibration)

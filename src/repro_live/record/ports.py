@@ -16,7 +16,7 @@ from serial.tools import list_ports
 
 from repro.errors import InputError, bad_input
 
-MOST_BYTES = 65536
+_MOST_BYTES = 65536
 """Bytes taken at once."""
 _BUSY = (errno.EBUSY, errno.EAGAIN)
 
@@ -111,7 +111,7 @@ def read_available(opened: serial.SerialBase, timeout_s: float) -> bytes:
     # pyserial's own reading waits for a number of bytes and takes those of a socket one at a time.
     if not select.select([opened.fileno()], [], [], timeout_s)[0]:
         return b""
-    chunk = plain.recv(MOST_BYTES) if plain is not None else os.read(opened.fileno(), MOST_BYTES)
+    chunk = plain.recv(_MOST_BYTES) if plain is not None else os.read(opened.fileno(), _MOST_BYTES)
     if not chunk:
         raise ConnectionResetError(f"{opened.port} was closed at the other side.")
     return chunk
@@ -153,7 +153,7 @@ def _permission(port: str) -> str:
     return f"one that you may read and write (join its group: sudo usermod -aG {group} $USER, then log out and in)"
 
 
-RETRY_S = (0.05, 1.0)
+_RETRY_S = (0.05, 1.0)
 """Shortest and longest wait before a lost port is opened again [s]; it doubles in between."""
 
 
@@ -206,9 +206,9 @@ class LastingPort:
         stop
             Give up when this is set.
         """
-        wait_s = RETRY_S[0]
+        wait_s = _RETRY_S[0]
         while not stop.wait(min(wait_s, max(0.0, end - time.monotonic()))) and time.monotonic() < end:
-            wait_s = min(2 * wait_s, RETRY_S[1])
+            wait_s = min(2 * wait_s, _RETRY_S[1])
             try:
                 self._opened = open_port(self.name, self.baud, self.owner)
             except InputError:

@@ -79,15 +79,15 @@ def channels_of(format: str, width: int, layout: Layout | None) -> dict[str, Any
     return {"channels": layout.names, "units": layout.value_units, "lines": str(layout)}
 
 
-GARBAGE_S = 2.0
+_GARBAGE_S = 2.0
 """Bytes that hold no frame for this long are not of the format [s]."""
-GARBAGE_BYTES = {"frames": 520, "hall": 200, "millivolts": 200, "quaternions": 250, "csv": 200}
+_GARBAGE_BYTES = {"frames": 520, "hall": 200, "millivolts": 200, "quaternions": 250, "csv": 200}
 """Fewer bytes than these say nothing, whatever the time: a whole frame or line may be missing yet."""
-KEPT_BYTES = 16384
+_KEPT_BYTES = 16384
 """First bytes kept to find the format that they are of."""
-FITTING = 0.95
+_FITTING = 0.95
 """Share of the lines that must fit a format for it to be recommended."""
-SHOWN_BYTES = 60
+_SHOWN_BYTES = 60
 """Of the first line, in a message."""
 
 
@@ -105,22 +105,22 @@ class Suspect:
         """Take the next bytes."""
         self.since = min(self.since, time.monotonic())
         self.count += len(chunk)
-        self.bytes += chunk[: KEPT_BYTES - len(self.bytes)]
+        self.bytes += chunk[: _KEPT_BYTES - len(self.bytes)]
 
     def ripe(self) -> bool:
         """Whether there are enough of them, for long enough."""
-        return self.count >= GARBAGE_BYTES[self.format] and time.monotonic() - self.since >= GARBAGE_S
+        return self.count >= _GARBAGE_BYTES[self.format] and time.monotonic() - self.since >= _GARBAGE_S
 
     def verdict(self, port: str, baud: int, owner: str = "repro record", refused: str = "") -> InputError:
         """Say what the bytes are, as far as they tell; to the user of the command ``owner``.
 
         ``refused`` is what the parser said of the first of them.
         """
-        seen = f"{self.count} bytes from {port} without a frame, the first {first_line(bytes(self.bytes))}"
+        seen = f"{self.count} bytes from {port} without a frame, the first {_first_line(bytes(self.bytes))}"
         recording = owner == "repro record"
         for other in dict.fromkeys((self.format, *FORMATS)):
             frames, packets = self._tried(other)
-            if not frames or len(frames) < FITTING * packets:
+            if not frames or len(frames) < _FITTING * packets:
                 continue
             if other == self.format:
                 widths = sorted({len(frame.values) for frame in frames})
@@ -138,12 +138,12 @@ class Suspect:
             must = f"that of the board; its lines are text that fits none of {', '.join(FORMATS)}"
             why = f" ({refused.rpartition(': ')[2]})" if self.format == "csv" and refused else ""
             return bad_input("format", owner, must + why, f"{self.format}, {seen}")
-        must = f"the rate of the board ({GARBAGE_S:g} s of garbage: wrong rate, or no format of ours)"
+        must = f"the rate of the board ({_GARBAGE_S:g} s of garbage: wrong rate, or no format of ours)"
         return bad_input("baud", owner, must, f"{baud}, {seen}")
 
     def _is_text(self) -> bool:
         printable = sum(byte in b"\t\r\n" or 32 <= byte < 127 for byte in self.bytes)
-        return printable >= FITTING * len(self.bytes)
+        return printable >= _FITTING * len(self.bytes)
 
     def _tried(self, format: str) -> tuple[list[Frame], int]:
         """Return frames that a parser of a format finds, and how many packets or lines it has seen."""
@@ -156,10 +156,10 @@ class Suspect:
         return frames, len(frames) + sum(getattr(trial.counters, name) for name in _DROPPED)
 
 
-def first_line(data: bytes) -> str:
+def _first_line(data: bytes) -> str:
     """Return the first whole line of bytes as it can be printed; the first bytes where they are no text."""
     parts = data.split(b"\n", 2)
-    line = (parts[1] if len(parts) == 3 else data)[:SHOWN_BYTES].rstrip(b"\r\n")
+    line = (parts[1] if len(parts) == 3 else data)[:_SHOWN_BYTES].rstrip(b"\r\n")
     text = line.decode(errors="replace")
     plain = text.replace("\t", " ").replace("\r", " ")
     return repr(text) if plain.isprintable() and "\ufffd" not in plain else line[:16].hex(" ")

@@ -21,9 +21,9 @@ from repro_live.robot.readings_file import frames_of
 
 WINDOW_S = 0.5
 """Readings are averaged over this time [s]: around ``time_s`` of a table, or after a key was pressed."""
-RATE_FACTOR = 1.25
+_RATE_FACTOR = 1.25
 """A rate that differs from the stated one by more than this factor is told."""
-STILL = 5.0
+_STILL = 5.0
 """A reading that scatters by more than this many standard deviations of its noise was not still."""
 
 
@@ -184,18 +184,18 @@ def read_kept_readings(path: Path, robot: RobotFile, poses: Poses) -> PoseReadin
 
 def moved(part: Part, robot: RobotFile) -> bool:
     """Whether readings scatter more than they would if the robot were still."""
-    return bool((part.deviation[list(robot.channel)] > STILL * robot.noise).any())
+    return bool((part.deviation[list(robot.channel)] > _STILL * robot.noise).any())
 
 
 def pose_readings(parts: list[Part], robot: RobotFile) -> PoseReadings:
     """Put poses together, with notes on those that were not still, and on another rate than the file says."""
     notes = [
-        f"Pose {k + 1} was not still: its readings scatter by more than {STILL:g} times the noise of {robot.name}."
+        f"Pose {k + 1} was not still: its readings scatter by more than {_STILL:g} times the noise of {robot.name}."
         for k, part in enumerate(parts)
         if moved(part, robot)
     ]
     seconds = sum(part.seconds for part in parts)
     rate = sum(part.frames - 1 for part in parts) / seconds if seconds else robot.rate_hz
-    if not 1 / RATE_FACTOR < rate / robot.rate_hz < RATE_FACTOR:
+    if not 1 / _RATE_FACTOR < rate / robot.rate_hz < _RATE_FACTOR:
         notes.append(f"{rate:.3g} frames arrive per second; {robot.name} says rate_hz = {robot.rate_hz:g}.")
     return PoseReadings(torch.from_numpy(np.array([part.mean for part in parts])), tuple(notes))

@@ -14,7 +14,7 @@ from repro.errors import bad_input, require
 from repro.robot_file.columns import name_and_unit
 from repro_live.wire.csv_fields import time_scale
 
-LONGEST_S = 1e9
+_LONGEST_S = 1e9
 
 
 def read_rows(path: Path) -> list[tuple[int, list[str]]]:
@@ -119,6 +119,6 @@ def check_times(
         k = int(late[0]) + 1
         expected = f"{'after' if apart else 'not before'} the time before, {time_s[k - 1]:.6g} s"
         raise bad_input(f"{column} in line {lines[k]}", owner, expected, f"{time_s[k]:.6g} s")
-    if time_s[-1] - time_s[0] > LONGEST_S:
-        expected = f"within {LONGEST_S:g} s, 30 years"
+    if time_s[-1] - time_s[0] > _LONGEST_S:
+        expected = f"within {_LONGEST_S:g} s, 30 years"
         raise bad_input(column, owner, expected, f"{time_s[0]:g} to {time_s[-1]:g} s")

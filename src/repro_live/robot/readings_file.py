@@ -64,10 +64,10 @@ def frames_of(recording: Recording, robot: RobotFile) -> tuple[Bool[np.ndarray, 
         found = Counter(zip(recording.widths.tolist(), streams.tolist(), strict=True))
         received = ", ".join(f"{n} frames of {width} values in stream {k}" for (width, k), n in found.items())
         raise bad_input("recording", robot.name, f"one with frames of {expected}", received or "no frame")
-    return fits, notes + other_streams(robot, streams.tolist())
+    return fits, notes + _other_streams(robot, streams.tolist())
 
 
-def other_streams(robot: RobotFile, streams: Iterable[int]) -> list[str]:
+def _other_streams(robot: RobotFile, streams: Iterable[int]) -> list[str]:
     """Say of which streams there are frames that the robot does not have; empty if of none."""
     own = stream_widths(robot)
     found = Counter(stream for stream in streams if stream not in own)
@@ -75,7 +75,7 @@ def other_streams(robot: RobotFile, streams: Iterable[int]) -> list[str]:
     return [f"Streams that {robot.name} does not have: {said}."] if found else []
 
 
-KNOWN = ("unix_s", "host_ns", "sequence", "stream", "device_us")
+_KNOWN = ("unix_s", "host_ns", "sequence", "stream", "device_us")
 """Columns beside times and readings that `repro export` writes."""
 
 
@@ -111,7 +111,7 @@ def read_table(path: Path, robot: RobotFile) -> tuple[list[tuple[int, Frame]], f
     quaternion: list[str] = []
     values: dict[int, list[list[float]]] = {}
     if robot.channel:
-        labels = [name for name in names if name not in (time_column, *KNOWN)]
+        labels = [name for name in names if name not in (time_column, *_KNOWN)]
         numbered = any(map(is_numbered, labels))
         if robot.format == "csv" and not numbered and len(labels) == robot.channels:
             check_units(labels, [name_and_unit(name)[1] for name in labels], robot.unit)
@@ -135,9 +135,9 @@ def read_table(path: Path, robot: RobotFile) -> tuple[list[tuple[int, Frame]], f
         (ns, Frame(k, None, sent_us, tuple(values[k][row]))) for row, (ns, k, sent_us) in rows if k in values
     ]
     start_s = float(time_s[0]) + (1e-9 * frames[0][0] if frames else 0.0)
-    unused = [name for name in names if name not in (time_column, *KNOWN, *chosen, *quaternion)]
+    unused = [name for name in names if name not in (time_column, *_KNOWN, *chosen, *quaternion)]
     notes = [f"Columns of {path.name} that are not used: {', '.join(unused)}."] if unused else []
-    return frames, start_s, notes + other_streams(robot, streams)
+    return frames, start_s, notes + _other_streams(robot, streams)
 
 
 def _rows(table: pd.DataFrame, columns: Sequence[str | None]) -> list[list[float]]:

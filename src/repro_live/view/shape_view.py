@@ -91,10 +91,10 @@ class Traces:
 
 VIEWER = Path(__file__).with_name("viewer") / "shape_viewer.js"
 """The script of the viewer, for any page that shows shapes; it asks no other file."""
-MOST_FRAMES = 300
-LENGTH_QUANTUM_M = 1e-4
-DEVIATION_QUANTUM_M = 1e-5
-DIRECTION_QUANTUM = 1e-4
+_MOST_FRAMES = 300
+_LENGTH_QUANTUM_M = 1e-4
+_DEVIATION_QUANTUM_M = 1e-5
+_DIRECTION_QUANTUM = 1e-4
 
 _POSES_OF_THE_PICTURE = 5
 _DIGITS_OF_A_TRACE = 4
@@ -147,8 +147,8 @@ class ShapeView:
         for shape in self.shapes:
             if shape.role not in ROLES:
                 raise bad_input("role", f"shape {shape.name}", f"one of {', '.join(ROLES)}", shape.role)
-        if not 1 <= n <= MOST_FRAMES or not bool(np.isfinite(self.time_s).all()):
-            raise bad_input("time_s", "ShapeView", f"1 to {MOST_FRAMES} finite times", f"{n} times")
+        if not 1 <= n <= _MOST_FRAMES or not bool(np.isfinite(self.time_s).all()):
+            raise bad_input("time_s", "ShapeView", f"1 to {_MOST_FRAMES} finite times", f"{n} times")
         if bool((np.diff(self.time_s) <= 0).any()):
             raise bad_input(
                 "time_s", "ShapeView", "increasing", "a time that is not later than the one before"
@@ -184,14 +184,14 @@ class ShapeView:
         """What the viewer takes: positions to 0.1 mm, deviations to 0.01 mm, directions to 1e-4, packed."""
         shapes = []
         for shape in self.shapes:
-            points = _packed(shape.points_m, LENGTH_QUANTUM_M)
+            points = _packed(shape.points_m, _LENGTH_QUANTUM_M)
             shapes.append({"name": shape.name, "role": shape.role, "points": points})
             if shape.deviation_m is not None:
-                shapes[-1]["deviation"] = _packed(shape.deviation_m, DEVIATION_QUANTUM_M)
+                shapes[-1]["deviation"] = _packed(shape.deviation_m, _DEVIATION_QUANTUM_M)
         markers = {
             name: {
-                "points": _packed(given.points_m, LENGTH_QUANTUM_M),
-                "directions": _packed(given.directions, DIRECTION_QUANTUM),
+                "points": _packed(given.points_m, _LENGTH_QUANTUM_M),
+                "directions": _packed(given.directions, _DIRECTION_QUANTUM),
                 **({"name": given.name} if given.name else {}),
             }
             for name, given in (("magnets", self.magnets), ("sensors", self.sensors))
