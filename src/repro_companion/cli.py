@@ -209,12 +209,18 @@ def fetch(
     return 1 if report.failed else 0
 
 
-for command in (cli_live.record, cli_live.export, cli_live.emulate, cli_robot.calibrate, cli_robot.live):
+for command in (
+    cli_live.record,
+    cli_live.export,
+    cli_live.emulate,
+    cli_robot.calibrate,
+    cli_robot.live,
+    cli_track.track,
+    cli_track.fit,
+    cli_sweep.sweep,
+    cli_diff.diff,
+):
     app.command(command)
-app.command(cli_track.track)
-app.command(cli_track.fit)
-app.command(cli_sweep.sweep)
-app.command(cli_diff.diff)
 
 
 def main() -> int:

@@ -246,10 +246,7 @@ def played(robot: RobotFile, *, rate_hz: float, seconds: float, seed: int) -> Pl
     values = np.zeros((count, robot.channels))
     values[:, list(robot.channel)] = u
     label = f"lemniscate T3 of {robot.name} [{robot.unit}], SYNTHETIC"
-    stream = np.zeros(count, np.int64)
-    take = Take(
-        label, "frames", np.arange(count) / rate_hz, stream, values.astype(np.float32).astype(float), seconds
-    )
+    take = _even(label, "frames", _carried("frames", values), rate_hz)
     return Played(replace(robot, rate_hz=rate_hz), take, q)
 
 

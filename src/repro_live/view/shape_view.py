@@ -145,23 +145,21 @@ class ShapeView:
         n = len(self.time_s)
         require(self.shapes, "shapes", "ShapeView", "at least one", "none")
         for shape in self.shapes:
-            if shape.role not in ROLES:
-                raise bad_input("role", f"shape {shape.name}", f"one of {', '.join(ROLES)}", shape.role)
+            require(
+                shape.role in ROLES, "role", f"shape {shape.name}", f"one of {', '.join(ROLES)}", shape.role
+            )
         if not 1 <= n <= _MOST_FRAMES or not bool(np.isfinite(self.time_s).all()):
             raise bad_input("time_s", "ShapeView", f"1 to {_MOST_FRAMES} finite times", f"{n} times")
-        if bool((np.diff(self.time_s) <= 0).any()):
-            raise bad_input(
-                "time_s", "ShapeView", "increasing", "a time that is not later than the one before"
-            )
+        late = "a time that is not later than the one before"
+        require((np.diff(self.time_s) > 0).all(), "time_s", "ShapeView", "increasing", late)
         for name, values, limit in self._numbers():
             require(len(values) == n, name, "ShapeView", f"given for each of {n} frames", f"{len(values)}")
             if limit is not None and not bool((np.abs(values) < limit).all()):
                 raise bad_input(name, "ShapeView", f"finite and below {limit}", np.abs(values).max())
         for shape in self.shapes:
+            name = f"deviation_m of {shape.name}"
             if shape.deviation_m is not None and bool((shape.deviation_m < 0).any()):
-                raise bad_input(
-                    f"deviation_m of {shape.name}", "ShapeView", "not negative", shape.deviation_m.min()
-                )
+                raise bad_input(name, "ShapeView", "not negative", shape.deviation_m.min())
         for panel in self.traces:
             if unknown := [name for name in panel.estimates if name not in panel.values]:
                 raise bad_input("estimates", f"traces {panel.title}", "named like values", ", ".join(unknown))
