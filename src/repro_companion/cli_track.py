@@ -56,14 +56,14 @@ def estimated(
     from repro_companion.book.project import shown
     from repro_live.follow.estimate_table import EstimateFile
     from repro_live.follow.follower import track_readings
-    from repro_live.follow.live_text import redundancy_words
+    from repro_live.follow.live_text import limits
     from repro_live.follow.robot_estimator import robot_estimator
     from repro_live.record.recording_file import WriteFailed
     from repro_live.robot.readings_file import read_readings
 
     described = load_described(robot, calibration, to=sys.stderr)
     method = robot_estimator(described, estimator, failed=failed)
-    if never := redundancy_words(*method.redundancy):
+    for never in limits(method):
         print(f"Note: {never}", file=sys.stderr)
     readings = read_readings(file, described)
     table = None if output is None else EstimateFile(output, method)

@@ -73,20 +73,6 @@ def _cause(verdict: Verdict, sensors: Sequence[str]) -> str:
     return f"It is {names} ({options} leaves it out)."
 
 
-def redundancy_words(readings: int, unknowns: int) -> str:
-    """Return what can never be told, empty if there is more than one reading for each unknown.
-
-    Examples
-    --------
-    >>> redundancy_words(3, 3)
-    'No redundancy, 3 readings for 3 unknowns: a wrong sensor looks like another shape and cannot be told.'
-    """
-    if readings > unknowns:
-        return ""
-    counts = f"{readings} readings for {unknowns} unknowns"
-    return f"No redundancy, {counts}: a wrong sensor looks like another shape and cannot be told."
-
-
 _SHOWN_COUNTERS = ("frames", "gaps", "checksum_errors", "malformed", "reconnects")
 
 
@@ -236,9 +222,12 @@ def troubles(estimator: RobotEstimator, state: LiveState) -> list[str]:
 
 
 def limits(estimator: RobotEstimator) -> list[str]:
-    """What can never be told of this robot."""
-    never = redundancy_words(*estimator.redundancy)
-    return [never] if never else []
+    """What can never be told of this robot, if there is no more than one reading for each unknown."""
+    readings, unknowns = estimator.redundancy
+    if readings > unknowns:
+        return []
+    counts = f"{readings} readings for {unknowns} unknowns"
+    return [f"No redundancy, {counts}: a wrong sensor looks like another shape and cannot be told."]
 
 
 def alerts(estimator: RobotEstimator, state: LiveState) -> list[str]:

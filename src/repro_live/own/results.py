@@ -156,9 +156,7 @@ def estimates(found: Fit) -> pd.DataFrame:
         for k, name in enumerate(columns):
             table[f"{head}_{name}"] = (track.q[:, k] / factor[k]).numpy()
             table[f"{head}_sd_{name}"] = deviation[:, k].numpy()
-        tip, _ = tip_positions(found.robot, track.q, track.covariance)
-        error = torch.linalg.vector_norm(tip - found.truth.tip, dim=-1)
-        table[f"{head}_tip_error_mm"] = 1e3 * error.numpy()
+        table[f"{head}_tip_error_mm"] = 1e3 * _tip_error(found, track)
         table[f"{head}_residual_{found.robot.unit}"] = track.residual
     return pd.DataFrame(table)
 
