@@ -205,7 +205,7 @@ def read_frames(
         If a row is shorter, or a cell holds no number.
     """
     try:
-        return np.array([[float(row[k] or "nan") for k in picked] for row in rows])
+        return np.array([[float(row[k] or "nan") for k in picked] for row in rows]).reshape(-1, len(picked))
     except (ValueError, IndexError) as error:
         raise bad_input("frames", owner, "rows of numbers", error) from error
 
