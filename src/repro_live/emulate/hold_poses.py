@@ -39,10 +39,11 @@ Motion = Iterator[tuple[np.ndarray, np.ndarray]]
 """Times since the board was switched on [s] and configurations, one part of a motion after the other."""
 
 
-def spread_poses(robot: RobotFile, *, seed: int = 0, count: int | None = None) -> Float[np.ndarray, "n n_q"]:
+def spread_poses(robot: RobotFile, *, seed: int = 0) -> Float[np.ndarray, "n n_q"]:
     """Return configurations that are far from each other; the first is where estimators start.
 
-    Each of the others is, of random ones, the farthest from those before in widths of the bounds.
+    They are four for every coordinate, and at least 12. Each of the others is, of random ones, the farthest from those
+    before in widths of the bounds.
 
     Parameters
     ----------
@@ -50,11 +51,9 @@ def spread_poses(robot: RobotFile, *, seed: int = 0, count: int | None = None) -
         As described.
     seed
         Of the random ones.
-    count
-        By default four for every coordinate, and at least 12.
     """
     low, high, start = (x.numpy() for x in (robot.lower, robot.upper, robot.start))
-    count = max(LEAST_POSES, 4 * len(low)) if count is None else count
+    count = max(LEAST_POSES, 4 * len(low))
     random = np.random.default_rng([seed, 4]).uniform(
         -_SPREAD / 2, _SPREAD / 2, (_CANDIDATES * count, len(low))
     )
