@@ -42,8 +42,8 @@ Motion = Iterator[tuple[np.ndarray, np.ndarray]]
 def spread_poses(robot: RobotFile, *, seed: int = 0) -> Float[np.ndarray, "n n_q"]:
     """Return configurations that are far from each other; the first is where estimators start.
 
-    They are four for every coordinate, and at least 12. Each of the others is, of random ones, the farthest from those
-    before in widths of the bounds.
+    They are four for every coordinate, and at least 12. Each of the others is, of random ones, the farthest from
+    those before in widths of the bounds.
 
     Parameters
     ----------
