@@ -21,10 +21,10 @@ import torch
 
 from repro.robot_file.load import load_robot
 from repro_companion.book.project import find_project
-from repro_companion.twins.played import PERIOD_S, played
+from repro_companion.twins.takes import PERIOD_S, played
 from repro_live.emulate.board import passages
 from repro_live.emulate.emulator import Emulator
-from repro_live.emulate.links import HAS_PTY, PtyLink, SocketLink
+from repro_live.emulate.links import open_link
 from repro_live.follow.live_state import LiveState
 from repro_live.follow.robot_estimator import robot_estimator
 from repro_live.follow.session import follow
@@ -81,7 +81,7 @@ def live_soak(
     rate_hz
         Readings per second.
     robot
-        A robot file as for `repro_companion.twins.played.played`; one segment by default.
+        A robot file as for `repro_companion.twins.takes.played`; one segment by default.
     estimator
         One of :data:`repro_live.follow.robot_estimator.ESTIMATORS`.
     """
@@ -127,7 +127,7 @@ def live_soak(
 
 def _play(robot: str, rate_hz: float, send: Connection) -> None:
     sent = played(load_robot(robot), rate_hz=rate_hz, seconds=PERIOD_S, seed=0)
-    link = PtyLink() if HAS_PTY else SocketLink()
+    link = open_link()
     emulator = Emulator(passages(sent.take.readings(loop=True), sent.take.format), link)
     with emulator:
         send.send(link.address)

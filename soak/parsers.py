@@ -13,13 +13,13 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from repro.errors import InputError, bad_input
-from repro_live.emulate.board import WRAP, Passage, Reading, passages
+from repro_live.emulate.board import Passage, Reading, passages
 from repro_live.emulate.emulator import Emulator
 from repro_live.emulate.faults import Faults
-from repro_live.emulate.links import HAS_PTY, PtyLink, SocketLink
+from repro_live.emulate.links import open_link
 from repro_live.record.ports import close_port, open_port, read_available
 from repro_live.wire.formats import parser
-from repro_live.wire.frame import Frame
+from repro_live.wire.frame import WRAP, Frame
 
 RATE_HZ = 1000
 """Frames per second of the board's clock; they are sent as fast as they are read."""
@@ -101,7 +101,7 @@ def soak(frames: int, *, port: str = "", seed: int = 0) -> SoakReport:
         raise bad_input("port", "soak", "pty or socket", port)
     rare = min(1.0, INTERRUPTIONS / frames)
     faults = Faults(flips=CHANCE, drops=CHANCE, disconnects=rare, away_s=0.05, stalls=rare, stall_s=0.2)
-    link = PtyLink() if port == "pty" or (port == "" and HAS_PTY) else SocketLink()
+    link = open_link(port)
     ledger = _Ledger(frames)
     sent = ledger.noted(passages(_readings(frames), "frames", faults, seed=seed))
     began, cpu = time.monotonic(), time.process_time()

@@ -41,3 +41,26 @@ def bad_input(name: str, owner: str, must_be: str, received: Any) -> InputError:
     text = str(received)
     text = text if len(text) <= 200 else text[:197] + "..."
     return InputError(f"Input {name} of {owner} must be {must_be}; instead received {text}.")
+
+
+def require(holds: object, name: str, owner: str, must_be: str, received: Any) -> None:
+    """Refuse input ``name`` of ``owner`` unless it is as it must be: a check in one line.
+
+    Parameters
+    ----------
+    holds
+        Whether it is: true, or something that counts as true.
+    name, owner, must_be, received
+        As for :func:`bad_input`; they are made in any case, so they must be cheap, and right where the check holds.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+
+    Examples
+    --------
+    >>> require(0 < 0.4 < 1, "share", "fit", "between 0 and 1", 0.4)
+    """
+    if not holds:
+        raise bad_input(name, owner, must_be, received)

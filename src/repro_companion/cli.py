@@ -12,8 +12,8 @@ from typing import Annotated
 from cyclopts import App, CycloptsError, Parameter
 
 from repro.errors import InputError, bad_input
-from repro_companion import cli_diff, cli_fit, cli_live, cli_robot, cli_sweep, cli_track
-from repro_companion.cli_pairs import pairs
+from repro_companion import cli_diff, cli_live, cli_robot, cli_sweep, cli_track
+from repro_companion.cli_terminal import pairs
 
 app = App(
     name="repro",
@@ -209,12 +209,18 @@ def fetch(
     return 1 if report.failed else 0
 
 
-for command in (cli_live.record, cli_live.export, cli_live.emulate, cli_robot.calibrate, cli_robot.live):
+for command in (
+    cli_live.record,
+    cli_live.export,
+    cli_live.emulate,
+    cli_robot.calibrate,
+    cli_robot.live,
+    cli_track.track,
+    cli_track.fit,
+    cli_sweep.sweep,
+    cli_diff.diff,
+):
     app.command(command)
-app.command(cli_track.track)
-app.command(cli_fit.fit)
-app.command(cli_sweep.sweep)
-app.command(cli_diff.diff)
 
 
 def main() -> int:

@@ -8,23 +8,16 @@ from __future__ import annotations
 import math
 import sys
 import threading
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
-from repro.errors import bad_input
-from repro_companion.cli_pairs import pairs
-from repro_companion.cli_terminal import set_by_signals, to_terminal
-
-if TYPE_CHECKING:
-    from repro_live.record.recorder import Summary
+from repro.errors import bad_input, require
+from repro_companion.cli_terminal import Screen, pairs, set_by_signals
 
 Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
 GivenFaults = Annotated[list[tuple[str, str]] | None, pairs("--fault", "NAME VALUE")]
-PLAIN_S = 10.0
-"""Time between two lines where the output is no terminal [s]."""
 
 
 def record(
@@ -67,11 +60,10 @@ def record(
     if list_only:
         print(listing())
         return 0
-    if not port:
-        raise bad_input("port", "repro record", "given (see repro record --list)", "none")
+    require(port, "port", "repro record", "given (see repro record --list)", "none")
     if output is None:
         raise bad_input("output", "repro record", "given (-o FILE)", "none")
-    stop, screen = threading.Event(), _Screen()
+    stop, screen = threading.Event(), Screen(lambda summary: [str(summary)])
     set_by_signals(stop)
     try:
         summary = record_port(
@@ -125,13 +117,12 @@ def export(
 
     if output is None:
         raise bad_input("output", "repro export", "given (-o FILE)", "none")
-    if not recording.is_file():
-        raise bad_input("recording", "repro export", "a file", f"{recording}, which is not there")
+    require(recording.is_file(), "recording", "repro export", "a file", f"{recording}, which is not there")
     unit = ""
     read = read_recording(recording)
     if robot is not None:
         from repro.robot_file.load import load_robot
-        from repro_live.robot.recorded_frames import frames_of
+        from repro_live.robot.readings_file import frames_of
 
         described = load_robot(robot)
         frames_of(read, described)  # refuses recordings of another robot; the table has all frames
@@ -201,31 +192,27 @@ def emulate(
     from repro_companion.twins.takes import SOURCES, open_take
     from repro_live.emulate.board import BLOCK, passages
     from repro_live.emulate.emulator import Emulator
-    from repro_live.emulate.faults import faults_named
     from repro_live.emulate.links import HAS_PTY, PtyLink, SocketLink
     from repro_live.emulate.robot_board import open_board
-    from repro_live.emulate.sensor_faults import NAMES, sensor_faults_named
+    from repro_live.emulate.sensor_faults import faults_named
 
-    if not fault_from >= 0:
-        raise bad_input("fault_from", "repro emulate", "0 or more [s]", fault_from)
+    require(fault_from >= 0, "fault_from", "repro emulate", "0 or more [s]", fault_from)
     if not source and robot is None:
         expected = f"one of {', '.join(SOURCES)}, or a recording; or --robot ROBOT.toml"
         raise bad_input("source", "repro emulate", expected, "none")
     if socket is not None and port_file is not None:
         raise bad_input("port_file", "repro emulate", "left out with --socket", port_file)
-    given, block = fault or [], BLOCK
+    (faults, sensors), block = faults_named(fault or [], of_sensors=robot is not None), BLOCK
     if robot is None:
         options = {"tolerances": tolerances, "hold_poses": hold_poses, "hold": hold}
         for name, value in options.items():
-            if value is not None:
-                raise bad_input(name, "repro emulate", "left out without --robot", value)
+            require(value is None, name, "repro emulate", "left out without --robot", value)
         take = open_take(source, format, rate_hz=rate, seed=seed)
         label, form, readings = take.label, take.format, take.readings(loop=loop)
     else:
         for name, value in (("source", source), ("format", format), ("loop", loop)):
             if value:
                 raise bad_input(name, "repro emulate", "left out with --robot", value)
-        sensors, given = sensor_faults_named(given)
         board = open_board(
             robot,
             rate_hz=rate,
@@ -239,7 +226,6 @@ def emulate(
         label, form, readings, block = board.label, board.format, board.readings, board.block
         for note in board.notes:
             print(f"Warning: {note}", file=sys.stderr)
-    faults = faults_named(given, NAMES if robot else ())
     sent = passages(readings, form, faults, seed=seed, from_s=fault_from, block=block)
     stop_on_termination()
     link = PtyLink(port_file) if HAS_PTY and socket is None else SocketLink(socket or 0)
@@ -252,25 +238,3 @@ def emulate(
     except KeyboardInterrupt:  # how it is stopped
         print(file=sys.stderr)
     return 0
-
-
-class _Screen:
-    """Standard error: one line that is written over on a terminal, now and then a line elsewhere."""
-
-    def __init__(self) -> None:
-        self._terminal = sys.stderr.isatty()
-        self._shown = time.monotonic()
-        self._width = 0
-
-    def show(self, summary: Summary) -> None:
-        if self._terminal:
-            text = str(summary)
-            to_terminal(f"\r{text:{self._width}}", end="")
-            self._width = len(text)
-        elif time.monotonic() - self._shown >= PLAIN_S - 0.5:
-            self._shown = time.monotonic()
-            to_terminal(str(summary))
-
-    def line(self, text: str) -> None:
-        to_terminal("\n" * (self._width > 0) + text)
-        self._width = 0

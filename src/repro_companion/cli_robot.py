@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 import math
-import shutil
 import sys
-import textwrap
 import threading
-import time
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from repro_companion.cli_terminal import set_by_signals, to_terminal
-from repro_companion.cli_track import live_file
+from repro.errors import bad_input, require
+from repro_companion.cli_terminal import Screen, load_described, set_by_signals
+from repro_companion.cli_track import estimated
 
 if TYPE_CHECKING:
     from repro.robot_file.robot_file import RobotFile
-    from repro_live.follow.browser import BrowserView
     from repro_live.follow.live_state import LiveState
-    from repro_live.follow.robot_estimator import RobotEstimator
     from repro_live.robot.calibration_poses import PoseReadings, Poses
 
-BLOCK_S, PLAIN_S = 0.25, 10.0
-"""Time between two states: on a terminal, which shows them in one place, and elsewhere [s]."""
+BLOCK_S = 0.25
+"""Time between two states on a terminal, which shows them in one place [s]."""
 
 
 def calibrate(
@@ -61,24 +57,16 @@ def calibrate(
     baud
         Bits per second of the port.
     """
-    import torch
-
-    from repro.errors import bad_input
     from repro.robot_file.calibration_file import write_calibration
-    from repro.robot_file.load import load_robot
     from repro_live.robot.calibrate import calibrate as fit
     from repro_live.robot.calibrate import check_plausible, pose_covariance, report
     from repro_live.robot.calibration_poses import read_poses
 
-    torch.set_num_threads(1)
-    if output.exists():
-        raise bad_input("output", "repro calibrate", "a file that does not exist yet", output)
-    described = load_robot(robot)
-    for note in described.notes:
-        print(f"Warning: {note}")
+    require(not output.exists(), "output", "repro calibrate", "a file that does not exist yet", output)
+    described = load_described(robot)
     described.sensing()  # refuses robots without magnetic sensors before anybody is asked for poses
     table = read_poses(poses, described)
-    covariance = pose_covariance(described, pose_noise_mm * 1e-3, pose_noise_deg * torch.pi / 180)
+    covariance = pose_covariance(described, pose_noise_mm * 1e-3, pose_noise_deg * math.pi / 180)
     taken = _pose_readings(source, described, table, output, baud)
     for note in taken.notes:
         print(f"Warning: {note}")
@@ -132,18 +120,19 @@ def live(
     estimates
         Store the estimates as they come, as repro track does; a new CSV.
     """
-    import torch
-
-    from repro.errors import bad_input
-
     if Path(port).is_file():
         given = {"output": output is not None, "browser": browser, "duration": duration != math.inf}
-        of_a_port = [name for name, is_given in given.items() if is_given]
-        return live_file(
-            Path(port), robot, calibration, estimator, failed or [], estimates, of_a_port=of_a_port
+        file = Path(port).name
+        for name, is_given in given.items():
+            require(
+                not is_given, name, "repro live", f"left out for {file}, which is a file, not a port", "it"
+            )
+        print(
+            f"{file} is a file, not a port: it is estimated at full speed, not in its own time.",
+            file=sys.stderr,
         )
+        return estimated(Path(port), robot, calibration, estimator, failed or [], estimates)
 
-    from repro.robot_file.load import load_robot
     from repro_companion.book.project import shown
     from repro_live.follow import live_text
     from repro_live.follow.browser import BrowserView
@@ -154,14 +143,17 @@ def live(
 
     if browser_socket is not None and not browser:
         raise bad_input("browser_socket", "repro live", "left out without --browser", browser_socket)
-    torch.set_num_threads(1)
-    described = load_robot(robot, calibration)
-    for note in described.notes:
-        print(f"Warning: {note}", file=sys.stderr)
+    described = load_described(robot, calibration, to=sys.stderr)
     method, stop = robot_estimator(described, estimator, failed=failed or []), threading.Event()
     set_by_signals(stop)
     view = BrowserView(method, browser_socket or 0) if browser else None
-    screen = _Block(method, view)
+    screen = Screen(lambda state: live_text.block(method, state), BLOCK_S)
+
+    def show(state: LiveState) -> None:
+        if view is not None:
+            view.publish(state)
+        screen.show(state)
+
     print("Preparing the estimator (the first time its kernels are compiled: a minute).", file=sys.stderr)
     table = None if estimates is None else EstimateFile(estimates, method)
     each = None if table is None else lambda found: table.add(found.step.time_s, found.estimate)
@@ -171,7 +163,7 @@ def live(
         options = {"output": output, "baud": baud, "duration_s": duration, "each": each}
         try:
             with table or nullcontext():
-                state = follow(port, method, **options, stop=stop, show=screen.show, warn=screen.line)
+                state = follow(port, method, **options, stop=stop, show=show, warn=screen.line)
         except WriteFailed as failure:
             screen.line(f"repro: {failure}")
             return 1
@@ -184,47 +176,6 @@ def live(
     if table is not None:
         print(f"{shown(table.path)}  ({table.written} estimates)")
     return 0
-
-
-class _Block:
-    """Standard error: lines that are written over on a terminal, now and then a line elsewhere."""
-
-    def __init__(self, estimator: RobotEstimator, view: BrowserView | None) -> None:
-        self._estimator, self._view = estimator, view
-        self._terminal = sys.stderr.isatty()
-        self._shown = time.monotonic()
-        self._height = 0
-        self._lock = threading.Lock()
-
-    def show(self, state: LiveState) -> None:
-        from repro_live.follow import live_text
-
-        if self._view is not None:
-            self._view.publish(state)
-        if time.monotonic() - self._shown < (BLOCK_S if self._terminal else PLAIN_S):
-            return
-        self._shown = time.monotonic()
-        with self._lock:
-            if not self._terminal:
-                to_terminal(live_text.line(self._estimator, state))
-                return
-            lines = live_text.block(self._estimator, state)
-            size = shutil.get_terminal_size()
-            # a line that the terminal breaks, or one that it moved out of sight, could not be written over
-            lines = [part for text in lines for part in textwrap.wrap(text, max(size.columns - 1, 20))]
-            lines = lines[: size.lines - 1]
-            to_terminal(self._up() + "\n".join(lines))
-            self._height = len(lines)
-
-    def line(self, text: str) -> None:
-        """Write for good; the block goes on below."""
-        with self._lock:
-            to_terminal(self._up() + text)
-            self._height = 0
-
-    def _up(self) -> str:
-        """Go to the beginning of the block and clear it."""
-        return f"\x1b[{self._height}F\x1b[J" if self._height else ""
 
 
 def _pose_readings(source: str, robot: RobotFile, poses: Poses, output: Path, baud: int) -> PoseReadings:
@@ -248,8 +199,6 @@ def _pose_readings(source: str, robot: RobotFile, poses: Poses, output: Path, ba
 
 
 def _ask(question: str) -> None:
-    from repro.errors import bad_input
-
     try:
         input(question)
     except EOFError as error:

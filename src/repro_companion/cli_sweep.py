@@ -10,7 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from repro.errors import bad_input
-from repro_companion.cli_pairs import pairs
+from repro_companion.cli_terminal import pairs
 
 Given = Annotated[list[tuple[str, str]] | None, pairs(["-p", "--parameter"], "NAME VALUES")]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from moving_robot import robot_readings
 
 from repro.estimation.consistency import WRONG
 from repro.robot_file.load import load_robot
@@ -21,7 +22,6 @@ from repro_companion.pages.sensor_failure.studies import (
     alarm_trials,
 )
 from repro_live.emulate.links import HAS_PTY
-from repro_live.emulate.robot_readings import robot_readings
 from repro_live.emulate.sensor_faults import SensorFaults, with_sensor_faults
 from repro_live.follow import live_text
 from repro_live.follow.robot_estimator import robot_estimator

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro_live.record.clock import MOST_CORNERS, WRAP_US, DeviceClock
+from repro_live.record.clock import MOST_CORNERS, DeviceClock
+from repro_live.wire.frame import WRAP
 
 START_NS = 5_000_000_000_000
 
@@ -24,7 +25,7 @@ def arrivals(
 
 
 def sent(device_us: np.ndarray) -> np.ndarray:
-    return np.floor(device_us).astype(np.int64) % WRAP_US
+    return np.floor(device_us).astype(np.int64) % WRAP
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -85,8 +86,8 @@ def test_exact_arrivals_give_the_exact_line():
 def test_wraps_are_unwrapped_at_any_rate(rate_hz):
     """Even one frame in 42 minutes, and pauses of several wraps."""
     n = 3000 if rate_hz == 100.0 else 60
-    device_us = WRAP_US - 5e6 + np.arange(n) / rate_hz * 1e6
-    device_us[n // 2 :] += 3 * WRAP_US
+    device_us = WRAP - 5e6 + np.arange(n) / rate_hz * 1e6
+    device_us[n // 2 :] += 3 * WRAP
     host_ns = (START_NS + 1000 * (device_us - device_us[0]) / (1 + 30e-6)).astype(np.int64)
     clock = DeviceClock()
     unwrapped, restarted = clock.add(host_ns, sent(device_us))
@@ -153,4 +154,4 @@ def test_nothing_is_claimed_from_too_little():
     clock.add(START_NS + 1_000_000_000, np.array([1_000_005]))
     assert np.isnan(clock.fit().drift_ppm)
     with pytest.raises(InputError, match="device_us of DeviceClock must be 32 bits without sign"):
-        clock.add(START_NS, np.array([WRAP_US]))
+        clock.add(START_NS, np.array([WRAP]))

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from repro.errors import InputError
-from repro_live.emulate.faults import Faults, damage, faults_named
+from repro_live.emulate.faults import Faults, damage
+from repro_live.emulate.sensor_faults import SensorFaults, faults_named
 
 PACKETS = [bytes([0, *range(1, 20), 0])] * 50_000
 BYTES = sum(map(len, PACKETS))
@@ -89,8 +90,9 @@ def test_a_burst_replaces_a_run():
 
 
 def test_names_and_values_as_typed():
-    assert faults_named([]) == Faults()
-    assert faults_named([("drift_ppm", "-50"), ("reboots", "0.01")]) == Faults(drift_ppm=-50.0, reboots=0.01)
+    assert faults_named([]) == (Faults(), SensorFaults())
+    given = [("drift_ppm", "-50"), ("reboots", "0.01")]
+    assert faults_named(given) == (Faults(drift_ppm=-50.0, reboots=0.01), SensorFaults())
 
 
 @pytest.mark.parametrize(

@@ -19,14 +19,14 @@ from scipy.spatial.transform import Rotation
 from repro.errors import InputError
 from repro.robot_file.load import load_robot
 from repro.robot_file.robot_file import RobotFile
-from repro_live.follow.readings_file import read_readings
 from repro_live.own import models
 from repro_live.own.align import find_clock_lag
 from repro_live.own.fit import fit
 from repro_live.own.judge import Tracked, Truth, errors, tip_positions
 from repro_live.own.poses import read_measured_poses
-from repro_live.own.readings import TimedReadings, timed_readings
 from repro_live.own.results import write_results
+from repro_live.own.samples import TimedReadings, timed_readings
+from repro_live.robot.readings_file import read_readings
 
 LAG_S = 0.37
 NOISE = {"noise_m": 1e-4, "noise_rad": 0.01}

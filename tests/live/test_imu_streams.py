@@ -19,19 +19,18 @@ from repro_live.emulate.board import Reading, passages
 from repro_live.emulate.emulator import Emulator
 from repro_live.emulate.links import SocketLink
 from repro_live.follow import live_text, session
-from repro_live.follow.follower import Follower
+from repro_live.follow.follower import Follower, track_readings
 from repro_live.follow.imu_streams import redundant
-from repro_live.follow.offline import track_readings
-from repro_live.follow.readings_file import read_readings
 from repro_live.follow.robot_estimator import robot_estimator
 from repro_live.follow.time_steps import TimeStep, TimeSteps
 from repro_live.own.fit import fit
 from repro_live.own.poses import read_measured_poses
-from repro_live.own.readings import timed_readings
+from repro_live.own.samples import timed_readings
 from repro_live.record.export import export
 from repro_live.record.recording import read_recording
 from repro_live.record.recording_file import RecordingFile
 from repro_live.robot.calibration_poses import Poses, coordinate_columns, recorded_readings
+from repro_live.robot.readings_file import read_readings
 from repro_live.wire.frame import Frame
 
 NOISE_RAD = math.radians(0.3)

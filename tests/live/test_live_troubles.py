@@ -20,12 +20,13 @@ from repro.errors import InputError
 from repro.estimation.consistency import Verdict
 from repro.robot_file.load import load_robot
 from repro_companion import cli_robot
+from repro_companion.cli_terminal import Screen
 from repro_live.emulate.links import HAS_PTY
 from repro_live.follow import live_text, session
 from repro_live.follow.live_state import LiveState, trusted
+from repro_live.follow.live_text import CAUSES
 from repro_live.follow.robot_estimator import RobotEstimator, robot_estimator
 from repro_live.follow.session import follow
-from repro_live.follow.verdict_words import CAUSES
 from repro_live.record.recording import read_recording
 from repro_live.wire.formats import encode
 from repro_live.wire.frame import Frame
@@ -296,7 +297,7 @@ def test_the_page_quotes_what_is_said(estimator, board):
         {"verdict": Verdict(2, True, 42.0, "sensors", (2, 0))},
         *({"verdict": Verdict(2, True, 42.0, cause)} for cause in CAUSES if cause),
     ]
-    said = "\n".join(live_text.line(estimator, replace(state, **case)) for case in cases)
+    said = "\n".join(" | ".join(live_text.block(estimator, replace(state, **case))) for case in cases)
     said = said.replace("or sensor 1", "or sensor 5")  # the robot of the page has more sensors
     page = (ONE_SEGMENT.parents[2] / "book" / "own_robot.md").read_text()
     tables = [part.split("\n\n")[0] for part in page.split("| it says |")[1:]]
@@ -319,7 +320,7 @@ def test_on_a_narrow_terminal_everything_can_be_read(board, estimator, monkeypat
     monkeypatch.setenv("COLUMNS", "40")
     with os.fdopen(slave, "w") as terminal:
         monkeypatch.setattr(sys, "stderr", terminal)
-        screen = cli_robot._Block(estimator, None)
+        screen = Screen(lambda state: live_text.block(estimator, state))
         screen._shown -= 1
         screen.show(state)
         lines = os.read(master, 65536).decode().splitlines()

@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from moving_robot import robot_readings
 from own_rig import Rig
 
 from repro.robot_file.load import load_robot
 from repro_live.emulate.links import HAS_PTY
-from repro_live.emulate.robot_readings import robot_readings
 from repro_live.record.recording import read_recording
 
 PROJECT = Path(__file__).parents[2]

@@ -14,14 +14,13 @@ import pytest
 from test_recorder import COMMANDS, Recorder, coded, frames, recorded
 
 from repro.errors import InputError
-from repro_companion.twins.played import played
-from repro_companion.twins.takes import open_take
+from repro_companion.twins.takes import open_take, played
 from repro_live.emulate.board import passages
 from repro_live.follow.robot_estimator import robot_estimator
 from repro_live.follow.session import follow
 from repro_live.record.recording import read_recording
 from repro_live.record.recording_file import sidecar_path
-from repro_live.record.suspect import Suspect
+from repro_live.record.summary import Suspect
 from repro_live.robot.calibration_poses import Poses, recorded_readings
 from repro_live.wire.csv_text import CsvParser
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from moving_robot import robot_readings
 
 from repro.errors import InputError
 from repro.robot_file.load import load_robot
@@ -21,7 +22,7 @@ from repro_live.emulate.hold_poses import (
     write_poses,
 )
 from repro_live.emulate.robot_board import carried, moving, open_board, robot_board
-from repro_live.emulate.robot_readings import course, robot_readings
+from repro_live.emulate.robot_readings import course
 from repro_live.emulate.sensor_faults import SensorFaults
 from repro_live.robot.calibrate import calibrate, pose_covariance
 from repro_live.robot.calibration_poses import read_poses

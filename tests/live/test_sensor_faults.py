@@ -5,15 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from moving_robot import robot_readings
 
 from repro.errors import InputError
 from repro.robot_file.load import load_robot
 from repro.robot_file.tables import IMU_NOISE_RAD
-from repro_live.emulate.robot_readings import readings_along, robot_readings
+from repro_live.emulate.faults import Faults
+from repro_live.emulate.robot_readings import readings_along
 from repro_live.emulate.sensor_faults import (
     SensorFaults,
+    faults_named,
     saturation_level,
-    sensor_faults_named,
     with_sensor_faults,
 )
 
@@ -117,7 +119,8 @@ def test_imus():
 
 def test_names_and_values():
     given = [("unplug", "3"), ("magnet", "80"), ("stalls", "0.1"), ("noise", "5")]
-    assert sensor_faults_named(given) == (SensorFaults(unplug=3, magnet=80.0, noise=5.0), [("stalls", "0.1")])
+    found = faults_named(given, of_sensors=True)
+    assert found == (Faults(stalls=0.1), SensorFaults(unplug=3, magnet=80.0, noise=5.0))
 
 
 @pytest.mark.parametrize(
@@ -147,7 +150,7 @@ def test_names_and_values():
 )
 def test_messages(given, message):
     with pytest.raises(InputError) as raised:
-        sensor_faults_named(given)
+        faults_named(given, of_sensors=True)
     assert str(raised.value) == message
 
 

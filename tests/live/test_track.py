@@ -20,21 +20,18 @@ from repro.errors import InputError
 from repro.estimation.base import Estimate
 from repro.estimation.consistency import STATUS
 from repro.robot_file.load import load_robot
-from repro_companion.twins.played import played
-from repro_companion.twins.takes import open_take
+from repro_companion.twins.takes import open_take, played
 from repro_live.emulate.board import passages
 from repro_live.emulate.emulator import Emulator
 from repro_live.emulate.links import SocketLink
 from repro_live.follow.estimate_table import EstimateFile, EstimateRows
-from repro_live.follow.follower import Follower
-from repro_live.follow.offline import track_readings
-from repro_live.follow.readings_file import read_readings
-from repro_live.follow.readings_table import read_table
+from repro_live.follow.follower import Follower, track_readings
 from repro_live.follow.robot_estimator import ESTIMATORS, robot_estimator
 from repro_live.follow.time_steps import TimeStep
 from repro_live.record.export import export
 from repro_live.record.recording import read_recording
 from repro_live.record.recording_file import RecordingFile, WriteFailed
+from repro_live.robot.readings_file import read_readings, read_table
 from repro_live.wire.frame import Frame
 
 PROJECT = Path(__file__).parents[2]

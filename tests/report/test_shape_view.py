@@ -26,8 +26,7 @@ from repro_live.view.robot_view import (
     live_scene,
     shape_view,
 )
-from repro_live.view.shape_parts import ROLES, Markers, Shape, Traces
-from repro_live.view.shape_view import VIEWER, ShapeView
+from repro_live.view.shape_view import ROLES, VIEWER, Markers, Shape, ShapeView, Traces
 from repro_live.view.style import MAGNET, SENSOR
 
 FRAMES = 60

@@ -14,8 +14,7 @@ from page_on_screen import NO_GPU, differing, pixels, wait_until
 
 from repro.kinematics.paper_robots import pcc_robot
 from repro_live.view.robot_view import live_frame, live_scene, shape_view
-from repro_live.view.shape_parts import Traces
-from repro_live.view.shape_view import VIEWER, ShapeView
+from repro_live.view.shape_view import VIEWER, ShapeView, Traces
 
 FRAMES = 31
 # Whatever the page would load or run besides the script and inline pictures is an error on the console

@@ -5,8 +5,7 @@ import pytest
 from test_viewer import seen, show  # noqa: F401  # fixtures
 
 from repro_companion.pages.table_2.views import ShapeViews
-from repro_live.view.shape_parts import Markers, Shape, Traces
-from repro_live.view.shape_view import ShapeView
+from repro_live.view.shape_view import Markers, Shape, ShapeView, Traces
 
 
 @pytest.fixture(scope="module")

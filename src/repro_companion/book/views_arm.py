@@ -8,8 +8,7 @@ from jaxtyping import Float
 from repro.estimation.imu_chain import adjacent_angles, point_at, rigid_body
 from repro.estimation.orientations import tangents
 from repro_companion.book.views_frames import every_nth
-from repro_live.view.shape_parts import Markers, Shape, Traces
-from repro_live.view.shape_view import ShapeView
+from repro_live.view.shape_view import Markers, Shape, ShapeView, Traces
 
 RADIUS_M = 0.0125
 """Radius of the body that is drawn [m]; assumed, as that of the simulated rod."""

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from repro.errors import bad_input
-from repro_live.view.shape_parts import Traces
+from repro_live.view.shape_view import Traces
 
 
 def every_nth(samples: int, most: int) -> slice:

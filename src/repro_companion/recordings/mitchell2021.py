@@ -18,8 +18,7 @@ from jaxtyping import Float
 from repro.errors import InputError, bad_input
 from repro_companion.recordings.alignment import Lag, find_lag
 from repro_companion.recordings.sources import data_dir
-from repro_live.own.optitrack import Capture
-from repro_live.own.text import read_text
+from repro_live.own.optitrack import Capture, read_text
 
 FOLDER = "mitchell2021"
 MT_PER_UNIT = 10.0

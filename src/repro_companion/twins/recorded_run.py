@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -16,7 +16,7 @@ from repro_companion.twins.takes import Take
 from repro_live.emulate.board import Passage, passages
 from repro_live.emulate.emulator import Emulator
 from repro_live.emulate.faults import Faults
-from repro_live.emulate.links import HAS_PTY, PtyLink, SocketLink
+from repro_live.emulate.links import open_link
 from repro_live.record.recorder import record
 from repro_live.record.recording import Recording, read_recording
 from repro_live.wire.frame import Frame
@@ -96,18 +96,11 @@ def play_and_record(
     port
         ``pty`` or ``socket``; by default a pseudo-terminal where there are any.
     """
-    ledger: list[Passage] = []
-
-    def noted() -> Iterator[Passage]:
-        for passage in passages(islice(take.readings(loop=True), readings), take.format, faults, seed=seed):
-            ledger.append(passage)
-            yield passage
-
-    link = PtyLink() if port == "pty" or (port == "" and HAS_PTY) else SocketLink()
+    sent = list(passages(islice(take.readings(loop=True), readings), take.format, faults, seed=seed))
     ended = threading.Event()
     with (
         TemporaryDirectory() as folder,
-        Emulator(noted(), link, speed=speed, hang_up=True) as emulator,
+        Emulator(sent, open_link(port), speed=speed, hang_up=True) as emulator,
     ):
 
         def told(_: str) -> None:
@@ -116,4 +109,4 @@ def play_and_record(
 
         path = Path(folder) / "recording"
         record(emulator.address, take.format, path, stop=ended, warn=told)
-        return Run(ledger, read_recording(path))
+        return Run(sent, read_recording(path))

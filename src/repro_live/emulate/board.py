@@ -12,11 +12,10 @@ from jaxtyping import Bool, Float, Int
 
 from repro_live.emulate.faults import Faults, damage
 from repro_live.wire.formats import encode
-from repro_live.wire.frame import Frame
+from repro_live.wire.frame import WRAP, Frame
 
 BLOCK = 4096
 """Readings that the board looks ahead; the faults of a seed do not depend on how fast they are played."""
-WRAP = 1 << 32
 
 
 class Reading(NamedTuple):

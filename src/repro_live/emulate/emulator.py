@@ -10,48 +10,18 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Iterable
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
 from repro.errors import bad_input
 from repro_live.emulate.board import Passage
+from repro_live.emulate.links import Link
 
-SETTLE_S = 0.25
+_SETTLE_S = 0.25
 """From the opening of a port to the first byte [s]; drivers clear their buffers as they open one."""
-POLL_S = 0.02
+_POLL_S = 0.02
 """How often the emulator looks for a reader, or whether it shall stop [s]."""
-
-
-@runtime_checkable
-class Link(Protocol):
-    """A port that can appear and disappear; only the emulator's thread uses it."""
-
-    @property
-    def address(self) -> str:
-        """What a reader opens; stays the same."""
-        ...
-
-    def appear(self) -> None:
-        """Make the port."""
-        ...
-
-    def vanish(self) -> None:
-        """Close the port, once a reader has taken what was sent."""
-        ...
-
-    def remove(self) -> None:
-        """Remove the port for good."""
-        ...
-
-    def has_reader(self) -> bool:
-        """Whether somebody has the port open."""
-        ...
-
-    def write(self, data: memoryview, timeout_s: float) -> int:
-        """Send what fits into the buffers within a time [s]; return how much that was."""
-        ...
 
 
 class Emulator:
@@ -62,11 +32,13 @@ class Emulator:
     passages
         From :func:`repro_live.emulate.board.passages`.
     link
-        The port: :class:`repro_live.emulate.links.PtyLink` or :class:`repro_live.emulate.links.SocketLink`.
+        The port; only the emulator's thread uses it.
     speed
         Times real time; infinite: as fast as it is read.
     hang_up
         At the end let the port disappear, instead of waiting until the reader leaves.
+    each
+        Called after every writing with the time before it, by the monotonic clock [ns], and how many bytes it took.
 
     Raises
     ------
@@ -80,12 +52,19 @@ class Emulator:
     """
 
     def __init__(
-        self, passages: Iterable[Passage], link: Link, *, speed: float = 1.0, hang_up: bool = False
+        self,
+        passages: Iterable[Passage],
+        link: Link,
+        *,
+        speed: float = 1.0,
+        hang_up: bool = False,
+        each: Callable[[int, int], None] = lambda _began_ns, _sent: None,
     ) -> None:
         if not speed > 0:
             link.remove()
             raise bad_input("speed", "Emulator", "above zero", speed)
         self._passages, self._link, self._speed, self._hang_up = passages, link, float(speed), hang_up
+        self._each = each
         self._stopped = threading.Event()
         self._ready = threading.Event()
         self._error: BaseException | None = None
@@ -103,7 +82,7 @@ class Emulator:
         In short sleeps: an interruption may come at any time, and in the wait for a lock it may leave that locked.
         """
         while self._thread.is_alive():
-            time.sleep(POLL_S)
+            time.sleep(_POLL_S)
 
     def _run(self) -> None:
         """Play to the end and remove the port."""
@@ -114,7 +93,7 @@ class Emulator:
             if self._reader_settled():
                 self._play()
             self.finished.set()
-            while not self._hang_up and link.has_reader() and not self._stopped.wait(POLL_S):
+            while not self._hang_up and link.has_reader() and not self._stopped.wait(_POLL_S):
                 pass
         except BaseException as error:  # raised again in the thread that plays it
             self._error = error
@@ -142,9 +121,9 @@ class Emulator:
 
     def _reader_settled(self) -> bool:
         while not self._link.has_reader():
-            if self._stopped.wait(POLL_S):
+            if self._stopped.wait(_POLL_S):
                 return False
-        return not self._stopped.wait(SETTLE_S)
+        return not self._stopped.wait(_SETTLE_S)
 
     def _play(self) -> None:
         clock = _Clock(self._speed)
@@ -174,7 +153,7 @@ class Emulator:
             k = max(k + 1, int(np.searchsorted(passage.time_s, clock.now(), side="right")))
             end = int(passage.ends[k - 1])
             while sent < end and self._link.has_reader() and not self._stopped.is_set():
-                sent += self._link.write(data[sent:end], POLL_S)
+                sent += self._write(data[sent:end])
             sent = end
         return True
 
@@ -182,8 +161,14 @@ class Emulator:
         while data:
             if self._stopped.is_set() or not (self._link.has_reader() or self._reader_settled()):
                 return False
-            data = data[self._link.write(data, POLL_S) :]
+            data = data[self._write(data) :]
         return True
+
+    def _write(self, data: memoryview) -> int:
+        began_ns = time.monotonic_ns()
+        if sent := self._link.write(data, _POLL_S):
+            self._each(began_ns, sent)
+        return sent
 
     def _sleep(self, seconds: float) -> bool:
         """Wait; return whether to go on."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from jaxtyping import Bool, Int
 
 from repro.errors import bad_input
 
-CHANCES = ("flips", "drops", "duplicates", "bursts", "stalls", "disconnects", "reboots")
+_CHANCES = ("flips", "drops", "duplicates", "bursts", "stalls", "disconnects", "reboots")
 """Those of :class:`Faults` that are chances."""
 
 
@@ -65,7 +65,7 @@ class Faults:
     drift_ppm: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in CHANCES:
+        for name in _CHANCES:
             if not 0 <= getattr(self, name) <= 1:
                 raise bad_input(name, "Faults", "a chance from 0 to 1", getattr(self, name))
         for name in ("stall_s", "away_s", "boot_s"):
@@ -75,41 +75,6 @@ class Faults:
             raise bad_input("burst_bytes", "Faults", "1 or more", self.burst_bytes)
         if not abs(self.drift_ppm) < 1e6:
             raise bad_input("drift_ppm", "Faults", "between -1e6 and 1e6 [parts per million]", self.drift_ppm)
-
-
-def faults_named(given: Iterable[tuple[str, str]], others: Sequence[str] = ()) -> Faults:
-    """Return faults from names and values as typed.
-
-    Parameters
-    ----------
-    given
-        Names of :class:`Faults` and their values.
-    others
-        Names of other faults, for the message.
-
-    Raises
-    ------
-    InputError
-        If there is no such fault, it occurs twice, or its value is not a number that it can have.
-
-    Examples
-    --------
-    >>> faults_named([("flips", "1e-4"), ("burst_bytes", "8")])  # doctest: +ELLIPSIS
-    Faults(flips=0.0001, drops=0.0, duplicates=0.0, bursts=0.0, burst_bytes=8, ...)
-    """
-    known = {field.name: int if field.name == "burst_bytes" else float for field in fields(Faults)}
-    values: dict[str, float] = {}
-    for name, text in given:
-        if name not in known:
-            raise bad_input("fault", "repro emulate", f"one of {', '.join([*known, *others])}", name)
-        if name in values:
-            raise bad_input("fault", "repro emulate", "given once", f"{name} twice")
-        try:
-            values[name] = known[name](text)
-        except ValueError as error:
-            what = "a whole number" if known[name] is int else "a number"
-            raise bad_input(name, "repro emulate", what, repr(text)) from error
-    return Faults(**values)  # pyright: ignore[reportArgumentType]
 
 
 class Damaged(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.files import write_whole
 from repro.robot_file.robot_file import RobotFile
 from repro_live.robot.calibrate import pose_covariance
@@ -18,31 +18,32 @@ from repro_live.robot.calibration_poses import coordinate_columns, farthest_poin
 
 LEAST_POSES = 12
 """Or four for every coordinate, where these are more."""
-SPREAD = 0.9
+_SPREAD = 0.9
 """How far from the middle of its bounds a coordinate is held, as a share of the way to them."""
-CANDIDATES = 64
+_CANDIDATES = 64
 """Of so many random poses for each that is wanted the ones farthest from each other are taken."""
 MOVE_S = 0.5
 """From one pose to the next [s]."""
-SETTLED_S = 0.1
+_SETTLED_S = 0.1
 """Still for so long before it is said [s]."""
 LOOK_AHEAD_S = 0.05
 """How far a robot that waits for somebody looks ahead [s]."""
-WINDOW = (0.3, 0.7)
+_WINDOW = (0.3, 0.7)
 """The part of the time that a pose is held which goes into the table."""
-LATE_S = 0.3
+_LATE_S = 0.3
 """A recording begins about so long before the first reading: an emulated port waits for drivers to settle [s]."""
-POSE_NOISE = (2e-4, math.radians(0.5))
+_POSE_NOISE = (2e-4, math.radians(0.5))
 """How well poses are measured [m, rad]: what ``repro calibrate`` assumes."""
 
 Motion = Iterator[tuple[np.ndarray, np.ndarray]]
 """Times since the board was switched on [s] and configurations, one part of a motion after the other."""
 
 
-def spread_poses(robot: RobotFile, *, seed: int = 0, count: int | None = None) -> Float[np.ndarray, "n n_q"]:
+def spread_poses(robot: RobotFile, *, seed: int = 0) -> Float[np.ndarray, "n n_q"]:
     """Return configurations that are far from each other; the first is where estimators start.
 
-    Each of the others is, of random ones, the farthest from those before in widths of the bounds.
+    They are four for every coordinate, and at least 12. Each of the others is, of random ones, the farthest from
+    those before in widths of the bounds.
 
     Parameters
     ----------
@@ -50,12 +51,12 @@ def spread_poses(robot: RobotFile, *, seed: int = 0, count: int | None = None) -
         As described.
     seed
         Of the random ones.
-    count
-        By default four for every coordinate, and at least 12.
     """
     low, high, start = (x.numpy() for x in (robot.lower, robot.upper, robot.start))
-    count = max(LEAST_POSES, 4 * len(low)) if count is None else count
-    random = np.random.default_rng([seed, 4]).uniform(-SPREAD / 2, SPREAD / 2, (CANDIDATES * count, len(low)))
+    count = max(LEAST_POSES, 4 * len(low))
+    random = np.random.default_rng([seed, 4]).uniform(
+        -_SPREAD / 2, _SPREAD / 2, (_CANDIDATES * count, len(low))
+    )
     first = (start - (low + high) / 2) / (high - low)
     chosen = farthest_points(torch.from_numpy(random), torch.from_numpy(first), count - 1)
     return (low + high) / 2 + (high - low) * np.vstack([first, random[chosen]])
@@ -65,7 +66,7 @@ def measured_poses(
     robot: RobotFile, q: Float[np.ndarray, "n n_q"], *, seed: int = 0
 ) -> Float[np.ndarray, "n n_q"]:
     """Return configurations as somebody measured them: off by as much as ``repro calibrate`` assumes."""
-    deviation = pose_covariance(robot, *POSE_NOISE).diagonal().sqrt().numpy()
+    deviation = pose_covariance(robot, *_POSE_NOISE).diagonal().sqrt().numpy()
     return q + deviation * np.random.default_rng([seed, 5]).standard_normal(q.shape)
 
 
@@ -94,9 +95,9 @@ def write_poses(
     names, rows = list(columns), q / np.array(list(columns.values()))
     decimals = [3] * len(names)
     if hold_s is not None:
-        start_s = LATE_S + np.arange(len(q)) * (hold_s + MOVE_S)
+        start_s = _LATE_S + np.arange(len(q)) * (hold_s + MOVE_S)
         names += ["start_s", "end_s"]
-        rows = np.column_stack([rows, *(start_s + share * hold_s for share in WINDOW)])
+        rows = np.column_stack([rows, *(start_s + share * hold_s for share in _WINDOW)])
         decimals += [2, 2]
     lines = [",".join(f"{x:.{n}f}" for x, n in zip(row, decimals, strict=True)) for row in rows]
     text = "\n".join([",".join(names), *lines]) + "\n"
@@ -113,8 +114,7 @@ def held_in_time(q: Float[np.ndarray, "n n_q"], rate_hz: float, hold_s: float) -
     InputError
         If there is no time to hold a pose.
     """
-    if not 0 < hold_s < math.inf:
-        raise bad_input("hold", "repro emulate", "above zero [s]", hold_s)
+    require(0 < hold_s < math.inf, "hold", "repro emulate", "above zero [s]", hold_s)
     each_s = hold_s + MOVE_S
     first = 0
     for k in range(len(q)):
@@ -147,7 +147,7 @@ def held_by_hand(
         Called with the number of a pose, from 0, once it is held.
     """
     size, first = max(1, round(LOOK_AHEAD_S * rate_hz)), 0
-    settled = math.ceil(SETTLED_S / LOOK_AHEAD_S)
+    settled = math.ceil(_SETTLED_S / LOOK_AHEAD_S)
     for k in range(len(q)):
         parts = 0
         while True:

@@ -12,15 +12,15 @@ import tempfile
 import time
 from pathlib import Path
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 HAS_PTY = sys.platform != "win32"
 """Whether there are pseudo-terminals here."""
-CHUNK = 65536
+_CHUNK = 65536
 """Most bytes in one call of the operating system."""
-DRAIN_S = 2.0
+_DRAIN_S = 2.0
 """How long a reader has to take what was sent, before the port disappears [s]."""
-EMPTY = 30
+_EMPTY = 30
 """So many times in a row nothing waits, 3 ms apart, once all was taken: a busy system hands bytes on late."""
 
 
@@ -32,6 +32,11 @@ class PtyLink:
     port_file
         The link; by default one in a temporary folder.
 
+    Attributes
+    ----------
+    address
+        What a reader opens, the path of the link; stays the same.
+
     Raises
     ------
     InputError
@@ -39,23 +44,16 @@ class PtyLink:
     """
 
     def __init__(self, port_file: Path | None = None) -> None:
-        if not HAS_PTY:
-            raise bad_input(
-                "port", "PtyLink", "a socket on this system", "a pseudo-terminal, which it has not"
-            )
+        require(HAS_PTY, "port", "PtyLink", "a socket on this system", "a pseudo-terminal, which it has not")
         self._folder = None
         if port_file is None:
             self._folder = Path(tempfile.mkdtemp(prefix="repro-"))
         self._path = (port_file or Path(f"{self._folder}/port")).absolute()
+        self.address = str(self._path)
         if not self._path.is_symlink() and self._path.exists():
             raise bad_input("port_file", "PtyLink", "a new name, or that of an earlier port", port_file)
         self._master: int | None = None
         self._name = ""
-
-    @property
-    def address(self) -> str:
-        """Path of the link."""
-        return str(self._path)
 
     def appear(self) -> None:
         """Make a pseudo-terminal and let the link point to it."""
@@ -93,7 +91,7 @@ class PtyLink:
         events = dict(poll.poll(0)).get(self._master, 0)
         if events & select.POLLIN:  # what the reader writes is not for us
             with contextlib.suppress(OSError):
-                os.read(self._master, CHUNK)
+                os.read(self._master, _CHUNK)
         return not events & select.POLLHUP
 
     def write(self, data: memoryview, timeout_s: float) -> int:
@@ -101,13 +99,13 @@ class PtyLink:
         if self._master is None or not select.select([], [self._master], [], timeout_s)[1]:
             return 0
         try:
-            return os.write(self._master, data[:CHUNK])
+            return os.write(self._master, data[:_CHUNK])
         except OSError:  # it is full after all
             return 0
 
     def _drain(self) -> None:
-        deadline, empty = time.monotonic() + DRAIN_S, 0
-        while self.has_reader() and empty < EMPTY and time.monotonic() < deadline:
+        deadline, empty = time.monotonic() + _DRAIN_S, 0
+        while self.has_reader() and empty < _EMPTY and time.monotonic() < deadline:
             waiting = _waiting(self._name)
             empty = 0 if waiting else empty + 1
             time.sleep(0.003)
@@ -143,8 +141,7 @@ class SocketLink:
     """
 
     def __init__(self, port: int = 0) -> None:
-        if not 0 <= port <= 65535:
-            raise bad_input("socket", "SocketLink", "0 to 65535", port)
+        require(0 <= port <= 65535, "socket", "SocketLink", "0 to 65535", port)
         self._listener: socket.socket | None = None
         self._reader: socket.socket | None = None
         self._port = port
@@ -152,11 +149,6 @@ class SocketLink:
             self.appear()
         except OSError as error:
             raise bad_input("socket", "SocketLink", "a free port", f"{port}: {error.strerror}") from error
-
-    @property
-    def address(self) -> str:
-        """What pyserial opens."""
-        return f"socket://127.0.0.1:{self._port}"
 
     def appear(self) -> None:
         """Listen."""
@@ -173,6 +165,7 @@ class SocketLink:
             raise
         listener.setblocking(False)
         self._listener, self._port = listener, listener.getsockname()[1]
+        self.address = f"socket://127.0.0.1:{self._port}"
 
     def vanish(self) -> None:
         """Close the connection, which delivers what was sent, and listen no more."""
@@ -189,7 +182,7 @@ class SocketLink:
         """Whether somebody is connected."""
         if self._reader is not None:
             try:  # what the reader writes is not for us; its end is
-                if self._reader.recv(CHUNK) == b"":
+                if self._reader.recv(_CHUNK) == b"":
                     self._leave()
             except BlockingIOError:
                 pass
@@ -207,7 +200,7 @@ class SocketLink:
         if self._reader is None or not select.select([], [self._reader], [], timeout_s)[1]:
             return 0
         try:
-            return self._reader.send(data[:CHUNK])
+            return self._reader.send(data[:_CHUNK])
         except BlockingIOError:
             return 0
         except OSError:
@@ -218,3 +211,12 @@ class SocketLink:
         if self._reader is not None:
             self._reader.close()
             self._reader = None
+
+
+Link = PtyLink | SocketLink
+"""A port that can appear and disappear."""
+
+
+def open_link(kind: str = "") -> Link:
+    """Return a port of a kind: ``pty``, ``socket``, or by default a pseudo-terminal where there are such."""
+    return PtyLink() if kind == "pty" or (not kind and HAS_PTY) else SocketLink()

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.load import load_robot
 from repro.robot_file.robot_file import RobotFile
 from repro_live.emulate.board import BLOCK, Reading
@@ -33,7 +33,7 @@ from repro_live.wire.formats import encode
 from repro_live.wire.frame import Frame
 from repro_live.wire.text import HALL_RANGE, MILLIVOLT_RANGE
 
-PART_S = 0.5
+_PART_S = 0.5
 """Readings are made, and sent, for so long at once [s]."""
 _RANGES = {"hall": HALL_RANGE, "millivolts": MILLIVOLT_RANGE}
 
@@ -91,14 +91,12 @@ def open_board(
     """
     robot = load_robot(path)
     rate_hz = robot.rate_hz if rate_hz is None else rate_hz
-    if not 0 < rate_hz < math.inf:
-        raise bad_input("rate", "repro emulate", "above zero [Hz]", rate_hz)
+    require(0 < rate_hz < math.inf, "rate", "repro emulate", "above zero [Hz]", rate_hz)
     frames = len(robot.imus) + bool(robot.channel)  # of a round
-    block = max(1, round(PART_S * rate_hz)) * frames
+    block = max(1, round(_PART_S * rate_hz)) * frames
     options: dict[str, Any] = {"tolerances": tolerances, "faults": faults, "from_s": from_s, "seed": seed}
     if hold_poses is None:
-        if hold_s is not None:
-            raise bad_input("hold", "repro emulate", "left out without --hold-poses", hold_s)
+        require(hold_s is None, "hold", "repro emulate", "left out without --hold-poses", hold_s)
         return robot_board(robot, moving(robot, rate_hz, seed=seed), **options)._replace(block=block)
     q = spread_poses(robot, seed=seed)
     measured = measured_poses(robot, q, seed=seed)
@@ -111,7 +109,7 @@ def open_board(
         more = " Enter moves on to the next." if k + 1 < len(q) else " It is the last."
         print(f"Holding pose {k + 1} of {len(q)}.{more}", flush=True)
 
-    board = robot_board(robot, held_by_hand(q, rate_hz, enter_pressed(), say), **options)
+    board = robot_board(robot, held_by_hand(q, rate_hz, _enter_pressed(), say), **options)
     write_poses(hold_poses, robot, measured)
     return board._replace(block=max(1, round(LOOK_AHEAD_S * rate_hz)) * frames)
 
@@ -163,7 +161,7 @@ def robot_board(
 
 def moving(robot: RobotFile, rate_hz: float, *, seed: int = 0) -> Motion:
     """Move for ever, as :func:`~repro_live.emulate.robot_readings.course` says."""
-    size, first = max(1, round(PART_S * rate_hz)), 0
+    size, first = max(1, round(_PART_S * rate_hz)), 0
     while True:
         time_s = np.arange(first, first + size) / rate_hz
         yield time_s, course(robot, time_s, seed=seed)
@@ -204,7 +202,7 @@ def _clipped(built: RobotFile) -> tuple[str, ...]:
     return (f"readings of sensor {names} leave {low:g} to {high:g} {built.unit}, and are clipped to that.",)
 
 
-def enter_pressed() -> Callable[[], bool]:
+def _enter_pressed() -> Callable[[], bool]:
     """Return a function that says whether another line came on the standard input, each once."""
     lines = threading.Semaphore(0)
 

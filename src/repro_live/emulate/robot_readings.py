@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.kinematics.mounts import magnet_mounts
 from repro.robot_file.imu_readings import sent
 from repro.robot_file.parts import MAGNETIC_STREAM
@@ -30,7 +30,7 @@ SPEED = 0.5
 """Largest speed of every coordinate, in widths of its bounds per second."""
 REACH = 0.9
 """How far from the middle of its bounds a coordinate goes, as a share of the way to them."""
-EASE_S = 0.5
+_EASE_S = 0.5
 """Time constant with which the motion begins [s]."""
 
 
@@ -71,64 +71,7 @@ class RobotReadings:
                     yield Reading(time_s, stream, tuple(quaternion))
 
 
-def robot_readings(
-    robot: RobotFile,
-    *,
-    duration_s: float = 20.0,
-    start_s: float = 0.0,
-    rate_hz: float | None = None,
-    speed: float = SPEED,
-    tolerances: float = 0.0,
-    seed: int = 0,
-) -> RobotReadings:
-    """Return the readings of a robot that moves through its configuration space; synthetic.
-
-    The parts of one seed belong to one motion of one robot: those from 0 to 5 s and from 5 to 10 s can be joined.
-    Only their noise depends on where a part begins.
-
-    Parameters
-    ----------
-    robot
-        As described.
-    duration_s, start_s
-        Length of the part and where it begins [s].
-    rate_hz
-        Rounds per second; by default as in the file.
-    speed
-        Largest speed of every coordinate, in widths of its bounds per second.
-    tolerances
-        How far the robot is from its file: 0 as described, 1 as the priors of a calibration say.
-    seed
-        Of the robot, the motion, and the noise.
-
-    Raises
-    ------
-    InputError
-        If a number is out of range, or there is no time for one round.
-
-    Examples
-    --------
-    >>> from repro.robot_file.load import load_robot
-    >>> found = robot_readings(load_robot("data/robots/two_segments.toml"), duration_s=2.0)
-    >>> found.values.shape, found.q.shape
-    ((200, 8), (200, 6))
-    """
-    rate_hz = robot.rate_hz if rate_hz is None else rate_hz
-    for name, value in (("rate_hz", rate_hz), ("duration_s", duration_s), ("speed", speed)):
-        if not 0 < value < math.inf:
-            raise bad_input(name, "robot_readings", "above zero", value)
-    first, last = math.ceil(start_s * rate_hz - 1e-6), math.ceil((start_s + duration_s) * rate_hz - 1e-6)
-    if not (start_s >= 0 and last > first):
-        raise bad_input("start_s", "robot_readings", "0 or later, with time for one round", start_s)
-    time_s = np.arange(first, last) / rate_hz
-    q = course(robot, time_s, speed=speed, seed=seed)
-    rng = np.random.default_rng([seed, 2, first])
-    return readings_along(true_robot(robot, tolerances, seed=seed), time_s, q, rng=rng)
-
-
-def course(
-    robot: RobotFile, time_s: Float[np.ndarray, " n"], *, speed: float = SPEED, seed: int = 0
-) -> Float[np.ndarray, "n n_q"]:
+def course(robot: RobotFile, time_s: Float[np.ndarray, " n"], *, seed: int = 0) -> Float[np.ndarray, "n n_q"]:
     r"""Configurations of a smooth motion within the bounds; synthetic.
 
     Every coordinate is the sum of two sines of its own, with frequencies, shares and directions drawn from the seed.
@@ -142,8 +85,6 @@ def course(
         As described.
     time_s
         Times since the beginning [s].
-    speed
-        Largest speed of every coordinate, in widths of its bounds per second.
     seed
         The same seed gives the same motion at whatever times.
     """
@@ -154,11 +95,11 @@ def course(
     share = np.stack([major, REACH - major])  # of half the width
     ratio = np.stack([rng.uniform(0.7, 1.0, len(low)), rng.uniform(1.5, 2.2, len(low))])
     frequency = (
-        2 * speed * ratio / (share * ratio).sum(axis=0)
+        2 * SPEED * ratio / (share * ratio).sum(axis=0)
     )  # [rad/s]: the speeds of both add to the limit
     sign = rng.choice([-1.0, 1.0], len(low))
     phase = np.arcsin(np.clip(sign * (start - middle) / (REACH * half), -1, 1))
-    own_s = time_s + EASE_S * np.expm1(-time_s / EASE_S)
+    own_s = time_s + _EASE_S * np.expm1(-time_s / _EASE_S)
     sines = share * np.sin(own_s[:, None, None] * frequency + phase)
     return middle + half * sign * sines.sum(axis=1)
 
@@ -185,8 +126,7 @@ def true_robot(robot: RobotFile, tolerances: float, *, seed: int = 0) -> RobotFi
     InputError
         If the tolerances are negative, or the robot has networks: they say what the sensors read, not where they are.
     """
-    if not 0 <= tolerances < math.inf:
-        raise bad_input("tolerances", "true_robot", "0 or more", tolerances)
+    require(0 <= tolerances < math.inf, "tolerances", "true_robot", "0 or more", tolerances)
     if tolerances == 0 or robot.moments is None:
         return robot
     if robot.networks:

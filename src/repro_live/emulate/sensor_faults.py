@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
 from magpylib.func import dipole_field
 from scipy.spatial.transform import Rotation
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.robot_file import RobotFile
 from repro.sensing.magnets import MT_PER_T
+from repro_live.emulate.faults import Faults
 from repro_live.emulate.robot_readings import RobotReadings, course, readings_along
 
-GAIN_CHANGE = 0.05
+_GAIN_CHANGE = 0.05
 """By how much a gain is off, relative."""
-MOMENT_AM2 = 1.0
+_MOMENT_AM2 = 1.0
 """Moment of a foreign magnet [A m^2]: a neodymium cube of 1 cm."""
-NAMES = ("unplug", "stick", "saturate", "gain", "nan", "magnet", "noise")
-"""Those of :class:`SensorFaults`."""
-_NUMBERED = NAMES[:5]
+_NUMBERED = ("unplug", "stick", "saturate", "gain", "nan")
 _SURVEY_S = np.linspace(0.0, 60.0, 257)
 
 
@@ -94,38 +93,45 @@ class SensorFaults:
             raise bad_input("fault", robot.name, f"another one for a robot with {kind}", "magnet")
 
 
-def sensor_faults_named(
-    given: Iterable[tuple[str, str]],
-) -> tuple[SensorFaults, list[tuple[str, str]]]:
-    """Return faults of sensors from names and values as typed, and the pairs that are none of theirs.
+def faults_named(
+    given: Iterable[tuple[str, str]], *, of_sensors: bool = False
+) -> tuple[Faults, SensorFaults]:
+    """Return faults of line and board, and of sensors, from names and values as typed.
+
+    Parameters
+    ----------
+    given
+        Names of :class:`~repro_live.emulate.faults.Faults` or :class:`SensorFaults`, and their values.
+    of_sensors
+        Whether there may be faults of sensors.
 
     Raises
     ------
     InputError
-        If a fault occurs twice, or its value is not a number that it can have.
+        If there is no such fault, it occurs twice, or its value is not a number that it can have.
 
     Examples
     --------
-    >>> sensor_faults_named([("unplug", "3"), ("flips", "1e-4")])  # doctest: +ELLIPSIS
-    (SensorFaults(unplug=3, stick=0, ...), [('flips', '1e-4')])
+    >>> faults_named([("unplug", "3"), ("flips", "1e-4")], of_sensors=True)  # doctest: +ELLIPSIS
+    (Faults(flips=0.0001, drops=0.0, ...), SensorFaults(unplug=3, stick=0, ...))
     """
-    known = {name: int if name in _NUMBERED else float for name in NAMES}
-    values: dict[str, float] = {}
-    others = []
+    kinds = (Faults, SensorFaults) if of_sensors else (Faults,)
+    known = {field.name: (kind, type(field.default)) for kind in kinds for field in fields(kind)}
+    values: dict[type, dict[str, float]] = {Faults: {}, SensorFaults: {}}
     for name, text in given:
-        if name not in known:
-            others.append((name, text))
-            continue
-        if name in values:
-            raise bad_input("fault", "repro emulate", "given once", f"{name} twice")
+        require(name in known, "fault", "repro emulate", f"one of {', '.join(known)}", name)
+        kind, number = known[name]
+        require(name not in values[kind], "fault", "repro emulate", "given once", f"{name} twice")
+        must_be = "a whole number" if number is int else "a number"
+        if name in _NUMBERED:
+            must_be = "the number of a sensor, from 1"
         try:
-            values[name] = known[name](text)
+            values[kind][name] = number(text)
         except ValueError as error:
-            what = "the number of a sensor, from 1" if known[name] is int else "a number"
-            raise bad_input(name, "repro emulate", what, repr(text)) from error
-        if known[name] is int and values[name] < 1:
-            raise bad_input(name, "repro emulate", "the number of a sensor, from 1", repr(text))
-    return SensorFaults(**values), others  # pyright: ignore[reportArgumentType]
+            raise bad_input(name, "repro emulate", must_be, repr(text)) from error
+        if name in _NUMBERED and values[kind][name] < 1:
+            raise bad_input(name, "repro emulate", must_be, repr(text))
+    return Faults(**values[Faults]), SensorFaults(**values[SensorFaults])  # pyright: ignore[reportArgumentType]
 
 
 def with_sensor_faults(
@@ -159,9 +165,9 @@ def with_sensor_faults(
 
     Examples
     --------
-    >>> from repro_live.emulate.robot_readings import robot_readings
     >>> from repro.robot_file.load import load_robot
-    >>> made = robot_readings(load_robot("data/robots/two_segments.toml"), duration_s=2.0)
+    >>> robot, time_s = load_robot("data/robots/two_segments.toml"), np.arange(200) / 100
+    >>> made = readings_along(robot, time_s, course(robot, time_s), rng=np.random.default_rng([0, 2, 0]))
     >>> broken = with_sensor_faults(made, SensorFaults(unplug=3), from_s=1.0)
     >>> broken.values[99:101, 2].round(1) + 0.0
     array([-3.3,  0. ])
@@ -196,7 +202,7 @@ def _break_magnetic(
         values[late, used] += more * rng.standard_normal((len(values) - since, len(used)))
     if k := faults.gain:
         signal, offset = values[late, used[k - 1]], float(robot.offset[k - 1])
-        values[late, used[k - 1]] = offset + (1 + GAIN_CHANGE) * (signal - offset)
+        values[late, used[k - 1]] = offset + (1 + _GAIN_CHANGE) * (signal - offset)
     if k := faults.saturate:
         offset, level = float(robot.offset[k - 1]), saturation_level(robot, k)
         values[late, used[k - 1]] = values[late, used[k - 1]].clip(offset - level, offset + level)
@@ -240,5 +246,5 @@ def _foreign_field(robot: RobotFile, q: np.ndarray, distance_m: float) -> np.nda
     """Flux density of the foreign magnet along the axes of the sensors ``[rounds, s]`` [mT], by magpylib."""
     poses = robot.robot.sensor_poses(torch.from_numpy(np.ascontiguousarray(q))).numpy()
     observers = poses[..., :3, 3].reshape(-1, 3) - np.array([distance_m, 0.0, robot.robot.length / 2])
-    flux = np.asarray(dipole_field("B", observers, np.array([0.0, 0.0, MOMENT_AM2]), squeeze=False))
+    flux = np.asarray(dipole_field("B", observers, np.array([0.0, 0.0, _MOMENT_AM2]), squeeze=False))
     return MT_PER_T * (flux.reshape(*poses.shape[:2], 3) * poses[..., :3, 2]).sum(-1)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.robot_file import RobotFile
 from repro_live.follow import live_text
 from repro_live.follow.live_state import LiveState
@@ -29,7 +29,7 @@ WAITING = 4
 """Updates that wait for one browser; one more is left out."""
 MOST_CLIENTS = 8
 """Pages that are open at the same time."""
-DIFFERENCE = 1e-5
+_DIFFERENCE = 1e-5
 """Step of a derivative, in widths of the bounds."""
 
 
@@ -50,8 +50,7 @@ class BrowserView:
     """
 
     def __init__(self, estimator: RobotEstimator, port: int = 0) -> None:
-        if not 0 <= port <= 65535:
-            raise bad_input("browser_socket", "repro live", "0 to 65535", port)
+        require(0 <= port <= 65535, "browser_socket", "repro live", "0 to 65535", port)
         self._estimator = estimator
         self._clients: list[queue.Queue[str | None]] = []
         self._lock = threading.Lock()
@@ -178,7 +177,7 @@ def _deviation_mm(robot: RobotFile, q: torch.Tensor, covariance: torch.Tensor) -
 
     By differences: torch's forward derivatives are of the whole process, and the estimator's thread may take some.
     """
-    steps = torch.diag(DIFFERENCE * (robot.upper - robot.lower))
+    steps = torch.diag(_DIFFERENCE * (robot.upper - robot.lower))
     points = torch.from_numpy(backbone_points(robot.robot, q + torch.cat([steps, -steps])))
     up, down = points.unflatten(0, (2, -1))
     J = ((up - down) / (2 * steps.diagonal())[:, None, None]).permute(1, 2, 0)

@@ -38,9 +38,9 @@ from repro_live.robot.calibration_poses import coordinate_columns
 
 WRITE_S = 0.2
 """Estimates are written this often [s]: together, since the tips of many cost little more than that of one."""
-MOST_WAITING = 1 << 16
+_MOST_WAITING = 1 << 16
 """Estimates that wait for a disk; beyond, the estimator waits too."""
-MM = 1e-3
+_MM = 1e-3
 
 
 class EstimateRows:
@@ -63,7 +63,7 @@ class EstimateRows:
         self._estimator = estimator
         if estimator.positions:
             points = range(1, len(estimator.start) // 3 + 1)
-            self._columns = {f"point_{k}_{axis}_mm": MM for k in points for axis in "xyz"}
+            self._columns = {f"point_{k}_{axis}_mm": _MM for k in points for axis in "xyz"}
         else:
             self._columns = coordinate_columns(estimator.robot)
         self._known = first.covariance is not None
@@ -92,7 +92,7 @@ class EstimateRows:
             tip, J = tip_motion(self._estimator.robot.robot, q)
             tip_C = None if C is None else J @ C @ J.mT
             parts += _spread(C, factor)
-        parts += [tip / MM, *_spread(tip_C, factor.new_full((3,), MM))]
+        parts += [tip / _MM, *_spread(tip_C, factor.new_full((3,), _MM))]
         cells = [[_cell(x) for x in row] for row in torch.cat(parts, -1).tolist()]
         for row, estimate in zip(cells, estimates, strict=True):
             said = (float(estimate.diagnostics.get(name, torch.nan)) for name in self._said)
@@ -150,7 +150,7 @@ class EstimateFile:
         """Estimates in the file."""
         self._estimator = estimator
         self._rows: EstimateRows | None = None
-        self._waiting: queue.Queue[tuple[float, Estimate] | None] = queue.Queue(MOST_WAITING)
+        self._waiting: queue.Queue[tuple[float, Estimate] | None] = queue.Queue(_MOST_WAITING)
         self._failure: BaseException | None = None
         self._file = -1
         self._bytes = 0

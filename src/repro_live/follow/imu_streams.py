@@ -33,7 +33,7 @@ from repro_live.follow.time_steps import TimeStep
 from repro_live.view.robot_view import POINTS_PER_SEGMENT
 from repro_live.wire.frame import Frame
 
-SILENT_S = 1.0
+_SILENT_S = 1.0
 """A stream of which nothing was heard for so long gives no reading [s]; until then it is only slower than others."""
 
 
@@ -206,7 +206,7 @@ class Silences:
         for k, frame in enumerate(step.frames):
             if frame is not None:
                 self._heard[k] = step.time_s
-            elif step.time_s - self._heard.setdefault(k, step.time_s) < SILENT_S:
+            elif step.time_s - self._heard.setdefault(k, step.time_s) < _SILENT_S:
                 first, last = (0, self._sensors) if k == 0 else (self._sensors + k - 1, self._sensors + k)
                 said[first:last] = [False] * (last - first)
         return said

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-BINS_PER_DECADE = 50
+_BINS_PER_DECADE = 50
 """A quantile is at most 4.7 % too large."""
-LEAST_S, DECADES = 1e-6, 8
+_LEAST_S, _DECADES = 1e-6, 8
 """Shortest time that is told apart [s], and decades above it."""
 STAGES = ("parse", "queue", "estimate", "total")
 """From the arrival of the last bytes to their frames; waiting for the estimator; estimating; all of it."""
@@ -28,7 +28,7 @@ class Latencies:
     """
 
     def __init__(self) -> None:
-        self.counts = np.zeros(BINS_PER_DECADE * DECADES + 1, np.int64)
+        self.counts = np.zeros(_BINS_PER_DECADE * _DECADES + 1, np.int64)
 
     @property
     def count(self) -> int:
@@ -38,11 +38,11 @@ class Latencies:
     @staticmethod
     def edges_s() -> Float[np.ndarray, " bins"]:
         """Upper ends of the bins [s]; the last one holds everything above."""
-        return LEAST_S * 10 ** (np.arange(BINS_PER_DECADE * DECADES + 1) / BINS_PER_DECADE)
+        return _LEAST_S * 10 ** (np.arange(_BINS_PER_DECADE * _DECADES + 1) / _BINS_PER_DECADE)
 
     def add(self, seconds: float) -> None:
         """Count one."""
-        k = math.ceil(BINS_PER_DECADE * math.log10(max(seconds, LEAST_S) / LEAST_S))
+        k = math.ceil(_BINS_PER_DECADE * math.log10(max(seconds, _LEAST_S) / _LEAST_S))
         self.counts[min(k, len(self.counts) - 1)] += 1
 
     def quantile(self, share: float) -> float:

@@ -19,15 +19,15 @@ from repro_live.follow.latency import STAGES, Latencies
 from repro_live.follow.time_steps import TimeStep, TimeSteps
 from repro_live.record.summary import Summary
 
-WINDOW_S = 1.0
+_WINDOW_S = 1.0
 """The rate is that of the last second or more; what happened within it happens now [s]."""
-GAP_S = 0.25
+_GAP_S = 0.25
 """Readings farther apart than this are no continuous trace [s]."""
-FEW_STEPS = 3
+_FEW_STEPS = 3
 """Windows and gaps are at least so many time steps long, however slow the board is."""
-STEPS = 9
+_STEPS = 9
 """How long a time step is, is the median of so many."""
-BYTES_S = 2.5
+_BYTES_S = 2.5
 """Bytes without a frame that came within this time come now: the recorder tells of them once a second [s]."""
 
 Arriving = Literal["frames", "bytes", "nothing", "no port"]
@@ -149,7 +149,7 @@ class Tally:
         self._follower, self._steps = follower, steps
         self._began = time.monotonic()
         self._end = self._began + duration_s
-        self._apart_s = deque([1 / rate_hz], STEPS)
+        self._apart_s = deque([1 / rate_hz], _STEPS)
         self._rate_hz = math.nan  # as long as nothing was measured
         self._counted, self._counted_at = 0, self._began
         self._time_s = self._since_s = math.nan
@@ -203,7 +203,7 @@ class Tally:
             self._latencies[stage].add(1e-9 * (end - start))
         self._latencies["total"].add(1e-9 * (done_ns - step.arrival_ns))
         apart_s = step.time_s - self._time_s
-        if not (apart_s <= GAP_S or apart_s <= FEW_STEPS * statistics.median(self._apart_s)):
+        if not (apart_s <= _GAP_S or apart_s <= _FEW_STEPS * statistics.median(self._apart_s)):
             self._since_s = step.time_s
         if not math.isnan(apart_s):
             self._apart_s.append(apart_s)
@@ -216,12 +216,12 @@ class Tally:
         passed_s = now - self._counted_at
         if ended:
             self._end = min(self._end, now)
-        elif now < self._end and passed_s >= WINDOW_S and passed_s >= self._window_s():
+        elif now < self._end and passed_s >= _WINDOW_S and passed_s >= self._window_s():
             self._rate_hz = (done - self._counted) / passed_s
             self._counted, self._counted_at = done, now
 
     def _window_s(self) -> float:
-        return max(WINDOW_S, FEW_STEPS * statistics.median(self._apart_s))
+        return max(_WINDOW_S, _FEW_STEPS * statistics.median(self._apart_s))
 
     def state(self) -> LiveState:
         """Sum it up."""
@@ -233,7 +233,7 @@ class Tally:
             arriving = "no port"
         elif now - self._arrived_at < window_s:
             arriving = "frames"
-        elif now - self._bytes_at < BYTES_S:
+        elif now - self._bytes_at < _BYTES_S:
             arriving = "bytes"
         return LiveState(
             seconds=seconds,

@@ -3,18 +3,77 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 
-from repro.estimation.consistency import STATUS
+from repro.estimation.consistency import CONSISTENT, STATUS, WRONG, Verdict
 from repro_live.follow.latency import STAGES
 from repro_live.follow.live_state import LiveState, trusted
 from repro_live.follow.robot_estimator import RobotEstimator
-from repro_live.follow.verdict_words import lasting_words, redundancy_words, verdict_words
 from repro_live.robot.calibration_poses import coordinate_columns
 
-SHOWN_COUNTERS = ("frames", "gaps", "checksum_errors", "malformed", "reconnects")
+CAUSES = {
+    "": "",
+    "several": (
+        "No single sensor explains it: something magnetic nearby, several sensors, more noise than stated, or a "
+        "robot that is not as described (repro calibrate)."
+    ),
+    "untold": "Which sensor it is cannot be told so far.",
+    "no redundancy": "Which sensor it is cannot be told: there is no redundancy.",
+    "estimator": "The sensors agree with each other: the estimator lags behind them.",
+    "too few": "There are fewer readings than unknowns: they do not determine the shape.",
+    "anew": "Another shape explained the readings much better: the estimator was started anew there.",
+}
+
+
+def verdict_words(verdict: Verdict, sensors: Sequence[str]) -> str:
+    """Return what is wrong in sentences, empty if nothing is.
+
+    Parameters
+    ----------
+    verdict
+        Of :class:`repro.estimation.monitor.Monitored`.
+    sensors
+        Names of the sensors.
+
+    Examples
+    --------
+    >>> verdict_words(Verdict(WRONG, True, 41.7, "sensors", (1,)), ["sensor 1", "sensor 2"])
+    'Wrong, not to be trusted: residuals are 42 times those of the noise. It is sensor 2 (--failed 2 leaves it out).'
+    """
+    if verdict.status == CONSISTENT:
+        return ""
+    doubt = "not to be trusted" if verdict.status == WRONG else "perhaps not to be trusted"
+    head = f"{STATUS[verdict.status].capitalize()}, {doubt}"
+    if verdict.cause not in ("anew", "too few"):
+        head += f": residuals are {verdict.excess:.2g} times those of the noise"
+    return f"{head}. {_cause(verdict, sensors)}".rstrip()
+
+
+def lasting_words(verdict: Verdict, sensors: Sequence[str]) -> str:
+    """Return the same without numbers, so that it stays the same while it lasts.
+
+    Examples
+    --------
+    >>> lasting_words(Verdict(WRONG, True, 41.7, "several"), ["sensor 1", "sensor 2"])[:66]
+    'The shape does not explain the readings. No single sensor explains'
+    """
+    if verdict.status == CONSISTENT:
+        return ""
+    return f"The shape does not explain the readings. {_cause(verdict, sensors)}".rstrip()
+
+
+def _cause(verdict: Verdict, sensors: Sequence[str]) -> str:
+    if verdict.cause != "sensors":
+        return CAUSES[verdict.cause]
+    names = " or ".join(sensors[k] for k in verdict.suspects)
+    options = " or ".join(f"--failed {k + 1}" for k in verdict.suspects)
+    return f"It is {names} ({options} leaves it out)."
+
+
+_SHOWN_COUNTERS = ("frames", "gaps", "checksum_errors", "malformed", "reconnects")
 
 
 class Quantity(NamedTuple):
@@ -113,7 +172,7 @@ def silence(estimator: RobotEstimator, state: LiveState) -> str:
     return f"Frames arrive, but none of a stream of {robot.name}."
 
 
-def hint(estimator: RobotEstimator, state: LiveState) -> str:
+def _hint(estimator: RobotEstimator, state: LiveState) -> str:
     """What to look at while there are no readings; empty where `silence` and the other troubles say it all."""
     robot = estimator.robot
     if not state.silent or state.arriving in ("no port", "frames"):
@@ -133,7 +192,7 @@ def hint(estimator: RobotEstimator, state: LiveState) -> str:
 
 def troubles(estimator: RobotEstimator, state: LiveState) -> list[str]:
     """What is or was wrong, one sentence or two each; none if all is and was well."""
-    reason, look = silence(estimator, state), hint(estimator, state)
+    reason, look = silence(estimator, state), _hint(estimator, state)
     said = [f"{reason} {look}".strip()] if reason else []
     if not state.silent and state.verdict.status:
         said.append(verdict_words(state.verdict, estimator.sensors))
@@ -163,9 +222,12 @@ def troubles(estimator: RobotEstimator, state: LiveState) -> list[str]:
 
 
 def limits(estimator: RobotEstimator) -> list[str]:
-    """What can never be told of this robot."""
-    never = redundancy_words(*estimator.redundancy)
-    return [never] if never else []
+    """What can never be told of this robot, if there is no more than one reading for each unknown."""
+    readings, unknowns = estimator.redundancy
+    if readings > unknowns:
+        return []
+    counts = f"{readings} readings for {unknowns} unknowns"
+    return [f"No redundancy, {counts}: a wrong sensor looks like another shape and cannot be told."]
 
 
 def alerts(estimator: RobotEstimator, state: LiveState) -> list[str]:
@@ -184,7 +246,7 @@ def alerts(estimator: RobotEstimator, state: LiveState) -> list[str]:
 def counters(state: LiveState) -> str:
     """What was received and what went wrong on the way."""
     known = state.recorded.counters
-    others = [f"{known[name]} {name.replace('_', ' ')}" for name in SHOWN_COUNTERS[1:] if known.get(name)]
+    others = [f"{known[name]} {name.replace('_', ' ')}" for name in _SHOWN_COUNTERS[1:] if known.get(name)]
     return ", ".join([f"{known.get('frames', 0)} frames", *others])
 
 
@@ -195,8 +257,3 @@ def block(estimator: RobotEstimator, state: LiveState) -> list[str]:
     told = f"{old}: " if old else ""
     lines = [head, *(told + "   ".join(rows[k : k + 3]) for k in range(0, len(rows), 3))]
     return [*lines, counters(state), *limits(estimator), *troubles(estimator, state)]
-
-
-def line(estimator: RobotEstimator, state: LiveState) -> str:
-    """All of it in one line, for where no terminal shows it."""
-    return " | ".join(block(estimator, state))

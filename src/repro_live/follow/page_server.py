@@ -23,15 +23,15 @@ from repro_live.view.shape_view import VIEWER
 if TYPE_CHECKING:
     from repro_live.follow.browser import BrowserView
 
-PAGE = Path(__file__).with_name("page")
+_PAGE = Path(__file__).with_name("page")
 FILES = {
-    "/": (PAGE / "index.html", "text/html; charset=utf-8"),
-    "/page.css": (PAGE / "page.css", "text/css; charset=utf-8"),
-    "/page.js": (PAGE / "page.js", "text/javascript; charset=utf-8"),
+    "/": (_PAGE / "index.html", "text/html; charset=utf-8"),
+    "/page.css": (_PAGE / "page.css", "text/css; charset=utf-8"),
+    "/page.js": (_PAGE / "page.js", "text/javascript; charset=utf-8"),
     "/viewer.js": (VIEWER, "text/javascript; charset=utf-8"),
 }
 """All files that are served."""
-HEADERS = {
+_HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
     "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
@@ -42,7 +42,7 @@ HEADERS = {
 }
 ALIVE_S = 1.0
 """Without an update for this long an empty one tells whether the page is still there [s]."""
-STALLED_S = 10.0
+_STALLED_S = 10.0
 """A browser that takes nothing for this long is given up [s]."""
 ASK_S = 2.0
 """A request must be there as a whole within this time [s]."""
@@ -109,7 +109,7 @@ class _Request(io.RawIOBase):
         try:
             return self._connection.recv_into(buffer)
         finally:
-            self._connection.settimeout(STALLED_S)
+            self._connection.settimeout(_STALLED_S)
 
 
 class PageHandler(BaseHTTPRequestHandler):
@@ -118,7 +118,7 @@ class PageHandler(BaseHTTPRequestHandler):
     server: PageServer  # pyright: ignore[reportIncompatibleVariableOverride]
     server_version = "repro"
     sys_version = ""
-    timeout = STALLED_S
+    timeout = _STALLED_S
 
     def setup(self) -> None:
         """Let the request come within :data:`ASK_S`."""
@@ -151,7 +151,7 @@ class PageHandler(BaseHTTPRequestHandler):
 
     def _head(self, status: HTTPStatus, kind: str, more: dict[str, str]) -> None:
         self.send_response(status)
-        for name, value in ({"Content-Type": kind} | more | HEADERS).items():
+        for name, value in ({"Content-Type": kind} | more | _HEADERS).items():
             self.send_header(name, value)
         self.end_headers()
 

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.base import Estimator, kernel
 from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.kalman_filter import IteratedKalmanFilter
@@ -32,15 +32,15 @@ from repro_live.follow.time_steps import TimeStep
 
 ESTIMATORS = ("levenberg_marquardt", "kalman", "gradient_descent", "particle_filter", "imu_chain")
 """The first is that of magnetic sensors, the last that of IMUs."""
-ACCELERATION_SHARE, VELOCITY_SHARE = 0.2, 0.5
+_ACCELERATION_SHARE, _VELOCITY_SHARE = 0.2, 0.5
 """Of the Kalman filter, in widths of the bounds: as chosen on T2 for the robots of Baaij et al."""
-MOST_PARTICLE_COORDINATES = 4
-PARTICLES = 500
-MOVE_SHARE = 0.5
+_MOST_PARTICLE_COORDINATES = 4
+_PARTICLES = 500
+_MOVE_SHARE = 0.5
 """Random walk of a particle in one second, in widths of the bounds."""
-STARTS = 8
+_STARTS = 8
 """Configurations from which a monitor looks for a better start, besides where the robot starts."""
-LOOK_S, SLOW_LOOK_S = 0.25, 5.0
+_LOOK_S, _SLOW_LOOK_S = 0.25, 5.0
 """Time between two looks of the monitor for what is wrong, and with a model of one's own, whose fits are slow [s]."""
 
 
@@ -187,8 +187,7 @@ def robot_estimator(
     """
     magnetic = bool(robot.channel)
     name = name or ESTIMATORS[0 if magnetic else -1]
-    if name not in ESTIMATORS:
-        raise bad_input("estimator", "repro live", f"one of {', '.join(ESTIMATORS)}", name)
+    require(name in ESTIMATORS, "estimator", "repro live", f"one of {', '.join(ESTIMATORS)}", name)
     if magnetic == (name == "imu_chain"):
         fitting = ESTIMATORS[:-1] if magnetic else ESTIMATORS[-1:]
         sensors = "magnetic sensors" if magnetic else "IMUs"
@@ -197,8 +196,7 @@ def robot_estimator(
     n = len(robot.channel) + len(robot.imus)
     if wrong := [k for k in failed if not 1 <= k <= n]:
         raise bad_input("failed", "repro live", f"numbers of sensors, 1 to {n}", wrong[0])
-    if len(set(failed)) == n:
-        raise bad_input("failed", "repro live", f"fewer than all {n} sensors", f"{n} of them")
+    require(len(set(failed)) != n, "failed", "repro live", f"fewer than all {n} sensors", f"{n} of them")
     works = torch.tensor([k + 1 not in failed for k in range(n)])
     if not magnetic:
         method, use = imu_streams.chain(robot), torch.cat([torch.tensor([True]), works]).repeat_interleave(4)
@@ -241,8 +239,8 @@ def monitored(robot: RobotFile, name: str, solver: LevenbergMarquardt) -> Monito
             WithModelError(method, *given, own_box),
             WithModelError(solver, *given, box),
         )
-    starts = torch.cat([robot.start[None], starts_within(robot.lower, robot.upper, STARTS, seed=0)])
-    options: dict[str, Any] = {"unknowns": len(robot.lower), "look_s": SLOW_LOOK_S if own else LOOK_S}
+    starts = torch.cat([robot.start[None], starts_within(robot.lower, robot.upper, _STARTS, seed=0)])
+    options: dict[str, Any] = {"unknowns": len(robot.lower), "look_s": _SLOW_LOOK_S if own else _LOOK_S}
     if robot.imus:
         n = len(robot.channel) + len(robot.imus)
         options["sensors"] = torch.stack(
@@ -258,17 +256,17 @@ def _magnetic(robot: RobotFile, name: str, solver: LevenbergMarquardt) -> Estima
     if name == "levenberg_marquardt":
         return solver
     if name == "kalman":
-        acceleration, velocity = ACCELERATION_SHARE * width, VELOCITY_SHARE * width
+        acceleration, velocity = _ACCELERATION_SHARE * width, _VELOCITY_SHARE * width
         return IteratedKalmanFilter(sensing, low, high, acceleration, velocity, noise_mt=noise)
     if name == "gradient_descent":
         return GradientDescent(sensing, _step_size(robot, sensing), noise_mt=noise)
-    if len(low) > MOST_PARTICLE_COORDINATES:
+    if len(low) > _MOST_PARTICLE_COORDINATES:
         expected = (
-            f"another one for {robot.name}: particles fill at most {MOST_PARTICLE_COORDINATES} coordinates"
+            f"another one for {robot.name}: particles fill at most {_MOST_PARTICLE_COORDINATES} coordinates"
         )
         raise bad_input("estimator", "repro live", expected, f"{name} for {len(low)}")
-    walk = MOVE_SHARE * width / robot.rate_hz**0.5
-    options = {"particles": PARTICLES, "region": Box(low, high), "estimate": "Gauss-Newton"}
+    walk = _MOVE_SHARE * width / robot.rate_hz**0.5
+    options = {"particles": _PARTICLES, "region": Box(low, high), "estimate": "Gauss-Newton"}
     return ParticleFilter(sensing, walk, noise, **options)
 
 

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.estimation.consistency import STATUS
 from repro_live.follow.follower import Follower
 from repro_live.follow.live_state import LiveEstimate, LiveState, Tally
@@ -29,14 +29,14 @@ from repro_live.record.recorder import record
 from repro_live.record.recording_file import check_new
 from repro_live.wire.frame import Frame
 
-OWNER = "repro live"
-QUEUE_S, SHORTEST_QUEUE = 0.25, 8
+_OWNER = "repro live"
+_QUEUE_S, SHORTEST_QUEUE = 0.25, 8
 """What waits for the estimator: time steps of so many seconds, at least so many."""
-IDLE_S = 0.1
+_IDLE_S = 0.1
 """How often the session looks around when nothing arrives [s]."""
 SHOW_S = 0.05
 """Time between two states that are shown [s]."""
-SWITCH_S = 5e-4
+_SWITCH_S = 5e-4
 """After this time a thread lets another one work [s]; 5 ms, as usual, would be longer than an estimate takes."""
 
 
@@ -88,11 +88,10 @@ def follow(
     WriteFailed
         The disk is full or refuses. What was written is kept.
     """
-    if not duration_s > 0:
-        raise bad_input("duration", OWNER, "a time above zero [s]", duration_s)
+    require(duration_s > 0, "duration", _OWNER, "a time above zero [s]", duration_s)
     if output is not None:
-        check_new(output, OWNER)
-    check_port(port, baud, OWNER)
+        check_new(output, _OWNER)
+    check_port(port, baud, _OWNER)
     estimator.prepared()  # which may take a minute
     session = _Session(estimator, stop or threading.Event(), warn, seed, duration_s)
     reader = threading.Thread(target=session.read, args=(port, output, baud, duration_s), daemon=True)
@@ -112,7 +111,7 @@ def follow(
 def _undisturbed() -> Iterator[None]:
     """Keep the interpreter from long pauses of its own."""
     before = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(_SWITCH_S)
     gc.collect()
     gc.freeze()  # looking through all that torch and others have made takes a tenth of a second
     try:
@@ -135,7 +134,7 @@ class _Session:
         rate_hz = estimator.robot.rate_hz
         self.steps = TimeSteps(estimator.streams, rate_hz)
         self.queue: queue.SimpleQueue[TimeStep] = queue.SimpleQueue()  # only one thread puts
-        self.longest = max(SHORTEST_QUEUE, math.ceil(QUEUE_S * rate_hz))
+        self.longest = max(SHORTEST_QUEUE, math.ceil(_QUEUE_S * rate_hz))
         self.tally = Tally(Follower(estimator, seed=seed), self.steps, rate_hz, duration_s)
         self.notes: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self.noted = ("consistent", "", ())
@@ -150,7 +149,7 @@ class _Session:
         try:
             summary = record(
                 port, robot.format, output, baud=baud, channels=channels, duration_s=duration_s, stop=self.stop,
-                show=self.tally.note, warn=self.warn, each=self.put, watch=self.tally.watch, owner=OWNER,
+                show=self.tally.note, warn=self.warn, each=self.put, watch=self.tally.watch, owner=_OWNER,
                 unit=robot.unit, notes=self.notes,
             )  # fmt: skip
             self.tally.note(summary)
@@ -181,7 +180,7 @@ class _Session:
         shown = time.monotonic()
         while not (self.ended.is_set() and self.queue.empty()):
             try:
-                step = self.queue.get(timeout=IDLE_S)
+                step = self.queue.get(timeout=_IDLE_S)
             except queue.Empty:
                 pass
             else:

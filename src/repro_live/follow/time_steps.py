@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 from typing import NamedTuple
 
-from repro_live.wire.frame import Frame
+from repro.robot_file.robot_file import RobotFile
+from repro_live.robot.readings_file import Readings, stream_widths
+from repro_live.wire.frame import WRAP, Frame
 
-WRAP_US = 1 << 32
-PLAUSIBLE_S = 2.0
+_PLAUSIBLE_S = 2.0
 """A board whose clock says this much more than the host's arrivals was reset [s]."""
-SHORTEST_S = 1e-6
+_SHORTEST_S = 1e-6
 """Time from one step to the next, at least [s]: estimators want times that increase."""
 
 
@@ -111,9 +113,16 @@ class _Clock:
         passed_s = host_s - self._host_s
         if sent_us is not None and self._sent_us is not None:
             # one wrap is 72 minutes: a longer silence is told by the host alone
-            device_s = 1e-6 * ((sent_us - self._sent_us) % WRAP_US)
-            if device_s < passed_s + PLAUSIBLE_S:
+            device_s = 1e-6 * ((sent_us - self._sent_us) % WRAP)
+            if device_s < passed_s + _PLAUSIBLE_S:
                 passed_s = device_s
-        self._time_s += max(passed_s, SHORTEST_S)
+        self._time_s += max(passed_s, _SHORTEST_S)
         self._host_s, self._sent_us = host_s, sent_us
         return self._time_s
+
+
+def time_steps(readings: Readings, robot: RobotFile) -> Iterator[list[TimeStep]]:
+    """Yield the time steps that frames complete, those that arrived together at once, as a port gives them."""
+    steps = TimeSteps(tuple(stream_widths(robot)), robot.rate_hz)
+    for arrival_ns, group in groupby(readings.frames, key=lambda pair: pair[0]):
+        yield steps.add(arrival_ns, [frame for _, frame in group])

@@ -9,15 +9,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro.robot_file.robot_file import RobotFile
-from repro_live.own.lag import LEAST_R, MARGIN, OWNER, Correlations, Samples, check_peak, correlations
+from repro_live.own.lag import LEAST_R, MARGIN, OWNER, Correlations, check_peak, correlations
 from repro_live.own.poses import MeasuredPoses
-from repro_live.own.readings import TimedReadings
+from repro_live.own.samples import Samples, TimedReadings
 
-CLEARLY = 2 * MARGIN
+_CLEARLY = 2 * MARGIN
 """Poses with other axes must correlate by this much better to be what is meant."""
-COARSE_S = 0.04
+_COARSE_S = 0.04
 """Between the poses with which other axes are tried [s]."""
 _TURNS = {
     "x and y exchanged": ((0.0, 1.0), (1.0, 0.0)),
@@ -54,8 +54,7 @@ def find_clock_lag(
         :func:`repro_live.own.lag.check_peak` and :func:`repro_live.own.lag.correlations`.
     """
     measured = Samples.of(readings.time_s, readings.signal)
-    if len(measured.time_s) < 3:
-        raise bad_input("readings", OWNER, "complete in three frames", len(measured.time_s))
+    require(len(measured.time_s) >= 3, "readings", OWNER, "complete in three frames", len(measured.time_s))
     as_given = correlations(measured, predicted(robot.sensing(), poses, poses.q), longest_s)
     _check_axes(robot, measured, poses, as_given, longest_s)
     check_peak(as_given, robot.name)
@@ -75,7 +74,7 @@ def _check_axes(
     robot: RobotFile, measured: Samples, poses: MeasuredPoses, found: Correlations, longest_s: float
 ) -> None:
     """Refuse poses whose axes would fit much better exchanged or reversed, and readings of the other sign."""
-    r, better, every = found.r[found.best], {}, max(1, round(COARSE_S / poses.step_s))
+    r, better, every = found.r[found.best], {}, max(1, round(_COARSE_S / poses.step_s))
     if not set(robot.robot.coordinates).difference(_delta_names(len(robot.robot.segments))):
         for words, turn in _TURNS.items():
             q = poses.q.clone().unflatten(-1, (-1, 3))
@@ -89,7 +88,7 @@ def _check_axes(
     except InputError:
         pass
     words = max(better, key=better.__getitem__, default="")
-    if words and better[words] > max(r + CLEARLY, LEAST_R):
+    if words and better[words] > max(r + _CLEARLY, LEAST_R):
         expected = f"of one motion, in the axes of {robot.name}"
         seen = f"r = {r:.3f} at best, but {better[words]:.3f} with {words}"
         raise bad_input("readings and poses", OWNER, expected, seen)

@@ -9,22 +9,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.calibration_file import RobotCalibration
 from repro.robot_file.robot_file import RobotFile
 from repro_live.follow.robot_estimator import robot_estimator
 from repro_live.follow.time_steps import TimeStep
 from repro_live.own.align import find_clock_lag, judged_at, on_one_clock, predicted
 from repro_live.own.judge import Tracked, Truth, tip_positions, tracked
-from repro_live.own.lag import Lag, Samples, refined
-from repro_live.own.models import TRACKERS, Networks, calibrated, trained
-from repro_live.own.parts import TimeParts, split_in_time
+from repro_live.own.lag import Lag, refined
+from repro_live.own.models import TRACKERS, Networks, TimeParts, calibrated, split_in_time, trained
 from repro_live.own.poses import MeasuredPoses
-from repro_live.own.readings import TimedReadings
+from repro_live.own.samples import Samples, TimedReadings
 
-MODELS = ("calibration", "network")
-MOST_ROUNDS = 4
-SETTLED = 0.5
+_MODELS = ("calibration", "network")
+_MOST_ROUNDS = 4
+_SETTLED = 0.5
 """A lag that changes by less than this many of its standard deviations is final."""
 
 
@@ -76,7 +75,7 @@ def fit(
     readings: TimedReadings,
     poses: MeasuredPoses,
     *,
-    model: str = MODELS[0],
+    model: str = _MODELS[0],
     share: float = 0.4,
     longest_lag_s: float = 10.0,
     seed: int = 0,
@@ -108,12 +107,10 @@ def fit(
     InputError
         If the two are not of one motion, too short, or do not fit the robot.
     """
-    if model not in MODELS:
-        raise bad_input("model", "repro fit", " or ".join(MODELS), repr(model))
+    require(model in _MODELS, "model", "repro fit", " or ".join(_MODELS), repr(model))
     if model == "network" and robot.imus:
         raise bad_input("model", "repro fit", f"calibration for {robot.name}, which has IMUs", model)
-    if not 0 < longest_lag_s < np.inf:
-        raise bad_input("longest-lag", "repro fit", "above 0, and finite", longest_lag_s)
+    require(0 < longest_lag_s < np.inf, "longest-lag", "repro fit", "above 0, and finite", longest_lag_s)
     readings, poses, from_first = on_one_clock(readings, poses)
     notes = [*readings.notes, *poses.notes]
     if from_first:
@@ -125,7 +122,7 @@ def fit(
     say("Calibrating." if model == "calibration" else "Training networks.")
     expected = predicted(robot.sensing(), poses, poses.q)
     lag = refined(_during(measured, parts.first_s), expected, near_s)
-    for _ in range(MOST_ROUNDS):  # the new model tells the lag better, and that the model
+    for _ in range(_MOST_ROUNDS):  # the new model tells the lag better, and that the model
         before_s, parts = lag.lag_s, _parts(readings, poses, lag.lag_s, share)
         use = parts.first & np.isfinite(readings.signal).all(axis=1)
         values, q, covariance = _training(readings, poses, lag, use)
@@ -137,7 +134,7 @@ def fit(
             sensing = networks.sensing(robot)
         expected = predicted(sensing, poses, poses.q)
         lag = refined(_during(measured, parts.first_s), expected, lag.lag_s)
-        if abs(lag.lag_s - before_s) < SETTLED * lag.error_s:
+        if abs(lag.lag_s - before_s) < _SETTLED * lag.error_s:
             break
     parts = _parts(readings, poses, lag.lag_s, share)
     if left_out:

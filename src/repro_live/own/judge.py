@@ -17,10 +17,10 @@ from repro.kinematics.motion import tip_motion
 from repro.robot_file.robot_file import RobotFile
 from repro_live.follow.follower import Follower
 from repro_live.follow.robot_estimator import RobotEstimator
-from repro_live.own.readings import TimedReadings
+from repro_live.own.samples import TimedReadings
 from repro_live.robot.calibration_poses import coordinate_columns
 
-COVERED = 0.95
+_COVERED = 0.95
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def _distances(distance: np.ndarray, factor: float, to_percent: float | None) ->
 
 
 def _consistency(difference: Tensor, P: Tensor, R: Tensor) -> dict[str, float]:
-    n, limit = difference.shape[-1], float(chi2.ppf(COVERED, difference.shape[-1]))
+    n, limit = difference.shape[-1], float(chi2.ppf(_COVERED, difference.shape[-1]))
 
     def normalised(C: Tensor) -> Tensor:
         # A pseudo-inverse: a robot may have more coordinates than its tip shows.

@@ -13,19 +13,19 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import correlate
 
-from repro.errors import bad_input
-from repro_live.own.gaps import interpolated, longest_gap_s
+from repro.errors import bad_input, require
+from repro_live.own.samples import Samples
 
 LEAST_R = 0.8
 """Correlation below which no lag is accepted."""
 MARGIN = 0.02
 """By how much the best correlation must exceed that of any other peak."""
-SLOPES = 0.5, 2.0
+_SLOPES = 0.5, 2.0
 """Measured readings may move this many times as much as predicted."""
-BLOCKS = 8
+_BLOCKS = 8
 """Blocks of time whose own lags tell the error and the drift."""
-ITERATIONS = 15
-MOST_STEPS = 1 << 17
+_ITERATIONS = 15
+_MOST_STEPS = 1 << 17
 OWNER = "repro fit"
 
 
@@ -62,35 +62,6 @@ class Lag:
 
 
 @dataclass(frozen=True)
-class Samples:
-    """Signals over time; rows with a missing value are left out.
-
-    Parameters
-    ----------
-    time_s
-        Increasing times [s].
-    values
-        One column for each sensor.
-    gap_s
-        Longest time between two samples over which is interpolated [s].
-    """
-
-    time_s: Float[np.ndarray, " n"]
-    values: Float[np.ndarray, "n s"]
-    gap_s: float
-
-    @classmethod
-    def of(cls, time_s: np.ndarray, values: np.ndarray) -> Samples:
-        """Leave out rows that are not complete."""
-        whole = np.isfinite(values).all(axis=1)
-        return cls(time_s[whole], values[whole], longest_gap_s(time_s))
-
-    def at(self, time_s: np.ndarray) -> np.ndarray:
-        """Values at times; NaN in gaps."""
-        return interpolated(self.time_s, self.values, time_s, self.gap_s)
-
-
-@dataclass(frozen=True)
 class Correlations:
     """Correlation of readings and predictions at every lag that was tried.
 
@@ -119,7 +90,7 @@ def correlations(readings: Samples, predicted: Samples, longest_s: float) -> Cor
         If at no lag half of the shorter recording is in common, or a signal does not vary.
     """
     step_s = min(float(np.median(np.diff(s.time_s))) for s in (readings, predicted))
-    step_s = max(step_s, max(float(np.ptp(s.time_s)) for s in (readings, predicted)) / MOST_STEPS)
+    step_s = max(step_s, max(float(np.ptp(s.time_s)) for s in (readings, predicted)) / _MOST_STEPS)
     starts, grids = [], []
     for signal in (readings, predicted):
         first, last = int(np.ceil(signal.time_s[0] / step_s)), int(np.floor(signal.time_s[-1] / step_s))
@@ -159,8 +130,7 @@ def correlations(readings: Samples, predicted: Samples, longest_s: float) -> Cor
         square_a += sums(x**2, on_b) - sum_x**2 / count
         square_b += sums(on_a, y**2) - sum_y**2 / count
     good = (common >= least) & (square_a > 1e-9 * (a**2).sum()) & (square_b > 1e-9 * (b**2).sum())
-    if not good.any():
-        raise bad_input("readings and poses", OWNER, "moving", "a constant")
+    require(good.any(), "readings and poses", OWNER, "moving", "a constant")
     r = np.where(good, product / np.sqrt(np.where(good, square_a * square_b, 1.0)), -1.0)
     slope = np.where(good, product / np.where(good, square_b, 1.0), 0.0)
     return Correlations(shifts * step_s, r, slope)
@@ -194,9 +164,9 @@ def check_peak(found: Correlations, robot: str) -> None:
         raise bad_input(
             "readings and poses", OWNER, "moving enough to show a lag", f"{best}, and no less at any"
         )
-    if not SLOPES[0] < found.slope[k] < SLOPES[1]:
+    if not _SLOPES[0] < found.slope[k] < _SLOPES[1]:
         expected = (
-            f"readings that move {SLOPES[0]:g} to {SLOPES[1]:g} times as much as {robot} predicts (units?)"
+            f"readings that move {_SLOPES[0]:g} to {_SLOPES[1]:g} times as much as {robot} predicts (units?)"
         )
         raise bad_input("readings", OWNER, expected, f"{found.slope[k]:.3g} times as much")
 
@@ -206,7 +176,9 @@ def refined(readings: Samples, predicted: Samples, near_s: float) -> Lag:
 
     What the shifted prediction leaves shall not correlate with the rate of the readings,
     :math:`\sum \dot u\,(u - g\,\hat u(t - \text{lag})) = 0`. Least squares would lock to samples: interpolation
-    smooths the noise of the poses more the farther it is from one. In this sum that noise has mean zero.
+    smooths the noise of the poses more the farther it is from one. In this sum that noise has mean zero. How fast it
+    changes with the lag is :math:`\sum \dot u\,g\,\dot{\hat u}`, not :math:`\sum \dot u^2`, in which the noise of the
+    readings may be the larger part.
 
     Raises
     ------
@@ -219,8 +191,8 @@ def refined(readings: Samples, predicted: Samples, near_s: float) -> Lag:
     rate = (readings.at(readings.time_s + step_s) - readings.at(readings.time_s - step_s)) / (2 * step_s)
     use = np.isfinite(np.concatenate([*shifted, rate], axis=1)).all(axis=1)
     time_s, u, rate = readings.time_s[use], readings.values[use], rate[use]
-    if len(u) < 4 * BLOCKS:
-        raise bad_input("readings and poses", OWNER, f"at least {4 * BLOCKS} in common", len(u))
+    predicted_rate = (shifted[1] - shifted[0])[use] / (2 * reach)
+    require(len(u) >= 4 * _BLOCKS, "readings and poses", OWNER, f"at least {4 * _BLOCKS} in common", len(u))
     u = u - u.mean(axis=0)
 
     def fitted(shift: float) -> tuple[np.ndarray, np.ndarray]:
@@ -230,16 +202,17 @@ def refined(readings: Samples, predicted: Samples, near_s: float) -> Lag:
         return x, (u * x).sum(axis=0) / np.maximum((x**2).sum(axis=0), np.finfo(float).tiny)
 
     shift = 0.0
-    for _ in range(ITERATIONS):
+    for _ in range(_ITERATIONS):
         x, gain = fitted(shift)
-        change = float((rate * (u - gain * x)).sum() / max((rate**2).sum(), np.finfo(float).tiny))
+        weight = max((rate * gain * predicted_rate).sum(), np.finfo(float).tiny)
+        change = float((rate * (u - gain * x)).sum() / weight)
         shift = float(np.clip(shift - change, -reach, reach))
     if abs(shift) >= reach:
         expected = f"alike near the lag {near_s:+.3f} s"
         raise bad_input("readings and poses", OWNER, expected, "a correlation that rises away from there")
     x, gain = fitted(shift)
     left = u - gain * x
-    error_s, drift, drift_error = _blocks(time_s, -left, rate)
+    error_s, drift, drift_error = _blocks(time_s, -left * rate, gain * predicted_rate * rate)
     r = float((gain * x * u).sum() / np.sqrt(((gain * x) ** 2).sum() * (u**2).sum()))
     slope = float((x * u).sum() / (x**2).sum())
     common_s = float(len(u) * np.median(np.diff(readings.time_s)))
@@ -247,18 +220,21 @@ def refined(readings: Samples, predicted: Samples, near_s: float) -> Lag:
     return Lag(near_s + shift, error_s, 1e6 * drift, 1e6 * drift_error, r, slope, residual, common_s)
 
 
-def _blocks(time_s: np.ndarray, left: np.ndarray, rate: np.ndarray) -> tuple[float, float, float]:
-    """Error of the lag [s], drift and its error, from the lag that each block of time asks for by itself."""
-    parts = np.array_split(np.arange(len(time_s)), BLOCKS)
-    weight = np.array([(rate[k] ** 2).sum() for k in parts])
-    own = np.array([(left[k] * rate[k]).sum() for k in parts]) / np.maximum(weight, np.finfo(float).tiny)
+def _blocks(time_s: np.ndarray, left: np.ndarray, slope: np.ndarray) -> tuple[float, float, float]:
+    """Error of the lag [s], drift and its error, from the lag that each block of time asks for by itself.
+
+    Of every time and sensor: what is left of the sum that shall vanish, and how fast that changes with the lag.
+    """
+    parts = np.array_split(np.arange(len(time_s)), _BLOCKS)
+    weight = np.maximum([slope[k].sum() for k in parts], np.finfo(float).tiny)
+    own = np.array([left[k].sum() for k in parts]) / weight
     middle = np.array([time_s[k].mean() for k in parts])
     share = weight / weight.sum()
     about = middle - share @ middle
     spread = share @ about**2
     drift = float(share @ (about * own) / spread)
     rest = own - share @ own
-    error_s = float(np.sqrt((share**2 * rest**2).sum() * BLOCKS / (BLOCKS - 1)))
+    error_s = float(np.sqrt((share**2 * rest**2).sum() * _BLOCKS / (_BLOCKS - 1)))
     rest = rest - drift * about
-    drift_error = float(np.sqrt((share**2 * about**2 * rest**2).sum() * BLOCKS / (BLOCKS - 2)) / spread)
+    drift_error = float(np.sqrt((share**2 * about**2 * rest**2).sum() * _BLOCKS / (_BLOCKS - 2)) / spread)
     return error_s, drift, drift_error

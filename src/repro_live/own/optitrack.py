@@ -7,17 +7,40 @@ upright, so the tilt of the body's y axis is how far it bends from upright, and 
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_live.own.marker_exchanges import not_turned, undo_exchanges
-from repro_live.own.text import read_text
+
+
+def read_text(path: Path) -> str:
+    """Return the content of a text file in UTF-8, without a byte order mark.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    InputError
+        Bytes that are no text.
+    """
+    content = path.read_bytes()
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        seen = f"byte 0x{content[error.start]:02x} at {error.start}"
+        raise bad_input("content", path.name, "text in UTF-8", seen) from error
+    if "\0" in text:
+        raise bad_input("content", path.name, "text in UTF-8", f"a zero byte at {text.index(chr(0))}")
+    return text
+
 
 HEADER_LINES = 7
 """Lines of an export before the first frame."""
@@ -121,11 +144,7 @@ def read_capture(path: Path, *, body: str = "Module", utc_offset_h: float = -5.0
         bodies = ", ".join(sorted({name for name, _, _ in columns if name}))
         seen = f"{body}, without {', '.join(missing)}"
         raise bad_input("body", path.name, f"one with rotation and position (there are: {bodies})", seen)
-    picked = [1, *map(columns.index, wanted)]
-    try:
-        table = np.array([[float(row[k] or "nan") for k in picked] for row in rows[HEADER_LINES:]])
-    except (ValueError, IndexError) as error:
-        raise bad_input("frames", path.name, "rows of numbers", error) from error
+    table = read_frames(rows[HEADER_LINES:], [1, *map(columns.index, wanted)], path.name)
     if not len(table) or not (np.diff(table[:, 0]) > 0).all():
         raise bad_input("Time", path.name, "increasing from frame to frame", "other times, or no frame")
     rate_hz = float(header["Capture Frame Rate"])
@@ -158,11 +177,9 @@ def read_header(rows: list[list[str]], owner: str, *, version: str, frames: int)
     """
     header = dict(zip(rows[0][0::2], rows[0][1::2], strict=False)) if rows else {}
     for name, expected in (("Format Version", version), ("Rotation Type", "Quaternion")):
-        if header.get(name) != expected:
-            raise bad_input(name, owner, expected, header.get(name, "nothing"))
+        require(header.get(name) == expected, name, owner, expected, header.get(name, "nothing"))
     for name in ("Take Name", "Total Exported Frames", "Capture Frame Rate"):
-        if name not in header:
-            raise bad_input(name, owner, "in the header", "nothing")
+        require(name in header, name, owner, "in the header", "nothing")
     if not header["Total Exported Frames"].isdecimal():
         raise bad_input("Total Exported Frames", owner, "a whole number", header["Total Exported Frames"])
     if frames != int(header["Total Exported Frames"]):
@@ -177,11 +194,26 @@ def read_header(rows: list[list[str]], owner: str, *, version: str, frames: int)
     return header
 
 
+def read_frames(
+    rows: Sequence[Sequence[str]], picked: Sequence[int], owner: str
+) -> Float[np.ndarray, "frames k"]:
+    """Numbers in the picked columns of the rows below the header; NaN where a cell is empty.
+
+    Raises
+    ------
+    InputError
+        If a row is shorter, or a cell holds no number.
+    """
+    try:
+        return np.array([[float(row[k] or "nan") for k in picked] for row in rows]).reshape(-1, len(picked))
+    except (ValueError, IndexError) as error:
+        raise bad_input("frames", owner, "rows of numbers", error) from error
+
+
 def _start(header: dict[str, str], owner: str, utc_offset_h: float) -> float:
     """Return the start of the capture, seconds since 1970 UTC."""
     name = "Capture Start Time"
-    if name not in header:
-        raise bad_input(name, owner, "in the header", "nothing")
+    require(name in header, name, owner, "in the header", "nothing")
     zone = timezone(timedelta(hours=utc_offset_h))
     try:
         began = datetime.strptime(header[name], "%Y-%m-%d %I.%M.%S.%f %p").replace(tzinfo=zone)
@@ -200,8 +232,7 @@ def _motion(table: np.ndarray, owner: str) -> tuple[pd.DataFrame, int, int, int,
         raise bad_input("quaternions", owner, "unit within 0.001", seen)
     first = int(np.argmax(tracked))
     tilt = np.degrees(np.arccos(np.clip(Rotation.from_quat(quaternions[first]).as_matrix()[1, 1], -1.0, 1.0)))
-    if not tilt < 45.0:
-        raise bad_input("first frame", owner, "upright within 45 deg", f"{tilt:.1f} deg")
+    require(tilt < 45.0, "first frame", owner, "upright within 45 deg", f"{tilt:.1f} deg")
     upright = not_turned(quaternions, tracked)
     undone = undo_exchanges(quaternions, tracked, upright)
     kept = upright | undone.frames

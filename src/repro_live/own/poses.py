@@ -12,18 +12,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.robot_file import RobotFile
-from repro_live.own.body_poses import configurations_of, end_poses
-from repro_live.own.gaps import GAP_STEPS, interpolated
-from repro_live.own.motive import is_motive, read_bodies
+from repro_live.own.bodies import configurations_of, end_poses, is_motive, read_bodies
+from repro_live.own.samples import GAP_STEPS, interpolated
 from repro_live.robot.calibrate import pose_covariance
 from repro_live.robot.calibration_poses import coordinate_columns
-from repro_live.robot.number_table import read_numbers, times_of
+from repro_live.robot.number_table import check_columns, read_numbers, times_of
 
-BEYOND, MOST_BEYOND = 0.25, 0.05
+_BEYOND, _MOST_BEYOND = 0.25, 0.05
 """Poses may be this share of the width of the bounds beyond them, and this share of the poses farther."""
-LEAST_MOTION = 0.05
+_LEAST_MOTION = 0.05
 """Poses must move some coordinate by this share of the width of its bounds."""
 
 
@@ -114,8 +113,7 @@ def read_measured_poses(
     InputError
         If the file does not hold poses of this robot; the message names column and line, or says what does not fit.
     """
-    if not 0 <= straight_s < math.inf:
-        raise bad_input("straight-s", "repro fit", "0 or above", straight_s)
+    require(0 <= straight_s < math.inf, "straight-s", "repro fit", "0 or above", straight_s)
     if is_motive(path):
         ends = len(robot.robot.segments)
         if len(bodies) not in (ends, ends + 1) or len(set(bodies)) != len(bodies):
@@ -132,7 +130,7 @@ def read_measured_poses(
     if any(name in table for name in columns):
         if straight_s:
             raise bad_input("straight-s", "repro fit", "for measured poses of bodies only", path.name)
-        _check_columns(path, list(columns), list(table.columns))
+        check_columns(path.name, list(columns), list(table), "a time")
         values = torch.from_numpy(table[list(columns)].to_numpy() * np.array(list(columns.values())))
         seen = torch.isfinite(values).all(-1).numpy()
         covariance = pose_covariance(robot, noise_m, noise_rad).expand(int(seen.sum()), -1, -1)
@@ -145,17 +143,10 @@ def read_measured_poses(
     if not any(name in table for name in names):
         expected = f"{', '.join(columns)}, or for the end of every segment {', '.join(wanted[-1])}"
         raise bad_input("columns", path.name, expected, ", ".join(table.columns))
-    _check_columns(path, names, list(table.columns))
+    check_columns(path.name, names, list(table), "a time")
     values = table[names].to_numpy(copy=True).reshape(len(table), len(wanted), 7)
     values[..., :3] *= 1.0 if unit == "_m" else 1e-3
     return _of_bodies(path, robot, time_s, values, straight_s, noise_m, noise_rad)
-
-
-def _check_columns(path: Path, wanted: list[str], found: list[str]) -> None:
-    if missing := [name for name in wanted if name not in found]:
-        raise bad_input("columns", path.name, ", ".join(wanted), f"none called {', '.join(missing)}")
-    if unknown := [name for name in found if name not in wanted]:
-        raise bad_input("columns", path.name, f"{', '.join(wanted)} and a time", f"also {', '.join(unknown)}")
 
 
 def _of_bodies(
@@ -168,8 +159,7 @@ def _of_bodies(
     noise_rad: float,
 ) -> MeasuredPoses:
     seen = np.asarray(np.isfinite(table).all(axis=(1, 2)))
-    if not seen.any():
-        raise bad_input("poses", path.name, "seen in some frame by all bodies", "none in any frame")
+    require(seen.any(), "poses", path.name, "seen in some frame by all bodies", "none in any frame")
     T = end_poses(path.name, robot, time_s[seen], table[seen], straight_s)
     q, covariance, fits, note = configurations_of(path.name, robot, T, noise_m, noise_rad)
     seen[seen] = fits
@@ -187,8 +177,7 @@ def _measured(
     noise_m: float,
     notes: tuple[str, ...],
 ) -> MeasuredPoses:
-    if len(q) < 3:
-        raise bad_input("poses", path.name, "at least three", f"{len(q)} of {len(seen)} rows")
+    require(len(q) >= 3, "poses", path.name, "at least three", f"{len(q)} of {len(seen)} rows")
     _check_range(path, robot, q)
     if len(q) < len(seen):
         notes = (*notes, f"{len(seen) - len(q)} of {len(seen)} rows of {path.name} have no pose.")
@@ -201,9 +190,9 @@ def _check_range(path: Path, robot: RobotFile, q: Tensor) -> None:
     """Refuse poses in another unit: most of them beyond the bounds, or hardly moving."""
     width = robot.upper - robot.lower
     names = list(coordinate_columns(robot).items())
-    far = (q < robot.lower - BEYOND * width) | (q > robot.upper + BEYOND * width)
+    far = (q < robot.lower - _BEYOND * width) | (q > robot.upper + _BEYOND * width)
     share = float(far.any(-1).double().mean())
-    if share > MOST_BEYOND:
+    if share > _MOST_BEYOND:
         k = int(far.double().mean(0).argmax())
         name, factor = names[k]
         low, high, least, most = (
@@ -213,8 +202,8 @@ def _check_range(path: Path, robot: RobotFile, q: Tensor) -> None:
         seen = f"{least:.4g} to {most:.4g}, {math.ceil(100 * share)} % of the poses far outside"
         raise bad_input(name, path.name, expected, seen)
     moved = (q.amax(0) - q.amin(0)) / width
-    if float(moved.max()) < LEAST_MOTION:
+    if float(moved.max()) < _LEAST_MOTION:
         k = int(moved.argmax())
-        expected = f"poses that move by {100 * LEAST_MOTION:g} % of the bounds of {robot.name} (units?)"
+        expected = f"poses that move by {100 * _LEAST_MOTION:g} % of the bounds of {robot.name} (units?)"
         seen = f"{names[k][0]} that moves by {float(moved[k]):.1%}, and no other by more"
         raise bad_input("poses", path.name, expected, seen)

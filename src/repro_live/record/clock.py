@@ -16,18 +16,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from repro.errors import bad_input
+from repro_live.wire.frame import WRAP
 
-WRAP_US = 1 << 32
-"""Device time starts again from 0 after this [µs], 71.6 minutes."""
 EARLY_S = 0.5
 """A frame that arrives this much earlier than the earliest before it comes from a clock that began anew [s]."""
-EARLY_PER_S = 1e-3
+_EARLY_PER_S = 1e-3
 """Added to it for each second without frames: more than any clock drifts."""
 LATE_S = 5.0
 """After a reopened port, the same for later; otherwise a late frame was held up in a buffer."""
 MOST_CORNERS = 128
 """Corners of the hull kept; every second one is dropped beyond."""
-PARTS = 4
+_PARTS = 4
 """Parts of the arrivals, taken in turn, whose lines are compared to state an error."""
 LEAST_S = 10.0
 """No drift is estimated from less [s]."""
@@ -91,7 +90,7 @@ class DeviceClock:
         self._last = (host_ns, device_us, device_us)
         self._earliest_us = host_ns / 1e3 - device_us  # host minus device, least since this start
         self._origin = (device_us, host_ns)
-        self._line, self._parts = _LowerLine(), [_LowerLine() for _ in range(PARTS)]
+        self._line, self._parts = _LowerLine(), [_LowerLine() for _ in range(_PARTS)]
         self._arrivals = 0
 
     def reopened(self) -> None:
@@ -116,7 +115,7 @@ class DeviceClock:
             Device time since the board's last start [µs], and whether a frame is the first after one.
         """
         sent = np.asarray(device_us, dtype=np.int64)
-        if sent.size and not (sent.min() >= 0 and sent.max() < WRAP_US):
+        if sent.size and not (sent.min() >= 0 and sent.max() < WRAP):
             raise bad_input(
                 "device_us", "DeviceClock", "32 bits without sign", f"{sent.min()} to {sent.max()}"
             )
@@ -145,11 +144,11 @@ class DeviceClock:
         part = slice(first, min(len(sent), first + 4096))
         host_us = np.diff(host[part], prepend=last_host) / 1e3
         steps = np.diff(sent[part], prepend=last_sent)
-        steps += WRAP_US * np.rint((host_us - steps) / WRAP_US).astype(np.int64)
+        steps += WRAP * np.rint((host_us - steps) / WRAP).astype(np.int64)
         total = last_unwrapped + np.cumsum(steps)
         offset = host[part] / 1e3 - total
         before = np.minimum.accumulate(np.append(self._earliest_us, offset[:-1]))
-        anew = (steps < 0) | (offset < before - 1e6 * EARLY_S - EARLY_PER_S * np.maximum(host_us, 0.0))
+        anew = (steps < 0) | (offset < before - 1e6 * EARLY_S - _EARLY_PER_S * np.maximum(host_us, 0.0))
         if self._reopened:
             anew[0] |= bool(offset[0] > before[0] + 1e6 * LATE_S)
             self._reopened = False
@@ -172,7 +171,7 @@ class DeviceClock:
         points = list(zip(x[last].tolist(), y[last].tolist(), strict=True))
         self._line.add(points)
         for k, line in enumerate(self._parts):
-            line.add(points[(k - self._arrivals) % PARTS :: PARTS])
+            line.add(points[(k - self._arrivals) % _PARTS :: _PARTS])
         self._arrivals += len(points)
 
     def fit(self) -> ClockFit | None:
@@ -183,7 +182,7 @@ class DeviceClock:
         height, slope = self._line.at(x)
         span_s = 1e-6 * self._line.corners[-1][0]
         parts = [line.at(x) for line in self._parts if len(line.corners) > 1]
-        errors = np.std(parts, axis=0, ddof=1) if len(parts) == PARTS else np.full(2, np.nan)
+        errors = np.std(parts, axis=0, ddof=1) if len(parts) == _PARTS else np.full(2, np.nan)
         long = span_s >= LEAST_S
         return ClockFit(
             device_us=self._origin[0] + x,

@@ -12,17 +12,17 @@ from jaxtyping import Int
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.files import write_whole
 from repro_live.record.recording import Recording
 
 SCHEMAS = {"hall": 3, "millivolts": 3, "quaternions": 4}
 """Layouts of the files of the three papers, and the number of values of a frame."""
-TIE_NS = 1000
+_TIE_NS = 1000
 """Readings that arrived together are written this much apart, since times in these files must increase [ns]."""
-MILLIVOLTS_HZ = 40.0
+_MILLIVOLTS_HZ = 40.0
 """Rate that the loader of the files of Baaij et al. takes."""
-COUNTS_PER_UNIT = 1000.0
+_COUNTS_PER_UNIT = 1000.0
 """Counts of the Hall sensor per unit of the files of Mitchell et al."""
 _TYPE = "estimator/msg/quat"
 _MESSAGE = "std_msgs/Header header\nuint8 ID\nfloat32 w\nfloat32 x\nfloat32 y\nfloat32 z\n"
@@ -58,8 +58,7 @@ def export(recording: Recording, path: Path, schema: str = "", *, unit: str = ""
         If the recording has another format, or the wrong number of values or of streams, or no frame; or the file
         exists.
     """
-    if schema not in ("", *SCHEMAS):
-        raise bad_input("schema", "export", f"one of {', '.join(SCHEMAS)}, or left out", schema)
+    require(schema in ("", *SCHEMAS), "schema", "export", f"one of {', '.join(SCHEMAS)}, or left out", schema)
     if schema and recording.format not in ("frames", schema):
         raise bad_input(
             "recording", f"export as {schema}", f"of the format {schema} or frames", recording.format
@@ -67,10 +66,8 @@ def export(recording: Recording, path: Path, schema: str = "", *, unit: str = ""
     if path.exists():
         raise bad_input("output", "export", "a new file (give another name, or move the old one)", path)
     if not schema:
-        if path.suffix == ".bag":
-            raise bad_input("output", "export", "a CSV (--as quaternions writes a bag)", path)
-        if not len(recording.frames):
-            raise bad_input("recording", "export", "one with frames", "no frame")
+        require(path.suffix != ".bag", "output", "export", "a CSV (--as quaternions writes a bag)", path)
+        require(len(recording.frames), "recording", "export", "one with frames", "no frame")
         return _write_table(recording, path, unit)
     if not len(recording.frames) or (recording.widths != SCHEMAS[schema]).any():
         must = f"frames of {SCHEMAS[schema]} values each"
@@ -83,7 +80,7 @@ def export(recording: Recording, path: Path, schema: str = "", *, unit: str = ""
     return write(recording, path)
 
 
-def named_with_unit(recording: Recording, unit: str) -> list[str]:
+def _named_with_unit(recording: Recording, unit: str) -> list[str]:
     """Return the names of the values of a recording; those without a unit get one, if it is given."""
     said = recording.metadata.get("units")
     known = said if isinstance(said, list) and len(said) == len(recording.channels) else []
@@ -103,7 +100,7 @@ def _write_table(recording: Recording, path: Path, unit: str) -> list[str]:
     if recording.format in ("frames", "quaternions"):
         columns["stream"] = frames["stream"]
     columns |= {name: frames[name] for name in ("sequence", "device_us") if bool(frames[name].notna().any())}
-    values = zip(named_with_unit(recording, unit), recording.channels, strict=True)
+    values = zip(_named_with_unit(recording, unit), recording.channels, strict=True)
     columns |= {name: frames[channel] for name, channel in values}
     write_whole(path, pd.DataFrame(columns).to_csv(index=False, lineterminator="\n"))
     widths = sorted(set(recording.widths.tolist()))
@@ -113,7 +110,7 @@ def _write_table(recording: Recording, path: Path, unit: str) -> list[str]:
 def _write_hall(recording: Recording, path: Path) -> list[str]:
     unix_ns, remarks = _times(recording)
     # The last field of a line is the component along the body, column 0 of the files.
-    values = recording.frames[recording.channels].to_numpy()[:, ::-1] / COUNTS_PER_UNIT
+    values = recording.frames[recording.channels].to_numpy()[:, ::-1] / _COUNTS_PER_UNIT
     rows = zip(values.tolist(), (1e-9 * unix_ns).tolist(), strict=True)
     write_whole(path, "".join(f"[{x!r} {y!r} {z!r}],{t!r}\n" for (x, y, z), t in rows))
     return [*remarks, "the loader drops the first reading, and all that follow it within 1 ms"]
@@ -127,13 +124,13 @@ def _write_millivolts(recording: Recording, path: Path) -> list[str]:
     if len(time_s) < 2:
         return []
     rate_hz = (len(time_s) - 1) / (time_s[-1] - time_s[0]) if time_s[-1] > time_s[0] else np.inf
-    late = int((np.diff(time_s) > 2 / MILLIVOLTS_HZ).sum())
+    late = int((np.diff(time_s) > 2 / _MILLIVOLTS_HZ).sum())
     remarks = []
-    if abs(rate_hz / MILLIVOLTS_HZ - 1) > 0.02:
-        remarks.append(f"{rate_hz:.1f} frames/s were recorded; the loader takes {MILLIVOLTS_HZ:g} Hz")
+    if abs(rate_hz / _MILLIVOLTS_HZ - 1) > 0.02:
+        remarks.append(f"{rate_hz:.1f} frames/s were recorded; the loader takes {_MILLIVOLTS_HZ:g} Hz")
     if late:
         remarks.append(
-            f"{late} pauses of more than {2e3 / MILLIVOLTS_HZ:g} ms; the loader takes equal steps of time"
+            f"{late} pauses of more than {2e3 / _MILLIVOLTS_HZ:g} ms; the loader takes equal steps of time"
         )
     return remarks
 
@@ -165,9 +162,9 @@ def _times(recording: Recording) -> tuple[Int[np.ndarray, " frames"], list[str]]
         expected = "one that says when it started (its first block, or the file beside it)"
         raise bad_input("recording", "export", expected, "one whose start is not known")
     host_ns = recording.frames["host_ns"].to_numpy() - recording.metadata["start_host_ns"]
-    steps = np.arange(len(host_ns), dtype=np.int64) * TIE_NS
+    steps = np.arange(len(host_ns), dtype=np.int64) * _TIE_NS
     apart = np.maximum.accumulate(host_ns - steps) + steps
     moved = int((apart != host_ns).sum())
     unix_ns = round(1e9 * recording.metadata["start_unix_s"]) + apart
-    remark = f"{moved} readings that arrived together are written {TIE_NS / 1e3:g} µs apart"
+    remark = f"{moved} readings that arrived together are written {_TIE_NS / 1e3:g} µs apart"
     return unix_ns, [remark] if moved else []

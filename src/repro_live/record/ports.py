@@ -1,4 +1,4 @@
-"""Serial ports: which there are, opening one with errors that say what to do, and reading what has arrived."""
+"""Serial ports and sockets: listed, opened with messages that say what to do, read, and opened again when lost."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import errno
 import os
 import select
 import sys
+import threading
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from serial.tools import list_ports
 
 from repro.errors import InputError, bad_input
 
-MOST_BYTES = 65536
+_MOST_BYTES = 65536
 """Bytes taken at once."""
 _BUSY = (errno.EBUSY, errno.EAGAIN)
 
@@ -109,7 +111,7 @@ def read_available(opened: serial.SerialBase, timeout_s: float) -> bytes:
     # pyserial's own reading waits for a number of bytes and takes those of a socket one at a time.
     if not select.select([opened.fileno()], [], [], timeout_s)[0]:
         return b""
-    chunk = plain.recv(MOST_BYTES) if plain is not None else os.read(opened.fileno(), MOST_BYTES)
+    chunk = plain.recv(_MOST_BYTES) if plain is not None else os.read(opened.fileno(), _MOST_BYTES)
     if not chunk:
         raise ConnectionResetError(f"{opened.port} was closed at the other side.")
     return chunk
@@ -149,3 +151,68 @@ def _permission(port: str) -> str:
     if group in ("root", "wheel"):  # joining that would give far more than the port
         return f"one that you may read and write (it is {group}'s alone: a udev rule gives it to dialout or uucp)"
     return f"one that you may read and write (join its group: sudo usermod -aG {group} $USER, then log out and in)"
+
+
+_RETRY_S = (0.05, 1.0)
+"""Shortest and longest wait before a lost port is opened again [s]; it doubles in between."""
+
+
+class LastingPort:
+    """A port that is read as long as it is there.
+
+    Parameters
+    ----------
+    name, baud, owner
+        As for `repro_live.record.ports.open_port`.
+
+    Raises
+    ------
+    InputError
+        If it cannot be opened at first.
+    """
+
+    def __init__(self, name: str, baud: int, owner: str) -> None:
+        self.name, self.baud, self.owner = name, baud, owner
+        # before the port is open: it takes longer than a buffer may hold frames
+        self.description = dict(ports()).get(name, "")
+        self.reconnects = 0
+        self._opened: serial.SerialBase | None = open_port(name, baud, owner)
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return the bytes that have arrived, as `repro_live.record.ports.read_available`.
+
+        Raises
+        ------
+        OSError
+            If the port has disappeared.
+        """
+        if self._opened is None:
+            raise ConnectionResetError(f"{self.name} is not open.")
+        return read_available(self._opened, timeout_s)
+
+    def close(self) -> None:
+        """Close the port, if it is open."""
+        if self._opened is not None:
+            close_port(self._opened)
+            self._opened = None
+
+    def reopen(self, end: float, stop: threading.Event) -> bool:
+        """Wait until the closed port can be opened again; return whether it is open.
+
+        Parameters
+        ----------
+        end
+            When to give up, by the monotonic clock [s].
+        stop
+            Give up when this is set.
+        """
+        wait_s = _RETRY_S[0]
+        while not stop.wait(min(wait_s, max(0.0, end - time.monotonic()))) and time.monotonic() < end:
+            wait_s = min(2 * wait_s, _RETRY_S[1])
+            try:
+                self._opened = open_port(self.name, self.baud, self.owner)
+            except InputError:
+                continue
+            self.reconnects += 1
+            return True
+        return False

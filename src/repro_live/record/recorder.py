@@ -15,23 +15,22 @@ from typing import Any
 
 import numpy as np
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro_live.record.clock import DeviceClock
-from repro_live.record.lasting_port import LastingPort
+from repro_live.record.ports import LastingPort
 from repro_live.record.recording_file import RecordingFile, WriteFailed, check_new, write_sidecar
-from repro_live.record.summary import Summary, channels_of
-from repro_live.record.suspect import Suspect
+from repro_live.record.summary import Summary, Suspect, channels_of
 from repro_live.wire.csv_text import CsvParser, Layout
 from repro_live.wire.formats import parser
 from repro_live.wire.frame import Frame, Parser
 
-WAIT_S = 0.1
+_WAIT_S = 0.1
 """Longest wait for bytes, and so for noticing a request to stop [s]."""
-SHOW_S = 1.0
-SIDECAR_S = 10.0
-CLOCK_FRAMES = 256
+_SHOW_S = 1.0
+_SIDECAR_S = 10.0
+_CLOCK_FRAMES = 256
 """The device's clock is compared with the host's when so many frames have come, and when the metadata are written."""
-MOSTLY_DROPPED = 20
+_MOSTLY_DROPPED = 20
 """So many lines or frames that were dropped are said at once if they are more than were accepted."""
 
 
@@ -97,8 +96,7 @@ def record(
     WriteFailed
         The disk is full or refuses. What was written is kept.
     """
-    if not duration_s > 0:
-        raise bad_input("duration", owner, "a time above zero [s]", duration_s)
+    require(duration_s > 0, "duration", owner, "a time above zero [s]", duration_s)
     session = _Session(port, format, output, baud, channels, unit, warn, each, watch, owner, notes)
     stop = stop or threading.Event()
     try:
@@ -149,17 +147,17 @@ class _Session:
         end = time.monotonic() + duration_s
         shown = saved = time.monotonic()
         while not stop.is_set() and (now := time.monotonic()) < end:
-            if now - shown >= SHOW_S:
-                shown += SHOW_S * ((now - shown) // SHOW_S)
+            if now - shown >= _SHOW_S:
+                shown += _SHOW_S * ((now - shown) // _SHOW_S)
                 self.check_garbage()
                 self.check_losses()
                 if show is not None:
                     show(self.summary())
-            if self.file is not None and now - saved >= SIDECAR_S:
+            if self.file is not None and now - saved >= _SIDECAR_S:
                 saved = now
                 self.save(self.file.path)
             try:
-                self.take(min(WAIT_S, end - now))
+                self.take(min(_WAIT_S, end - now))
             except OSError as error:
                 self.reconnect(error, end, stop)
 
@@ -192,7 +190,7 @@ class _Session:
             self.file.append(host_ns, frames)
             self.write_notes(self.file)
         self.times += [(host_ns, sent_us) for _, _, sent_us, _ in frames if sent_us is not None]
-        if len(self.times) >= CLOCK_FRAMES:
+        if len(self.times) >= _CLOCK_FRAMES:
             self.set_clock()
 
     def set_clock(self) -> None:
@@ -216,7 +214,7 @@ class _Session:
         """Say once that most of what arrives is dropped."""
         summary = self.summary()
         known = self.suspect or self.loss_said
-        if not known and summary.mostly_dropped and summary.dropped >= MOSTLY_DROPPED:
+        if not known and summary.mostly_dropped and summary.dropped >= _MOSTLY_DROPPED:
             self.loss_said = True
             self.warn(f"Most of what arrives is not {self.format}: {summary.losses()}")
 

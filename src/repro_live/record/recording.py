@@ -27,7 +27,7 @@ from repro_live.record.recording_metadata import metadata_of, parsed
 from repro_live.wire.csv_text import RESERVED
 from repro_live.wire.frame import Frame
 
-HEADER_BYTES = BLOCK.size + CRC.size
+_HEADER_BYTES = BLOCK.size + CRC.size
 """Bytes of a block before its frames or text."""
 _NAMES = {
     "hall": ["z_counts", "y_counts", "x_counts"],
@@ -183,14 +183,14 @@ def _scan(data: bytes) -> _Scan:
     frames: dict[int, list[_Block]] = {}
     at = lost = number = 0
     good_until = 0
-    while at + HEADER_BYTES <= len(data):
+    while at + _HEADER_BYTES <= len(data):
         magic, kind, width, count = BLOCK.unpack_from(data, at)
         size = count * row_type(width).itemsize if kind == b"F" and count <= MOST_FRAMES else count
-        end = at + HEADER_BYTES + size
+        end = at + _HEADER_BYTES + size
         plausible = (
             magic == MAGIC and (kind == b"F" or (kind == b"H" and count <= MOST_TEXT)) and end <= len(data)
         )
-        payload = data[at + HEADER_BYTES : end] if plausible else b""
+        payload = data[at + _HEADER_BYTES : end] if plausible else b""
         (crc,) = CRC.unpack_from(data, at + BLOCK.size)
         whole = plausible and zlib.crc32(payload, zlib.crc32(data[at : at + BLOCK.size])) == crc
         text = parsed(payload) if whole and kind == b"H" else None

@@ -53,7 +53,7 @@ CRC = struct.Struct("<I")
 MOST_TEXT = 1 << 20
 """Bytes of one text."""
 SEQUENCE, DEVICE = 1, 2
-NEW = "a new file (give another name, or move the old one)"
+_NEW = "a new file (give another name, or move the old one)"
 
 
 class WriteFailed(RuntimeError):
@@ -139,7 +139,7 @@ class RecordingFile:
         try:
             if not _created(path, head):
                 raise bad_input(
-                    "output", "RecordingFile", NEW, f"{path}, which another program has just made"
+                    "output", "RecordingFile", _NEW, f"{path}, which another program has just made"
                 )
             self._file = os.open(path, os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0))
         except OSError as error:
@@ -265,7 +265,7 @@ def check_new(path: Path, owner: str) -> None:
     """Refuse a path at which a recording or its sidecar lies already."""
     for taken in (path, sidecar_path(path)):
         if taken.exists():
-            raise bad_input("output", owner, NEW, taken)
+            raise bad_input("output", owner, _NEW, taken)
 
 
 def sidecar_path(path: Path) -> Path:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro import se3
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.undetermined import undetermined
 from repro.kinematics.robot import Robot
 from repro.robot_file.calibration_file import RobotCalibration
@@ -23,15 +23,15 @@ from repro.robot_file.robot_file import RobotFile
 from repro.sensing.moments import check_readings
 from repro.sensing.placement import PlacedReadings, Tolerances, parameter_names, placed
 
-ITERATIONS = 12
-HOLD_OUT_EVERY = 4
+_ITERATIONS = 12
+_HOLD_OUT_EVERY = 4
 """Of the poses every fourth is held out, if there are at least eight."""
-DOUBTFUL_CHI2 = 4.0
-MOST_CHI2 = 16.0
+_DOUBTFUL_CHI2 = 4.0
+_MOST_CHI2 = 16.0
 """Residuals twice, and four times, as large as stated: doubtful, and refused. In simulation, poses that are as good
 as stated give 0.3 to 1.2, three times worse ones 9 at most; exchanged axes, another unit, order or sign give 26 and
 more, as a rule above 1000."""
-CAUSES = (
+_CAUSES = (
     "axes exchanged or of the wrong sign, another unit than the column says (m or cm for mm), poses in another order "
     "than the readings, a robot file of another robot, or poses known less well than stated (--pose-noise-mm, "
     "--pose-noise-deg)"
@@ -112,16 +112,15 @@ def calibrate(
         raise bad_input("values", "calibrate", expected, f"shape {tuple(values.shape)}")
     u = (values[:, list(robot.channel)] - robot.offset) / robot.gain
     check_readings("calibrate", robot.robot, q, u)
-    if not len(q):
-        raise bad_input("q", "calibrate", "at least one pose", "none")
+    require(len(q), "q", "calibrate", "at least one pose", "none")
     if q_covariance.shape[-2:] != (robot.robot.n_q, robot.robot.n_q):
         expected = f"of last dimensions ({robot.robot.n_q}, {robot.robot.n_q})"
         raise bad_input("q_covariance", "calibrate", expected, f"shape {tuple(q_covariance.shape)}")
     se3.require_finite(q_covariance, "q_covariance", "calibrate")
     covariance = q_covariance.to(q).expand(len(q), *q_covariance.shape[-2:])
-    out = torch.arange(len(q)) % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
+    out = torch.arange(len(q)) % _HOLD_OUT_EVERY == _HOLD_OUT_EVERY - 1
     before = after = None
-    if len(q) >= 2 * HOLD_OUT_EVERY:
+    if len(q) >= 2 * _HOLD_OUT_EVERY:
         problem = _Problem(robot, u[~out], q[~out], covariance[~out], priors)
         before = _rms(robot, q[out], values[out], None)
         after = _rms(robot, q[out], values[out], problem.calibration(problem.solve()))
@@ -160,7 +159,7 @@ class _Problem:
     def solve(self) -> Tensor:
         """Parameters in units of their priors."""
         z = self.u.new_zeros(len(self.scale))
-        for _ in range(ITERATIONS):
+        for _ in range(_ITERATIONS):
             r, J, hessian = self.whitened(z)
             step = torch.linalg.solve(hessian, J.mT @ r - z)
             z = z + step
@@ -237,7 +236,7 @@ def check_plausible(calibration: RobotCalibration, robot: RobotFile) -> None:
         If the residuals are more than four times as large as stated, or poses that the fit has not seen are
         predicted worse than by the robot as described while the fit does not explain its own poses either.
     """
-    if calibration.chi2 > MOST_CHI2:
+    if calibration.chi2 > _MOST_CHI2:
         received = (
             f"chi2 {calibration.chi2:.3g}, residuals {calibration.chi2**0.5:.3g} times as large as stated"
         )
@@ -245,7 +244,7 @@ def check_plausible(calibration: RobotCalibration, robot: RobotFile) -> None:
         calibration.before is not None
         and calibration.after is not None
         and calibration.after > calibration.before
-        and calibration.chi2 > DOUBTFUL_CHI2
+        and calibration.chi2 > _DOUBTFUL_CHI2
     ):
         received = (
             f"a residual of {calibration.after:.3g} {robot.unit} in poses held out of the fit, above the "
@@ -253,7 +252,7 @@ def check_plausible(calibration: RobotCalibration, robot: RobotFile) -> None:
         )
     else:
         return
-    expected = f"readings of {robot.name} in these poses (usual causes if not: {CAUSES})"
+    expected = f"readings of {robot.name} in these poses (usual causes if not: {_CAUSES})"
     raise bad_input("poses and readings", "repro calibrate", expected, received)
 
 
@@ -266,8 +265,8 @@ def report(calibration: RobotCalibration, unit: str) -> str:
             f"described, {calibration.after:.3g} {unit} calibrated."
         )
     else:
-        lines.append(f"No residual of poses held out of the fit: that takes {2 * HOLD_OUT_EVERY} poses.")
-    if calibration.chi2 > DOUBTFUL_CHI2:
+        lines.append(f"No residual of poses held out of the fit: that takes {2 * _HOLD_OUT_EVERY} poses.")
+    if calibration.chi2 > _DOUBTFUL_CHI2:
         lines.append("chi2 should be near 1: noise, poses or parts are farther off than stated.")
     if calibration.undetermined:
         lines.append("Not determined by these poses, kept near the robot file within the tolerance:")

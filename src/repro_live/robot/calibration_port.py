@@ -12,7 +12,7 @@ import torch
 from repro.errors import bad_input
 from repro.robot_file.parts import MAGNETIC_STREAM
 from repro.robot_file.robot_file import RobotFile
-from repro_live.record.lasting_port import LastingPort
+from repro_live.record.ports import LastingPort
 from repro_live.robot.calibration_poses import (
     WINDOW_S,
     PoseReadings,
@@ -24,17 +24,17 @@ from repro_live.robot.kept_readings import KeptReadings, Part, part_of
 from repro_live.wire.formats import parser
 from repro_live.wire.frame import Frame
 
-SILENCE_S = 2.0
+_SILENCE_S = 2.0
 """After so long without a frame the board counts as away, and the person is told [s]."""
-PATIENCE_S = 300.0
+_PATIENCE_S = 300.0
 """A board that stays away for longer is not waited for [s]."""
-SETTLE_S = 0.1
+_SETTLE_S = 0.1
 """Frames that arrive so soon after the key may have been sent before it [s]: they lay in a buffer on the way."""
-LEAST_FRAMES = 2
+_LEAST_FRAMES = 2
 """Frames of a pose at least, however slow the board is."""
-LOOK_S = 0.1
+_LOOK_S = 0.1
 """How long a port is looked at for frames, or for its return, at a time [s]."""
-LEAVE_S = 1.0
+_LEAVE_S = 1.0
 """How long the end of reading is waited for [s]."""
 
 
@@ -46,8 +46,8 @@ def guide(
     say: Callable[[str], object],
     ask: Callable[[str], object],
     kept: KeptReadings | None = None,
-    silence_s: float = SILENCE_S,
-    patience_s: float = PATIENCE_S,
+    silence_s: float = _SILENCE_S,
+    patience_s: float = _PATIENCE_S,
 ) -> PoseReadings:
     """Lead a person through the poses: say each, wait for a key, average half a second of what then arrives.
 
@@ -79,7 +79,7 @@ def guide(
     """
     parts = [] if kept is None else list(kept.parts)
     if kept is not None and parts:
-        check_same_poses(kept, poses)
+        _check_same_poses(kept, poses)
         rest = f"Going on with pose {len(parts) + 1}" if len(parts) < len(poses.words) else "All are taken"
         say(
             f"{kept.path.name} holds the readings of {len(parts)} poses. {rest}; to begin anew, move it away."
@@ -101,7 +101,7 @@ def guide(
     return pose_readings(parts, robot)
 
 
-def check_same_poses(kept: KeptReadings, poses: Poses) -> None:
+def _check_same_poses(kept: KeptReadings, poses: Poses) -> None:
     """Refuse readings that were taken in other poses.
 
     Raises
@@ -138,11 +138,11 @@ def port_frames(
         try:
             while True:
                 try:
-                    arrived = parse.feed(board.read(LOOK_S))
+                    arrived = parse.feed(board.read(_LOOK_S))
                 except OSError as error:
                     say(f"{port} is gone ({error}); waiting for it.")
                     board.close()
-                    while not board.reopen(time.monotonic() + LOOK_S, threading.Event()):
+                    while not board.reopen(time.monotonic() + _LOOK_S, threading.Event()):
                         yield None
                     parse.reopened()
                     say(f"{port} is back.")
@@ -177,7 +177,7 @@ def _taken(
             since, seen, told = now, 0, False
             continue
         fit = [(t, f) for t, f in arrived if len(f.values) == robot.channels and np.isfinite(f.values).all()]
-        if complete(arrived):
+        if _complete(arrived):
             if 2 * len(fit) >= len(arrived):
                 return part_of(np.array([f.values for _, f in fit]), fit[-1][0] - fit[0][0])
             _refuse(robot, arrived)
@@ -197,9 +197,9 @@ def _taken(
             seen, told = 0, True
 
 
-def complete(arrived: list[tuple[float, Frame]]) -> bool:
+def _complete(arrived: list[tuple[float, Frame]]) -> bool:
     """Whether frames with their arrival [s] are enough for a pose."""
-    return len(arrived) >= LEAST_FRAMES and arrived[-1][0] - arrived[0][0] >= WINDOW_S
+    return len(arrived) >= _LEAST_FRAMES and arrived[-1][0] - arrived[0][0] >= WINDOW_S
 
 
 def _refuse(robot: RobotFile, arrived: list[tuple[float, Frame]]) -> None:
@@ -226,7 +226,7 @@ class _Collector:
 
     def __exit__(self, *_: object) -> None:
         self._over = True
-        self._thread.join(LEAVE_S)
+        self._thread.join(_LEAVE_S)
 
     def _read(self, frames: Iterator[Frame | None]) -> None:
         end: BaseException = EOFError("the stream ended")
@@ -239,7 +239,7 @@ class _Collector:
                 with self._changed:
                     if self._taken is not None and (now := time.monotonic()) >= self._from_s:
                         self._taken.append((now, frame))
-                        if len(self._taken) == 1 or complete(self._taken):
+                        if len(self._taken) == 1 or _complete(self._taken):
                             self._changed.notify()
         except Exception as error:  # belongs to whoever waits for frames
             end = error
@@ -252,7 +252,7 @@ class _Collector:
     def begin(self) -> None:
         """Keep what arrives from now on, but for what was on the way."""
         with self._changed:
-            self._taken, self._from_s = [], time.monotonic() + SETTLE_S
+            self._taken, self._from_s = [], time.monotonic() + _SETTLE_S
 
     def wait(
         self, timeout_s: float, *, first: bool
@@ -261,7 +261,7 @@ class _Collector:
 
         def ready() -> bool:
             taken = self._taken or []
-            return self._end is not None or (bool(taken) if first else complete(taken))
+            return self._end is not None or (bool(taken) if first else _complete(taken))
 
         with self._changed:
             self._changed.wait_for(ready, timeout_s)

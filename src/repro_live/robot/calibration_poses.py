@@ -11,19 +11,19 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.parts import MAGNETIC_STREAM
 from repro.robot_file.robot_file import RobotFile
 from repro_live.record.recording import Recording
 from repro_live.robot.kept_readings import Part, part_of, read_kept
-from repro_live.robot.number_table import read_numbers
-from repro_live.robot.recorded_frames import frames_of
+from repro_live.robot.number_table import check_columns, read_numbers
+from repro_live.robot.readings_file import frames_of
 
 WINDOW_S = 0.5
 """Readings are averaged over this time [s]: around ``time_s`` of a table, or after a key was pressed."""
-RATE_FACTOR = 1.25
+_RATE_FACTOR = 1.25
 """A rate that differs from the stated one by more than this factor is told."""
-STILL = 5.0
+_STILL = 5.0
 """A reading that scatters by more than this many standard deviations of its noise was not still."""
 
 
@@ -88,18 +88,13 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
         If the file is not there, a column is missing or unknown, or a number is missing.
     """
     columns = coordinate_columns(robot)
-    if not path.is_file():
-        raise bad_input("path", "read_poses", f"a CSV with the columns {', '.join(columns)}", path)
+    require(path.is_file(), "path", "read_poses", f"a CSV with the columns {', '.join(columns)}", path)
     table = read_numbers(path)
     times = [name for name in ("time_s", "start_s", "end_s") if name in table]
-    if missing := [name for name in columns if name not in table]:
-        raise bad_input("columns", path.name, f"{', '.join(columns)}", f"none called {', '.join(missing)}")
-    if unknown := [name for name in table if name not in columns and name not in times]:
-        raise bad_input("columns", path.name, f"{', '.join(columns)} and times", f"also {', '.join(unknown)}")
+    check_columns(path.name, list(columns), list(table.drop(columns=times)), "times")
     if times not in ([], ["time_s"], ["start_s", "end_s"]):
         raise bad_input("times", path.name, "time_s, or start_s and end_s", ", ".join(times))
-    if not len(table):
-        raise bad_input("table", path.name, "at least one pose", "none")
+    require(len(table), "table", path.name, "at least one pose", "none")
     if not np.isfinite(table.to_numpy()).all():
         row = int(np.flatnonzero(~np.isfinite(table.to_numpy()).all(axis=1))[0])
         raise bad_input("table", path.name, "complete", f"a number missing in pose {row + 1}")
@@ -112,10 +107,11 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
             row = int(np.flatnonzero(~(window[:, 1] > window[:, 0]))[0])
             raise bad_input("end_s", path.name, "after start_s", f"{window[row, 1]:g} in pose {row + 1}")
     q = torch.from_numpy(table[list(columns)].to_numpy() * np.array(list(columns.values())))
-    words = []
-    for row in table[list(columns)].itertuples(index=False):
-        parts = (name.rsplit("_", 1) for name in columns)
-        words.append(", ".join(f"{name} {x:g} {unit}" for x, (name, unit) in zip(row, parts, strict=True)))
+    named = [name.rsplit("_", 1) for name in columns]
+    words = (
+        ", ".join(f"{name} {x:g} {unit}" for x, (name, unit) in zip(row, named, strict=True))
+        for row in table[list(columns)].itertuples(index=False)
+    )
     return Poses(q, window, tuple(words))
 
 
@@ -145,7 +141,7 @@ def recorded_readings(recording: Recording, robot: RobotFile, poses: Poses) -> P
     Raises
     ------
     InputError
-        If the recording does not fit the robot (:func:`repro_live.robot.recorded_frames.frames_of`), the table has no
+        If the recording does not fit the robot (:func:`repro_live.robot.readings_file.frames_of`), the table has no
         times, or there is no frame in a pose.
     """
     fits, notes = frames_of(recording, robot)
@@ -188,18 +184,18 @@ def read_kept_readings(path: Path, robot: RobotFile, poses: Poses) -> PoseReadin
 
 def moved(part: Part, robot: RobotFile) -> bool:
     """Whether readings scatter more than they would if the robot were still."""
-    return bool((part.deviation[list(robot.channel)] > STILL * robot.noise).any())
+    return bool((part.deviation[list(robot.channel)] > _STILL * robot.noise).any())
 
 
 def pose_readings(parts: list[Part], robot: RobotFile) -> PoseReadings:
     """Put poses together, with notes on those that were not still, and on another rate than the file says."""
     notes = [
-        f"Pose {k + 1} was not still: its readings scatter by more than {STILL:g} times the noise of {robot.name}."
+        f"Pose {k + 1} was not still: its readings scatter by more than {_STILL:g} times the noise of {robot.name}."
         for k, part in enumerate(parts)
         if moved(part, robot)
     ]
     seconds = sum(part.seconds for part in parts)
     rate = sum(part.frames - 1 for part in parts) / seconds if seconds else robot.rate_hz
-    if not 1 / RATE_FACTOR < rate / robot.rate_hz < RATE_FACTOR:
+    if not 1 / _RATE_FACTOR < rate / robot.rate_hz < _RATE_FACTOR:
         notes.append(f"{rate:.3g} frames arrive per second; {robot.name} says rate_hz = {robot.rate_hz:g}.")
     return PoseReadings(torch.from_numpy(np.array([part.mean for part in parts])), tuple(notes))

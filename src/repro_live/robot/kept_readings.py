@@ -13,7 +13,7 @@ from torch import Tensor
 
 from repro.errors import bad_input
 
-FIRST_LINE = "# Readings in poses, taken by repro calibrate"
+_FIRST_LINE = "# Readings in poses, taken by repro calibrate"
 """How such a file begins."""
 
 
@@ -48,7 +48,7 @@ def is_kept(path: Path) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        return file.read(len(FIRST_LINE)) == FIRST_LINE.encode()
+        return file.read(len(_FIRST_LINE)) == _FIRST_LINE.encode()
 
 
 class KeptReadings:
@@ -85,7 +85,7 @@ class KeptReadings:
                 content = path.read_bytes()
                 os.truncate(path, content.rfind(b"\n") + 1)  # a line cut short by a crash
             else:
-                self._append(f"{FIRST_LINE}\n{','.join(self._columns)}\n", "xb")
+                self._append(f"{_FIRST_LINE}\n{','.join(self._columns)}\n", "xb")
         except OSError as error:
             raise bad_input("readings", path.name, "a file that can be written", error) from error
 
@@ -124,7 +124,7 @@ def read_kept(
     """
     columns = _columns(coordinates, channels)
     lines = path.read_bytes().decode(errors="replace").split("\n")[:-1]
-    if not lines or not lines[0].startswith(FIRST_LINE):
+    if not lines or not lines[0].startswith(_FIRST_LINE):
         raise bad_input("readings", path.name, "a file that repro calibrate began", "another one")
     if lines[1:2] != [",".join(columns)]:
         received = lines[1] if len(lines) > 1 else "none"

@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.columns import name_and_unit
 from repro_live.wire.csv_fields import time_scale
 
-LONGEST_S = 1e9
+_LONGEST_S = 1e9
 
 
 def read_rows(path: Path) -> list[tuple[int, list[str]]]:
@@ -25,8 +25,7 @@ def read_rows(path: Path) -> list[tuple[int, list[str]]]:
     InputError
         If there is no such file, or it is no text in UTF-8.
     """
-    if not path.is_file():
-        raise bad_input("path", path.name, "a CSV that is there", path)
+    require(path.is_file(), "path", path.name, "a CSV that is there", path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             rows = csv.reader(stream)
@@ -49,8 +48,7 @@ def read_numbers(path: Path) -> pd.DataFrame:
     """
     rows = read_rows(path)
     head = [name.strip() for name in rows[0][1]] if rows else []
-    if not head:
-        raise bad_input("table", path.name, "a CSV of numbers with a header, separated by commas", "nothing")
+    require(head, "table", path.name, "a CSV of numbers with a header, separated by commas", "nothing")
     if twice := sorted({name for name in head if head.count(name) > 1}):
         raise bad_input("columns", path.name, "of different names", f"{', '.join(twice)} twice")
     numbers = np.full((len(rows) - 1, len(head)), np.nan)
@@ -64,6 +62,21 @@ def read_numbers(path: Path) -> pd.DataFrame:
                 expected = "a number (cells are separated by commas)"
                 raise bad_input(f"{head[j]} in line {line}", path.name, expected, repr(cell)) from None
     return pd.DataFrame(numbers, index=[line for line, _ in rows[1:]], columns=head)
+
+
+def check_columns(owner: str, wanted: Sequence[str], found: Sequence[str], times: str) -> None:
+    """Refuse columns, those of times apart, that are not the ones wanted; the latter are said, and ``times``.
+
+    Raises
+    ------
+    InputError
+        If one is missing, or there is another.
+    """
+    names = ", ".join(wanted)
+    if missing := [name for name in wanted if name not in found]:
+        raise bad_input("columns", owner, names, f"none called {', '.join(missing)}")
+    if unknown := [name for name in found if name not in wanted]:
+        raise bad_input("columns", owner, f"{names} and {times}", f"also {', '.join(unknown)}")
 
 
 def times_of(owner: str, table: pd.DataFrame, *, apart: bool) -> tuple[str, Float[np.ndarray, " rows"]]:
@@ -80,8 +93,7 @@ def times_of(owner: str, table: pd.DataFrame, *, apart: bool) -> tuple[str, Floa
         received = f"{len(found)}: {', '.join(found)}" if found else f"none among {', '.join(table)}"
         raise bad_input("times", owner, "one column, such as time_s", received)
     ((name, scale),) = found.items()
-    if not scale:
-        raise bad_input("times", owner, f"named with their unit, such as {name}_s or {name}_ms", name)
+    require(scale, "times", owner, f"named with their unit, such as {name}_s or {name}_ms", name)
     time_s = table[name].to_numpy() * (1e-6 * scale)
     check_times(owner, name, time_s, table.index.tolist(), apart=apart)
     return name, time_s
@@ -107,6 +119,6 @@ def check_times(
         k = int(late[0]) + 1
         expected = f"{'after' if apart else 'not before'} the time before, {time_s[k - 1]:.6g} s"
         raise bad_input(f"{column} in line {lines[k]}", owner, expected, f"{time_s[k]:.6g} s")
-    if time_s[-1] - time_s[0] > LONGEST_S:
-        expected = f"within {LONGEST_S:g} s, 30 years"
+    if time_s[-1] - time_s[0] > _LONGEST_S:
+        expected = f"within {_LONGEST_S:g} s, 30 years"
         raise bad_input(column, owner, expected, f"{time_s[0]:g} to {time_s[-1]:g} s")

@@ -14,12 +14,11 @@ from repro.errors import bad_input
 from repro.kinematics.motion import backbone_motion
 from repro.kinematics.mounts import Mounts, magnet_mounts
 from repro.kinematics.robot import Robot
-from repro_live.view.shape_parts import Markers, Shape, Traces
-from repro_live.view.shape_view import ShapeView
+from repro_live.view.shape_view import Markers, Shape, ShapeView, Traces
 
 POINTS_PER_SEGMENT = 9
 """Enough for a segment bent by a half turn to look smooth."""
-LEAST_RADIUS = 0.05  # of the body, as a part of the length, where nothing else tells it
+_LEAST_RADIUS = 0.05  # of the body, as a part of the length, where nothing else tells it
 
 
 def shape_view(
@@ -161,7 +160,7 @@ def body_radius(robot: Robot) -> float:
     if known:
         return max(known)
     outer = torch.linalg.vector_norm(robot.sensors.local[..., :2, 3], dim=-1)
-    return max(LEAST_RADIUS * robot.length, float(outer.max()) if outer.numel() else 0.0)
+    return max(_LEAST_RADIUS * robot.length, float(outer.max()) if outer.numel() else 0.0)
 
 
 def _along(robot: Robot) -> Mounts:

@@ -12,8 +12,8 @@ import html
 import io
 import json
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,19 +23,79 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from PIL import Image
 
-from repro.errors import bad_input
-from repro_live.view.shape_parts import ROLES, Markers, Shape, Traces
+from repro.errors import bad_input, require
 from repro_live.view.style import MAGNET, SENSOR, page_figure
+
+ROLES = {"truth": "#000000", "estimate": "#D55E00"}
+"""What a shape may be, and its colour on white."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A backbone over time.
+
+    Parameters
+    ----------
+    name
+        As it stands in the legend.
+    points_m
+        Points from base to tip [m], evenly spaced along the backbone; nine per segment look smooth.
+    deviation_m
+        Standard deviation of each point [m]; two of them are drawn as a tube.
+    role
+        ``truth`` or ``estimate``.
+    """
+
+    name: str
+    points_m: Float[np.ndarray, "t k 3"]
+    deviation_m: Float[np.ndarray, "t k"] | None = None
+    role: str = "truth"
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Magnets or sensors over time: positions [m], and unit vectors along their axes.
+
+    Parameters
+    ----------
+    points_m, directions
+        As said.
+    name
+        As it stands in the legend; "magnets" or "sensors" when empty.
+    """
+
+    points_m: Float[np.ndarray, "t n 3"]
+    directions: Float[np.ndarray, "t n 3"]
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Traces:
+    """One panel of lines over time below the picture.
+
+    Parameters
+    ----------
+    title, unit
+        What is drawn.
+    values
+        One line per name; a value that is not a number leaves a gap.
+    estimates
+        Dashed lines in the colours of the lines of the same names.
+    """
+
+    title: str
+    unit: str
+    values: Mapping[str, Float[np.ndarray, " t"]]
+    estimates: Mapping[str, Float[np.ndarray, " t"]] = field(default_factory=dict)
+
 
 VIEWER = Path(__file__).with_name("viewer") / "shape_viewer.js"
 """The script of the viewer, for any page that shows shapes; it asks no other file."""
-MOST_FRAMES = 300
-LENGTH_QUANTUM_M = 1e-4
-DEVIATION_QUANTUM_M = 1e-5
-DIRECTION_QUANTUM = 1e-4
-
-_POSES_OF_THE_PICTURE = 5
-_DIGITS_OF_A_TRACE = 4
+_MOST_FRAMES = 300
+_LENGTH_QUANTUM_M = 1e-4
+_DEVIATION_QUANTUM_M = 1e-5
+_DIRECTION_QUANTUM = 1e-4
+_POSES_OF_THE_PICTURE, _DIGITS_OF_A_TRACE = 5, 4
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,27 +141,23 @@ class ShapeView:
 
     def __post_init__(self) -> None:
         n = len(self.time_s)
-        if not self.shapes:
-            raise bad_input("shapes", "ShapeView", "at least one", "none")
+        require(self.shapes, "shapes", "ShapeView", "at least one", "none")
         for shape in self.shapes:
-            if shape.role not in ROLES:
-                raise bad_input("role", f"shape {shape.name}", f"one of {', '.join(ROLES)}", shape.role)
-        if not 1 <= n <= MOST_FRAMES or not bool(np.isfinite(self.time_s).all()):
-            raise bad_input("time_s", "ShapeView", f"1 to {MOST_FRAMES} finite times", f"{n} times")
-        if bool((np.diff(self.time_s) <= 0).any()):
-            raise bad_input(
-                "time_s", "ShapeView", "increasing", "a time that is not later than the one before"
+            require(
+                shape.role in ROLES, "role", f"shape {shape.name}", f"one of {', '.join(ROLES)}", shape.role
             )
+        if not 1 <= n <= _MOST_FRAMES or not bool(np.isfinite(self.time_s).all()):
+            raise bad_input("time_s", "ShapeView", f"1 to {_MOST_FRAMES} finite times", f"{n} times")
+        late = "a time that is not later than the one before"
+        require((np.diff(self.time_s) > 0).all(), "time_s", "ShapeView", "increasing", late)
         for name, values, limit in self._numbers():
-            if len(values) != n:
-                raise bad_input(name, "ShapeView", f"given for each of {n} frames", f"{len(values)}")
+            require(len(values) == n, name, "ShapeView", f"given for each of {n} frames", f"{len(values)}")
             if limit is not None and not bool((np.abs(values) < limit).all()):
                 raise bad_input(name, "ShapeView", f"finite and below {limit}", np.abs(values).max())
         for shape in self.shapes:
+            name = f"deviation_m of {shape.name}"
             if shape.deviation_m is not None and bool((shape.deviation_m < 0).any()):
-                raise bad_input(
-                    f"deviation_m of {shape.name}", "ShapeView", "not negative", shape.deviation_m.min()
-                )
+                raise bad_input(name, "ShapeView", "not negative", shape.deviation_m.min())
         for panel in self.traces:
             if unknown := [name for name in panel.estimates if name not in panel.values]:
                 raise bad_input("estimates", f"traces {panel.title}", "named like values", ", ".join(unknown))
@@ -124,14 +180,14 @@ class ShapeView:
         """What the viewer takes: positions to 0.1 mm, deviations to 0.01 mm, directions to 1e-4, packed."""
         shapes = []
         for shape in self.shapes:
-            points = _packed(shape.points_m, LENGTH_QUANTUM_M)
+            points = _packed(shape.points_m, _LENGTH_QUANTUM_M)
             shapes.append({"name": shape.name, "role": shape.role, "points": points})
             if shape.deviation_m is not None:
-                shapes[-1]["deviation"] = _packed(shape.deviation_m, DEVIATION_QUANTUM_M)
+                shapes[-1]["deviation"] = _packed(shape.deviation_m, _DEVIATION_QUANTUM_M)
         markers = {
             name: {
-                "points": _packed(given.points_m, LENGTH_QUANTUM_M),
-                "directions": _packed(given.directions, DIRECTION_QUANTUM),
+                "points": _packed(given.points_m, _LENGTH_QUANTUM_M),
+                "directions": _packed(given.directions, _DIRECTION_QUANTUM),
                 **({"name": given.name} if given.name else {}),
             }
             for name, given in (("magnets", self.magnets), ("sensors", self.sensors))

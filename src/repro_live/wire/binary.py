@@ -13,10 +13,9 @@ from zlib import crc32
 from cobs import cobs
 
 from repro.errors import bad_input
-from repro_live.wire.delimited import Splitter
-from repro_live.wire.frame import Counters, Frame
+from repro_live.wire.frame import WRAP, Counters, Frame, Splitter
 
-VERSION = 1
+_VERSION = 1
 KINDS = {"float32": (1, "f", 59), "int16": (2, "h", 118)}
 """Of each type of value: its number in the frame, its letter in ``struct``, and how many a frame holds at most.
 
@@ -26,8 +25,7 @@ LONGEST_PACKET = 253
 """Bytes between two delimiters."""
 RESIDUE = 0x2144DF1C
 """CRC-32 of any bytes that are followed by their own CRC-32, lowest byte first."""
-LARGEST_FLOAT32 = (2 - 2**-23) * 2.0**127
-WRAP = 1 << 32
+_LARGEST_FLOAT32 = (2 - 2**-23) * 2.0**127
 _HEAD = struct.Struct("<BBBBII")
 # By type and count of the values, as in a frame: its length, its reader, whether the values are whole numbers.
 _LAYOUTS = {
@@ -74,10 +72,10 @@ def encode_frame(frame: Frame, kind: str = "float32") -> bytes:
     if kind == "int16":
         fits = all(value % 1 == 0 and -32768 <= value <= 32767 for value in values)
     else:
-        fits = all(not math.isfinite(value) or abs(value) <= LARGEST_FLOAT32 for value in values)
+        fits = all(not math.isfinite(value) or abs(value) <= _LARGEST_FLOAT32 for value in values)
     if not fits:
         raise bad_input("values", "encode_frame", f"numbers that {kind} holds", values)
-    body = _HEAD.pack(VERSION, stream, code, len(values), sequence, device_us)
+    body = _HEAD.pack(_VERSION, stream, code, len(values), sequence, device_us)
     body += struct.pack(f"<{len(values)}{letter}", *(map(int, values) if kind == "int16" else values))
     return b"\0" + cobs.encode(body + crc32(body).to_bytes(4, "little")) + b"\0"
 
@@ -128,13 +126,13 @@ class BinaryParser:
                 counters.discarded_bytes += len(packet)
                 continue
             layout = layouts.get(body[2:4])
-            if layout is None or layout[0] != len(body) or body[0] != VERSION:
+            if layout is None or layout[0] != len(body) or body[0] != _VERSION:
                 counters.malformed += 1
                 counters.discarded_bytes += len(packet)
                 known = _LAYOUTS.get(body[2:4])
                 what = (
                     "another version or length"
-                    if known is None or body[0] != VERSION
+                    if known is None or body[0] != _VERSION
                     else f"{body[3]} values"
                 )
                 self.refused = self.refused or f"a frame of {what}"

@@ -11,15 +11,15 @@ SEPARATORS = {";": "semicolons", ",": "commas", "\t": "tabs", " ": "blanks"}
 """The first of these that a line has separates its fields; blanks around a field mean nothing."""
 BLANKS = " \t"
 _LETTER = "A-Za-zµμΩ°%"
-NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?|[+-]?(?i:nan)(?![A-Za-z])"
+_NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?|[+-]?(?i:nan)(?![A-Za-z])"
 _UNIT = (
     rf"(?![xXbB][0-9]|[eE](?![{_LETTER}])|(?i:nan|inf|ovf)(?![{_LETTER}]))"  # 0x10, 1.5e, and no numbers
     rf"[{_LETTER}][{_LETTER}/²³^*]*(?:[0-9](?![0-9{_LETTER}]))?"
 )
 _LABEL = rf"[{_LETTER}_][{_LETTER}0-9_ .()\[\]/#-]*?"
 _WORD = rf"[{_LETTER}_][{_LETTER}0-9_.()\[\]/#-]*?"
-_FIELD = re.compile(rf"(?:({_LABEL})[ \t]*[:=][ \t]*)?({NUMBER})[ \t]*({_UNIT})?")
-_ITEM = re.compile(rf"(?:({_WORD})[ ]*[:=][ ]*)?({NUMBER})(?:[ ]*({_UNIT})(?![ ]*[:=]))?(?:[ ]+|$)")
+_FIELD = re.compile(rf"(?:({_LABEL})[ \t]*[:=][ \t]*)?({_NUMBER})[ \t]*({_UNIT})?")
+_ITEM = re.compile(rf"(?:({_WORD})[ ]*[:=][ ]*)?({_NUMBER})(?:[ ]*({_UNIT})(?![ ]*[:=]))?(?:[ ]+|$)")
 _NAME = re.compile(rf"[{_LETTER}_][{_LETTER}0-9_ .()\[\]/²³^*#-]*")
 _DECIMAL_COMMAS = re.compile(r"[+-]?[0-9]+,[0-9]+(?:,[ ]+[+-]?[0-9]+,[0-9]+)+")
 _NO_NUMBER = re.compile(r"(?i:[+-]?(?:nan|inf|infinity|ovf))")

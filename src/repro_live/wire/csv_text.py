@@ -25,8 +25,7 @@ from repro_live.wire.csv_fields import (
     separator_of,
     time_scale,
 )
-from repro_live.wire.delimited import Splitter
-from repro_live.wire.frame import Counters, Frame
+from repro_live.wire.frame import WRAP, Counters, Frame, Splitter
 
 AGREEING = 3
 """Lines of one form that fix it."""
@@ -35,8 +34,7 @@ MOST_HELD = 32
 MOST_VALUES = 118
 LONGEST_LINE = 4096
 """Bytes of a line."""
-WRAP = 1 << 32
-LATEST = 1e16
+_LATEST = 1e16
 """Times are below this, in any unit: more has no microseconds any more."""
 RESERVED = ("time_s", "host_ns", "stream", "sequence", "device_us")
 """Columns of a recording that no value may be called."""
@@ -220,8 +218,8 @@ class CsvParser:
         if self._time is None:
             return [Frame(0, None, None, line.values)]
         k, scale = self._time
-        if not 0 <= line.values[k] <= LATEST:
-            self._refuse(text, f"a time must be from 0 to {LATEST:g}", size)
+        if not 0 <= line.values[k] <= _LATEST:
+            self._refuse(text, f"a time must be from 0 to {_LATEST:g}", size)
             return []
         device_us = round(line.values[k] * scale) % WRAP if scale else None
         return [Frame(0, None, device_us, line.values[:k] + line.values[k + 1 :])]

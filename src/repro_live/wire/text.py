@@ -12,8 +12,7 @@ import re
 from dataclasses import dataclass
 
 from repro.errors import bad_input
-from repro_live.wire.delimited import Splitter
-from repro_live.wire.frame import Counters, Frame
+from repro_live.wire.frame import Counters, Frame, Splitter
 
 HALL_RANGE = (-8192.0, 8191.0)
 """Components of the sensor of Mitchell et al., an MLX90363: 14 bits with sign [counts]."""
@@ -24,7 +23,7 @@ NORM_TOLERANCE = 1e-3
 
 In the released recordings of Martin et al. it is at most 5.5e-5.
 """
-LONGEST_FIELD = 25
+_LONGEST_FIELD = 25
 """Bytes of the longest number and the comma after it."""
 _WHOLE = re.compile(rb"0|-?[1-9][0-9]{0,3}")
 _NUMBER = re.compile(rb"-?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]{1,3})?")
@@ -130,7 +129,7 @@ class TextParser:
         self.counters = Counters()
         self.refused = ""
         self._line = line
-        self._splitter = Splitter(b"\n", LONGEST_FIELD * (line.count + line.identity), self.counters)
+        self._splitter = Splitter(b"\n", _LONGEST_FIELD * (line.count + line.identity), self.counters)
 
     def feed(self, chunk: bytes) -> list[Frame]:
         """Take the next bytes; return the frames that they complete, in order."""

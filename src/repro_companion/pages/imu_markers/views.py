@@ -16,8 +16,7 @@ from repro_companion.book.views_frames import every_nth
 from repro_companion.twins.arm_draws import Draw
 from repro_companion.twins.arm_markers import MARKER_NAMES, distances_mm
 from repro_companion.twins.soft_arm import SoftArm
-from repro_live.view.shape_parts import Markers, Shape, Traces
-from repro_live.view.shape_view import ShapeView
+from repro_live.view.shape_view import Markers, Shape, ShapeView, Traces
 
 LEAST_RAD = 1e-9  # the estimator asks for some error, also of perfect IMUs
 MODES_S = (84.0, 134.0)

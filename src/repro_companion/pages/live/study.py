@@ -7,7 +7,6 @@ computer is kept apart from what does not: estimates are taken from the recordin
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,14 +18,12 @@ import torch
 from repro.estimation.base import Estimate
 from repro.kinematics.motion import tip_motion
 from repro.robot_file.robot_file import RobotFile
-from repro_companion.pages.live.noted_link import NotedLink
-from repro_companion.twins.played import PERIOD_S, Played, played, with_sensors
 from repro_companion.twins.recorded_run import play_and_record
-from repro_companion.twins.takes import Take
-from repro_live.emulate.board import Passage, passages
+from repro_companion.twins.takes import PERIOD_S, Played, Take, played, with_sensors
+from repro_live.emulate.board import passages
 from repro_live.emulate.emulator import Emulator
 from repro_live.emulate.faults import Faults
-from repro_live.emulate.links import HAS_PTY, PtyLink, SocketLink
+from repro_live.emulate.links import open_link
 from repro_live.follow.follower import Follower
 from repro_live.follow.live_state import LiveEstimate, LiveState
 from repro_live.follow.robot_estimator import RobotEstimator, robot_estimator
@@ -89,28 +86,26 @@ def live_run(sent: Played, name: str = "", *, seed: int = 0) -> LiveRun:
         Of estimators that draw random numbers.
     """
     estimator, found, stop = robot_estimator(sent.robot, name), list[LiveEstimate](), threading.Event()
-    link = NotedLink(PtyLink() if HAS_PTY else SocketLink())
-    ends: list[int] = []
-
-    def noted() -> Iterator[Passage]:
-        for passage in passages(sent.take.readings(), sent.take.format):
-            before = ends[-1] if ends else 0
-            ends.extend((before + passage.ends).tolist())
-            yield passage
+    parts = list(passages(sent.take.readings(), sent.take.format))
+    ends = np.cumsum(np.concatenate([np.diff(passage.ends, prepend=0) for passage in parts]))
+    writes: list[tuple[int, int]] = []
 
     def said(_: str) -> None:
         if emulator.finished.is_set():  # the port is gone for good
             stop.set()
 
     estimator.prepared()
-    with TemporaryDirectory() as folder, Emulator(noted(), link, hang_up=True) as emulator:
+    emulator = Emulator(parts, open_link(), hang_up=True, each=lambda *write: writes.append(write))
+    with TemporaryDirectory() as folder, emulator:
         path = Path(folder) / "recording"
         state = follow(
             emulator.address, estimator, output=path, stop=stop, each=found.append, warn=said, seed=seed
         )
         recording = read_recording(path)
     rows = [_row(one) for one in found]
-    times = zip(found, link.sent_ns(np.array(ends)[rows]).tolist(), strict=True)
+    began_ns, sizes = np.array(writes).T
+    sent_ns = began_ns[np.searchsorted(np.cumsum(sizes), ends[rows])]  # the writing that held the last byte
+    times = zip(found, sent_ns.tolist(), strict=True)
     moments = np.array([(at, s.arrival_ns, s.parsed_ns, a, b) for (s, _, a, b), at in times])
     names = ("line_ms", "parse_ms", "queue_ms", "estimate_ms")
     latencies = pd.DataFrame(np.diff(moments) * 1e-6, columns=names)

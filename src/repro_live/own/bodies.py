@@ -1,8 +1,10 @@
-"""From poses of bodies on a robot to poses of its segments' ends, and to configurations."""
+"""Rigid bodies on a robot: from a file of OptiTrack Motive, to poses of its segments' ends, and to configurations."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -11,14 +13,77 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from repro import se3
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro.estimation.poses import configurations
 from repro.robot_file.robot_file import RobotFile
+from repro_live.own.optitrack import read_frames, read_header
+from repro_live.robot.number_table import check_times, read_rows
 
-MOST_UNFIT = 0.05
+_LENGTH_UNITS = {"Meters": 1.0, "Centimeters": 1e-2, "Millimeters": 1e-3}
+_KEYS = [("Position", axis) for axis in "XYZ"] + [("Rotation", axis) for axis in "XYZW"]
+
+
+def is_motive(path: Path) -> bool:
+    """Whether a file starts as Motive's exports do."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return stream.read(64).removeprefix(b"\xef\xbb\xbf").startswith(b"Format Version")
+
+
+def read_bodies(
+    path: Path, names: Sequence[str]
+) -> tuple[Float[np.ndarray, " frames"], Float[np.ndarray, "frames bodies 7"]]:
+    """Read times [s], and of every named body position [m] and quaternion (x, y, z, w); NaN where it was not seen.
+
+    Motive's y axis points up and a body's axes are the world's when it is defined, so with a robot that stands
+    straight up :math:`(x, y, z) = (X, -Z, Y)` are axes with z towards its tip, for world and bodies.
+
+    Parameters
+    ----------
+    path
+        CSV export with quaternions, global coordinates; versions 1.2x.
+    names
+        Of the bodies.
+
+    Raises
+    ------
+    InputError
+        Another version, rotation type or unit; a body that is not there; numbers that are none; fewer frames than
+        the header says.
+    """
+    rows = read_rows(path)
+    axes = next((k for k, (_, row) in enumerate(rows) if row[0] == "Frame"), 0)
+    heads = {row[1]: row for _, row in rows[:axes] if len(row) > 1}
+    if axes < 2 or "Name" not in heads:
+        raise bad_input("header", path.name, "one of Motive: lines with Name and Frame", "none")
+    first = rows[0][1]
+    version = dict(zip(first[0::2], first[1::2], strict=False)).get("Format Version", "")
+    require(version.startswith("1.2"), "Format Version", path.name, "1.20 to 1.29", version or "nothing")
+    header = read_header([first], path.name, version=version, frames=len(rows) - axes - 1)
+    for name, accepted in (("Length Units", list(_LENGTH_UNITS)), ("Coordinate Space", ["Global"])):
+        if header.get(name) not in accepted:
+            raise bad_input(name, path.name, " or ".join(accepted), header.get(name, "nothing"))
+    columns = list(zip(heads["Name"], rows[axes - 1][1], rows[axes][1], strict=False))
+    there = sorted({name for name, kind, _ in columns if kind == "Rotation"})
+    if missing := [name for name in names if any((name, *key) not in columns for key in _KEYS)]:
+        expected = f"rigid bodies of the file ({', '.join(there) or 'there is none'})"
+        raise bad_input("body", path.name, expected, ", ".join(missing))
+    picked = [columns.index((name, *key)) for name in names for key in _KEYS]
+    table = read_frames([row for _, row in rows[axes + 1 :]], [1, *picked], path.name)
+    lines = [line for line, _ in rows[axes + 1 :]]
+    check_times(path.name, "Time (Seconds)", table[:, 0], lines, apart=True)
+    bodies = table[:, 1:].reshape(len(table), len(names), 7)
+    bodies[..., :3] *= _LENGTH_UNITS[header["Length Units"]]
+    x, y, z = (bodies[..., [k, k + 3]].copy() for k in range(3))
+    bodies[..., [0, 3]], bodies[..., [1, 4]], bodies[..., [2, 5]] = x, -z, y
+    return table[:, 0], bodies
+
+
+_MOST_UNFIT = 0.05
 """Share of the poses that may be none that the robot can take; 20 of them at most."""
-TRIED = 20
-MOST_MISFIT = 0.1, 0.35
+_TRIED = 20
+_MOST_MISFIT = 0.1, 0.35
 """Largest misfit of the kinematics, root mean square: share of the length of the robot, and angle [rad]."""
 
 
@@ -89,7 +154,7 @@ def configurations_of(
     """
     fits = np.zeros(len(T), dtype=bool)
     parts: list[tuple[Tensor, Tensor]] = []
-    most = min(math.ceil(MOST_UNFIT * len(T)), TRIED)
+    most = min(math.ceil(_MOST_UNFIT * len(T)), _TRIED)
     waiting, unfit = [(0, len(T))], 0
 
     def fitted(first: int, last: int) -> tuple[Tensor, Tensor] | None:
@@ -99,9 +164,9 @@ def configurations_of(
             return None
 
     # A few tell at once whether these are poses of the robot: in other axes most have a fit, a bad one.
-    tried = np.unique(np.linspace(0, len(T) - 1, TRIED).astype(int)).tolist()
+    tried = np.unique(np.linspace(0, len(T) - 1, _TRIED).astype(int)).tolist()
     few = [(k, found[0]) for k in tried if (found := fitted(k, k + 1)) is not None]
-    if len(tried) - len(few) > 2 * MOST_UNFIT * len(tried):
+    if len(tried) - len(few) > 2 * _MOST_UNFIT * len(tried):
         raise _misfit(owner, f"{len(tried) - len(few)} of {len(tried)} tried without a fit")
     _misses(owner, robot, torch.cat([q for _, q in few]), T[[k for k, _ in few]])
     while waiting:
@@ -131,7 +196,7 @@ def _misses(owner: str, robot: RobotFile, q: Tensor, measured: Tensor) -> str:
     miss = float(difference[..., :3, 3].square().sum(-1).mean().sqrt())
     turn = float(difference[..., :3, :3].square().sum((-2, -1)).mean().sqrt()) / math.sqrt(2)
     text = f"{1e3 * miss:.2f} mm and {math.degrees(turn):.2f} deg"
-    if miss > MOST_MISFIT[0] * robot.robot.length or turn > MOST_MISFIT[1]:
+    if miss > _MOST_MISFIT[0] * robot.robot.length or turn > _MOST_MISFIT[1]:
         raise _misfit(owner, f"poses that its nearest shapes miss by {text} (root mean square)")
     return text
 
