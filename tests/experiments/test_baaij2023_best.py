@@ -11,7 +11,6 @@ from repro.sensing.linearised import LinearisedSensing
 from repro_companion.pages.table_1.limits import checks, cold_starts, consistency, coverage, observability
 from repro_companion.twins.calibrated_robots import (
     Config,
-    against_published,
     best,
     calibration,
     session,
@@ -37,9 +36,14 @@ def test_table_is_tidy(table):
 
 
 def test_calibrated_robots_are_below_three_tenths_of_the_published_errors(table):
-    found = against_published(table, pd.read_csv(PUBLISHED))
-    assert (found["calibrated"] <= 0.30).all()
-    assert (found["uncalibrated"] > found["calibrated"]).all()
+    """Mean over the per-cent columns of each row of ours over published."""
+    published = pd.read_csv(PUBLISHED).query("paper == 'baaij2023' and artefact == 'Table 1' and unit == '%'")
+    cells = table.groupby(["row", "quantity", "calibrated"], as_index=False)["error_percent"].mean()
+    joined = cells.merge(published[["row", "quantity", "value"]], on=["row", "quantity"])
+    ratio = (joined["error_percent"] / joined["value"]).groupby([joined["row"], joined["calibrated"]]).mean()
+    found = ratio.unstack()
+    assert (found[True] <= 0.30).all()
+    assert (found[False] > found[True]).all()
 
 
 def test_summary(table):

@@ -16,7 +16,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.estimation.calibration import Calibration, calibrate
-from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.poses import configurations
 from repro.kinematics.paper_robots import affine_robot
 from repro.kinematics.trajectories import flower
@@ -25,6 +24,7 @@ from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.network import PerSensor
 from repro.sensing.training_set import CURVATURE_RAD, ELONGATION_M, affine_training_set
 from repro_companion.pages.affine_curvature.method import QUANTITIES, ROW, Flower, networks, relative_error
+from repro_companion.twins.calibrated_robots import from_best_start, table_of_draws
 from repro_companion.twins.calibration_session import (
     SENSOR_NOISE_MT,
     Config,
@@ -35,7 +35,7 @@ from repro_companion.twins.calibration_session import (
 from repro_companion.twins.networks import DATA_SEED, train_own
 
 STARTS = 6
-FIRST, LAST = 3, 8
+ITERATIONS = (3, 8)
 """Iterations from every start, and those of the best of them; on random shapes more of either change nothing."""
 LEAST_BEND_RAD = 0.3 * CURVATURE_RAD[1]
 """Calibration poses bend at least so much: the azimuth of a straight segment cannot be measured."""
@@ -66,15 +66,8 @@ def starts() -> Float[Tensor, "starts 4"]:
 def estimate(
     sensing: Callable[[Tensor], Tensor], u: Float[Tensor, "*batch 9"], *, noise_mt: float = SENSOR_NOISE_MT
 ) -> Float[Tensor, "*batch 4"]:
-    """Levenberg-Marquardt: a few iterations from every start, then the one with the smallest residual to the end."""
-    method, finish = (
-        LevenbergMarquardt(sensing, *box(), noise_mt=noise_mt, iterations=n) for n in (FIRST, LAST)
-    )
-    fits = [method.step(method.init(q0.expand(*u.shape[:-1], 4)), u, 0.0)[1] for q0 in starts()]
-    best = torch.stack([fit.diagnostics["rmse"] for fit in fits]).argmin(0)
-    found = torch.stack([fit.q for fit in fits])
-    q = found.gather(0, best[None, ..., None].expand(1, *found.shape[1:])).squeeze(0)
-    return finish.step(finish.init(q), u, 0.0)[1].q
+    """Levenberg-Marquardt from the best of six starts."""
+    return from_best_start(sensing, box(), starts(), u, ITERATIONS, noise_mt=noise_mt)
 
 
 def session(config: Config, q: Float[Tensor, "t 4"]) -> Session:
@@ -110,8 +103,7 @@ def best(config: Config | None = None, *, steps: int = 400, every: int = 4) -> p
     tables = []
     for calibrated, sensing in models.items():
         error = relative_error(estimate(sensing, measured.readings), measured.q)
-        table = pd.DataFrame(error.numpy(), columns=list(QUANTITIES)).rename_axis("draw").reset_index()
-        table = table.melt("draw", var_name="quantity", value_name="error_percent")
+        table = table_of_draws(error, QUANTITIES)
         tables.append(table.assign(row=ROW, calibrated=calibrated))
     columns = ["row", "quantity", "draw", "calibrated", "error_percent"]
     return pd.concat(tables, ignore_index=True).reindex(columns=columns)

@@ -29,7 +29,7 @@ def layouts_drawn(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table
-        Columns of :func:`~repro_companion.pages.sensor_placement.study.layouts_table`, of one robot.
+        Columns of :func:`~repro_companion.pages.sensor_placement.studies.layouts_table`, of one robot.
     """
     names = list(dict.fromkeys(table["layout"]))
     height = _length(table)
@@ -193,7 +193,7 @@ def choices(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table
-        Columns of :func:`~repro_companion.pages.sensor_placement.study.choices`.
+        Columns of :func:`~repro_companion.pages.sensor_placement.studies.choices`.
     """
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.7), width_ratios=(1, 1.15))
     nominal = table[table["study"] == "number"].iloc[0]
