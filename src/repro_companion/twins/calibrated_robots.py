@@ -1,4 +1,4 @@
-"""Our best figures for Table 1 of Baaij et al. 2023: a robot that is not as drawn, calibrated in 100 poses.
+"""Robots of Baaij et al. 2023 that are not as drawn: calibration in measured poses, estimates from the straight pose.
 
 Frozen before any figure on the lemniscate T3 was taken; what could be chosen was chosen on the half lemniscate T2.
 Readings come from magpylib and the true robot; the estimator knows the drawing, its tolerances and, if calibrated,
@@ -14,12 +14,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from repro.estimation.base import Estimate
 from repro.estimation.calibration import Calibration, calibrate
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.poses import configurations
-from repro.kernels import compiled
 from repro.kinematics.trajectories import lemniscate
-from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.training_set import BENDING_M, ELONGATION_M
 from repro_companion.book.bootstrap import ratio_of_means, resampled
 from repro_companion.twins.calibration_session import (
@@ -29,7 +28,7 @@ from repro_companion.twins.calibration_session import (
     draw_session,
     released_moments,
 )
-from repro_companion.twins.table_1_rows import ROWS, Row
+from repro_companion.twins.table_1_rows import Row
 
 VELOCITY_SHARE = 0.5
 """Standard deviation of a velocity before the first reading, in widths of the box per second."""
@@ -47,11 +46,17 @@ def start(n_segments: int) -> Float[Tensor, " n_q"]:
     return torch.tensor([0.0, 0.0, 2.75e-3] * n_segments, dtype=torch.float64)
 
 
-def estimator(n_segments: int, sensing: LinearisedSensing, iterations: int) -> LevenbergMarquardt:
-    """Levenberg-Marquardt within the training box."""
-    return LevenbergMarquardt(
-        compiled(sensing), *box(n_segments), noise_mt=SENSOR_NOISE_MT, iterations=iterations
-    )
+def least_squares(
+    sensing: Callable[[Tensor], Tensor],
+    u: Float[Tensor, "*batch s"],
+    n_segments: int,
+    *,
+    noise_mt: float = 1.0,
+    iterations: int = 30,
+) -> Estimate:
+    """Levenberg-Marquardt within the training box, for each of the readings from the straight pose."""
+    method = LevenbergMarquardt(sensing, *box(n_segments), noise_mt=noise_mt, iterations=iterations)
+    return method.step(method.init(start(n_segments).expand(*u.shape[:-1], -1)), u, 0.0)[1]
 
 
 def session(row: Row, config: Config) -> Session:
@@ -75,31 +80,6 @@ def calibration(row: Row, measured: Session, config: Config) -> Calibration:
         noise_mt=SENSOR_NOISE_MT,
         earth_mt=row.earth_mt(),
     )
-
-
-def best(rows: Sequence[Row] = ROWS, config: Config | None = None) -> pd.DataFrame:
-    """Errors of the calibrated and of the uncalibrated multipole model, one line per row, draw and coordinate.
-
-    Columns: ``row``, ``quantity`` (``delta_x_1`` and so on), ``draw``, ``calibrated``, ``error_percent`` (relative
-    RMSE of eq. (13), in per cent of the range on the trajectory).
-    """
-    config = config or Config()
-    tables = []
-    for row in rows:
-        measured = session(row, config)
-        models = {
-            True: calibration(row, measured, config).sensing(row.earth_mt()),
-            False: LinearisedSensing(row.robot(), released_moments(), earth_mt=row.earth_mt()),
-        }
-        for calibrated, sensing in models.items():
-            method = estimator(row.n_segments, sensing, config.iterations)
-            q0 = start(row.n_segments).expand(len(measured.q), config.draws, -1)
-            found = method.step(method.init(q0), measured.readings, 0.0)[1].q
-            error = relative_error(found, measured.q)
-            table = table_of_draws(error, row.robot().coordinates)
-            tables.append(table.assign(row=row.name, calibrated=calibrated))
-    columns = ["row", "quantity", "draw", "calibrated", "error_percent"]
-    return pd.concat(tables, ignore_index=True).reindex(columns=columns)
 
 
 def summary(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
@@ -129,6 +109,12 @@ def relative_error(
     width = truth.amax(0) - truth.amin(0)
     truth = truth.reshape(len(truth), *(1,) * (found.ndim - 2), -1)
     return 100 * (found - truth).square().mean(0).sqrt() / width
+
+
+def standard_normal(shape: Sequence[int], seeds: Sequence[int]) -> Float[Tensor, "seeds *shape"]:
+    """Standard normal numbers, each seed with a generator of its own."""
+    generators = [torch.Generator().manual_seed(seed) for seed in seeds]
+    return torch.stack([torch.randn(*shape, generator=g, dtype=torch.float64) for g in generators])
 
 
 def table_of_draws(error: Float[Tensor, "draws n"], quantities: Sequence[str]) -> pd.DataFrame:
