@@ -49,7 +49,7 @@ from repro_companion.pages.performance.rows import (
 )
 from repro_companion.pages.probabilistic_curvature.scorecard import CAPABILITY as PARTICLES
 from repro_companion.twins.bend_curves import LENGTH_M, bend_curve, bend_readings
-from repro_companion.twins.table_1_solvers import fast_networks
+from repro_companion.twins.table_1_solvers import sensor_models
 
 FIELD_ERROR_MT = 1e-4
 """Largest error of the field that the particle filter may make in order to meet its target [mT]."""
@@ -74,7 +74,8 @@ def benchmark(networks: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
         :data:`~repro_companion.pages.performance.rows.COLUMNS`; and the points of the scaling curves.
     """
     torch.set_num_threads(1)
-    mlp = MagneticSensing(pcc_robot(3), fast_networks(3, (0,)), "cosines")
+    ((model, inputs),) = sensor_models(["fast network"], 3, (0,), networks, "released").values()
+    mlp = MagneticSensing(pcc_robot(3), model, inputs)
     rows = [*tracker_rows(networks, mlp), *generator_rows(), *particle_rows(), *chain_rows()]
     points = scaling()
     rows += [*exponent_rows(points), *arithmetic_rows(networks, mlp)]

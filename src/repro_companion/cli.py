@@ -161,14 +161,11 @@ def studies(*, folder: Path | None = None) -> int:
     from repro_companion.book.project import find_project, shown
     from repro_companion.book.studies import write_studies
     from repro_companion.pages import all_studies
-    from repro_companion.pages.sensor_placement.study import write_placement_study
 
     torch.set_num_threads(1)
     folder = folder or find_project().data / "studies"
     progress = sys.stderr.isatty()
     for path in write_studies(all_studies(), folder, progress=progress):
-        print(shown(path), flush=True)
-    for path in write_placement_study(folder, progress=progress):
         print(shown(path), flush=True)
     return 0
 

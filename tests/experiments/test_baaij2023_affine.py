@@ -15,8 +15,15 @@ from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro.sensing.weights import read_manifest
 from repro_companion.pages.affine_curvature import method as affine
-from repro_companion.pages.affine_curvature.best import best, box, calibration, estimate, session
-from repro_companion.pages.affine_curvature.scorecard import affine_rows, affine_setting
+from repro_companion.pages.affine_curvature.best import (
+    affine_rows,
+    affine_setting,
+    best,
+    box,
+    calibration,
+    estimate,
+    session,
+)
 from repro_companion.twins.calibration_session import SENSOR_NOISE_MT, Config, released_moments
 
 DATA = Path(__file__).parents[2] / "data"

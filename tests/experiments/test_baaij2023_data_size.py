@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from repro.errors import InputError
-from repro_companion.pages.noise_and_tolerances.data_size import COLUMNS, MODELS, PAPER, data_size_errors
-from repro_companion.pages.noise_and_tolerances.noise import DIPOLE
+from repro_companion.pages.noise_and_tolerances.data_size import COLUMNS, PAPER, data_size_errors
+from repro_companion.twins.table_1_solvers import DIPOLE
 
 NETWORKS = Path(__file__).parents[2] / "data" / "networks"
 FIVE = "5 moments"
@@ -46,19 +45,3 @@ def test_networks_of_the_paper_are_one_point():
     assert paper["configurations"].tolist() == [120_000, 120_000]
     assert 0.003 < paper["e_u_mt"].mean() < 0.03  # published: 0.015 on all of T3
     assert data_size_errors([], [9], NETWORKS, models=[PAPER]).empty
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            {"models": ["x"]},
-            "Input models of data_size_errors must be among 'network of the paper', '3 moments'",
-        ),
-        ({"sizes": [1]}, r"Input sizes of data_size_errors must be at least 2; instead received \[1\]"),
-    ],
-)
-def test_bad_input(change, message):
-    good = {"sizes": [30], "seeds": [0], "folder": NETWORKS, "models": MODELS}
-    with pytest.raises(InputError, match=message):
-        data_size_errors(**(good | change))

@@ -13,16 +13,14 @@ from repro.sensing.network import PerSensor
 from repro.sensing.relations import relations
 from repro.sensing.training_set import training_set
 from repro_companion.pages.noise_and_tolerances.noise import (
-    DIPOLE,
     MODELS,
-    _dipoles,
     against_bound,
-    bound_by_coordinate,
     noise_bound,
     noise_errors,
 )
+from repro_companion.pages.table_1.limits import model_by_solver
 from repro_companion.twins.networks import train_own
-from repro_companion.twins.table_1_solvers import SOLVERS, model_by_solver
+from repro_companion.twins.table_1_solvers import DIPOLE, SOLVERS, _dipoles
 
 NETWORKS = Path(__file__).parents[2] / "data" / "networks"
 DESCENT, SQUARES = SOLVERS
@@ -41,13 +39,11 @@ def test_bound_at_known_levels(n_segments, percent):
 
 
 def test_bound_is_proportional_to_the_noise_and_the_mean_of_its_coordinates():
-    table = bound_by_coordinate(2, [1e-3, 3e-3], steps=50)
-    one, three = (table[table["noise_mt"] == x]["bound_percent"].to_numpy() for x in (1e-3, 3e-3))
+    """Two coordinates of three are bending."""
+    one, three = noise_bound(2, [1e-3, 3e-3], steps=50).set_index("noise_mt").to_numpy()[:, 1:]
     assert three == pytest.approx(3 * one)
-    means = noise_bound(2, [1e-3], steps=50).iloc[0]
-    assert means["mean_percent"] == pytest.approx(one.mean())
-    assert means["bending_percent"] == pytest.approx(one[[0, 1, 3, 4]].mean())
-    assert means["elongation_percent"] == pytest.approx(one[[2, 5]].mean())
+    mean, bending, elongation = one
+    assert mean == pytest.approx((2 * bending + elongation) / 3)
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +114,7 @@ def test_networks_of_ours_are_trained_here():
 
 def test_dipoles_and_residuals_in_one_batch_are_the_modules_one_by_one():
     data = training_set(2, seed=0, samples=50)
-    trained = [train_own(data, seed=seed, recipe="dipole", progress=False)[0] for seed in (0, 1)]
+    trained = [train_own(data, seed=seed, recipe="dipole")[0] for seed in (0, 1)]
     segments = list(data.robot.sensors.segment)
     xi = relations(pcc_robot(2), lemniscate(2, steps=7).expand(2, 3, -1, -1)).cosines()
     expected = torch.stack([PerSensor(m, segments)(x) for m, x in zip(trained, xi, strict=True)])

@@ -12,7 +12,8 @@ from repro.kinematics.trajectories import lemniscate
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
-from repro_companion.twins.calibrated_robots import best, box, calibration, session, start
+from repro_companion.pages.table_1.limits import best
+from repro_companion.twins.calibrated_robots import box, calibration, session, start
 from repro_companion.twins.calibration_session import Config, draw_session, released_moments
 from repro_companion.twins.table_1_rows import ROWS
 

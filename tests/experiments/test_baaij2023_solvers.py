@@ -6,7 +6,7 @@ import pytest
 
 from repro.errors import InputError
 from repro_companion.book.parallel import in_processes
-from repro_companion.twins.table_1_solvers import model_by_solver
+from repro_companion.pages.table_1.limits import model_by_solver
 
 
 def test_multipole_model_with_both_solvers(tmp_path):

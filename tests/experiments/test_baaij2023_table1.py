@@ -17,10 +17,11 @@ from repro.sensing.network import PerSensor, paper_network
 from repro.sensing.weights import save_weights
 from repro_companion.book.project import find_project
 from repro_companion.book.published import read_published
+from repro_companion.pages.table_1.scorecard import scorecard_rows
 from repro_companion.twins import table_1_method as table1
 from repro_companion.twins.networks import NetworkSpec
 from repro_companion.twins.table_1_rows import ROWS, groups, rows_named, simulate
-from repro_companion.twins.table_1_scorecard import SETTING, scorecard_rows, setting
+from repro_companion.twins.table_1_scorecard import SETTING, setting
 
 
 def untrained(n_segments, seeds):

@@ -5,10 +5,10 @@ import torch
 
 from repro.errors import InputError
 from repro.kinematics.trajectories import TRAJECTORIES, trajectory
-from repro_companion.pages.temporal_filter.ambiguity import ambiguities
 from repro_companion.pages.temporal_filter.figures import gain_and_bands
 from repro_companion.pages.temporal_filter.filters import (
     SHARE,
+    ambiguities,
     choices,
     errors,
     estimates,

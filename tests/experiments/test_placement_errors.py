@@ -12,7 +12,6 @@ import torch
 from repro.errors import InputError
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
-from repro_companion.pages.sensor_placement.bounds import expected_errors
 from repro_companion.pages.sensor_placement.errors import (
     ROBOTS,
     bound_over_time,
@@ -21,8 +20,7 @@ from repro_companion.pages.sensor_placement.errors import (
     measured_errors,
     summary,
 )
-from repro_companion.pages.sensor_placement.layouts import layout_from_table
-from repro_companion.pages.sensor_placement.study import (
+from repro_companion.pages.sensor_placement.studies import (
     NOISE_ONLY,
     NOMINAL,
     OPTIMISED,
@@ -31,7 +29,7 @@ from repro_companion.pages.sensor_placement.study import (
     optimised_layouts,
     quarter_turn,
 )
-from repro_companion.pages.sensor_placement.tasks import affine_task, pcc_task
+from repro_companion.pages.sensor_placement.tasks import affine_task, expected_errors, pcc_task
 
 STUDIES = Path(__file__).parents[2] / "data" / "studies"
 TASKS = {
@@ -52,7 +50,11 @@ def layouts():
 
 def studied(layouts, task, name):
     chosen = layouts[(layouts["task"] == task.name) & (layouts["layout"] == name)]
-    return layout_from_table(task.nominal, chosen)
+    sensors, magnets = (chosen[chosen["part"] == part] for part in ("sensor", "magnet"))
+    lengths = np.concatenate([sensors["axial_mm"], sensors["radial_mm"]]) / 1e3
+    angles = np.radians(np.concatenate([sensors["azimuth_deg"], sensors["tilt_deg"]]))
+    values = np.concatenate([lengths, angles, magnets["axial_mm"] / 1e3])
+    return task.nominal.moved(torch.from_numpy(values))
 
 
 @pytest.mark.parametrize(
@@ -154,11 +156,3 @@ def test_bad_input():
     task = pcc_task(1, steps=2)
     with pytest.raises(InputError, match="draws of measured_errors must be at least 1; instead received 0"):
         measured_errors(task, {NOMINAL: task.nominal}, draws=0)
-    with pytest.raises(
-        InputError,
-        match="layouts of measured_errors must be of 13 values; instead received 17 values in other",
-    ):
-        measured_errors(task, {"other": pcc_task(1, 4, steps=2).nominal})
-    found = measured_errors(task, {"one": task.nominal}, draws=1)
-    with pytest.raises(InputError, match=r"reference of summary must be one of \['one'\]"):
-        summary(found, reference=NOMINAL)

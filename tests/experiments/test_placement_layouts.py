@@ -1,15 +1,13 @@
 """Layouts of sensors and magnets: there and back, limits and distances, random ones."""
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
 
 from repro.errors import InputError
-from repro.kinematics.mounts import Mounts
 from repro.kinematics.paper_robots import LENGTH_M, affine_robot, pcc_robot
-from repro_companion.pages.sensor_placement.layouts import Room, layout_from_table, layout_of
+from repro_companion.pages.sensor_placement.layouts import Room, layout_of
 
 ROBOTS = {
     "one segment": pcc_robot(1),
@@ -30,13 +28,19 @@ def test_layout_gives_the_robot_back(name):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_table_gives_the_layout_back(name):
+def test_table_lists_the_parts(name):
     layout = layout_of(ROBOTS[name])
     table = layout.table()
-    torch.testing.assert_close(
-        layout_from_table(layout, table).robot().sensors.local, layout.robot().sensors.local
-    )
     assert table["azimuth_deg"].between(0, 360, inclusive="left").all()
+    axial, radial, azimuth, tilt, _ = layout.parts()
+    sensors = table[table["part"] == "sensor"]
+    for column, value in (
+        ("axial_mm", 1e3 * axial),
+        ("radial_mm", 1e3 * radial),
+        ("tilt_deg", tilt.rad2deg()),
+    ):
+        assert sensors[column].tolist() == pytest.approx(value.tolist())
+    assert sensors["azimuth_deg"].tolist() == pytest.approx((azimuth.rad2deg() % 360).tolist())
 
 
 def test_heights_count_from_the_base_of_the_robot():
@@ -48,10 +52,6 @@ def test_heights_count_from_the_base_of_the_robot():
 def test_kinds_select_blocks():
     layout = layout_of(pcc_robot(1, 2))
     assert layout.of_kind(("tilt", "magnet")).tolist() == [False] * 6 + [True] * 3
-    with pytest.raises(
-        InputError, match="kinds of Layout must be among axial, radial, azimuth, tilt, magnet"
-    ):
-        layout.of_kind(("height",))
 
 
 def test_nominal_layouts_have_room():
@@ -108,22 +108,6 @@ def test_every_mount_has_a_derivative_of_its_own():
     assert float(J[:, :, :3].norm(dim=1).fill_diagonal_(0).max()) == 0
 
 
-def test_bad_input():
-    layout = layout_of(pcc_robot(1))
-    with pytest.raises(
-        InputError, match=r"values of Layout must be 13 numbers; instead received shape \(12,\)"
-    ):
-        layout.moved(layout.values[:12])
-    with pytest.raises(InputError, match="one robot, not a batch"):
-        layout_of(pcc_robot(1, tilt=torch.zeros(2, dtype=torch.float64)))
-    robot = pcc_robot(1)
-    turned = robot.sensors.local.clone()
-    turned[:, 1, 2], turned[:, 0, 2] = 0.5, 0.2
-    with pytest.raises(InputError, match="sensors that measure in the plane through the backbone"):
-        layout_of(replace(robot, sensors=Mounts(robot.sensors.segment, robot.sensors.axial, turned)))
-    with pytest.raises(InputError, match="magnets further from the sensors"):
-        Room(magnet_to_sensor_m=0.010)
+def test_no_room_for_all_parts():
     with pytest.raises(InputError, match=r"one with room for all parts; instead received no room for part 2"):
         Room(magnet_to_magnet_m=0.5).random(layout_of(pcc_robot(2)), torch.Generator().manual_seed(0))
-    with pytest.raises(InputError, match="table of layout_from_table must be of the parts"):
-        layout_from_table(layout, layout_of(pcc_robot(1, 2)).table())

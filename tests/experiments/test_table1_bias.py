@@ -8,8 +8,7 @@ import pytest
 from repro_companion.book.scorecard import ScorecardRow
 from repro_companion.book.verdict_table import VerdictTable
 from repro_companion.book.verdicts import Verdict
-from repro_companion.pages.table_1.bias import bias_by_factor, bias_table
-from repro_companion.twins.table_1_scorecard import scorecard_rows
+from repro_companion.pages.table_1.scorecard import bias_by_factor, bias_table, scorecard_rows
 
 
 def cell(row, quantity, printed, errors, unit="%"):

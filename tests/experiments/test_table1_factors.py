@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from repro.sensing.weights import load_paper_network
-from repro_companion.pages.table_1 import factors as table1_factors
-from repro_companion.pages.table_1.factors import NEW_ORDER, OTHER_DRAWS, factor_errors
+from repro_companion.pages.table_1 import training as table1_factors
+from repro_companion.pages.table_1.training import NEW_ORDER, OTHER_DRAWS, factor_errors
 from repro_companion.twins.networks import DATA_SEED, NetworkSpec, training_rows
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro_companion.pages.table_1.splits import RELEASED_MT, orders_table, parts_of_errors, splits_table
+from repro_companion.pages.table_1.training import RELEASED_MT, orders_table, parts_of_errors, splits_table
 from repro_companion.twins.networks import NetworkSpec
 
 

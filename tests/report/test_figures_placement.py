@@ -9,7 +9,7 @@ import pytest
 from repro.kinematics.paper_robots import pcc_robot
 from repro_companion.pages.sensor_placement.figures import all_robots, choices, judged, layouts_drawn
 from repro_companion.pages.sensor_placement.layouts import layout_of
-from repro_companion.pages.sensor_placement.study import layouts_table
+from repro_companion.pages.sensor_placement.studies import layouts_table
 from repro_companion.pages.sensor_placement.tasks import pcc_task
 
 

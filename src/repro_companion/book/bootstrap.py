@@ -52,3 +52,11 @@ def ratio_interval(
     (3.0, 3.0)
     """
     return interval(upper[index].mean(1) / lower[index].mean(1))
+
+
+def ratio_of_means(
+    upper: Float[np.ndarray, " n"], lower: Float[np.ndarray, " n"], index: Int[np.ndarray, "bootstraps n"]
+) -> dict[str, float]:
+    """Ratio of two means over the same draws with its interval: columns ``ratio, ratio_low, ratio_high``."""
+    low, high = ratio_interval(upper, lower, index)
+    return {"ratio": float(upper.mean() / lower.mean()), "ratio_low": low, "ratio_high": high}

@@ -20,9 +20,6 @@ from repro.errors import bad_input
 from repro.files import write_whole
 from repro_companion.book.project import find_project
 
-DIGITS = 5
-"""Significant digits of a number in the tables."""
-
 
 @dataclass(frozen=True)
 class Study:
@@ -39,12 +36,15 @@ class Study:
     needs
         Which of ``data`` (the folder), ``folder`` (of the trained networks), ``cache`` (of networks that are not
         kept) and ``progress`` the function takes besides.
+    digits
+        Significant digits of a number in the table.
     """
 
     name: str
     compute: Callable[..., pd.DataFrame]
     settings: dict[str, Any]
     needs: tuple[str, ...] = ()
+    digits: int = 5
 
 
 def write_studies(studies: Sequence[Study], folder: Path, *, progress: bool) -> list[Path]:
@@ -79,7 +79,7 @@ def write_studies(studies: Sequence[Study], folder: Path, *, progress: bool) -> 
             print(study.name, file=sys.stderr, flush=True)
         table = study.compute(**study.settings, **{name: available[name] for name in study.needs})
         path.with_suffix(".json").unlink(missing_ok=True)  # never old settings beside a new table
-        write_whole(path, table.to_csv(index=False, float_format=f"%.{DIGITS}g", lineterminator="\n"))
+        write_whole(path, table.to_csv(index=False, float_format=f"%.{study.digits}g", lineterminator="\n"))
         write_whole(path.with_suffix(".json"), json.dumps(study.settings, indent=1) + "\n")
     return paths
 

@@ -1,4 +1,4 @@
-"""Our best figures for Table 1 of Baaij et al. 2023: a robot that is not as drawn, calibrated in 100 poses.
+"""Robots of Baaij et al. 2023 that are not as drawn: calibration in measured poses, estimates from the straight pose.
 
 Frozen before any figure on the lemniscate T3 was taken; what could be chosen was chosen on the half lemniscate T2.
 Readings come from magpylib and the true robot; the estimator knows the drawing, its tolerances and, if calibrated,
@@ -7,22 +7,20 @@ readings in measured poses. Nothing starts at, or holds, a true coordinate of th
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import pandas as pd
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from repro.estimation.base import Estimate
 from repro.estimation.calibration import Calibration, calibrate
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.poses import configurations
-from repro.kernels import compiled
 from repro.kinematics.trajectories import lemniscate
-from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.training_set import BENDING_M, ELONGATION_M
-from repro_companion.book.bootstrap import ratio_interval, resampled
+from repro_companion.book.bootstrap import ratio_of_means, resampled
 from repro_companion.twins.calibration_session import (
     SENSOR_NOISE_MT,
     Config,
@@ -30,7 +28,7 @@ from repro_companion.twins.calibration_session import (
     draw_session,
     released_moments,
 )
-from repro_companion.twins.table_1_rows import ROWS, Row
+from repro_companion.twins.table_1_rows import Row
 
 VELOCITY_SHARE = 0.5
 """Standard deviation of a velocity before the first reading, in widths of the box per second."""
@@ -48,11 +46,17 @@ def start(n_segments: int) -> Float[Tensor, " n_q"]:
     return torch.tensor([0.0, 0.0, 2.75e-3] * n_segments, dtype=torch.float64)
 
 
-def estimator(n_segments: int, sensing: LinearisedSensing, iterations: int) -> LevenbergMarquardt:
-    """Levenberg-Marquardt within the training box."""
-    return LevenbergMarquardt(
-        compiled(sensing), *box(n_segments), noise_mt=SENSOR_NOISE_MT, iterations=iterations
-    )
+def least_squares(
+    sensing: Callable[[Tensor], Tensor],
+    u: Float[Tensor, "*batch s"],
+    n_segments: int,
+    *,
+    noise_mt: float = 1.0,
+    iterations: int = 30,
+) -> Estimate:
+    """Levenberg-Marquardt within the training box, for each of the readings from the straight pose."""
+    method = LevenbergMarquardt(sensing, *box(n_segments), noise_mt=noise_mt, iterations=iterations)
+    return method.step(method.init(start(n_segments).expand(*u.shape[:-1], -1)), u, 0.0)[1]
 
 
 def session(row: Row, config: Config) -> Session:
@@ -78,36 +82,6 @@ def calibration(row: Row, measured: Session, config: Config) -> Calibration:
     )
 
 
-def best(rows: Sequence[Row] = ROWS, config: Config | None = None) -> pd.DataFrame:
-    """Errors of the calibrated and of the uncalibrated multipole model, one line per row, draw and coordinate.
-
-    Columns: ``row``, ``quantity`` (``delta_x_1`` and so on), ``draw``, ``calibrated``, ``error_percent`` (relative
-    RMSE of eq. (13), in per cent of the range on the trajectory).
-    """
-    config = config or Config()
-    tables = []
-    for row in rows:
-        measured = session(row, config)
-        models = {
-            True: calibration(row, measured, config).sensing(row.earth_mt()),
-            False: LinearisedSensing(row.robot(), released_moments(), earth_mt=row.earth_mt()),
-        }
-        for calibrated, sensing in models.items():
-            method = estimator(row.n_segments, sensing, config.iterations)
-            q0 = start(row.n_segments).expand(len(measured.q), config.draws, -1)
-            found = method.step(method.init(q0), measured.readings, 0.0)[1].q
-            error = relative_error(found, measured.q)
-            table = pd.DataFrame(error.numpy(), columns=list(row.robot().coordinates))
-            table = (
-                table.rename_axis("draw")
-                .reset_index()
-                .melt("draw", var_name="quantity", value_name="error_percent")
-            )
-            tables.append(table.assign(row=row.name, calibrated=calibrated))
-    columns = ["row", "quantity", "draw", "calibrated", "error_percent"]
-    return pd.concat(tables, ignore_index=True).reindex(columns=columns)
-
-
 def summary(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
     """Means over draws and the gain by calibration, with a paired bootstrap interval over the draws.
 
@@ -116,52 +90,16 @@ def summary(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
     ``ratio_low`` and ``ratio_high`` (95 %).
     """
     lines = []
-    for row, quantity in _pairs(table):
-        here = table.query("row == @row" if quantity == "mean" else "row == @row and quantity == @quantity")
-        pairs = here.pivot_table(index="draw", columns="calibrated", values="error_percent", aggfunc="mean")
-        yes, no = pairs[True].to_numpy(), pairs[False].to_numpy()
-        low, high = ratio_interval(yes, no, resampled(len(yes), seed))
-        spread = [x.std(ddof=1) if len(x) > 1 else math.nan for x in (yes, no)]
-        lines.append(
-            {
-                "row": row,
-                "quantity": quantity,
-                "calibrated_percent": yes.mean(),
-                "calibrated_percent_std": spread[0],
-                "uncalibrated_percent": no.mean(),
-                "uncalibrated_percent_std": spread[1],
-                "ratio": yes.mean() / no.mean(),
-                "ratio_low": low,
-                "ratio_high": high,
-            }
-        )
+    for row, part in table.groupby("row", sort=False):
+        for quantity in [*part["quantity"].unique(), "mean"]:
+            here = part if quantity == "mean" else part[part["quantity"] == quantity]
+            by_draw = here.pivot_table(index="draw", columns="calibrated", values="error_percent")
+            line = {"row": row, "quantity": quantity}
+            for name, calibrated in (("calibrated_percent", True), ("uncalibrated_percent", False)):
+                line |= {name: by_draw[calibrated].mean(), f"{name}_std": by_draw[calibrated].std()}
+            yes, no = by_draw[True].to_numpy(), by_draw[False].to_numpy()
+            lines.append(line | ratio_of_means(yes, no, resampled(len(yes), seed)))
     return pd.DataFrame(lines)
-
-
-def against_published(table: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
-    """Mean over the per-cent columns of each row of best/published.
-
-    Parameters
-    ----------
-    table
-        From :func:`best`.
-    published
-        Published values in long form: ``paper``, ``artefact``, ``row``, ``quantity``, ``unit``, ``value``.
-
-    Returns
-    -------
-    DataFrame
-        ``row``, ``calibrated`` and ``uncalibrated``: the mean ratio of each.
-    """
-    here = published.query("paper == 'baaij2023' and artefact == 'Table 1' and unit == '%'")
-    means = table.pivot_table(
-        index=["row", "quantity"], columns="calibrated", values="error_percent", sort=False
-    )
-    joined = means.reset_index().merge(here[["row", "quantity", "value"]], validate="one_to_one")
-    joined = joined.assign(
-        calibrated=joined[True] / joined["value"], uncalibrated=joined[False] / joined["value"]
-    )
-    return joined.pivot_table(index="row", values=["calibrated", "uncalibrated"], sort=False).reset_index()
 
 
 def relative_error(
@@ -173,11 +111,46 @@ def relative_error(
     return 100 * (found - truth).square().mean(0).sqrt() / width
 
 
-def _pairs(table: pd.DataFrame) -> list[tuple[str, str]]:
-    """Rows and quantities in their order, ``mean`` last in each row."""
-    keys: dict[str, list[str]] = {}
-    for row, quantity in zip(table["row"], table["quantity"], strict=True):
-        names = keys.setdefault(row, [])
-        if quantity not in names:
-            names.append(quantity)
-    return [(row, quantity) for row, names in keys.items() for quantity in [*names, "mean"]]
+def standard_normal(shape: Sequence[int], seeds: Sequence[int]) -> Float[Tensor, "seeds *shape"]:
+    """Standard normal numbers, each seed with a generator of its own."""
+    generators = [torch.Generator().manual_seed(seed) for seed in seeds]
+    return torch.stack([torch.randn(*shape, generator=g, dtype=torch.float64) for g in generators])
+
+
+def table_of_draws(error: Float[Tensor, "draws n"], quantities: Sequence[str]) -> pd.DataFrame:
+    """Errors in long form: columns ``draw, quantity, error_percent``."""
+    table = pd.DataFrame(error.numpy(), columns=list(quantities)).rename_axis("draw").reset_index()
+    return table.melt("draw", var_name="quantity", value_name="error_percent")
+
+
+def from_best_start(
+    sensing: Callable[[Tensor], Tensor],
+    box: tuple[Float[Tensor, " n_q"], Float[Tensor, " n_q"]],
+    starts: Float[Tensor, "starts n_q"],
+    u: Float[Tensor, "*batch s"],
+    iterations: tuple[int, int],
+    *,
+    noise_mt: float,
+    known: Float[Tensor, "*batch n_q"] | None = None,
+) -> Float[Tensor, "*batch n_q"]:
+    """Levenberg-Marquardt: a few iterations from every start, then the one with the least residual to the end.
+
+    Parameters
+    ----------
+    sensing, box, starts
+        Sensor model, bounds of the configuration, and where to start.
+    u
+        Readings [mT].
+    iterations
+        From every start, and of the best of them.
+    noise_mt
+        Noise of a reading [mT].
+    known
+        Coordinates that are held, not a number where they are not.
+    """
+    first, last = (LevenbergMarquardt(sensing, *box, noise_mt=noise_mt, iterations=n) for n in iterations)
+    fits = [first.step(first.init(q0.expand(*u.shape[:-1], -1)), u, 0.0, known=known)[1] for q0 in starts]
+    best = torch.stack([fit.diagnostics["rmse"] for fit in fits]).argmin(0)
+    found = torch.stack([fit.q for fit in fits])
+    found = found.gather(0, best[None, ..., None].expand(1, *found.shape[1:])).squeeze(0)
+    return last.step(last.init(found), u, 0.0, known=known)[1].q

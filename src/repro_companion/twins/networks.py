@@ -10,7 +10,6 @@ from typing import ClassVar
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from repro.errors import bad_input
 from repro.kinematics.paper_robots import affine_robot
 from repro.sensing.fast_training import train_dipole_residual, train_fast
 from repro.sensing.relations import relations
@@ -139,11 +138,7 @@ def sensor_rows(
 
 
 def train_own(
-    data: TrainingSet,
-    *,
-    seed: int,
-    recipe: str = "fast",
-    progress: bool = True,
+    data: TrainingSet, *, seed: int, recipe: str = "fast"
 ) -> tuple[list[nn.Module], list[dict[str, float]]]:
     """Train our networks, one per segment as in the paper, in seconds; nothing is kept on disk.
 
@@ -155,27 +150,16 @@ def train_own(
         Initial weights, batches and split of the data.
     recipe
         ``"fast"``: a network on cosines; ``"dipole"``: dipole and residual network.
-    progress
-        Show a progress bar for every network.
 
     Returns
     -------
     list, list
         Networks in double precision, their weights constant, and their errors [mT], base to tip.
-
-    Raises
-    ------
-    InputError
-        If there is no such recipe.
     """
-    if recipe not in TRAINERS:
-        raise bad_input("recipe", "train_own", " or ".join(map(repr, TRAINERS)), repr(recipe))
     cosines = relations(data.robot, data.q, data.earth_axis).cosines()
     networks, metrics = [], []
     for segment in range(len(data.robot.segments)):
-        network, errors = TRAINERS[recipe](
-            *segment_rows(data, cosines, segment), seed=seed, progress=progress
-        )
+        network, errors = TRAINERS[recipe](*segment_rows(data, cosines, segment), seed=seed, progress=False)
         networks.append(network.double().requires_grad_(False))
         metrics.append(errors)
     return networks, metrics

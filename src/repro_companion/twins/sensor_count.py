@@ -7,7 +7,6 @@ import torch
 
 from repro.errors import bad_input
 from repro.estimation.information import cramer_rao, fisher_information
-from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kernels import compiled
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.trajectories import lemniscate
@@ -15,7 +14,7 @@ from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro_companion.book.pose_errors import pose_errors
-from repro_companion.twins.calibrated_robots import box, relative_error, start
+from repro_companion.twins.calibrated_robots import least_squares, relative_error
 from repro_companion.twins.calibration_session import released_moments
 
 ITERATIONS = 12
@@ -66,9 +65,8 @@ def sensor_count_errors(
     generator = torch.Generator().manual_seed(seed)
     normal = torch.randn(steps, draws, clean.shape[-1], generator=generator, dtype=clean.dtype)
     sensing = LinearisedSensing(robot, released_moments())
-    method = LevenbergMarquardt(compiled(sensing), *box(n_segments), noise_mt=noise_mt, iterations=ITERATIONS)
-    q0 = start(n_segments).expand(steps, draws, -1)
-    estimate = method.step(method.init(q0), clean + noise_mt * normal, 0.0)[1]
+    u, options = clean + noise_mt * normal, {"noise_mt": noise_mt, "iterations": ITERATIONS}
+    estimate = least_squares(compiled(sensing), u, n_segments, **options)
     variance = cramer_rao(fisher_information(sensing.linearise(q)[1], noise_mt)).diagonal(dim1=-2, dim2=-1)
     bound = 100 * (variance.mean(0).sqrt() / (q.amax(0) - q.amin(0))).mean()
     poses = pose_errors(robot, estimate.q, q.unsqueeze(1))
@@ -97,11 +95,6 @@ def against_three(table: pd.DataFrame) -> pd.DataFrame:
         Columns ``n_segments, noise_mt, n_sensors, mean_percent, bound_percent, tip_mm, at_bound_percent``; ``ratio``,
         the error by that of three sensors; ``averaging``, the root of 3/n, by which a mean of n readings has less
         noise, empty below three.
-
-    Raises
-    ------
-    InputError
-        If a setting lacks three sensors.
     """
     keys, values = ["n_segments", "noise_mt"], ["mean_percent", "bound_percent", "tip_mm", "at_bound_percent"]
     means = pd.DataFrame(table.groupby([*keys, "n_sensors"], as_index=False)[values].mean())
@@ -109,10 +102,7 @@ def against_three(table: pd.DataFrame) -> pd.DataFrame:
     joined = means.merge(
         three.rename(columns={"mean_percent": "three"}), on=keys, validate="many_to_one", how="left"
     )
-    if bool(joined["three"].isna().any()):
-        raise bad_input("table", "against_three", "one with three sensors in every setting", "one without")
-    ratio, averaging = (
-        joined["mean_percent"] / joined["three"],
-        (3 / joined["n_sensors"]).where(joined["n_sensors"] >= 3) ** 0.5,
+    averaging = (3 / joined["n_sensors"]).where(joined["n_sensors"] >= 3) ** 0.5
+    return joined.assign(ratio=joined["mean_percent"] / joined["three"], averaging=averaging).drop(
+        columns="three"
     )
-    return joined.drop(columns="three").assign(ratio=ratio, averaging=averaging)

@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any, ParamSpec
 
 import matplotlib.pyplot as plt
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 STYLE = str(Path(__file__).with_name("style.mplstyle"))
@@ -75,6 +77,13 @@ def coordinate_symbol(name: str) -> str:
     if index.isdigit() and segment:
         index += ","
     return f"${letter}_{{{index}{segment}}}$" if index + segment else f"${letter}$"
+
+
+def plain_ticks(axis: Axis, *, subs: tuple[int, ...] = (1, 2, 5)) -> None:
+    """Put plain numbers on a logarithmic axis, at these multiples of the powers of ten alone."""
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def label_in_mm(axes: Axes3D, *, fontsize: float, labelpad: float) -> None:

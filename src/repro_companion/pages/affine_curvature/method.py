@@ -22,8 +22,13 @@ from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.weights import load_paper_network
+from repro_companion.book.views_frames import every_nth
+from repro_companion.book.views_frames import readings as trace
+from repro_companion.book.views_simulated import FRAMES, times
 from repro_companion.twins.networks import AffineSpec
 from repro_companion.twins.table_1_method import ITERATIONS, MOMENTUM
+from repro_live.view.robot_view import shape_view
+from repro_live.view.shape_view import ShapeView
 
 STEP_SIZE = (1.0, 5.0, 1.0, 2e-4)
 """Step sizes of the released code for kappa_0, kappa_1, phi and delta_L (ring ``"released"``)."""
@@ -201,3 +206,23 @@ def stills(
 
 def _points(positions: Float[Tensor, "n 3"]) -> pd.DataFrame:
     return pd.DataFrame(1e3 * positions.numpy(), columns=["x_mm", "y_mm", "z_mm"])
+
+
+def flower_view(run: PaperRun) -> ShapeView:
+    """Affine segment on the flower of section 4.3, and what the paper's method finds with its first seed."""
+    q, shown = run.flower.q, every_nth(len(run.flower.q), FRAMES)
+    # The same shape has two configurations, and any number of turns: the one next to the truth is shown.
+    near = q + configuration_error(run.estimates.q[:, 0], q)
+    u, u_hat = run.flower.u[shown].numpy(), run.estimates.u_hat[shown, 0].numpy()
+    label = (
+        "Simulated segment of affine curvature on the flower, and what the paper's gradient descent on its networks "
+        f"(seed {run.seeds[0]}) finds, which starts at the ground truth."
+    )
+    return shape_view(
+        affine_robot(),
+        q[shown],
+        times=times(len(q))[shown],
+        label=label,
+        estimate=near[shown],
+        traces=[trace(u, "mT", u_hat)],
+    )

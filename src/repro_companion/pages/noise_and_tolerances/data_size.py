@@ -15,8 +15,6 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from repro.errors import bad_input
-from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.trajectories import lemniscate
 from repro.sensing.fast_training import BATCH, train_dipole_residual, train_fast
@@ -28,12 +26,13 @@ from repro.sensing.network import PerSensor
 from repro.sensing.relations import relations
 from repro.sensing.training import VALIDATION_SHARE
 from repro.sensing.training_set import TrainingSet, training_set
-from repro_companion.pages.noise_and_tolerances.noise import DIPOLE, LM_ITERATIONS
-from repro_companion.twins.calibrated_robots import box, relative_error, start
+from repro_companion.pages.noise_and_tolerances.noise import LM_ITERATIONS
+from repro_companion.twins.calibrated_robots import least_squares, relative_error
 from repro_companion.twins.calibration_session import SENSOR_NOISE_MT
 from repro_companion.twins.networks import segment_rows
 from repro_companion.twins.table_1_method import available, networks
 from repro_companion.twins.table_1_rows import Row
+from repro_companion.twins.table_1_solvers import DIPOLE
 from repro_companion.twins.table_1_solvers import MODELS as TABLE_MODELS
 
 SIZES = (30, 100, 300, 1000, 10_000, 120_000)
@@ -97,17 +96,7 @@ def data_size_errors(
         configuration against readings without noise (root mean square of a sensor, mean over the sensors); and the
         mean relative error of the configuration, eq. (13), on readings without noise (``configuration_percent``)
         and with noise (``noisy_percent``).
-
-    Raises
-    ------
-    InputError
-        If a model is unknown or a size is below two configurations.
     """
-    known = (PAPER, *MODELS)
-    if unknown := [x for x in models if x not in known]:
-        raise bad_input("models", "data_size_errors", f"among {', '.join(map(repr, known))}", unknown)
-    if not all(size >= 2 for size in sizes):
-        raise bad_input("sizes", "data_size_errors", "at least 2", list(sizes))
     rows = []
     row = Row("nominal", n_segments=n_segments)
     labels = {"n_b": n_segments}
@@ -155,9 +144,8 @@ def _score(
     clean = readings(robot, q, ring("released"))
     generator = torch.Generator().manual_seed(seed)
     noisy = clean + noise_mt * torch.randn(clean.shape, generator=generator, dtype=clean.dtype)
-    method = LevenbergMarquardt(sensing, *box(n_segments), iterations=LM_ITERATIONS)
     u = torch.stack([clean, noisy], dim=1)
-    found = method.step(method.init(start(n_segments).expand(*u.shape[:-1], -1)), u, 0.0)[1].q
+    found = least_squares(sensing, u, n_segments, iterations=LM_ITERATIONS).q
     percent = relative_error(found, q).mean(-1).tolist()
     with torch.no_grad():
         e_u = (sensing(q) - clean).square().mean(0).sqrt().mean()

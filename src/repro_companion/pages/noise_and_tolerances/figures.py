@@ -6,11 +6,10 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from repro_companion.pages.noise_and_tolerances.noise import REAL_MT
 from repro_companion.pages.noise_and_tolerances.tolerances import KINDS
-from repro_live.view.style import page_figure
+from repro_live.view.style import page_figure, plain_ticks
 
 LOOKS = {
     "network of the paper": ("#0072B2", "o"),
@@ -93,9 +92,7 @@ def tolerance_curves(means: pd.DataFrame, here: pd.DataFrame) -> Figure:
         panel.axhline(1.0, color="0.5", lw=0.9, ls=":")
         name, unit, _ = KINDS[kind]
         panel.set(xscale="log", yscale="log", xlabel=f"{name} [{unit}]")
-        panel.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
-        panel.xaxis.set_major_formatter("{x:g}")
-        panel.xaxis.set_minor_formatter(NullFormatter())
+        plain_ticks(panel.xaxis, subs=(1, 3))
         panel.yaxis.set_major_formatter("{x:g}")
     for panel in panels.flat[len(kinds) :]:
         panel.set_visible(False)
@@ -136,9 +133,7 @@ def data_size_curves(table: pd.DataFrame, bound_percent: float) -> Figure:
             panel.plot(means.index, means, "-", color=colour, lw=1.2)
         panel.set(xscale="log", yscale="log", xlabel="training configurations", ylabel=label)
     panels[1].axhline(bound_percent, color="black", ls="--", lw=1.2)
-    panels[1].yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    panels[1].yaxis.set_major_formatter("{x:g}")
-    panels[1].yaxis.set_minor_formatter(NullFormatter())
+    plain_ticks(panels[1].yaxis)
     handles = [Line2D([], [], color=LOOKS[m][0], marker=LOOKS[m][1], ms=4, lw=1.2, label=m) for m in models]
     handles.append(Line2D([], [], color="black", ls="--", lw=1.2, label="Cramér-Rao bound"))
     figure.legend(handles=handles, loc="outside upper center", ncols=3)

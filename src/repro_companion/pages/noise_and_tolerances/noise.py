@@ -9,37 +9,30 @@ from pathlib import Path
 import pandas as pd
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from tqdm import tqdm
 
 from repro.errors import bad_input
 from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.information import cramer_rao, fisher_information
-from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.robot import Robot
 from repro.kinematics.trajectories import lemniscate
-from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
-from repro.sensing.network import DipoleResidual
 from repro.sensing.relations import relations
-from repro.sensing.training_set import training_set
-from repro_companion.twins.calibrated_robots import box, relative_error, start
+from repro_companion.twins.calibrated_robots import least_squares, relative_error, standard_normal
 from repro_companion.twins.calibration_session import L_MAX
-from repro_companion.twins.networks import DATA_SEED, train_own
 from repro_companion.twins.table_1_method import ITERATIONS, MOMENTUM, step_sizes
+from repro_companion.twins.table_1_solvers import DIPOLE, SOLVERS, sensor_models
 from repro_companion.twins.table_1_solvers import MODELS as TABLE_MODELS
-from repro_companion.twins.table_1_solvers import SOLVERS, sensor_models
 
 REAL_MT = (4.8e-5, 7.1e-4)
 """Noise of the real sensors [mT], inferred from 0.24 and 3.55 mV (section 5.2) at 5000 mV/mT."""
 NOISE_MT = (1e-5, REAL_MT[0], 2e-4, REAL_MT[1], 2e-3, 5e-3, 2e-2, 1e-1)
 """Noise levels of the study [mT]."""
-DIPOLE = "dipole and residual"
-RECIPES = {TABLE_MODELS[1]: "fast", DIPOLE: "dipole"}
 MODELS = (*TABLE_MODELS[:2], DIPOLE, TABLE_MODELS[2])
 """Sensor models; all but the first are ours."""
 LM_ITERATIONS = 8
@@ -49,38 +42,22 @@ STEP_SCALE = {"released": 1.0, "published": 16.0}
 """Step sizes of gradient descent belong to the squared field of the ring."""
 
 
-def bound_by_coordinate(
+def noise_bound(
     n_segments: int, noise_mt: Sequence[float] = NOISE_MT, *, ring_name: str = "released", steps: int = 400
 ) -> pd.DataFrame:
-    r"""Cramér-Rao bound of every coordinate on T3, in the measure of eq. (13).
+    r"""Cramér-Rao bound on T3 in the measure of eq. (13), to stand beside :func:`noise_errors`.
 
-    The root over time of the mean variance of :math:`(J^T J/\sigma^2)^{-1}` along the trajectory, in per cent of
-    the range. It bounds estimates from the readings of one time step that are not biased.
+    For every coordinate the root over time of the mean variance of :math:`(J^T J/\sigma^2)^{-1}` along the
+    trajectory, in per cent of the range. It bounds estimates from the readings of one time step that are not biased.
 
-    Columns: ``n_b, noise_mt, quantity, bound_percent``.
+    Columns: ``n_b, noise_mt, mean_percent, bending_percent, elongation_percent``.
     """
     robot, q = pcc_robot(n_segments), lemniscate(n_segments, steps=steps)
     J = _multipole(robot, ring_name).linearise(q)[1]
     variance = cramer_rao(fisher_information(J, 1.0)).diagonal(dim1=-2, dim2=-1)  # of 1 mT, times the square
     percent = 100 * variance.mean(0).sqrt() / (q.amax(0) - q.amin(0))
-    tables = []
-    for noise in noise_mt:
-        labels = {"n_b": n_segments, "noise_mt": noise, "quantity": list(robot.coordinates)}
-        tables.append(pd.DataFrame(labels | {"bound_percent": (noise * percent).numpy()}))
-    return pd.concat(tables, ignore_index=True)
-
-
-def noise_bound(
-    n_segments: int, noise_mt: Sequence[float] = NOISE_MT, *, ring_name: str = "released", steps: int = 400
-) -> pd.DataFrame:
-    """Means of :func:`bound_by_coordinate`, to stand beside :func:`noise_errors`.
-
-    Columns: ``n_b, noise_mt, mean_percent, bending_percent, elongation_percent``.
-    """
-    table = bound_by_coordinate(n_segments, noise_mt, ring_name=ring_name, steps=steps)
-    values = torch.tensor(table["bound_percent"].tolist(), dtype=torch.float64)
-    labels = pd.DataFrame({"n_b": n_segments, "noise_mt": list(noise_mt)})
-    return labels.join(pd.DataFrame(_means(values.reshape(len(noise_mt), -1))))
+    levels = torch.tensor(list(noise_mt), dtype=torch.float64)
+    return pd.DataFrame({"n_b": n_segments, "noise_mt": noise_mt} | _means(levels.unsqueeze(-1) * percent))
 
 
 def noise_errors(
@@ -123,8 +100,10 @@ def noise_errors(
         raise bad_input("noise_mt", "noise_errors", "positive", list(noise_mt))
     robot, q = pcc_robot(n_segments), lemniscate(n_segments, steps=steps)
     clean = readings(robot, q, ring(ring_name))
-    u = clean + torch.tensor(list(noise_mt), dtype=q.dtype)[:, None, None, None] * _normal(seeds, clean)
-    found = _models(n_segments, seeds, folder, models, ring_name, samples)
+    u = clean + torch.tensor(list(noise_mt), dtype=q.dtype)[:, None, None, None] * standard_normal(
+        clean.shape, seeds
+    )
+    found = sensor_models(models, n_segments, seeds, folder, ring_name, samples=samples)
     tables = []
     if SOLVERS[0] in solvers and found:
         sensing = _SideBySide(robot, tuple(found.values()))
@@ -141,10 +120,8 @@ def noise_errors(
         for name, (model, inputs) in found.items():
             exact = name == TABLE_MODELS[2]
             sensing = _multipole(robot, ring_name) if exact else MagneticSensing(robot, model, inputs)
-            method = LevenbergMarquardt(sensing, *box(n_segments), iterations=LM_ITERATIONS)
             levels = tqdm(u, f"{name}, {n_segments} segments", disable=not progress)
-            estimates = [method.step(method.init(start(n_segments).expand(len(seeds), *q.shape)), x, 0.0)[1]
-                         for x in levels]  # fmt: skip
+            estimates = [least_squares(sensing, x, n_segments, iterations=LM_ITERATIONS) for x in levels]
             error = torch.stack([relative_error(e.q.movedim(1, 0), q) for e in estimates])
             held = torch.stack([100 * e.diagnostics["at_bound"].double().mean(-1) for e in estimates])
             tables.append(_table(error, noise_mt, seeds, model=name, solver=SOLVERS[1], held=held))
@@ -188,52 +165,8 @@ class _SideBySide:
         return torch.stack([model(xi[inputs][k]) for k, (model, inputs) in enumerate(self.models)])
 
 
-@dataclass(frozen=True)
-class _Dipoles:
-    """Dipole and residual network of every seed, in one batch like :class:`SeedEnsemble`."""
-
-    coefficients: Float[Tensor, "seeds s terms"]
-    residual: SeedEnsemble
-
-    def __call__(self, xi: Tensor) -> Tensor:
-        own = self.coefficients[(slice(None), *[None] * (xi.ndim - 3))]
-        return (DipoleResidual.terms(xi) * own).sum(-1) + self.residual(xi)
-
-
-def _models(
-    n_segments: int, seeds: Sequence[int], folder: Path, wanted: Sequence[str], ring_name: str, samples: int
-) -> dict[str, tuple[Callable[[Tensor], Tensor], str]]:
-    """Sensor models by name, in the order of :data:`MODELS`, each with the form of its inputs."""
-    ours = {name: recipe for name, recipe in RECIPES.items() if name in wanted}
-    found = sensor_models([x for x in wanted if x not in ours], n_segments, seeds, folder, ring_name)
-    if ours:
-        data = training_set(n_segments, seed=DATA_SEED, samples=samples, magnet=ring(ring_name))
-        segments = list(data.robot.sensors.segment)
-        for name, recipe in ours.items():
-            trained = [train_own(data, seed=seed, recipe=recipe, progress=False)[0] for seed in seeds]
-            ensemble = _dipoles if name == DIPOLE else SeedEnsemble
-            found[name] = ensemble(trained, segments), "cosines"
-    return {name: found[name] for name in MODELS if name in found}
-
-
-def _dipoles(trained: Sequence[Sequence[nn.Module]], segments: list[int]) -> _Dipoles:
-    coefficients = torch.stack(
-        [torch.stack([m.get_buffer("coefficients") for m in seed]) for seed in trained]
-    )
-    residual = SeedEnsemble([[m.get_submodule("residual") for m in seed] for seed in trained], segments)
-    return _Dipoles(coefficients[:, segments], residual.double())
-
-
 def _multipole(robot: Robot, ring_name: str) -> LinearisedSensing:
     return LinearisedSensing(robot, torch.from_numpy(ring(ring_name).multipoles(L_MAX)))
-
-
-def _normal(seeds: Sequence[int], u: Tensor) -> Tensor:
-    """Standard normal numbers ``[seed, *u]``, each seed with a generator of its own."""
-    drawn = [
-        torch.randn(u.shape, generator=torch.Generator().manual_seed(seed), dtype=u.dtype) for seed in seeds
-    ]
-    return torch.stack(drawn)
 
 
 def _means(percent: Float[Tensor, "*batch n_q"]) -> dict[str, list[float]]:

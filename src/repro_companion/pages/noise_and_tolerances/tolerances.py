@@ -7,7 +7,7 @@ is studied alone, so that its share is seen, and beside what first order predict
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -17,7 +17,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.robot import Robot
 from repro.kinematics.trajectories import lemniscate
@@ -27,7 +26,7 @@ from repro.sensing.magnets import Ring, ring
 from repro.sensing.placement import PlacedReadings, Tolerances, placed
 from repro_companion.book.bootstrap import BOOTSTRAPS, interval, resampled
 from repro_companion.pages.noise_and_tolerances.noise import LM_ITERATIONS
-from repro_companion.twins.calibrated_robots import box, relative_error, start
+from repro_companion.twins.calibrated_robots import least_squares, relative_error, standard_normal
 from repro_companion.twins.calibration_session import L_MAX
 
 KINDS = {
@@ -133,17 +132,17 @@ def tolerance_errors(
         raise bad_input("draws", "tolerance_errors", "at least 1", draws)
     robot, q, magnet = pcc_robot(n_segments), lemniscate(n_segments, steps=steps), ring(ring_name)
     moments = torch.from_numpy(magnet.multipoles(L_MAX))
-    method = LevenbergMarquardt(LinearisedSensing(robot, moments), *box(n_segments), iterations=LM_ITERATIONS)
+    sensing = LinearisedSensing(robot, moments)
     derivative = sensitivity(robot, q, moments)
     width = q.amax(0) - q.amin(0)
-    normal = torch.stack([_normal(derivative.shape[-1], 1000 * seed + draw) for draw in range(draws)])
+    normal = standard_normal(derivative.shape[-1:], range(1000 * seed, 1000 * seed + draws))
     tables = []
     for kind in kinds:
         scale = torch.tensor(list(factors), dtype=q.dtype)[:, None, None] * _only(kind, robot, len(moments))
         parameters = scale * normal  # [factor, draw, k]
         u = placed_readings(robot, parameters, q, magnet)
-        state = method.init(start(n_segments).expand(*u.shape[:-1], -1))
-        error = relative_error(method.step(state, u, 0.0)[1].q, q).mean(-1)
+        found = least_squares(sensing, u, n_segments, iterations=LM_ITERATIONS)
+        error = relative_error(found.q, q).mean(-1)
         moved = torch.einsum("tqk,fdk->tfdq", derivative, parameters)
         linear = (100 * moved.square().mean(0).sqrt() / width).mean(-1)
         index = pd.MultiIndex.from_product([factors, range(draws)], names=["factor", "draw"])
@@ -161,16 +160,14 @@ def tolerance_means(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
 
     Columns: ``n_b, kind, factor, size, unit, error_percent, low_percent, high_percent, linear_percent``.
     """
-
-    def quantile(level: float) -> Callable[[pd.Series], float]:
-        return lambda errors: float(np.quantile(_resampled(errors.to_numpy(), seed).mean(1), level))
-
     keys = ["n_b", "kind", "factor", "size", "unit"]
-    return table.groupby(keys, sort=False, as_index=False).agg(
-        error_percent=("error_percent", "mean"),
-        low_percent=("error_percent", quantile(0.025)),
-        high_percent=("error_percent", quantile(0.975)),
-        linear_percent=("linear_percent", "mean"),
+    lines = []
+    for labels, part in table.groupby(keys, sort=False):
+        errors = part["error_percent"].to_numpy()
+        low, high = interval(_resampled(errors, seed).mean(1))
+        lines.append((*labels, errors.mean(), low, high, part["linear_percent"].mean()))
+    return pd.DataFrame(
+        lines, columns=[*keys, "error_percent", "low_percent", "high_percent", "linear_percent"]
     )
 
 
@@ -195,9 +192,8 @@ def allowed(table: pd.DataFrame, *, error_percent: float = 1.0, seed: int = 0) -
         straight lines in logarithms; a size outside them is not a number.
     """
     lines = []
-    for n_b, kind in table[["n_b", "kind"]].drop_duplicates().itertuples(index=False):
+    for (n_b, kind), part in table[table["size"] > 0].groupby(["n_b", "kind"], sort=False):
         name, unit, to_unit = KINDS[kind]
-        part = table[(table["n_b"] == n_b) & (table["kind"] == kind) & (table["size"] > 0)]
         errors = part.pivot_table(index="draw", columns="size", values="error_percent")
         size = errors.columns.to_numpy(dtype=float)
         found = _crossing(size, errors.to_numpy().mean(0), error_percent)
@@ -217,10 +213,6 @@ def _only(kind: str, robot: Robot, terms: int) -> Tensor:
     others = dict.fromkeys(KINDS, 1.0) | {kind: 2.0}
     marked = Tolerances(**others).of_parameters(robot, terms) == 2.0
     return Tolerances().of_parameters(robot, terms) * marked
-
-
-def _normal(n: int, seed: int) -> Tensor:
-    return torch.randn(n, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
 
 
 def _resampled(values: np.ndarray, seed: int) -> np.ndarray:

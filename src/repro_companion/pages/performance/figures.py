@@ -9,10 +9,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from repro_companion.pages.performance.tables import LIVE, exponents, with_targets
-from repro_live.view.style import in_symbols, page_figure
+from repro_live.view.style import in_symbols, page_figure, plain_ticks
 
 OURS, REFERENCE, TARGET = "#0072B2", "#D55E00", "0.25"
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
@@ -88,10 +87,8 @@ def scaling_curves(points: pd.DataFrame) -> Figure:
         ]
         panel.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
         panel.set(xscale="log", yscale="log", xlabel=against)
-        for axis, subs in ((panel.xaxis, (1,)), (panel.yaxis, (1, 3))):
-            axis.set_major_locator(LogLocator(subs=subs))
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_formatter(NullFormatter())
+        plain_ticks(panel.xaxis, subs=(1,))
+        plain_ticks(panel.yaxis, subs=(1, 3))
     for panel in panels.flat[len(names) :]:
         panel.set_visible(False)
     figure.supylabel("processor time of a call [ms]", fontsize="medium")

@@ -122,17 +122,16 @@ def row(
     if goal.released is not None:
         verdict = "counts" if counts else "DOES NOT COUNT"
         note += f"; the reference {verdict}: the released code makes {goal.released:g} per CPU second"
-    values = (
-        capability,
-        kind,
-        ours,
-        unit,
-        reference,
-        ours / reference,
-        error,
-        goal.rate,
-        goal.ratio,
-        met,
-        note,
-    )
-    return dict(zip(COLUMNS, values, strict=True))
+    return {
+        "capability": capability,
+        "kind": kind,
+        "ours": ours,
+        "unit": unit,
+        "reference": reference,
+        "ratio": ours / reference,
+        "error": error,
+        "target": goal.rate,
+        "target_ratio": goal.ratio,
+        "met": met,
+        "note": note,
+    }

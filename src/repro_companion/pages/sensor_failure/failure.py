@@ -160,7 +160,7 @@ def ours(
     """Multipole model with Levenberg-Marquardt, on robots that are not as drawn and noisy readings.
 
     Robots, tolerances and calibration in 100 measured poses are those of
-    :func:`~repro_companion.twins.calibrated_robots.best`, and so is the start: straight with mid elongation, at every
+    :mod:`~repro_companion.twins.calibrated_robots`, and so is the start: straight with mid elongation, at every
     time step anew. No true coordinate enters.
 
     Parameters

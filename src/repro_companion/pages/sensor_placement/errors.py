@@ -13,7 +13,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kinematics.affine_curvature import AffineCurvature
 from repro.kinematics.robot import Robot
 from repro.kinematics.trajectories import RATE_HZ, STEPS
@@ -21,12 +20,19 @@ from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro.sensing.placement import Tolerances, placed
-from repro_companion.book.bootstrap import ratio_interval, resampled
-from repro_companion.pages.sensor_placement.bounds import NOISE_MT, expected_errors, ring_moments
+from repro_companion.book.bootstrap import ratio_of_means, resampled
 from repro_companion.pages.sensor_placement.layouts import Layout
-from repro_companion.pages.sensor_placement.tasks import TEST_SEED, Task
+from repro_companion.pages.sensor_placement.tasks import (
+    NOISE_MT,
+    TEST_SEED,
+    Task,
+    expected_errors,
+    ring_moments,
+    spread_of_parts,
+)
+from repro_companion.twins.calibrated_robots import from_best_start, table_of_draws
 
-FIRST, LAST = 4, 10
+ITERATIONS = (4, 10)
 """Iterations from every start, and those of the best of them."""
 ROBOTS = ("as drawn", "within tolerances")
 """Robots to which a layout is put: exactly as drawn, or off by normal draws of
@@ -71,30 +77,22 @@ def measured_errors(
     Raises
     ------
     InputError
-        If there is no draw, or a layout has another number of parts than the nominal one.
+        If there is no draw.
     """
     if draws < 1:
         raise bad_input("draws", "measured_errors", "at least 1", draws)
-    for name, layout in layouts.items():
-        if layout.values.shape != task.nominal.values.shape:
-            received = f"{len(layout.values)} values in {name}"
-            raise bad_input("layouts", "measured_errors", f"of {len(task.nominal.values)} values", received)
     tables = []
     for test, q in task.tests.items():
         generator = torch.Generator().manual_seed(seed + TEST_SEED)
         n_s = len(task.nominal.sensor_segment)
-        spread = (tolerances or Tolerances()).of_parameters(task.nominal.robot(), len(ring_moments()))
-        spread[-len(ring_moments()) :] = 0.0
+        spread = spread_of_parts(task.nominal.robot(), tolerances or Tolerances())
         parts = spread * torch.randn(draws, len(spread), generator=generator, dtype=torch.float64)
         noise = noise_mt * torch.randn(len(q), draws, n_s, generator=generator, dtype=torch.float64)
         for name, layout in layouts.items():
             for robot, off in zip(ROBOTS, (0 * parts[:1], parts), strict=True):
                 u = _readings(layout, q, off) + noise
                 error = _relative_error(task, estimate(task, layout, u, q, noise_mt), q)
-                table = (
-                    pd.DataFrame(error.numpy(), columns=task.coordinates).rename_axis("draw").reset_index()
-                )
-                table = table.melt("draw", var_name="quantity", value_name="error_percent")
+                table = table_of_draws(error, task.coordinates)
                 tables.append(table.assign(task=task.name, layout=name, robot=robot, shapes=test))
     columns = ["task", "layout", "robot", "shapes", "draw", "quantity", "error_percent"]
     return pd.concat(tables, ignore_index=True).reindex(columns=columns)
@@ -120,23 +118,13 @@ def estimate(
     noise_mt
         Noise of a reading [mT].
     """
-    sensing = LinearisedSensing(layout.robot(), ring_moments())
     known = None
     if task.known:
         known = torch.full_like(q, math.nan)
         known[:, list(task.known)] = q[:, list(task.known)]
         known = known.unsqueeze(1).expand(*u.shape[:-1], -1)
-    first, last = (
-        LevenbergMarquardt(sensing, task.low, task.high, noise_mt=noise_mt, iterations=n)
-        for n in (FIRST, LAST)
-    )
-    fits = [
-        first.step(first.init(q0.expand(*u.shape[:-1], -1)), u, 0.0, known=known)[1] for q0 in task.starts
-    ]
-    best = torch.stack([fit.diagnostics["rmse"] for fit in fits]).argmin(0)
-    found = torch.stack([fit.q for fit in fits])
-    found = found.gather(0, best[None, ..., None].expand(1, *found.shape[1:])).squeeze(0)
-    return last.step(last.init(found), u, 0.0, known=known)[1].q
+    sensing, box = LinearisedSensing(layout.robot(), ring_moments()), (task.low, task.high)
+    return from_best_start(sensing, box, task.starts, u, ITERATIONS, noise_mt=noise_mt, known=known)
 
 
 def summary(table: pd.DataFrame, *, reference: str = "nominal", seed: int = 0) -> pd.DataFrame:
@@ -157,29 +145,16 @@ def summary(table: pd.DataFrame, *, reference: str = "nominal", seed: int = 0) -
         A line per ``task``, ``robot``, ``shapes`` and ``layout``: ``mean_percent``, ``std_percent`` (over draws),
         ``ratio`` to the mean of the reference, and its paired bootstrap interval over draws, ``ratio_low`` and
         ``ratio_high`` (95 %).
-
-    Raises
-    ------
-    InputError
-        If the reference is not in the table.
     """
-    lines = []
-    keys = ["task", "robot", "shapes"]
-    for labels in table[keys].drop_duplicates().itertuples(index=False):
-        part = table[(table[keys] == list(labels)).all(axis=1)]
+    keys, lines = ["task", "robot", "shapes"], []
+    for labels, part in table.groupby(keys, sort=False):
         by_draw = part.pivot_table(index="draw", columns="layout", values="error_percent", sort=False)
-        if reference not in by_draw.columns:
-            raise bad_input("reference", "summary", f"one of {list(by_draw.columns)}", reference)
-        index = resampled(len(by_draw), seed)
-        base = by_draw[reference].to_numpy()
-        for layout in by_draw.columns:
-            here = by_draw[layout].to_numpy()
-            low, high = ratio_interval(here, base, index)
-            spread = here.std(ddof=1) if len(here) > 1 else math.nan
-            numbers = (here.mean(), spread, here.mean() / base.mean(), low, high)
-            lines.append((*labels, layout, *numbers))
-    names = ["layout", "mean_percent", "std_percent", "ratio", "ratio_low", "ratio_high"]
-    return pd.DataFrame(lines, columns=[*keys, *names])
+        index, base = resampled(len(by_draw), seed), by_draw[reference].to_numpy()
+        for layout, here in by_draw.items():
+            line = dict(zip(keys, labels, strict=True)) | {"layout": layout}
+            line |= {"mean_percent": here.mean(), "std_percent": here.std()}
+            lines.append(line | ratio_of_means(here.to_numpy(), base, index))
+    return pd.DataFrame(lines)
 
 
 def bound_over_time(task: Task, layouts: Mapping[str, Layout], noise_mt: float = NOISE_MT) -> pd.DataFrame:

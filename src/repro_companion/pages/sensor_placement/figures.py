@@ -9,11 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from repro.kinematics.paper_robots import RADIUS_M
 from repro.sensing.magnets import ring
-from repro_live.view.style import MAGNET, in_symbols, page_figure
+from repro_live.view.style import MAGNET, in_symbols, page_figure, plain_ticks
 
 MM = 1e3
 ARROW_MM = 14.0
@@ -29,7 +28,7 @@ def layouts_drawn(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table
-        Columns of :func:`~repro_companion.pages.sensor_placement.study.layouts_table`, of one robot.
+        Columns of :func:`~repro_companion.pages.sensor_placement.studies.layouts_table`, of one robot.
     """
     names = list(dict.fromkeys(table["layout"]))
     height = _length(table)
@@ -123,7 +122,7 @@ def judged(bound: pd.DataFrame, summary: pd.DataFrame) -> Figure:
         part = bound[bound["layout"] == name]
         left.plot(part["time_s"], part["bound_percent"], color=LAYOUTS[k], label=name)
     left.set(yscale="log", xlabel="time [s]", ylabel="error [%]", title="bound along the trajectory")
-    _few_ticks(left, "y")
+    plain_ticks(left.yaxis)
     tests = list(dict.fromkeys(summary["shapes"]))
     for panel, robot in ((middle, "as drawn"), (right, "within tolerances")):
         for k, name in enumerate(names):
@@ -142,7 +141,7 @@ def judged(bound: pd.DataFrame, summary: pd.DataFrame) -> Figure:
         panel.set_xticklabels([test.replace(" ", "\n") for test in tests])
         panel.grid(axis="x", visible=False)
     middle.set_yscale("log")
-    _few_ticks(middle, "y")
+    plain_ticks(middle.yaxis)
     right.set_ylim(0, None)
     handles = [
         Line2D([], [], marker=m, color=c, label=name)
@@ -193,7 +192,7 @@ def choices(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table
-        Columns of :func:`~repro_companion.pages.sensor_placement.study.choices`.
+        Columns of :func:`~repro_companion.pages.sensor_placement.studies.choices`.
     """
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.7), width_ratios=(1, 1.15))
     nominal = table[table["study"] == "number"].iloc[0]
@@ -225,11 +224,3 @@ def choices(table: pd.DataFrame) -> Figure:
     )
     right.grid(axis="y", visible=False)
     return figure
-
-
-def _few_ticks(axes: Axes, axis: str) -> None:
-    """Plain numbers at 1, 2 and 5 on a logarithmic axis."""
-    chosen = getattr(axes, f"{axis}axis")
-    chosen.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    chosen.set_major_formatter("{x:g}")
-    chosen.set_minor_formatter(NullFormatter())

@@ -1,4 +1,18 @@
-"""What a layout of sensors is for: the shapes of a robot, those to optimise for and those to judge by."""
+r"""What a layout of sensors is for, the shapes of a robot, and the errors to be expected of it before any estimate.
+
+Errors come from noise, and from parts that are not as drawn.
+
+For readings with Jacobian :math:`J`, white noise :math:`\sigma` and parts that are off by :math:`e` with covariance
+:math:`\Sigma`, which changes readings by :math:`G e`, least squares has the covariance
+
+.. math:: \sigma^2 (J^T J)^{-1} \quad\text{(noise: the Cramér-Rao bound)}, \qquad
+          J^+ G \Sigma G^T J^{+T} \quad\text{(parts not as drawn, without calibration)}.
+
+Both are given as standard deviations relative to the range of each coordinate, as the relative error of eq. (13) of
+Baaij et al. 2023. Tolerances may exceed what an estimate within bounds can be off by; with :math:`s` the standard
+deviation relative to the range, the error is taken as :math:`s/\sqrt{1 + 3 s^2}`, which tends to :math:`1/\sqrt 3`:
+an estimate at either bound, whatever the truth.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +24,22 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
+from repro.estimation.information import cramer_rao, fisher_information
 from repro.kinematics.paper_robots import MAGNET_SHIFT_M, affine_robot, pcc_robot
 from repro.kinematics.robot import Robot
 from repro.kinematics.trajectories import flower, lemniscate
+from repro.sensing.linearised import LinearisedSensing
+from repro.sensing.magnets import ring
+from repro.sensing.placement import PlacedReadings, Tolerances
 from repro.sensing.training_set import BENDING_M, CURVATURE_RAD, ELONGATION_M
 from repro_companion.pages.sensor_placement.layouts import Layout, layout_of
 
 TEST_SEED = 2_000_000
 """Added to the seed for the shapes and the noise that judge a layout."""
+NOISE_MT = 7.1e-4
+"""Noise of a reading [mT]: 3.55 mV (section 5.2) at 5000 mV/mT."""
+L_MAX = 15
+"""Highest order of the multipole series: within 2e-5 mT of magpylib down to 26 mm from the centre of the ring."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +112,8 @@ def pcc_task(
     steps
         Number of shapes in each test.
     """
-    _check_counts("pcc_task", shapes, steps)
+    if steps < 2:
+        raise bad_input("steps", "pcc_task", "at least 2", steps)
     n_q = 3 * n_segments
     high = torch.tensor([BENDING_M, BENDING_M, ELONGATION_M["released"]] * n_segments, dtype=torch.float64)
     low = torch.tensor([-BENDING_M, -BENDING_M, 0.0] * n_segments, dtype=torch.float64)
@@ -120,7 +143,6 @@ def affine_task(*, seed: int = 0, shapes: int = 64, steps: int = 400) -> Task:
     seed, shapes, steps
         As for :func:`pcc_task`.
     """
-    _check_counts("affine_task", shapes, steps)
     (k0, k1), top = CURVATURE_RAD, ELONGATION_M["released"]
     low = torch.tensor([-k0, 0.0, 0.0, 0.0], dtype=torch.float64)
     high = torch.tensor([k0, k1, 2 * math.pi, top], dtype=torch.float64)
@@ -148,6 +170,80 @@ def _uniform(low: Tensor, high: Tensor, n: int, seed: int) -> Tensor:
     return low + (high - low) * torch.rand(n, len(low), generator=generator, dtype=torch.float64)
 
 
-def _check_counts(owner: str, shapes: int, steps: int) -> None:
-    if shapes < 1 or steps < 2:
-        raise bad_input("shapes, steps", owner, "at least 1 and 2", (shapes, steps))
+def expected_errors(
+    task: Task,
+    layout: Layout,
+    shapes: Float[Tensor, "n n_q"] | None = None,
+    *,
+    noise_mt: float = NOISE_MT,
+    tolerances: Tolerances | None = None,
+) -> tuple[Float[Tensor, "n u"], Float[Tensor, "n u"] | None]:
+    """Standard deviation of every unknown coordinate in every shape, in per cent of its range.
+
+    Parameters
+    ----------
+    task, layout
+        Robot and placement; gradients pass to the values of the layout.
+    shapes
+        Configurations; those of the task when not given.
+    noise_mt
+        Noise of a reading [mT].
+    tolerances
+        Of the parts. Multipole moments are taken as known: the gains stand for the strength of the magnets.
+
+    Returns
+    -------
+    tuple
+        From noise (the Cramér-Rao bound; infinite for a coordinate that the readings leave open), and from the
+        tolerances without calibration (``None`` without tolerances; not a number where a coordinate is open).
+    """
+    q = task.shapes if shapes is None else shapes
+    robot, moments, by_part = layout.robot(), ring_moments(), None
+    if tolerances is None:
+        J = LinearisedSensing(robot, moments).linearise(q)[1]
+    else:
+        spread = spread_of_parts(robot, tolerances)
+        _, by_part, J = PlacedReadings(robot, q, moments).linearise(torch.zeros_like(spread))
+        by_part = by_part * spread
+    J, width = J[..., task.unknown], task.width[task.unknown]
+    bound = cramer_rao(fisher_information(J, noise_mt))
+    noise = 100 * bound.diagonal(dim1=-2, dim2=-1).sqrt() / width
+    if by_part is None:
+        return noise, None
+    off = torch.linalg.vector_norm(bound @ J.mT @ by_part, dim=-1) / noise_mt**2 / width
+    return noise, 100 * off / (1 + 3 * off.square()).sqrt()
+
+
+def guaranteed_error(
+    task: Task, layout: Layout, shapes: Float[Tensor, "n n_q"] | None = None, *, noise_mt: float = NOISE_MT
+) -> float:
+    """Largest standard deviation along any direction in any of the shapes, coordinates scaled by their ranges [%].
+
+    The inverse root of the smallest eigenvalue of the scaled information: what a layout guarantees.
+    """
+    q = task.shapes if shapes is None else shapes
+    J = LinearisedSensing(layout.robot(), ring_moments()).linearise(q)[1].detach()
+    J = J[..., task.unknown] * task.width[task.unknown]
+    weakest = torch.linalg.svdvals(J)[..., -1].min() if J.shape[-2] >= J.shape[-1] else torch.zeros(())
+    return float(100 * noise_mt / weakest)
+
+
+def mean_errors(
+    task: Task, layout: Layout, noise_mt: float = NOISE_MT, shapes: Float[Tensor, "n n_q"] | None = None
+) -> tuple[float, float]:
+    """Mean over shapes and coordinates of both expected errors [%], with the tolerances of :class:`Tolerances`."""
+    noise, tolerance = expected_errors(task, layout, shapes, noise_mt=noise_mt, tolerances=Tolerances())
+    assert tolerance is not None
+    return noise.detach().mean().item(), tolerance.detach().mean().item()
+
+
+def ring_moments() -> Float[Tensor, " terms"]:
+    """Moments of the ring ``"released"`` [mT m^(l+2)], up to :data:`L_MAX`."""
+    return torch.from_numpy(ring("released").multipoles(L_MAX))
+
+
+def spread_of_parts(robot: Robot, tolerances: Tolerances) -> Float[Tensor, " parameters"]:
+    """Standard deviation of every parameter; the multipole moments are as drawn."""
+    spread = tolerances.of_parameters(robot, len(ring_moments()))
+    spread[-len(ring_moments()) :] = 0.0
+    return spread

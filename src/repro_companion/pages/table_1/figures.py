@@ -7,9 +7,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
 
-from repro_live.view.style import coordinate_symbol, in_symbols, page_figure
+from repro_live.view.style import coordinate_symbol, in_symbols, page_figure, plain_ticks
 
 PUBLISHED, OURS, BEST = "0.45", "#0072B2", "#D55E00"
 MODELS = {"network of the paper": "o", "fast network": "s", "multipole": "D"}
@@ -110,9 +109,7 @@ def calibration_gain(summary: pd.DataFrame) -> Figure:
     left.plot(summary["calibrated_percent"], y, "D", color=BEST, label="calibrated")
     left.set(xscale="log", xlabel="mean relative error [%]")
     left.set_yticks(y, [in_symbols(row) for row in summary["row"]])
-    left.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    left.xaxis.set_major_formatter("{x:g}")
-    left.xaxis.set_minor_formatter(NullFormatter())
+    plain_ticks(left.xaxis)
     left.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     ratio = summary["ratio"].to_numpy()
     spread = [ratio - summary["ratio_low"], summary["ratio_high"] - ratio]

@@ -1,68 +1,158 @@
-"""What the exact sensor model can and cannot do: consistency, cold starts, coverage, unobservable directions."""
+"""What limits the errors of Table 1: our best figures, model by solver, what the exact model can and cannot do."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import pandas as pd
 import torch
+from jaxtyping import Float
 from scipy.stats import chi2
 from torch import Tensor
 
+from repro.errors import bad_input
+from repro.estimation.base import track
+from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.levenberg_marquardt import covariance, jacobian
+from repro.kernels import compiled
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.trajectories import lemniscate
+from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.linearised import LinearisedSensing
-from repro.sensing.magnetic import readings
+from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
-from repro_companion.twins.calibrated_robots import box, estimator, relative_error, start
-from repro_companion.twins.calibration_session import L_MAX, SENSOR_NOISE_MT
-from repro_companion.twins.table_1_rows import Row
+from repro_companion.book.pose_errors import pose_errors
+from repro_companion.twins.calibrated_robots import (
+    box,
+    calibration,
+    least_squares,
+    relative_error,
+    session,
+    table_of_draws,
+)
+from repro_companion.twins.calibration_session import SENSOR_NOISE_MT, Config, released_moments
+from repro_companion.twins.table_1_method import ITERATIONS, MOMENTUM, step_sizes
+from repro_companion.twins.table_1_rows import Row, simulate
+from repro_companion.twins.table_1_solvers import MODELS, SOLVERS, sensor_models
 
-ITERATIONS = 60
-"""Limit for runs that must converge to rounding; the iteration stops by itself when all have."""
+CONVERGED = {"noise_mt": SENSOR_NOISE_MT, "iterations": 60}
+"""For runs that must converge to rounding; the iteration stops by itself when all have."""
 
 
-def consistency(n_segments: int) -> pd.DataFrame:
-    """Noise-free nominal robot on T3, readings by magpylib: what is left is the truncation of the series.
+def best(rows: Sequence[Row], config: Config) -> pd.DataFrame:
+    """Our best figures: errors of the calibrated and of the uncalibrated multipole model.
 
-    Columns: ``n_segments``, ``quantity``, ``error_percent``.
+    One line per row, draw and coordinate.
+
+    Columns: ``row``, ``quantity`` (``delta_x_1`` and so on), ``draw``, ``calibrated``, ``error_percent`` (relative
+    RMSE of eq. (13), in per cent of the range on the trajectory).
     """
-    robot, q = pcc_robot(n_segments), lemniscate(n_segments)
-    method = estimator(n_segments, _nominal(n_segments), ITERATIONS)
-    state = method.init(start(n_segments).expand_as(q))
-    error = relative_error(method.step(state, readings(robot, q, ring("released")), 0.0)[1].q, q)
-    columns = {"n_segments": n_segments, "quantity": list(robot.coordinates), "error_percent": error.numpy()}
-    return pd.DataFrame(columns)
+    tables = []
+    for row in rows:
+        measured = session(row, config)
+        models = {
+            True: calibration(row, measured, config).sensing(row.earth_mt()),
+            False: LinearisedSensing(row.robot(), released_moments(), earth_mt=row.earth_mt()),
+        }
+        for calibrated, sensing in models.items():
+            options = {"noise_mt": SENSOR_NOISE_MT, "iterations": config.iterations}
+            found = least_squares(compiled(sensing), measured.readings, row.n_segments, **options).q
+            table = table_of_draws(relative_error(found, measured.q), row.robot().coordinates)
+            tables.append(table.assign(row=row.name, calibrated=calibrated))
+    columns = ["row", "quantity", "draw", "calibrated", "error_percent"]
+    return pd.concat(tables, ignore_index=True).reindex(columns=columns)
 
 
-def cold_starts(n_segments: int, *, starts: int = 1000, seed: int = 0) -> pd.DataFrame:
-    """Noise-free readings by magpylib anywhere in the training box, start at the straight pose.
+def model_by_solver(
+    n_segments: int,
+    seeds: Sequence[int],
+    folder: Path,
+    *,
+    models: Sequence[str] = MODELS,
+    solvers: Sequence[str] = SOLVERS,
+    ring_name: str = "released",
+    noise_mt: float = 0.0,
+    steps: int = 400,
+) -> pd.DataFrame:
+    """Errors on T3 of every sensor model with every solver.
 
-    Columns: ``n_segments``, ``starts``, ``worst_mm`` (largest error of a coordinate), ``iterations`` (largest).
+    Gradient descent is the paper's: 20 evaluations a step, started at the ground truth. Levenberg-Marquardt starts
+    straight with mid elongation, at every time step anew, within the training box.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``n_b, model, solver, start, seed, configuration_percent`` (mean over the variables of eq. 13),
+        ``tip_mm, orientation_deg, shape_mm``, one row per seed (one for the multipole model without noise, which
+        has no seed).
+
+    Raises
+    ------
+    InputError
+        If a model or a solver is unknown.
     """
-    low, high = box(n_segments)
-    q = low + (high - low) * _uniform(starts, 3 * n_segments, seed=seed)
-    method = estimator(n_segments, _nominal(n_segments), ITERATIONS)
+    for name, given, known in (("models", models, MODELS), ("solvers", solvers, SOLVERS)):
+        if unknown := [x for x in given if x not in known]:
+            raise bad_input(name, "model_by_solver", f"among {', '.join(map(repr, known))}", unknown)
+    nominal = Row("nominal", n_segments=n_segments)
+    simulation = simulate([nominal], ring_name=ring_name, steps=steps)
+    q, clean, robot = simulation.q, simulation.u[:, 0], nominal.robot()
+    tables = []
+    for name, (model, inputs) in sensor_models(models, n_segments, seeds, folder, ring_name).items():
+        own = tuple(seeds) if isinstance(model, SeedEnsemble) or noise_mt > 0 else tuple(seeds[:1])
+        generator = torch.Generator().manual_seed(seeds[0])
+        u = clean.unsqueeze(1).expand(-1, len(own), -1)
+        u = u + noise_mt * torch.randn(u.shape, generator=generator, dtype=u.dtype)
+        sensing = MagneticSensing(robot, model, inputs)
+        estimates = {}
+        if SOLVERS[0] in solvers:
+            scale = 1.0 if ring_name == "released" else 16.0  # step sizes belong to the squared field
+            descent = GradientDescent(compiled(sensing), scale * step_sizes(n_segments), MOMENTUM, ITERATIONS)
+            estimates[SOLVERS[0], "ground truth"] = track(descent, u, q[0].expand(len(own), -1)).q
+        if SOLVERS[1] in solvers:
+            by_seed = least_squares(
+                compiled(sensing), u.movedim(0, 1), n_segments, noise_mt=max(noise_mt, 1e-6)
+            )
+            estimates[SOLVERS[1], "straight"] = by_seed.q.movedim(1, 0)
+        for (solver_name, started), q_hat in estimates.items():
+            columns = {"configuration_percent": relative_error(q_hat, q).mean(-1)}
+            columns |= pose_errors(robot, q_hat, q.unsqueeze(1))
+            table = pd.DataFrame({key: value.numpy() for key, value in columns.items()})
+            labels = {"n_b": n_segments, "model": name, "solver": solver_name, "start": started}
+            tables.append(pd.DataFrame({**labels, "seed": own}).join(table))
+    return pd.concat(tables, ignore_index=True)
+
+
+def consistency(n_segments: int) -> Float[Tensor, " n_q"]:
+    """Relative errors [%] on T3 of the nominal robot without noise: what the truncation of the series leaves."""
+    q = lemniscate(n_segments)
     u = readings(pcc_robot(n_segments), q, ring("released"))
-    estimate = method.step(method.init(start(n_segments).expand_as(q)), u, 0.0)[1]
-    worst = 1e3 * float((estimate.q - q).abs().max())
-    iterations = int(estimate.diagnostics["iterations"].max())
-    return pd.DataFrame(
-        [{"n_segments": n_segments, "starts": starts, "worst_mm": worst, "iterations": iterations}]
-    )
+    return relative_error(least_squares(compiled(_nominal(n_segments)), u, n_segments, **CONVERGED).q, q)
 
 
-def coverage(n_segments: int, *, trials: int = 2000, seed: int = 0) -> pd.DataFrame:
+def worst_cold_start_mm(n_segments: int, *, starts: int = 1000, seed: int = 0) -> float:
+    """Largest error of a coordinate from the straight pose, for noise-free readings anywhere in the training box."""
+    q = _in_box(n_segments, starts, seed)
+    u = readings(pcc_robot(n_segments), q, ring("released"))
+    found = least_squares(compiled(_nominal(n_segments)), u, n_segments, **CONVERGED)
+    return 1e3 * float((found.q - q).abs().max())
+
+
+def coverage(n_segments: int, *, trials: int = 2000, seed: int = 0) -> dict[str, float]:
     """How often the 95 % covariance ellipsoid of the estimate contains the truth.
 
     Truths are uniform in the training box, kept when every coordinate lies at least three standard deviations
     inside the bounds, where the estimate is not cut off.
 
-    Columns: ``n_segments``, ``trials``, ``inside_percent``, ``kept_percent`` (of the truths drawn).
+    Returns
+    -------
+    dict
+        ``trials``, ``inside_95_percent_ellipsoid`` (per cent), ``kept_percent`` (of the truths drawn).
     """
     low, high = box(n_segments)
     sensing = _nominal(n_segments)
-    method = estimator(n_segments, sensing, ITERATIONS)
-    q = low + (high - low) * _uniform(20 * trials, 3 * n_segments, seed=seed)
+    q = _in_box(n_segments, 20 * trials, seed)
     J = torch.cat([jacobian(sensing, part)[1] for part in q.split(1000)])
     margin = 3 * SENSOR_NOISE_MT * torch.linalg.inv(J.mT @ J).diagonal(dim1=-2, dim2=-1).sqrt()
     inside = ((q - margin >= low) & (q + margin <= high)).all(-1)
@@ -71,34 +161,27 @@ def coverage(n_segments: int, *, trials: int = 2000, seed: int = 0) -> pd.DataFr
     u = readings(pcc_robot(n_segments), q, ring("released"))
     generator = torch.Generator().manual_seed(seed + 1)
     u = u + SENSOR_NOISE_MT * torch.randn(u.shape, generator=generator, dtype=torch.float64)
-    estimate = method.step(method.init(start(n_segments).expand_as(q)), u, 0.0)[1]
-    error = (estimate.q - q).unsqueeze(-1)
-    C = covariance(jacobian(sensing, estimate.q)[1], SENSOR_NOISE_MT)  # the estimator's own
+    found = least_squares(compiled(sensing), u, n_segments, **CONVERGED).q
+    error = (found - q).unsqueeze(-1)
+    C = covariance(jacobian(sensing, found)[1], SENSOR_NOISE_MT)  # the estimator's own
     distance = (error.mT @ torch.linalg.solve(C, error)).flatten()
     share = 100 * float((distance <= chi2.ppf(0.95, 3 * n_segments)).double().mean())
-    return pd.DataFrame(
-        [{"n_segments": n_segments, "trials": len(q), "inside_percent": share, "kept_percent": 100 * kept}]
-    )
+    return {"trials": len(q), "inside_95_percent_ellipsoid": share, "kept_percent": 100 * kept}
 
 
 def checks(n_segments: int, *, starts: int = 1000, trials: int = 2000) -> pd.DataFrame:
     """The three checks of the multipole model with Levenberg-Marquardt in one row.
 
     Columns: ``n_segments``, ``consistency_percent`` (mean of :func:`consistency`), ``cold_starts``,
-    ``worst_cold_start_mm``, ``trials``, ``inside_95_percent_ellipsoid`` (per cent), ``kept_percent`` (of the truths
-    drawn, those three standard deviations inside the bounds: only these are tried).
+    ``worst_cold_start_mm``, and those of :func:`coverage`.
     """
-    cold, inside = cold_starts(n_segments, starts=starts), coverage(n_segments, trials=trials)
     row = {
         "n_segments": n_segments,
-        "consistency_percent": consistency(n_segments)["error_percent"].mean(),
+        "consistency_percent": float(consistency(n_segments).mean()),
         "cold_starts": starts,
-        "worst_cold_start_mm": cold["worst_mm"].iloc[0],
-        "trials": inside["trials"].iloc[0],
-        "inside_95_percent_ellipsoid": inside["inside_percent"].iloc[0],
-        "kept_percent": inside["kept_percent"].iloc[0],
+        "worst_cold_start_mm": worst_cold_start_mm(n_segments, starts=starts),
     }
-    return pd.DataFrame([row])
+    return pd.DataFrame([row | coverage(n_segments, trials=trials)])
 
 
 def observability(row: Row) -> pd.DataFrame:
@@ -117,9 +200,7 @@ def observability(row: Row) -> pd.DataFrame:
     ``mirror_difference_mT`` (largest difference between the readings of the robot and of its mirror image).
     """
     robot, q = row.robot(), lemniscate(row.n_segments)
-    sensing = LinearisedSensing(
-        robot, torch.from_numpy(ring("released").multipoles(L_MAX)), earth_mt=row.earth_mt()
-    )
+    sensing = LinearisedSensing(robot, released_moments(), earth_mt=row.earth_mt())
     width = q.amax(0) - q.amin(0)
     across = torch.tensor([1.0, -1.0, 1.0] * row.n_segments, dtype=torch.float64)
     lines = []
@@ -153,8 +234,9 @@ def _in_words(share: Tensor, names: tuple[str, ...]) -> str:
 
 
 def _nominal(n_segments: int) -> LinearisedSensing:
-    return LinearisedSensing(pcc_robot(n_segments), torch.from_numpy(ring("released").multipoles(L_MAX)))
+    return LinearisedSensing(pcc_robot(n_segments), released_moments())
 
 
-def _uniform(*shape: int, seed: int) -> Tensor:
-    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+def _in_box(n_segments: int, count: int, seed: int) -> Float[Tensor, "count n_q"]:
+    (low, high), generator = box(n_segments), torch.Generator().manual_seed(seed)
+    return low + (high - low) * torch.rand(count, len(low), generator=generator, dtype=torch.float64)

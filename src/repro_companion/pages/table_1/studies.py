@@ -1,7 +1,7 @@
 """The study of the page on Table 1: its training with one factor changed at a time."""
 
 from repro_companion.book.studies import Study
-from repro_companion.pages.table_1.factors import NEW_ORDER, OTHER_DRAWS, factor_errors
+from repro_companion.pages.table_1.training import NEW_ORDER, OTHER_DRAWS, factor_errors
 
 ROBOTS = {NEW_ORDER: [1, 2, 3], OTHER_DRAWS: [2]}
 """Numbers of segments by factor: other draws for two segments alone, whose errors lie furthest from print."""

@@ -16,19 +16,19 @@ from jaxtyping import Float
 from scipy.stats import chi2
 from torch import Tensor
 
-from repro.errors import bad_input
 from repro.estimation.base import Trajectory, track
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
+from repro.estimation.multistart import search, starts_within
 from repro.kernels import compiled
-from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import RATE_HZ, STEPS, TRAJECTORIES, lemniscate, trajectory
+from repro.kinematics.paper_robots import affine_robot, pcc_robot
+from repro.kinematics.trajectories import RATE_HZ, STEPS, TRAJECTORIES, flower, lemniscate, trajectory
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
-from repro_companion.book.bootstrap import ratio_interval, resampled
-from repro_companion.twins.calibrated_robots import VELOCITY_SHARE, box, start
-from repro_companion.twins.calibration_session import L_MAX
+from repro_companion.book.bootstrap import ratio_of_means, resampled
+from repro_companion.twins.calibrated_robots import VELOCITY_SHARE, box, least_squares, standard_normal, start
+from repro_companion.twins.calibration_session import released_moments
 
 NOISE_MT = 5e-3
 """Noise of a reading [mT]: seven times the larger one of the real sensors, where the prior matters most."""
@@ -38,6 +38,8 @@ SHARES = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 SHARE = {1: 0.1, 3: 0.1}
 """Process noise by number of segments: those with the best score on T2 (:func:`choices`)."""
 ITERATIONS = 8
+STARTS = 40
+"""Of the search for configurations that explain the same readings."""
 
 
 def noisy_readings(
@@ -45,10 +47,7 @@ def noisy_readings(
 ) -> Float[Tensor, "t seeds s"]:
     """Readings by magpylib, with noise of its own for every seed."""
     u = readings(pcc_robot(n_segments), q, ring("released"))
-    noise = [
-        torch.randn(u.shape, generator=torch.Generator().manual_seed(seed), dtype=u.dtype) for seed in seeds
-    ]
-    return torch.stack([u + noise_mt * x for x in noise], dim=1)
+    return (u + noise_mt * standard_normal(u.shape, seeds)).movedim(0, 1)
 
 
 def estimates(
@@ -73,21 +72,12 @@ def estimates(
         Noise of a reading, which both methods know.
     share
         Process noise of the filter; that of :data:`SHARE` when not given.
-
-    Raises
-    ------
-    InputError
-        If the method is unknown.
     """
-    if method not in METHODS:
-        raise bad_input("method", "estimates", f"one of {', '.join(map(repr, METHODS))}", repr(method))
-    low, high = box(n_segments)
-    moments = torch.from_numpy(ring("released").multipoles(L_MAX))
-    sensing = compiled(LinearisedSensing(pcc_robot(n_segments), moments))
+    sensing = compiled(LinearisedSensing(pcc_robot(n_segments), released_moments()))
     if method == METHODS[0]:
-        alone = LevenbergMarquardt(sensing, low, high, noise_mt=noise_mt, iterations=2 * ITERATIONS)
-        _, found = alone.step(alone.init(start(n_segments).expand(*u.shape[:-1], -1)), u, 0.0)
+        found = least_squares(sensing, u, n_segments, noise_mt=noise_mt, iterations=2 * ITERATIONS)
         return Trajectory(found.q, found.covariance, found.u_hat, found.diagnostics)
+    low, high = box(n_segments)
     share = SHARE[n_segments] if share is None else share
     width = high - low
     moving = {"acceleration": share * width, "velocity": VELOCITY_SHARE * width}
@@ -188,23 +178,17 @@ def gains(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
         Of the bootstrap.
     """
     rng, lines = np.random.default_rng(seed), []
-    for n_b, name in table[["n_b", "trajectory"]].drop_duplicates().itertuples(index=False):
-        part = table[(table["n_b"] == n_b) & (table["trajectory"] == name)]
+    for (n_b, name), part in table.groupby(["n_b", "trajectory"], sort=False):
         by = part.pivot_table(
             index="seed", columns="method", values=["error_percent", "covered_percent", "nees"]
         )
         alone, kalman = (by["error_percent"][method].to_numpy() for method in METHODS)
-        low, high = ratio_interval(kalman, alone, resampled(len(alone), rng))
+        line = {"n_b": n_b, "trajectory": name, "chosen_here": name == "T2"}
+        line |= {"lm_percent": alone.mean(), "filter_percent": kalman.mean()}
+        line |= ratio_of_means(kalman, alone, resampled(len(alone), rng))
         lines.append(
-            {
-                "n_b": n_b,
-                "trajectory": name,
-                "chosen_here": name == "T2",
-                "lm_percent": alone.mean(),
-                "filter_percent": kalman.mean(),
-                "ratio": kalman.mean() / alone.mean(),
-                "ratio_low": low,
-                "ratio_high": high,
+            line
+            | {
                 "lm_covered_percent": by["covered_percent"][METHODS[0]].mean(),
                 "filter_covered_percent": by["covered_percent"][METHODS[1]].mean(),
                 "lm_nees": by["nees"][METHODS[0]].mean(),
@@ -231,3 +215,36 @@ def over_time(n_segments: int, name: str, *, seed: int = 0, noise_mt: float = NO
         columns = {"time_s": time_s.numpy(), "method": method, "error_mm": error.numpy()}
         tables.append(pd.DataFrame({**columns, "two_sigma_mm": two_sigma.numpy()}))
     return pd.concat(tables, ignore_index=True)
+
+
+def ambiguities(noise_mt: float = 7.1e-4, *, seed: int = 0) -> pd.DataFrame:
+    """Minima that the readings do not exclude, found by a search from many starts, for three robots.
+
+    The affine segment has an exact ambiguity: both curvatures negated and the azimuth turned by half a turn are the
+    same shape. Two sensors per segment do not tell a robot from its mirror image in their plane. Columns: ``robot,
+    minima, furthest_mm`` (largest distance between the tips of two of them).
+
+    Parameters
+    ----------
+    noise_mt
+        Noise of a reading.
+    seed
+        Of noise and starts.
+    """
+    generator, lines = torch.Generator().manual_seed(seed), []
+    half_turn = torch.tensor([1.2, 4.5, math.pi, 6.6e-3], dtype=torch.float64)
+    affine = (torch.tensor([-1.2, -4.5, -math.pi, 0.0], dtype=torch.float64), half_turn)
+    cases = (
+        ("three sensors, constant curvature", pcc_robot(1), box(1), lemniscate(1)[40]),
+        ("two sensors, constant curvature", pcc_robot(1, 2), box(1), lemniscate(1)[40]),
+        ("nine sensors, affine curvature", affine_robot(), affine, flower()[40]),
+    )
+    for name, robot, (low, high), q in cases:
+        u = readings(robot, q, ring("released"))
+        u = u + noise_mt * torch.randn(u.shape, generator=generator, dtype=u.dtype)
+        sensing = LinearisedSensing(robot, released_moments())
+        method = LevenbergMarquardt(compiled(sensing), low, high, noise_mt=noise_mt, iterations=50)
+        found = search(method, u, starts_within(low, high, STARTS, seed=seed))
+        tips = 1e3 * robot.tip(found.q[found.candidate])[:, :3, 3]
+        lines.append((name, int(found.count), float(torch.cdist(tips, tips).max())))
+    return pd.DataFrame(lines, columns=["robot", "minima", "furthest_mm"])

@@ -1,9 +1,11 @@
-"""What a seed of Table 1 is: a split of the rows, whose order never changes; and what another order would give."""
+"""What the training of Table 1's networks makes of the errors: a seed is a split; one factor changed at a time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,11 +13,19 @@ import torch
 from jaxtyping import Float
 
 from repro.sensing.magnetic import MagneticSensing
-from repro.sensing.weights import read_manifest
-from repro_companion.twins.networks import NetworkSpec
-from repro_companion.twins.table_1_method import networks
-from repro_companion.twins.table_1_rows import rows_named, simulate
+from repro.sensing.weights import read_manifest, save_weights
+from repro_companion.twins.networks import DATA_SEED, PCC_LEARNING_RATE, NetworkSpec, training_rows
+from repro_companion.twins.rig_together import train_together
+from repro_companion.twins.table_1_method import networks, run
+from repro_companion.twins.table_1_rows import ROWS, rows_named, simulate
 
+NEW_ORDER = "new order in every epoch"
+OTHER_DRAWS = "other draws of the data"
+FACTORS: dict[str, dict[str, Any]] = {
+    NEW_ORDER: {"shuffled": True},
+    OTHER_DRAWS: {"data_seed": DATA_SEED + 1},
+}
+"""Factors, and what they change: of the training, or the seed of its data."""
 RELEASED_MT = {
     (1, 0): (0.0124, 0.0232, 0.0118),
     (2, 0): (0.0168, 0.0210, 0.0146),
@@ -50,17 +60,10 @@ def splits_table(folder: Path, seeds: Sequence[int]) -> pd.DataFrame:
         errors = [
             read_manifest(folder / f"{spec.name}.safetensors")["metrics_mt"]["rmse_train"] for spec in specs
         ]
-        rows += [
-            {
-                "n_b": n,
-                "segment": segment + 1,
-                "seed": seed,
-                "rmse_mt": error,
-                "released_mt": dict(enumerate(released)).get(seed),
-                "worst": error == max(errors),
-            }
-            for seed, error in zip(seeds, errors, strict=True)
-        ]
+        for seed, error in zip(seeds, errors, strict=True):
+            key = {"n_b": n, "segment": segment + 1, "seed": seed}
+            of_seed = {"rmse_mt": error, "released_mt": dict(enumerate(released)).get(seed)}
+            rows.append(key | of_seed | {"worst": error == max(errors)})
     return pd.DataFrame(rows)
 
 
@@ -137,3 +140,51 @@ def orders_table(errors: pd.DataFrame, shuffled: pd.DataFrame, published: pd.Dat
         means = part.groupby(keys, as_index=False)["error"].mean().rename(columns={"error": name})
         table = table.merge(means, on=keys)
     return table
+
+
+def factor_errors(
+    robots: Mapping[str, Sequence[int]], seeds: Sequence[int], cache: Path, *, progress: bool = False
+) -> pd.DataFrame:
+    """Errors of the paper's method with networks of whose training one factor is changed; hours.
+
+    Parameters
+    ----------
+    robots
+        Numbers of segments by factor, of :data:`FACTORS`; all without an Earth field.
+    seeds
+        Of the networks.
+    cache
+        Folder of a folder of networks for each factor: those that are missing are trained.
+    progress
+        Show progress bars.
+
+    Returns
+    -------
+    pandas.DataFrame
+        As :func:`repro_companion.twins.table_1_method.run`, after a column ``factor``.
+    """
+    tables = []
+    for factor, n_segments in robots.items():
+        folder = cache / factor.replace(" ", "_")
+        for n in n_segments:
+            for seed in seeds:
+                train_factor(factor, n, seed, folder, progress=progress)
+        rows = [row for row in ROWS if row.n_segments in n_segments and row.earth_axis is None]
+        table = run(rows, seeds, folder)
+        table.insert(0, "factor", factor)
+        tables.append(table)
+    return pd.concat(tables, ignore_index=True)
+
+
+def train_factor(factor: str, n_segments: int, seed: int, folder: Path, *, progress: bool = False) -> None:
+    """Train the networks of all segments of a robot side by side, if one is missing; ten to twenty minutes."""
+    specs = [NetworkSpec(n_segments, segment, earth=False, seed=seed) for segment in range(n_segments)]
+    if all((folder / f"{spec.name}.safetensors").exists() for spec in specs):
+        return
+    options = {"data_seed": DATA_SEED, "shuffled": False} | FACTORS[factor]
+    data_seed = options.pop("data_seed")
+    sets = [training_rows(n_segments, k, earth=False, data_seed=data_seed) for k in range(n_segments)]
+    trained = train_together(sets, seed=seed, learning_rate=PCC_LEARNING_RATE, progress=progress, **options)
+    for spec, (network, metrics) in zip(specs, trained, strict=True):
+        manifest = {"recipe": "paper", "changed": factor, **asdict(spec), "metrics_mt": metrics}
+        save_weights(network, folder / f"{spec.name}.safetensors", manifest)

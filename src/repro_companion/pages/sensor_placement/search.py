@@ -1,7 +1,7 @@
 r"""Optimal placement of sensors and magnets, the question that Baaij et al. 2023 leave open in section 6.
 
 Readings are differentiable in the configuration, and what they tell about it is differentiable in the placement of
-the parts. Minimised is the error to be expected from noise (:mod:`repro_companion.pages.sensor_placement.bounds`),
+the parts. Minimised is the error to be expected from noise (:mod:`repro_companion.pages.sensor_placement.tasks`),
 averaged over coordinates and shapes: it is the quantity that is judged afterwards, on other shapes. The determinant
 of the information would weigh what is known well as much as what is not.
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,9 +23,8 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.sensing.placement import Tolerances
-from repro_companion.pages.sensor_placement.bounds import NOISE_MT, expected_errors, mean_errors
 from repro_companion.pages.sensor_placement.layouts import KINDS, Layout, Room
-from repro_companion.pages.sensor_placement.tasks import Task
+from repro_companion.pages.sensor_placement.tasks import NOISE_MT, Task, expected_errors, mean_errors
 
 CANDIDATES = 40
 """Random layouts of which the most promising are optimised."""
@@ -50,11 +50,6 @@ class Settings:
         Largest number of iterations from one start.
     noise_mt
         Noise of a reading [mT].
-
-    Raises
-    ------
-    InputError
-        If the limit is not positive, or there is no iteration or nothing free.
     """
 
     room: Room = field(default_factory=Room)
@@ -63,41 +58,10 @@ class Settings:
     iterations: int = 60
     noise_mt: float = NOISE_MT
 
-    def __post_init__(self) -> None:
-        if not self.limit > 0:
-            raise bad_input("limit", "Settings", "positive", self.limit)
-        if self.iterations < 1 or not self.free:
-            raise bad_input(
-                "iterations, free", "Settings", "at least one of each", (self.iterations, self.free)
-            )
-
-
-@dataclass(frozen=True)
-class Optimum:
-    """Where one optimisation ended.
-
-    Parameters
-    ----------
-    layout
-        Within its limits.
-    noise_percent, tolerance_percent
-        Errors to be expected, on the shapes of the task.
-    feasible
-        Whether the layout keeps all distances and the bound of the error from tolerances.
-    evaluations
-        Of the objective.
-    """
-
-    layout: Layout
-    noise_percent: float
-    tolerance_percent: float
-    feasible: bool
-    evaluations: int
-
 
 def optimise(
     task: Task, start: Layout, settings: Settings | None = None, *, reference: Layout | None = None
-) -> Optimum:
+) -> tuple[Layout, dict[str, Any]]:
     """Minimise the error to be expected from noise by sequential quadratic programming (SciPy's SLSQP).
 
     Parameters
@@ -111,16 +75,20 @@ def optimise(
     reference
         Layout that sets the bound of the error from tolerances; the nominal one when not given.
 
+    Returns
+    -------
+    tuple
+        The layout where it ended, within its limits; and ``noise_percent`` and ``tolerance_percent``, the errors to
+        be expected on the shapes of the task, ``feasible``, whether it keeps all distances and the bound of the
+        error from tolerances, and ``evaluations`` of the objective.
+
     Raises
     ------
     InputError
-        If the start is not within the limits, or the start or the reference leaves a coordinate open.
+        If the start or the reference leaves a coordinate open.
     """
     settings = settings or Settings()
     low, high = settings.room.limits(start)
-    outside = (start.values < low) | (start.values > high)
-    if bool(outside.any()):
-        raise bad_input("start", "optimise", "within the limits of the room", start.values[outside].tolist())
     unit = _determined("start", task, start, settings.noise_mt)[0]
     bound = _bound(task, reference or task.nominal, settings)
     problem = _Problem(task, start, bound, settings)
@@ -144,7 +112,12 @@ def optimise(
     layout = start.moved(torch.clamp(values, low, high))
     noise, tolerance = mean_errors(task, layout, settings.noise_mt)
     feasible = settings.room.holds(layout) and tolerance <= bound * (1 + SLACK)
-    return Optimum(layout, noise, tolerance, feasible, problem.count)
+    return layout, {
+        "noise_percent": noise,
+        "tolerance_percent": tolerance,
+        "feasible": feasible,
+        "evaluations": problem.count,
+    }
 
 
 def search(
@@ -180,23 +153,22 @@ def search(
     Raises
     ------
     InputError
-        If there is no start, or the reference does not keep its distances or leaves a coordinate open.
+        If there is no start or iteration, or the reference does not keep its distances or leaves a coordinate open.
     """
     settings, reference = settings or Settings(), reference or task.nominal
-    if starts < 1:
-        raise bad_input("starts", "search", "at least 1", starts)
+    if min(starts, settings.iterations) < 1:
+        raise bad_input("starts, iterations", "search", "at least 1", (starts, settings.iterations))
     if not settings.room.holds(reference):
         raise bad_input("reference", "search", "a layout that the room allows", reference.values.tolist())
     best, lowest = reference, _determined("reference", task, reference, settings.noise_mt)[0]
     promising = _promising(task, reference, settings, seed) if starts > 1 else []
     lines, chosen = [], None
     for k, start in enumerate([reference, *promising[: starts - 1]]):
-        found = optimise(task, start, settings, reference=reference)
-        if found.feasible and found.noise_percent < lowest:
-            best, lowest, chosen = found.layout, found.noise_percent, k
-        lines.append((k, found.noise_percent, found.tolerance_percent, found.feasible, found.evaluations))
-    columns = ["start", "noise_percent", "tolerance_percent", "feasible", "evaluations"]
-    table = pd.DataFrame(lines, columns=columns)
+        layout, line = optimise(task, start, settings, reference=reference)
+        if line["feasible"] and line["noise_percent"] < lowest:
+            best, lowest, chosen = layout, line["noise_percent"], k
+        lines.append({"start": k} | line)
+    table = pd.DataFrame(lines)
     return best, table.assign(chosen=table["start"] == chosen)
 
 

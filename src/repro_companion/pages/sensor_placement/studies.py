@@ -5,28 +5,32 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
+from functools import cache, partial
 
 import pandas as pd
 import torch
-from tqdm import tqdm
 
-from repro.sensing.placement import Tolerances
-from repro_companion.pages.sensor_placement.bounds import NOISE_MT, expected_errors, guaranteed_error
+from repro_companion.book.studies import Study
 from repro_companion.pages.sensor_placement.errors import field_check, measured_errors, summary
 from repro_companion.pages.sensor_placement.layouts import Layout, Room
-from repro_companion.pages.sensor_placement.sensor_placement import Settings, search
-from repro_companion.pages.sensor_placement.tasks import Task, affine_task, pcc_task
-
-NOMINAL, OPTIMISED, NOISE_ONLY, QUARTER = (
-    "nominal",
-    "optimised",
-    "optimised for noise alone",
-    "90 degrees apart",
+from repro_companion.pages.sensor_placement.search import Settings, search
+from repro_companion.pages.sensor_placement.tasks import (
+    NOISE_MT,
+    Task,
+    affine_task,
+    guaranteed_error,
+    mean_errors,
+    pcc_task,
 )
-"""Names of layouts: of the paper; optimised with a limit on the error from tolerances; without that limit; two
-sensors per segment a quarter turn apart instead of opposite each other."""
+
+NOMINAL = "nominal"
+"""Name of the layout of the paper."""
+OPTIMISED = "optimised"
+"""With a limit on the error from tolerances."""
+NOISE_ONLY = "optimised for noise alone"
+"""Without that limit."""
+QUARTER = "90 degrees apart"
+"""Two sensors per segment a quarter turn apart instead of opposite each other."""
 OPEN_PERCENT = 100.0
 """Guaranteed error above which a layout leaves a direction open: the whole range."""
 FREEDOMS = {
@@ -37,8 +41,6 @@ FREEDOMS = {
     "all": ("axial", "radial", "azimuth", "tilt", "magnet"),
 }
 """What may change, by the name of the row."""
-TABLES = ("layouts", "starts", "expected", "errors", "choices")
-"""Committed tables, ``placement_<name>.csv``."""
 LIMITS = (0.8, 0.9, 1.0, 1.25, math.inf)
 """Limits of the error from tolerances, relative to the nominal layout."""
 NEAREST_M = 0.050
@@ -58,22 +60,19 @@ def optimised_layouts(
     -------
     tuple
         Layouts by their names, and the table of
-        :func:`~repro_companion.pages.sensor_placement.sensor_placement.search` with the columns ``task`` and
+        :func:`~repro_companion.pages.sensor_placement.search.search` with the columns ``task`` and
         ``layout`` in front.
     """
     layouts = {NOMINAL: task.nominal}
     if guaranteed_error(task, task.nominal, noise_mt=noise_mt) > OPEN_PERCENT:
         layouts[QUARTER] = quarter_turn(task.nominal)
     reference = layouts[reference_name(layouts)]
-    tables = []
+    tables = {}
     for name, limit in ((OPTIMISED, Settings().limit), (NOISE_ONLY, math.inf)):
         settings = Settings(limit=limit, iterations=iterations, noise_mt=noise_mt)
-        layouts[name], table = search(task, settings, starts=starts, seed=seed, reference=reference)
-        table.insert(0, "layout", name)
-        tables.append(table)
-    both = pd.concat(tables, ignore_index=True)
-    both.insert(0, "task", task.name)
-    return layouts, both
+        found = search(task, settings, starts=starts, seed=seed, reference=reference)
+        layouts[name], tables[task.name, name] = found
+    return layouts, _labelled(tables)
 
 
 def reference_name(layouts: Mapping[str, Layout]) -> str:
@@ -92,21 +91,20 @@ def quarter_turn(layout: Layout) -> Layout:
 def expected(task: Task, layout: Layout, noise_mt: float = NOISE_MT) -> dict[str, float]:
     """Errors to be expected on the held-out random shapes: two means, and the guaranteed (largest) one."""
     q = task.tests["random shapes"]
-    noise, tolerance = expected_errors(task, layout, q, noise_mt=noise_mt, tolerances=Tolerances())
-    assert tolerance is not None
-    return {
-        "noise_percent": noise.mean().item(),
-        "tolerance_percent": tolerance.mean().item(),
-        "guaranteed_percent": guaranteed_error(task, layout, q, noise_mt=noise_mt),
-    }
+    noise, tolerance = mean_errors(task, layout, noise_mt, q)
+    guaranteed = guaranteed_error(task, layout, q, noise_mt=noise_mt)
+    return {"noise_percent": noise, "tolerance_percent": tolerance, "guaranteed_percent": guaranteed}
 
 
 def layouts_table(task: Task, layouts: Mapping[str, Layout]) -> pd.DataFrame:
     """Parts of several layouts: ``task``, ``layout``, and the columns of :meth:`Layout.table`."""
-    tables = [layout.table().assign(task=task.name, layout=name) for name, layout in layouts.items()]
-    table = pd.concat(tables, ignore_index=True)
-    first = ["task", "layout"]
-    return table.reindex(columns=[*first, *(c for c in table.columns if c not in first)])
+    return _labelled({(task.name, name): layout.table() for name, layout in layouts.items()})
+
+
+def _labelled(tables: Mapping[tuple[str, str], pd.DataFrame]) -> pd.DataFrame:
+    """Tables below each other, ``task`` and ``layout`` in front."""
+    names = ["task", "layout"]
+    return pd.concat(tables, names=names).reset_index(level=names).reset_index(drop=True)
 
 
 def expected_table(task: Task, layouts: Mapping[str, Layout], noise_mt: float = NOISE_MT) -> pd.DataFrame:
@@ -122,7 +120,7 @@ def expected_table(task: Task, layouts: Mapping[str, Layout], noise_mt: float = 
     return pd.DataFrame(rows)
 
 
-def choices(task: Task, *, starts: int, seed: int = 0) -> pd.DataFrame:
+def choices(*, shapes: int, steps: int, starts: int) -> pd.DataFrame:
     """Which freedom pays, what the limit of the tolerance error costs, and how many nominal sensors do the same.
 
     For one segment of constant curvature. Freedoms are compared at the limit of the nominal layout, 1.
@@ -133,10 +131,9 @@ def choices(task: Task, *, starts: int, seed: int = 0) -> pd.DataFrame:
         Columns ``study`` (``freedom``, ``limit`` or ``number``), ``setting`` and those of :func:`expected`; the
         limit itself in ``limit`` where there is one.
     """
-    steps = len(task.tests["random shapes"])
-    lines = []
+    task, lines = pcc_task(1, shapes=shapes, steps=steps), []
     for n in (3, 4, 6, 12):
-        more = pcc_task(1, n, seed=seed, steps=steps)
+        more = pcc_task(1, n, steps=steps)
         numbers = expected(more, more.nominal)
         lines.append({"study": "number", "setting": f"{n} nominal sensors", "limit": math.nan, **numbers})
     common = Settings(limit=1.0)
@@ -145,55 +142,42 @@ def choices(task: Task, *, starts: int, seed: int = 0) -> pd.DataFrame:
     wanted.append(("freedom", f"all, at least {1e3 * NEAREST_M:.0f} mm apart", replace(common, room=far)))
     wanted += [("limit", f"{limit:g}", replace(common, limit=limit)) for limit in LIMITS]
     for study, name, settings in wanted:
-        layout = search(task, settings, starts=starts, seed=seed)[0]
+        layout = search(task, settings, starts=starts)[0]
         lines.append({"study": study, "setting": name, "limit": settings.limit, **expected(task, layout)})
     return pd.DataFrame(lines)
 
 
-def write_placement_study(folder: Path, *, progress: bool) -> list[Path]:
-    """Write the studies that the placement page shows beside its own run, about six minutes of one core.
-
-    Files: ``placement_layouts.csv`` (:func:`layouts_table`), ``placement_starts.csv`` (:func:`optimised_layouts`),
-    ``placement_expected.csv`` (:func:`expected_table`), ``placement_errors.csv``
-    (:func:`~repro_companion.pages.sensor_placement.errors.summary`) and ``placement_choices.csv`` (:func:`choices`).
-    Nothing is computed where all of them are there: remove one to have them computed anew.
-
-    Parameters
-    ----------
-    folder
-        Where the files are written; it is created.
-    progress
-        Show a bar.
-
-    Returns
-    -------
-    list of Path
-        The files.
-    """
-    files = [folder / f"placement_{name}.csv" for name in TABLES]
-    if all(path.is_file() for path in files):
-        return files
-    one = pcc_task(1, shapes=48, steps=100)
-    robots = [one, pcc_task(3, shapes=48, steps=100), affine_task(shapes=48, steps=100)]
-    robots.append(pcc_task(3, 2, known_elongation=True, shapes=48, steps=100))
-    steps = [*(partial(_robot, task) for task in robots), lambda: {"choices": choices(one, starts=2)}]
-    tables: dict[str, list[pd.DataFrame]] = {}
-    for step in tqdm(steps, desc="placement", disable=not progress):
-        for name, table in step().items():
-            tables.setdefault(name, []).append(table)
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, path in zip(TABLES, files, strict=True):
-        table = pd.concat(tables[name], ignore_index=True)
-        table.to_csv(path, index=False, float_format="%.8g", lineterminator="\n")
-    return files
+@cache
+def _of_robots(shapes: int, steps: int, starts: int, draws: int) -> dict[str, pd.DataFrame]:
+    """The four tables of all robots, about six minutes of one core: one search for layouts serves all."""
+    size = {"shapes": shapes, "steps": steps}
+    tasks = [pcc_task(1, **size), pcc_task(3, **size), affine_task(**size)]
+    tasks.append(pcc_task(3, 2, known_elongation=True, **size))
+    parts: dict[str, list[pd.DataFrame]] = {name: [] for name in ROBOT_TABLES}
+    for task in tasks:
+        layouts, starts_of_task = optimised_layouts(task, starts=starts)
+        errors = measured_errors(task, layouts, draws=draws)
+        parts["layouts"].append(layouts_table(task, layouts))
+        parts["starts"].append(starts_of_task)
+        parts["expected"].append(expected_table(task, layouts))
+        parts["errors"].append(summary(errors, reference=reference_name(layouts)))
+    return {name: pd.concat(tables, ignore_index=True) for name, tables in parts.items()}
 
 
-def _robot(task: Task) -> dict[str, pd.DataFrame]:
-    layouts, starts = optimised_layouts(task, starts=4)
-    errors = measured_errors(task, layouts, draws=20)
-    return {
-        "layouts": layouts_table(task, layouts),
-        "starts": starts,
-        "expected": expected_table(task, layouts),
-        "errors": summary(errors, reference=reference_name(layouts)),
-    }
+def _of_robots_named(name: str, **settings: int) -> pd.DataFrame:
+    return _of_robots(**settings)[name]
+
+
+ROBOT_TABLES = ("layouts", "starts", "expected", "errors")
+"""Of :func:`layouts_table`, :func:`optimised_layouts`, :func:`expected_table` and
+:func:`~repro_companion.pages.sensor_placement.errors.summary`."""
+SIZE = {"shapes": 48, "steps": 100}
+STUDIES = (
+    *(
+        Study(
+            f"placement_{name}", partial(_of_robots_named, name), SIZE | {"starts": 4, "draws": 20}, digits=8
+        )
+        for name in ROBOT_TABLES
+    ),
+    Study("placement_choices", choices, SIZE | {"starts": 2}, digits=8),
+)
