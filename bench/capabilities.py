@@ -37,7 +37,6 @@ from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import B444B, ring
-from repro.sensing.training_set import training_set
 from repro_companion.pages.imu_markers.scorecard import CAPABILITY as CHAIN
 from repro_companion.pages.performance.rows import (
     COLUMNS,
@@ -50,6 +49,7 @@ from repro_companion.pages.performance.rows import (
 from repro_companion.pages.probabilistic_curvature.scorecard import CAPABILITY as PARTICLES
 from repro_companion.twins.bend_curves import LENGTH_M, bend_curve, bend_readings
 from repro_companion.twins.table_1_solvers import sensor_models
+from repro_companion.twins.training_set import training_set
 
 FIELD_ERROR_MT = 1e-4
 """Largest error of the field that the particle filter may make in order to meet its target [mT]."""

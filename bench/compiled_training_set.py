@@ -18,7 +18,7 @@ from repro.kernels.relations import pairs, relate
 from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.magnetic import EARTH_MT
 from repro.sensing.magnets import Ring, ring
-from repro.sensing.training_set import ELONGATION_M, draw
+from repro_companion.twins.training_set import ELONGATION_M, draw
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def training_rows(
 ) -> TrainingRows:
     """Rows of the training set of section 3.2, by one compiled kernel.
 
-    The same draws, to the bit, as :func:`repro.sensing.training_set.training_set` makes for the same seed, without
+    The same draws, to the bit, as :func:`repro_companion.twins.training_set.training_set` makes for the same seed, without
     the robots. The readings are those of the multipole series instead of magpylib: for the ring ``"released"`` and
     ``l_max = 9`` they differ by less than 1e-6 mT. Parameters not listed are those of that function.
 

@@ -19,7 +19,6 @@ from repro.estimation.orientations import exponential
 from repro.kernels import chain as compiled_chain
 from repro.kernels import compiled
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.magnets import ring
@@ -30,6 +29,7 @@ from repro_companion.pages.probabilistic_curvature.simulation import PAPER
 from repro_companion.twins.bend_curves import LENGTH_M, bend_curve, bend_readings
 from repro_companion.twins.calibrated_robots import box
 from repro_companion.twins.calibration_session import SENSOR_NOISE_MT
+from repro_companion.twins.trajectories import lemniscate
 
 EXPONENT = 1.1
 """Largest exponent of cost that meets the target."""

@@ -22,7 +22,6 @@ from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kernels import compiled
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
@@ -33,6 +32,7 @@ from repro_companion.twins.calibration_session import SENSOR_NOISE_MT
 from repro_companion.twins.networks import NetworkSpec
 from repro_companion.twins.table_1_method import ITERATIONS, MOMENTUM, networks, step_sizes
 from repro_companion.twins.table_1_rows import Row
+from repro_companion.twins.trajectories import lemniscate
 
 UNIT = "time steps per CPU second"
 SETTLED = 200

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 import repro
-from repro.kinematics.trajectories import lemniscate
+from repro_companion.twins.trajectories import lemniscate
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

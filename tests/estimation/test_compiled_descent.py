@@ -11,7 +11,6 @@ from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.kernels import compiled
 from repro.kinematics.paper_robots import affine_robot, pcc_robot
-from repro.kinematics.trajectories import flower, lemniscate
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
@@ -19,6 +18,7 @@ from repro_companion.pages.affine_curvature.method import STEP_SIZE
 from repro_companion.pages.affine_curvature.method import networks as networks_of_the_affine_robot
 from repro_companion.twins.table_1_method import MOMENTUM, available, networks, step_sizes
 from repro_companion.twins.table_1_rows import rows_named, simulate
+from repro_companion.twins.trajectories import flower, lemniscate
 
 FOLDER = Path(__file__).parents[2] / "data" / "networks"
 MOMENTS = torch.from_numpy(ring("released").multipoles(9))

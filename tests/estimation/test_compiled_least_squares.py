@@ -10,7 +10,6 @@ from repro.estimation.base import track
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kernels import compiled
 from repro.kinematics.paper_robots import affine_robot, pcc_robot
-from repro.kinematics.trajectories import flower, lemniscate
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing, readings
@@ -18,6 +17,7 @@ from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
 from repro.sensing.network import CosineNetwork
 from repro_companion.twins.calibrated_robots import box, start
+from repro_companion.twins.trajectories import flower, lemniscate
 
 MOMENTS = torch.from_numpy(ring("released").multipoles(9))
 NOISE = 7.1e-4

@@ -22,10 +22,10 @@ from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box
 from repro.kernels import compiled
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
+from repro_companion.twins.trajectories import lemniscate
 
 ROBOT = pcc_robot(1)
 SENSING = MagneticSensing(ROBOT, MultipoleField.of(ring("released")))

@@ -7,10 +7,10 @@ from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
+from repro_companion.twins.trajectories import lemniscate
 
 A = torch.tensor([[1.0, 0.5], [-0.3, 2.0], [0.2, 0.1]], dtype=torch.float64)
 

@@ -13,10 +13,10 @@ from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kernels import compiled
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
+from repro_companion.twins.trajectories import lemniscate
 
 H = torch.tensor([[1.0, 0.5], [0.0, 1.0], [-1.0, 0.3]], dtype=torch.float64)
 FAR = torch.full((2,), 50.0, dtype=torch.float64)

@@ -20,12 +20,12 @@ from repro.estimation.particle_cloud import best_tenth, noise_of_sigma
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box, Disc
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
 from repro_companion.twins.bend_curves import bend_curve, bend_readings
+from repro_companion.twins.trajectories import lemniscate
 
 H = torch.tensor([[1.0, 0.3], [-0.4, 0.8], [0.2, 0.2]], dtype=torch.float64)
 WALK, NOISE = torch.tensor([0.5, 0.3], dtype=torch.float64), 0.4

@@ -9,7 +9,6 @@ import torch
 
 from repro.errors import InputError
 from repro.kinematics.paper_robots import affine_robot
-from repro.kinematics.trajectories import flower
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
@@ -25,6 +24,7 @@ from repro_companion.pages.affine_curvature.best import (
     session,
 )
 from repro_companion.twins.calibration_session import SENSOR_NOISE_MT, Config, released_moments
+from repro_companion.twins.trajectories import flower
 
 DATA = Path(__file__).parents[2] / "data"
 of_these_data = pytest.mark.skipif(

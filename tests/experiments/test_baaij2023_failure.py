@@ -13,7 +13,6 @@ from repro.estimation.levenberg_marquardt import LevenbergMarquardt, covariance,
 from repro.kinematics.mounts import Mounts
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.robot import Robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
@@ -23,6 +22,7 @@ from repro_companion.pages.sensor_failure import tables
 from repro_companion.pages.sensor_failure.failure import Estimates, Failure
 from repro_companion.twins.calibrated_robots import box, start
 from repro_companion.twins.calibration_session import released_moments
+from repro_companion.twins.trajectories import lemniscate
 
 NETWORKS = find_project().data / "networks"
 MOMENTS = released_moments()

@@ -8,10 +8,8 @@ import torch
 
 from repro.errors import InputError
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.network import PerSensor
 from repro.sensing.relations import relations
-from repro.sensing.training_set import training_set
 from repro_companion.pages.noise_and_tolerances.noise import (
     MODELS,
     against_bound,
@@ -21,6 +19,8 @@ from repro_companion.pages.noise_and_tolerances.noise import (
 from repro_companion.pages.table_1.limits import model_by_solver
 from repro_companion.twins.networks import train_own
 from repro_companion.twins.table_1_solvers import DIPOLE, SOLVERS, _dipoles
+from repro_companion.twins.training_set import training_set
+from repro_companion.twins.trajectories import lemniscate
 
 NETWORKS = Path(__file__).parents[2] / "data" / "networks"
 DESCENT, SQUARES = SOLVERS

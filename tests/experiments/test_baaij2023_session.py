@@ -8,7 +8,6 @@ import torch
 
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
@@ -16,6 +15,7 @@ from repro_companion.pages.table_1.limits import best
 from repro_companion.twins.calibrated_robots import box, calibration, session, start
 from repro_companion.twins.calibration_session import Config, draw_session, released_moments
 from repro_companion.twins.table_1_rows import ROWS
+from repro_companion.twins.trajectories import lemniscate
 
 NOISE_MT = 3.55 / 5000
 """Noise of a real sensor: 3.55 mV (Baaij et al. 2023, section 5.2) at 5000 mV/mT [mT]."""

@@ -4,7 +4,6 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.kinematics.trajectories import TRAJECTORIES, trajectory
 from repro_companion.pages.temporal_filter.figures import gain_and_bands
 from repro_companion.pages.temporal_filter.filters import (
     SHARE,
@@ -17,6 +16,7 @@ from repro_companion.pages.temporal_filter.filters import (
     over_time,
 )
 from repro_companion.twins.calibrated_robots import box
+from repro_companion.twins.trajectories import TRAJECTORIES, trajectory
 
 
 @pytest.mark.parametrize("n_segments", sorted(SHARE))

@@ -9,7 +9,6 @@ import torch
 from scipy.stats import chi2, norm
 
 from repro.estimation.base import Trajectory
-from repro.kinematics.trajectories import lemniscate
 from repro_companion.pages.filter_on_segments import tables as segments_tables
 from repro_companion.pages.filter_on_segments.methods import Course
 from repro_companion.pages.fusion import study as fusion
@@ -22,6 +21,7 @@ from repro_companion.twins.calibrated_robots import relative_error
 from repro_companion.twins.rig_filter import BendFilter, OursConfig
 from repro_companion.twins.rig_map import fit_map
 from repro_companion.twins.segment_motion import ROBOT
+from repro_companion.twins.trajectories import lemniscate
 
 
 def gaussian(covariance, n, seed=0):

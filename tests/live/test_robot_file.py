@@ -18,7 +18,6 @@ from repro.kernels import compiled
 from repro.kinematics.mounts import magnet_mounts
 from repro.kinematics.paper_robots import affine_robot, pcc_robot
 from repro.kinematics.robot import Robot
-from repro.kinematics.trajectories import lemniscate
 from repro.robot_file.load import load_robot
 from repro.robot_file.magnet_moments import cube_moments, moments_of
 from repro.robot_file.tables import MAGNET_KINDS, SEGMENT_KINDS
@@ -32,6 +31,7 @@ from repro.sensing.weights import read_manifest
 from repro_companion.twins.bend_curves import bend_curve, bend_readings
 from repro_companion.twins.calibrated_robots import box
 from repro_companion.twins.takes import open_take
+from repro_companion.twins.trajectories import lemniscate
 from repro_live.wire.formats import FORMATS
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"

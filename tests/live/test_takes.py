@@ -6,7 +6,6 @@ import torch
 
 from repro.errors import InputError
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.field_ratios import model_axes
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
@@ -14,6 +13,7 @@ from repro_companion.twins.bend_curves import bend_curve, bend_readings
 from repro_companion.twins.pneumatic_rig import record_rig
 from repro_companion.twins.rig_twins import nominal_twin
 from repro_companion.twins.takes import SOURCES, open_take
+from repro_companion.twins.trajectories import lemniscate
 from repro_live.record.recording_file import RecordingFile
 from repro_live.wire.formats import encode
 from repro_live.wire.frame import Frame

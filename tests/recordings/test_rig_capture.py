@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from repro import se3
 from repro.errors import InputError
-from repro.sensing.rig import RIG_LENGTH_M, RIG_MARKERS_M, rig_segment
 from repro_companion.recordings.rig_capture import read_ring_motion, ring_configuration
+from repro_companion.recordings.rig_robot import RIG_LENGTH_M, RIG_MARKERS_M, rig_segment
 from repro_companion.twins.rig_files import MarkerCapture, RingTrack, capture_ring, write_recording
 
 QUIET = MarkerCapture(0.0, 0.0, 0.0, 0.0, 0.0, (0.8, -0.5), (120.0, -80.0, 300.0))

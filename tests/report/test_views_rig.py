@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 
-from repro.sensing.rig import RIG_LENGTH_M, RIG_RADIUS_M, RIG_RATE_HZ
 from repro_companion.pages.table_2.views import FRAMES, LONGEST_S, ShapeViews, rig_view, rig_views
 from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.recordings.rig_robot import RIG_LENGTH_M, RIG_RADIUS_M, RIG_RATE_HZ
 from repro_companion.twins.rig_filter import OursRun
 
 DEVIATION_M = 3e-4

@@ -8,7 +8,6 @@ import torch
 
 from repro.errors import InputError
 from repro.kinematics.paper_robots import affine_robot, pcc_robot
-from repro.kinematics.trajectories import lemniscate
 from repro_companion.book.project import find_project
 from repro_companion.book.views_frames import every_nth, readings
 from repro_companion.book.views_simulated import FRAMES, lemniscate_view, paper_method_view
@@ -16,6 +15,7 @@ from repro_companion.pages.affine_curvature import method as affine
 from repro_companion.pages.affine_curvature.method import flower_view
 from repro_companion.twins import table_1_method as table1
 from repro_companion.twins.table_1_rows import rows_named
+from repro_companion.twins.trajectories import lemniscate
 from repro_live.view.robot_view import backbone_points
 
 NETWORKS = find_project().data / "networks"

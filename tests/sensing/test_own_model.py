@@ -16,13 +16,13 @@ from torch import nn
 from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.levenberg_marquardt import jacobian
-from repro.kinematics.trajectories import lemniscate
 from repro.robot_file.load import load_robot
 from repro.sensing.import_network import import_network
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.network import Dropout, PerSensor, paper_network
 from repro.sensing.own_model import OwnModel
 from repro.sensing.weights import load_paper_network
+from repro_companion.twins.trajectories import lemniscate
 from repro_live.follow.robot_estimator import robot_estimator
 
 DATA = Path(__file__).parents[2] / "data"

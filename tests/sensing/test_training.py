@@ -14,10 +14,10 @@ from repro.sensing.fast_training import split_rows, train_dipole_residual, train
 from repro.sensing.network import DipoleResidual, PerSensor, SignedExponential, paper_network
 from repro.sensing.relations import relations
 from repro.sensing.training import first_draws, rmse, train_paper
-from repro.sensing.training_set import training_set
 from repro.sensing.weights import load_paper_network, read_manifest
 from repro_companion.twins import networks as paper_training
 from repro_companion.twins.networks import AffineSpec, segment_rows, train_own, training_rows
+from repro_companion.twins.training_set import training_set
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from bench.compiled_training_set import training_rows
 from repro.errors import InputError
 from repro.sensing.magnets import ring
 from repro.sensing.relations import relations
-from repro.sensing.training_set import training_set
+from repro_companion.twins.training_set import training_set
 
 
 @pytest.mark.parametrize(

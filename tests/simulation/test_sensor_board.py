@@ -8,7 +8,7 @@ import torch
 
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
-from repro.sensing.rig import rig_earth_axis, rig_robot
+from repro_companion.recordings.rig_robot import rig_earth_axis, rig_robot
 from repro_companion.twins.rig_twins import nominal_twin
 from repro_companion.twins.sensor_board import LSB_MV, analogue_readings, converted, disturbance, field
 

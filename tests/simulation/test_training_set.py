@@ -10,8 +10,8 @@ from repro.errors import InputError
 from repro.kinematics.paper_robots import MAGNET_SHIFT_M, affine_robot
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
-from repro.sensing.training_set import BENDING_M, ELONGATION_M, affine_training_set, training_set
 from repro_companion.twins import networks as training
+from repro_companion.twins.training_set import BENDING_M, ELONGATION_M, affine_training_set, training_set
 
 
 @pytest.fixture(scope="module")

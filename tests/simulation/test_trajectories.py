@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.kinematics.trajectories import flower, lemniscate
+from repro_companion.twins.trajectories import flower, lemniscate
 
 
 @pytest.mark.parametrize("half", [False, True])

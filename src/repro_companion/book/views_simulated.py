@@ -11,10 +11,10 @@ from jaxtyping import Float
 
 from repro.errors import bad_input
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import RATE_HZ, lemniscate
 from repro_companion.book.views_frames import every_nth, readings
 from repro_companion.twins import table_1_method as table1
 from repro_companion.twins.table_1_rows import Row, simulate
+from repro_companion.twins.trajectories import RATE_HZ, lemniscate
 from repro_live.view.robot_view import shape_view
 from repro_live.view.shape_view import ShapeView
 

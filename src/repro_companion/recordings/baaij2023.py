@@ -17,7 +17,6 @@ from jaxtyping import Float
 
 from repro.errors import InputError, bad_input
 from repro.sensing.relations import relations
-from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS, rig_earth_axis, rig_robot
 from repro_companion.recordings.rig_alignment import (
     RULES,
     check_lags,
@@ -26,6 +25,7 @@ from repro_companion.recordings.rig_alignment import (
     start_of_readings,
 )
 from repro_companion.recordings.rig_capture import RingMotion, read_ring_motion
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS, rig_earth_axis, rig_robot
 from repro_companion.recordings.sources import data_dir
 
 FOLDER = "baaij2023"

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from repro.errors import bad_input
-from repro.sensing.rig import RIG_RATE_HZ
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ
 
 START_M, START_MV = 0.2e-3, 1.0
 """Inflation has begun where the elongation and the readings (root mean square) have changed by more [m, mV]."""

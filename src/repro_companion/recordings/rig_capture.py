@@ -22,7 +22,7 @@ from torch import Tensor
 
 from repro import se3
 from repro.errors import bad_input
-from repro.sensing.rig import RIG_LENGTH_M, RIG_MARKERS_M, RIG_RADIUS_M, RIG_RATE_HZ
+from repro_companion.recordings.rig_robot import RIG_LENGTH_M, RIG_MARKERS_M, RIG_RADIUS_M, RIG_RATE_HZ
 from repro_live.own.optitrack import HEADER_LINES, read_header
 
 BASE_HEIGHT_M = 2.7e-3

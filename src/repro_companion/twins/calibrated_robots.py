@@ -18,8 +18,6 @@ from repro.estimation.base import Estimate
 from repro.estimation.calibration import Calibration, calibrate
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.poses import configurations
-from repro.kinematics.trajectories import lemniscate
-from repro.sensing.training_set import BENDING_M, ELONGATION_M
 from repro_companion.book.bootstrap import ratio_of_means, resampled
 from repro_companion.twins.calibration_session import (
     SENSOR_NOISE_MT,
@@ -29,6 +27,8 @@ from repro_companion.twins.calibration_session import (
     released_moments,
 )
 from repro_companion.twins.table_1_rows import Row
+from repro_companion.twins.training_set import BENDING_M, ELONGATION_M
+from repro_companion.twins.trajectories import lemniscate
 
 VELOCITY_SHARE = 0.5
 """Standard deviation of a velocity before the first reading, in widths of the box per second."""

@@ -14,8 +14,8 @@ from repro.kinematics.paper_robots import affine_robot
 from repro.sensing.fast_training import train_dipole_residual, train_fast
 from repro.sensing.relations import relations
 from repro.sensing.training import train_paper, training_record
-from repro.sensing.training_set import TrainingSet, affine_training_set, training_set
 from repro.sensing.weights import rows_sha256, save_weights
+from repro_companion.twins.training_set import TrainingSet, affine_training_set, training_set
 
 DATA_SEED = 1
 SEEDS = (0, 1, 2)

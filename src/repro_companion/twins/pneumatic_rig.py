@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS
 from repro_companion.recordings.baaij2023 import Recording, process
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS
 from repro_companion.twins.pneumatic_actuation import DURATION_S, TRAJECTORIES, Chambers, torque_sequence
 from repro_companion.twins.rig_files import SYNTHETIC, MarkerCapture, RingTrack, capture_ring, write_recording
 from repro_companion.twins.rig_motion import Bending, InnerShape, RigMotion, rig_motion

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from repro.errors import bad_input
-from repro.sensing.rig import RIG_RATE_HZ
 from repro_companion.recordings.baaij2023 import (
     FOLDER,
     NAMES,
@@ -19,6 +18,7 @@ from repro_companion.recordings.baaij2023 import (
     raw_paths,
     split,
 )
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ
 from repro_companion.recordings.sources import data_dir, not_released
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
 from repro_companion.twins.pneumatic_rig import TwinConfig, record_twin

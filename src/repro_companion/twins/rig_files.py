@@ -15,9 +15,9 @@ import torch
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from repro.sensing.rig import RIG_LENGTH_M, RIG_MARKERS_M, RIG_RATE_HZ, rig_segment
 from repro_companion.recordings.baaij2023 import raw_paths
 from repro_companion.recordings.rig_capture import BASE_HEIGHT_M, BODY_COLUMNS
+from repro_companion.recordings.rig_robot import RIG_LENGTH_M, RIG_MARKERS_M, RIG_RATE_HZ, rig_segment
 
 SYNTHETIC = "synthetic"
 """First part of the name of every recording that this project writes, and its folder of motion capture."""

@@ -37,7 +37,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from repro.estimation.consistency import CONSISTENT, SUSPICIOUS, WINDOW
-from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS
 from repro_companion.twins.compiled_rig_filter import bank_start, bank_step, filter_bank
 from repro_companion.twins.rig_map import SCALE_MM, BendMap
 

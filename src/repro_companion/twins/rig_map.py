@@ -16,8 +16,8 @@ from scipy.signal import savgol_filter
 
 from repro.sensing.magnetic import field_at_sensors
 from repro.sensing.magnets import ring
-from repro.sensing.rig import RIG_RATE_HZ, rig_robot
 from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ, rig_robot
 
 DEGREE = 6
 """Degree of the map, chosen on T5.train of the nominal twin, as a test repeats: the smallest whose error on held-out

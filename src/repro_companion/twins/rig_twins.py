@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from repro.sensing.rig import RIG_SENSORS
+from repro_companion.recordings.rig_robot import RIG_SENSORS
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES, Chambers
 from repro_companion.twins.pneumatic_rig import Differences, TwinConfig
 from repro_companion.twins.rig_files import MarkerCapture

@@ -11,10 +11,10 @@ from torch import Tensor
 from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M, pcc_robot
 from repro.kinematics.robot import Robot
-from repro.kinematics.trajectories import RATE_HZ, lemniscate
 from repro.sensing.magnetic import field_at_sensors, field_on_grid, readings
 from repro.sensing.magnets import RINGS, ring
 from repro.sensing.relations import relations
+from repro_companion.twins.trajectories import RATE_HZ, lemniscate
 
 MM = 1e3
 

@@ -25,7 +25,7 @@ from repro import se3
 from repro.errors import bad_input
 from repro.kinematics.affine_curvature import AffineCurvature
 from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M, pcc_robot
-from repro.kinematics.trajectories import RATE_HZ, STEPS, flower, lemniscate
+from repro_companion.twins.trajectories import RATE_HZ, STEPS, flower, lemniscate
 
 TRAJECTORIES = ("constant curvature", "affine curvature", "rod under load")
 """The lemniscate T3; the flower with a third of its curvatures (45 degrees at most); and a Cosserat rod that is

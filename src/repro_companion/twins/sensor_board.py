@@ -21,7 +21,7 @@ from torch import Tensor
 from repro import se3
 from repro.kinematics.mounts import Mounts
 from repro.sensing.magnets import ring
-from repro.sensing.rig import RIG_SENSORS, rig_earth_axis, rig_robot
+from repro_companion.recordings.rig_robot import RIG_SENSORS, rig_earth_axis, rig_robot
 
 LSB_MV = 2.0 * 2048.0 / 2**16
 """Step of the converter [mV]: 0.0625."""

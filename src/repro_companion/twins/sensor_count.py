@@ -9,13 +9,13 @@ from repro.errors import bad_input
 from repro.estimation.information import cramer_rao, fisher_information
 from repro.kernels import compiled
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro_companion.book.pose_errors import pose_errors
 from repro_companion.twins.calibrated_robots import least_squares, relative_error
 from repro_companion.twins.calibration_session import released_moments
+from repro_companion.twins.trajectories import lemniscate
 
 ITERATIONS = 12
 """Of Levenberg-Marquardt at every time step, each from the straight pose."""

@@ -13,9 +13,9 @@ from repro.errors import bad_input
 from repro.kinematics.mounts import Mounts
 from repro.kinematics.paper_robots import SENSOR_RADIAL_M, pcc_robot
 from repro.kinematics.robot import Robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.magnetic import EARTH_MT, readings
 from repro.sensing.magnets import ring
+from repro_companion.twins.trajectories import lemniscate
 
 
 @dataclass(frozen=True)

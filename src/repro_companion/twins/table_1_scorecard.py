@@ -7,8 +7,8 @@ from typing import Any
 
 import pandas as pd
 
-from repro.kinematics.trajectories import STEPS
 from repro_companion.twins.table_1_method import ITERATIONS
+from repro_companion.twins.trajectories import STEPS
 
 SETTING = "as released: ring 24/12 mm, start at ground truth, momentum carried"
 BEST_METHOD = (

@@ -14,10 +14,10 @@ from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
 from repro.sensing.network import DipoleResidual
-from repro.sensing.training_set import training_set
 from repro_companion.twins.networks import DATA_SEED, train_own
 from repro_companion.twins.table_1_method import available, networks
 from repro_companion.twins.table_1_rows import Row
+from repro_companion.twins.training_set import training_set
 
 MODELS = ("network of the paper", "fast network", "multipole")
 DIPOLE = "dipole and residual"

@@ -14,18 +14,18 @@ from torch import Tensor
 
 from repro.errors import bad_input, require
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import RATE_HZ, STEPS, lemniscate
 from repro.robot_file.robot_file import RobotFile
 from repro.robot_file.tables import FORMATS
 from repro.sensing.field_ratios import file_axes
 from repro.sensing.magnetic import readings as field_readings
 from repro.sensing.magnets import ring
-from repro.sensing.rig import RIG_RATE_HZ
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ
 from repro_companion.twins.bend_curves import CURVES, TIME_STEP, bend_curve, bend_readings
 from repro_companion.twins.imu_stream import synthetic_stream
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
 from repro_companion.twins.pneumatic_rig import record_rig
 from repro_companion.twins.rig_twins import nominal_twin
+from repro_companion.twins.trajectories import RATE_HZ, STEPS, lemniscate
 from repro_live.emulate.board import Reading
 from repro_live.record.recording import read_recording
 

@@ -21,11 +21,9 @@ from torch import Tensor
 from repro.estimation.calibration import Calibration, calibrate
 from repro.estimation.poses import configurations
 from repro.kinematics.paper_robots import affine_robot
-from repro.kinematics.trajectories import flower
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.network import PerSensor
-from repro.sensing.training_set import CURVATURE_RAD, ELONGATION_M, affine_training_set
 from repro_companion.pages.affine_curvature.method import (
     QUANTITIES,
     ROW,
@@ -44,6 +42,8 @@ from repro_companion.twins.calibration_session import (
 )
 from repro_companion.twins.networks import DATA_SEED, train_own
 from repro_companion.twins.table_1_scorecard import BEST_METHOD, SETTING, scorecard_lines, setting
+from repro_companion.twins.training_set import CURVATURE_RAD, ELONGATION_M, affine_training_set
+from repro_companion.twins.trajectories import flower
 
 STARTS = 6
 ITERATIONS = (3, 8)

@@ -17,7 +17,6 @@ from repro.estimation.gradient_descent import GradientDescent
 from repro.kernels import compiled
 from repro.kinematics.affine_curvature import azimuth_difference, canonical
 from repro.kinematics.paper_robots import affine_robot
-from repro.kinematics.trajectories import RATE_HZ, flower
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
@@ -27,6 +26,7 @@ from repro_companion.book.views_frames import readings as trace
 from repro_companion.book.views_simulated import FRAMES, times
 from repro_companion.twins.networks import AffineSpec
 from repro_companion.twins.table_1_method import ITERATIONS, MOMENTUM
+from repro_companion.twins.trajectories import RATE_HZ, flower
 from repro_live.view.robot_view import shape_view
 from repro_live.view.shape_view import ShapeView
 

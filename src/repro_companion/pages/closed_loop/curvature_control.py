@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from repro.sensing.rig import RIG_RATE_HZ
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ
 from repro_companion.twins.pneumatic_actuation import Chambers
 from repro_companion.twins.rig_map import monomials
 

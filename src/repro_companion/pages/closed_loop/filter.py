@@ -22,8 +22,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS
 from repro_companion.pages.closed_loop.identification import Segment
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS
 from repro_companion.twins.rig_filter import BendFilter, BendState
 from repro_companion.twins.rig_map import BendMap
 

@@ -29,8 +29,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import lfilter
 
-from repro.sensing.rig import RIG_RATE_HZ
 from repro_companion.recordings.baaij2023 import INFLATION_S, Recording
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES, Chambers
 from repro_companion.twins.pneumatic_rig import RigRecording, TwinConfig, record_torque
 from repro_companion.twins.rig_map import SCALE_MM, BendMap, correlation_s, monomials

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from repro.errors import bad_input
-from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS
 from repro_companion.pages.closed_loop.curvature_control import (
     CurvatureController,
     Gains,
@@ -34,6 +33,7 @@ from repro_companion.pages.closed_loop.identification import (
 )
 from repro_companion.pages.closed_loop.rig_loop import SteppedRig, sessions
 from repro_companion.recordings.baaij2023 import split
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS
 from repro_companion.twins.pneumatic_actuation import DURATION_S
 from repro_companion.twins.pneumatic_rig import REGULATOR_HZ, SEQUENCE_S, TwinConfig, record_twin
 from repro_companion.twins.rig_map import BendMap, fit_map

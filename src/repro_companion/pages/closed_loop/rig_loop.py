@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from repro.errors import bad_input
-from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
 from repro_companion.twins.pneumatic_rig import REGULATOR_HZ, TwinConfig
 from repro_companion.twins.rig_motion import turned_bend

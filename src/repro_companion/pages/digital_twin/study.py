@@ -16,8 +16,8 @@ from jaxtyping import Float
 
 from repro.sensing.magnetic import field_at_sensors
 from repro.sensing.magnets import ring
-from repro.sensing.rig import RIG_RATE_HZ, RIG_SENSORS, rig_robot
 from repro_companion.recordings.baaij2023 import Recording, split
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS, rig_robot
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
 from repro_companion.twins.pneumatic_rig import FILL_S, TwinRecordings
 from repro_companion.twins.rig_twins import ELONGATION_MM

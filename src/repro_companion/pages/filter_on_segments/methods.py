@@ -25,12 +25,12 @@ from repro.kernels import compiled
 from repro.kernels.sensing import CompiledSensing
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.robot import Robot
-from repro.kinematics.trajectories import RATE_HZ, lemniscate
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro_companion.twins.calibrated_robots import VELOCITY_SHARE, box, start
 from repro_companion.twins.calibration_session import SENSOR_NOISE_MT, released_moments
+from repro_companion.twins.trajectories import RATE_HZ, lemniscate
 
 BEGUN = 2
 """Readings that a particle filter takes its start from; nothing is scored before."""

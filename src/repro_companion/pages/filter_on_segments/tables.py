@@ -13,7 +13,6 @@ from torch import Tensor
 
 from repro.estimation.base import Trajectory
 from repro.estimation.multistart import search, starts_within
-from repro.kinematics.trajectories import RATE_HZ
 from repro_companion.book.bootstrap import interval, ratio_interval, resampled
 from repro_companion.pages.filter_on_segments.methods import (
     BEGUN,
@@ -23,6 +22,7 @@ from repro_companion.pages.filter_on_segments.methods import (
     Course,
     run,
 )
+from repro_companion.twins.trajectories import RATE_HZ
 
 REFERENCE = "least squares, last estimate"
 """Ratios of errors are relative to this method."""

@@ -16,7 +16,6 @@ from torch import Tensor
 from tqdm import tqdm
 
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.fast_training import BATCH, train_dipole_residual, train_fast
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
@@ -25,7 +24,6 @@ from repro.sensing.multipole import MultipoleField
 from repro.sensing.network import PerSensor
 from repro.sensing.relations import relations
 from repro.sensing.training import VALIDATION_SHARE
-from repro.sensing.training_set import TrainingSet, training_set
 from repro_companion.pages.noise_and_tolerances.noise import LM_ITERATIONS
 from repro_companion.twins.calibrated_robots import least_squares, relative_error
 from repro_companion.twins.calibration_session import SENSOR_NOISE_MT
@@ -34,6 +32,8 @@ from repro_companion.twins.table_1_method import available, networks
 from repro_companion.twins.table_1_rows import Row
 from repro_companion.twins.table_1_solvers import DIPOLE
 from repro_companion.twins.table_1_solvers import MODELS as TABLE_MODELS
+from repro_companion.twins.training_set import TrainingSet, training_set
+from repro_companion.twins.trajectories import lemniscate
 
 SIZES = (30, 100, 300, 1000, 10_000, 120_000)
 """Training configurations of the study; the last is the paper's."""
@@ -64,7 +64,7 @@ def data_size_errors(
 ) -> pd.DataFrame:
     """Error of the prediction and of the configuration on T3 after training with few or many configurations.
 
-    Configurations and placements of the sensors are those of :func:`~repro.sensing.training_set.training_set`,
+    Configurations and placements of the sensors are those of :func:`~repro_companion.twins.training_set.training_set`,
     drawn anew for every seed and size; a seed also draws the noise, the initial weights and the batches. Moments are
     fitted by linear least squares to all readings; networks train on 70 % of them by the recipes ``"fast"`` and
     ``"dipole"``, all for the same number of steps. The configuration is found by Levenberg-Marquardt from the

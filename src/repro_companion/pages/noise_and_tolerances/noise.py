@@ -18,7 +18,6 @@ from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.information import cramer_rao, fisher_information
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.robot import Robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
@@ -28,6 +27,7 @@ from repro_companion.twins.calibration_session import L_MAX
 from repro_companion.twins.table_1_method import ITERATIONS, MOMENTUM, step_sizes
 from repro_companion.twins.table_1_solvers import DIPOLE, SOLVERS, sensor_models
 from repro_companion.twins.table_1_solvers import MODELS as TABLE_MODELS
+from repro_companion.twins.trajectories import lemniscate
 
 REAL_MT = (4.8e-5, 7.1e-4)
 """Noise of the real sensors [mT], inferred from 0.24 and 3.55 mV (section 5.2) at 5000 mV/mT."""

@@ -19,7 +19,6 @@ from torch import Tensor
 from repro.errors import bad_input
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.robot import Robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import Ring, ring
@@ -28,6 +27,7 @@ from repro_companion.book.bootstrap import BOOTSTRAPS, interval, resampled
 from repro_companion.pages.noise_and_tolerances.noise import LM_ITERATIONS
 from repro_companion.twins.calibrated_robots import least_squares, relative_error, standard_normal
 from repro_companion.twins.calibration_session import L_MAX
+from repro_companion.twins.trajectories import lemniscate
 
 KINDS = {
     "magnet_position_m": ("magnet position", "mm", 1e3),

@@ -27,7 +27,6 @@ from repro.kinematics.bend import MAX_BEND
 from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.linearised import LinearisedSensing
-from repro.sensing.training_set import ELONGATION_M
 from repro_companion.twins.calibration_session import released_moments
 from repro_companion.twins.segment_imus import as_quaternions
 from repro_companion.twins.segment_motion import ROBOT
@@ -41,6 +40,7 @@ from repro_companion.twins.segment_robot import (
     POSE_ROTATION_RAD,
     Readings,
 )
+from repro_companion.twins.training_set import ELONGATION_M
 
 STRETCH = 1 + MID_ELONGATION_M / LENGTH_M
 """Length at mid elongation over the unextended length."""

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from repro.kinematics.paper_robots import LENGTH_M, MAGNET_AXIAL_M
-from repro.kinematics.trajectories import STEPS
 from repro_companion.book.bootstrap import interval, ratio_interval, resampled
 from repro_companion.book.pose_errors import angle_deg
 from repro_companion.pages.one_robot.estimates import (
@@ -31,6 +30,7 @@ from repro_companion.pages.one_robot.estimates import (
 )
 from repro_companion.twins.segment_motion import LOAD_N, TRAJECTORIES, Motion, motion
 from repro_companion.twins.segment_robot import APART_M, Readings, calibration_session, draw_parts, simulate
+from repro_companion.twins.trajectories import STEPS
 
 CONDITIONS = ("all sensors", "one sensor failed", "other magnet on board")
 QUANTITIES = ("tip_mm", "orientation_deg", "shape_mm")

@@ -20,13 +20,13 @@ from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kernels import compiled
-from repro.kinematics.trajectories import RATE_HZ, STEPS, lemniscate
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro_companion.twins.calibrated_robots import box, calibration, session, start
 from repro_companion.twins.calibration_session import SENSOR_NOISE_MT, Config
 from repro_companion.twins.table_1_method import ITERATIONS, MOMENTUM, available, networks, step_sizes
 from repro_companion.twins.table_1_rows import Row, rows_named
+from repro_companion.twins.trajectories import RATE_HZ, STEPS, lemniscate
 
 ROW: Row = rows_named(["n_s=12"])[0]
 """The robot: three segments with four sensors each."""

@@ -15,7 +15,6 @@ from torch import Tensor
 from repro.errors import bad_input
 from repro.kinematics.affine_curvature import AffineCurvature
 from repro.kinematics.robot import Robot
-from repro.kinematics.trajectories import RATE_HZ, STEPS
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
@@ -31,6 +30,7 @@ from repro_companion.pages.sensor_placement.tasks import (
     spread_of_parts,
 )
 from repro_companion.twins.calibrated_robots import from_best_start, table_of_draws
+from repro_companion.twins.trajectories import RATE_HZ, STEPS
 
 ITERATIONS = (4, 10)
 """Iterations from every start, and those of the best of them."""

@@ -15,7 +15,7 @@ from torch import Tensor
 from repro.errors import bad_input
 from repro.kinematics.mounts import magnet_mounts, sensor_mounts
 from repro.kinematics.robot import Robot, Segment
-from repro.sensing.training_set import RADIAL_M
+from repro_companion.twins.training_set import RADIAL_M
 
 KINDS = ("axial", "radial", "azimuth", "tilt", "magnet")
 """What can be placed: distance of a sensor from the base of its segment, its distance from the backbone, its azimuth

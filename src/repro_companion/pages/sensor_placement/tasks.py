@@ -27,12 +27,12 @@ from repro.errors import bad_input
 from repro.estimation.information import cramer_rao, fisher_information
 from repro.kinematics.paper_robots import MAGNET_SHIFT_M, affine_robot, pcc_robot
 from repro.kinematics.robot import Robot
-from repro.kinematics.trajectories import flower, lemniscate
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnets import ring
 from repro.sensing.placement import PlacedReadings, Tolerances
-from repro.sensing.training_set import BENDING_M, CURVATURE_RAD, ELONGATION_M
 from repro_companion.pages.sensor_placement.layouts import Layout, layout_of
+from repro_companion.twins.training_set import BENDING_M, CURVATURE_RAD, ELONGATION_M
+from repro_companion.twins.trajectories import flower, lemniscate
 
 TEST_SEED = 2_000_000
 """Added to the seed for the shapes and the noise that judge a layout."""

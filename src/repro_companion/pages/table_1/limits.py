@@ -17,7 +17,6 @@ from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.levenberg_marquardt import covariance, jacobian
 from repro.kernels import compiled
 from repro.kinematics.paper_robots import pcc_robot
-from repro.kinematics.trajectories import lemniscate
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing, readings
@@ -35,6 +34,7 @@ from repro_companion.twins.calibration_session import SENSOR_NOISE_MT, Config, r
 from repro_companion.twins.table_1_method import ITERATIONS, MOMENTUM, step_sizes
 from repro_companion.twins.table_1_rows import Row, simulate
 from repro_companion.twins.table_1_solvers import MODELS, SOLVERS, sensor_models
+from repro_companion.twins.trajectories import lemniscate
 
 CONVERGED = {"noise_mt": SENSOR_NOISE_MT, "iterations": 60}
 """For runs that must converge to rounding; the iteration stops by itself when all have."""

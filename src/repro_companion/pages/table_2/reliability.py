@@ -23,8 +23,8 @@ from repro.estimation.consistency import CONSISTENT, lasting
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kernels import compiled
 from repro.sensing.ensemble import SeedEnsemble
-from repro.sensing.rig import RIG_RATE_HZ
 from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ
 from repro_companion.twins.rig_data import RigData
 from repro_companion.twins.rig_descent import PaperRun, bend_errors, paper_descent, rig_sensing, row_name
 from repro_companion.twins.rig_filter import OursConfig, OursRun

@@ -10,10 +10,10 @@ import torch
 
 from repro.errors import bad_input
 from repro.sensing.ensemble import SeedEnsemble
-from repro.sensing.rig import RIG_RATE_HZ, rig_robot
 from repro_companion.book.project import find_project
 from repro_companion.book.published import read_published
 from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ, rig_robot
 from repro_companion.twins.rig_data import RigData
 from repro_companion.twins.rig_descent import (
     ITERATIONS,

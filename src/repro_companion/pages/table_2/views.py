@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import torch
 
-from repro.sensing.rig import RIG_RATE_HZ, rig_robot
 from repro_companion.book.views_frames import every_nth, readings
 from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ, rig_robot
 from repro_companion.twins.rig_filter import OursRun
 from repro_live.view.robot_view import shape_view
 from repro_live.view.shape_view import ShapeView

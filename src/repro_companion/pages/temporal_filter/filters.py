@@ -22,13 +22,13 @@ from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.multistart import search, starts_within
 from repro.kernels import compiled
 from repro.kinematics.paper_robots import affine_robot, pcc_robot
-from repro.kinematics.trajectories import RATE_HZ, STEPS, TRAJECTORIES, flower, lemniscate, trajectory
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro_companion.book.bootstrap import ratio_of_means, resampled
 from repro_companion.twins.calibrated_robots import VELOCITY_SHARE, box, least_squares, standard_normal, start
 from repro_companion.twins.calibration_session import released_moments
+from repro_companion.twins.trajectories import RATE_HZ, STEPS, TRAJECTORIES, flower, lemniscate, trajectory
 
 NOISE_MT = 5e-3
 """Noise of a reading [mT]: seven times the larger one of the real sensors, where the prior matters most."""
