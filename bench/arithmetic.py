@@ -27,9 +27,9 @@ from bench.trackers import (
     multipole,
     network_of_the_paper,
 )
-from repro.kernels import bend_series as compiled_bend_series
-from repro.kernels import descent as compiled_descent
-from repro.kernels import least_squares as compiled_least_squares
+from repro.kernels import _bend_series as compiled_bend_series
+from repro.kernels import _descent as compiled_descent
+from repro.kernels import _least_squares as compiled_least_squares
 from repro.kinematics.bend import MAX_BEND
 from repro.sensing.magnetic import MagneticSensing
 from repro_companion.pages.performance.rows import ARITHMETIC, rate, row

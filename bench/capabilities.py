@@ -25,13 +25,12 @@ from bench.references import (
 from bench.scaling import exponent_rows, follow_flower, scaling
 from bench.trackers import multipole, tracker_rows
 from repro.estimation.imu_models import pcc_extended
-from repro.estimation.imu_selection import MARKERS, selection
 from repro.estimation.orientations import exponential
-from repro.kernels import chain as compiled_chain
+from repro.kernels import _chain as compiled_chain
 from repro.kernels import compiled
-from repro.kernels.bend import CompiledBendSensor
-from repro.kernels.bend_series import BendSeries
-from repro.kernels.sensing import CompiledSensing
+from repro.kernels._bend import CompiledBendSensor
+from repro.kernels._bend_series import BendSeries
+from repro.kernels._sensing import CompiledSensing
 from repro.kinematics.bend import MAX_BEND
 from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.bend_sensor import BendSensor
@@ -47,6 +46,7 @@ from repro_companion.pages.performance.rows import (
     row,
 )
 from repro_companion.pages.probabilistic_curvature.scorecard import CAPABILITY as PARTICLES
+from repro_companion.recordings.martin2022_models import MARKERS, selection
 from repro_companion.twins.bend_curves import LENGTH_M, bend_curve, bend_readings
 from repro_companion.twins.table_1_solvers import sensor_models
 from repro_companion.twins.training_set import training_set

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from repro.kernels.compilation import compiled
+from repro.kernels.compilation import machine_code
 
 CHAINS = 8
 """Sums that ``multiply_add`` keeps at once: enough for a processor to start two every cycle."""
@@ -12,7 +12,7 @@ TERMS = 32
 """Multiplications and additions that ``polynomial`` does for every number."""
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def multiply_add(x, y, n):
     """Multiply and add ``CHAINS * n`` times, one number at a time."""
     a, b, c, d, e, f, g, h = y, y, y, y, y, y, y, y
@@ -28,7 +28,7 @@ def multiply_add(x, y, n):
     return a + b + c + d + e + f + g + h
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def polynomial(x, out, coefficients):
     """Multiply and add ``TERMS * len(x)`` times, several numbers at a time."""
     c_0, c_1, c_2, c_3 = coefficients[0], coefficients[1], coefficients[2], coefficients[3]
@@ -46,7 +46,7 @@ def polynomial(x, out, coefficients):
         out[i] = p * t
 
 
-@compiled()
+@machine_code()
 def divide(x):
     """Divide ``len(x)`` times."""
     total = 0.0
@@ -55,7 +55,7 @@ def divide(x):
     return total
 
 
-@compiled()
+@machine_code()
 def root(x):
     """Take ``len(x)`` square roots."""
     total = 0.0
@@ -64,7 +64,7 @@ def root(x):
     return total
 
 
-@compiled()
+@machine_code()
 def sine(x):
     """Take ``len(x)`` sines."""
     total = 0.0
@@ -73,7 +73,7 @@ def sine(x):
     return total
 
 
-@compiled()
+@machine_code()
 def cosine(x):
     """Take ``len(x)`` cosines."""
     total = 0.0
@@ -82,7 +82,7 @@ def cosine(x):
     return total
 
 
-@compiled()
+@machine_code()
 def exponential(x):
     """Take ``len(x)`` exponentials."""
     total = 0.0
@@ -91,7 +91,7 @@ def exponential(x):
     return total
 
 
-@compiled()
+@machine_code()
 def logarithm(x):
     """Take ``len(x)`` logarithms."""
     total = 0.0
@@ -100,7 +100,7 @@ def logarithm(x):
     return total
 
 
-@compiled()
+@machine_code()
 def arctangent(x):
     """Take ``len(x)`` arctangents of two arguments."""
     total = 0.0

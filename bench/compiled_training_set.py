@@ -11,10 +11,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.kernels.compilation import compiled
-from repro.kernels.motion import chain, move, scratch
-from repro.kernels.multipole import multipole
-from repro.kernels.relations import pairs, relate
+from repro.kernels._motion import chain, move, scratch
+from repro.kernels._multipole import multipole
+from repro.kernels._relations import pairs, relate
+from repro.kernels.compilation import machine_code
 from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.magnetic import EARTH_MT
 from repro.sensing.magnets import Ring, ring
@@ -53,9 +53,10 @@ def training_rows(
 ) -> TrainingRows:
     """Rows of the training set of section 3.2, by one compiled kernel.
 
-    The same draws, to the bit, as :func:`repro_companion.twins.training_set.training_set` makes for the same seed, without
-    the robots. The readings are those of the multipole series instead of magpylib: for the ring ``"released"`` and
-    ``l_max = 9`` they differ by less than 1e-6 mT. Parameters not listed are those of that function.
+    The same draws, to the bit, as :func:`repro_companion.twins.training_set.training_set` makes for the same seed,
+    without the robots. The readings are those of the multipole series in place of magpylib: for the ring
+    ``"released"`` and ``l_max = 9`` they differ by less than 1e-6 mT. Parameters that are not listed are those of
+    that function.
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def training_rows(
     return TrainingRows(drawn.q, torch.from_numpy(cosines), torch.from_numpy(u))
 
 
-@compiled()
+@machine_code()
 def _rows(chain, per_segment, q, placements, field):
     """Relations and readings of every sample; the mounts of the sensors in ``chain`` are overwritten."""
     moments, earth_mt, earth_axis = field

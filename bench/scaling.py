@@ -13,10 +13,9 @@ from torch import Tensor
 
 from bench.compiled_training_set import training_rows
 from repro.estimation.base import track
-from repro.estimation.imu_selection import MARKERS, selection
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.orientations import exponential
-from repro.kernels import chain as compiled_chain
+from repro.kernels import _chain as compiled_chain
 from repro.kernels import compiled
 from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.bend_sensor import BendSensor
@@ -26,6 +25,7 @@ from repro.sensing.multipole import MultipoleField
 from repro_companion.pages.performance.rows import COLUMNS, SCALING, rate
 from repro_companion.pages.performance.tables import exponents
 from repro_companion.pages.probabilistic_curvature.simulation import PAPER
+from repro_companion.recordings.martin2022_models import MARKERS, selection
 from repro_companion.twins.bend_curves import LENGTH_M, bend_curve, bend_readings
 from repro_companion.twins.calibrated_robots import box
 from repro_companion.twins.calibration_session import SENSOR_NOISE_MT

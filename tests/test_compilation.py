@@ -11,7 +11,7 @@ import numba
 import pytest
 
 from repro import kernels
-from repro.kernels.compilation import CACHE, cache_folder, compiled
+from repro.kernels.compilation import _CACHE, _cache_folder, machine_code
 
 PACKAGE = Path(kernels.__file__).parent
 ROOT = PACKAGE.parents[2]
@@ -20,17 +20,21 @@ MODULES = {
     for folder in (ROOT / "src", ROOT)
     for room in ("repro", "repro_live", "repro_companion", "bench")
     for file in sorted((folder / room).rglob("*.py"))
-    if "kernels.compilation import compiled\n" in file.read_text()
+    if "kernels.compilation import machine_code\n" in file.read_text()
 }
 """Those with kernels."""
-CALLEE = (
-    "from repro.kernels.compilation import compiled\n\n\n@compiled()\ndef factor(x):\n    return {} * x\n"
-)
-CALLER = """from repro.kernels.compilation import compiled
+CALLEE = """from repro.kernels.compilation import machine_code
+
+
+@machine_code()
+def factor(x):
+    return {} * x
+"""
+CALLER = """from repro.kernels.compilation import machine_code
 from repro.kernels.callee import factor
 
 
-@compiled()
+@machine_code()
 def call(x):
     return factor(x)
 
@@ -66,25 +70,25 @@ def test_folder_depends_on_every_kernel_and_on_nothing_else(tmp_path):
     package = tmp_path / "site-packages" / "repro" / "kernels"
     package.mkdir(parents=True)
     (package / "compilation.py").touch()
-    first = cache_folder(package)
+    first = _cache_folder(package)
     (package.parent / "other.py").write_text("a")
-    assert cache_folder(package) == first
+    assert _cache_folder(package) == first
     (package / "a.py").write_text("a")
-    second = cache_folder(package)
+    second = _cache_folder(package)
     (package / "a.py").rename(package / "b.py")
-    assert len({first, second, cache_folder(package)}) == 3
+    assert len({first, second, _cache_folder(package)}) == 3
     assert not first.is_relative_to(tmp_path)  # not in a project: the user's cache
 
 
 def test_other_users_of_numba_keep_their_place():
     before = numba.config.CACHE_DIR
-    compiled()(lambda x: x)
+    machine_code()(lambda x: x)
     assert before == numba.config.CACHE_DIR
 
 
 def test_this_package_has_a_folder():
-    assert CACHE.is_dir()
-    assert CACHE.name == cache_folder(PACKAGE).name
+    assert _CACHE.is_dir()
+    assert _CACHE.name == _cache_folder(PACKAGE).name
 
 
 @pytest.mark.parametrize("name", MODULES)

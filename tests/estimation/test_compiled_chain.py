@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
 from repro.estimation.imu_models import pcc_extended
-from repro.estimation.imu_selection import MARKERS, Selection, selection
+from repro.estimation.imu_selection import Selection
 from repro.estimation.orientations import exponential
-from repro.kernels import chain as compiled_chain
+from repro.kernels import _chain as compiled_chain
+from repro_companion.recordings.martin2022_models import MARKERS, selection
 
 POINTS = np.array([0.6, 0.0, 0.04, 0.08, 0.3, 0.36, 0.61, 0.64, 0.36])
 

@@ -14,7 +14,7 @@ from repro.estimation.base import Estimator, track
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box, Disc
 from repro.kernels import compiled
-from repro.kernels.weighing import _smallest
+from repro.kernels._weighing import _smallest
 from repro.sensing.bend_sensor import BendSensor
 from repro_companion.pages.probabilistic_curvature.simulation import BEST, GAUSS_NEWTON, PAPER, WEIGHTED
 from repro_companion.twins.bend_curves import bend_curve, bend_readings

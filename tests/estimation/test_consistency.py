@@ -7,9 +7,11 @@ import pytest
 import torch
 from scipy import stats
 
+from repro.estimation._step import driven
+from repro.estimation._window import Seen, limit, verdict_on
 from repro.estimation.base import track
-from repro.estimation.consistency import Seen, lasting, limit, verdict_on
-from repro.estimation.kalman_filter import IteratedKalmanFilter, driven
+from repro.estimation.consistency import lasting
+from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 
 A = torch.randn(5, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)

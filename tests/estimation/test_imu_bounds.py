@@ -10,9 +10,10 @@ from smooth_curves import LENGTH, STEPS, evenly, read, smooth_curves
 
 from repro.errors import InputError
 from repro.estimation.imu_models import exact_arcs, pcc_extended, rigid_links, tangent_interpolation
-from repro.estimation.imu_selection import Selection, selection
+from repro.estimation.imu_selection import Selection
 from repro_companion.pages.how_many_imus.bounds import arcs_bound, pcc_bound, rigid_bound, tangents_bound
 from repro_companion.pages.how_many_imus.needed import imus_needed
+from repro_companion.recordings.martin2022_models import selection
 
 # model, bound, sub-segments, IMU in the middle, order in the spacing with a known slope
 PAIRS = {

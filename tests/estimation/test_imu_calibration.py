@@ -10,9 +10,10 @@ from smooth_curves import read, smooth_curves
 from repro.errors import InputError
 from repro.estimation.imu_calibration import ImuTolerances, calibrate_imus, calibrated
 from repro.estimation.imu_models import exact_arcs, rigid_links, tangent_spline
-from repro.estimation.imu_selection import Selection, selection
+from repro.estimation.imu_selection import Selection
 from repro.estimation.orientations import exponential, product
 from repro.estimation.undetermined import undetermined
+from repro_companion.recordings.martin2022_models import selection
 
 ARM = selection("pcc", 8)
 FRAME = Rotation.from_euler("xyz", [3.0, -4.0, 12.0], degrees=True)

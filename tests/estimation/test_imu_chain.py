@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
 from repro.estimation.imu_chain import (
-    TABLE_I_LINK_LENGTHS,
     adjacent_angles,
     link_orientations,
     point_at,
@@ -54,7 +53,7 @@ def printed_rigid_body(orientations: np.ndarray, lengths: np.ndarray) -> np.ndar
 
 
 def test_straight_arm_ends_at_the_sum_of_its_links():
-    joints = rigid_body(np.tile(UPRIGHT, (8, 1)), TABLE_I_LINK_LENGTHS)
+    joints = rigid_body(np.tile(UPRIGHT, (8, 1)), (0.08,) * 8)
     np.testing.assert_allclose(joints[:, 2], np.arange(9) * 0.08, atol=1e-15)
     np.testing.assert_array_equal(joints[:, :2], 0.0)
 

@@ -22,7 +22,8 @@ from repro.estimation.imu_models import (
     tangent_interpolation,
     tangent_spline,
 )
-from repro.estimation.imu_selection import Selection, selection
+from repro.estimation.imu_selection import Selection
+from repro_companion.recordings.martin2022_models import selection
 
 BETWEEN = (pcc_extended, exact_arcs, tangent_interpolation, tangent_spline)
 UNEVEN = Selection((0, 1, 3, 4), (0.0, 0.08, 0.24, 0.32), (0.08, 0.16, 0.08), sub_links=3)

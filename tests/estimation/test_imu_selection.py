@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro.estimation.imu_selection import IMU_ARCS, MARKERS, READINGS, Selection, selection
+from repro.estimation.imu_selection import Selection
+from repro_companion.recordings.martin2022_models import IMU_ARCS, MARKERS, READINGS, selection
 
 ALL = tuple(range(9))
 

@@ -11,8 +11,8 @@ from smooth_curves import read, smooth_curves
 from repro.errors import InputError
 from repro.estimation.base import Estimator, track
 from repro.estimation.imu_models import exact_arcs, pcc_extended, rigid_links, tangent_spline
-from repro.estimation.imu_selection import selection
 from repro.estimation.imu_shape import ImuShape
+from repro_companion.recordings.martin2022_models import selection
 
 MARKERS = (0.36, 0.6)
 NOISE = math.radians(1.0)

@@ -9,15 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from repro.errors import InputError
-from repro.estimation.orientations import (
-    axis_and_angle,
-    exponential,
-    filled,
-    product,
-    tangents,
-    turn_between,
-    unit_quaternions,
-)
+from repro.estimation._quaternions import axis_and_angle, filled, turn_between, unit_quaternions
+from repro.estimation.orientations import exponential, product, tangents
 
 ARCS = [0.0, 0.1, 0.16, 0.3]
 

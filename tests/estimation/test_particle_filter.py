@@ -15,8 +15,8 @@ import pytest
 import torch
 
 from repro.errors import InputError
+from repro.estimation._particle_cloud import best_tenth
 from repro.estimation.base import Estimator, track
-from repro.estimation.particle_cloud import best_tenth, noise_of_sigma
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box, Disc
 from repro.kinematics.paper_robots import pcc_robot
@@ -24,6 +24,7 @@ from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
+from repro_companion.recordings.mitchell2021_conventions import noise_of_sigma
 from repro_companion.twins.bend_curves import bend_curve, bend_readings
 from repro_companion.twins.trajectories import lemniscate
 

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from repro.estimation.ratio_inversion import dipole_bend, invert
+from repro.estimation.ratio_inversion import _dipole_bend, invert
 from repro.kinematics.bend import MAX_BEND, bend_vector
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.field_ratios import FieldRatios
@@ -16,8 +16,8 @@ DIRECTIONS = torch.linspace(0, 2 * math.pi, 17, dtype=torch.float64)
 
 def test_dipole_is_inverted_up_to_its_largest_ratio():
     phi = torch.linspace(0, 1.9, 50, dtype=torch.float64)
-    torch.testing.assert_close(dipole_bend(phi.sin() / (3 + phi.cos())), phi)
-    assert float(dipole_bend(torch.tensor(0.6, dtype=torch.float64))) > math.radians(109)
+    torch.testing.assert_close(_dipole_bend(phi.sin() / (3 + phi.cos())), phi)
+    assert float(_dipole_bend(torch.tensor(0.6, dtype=torch.float64))) > math.radians(109)
 
 
 @pytest.mark.parametrize("length_m", [13e-3, 15e-3])

@@ -7,9 +7,10 @@ import pytest
 
 from repro.errors import InputError
 from repro.estimation.imu_models import chain, exact_arcs, pcc_extended, tangent_interpolation, tangent_spline
-from repro.estimation.imu_selection import Selection, selection
-from repro.kernels import chain as compiled_chain
+from repro.estimation.imu_selection import Selection
+from repro.kernels import _chain as compiled_chain
 from repro_companion.pages.how_many_imus.bounds import pcc_bound, tangents_bound
+from repro_companion.recordings.martin2022_models import selection
 
 FILES = [("rigid", 2, None), ("rigid", 4, None), ("pcc", 2, 16), ("pcc", 4, 16)]
 FILES += [("pcc", 8, n) for n in (8, 16, 32, 64)]

@@ -9,8 +9,8 @@ import torch
 from scipy import stats
 
 from repro.errors import InputError
+from repro.estimation._resampling import effective_sample_size, normalised, resample, stream, weights
 from repro.estimation.regions import Box, Disc, Region
-from repro.estimation.resampling import effective_sample_size, normalised, resample, stream, weights
 
 CALLS = 1500
 W = torch.tensor([0.5, 0.02, 0.08, 0.13, 0.001, 0.1, 0.16, 0.009], dtype=torch.float64)

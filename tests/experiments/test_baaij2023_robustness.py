@@ -9,19 +9,19 @@ import pytest
 import torch
 from torch.nn.utils import parameters_to_vector
 
+from repro.kernels import training as together
+from repro.kernels._training_step import train_step
+from repro.kernels.training import _dropout, _workspace, train_together
 from repro.sensing.network import PAPER_WIDTHS, paper_network
 from repro.sensing.training import train_paper
 from repro_companion.book.project import find_project
 from repro_companion.pages.robustness import studies as robustness
 from repro_companion.twins import rig_descent as table2
-from repro_companion.twins import rig_together
-from repro_companion.twins.compiled_rig_training import train_step
 from repro_companion.twins.pneumatic_rig import record_rig
 from repro_companion.twins.rig_data import load_recordings
 from repro_companion.twins.rig_filter import BendFilter
 from repro_companion.twins.rig_map import fit_map
 from repro_companion.twins.rig_networks import RIG_LEARNING_RATE, rig_networks
-from repro_companion.twins.rig_together import dropout, train_together, workspace
 from repro_companion.twins.rig_twins import nominal_twin, random_twin
 
 NETWORKS = find_project().data / "networks"
@@ -46,7 +46,7 @@ class TestTogether:
         loss = torch.nn.functional.mse_loss(network(x), y)
         gradient = torch.autograd.grad(loss, list(network.parameters()))
         g.manual_seed(1)
-        kept, space = dropout(650, widths, g), workspace(650, widths)
+        kept, space = _dropout(650, widths, g), _workspace(650, widths)
         found = train_step(theta, x.numpy(), y.numpy(), widths, kept, space, np.float32(1e-3))
         assert found == pytest.approx(float(loss.detach()), rel=1e-6)
         expected = 1e-3 * parameters_to_vector(gradient).numpy()
@@ -72,7 +72,7 @@ class TestTogether:
             seen.append(y)
             return 0.0
 
-        monkeypatch.setattr(rig_together, "train_step", recorded)
+        monkeypatch.setattr(together, "train_step", recorded)
         rows, options = toy_rows(500), {"seed": 3, "learning_rate": 0.1, "epochs": 2, "swa_start": 1}
         for shuffled in (False, True):
             train_together([rows], shuffled=shuffled, **options)  # 350 rows to train on, one batch

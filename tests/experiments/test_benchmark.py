@@ -34,7 +34,6 @@ from bench.trackers import (
     multipole,
 )
 from repro.estimation.imu_models import pcc_extended
-from repro.estimation.imu_selection import selection
 from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import B444B, ring
@@ -42,6 +41,7 @@ from repro.sensing.multipole import MultipoleField
 from repro.sensing.relations import relations
 from repro_companion.pages.performance.rows import COLUMNS, KINDS, Goal, rate, row
 from repro_companion.pages.performance.tables import arithmetic, missed, ratios, target_table, with_targets
+from repro_companion.recordings.martin2022_models import selection
 from repro_companion.twins.bend_curves import bend_curve, bend_readings
 
 DATA = Path(__file__).parents[2] / "data"

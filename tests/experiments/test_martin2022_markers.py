@@ -6,8 +6,8 @@ from short_arm import short_arm
 
 from repro.errors import InputError
 from repro.estimation.imu_models import pcc_extended
-from repro.estimation.imu_selection import MARKERS, selection
 from repro.sensing.inertial import PERFECT, ImuErrors
+from repro_companion.recordings.martin2022_models import MARKERS, selection
 from repro_companion.twins.arm_draws import draw, drawn, errors_with
 from repro_companion.twins.arm_markers import (
     DESCRIBED,

@@ -12,7 +12,7 @@ import torch
 from repro.errors import InputError
 from repro.kinematics.bend import bend_vector
 from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.field_ratios import FieldRatios, file_axes
+from repro.sensing.field_ratios import FieldRatios
 from repro_companion.pages.bend_tests import errors
 from repro_companion.pages.bend_tests import statements as say
 from repro_companion.pages.bend_tests.filters import (
@@ -36,6 +36,7 @@ from repro_companion.pages.bend_tests.takes import (
     recorded_or_synthetic,
 )
 from repro_companion.recordings.mitchell2021 import takes as files_of_takes
+from repro_companion.recordings.mitchell2021_conventions import file_axes
 from repro_companion.recordings.mitchell2021_tables import read_calibration
 from repro_companion.recordings.released import said_of_files
 from repro_companion.twins.bend_curves import bend_readings

@@ -10,15 +10,15 @@ import torch
 from bench.arithmetic import limit_rate, operations
 from bench.operation_count import counting
 from bench.trackers import Task, advance, least_squares, multipole
-from repro.kernels.compilation import compiled
+from repro.kernels.compilation import machine_code
 
 
-@compiled()
+@machine_code()
 def inner(x):
     return math.sqrt(x) * x + 1.0 / x
 
 
-@compiled()
+@machine_code()
 def outer(x, out, n):
     """Per number one addition, one square and what ``inner`` does."""
     total, room = 0.0, np.zeros(len(x))
@@ -58,7 +58,7 @@ def test_a_failing_kernel_is_put_back():
 
 
 def test_a_tracker_finds_the_same_while_it_is_counted():
-    from repro.kernels import least_squares as compiled_least_squares
+    from repro.kernels import _least_squares as compiled_least_squares
 
     method, task = least_squares(1, "multipole", multipole(1)).method, Task(1, members=2, steps=1)
     expected, found = advance(method, task, 2, seeds=False), []

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from mpmath import mp
 
 from repro.errors import InputError
-from repro.kinematics.affine_curvature import AffineCurvature, azimuth_difference, canonical
+from repro.kinematics.affine_curvature import AffineCurvature
 from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.mounts import sensor_mounts
 from repro.kinematics.robot import Robot
+from repro_companion.pages.affine_curvature.method import azimuth_difference, canonical
 
 L = 0.2
 SEGMENT = AffineCurvature(L)

@@ -21,7 +21,7 @@ if __name__ == "__main__":
 else:  # pytest reads every file for its doctests
     instrumented = contextlib.nullcontext()
 with instrumented:
-    from repro.robot_file.tables import FORMATS
+    from repro.robot_file.columns import FORMATS
     from repro_live.wire.formats import encode, parser
     from repro_live.wire.frame import Frame
 

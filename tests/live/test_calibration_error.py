@@ -11,7 +11,7 @@ import torch
 from scipy.stats import chi2
 
 from repro.errors import InputError
-from repro.kernels.placement import PlacementSlopes
+from repro.kernels._placement import PlacementSlopes
 from repro.kinematics.motion import backbone_motion
 from repro.kinematics.mounts import magnet_mounts
 from repro.robot_file.load import load_robot

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from repro.errors import InputError
 from repro.estimation.orientations import UNIT_TOLERANCE
-from repro.robot_file.tables import FORMATS, MOST_VALUES
+from repro.robot_file._tables import MOST_VALUES
+from repro.robot_file.columns import FORMATS
 from repro_live.wire.binary import KINDS
 from repro_live.wire.formats import encode, parser
 from repro_live.wire.frame import Counters, Parser

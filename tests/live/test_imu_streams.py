@@ -10,7 +10,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
-from repro.kernels.sensing import CompiledSensing
+from repro.kernels._sensing import CompiledSensing
 from repro.kinematics.mounts import magnet_mounts
 from repro.robot_file.imu_readings import sent as sent_by
 from repro.robot_file.load import load_robot

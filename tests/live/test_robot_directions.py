@@ -9,7 +9,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
-from repro.kernels.sensing import CompiledSensing
+from repro.kernels._sensing import CompiledSensing
 from repro.kinematics.mounts import directed_sensors, magnet_mounts, sensor_mounts
 from repro.robot_file.calibration_file import write_calibration
 from repro.robot_file.load import load_robot

@@ -12,22 +12,21 @@ from hypothesis import strategies as st
 
 from repro.errors import InputError
 from repro.estimation.base import track
-from repro.estimation.imu_chain import TABLE_I_LINK_LENGTHS
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kernels import compiled
 from repro.kinematics.mounts import magnet_mounts
 from repro.kinematics.paper_robots import affine_robot, pcc_robot
 from repro.kinematics.robot import Robot
+from repro.robot_file._magnet_moments import cube_moments, moments_of
+from repro.robot_file._tables import MAGNET_KINDS, SEGMENT_KINDS
+from repro.robot_file._toml_lines import key_lines
 from repro.robot_file.load import load_robot
-from repro.robot_file.magnet_moments import cube_moments, moments_of
-from repro.robot_file.tables import MAGNET_KINDS, SEGMENT_KINDS
-from repro.robot_file.toml_lines import key_lines
-from repro.sensing.field_ratios import file_axes
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import B444B, Cube, ring
 from repro.sensing.multipole import multipole_factors
 from repro.sensing.weights import read_manifest
+from repro_companion.recordings.mitchell2021_conventions import file_axes
 from repro_companion.twins.bend_curves import bend_curve, bend_readings
 from repro_companion.twins.calibrated_robots import box
 from repro_companion.twins.takes import open_take
@@ -113,7 +112,7 @@ def test_an_affine_robot_is_that_of_the_paper(tmp_path):
 
 def test_the_arm_has_its_imus_where_table_1_has_them():
     found = load_robot(ROBOTS / "imu_arm.toml")
-    assert np.allclose([imu.arc_m for imu in found.imus], np.cumsum(TABLE_I_LINK_LENGTHS), rtol=0, atol=1e-15)
+    assert np.allclose([imu.arc_m for imu in found.imus], np.cumsum((0.08,) * 8), rtol=0, atol=1e-15)
     assert [imu.stream for imu in found.imus] == list(range(8))
     assert {reading.stream for reading in open_take("arm").readings()} == set(range(8))
     with pytest.raises(

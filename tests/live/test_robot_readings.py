@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian
+from repro.robot_file._tables import IMU_NOISE_RAD
 from repro.robot_file.load import load_robot
-from repro.robot_file.tables import IMU_NOISE_RAD
 from repro_live.emulate.robot_readings import (
     REACH,
     SPEED,

@@ -8,8 +8,8 @@ import torch
 from moving_robot import robot_readings
 
 from repro.errors import InputError
+from repro.robot_file._tables import IMU_NOISE_RAD
 from repro.robot_file.load import load_robot
-from repro.robot_file.tables import IMU_NOISE_RAD
 from repro_live.emulate.faults import Faults
 from repro_live.emulate.robot_readings import readings_along
 from repro_live.emulate.sensor_faults import (

@@ -6,9 +6,9 @@ import torch
 
 from repro.errors import InputError
 from repro.kinematics.paper_robots import pcc_robot
-from repro.sensing.field_ratios import model_axes
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
+from repro_companion.recordings.mitchell2021_conventions import model_axes
 from repro_companion.twins.bend_curves import bend_curve, bend_readings
 from repro_companion.twins.pneumatic_rig import record_rig
 from repro_companion.twins.rig_twins import nominal_twin

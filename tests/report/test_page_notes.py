@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from repro.files import combined_digest
 from repro_companion.book.after.page_notes import (
     figures_of,
     page_files,
@@ -21,6 +20,7 @@ from repro_companion.book.after.page_notes import (
     with_notes,
     write_page_files,
 )
+from repro_companion.book.digests import combined_digest
 from repro_companion.book.parameters import declared_parameters
 from repro_companion.book.project import find_project
 from repro_companion.book.provenance import read_record, record_path

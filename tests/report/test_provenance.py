@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from repro.files import tree_digests, write_if_changed, write_whole
+from repro.files import write_whole
+from repro_companion.book.digests import tree_digests, write_if_changed
 from repro_companion.book.project import find_project, shown
 from repro_companion.book.provenance import make_record, notebook_key, read_inputs, read_record, write_record
 from repro_companion.recordings.sources import data_dir

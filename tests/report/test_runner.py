@@ -15,7 +15,7 @@ import nbformat
 import pytest
 
 from repro.errors import InputError
-from repro.files import file_digest
+from repro_companion.book.digests import file_digest
 from repro_companion.book.project import find_project
 from repro_companion.book.runner import check_output, default_output, read_notebook
 

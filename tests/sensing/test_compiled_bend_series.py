@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.kernels.bend import CompiledBendSensor
-from repro.kernels.bend_series import BendSeries
+from repro.kernels._bend import CompiledBendSensor
+from repro.kernels._bend_series import BendSeries
 from repro.sensing.magnets import Cube
 from repro_companion.twins.bend_curves import bend_readings
 

@@ -11,7 +11,7 @@ from torch import nn
 
 from repro.errors import InputError
 from repro.estimation.levenberg_marquardt import jacobian
-from repro.kernels.sensing import CompiledSensing
+from repro.kernels._sensing import CompiledSensing
 from repro.kinematics.affine_curvature import AffineCurvature
 from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.mounts import magnet_mounts, sensor_mounts

@@ -16,10 +16,10 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.levenberg_marquardt import jacobian
-from repro.kernels.bend import CompiledBendSensor
+from repro.kernels._bend import CompiledBendSensor
 from repro.kinematics.bend import bend_vector
+from repro.sensing._cuboid import cuboid_field
 from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.cuboid import cuboid_field
 from repro.sensing.magnetic import field_at_sensors
 from repro.sensing.magnets import B444B
 from repro_companion.twins.bend_curves import bend_robot

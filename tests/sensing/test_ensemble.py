@@ -7,7 +7,7 @@ from torch import nn
 from repro.errors import InputError
 from repro.estimation.levenberg_marquardt import jacobian
 from repro.kinematics.paper_robots import pcc_robot
-from repro.sensing.ensemble import SeedEnsemble, fold_batch_norm, fold_scaling
+from repro.sensing.ensemble import SeedEnsemble, _fold_batch_norm, _fold_scaling
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.network import CosineNetwork, DipoleResidual, PerSensor, paper_network
 
@@ -45,7 +45,7 @@ def apply(layers, activation, x):
 
 @pytest.mark.parametrize(
     ("make", "fold", "activation"),
-    [(paper, fold_batch_norm, torch.relu), (cosine, fold_scaling, nn.functional.silu)],
+    [(paper, _fold_batch_norm, torch.relu), (cosine, _fold_scaling, nn.functional.silu)],
 )
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-5), (torch.float64, 1e-12)])
 def test_folded_layers_equal_the_network(make, fold, activation, dtype, tolerance):
@@ -101,7 +101,7 @@ def test_readings_have_the_precision_of_the_relations():
         ),
         (
             lambda: SeedEnsemble([[nn.Sequential(nn.Linear(9, 1), nn.Flatten(-2))]], [0]),
-            "Input network of fold_batch_norm must be a network of the paper; instead received Linear, Flatten",
+            "Input network of SeedEnsemble must be a network of the paper; instead received Linear, Flatten",
         ),
         (
             lambda: SeedEnsemble([[paper(0)]] * 3, [0, 0])(torch.zeros(2, 7, 2, 9)),

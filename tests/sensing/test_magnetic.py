@@ -13,10 +13,11 @@ from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.mounts import magnet_mounts, sensor_mounts
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.robot import Robot
-from repro.sensing.magnetic import MagneticSensing, field_at_sensors, field_on_grid, readings
+from repro.sensing.magnetic import MagneticSensing, field_at_sensors, readings
 from repro.sensing.magnets import B444B, ring
 from repro.sensing.multipole import MultipoleField
 from repro.sensing.relations import relations
+from repro_companion.twins.robot_tables import field_on_grid
 from repro_companion.twins.trajectories import lemniscate
 
 D = 0.022

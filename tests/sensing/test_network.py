@@ -15,8 +15,8 @@ from repro.sensing.network import (
     DipoleResidual,
     Dropout,
     PerSensor,
-    SignedExponential,
-    n_inputs,
+    _n_inputs,
+    _SignedExponential,
     paper_network,
 )
 from repro.sensing.relations import relations
@@ -126,16 +126,16 @@ def test_weights_come_from_the_given_generator_only():
 
 
 def test_signed_exponential_has_a_gap_between_minus_one_and_one():
-    y = SignedExponential()(torch.tensor([-2.0, -1e-6, 1e-6, 2.0]))
+    y = _SignedExponential()(torch.tensor([-2.0, -1e-6, 1e-6, 2.0]))
     torch.testing.assert_close(y, torch.tensor([-(torch.e**2), -1.0, 1.0, torch.e**2]))
     with_head = paper_network(5, generator(), exponential_head=True)
     assert [type(m) for m in with_head[:-1]] == [type(m) for m in paper_network(5, generator())]
 
 
 def test_number_of_inputs():
-    assert n_inputs(paper_network(13, generator())) == 13
-    assert n_inputs(dipole_network(width=9)) == 9
-    assert n_inputs(nn.ReLU()) is None
+    assert _n_inputs(paper_network(13, generator())) == 13
+    assert _n_inputs(dipole_network(width=9)) == 9
+    assert _n_inputs(nn.ReLU()) is None
 
 
 @pytest.mark.parametrize(

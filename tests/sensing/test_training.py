@@ -10,10 +10,11 @@ from torch import nn
 
 from repro.errors import InputError
 from repro.sensing import training
-from repro.sensing.fast_training import split_rows, train_dipole_residual, train_fast
-from repro.sensing.network import DipoleResidual, PerSensor, SignedExponential, paper_network
+from repro.sensing._paper_training import first_draws, rmse
+from repro.sensing.fast_training import _split_rows, train_dipole_residual, train_fast
+from repro.sensing.network import DipoleResidual, PerSensor, _SignedExponential, paper_network
 from repro.sensing.relations import relations
-from repro.sensing.training import first_draws, rmse, train_paper
+from repro.sensing.training import train_paper
 from repro.sensing.weights import load_paper_network, read_manifest
 from repro_companion.twins import networks as paper_training
 from repro_companion.twins.networks import AffineSpec, segment_rows, train_own, training_rows
@@ -58,10 +59,10 @@ def equal(a, b):
 
 
 def test_split_is_a_partition():
-    train, validation = split_rows(1000, 3)
+    train, validation = _split_rows(1000, 3)
     assert len(validation) == 300
     assert sorted(torch.cat([train, validation]).tolist()) == list(range(1000))
-    assert not torch.equal(train, split_rows(1000, 4)[0])
+    assert not torch.equal(train, _split_rows(1000, 4)[0])
 
 
 class TestStreamOfTheReleasedCode:
@@ -261,7 +262,7 @@ class TestPaperRecipe:
         assert path.name == f"affine{'_head' * head}_sensor4_seed2.safetensors"
         assert read_manifest(path)["learning_rate"] == 0.01
         network = load_paper_network(path)
-        assert isinstance(network[-1], SignedExponential) == head
+        assert isinstance(network[-1], _SignedExponential) == head
         assert bool((network(rows[0]).abs() >= 1).all()) == head
 
     def test_a_training_that_diverges_says_so_and_writes_nothing(self, rows, tmp_path, monkeypatch):
@@ -288,7 +289,7 @@ class TestFastRecipe:
     def test_metrics_are_those_of_the_result(self, cosine_rows):
         for trainer in (train_fast, train_dipole_residual):
             network, metrics = trainer(*cosine_rows, seed=0, epochs=2, progress=False)
-            _, validation = split_rows(len(cosine_rows[0]), 0)
+            _, validation = _split_rows(len(cosine_rows[0]), 0)
             with torch.no_grad():
                 error = network(cosine_rows[0][validation]) - cosine_rows[1][validation]
             assert metrics["rmse_validation"] == pytest.approx(float(error.square().mean().sqrt()), rel=0.02)

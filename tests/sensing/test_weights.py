@@ -8,7 +8,7 @@ import torch
 
 from repro.errors import InputError
 from repro.sensing.network import CosineNetwork, DipoleResidual, paper_network
-from repro.sensing.weights import load_paper_network, load_weights, read_manifest, save_weights
+from repro.sensing.weights import _load_weights, load_paper_network, read_manifest, save_weights
 
 
 def generator(seed=0):
@@ -57,7 +57,7 @@ def test_own_networks_round_trip(tmp_path):
 
     save_weights(make(0), tmp_path / "own.safetensors", {"recipe": "dipole"})
     x = torch.rand(10, 5, generator=generator())
-    assert torch.equal(load_weights(make(1), tmp_path / "own.safetensors")(x), make(0)(x))
+    assert torch.equal(_load_weights(make(1), tmp_path / "own.safetensors")(x), make(0)(x))
 
 
 def test_missing_file(tmp_path):
@@ -119,4 +119,4 @@ def test_other_architecture(tmp_path):
 def test_other_number_of_magnets(saved):
     path, _ = saved
     with pytest.raises(InputError, match=r"with 0.bias of shape \(5,\); instead received 0.bias: \(9,\)"):
-        load_weights(paper_network(5, generator()), path)
+        _load_weights(paper_network(5, generator()), path)

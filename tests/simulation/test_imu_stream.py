@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.estimation.imu_chain import TABLE_I_LINK_LENGTHS, link_orientations, rigid_body
+from repro.estimation.imu_chain import link_orientations, rigid_body
 from repro_companion.recordings.martin2022 import READING_COLUMNS, one_clock
 from repro_companion.twins.imu_stream import NEIGHBOUR_ANGLES_DEG, smooth_motion, synthetic_stream
 
@@ -38,7 +38,7 @@ def test_shape_does_not_depend_on_how_the_sensors_are_mounted():
     shapes = [
         rigid_body(
             link_orientations(one_clock(synthetic_stream(seed=0, along_arm=axis)).orientations, axis),
-            TABLE_I_LINK_LENGTHS,
+            (0.08,) * 8,
         )
         for axis in "xyz"
     ]

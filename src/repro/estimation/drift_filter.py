@@ -18,8 +18,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start
-from repro.estimation.kalman_filter import IteratedKalmanFilter, KalmanState, driven
+from repro.estimation._step import check_start, driven
+from repro.estimation.base import Estimate
+from repro.estimation.kalman_filter import IteratedKalmanFilter, KalmanState
 
 _WIDEST = 12.0
 """Errors are kept within this many standard deviations: a bound that least squares needs and nothing reaches."""
@@ -160,7 +161,7 @@ class DriftFilter:
         Raises
         ------
         InputError
-            If ``t`` is not after the last step, or as :func:`repro.estimation.base.usable`.
+            If ``t`` is not after the last step, or as :func:`repro.estimation._step.usable`.
         """
         if state.t is not None and not t > state.t:
             raise bad_input("t", "DriftFilter", f"after the last step, {state.t} s", t)

@@ -13,11 +13,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start, held, kernel, redundancy, usable
+from repro.estimation._step import check_start, held, kernel, redundancy, usable
+from repro.estimation.base import Estimate
 
 
 @dataclass(frozen=True)
-class GradientState:
+class _GradientState:
     """Where the descent stands: configuration and momentum ``b`` of eq. (11)."""
 
     q: Float[Tensor, "*batch n_q"]
@@ -89,26 +90,26 @@ class GradientDescent:
     def _kernel(self) -> Any:
         return kernel(self.sensing)
 
-    def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> GradientState:
+    def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> _GradientState:
         """State at ``q0`` with no momentum; nothing is random, the seed has no effect."""
         check_start(q0, None, "GradientDescent", n_q=len(self.step_size))
-        return GradientState(q0, torch.zeros_like(q0))
+        return _GradientState(q0, torch.zeros_like(q0))
 
     def step(
         self,
-        state: GradientState,
+        state: _GradientState,
         u: Float[Tensor, "*batch s"],
         t: float,
         *,
         mask: Tensor | None = None,
         known: Tensor | None = None,
-    ) -> tuple[GradientState, Estimate]:
+    ) -> tuple[_GradientState, Estimate]:
         """Descend from the last estimate; ``loss`` [mT^2] and ``best_iteration`` are in the diagnostics."""
         use = usable(u, mask, "GradientDescent")
         q, b = state.q, state.momentum if self.carry_momentum else torch.zeros_like(state.momentum)
         q, free = held(q, known)
         if self._kernel is not None:
-            from repro.kernels.descent import descend
+            from repro.kernels._descent import descend
 
             options = (self.step_size, self.momentum, self.iterations)
             q, b, u_hat, loss, best_at = descend(self._kernel, (q, b), u, use, free, *options)
@@ -121,7 +122,7 @@ class GradientDescent:
             "chi2": loss * use.sum(-1) / self.noise_mt**2,
             "dof": redundancy(use.sum(-1), free),
         }
-        return GradientState(q, b), Estimate(q, None, u_hat, diagnostics)
+        return _GradientState(q, b), Estimate(q, None, u_hat, diagnostics)
 
     def _descend(
         self, q: Tensor, b: Tensor, u: Tensor, use: Tensor, free: Tensor

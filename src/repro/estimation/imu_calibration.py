@@ -24,9 +24,10 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from repro.errors import bad_input
+from repro.estimation._quaternions import unit_quaternions
 from repro.estimation.imu_models import ShapeModel
 from repro.estimation.imu_selection import Selection
-from repro.estimation.orientations import exponential, product, unit_quaternions
+from repro.estimation.orientations import exponential, product
 from repro.estimation.undetermined import undetermined
 
 _FRAME = tuple(f"{part}_{axis}" for part in ("rotation", "translation") for axis in "xyz")

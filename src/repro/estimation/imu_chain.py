@@ -12,14 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from repro.errors import bad_input
-from repro.estimation.orientations import product, tangents, turn_between, unit_quaternions
+from repro.estimation._quaternions import turn_between, unit_quaternions
+from repro.estimation.orientations import product, tangents
 
-Lengths = Sequence[float] | Float[np.ndarray, " links"]
+_Lengths = Sequence[float] | Float[np.ndarray, " links"]
 Points = float | Sequence[float] | Float[np.ndarray, " points"]
-
-# Table I of Martin et al. for eight IMUs, rigid-body model: IMUs at 80, 160, ..., 640 mm, each at the end of
-# its section, and L_0 = 0 (section III-B1). Other readings of the table exist for fewer IMUs.
-TABLE_I_LINK_LENGTHS = (0.08,) * 8
 
 _HALF = np.sqrt(0.5)
 # R_imu_link: turns link coordinates (link along z) into those of a sensor with the named axis along the link.
@@ -79,7 +76,7 @@ def sensor_orientations(
 
 
 def rigid_body(
-    orientations: Float[np.ndarray, "*samples imus 4"], link_lengths: Lengths
+    orientations: Float[np.ndarray, "*samples imus 4"], link_lengths: _Lengths
 ) -> Float[np.ndarray, "*samples joints 3"]:
     r"""Joint positions of the rigid-body model, one link per IMU.
 
@@ -122,7 +119,7 @@ def rigid_body(
 
 
 def point_at(
-    joints: Float[np.ndarray, "*samples joints 3"], link_lengths: Lengths, arc_lengths: Points
+    joints: Float[np.ndarray, "*samples joints 3"], link_lengths: _Lengths, arc_lengths: Points
 ) -> Float[np.ndarray, "*samples points 3"]:
     """Positions at given arc lengths, by linear interpolation between adjacent joints.
 
@@ -214,7 +211,7 @@ def _mounting(along_arm: str, owner: str) -> np.ndarray:
     return _R_IMU_LINK[along_arm]
 
 
-def _lengths(link_lengths: Lengths, links: int, owner: str) -> np.ndarray:
+def _lengths(link_lengths: _Lengths, links: int, owner: str) -> np.ndarray:
     """Check link lengths and return them as an array [m]."""
     lengths = np.asarray(link_lengths, dtype=float)
     if lengths.shape != (links,):

@@ -15,10 +15,11 @@ from numpy.polynomial.legendre import leggauss
 from scipy.interpolate import CubicSpline
 
 from repro.errors import bad_input
-from repro.estimation.imu_arcs import positions
+from repro.estimation._imu_arcs import from_base, links_between, points_on, positions
+from repro.estimation._quaternions import unit_quaternions
 from repro.estimation.imu_chain import Points, point_at, rigid_body
 from repro.estimation.imu_selection import Selection
-from repro.estimation.orientations import tangents, unit_quaternions
+from repro.estimation.orientations import tangents
 
 ShapeModel = Callable[[np.ndarray, Selection, Sequence[float]], np.ndarray]
 """From orientations ``[*samples, imus, 4]``, a selection and arc lengths to positions ``[*samples, points, 3]``."""
@@ -220,11 +221,6 @@ def _arcs(
     return from_base(positions(q, np.array(selection.link_lengths), points, n, turn_share), selection)
 
 
-def from_base(points: np.ndarray, selection: Selection) -> np.ndarray:
-    """Move points of a chain from its origin to the base."""
-    return points + np.array(selection.origin_m) if any(selection.origin_m) else points
-
-
 def _tangents(orientations: np.ndarray, selection: Selection, owner: str) -> np.ndarray:
     q = unit_quaternions(orientations, owner)
     _one_per_imu(q, selection, owner)
@@ -242,21 +238,7 @@ def _unit(vectors: np.ndarray, owner: str) -> np.ndarray:
     return vectors / norms
 
 
-def links_between(selection: Selection, owner: str) -> None:
-    """Refuse a selection without sub-segments."""
-    if not selection.sub_links:
-        raise bad_input("selection", owner, "one with links between IMUs (sub_links above 0)", selection)
-
-
 def _one_per_imu(q: np.ndarray, selection: Selection, owner: str) -> None:
     if q.shape[-2] != len(selection.imus):
         expected = f"those of the {len(selection.imus)} IMUs of the selection"
         raise bad_input("orientations", owner, expected, f"shape {q.shape}")
-
-
-def points_on(arc_lengths: Points, selection: Selection, owner: str) -> np.ndarray:
-    """Check arc lengths and return them as an array [m]."""
-    points, total = np.atleast_1d(np.asarray(arc_lengths, dtype=float)), sum(selection.link_lengths)
-    if points.ndim != 1 or not ((points >= 0) & (points <= total * (1 + 1e-12))).all():
-        raise bad_input("arc_lengths", owner, f"distances between 0 and {total:g} m", points)
-    return points

@@ -15,10 +15,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start, usable
+from repro.estimation._quaternions import filled, neighbours
+from repro.estimation._step import check_start, usable
+from repro.estimation.base import Estimate
 from repro.estimation.imu_models import ShapeModel
 from repro.estimation.imu_selection import Selection
-from repro.estimation.orientations import exponential, filled, neighbours, product
+from repro.estimation.orientations import exponential, product
 
 _ROUGHNESS = 0.86
 """Assumed random walk of the orientation along the arm [rad/sqrt(m)]: 14 deg over 80 mm, the middle of the median
@@ -28,7 +30,7 @@ _STEP_RAD = 1e-4  # of the differences: error 1e-9 by the third derivative, 1e-1
 
 
 @dataclass(frozen=True)
-class ShapeState:
+class _ShapeState:
     """The last estimate; the next one does not depend on it."""
 
     q: Float[Tensor, "*batch n_q"]
@@ -39,7 +41,7 @@ class ImuShape:
     r"""Estimator that applies a model to the orientations of one moment.
 
     An IMU with any component masked or NaN is left out as a whole, and its orientation filled from the others
-    (`repro.estimation.orientations.filled`). The covariance follows by linear propagation: each IMU has an
+    (`repro.estimation._quaternions.filled`). The covariance follows by linear propagation: each IMU has an
     independent error of ``noise_rad`` about each axis, the base (number 0) none, and a filled one has that of
     a random walk along the arc, pinned to the IMUs there are: between two of them at distances :math:`a, b`
     the variance about each axis is :math:`\varrho^2 ab/(a + b)`, beyond the last at distance :math:`a` it is
@@ -91,20 +93,20 @@ class ImuShape:
         if not self.roughness > 0:
             raise bad_input("roughness", "ImuShape", "positive [rad/sqrt(m)]", self.roughness)
 
-    def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> ShapeState:
+    def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> _ShapeState:
         """State at ``q0``; neither it nor the seed has an effect on the estimates."""
         check_start(q0, None, "ImuShape", n_q=3 * len(self.arc_lengths))
-        return ShapeState(q0)
+        return _ShapeState(q0)
 
     def step(
         self,
-        state: ShapeState,
+        state: _ShapeState,
         u: Float[Tensor, "*batch s"],
         t: float,
         *,
         mask: Tensor | None = None,
         known: Tensor | None = None,
-    ) -> tuple[ShapeState, Estimate]:
+    ) -> tuple[_ShapeState, Estimate]:
         """Positions from the quaternions ``u``.
 
         ``u_hat`` holds the quaternions that were used: rescaled, and filled where one is missing. ``masked``
@@ -146,7 +148,7 @@ class ImuShape:
                 "dof": torch.zeros(q.shape[:-1], dtype=torch.int64),
             },
         )
-        return ShapeState(estimate.q), estimate
+        return _ShapeState(estimate.q), estimate
 
     def _positions(self, orientations: np.ndarray) -> np.ndarray:
         points = self.model(orientations, self.selection, self.arc_lengths)

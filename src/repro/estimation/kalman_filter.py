@@ -29,8 +29,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start, held, kernel, redundancy, usable
-from repro.estimation.levenberg_marquardt import TOLERANCE, LeastSquaresState, LevenbergMarquardt, covariance
+from repro.estimation._step import TOLERANCE, check_start, driven, held, kernel, redundancy, usable
+from repro.estimation.base import Estimate
+from repro.estimation.levenberg_marquardt import LeastSquaresState, LevenbergMarquardt, covariance
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ class IteratedKalmanFilter:
         Raises
         ------
         InputError
-            If ``t`` is not after the last step, or as :func:`repro.estimation.base.usable`.
+            If ``t`` is not after the last step, or as :func:`repro.estimation._step.usable`.
         """
         if state.t is not None and not t > state.t:
             raise bad_input("t", "IteratedKalmanFilter", f"after the last step, {state.t} s", t)
@@ -165,7 +166,7 @@ class IteratedKalmanFilter:
         """Configuration, its covariance, predicted readings, iterations, for a prior at ``q``."""
         middle = torch.clamp(q, self.lower.to(q), self.upper.to(q))
         if self._kernel is not None:
-            from repro.kernels.least_squares import fit
+            from repro.kernels._least_squares import fit
 
             middle, free = held(middle, known)
             options = ((self.lower, self.upper), self.noise_mt, self.iterations, TOLERANCE)
@@ -208,26 +209,3 @@ class IteratedKalmanFilter:
         if not self.noise_mt > 0:
             raise bad_input("noise_mt", "IteratedKalmanFilter", "positive", self.noise_mt)
         return LevenbergMarquardt(sensing, self.lower, self.upper, noise_mt=1.0, iterations=self.iterations)
-
-
-def driven(
-    tau: float, acceleration: Float[Tensor, " n"]
-) -> tuple[Float[Tensor, "nn nn"], Float[Tensor, "nn nn"]]:
-    """Transition of coordinates and their velocities over a time [s], and the covariance that white noise adds.
-
-    Parameters
-    ----------
-    tau
-        The time.
-    acceleration
-        Density of the acceleration of each coordinate [unit/s^1.5].
-    """
-    eye, density = torch.eye(len(acceleration)).to(acceleration), torch.diag(acceleration**2)
-    move = torch.cat([torch.cat([eye, tau * eye], 1), torch.cat([0 * eye, eye], 1)])
-    noise = torch.cat(
-        [
-            torch.cat([tau**3 / 3 * density, tau**2 / 2 * density], 1),
-            torch.cat([tau**2 / 2 * density, tau * density], 1),
-        ]
-    )
-    return move, noise

@@ -12,10 +12,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start, held, kernel, redundancy, usable
-
-TOLERANCE = 1e-12
-"""A trial step below this share of the width of the bounds ends the iteration."""
+from repro.estimation._step import TOLERANCE, check_start, held, kernel, redundancy, usable
+from repro.estimation.base import Estimate
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,7 @@ class LevenbergMarquardt:
     def _fit_compiled(
         self, q: Tensor, u: Tensor, use: Tensor, free: Tensor, low: Tensor, high: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        from repro.kernels.least_squares import fit
+        from repro.kernels._least_squares import fit
 
         options = (self.noise_mt, self.iterations, TOLERANCE)
         q, u_hat, rmse, count, J, C, determined = fit(self._kernel, q, u, use, free, (low, high), *options)

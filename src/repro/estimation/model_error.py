@@ -28,10 +28,12 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, Estimator, held, kernel, usable
+from repro.estimation._step import held, kernel, usable
+from repro.estimation.base import Estimate, Estimator
 from repro.estimation.levenberg_marquardt import jacobian
 
 _RANK = 1e-9
@@ -164,3 +166,20 @@ def _test(E: np.ndarray, J: np.ndarray, r: np.ndarray, variance: float) -> tuple
     p, model = N.T @ r, N.T @ E @ N
     solved = np.linalg.solve(model + variance * np.eye(len(model)), np.column_stack([p, model]))
     return float(p @ solved[:, 0]), len(p), float(np.trace(solved[:, 1:]) / len(p))
+
+
+@dataclass(frozen=True)
+class WhiteError:
+    """Covariance of readings whose model errs independently from sensor to sensor and place to place.
+
+    Parameters
+    ----------
+    rmse
+        Root mean square error of the model for every sensor [unit].
+    """
+
+    rmse: Float[Tensor, " s"]
+
+    def __call__(self, q: Float[Tensor, "*batch n_q"]) -> Float[Tensor, "*batch s s"]:
+        """Covariance at configurations [unit^2]."""
+        return torch.diag(self.rmse.square()).expand(*q.shape[:-1], len(self.rmse), len(self.rmse))

@@ -16,21 +16,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from repro.errors import bad_input
+from repro.estimation._leave_one_out import EXPLAINED, MUCH_BETTER, LeftOut, begun, followed, recovered
+from repro.estimation._window import Seen, frozen, limit, seen_by, verdict_on
 from repro.estimation.base import Estimate, Estimator
-from repro.estimation.consistency import (
-    CONSISTENT,
-    SUSPICIOUS,
-    WINDOW,
-    Seen,
-    Verdict,
-    frozen,
-    limit,
-    seen_by,
-    verdict_on,
-)
-from repro.estimation.leave_one_out import EXPLAINED, MUCH_BETTER, LeftOut, begun, followed, recovered
+from repro.estimation.consistency import CONSISTENT, SUSPICIOUS, WINDOW, Verdict
 
-S = TypeVar("S")
+_S = TypeVar("_S")
 
 _ELSEWHERE = 0.02
 """A new start lies elsewhere if it differs by this share of the width of the starts. Nearer, the estimator lags."""
@@ -43,10 +34,10 @@ _FORGOTTEN_S = 10.0
 
 
 @dataclass(frozen=True)
-class MonitorState(Generic[S]):
+class _MonitorState(Generic[_S]):
     """State of the estimator, what was seen of late, and what is held of it."""
 
-    inner: S
+    inner: _S
     good: Tensor
     seed: int
     good_at: float | None = None
@@ -61,7 +52,7 @@ class MonitorState(Generic[S]):
 
 
 @dataclass(frozen=True)
-class Monitored(Generic[S]):
+class Monitored(Generic[_S]):
     r"""Estimator that tests whether its estimates explain the readings: one trajectory, no batch.
 
     Its estimates are those of ``estimator``, with ``status`` (:data:`STATUS`), ``suspects`` (true for sensors that
@@ -109,7 +100,7 @@ class Monitored(Generic[S]):
     (['consistent', 'wrong'], [False, False, True])
     """
 
-    estimator: Estimator[S]
+    estimator: Estimator[_S]
     solver: Estimator[Any]
     starts: Float[Tensor, "k n_q"]
     rate_hz: float
@@ -125,7 +116,7 @@ class Monitored(Generic[S]):
             if not getattr(self, name) > 0:
                 raise bad_input(name, "Monitored", "positive", getattr(self, name))
 
-    def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> MonitorState[S]:
+    def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> _MonitorState[_S]:
         """State of the estimator at ``q0``; nothing is held against it.
 
         Raises
@@ -135,17 +126,17 @@ class Monitored(Generic[S]):
         """
         if q0.ndim != 1:
             raise bad_input("q0", "Monitored", "one configuration, no batch", f"shape {tuple(q0.shape)}")
-        return MonitorState(self.estimator.init(q0, seed=seed), q0, seed)
+        return _MonitorState(self.estimator.init(q0, seed=seed), q0, seed)
 
     def step(
         self,
-        state: MonitorState[S],
+        state: _MonitorState[_S],
         u: Float[Tensor, " s"],
         t: float,
         *,
         mask: Tensor | None = None,
         known: Tensor | None = None,
-    ) -> tuple[MonitorState[S], Estimate]:
+    ) -> tuple[_MonitorState[_S], Estimate]:
         """Step the estimator, test what it says, and start it anew if that explains the readings much better."""
         inner, estimate = self.estimator.step(state.inner, u, t, mask=mask, known=known)
         seen = seen_by(u, ~torch.isnan(u) if mask is None else ~torch.isnan(u) & mask, estimate)
@@ -174,8 +165,8 @@ class Monitored(Generic[S]):
         return state, _said(estimate, state, len(u) if self.sensors is None else len(self.sensors))
 
     def _tested(
-        self, window: tuple[Seen, ...], state: MonitorState[S], inner: S, steps: int
-    ) -> MonitorState[S]:
+        self, window: tuple[Seen, ...], state: _MonitorState[_S], inner: _S, steps: int
+    ) -> _MonitorState[_S]:
         """State after a step with the verdict on a window; what was found out about an alarm that lasts is kept."""
         verdict = verdict_on(window, self.false_alarms_per_hour / (3600 * self.rate_hz))
         if verdict.status and state.verdict.status and state.verdict.cause != "too few":
@@ -185,7 +176,7 @@ class Monitored(Generic[S]):
         return replace(state, inner=inner, steps=steps, window=window, verdict=verdict)
 
     def _start(
-        self, state: MonitorState[S], estimate: Estimate, known: Tensor | None
+        self, state: _MonitorState[_S], estimate: Estimate, known: Tensor | None
     ) -> tuple[Tensor | None, bool]:
         """Where to start anew, if that explains the last reading, or whether the estimator only lags behind it."""
         seen, q = state.window[-1], estimate.q
@@ -216,10 +207,12 @@ class Monitored(Generic[S]):
     def _sensors(self, seen: Seen) -> Tensor:
         return torch.eye(len(seen.u), dtype=torch.bool) if self.sensors is None else self.sensors
 
-    def _starts(self, state: MonitorState[S], q: Tensor) -> Tensor:
+    def _starts(self, state: _MonitorState[_S], q: Tensor) -> Tensor:
         return torch.cat([state.good[None], q[None], self.starts.to(q)])
 
-    def _blamed(self, state: MonitorState[S], q: Tensor, t: float, known: Tensor | None) -> MonitorState[S]:
+    def _blamed(
+        self, state: _MonitorState[_S], q: Tensor, t: float, known: Tensor | None
+    ) -> _MonitorState[_S]:
         """State with the fits without each sensor, begun, or looked after."""
         seen, starts = state.window[-1], self._starts(state, q)
         sensors = self._sensors(seen)
@@ -236,8 +229,8 @@ class Monitored(Generic[S]):
         return self._followed(replace(state, left=left), t, known, at_once=True)
 
     def _followed(
-        self, state: MonitorState[S], t: float, known: Tensor | None, *, at_once: bool = False
-    ) -> MonitorState[S]:
+        self, state: _MonitorState[_S], t: float, known: Tensor | None, *, at_once: bool = False
+    ) -> _MonitorState[_S]:
         """State after the fits without each sensor have followed the last reading."""
         assert state.left is not None
         if not at_once and state.steps % max(1, round(self.rate_hz / _FOLLOWED_HZ)):
@@ -253,7 +246,7 @@ class Monitored(Generic[S]):
         return replace(state, left=left, left_at=(state.steps, t), verdict=verdict, good=good)
 
 
-def _said(estimate: Estimate, state: MonitorState[Any], sensors: int) -> Estimate:
+def _said(estimate: Estimate, state: _MonitorState[Any], sensors: int) -> Estimate:
     """Return the estimate with the verdict on it."""
     verdict, C = state.verdict, estimate.covariance
     said = _words(verdict.status, verdict.suspects, state.anew, sensors)

@@ -13,7 +13,7 @@ from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 
 _CHI2_MARGIN = 9.0
 """A minimum whose chi-square exceeds the best by less is not excluded by the readings: three standard deviations."""
-DISTANCE = 3.0
+_DISTANCE = 3.0
 """Two fits are one minimum if they differ by less than so many standard deviations."""
 _FLAT = 1e-3
 """... or by less than this share of the width of the bounds, for fits to readings of almost no noise."""
@@ -112,7 +112,7 @@ def search(
         # The same minimum as a better one that stays: within its uncertainty.
         difference = q[..., k : k + 1, :] - q[..., :k, :]
         weighed = torch.linalg.solve(C[..., :k, :, :], difference.unsqueeze(-1)).squeeze(-1)
-        near = (difference * weighed).sum(-1) < DISTANCE**2
+        near = (difference * weighed).sum(-1) < _DISTANCE**2
         near = near | ((difference.abs() / width).amax(-1) < _FLAT)
         candidate[..., k] &= ~(near & candidate[..., :k]).any(-1)
     return Minima(q, chi2, C, candidate)

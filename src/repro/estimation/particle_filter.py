@@ -13,17 +13,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, check_start, kernel, redundancy, usable
+from repro.estimation._particle_cloud import Weighed, weighed
+from repro.estimation._particle_restart import contracted
+from repro.estimation._resampling import SCHEMES, resample, stream
+from repro.estimation._step import check_start, kernel, redundancy, usable
+from repro.estimation.base import Estimate
 from repro.estimation.levenberg_marquardt import covariance
-from repro.estimation.particle_cloud import Weighed, weighed
-from repro.estimation.particle_restart import contracted
 from repro.estimation.regions import Region
-from repro.estimation.resampling import SCHEMES, resample, stream
 
-ESTIMATES = ("best tenth", "weighted", "Gauss-Newton")
+_ESTIMATES = ("best tenth", "weighted", "Gauss-Newton")
 _MOTIONS = ("random walk", "constant velocity")
 
-DRAWS = 50
+_DRAWS = 50
 """Largest number of draws for a particle whose noise takes it out of the region; after that it stays."""
 _DAMPING = 1e-6
 """Of the Gauss-Newton step, relative to the information on each coordinate."""
@@ -53,7 +54,7 @@ class ParticleFilter:
     .. math:: w \propto \exp\left(-\frac{\|\hat u - u\|^2}{2 \sigma_n^2}\right),
 
     with the standard deviation :math:`\sigma_n` of a reading. **Eq. (1) of the paper has no factor 1/2**: its
-    :math:`\sigma` is :math:`\sqrt 2\,\sigma_n` (:func:`~repro.estimation.particle_cloud.noise_of_sigma`).
+    :math:`\sigma` is :math:`\sqrt 2\,\sigma_n`.
 
     Members of a batch share their random numbers, so that each gives what it would give alone.
 
@@ -120,7 +121,7 @@ class ParticleFilter:
         for name in ("noise_mt", "particles", "lost_at"):
             if not getattr(self, name) > 0:
                 raise bad_input(name, owner, "positive", getattr(self, name))
-        choices = {"estimate": ESTIMATES, "resampling": SCHEMES, "motion": _MOTIONS}
+        choices = {"estimate": _ESTIMATES, "resampling": SCHEMES, "motion": _MOTIONS}
         for name, known in choices.items():
             if getattr(self, name) not in known:
                 choice = f"one of {', '.join(map(repr, known))}"
@@ -136,8 +137,8 @@ class ParticleFilter:
     def _compiled(self) -> Any:
         if kernel(self.sensing) is None:
             return None
-        from repro.kernels.bend import CompiledBendSensor
-        from repro.kernels.cloud import CompiledCloud  # here: numba takes a second to import
+        from repro.kernels._bend import CompiledBendSensor
+        from repro.kernels._cloud import CompiledCloud  # here: numba takes a second to import
 
         return (
             CompiledCloud(self.sensing, self.region) if isinstance(self.sensing, CompiledBendSensor) else None
@@ -233,7 +234,7 @@ class ParticleFilter:
         if self._compiled is not None:
             carried = velocity if moving else None
             return self._compiled.move(
-                q, carried, w, self.process_noise, self.resampling, generator, DRAWS + 1
+                q, carried, w, self.process_noise, self.resampling, generator, _DRAWS + 1
             )
         drawn = resample(w, self.resampling, generator).unsqueeze(-1).expand_as(q)
         return self._moved(q.gather(-2, drawn), velocity.gather(-2, drawn) if moving else velocity, generator)
@@ -259,7 +260,7 @@ class ParticleFilter:
         moved = drift + noise()
         if self.region is None:
             return q + moved, moved
-        for _ in range(DRAWS):
+        for _ in range(_DRAWS):
             inside = self.region.contains(q + moved)
             if bool(inside.all()):
                 return q + moved, moved

@@ -12,7 +12,7 @@ from repro.kinematics.motion import backbone_motion
 from repro.kinematics.mounts import magnet_mounts
 from repro.kinematics.robot import Robot
 
-ITERATIONS = 20
+_ITERATIONS = 20
 
 
 def configurations(
@@ -73,7 +73,7 @@ def configurations(
             for robot, T in zip(singles, own, strict=True)
         ]
         q = torch.cat(each, dim=-1)
-    for _ in range(ITERATIONS):
+    for _ in range(_ITERATIONS):
         T, dT = backbone_motion(robot, q, tips)
         r = ((T_0_tip - T)[..., :3, :] * weight).flatten(-3)
         J = (dT[..., :3, :] * weight).movedim(-3, -1).flatten(-4, -2)

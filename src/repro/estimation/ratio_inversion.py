@@ -16,17 +16,17 @@ from repro.estimation.levenberg_marquardt import covariance, jacobian
 from repro.kinematics.bend import MAX_BEND
 from repro.sensing.field_ratios import FieldRatios
 
-STEPS = 4
+_STEPS = 4
 """Gauss-Newton steps; what is left after them is rounding."""
 
 
-def dipole_bend(rho: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+def _dipole_bend(rho: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Bend angle [rad] at which a dipole has this ratio; 109.5 deg for ratios beyond the largest, 0.354.
 
     Examples
     --------
     >>> phi = torch.tensor(1.0, dtype=torch.float64)
-    >>> dipole_bend(phi.sin() / (3 + phi.cos()))
+    >>> _dipole_bend(phi.sin() / (3 + phi.cos()))
     tensor(1., dtype=torch.float64)
     """
     return rho.atan() + (3 * rho / (1 + rho * rho).sqrt()).clamp(max=1.0).asin()
@@ -53,8 +53,8 @@ def invert(
     as_drawn = torch.linalg.solve(model.matrix, measured.mT).mT
     rho = torch.linalg.vector_norm(as_drawn, dim=-1, keepdim=True)
     along = torch.where(rho > 0, as_drawn / rho, torch.tensor([1.0, 0.0]).to(rho))
-    q = dipole_bend(rho).clamp(max=largest) * along
-    for _ in range(STEPS):
+    q = _dipole_bend(rho).clamp(max=largest) * along
+    for _ in range(_STEPS):
         found, J = jacobian(model, q)
         q = q + torch.linalg.solve(J, (measured - found).unsqueeze(-1)).squeeze(-1)
         angle = torch.linalg.vector_norm(q, dim=-1, keepdim=True)

@@ -42,9 +42,9 @@ def compiled(sensing: Callable[[Tensor], Tensor]) -> Any:
     if getattr(sensing, "is_compiled", False):
         return sensing
     if isinstance(sensing, BendSensor):  # numba takes a second to import: not before it is needed
-        from repro.kernels.bend import CompiledBendSensor
+        from repro.kernels._bend import CompiledBendSensor
 
         return CompiledBendSensor(sensing.length, sensing.cube)
-    from repro.kernels.sensing import CompiledSensing
+    from repro.kernels._sensing import CompiledSensing
 
     return CompiledSensing(sensing)

@@ -21,7 +21,7 @@ _REORDER = {"reassoc", "contract", "nsz"}
 """Freedom to sum in any order, which lets the processor add several numbers at once; NaN and infinity stay exact."""
 
 
-def compiled(*, reorder: bool = False) -> Callable[[Callable[..., Any]], Any]:
+def machine_code(*, reorder: bool = False) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function when it is first called, and keep the machine code for other processes.
 
     Parameters
@@ -32,7 +32,7 @@ def compiled(*, reorder: bool = False) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-        folder = CACHE if not before else Path(before) / CACHE.name
+        folder = _CACHE if not before else Path(before) / _CACHE.name
         # Set for this decoration only, which is when numba looks: other users of numba keep their own place.
         numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
         try:
@@ -48,7 +48,7 @@ def compiled(*, reorder: bool = False) -> Callable[[Callable[..., Any]], Any]:
     return decorate
 
 
-def cache_folder(package: Path) -> Path:
+def _cache_folder(package: Path) -> Path:
     """Folder for the machine code of kernels: below ``.cache`` of the project, or in the user's cache.
 
     Parameters
@@ -74,5 +74,5 @@ def _writable(folder: Path) -> bool:
     return os.access(folder, os.W_OK)
 
 
-CACHE = cache_folder(Path(__file__).resolve().parent)
+_CACHE = _cache_folder(Path(__file__).resolve().parent)
 """Folder for the machine code; below ``NUMBA_CACHE_DIR`` where that is set."""

@@ -9,7 +9,6 @@ the integral of the tangent. The paper uses Simpson's rule with 101 points; here
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -31,7 +30,7 @@ class AffineCurvature:
     The configuration is :math:`q = (\kappa_0, \kappa_1, \phi, \delta L)`, eq. (16) [rad, rad, rad, m]. Bending by
     :math:`\theta > 0` at the azimuth :math:`\phi` turns the tangent towards
     :math:`(\sin\phi, -\cos\phi)`. The same shape has two configurations, :math:`(\kappa_0, \kappa_1, \phi)` and
-    :math:`(-\kappa_0, -\kappa_1, \phi + \pi)`: see :func:`canonical`.
+    :math:`(-\kappa_0, -\kappa_1, \phi + \pi)`.
 
     Parameters
     ----------
@@ -92,23 +91,3 @@ class AffineCurvature:
         )
         turn = se3.rotation_z(phi)
         return se3.pose(turn @ se3.rotation_x(theta) @ turn.mT, position)
-
-
-def canonical(q: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4"]:
-    r"""Of the two configurations of a shape, the one with :math:`\kappa_1 \ge 0`, and :math:`\phi` in (-pi, pi].
-
-    Errors are taken between canonical configurations; the azimuth, an angle, by :func:`azimuth_difference`.
-    """
-    k0, k1, phi, dL = q.unbind(-1)
-    flip = k1 < 0
-    sign = torch.where(flip, -1.0, 1.0).to(q)
-    return torch.stack([sign * k0, sign * k1, _wrapped(phi + flip.to(q) * math.pi), dL], dim=-1)
-
-
-def azimuth_difference(a: Float[Tensor, "*a"], b: Float[Tensor, "*b"]) -> Float[Tensor, "*batch"]:
-    """Difference ``a - b`` of two angles [rad], between -pi and pi."""
-    return _wrapped(a - b)
-
-
-def _wrapped(angle: Tensor) -> Tensor:
-    return math.pi - torch.remainder(math.pi - angle, 2 * math.pi)

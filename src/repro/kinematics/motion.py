@@ -113,13 +113,13 @@ def tip_motion(
     return position, J.movedim(0, -2)
 
 
-Frame = tuple[int, Tensor]
+_Frame = tuple[int, Tensor]
 """Segment and backbone coordinate ``v`` (a batch of them for a batch of robots)."""
 
 
-def _frames(robot: Robot, mounts: Mounts) -> tuple[list[Frame], list[int]]:
+def _frames(robot: Robot, mounts: Mounts) -> tuple[list[_Frame], list[int]]:
     """Distinct frames on the backbone, from base to tip, each segment but the last ending with its tip."""
-    frames: list[Frame] = []
+    frames: list[_Frame] = []
     plane_of_mount = [0] * len(mounts)
     last = max(len(robot.segments) - 1, 0)
     for i, segment in enumerate(robot.segments):
@@ -138,7 +138,7 @@ def _frames(robot: Robot, mounts: Mounts) -> tuple[list[Frame], list[int]]:
     return frames, plane_of_mount
 
 
-def _own_motion(robot: Robot, q: Tensor, frames: list[Frame]) -> tuple[list[Tensor], list[Tensor]]:
+def _own_motion(robot: Robot, q: Tensor, frames: list[_Frame]) -> tuple[list[Tensor], list[Tensor]]:
     """Pose of each frame in the base of its segment and its own derivative; equal segments are evaluated at once."""
     parts = robot.split(q)
     groups: dict[Segment, list[int]] = {}

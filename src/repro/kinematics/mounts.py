@@ -12,7 +12,7 @@ from torch import Tensor
 from repro import se3
 from repro.errors import bad_input
 
-Numbers = float | Sequence[float] | Tensor
+_Numbers = float | Sequence[float] | Tensor
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ class Mounts:
 
 def magnet_mounts(
     segment: Sequence[int],
-    axial: Numbers,
+    axial: _Numbers,
     direction: Sequence[Sequence[float]] | Tensor | None = None,
-    shift: Numbers = 0.0,
+    shift: _Numbers = 0.0,
 ) -> Mounts:
     """Magnets on the backbone, magnetised along it (Baaij et al. 2023, section 2.2) or in directions of their own.
 
@@ -103,7 +103,11 @@ def magnet_mounts(
 
 
 def sensor_mounts(
-    segment: Sequence[int], axial: Numbers, radial: Numbers = 0.0, azimuth: Numbers = 0.0, tilt: Numbers = 0.0
+    segment: Sequence[int],
+    axial: _Numbers,
+    radial: _Numbers = 0.0,
+    azimuth: _Numbers = 0.0,
+    tilt: _Numbers = 0.0,
 ) -> Mounts:
     r"""Sensors in a cylindrical plane of a segment, eq. (2), measuring towards the base.
 
@@ -151,9 +155,9 @@ def sensor_mounts(
 
 def directed_sensors(
     segment: Sequence[int],
-    axial: Numbers,
-    radial: Numbers,
-    azimuth: Numbers,
+    axial: _Numbers,
+    radial: _Numbers,
+    azimuth: _Numbers,
     direction: Sequence[Sequence[float]] | Tensor,
 ) -> Mounts:
     """Sensors at any place of a cross-section that measure in any direction.
@@ -211,7 +215,7 @@ def ring_azimuths(n: int, offset: Tensor | float = 0.0) -> Tensor:
     ) * (2 * torch.pi / n)
 
 
-def _numbers(name: str, owner: str, value: Numbers, n: int) -> Tensor:
+def _numbers(name: str, owner: str, value: _Numbers, n: int) -> Tensor:
     x = torch.as_tensor(value, dtype=torch.float64)
     if x.ndim == 0:
         x = x.expand(n)

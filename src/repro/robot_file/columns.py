@@ -4,16 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any
-
-import numpy as np
-import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from repro.errors import bad_input
 
-UNITS = ("nT", "uT", "µT", "μT", "mT", "mG", "gauss", "uV", "µV", "mV", "V", "counts", "raw", "deg", "rad")
+_UNITS = ("nT", "uT", "µT", "μT", "mT", "mG", "gauss", "uV", "µV", "mV", "V", "counts", "raw", "deg", "rad")
 """Units that a name may end in after ``_``; in brackets it may have any."""
 TIME_UNITS = {"s": 1e6, "sec": 1e6, "ms": 1e3, "us": 1.0, "µs": 1.0, "μs": 1.0}
 """Microseconds of a unit of time."""
@@ -39,7 +33,7 @@ def name_and_unit(text: str) -> tuple[str, str]:
     if match := _NAMED_UNIT.fullmatch(text):
         return match[1], match[2]
     name, _, unit = text.rpartition("_")
-    if name and (unit in UNITS or (unit in TIME_UNITS and name.lower() in TIME_NAMES)):
+    if name and (unit in _UNITS or (unit in TIME_UNITS and name.lower() in TIME_NAMES)):
         return name, unit
     return text, ""
 
@@ -109,27 +103,10 @@ def channel_columns(
     return columns
 
 
-def numbers(table: Any, column: str | None) -> Float[Tensor, " t"]:
-    """Values of a column of a data frame.
-
-    Raises
-    ------
-    InputError
-        If one is not a number; NaN, where a reading is missing, is one.
-    """
-    values = table[column].to_numpy()
-    try:
-        return torch.from_numpy(np.array(values, dtype=float))
-    except (TypeError, ValueError) as error:
-        row = next(k for k, value in enumerate(values) if not _is_number(value))
-        raise bad_input(
-            f"column {column}", "the table", "numbers", f"{values[row]!r} in row {row}"
-        ) from error
+FORMATS = ("frames", "hall", "millivolts", "quaternions", "csv")
+"""Of a stream: our own frames; the lines of Mitchell et al. [counts], of Baaij et al. [mV], and of Martin et al.
+(x, y, z, w); and lines of numbers as sketches print them."""
 
 
-def _is_number(value: Any) -> bool:
-    try:
-        float(value)
-    except (TypeError, ValueError):
-        return False
-    return True
+MAGNETIC_STREAM = 0
+"""Stream of the frames that hold the readings of magnetic sensors."""

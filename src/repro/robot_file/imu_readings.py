@@ -18,11 +18,10 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from repro import se3
-from repro.estimation.orientations import UNIT_TOLERANCE
+from repro.estimation.orientations import UNIT_TOLERANCE, UPRIGHT
 from repro.kinematics.mounts import Mounts
 from repro.kinematics.robot import Robot
-from repro.robot_file.parts import Imu
-from repro.robot_file.tables import UPRIGHT
+from repro.robot_file._parts import Imu
 from repro.sensing.seen_directions import SeenDirections
 from repro.sensing.stacked import StackedSensing
 

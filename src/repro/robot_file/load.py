@@ -11,15 +11,15 @@ import torch
 
 from repro.errors import bad_input
 from repro.kinematics.robot import Robot
-from repro.robot_file import checks as robot_checks
+from repro.robot_file import _checks as robot_checks
+from repro.robot_file._document import Document
+from repro.robot_file._magnet_moments import shared_moments
+from repro.robot_file._parts import imus_of, magnets_of, networks_of, segments_of, sensors_of
+from repro.robot_file._reading_errors import network_error
+from repro.robot_file._tables import UNITS, sensor_keys, stream_keys, top_keys
+from repro.robot_file._unobserved import unobserved
 from repro.robot_file.calibration_file import read_calibration
-from repro.robot_file.document import Document
-from repro.robot_file.magnet_moments import shared_moments
-from repro.robot_file.parts import imus_of, magnets_of, networks_of, segments_of, sensors_of
-from repro.robot_file.reading_errors import network_error
 from repro.robot_file.robot_file import RobotFile
-from repro.robot_file.tables import UNITS, sensor_keys, stream_keys, top_keys
-from repro.robot_file.unobserved import unobserved
 
 
 def load_robot(path: Path | str, calibration: Path | str | None = None) -> RobotFile:

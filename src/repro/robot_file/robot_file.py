@@ -11,16 +11,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
 from repro.kinematics.robot import Robot
+from repro.robot_file._parts import Imu
+from repro.robot_file._reading_errors import CalibrationError, network_of_sensor
 from repro.robot_file.calibration_file import RobotCalibration
-from repro.robot_file.columns import channel_columns, numbers
-from repro.robot_file.parts import Imu
-from repro.robot_file.reading_errors import CalibrationError, network_of_sensor
+from repro.robot_file.columns import channel_columns
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.magnets import Cube, Ring
@@ -202,7 +203,7 @@ class RobotFile:
         """
         columns = channel_columns("the table", list(table), self.unit, self.name, self.channels, self.channel)
         return torch.stack(
-            [numbers(table, columns[k]) - self.offset[sensor] for sensor, k in enumerate(self.channel)], -1
+            [_numbers(table, columns[k]) - self.offset[sensor] for sensor, k in enumerate(self.channel)], -1
         )
 
     def tip(self, q: Float[Tensor, "*batch n_q"]) -> Float[Tensor, "*batch 4 4"]:
@@ -246,3 +247,29 @@ class RobotFile:
             earth_mt=calibration.earth_mt,
             error=CalibrationError(self.robot, self.moments, self.gain, calibration),
         )
+
+
+def _numbers(table: Any, column: str | None) -> Float[Tensor, " t"]:
+    """Values of a column of a data frame.
+
+    Raises
+    ------
+    InputError
+        If one is not a number; NaN, where a reading is missing, is one.
+    """
+    values = table[column].to_numpy()
+    try:
+        return torch.from_numpy(np.array(values, dtype=float))
+    except (TypeError, ValueError) as error:
+        row = next(k for k, value in enumerate(values) if not _is_number(value))
+        raise bad_input(
+            f"column {column}", "the table", "numbers", f"{values[row]!r} in row {row}"
+        ) from error
+
+
+def _is_number(value: Any) -> bool:
+    try:
+        float(value)
+    except (TypeError, ValueError):
+        return False
+    return True

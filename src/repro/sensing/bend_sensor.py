@@ -15,7 +15,7 @@ from torch import Tensor
 
 from repro import se3
 from repro.errors import bad_input
-from repro.sensing.cuboid import cuboid_components
+from repro.sensing._cuboid import cuboid_components
 from repro.sensing.magnets import B444B, Cube
 
 

@@ -11,11 +11,11 @@ from torch import Tensor, nn
 from repro.errors import bad_input
 from repro.sensing.network import CosineNetwork, paper_network
 
-Layers = list[tuple[Tensor, Tensor]]
+_Layers = list[tuple[Tensor, Tensor]]
 """Weights ``[out, in]`` and biases ``[out]`` of linear layers, first to last."""
 
 
-def fold_batch_norm(network: nn.Sequential) -> Layers:
+def _fold_batch_norm(network: nn.Sequential) -> _Layers:
     """Linear layers, with ReLU between them, that equal a network of the paper in evaluation mode.
 
     With its running statistics a batch norm is linear: it becomes part of the linear layer behind it. Folded in
@@ -33,8 +33,8 @@ def fold_batch_norm(network: nn.Sequential) -> Layers:
     """
     kinds = [type(m).__name__ for m in network]
     if kinds != [type(m).__name__ for m in paper_network(1, torch.Generator())]:
-        raise bad_input("network", "fold_batch_norm", "a network of the paper", ", ".join(kinds))
-    layers: Layers = []
+        raise bad_input("network", "SeedEnsemble", "a network of the paper", ", ".join(kinds))
+    layers: _Layers = []
     gain = shift = torch.empty(0)
     for m in network:
         if isinstance(m, nn.BatchNorm1d):
@@ -47,7 +47,7 @@ def fold_batch_norm(network: nn.Sequential) -> Layers:
     return layers
 
 
-def fold_scaling(network: CosineNetwork) -> Layers:
+def _fold_scaling(network: CosineNetwork) -> _Layers:
     """Linear layers, with SiLU between them, that equal a network on cosines: its constants are folded in."""
     layers = [(m.weight.detach(), m.bias.detach()) for m in network.layers if isinstance(m, nn.Linear)]
     W = layers[0][0].double() / network.spread
@@ -125,10 +125,10 @@ class SeedEnsemble(nn.Module):
         return u if self.order is None else u[..., [self.order.index(j) for j in range(self.n_sensors)]]
 
 
-def _fold(network: nn.Module) -> tuple[Callable[[Tensor], Tensor], Layers]:
+def _fold(network: nn.Module) -> tuple[Callable[[Tensor], Tensor], _Layers]:
     if isinstance(network, CosineNetwork):
-        return nn.functional.silu, fold_scaling(network)
+        return nn.functional.silu, _fold_scaling(network)
     if isinstance(network, nn.Sequential):
-        return torch.relu, fold_batch_norm(network)
+        return torch.relu, _fold_batch_norm(network)
     expected = "networks of the paper or on cosines"
     raise bad_input("networks", "SeedEnsemble", expected, type(network).__name__)

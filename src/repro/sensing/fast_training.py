@@ -15,19 +15,31 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from repro.errors import bad_input
+from repro.sensing._paper_training import VALIDATION_SHARE, rmse
 from repro.sensing.network import CosineNetwork, DipoleResidual
-from repro.sensing.training import VALIDATION_SHARE, rmse
 
-BATCH = 1000
-EPOCHS = 10
+_BATCH = 1000
+_EPOCHS = 10
 _LEARNING_RATE = 1e-2
 
 
-def split_rows(n: int, seed: int) -> tuple[Tensor, Tensor]:
+def _split_rows(n: int, seed: int) -> tuple[Tensor, Tensor]:
     """Random rows for training (70 %) and validation (30 %): the seed of a network also splits its data."""
     order = torch.randperm(n, generator=torch.Generator().manual_seed(seed))
     n_validation = round(n * VALIDATION_SHARE)
     return order[n_validation:], order[:n_validation]
+
+
+def epochs_of_steps(steps: int, rows: int) -> int:
+    """Return how many passes over the rows that train (70 % of all) are at least so many steps.
+
+    Examples
+    --------
+    >>> epochs_of_steps(100, 3000)
+    34
+    """
+    batches = -(-7 * rows // (10 * _BATCH))
+    return -(-steps // batches)
 
 
 def train_fast(
@@ -36,7 +48,7 @@ def train_fast(
     *,
     seed: int,
     widths: Sequence[int] = (64, 64),
-    epochs: int = EPOCHS,
+    epochs: int = _EPOCHS,
     learning_rate: float = _LEARNING_RATE,
     progress: bool = True,
 ) -> tuple[CosineNetwork, dict[str, float]]:
@@ -79,7 +91,7 @@ def train_fast(
         raise bad_input("u", "train_fast", f"one for each of {len(cosines)} rows, at least 4", len(u))
     generator = torch.Generator().manual_seed(seed)
     network = CosineNetwork(cosines.shape[-1], generator, widths)
-    train, validation = split_rows(len(u), seed)
+    train, validation = _split_rows(len(u), seed)
     network.standardise(cosines[train], u[train])
     x, y = cosines[train].float(), u[train].float()
     _fit(network, x, y, generator, epochs, learning_rate, progress)
@@ -94,7 +106,7 @@ def train_dipole_residual(
     *,
     seed: int,
     widths: Sequence[int] = (32, 32),
-    epochs: int = EPOCHS,
+    epochs: int = _EPOCHS,
     learning_rate: float = _LEARNING_RATE,
     progress: bool = True,
 ) -> tuple[DipoleResidual, dict[str, float]]:
@@ -104,7 +116,7 @@ def train_dipole_residual(
     the smallest remainder, some percent off the true ones: they take over part of the higher multipoles. Parameters
     and errors are those of :func:`train_fast`; the fit uses the rows that train the network.
     """
-    train, _ = split_rows(len(u), seed)
+    train, _ = _split_rows(len(u), seed)
     terms = DipoleResidual.terms(cosines.double())
     unit = terms[train].square().mean(0).sqrt()  # the columns differ by ten orders of magnitude
     # NumPy's: torch's least squares do not give the same bits twice, and the training makes more of them.
@@ -134,12 +146,12 @@ def _fit(
     x = (x - network.centre) / network.spread  # once, not in every step
     y = ((y - network.offset) / network.scale).unsqueeze(-1)
     optimiser = torch.optim.AdamW(network.parameters(), lr=learning_rate, fused=True)
-    steps = epochs * math.ceil(len(x) / BATCH)
+    steps = epochs * math.ceil(len(x) / _BATCH)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, learning_rate, total_steps=steps)
     bar = tqdm(range(epochs), disable=not progress)
     for epoch in bar:
         total = torch.zeros(())
-        for rows in torch.randperm(len(x), generator=generator).split(BATCH):
+        for rows in torch.randperm(len(x), generator=generator).split(_BATCH):
             optimiser.zero_grad(set_to_none=True)
             loss = nn.functional.mse_loss(network.layers(x[rows]), y[rows])
             loss.backward()

@@ -18,7 +18,7 @@ from repro.errors import bad_input
 from repro.sensing.network import paper_network
 from repro.sensing.weights import save_weights
 
-NESTED = ("state_dict", "model_state_dict", "model", "network")
+_NESTED = ("state_dict", "model_state_dict", "model", "network")
 """Names under which programs keep the weights within a file of more."""
 
 
@@ -37,7 +37,7 @@ def import_network(source: Path | str, target: Path | str, *, exponential_head: 
     target
         The new file, ``.safetensors``; its manifest comes beside it.
     exponential_head
-        Whether the last layer is :class:`~repro.sensing.network.SignedExponential`, which has no weights.
+        Whether the last layer is :class:`~repro.sensing.network._SignedExponential`, which has no weights.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def _state_dict(path: Path) -> dict[str, Tensor]:
             content = torch.load(path, map_location="cpu", weights_only=True)
     except (SafetensorError, pickle.UnpicklingError, RuntimeError, ValueError, OSError, EOFError) as error:
         raise bad_input("source", "import_network", expected, f"{path}, which is none") from error
-    if isinstance(content, Mapping) and (inner := [content[x] for x in NESTED if x in content]):
+    if isinstance(content, Mapping) and (inner := [content[x] for x in _NESTED if x in content]):
         content = inner[0]
     # a network averaged over epochs (SWA) counts them
     weights = {k: v for k, v in content.items() if k != "n_averaged"} if isinstance(content, Mapping) else {}

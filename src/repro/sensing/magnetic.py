@@ -160,14 +160,3 @@ def readings(
     """
     B = field_at_sensors(robot, q, magnet, route=route, l_max=l_max, earth_mt=earth_mt)
     return B[..., 2]
-
-
-def field_on_grid(
-    robot: Robot, q: Float[Tensor, " n_q"], magnet: Ring | Cube, points: Float[np.ndarray, "*grid 3"]
-) -> Float[np.ndarray, "*grid 3"]:
-    """Flux density [mT] of all magnets of a robot at points [m], both in the base frame, by magpylib."""
-    total = np.zeros(points.shape)
-    for T in robot.magnet_poses(q).detach().double().numpy():
-        rotation, position = T[:3, :3], T[:3, 3]
-        total += magnet.field((points - position) @ rotation) @ rotation.T
-    return total

@@ -28,7 +28,7 @@ class Dropout(nn.Module):
         return x * (keep / (1 - self.p))
 
 
-class SignedExponential(nn.Module):
+class _SignedExponential(nn.Module):
     r"""Last layer :math:`y = \operatorname{sign}(x) e^{|x|}` of section 4.2; no value is between -1 and 1."""
 
     def forward(self, x: Tensor) -> Tensor:
@@ -51,7 +51,7 @@ def paper_network(
     generator
         Draws the initial weights (the default ones of torch's linear layer) and the dropout.
     exponential_head
-        Add :class:`SignedExponential` as a last layer (section 4.2).
+        Add :class:`_SignedExponential` as a last layer (section 4.2).
 
     Examples
     --------
@@ -61,12 +61,17 @@ def paper_network(
     """
     layers: list[nn.Module] = [nn.BatchNorm1d(n_inputs)]
     for n_in, n_out in zip((n_inputs, *PAPER_WIDTHS), PAPER_WIDTHS, strict=False):
-        layers += [Dropout(0.01, generator), linear(n_in, n_out, generator), nn.ReLU(), nn.BatchNorm1d(n_out)]
-    layers += [linear(PAPER_WIDTHS[-1], 1, generator), nn.Flatten(-2)]
-    return nn.Sequential(*layers, *([SignedExponential()] if exponential_head else []))
+        layers += [
+            Dropout(0.01, generator),
+            _linear(n_in, n_out, generator),
+            nn.ReLU(),
+            nn.BatchNorm1d(n_out),
+        ]
+    layers += [_linear(PAPER_WIDTHS[-1], 1, generator), nn.Flatten(-2)]
+    return nn.Sequential(*layers, *([_SignedExponential()] if exponential_head else []))
 
 
-def linear(n_in: int, n_out: int, generator: torch.Generator) -> nn.Linear:
+def _linear(n_in: int, n_out: int, generator: torch.Generator) -> nn.Linear:
     """Linear layer with torch's default initialisation, drawn from ``generator``."""
     # Made without values: the usual construction would draw from the global generator.
     layer = nn.Linear(n_in, n_out, device="meta").to_empty(device="cpu")
@@ -105,8 +110,8 @@ class CosineNetwork(nn.Module):
         self.register_buffer("scale", torch.ones(()))
         layers: list[nn.Module] = []
         for n_in, n_out in zip((n_inputs, *widths), widths, strict=False):
-            layers += [linear(n_in, n_out, generator), nn.SiLU()]
-        self.layers = nn.Sequential(*layers, linear(widths[-1], 1, generator))
+            layers += [_linear(n_in, n_out, generator), nn.SiLU()]
+        self.layers = nn.Sequential(*layers, _linear(widths[-1], 1, generator))
 
     def standardise(self, cosines: Float[Tensor, "rows xi"], u: Float[Tensor, " rows"]) -> None:
         """Take the constants from training rows: mean and standard deviation of the inputs and the readings."""
@@ -182,7 +187,7 @@ class PerSensor(nn.Module):
         super().__init__()
         self.networks = nn.ModuleList(networks)
         self.network_of_sensor = tuple(network_of_sensor)
-        self.n_inputs = n_inputs(networks[0]) if networks else None
+        self.n_inputs = _n_inputs(networks[0]) if networks else None
         if not set(self.network_of_sensor) <= set(range(len(networks))):
             expected = f"indices of {len(networks)} networks"
             raise bad_input("network_of_sensor", "PerSensor", expected, self.network_of_sensor)
@@ -202,7 +207,7 @@ class PerSensor(nn.Module):
         return torch.stack([columns[j] for j in range(len(self.network_of_sensor))], dim=-1)
 
 
-def n_inputs(network: nn.Module) -> int | None:
+def _n_inputs(network: nn.Module) -> int | None:
     """Width of the relations that a network takes, read off its first layer; none if it has no such layer."""
     for m in network.modules():
         if isinstance(m, nn.BatchNorm1d):

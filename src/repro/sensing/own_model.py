@@ -14,9 +14,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from repro.errors import InputError, bad_input
-from repro.sensing.linearised import with_jacobian
+from repro.sensing._slopes import with_jacobian
 
-OWNER = "a sensor model of your own"
+_OWNER = "a sensor model of your own"
 Given = Callable[[Tensor], Any] | str | Path
 """A callable, among them modules of torch and TorchScript, or the path of a TorchScript file."""
 
@@ -130,13 +130,13 @@ def own_model(
             found, rows = _tried(network, relations[[j for j in range(n) if of_sensor[j] == k]])
             if not rows:
                 raise bad_input(
-                    "model", OWNER, f"a sequence of callables on rows {_rows(relations)}", network
+                    "model", _OWNER, f"a sequence of callables on rows {_rows(relations)}", network
                 )
             networks.append(found)
         made = OwnModel(tuple(networks), of_sensor, inputs)
     else:
         expected = f"one, or {segments} (one per segment), or {n} (one per sensor)"
-        raise bad_input("model", OWNER, expected, f"{len(loaded)} of them")
+        raise bad_input("model", _OWNER, expected, f"{len(loaded)} of them")
     _check_finite(made, relations)
     return made
 
@@ -149,7 +149,7 @@ def _loaded(given: Any) -> Callable[[Tensor], Any]:
             return copy.deepcopy(given).eval()
     if not callable(given):
         expected = "a torch.nn.Module, TorchScript or the path of its .pt file, or a callable"
-        raise bad_input("model", OWNER, expected, type(given).__name__)
+        raise bad_input("model", _OWNER, expected, type(given).__name__)
     return given
 
 
@@ -159,13 +159,13 @@ def _script(path: Path) -> nn.Module:
         "repro.sensing.import_network)"
     )
     if not path.is_file():
-        raise bad_input("model", OWNER, expected, f"{path}, which is not there")
+        raise bad_input("model", _OWNER, expected, f"{path}, which is not there")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)
             return torch.jit.load(path, map_location="cpu")
     except (RuntimeError, ValueError, OSError) as error:
-        raise bad_input("model", OWNER, expected, f"{path}, which is none") from error
+        raise bad_input("model", _OWNER, expected, f"{path}, which is none") from error
 
 
 def _tried(call: Callable[[Tensor], Any], relations: Tensor) -> tuple[_Network, bool]:
@@ -188,7 +188,7 @@ def _tried(call: Callable[[Tensor], Any], relations: Tensor) -> tuple[_Network, 
     n, width = relations.shape
     expected = f"one that maps rows of {width} relations, or {n} sensors x {width}, to a reading each"
     raise InputError(
-        f"{bad_input('model', OWNER, expected, told[0])}" + "".join(f"\n  {x}" for x in told[1:])
+        f"{bad_input('model', _OWNER, expected, told[0])}" + "".join(f"\n  {x}" for x in told[1:])
     )
 
 
@@ -209,13 +209,13 @@ def _check_finite(model: OwnModel, relations: Tensor) -> None:
     u = model(xi)
     if not bool(torch.isfinite(u).all()):
         expected = "one that returns finite readings where estimators start"
-        raise bad_input("model", OWNER, expected, u.tolist())
+        raise bad_input("model", _OWNER, expected, u.tolist())
     slopes = _slopes(u, xi)
     if not bool(torch.isfinite(slopes).all()) or not bool(slopes.any()):
         expected = (
             "one whose readings change with the relations, with finite derivatives where estimators start"
         )
-        raise bad_input("model", OWNER, expected, f"derivatives {slopes.tolist()}")
+        raise bad_input("model", _OWNER, expected, f"derivatives {slopes.tolist()}")
 
 
 def _slopes(u: Tensor, xi: Tensor) -> Tensor:

@@ -15,11 +15,11 @@ from repro.errors import bad_input
 from repro.kinematics.motion import backbone_motion
 from repro.kinematics.mounts import Mounts
 from repro.kinematics.robot import Robot
-from repro.sensing.linearised import contract, pair_readings
+from repro.sensing._slopes import contract, pair_readings
 
-MAGNET = ("x", "y", "z", "tilt about x", "tilt about y")
+_MAGNET = ("x", "y", "z", "tilt about x", "tilt about y")
 """Parameters of a magnet: offset of its centre [m] and tilts [rad], in the frame of its mount."""
-SENSOR = ("azimuth", "radius", "tilt", "gain")
+_SENSOR = ("azimuth", "radius", "tilt", "gain")
 """Parameters of a sensor: rotation about the backbone [rad], relative change of the distance from it, rotation about
 the tangential direction (positive inwards) [rad], relative change of the gain."""
 
@@ -90,15 +90,15 @@ def parameter_names(robot: Robot, terms: int | torch.Size) -> tuple[str, ...]:
     ('magnet 1 tilt about x', 'magnet 1 tilt about y', 'sensor 1 azimuth', 'sensor 1 radius', 'sensor 1 tilt', \
 'sensor 1 gain', 'moment A1', 'moment A3')
     """
-    magnets = [f"magnet {k + 1} {name}" for k in range(len(robot.magnets)) for name in MAGNET]
-    sensors = [f"sensor {j + 1} {name}" for j in range(len(robot.sensors)) for name in SENSOR]
+    magnets = [f"magnet {k + 1} {name}" for k in range(len(robot.magnets)) for name in _MAGNET]
+    sensors = [f"sensor {j + 1} {name}" for j in range(len(robot.sensors)) for name in _SENSOR]
     *unlike, n = [terms] if isinstance(terms, int) else terms
     owners = [f"magnet {k + 1} " for k in range(unlike[0])] if unlike else [""]
     return (*magnets, *sensors, *(f"{owner}moment A{2 * k + 1}" for owner in owners for k in range(n)))
 
 
 @dataclass(frozen=True)
-class Parts:
+class _Parts:
     """The parts of a robot after its parameters have been applied."""
 
     magnets: Mounts
@@ -107,7 +107,7 @@ class Parts:
     moments: Float[Tensor, "*moments terms"]
 
 
-def placed(robot: Robot, moments: Float[Tensor, "*m terms"], parameters: Float[Tensor, "*batch k"]) -> Parts:
+def placed(robot: Robot, moments: Float[Tensor, "*m terms"], parameters: Float[Tensor, "*batch k"]) -> _Parts:
     """Mounts, gains and moments of a robot that differs from its drawing by ``parameters``.
 
     Parameters
@@ -125,7 +125,7 @@ def placed(robot: Robot, moments: Float[Tensor, "*m terms"], parameters: Float[T
         If the number of parameters does not fit.
     """
     magnet, sensor, moment = _split(robot, moments.shape, parameters)
-    return Parts(
+    return _Parts(
         _with_local(robot.magnets, _moved_magnets(robot.magnets.local, magnet)),
         _with_local(robot.sensors, _moved_sensors(robot.sensors.local, sensor)),
         1 + sensor[..., 3],
@@ -235,12 +235,12 @@ def mount_slopes(
 
 def _split(robot: Robot, moments: torch.Size, parameters: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     n_m, n_s = len(robot.magnets), len(robot.sensors)
-    sizes = [len(MAGNET) * n_m, len(SENSOR) * n_s, moments.numel()]
+    sizes = [len(_MAGNET) * n_m, len(_SENSOR) * n_s, moments.numel()]
     if parameters.shape[-1] != sum(sizes):
         expected = f"of last dimension {sum(sizes)}"
         raise bad_input("parameters", "placed", expected, f"shape {tuple(parameters.shape)}")
     magnet, sensor, moment = parameters.split(sizes, dim=-1)
-    magnet, sensor = magnet.unflatten(-1, (n_m, len(MAGNET))), sensor.unflatten(-1, (n_s, len(SENSOR)))
+    magnet, sensor = magnet.unflatten(-1, (n_m, len(_MAGNET))), sensor.unflatten(-1, (n_s, len(_SENSOR)))
     return magnet, sensor, moment.unflatten(-1, moments)
 
 

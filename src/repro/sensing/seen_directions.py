@@ -22,7 +22,7 @@ from repro.errors import bad_input
 from repro.kinematics.motion import backbone_motion
 from repro.kinematics.mounts import Mounts
 from repro.kinematics.robot import Robot
-from repro.sensing.linearised import with_jacobian
+from repro.sensing._slopes import with_jacobian
 
 
 @dataclass(frozen=True)

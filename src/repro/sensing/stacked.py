@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.sensing.linearised import with_jacobian
+from repro.sensing._slopes import with_jacobian
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import hashlib
 import math
 import os
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,45 +18,23 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from repro.errors import bad_input
-from repro.sensing.network import paper_network
+from repro.sensing._paper_training import (
+    BATCH,
+    EPOCHS,
+    SWA_START,
+    averaging_share,
+    batches,
+    begin_pass,
+    first_draws,
+    refresh_batch_norm,
+    rmse,
+)
 
-BATCH = 650
-EPOCHS = 250
-SWA_START = 125
-VALIDATION_SHARE = 0.3
 SPLIT = (
     "p = torch.randperm(rows) after torch.manual_seed(seed); p[:rows - int(0.3 rows)] train, "
     "in this order and never shuffled; the rest validate"
 )
 """Which rows train, in which order: as in the released code, for the manifests."""
-"""The same for a training that is not the paper's in this alone."""
-
-
-def first_draws(
-    rows: int, n_inputs: int, seed: int, *, exponential_head: bool = False
-) -> tuple[nn.Sequential, torch.Generator, Tensor, Tensor]:
-    """What the released code draws before the first epoch, from one stream of random numbers.
-
-    First the split of the rows, then the weights of the network, layer by layer; then the number that a check of two
-    batches of validation rows takes. The dropout draws what follows.
-
-    Returns
-    -------
-    nn.Sequential, torch.Generator, Tensor, Tensor
-        The network, the stream that its dropout goes on with, and the rows that train and that validate: see
-        :data:`SPLIT`.
-    """
-    generator = torch.Generator().manual_seed(seed)
-    order = torch.randperm(rows, generator=generator)
-    n_train = rows - int(VALIDATION_SHARE * rows)
-    network = paper_network(n_inputs, generator, exponential_head=exponential_head)
-    begin_pass(generator)
-    return network, generator, order[:n_train], order[n_train:]
-
-
-def begin_pass(generator: torch.Generator) -> None:
-    """Draw the number that torch's loader of batches draws whenever it is gone through anew."""
-    torch.empty((), dtype=torch.int64).random_(generator=generator)
 
 
 def train_paper(
@@ -162,12 +140,6 @@ def train_paper(
     return network, metrics, curve
 
 
-def averaging_share(epoch: int, swa_start: int) -> float | None:
-    """Share of the weights at the beginning of an epoch (from 0) in their average so far; none before averaging."""
-    first = max(swa_start - 1, 0)
-    return None if epoch < first else 1 / (epoch - first + 1)
-
-
 def training_record(
     unit: str,
     metrics: Mapping[str, float],
@@ -193,11 +165,11 @@ def training_record(
         **losses,
         "split": SPLIT,
         "threads": torch.get_num_threads(),
-        "processor": processor(),
+        "processor": _processor(),
     }
 
 
-def processor() -> str:
+def _processor() -> str:
     """Name of the processor's model: with the number of threads it decides the last digits of a training."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -207,43 +179,16 @@ def processor() -> str:
     return names[0] if names else platform.processor() or platform.machine()
 
 
-def rmse(network: nn.Module, x: Float[Tensor, "rows xi"], y: Float[Tensor, " rows"]) -> float:
-    """Root-mean-squared error of a network in its present mode [unit of ``y`` ]."""
-    with torch.no_grad():
-        squared = sum(float(((network(a) - b) ** 2).sum()) for a, b in _batches(x, y, 20_000))
-    return (squared / len(y)) ** 0.5
-
-
-def _batches(x: Tensor, y: Tensor, size: int) -> Iterator[tuple[Tensor, Tensor]]:
-    for start in range(0, len(x), size):
-        yield x[start : start + size], y[start : start + size]
-
-
 def _epoch(network: nn.Module, optimiser: torch.optim.Optimizer, x: Tensor, y: Tensor) -> float:
     network.train()
     total = 0.0
-    for a, b in _batches(x, y, BATCH):
+    for a, b in batches(x, y, BATCH):
         optimiser.zero_grad(set_to_none=True)
         loss = nn.functional.mse_loss(network(a), b)
         loss.backward()
         optimiser.step()
         total += float(loss.detach()) * len(a)
     return total / len(x)
-
-
-def refresh_batch_norm(network: nn.Module, x: Tensor) -> None:
-    """One pass over the training rows that replaces running statistics by plain averages over the batches."""
-    norms = [m for m in network.modules() if isinstance(m, nn.BatchNorm1d)]
-    momenta = [m.momentum for m in norms]
-    for m in norms:
-        m.reset_running_stats()
-        m.momentum = None
-    network.train()
-    with torch.no_grad():
-        for a, _ in _batches(x, x, BATCH):
-            network(a)
-    for m, momentum in zip(norms, momenta, strict=True):
-        m.momentum = momentum
 
 
 def _save(

@@ -71,7 +71,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
     return manifest
 
 
-def load_weights(network: nn.Module, path: Path) -> nn.Module:
+def _load_weights(network: nn.Module, path: Path) -> nn.Module:
     """Fill a network with the weights at ``path`` and set it to evaluation mode; return it.
 
     Raises
@@ -95,7 +95,7 @@ def load_paper_network(path: Path) -> nn.Sequential:
     Raises
     ------
     InputError
-        As :func:`load_weights`, or if the weights are of another recipe.
+        As :func:`_load_weights`, or if the weights are of another recipe.
     """
     manifest = read_manifest(path)
     if manifest.get("recipe") != "paper":
@@ -106,7 +106,7 @@ def load_paper_network(path: Path) -> nn.Sequential:
         torch.Generator(),
         exponential_head=bool(manifest.get("exponential_head")),
     )
-    load_weights(network, path)
+    _load_weights(network, path)
     return network
 
 

@@ -18,7 +18,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from repro.files import combined_digest, file_digest, tree_digests, write_whole
+from repro.files import write_whole
+from repro_companion.book.digests import combined_digest, file_digest, tree_digests
 from repro_companion.book.project import Project
 from repro_companion.recordings.sources import data_dir
 

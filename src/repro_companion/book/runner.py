@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from repro.errors import bad_input
-from repro.files import file_digest, tree_digests
+from repro_companion.book.digests import file_digest, tree_digests
 from repro_companion.book.project import Project, find_project, runs_folder, shown
 from repro_companion.book.provenance import (
     Record,

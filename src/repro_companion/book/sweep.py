@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from repro.errors import bad_input
-from repro.files import file_digest
+from repro_companion.book.digests import file_digest
 from repro_companion.book.project import Project
 from repro_companion.book.provenance import Record, notebook_key, read_inputs, read_record, record_path
 from repro_companion.book.sweep_grid import OWNER, value_text

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from repro.errors import InputError, bad_input
-from repro.files import combined_digest, tree_digests
+from repro_companion.book.digests import combined_digest, tree_digests
 from repro_companion.book.provenance import PACKAGES
 from repro_companion.book.sweep import Outcome, Point, Runner, RunnerGone, run_point
 from repro_companion.book.sweep_grid import OWNER

@@ -1,8 +1,8 @@
 """Errors of the markers in the synthetic trial of Martin et al. (2022): Table II and Figs 3 to 5, read three ways.
 
 Text and released files differ in the IMUs of some models and in the arc positions at which they were evaluated
-(`repro.estimation.imu_selection.selection`). So every combination is evaluated as described, as in the files, and
-with the IMUs of the files at the material points of the markers.
+(`repro_companion.recordings.martin2022_models.selection`). So every combination is evaluated as described, as in the
+files, and with the IMUs of the files at the material points of the markers.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import numpy as np
 import pandas as pd
 
 from repro.estimation.imu_models import chain
-from repro.estimation.imu_selection import IMU_ARCS, MARKERS, Selection, selection
+from repro.estimation.imu_selection import Selection
 from repro.sensing.inertial import PERFECT, ImuErrors
+from repro_companion.recordings.martin2022_models import IMU_ARCS, MARKERS, selection
 from repro_companion.twins.arm_draws import CHOSEN_ORIGIN_M, Draw, drawn
 from repro_companion.twins.arm_recording import MotionCapture
 from repro_companion.twins.arm_trial import ArmTrial

@@ -9,9 +9,9 @@ import pandas as pd
 from jaxtyping import Float
 
 from repro.estimation.imu_models import pcc_extended
-from repro.estimation.imu_selection import selection
 from repro_companion.recordings.alignment import Lag, find_lag
 from repro_companion.recordings.martin2022 import one_clock
+from repro_companion.recordings.martin2022_models import selection
 from repro_companion.twins.arm_recording import MARKER_ARCS_M, ArmRecording
 from repro_companion.twins.stick_motion import mode_at
 

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from repro.sensing.field_ratios import file_axes
+from repro_companion.recordings.mitchell2021_conventions import file_axes
 from repro_companion.twins.bend_curves import bend_readings
 
 START_UNIX_S = 1_600_000_000.0

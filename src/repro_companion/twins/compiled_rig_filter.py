@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from repro.kernels.compilation import compiled
+from repro.kernels.compilation import machine_code
 
 STATES = 7
 """Bend x, y; its rate; errors of the three sensors."""
 
 
-@compiled()
+@machine_code()
 def filter_bank(
     u, factors, degree, scale, biases, log_weights, firsts, start, spread, bounds, numbers, noise, error
 ):
@@ -70,7 +70,7 @@ def filter_bank(
     return means, covariances, weights
 
 
-@compiled()
+@machine_code()
 def bank_start(filters, start, spread):
     """State and covariance of each filter before the first reading ``[filters, 7]``, ``[filters, 7, 7]``."""
     states, moments = np.empty((filters, STATES)), np.empty((filters, STATES, STATES))
@@ -80,7 +80,7 @@ def bank_start(filters, start, spread):
     return states, moments
 
 
-@compiled()
+@machine_code()
 def bank_step(
     frame,
     u,
@@ -155,7 +155,7 @@ def bank_step(
     return new_states, new_moments, new_logs, mean, covariance, weights
 
 
-@compiled()
+@machine_code()
 def _mixture(states, moments, log_weights):
     """Mean of bend and rate, covariance of the bend, and the weights of the filters."""
     likely = np.exp(log_weights - log_weights.max())
@@ -169,7 +169,7 @@ def _mixture(states, moments, log_weights):
     return mean, covariance, weights
 
 
-@compiled()
+@machine_code()
 def _motion(dt, tau, acceleration, error):
     """Transition of the state from frame to frame, and the covariance that is added."""
     move, driven = np.eye(STATES), np.zeros((STATES, STATES))
@@ -185,7 +185,7 @@ def _motion(dt, tau, acceleration, error):
     return move, driven
 
 
-@compiled()
+@machine_code()
 def _linearise(state, factors, degree, scale, H):
     """Predicted readings; their derivatives by the state go to ``H``."""
     x, y = state[0] / scale, state[1] / scale

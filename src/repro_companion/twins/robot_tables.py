@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pandas as pd
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M, pcc_robot
 from repro.kinematics.robot import Robot
-from repro.sensing.magnetic import field_at_sensors, field_on_grid, readings
-from repro.sensing.magnets import RINGS, ring
+from repro.sensing.magnetic import field_at_sensors, readings
+from repro.sensing.magnets import RINGS, Cube, Ring, ring
 from repro.sensing.relations import relations
 from repro_companion.twins.trajectories import RATE_HZ, lemniscate
 
@@ -162,3 +164,14 @@ def mounted_parts(robot: Robot, q: Tensor, ring_name: str) -> pd.DataFrame:
         table["reading_mT"] = u.numpy() if part == "sensor" else math.nan
         frames.append(table)
     return pd.concat(frames, ignore_index=True)
+
+
+def field_on_grid(
+    robot: Robot, q: Float[Tensor, " n_q"], magnet: Ring | Cube, points: Float[np.ndarray, "*grid 3"]
+) -> Float[np.ndarray, "*grid 3"]:
+    """Flux density [mT] of all magnets of a robot at points [m], both in the base frame, by magpylib."""
+    total = np.zeros(points.shape)
+    for T in robot.magnet_poses(q).detach().double().numpy():
+        rotation, position = T[:3, :3], T[:3, 3]
+        total += magnet.field((points - position) @ rotation) @ rotation.T
+    return total

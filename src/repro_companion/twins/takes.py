@@ -14,11 +14,11 @@ from torch import Tensor
 
 from repro.errors import bad_input, require
 from repro.kinematics.paper_robots import pcc_robot
+from repro.robot_file.columns import FORMATS
 from repro.robot_file.robot_file import RobotFile
-from repro.robot_file.tables import FORMATS
-from repro.sensing.field_ratios import file_axes
 from repro.sensing.magnetic import readings as field_readings
 from repro.sensing.magnets import ring
+from repro_companion.recordings.mitchell2021_conventions import file_axes
 from repro_companion.recordings.rig_robot import RIG_RATE_HZ
 from repro_companion.twins.bend_curves import CURVES, TIME_STEP, bend_curve, bend_readings
 from repro_companion.twins.imu_stream import synthetic_stream

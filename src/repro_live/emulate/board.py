@@ -82,7 +82,7 @@ def passages(
     readings
         In the order of their times.
     format
-        One of :data:`repro.robot_file.tables.FORMATS`.
+        One of :data:`repro.robot_file.columns.FORMATS`.
     faults
         None by default.
     seed

@@ -18,8 +18,8 @@ from torch import Tensor
 
 from repro.errors import bad_input, require
 from repro.kinematics.mounts import magnet_mounts
+from repro.robot_file.columns import MAGNETIC_STREAM
 from repro.robot_file.imu_readings import sent
-from repro.robot_file.parts import MAGNETIC_STREAM
 from repro.robot_file.robot_file import RobotFile
 from repro.sensing.magnetic import readings as field_readings
 from repro.sensing.placement import placed

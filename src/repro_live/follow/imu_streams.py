@@ -14,10 +14,12 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.base import Estimate, Estimator, usable
+from repro.estimation._step import usable
+from repro.estimation.base import Estimate, Estimator
 from repro.estimation.imu_models import exact_arcs
 from repro.estimation.imu_selection import Selection
 from repro.estimation.imu_shape import ImuShape
+from repro.estimation.orientations import UPRIGHT
 from repro.robot_file.imu_readings import (
     beside_imus,
     directions,
@@ -27,7 +29,6 @@ from repro.robot_file.imu_readings import (
     sizes,
 )
 from repro.robot_file.robot_file import RobotFile
-from repro.robot_file.tables import UPRIGHT
 from repro.sensing.stacked import StackedSensing
 from repro_live.follow.time_steps import TimeStep
 from repro_live.view.robot_view import POINTS_PER_SEGMENT

@@ -11,19 +11,20 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from repro.errors import bad_input, require
-from repro.estimation.base import Estimator, kernel
+from repro.estimation._step import kernel
+from repro.estimation.base import Estimator
 from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian
 from repro.estimation.model_error import WithModelError
 from repro.estimation.monitor import Monitored
 from repro.estimation.multistart import starts_within
+from repro.estimation.orientations import UPRIGHT
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box
 from repro.kernels import compiled
-from repro.robot_file.parts import MAGNETIC_STREAM
+from repro.robot_file.columns import MAGNETIC_STREAM
 from repro.robot_file.robot_file import RobotFile
-from repro.robot_file.tables import UPRIGHT
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.own_model import Given, OwnModel
 from repro.sensing.stacked import StackedSensing

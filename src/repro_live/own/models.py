@@ -11,11 +11,11 @@ from torch import Tensor
 
 from repro.errors import bad_input, require
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
+from repro.estimation.model_error import WhiteError
 from repro.kernels import compiled
 from repro.robot_file.calibration_file import RobotCalibration
-from repro.robot_file.reading_errors import WhiteError
 from repro.robot_file.robot_file import RobotFile
-from repro.sensing.fast_training import BATCH, train_fast
+from repro.sensing.fast_training import epochs_of_steps, train_fast
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.network import CosineNetwork, PerSensor
 from repro.sensing.relations import relations
@@ -186,7 +186,7 @@ def trained(
     if len(q) < _LEAST_ROWS:
         raise bad_input("readings", "repro fit", f"at least {_LEAST_ROWS} with a pose to train on", len(q))
     xi = relations(robot.robot, q, earth_axis(robot)).cosines()
-    epochs = -(-TRAINING_STEPS // -(-7 * len(q) // (10 * BATCH)))
+    epochs = epochs_of_steps(TRAINING_STEPS, len(q))
     networks, errors = [], []
     for j in range(u.shape[-1]):
         network, metrics = train_fast(xi[:, j], u[:, j], seed=seed, epochs=epochs, progress=False)

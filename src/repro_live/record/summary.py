@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from repro.errors import InputError, bad_input
-from repro.robot_file.tables import FORMATS
+from repro.robot_file.columns import FORMATS
 from repro_live.record.recording import channel_names
 from repro_live.wire.csv_text import Layout
 from repro_live.wire.formats import parser

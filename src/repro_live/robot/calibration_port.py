@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from repro.errors import bad_input
-from repro.robot_file.parts import MAGNETIC_STREAM
+from repro.robot_file.columns import MAGNETIC_STREAM
 from repro.robot_file.robot_file import RobotFile
 from repro_live.record.ports import LastingPort
 from repro_live.robot.calibration_poses import (

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from repro.errors import bad_input, require
-from repro.robot_file.parts import MAGNETIC_STREAM
+from repro.robot_file.columns import MAGNETIC_STREAM
 from repro.robot_file.robot_file import RobotFile
 from repro_live.record.recording import Recording
 from repro_live.robot.kept_readings import Part, part_of, read_kept

@@ -13,10 +13,9 @@ import pandas as pd
 from jaxtyping import Bool
 
 from repro.errors import bad_input
-from repro.robot_file.columns import channel_columns, is_numbered, name_and_unit
-from repro.robot_file.parts import MAGNETIC_STREAM
+from repro.estimation.orientations import UPRIGHT
+from repro.robot_file.columns import MAGNETIC_STREAM, channel_columns, is_numbered, name_and_unit
 from repro.robot_file.robot_file import RobotFile
-from repro.robot_file.tables import UPRIGHT
 from repro_live.record.recording import Recording, channel_names, read_recording
 from repro_live.record.recording_file import MAGIC, sidecar_path
 from repro_live.robot.number_table import read_numbers, times_of

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from repro.errors import bad_input
-from repro.robot_file.tables import FORMATS
+from repro.robot_file.columns import FORMATS
 from repro_live.wire.binary import KINDS, BinaryParser, encode_frame
 from repro_live.wire.csv_text import MOST_VALUES, CsvParser, write_line
 from repro_live.wire.frame import Frame, Parser

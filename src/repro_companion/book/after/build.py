@@ -16,8 +16,9 @@ from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 from repro.errors import InputError, bad_input
-from repro.files import combined_digest, file_digest, write_if_changed, write_whole
+from repro.files import write_whole
 from repro_companion.book.after.site import SiteFailed, build_site
+from repro_companion.book.digests import combined_digest, file_digest, write_if_changed
 from repro_companion.book.project import Project, find_project
 from repro_companion.book.provenance import (
     RECORD_SUFFIX,

@@ -13,7 +13,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from repro.files import combined_digest
+from repro_companion.book.digests import combined_digest
 from repro_companion.book.parameters import Parameter, declared_parameters
 from repro_companion.book.project import Project
 from repro_companion.book.provenance import RECORD_SUFFIX, Record, read_record, record_path

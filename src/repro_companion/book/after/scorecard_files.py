@@ -11,9 +11,9 @@ from html import escape
 
 import matplotlib.pyplot as plt
 
-from repro.files import write_if_changed
 from repro_companion.book.after.figures_scorecard import picture_alt, scorecard_picture
 from repro_companion.book.after.paper_index import index_page, index_path, places, read_index
+from repro_companion.book.digests import write_if_changed
 from repro_companion.book.project import Project
 from repro_companion.book.scorecard import ScorecardRow, count_verdicts
 from repro_companion.book.scorecard_page import counts_page, scorecard_page, verdicts_page

@@ -10,7 +10,8 @@ import time
 from pathlib import Path
 
 from repro.errors import bad_input
-from repro.files import combined_digest, file_digest, tree_digests, write_whole
+from repro.files import write_whole
+from repro_companion.book.digests import combined_digest, file_digest, tree_digests
 from repro_companion.book.project import Project, shown
 
 # Written among the sources while building, which would change their hash; all of it follows from the rest.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,6 @@ from repro.errors import bad_input
 from repro.estimation.base import Trajectory, track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.kernels import compiled
-from repro.kinematics.affine_curvature import azimuth_difference, canonical
 from repro.kinematics.paper_robots import affine_robot
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.magnetic import MagneticSensing, readings
@@ -226,3 +226,23 @@ def flower_view(run: PaperRun) -> ShapeView:
         estimate=near[shown],
         traces=[trace(u, "mT", u_hat)],
     )
+
+
+def canonical(q: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4"]:
+    r"""Of the two configurations of a shape, the one with :math:`\kappa_1 \ge 0`, and :math:`\phi` in (-pi, pi].
+
+    Errors are taken between canonical configurations; the azimuth, an angle, by :func:`azimuth_difference`.
+    """
+    k0, k1, phi, dL = q.unbind(-1)
+    flip = k1 < 0
+    sign = torch.where(flip, -1.0, 1.0).to(q)
+    return torch.stack([sign * k0, sign * k1, _wrapped(phi + flip.to(q) * math.pi), dL], dim=-1)
+
+
+def azimuth_difference(a: Float[Tensor, "*a"], b: Float[Tensor, "*b"]) -> Float[Tensor, "*batch"]:
+    """Difference ``a - b`` of two angles [rad], between -pi and pi."""
+    return _wrapped(a - b)
+
+
+def _wrapped(angle: Tensor) -> Tensor:
+    return math.pi - torch.remainder(math.pi - angle, 2 * math.pi)

@@ -24,14 +24,14 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.estimation.base import track
-from repro.estimation.particle_cloud import noise_of_sigma
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.ratio_inversion import invert
 from repro.estimation.regions import Disc
 from repro.kinematics.bend import MAX_BEND, bend_angle_and_direction, bend_vector
 from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.field_ratios import FieldRatios, model_axes, ratios
+from repro.sensing.field_ratios import FieldRatios, ratios
 from repro_companion.pages.bend_tests.takes import BendTake
+from repro_companion.recordings.mitchell2021_conventions import model_axes, noise_of_sigma
 from repro_companion.twins.bend_curves import SENSOR_NOISE_MT
 
 OUR_LENGTH_MM = 13.0

@@ -22,7 +22,7 @@ from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.particle_filter import ParticleFilter, ParticleState
 from repro.estimation.regions import Box
 from repro.kernels import compiled
-from repro.kernels.sensing import CompiledSensing
+from repro.kernels._sensing import CompiledSensing
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.robot import Robot
 from repro.sensing.linearised import LinearisedSensing

@@ -33,12 +33,13 @@ from repro.estimation.imu_models import (
     tangent_interpolation,
     tangent_spline,
 )
-from repro.estimation.imu_selection import MARKERS, Selection, selection
+from repro.estimation.imu_selection import Selection
 from repro.estimation.orientations import exponential, product
 from repro.sensing.inertial import PERFECT
 from repro_companion.pages.how_many_imus.bounds import arcs_bound, pcc_bound, rigid_bound
 from repro_companion.pages.how_many_imus.curves import STEPS, Curves
 from repro_companion.pages.how_many_imus.needed import imus_needed
+from repro_companion.recordings.martin2022_models import MARKERS, selection
 from repro_companion.twins.arm_draws import drawn
 from repro_companion.twins.arm_markers import mid_section
 from repro_companion.twins.arm_recording import MotionCapture

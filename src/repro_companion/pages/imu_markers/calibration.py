@@ -18,8 +18,8 @@ from tqdm import tqdm
 from repro.errors import bad_input
 from repro.estimation.imu_calibration import calibrate_imus, calibrated
 from repro.estimation.imu_models import pcc_extended, tangent_spline
-from repro.estimation.imu_selection import MARKERS, selection
 from repro_companion.book.bootstrap import ratio_interval, resampled
+from repro_companion.recordings.martin2022_models import MARKERS, selection
 from repro_companion.twins.arm_draws import draw
 from repro_companion.twins.arm_trial import ArmTrial
 from repro_companion.twins.soft_arm import load_soft_arm

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from repro.estimation.imu_selection import MARKERS
 from repro_companion.pages.imu_markers.calibration import FULL
+from repro_companion.recordings.martin2022_models import MARKERS
 from repro_companion.twins.arm_markers import DESCRIBED, EVALUATIONS, FILES, PCC_16, RIGID_8, SAME_POINT
 
 SETTING = "synthetic"

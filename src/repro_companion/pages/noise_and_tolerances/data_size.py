@@ -6,7 +6,6 @@ otherwise need no more readings than it has parameters.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -16,14 +15,13 @@ from torch import Tensor
 from tqdm import tqdm
 
 from repro.kinematics.paper_robots import pcc_robot
-from repro.sensing.fast_training import BATCH, train_dipole_residual, train_fast
+from repro.sensing.fast_training import epochs_of_steps, train_dipole_residual, train_fast
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.moments import fit_moments
 from repro.sensing.multipole import MultipoleField
 from repro.sensing.network import PerSensor
 from repro.sensing.relations import relations
-from repro.sensing.training import VALIDATION_SHARE
 from repro_companion.pages.noise_and_tolerances.noise import LM_ITERATIONS
 from repro_companion.twins.calibrated_robots import least_squares, relative_error
 from repro_companion.twins.calibration_session import SENSOR_NOISE_MT
@@ -64,10 +62,11 @@ def data_size_errors(
 ) -> pd.DataFrame:
     """Error of the prediction and of the configuration on T3 after training with few or many configurations.
 
-    Configurations and placements of the sensors are those of :func:`~repro_companion.twins.training_set.training_set`,
-    drawn anew for every seed and size; a seed also draws the noise, the initial weights and the batches. Moments are
-    fitted by linear least squares to all readings; networks train on 70 % of them by the recipes ``"fast"`` and
-    ``"dipole"``, all for the same number of steps. The configuration is found by Levenberg-Marquardt from the
+    Configurations and placements of the sensors are those of
+    :func:`~repro_companion.twins.training_set.training_set`, drawn anew for every seed and size; a seed also draws
+    the noise, the initial weights and the batches. Moments are fitted by linear least squares to all readings;
+    networks train on 70 % of them by the recipes ``"fast"`` and ``"dipole"``, all for the same number of steps. The
+    configuration is found by Levenberg-Marquardt from the
     straight pose, at every time step anew. The paper's networks are one point: 120,000 configurations without noise.
 
     Parameters
@@ -130,8 +129,7 @@ def _trained(name: str, data: TrainingSet, seed: int) -> Callable[[Tensor], Tens
     trained = []
     for segment in range(len(data.robot.segments)):
         xi, u = segment_rows(data, cosines, segment)
-        batches = math.ceil((1 - VALIDATION_SHARE) * len(u) / BATCH)
-        network, _ = TRAINERS[name](xi, u, seed=seed, epochs=math.ceil(STEPS / batches), progress=False)
+        network, _ = TRAINERS[name](xi, u, seed=seed, epochs=epochs_of_steps(STEPS, len(u)), progress=False)
         trained.append(network.double().requires_grad_(False))
     return PerSensor(trained, data.robot.sensors.segment)
 

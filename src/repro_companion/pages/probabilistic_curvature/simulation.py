@@ -1,7 +1,7 @@
 r"""Section II-D of Mitchell et al. 2021: a particle filter on Spiral, Flower and Seagull.
 
 All readings are synthetic, by magpylib; the filter's own model is the closed form of
-:mod:`repro.sensing.bend_sensor`, compiled as a polynomial (:mod:`repro.kernels.bend_series`). Every filter
+:mod:`repro.sensing.bend_sensor`, compiled as a polynomial (:mod:`repro.kernels._bend_series`). Every filter
 starts straight, where all three curves start. Here are the filters, their errors, and what these follow: the law, and
 the reference.
 """
@@ -18,12 +18,12 @@ from torch import Tensor
 
 from repro.estimation.base import track
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.estimation.particle_cloud import noise_of_sigma
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Disc
 from repro.kernels import compiled
 from repro.kinematics.bend import MAX_BEND
 from repro.sensing.bend_sensor import BendSensor
+from repro_companion.recordings.mitchell2021_conventions import noise_of_sigma
 from repro_companion.twins.bend_curves import (
     CURVES,
     LENGTH_M,

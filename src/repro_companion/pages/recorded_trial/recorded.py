@@ -11,7 +11,6 @@ from jaxtyping import Float
 from repro.errors import InputError
 from repro.estimation.imu_chain import link_orientations
 from repro.estimation.imu_models import chain, tangent_spline
-from repro.estimation.imu_selection import IMU_ARCS, MARKERS, selection
 from repro_companion.pages.recorded_trial.released import (
     NEEDED,
     PCC_2,
@@ -22,6 +21,7 @@ from repro_companion.pages.recorded_trial.released import (
     trial_orientations,
 )
 from repro_companion.recordings.martin2022 import find_bag, one_clock, read_readings
+from repro_companion.recordings.martin2022_models import IMU_ARCS, MARKERS, selection
 from repro_companion.recordings.martin2022_outputs import (
     OUTPUTS,
     POINTS,

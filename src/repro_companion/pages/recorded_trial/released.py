@@ -11,12 +11,13 @@ from jaxtyping import Float
 
 from repro.errors import bad_input
 from repro.estimation.imu_models import chain
-from repro.estimation.imu_selection import FILES_BASE_TURN, FILES_ORIGIN_M, IMU_ARCS, Selection, selection
+from repro.estimation.imu_selection import Selection
 from repro_companion.pages.recorded_trial.orientations import (
     last_orientation,
     orientations_between,
     unevenness_deg,
 )
+from repro_companion.recordings.martin2022_models import FILES_BASE_TURN, FILES_ORIGIN_M, IMU_ARCS, selection
 from repro_companion.recordings.martin2022_outputs import RIGID_LINKS_M, ModelOutput
 
 RIGID, PCC_1, PCC_2 = "elephant/rigid/rigid.csv", "elephant/pcc/pcc1.csv", "elephant/pcc/pcc2.csv"

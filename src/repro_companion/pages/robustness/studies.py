@@ -18,6 +18,7 @@ from typing import cast
 import numpy as np
 import pandas as pd
 
+from repro.kernels.training import train_together
 from repro_companion.book.bootstrap import interval, resampled
 from repro_companion.book.studies import Study
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
@@ -27,7 +28,6 @@ from repro_companion.twins.rig_descent import RIG_SENSORS, method_errors, paper_
 from repro_companion.twins.rig_filter import BendFilter
 from repro_companion.twins.rig_map import fit_map
 from repro_companion.twins.rig_networks import RigSpec, rig_networks, save_rig_network, sensor_rows
-from repro_companion.twins.rig_together import train_together
 from repro_companion.twins.rig_twins import random_twin
 
 TWINS = tuple(range(24))

@@ -12,10 +12,10 @@ import pandas as pd
 import torch
 from jaxtyping import Float
 
+from repro.kernels.training import train_together
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.weights import read_manifest, save_weights
 from repro_companion.twins.networks import DATA_SEED, PCC_LEARNING_RATE, NetworkSpec, training_rows
-from repro_companion.twins.rig_together import train_together
 from repro_companion.twins.table_1_method import networks, run
 from repro_companion.twins.table_1_rows import ROWS, rows_named, simulate
 

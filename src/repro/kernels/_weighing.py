@@ -6,15 +6,15 @@ import math
 
 import numpy as np
 
-from repro.kernels.bend_series import series_field
-from repro.kernels.compilation import compiled
+from repro.kernels._bend_series import series_field
+from repro.kernels.compilation import machine_code
 
 _FLOOR = math.sqrt(2.0**-1022)
 """Smallest weight: its square is no denormal number."""
 _LOG_FLOOR = math.log(_FLOOR)
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def weigh(q, u, use, noise, coefficients, reach, keep, w, mean, C, ess, unlikely, top):
     """Weigh every member of a flat batch; the last six arguments are overwritten."""
     n = q.shape[1]
@@ -55,7 +55,7 @@ def weigh(q, u, use, noise, coefficients, reach, keep, w, mean, C, ess, unlikely
             _best(x, y, d, keep, top[m])
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _surprise(e, use, noise):
     """By how many standard deviations the readings are too unlikely: see ``particle_cloud.surprise``."""
     n, dof = e.shape[1], 0
@@ -83,7 +83,7 @@ def _surprise(e, use, noise):
     return ((squared / dof) ** (1.0 / 3.0) - 1.0 + spread) / math.sqrt(spread)
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _best(x, y, d, keep, top):
     """Mean angle towards the mean direction of the ``keep`` best particles: see ``particle_cloud.best_tenth``."""
     limit, ties = _smallest(d, keep)
@@ -102,7 +102,7 @@ def _best(x, y, d, keep, top):
     top[0], top[1] = share * direction_x, share * direction_y
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _smallest(d, keep):
     """Limit below which ``keep`` numbers lie, and how many of those at the limit count as well."""
     # Halving takes a few passes without branches; those of a sorting algorithm are a guess each, on a new cloud.

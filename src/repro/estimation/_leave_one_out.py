@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from repro.estimation._window import limit
 from repro.estimation.base import Estimate, Estimator
-from repro.estimation.consistency import limit
 
 EXPLAINED = 1e-3
 """A fit explains a reading unless chance exceeds its residual more rarely than this."""

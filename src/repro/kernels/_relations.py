@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from repro.kernels.compilation import compiled
+from repro.kernels.compilation import machine_code
 
 
 class Pairs(NamedTuple):
@@ -36,7 +36,7 @@ class Pairs(NamedTuple):
     """Torque and force ``[6]`` on what lies beyond a segment."""
 
 
-@compiled()
+@machine_code()
 def pairs(n_m):
     """Room for the relations of one sensor."""
     n = 1 + 4 * n_m
@@ -51,7 +51,7 @@ def pairs(n_m):
     )
 
 
-@compiled()
+@machine_code()
 def relate(axis, position, j, earth, angles, room):
     """Relations of sensor mount ``j`` with the first mounts, the magnets; as angles if ``angles``."""
     xi, sine, turn, direction = room.xi, room.sine, room.turn, room.direction
@@ -82,7 +82,7 @@ def relate(axis, position, j, earth, angles, room):
             xi[at] = math.atan2(sine[at], xi[at])
 
 
-@compiled()
+@machine_code()
 def see(axis, j, direction, room):
     """Component of a direction fixed in the base along the axis of mount ``j``, and the torque of its slope."""
     o, wrench = axis[j], room.wrench
@@ -93,7 +93,7 @@ def see(axis, j, direction, room):
     return o[0] * direction[0] + o[1] * direction[1] + o[2] * direction[2]
 
 
-@compiled()
+@machine_code()
 def wrenches(position, j, angles, room):
     """Torques and forces on sensor mount ``j`` from the slopes by its relations."""
     gradient, turn, wrench = room.gradient, room.turn, room.wrench
@@ -124,7 +124,7 @@ def wrenches(position, j, angles, room):
             wrench[0, r] += wrench[1 + k, r]
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def pull_back(chain, motion, j, scale, room, row):
     """Slopes of the reading of sensor mount ``j`` by every configuration variable, times ``scale``."""
     wrench, carried, n_m, here = room.wrench, room.carried, len(room.direction), chain.segment[j]
@@ -150,13 +150,13 @@ def pull_back(chain, motion, j, scale, room, row):
             row[c] *= scale
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _power(twist, wrench):
     turning = twist[0] * wrench[0] + twist[1] * wrench[1] + twist[2] * wrench[2]
     return turning + twist[3] * wrench[3] + twist[4] * wrench[4] + twist[5] * wrench[5]
 
 
-@compiled()
+@machine_code()
 def _cross(a, b, out):
     x = a[1] * b[2] - a[2] * b[1]
     y = a[2] * b[0] - a[0] * b[2]

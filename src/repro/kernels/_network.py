@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from repro.kernels.compilation import compiled
+from repro.kernels.compilation import machine_code
 from repro.sensing.ensemble import SeedEnsemble
 
 _RELU, _SILU = 0, 1
@@ -52,7 +52,7 @@ def layers(ensemble: SeedEnsemble) -> Layers:
     )
 
 
-@compiled()
+@machine_code()
 def nodes(layers):
     """Room for one evaluation of ``predict``: values and slopes of the nodes of every layer."""
     widest = 1
@@ -62,7 +62,7 @@ def nodes(layers):
     return np.zeros((3, n, widest), dtype=layers.weights.dtype), np.zeros(widest, dtype=np.int64)
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def predict(layers, network, xi, slopes, gradient, room):
     """Reading predicted by one network; its slopes go to ``gradient`` if ``slopes``."""
     hidden, on = room
@@ -97,7 +97,7 @@ def predict(layers, network, xi, slopes, gradient, room):
     return value[last, 0]
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _linear(weights, at, n_in, n_out, x, y, on):
     """``y = W x + b``, by four inputs at a time; inputs that are zero are left out."""
     n_on = _nonzero(x, n_in, on)
@@ -122,7 +122,7 @@ def _linear(weights, at, n_in, n_out, x, y, on):
         k += 1
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _linear_back(weights, at, n_in, n_out, slope, y, x, on):
     """``x = slope * (W^T y)``, two nodes at a time; nodes of slope zero are left out."""
     n_on = _nonzero(slope, n_in, on)
@@ -139,7 +139,7 @@ def _linear_back(weights, at, n_in, n_out, slope, y, x, on):
         x[i_0], x[i_1] = slope[i_0] * total_0, slope[i_1] * total_1
 
 
-@compiled()
+@machine_code()
 def _nonzero(x, n, on):
     """Write the indices of the numbers that are not zero; return how many. Without branches to mispredict."""
     n_on = 0

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from repro.estimation.undetermined import undetermined
 from repro.kinematics.robot import Robot
+from repro.robot_file._parts import Imu
 from repro.robot_file.imu_readings import beside_imus, directions, freedoms
-from repro.robot_file.parts import Imu
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing
 

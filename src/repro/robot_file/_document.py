@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 from repro.errors import InputError, bad_input
-from repro.robot_file.toml_lines import Place, key_lines
+from repro.robot_file._toml_lines import Place, key_lines
 
 
 class Key(NamedTuple):
@@ -36,7 +36,7 @@ class Document:
     content
         What tomllib made of it.
     lines
-        From :func:`~repro.robot_file.toml_lines.key_lines`.
+        From :func:`~repro.robot_file._toml_lines.key_lines`.
     """
 
     name: str

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from repro.kernels.compilation import compiled
+from repro.kernels.compilation import machine_code
 
 EPS = 1e-5
 """Added to variances by batch norm, as in torch."""
@@ -17,7 +17,7 @@ ROWS = 64
 """Rows that are summed in single precision before they are added in double."""
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def train_step(theta, x, y, widths, masks, work, learning_rate):
     """Move the parameters one step down the mean squared error of a batch; return the error before it.
 
@@ -78,12 +78,12 @@ def train_step(theta, x, y, widths, masks, work, learning_rate):
     return loss / n
 
 
-@compiled()
+@machine_code()
 def _size(n_in, n_out):
     return n_out * n_in + 3 * n_out
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _statistics(x):
     """Mean of each column and the reciprocal of its standard deviation."""
     n, width = x.shape
@@ -106,7 +106,7 @@ def _statistics(x):
     return mean, (1.0 / np.sqrt(total / n + EPS)).astype(np.float32)
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _normalise(x, mean, inverse, scale, shift, mask, out):
     n, width = x.shape
     factor = scale * inverse
@@ -116,7 +116,7 @@ def _normalise(x, mean, inverse, scale, shift, mask, out):
             out[i, j] = (x[i, j] * factor[j] + constant[j]) * mask[i, j]
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _forward(theta, n_in, n_out, a, mask, r, out):
     """Linear layer and ReLU into ``r``, batch norm and dropout into ``out``; return the statistics."""
     size = n_in * n_out
@@ -130,7 +130,7 @@ def _forward(theta, n_in, n_out, a, mask, r, out):
     return mean, inverse
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _sums(d, mask, r, mean, inverse):
     """Gradients of scale and shift of a batch norm whose masked output has the gradient ``d``."""
     n, width = r.shape
@@ -149,7 +149,7 @@ def _sums(d, mask, r, mean, inverse):
     return scale.astype(np.float32), shift.astype(np.float32)
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _backward(theta, gradient, n_in, n_out, a, mask, r, mean, inverse, d, scratch):
     """From the gradient ``d`` of a block's masked output to that of its masked input, which takes its place."""
     n, size = len(r), n_in * n_out

@@ -1,6 +1,6 @@
-"""Networks of one size and seed trained side by side by the paper's recipe, with one compiled step: for studies.
+"""Networks of one size and seed trained side by side by the paper's recipe, with one compiled step.
 
-Networks of the same seed and number of rows start from the same weights and draw the same dropout: it is drawn once
+Networks of the same seed and number of rows start from the same weights and draw the same _dropout: it is drawn once
 for all of them. The result is that of :func:`repro.sensing.training.train_paper` up to rounding, in half the time.
 """
 
@@ -15,8 +15,8 @@ from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from tqdm import tqdm
 
-from repro.sensing.network import PAPER_WIDTHS
-from repro.sensing.training import (
+from repro.kernels._training_step import train_step
+from repro.sensing._paper_training import (
     BATCH,
     EPOCHS,
     SWA_START,
@@ -26,7 +26,7 @@ from repro.sensing.training import (
     refresh_batch_norm,
     rmse,
 )
-from repro_companion.twins.compiled_rig_training import train_step
+from repro.sensing.network import PAPER_WIDTHS
 
 
 def train_together(
@@ -63,7 +63,7 @@ def train_together(
     theta = np.repeat(start[None], len(sets), axis=0)
     average = np.zeros_like(theta)
     widths = (n_in, *PAPER_WIDTHS)
-    spaces = {size: workspace(size, widths) for size in {min(BATCH, n), n % BATCH} if size}
+    spaces = {size: _workspace(size, widths) for size in {min(BATCH, n), n % BATCH} if size}
     arrays = [(x.numpy(), y.numpy()) for x, y in rows]
     for epoch in tqdm(range(epochs), disable=not progress, mininterval=5):
         if (share := averaging_share(epoch, swa_start)) is not None:
@@ -75,7 +75,7 @@ def train_together(
         loss = np.zeros(len(sets))
         for first in range(0, n, BATCH):
             size = min(BATCH, n - first)
-            kept = dropout(size, widths, generator)
+            kept = _dropout(size, widths, generator)
             for k, (x, y) in enumerate(arrays):
                 batch = slice(first, first + size)
                 loss[k] += train_step(
@@ -97,13 +97,13 @@ def train_together(
     return found
 
 
-def dropout(size: int, widths: tuple[int, ...], generator: torch.Generator) -> tuple[np.ndarray, ...]:
-    """Factors of the dropout, in the order that the network draws them, and ones for the last layer."""
+def _dropout(size: int, widths: tuple[int, ...], generator: torch.Generator) -> tuple[np.ndarray, ...]:
+    """Factors of the _dropout, in the order that the network draws them, and ones for the last layer."""
     kept = [torch.empty(size, w).bernoulli_(0.99, generator=generator) / 0.99 for w in widths[:-1]]
     return (*(x.numpy() for x in kept), np.ones((size, widths[-1]), np.float32))
 
 
-def workspace(size: int, widths: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+def _workspace(size: int, widths: tuple[int, ...]) -> tuple[np.ndarray, ...]:
     """Memory of one step, used again by the next."""
     arrays = [np.empty((size, w), np.float32) for w in (*widths[1:], *widths)]
     return (*arrays, np.empty(size * max(widths), np.float32))

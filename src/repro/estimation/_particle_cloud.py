@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from repro.estimation.resampling import effective_sample_size, normalised, weights
+from repro.estimation._resampling import effective_sample_size, normalised, weights
 
 
 class Weighed(NamedTuple):
@@ -117,14 +117,3 @@ def surprise(
     dof = use.sum(-1)
     spread = 2 / (9 * dof)
     return ((squared / dof) ** (1 / 3) - 1 + spread) / spread.sqrt()
-
-
-def noise_of_sigma(sigma_mt: float) -> float:
-    r"""Noise of a reading [mT] for the :math:`\sigma` of eq. (1) of the paper: :math:`\sigma/\sqrt 2`.
-
-    Examples
-    --------
-    >>> round(noise_of_sigma(0.01), 5)
-    0.00707
-    """
-    return sigma_mt / math.sqrt(2)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
+from repro.estimation.model_error import WhiteError
 from repro.kinematics.robot import Robot
 from repro.robot_file.calibration_file import RobotCalibration
 from repro.sensing.own_model import are_scripts
@@ -41,7 +42,7 @@ class CalibrationError:
 
     @cached_property
     def _slopes(self) -> Any:
-        from repro.kernels.placement import PlacementSlopes  # here: numba takes a second to import
+        from repro.kernels._placement import PlacementSlopes  # here: numba takes a second to import
 
         found = self.calibration
         return PlacementSlopes(self.robot, self.moments, found.parameters, self.gain, found.earth_mt)
@@ -58,23 +59,6 @@ class CalibrationError:
         J = torch.from_numpy(self._slopes(q.detach().reshape(-1, q.shape[-1]).numpy()))
         J = (J @ self._root).reshape(*q.shape[:-1], *J.shape[1:])
         return J @ J.mT
-
-
-@dataclass(frozen=True)
-class WhiteError:
-    """Covariance of readings whose model errs independently from sensor to sensor and place to place.
-
-    Parameters
-    ----------
-    rmse
-        Root mean square error of the model for every sensor [unit].
-    """
-
-    rmse: Float[Tensor, " s"]
-
-    def __call__(self, q: Float[Tensor, "*batch n_q"]) -> Float[Tensor, "*batch s s"]:
-        """Covariance at configurations [unit^2]."""
-        return torch.diag(self.rmse.square()).expand(*q.shape[:-1], len(self.rmse), len(self.rmse))
 
 
 def network_error(networks: Sequence[Path], robot: Robot, unit: str) -> WhiteError | None:

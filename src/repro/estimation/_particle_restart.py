@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.estimation.particle_cloud import log_weights
+from repro.estimation._particle_cloud import log_weights
+from repro.estimation._resampling import resample, weights
 from repro.estimation.regions import Region
-from repro.estimation.resampling import resample, weights
 
 _TEMPERATURES = 12
 """Passes over the readings, from flat weights to the likelihood."""

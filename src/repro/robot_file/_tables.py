@@ -8,12 +8,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from repro.estimation.orientations import UNIT_TOLERANCE
-from repro.robot_file.document import Key, word
+from repro.estimation.orientations import UNIT_TOLERANCE, UPRIGHT
+from repro.robot_file._document import Key, word
+from repro.robot_file.columns import FORMATS
 
-FORMATS = ("frames", "hall", "millivolts", "quaternions", "csv")
-"""Of a stream: our own frames; the lines of Mitchell et al. [counts], of Baaij et al. [mV], and of Martin et al.
-(x, y, z, w); and lines of numbers as sketches print them."""
 MOST_VALUES = {"frames": 118, "hall": 3}
 """Values of a frame at most, by format."""
 UNITS = ("mT", "mV", "raw")
@@ -23,7 +21,6 @@ MOST_CHANNELS = 255
 _LAST_STREAM = 255
 IMU_NOISE_RAD = 0.0035
 """Standard deviation of an orientation about each axis where the file states none, 0.2 degrees [rad]."""
-UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 HEADINGS = ("absolute", "free")
 """Whether the orientation of an IMU about the vertical is known in the world of the base, or arbitrary."""
 

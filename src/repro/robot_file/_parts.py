@@ -10,24 +10,16 @@ from typing import Any
 
 import torch
 
+from repro.estimation.orientations import UPRIGHT
 from repro.kinematics.affine_curvature import AffineCurvature
 from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.mounts import Mounts, directed_sensors, magnet_mounts, sensor_mounts
 from repro.kinematics.robot import Segment
-from repro.robot_file.checks import check_direction, check_place
-from repro.robot_file.document import Document, Key
-from repro.robot_file.tables import (
-    MAGNET_KEYS,
-    MAGNET_KINDS,
-    SEGMENT_KINDS,
-    UPRIGHT,
-    imu_keys,
-    model_keys,
-)
+from repro.robot_file._checks import check_direction, check_place
+from repro.robot_file._document import Document, Key
+from repro.robot_file._tables import MAGNET_KEYS, MAGNET_KINDS, SEGMENT_KINDS, imu_keys, model_keys
+from repro.robot_file.columns import MAGNETIC_STREAM
 from repro.sensing.magnets import Cube, Ring
-
-MAGNETIC_STREAM = 0
-"""Stream of the frames that hold the readings of magnetic sensors."""
 
 
 @dataclass(frozen=True)

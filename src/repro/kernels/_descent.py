@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.kernels.compilation import compiled
-from repro.kernels.motion import array
-from repro.kernels.sensing import CompiledSensing, evaluate, room, rows
+from repro.kernels._motion import array
+from repro.kernels._sensing import CompiledSensing, evaluate, room, rows
+from repro.kernels.compilation import machine_code
 
 
 def descend(
@@ -64,7 +64,7 @@ def descend(
     return best_q, last_b, best_u, best_loss, best_at
 
 
-@compiled()
+@machine_code()
 def _descend(tables, which, q, b, u, use, free, step_size, momentum, iterations, u_best, loss_best, at_best):
     """Descend for every member of a flat batch; ``q``, ``b`` and the last three arguments are overwritten."""
     n_q, n_s = q.shape[1], u.shape[1]

@@ -22,7 +22,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from repro.estimation.orientations import axis_and_angle, tangents, turn_between
+from repro.errors import bad_input
+from repro.estimation._quaternions import axis_and_angle, turn_between
+from repro.estimation.imu_chain import Points
+from repro.estimation.imu_selection import Selection
+from repro.estimation.orientations import tangents
 
 
 def positions(
@@ -87,3 +91,22 @@ def _turned(d: np.ndarray, axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     across = np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=-1)
     along = (x * a + y * b + z * c)[..., None] * axis
     return cosine * d + sine * across + (1 - cosine) * along
+
+
+def from_base(points: np.ndarray, selection: Selection) -> np.ndarray:
+    """Move points of a chain from its origin to the base."""
+    return points + np.array(selection.origin_m) if any(selection.origin_m) else points
+
+
+def links_between(selection: Selection, owner: str) -> None:
+    """Refuse a selection without sub-segments."""
+    if not selection.sub_links:
+        raise bad_input("selection", owner, "one with links between IMUs (sub_links above 0)", selection)
+
+
+def points_on(arc_lengths: Points, selection: Selection, owner: str) -> np.ndarray:
+    """Check arc lengths and return them as an array [m]."""
+    points, total = np.atleast_1d(np.asarray(arc_lengths, dtype=float)), sum(selection.link_lengths)
+    if points.ndim != 1 or not ((points >= 0) & (points <= total * (1 + 1e-12))).all():
+        raise bad_input("arc_lengths", owner, f"distances between 0 and {total:g} m", points)
+    return points

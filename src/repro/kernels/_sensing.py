@@ -15,11 +15,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from repro.errors import InputError, bad_input
-from repro.kernels.compilation import compiled
-from repro.kernels.motion import Chain, array, chain, move, scratch
-from repro.kernels.multipole import ORDERS, multipole
-from repro.kernels.network import NO_NETWORK, Layers, layers, nodes, predict
-from repro.kernels.relations import pairs, pull_back, relate, see, wrenches
+from repro.kernels._motion import Chain, array, chain, move, scratch
+from repro.kernels._multipole import ORDERS, multipole
+from repro.kernels._network import NO_NETWORK, Layers, layers, nodes, predict
+from repro.kernels._relations import pairs, pull_back, relate, see, wrenches
+from repro.kernels.compilation import machine_code
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing
@@ -195,13 +195,13 @@ def _ensemble(model: Callable[[Tensor], Tensor], n_sensors: int) -> SeedEnsemble
         raise bad_input("sensing.model", "compiled", SUPPORTED, "networks of another kind") from error
 
 
-@compiled()
+@machine_code()
 def room(tables):
     """Room for one evaluation."""
     return scratch(tables.chain), pairs(tables.moments.shape[1]), nodes(tables.layers)
 
 
-@compiled()
+@machine_code()
 def evaluate(tables, which, q, wanted, slopes, u, J, space):
     """Readings ``u`` of the sensors ``wanted`` of one member, and the rows of ``J`` if ``slopes``."""
     motion, pair, hidden = space
@@ -234,7 +234,7 @@ def evaluate(tables, which, q, wanted, slopes, u, J, space):
             pull_back(chain, motion, j, gain, pair, J[s])
 
 
-@compiled()
+@machine_code()
 def _evaluate_all(tables, which, q):
     """Readings and slopes of all members of a flat batch."""
     n, n_s, n_q = len(q), tables.gain.shape[1], q.shape[1]

@@ -15,13 +15,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.particle_cloud import Weighed
+from repro.estimation._particle_cloud import Weighed
+from repro.estimation._resampling import draws
 from repro.estimation.regions import Disc
-from repro.estimation.resampling import draws
-from repro.kernels.bend import CompiledBendSensor
-from repro.kernels.bend_series import bend_series
-from repro.kernels.compilation import compiled
-from repro.kernels.weighing import weigh
+from repro.kernels._bend import CompiledBendSensor
+from repro.kernels._bend_series import bend_series
+from repro.kernels._weighing import weigh
+from repro.kernels.compilation import machine_code
 
 
 class CompiledCloud:
@@ -56,7 +56,7 @@ class CompiledCloud:
         *,
         top: bool,
     ) -> Weighed:
-        """Weigh particles, as :func:`repro.estimation.particle_cloud.weighed` does from their errors."""
+        """Weigh particles, as :func:`repro.estimation._particle_cloud.weighed` does from their errors."""
         batch, n = _batch(q.shape[:-2], u.shape[:-1]), q.shape[-2]
         flat, u_, use_ = _rows(q, batch, 2), _rows(u, batch, 1), _rows(use, batch, 1)
         w, mean, C = np.empty((len(flat), n)), np.empty((len(flat), 2)), np.empty((len(flat), 2, 2))
@@ -89,7 +89,7 @@ class CompiledCloud:
         width
             Standard deviation of the noise.
         resampling
-            Scheme of :func:`repro.estimation.resampling.resample`.
+            Scheme of :func:`repro.estimation._resampling.resample`.
         generator
             Draws as for the torch filter: the shares at which particles are drawn, then noise as often as needed.
         limit
@@ -137,7 +137,7 @@ def _rows(x: Tensor, batch: torch.Size, own: int) -> np.ndarray:
     return np.ascontiguousarray(values, dtype=dtype).reshape(-1, *shape)
 
 
-@compiled()
+@machine_code()
 def _draw(w, points, drawn):
     """Particles whose share of the cumulated weights holds each point: one pass over both."""
     n = len(points)
@@ -155,7 +155,7 @@ def _draw(w, points, drawn):
             drawn[m, i] = k
 
 
-@compiled()
+@machine_code()
 def _move(q, drift, drawn, noise, width, reach, outside, following, moved):
     """Move all that are outside once more, and count those that still are."""
     n_outside = 0
@@ -174,7 +174,7 @@ def _move(q, drift, drawn, noise, width, reach, outside, following, moved):
     return n_outside
 
 
-@compiled()
+@machine_code()
 def _stay(q, drawn, outside, following, moved):
     """Leave those that are outside where they were."""
     for m in range(len(q)):

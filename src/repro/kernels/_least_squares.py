@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.kernels.compilation import compiled
-from repro.kernels.motion import array
-from repro.kernels.sensing import CompiledSensing, evaluate, room, rows
+from repro.kernels._motion import array
+from repro.kernels._sensing import CompiledSensing, evaluate, room, rows
+from repro.kernels.compilation import machine_code
 
 _EPS, _TINY = 2.0**-52, 2.0**-1022
 _WELL_DETERMINED = 1e-6
@@ -89,7 +89,7 @@ def fit(
     return best_q, best_u, error, turns, slopes, covariance, good
 
 
-@compiled()
+@machine_code()
 def _fit(tables, which, q, data, options, found):
     """Fit every member of a flat batch; ``q`` and the arrays of ``found`` are overwritten.
 
@@ -166,7 +166,7 @@ def _fit(tables, which, q, data, options, found):
     return lost
 
 
-@compiled()
+@machine_code()
 def _accept(x, u_hat, J, u, use, q, u_best, J_best, A, g):
     """Take over a trial, and make the normal equations there."""
     n_q = len(x)
@@ -185,7 +185,7 @@ def _accept(x, u_hat, J, u, use, q, u_best, J_best, A, g):
                     A[c, k] += J[s, c] * J[s, k]
 
 
-@compiled()
+@machine_code()
 def _solve(A, g, damping, held, L, delta):
     """Damped step for the free coordinates, zero for the others; of ``A`` the lower triangle counts."""
     n, largest = len(g), 0.0
@@ -208,7 +208,7 @@ def _solve(A, g, damping, held, L, delta):
         delta[c] /= L[c, c]
 
 
-@compiled()
+@machine_code()
 def _cholesky(L, floor):
     """Cholesky factor in place of the lower triangle; return the smallest pivot, ``floor`` at least."""
     smallest = math.inf
@@ -227,7 +227,7 @@ def _cholesky(L, floor):
     return smallest
 
 
-@compiled()
+@machine_code()
 def _covariance(J, free, noise, L, C):
     """Inverse of the information about the free coordinates; false where it is nearly singular."""
     n_s, n = J.shape

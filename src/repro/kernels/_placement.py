@@ -11,10 +11,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.kernels.compilation import compiled
-from repro.kernels.motion import array, chain, move, scratch
-from repro.kernels.multipole import multipole
-from repro.kernels.relations import pairs, relate
+from repro.kernels._motion import array, chain, move, scratch
+from repro.kernels._multipole import multipole
+from repro.kernels._relations import pairs, relate
+from repro.kernels.compilation import machine_code
 from repro.kinematics.mounts import Mounts
 from repro.kinematics.robot import Robot
 from repro.sensing.placement import mount_slopes, placed
@@ -74,7 +74,7 @@ class PlacementSlopes:
         return _slopes(self._chain, rows, self._moves, self._moments, self._gain, self._earth)
 
 
-@compiled()
+@machine_code()
 def _slopes(links, q, moves, moments, gain, earth):
     """Slopes ``[n, s, all]`` for configurations ``[n, n_q]``."""
     by_magnet, by_sensor = moves  # [n, p, 2, 3]: axis and position by parameter, in the frame of the backbone
@@ -126,7 +126,7 @@ def _slopes(links, q, moves, moments, gain, earth):
     return J
 
 
-@compiled()
+@machine_code()
 def _moved(motion, n, j, by_parameter, by_axis, by_position, sign):
     """Slope by a parameter that moves mount ``j``, whose frame has its axes from mount ``n + 3 j`` on."""
     slope = 0.0

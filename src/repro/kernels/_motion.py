@@ -17,7 +17,7 @@ from numpy.polynomial.legendre import leggauss
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.kernels.compilation import compiled
+from repro.kernels.compilation import machine_code
 from repro.kinematics.affine_curvature import AffineCurvature
 from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.mounts import Mounts
@@ -106,7 +106,7 @@ def array(x: Tensor) -> np.ndarray:
     return np.array(values, np.bool_ if values.dtype == np.bool_ else np.float64, order="C")
 
 
-@compiled()
+@machine_code()
 def scratch(chain):
     """Room for one evaluation of ``move``."""
     n, n_q = len(chain.segment), chain.first[-1]
@@ -122,7 +122,7 @@ def scratch(chain):
     )
 
 
-@compiled()
+@machine_code()
 def move(chain, robot, q, slopes, motion):
     """Axes and positions of all mounts of one robot at ``q``, and their twists if ``slopes``."""
     last = len(chain.family) - 1
@@ -151,7 +151,7 @@ def move(chain, robot, q, slopes, motion):
                     motion.base[r, k] = motion.frame[r, k]
 
 
-@compiled()
+@machine_code()
 def _mount(chain, robot, i, slopes, n_own, motion):
     """Place mount ``i`` in the present frame."""
     frame = motion.frame
@@ -168,7 +168,7 @@ def _mount(chain, robot, i, slopes, n_own, motion):
                 motion.own[i, c, r] = motion.world[c, r]
 
 
-@compiled()
+@machine_code()
 def _frame(chain, g, q, v, slopes, motion):
     """Frame of the backbone at ``v`` of segment ``g`` in the base frame, and its twists."""
     local, base, frame, world = motion.local, motion.base, motion.frame, motion.world
@@ -200,7 +200,7 @@ def _frame(chain, g, q, v, slopes, motion):
         world[c, 5] -= w_x * frame[1, 3] - w_y * frame[0, 3]
 
 
-@compiled()
+@machine_code()
 def _series(z):
     """``(1 - sinc)/z`` and ``(1/2 - cosc)/z``; all functions of a bend follow from them without cancellation."""
     if z < 1.0:
@@ -214,7 +214,7 @@ def _series(z):
     return (1.0 - math.sin(theta) / theta) / z, (0.5 - 2.0 * half * half) / z
 
 
-@compiled()
+@machine_code()
 def _constant(chain, g, q, v, slopes, local):
     """Rotation vector, position and series of a segment of constant curvature; derivatives go to ``local``."""
     first = chain.first[g]
@@ -237,7 +237,7 @@ def _constant(chain, g, q, v, slopes, local):
     return -v * a_y, v * a_x, L * a_x * c, L * a_y * c, L * s, S, C
 
 
-@compiled()
+@machine_code()
 def _affine(chain, g, q, v, slopes, local):
     """Rotation vector, position and series of a segment of affine curvature; derivatives go to ``local``."""
     first = chain.first[g]

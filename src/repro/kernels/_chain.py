@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Float
 
 from repro.estimation import imu_models
-from repro.estimation.imu_arcs import place
-from repro.estimation.imu_models import Points, from_base, links_between, points_on
+from repro.estimation._imu_arcs import from_base, links_between, place, points_on
+from repro.estimation.imu_models import Points
 from repro.estimation.imu_selection import Selection
 from repro.estimation.orientations import UNIT_TOLERANCE
-from repro.kernels.compilation import compiled
+from repro.kernels.compilation import machine_code
 
 _SMALL = 1e-300  # a sine this small turns nothing, and can be divided by
 _TINY = 1e-150  # its square cannot
@@ -57,7 +57,7 @@ def pcc_extended(
     return imu_models.pcc_extended(orientations, selection, arc_lengths)
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _chain(q, lengths, order, link, share, whole, n, tolerance, out):
     """Walk up the chain of every sample; false if a quaternion is not unit."""
     n_points, n_links = len(order), len(lengths)
@@ -111,7 +111,7 @@ def _chain(q, lengths, order, link, share, whole, n, tolerance, out):
     return True
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _unit(q):
     """Components of a quaternion rescaled to unit length, and how far its norm was from 1."""
     norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
@@ -119,7 +119,7 @@ def _unit(q):
     return scale * q[0], scale * q[1], scale * q[2], scale * q[3], abs(norm - 1.0)
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _share(sine, cosine, n):
     """Sine and cosine of one ``n``-th of an angle up to a right angle: by halves as long as that goes."""
     while n % 2 == 0:

@@ -8,7 +8,7 @@ over odd ``l``, as in :mod:`repro.sensing.multipole`; Legendre polynomials and t
 
 from __future__ import annotations
 
-from repro.kernels.compilation import compiled
+from repro.kernels.compilation import machine_code
 
 ORDERS = 32
 """Largest number of moments."""
@@ -16,7 +16,7 @@ _BY_C = tuple((2.0 * n + 1.0) / (n + 1.0) for n in range(2 * ORDERS + 2))
 _BACK = tuple(n / (n + 1.0) for n in range(2 * ORDERS + 2))
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def multipole(moments, d, cos_alpha, cos_beta, c):
     r"""Reading of one sensor in the field of one magnet, and its slopes.
 

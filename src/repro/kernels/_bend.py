@@ -16,14 +16,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.kernels.compilation import compiled
+from repro.kernels.compilation import machine_code
 from repro.sensing.magnets import B444B, Cube
 
 SERIES_SWITCH = 1e-3
 """Squared angle below which sin(phi/2)/(phi/2) is a series of three terms, exact to 4e-15."""
 
 
-@compiled()
+@machine_code()
 def bend_field(q, length, edge, polarisation_mt, out):
     """Write the flux density for every bend vector ``q[n, 2]`` into ``out[n, 3]``."""
     a = edge / 2

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from repro.errors import InputError
 from repro.kinematics.robot import Robot
-from repro.robot_file.document import Document
-from repro.robot_file.tables import MOST_CHANNELS, MOST_VALUES
+from repro.robot_file._document import Document
+from repro.robot_file._tables import MOST_CHANNELS, MOST_VALUES
 from repro.sensing.magnets import Cube, Ring
 from repro.sensing.own_model import are_scripts
 

@@ -22,8 +22,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.kernels.bend import bend_field
-from repro.kernels.compilation import compiled
+from repro.kernels._bend import bend_field
+from repro.kernels.compilation import machine_code
 from repro.sensing.magnets import B444B, Cube
 
 _A_TERMS, _B_TERMS = 8, 4
@@ -32,7 +32,7 @@ _LARGEST_ERROR_MT = 1e-4
 """A series further than this from the closed form is refused [mT]."""
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def series_field(x, y, coefficients, reach, scratch, out):
     """Write the flux density at bends ``x[n], y[n]`` into ``out[3, n]``; ``scratch`` is ``[5, n]``.
 
@@ -53,7 +53,7 @@ def series_field(x, y, coefficients, reach, scratch, out):
         out[2, i] = G[i]
 
 
-@compiled(reorder=True)
+@machine_code(reorder=True)
 def _polynomial(c, a, b, out):
     """Sum of ``c[j, k] b^j a^k`` by Horner's rule."""
     out[:] = 0.0
@@ -70,7 +70,7 @@ def _polynomial(c, a, b, out):
 
 @dataclass(frozen=True)
 class BendSeries:
-    """Sensor model like :class:`~repro.kernels.bend.CompiledBendSensor`, for bends up to a limit.
+    """Sensor model like :class:`~repro.kernels._bend.CompiledBendSensor`, for bends up to a limit.
 
     Parameters
     ----------
