@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from repro.estimation.orientations import UPRIGHT
 from repro.kinematics.affine_curvature import AffineCurvature
 from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.mounts import Mounts, directed_sensors, magnet_mounts, sensor_mounts
@@ -19,35 +18,8 @@ from repro.robot_file._checks import check_direction, check_place
 from repro.robot_file._document import Document, Key
 from repro.robot_file._tables import MAGNET_KEYS, MAGNET_KINDS, SEGMENT_KINDS, imu_keys, model_keys
 from repro.robot_file.columns import MAGNETIC_STREAM
+from repro.robot_file.imu_readings import Imu
 from repro.sensing.magnets import Cube, Ring
-
-
-@dataclass(frozen=True)
-class Imu:
-    """An IMU on a robot.
-
-    Parameters
-    ----------
-    stream
-        Stream of its frames.
-    segment
-        Segment, from 0.
-    at_m
-        Distance from the base of that segment along the unextended backbone [m].
-    arc_m
-        Distance from the base of the robot [m].
-    mounted
-        Unit quaternion XYZW from the frame of the IMU to that of the cross-section.
-    free_heading
-        Whether its orientation about the vertical is arbitrary.
-    """
-
-    stream: int
-    segment: int
-    at_m: float
-    arc_m: float
-    mounted: tuple[float, ...] = tuple(UPRIGHT)
-    free_heading: bool = False
 
 
 def segments_of(document: Document) -> tuple[tuple[Segment, ...], list[tuple[float, float]]]:

@@ -11,8 +11,7 @@ from torch import Tensor
 
 from repro.estimation.undetermined import undetermined
 from repro.kinematics.robot import Robot
-from repro.robot_file._parts import Imu
-from repro.robot_file.imu_readings import beside_imus, directions, freedoms
+from repro.robot_file.imu_readings import Imu, beside_imus
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing
 
@@ -52,7 +51,7 @@ def unobserved(found: _Described) -> tuple[str, ...]:
     if not len(robot.sensors):
         return ()
     notes = []
-    readings, unknowns = len(robot.sensors) + freedoms(found.imus), robot.n_q
+    readings, unknowns = len(robot.sensors) + sum(imu.freedoms for imu in found.imus), robot.n_q
     if readings < unknowns:
         notes.append(
             f"{found.name}: {readings} readings for {unknowns} unknowns. Those of one moment do not determine the "
@@ -72,8 +71,8 @@ def _open(found: _Described, q: Tensor) -> list[str]:
     sensing, noise = found.sensing(), found.noise
     assert isinstance(sensing, LinearisedSensing)
     if found.imus:
-        model = directions(found.robot, found.imus, found.base_orientation)
-        _, J = beside_imus(sensing, noise, found.imus, found.imu_noise, model).linearise(q)
+        imus = found.imus, found.imu_noise, found.base_orientation
+        _, J = beside_imus(sensing, noise, found.robot, *imus).linearise(q)
     else:
         J = sensing.linearise(q)[1] / noise
     J = J * (found.upper - found.lower) / 2

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -21,31 +22,74 @@ from repro import se3
 from repro.estimation.orientations import UNIT_TOLERANCE, UPRIGHT
 from repro.kinematics.mounts import Mounts
 from repro.kinematics.robot import Robot
-from repro.robot_file._parts import Imu
 from repro.sensing.seen_directions import SeenDirections
 from repro.sensing.stacked import StackedSensing
 
 
-def in_cross_section(values: Sequence[float], imu: Imu, base_orientation: Sequence[float]) -> Sequence[float]:
-    """Orientation of the cross-section in the base, from that of the IMU in the world; as given if they are the same.
+@dataclass(frozen=True)
+class Imu:
+    """An IMU on a robot.
 
-    Anything but a unit quaternion is returned as it is: the estimator refuses it.
+    Parameters
+    ----------
+    stream
+        Stream of its frames.
+    segment
+        Segment, from 0.
+    at_m
+        Distance from the base of that segment along the unextended backbone [m].
+    arc_m
+        Distance from the base of the robot [m].
+    mounted
+        Unit quaternion XYZW from the frame of the IMU to that of the cross-section.
+    free_heading
+        Whether its orientation about the vertical is arbitrary.
     """
-    as_they_are = list(imu.mounted) == UPRIGHT and list(base_orientation) == UPRIGHT
-    if as_they_are or not _is_unit(values):
-        return values
-    turned = Rotation.from_quat(values) * Rotation.from_quat(imu.mounted).inv()
-    return (Rotation.from_quat(base_orientation).inv() * turned).as_quat().tolist()
 
+    stream: int
+    segment: int
+    at_m: float
+    arc_m: float
+    mounted: tuple[float, ...] = tuple(UPRIGHT)
+    free_heading: bool = False
 
-def sizes(imus: Sequence[Imu]) -> tuple[int, ...]:
-    """Return how many components each IMU has in the model: nine, or three if its heading is free."""
-    return tuple(3 if imu.free_heading else 9 for imu in imus)
+    @property
+    def components(self) -> int:
+        """How many numbers it has in the model: nine, or three if its heading is free."""
+        return 3 if self.free_heading else 9
 
+    @property
+    def freedoms(self) -> int:
+        """How many of them are independent: three angles, or two if its heading is free."""
+        return 2 if self.free_heading else 3
 
-def freedoms(imus: Sequence[Imu]) -> int:
-    """Return how many independent numbers the IMUs read: three angles each, or two if the heading is free."""
-    return sum(2 if imu.free_heading else 3 for imu in imus)
+    def in_cross_section(self, values: Sequence[float], base_orientation: Sequence[float]) -> Sequence[float]:
+        """Orientation of the cross-section in the base, from that of the IMU in the world; as given if they agree.
+
+        Anything but a unit quaternion is returned as it is: the estimator refuses it.
+        """
+        as_they_are = list(self.mounted) == UPRIGHT and list(base_orientation) == UPRIGHT
+        if as_they_are or not _is_unit(values):
+            return values
+        turned = Rotation.from_quat(values) * Rotation.from_quat(self.mounted).inv()
+        return (Rotation.from_quat(base_orientation).inv() * turned).as_quat().tolist()
+
+    def seen(
+        self, values: Sequence[float] | None, base_orientation: Sequence[float]
+    ) -> Float[Tensor, " components"]:
+        """Directions fixed in the base as it sees them, from its quaternion; NaN without one, or if it is not unit.
+
+        Examples
+        --------
+        >>> Imu(1, 0, 0.1, 0.1, free_heading=True).seen((0.0, 0.0, 1.0, 0.0), UPRIGHT)
+        tensor([0., 0., 1.], dtype=torch.float64)
+        """
+        if values is None or not _is_unit(values):
+            return torch.full((self.components,), math.nan, dtype=torch.float64)
+        of_world = Rotation.from_quat(values).as_matrix().T  # columns: axes of the world as the IMU sees them
+        if self.free_heading:
+            return torch.from_numpy(of_world[:, 2].copy())
+        return torch.from_numpy((of_world @ Rotation.from_quat(base_orientation).as_matrix()).T.flatten())
 
 
 def sent(
@@ -65,7 +109,35 @@ def sent(
     return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat().reshape(*R.shape[:-2], 4)
 
 
-def directions(robot: Robot, imus: Sequence[Imu], base_orientation: Sequence[float]) -> SeenDirections:
+def beside_imus(
+    magnetic: Callable[[Tensor], Tensor],
+    noise: float,
+    robot: Robot,
+    imus: Sequence[Imu],
+    imu_noise: float,
+    base_orientation: Sequence[float],
+) -> StackedSensing:
+    """Sensor model of magnetic sensors and IMUs together, each in units of its noise.
+
+    Parameters
+    ----------
+    magnetic, noise
+        Model of the magnetic sensors, and the standard deviation of their readings.
+    robot, imus, imu_noise
+        The robot, its IMUs, and the standard deviation of an orientation about each axis [rad].
+    base_orientation
+        How the base stands in the world of the IMUs, a unit quaternion XYZW.
+    """
+    sigma = [
+        imu_noise * (1.0 if imu.free_heading else math.sqrt(2.0))
+        for imu in imus
+        for _ in range(imu.components)
+    ]
+    model = _directions(robot, imus, base_orientation)
+    return StackedSensing((magnetic, model), (noise, torch.tensor(sigma, dtype=torch.float64)))
+
+
+def _directions(robot: Robot, imus: Sequence[Imu], base_orientation: Sequence[float]) -> SeenDirections:
     """Sensor model of the IMUs: the axes of the base, or the vertical, as each sees them."""
     to_world = Rotation.from_quat(base_orientation).as_matrix()
     seen_by, rows = [], []
@@ -77,46 +149,6 @@ def directions(robot: Robot, imus: Sequence[Imu], base_orientation: Sequence[flo
     at = torch.tensor([imu.at_m for imu in imus], dtype=torch.float64)
     mounts = Mounts(tuple(imu.segment for imu in imus), at, se3.pose(mounted, mounted.new_zeros(3)))
     return SeenDirections(robot, mounts, tuple(seen_by), torch.from_numpy(np.concatenate(rows)))
-
-
-def seen(
-    values: Sequence[float] | None, imu: Imu, base_orientation: Sequence[float]
-) -> Float[Tensor, " components"]:
-    """Return what :func:`directions` predicts of one IMU, from its quaternion; NaN without one, or if it is not unit.
-
-    Examples
-    --------
-    >>> seen((0.0, 0.0, 1.0, 0.0), Imu(1, 0, 0.1, 0.1, free_heading=True), UPRIGHT)
-    tensor([0., 0., 1.], dtype=torch.float64)
-    """
-    if values is None or not _is_unit(values):
-        return torch.full((sizes([imu])[0],), math.nan, dtype=torch.float64)
-    of_world = Rotation.from_quat(values).as_matrix().T  # columns: axes of the world as the IMU sees them
-    if imu.free_heading:
-        return torch.from_numpy(of_world[:, 2].copy())
-    return torch.from_numpy((of_world @ Rotation.from_quat(base_orientation).as_matrix()).T.flatten())
-
-
-def beside_imus(
-    magnetic: Callable[[Tensor], Tensor],
-    noise: float,
-    imus: Sequence[Imu],
-    imu_noise: float,
-    model: SeenDirections,
-) -> StackedSensing:
-    """Sensor model of magnetic sensors and IMUs together, each in units of its noise.
-
-    Parameters
-    ----------
-    magnetic, noise
-        Model of the magnetic sensors, and the standard deviation of their readings.
-    imus, imu_noise
-        The IMUs, and the standard deviation of an orientation about each axis [rad].
-    model
-        From :func:`directions`.
-    """
-    sigma = [imu_noise * (1.0 if n == 3 else math.sqrt(2.0)) for n in sizes(imus) for _ in range(n)]
-    return StackedSensing((magnetic, model), (noise, torch.tensor(sigma, dtype=torch.float64)))
 
 
 def _is_unit(values: Sequence[float]) -> bool:

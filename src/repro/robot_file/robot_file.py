@@ -18,10 +18,10 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.kinematics.robot import Robot
-from repro.robot_file._parts import Imu
 from repro.robot_file._reading_errors import CalibrationError, network_of_sensor
 from repro.robot_file.calibration_file import RobotCalibration
 from repro.robot_file.columns import channel_columns
+from repro.robot_file.imu_readings import Imu
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.magnets import Cube, Ring

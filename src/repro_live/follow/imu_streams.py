@@ -20,14 +20,7 @@ from repro.estimation.imu_models import exact_arcs
 from repro.estimation.imu_selection import Selection
 from repro.estimation.imu_shape import ImuShape
 from repro.estimation.orientations import UPRIGHT
-from repro.robot_file.imu_readings import (
-    beside_imus,
-    directions,
-    freedoms,
-    in_cross_section,
-    seen,
-    sizes,
-)
+from repro.robot_file.imu_readings import beside_imus
 from repro.robot_file.robot_file import RobotFile
 from repro.sensing.stacked import StackedSensing
 from repro_live.follow.time_steps import TimeStep
@@ -68,19 +61,19 @@ def quaternions(robot: RobotFile, step: TimeStep) -> Float[Tensor, " readings"]:
     rows: list[Sequence[float]] = [UPRIGHT]
     for imu, frame in zip(robot.imus, step.frames, strict=True):
         values = quaternion(robot, frame) or [math.nan] * len(UPRIGHT)
-        rows.append(in_cross_section(values, imu, robot.base_orientation))
+        rows.append(imu.in_cross_section(values, robot.base_orientation))
     return torch.tensor(rows, dtype=torch.float64).flatten()
 
 
 def stacked(robot: RobotFile, magnetic: Callable[[Tensor], Tensor]) -> StackedSensing:
     """Sensor model of the magnetic sensors and the IMUs of a robot, each in units of its noise."""
-    model = directions(robot.robot, robot.imus, robot.base_orientation)
-    return beside_imus(magnetic, robot.noise, robot.imus, robot.imu_noise, model)
+    imus = robot.imus, robot.imu_noise, robot.base_orientation
+    return beside_imus(magnetic, robot.noise, robot.robot, *imus)
 
 
 def error_beside(robot: RobotFile) -> Callable[[Tensor], Tensor]:
     """Covariance of the readings of :func:`stacked` by the error of the magnetic model: that of IMUs has none."""
-    n = sum(sizes(robot.imus))
+    n = sum(_components(robot))
 
     def error(q: Tensor) -> Tensor:
         assert robot.error is not None  # asked of robots that have one
@@ -102,7 +95,7 @@ def readings(robot: RobotFile, model: StackedSensing, step: TimeStep) -> Float[T
     if magnetic is not None:
         u = robot.signal(magnetic.values)
     parts = [
-        seen(quaternion(robot, frame), imu, robot.base_orientation)
+        imu.seen(quaternion(robot, frame), robot.base_orientation)
         for imu, frame in zip(robot.imus, others, strict=True)
     ]
     return model.scaled([u, torch.cat(parts)])
@@ -122,15 +115,20 @@ def quaternion(robot: RobotFile, frame: Frame | None) -> Sequence[float] | None:
     return None if frame is None else frame.values
 
 
+def _components(robot: RobotFile) -> list[int]:
+    """Return how many numbers each IMU has in the model."""
+    return [imu.components for imu in robot.imus]
+
+
 def by_sensor(robot: RobotFile, flags: Bool[Tensor, " readings"]) -> list[bool]:
     """For every magnetic sensor its flag, and for every IMU whether any of its components has one."""
     n = len(robot.channel)
-    return flags[:n].tolist() + [bool(part.any()) for part in flags[n:].split(sizes(robot.imus))]
+    return flags[:n].tolist() + [bool(part.any()) for part in flags[n:].split(_components(robot))]
 
 
 def by_reading(robot: RobotFile, works: Bool[Tensor, " sensors"]) -> Bool[Tensor, " readings"]:
     """Flags of magnetic sensors and IMUs, repeated for every component of an IMU."""
-    return works.repeat_interleave(torch.tensor([1] * len(robot.channel) + list(sizes(robot.imus))))
+    return works.repeat_interleave(torch.tensor([1] * len(robot.channel) + _components(robot)))
 
 
 def redundant(robot: RobotFile, use: Bool[Tensor, "*batch readings"]) -> Tensor:
@@ -138,8 +136,8 @@ def redundant(robot: RobotFile, use: Bool[Tensor, "*batch readings"]) -> Tensor:
 
     The sum of squared residuals, in units of the noise, has as many degrees of freedom fewer.
     """
-    parts = use[..., len(robot.channel) :].split(sizes(robot.imus), dim=-1)
-    counts = [part.shape[-1] - freedoms([imu]) for part, imu in zip(parts, robot.imus, strict=True)]
+    parts = use[..., len(robot.channel) :].split(_components(robot), dim=-1)
+    counts = [part.shape[-1] - imu.freedoms for part, imu in zip(parts, robot.imus, strict=True)]
     whole = torch.stack([part.all(-1) for part in parts], dim=-1)
     return (whole * torch.tensor(counts)).sum(-1)
 
@@ -180,7 +178,7 @@ def shown(
     It leans from the axis of the base; where the heading is free, from the vertical.
     """
     n, sigma = len(robot.channel), torch.as_tensor(model.noise[1])
-    parts = (u[n:] * sigma).split(sizes(robot.imus))
+    parts = (u[n:] * sigma).split(_components(robot))
     axes = Rotation.from_quat([imu.mounted for imu in robot.imus]).as_matrix()[
         :, 2
     ]  # the backbone as IMUs see it
