@@ -15,7 +15,7 @@ from torch import Tensor
 from repro.estimation.imu_selection import Selection
 from repro.kinematics.paper_robots import LENGTH_M, MAGNET_AXIAL_M, RADIUS_M, SENSOR_RADIAL_M
 from repro.kinematics.robot import Robot
-from repro.sensing.magnets import MT_PER_T, Cube, Ring
+from repro.sensing.magnets import _MT_PER_T, Cube, Ring
 
 Model = Callable[[Tensor], Tensor]
 
@@ -33,11 +33,11 @@ def objects_per_configuration(
         One ``getB`` for all sensors of a configuration; else one for every sensor.
     """
     outer = magpy.magnet.Cylinder(
-        polarization=(0, 0, magnet.polarisation_mt / MT_PER_T),
+        polarization=(0, 0, magnet.polarisation_mt / _MT_PER_T),
         dimension=(magnet.outer_diameter, magnet.height),
     )
     bore = magpy.magnet.Cylinder(
-        polarization=(0, 0, -magnet.polarisation_mt / MT_PER_T),
+        polarization=(0, 0, -magnet.polarisation_mt / _MT_PER_T),
         dimension=(magnet.inner_diameter, magnet.height),
     )
     rows = []
@@ -51,7 +51,7 @@ def objects_per_configuration(
             rows.append(magpy.getB(sources, sensors, sumup=True)[:, 2])
         else:
             rows.append([magpy.getB(sources, sensor, sumup=True)[2] for sensor in sensors])
-    return MT_PER_T * np.array(rows)
+    return _MT_PER_T * np.array(rows)
 
 
 def cube_fields(q: Float[np.ndarray, "n 2"], length: float, cube: Cube) -> Float[np.ndarray, "n 3"]:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from repro.errors import bad_input
 
-SERIES_SWITCH = 1.0
+_SERIES_SWITCH = 1.0
 """Squared angle [rad^2] below which the series is used. Ten terms leave less than 1e-18 there."""
 
 _TERMS = 10
@@ -48,7 +48,7 @@ def sinc(z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     >>> sinc(torch.tensor([0.0, (math.pi / 2) ** 2], dtype=torch.float64))
     tensor([1.0000, 0.6366], dtype=torch.float64)
     """
-    small = z < SERIES_SWITCH
+    small = z < _SERIES_SWITCH
     theta = torch.where(small, 1.0, z).sqrt()
     return torch.where(small, _horner(_SINC, torch.where(small, z, 0.0)), theta.sin() / theta)
 
@@ -66,7 +66,7 @@ def cosc(z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     >>> cosc(torch.tensor([0.0, math.pi**2], dtype=torch.float64))
     tensor([0.5000, 0.2026], dtype=torch.float64)
     """
-    small = z < SERIES_SWITCH
+    small = z < _SERIES_SWITCH
     theta = torch.where(small, 1.0, z).sqrt()
     half = (theta / 2).sin() / theta
     return torch.where(small, _horner(_COSC, torch.where(small, z, 0.0)), 2 * half * half)

@@ -57,7 +57,6 @@ def calibrate(
     baud
         Bits per second of the port.
     """
-    from repro.robot_file.calibration_file import write_calibration
     from repro_live.robot.calibrate import calibrate as fit
     from repro_live.robot.calibrate import check_plausible, pose_covariance, report
     from repro_live.robot.calibration_poses import read_poses
@@ -72,7 +71,7 @@ def calibrate(
         print(f"Warning: {note}")
     found = fit(described, taken.values, table.q, covariance)
     check_plausible(found, described)
-    write_calibration(output, found)
+    found.write(output)
     print(f"{report(found, described.unit)}\nWritten: {output}")
     return 0
 

@@ -5,10 +5,10 @@ import math
 import pytest
 import torch
 
-from repro.estimation.ratio_inversion import _dipole_bend, invert
 from repro.kinematics.bend import MAX_BEND, bend_vector
 from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.field_ratios import FieldRatios
+from repro_companion.twins.field_ratios import FieldRatios
+from repro_companion.twins.ratio_inversion import _dipole_bend, invert
 
 MATRIX = torch.tensor([[0.6, 0.25], [-0.3, 0.55]], dtype=torch.float64)
 DIRECTIONS = torch.linspace(0, 2 * math.pi, 17, dtype=torch.float64)

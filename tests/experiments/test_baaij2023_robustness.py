@@ -12,7 +12,7 @@ from torch.nn.utils import parameters_to_vector
 from repro.kernels import training as together
 from repro.kernels._training_step import train_step
 from repro.kernels.training import _dropout, _workspace, train_together
-from repro.sensing.network import PAPER_WIDTHS, paper_network
+from repro.sensing.network import _PAPER_WIDTHS, paper_network
 from repro.sensing.training import train_paper
 from repro_companion.book.project import find_project
 from repro_companion.pages.robustness import studies as robustness
@@ -38,7 +38,7 @@ def toy_rows(n=2000, seed=5):
 class TestTogether:
     def test_one_step_is_that_of_autograd(self):
         g = torch.Generator().manual_seed(0)
-        network, widths = paper_network(5, g), (5, *PAPER_WIDTHS)
+        network, widths = paper_network(5, g), (5, *_PAPER_WIDTHS)
         theta = parameters_to_vector(network.parameters()).detach().clone().numpy()
         start = theta.copy()
         x, y = toy_rows(650)

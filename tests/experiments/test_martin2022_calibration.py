@@ -8,7 +8,6 @@ import pytest
 from short_arm import DATA, short_arm
 
 from repro.errors import InputError
-from repro.sensing.inertial import PERFECT
 from repro_companion.book.studies import read_study
 from repro_companion.pages.imu_markers.calibration import (
     BASELINE,
@@ -20,6 +19,7 @@ from repro_companion.pages.imu_markers.calibration import (
 )
 from repro_companion.twins.arm_draws import draw, drawn
 from repro_companion.twins.arm_recording import MotionCapture
+from repro_companion.twins.imu_errors import PERFECT
 from repro_companion.twins.stick_motion import SCHEDULE
 
 

@@ -13,7 +13,6 @@ from short_arm import short_arm
 from repro.errors import InputError
 from repro.estimation.imu_chain import sensor_orientations
 from repro.estimation.orientations import tangents
-from repro.sensing.inertial import PERFECT
 from repro_companion.pages.how_many_imus.curves import frames_along
 from repro_companion.pages.recorded_trial import captured, recorded
 from repro_companion.pages.recorded_trial.recorded import (
@@ -52,6 +51,7 @@ from repro_companion.recordings.martin2022_outputs import (
 )
 from repro_companion.twins.arm_draws import draw, drawn
 from repro_companion.twins.arm_recording import MotionCapture
+from repro_companion.twins.imu_errors import PERFECT
 
 PUBLISHED = pd.read_csv(Path(__file__).parents[2] / "data" / "published" / "published.csv")
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from repro.estimation.imu_models import tangent_spline
-from repro.sensing.inertial import PERFECT, ImuErrors
 from repro_companion.recordings.martin2022_models import selection
 from repro_companion.twins.arm_recording import MotionCapture, record_soft_arm
 from repro_companion.twins.arm_trial import synchronised
+from repro_companion.twins.imu_errors import PERFECT, ImuErrors
 from repro_companion.twins.soft_arm import load_soft_arm
 from repro_companion.twins.stick_motion import MODES
 

@@ -12,7 +12,6 @@ import torch
 from repro.errors import InputError
 from repro.kinematics.bend import bend_vector
 from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.field_ratios import FieldRatios
 from repro_companion.pages.bend_tests import errors
 from repro_companion.pages.bend_tests import statements as say
 from repro_companion.pages.bend_tests.filters import (
@@ -41,6 +40,7 @@ from repro_companion.recordings.mitchell2021_tables import read_calibration
 from repro_companion.recordings.released import said_of_files
 from repro_companion.twins.bend_curves import bend_readings
 from repro_companion.twins.bend_takes import BendRecorder, write_bend_takes
+from repro_companion.twins.field_ratios import FieldRatios
 from repro_live.own.optitrack import read_capture
 
 SENSOR = BendSensor(13e-3)

@@ -13,7 +13,6 @@ from repro import se3
 from repro.errors import InputError
 from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M
 from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.inertial import PERFECT
 from repro.sensing.magnetic import readings
 from repro_companion.pages.one_robot import tables
 from repro_companion.pages.one_robot.estimates import (
@@ -32,6 +31,7 @@ from repro_companion.pages.one_robot.tables import (
     shape_alone,
     shape_errors,
 )
+from repro_companion.twins.imu_errors import PERFECT
 from repro_companion.twins.segment_motion import ROBOT, TRAJECTORIES, motion
 from repro_companion.twins.segment_robot import (
     APART_M,

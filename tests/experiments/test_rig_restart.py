@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from repro.estimation.consistency import CONSISTENT, SUSPICIOUS, WINDOW
+from repro.estimation.consistency import WINDOW, Status
 from repro_companion.pages.table_2.reliability import doubt_table
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.twins.rig_data import RigData, load_recordings
@@ -46,8 +46,8 @@ def test_a_wrong_start_is_left_within_a_second_and_is_kept_where_nothing_watches
     assert np.array_equal(run.q[:first, :2], 1e-3 * alone[:first])
     assert found[first:].max() < 1.0
     # It says so: at the new start, and for as long as a monitor calls one new.
-    assert (run.status[first : first + WINDOW] == SUSPICIOUS).all()
-    assert (run.status[first + WINDOW :] == CONSISTENT).all()
+    assert (run.status[first : first + WINDOW] == Status.SUSPICIOUS).all()
+    assert (run.status[first + WINDOW :] == Status.CONSISTENT).all()
     assert (run.anew[first:] == 1).all()
 
 
@@ -70,8 +70,8 @@ def test_where_no_start_explains_the_readings_it_goes_on_and_says_so():
     u = part.u[:400].copy()
     u[200:, 1] += 60.0
     run = BendFilter(bend_map).whole(u)
-    assert (run.status[:200] == CONSISTENT).all()
-    assert (run.status[200 + LASTING - 1 :] == SUSPICIOUS).mean() > 0.9
+    assert (run.status[:200] == Status.CONSISTENT).all()
+    assert (run.status[200 + LASTING - 1 :] == Status.SUSPICIOUS).mean() > 0.9
     assert (run.anew == 0).all()
     np.testing.assert_allclose(1e3 * run.q[:, :2], bends_mm(BendFilter(bend_map), u), rtol=0, atol=1e-12)
 
@@ -81,7 +81,7 @@ def test_on_the_twin_of_the_page_it_is_never_started_anew():
     bend_map = fit_map(data.train)
     for name, part in data.shortened(15.0).items():
         run = BendFilter(bend_map).whole(part.u)
-        assert (run.status == CONSISTENT).all(), name
+        assert (run.status == Status.CONSISTENT).all(), name
         assert (run.anew == 0).all(), name
 
 
@@ -92,6 +92,6 @@ def test_the_table_of_doubt_states_restarts_and_suspicious_frames_of_the_filter_
     paper = PaperRun({"T3": part}, (0,), {}, {("known", "T3"): part.q[:, None]})
     table = doubt_table(bend_map, paper, {"T3": run}).set_index("method")
     assert table.loc["filter with a map", "restarts"] == run.anew[-1] == 1
-    share = 100 * (run.status == SUSPICIOUS).mean()
+    share = 100 * (run.status == Status.SUSPICIOUS).mean()
     assert table.loc["filter with a map", "suspicious_percent"] == share > 0
     assert table.loc["paper, elongation known", ["suspicious_percent", "restarts"]].isna().all()

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from moving_robot import robot_readings
 
-from repro.estimation.consistency import WRONG
+from repro.estimation.consistency import Status
 from repro.robot_file.load import load_robot
 from repro_companion.book.studies import read_study
 from repro_companion.pages.sensor_failure.studies import (
@@ -115,7 +115,11 @@ def test_a_session_names_the_sensor_marks_the_shape_and_notes_it_in_the_recordin
     stop.set()
     session.join(20)
     state = states[-1]
-    assert (state.verdict.status, state.verdict.cause, state.verdict.suspects) == (WRONG, "sensors", (2,))
+    assert (state.verdict.status, state.verdict.cause, state.verdict.suspects) == (
+        Status.WRONG,
+        "sensors",
+        (2,),
+    )
     assert live_text.mark(state) == "wrong, not to be trusted"
     assert "It is sensor 3 (--failed 3 leaves it out)." in live_text.alerts(estimator, state)[0]
     assert "Wrong, not to be trusted: residuals are" in " ".join(live_text.block(estimator, state))

@@ -17,7 +17,7 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.calibration import calibrate as calibrate_geometry
-from repro.robot_file.calibration_file import read_calibration, write_calibration
+from repro.robot_file.calibration_file import RobotCalibration
 from repro.robot_file.load import load_robot
 from repro.sensing.placement import Tolerances, placed
 from repro_live.record.recording import Recording, read_recording
@@ -195,8 +195,8 @@ def test_the_report_tells_residuals_and_doubts():
 def test_the_file_returns_the_same_bits(tmp_path):
     found = calibrate(ROBOT, *session(ROBOT, built(ROBOT, 3), 8), COVARIANCE)
     path = tmp_path / "calibration.json"
-    write_calibration(path, found)
-    again = read_calibration(path)
+    found.write(path)
+    again = RobotCalibration.read(path)
     for name, value in vars(found).items():
         other = getattr(again, name)
         assert torch.equal(other, value) if isinstance(value, torch.Tensor) else other == value
@@ -208,7 +208,7 @@ def test_the_file_returns_the_same_bits(tmp_path):
 def test_a_calibration_belongs_to_one_file(tmp_path):
     found = calibrate(ROBOT, *session(ROBOT, ROBOT, 8), COVARIANCE)
     path, other = tmp_path / "c.json", tmp_path / "one_segment.toml"
-    write_calibration(path, found)
+    found.write(path)
     other.write_text((ROBOTS / "one_segment.toml").read_text() + "\n# changed\n")
     with pytest.raises(InputError) as error:
         load_robot(other, path)
@@ -222,13 +222,13 @@ def test_a_calibration_belongs_to_one_file(tmp_path):
 def test_wrong_calibration_files(tmp_path):
     path = tmp_path / "c.json"
     with pytest.raises(InputError, match="must be a file that repro calibrate wrote"):
-        read_calibration(path)
+        RobotCalibration.read(path)
     path.write_text("{")
     with pytest.raises(InputError, match="file of c.json must be JSON that repro calibrate wrote"):
-        read_calibration(path)
+        RobotCalibration.read(path)
     path.write_text('{"schema": 1}')
     with pytest.raises(InputError) as error:
-        read_calibration(path)
+        RobotCalibration.read(path)
     assert str(error.value) == (
         "Input schema of c.json must be 2 (older files lack the uncertainty of their parameters: calibrate again); "
         "instead received 1."
@@ -237,13 +237,13 @@ def test_wrong_calibration_files(tmp_path):
     content = json.loads(path.read_text())
     path.write_text(json.dumps({k: v for k, v in content.items() if k != "chi2"}))
     with pytest.raises(InputError, match="instead received a difference in chi2"):
-        read_calibration(path)
+        RobotCalibration.read(path)
     path.write_text(json.dumps(content | {"offset": [0.0, None, 1.0]}))
     with pytest.raises(InputError, match=r"offset of c.json must be a list of finite numbers"):
-        read_calibration(path)
+        RobotCalibration.read(path)
     path.write_text(json.dumps(content | {"offset": [0.0]}))
     with pytest.raises(InputError, match=r"names of c.json must be those of 26 numbers; instead received 28"):
-        read_calibration(path)
+        RobotCalibration.read(path)
     rows = [row[:-2] for row in content["covariance"][:-2]]
     fewer = content | {"offset": [0.0], "names": content["names"][:-2], "covariance": rows}
     path.write_text(json.dumps(fewer))
@@ -288,7 +288,7 @@ def test_damaged_calibration_files(tmp_path, change, message):
     write_calibration(path, calibrate(ROBOT, *session(ROBOT, ROBOT, 8, n=8), COVARIANCE))
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(InputError) as error:
-        read_calibration(path)
+        RobotCalibration.read(path)
     assert str(error.value).startswith(f"Input {message}")
 
 
@@ -306,7 +306,7 @@ def test_files_that_are_no_json(tmp_path, content):
     path = tmp_path / "c.json"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(InputError, match="file of c.json must be JSON that repro calibrate wrote"):
-        read_calibration(path)
+        RobotCalibration.read(path)
 
 
 def test_a_covariance_with_a_negative_variance_is_refused(tmp_path):
@@ -316,11 +316,11 @@ def test_a_covariance_with_a_negative_variance_is_refused(tmp_path):
     content["covariance"][0][1] = content["covariance"][1][0] = 1.0
     path.write_text(json.dumps(content))
     with pytest.raises(InputError, match="must be that of random numbers; .* one with a negative variance"):
-        read_calibration(path)
+        RobotCalibration.read(path)
     content["covariance"][0][1] = 2.0
     path.write_text(json.dumps(content))
     with pytest.raises(InputError, match="must be symmetric, 28 x 28"):
-        read_calibration(path)
+        RobotCalibration.read(path)
 
 
 def test_wrong_input():

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from repro.errors import InputError
 from repro.kernels._sensing import CompiledSensing
 from repro.kinematics.mounts import directed_sensors, magnet_mounts, sensor_mounts
-from repro.robot_file.calibration_file import write_calibration
 from repro.robot_file.load import load_robot
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
@@ -156,7 +155,7 @@ def test_unlike_magnets_are_calibrated_each_by_itself(tmp_path):
     torch.testing.assert_close(J, numeric, rtol=1e-5, atol=1e-6)
     calibration = calibrate(found, u, q, pose_covariance(found, 1e-5, 1e-3))
     path = tmp_path / "calibration.json"
-    write_calibration(path, calibration)
+    calibration.write(path)
     moments = load_robot(tmp_path / "arm.toml", path).moments[:, 0] / found.moments[:, 0]
     np.testing.assert_allclose(moments, [1.03, 0.96], atol=5e-3)
 

@@ -21,10 +21,10 @@ from repro.robot_file._magnet_moments import cube_moments, moments_of
 from repro.robot_file._tables import MAGNET_KINDS, SEGMENT_KINDS
 from repro.robot_file._toml_lines import key_lines
 from repro.robot_file.load import load_robot
+from repro.sensing._multipoles import multipole_factors
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import B444B, Cube, ring
-from repro.sensing.multipole import multipole_factors
 from repro.sensing.weights import read_manifest
 from repro_companion.recordings.mitchell2021_conventions import file_axes
 from repro_companion.twins.bend_curves import bend_curve, bend_readings

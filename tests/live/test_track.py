@@ -18,7 +18,7 @@ import torch
 
 from repro.errors import InputError
 from repro.estimation.base import Estimate
-from repro.estimation.consistency import STATUS
+from repro.estimation.consistency import Status
 from repro.robot_file.load import load_robot
 from repro_companion.twins.takes import open_take, played
 from repro_live.emulate.board import passages
@@ -140,7 +140,7 @@ def test_columns_of_every_kind_of_estimate(estimator):
     rows = EstimateRows(estimator, said)
     assert rows.header[-3:] == ["chi2", "dof", "consistency"]
     assert [row[-3:] for row in rows.rows([0.5, 0.6], [said, plain])] == [
-        ["3.5", "2", STATUS[1]],
+        ["3.5", "2", Status(1).word],
         [""] * 3,
     ]
     held = Estimate(q, torch.zeros(3, 3, dtype=torch.float64), q)

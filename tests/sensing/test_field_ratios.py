@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.field_ratios import FieldRatios, ratios
 from repro_companion.recordings.mitchell2021_conventions import MODEL_FROM_FILE, file_axes, model_axes
+from repro_companion.twins.field_ratios import FieldRatios, ratios
 
 TURN = torch.tensor([[0.6, 0.8], [-0.8, 0.6]], dtype=torch.float64)
 

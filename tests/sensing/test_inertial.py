@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
-from repro.sensing.inertial import (
+from repro_companion.twins.imu_errors import (
     PERFECT,
     ImuErrors,
     continuous_signs,

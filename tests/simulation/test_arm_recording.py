@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro.sensing.inertial import PERFECT
 from repro_companion.recordings.martin2022 import READING_COLUMNS, one_clock
 from repro_companion.twins.arm_recording import CHECK_ARCS_M, MARKER_ARCS_M, MotionCapture, record_soft_arm
+from repro_companion.twins.imu_errors import PERFECT
 from repro_companion.twins.soft_arm import load_soft_arm
 
 

@@ -19,12 +19,13 @@ evenly over a share :math:`c` of it, about its middle, :math:`x(t)` has :math:`d
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
 from repro.errors import bad_input
 from repro.estimation._quaternions import axis_and_angle, turn_between
-from repro.estimation.imu_chain import Points
 from repro.estimation.imu_selection import Selection
 from repro.estimation.orientations import tangents
 
@@ -110,3 +111,6 @@ def points_on(arc_lengths: Points, selection: Selection, owner: str) -> np.ndarr
     if points.ndim != 1 or not ((points >= 0) & (points <= total * (1 + 1e-12))).all():
         raise bad_input("arc_lengths", owner, f"distances between 0 and {total:g} m", points)
     return points
+
+
+Points = float | Sequence[float] | Float[np.ndarray, " points"]

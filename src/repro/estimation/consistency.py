@@ -12,14 +12,26 @@ unknowns as readings none is.
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool
 
-CONSISTENT, SUSPICIOUS, WRONG = 0, 1, 2
-STATUS = ("consistent", "suspicious", "wrong")
-"""In words, for ``status`` in the diagnostics."""
+
+class Status(IntEnum):
+    """What ``status`` in the diagnostics says: of how little chance explains the readings."""
+
+    CONSISTENT = 0
+    SUSPICIOUS = 1
+    WRONG = 2
+
+    @property
+    def word(self) -> str:
+        """In one word."""
+        return self.name.lower()
+
+
 WINDOW = 10
 """Readings that are tested together."""
 
@@ -30,7 +42,7 @@ class Verdict(NamedTuple):
     Attributes
     ----------
     status
-        Number of one of :data:`STATUS`.
+        Number of one of :class:`Status`.
     testable
         Whether there is redundancy: without it nothing can be told, and ``status`` means nothing.
     excess
@@ -44,7 +56,7 @@ class Verdict(NamedTuple):
         Numbers of the sensors, from 0.
     """
 
-    status: int = CONSISTENT
+    status: int = Status.CONSISTENT
     testable: bool = False
     excess: float = 0.0
     cause: str = ""

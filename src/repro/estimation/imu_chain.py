@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from repro.errors import bad_input
+from repro.estimation._imu_arcs import Points
 from repro.estimation._quaternions import turn_between, unit_quaternions
 from repro.estimation.orientations import product, tangents
 
 _Lengths = Sequence[float] | Float[np.ndarray, " links"]
-Points = float | Sequence[float] | Float[np.ndarray, " points"]
 
 _HALF = np.sqrt(0.5)
 # R_imu_link: turns link coordinates (link along z) into those of a sensor with the named axis along the link.
@@ -59,20 +59,6 @@ def link_orientations(
     """
     turn = _mounting(along_arm, "link_orientations")
     return product(unit_quaternions(orientations, "link_orientations"), turn)
-
-
-def sensor_orientations(
-    orientations: Float[np.ndarray, "*samples imus 4"], along_arm: str = "z"
-) -> Float[np.ndarray, "*samples imus 4"]:
-    """Turn link orientations into sensor orientations: undoes `link_orientations`, whose arguments it takes.
-
-    Raises
-    ------
-    InputError
-        As `link_orientations`.
-    """
-    turn = _mounting(along_arm, "sensor_orientations") * [-1.0, -1.0, -1.0, 1.0]
-    return product(unit_quaternions(orientations, "sensor_orientations"), turn)
 
 
 def rigid_body(
@@ -221,3 +207,17 @@ def _lengths(link_lengths: _Lengths, links: int, owner: str) -> np.ndarray:
     if not (np.isfinite(lengths) & (lengths >= 0)).all():
         raise bad_input("link_lengths", owner, "finite and not negative [m]", lengths)
     return lengths
+
+
+def sensor_orientations(
+    orientations: Float[np.ndarray, "*samples imus 4"], along_arm: str = "z"
+) -> Float[np.ndarray, "*samples imus 4"]:
+    """Turn link orientations into sensor orientations: undoes `link_orientations`, whose arguments it takes.
+
+    Raises
+    ------
+    InputError
+        As `link_orientations`.
+    """
+    turn = _mounting(along_arm, "sensor_orientations") * [-1.0, -1.0, -1.0, 1.0]
+    return product(unit_quaternions(orientations, "sensor_orientations"), turn)

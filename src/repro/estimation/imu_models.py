@@ -15,9 +15,9 @@ from numpy.polynomial.legendre import leggauss
 from scipy.interpolate import CubicSpline
 
 from repro.errors import bad_input
-from repro.estimation._imu_arcs import from_base, links_between, points_on, positions
+from repro.estimation._imu_arcs import Points, from_base, links_between, points_on, positions
 from repro.estimation._quaternions import unit_quaternions
-from repro.estimation.imu_chain import Points, point_at, rigid_body
+from repro.estimation.imu_chain import point_at, rigid_body
 from repro.estimation.imu_selection import Selection
 from repro.estimation.orientations import tangents
 

@@ -41,7 +41,7 @@ class ImuShape:
     r"""Estimator that applies a model to the orientations of one moment.
 
     An IMU with any component masked or NaN is left out as a whole, and its orientation filled from the others
-    (`repro.estimation._quaternions.filled`). The covariance follows by linear propagation: each IMU has an
+    by interpolation along the arc. The covariance follows by linear propagation: each IMU has an
     independent error of ``noise_rad`` about each axis, the base (number 0) none, and a filled one has that of
     a random walk along the arc, pinned to the IMUs there are: between two of them at distances :math:`a, b`
     the variance about each axis is :math:`\varrho^2 ab/(a + b)`, beyond the last at distance :math:`a` it is

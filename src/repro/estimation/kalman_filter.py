@@ -127,7 +127,7 @@ class IteratedKalmanFilter:
         Raises
         ------
         InputError
-            If ``t`` is not after the last step, or as :func:`repro.estimation._step.usable`.
+            If ``t`` is not after the last step, a mask does not fit, a reading is infinite, or no sensor is left.
         """
         if state.t is not None and not t > state.t:
             raise bad_input("t", "IteratedKalmanFilter", f"after the last step, {state.t} s", t)

@@ -19,7 +19,7 @@ from repro.errors import bad_input
 from repro.estimation._leave_one_out import EXPLAINED, MUCH_BETTER, LeftOut, begun, followed, recovered
 from repro.estimation._window import Seen, frozen, limit, seen_by, verdict_on
 from repro.estimation.base import Estimate, Estimator
-from repro.estimation.consistency import CONSISTENT, SUSPICIOUS, WINDOW, Verdict
+from repro.estimation.consistency import WINDOW, Status, Verdict
 
 _S = TypeVar("_S")
 
@@ -55,9 +55,9 @@ class _MonitorState(Generic[_S]):
 class Monitored(Generic[_S]):
     r"""Estimator that tests whether its estimates explain the readings: one trajectory, no batch.
 
-    Its estimates are those of ``estimator``, with ``status`` (:data:`STATUS`), ``suspects`` (true for sensors that
-    are named) and ``anew`` (how often it was started anew) in the diagnostics. While there is an alarm the covariance
-    is multiplied by :math:`\sum \chi^2/\sum \nu`.
+    Its estimates are those of ``estimator``, with ``status`` (:class:`~repro.estimation.consistency.Status`),
+    ``suspects`` (true for sensors that are named) and ``anew`` (how often it was started anew) in the diagnostics.
+    While there is an alarm the covariance is multiplied by :math:`\sum \chi^2/\sum \nu`.
 
     Parameters
     ----------
@@ -89,15 +89,17 @@ class Monitored(Generic[_S]):
     Three sensors read one coordinate; from the fourth reading on the last one has failed:
 
     >>> from repro.estimation.base import track
-    >>> from repro.estimation.consistency import STATUS
+    >>> from repro.estimation.consistency import Status
     >>> from repro.estimation.levenberg_marquardt import LevenbergMarquardt
     >>> one = torch.ones(1, dtype=torch.float64)
     >>> fit = LevenbergMarquardt(lambda q: q.expand(*q.shape[:-1], 3), -one, one, noise_mt=0.01)
     >>> u = torch.full((24, 3), 0.5, dtype=torch.float64)
     >>> u[3:, 2] = 0.0
     >>> found = track(Monitored(fit, fit, 0 * one[None], rate_hz=40.0), u, 0 * one)
-    >>> [STATUS[k] for k in found.diagnostics["status"][2:4].tolist()], found.diagnostics["suspects"][-1].tolist()
-    (['consistent', 'wrong'], [False, False, True])
+    >>> [Status(k).word for k in found.diagnostics["status"][2:4].tolist()]
+    ['consistent', 'wrong']
+    >>> found.diagnostics["suspects"][-1].tolist()
+    [False, False, True]
     """
 
     estimator: Estimator[_S]
@@ -158,9 +160,9 @@ class Monitored(Generic[_S]):
                 state = self._blamed(state, estimate.q, t, known)
         elif state.verdict.status and state.left is not None:
             state = self._followed(state, t, known)
-        if state.verdict.status == CONSISTENT and int(seen.use.sum()) < self.unknowns:
-            state = replace(state, verdict=state.verdict._replace(status=SUSPICIOUS, cause="too few"))
-        elif state.verdict.status == CONSISTENT or state.verdict.cause == "anew":
+        if state.verdict.status == Status.CONSISTENT and int(seen.use.sum()) < self.unknowns:
+            state = replace(state, verdict=state.verdict._replace(status=Status.SUSPICIOUS, cause="too few"))
+        elif state.verdict.status == Status.CONSISTENT or state.verdict.cause == "anew":
             state = replace(state, good=estimate.q, good_at=t, look_at=0)
         return state, _said(estimate, state, len(u) if self.sensors is None else len(self.sensors))
 
@@ -172,7 +174,7 @@ class Monitored(Generic[_S]):
         if verdict.status and state.verdict.status and state.verdict.cause != "too few":
             verdict = verdict._replace(cause=state.verdict.cause, suspects=state.verdict.suspects)
         elif not verdict.status and state.anew and steps - state.anew_at < WINDOW:
-            verdict = verdict._replace(status=SUSPICIOUS, cause="anew")
+            verdict = verdict._replace(status=Status.SUSPICIOUS, cause="anew")
         return replace(state, inner=inner, steps=steps, window=window, verdict=verdict)
 
     def _start(

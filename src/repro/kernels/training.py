@@ -26,7 +26,6 @@ from repro.sensing._paper_training import (
     refresh_batch_norm,
     rmse,
 )
-from repro.sensing.network import PAPER_WIDTHS
 
 
 def train_together(
@@ -62,7 +61,7 @@ def train_together(
     start = parameters_to_vector(network.parameters()).detach().numpy()
     theta = np.repeat(start[None], len(sets), axis=0)
     average = np.zeros_like(theta)
-    widths = (n_in, *PAPER_WIDTHS)
+    widths = (n_in, *(x.out_features for x in network if isinstance(x, nn.Linear) and x.out_features > 1))
     spaces = {size: _workspace(size, widths) for size in {min(BATCH, n), n % BATCH} if size}
     arrays = [(x.numpy(), y.numpy()) for x, y in rows]
     for epoch in tqdm(range(epochs), disable=not progress, mininterval=5):

@@ -13,9 +13,9 @@ from torch import Tensor
 from repro.errors import InputError
 from repro.kinematics.robot import Robot
 from repro.robot_file._document import Document
+from repro.robot_file._reading_errors import are_scripts
 from repro.robot_file._tables import MOST_CHANNELS, MOST_VALUES
 from repro.sensing.magnets import Cube, Ring
-from repro.sensing.own_model import are_scripts
 
 _OWN_MODEL_MS = 50
 """Time of an estimate with a network that is not compiled, about [ms]."""

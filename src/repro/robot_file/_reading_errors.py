@@ -16,7 +16,6 @@ from repro.errors import bad_input
 from repro.estimation.model_error import WhiteError
 from repro.kinematics.robot import Robot
 from repro.robot_file.calibration_file import RobotCalibration
-from repro.sensing.own_model import are_scripts
 from repro.sensing.weights import read_manifest
 
 
@@ -96,3 +95,8 @@ def network_of_sensor(robot: Robot, networks: int) -> tuple[int, ...]:
     if networks == len(robot.segments):
         return robot.sensors.segment
     return (0,) * n if networks == 1 else tuple(range(n))
+
+
+def are_scripts(networks: Sequence[Path]) -> bool:
+    """Whether files hold TorchScript, not weights in the project's own form."""
+    return any(path.suffix in (".pt", ".pth") for path in networks)

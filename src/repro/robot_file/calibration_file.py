@@ -71,65 +71,66 @@ class RobotCalibration:
         """Posterior standard deviation of everything in ``names``, in their units."""
         return self.covariance.diagonal().sqrt()
 
+    def write(self, path: Path) -> None:
+        """Write it as JSON, whole or not at all; reading it returns the same bits."""
+        rows = self.covariance.tolist()
+        content: dict[str, Any] = {"schema": _SCHEMA}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            content[field.name] = value.tolist() if isinstance(value, Tensor) else value
+        content["covariance"] = [f"row {k}" for k in range(len(rows))]
+        text = json.dumps(content, indent=1)
+        for k, row in enumerate(rows):  # a row of the matrix in a line, not every number
+            text = text.replace(f'"row {k}"', json.dumps(row), 1)
+        write_whole(path, text + "\n")
 
-def write_calibration(path: Path, calibration: RobotCalibration) -> None:
-    """Write a calibration as JSON, whole or not at all; reading it returns the same bits."""
-    rows = calibration.covariance.tolist()
-    content: dict[str, Any] = {"schema": _SCHEMA}
-    for field in fields(calibration):
-        value = getattr(calibration, field.name)
-        content[field.name] = value.tolist() if isinstance(value, Tensor) else value
-    content["covariance"] = [f"row {k}" for k in range(len(rows))]
-    text = json.dumps(content, indent=1)
-    for k, row in enumerate(rows):  # a row of the matrix in a line, not every number
-        text = text.replace(f'"row {k}"', json.dumps(row), 1)
-    write_whole(path, text + "\n")
+    @classmethod
+    def read(cls, path: Path) -> RobotCalibration:
+        """Read what :meth:`write` wrote.
 
-
-def read_calibration(path: Path) -> RobotCalibration:
-    """Read what :func:`write_calibration` wrote.
-
-    Raises
-    ------
-    InputError
-        If the file is not there, is not a calibration, has another version, or a value in it is of another kind,
-        not finite, or does not fit the others.
-    """
-    owner = str(path.name)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise bad_input("path", "read_calibration", "a file that repro calibrate wrote", path) from error
-    except (ValueError, RecursionError) as error:
-        raise bad_input("file", owner, "JSON that repro calibrate wrote", error) from error
-    if not isinstance(content, dict) or content.get("schema") != _SCHEMA:
-        received = content.get("schema") if isinstance(content, dict) else type(content).__name__
-        expected = f"{_SCHEMA} (older files lack the uncertainty of their parameters: calibrate again)"
-        raise bad_input("schema", owner, expected, received)
-    names = {field.name for field in fields(RobotCalibration)}
-    if wrong := names.symmetric_difference(content.keys() - {"schema"}):
-        raise bad_input(
-            "keys", owner, f"{', '.join(sorted(names))}", f"a difference in {', '.join(sorted(wrong))}"
-        )
-    for name, (is_it, words) in _KINDS.items():
-        if not is_it(content[name]):
-            raise bad_input(name, owner, words, repr(content[name]))
-    values: dict[str, Any] = {name: content[name] for name in names}
-    for name in ("parameters", "offset", "earth_mt", "covariance"):
-        values[name] = torch.tensor(content[name], dtype=torch.float64)
-    for name in ("names", "undetermined"):
-        values[name] = tuple(content[name])
-    found = RobotCalibration(**values)
-    n = len(found.parameters) + len(found.offset) + len(found.earth_mt)
-    if len(found.names) != n:
-        raise bad_input("names", owner, f"those of {n} numbers", f"{len(found.names)}")
-    C = found.covariance
-    if C.shape != (n, n) or not torch.equal(C, C.mT):
-        raise bad_input("covariance", owner, f"symmetric, {n} x {n}", f"shape {tuple(C.shape)}")
-    d = C.diagonal().clamp_min(torch.finfo(C.dtype).tiny).sqrt()
-    if float(torch.linalg.eigvalsh(C / d.unsqueeze(-1) / d).min()) < -1e-9 * n:
-        raise bad_input("covariance", owner, "that of random numbers", "one with a negative variance")
-    return found
+        Raises
+        ------
+        InputError
+            If the file is not there, is not a calibration, has another version, or a value in it is of another kind,
+            not finite, or does not fit the others.
+        """
+        owner = str(path.name)
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise bad_input(
+                "path", "RobotCalibration.read", "a file that repro calibrate wrote", path
+            ) from error
+        except (ValueError, RecursionError) as error:
+            raise bad_input("file", owner, "JSON that repro calibrate wrote", error) from error
+        if not isinstance(content, dict) or content.get("schema") != _SCHEMA:
+            received = content.get("schema") if isinstance(content, dict) else type(content).__name__
+            expected = f"{_SCHEMA} (older files lack the uncertainty of their parameters: calibrate again)"
+            raise bad_input("schema", owner, expected, received)
+        names = {field.name for field in fields(cls)}
+        if wrong := names.symmetric_difference(content.keys() - {"schema"}):
+            raise bad_input(
+                "keys", owner, f"{', '.join(sorted(names))}", f"a difference in {', '.join(sorted(wrong))}"
+            )
+        for name, (is_it, words) in _KINDS.items():
+            if not is_it(content[name]):
+                raise bad_input(name, owner, words, repr(content[name]))
+        values: dict[str, Any] = {name: content[name] for name in names}
+        for name in ("parameters", "offset", "earth_mt", "covariance"):
+            values[name] = torch.tensor(content[name], dtype=torch.float64)
+        for name in ("names", "undetermined"):
+            values[name] = tuple(content[name])
+        found = cls(**values)
+        n = len(found.parameters) + len(found.offset) + len(found.earth_mt)
+        if len(found.names) != n:
+            raise bad_input("names", owner, f"those of {n} numbers", f"{len(found.names)}")
+        C = found.covariance
+        if C.shape != (n, n) or not torch.equal(C, C.mT):
+            raise bad_input("covariance", owner, f"symmetric, {n} x {n}", f"shape {tuple(C.shape)}")
+        d = C.diagonal().clamp_min(torch.finfo(C.dtype).tiny).sqrt()
+        if float(torch.linalg.eigvalsh(C / d.unsqueeze(-1) / d).min()) < -1e-9 * n:
+            raise bad_input("covariance", owner, "that of random numbers", "one with a negative variance")
+        return found
 
 
 def _number(value: Any) -> bool:

@@ -18,7 +18,7 @@ from repro.robot_file._parts import imus_of, magnets_of, networks_of, segments_o
 from repro.robot_file._reading_errors import network_error
 from repro.robot_file._tables import UNITS, sensor_keys, stream_keys, top_keys
 from repro.robot_file._unobserved import unobserved
-from repro.robot_file.calibration_file import read_calibration
+from repro.robot_file.calibration_file import RobotCalibration
 from repro.robot_file.robot_file import RobotFile
 
 
@@ -45,7 +45,9 @@ def load_robot(path: Path | str, calibration: Path | str | None = None) -> Robot
         raise bad_input("file", path.name, "text in UTF-8", error) from error
     document = Document.of(path.name, text.replace("\r\n", "\n"))
     described = _described(document, hashlib.sha256(content).hexdigest(), path.parent)
-    return described if calibration is None else described.calibrated(read_calibration(Path(calibration)))
+    return (
+        described if calibration is None else described.calibrated(RobotCalibration.read(Path(calibration)))
+    )
 
 
 def _described(document: Document, sha256: str, folder: Path) -> RobotFile:

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.kinematics.robot import Robot
-from repro.robot_file._reading_errors import CalibrationError, network_of_sensor
+from repro.robot_file._reading_errors import CalibrationError, are_scripts, network_of_sensor
 from repro.robot_file.calibration_file import RobotCalibration
 from repro.robot_file.columns import channel_columns
 from repro.robot_file.imu_readings import Imu
@@ -26,7 +26,7 @@ from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnetic import MagneticSensing
 from repro.sensing.magnets import Cube, Ring
 from repro.sensing.network import PerSensor
-from repro.sensing.own_model import Given, are_scripts, own_model
+from repro.sensing.own_model import Given, OwnModel
 from repro.sensing.placement import placed
 from repro.sensing.relations import relations
 from repro.sensing.weights import load_paper_network
@@ -136,7 +136,7 @@ class RobotFile:
         model
             A sensor model of your own, from relations (:mod:`repro.sensing.relations`) to readings [unit]: a module
             of torch, TorchScript or the path of its file, or any callable; a list for one per segment or per sensor.
-            See :func:`repro.sensing.own_model.own_model`.
+            See :meth:`repro.sensing.own_model.OwnModel.of`.
         inputs
             Whether your model takes the relations as ``"cosines"`` or as ``"angles"`` [rad].
 
@@ -161,7 +161,7 @@ class RobotFile:
                 raise bad_input("inputs", "sensing", "'angles' or 'cosines'", repr(inputs))
             at_start = relations(self.robot, self.start, axis)
             xi = at_start.cosines() if inputs == "cosines" else at_start.angles()
-            own = own_model(model, xi, self.robot.sensors.segment, inputs)
+            own = OwnModel.of(model, xi, self.robot.sensors.segment, inputs)
             return MagneticSensing(self.robot, own, inputs, axis)
         return LinearisedSensing(self.robot, self.moments, self.gain, self.earth_mt, self.moments.ndim == 2)
 

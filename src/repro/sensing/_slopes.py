@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.sensing.magnets import multipole_polynomials
+from repro.sensing._multipoles import multipole_polynomials
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ def import_network(source: Path | str, target: Path | str, *, exponential_head: 
     target
         The new file, ``.safetensors``; its manifest comes beside it.
     exponential_head
-        Whether the last layer is :class:`~repro.sensing.network._SignedExponential`, which has no weights.
+        Whether the last layer is the signed exponential of section 4.2, which has no weights.
 
     Returns
     -------

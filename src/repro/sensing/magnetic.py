@@ -12,8 +12,8 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.kinematics.robot import Robot
+from repro.sensing._multipoles import multipole_factors
 from repro.sensing.magnets import Cube, Ring
-from repro.sensing.multipole import multipole_factors
 from repro.sensing.relations import relations
 
 EARTH_MT = 0.065

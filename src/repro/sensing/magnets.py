@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import magpylib as magpy
 import numpy as np
 from jaxtyping import Float
-from numpy.polynomial import Legendre, legendre
+from numpy.polynomial import Legendre
 from numpy.polynomial.legendre import leggauss
 
 from repro.errors import bad_input
 
-MT_PER_T = 1e3
+_MT_PER_T = 1e3
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class Cube:
         return _flux(magpy.func.cuboid_field, dimensions, self.polarisation_mt, positions)
 
 
-RINGS = {
+_RINGS = {
     "released": Ring(24e-3, 12e-3, 6e-3, 1450.0),
     "published": Ring(12e-3, 6e-3, 6e-3, 1450.0),
 }
@@ -137,37 +137,16 @@ B444B = Cube(edge=6.35e-3, polarisation_mt=1320.0)
 
 
 def ring(name: str) -> Ring:
-    """Ring of this name, one of :data:`RINGS`.
+    """Ring of this name, one of :data:`_RINGS`.
 
     Raises
     ------
     InputError
         If there is no ring of this name.
     """
-    if name not in RINGS:
-        raise bad_input("name", "ring", f"one of {', '.join(map(repr, RINGS))}", repr(name))
-    return RINGS[name]
-
-
-def multipole_polynomials(
-    l_max: int,
-) -> tuple[Float[np.ndarray, "terms power"], Float[np.ndarray, "terms power"]]:
-    r"""Coefficients of :math:`-P'_l(c)` and :math:`P'_{l+1}(c)`, odd ``l``, in ascending powers of ``c``.
-
-    With them the field of an axisymmetric magnet is, for the unit vectors :math:`m` along its axis and
-    :math:`\hat p` towards the point, and :math:`c = m \cdot \hat p`,
-
-    .. math:: B = \sum_l \frac{A_l}{r^{l+2}} \left[-P'_l(c)\, m + P'_{l+1}(c)\, \hat p\right] .
-    """
-    orders = range(1, l_max + 1, 2)
-    along_axis = [_power_series(-Legendre.basis(n).deriv(), l_max + 1) for n in orders]
-    along_offset = [_power_series(Legendre.basis(n + 1).deriv(), l_max + 1) for n in orders]
-    return np.array(along_axis), np.array(along_offset)
-
-
-def _power_series(p: Legendre, n: int) -> np.ndarray:
-    coefficients = legendre.leg2poly(p.coef)
-    return np.pad(coefficients, (0, n - len(coefficients)))
+    if name not in _RINGS:
+        raise bad_input("name", "ring", f"one of {', '.join(map(repr, _RINGS))}", repr(name))
+    return _RINGS[name]
 
 
 def _cylinder(diameter: float, height: float, polarisation_mt: float, positions: np.ndarray) -> np.ndarray:
@@ -186,7 +165,7 @@ def _flux(
         return np.zeros(np.shape(positions))
     if not math.isfinite(points.sum()):
         raise bad_input("positions", "field", "finite [m]", "NaN or infinity")
-    polarisation = np.array([0.0, 0.0, polarisation_mt / MT_PER_T])
+    polarisation = np.array([0.0, 0.0, polarisation_mt / _MT_PER_T])
     flux = field(
         "B",
         points,
@@ -194,4 +173,4 @@ def _flux(
         polarizations=np.broadcast_to(polarisation, (n, 3)),
         squeeze=False,
     )
-    return MT_PER_T * flux.reshape(np.shape(positions))
+    return _MT_PER_T * flux.reshape(np.shape(positions))

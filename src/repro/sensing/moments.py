@@ -11,7 +11,7 @@ from torch import Tensor
 from repro import se3
 from repro.errors import bad_input
 from repro.kinematics.robot import Robot
-from repro.sensing.multipole import multipole_factors
+from repro.sensing._multipoles import multipole_factors
 from repro.sensing.relations import relations
 
 

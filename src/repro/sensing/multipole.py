@@ -18,7 +18,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.sensing.magnets import Ring, multipole_polynomials
+from repro.sensing._multipoles import multipole_factors
+from repro.sensing.magnets import Ring
 
 
 @dataclass(frozen=True)
@@ -70,26 +71,3 @@ class MultipoleField:
         d, cos_alpha, cos_beta, cos_theta = cosines[..., 1:].unflatten(-1, (-1, 4)).unbind(-1)
         f, g = multipole_factors(self.moments, d, cos_theta)
         return self.earth_mt * cosines[..., 0] + (f * cos_alpha + g * cos_beta).sum(-1)
-
-
-def multipole_factors(
-    moments: Float[Tensor, "*m terms"], d: Float[Tensor, "*batch"], cos_theta: Float[Tensor, "*batch"]
-) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
-    """Factors ``f`` and ``g`` [mT] of the field ``B = f m + g p/|p|`` of an axisymmetric magnet.
-
-    Parameters
-    ----------
-    moments
-        :math:`A_1, A_3, ...` [mT m^(l+2)].
-    d
-        Distance from the centre of the magnet [m].
-    cos_theta
-        Cosine of the angle between the axis of the magnet and the vector to the point.
-    """
-    terms = moments.shape[-1]
-    along_axis, along_offset = (d.new_tensor(p) for p in multipole_polynomials(2 * terms - 1))
-    order = torch.arange(1, 2 * terms, 2, device=d.device)
-    # Powers by integer exponents: exact, and differentiable at cos_theta = 0 where c**0 is constant.
-    powers = torch.stack([cos_theta**k for k in range(along_axis.shape[-1])], dim=-1)
-    weights = moments.to(d) / d.unsqueeze(-1) ** (order + 2)
-    return (weights * (powers @ along_axis.T)).sum(-1), (weights * (powers @ along_offset.T)).sum(-1)

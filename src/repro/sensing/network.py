@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from repro.errors import bad_input
 
-PAPER_WIDTHS = (96, 256, 64, 24)
+_PAPER_WIDTHS = (96, 256, 64, 24)
 
 
 class Dropout(nn.Module):
@@ -51,7 +51,7 @@ def paper_network(
     generator
         Draws the initial weights (the default ones of torch's linear layer) and the dropout.
     exponential_head
-        Add :class:`_SignedExponential` as a last layer (section 4.2).
+        Add the signed exponential as a last layer (section 4.2).
 
     Examples
     --------
@@ -60,14 +60,14 @@ def paper_network(
     torch.Size([650])
     """
     layers: list[nn.Module] = [nn.BatchNorm1d(n_inputs)]
-    for n_in, n_out in zip((n_inputs, *PAPER_WIDTHS), PAPER_WIDTHS, strict=False):
+    for n_in, n_out in zip((n_inputs, *_PAPER_WIDTHS), _PAPER_WIDTHS, strict=False):
         layers += [
             Dropout(0.01, generator),
             _linear(n_in, n_out, generator),
             nn.ReLU(),
             nn.BatchNorm1d(n_out),
         ]
-    layers += [_linear(PAPER_WIDTHS[-1], 1, generator), nn.Flatten(-2)]
+    layers += [_linear(_PAPER_WIDTHS[-1], 1, generator), nn.Flatten(-2)]
     return nn.Sequential(*layers, *([_SignedExponential()] if exponential_head else []))
 
 

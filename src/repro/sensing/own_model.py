@@ -56,6 +56,66 @@ class OwnModel:
             columns.update(zip(here, u.squeeze(-1).unbind(-1), strict=True))
         return torch.stack([columns[j] for j in range(len(self.network_of_sensor))], dim=-1)
 
+    @classmethod
+    def of(
+        cls,
+        model: Given | Sequence[Given],
+        relations: Float[Tensor, "s xi"],
+        of_segment: Sequence[int],
+        inputs: str,
+    ) -> OwnModel:
+        """Make a sensor model for estimators of what a user brings.
+
+        A module is copied, set to evaluation mode (batch norms use their running statistics) and called with rows of
+        relations ``[rows, 1 + 4 magnets]``; it returns ``[rows]`` or ``[rows, 1]``. If it does not take rows, or for
+        a callable that is no module, it is called with ``[..., sensors, 1 + 4 magnets]`` and returns
+        ``[..., sensors]``. Weights are taken to float64, which changes no weight and lets estimators converge in
+        fewer steps; a network that does not go on with that is called in its own dtype, float64 or float32, whatever
+        it takes.
+
+        Cosines are kept one rounding of that dtype away from 1 and -1, so that an inverse cosine in the model has a
+        finite derivative at the straight pose, where it is then multiplied with zero. Angles are safe by themselves.
+
+        Parameters
+        ----------
+        model
+            One for all sensors, or a sequence of one per segment or one per sensor.
+        relations
+            Of every sensor where estimators start: the model is tried with them.
+        of_segment
+            Segment of every sensor, from 0.
+        inputs
+            ``"angles"`` or ``"cosines"``: what the relations are.
+
+        Raises
+        ------
+        InputError
+            If it is no model, their number does not fit, or it does not take the relations and return a finite
+            reading, with finite derivatives, for every sensor.
+        """
+        given = list(model) if isinstance(model, list | tuple | nn.ModuleList) else [model]
+        loaded = [_loaded(one) for one in given]
+        n, segments = len(relations), max(of_segment) + 1
+        if len(loaded) == 1:
+            found, rows = _tried(loaded[0], relations)
+            made = cls((found,), (0,) * n if rows else (), inputs)
+        elif len(loaded) in (segments, n):
+            of_sensor = tuple(of_segment) if len(loaded) == segments else tuple(range(n))
+            networks = []
+            for k, network in enumerate(loaded):
+                found, rows = _tried(network, relations[[j for j in range(n) if of_sensor[j] == k]])
+                if not rows:
+                    raise bad_input(
+                        "model", _OWNER, f"a sequence of callables on rows {_rows(relations)}", network
+                    )
+                networks.append(found)
+            made = cls(tuple(networks), of_sensor, inputs)
+        else:
+            expected = f"one, or {segments} (one per segment), or {n} (one per sensor)"
+            raise bad_input("model", _OWNER, expected, f"{len(loaded)} of them")
+        _check_finite(made, relations)
+        return made
+
 
 @dataclass(frozen=True)
 class _Network:
@@ -79,66 +139,6 @@ class _Network:
             u = self.call(x).reshape(len(q), 1)
             J = _slopes(u, x)
         return u.detach().to(q), J.to(q).unsqueeze(-2)
-
-
-def are_scripts(networks: Sequence[Path]) -> bool:
-    """Whether files hold TorchScript, not weights in the project's own form."""
-    return any(path.suffix in (".pt", ".pth") for path in networks)
-
-
-def own_model(
-    model: Given | Sequence[Given], relations: Float[Tensor, "s xi"], of_segment: Sequence[int], inputs: str
-) -> OwnModel:
-    """Make a sensor model for estimators of what a user brings.
-
-    A module is copied, set to evaluation mode (batch norms use their running statistics) and called with rows of
-    relations ``[rows, 1 + 4 magnets]``; it returns ``[rows]`` or ``[rows, 1]``. If it does not take rows, or for a
-    callable that is no module, it is called with ``[..., sensors, 1 + 4 magnets]`` and returns ``[..., sensors]``.
-    Weights are taken to float64, which changes no weight and lets estimators converge in fewer steps; a network that
-    does not go on with that is called in its own dtype, float64 or float32, whatever it takes.
-
-    Cosines are kept one rounding of that dtype away from 1 and -1, so that an inverse cosine in the model has a
-    finite derivative at the straight pose, where it is then multiplied with zero. Angles are safe by themselves.
-
-    Parameters
-    ----------
-    model
-        One for all sensors, or a sequence of one per segment or one per sensor.
-    relations
-        Of every sensor where estimators start: the model is tried with them.
-    of_segment
-        Segment of every sensor, from 0.
-    inputs
-        ``"angles"`` or ``"cosines"``: what the relations are.
-
-    Raises
-    ------
-    InputError
-        If it is no model, their number does not fit, or it does not take the relations and return a finite reading,
-        with finite derivatives, for every sensor.
-    """
-    given = list(model) if isinstance(model, list | tuple | nn.ModuleList) else [model]
-    loaded = [_loaded(one) for one in given]
-    n, segments = len(relations), max(of_segment) + 1
-    if len(loaded) == 1:
-        found, rows = _tried(loaded[0], relations)
-        made = OwnModel((found,), (0,) * n if rows else (), inputs)
-    elif len(loaded) in (segments, n):
-        of_sensor = tuple(of_segment) if len(loaded) == segments else tuple(range(n))
-        networks = []
-        for k, network in enumerate(loaded):
-            found, rows = _tried(network, relations[[j for j in range(n) if of_sensor[j] == k]])
-            if not rows:
-                raise bad_input(
-                    "model", _OWNER, f"a sequence of callables on rows {_rows(relations)}", network
-                )
-            networks.append(found)
-        made = OwnModel(tuple(networks), of_sensor, inputs)
-    else:
-        expected = f"one, or {segments} (one per segment), or {n} (one per sensor)"
-        raise bad_input("model", _OWNER, expected, f"{len(loaded)} of them")
-    _check_finite(made, relations)
-    return made
 
 
 def _loaded(given: Any) -> Callable[[Tensor], Any]:

@@ -5,10 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-import platform
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -138,45 +135,6 @@ def train_paper(
     network.eval()
     metrics = {"rmse_train": rmse(network, x, y), "rmse_validation": rmse(network, x_val, y_val)}
     return network, metrics, curve
-
-
-def training_record(
-    unit: str,
-    metrics: Mapping[str, float],
-    curve: Float[Tensor, "epochs 2"] | None = None,
-) -> dict[str, Any]:
-    """What the manifest of a network of this recipe says of its training.
-
-    Parameters
-    ----------
-    unit
-        Unit of the readings; the metrics are under ``metrics_mt`` or ``metrics_mv``.
-    metrics, curve
-        As :func:`train_paper` returns them; the curve is left out when not given.
-    """
-    losses = {}
-    if curve is not None:
-        columns = {name: curve[:, k].tolist() for k, name in enumerate(("train", "validation"))}
-        # Five digits: for a plot, and to see where another training parts from this one.
-        losses = {name: [float(f"{x:.5g}") for x in column] for name, column in columns.items()}
-        losses = {"loss_by_epoch": {"unit": f"{unit}^2", **losses}}
-    return {
-        f"metrics_{unit.lower()}": dict(metrics),
-        **losses,
-        "split": SPLIT,
-        "threads": torch.get_num_threads(),
-        "processor": _processor(),
-    }
-
-
-def _processor() -> str:
-    """Name of the processor's model: with the number of threads it decides the last digits of a training."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:  # not Linux
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()
 
 
 def _epoch(network: nn.Module, optimiser: torch.optim.Optimizer, x: Tensor, y: Tensor) -> float:

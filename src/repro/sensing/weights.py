@@ -42,11 +42,6 @@ def save_weights(network: nn.Module, path: Path, manifest: Mapping[str, Any]) ->
     _write(path, weights)
 
 
-def rows_sha256(xi: Tensor, u: Tensor) -> str:
-    """Hash of the rows that a network is trained on, for its manifest."""
-    return hashlib.sha256(xi.numpy().tobytes() + u.numpy().tobytes()).hexdigest()
-
-
 def read_manifest(path: Path) -> dict[str, Any]:
     """Manifest of the weights at ``path``.
 

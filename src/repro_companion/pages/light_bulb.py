@@ -25,14 +25,14 @@ from scipy.ndimage import median_filter
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation.ratio_inversion import invert
 from repro.kinematics.bend import MAX_BEND
 from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.field_ratios import FieldRatios, ratios
 from repro_companion.recordings.mitchell2021 import FIELD, HallTake, read_hall, takes
 from repro_companion.recordings.mitchell2021_conventions import model_axes
 from repro_companion.twins.bend_curves import SENSOR_NOISE_MT
 from repro_companion.twins.bend_takes import write_light_tests
+from repro_companion.twins.field_ratios import FieldRatios, ratios
+from repro_companion.twins.ratio_inversion import invert
 from repro_live.view.style import page_figure
 
 FIRST = "light_-1"

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from repro.errors import bad_input
-from repro.sensing.inertial import ImuErrors
 from repro_companion.twins.arm_recording import MotionCapture, record_soft_arm
 from repro_companion.twins.arm_trial import ArmTrial, synchronised
+from repro_companion.twins.imu_errors import ImuErrors
 from repro_companion.twins.soft_arm import SoftArm
 
 ORIGIN_M = 0.005

@@ -13,7 +13,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from repro.errors import bad_input
-from repro.sensing.inertial import ImuErrors, read_imus
+from repro_companion.twins.imu_errors import ImuErrors, read_imus
 from repro_companion.twins.soft_arm import SoftArm
 
 MARKER_ARCS_M = (0.36, 0.60)
@@ -84,7 +84,7 @@ def record_soft_arm(
     seed
         Seed of all random numbers: the same seed gives the same bits.
     errors
-        Errors of the IMUs; the defaults of :class:`repro.sensing.inertial.ImuErrors` when not given.
+        Errors of the IMUs; the defaults of :class:`repro_companion.twins.imu_errors.ImuErrors` when not given.
     capture
         How motion capture sees the arm; the defaults of :class:`MotionCapture` when not given.
 

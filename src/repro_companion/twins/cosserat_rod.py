@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from repro.errors import bad_input
-from repro.sensing.inertial import continuous_signs
+from repro_companion.twins.imu_errors import continuous_signs
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import hashlib
+import platform
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from repro.kinematics.paper_robots import affine_robot
 from repro.sensing.fast_training import train_dipole_residual, train_fast
 from repro.sensing.relations import relations
-from repro.sensing.training import train_paper, training_record
-from repro.sensing.weights import rows_sha256, save_weights
+from repro.sensing.training import SPLIT, train_paper
+from repro.sensing.weights import save_weights
 from repro_companion.twins.training_set import TrainingSet, affine_training_set, training_set
 
 DATA_SEED = 1
@@ -196,3 +199,47 @@ def train(spec: NetworkSpec | AffineSpec, folder: Path, checkpoints: Path, *, pr
     }
     save_weights(network, target, manifest)
     return target
+
+
+def rows_sha256(xi: Tensor, u: Tensor) -> str:
+    """Hash of the rows that a network is trained on, for its manifest."""
+    return hashlib.sha256(xi.numpy().tobytes() + u.numpy().tobytes()).hexdigest()
+
+
+def training_record(
+    unit: str,
+    metrics: Mapping[str, float],
+    curve: Float[Tensor, "epochs 2"] | None = None,
+) -> dict[str, Any]:
+    """What the manifest of a network of this recipe says of its training.
+
+    Parameters
+    ----------
+    unit
+        Unit of the readings; the metrics are under ``metrics_mt`` or ``metrics_mv``.
+    metrics, curve
+        As :func:`train_paper` returns them; the curve is left out when not given.
+    """
+    losses = {}
+    if curve is not None:
+        columns = {name: curve[:, k].tolist() for k, name in enumerate(("train", "validation"))}
+        # Five digits: for a plot, and to see where another training parts from this one.
+        losses = {name: [float(f"{x:.5g}") for x in column] for name, column in columns.items()}
+        losses = {"loss_by_epoch": {"unit": f"{unit}^2", **losses}}
+    return {
+        f"metrics_{unit.lower()}": dict(metrics),
+        **losses,
+        "split": SPLIT,
+        "threads": torch.get_num_threads(),
+        "processor": _processor(),
+    }
+
+
+def _processor() -> str:
+    """Name of the processor's model: with the number of threads it decides the last digits of a training."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:  # not Linux
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()

@@ -19,9 +19,9 @@ from repro.estimation.gradient_descent import GradientDescent
 from repro.kernels import compiled
 from repro.sensing.ensemble import SeedEnsemble
 from repro.sensing.magnetic import MagneticSensing
-from repro.sensing.weights import rows_sha256
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS, rig_earth_axis, rig_robot
+from repro_companion.twins.networks import rows_sha256
 from repro_companion.twins.rig_data import RigData
 from repro_companion.twins.rig_filter import OursRun
 from repro_companion.twins.rig_networks import RigSpec, rig_networks, train_rig, trained_on

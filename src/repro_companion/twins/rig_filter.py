@@ -36,7 +36,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from repro.estimation.consistency import CONSISTENT, SUSPICIOUS, WINDOW
+from repro.estimation.consistency import WINDOW, Status
 from repro_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS
 from repro_companion.twins.compiled_rig_filter import bank_start, bank_step, filter_bank
 from repro_companion.twins.rig_map import SCALE_MM, BendMap
@@ -97,7 +97,7 @@ class OursRun:
     bias_mv, bias_deviation_mv
         Common bias and its standard deviation, given the readings so far.
     status
-        Of each frame, a number of :data:`repro.estimation.consistency.STATUS`: *suspicious* while no new start
+        Of each frame, a number of :class:`repro.estimation.consistency.Status`: *suspicious* while no new start
         explains the readings, and just after one. Empty, reading by reading.
     anew
         How often the filter was started anew, up to each frame.
@@ -185,7 +185,12 @@ class BendFilter:
         u = np.ascontiguousarray(readings_mv)
         found = self._bank(u)
         square = self._square(u, found)
-        status, anew, lasting, since = np.full(len(u), CONSISTENT), np.zeros(len(u), dtype=int), 0, WINDOW
+        status, anew, lasting, since = (
+            np.full(len(u), Status.CONSISTENT),
+            np.zeros(len(u), dtype=int),
+            0,
+            WINDOW,
+        )
         for k in range(len(u)):
             lasting, since = lasting + 1 if square[k] > RESIDUAL**2 else 0, since + 1
             if lasting and lasting % LASTING == 0:
@@ -199,7 +204,7 @@ class BendFilter:
                     anew[k:] += 1
                     lasting = since = 0
             if lasting >= LASTING or since < WINDOW:
-                status[k] = SUSPICIOUS
+                status[k] = Status.SUSPICIOUS
         return replace(self._run(*found), status=status, anew=anew)
 
     def _bank(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,10 +13,11 @@ from torch import Tensor, nn
 
 from repro.errors import bad_input
 from repro.sensing.ensemble import SeedEnsemble
-from repro.sensing.training import SPLIT, train_paper, training_record
-from repro.sensing.weights import load_paper_network, read_manifest, rows_sha256, save_weights
+from repro.sensing.training import SPLIT, train_paper
+from repro.sensing.weights import load_paper_network, read_manifest, save_weights
 from repro_companion.recordings.baaij2023 import Recording, split
 from repro_companion.recordings.rig_robot import RIG_SENSORS
+from repro_companion.twins.networks import rows_sha256, training_record
 from repro_companion.twins.pneumatic_rig import TwinConfig, record_twin
 from repro_companion.twins.rig_files import SYNTHETIC
 from repro_companion.twins.rig_twins import nominal_twin, second_twin

@@ -14,7 +14,7 @@ from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M, pcc_robot
 from repro.kinematics.robot import Robot
 from repro.sensing.magnetic import field_at_sensors, readings
-from repro.sensing.magnets import RINGS, Cube, Ring, ring
+from repro.sensing.magnets import Cube, Ring, ring
 from repro.sensing.relations import relations
 from repro_companion.twins.trajectories import RATE_HZ, lemniscate
 
@@ -107,7 +107,7 @@ def reading_ranges(n_segments: int, sensors_per_segment: int) -> pd.DataFrame:
     """
     robot, q = pcc_robot(n_segments, sensors_per_segment), lemniscate(n_segments)
     rows = []
-    for name in RINGS:
+    for name in ("published", "released"):
         u = readings(robot, q, ring(name))
         difference = (u - readings(robot, q, ring(name), route="multipole")).abs()
         for i in range(n_segments):

@@ -1,8 +1,8 @@
 """What the IMUs at the ends of the one robot read, for several robots at once (synthetic).
 
-The model is that of :mod:`repro.sensing.inertial`, with the constant errors drawn elsewhere: mounting, then the true
-orientation, then the errors of the vertical and of the heading. Repeated readings and changes of sign are left out:
-the first are rare, and no estimate depends on the second.
+The model is that of :mod:`repro_companion.twins.imu_errors`, with the constant errors drawn elsewhere: mounting, then
+the true orientation, then the errors of the vertical and of the heading. Repeated readings and changes of sign are
+left out: the first are rare, and no estimate depends on the second.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from repro.kinematics.paper_robots import LENGTH_M
-from repro.sensing.inertial import ImuErrors, continuous_signs, ornstein_uhlenbeck
+from repro_companion.twins.imu_errors import ImuErrors, continuous_signs, ornstein_uhlenbeck
 from repro_companion.twins.segment_motion import Motion
 
 

@@ -22,10 +22,10 @@ from torch import Tensor
 from repro import se3
 from repro.errors import bad_input
 from repro.kinematics.paper_robots import LENGTH_M, MAGNET_AXIAL_M
-from repro.sensing.inertial import ImuErrors
 from repro.sensing.magnets import B444B, Cube, Ring, ring
 from repro.sensing.placement import Tolerances, placed
 from repro_companion.twins.calibration_session import L_MAX
+from repro_companion.twins.imu_errors import ImuErrors
 from repro_companion.twins.segment_imus import as_quaternions, imu_readings, streamed
 from repro_companion.twins.segment_motion import ROBOT, Motion
 from repro_companion.twins.training_set import BENDING_M, ELONGATION_M

@@ -18,8 +18,8 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
 from repro.errors import bad_input
-from repro.sensing.inertial import continuous_signs
 from repro_companion.twins.cosserat_rod import Rod, RodMotion, Stick, simulate_rod
+from repro_companion.twins.imu_errors import continuous_signs
 from repro_companion.twins.stick_motion import (
     DURATION_S,
     LEAD_IN_S,

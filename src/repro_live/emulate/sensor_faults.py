@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from repro.errors import bad_input, require
 from repro.robot_file.robot_file import RobotFile
-from repro.sensing.magnets import MT_PER_T
 from repro_live.emulate.faults import Faults
 from repro_live.emulate.robot_readings import RobotReadings, course, readings_along
 
@@ -247,4 +246,4 @@ def _foreign_field(robot: RobotFile, q: np.ndarray, distance_m: float) -> np.nda
     poses = robot.robot.sensor_poses(torch.from_numpy(np.ascontiguousarray(q))).numpy()
     observers = poses[..., :3, 3].reshape(-1, 3) - np.array([distance_m, 0.0, robot.robot.length / 2])
     flux = np.asarray(dipole_field("B", observers, np.array([0.0, 0.0, _MOMENT_AM2]), squeeze=False))
-    return MT_PER_T * (flux.reshape(*poses.shape[:2], 3) * poses[..., :3, 2]).sum(-1)
+    return 1e3 * (flux.reshape(*poses.shape[:2], 3) * poses[..., :3, 2]).sum(-1)

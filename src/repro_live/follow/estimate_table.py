@@ -11,7 +11,7 @@ The columns, in this order; those that an estimator does not have are left out:
 - the tip in the base frame, ``tip_x_mm``, with its deviations and correlations, which follow from those of the
   coordinates to first order;
 - ``chi2`` and ``dof``, the squared residual in units of the noise and its degrees of freedom; ``consistency``, one of
-  :data:`~repro.estimation.consistency.STATUS`.
+  :class:`~repro.estimation.consistency.Status`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.estimation.base import Estimate
-from repro.estimation.consistency import STATUS
+from repro.estimation.consistency import Status
 from repro.kinematics.motion import tip_motion
 from repro_live.follow.robot_estimator import RobotEstimator
 from repro_live.record.recording_file import WriteFailed
@@ -97,7 +97,7 @@ class EstimateRows:
         for row, estimate in zip(cells, estimates, strict=True):
             said = (float(estimate.diagnostics.get(name, torch.nan)) for name in self._said)
             row += [
-                STATUS[int(x)] if name == "status" and not math.isnan(x) else _cell(x)
+                Status(int(x)).word if name == "status" and not math.isnan(x) else _cell(x)
                 for name, x in zip(self._said, said, strict=True)
             ]
         return [[f"{time_s:.6f}", *row] for time_s, row in zip(times_s, cells, strict=True)]

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from repro.errors import InputError
 from repro.estimation.base import Estimate
-from repro.estimation.consistency import STATUS, Verdict
+from repro.estimation.consistency import Status, Verdict
 from repro_live.follow import imu_streams
 from repro_live.follow.robot_estimator import RobotEstimator
 from repro_live.follow.time_steps import TimeStep, time_steps
@@ -99,7 +99,7 @@ class Tracked:
     follower: Follower
     seconds: float = 0.0
     notes: list[str] = field(default_factory=list)
-    consistency: list[int] = field(default_factory=lambda: [0] * len(STATUS))
+    consistency: list[int] = field(default_factory=lambda: [0] * len(Status))
 
     def lines(self) -> list[str]:
         """Return the summary in words: estimates, consistency, and what could not be used."""
@@ -107,7 +107,7 @@ class Tracked:
         rate = f", {follower.estimated / self.seconds:.0f} per second" if self.seconds else ""
         said = [f"{follower.estimated} estimates by {follower.estimator.name} in {self.seconds:.1f} s{rate}."]
         if sum(self.consistency):
-            counts = zip(self.consistency, STATUS, strict=True)
+            counts = zip(self.consistency, (x.word for x in Status), strict=True)
             said.append(f"Consistency: {', '.join(f'{n} {word}' for n, word in counts)}.")
         if follower.refused:
             said.append(f"{follower.refused} time steps without an estimate. {follower.refusal}")

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.estimation.base import Estimate
-from repro.estimation.consistency import CONSISTENT, WRONG, Verdict
+from repro.estimation.consistency import Status, Verdict
 from repro_live.follow.follower import Follower
 from repro_live.follow.latency import STAGES, Latencies
 from repro_live.follow.time_steps import TimeStep, TimeSteps
@@ -126,7 +126,7 @@ class LiveState:
 
 def trusted(state: LiveState) -> bool:
     """Whether the shape that is shown is one of now, and explains the readings."""
-    return state.estimate is not None and not state.silent and state.verdict.status < WRONG
+    return state.estimate is not None and not state.silent and state.verdict.status < Status.WRONG
 
 
 class Tally:
@@ -197,7 +197,7 @@ class Tally:
         if estimate is None:
             self._refused_at = 1e-9 * done_ns
             return None
-        self._doubted += self._follower.verdict.status > CONSISTENT
+        self._doubted += self._follower.verdict.status > Status.CONSISTENT
         moments = (step.arrival_ns, step.parsed_ns, taken_ns, done_ns)
         for stage, start, end in zip(STAGES, moments, moments[1:], strict=False):
             self._latencies[stage].add(1e-9 * (end - start))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import torch
 
-from repro.estimation.consistency import CONSISTENT, STATUS, WRONG, Verdict
+from repro.estimation.consistency import Status, Verdict
 from repro_live.follow.latency import STAGES
 from repro_live.follow.live_state import LiveState, trusted
 from repro_live.follow.robot_estimator import RobotEstimator
@@ -40,13 +40,13 @@ def verdict_words(verdict: Verdict, sensors: Sequence[str]) -> str:
 
     Examples
     --------
-    >>> verdict_words(Verdict(WRONG, True, 41.7, "sensors", (1,)), ["sensor 1", "sensor 2"])
+    >>> verdict_words(Verdict(Status.WRONG, True, 41.7, "sensors", (1,)), ["sensor 1", "sensor 2"])
     'Wrong, not to be trusted: residuals are 42 times those of the noise. It is sensor 2 (--failed 2 leaves it out).'
     """
-    if verdict.status == CONSISTENT:
+    if verdict.status == Status.CONSISTENT:
         return ""
-    doubt = "not to be trusted" if verdict.status == WRONG else "perhaps not to be trusted"
-    head = f"{STATUS[verdict.status].capitalize()}, {doubt}"
+    doubt = "not to be trusted" if verdict.status == Status.WRONG else "perhaps not to be trusted"
+    head = f"{Status(verdict.status).word.capitalize()}, {doubt}"
     if verdict.cause not in ("anew", "too few"):
         head += f": residuals are {verdict.excess:.2g} times those of the noise"
     return f"{head}. {_cause(verdict, sensors)}".rstrip()
@@ -57,10 +57,10 @@ def lasting_words(verdict: Verdict, sensors: Sequence[str]) -> str:
 
     Examples
     --------
-    >>> lasting_words(Verdict(WRONG, True, 41.7, "several"), ["sensor 1", "sensor 2"])[:66]
+    >>> lasting_words(Verdict(Status.WRONG, True, 41.7, "several"), ["sensor 1", "sensor 2"])[:66]
     'The shape does not explain the readings. No single sensor explains'
     """
-    if verdict.status == CONSISTENT:
+    if verdict.status == Status.CONSISTENT:
         return ""
     return f"The shape does not explain the readings. {_cause(verdict, sensors)}".rstrip()
 
@@ -150,7 +150,7 @@ def mark(state: LiveState) -> str:
         return ""
     if state.silent:
         return f"{state.age_s:.0f} s old"
-    doubt = STATUS[state.verdict.status] if state.verdict.status else ""
+    doubt = Status(state.verdict.status).word if state.verdict.status else ""
     return doubt if trusted(state) else f"{doubt}, not to be trusted"
 
 

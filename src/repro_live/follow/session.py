@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from repro.errors import require
-from repro.estimation.consistency import STATUS
+from repro.estimation.consistency import Status
 from repro_live.follow.follower import Follower
 from repro_live.follow.live_state import LiveEstimate, LiveState, Tally
 from repro_live.follow.robot_estimator import RobotEstimator
@@ -197,7 +197,7 @@ class _Session:
     def note_verdict(self, step: TimeStep) -> None:
         """Write into the recording whether the readings fit, whenever that changes."""
         verdict = self.tally.verdict
-        known = (STATUS[verdict.status], verdict.cause, verdict.suspects)
+        known = (Status(verdict.status).word, verdict.cause, verdict.suspects)
         if known != self.noted:
             self.noted = known
             suspects = [self.estimator.sensors[k] for k in verdict.suspects]

@@ -14,7 +14,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from repro.errors import bad_input
-from repro.robot_file.calibration_file import write_calibration
 from repro.sensing.weights import save_weights
 from repro_live.own.fit import Fit
 from repro_live.own.judge import Tracked, errors, tip_positions
@@ -122,7 +121,7 @@ def write_results(folder: Path, found: Fit, poses: MeasuredPoses) -> str:
         _estimates_figure(found).savefig(stage / "estimates.png", metadata={"Software": None})
         (stage / "report.txt").write_text(text + "\n", encoding="utf-8")
         if found.calibration is not None:
-            write_calibration(stage / "calibration.json", found.calibration)
+            found.calibration.write(stage / "calibration.json")
         if found.networks is not None:
             for k, network in enumerate(found.networks.networks):
                 about = {

@@ -1,10 +1,11 @@
 r"""Estimators on the bend tests of Mitchell et al. 2021 (Fig. 9): the paper's filter, and ours with its calibrations.
 
 **Ours** fits the bend to the two ratios of the transverse over the axial field
-(:class:`~repro.sensing.field_ratios.FieldRatios`), less those of the first two seconds, in which the module is taken
-to be straight; each reading alone. Reasons: the sensor changes its gain and the module its length during a test, and
-the ratios depend little on either; two ratios determine two coordinates, so there is one solution and no need for
-particles; and the noise, 0.3 deg, is small beside the errors of the model, so that a motion model gains little.
+(:class:`~repro_companion.twins.field_ratios.FieldRatios`), less those of the first two seconds, in which the module
+is taken to be straight; each reading alone. Reasons: the sensor changes its gain and the module its length during a
+test, and the ratios depend little on either; two ratios determine two coordinates, so there is one solution and no
+need for particles; and the noise, 0.3 deg, is small beside the errors of the model, so that a motion model gains
+little.
 
 What could be tuned is fixed here before an error is computed: arc length 13 mm for ours, the masks of the loaders,
 the seconds at rest, the bend above which a direction counts.
@@ -25,14 +26,14 @@ from torch import Tensor
 from repro.errors import bad_input
 from repro.estimation.base import track
 from repro.estimation.particle_filter import ParticleFilter
-from repro.estimation.ratio_inversion import invert
 from repro.estimation.regions import Disc
 from repro.kinematics.bend import MAX_BEND, bend_angle_and_direction, bend_vector
 from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.field_ratios import FieldRatios, ratios
 from repro_companion.pages.bend_tests.takes import BendTake
 from repro_companion.recordings.mitchell2021_conventions import model_axes, noise_of_sigma
 from repro_companion.twins.bend_curves import SENSOR_NOISE_MT
+from repro_companion.twins.field_ratios import FieldRatios, ratios
+from repro_companion.twins.ratio_inversion import invert
 
 OUR_LENGTH_MM = 13.0
 """Arc length of ours, that of the released code for the recorded data [mm]."""
@@ -55,7 +56,7 @@ IDENTITY = torch.eye(2, dtype=torch.float64)
 
 @dataclass(frozen=True)
 class Calibration:
-    """Matrix of :class:`~repro.sensing.field_ratios.FieldRatios`, by linear least squares on the ratios.
+    """Matrix of :class:`~repro_companion.twins.field_ratios.FieldRatios`, by linear least squares on the ratios.
 
     Attributes
     ----------

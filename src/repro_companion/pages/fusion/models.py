@@ -39,6 +39,8 @@ from repro_companion.twins.segment_motion import ROBOT, cross_matrix, rotation_m
 _SWITCH = 1e-2
 _ASINC = [math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(10)]
 """Coefficients of asin(n)/n, a series in n^2."""
+_SERIES_BELOW = 1.0
+"""Squared angle [rad^2] below which the series is summed."""
 _CUBIC = [(-1) ** k / math.factorial(2 * k + 3) for k in range(10)]
 """Coefficients of (x - sin x)/x^3, a series in x^2."""
 
@@ -135,7 +137,7 @@ def left_jacobian(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 
             [0., 0., 1.]])
     """
     K, z = cross_matrix(vector), (vector * vector).sum(-1)[..., None, None]
-    small = z < se3.SERIES_SWITCH
+    small = z < _SERIES_BELOW
     near = torch.where(small, z, 0.0)
     far = torch.where(small, 1.0, z)
     cubic = torch.where(small, _series(_CUBIC, near), (1 - se3.sinc(far)) / far)

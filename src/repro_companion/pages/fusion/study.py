@@ -26,11 +26,11 @@ from repro.estimation.drift_filter import Drift, DriftFilter
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.kinematics.mounts import magnet_mounts
 from repro.kinematics.paper_robots import LENGTH_M, MAGNET_AXIAL_M
-from repro.sensing.inertial import ornstein_uhlenbeck, read_imus
 from repro.sensing.magnetic import EARTH_MT
 from repro.sensing.stacked import StackedSensing
 from repro_companion.pages.fusion.models import Imus, Magnets, ring_model, rotation_vector
 from repro_companion.twins.calibrated_robots import VELOCITY_SHARE, box, start
+from repro_companion.twins.imu_errors import ornstein_uhlenbeck, read_imus
 from repro_companion.twins.segment_motion import ROBOT, Motion
 from repro_companion.twins.segment_robot import IMU_ERRORS, MAGNET_NOISE_MT, MID_ELONGATION_M, RING
 

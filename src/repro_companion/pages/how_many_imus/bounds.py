@@ -52,19 +52,19 @@ the arm.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from repro.errors import bad_input
-from repro.estimation.imu_chain import Points
 from repro.estimation.imu_selection import Selection
 
 Bound = Float[np.ndarray, " points"]
 
 
 def rigid_bound(
-    selection: Selection, arc_lengths: Points, *, curvature: float, slope: float = math.inf
+    selection: Selection, arc_lengths: float | Sequence[float], *, curvature: float, slope: float = math.inf
 ) -> Bound:
     """Bound of the position error of `repro.estimation.imu_models.rigid_links` between perfect IMUs.
 
@@ -112,7 +112,7 @@ def rigid_bound(
 
 
 def arcs_bound(
-    selection: Selection, arc_lengths: Points, *, curvature: float, slope: float = math.inf
+    selection: Selection, arc_lengths: float | Sequence[float], *, curvature: float, slope: float = math.inf
 ) -> Bound:
     """Bound of the position error of `repro.estimation.imu_models.exact_arcs` between perfect IMUs.
 
@@ -140,7 +140,7 @@ def arcs_bound(
 
 
 def pcc_bound(
-    selection: Selection, arc_lengths: Points, *, curvature: float, slope: float = math.inf
+    selection: Selection, arc_lengths: float | Sequence[float], *, curvature: float, slope: float = math.inf
 ) -> Bound:
     """Bound of the position error of `repro.estimation.imu_models.pcc_extended` between perfect IMUs.
 
@@ -156,7 +156,7 @@ def pcc_bound(
 
 
 def tangents_bound(
-    selection: Selection, arc_lengths: Points, *, curvature: float, slope: float = math.inf
+    selection: Selection, arc_lengths: float | Sequence[float], *, curvature: float, slope: float = math.inf
 ) -> Bound:
     """Bound of the position error of `repro.estimation.imu_models.tangent_interpolation` between perfect IMUs.
 
@@ -231,7 +231,13 @@ def _acceleration(k: np.ndarray) -> np.ndarray:
 
 
 def _checked(
-    selection: Selection, arc_lengths: Points, curvature: float, slope: float, owner: str, *, between: bool
+    selection: Selection,
+    arc_lengths: float | Sequence[float],
+    curvature: float,
+    slope: float,
+    owner: str,
+    *,
+    between: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Check the input; return points, starts of links and their lengths [m]."""
     if not (math.isfinite(curvature) and curvature >= 0):

@@ -35,7 +35,6 @@ from repro.estimation.imu_models import (
 )
 from repro.estimation.imu_selection import Selection
 from repro.estimation.orientations import exponential, product
-from repro.sensing.inertial import PERFECT
 from repro_companion.pages.how_many_imus.bounds import arcs_bound, pcc_bound, rigid_bound
 from repro_companion.pages.how_many_imus.curves import STEPS, Curves
 from repro_companion.pages.how_many_imus.needed import imus_needed
@@ -43,6 +42,7 @@ from repro_companion.recordings.martin2022_models import MARKERS, selection
 from repro_companion.twins.arm_draws import drawn
 from repro_companion.twins.arm_markers import mid_section
 from repro_companion.twins.arm_recording import MotionCapture
+from repro_companion.twins.imu_errors import PERFECT
 from repro_companion.twins.soft_arm import SoftArm
 
 DISCRETE_M = 1e-6

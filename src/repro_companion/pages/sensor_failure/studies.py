@@ -15,7 +15,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from repro.estimation.base import Estimate
-from repro.estimation.consistency import CONSISTENT, Verdict, lasting
+from repro.estimation.consistency import Status, Verdict, lasting
 from repro.estimation.levenberg_marquardt import jacobian
 from repro.kinematics.motion import tip_motion
 from repro.robot_file.load import load_robot
@@ -112,7 +112,7 @@ def alarm_counts(run: pd.DataFrame, sensor: int, rate_hz: float) -> dict[str, in
     :data:`SEEN` for the time within which that is to be noticed; ``noticed`` are those of them with an alarm.
     """
     patience = max(FEWEST, math.ceil(SHORTEST_S * rate_hz))
-    after, alarm = (run["time_s"] >= FAULT_AT_S).to_numpy(), (run["status"] > CONSISTENT).to_numpy()
+    after, alarm = (run["time_s"] >= FAULT_AT_S).to_numpy(), (run["status"] > Status.CONSISTENT).to_numpy()
     wrong, signal = (
         after & (run["tip_error"] > TIMES * run["tip_interval"]).to_numpy(),
         run["signal"].to_numpy(),

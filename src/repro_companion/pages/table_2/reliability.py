@@ -19,7 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.estimation.base import track
-from repro.estimation.consistency import CONSISTENT, lasting
+from repro.estimation.consistency import Status, lasting
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kernels import compiled
 from repro.sensing.ensemble import SeedEnsemble
@@ -193,7 +193,7 @@ def doubt_table(bend_map: BendMap, paper: PaperRun, filtered: dict[str, OursRun]
             rows.append({"recording": name, "method": method} | shares)
         own = filtered[name]
         rows[-1] |= {
-            "suspicious_percent": 100 * float((own.status != CONSISTENT).mean()),
+            "suspicious_percent": 100 * float((own.status != Status.CONSISTENT).mean()),
             "restarts": own.anew[-1],
         }
     return pd.DataFrame(rows)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from repro.estimation.levenberg_marquardt import covariance, jacobian
 from repro.kinematics.bend import MAX_BEND
-from repro.sensing.field_ratios import FieldRatios
+from repro_companion.twins.field_ratios import FieldRatios
 
 _STEPS = 4
 """Gauss-Newton steps; what is left after them is rounding."""
