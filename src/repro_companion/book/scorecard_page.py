@@ -9,6 +9,7 @@ from html import escape
 from urllib.parse import urlencode
 
 from repro_companion.book.scorecard import ScorecardRow, count_verdicts, geometric_mean_ratio
+from repro_companion.book.templates import rendered
 from repro_companion.book.verdicts import Verdict
 
 PAPERS = {
@@ -52,31 +53,22 @@ def scorecard_page(
     tables: dict[tuple[str, str], list[ScorecardRow]] = {}
     for row in rows:
         tables.setdefault((row.paper, row.artefact), []).append(row)
-    links = places or {}
-    parts = ['<div class="scorecard-filter"></div>'] if filtered else []
-    parts += [_table(*place, table, links.get(place, "")) for place, table in tables.items()]
-    return "\n\n".join(parts) + "\n"
-
-
-def _table(paper: str, artefact: str, rows: list[ScorecardRow], link: str) -> str:
-    title = escape(f"{PAPERS.get(paper, paper)}, {artefact}")
-    counts = _counts_in_words(Counter(row.verdict for row in rows))
-    head = "".join(f'<th scope="col">{name}</th>' for name in _HEADER)
-    # A region that scrolls must be reachable by keyboard, and then needs a name.
-    # No blank line: it would end the block of HTML for MyST.
-    lines = [
-        f'<div class="scorecard-scroll" tabindex="0" role="region" aria-label="{title}"'
-        f' data-paper="{escape(PAPERS.get(paper, paper))}" data-artefact="{escape(artefact)}">',
-        '<table class="scorecard">',
-        f"<caption>{title}: {counts}.{_ratios(rows)}</caption>",
-        f"<thead><tr>{head}</tr></thead>",
-        "<tbody>",
-        *(_line(row, link) for row in rows),
-        "</tbody>",
-        "</table>",
-        "</div>",
-    ]
-    return "\n".join(lines)
+    filters = {
+        "counts": lambda rows: _counts_in_words(Counter(row.verdict for row in rows)),
+        "ratios": _ratios,
+        "line": lambda text: " ".join(text.split()),
+        "cells": _numbers,
+        "remarks": _remarks,
+    }
+    return rendered(
+        "scorecard.html",
+        filters,
+        tables=tables,
+        links=places or {},
+        papers=PAPERS,
+        header=_HEADER,
+        filtered=filtered,
+    )
 
 
 def _ratios(rows: list[ScorecardRow]) -> str:
@@ -88,33 +80,18 @@ def _ratios(rows: list[ScorecardRow]) -> str:
     return text + (f"; of {count} standard deviations: {mean:.2f}." if count else ".")
 
 
-def _line(row: ScorecardRow, link: str) -> str:
-    weak = (
-        ' <span class="weak">(weak: zero would pass)</span>' if row.weak and row.verdict != "missing" else ""
-    )
-    weak += ' <span class="weak">(near the edge of its band)</span>' if row.near_edge else ""
-    css = f"verdict verdict-{row.verdict.replace('_', '-')}"
+def _numbers(row: ScorecardRow) -> tuple[str, ...]:
+    """Return the cells before the verdict."""
+    regenerated, std = (_rounded(text, row.published) for text in (row.regenerated, row.regenerated_std))
+    published = _with_std(row.published, row.published_std)
+    return row.quantity, row.unit, published, _with_std(regenerated, std)
+
+
+def _remarks(row: ScorecardRow) -> tuple[str, ...]:
+    """Return the cells after the verdict."""
     seeds = f", {row.n_seeds} seed{'' if row.n_seeds == '1' else 's'}" if row.n_seeds else ""
     best = f"{_rounded(row.best, row.published)} ({row.best_method})" if row.best else ""
-    cells = (
-        row.quantity,
-        row.unit,
-        _with_std(row.published, row.published_std),
-        _with_std(_rounded(row.regenerated, row.published), _rounded(row.regenerated_std, row.published)),
-        None,
-        row.setting + seeds,
-        best,
-        row.note,
-    )
-    verdict = f'<td><span class="{css}">{row.verdict.words}</span>{weak}</td>'
-    body = "".join(verdict if cell is None else f"<td>{escape(_one_line(cell))}</td>" for cell in cells)
-    name = escape(_one_line(row.row))
-    head = f'<a href="{escape(link)}">{name}</a>' if link else name
-    return f'<tr data-verdict="{row.verdict.words}"><th scope="row">{head}</th>{body}</tr>'
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
+    return row.setting + seeds, best, row.note
 
 
 def _with_std(value: str, std: str) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterable
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from repro_companion.book.after.diff_runs import Side, find_book, find_run
 from repro_companion.book.after.diff_tables import OCCURRENCE, TableDifference, compare_tables, read_csv
 from repro_companion.book.after.page_notes import FigureFiles
 from repro_companion.book.project import Project, shown
-from repro_companion.book.provenance import Record
+from repro_companion.book.templates import rendered
 
 ROWS = 100
 """Rows of a table that a page shows; those with the largest differences come first when there are more."""
@@ -85,100 +84,78 @@ def _in_words(table: TableDifference | str) -> str:
 
 
 def _page(book: Side, run: Side, tables: Iterable[TableDifference | str]) -> str:
-    title = f"A run of {run.record.notebook} beside the book"
-    body = [
-        f"<h1>{escape(title)}</h1>",
-        "<p>Differences are run less book; relative ones in per cent of the book’s value.</p>",
-        "<h2>Parameters and provenance</h2>",
-        _settings(book, run),
-        "<h2>Tables</h2>",
-        *map(_table, tables),
-        "<h2>Figures</h2>",
-        *_figures(book.figures(), run.figures()),
+    return rendered(
+        "diff.html",
+        title=f"A run of {run.record.notebook} beside the book",
+        facts=list(_facts(book, run)),
+        tables=list(map(_shown, tables)),
+        figures=list(_figures(book.figures(), run.figures())),
+    )
+
+
+def _facts(book: Side, run: Side) -> Iterable[tuple[str, Any, Any]]:
+    """Return what the two were made from, where it differs."""
+    ours, theirs = book.parameters(), run.parameters()
+    for name in {**ours, **theirs}:
+        one, other = (side.get(name, "not there") for side in (ours, theirs))
+        if repr(one) != repr(other):
+            yield f"parameter {name}", one, other
+    a, b = book.record, run.record
+    changed = dict(a.data.get("recordings", {}).items() ^ b.data.get("recordings", {}).items())
+    facts = [
+        ("code", *(", ".join(f"{key} {value}" for key, value in record.code.items()) for record in (a, b))),
+        ("Python", a.python, b.python),
+        *((x, a.libraries.get(x), b.libraries.get(x)) for x in {**a.libraries, **b.libraries}),
+        ("recordings", "", f"{len(changed)} differ" if changed else ""),
     ]
-    head = [
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
-        f'<meta name="viewport" content="width=device-width"><title>{escape(title)}</title>',
-        f"<style>{_STYLE}</style></head><body><main>",
-    ]
-    return "\n".join([*head, *body, "</main></body></html>"]) + "\n"
+    yield from (fact for fact in facts if fact[1] != fact[2])
 
 
-def _settings(book: Side, run: Side) -> str:
-    sides = book.parameters(), run.parameters()
-    rows = [(name, *(side.get(name, "not there") for side in sides)) for name in {**sides[0], **sides[1]}]
-    facts = [(f"parameter {name}", one, other) for name, one, other in rows if repr(one) != repr(other)]
-    facts += [(name, one, other) for name, one, other in _facts(book.record, run.record) if one != other]
-    if not facts:
-        return "<p>No parameter and no input differs.</p>"
-    lines = [
-        f'<tr><th scope="row">{escape(name)}</th>'
-        + "".join(f"<td>{escape(str(value))}</td>" for value in values)
-        + "</tr>"
-        for name, *values in facts
-    ]
-    return _scroll("What differs", f"<thead>{_head(['', 'Book', 'Run'])}</thead>", lines)
-
-
-def _facts(book: Record, run: Record) -> Iterable[tuple[str, Any, Any]]:
-    def code(record: Record) -> str:
-        return ", ".join(f"{key} {value}" for key, value in record.code.items())
-
-    yield "code", code(book), code(run)
-    yield "Python", book.python, run.python
-    for name in {**book.libraries, **run.libraries}:
-        yield name, book.libraries.get(name), run.libraries.get(name)
-    changed = dict(book.data.get("recordings", {}).items() ^ run.data.get("recordings", {}).items())
-    yield "recordings", "", f"{len(changed)} differ" if changed else ""
-
-
-def _table(table: TableDifference | str) -> str:
+def _shown(table: TableDifference | str) -> dict[str, Any]:
+    """Return what the page shows of a table: words, and lines where there are any."""
+    shown: dict[str, Any] = {"words": _in_words(table), "lines": [], "only": []}
     if isinstance(table, str) or table.identical:
-        return f"<p>{escape(_in_words(table))}.</p>"
-    changed, words = table.changed, escape(_in_words(table))
-    rest = _only(table.name, "book", table.only_book) + _only(table.name, "run", table.only_run)
+        return shown
+    changed = table.changed
+    shown["only"] = [*_only(table.name, "book", table.only_book), *_only(table.name, "run", table.only_run)]
     if not changed:
-        return f"<p>{words}.</p>{rest}"
+        return shown
     size = pd.DataFrame(
         {c: table.relative(c).abs() if table.is_number(c) else table.differs(c) * 1.0 for c in changed}
     )
-    shown_rows = list(range(len(table.run)))
-    if len(shown_rows) > ROWS:
+    rows = list(range(len(table.run)))
+    if len(rows) > ROWS:
         order = size.fillna(float("inf")).where(size.notna() | table.run[changed].notna(), 0.0).max(axis=1)
         largest = order.reset_index(drop=True).sort_values(ascending=False, kind="stable")
-        shown_rows = list(largest.index[:ROWS])
-        words += f"; the {ROWS} with the largest relative differences are shown"
+        rows = list(largest.index[:ROWS])
+        shown["words"] += f"; the {ROWS} with the largest relative differences are shown"
     labels = table.run.index.to_frame(index=False)
     told_apart = not table.keys or bool(labels[OCCURRENCE].to_numpy().any())
-    groups, names = "", [*map(escape, table.keys), *(["row"] if told_apart else [])]
-    head = f'<td colspan="{len(names)}"></td>'
-    for column in changed:
-        parts = ["Book", "Run", "Difference", "%"] if table.is_number(column) else ["Book", "Run"]
-        groups += f'<th scope="colgroup" colspan="{len(parts)}">{escape(str(column))}</th>'
-        names += parts
+    if told_apart:
+        labels[OCCURRENCE] += 1
+    columns = [*table.keys, *([OCCURRENCE] if told_apart else [])]
+    parts = ["Book", "Run", "Difference", "%"]
     cells = [_cells(table, column) for column in changed]
-    lines = []
-    for row in shown_rows:
-        keys = [labels[name].iloc[row] for name in table.keys]
-        keys += [labels[OCCURRENCE].iloc[row] + 1] if told_apart else []
-        line = "".join(f'<th scope="row">{escape(_text(key))}</th>' for key in keys)
-        line += "".join(f"<td>{escape(text)}</td>" for column in cells for text in column[row])
-        lines.append(f"<tr>{line}</tr>")
-    return _scroll(words, f"<thead><tr>{head}{groups}</tr>{_head(names)}</thead>", lines) + rest
+    return shown | {
+        "labels": [*table.keys, *(["row"] if told_apart else [])],
+        "groups": [(column, parts if table.is_number(column) else parts[:2]) for column in changed],
+        "lines": [
+            (
+                [_text(labels[name].iloc[row]) for name in columns],
+                [x for column in cells for x in column[row]],
+            )
+            for row in rows
+        ],
+    }
 
 
-def _only(name: str, owner: str, rows: pd.DataFrame) -> str:
+def _only(name: str, owner: str, rows: pd.DataFrame) -> Iterable[tuple[str, list[str], list[list[str]]]]:
     """Return the first rows that only one of the two has."""
-    if rows.empty:
-        return ""
-    part = rows.head(ONLY_ROWS)
-    number = f"the first {len(part)} of {len(rows)}" if len(rows) > len(part) else str(len(rows))
-    lines = [
-        f"<tr>{''.join(f'<td>{escape(_text(value))}</td>' for value in row)}</tr>"
-        for row in part.itertuples(index=False, name=None)
-    ]
-    head = _head(escape(str(column)) for column in rows)
-    return _scroll(f"{escape(name)}, rows only in the {owner}: {number}", f"<thead>{head}</thead>", lines)
+    if not rows.empty:
+        part = rows.head(ONLY_ROWS)
+        number = f"the first {len(part)} of {len(rows)}" if len(rows) > len(part) else str(len(rows))
+        lines = [[_text(value) for value in row] for row in part.itertuples(index=False, name=None)]
+        yield f"{name}, rows only in the {owner}: {number}", list(map(str, rows)), lines
 
 
 def _cells(table: TableDifference, column: str) -> list[list[str]]:
@@ -199,68 +176,17 @@ def _text(value: Any, *, signed: bool = False) -> str:
     return str(value)
 
 
-def _head(names: Iterable[str]) -> str:
-    cells = [f'<th scope="col">{name}</th>' if name else "<td></td>" for name in names]
-    return f"<tr>{''.join(cells)}</tr>"
-
-
-def _scroll(title: str, head: str, lines: Iterable[str]) -> str:
-    body = "\n".join(lines)
-    return (
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{title}">'
-        f"<table><caption>{title}</caption>{head}<tbody>\n{body}\n</tbody></table></div>"
-    )
-
-
-def _figures(book: list[FigureFiles], run: list[FigureFiles]) -> Iterable[str]:
+def _figures(book: list[FigureFiles], run: list[FigureFiles]) -> Iterable[dict[str, Any]]:
     ours, theirs = ({figure.name: figure for figure in side} for side in (book, run))
-    names = {**ours, **theirs}
-    if not names:
-        yield "<p>There are none.</p>"
-    for name in names:
-        one, other = ours.get(name), theirs.get(name)
-        figure = one or other
-        assert figure is not None
-        pictures = [side.files.get("png") if side else None for side in (one, other)]
+    for name in {**ours, **theirs}:
+        figure = ours.get(name) or theirs[name]
+        sides = ours.get(name), theirs.get(name)
+        pictures = [side.files.get("png") if side else None for side in sides]
         same = pictures[0] is not None and pictures[0] == pictures[1]
-        title = escape(figure.caption or name)
-        yield f"<h3>{title}{' (identical)' if same else ''}</h3>"
         # the words beside the book's figure tell its numbers, which need not be the run's
-        alts = (figure.alt or figure.name, f"The same figure of the run: {figure.name}")
-        yield (
-            '<div class="pair">'
-            + "".join(
-                _picture(picture, alt, owner)
-                for picture, alt, owner in zip(pictures, alts, ("Book", "Run"), strict=True)
-            )
-            + "</div>"
-        )
-
-
-def _picture(picture: bytes | None, alt: str, owner: str) -> str:
-    if picture is None:
-        return f"<figure><figcaption>{owner}: not there</figcaption></figure>"
-    data = base64.b64encode(picture).decode()
-    image = f'<img alt="{escape(alt)}" src="data:image/png;base64,{data}">'
-    return f"<figure><figcaption>{owner}</figcaption>{image}</figure>"
-
-
-_STYLE = """
-:root { color-scheme: light dark; }
-body { font: 16px/1.5 system-ui, sans-serif; margin: 0; }
-main { max-width: 80rem; margin: auto; padding: 1rem; }
-h1, h2, h3, p { overflow-wrap: anywhere; }
-h1 { font-size: 1.6rem; } h2 { font-size: 1.3rem; } h3 { font-size: 1rem; margin-bottom: 0.3rem; }
-.scroll { overflow: auto; max-height: 36rem; margin-bottom: 1.5rem; border: 1px solid #8888; }
-.scroll:focus-visible { outline: 2px solid; }
-table { border-collapse: collapse; font-size: 0.85rem; font-variant-numeric: tabular-nums; }
-caption { text-align: left; padding: 0.4rem; font-weight: 600; position: sticky; left: 0; }
-caption { width: min(60rem, calc(100vw - 4rem)); }
-th, td { padding: 0.2rem 0.6rem; text-align: right; border-top: 1px solid #8886; }
-th { font-weight: 600; white-space: nowrap; }
-th[scope="row"], th[scope="colgroup"] { text-align: left; }
-th[scope="colgroup"] { border-left: 1px solid #8888; }
-.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 24rem), 1fr)); gap: 1rem; }
-figure { margin: 0; } figcaption { font-size: 0.85rem; }
-img { max-width: 100%; height: auto; background: #fff; }
-"""
+        alts = figure.alt or figure.name, f"The same figure of the run: {figure.name}"
+        data = [base64.b64encode(picture).decode() if picture else "" for picture in pictures]
+        yield {
+            "title": f"{figure.caption or name}{' (identical)' if same else ''}",
+            "pictures": list(zip(data, alts, ("Book", "Run"), strict=True)),
+        }
