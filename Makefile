@@ -106,7 +106,7 @@ diff: env
 fuzz: env
 	@mkdir -p .cache
 	@$(PY) -m pip install --quiet --no-deps --require-hashes --upgrade --target .cache/fuzz -r requirements-fuzz.lock
-	PYTHONPATH=.cache/fuzz $(PY) tests/live/fuzz_parsers.py -runs=1000000 -verbosity=1 -print_final_stats=1 \
+	PYTHONPATH=.cache/fuzz $(PY) tests/repro_live/fuzz_parsers.py -runs=1000000 -verbosity=1 -print_final_stats=1 \
 	  -artifact_prefix=.cache/fuzz-
 
 vendor:

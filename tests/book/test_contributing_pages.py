@@ -126,10 +126,12 @@ def test_the_commands_at_the_end_of_the_pages_pass(folder):
     assert set(outcomes.values()) == {"PASSED"}
     for file in files:
         assert any(name.startswith(file + "::") for name in outcomes), file
-    contract = [name for name in outcomes if name.startswith("tests/estimation/test_contract.py")]
+    contract = [name for name in outcomes if name.startswith("tests/repro/estimation/test_contract.py")]
     assert len(contract) >= 17, "the whole suite, of which each test ran with the new estimator"
     assert all("[alpha-beta" in name for name in contract)
-    assert "tests/report/test_paper_index.py::test_places_exist[baaij2023-Section 3.2]" in outcomes
+    assert (
+        "tests/repro_companion/book/test_paper_index.py::test_places_exist[baaij2023-Section 3.2]" in outcomes
+    )
 
 
 def test_a_broken_example_fails(folder):
@@ -140,7 +142,7 @@ def test_a_broken_example_fails(folder):
         assert text.count(old) == 1, f"{name}: no single place for {old}"
         (folder / name).write_text(text.replace(old, new), encoding="utf-8")
         tests += [path for path, *_ in PART.findall(page) if Path(path).name.startswith("test_")]
-    tests.remove("tests/estimation/test_contract.py")  # which a lag does not concern
+    tests.remove("tests/repro/estimation/test_contract.py")  # which a lag does not concern
     status, printed, outcomes = run_pytest(folder, *tests)
     assert status == 1, printed
     for file in tests:
