@@ -61,10 +61,11 @@ from repro.errors import bad_input
 from repro.estimation.imu_selection import Selection
 
 Bound = Float[np.ndarray, " points"]
+_Points = float | Sequence[float] | Bound
 
 
 def rigid_bound(
-    selection: Selection, arc_lengths: float | Sequence[float], *, curvature: float, slope: float = math.inf
+    selection: Selection, arc_lengths: _Points, *, curvature: float, slope: float = math.inf
 ) -> Bound:
     """Bound of the position error of `repro.estimation.imu_models.rigid_links` between perfect IMUs.
 
@@ -112,7 +113,7 @@ def rigid_bound(
 
 
 def arcs_bound(
-    selection: Selection, arc_lengths: float | Sequence[float], *, curvature: float, slope: float = math.inf
+    selection: Selection, arc_lengths: _Points, *, curvature: float, slope: float = math.inf
 ) -> Bound:
     """Bound of the position error of `repro.estimation.imu_models.exact_arcs` between perfect IMUs.
 
@@ -140,7 +141,7 @@ def arcs_bound(
 
 
 def pcc_bound(
-    selection: Selection, arc_lengths: float | Sequence[float], *, curvature: float, slope: float = math.inf
+    selection: Selection, arc_lengths: _Points, *, curvature: float, slope: float = math.inf
 ) -> Bound:
     """Bound of the position error of `repro.estimation.imu_models.pcc_extended` between perfect IMUs.
 
@@ -156,7 +157,7 @@ def pcc_bound(
 
 
 def tangents_bound(
-    selection: Selection, arc_lengths: float | Sequence[float], *, curvature: float, slope: float = math.inf
+    selection: Selection, arc_lengths: _Points, *, curvature: float, slope: float = math.inf
 ) -> Bound:
     """Bound of the position error of `repro.estimation.imu_models.tangent_interpolation` between perfect IMUs.
 
@@ -232,7 +233,7 @@ def _acceleration(k: np.ndarray) -> np.ndarray:
 
 def _checked(
     selection: Selection,
-    arc_lengths: float | Sequence[float],
+    arc_lengths: _Points,
     curvature: float,
     slope: float,
     owner: str,
