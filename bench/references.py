@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from torch import Tensor
 
 from repro.estimation.imu_selection import Selection
-from repro.kinematics.paper_robots import LENGTH_M, MAGNET_AXIAL_M, RADIUS_M, SENSOR_RADIAL_M
+from repro.kinematics.paper_robots import Dimensions
 from repro.kinematics.robot import Robot
 from repro.sensing.magnets import _MT_PER_T, Cube, Ring
 
@@ -120,12 +120,17 @@ def readings_by_equations(q: Float[Tensor, " n_q"], models: Sequence[Model]) -> 
     """
     base, magnets, sensors = torch.eye(4, dtype=q.dtype), [], []
     for segment in q.reshape(-1, 3):
-        magnets.append(base @ _backbone(segment, MAGNET_AXIAL_M / LENGTH_M))
+        magnets.append(base @ _backbone(segment, Dimensions.MAGNET_AXIAL_M / Dimensions.LENGTH_M))
         base = base @ _backbone(segment, 1.0)
         for j in range(3):
             phi = 2 * math.pi * j / 3
             offset = q.new_tensor(
-                [SENSOR_RADIAL_M * math.cos(phi), SENSOR_RADIAL_M * math.sin(phi), 0.0, 1.0]
+                [
+                    Dimensions.SENSOR_RADIAL_M * math.cos(phi),
+                    Dimensions.SENSOR_RADIAL_M * math.sin(phi),
+                    0.0,
+                    1.0,
+                ]
             )
             sensors.append((-base[:3, 2], (base @ offset)[:3]))
     u = []
@@ -149,8 +154,8 @@ def _backbone(segment: Float[Tensor, " 3"], v: float) -> Float[Tensor, "4 4"]:
     """Pose at the coordinate ``v`` of a segment, eqs (14) and (15) with the factor of (15) that fits v < 1."""
     x, y, dL = segment.unbind()
     bend = torch.sqrt(x * x + y * y)
-    cosine, sine = torch.cos(v * bend / RADIUS_M), torch.sin(v * bend / RADIUS_M)
-    n_x, n_y, r = x / bend, y / bend, RADIUS_M * (LENGTH_M + dL) / bend
+    cosine, sine = torch.cos(v * bend / Dimensions.RADIUS_M), torch.sin(v * bend / Dimensions.RADIUS_M)
+    n_x, n_y, r = x / bend, y / bend, Dimensions.RADIUS_M * (Dimensions.LENGTH_M + dL) / bend
     zero, one = torch.zeros_like(x), torch.ones_like(x)
     entries = (
         *(1 + n_x * n_x * (cosine - 1), n_x * n_y * (cosine - 1), n_x * sine, r * n_x * (1 - cosine)),

@@ -233,7 +233,7 @@ def test_wrong_calibration_files(tmp_path):
         "Input schema of c.json must be 2 (older files lack the uncertainty of their parameters: calibrate again); "
         "instead received 1."
     )
-    write_calibration(path, calibrate(ROBOT, *session(ROBOT, ROBOT, 8), COVARIANCE))
+    calibrate(ROBOT, *session(ROBOT, ROBOT, 8), COVARIANCE).write(path)
     content = json.loads(path.read_text())
     path.write_text(json.dumps({k: v for k, v in content.items() if k != "chi2"}))
     with pytest.raises(InputError, match="instead received a difference in chi2"):
@@ -285,7 +285,7 @@ def test_wrong_calibration_files(tmp_path):
 )
 def test_damaged_calibration_files(tmp_path, change, message):
     path = tmp_path / "c.json"
-    write_calibration(path, calibrate(ROBOT, *session(ROBOT, ROBOT, 8, n=8), COVARIANCE))
+    calibrate(ROBOT, *session(ROBOT, ROBOT, 8, n=8), COVARIANCE).write(path)
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(InputError) as error:
         RobotCalibration.read(path)
@@ -311,7 +311,7 @@ def test_files_that_are_no_json(tmp_path, content):
 
 def test_a_covariance_with_a_negative_variance_is_refused(tmp_path):
     path = tmp_path / "c.json"
-    write_calibration(path, calibrate(ROBOT, *session(ROBOT, ROBOT, 8, n=8), COVARIANCE))
+    calibrate(ROBOT, *session(ROBOT, ROBOT, 8, n=8), COVARIANCE).write(path)
     content = json.loads(path.read_text())
     content["covariance"][0][1] = content["covariance"][1][0] = 1.0
     path.write_text(json.dumps(content))

@@ -426,7 +426,7 @@ def test_nothing_is_left_when_writing_fails(rig, files, tmp_path, monkeypatch):
     def full(*_: object, **__: object) -> None:
         raise OSError("No space left on device")
 
-    monkeypatch.setattr("repro_live.own.results.write_calibration", full)
+    monkeypatch.setattr("repro.robot_file.calibration_file.RobotCalibration.write", full)
     with pytest.raises(OSError, match="No space"):
         write_results(tmp_path / "found", found, poses)
     assert os.listdir(tmp_path) == []

@@ -18,8 +18,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation._step import check_start, driven
-from repro.estimation.base import Estimate
+from repro.estimation._step import driven
+from repro.estimation.base import Estimate, check_start
 from repro.estimation.kalman_filter import IteratedKalmanFilter, KalmanState
 
 _WIDEST = 12.0

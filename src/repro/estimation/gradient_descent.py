@@ -13,8 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation._step import check_start, held, kernel, redundancy, usable
-from repro.estimation.base import Estimate
+from repro.estimation.base import Estimate, check_start, held, kernel, redundancy, usable
 
 
 @dataclass(frozen=True)

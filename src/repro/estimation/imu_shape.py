@@ -16,8 +16,7 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.estimation._quaternions import filled, neighbours
-from repro.estimation._step import check_start, usable
-from repro.estimation.base import Estimate
+from repro.estimation.base import Estimate, check_start, usable
 from repro.estimation.imu_models import ShapeModel
 from repro.estimation.imu_selection import Selection
 from repro.estimation.orientations import exponential, product

@@ -29,8 +29,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation._step import TOLERANCE, check_start, driven, held, kernel, redundancy, usable
-from repro.estimation.base import Estimate
+from repro.estimation._step import TOLERANCE, driven
+from repro.estimation.base import Estimate, check_start, held, kernel, redundancy, usable
 from repro.estimation.levenberg_marquardt import LeastSquaresState, LevenbergMarquardt, covariance
 
 

@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation._step import TOLERANCE, check_start, held, kernel, redundancy, usable
-from repro.estimation.base import Estimate
+from repro.estimation._step import TOLERANCE
+from repro.estimation.base import Estimate, check_start, held, kernel, redundancy, usable
 
 
 @dataclass(frozen=True)

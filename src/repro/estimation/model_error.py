@@ -32,8 +32,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation._step import held, kernel, usable
-from repro.estimation.base import Estimate, Estimator
+from repro.estimation.base import Estimate, Estimator, held, kernel, usable
 from repro.estimation.levenberg_marquardt import jacobian
 
 _RANK = 1e-9

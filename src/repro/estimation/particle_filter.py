@@ -16,8 +16,7 @@ from repro.errors import bad_input
 from repro.estimation._particle_cloud import Weighed, weighed
 from repro.estimation._particle_restart import contracted
 from repro.estimation._resampling import SCHEMES, resample, stream
-from repro.estimation._step import check_start, kernel, redundancy, usable
-from repro.estimation.base import Estimate
+from repro.estimation.base import Estimate, check_start, kernel, redundancy, usable
 from repro.estimation.levenberg_marquardt import covariance
 from repro.estimation.regions import Region
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor
 
@@ -11,18 +13,23 @@ from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.mounts import magnet_mounts, ring_azimuths, sensor_mounts
 from repro.kinematics.robot import Robot
 
-LENGTH_M = 0.110
-RADIUS_M = 0.022
-MAGNET_AXIAL_M = 0.055
-SENSOR_RADIAL_M = 0.013
 _AFFINE_LENGTH_M = 0.200
 _AFFINE_PLANES_M = (0.0, 0.100, 0.200)
 _AFFINE_MAGNETS_M = (0.050, 0.150)
-MAGNET_SHIFT_M = {"released": -0.003, "published": 0.0}
-"""Shift of the magnets of the affine robot along their own axes [m]: in the released training data, and in print.
 
-The networks of the released code know nothing of it: their relations are those of the robot as printed.
-"""
+
+class Dimensions:
+    """Sizes of the segments that bend in arcs, section 3.1, and the shift of the affine robot's magnets [m]."""
+
+    LENGTH_M = 0.110
+    RADIUS_M = 0.022
+    MAGNET_AXIAL_M = 0.055
+    SENSOR_RADIAL_M = 0.013
+    MAGNET_SHIFT_M: ClassVar[dict[str, float]] = {"released": -0.003, "published": 0.0}
+    """Shift of the magnets of the affine robot along their own axes: in the released training data, and in print.
+
+    The networks of the released code know nothing of it: their relations are those of the robot as printed.
+    """
 
 
 def pcc_robot(
@@ -30,7 +37,7 @@ def pcc_robot(
     sensors_per_segment: int = 3,
     *,
     tilt: Tensor | float = 0.0,
-    radial: Tensor | float = SENSOR_RADIAL_M,
+    radial: Tensor | float = Dimensions.SENSOR_RADIAL_M,
     azimuth_offset: Tensor | float = 0.0,
 ) -> Robot:
     """Robot of Baaij et al. 2023, section 3.1: a ring in the middle and sensors in the tip plane of each segment.
@@ -67,14 +74,14 @@ def pcc_robot(
     azimuth = azimuth.repeat(*(1,) * (azimuth.ndim - 1), n_segments)
     per_robot = [x.unsqueeze(-1) if isinstance(x, Tensor) and x.ndim else x for x in (radial, tilt)]
     return Robot(
-        segments=(ConstantCurvature(LENGTH_M, RADIUS_M),) * n_segments,
-        magnets=magnet_mounts(range(n_segments), MAGNET_AXIAL_M),
-        sensors=sensor_mounts(segment_of_sensor, LENGTH_M, per_robot[0], azimuth, per_robot[1]),
+        segments=(ConstantCurvature(Dimensions.LENGTH_M, Dimensions.RADIUS_M),) * n_segments,
+        magnets=magnet_mounts(range(n_segments), Dimensions.MAGNET_AXIAL_M),
+        sensors=sensor_mounts(segment_of_sensor, Dimensions.LENGTH_M, per_robot[0], azimuth, per_robot[1]),
     )
 
 
 def affine_robot(
-    *, magnet_shift_m: float = MAGNET_SHIFT_M["released"], azimuth_offset: Tensor | float = 0.0
+    *, magnet_shift_m: float = Dimensions.MAGNET_SHIFT_M["released"], azimuth_offset: Tensor | float = 0.0
 ) -> Robot:
     """Robot of Baaij et al. 2023, section 4.1: one affine segment, two rings, nine sensors in three planes.
 
@@ -85,7 +92,7 @@ def affine_robot(
     ----------
     magnet_shift_m
         Rigid shift [m] of both magnets along their own axes, towards the tip, from the cross-sections at 50 and
-        150 mm: see :data:`MAGNET_SHIFT_M`.
+        150 mm: see :attr:`Dimensions.MAGNET_SHIFT_M`.
     azimuth_offset
         Azimuth ``phi_off`` [rad] of the first sensor; a batch of robots has a leading dimension.
 
@@ -101,5 +108,5 @@ def affine_robot(
     return Robot(
         segments=(AffineCurvature(_AFFINE_LENGTH_M),),
         magnets=magnet_mounts([0] * len(_AFFINE_MAGNETS_M), _AFFINE_MAGNETS_M, shift=magnet_shift_m),
-        sensors=sensor_mounts([0] * n, axial, SENSOR_RADIAL_M, azimuth),
+        sensors=sensor_mounts([0] * n, axial, Dimensions.SENSOR_RADIAL_M, azimuth),
     )

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.kinematics.constant_curvature import ConstantCurvature
-from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M, pcc_robot
+from repro.kinematics.paper_robots import Dimensions, pcc_robot
 from repro.kinematics.robot import Robot
 from repro.sensing.magnetic import field_at_sensors, readings
 from repro.sensing.magnets import Cube, Ring, ring
@@ -40,7 +40,7 @@ def misprint(delta_mm: float, n_points: int = 41) -> pd.DataFrame:
     Columns: ``v``, ``x_mm`` and ``z_mm`` (corrected), ``x_printed_mm`` and ``z_printed_mm``; bending in the x-z
     plane, no elongation.
     """
-    segment = ConstantCurvature(LENGTH_M, RADIUS_M)
+    segment = ConstantCurvature(Dimensions.LENGTH_M, Dimensions.RADIUS_M)
     v = torch.linspace(0, 1, n_points, dtype=torch.float64)
     p = MM * segment.pose(torch.tensor([delta_mm / MM, 0.0, 0.0], dtype=torch.float64), v)[:, :3, 3]
     columns = {
@@ -58,12 +58,12 @@ def inverse_round_trip(n: int = 10_000, seed: int = 0) -> pd.DataFrame:
 
     Columns: ``bending_deg``, ``samples``, ``error_nm`` (largest over the three configuration variables).
     """
-    segment = ConstantCurvature(LENGTH_M, RADIUS_M)
+    segment = ConstantCurvature(Dimensions.LENGTH_M, Dimensions.RADIUS_M)
     generator = torch.Generator().manual_seed(seed)
     rows = []
     for degrees in (0.0, 1e-6, 1.0, 45.0, 90.0, 170.0):
         direction = 2 * math.pi * torch.rand(n, generator=generator, dtype=torch.float64)
-        delta = RADIUS_M * math.radians(degrees)
+        delta = Dimensions.RADIUS_M * math.radians(degrees)
         dL = 5.5e-3 * torch.rand(n, generator=generator, dtype=torch.float64)
         q = torch.stack([delta * direction.cos(), delta * direction.sin(), dL], dim=-1)
         back = segment.configuration(segment.pose(q, torch.ones(())))
@@ -73,7 +73,7 @@ def inverse_round_trip(n: int = 10_000, seed: int = 0) -> pd.DataFrame:
 
 def planar_configuration(n_segments: int, bend_deg: float) -> Tensor:
     """Configuration in the x-z plane, neighbouring segments bent to opposite sides by ``bend_deg`` [m]."""
-    delta = RADIUS_M * math.radians(bend_deg)
+    delta = Dimensions.RADIUS_M * math.radians(bend_deg)
     signs = [(-1) ** i for i in range(n_segments)]
     return torch.tensor([x for s in signs for x in (s * delta, 0.0, 2.75e-3)], dtype=torch.float64)
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from repro.kinematics.paper_robots import LENGTH_M
+from repro.kinematics.paper_robots import Dimensions
 from repro_companion.twins.imu_errors import ImuErrors, continuous_signs, ornstein_uhlenbeck
 from repro_companion.twins.segment_motion import Motion
 
@@ -47,7 +47,7 @@ def streamed(
     skew = errors.skew_s * np.arange(2)
     rounds = int((time[-1] - start) * errors.rate_hz) + 1
     seen = start + np.arange(rounds)[:, None] / errors.rate_hz + skew
-    ends = np.stack([as_quaternions(motion.at(arc)) for arc in (0.0, LENGTH_M)], axis=1)
+    ends = np.stack([as_quaternions(motion.at(arc)) for arc in (0.0, Dimensions.LENGTH_M)], axis=1)
     ends = continuous_signs(ends, axis=0)
     true = np.stack(
         [

@@ -24,7 +24,7 @@ from torch import Tensor
 from repro import se3
 from repro.errors import bad_input
 from repro.kinematics.affine_curvature import AffineCurvature
-from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M, pcc_robot
+from repro.kinematics.paper_robots import Dimensions, pcc_robot
 from repro_companion.twins.trajectories import RATE_HZ, STEPS, flower, lemniscate
 
 TRAJECTORIES = ("constant curvature", "affine curvature", "rod under load")
@@ -112,7 +112,7 @@ class StaticRod:
         raise bad_input("force_n", "StaticRod.equilibrium", expected, f"a change of {change:.1e} at last")
 
 
-ROD = StaticRod(length_m=LENGTH_M, radius_m=0.011, youngs_modulus_pa=1e6)
+ROD = StaticRod(length_m=Dimensions.LENGTH_M, radius_m=0.011, youngs_modulus_pa=1e6)
 """Rod of the same length; radius of the material and its Young's modulus (a soft silicone) are assumed."""
 
 
@@ -158,16 +158,18 @@ def motion(name: str, *, steps: int = STEPS, load_n: float = LOAD_N) -> Motion:
     load_n
         Force on the tip of the rod along x [N]. Without it the rod moves as the segment of constant curvature.
     """
-    arcs = torch.linspace(0, LENGTH_M, ROD.elements + 1, dtype=torch.float64)
-    v, time = arcs / LENGTH_M, torch.arange(steps, dtype=torch.float64) * (STEPS / RATE_HZ / steps)
+    arcs = torch.linspace(0, Dimensions.LENGTH_M, ROD.elements + 1, dtype=torch.float64)
+    v, time = arcs / Dimensions.LENGTH_M, torch.arange(steps, dtype=torch.float64) * (STEPS / RATE_HZ / steps)
     q = lemniscate(1, steps=steps)
     if name == TRAJECTORIES[0]:
         return Motion(name, time, arcs, ROBOT.segments[0].pose(q.unsqueeze(-2), v), q)
     if name == TRAJECTORIES[1]:
         affine = flower(steps=steps) * torch.tensor([AFFINE_SCALE, AFFINE_SCALE, 1.0, 1.0]).double()
-        return Motion(name, time, arcs, AffineCurvature(LENGTH_M).pose(affine.unsqueeze(-2), v), None)
+        return Motion(
+            name, time, arcs, AffineCurvature(Dimensions.LENGTH_M).pose(affine.unsqueeze(-2), v), None
+        )
     force = torch.tensor([load_n, 0.0, 0.0], dtype=torch.float64)
-    poses = ROD.equilibrium(q[:, :2] / RADIUS_M, 1 + q[:, 2] / LENGTH_M, force)
+    poses = ROD.equilibrium(q[:, :2] / Dimensions.RADIUS_M, 1 + q[:, 2] / Dimensions.LENGTH_M, force)
     return Motion(name, time, arcs, poses, None)
 
 

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from repro import se3
 from repro.errors import bad_input
-from repro.kinematics.paper_robots import LENGTH_M, MAGNET_AXIAL_M
+from repro.kinematics.paper_robots import Dimensions
 from repro.sensing.magnets import B444B, Cube, Ring, ring
 from repro.sensing.placement import Tolerances, placed
 from repro_companion.twins.calibration_session import L_MAX
@@ -202,13 +202,13 @@ def calibration_session(
     q = high * torch.where(torch.tensor([True, True, False]), 2 * uniform - 1, uniform)  # [poses, draws, 3]
 
     def at(arc_m: float) -> Tensor:
-        return ROBOT.segments[0].pose(q, q.new_tensor(arc_m / LENGTH_M))
+        return ROBOT.segments[0].pose(q, q.new_tensor(arc_m / Dimensions.LENGTH_M))
 
     magnets, hall = _fields(at, parts, False)
     normal = torch.from_numpy(np.stack([rng.standard_normal((poses, 15)) for rng in rngs], axis=1))
-    true = np.stack([as_quaternions(at(arc)) for arc in (0.0, LENGTH_M)], axis=-2)
+    true = np.stack([as_quaternions(at(arc)) for arc in (0.0, Dimensions.LENGTH_M)], axis=-2)
     imus = imu_readings(true, parts.turns, parts.errors, rngs, interval_s=1.0, size=1.0)
-    tip, angle = at(LENGTH_M), POSE_ROTATION_RAD * normal[..., 9:12]
+    tip, angle = at(Dimensions.LENGTH_M), POSE_ROTATION_RAD * normal[..., 9:12]
     turn = se3.rotation_x(angle[..., 0]) @ se3.rotation_y(angle[..., 1]) @ se3.rotation_z(angle[..., 2])
     measured = se3.pose(tip[..., :3, :3] @ turn, tip[..., :3, 3] + POSE_POSITION_M * normal[..., 12:15])
     return measured.transpose(0, 1), _with_noise(magnets, hall, imus, normal[..., :9], 1.0)
@@ -216,10 +216,10 @@ def calibration_session(
 
 def _fields(at: Callable[[float], Tensor], parts: Parts, both: bool) -> tuple[Tensor, Tensor]:
     """Flux density [mT] along the ring's sensors ``[t, draws, s]``, at the Hall sensors ``[t, draws, places, 3]``."""
-    T_ring = at(MAGNET_AXIAL_M) @ parts.ring
+    T_ring = at(Dimensions.MAGNET_AXIAL_M) @ parts.ring
     T_cubes = torch.stack([at(place + APART_M) @ parts.cube for place in PLACES_M], dim=-3)
     T_hall = torch.stack([at(place) @ parts.hall for place in PLACES_M], dim=-3)
-    T_tip = at(LENGTH_M).unsqueeze(-3) @ parts.ring_sensors
+    T_tip = at(Dimensions.LENGTH_M).unsqueeze(-3) @ parts.ring_sensors
     ring_mt, cube_mt = parts.strength.unbind(-1)
     at_tip = ring_mt[:, None, None] * _flux(RING, T_ring.unsqueeze(-3), T_tip)
     at_hall = cube_mt[:, None, None] * _flux(B444B, T_cubes, T_hall)

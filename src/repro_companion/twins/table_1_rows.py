@@ -11,7 +11,7 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.kinematics.mounts import Mounts
-from repro.kinematics.paper_robots import SENSOR_RADIAL_M, pcc_robot
+from repro.kinematics.paper_robots import Dimensions, pcc_robot
 from repro.kinematics.robot import Robot
 from repro.sensing.magnetic import EARTH_MT, readings
 from repro.sensing.magnets import ring
@@ -42,7 +42,7 @@ class Row:
     n_segments: int = 3
     sensors_per_segment: int = 3
     tilt_deg: float = 0.0
-    radial_m: float = SENSOR_RADIAL_M
+    radial_m: float = Dimensions.SENSOR_RADIAL_M
     earth_axis: tuple[float, float, float] | None = None
     same_as: tuple[str, ...] = ()
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.kinematics.paper_robots import SENSOR_RADIAL_M, affine_robot, pcc_robot
+from repro.kinematics.paper_robots import Dimensions, affine_robot, pcc_robot
 from repro.kinematics.robot import Robot
 from repro.sensing.magnetic import EARTH_MT, readings
 from repro.sensing.magnets import Cube, Ring, ring
@@ -87,7 +87,9 @@ def draw(
         return Draws(q, azimuth, tilt, radial, None)
     axis = uniform(-1.0, 1.0, samples, 3)
     axis /= torch.linalg.vector_norm(axis, dim=-1, keepdim=True)
-    return Draws(q, azimuth, torch.zeros_like(azimuth), torch.full_like(azimuth, SENSOR_RADIAL_M), axis)
+    return Draws(
+        q, azimuth, torch.zeros_like(azimuth), torch.full_like(azimuth, Dimensions.SENSOR_RADIAL_M), axis
+    )
 
 
 def training_set(

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from repro.errors import bad_input
-from repro.estimation._step import usable
-from repro.estimation.base import Estimate, Estimator
+from repro.estimation.base import Estimate, Estimator, usable
 from repro.estimation.imu_models import exact_arcs
 from repro.estimation.imu_selection import Selection
 from repro.estimation.imu_shape import ImuShape

@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from repro.errors import bad_input, require
-from repro.estimation._step import kernel
-from repro.estimation.base import Estimator
+from repro.estimation.base import Estimator, kernel
 from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian

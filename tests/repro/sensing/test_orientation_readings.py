@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from repro.kinematics.paper_robots import RADIUS_M
+from repro.kinematics.paper_robots import Dimensions
 from repro_companion.pages.fusion.models import Imus, left_jacobian, rotation_vector
 from repro_companion.twins.segment_motion import ROBOT, rotation_matrix
 
@@ -54,7 +54,7 @@ def test_a_small_turn_across_is_seen_larger_by_half_the_angle_over_its_sine():
 
 def test_a_segment_of_constant_curvature_reads_its_bending_linearly():
     q = torch.tensor([[0.01, -0.004, 0.001], [0.0, 0.0, 0.005], [-0.02, 0.02, 0.0]], dtype=torch.float64)
-    expected = torch.stack([-q[:, 1], q[:, 0], 0 * q[:, 0]], dim=-1) / RADIUS_M
+    expected = torch.stack([-q[:, 1], q[:, 0], 0 * q[:, 0]], dim=-1) / Dimensions.RADIUS_M
     read = Imus(False)(torch.nn.functional.pad(q, (0, 9)))
     torch.testing.assert_close(read, expected, atol=1e-14, rtol=0)
 

@@ -15,7 +15,7 @@ import torch
 from PIL import Image
 
 from repro.errors import InputError
-from repro.kinematics.paper_robots import SENSOR_RADIAL_M, affine_robot, pcc_robot
+from repro.kinematics.paper_robots import Dimensions, affine_robot, pcc_robot
 from repro.kinematics.robot import Robot
 from repro_live.view.robot_view import (
     POINTS_PER_SEGMENT,
@@ -224,7 +224,7 @@ def test_live_frames_are_those_of_a_view():
 def test_body_has_a_radius():
     """That of the segments; else that of the sensors; else a twentieth of the length."""
     assert body_radius(pcc_robot()) == 0.022
-    assert body_radius(affine_robot()) == pytest.approx(SENSOR_RADIAL_M)
+    assert body_radius(affine_robot()) == pytest.approx(Dimensions.SENSOR_RADIAL_M)
     assert body_radius(Robot(affine_robot().segments)) == pytest.approx(0.010)
 
 

@@ -141,9 +141,11 @@ class TestPapersMethod:
 
 
 def test_setting_names_what_differs():
-    as_released = affine_setting(20, affine.STEP_SIZE, 0.0, 400)
+    as_released = affine_setting(iterations=20, step_size=affine.STEP_SIZE, noise_mt=0.0, steps=400)
     assert "here" not in as_released
-    changed = affine_setting(5, [1.0, 1.0, 1.0, 1e-4], SENSOR_NOISE_MT, 400)
+    changed = affine_setting(
+        iterations=5, step_size=[1.0, 1.0, 1.0, 1e-4], noise_mt=SENSOR_NOISE_MT, steps=400
+    )
     assert changed.endswith(
         "here 5 evaluations; here step sizes [1.0, 1.0, 1.0, 0.0001]; here noise 0.00071 mT"
     )

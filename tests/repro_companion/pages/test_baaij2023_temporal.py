@@ -10,7 +10,6 @@ from repro_companion.pages.temporal_filter.filters import (
     ambiguities,
     choices,
     errors,
-    estimates,
     gains,
     noisy_readings,
     over_time,
@@ -66,7 +65,3 @@ def test_search_reports_what_readings_do_not_tell_apart():
 def test_bad_input():
     with pytest.raises(InputError, match="Input name of trajectory must be one of 'T0', 'T1', 'T2', 'T3'"):
         trajectory("T9", 1)
-    with pytest.raises(
-        InputError, match="Input method of estimates must be one of 'Levenberg-Marquardt', 'Kalman"
-    ):
-        estimates("filter", torch.zeros(1, 1, 3), 1, 0.005)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from repro import se3
 from repro.errors import InputError
-from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M
+from repro.kinematics.paper_robots import Dimensions
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.magnetic import readings
 from repro_companion.pages.one_robot import tables
@@ -69,7 +69,7 @@ def test_a_rod_without_load_moves_as_the_arc():
 
 
 def test_the_affine_motion_turns_its_tip_by_the_integral_of_the_curvature():
-    tip = motion(AFFINE, steps=7).at(LENGTH_M)
+    tip = motion(AFFINE, steps=7).at(Dimensions.LENGTH_M)
     assert math.degrees(math.acos(tip[1, 2, 2])) == pytest.approx(
         (45 + 180 / 2) / 3
     )  # outermost point of a petal
@@ -86,8 +86,8 @@ def test_readings_as_drawn_are_those_of_the_robot_and_of_the_arc_between_sensor_
     moved, seen = clean(ARC)
     assert torch.allclose(seen.magnets[:, 0], readings(ROBOT, moved.q, RING), atol=1e-12)
     for k in (0, 13, 27):  # the sensor model of an arc of this length, in torch
-        length = APART_M * (1 + moved.q[k, 2].item() / LENGTH_M)
-        local = moved.q[k, :2] / RADIUS_M * APART_M / LENGTH_M
+        length = APART_M * (1 + moved.q[k, 2].item() / Dimensions.LENGTH_M)
+        local = moved.q[k, :2] / Dimensions.RADIUS_M * APART_M / Dimensions.LENGTH_M
         expected = BendSensor(length)(local)
         assert torch.allclose(seen.hall[k, 0, 0], expected, atol=1e-9)
         assert torch.allclose(seen.hall[k, 0, 1], expected, atol=1e-9)  # an arc is the same everywhere
@@ -97,7 +97,7 @@ def test_imus_without_errors_read_the_ends_of_the_segment():
     moved, seen = clean(LOADED, 400)
     R = torch.from_numpy(Rotation.from_quat(seen.imus[:, 0].reshape(-1, 4)).as_matrix()).reshape(-1, 2, 3, 3)
     assert torch.allclose(R[:, 0], torch.eye(3).double().expand(400, 3, 3), atol=1e-12)
-    assert torch.allclose(R[:, 1], moved.at(LENGTH_M)[:, :3, :3], atol=1e-9)
+    assert torch.allclose(R[:, 1], moved.at(Dimensions.LENGTH_M)[:, :3, :3], atol=1e-9)
 
 
 def test_imus_show_what_was_true_one_latency_ago():
@@ -112,7 +112,7 @@ def test_the_other_magnet_is_a_dipole_far_away():
     parts = draw_parts(1, as_drawn=True)
     alone, both = (simulate(moved, parts, noise=False, both_magnets=x) for x in (False, True))
     volume_mt = 1320.0 * 6.35e-3**3 / (4 * math.pi)
-    far = (LENGTH_M - APART_M) * (1 + MID_ELONGATION_M / LENGTH_M)
+    far = (Dimensions.LENGTH_M - APART_M) * (1 + MID_ELONGATION_M / Dimensions.LENGTH_M)
     added = both.magnets[0, 0] - alone.magnets[0, 0]  # straight; they measure towards the base
     expected = -volume_mt * (3 * far**2 / (far**2 + 0.013**2) - 1) / (far**2 + 0.013**2) ** 1.5
     assert torch.allclose(added, torch.full((3,), expected, dtype=torch.float64), rtol=0.01)
@@ -150,7 +150,7 @@ def test_with_nothing_wrong_the_arc_is_found():
     ends = by_imus(as_drawn(), seen.imus, moved.arcs_m)
     q = moved.q.clone()
     q[:, 2] = MID_ELONGATION_M  # all that IMUs cannot see
-    expected = ROBOT.segments[0].pose(q.unsqueeze(1), moved.arcs_m / LENGTH_M)[..., :3, 3]
+    expected = ROBOT.segments[0].pose(q.unsqueeze(1), moved.arcs_m / Dimensions.LENGTH_M)[..., :3, 3]
     assert torch.allclose(ends.points[:, 0], expected, atol=1e-9)
     (base, middle) = by_hall(as_drawn(), seen.hall, moved.arcs_m)
     assert torch.allclose(base.points, middle.points, atol=1e-5)
@@ -206,7 +206,7 @@ def test_failed_sensors_are_not_used():
         assert torch.equal(spoilt.points, whole.points)
     for shape in by_hall(as_drawn(), seen.hall, moved.arcs_m, failed=0):
         assert shape.points[..., :2].abs().max() == 0
-        assert shape.points[0, 0, -1, 2].item() == pytest.approx(LENGTH_M + MID_ELONGATION_M)
+        assert shape.points[0, 0, -1, 2].item() == pytest.approx(Dimensions.LENGTH_M + MID_ELONGATION_M)
     assert torch.equal(
         by_imus(as_drawn(), seen.imus, moved.arcs_m, failed=0).tip,
         by_imus(as_drawn(), seen.imus, moved.arcs_m).tip,

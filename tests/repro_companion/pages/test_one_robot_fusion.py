@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
 from repro.kinematics.mounts import magnet_mounts
-from repro.kinematics.paper_robots import LENGTH_M
+from repro.kinematics.paper_robots import Dimensions
 from repro_companion.pages.fusion.models import Imus, Magnets
 from repro_companion.pages.fusion.study import SETTINGS, record
 from repro_companion.pages.fusion.tables import errors, gains, judged, summary
@@ -33,7 +33,7 @@ def test_derivatives_against_differences(model):
 def test_the_imus_are_those_of_the_robot_with_errors_on_both_sides():
     """By the kinematics of the robot and SciPy: log(exp(left) R_base^T R_tip exp(right))."""
     x = states(5)
-    R = ROBOT.mount_poses(x[:, :3], magnet_mounts([0, 0], [0.0, LENGTH_M]))[..., :3, :3]
+    R = ROBOT.mount_poses(x[:, :3], magnet_mounts([0, 0], [0.0, Dimensions.LENGTH_M]))[..., :3, :3]
     base, tip = (Rotation.from_matrix(R[:, k].numpy()) for k in (0, 1))
     left, right = (Rotation.from_rotvec(e.numpy()) for e in (x[:, 3:6] + x[:, 6:9], x[:, 9:12]))
     expected = (left * base.inv() * tip * right).as_rotvec()

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.kinematics.paper_robots import LENGTH_M, affine_robot, pcc_robot
+from repro.kinematics.paper_robots import Dimensions, affine_robot, pcc_robot
 from repro_companion.pages.sensor_placement.layouts import Room, layout_of
 
 ROBOTS = {
@@ -45,8 +45,12 @@ def test_table_lists_the_parts(name):
 
 def test_heights_count_from_the_base_of_the_robot():
     sensors, magnets = layout_of(pcc_robot(3, 1)).heights()
-    torch.testing.assert_close(sensors, LENGTH_M * torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64))
-    torch.testing.assert_close(magnets, LENGTH_M * torch.tensor([0.5, 1.5, 2.5], dtype=torch.float64))
+    torch.testing.assert_close(
+        sensors, Dimensions.LENGTH_M * torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
+    )
+    torch.testing.assert_close(
+        magnets, Dimensions.LENGTH_M * torch.tensor([0.5, 1.5, 2.5], dtype=torch.float64)
+    )
 
 
 def test_kinds_select_blocks():

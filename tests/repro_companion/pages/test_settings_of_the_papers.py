@@ -18,9 +18,9 @@ from repro_companion.book.project import find_project
 from repro_companion.book.published import read_published
 from repro_companion.pages.bend_tests.filters import PAPER_SETTINGS
 from repro_companion.pages.probabilistic_curvature import simulation
+from repro_companion.pages.table_1.scorecard import scorecard_rows
 from repro_companion.twins import rig_descent as table2
 from repro_companion.twins import table_1_method as table1
-from repro_companion.twins import table_1_scorecard as scorecard
 from repro_companion.twins.table_1_rows import ROWS, rows_named, simulate
 
 BY_NAME = {row.name: row for row in ROWS}
@@ -97,7 +97,7 @@ class TestBaaij:
         for cell in errors:
             cell["error"] = 50.0 if cell["unit"] == "mT" else cell["error"]
         best = pd.DataFrame([c for c in cells if c["unit"] == "%"])
-        lines = scorecard.scorecard_rows(pd.DataFrame(errors), best)
+        lines = scorecard_rows(pd.DataFrame(errors), best)
         (line,) = [line for line in lines if line["artefact"] == "Section 3.5"]
         assert line["regenerated"] == pytest.approx(3.0)
         assert line["regenerated_std"] == pytest.approx(math.sqrt(2))  # of 2 and 4, one number for each seed

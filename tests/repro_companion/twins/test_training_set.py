@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from repro.errors import InputError
-from repro.kinematics.paper_robots import MAGNET_SHIFT_M, affine_robot
+from repro.kinematics.paper_robots import Dimensions, affine_robot
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro_companion.twins import networks as training
@@ -133,7 +133,7 @@ class TestAffine:
         """
         assert relative_shift(affine) < 3
         slid = affine_robot(magnet_shift_m=0.0)
-        magnets = replace(slid.magnets, axial=slid.magnets.axial + MAGNET_SHIFT_M["released"])
+        magnets = replace(slid.magnets, axial=slid.magnets.axial + Dimensions.MAGNET_SHIFT_M["released"])
         robot = replace(affine.robot, magnets=magnets)
         turned = replace(affine, u=readings(robot, affine.q, ring("released")))
         assert relative_shift(turned) > 10

@@ -31,7 +31,7 @@ from torch import Tensor
 
 from repro import se3
 from repro.kernels import compiled
-from repro.kinematics.paper_robots import RADIUS_M
+from repro.kinematics.paper_robots import Dimensions
 from repro.sensing.linearised import LinearisedSensing
 from repro_companion.twins.calibration_session import released_moments
 from repro_companion.twins.segment_motion import ROBOT, cross_matrix, rotation_matrix
@@ -119,7 +119,10 @@ def ring_model() -> Any:
 
 def _turn(q: Tensor) -> tuple[Tensor, Tensor]:
     """Orientation of the tip, and how the coordinates turn it: its rotation vector is linear in them."""
-    chart = q.new_tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])[:, : q.shape[-1]] / RADIUS_M
+    chart = (
+        q.new_tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])[:, : q.shape[-1]]
+        / Dimensions.RADIUS_M
+    )
     vector = q @ chart.mT
     return rotation_matrix(vector), left_jacobian(vector) @ chart
 

@@ -25,7 +25,7 @@ from repro.errors import bad_input
 from repro.estimation.drift_filter import Drift, DriftFilter
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.kinematics.mounts import magnet_mounts
-from repro.kinematics.paper_robots import LENGTH_M, MAGNET_AXIAL_M
+from repro.kinematics.paper_robots import Dimensions
 from repro.sensing.magnetic import EARTH_MT
 from repro.sensing.stacked import StackedSensing
 from repro_companion.pages.fusion.models import Imus, Magnets, ring_model, rotation_vector
@@ -120,9 +120,11 @@ def record(motions: Sequence[Motion], seeds: Sequence[int], setting: Surrounding
 
 def _clean(motion: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Readings without errors, directions of the sensors and orientations of the tip; at rest first."""
-    rest = ROBOT.mount_poses(start(1), magnet_mounts([0, 0], [MAGNET_AXIAL_M, LENGTH_M]))
-    ring = torch.cat([rest[None, 0], motion.at(MAGNET_AXIAL_M)])
-    tip = torch.cat([rest[None, 1], motion.at(LENGTH_M)])
+    rest = ROBOT.mount_poses(
+        start(1), magnet_mounts([0, 0], [Dimensions.MAGNET_AXIAL_M, Dimensions.LENGTH_M])
+    )
+    ring = torch.cat([rest[None, 0], motion.at(Dimensions.MAGNET_AXIAL_M)])
+    tip = torch.cat([rest[None, 1], motion.at(Dimensions.LENGTH_M)])
     sensors = tip.unsqueeze(1) @ ROBOT.sensors.local
     R = ring[:, None, :3, :3]
     offset = sensors[..., :3, 3] - ring[:, None, :3, 3]

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from repro.estimation.levenberg_marquardt import jacobian
-from repro.kinematics.paper_robots import LENGTH_M
+from repro.kinematics.paper_robots import Dimensions
 from repro_companion.book.bootstrap import interval, resampled
 from repro_companion.pages.fusion.models import rotation_vector
 from repro_companion.pages.fusion.study import (
@@ -69,7 +69,7 @@ def errors(
         As for :func:`repro_companion.pages.fusion.study.estimates`.
     """
     tables: list[pd.DataFrame] = []
-    truth = torch.stack([x.at(LENGTH_M) for x in motions], dim=1).unsqueeze(2)
+    truth = torch.stack([x.at(Dimensions.LENGTH_M) for x in motions], dim=1).unsqueeze(2)
     along = [[x.name for x in motions], seeds, motions[0].time_s[SKIPPED:].tolist()]
     steps = pd.MultiIndex.from_product(along, names=["trajectory", "seed", "time_s"])
     alone = None

@@ -24,7 +24,7 @@ from repro.estimation.poses import configurations
 from repro.estimation.regions import Disc
 from repro.kernels import compiled
 from repro.kinematics.bend import MAX_BEND
-from repro.kinematics.paper_robots import LENGTH_M, RADIUS_M
+from repro.kinematics.paper_robots import Dimensions
 from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.linearised import LinearisedSensing
 from repro_companion.twins.calibration_session import released_moments
@@ -42,7 +42,7 @@ from repro_companion.twins.segment_robot import (
 )
 from repro_companion.twins.training_set import ELONGATION_M
 
-STRETCH = 1 + MID_ELONGATION_M / LENGTH_M
+STRETCH = 1 + MID_ELONGATION_M / Dimensions.LENGTH_M
 """Length at mid elongation over the unextended length."""
 HALL_SENSOR = BendSensor(STRETCH * APART_M)
 METHODS = ("ring and 3 sensors", "cube and Hall sensor, base", "cube and Hall sensor, middle", "2 IMUs")
@@ -55,7 +55,12 @@ PROCESS_NOISE_RAD = 0.002 * torch.pi
 for experiments)."""
 PARTICLES = 1000
 ROUNDED_MT = 1e-6
-PAIR = Selection(imus=(0, 1), arcs=(0.0, STRETCH * LENGTH_M), link_lengths=(STRETCH * LENGTH_M,), sub_links=1)
+PAIR = Selection(
+    imus=(0, 1),
+    arcs=(0.0, STRETCH * Dimensions.LENGTH_M),
+    link_lengths=(STRETCH * Dimensions.LENGTH_M,),
+    sub_links=1,
+)
 STRAIGHT = torch.tensor([0.0, 0.0, MID_ELONGATION_M], dtype=torch.float64)
 
 
@@ -111,7 +116,7 @@ def calibrated(tips: Float[Tensor, "draws poses 4 4"], readings: Readings) -> Mo
     )
     u = readings.magnets.transpose(0, 1)
     magnets = calibrate(ROBOT, q, covariance, u, released_moments(), noise_mt=MAGNET_NOISE_MT)
-    field = HALL_SENSOR(q[..., :2] * (APART_M / LENGTH_M / RADIUS_M))[..., :2]
+    field = HALL_SENSOR(q[..., :2] * (APART_M / Dimensions.LENGTH_M / Dimensions.RADIUS_M))[..., :2]
     columns = torch.cat([field, torch.ones_like(field[..., :1])], dim=-1).unsqueeze(1)  # [draws, 1, poses, 3]
     seen = readings.hall.movedim(0, 2)[..., :2]
     found = torch.linalg.lstsq(columns.expand(*seen.shape[:-1], 3), seen).solution
@@ -238,7 +243,7 @@ def by_hall(
     seen = torch.round(torch.cat([transverse, u[..., 2:]], dim=-1) / ROUNDED_MT) * ROUNDED_MT
     mask = torch.tensor([True, True, False]).expand(len(u), 3)
     bend = track(particle_filter(), seen, seen.new_zeros(*seen.shape[1:-1], 2), seed=seed, mask=mask).q
-    q = bend * (LENGTH_M / APART_M * RADIUS_M)
+    q = bend * (Dimensions.LENGTH_M / APART_M * Dimensions.RADIUS_M)
     q = torch.cat([q, torch.full_like(q[..., :1], MID_ELONGATION_M)], dim=-1)
     return tuple(arc(x, arcs_m) for x in q.unbind(2))
 
@@ -277,7 +282,7 @@ def by_imus(
 
 def least_squares(sensing: LinearisedSensing) -> LevenbergMarquardt:
     """Levenberg-Marquardt on the ring's sensors."""
-    largest = RADIUS_M * LARGEST_BEND_RAD
+    largest = Dimensions.RADIUS_M * LARGEST_BEND_RAD
     high = torch.tensor([largest, largest, ELONGATION_M["released"]], dtype=torch.float64)
     low = high * torch.tensor([-1.0, -1.0, 0.0], dtype=torch.float64)
     return LevenbergMarquardt(compiled(sensing), low, high, noise_mt=MAGNET_NOISE_MT, iterations=ITERATIONS)
@@ -286,11 +291,11 @@ def least_squares(sensing: LinearisedSensing) -> LevenbergMarquardt:
 def particle_filter() -> ParticleFilter:
     """The paper's filter on the Hall sensor."""
     noise = torch.full((2,), PROCESS_NOISE_RAD, dtype=torch.float64)
-    region = Disc(LARGEST_BEND_RAD * APART_M / LENGTH_M)
+    region = Disc(LARGEST_BEND_RAD * APART_M / Dimensions.LENGTH_M)
     return ParticleFilter(compiled(HALL_SENSOR), noise, HALL_NOISE_MT, region, particles=PARTICLES)
 
 
 def arc(q: Tensor, arcs_m: Tensor) -> Shape:
     """Shape of configurations."""
-    T = ROBOT.segments[0].pose(q.unsqueeze(-2), torch.cat([arcs_m / LENGTH_M, arcs_m.new_ones(1)]))
+    T = ROBOT.segments[0].pose(q.unsqueeze(-2), torch.cat([arcs_m / Dimensions.LENGTH_M, arcs_m.new_ones(1)]))
     return Shape(T[..., :-1, :3, 3], T[..., -1, :3, :3])

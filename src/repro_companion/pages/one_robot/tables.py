@@ -11,7 +11,7 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from repro.kinematics.paper_robots import LENGTH_M, MAGNET_AXIAL_M
+from repro.kinematics.paper_robots import Dimensions
 from repro_companion.book.bootstrap import interval, ratio_interval, resampled
 from repro_companion.book.pose_errors import angle_deg
 from repro_companion.pages.one_robot.estimates import (
@@ -39,9 +39,14 @@ EVERY = 4
 """Of the nodes of the backbone, those where shapes are compared: every 10 mm."""
 BOOTSTRAPS = 2000
 PARTS = {
-    METHODS[0]: ("1 ring, 3 sensors of one axis", 4, 3, 100 * (1 - MAGNET_AXIAL_M / LENGTH_M)),
-    METHODS[1]: ("1 cube, 1 sensor of three axes", 2, 3, 100 * APART_M / LENGTH_M),
-    METHODS[2]: ("1 cube, 1 sensor of three axes", 2, 3, 100 * APART_M / LENGTH_M),
+    METHODS[0]: (
+        "1 ring, 3 sensors of one axis",
+        4,
+        3,
+        100 * (1 - Dimensions.MAGNET_AXIAL_M / Dimensions.LENGTH_M),
+    ),
+    METHODS[1]: ("1 cube, 1 sensor of three axes", 2, 3, 100 * APART_M / Dimensions.LENGTH_M),
+    METHODS[2]: ("1 cube, 1 sensor of three axes", 2, 3, 100 * APART_M / Dimensions.LENGTH_M),
     METHODS[3]: ("2 IMUs", 2, 8, 100.0),
 }
 """What is mounted, how many parts that is, numbers that are read at each step, and the share of the segment [%]

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 
-from repro.kinematics.paper_robots import RADIUS_M
+from repro.kinematics.paper_robots import Dimensions
 from repro.sensing.magnets import ring
 from repro_live.view.style import MAGNET, in_symbols, page_figure, plain_ticks
 
@@ -32,7 +32,7 @@ def layouts_drawn(table: pd.DataFrame) -> Figure:
     """
     names = list(dict.fromkeys(table["layout"]))
     height = _length(table)
-    sizes = (height + 30, 2 * MM * RADIUS_M + 30)
+    sizes = (height + 30, 2 * MM * Dimensions.RADIUS_M + 30)
     inches_per_mm = min(0.029, 9.5 / sum(sizes))
     size = (2.5 * len(names) + 0.5, inches_per_mm * sum(sizes))
     figure, panels = plt.subplots(
@@ -61,10 +61,10 @@ def _length(table: pd.DataFrame) -> float:
 
 def _side(axes: Axes, part: pd.DataFrame, height: float) -> None:
     body = {"facecolor": "0.95", "edgecolor": "0.7", "zorder": 0}
-    axes.add_patch(Rectangle((-MM * RADIUS_M, 0), 2 * MM * RADIUS_M, height, **body))
+    axes.add_patch(Rectangle((-MM * Dimensions.RADIUS_M, 0), 2 * MM * Dimensions.RADIUS_M, height, **body))
     axes.plot([0, 0], [0, height], color="0.4", lw=1)
     for base in sorted(set((part["height_mm"] - part["axial_mm"]).round(6)))[1:]:
-        axes.plot([-MM * RADIUS_M, MM * RADIUS_M], [base, base], color="0.7", lw=1)
+        axes.plot([-MM * Dimensions.RADIUS_M, MM * Dimensions.RADIUS_M], [base, base], color="0.7", lw=1)
     magnet = ring("released")
     inner, outer, h = (MM * x / 2 for x in (magnet.inner_diameter, magnet.outer_diameter, magnet.height))
     for z in part.loc[part["part"] == "magnet", "height_mm"]:
@@ -72,20 +72,24 @@ def _side(axes: Axes, part: pd.DataFrame, height: float) -> None:
             axes.add_patch(Rectangle((x, z - h), outer - inner, 2 * h, color=MAGNET, zorder=2))
     r, phi, psi, z, colours = _sensors(part)
     _arrows(axes, r * np.cos(phi), z, -np.sin(psi) * np.cos(phi), -np.cos(psi), colours)
-    axes.set(aspect="equal", ylim=(-15, height + 15), xlim=(-MM * RADIUS_M - 15, MM * RADIUS_M + 15))
+    axes.set(
+        aspect="equal",
+        ylim=(-15, height + 15),
+        xlim=(-MM * Dimensions.RADIUS_M - 15, MM * Dimensions.RADIUS_M + 15),
+    )
     axes.xaxis.set_tick_params(labelbottom=False)
     axes.grid(visible=False)
 
 
 def _top(axes: Axes, part: pd.DataFrame) -> None:
-    axes.add_patch(Circle((0, 0), MM * RADIUS_M, facecolor="0.95", edgecolor="0.7", zorder=0))
+    axes.add_patch(Circle((0, 0), MM * Dimensions.RADIUS_M, facecolor="0.95", edgecolor="0.7", zorder=0))
     magnet = ring("released")
     for diameter, colour in ((magnet.outer_diameter, MAGNET), (magnet.inner_diameter, "0.95")):
         axes.add_patch(Circle((0, 0), MM * diameter / 2, color=colour, alpha=0.5 if colour == MAGNET else 1))
     r, phi, psi, _, colours = _sensors(part)
     across = -np.sin(psi)
     _arrows(axes, r * np.cos(phi), r * np.sin(phi), across * np.cos(phi), across * np.sin(phi), colours)
-    edge = MM * RADIUS_M + 15
+    edge = MM * Dimensions.RADIUS_M + 15
     axes.set(aspect="equal", xlabel="x [mm]", xlim=(-edge, edge), ylim=(-edge, edge))
     axes.grid(visible=False)
 

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from repro.errors import bad_input
 from repro.estimation.information import cramer_rao, fisher_information
-from repro.kinematics.paper_robots import MAGNET_SHIFT_M, affine_robot, pcc_robot
+from repro.kinematics.paper_robots import Dimensions, affine_robot, pcc_robot
 from repro.kinematics.robot import Robot
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnets import ring
@@ -152,7 +152,7 @@ def affine_task(*, seed: int = 0, shapes: int = 64, steps: int = 400) -> Task:
     free = torch.tensor([0.0, k1, 2 * math.pi, 0.0], dtype=torch.float64)
     robot = affine_robot(magnet_shift_m=0.0)
     # A layout has its magnets on the backbone: where the shifted ones are when the robot is straight.
-    magnets = replace(robot.magnets, axial=robot.magnets.axial + MAGNET_SHIFT_M["released"])
+    magnets = replace(robot.magnets, axial=robot.magnets.axial + Dimensions.MAGNET_SHIFT_M["released"])
     return Task(
         name="affine, n_s=9",
         nominal=layout_of(replace(robot, magnets=magnets)),

@@ -139,7 +139,7 @@ def worst_cold_start_mm(n_segments: int, *, starts: int = 1000, seed: int = 0) -
     return 1e3 * float((found.q - q).abs().max())
 
 
-def coverage(n_segments: int, *, trials: int = 2000, seed: int = 0) -> dict[str, float]:
+def coverage(n_segments: int, *, trials: int = 2000, seed: int = 0) -> dict[str, int | float]:
     """How often the 95 % covariance ellipsoid of the estimate contains the truth.
 
     Truths are uniform in the training box, kept when every coordinate lies at least three standard deviations
