@@ -107,7 +107,7 @@ def reading_ranges(n_segments: int, sensors_per_segment: int) -> pd.DataFrame:
     """
     robot, q = pcc_robot(n_segments, sensors_per_segment), lemniscate(n_segments)
     rows = []
-    for name in ("published", "released"):
+    for name in ("released", "published"):
         u = readings(robot, q, ring(name))
         difference = (u - readings(robot, q, ring(name), route="multipole")).abs()
         for i in range(n_segments):
