@@ -172,8 +172,8 @@ def _link(app, env, node, entry, contnode):
 
 
 def _is_parameter(target: str) -> bool:
-    """Tell whether a name is a type variable, such as the ``S`` of a protocol."""
-    return len(target.rsplit(".", 1)[-1]) == 1
+    """Tell whether a name is a type variable, such as the ``_S`` of a protocol."""
+    return len(target.rsplit(".", 1)[-1].removeprefix("_")) == 1
 
 
 def _importable(target: str) -> bool:

@@ -137,7 +137,7 @@ B444B = Cube(edge=6.35e-3, polarisation_mt=1320.0)
 
 
 def ring(name: str) -> Ring:
-    """Ring of this name, one of :data:`_RINGS`.
+    """Ring of this name: ``"released"`` (24/12 mm) or ``"published"`` (12/6 mm).
 
     Raises
     ------

@@ -134,7 +134,7 @@ def robot_board(
     motion
         From :func:`moving`, or of :mod:`repro_live.emulate.hold_poses`.
     tolerances, seed
-        As of :func:`~repro_live.emulate.robot_readings.robot_readings`.
+        As of :func:`~repro_live.emulate.robot_readings.true_robot`.
     faults, from_s
         As of :func:`~repro_live.emulate.sensor_faults.with_sensor_faults`.
 
