@@ -12,6 +12,8 @@ import pytest
 import yaml
 from packaging.requirements import Requirement
 
+from bench.size import LONGEST
+
 ROOT = Path(__file__).resolve().parents[1]
 VENDOR = ROOT / "book" / "_static" / "vendor"
 
@@ -41,6 +43,17 @@ def locked() -> dict[str, list[Requirement]]:
             requirement = Requirement(line.rstrip("\\ "))
             found.setdefault(requirement.name.lower(), []).append(requirement)
     return found
+
+
+def test_no_module_is_too_long():
+    """A module of the packages, benchmarks and soaks can be read at one sitting."""
+    modules = [path for name in ("src", "bench", "soak") for path in sorted((ROOT / name).rglob("*.py"))]
+    lines = {
+        path.relative_to(ROOT).as_posix(): len(path.read_text(encoding="utf-8").splitlines())
+        for path in modules
+    }
+    assert len(lines) > 300
+    assert {path: count for path, count in lines.items() if count > LONGEST} == {}
 
 
 def test_python_versions_agree():

@@ -7,11 +7,13 @@ import re
 import shutil
 from pathlib import Path
 
+from docutils import nodes
 from page_access import accessible
 from sphinx.application import Sphinx
 
 from repro_companion.book.after.page_notes import with_notes, write_page_files
 from repro_companion.book.project import Project
+from repro_companion.book.values import filled
 
 MATHJAX = "vendor/mathjax/"
 VIEWER = "shape_viewer.js"
@@ -65,6 +67,19 @@ def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:
         project = Project(Path(app.srcdir).parent)
         page = with_notes(json.loads(source[0]), project, docname.removeprefix(NOTEBOOKS))
         source[0] = json.dumps(page)
+
+
+def fill_values(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Put results of notebooks into the text of other pages, where ``{{table_1.ratio}}`` names one."""
+    if not docname.startswith(NOTEBOOKS) and "{{" in source[0]:
+        executed = Project(Path(app.srcdir).parent).executed
+        values = {}
+        for path in sorted(executed.glob("*.ipynb")):
+            given = (
+                json.loads(path.read_text(encoding="utf-8"))["metadata"].get("repro", {}).get("values", {})
+            )
+            values |= {f"{path.stem}.{name}": value for name, value in given.items()}
+        source[0] = filled(source[0], values, docname)
 
 
 def add_downloads(app: Sphinx, exception: Exception | None) -> None:
@@ -137,6 +152,10 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.connect("html-page-context", select_scripts, priority=900)
     app.connect("html-collect-pages", forget_modules_without_source, priority=100)
     app.connect("source-read", add_notes)
+    app.connect("source-read", fill_values)
+    # a number of a paper, a setting: so that every other digit in prose is known to be loose
+    for role in ("paper", "setting"):
+        app.add_generic_role(role, nodes.inline)
     app.connect("build-finished", add_viewer)
     app.connect("build-finished", add_downloads)
     app.connect("build-finished", add_scorecard_files)

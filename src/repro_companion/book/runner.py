@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from repro.errors import bad_input
+from repro.errors import InputError, bad_input
 from repro_companion.book.digests import file_digest, tree_digests
 from repro_companion.book.project import Project, find_project, runs_folder, shown
 from repro_companion.book.provenance import (
@@ -29,6 +29,7 @@ from repro_companion.book.provenance import (
     record_path,
     write_record,
 )
+from repro_companion.book.values import fill
 from repro_companion.recordings.sources import data_dir
 
 if TYPE_CHECKING:
@@ -169,6 +170,7 @@ def run_notebook(
                     raise
                 raise NotebookFailed(message) from error
         _forget_places(partial, notebook, output)
+        _fill_text(partial, notebook)
         record = make_record(
             project,
             notebook,
@@ -252,6 +254,18 @@ def _forget_places(path: Path, notebook: Path, output: Path) -> None:
 
     content = nbformat.read(path, as_version=4)
     content.metadata.papermill.update(input_path=notebook.name, output_path=output.name)
+    nbformat.write(content, path)
+
+
+def _fill_text(path: Path, notebook: Path) -> None:
+    """Put the results that the cells gave into the text of an executed notebook."""
+    import nbformat
+
+    content = nbformat.read(path, as_version=4)
+    try:
+        fill(content, notebook.name)
+    except InputError as error:
+        raise NotebookFailed(str(error)) from error
     nbformat.write(content, path)
 
 

@@ -44,6 +44,7 @@ from repro_companion.twins.training_set import ELONGATION_M
 
 STRETCH = 1 + MID_ELONGATION_M / Dimensions.LENGTH_M
 """Length at mid elongation over the unextended length."""
+_LENGTH_M = STRETCH * Dimensions.LENGTH_M
 HALL_SENSOR = BendSensor(STRETCH * APART_M)
 METHODS = ("ring and 3 sensors", "cube and Hall sensor, base", "cube and Hall sensor, middle", "2 IMUs")
 ITERATIONS = 12
@@ -55,12 +56,7 @@ PROCESS_NOISE_RAD = 0.002 * torch.pi
 for experiments)."""
 PARTICLES = 1000
 ROUNDED_MT = 1e-6
-PAIR = Selection(
-    imus=(0, 1),
-    arcs=(0.0, STRETCH * Dimensions.LENGTH_M),
-    link_lengths=(STRETCH * Dimensions.LENGTH_M,),
-    sub_links=1,
-)
+PAIR = Selection(imus=(0, 1), arcs=(0.0, _LENGTH_M), link_lengths=(_LENGTH_M,), sub_links=1)
 STRAIGHT = torch.tensor([0.0, 0.0, MID_ELONGATION_M], dtype=torch.float64)
 
 

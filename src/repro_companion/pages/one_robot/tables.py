@@ -261,11 +261,6 @@ def latency(*, repeats: int = 200) -> pd.DataFrame:
     ----------
     repeats
         Of every timing, of which the median counts.
-
-    Returns
-    -------
-    DataFrame
-        Columns ``method, mounted, parts, numbers_per_step, seen_percent, cpu_ms``.
     """
     moved, models = motion(TRAJECTORIES[0], steps=40), as_drawn()
     read = simulate(moved, draw_parts(1))
@@ -289,8 +284,9 @@ def latency(*, repeats: int = 200) -> pd.DataFrame:
         call()  # the first call compiles
         times = repeat(call, timer=process_time, repeat=repeats, number=1)
         rows.append((method, *PARTS[method], 1e3 * np.median(times)))
-    columns = ["method", "mounted", "parts", "numbers_per_step", "seen_percent", "cpu_ms"]
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame(
+        rows, columns=["method", "mounted", "parts", "numbers_per_step", "seen_percent", "cpu_ms"]
+    )
 
 
 def _cell(cells: pd.DataFrame, trajectory: str, condition: str, quantity: str) -> str:

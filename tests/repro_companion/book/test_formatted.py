@@ -1,0 +1,54 @@
+"""Tables of pages: every number with three digits, no machine names, nothing missing that reads as a word."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from repro_companion.book.formatted import heading, shown_number, shown_value, table_html
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"), (1.0, "1"), (-2.5, "−2.50"), (0.012345, "0.0123"), (43978.0, "44000"), (0.99999, "1.00"),
+        (6.938894e-09, "6.94 × 10⁻⁹"), (3.094407e06, "3090000"), (1e-4, "0.000100"), (math.inf, "∞"), (400.0, "400"),
+    ],
+)  # fmt: skip
+def test_numbers(value, text):
+    assert shown_number(value) == text
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False, min_value=-1e12, max_value=1e12))
+def test_a_number_has_three_digits_and_nearly_its_value(value):
+    text = shown_number(value)
+    mantissa, _, power = text.replace("−", "-").partition(" × 10")
+    shown = float(mantissa) * 10.0 ** int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")) or 0)
+    assert shown == pytest.approx(value, rel=5.01e-3, abs=1e-300)
+    digits = re.sub(r"\D", "", mantissa).lstrip("0")
+    assert len(digits.rstrip("0")) <= 3
+
+
+def test_headings():
+    assert heading("tip_error_mm") == "tip error [mm]"
+    assert heading("share_percent") == "share [%]"
+    assert heading("within") == "within"
+    assert heading("m") == "m"
+
+
+def test_cells_and_columns():
+    table = pd.DataFrame(
+        {"name": ["paper_network", None], "error_mt": [math.nan, 0.12345], "seed": [12345, 2]}
+    )
+    page = table_html(table, {"name": "sensor model"}, exact=["seed"], folded="All rows").data
+    assert page.startswith("<details><summary>All rows</summary>")
+    cells = re.findall(r"<t[dh](?: [^>]*)?>([^<]*)<", page)
+    assert cells == ["sensor model", "error [mT]", "seed", "paper network", "–", "12345", "–", "0.123", "2"]
+    assert shown_value(pd.NA) == "–"
+    assert shown_value(True) == "yes"
+    assert "&lt;b&gt;" in table_html(pd.DataFrame({"a": ["<b>"]})).data
