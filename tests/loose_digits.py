@@ -2,8 +2,8 @@
 
 ``python tests/loose_digits.py FILE …`` prints them for notebooks and pages. A number of a paper stands in
 ``{paper}`0.81` ``, a setting or a size of the robot in ``{setting}`25 lines` ``; a result is a value that the build
-fills in, ``{{name}}``. Places in papers (section 3.3, eq. (15), Fig. 9, Table 1), code, formulas, links and names such
-as T2 or SO(3) need nothing.
+fills in, ``{{name}}``. Places in papers (section 3.3, eq. (15), Fig. 9, Table 1), code, formulas, links and names
+such as T2 or SO(3) need nothing.
 """
 
 from __future__ import annotations
@@ -30,29 +30,9 @@ _PLACES = (
     r"\b(?:eqs?\.?|equations?|sections?|sec\.|Figs?\.?|figures?|Tables?|steps?|parts?|chapters?|items?|pages?|appendix|seeds?)"
     r"\s+\(?(?:[IVX]+(?:-[A-Z])?|\d)[\w.()]*(?:(?:,\s*|\s+and\s+|\s+to\s+|\s*[-–]\s*)\(?(?:[IVX]+(?:-[A-Z])?|\d)[\w.()]*)*"
 )
-_NUMBER_WORDS = [
-    "two",
-    "three",
-    "four",
-    "five",
-    "six",
-    "seven",
-    "eight",
-    "nine",
-    "ten",
-    "eleven",
-    "twelve",
-    "twenty",
-    "thirty",
-    "forty",
-    "fifty",
-    "sixty",
-    "hundred",
-    "thousand",
-    "half",
-]
+_NUMBER_WORDS = "two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|twenty|thirty|forty|fifty|sixty|hundred|thousand|half"
 _COUNTED = r"times|degrees?|deg|mm|cm|metres?|per cent|percent|seconds?|minutes|milliseconds?|mT|Hz|%"
-_WORDS = re.compile(rf"\b(?:twice|(?:{'|'.join(_NUMBER_WORDS)})\s+(?:{_COUNTED}))\b", re.IGNORECASE)
+_WORDS = re.compile(rf"\b(?:twice|(?:{_NUMBER_WORDS})\s+(?:{_COUNTED}))\b", re.IGNORECASE)
 _DIGITS = re.compile(r"(?<![A-Za-z\d(])\(?\d[\d.,]*")
 
 

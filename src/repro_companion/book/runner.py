@@ -29,7 +29,7 @@ from repro_companion.book.provenance import (
     record_path,
     write_record,
 )
-from repro_companion.book.values import fill
+from repro_companion.book.values import fill_text
 from repro_companion.recordings.sources import data_dir
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def run_notebook(
     NotebookFailed
         If a cell raised an error or the kernel died. Earlier outputs and tables stay as they were.
     InputError
-        If the notebook is missing or no notebook.
+        If the notebook is missing or no notebook, or its text names a result that no cell gave.
     """
     import papermill
     from traitlets.config import Config
@@ -170,7 +170,7 @@ def run_notebook(
                     raise
                 raise NotebookFailed(message) from error
         _forget_places(partial, notebook, output)
-        _fill_text(partial, notebook)
+        fill_text(partial, notebook.name)
         record = make_record(
             project,
             notebook,
@@ -257,18 +257,6 @@ def _forget_places(path: Path, notebook: Path, output: Path) -> None:
     nbformat.write(content, path)
 
 
-def _fill_text(path: Path, notebook: Path) -> None:
-    """Put the results that the cells gave into the text of an executed notebook."""
-    import nbformat
-
-    content = nbformat.read(path, as_version=4)
-    try:
-        fill(content, notebook.name)
-    except InputError as error:
-        raise NotebookFailed(str(error)) from error
-    nbformat.write(content, path)
-
-
 def _publish(record: Record, tables: Path, results: Path, partial: Path, output: Path) -> None:
     """Move tables and executed notebook to their places, and drop tables that only the earlier run wrote."""
     place = record_path(results, output.stem)
@@ -302,7 +290,7 @@ def main(arguments: list[str]) -> int:
     notebook, output, results, failed = map(Path, arguments)
     try:
         run_notebook(notebook, {}, output, results, project=find_project(), failed=failed)
-    except NotebookFailed as failure:
+    except (NotebookFailed, InputError) as failure:
         print(failure)
         return 1
     except KeyboardInterrupt:

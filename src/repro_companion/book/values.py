@@ -1,14 +1,15 @@
-"""Results in words: a page gives values, and the build puts them where its text, its captions or other pages name them.
+"""Results in words: a page gives values, and the build puts them where its text or another page names them.
 
 A cell of a notebook calls ``give(ratio=f"{x:.2f}")``. ``{{ratio}}`` then stands for the value in the notebook's own
-Markdown cells, captions and alternative texts, and ``{{table_1.ratio}}`` on every other page of the book. No result is
-typed. Sentences that belong to one place need none of this: a cell displays them with ``say``.
+Markdown cells, captions and alternative texts, and ``{{table_1.ratio}}`` on every other page of the book. No result
+is typed. Sentences that belong to one place need none of this: a cell displays them with ``say``.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from repro.errors import bad_input
@@ -65,14 +66,23 @@ def filled(text: str, values: Mapping[str, str], place: str) -> str:
     return PLACE.sub(value, text)
 
 
-def fill(notebook: NotebookNode, name: str) -> None:
-    """Put the values that an executed notebook gave into its text, and keep them in its metadata.
+def fill_text(path: Path, name: str) -> None:
+    """Put the values that the cells of an executed notebook gave into its text, and keep them in its metadata.
 
     Raises
     ------
     InputError
         If the text names a value that no cell gave.
     """
+    import nbformat
+
+    notebook = nbformat.read(path, as_version=4)
+    fill(notebook, name)
+    nbformat.write(notebook, path)
+
+
+def fill(notebook: NotebookNode, name: str) -> None:
+    """Put the values that an executed notebook gave into its text, as :func:`fill_text` does with a file."""
     values: dict[str, str] = {}
     for cell in notebook.cells:
         for output in cell.get("outputs", []):

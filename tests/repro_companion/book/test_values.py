@@ -8,7 +8,7 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 from repro.errors import InputError
 from repro_companion.book.project import find_project
-from repro_companion.book.runner import NotebookFailed, run_notebook
+from repro_companion.book.runner import run_notebook
 from repro_companion.book.values import fill, filled
 
 FIGURE = {
@@ -50,7 +50,7 @@ def test_values_stand_in_text_caption_and_alternative_text(tmp_path):
 
 
 def test_an_open_place_stops_the_run(tmp_path):
-    with pytest.raises(NotebookFailed, match=r"\{\{wrong\}\}.*cell 0 of page.ipynb.*one of ratio"):
+    with pytest.raises(InputError, match=r"\{\{wrong\}\}.*cell 0 of page.ipynb.*one of ratio"):
         run(tmp_path, CELLS)
 
 
