@@ -28,9 +28,13 @@ _VOUCHED = (
 )
 _PLACES = (
     r"\b(?:eqs?\.?|equations?|sections?|sec\.|Figs?\.?|figures?|Tables?|steps?|parts?|chapters?|items?|pages?|appendix|seeds?)"
-    r"\s+\(?(?:[IVX]+(?:-[A-Z])?|\d)[\w.()]*(?:(?:,\s*|\s+and\s+|\s+to\s+|\s*[-–]\s*)\(?(?:[IVX]+(?:-[A-Z])?|\d)[\w.()]*)*"
+    r"\s+\(?(?:[IVX]+(?:-[A-Z])?|\d)[\w.()]*"
+    r"(?:(?:,\s*|\s+and\s+|\s+to\s+|\s*[-–]\s*)\(?(?:[IVX]+(?:-[A-Z])?|\d)[\w.()]*)*"
 )
-_NUMBER_WORDS = "two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|twenty|thirty|forty|fifty|sixty|hundred|thousand|half"
+_NUMBER_WORDS = (
+    "two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|twenty|thirty|forty|fifty|sixty"
+    "|hundred|thousand|half"
+)
 _COUNTED = r"times|degrees?|deg|mm|cm|metres?|per cent|percent|seconds?|minutes|milliseconds?|mT|Hz|%"
 _WORDS = re.compile(rf"\b(?:twice|(?:{_NUMBER_WORDS})\s+(?:{_COUNTED}))\b", re.IGNORECASE)
 _DIGITS = re.compile(r"(?<![A-Za-z\d(])\(?\d[\d.,]*")

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 DIGITS = 3
 UNITS = {
     "mm": "mm", "m": "m", "um": "µm", "nm": "nm", "deg": "°", "rad": "rad", "mt": "mT", "ut": "µT", "s": "s",
-    "ms": "ms", "us": "µs", "hz": "Hz", "percent": "%", "kpa": "kPa", "pa": "Pa", "n": "N", "g": "g", "mib": "MiB", "kb": "kB",
+    "ms": "ms", "us": "µs", "hz": "Hz", "percent": "%", "kpa": "kPa", "pa": "Pa",
+    "n": "N", "g": "g", "mib": "MiB", "kb": "kB",
 }  # fmt: skip
 """Unit by the ending of a column's name."""
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
