@@ -22,6 +22,7 @@ FILTER = "scorecard.js"
 OFFLINE_SEARCH = "offline_search.js"
 SCORECARD_FILES = ("scorecard.json", "scorecard.svg")
 NOTEBOOKS = "notebooks/"
+VIEW = re.compile(r"<!-- view of (\w+) -->")
 
 
 def select_scripts(app: Sphinx, pagename: str, templatename: str, context: dict, doctree) -> None:
@@ -67,6 +68,18 @@ def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:
         project = Project(Path(app.srcdir).parent)
         page = with_notes(json.loads(source[0]), project, docname.removeprefix(NOTEBOOKS))
         source[0] = json.dumps(page)
+
+
+def add_view(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Put the first 3-D view of a notebook where another page asks for it: ``<!-- view of table_1 -->``."""
+    for stem in VIEW.findall(source[0]):
+        page = json.loads(
+            (Project(Path(app.srcdir).parent).executed / f"{stem}.ipynb").read_text(encoding="utf-8")
+        )
+        outputs = [output for cell in page["cells"] for output in cell.get("outputs", [])]
+        html = ("".join(output.get("data", {}).get("text/html", "")) for output in outputs)
+        view = next(text for text in html if 'class="shape-view"' in text)
+        source[0] = source[0].replace(f"<!-- view of {stem} -->", f"```{{raw}} html\n{view}\n```")
 
 
 def fill_values(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -152,6 +165,7 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.connect("html-page-context", select_scripts, priority=900)
     app.connect("html-collect-pages", forget_modules_without_source, priority=100)
     app.connect("source-read", add_notes)
+    app.connect("source-read", add_view)
     app.connect("source-read", fill_values)
     # a number of a paper, a setting: so that every other digit in prose is known to be loose
     for role in ("paper", "setting"):
