@@ -20,6 +20,11 @@ WIDTH, HALF = 110, 40
 SHOWN_S = {"T0": 60.0, "T1": 5.0, "T2": 10.0, "T3": 10.0, "T4": 120.0, "T5": 250.0}
 """Of each actuation sequence [s]: a period; of the random one and of the flower as much as can be told apart."""
 POINTS = 360
+ALT = (
+    "Paths in the plane of bending. Experiments: T0 random straight lines, T1 a line to one side, T2 one lobe of a"
+    " lemniscate, T3 a figure of eight, T4 a spiral, T5 a fan of lines whose direction turns. Simulation: T0 a smooth"
+    " random path, T1 a line, T2 a lobe, T3 a figure of eight, a flower of three petals."
+)
 
 
 def experiment_path(name: str) -> np.ndarray:
@@ -49,10 +54,8 @@ def sketch() -> str:
     )
     parts = [
         '<figure class="schematic">',
-        '<svg role="img" aria-label="Paths in the plane of bending. Experiments: T0 random straight lines, T1 a line to'
-        " one side, T2 one lobe of a lemniscate, T3 a figure of eight, T4 a spiral, T5 a fan of lines whose direction"
-        " turns. Simulation: T0 a smooth random path, T1 a line, T2 a lobe, T3 a figure of eight, a flower of three"
-        f' petals." viewBox="0 0 {6 * WIDTH} {2 * (WIDTH + 30)}" width="100%" style="max-width: {6 * WIDTH}px"'
+        f'<svg role="img" aria-label="{ALT}" viewBox="0 0 {6 * WIDTH} {2 * (WIDTH + 30)}" width="100%"'
+        f' style="max-width: {6 * WIDTH}px"'
         ' font-size="13" fill="currentColor" stroke="currentColor" stroke-width="0">',
     ]
     for row, (kind, paths) in enumerate(rows):
