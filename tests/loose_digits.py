@@ -3,7 +3,8 @@
 ``python tests/loose_digits.py FILE …`` prints them for notebooks and pages. A number of a paper stands in
 ``{paper}`0.81` ``, a setting or a size of the robot in ``{setting}`25 lines` ``; a result is a value that the build
 fills in, ``{{name}}``. Places in papers (section 3.3, eq. (15), Fig. 9, Table 1), code, formulas, links and names
-such as T2 or SO(3) need nothing.
+such as T2 or SO(3) need nothing. A page without results of its own says in its front matter what its digits are:
+``digits: settings`` or ``digits: of the sources it names``.
 """
 
 from __future__ import annotations
@@ -11,20 +12,31 @@ from __future__ import annotations
 import json
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+_FENCE = re.compile(r"\s*(`{3,}|:{3,})(?:\{([\w:-]+)\})?(.*)")
+_NO_PROSE = {
+    "include",
+    "literalinclude",
+    "code-block",
+    "code",
+    "math",
+    "raw",
+    "bibliography",
+    "tableofcontents",
+}
+"""Directives that hold no prose; code without a directive is none either."""
 _VOUCHED = (
-    r"^---\n.*?\n---\n",  # front matter
+    r"\A---\n.*?\n---\n",  # front matter
     r"<!--.*?-->",
-    r"(?ms)^(`{3,}|:{3,})\{(?:include|figure|code-block|math|raw|tableofcontents|toctree)\}.*?^\1",
-    r"(?ms)^```(?!\{).*?^```",
-    r"(?m)^(?::\w+:.*|```\{.*|`{3,}|:{3,}.*|\([\w-]+\)=)$",
     r"\$\$.*?\$\$",
     r"\$[^$]*\$",
     r"\{\{[^}]*\}\}",
     r"\{(?:paper|setting|math|eq|ref|numref|doc|term|cite:?\w*|py:\w+|download)\}`[^`]*`",
     r"`+[^`]*`+",
     r"<https?://[^>]*>",
+    r"^(?:\([\w-]+\)=|:[\w-]+: .*)$",  # labels, options of a directive
 )
 _PLACES = (
     r"\b(?:eqs?\.?|equations?|sections?|sec\.|Figs?\.?|figures?|Tables?|steps?|parts?|chapters?|items?|pages?|appendix|seeds?)"
@@ -40,8 +52,29 @@ _WORDS = re.compile(rf"\b(?:twice|(?:{_NUMBER_WORDS})\s+(?:{_COUNTED}))\b", re.I
 _DIGITS = re.compile(r"(?<![A-Za-z\d(])\(?\d[\d.,]*")
 
 
+def prose_lines(text: str) -> Iterator[str]:
+    """Yield the lines of a Markdown text that are prose: not code, and not what a directive includes."""
+    open_fences: list[tuple[str, bool]] = []
+    for line in text.splitlines():
+        fence = _FENCE.fullmatch(line)
+        if (
+            fence
+            and open_fences
+            and fence[1].startswith(open_fences[-1][0])
+            and not (fence[2] or fence[3].strip())
+        ):
+            open_fences.pop()
+        elif fence and not any(hidden for _, hidden in open_fences):
+            open_fences.append((fence[1], fence[2] is None or fence[2] in _NO_PROSE))
+        elif not any(hidden for _, hidden in open_fences):
+            yield line
+
+
 def loose_digits(text: str) -> list[str]:
     """Return the numbers of a Markdown text that nothing vouches for, each with what stands around it."""
+    if re.match(r"---\n(?:.*\n)*?digits: (?:settings|of the sources it names)\n", text):
+        return []
+    text = "\n".join(prose_lines(text))
     for pattern in _VOUCHED:
         text = re.sub(pattern, " ", text, flags=re.DOTALL | re.MULTILINE)
     text = re.sub(r"\]\([^)]*\)", "]", text)
