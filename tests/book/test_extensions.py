@@ -20,7 +20,7 @@ def extension_path(monkeypatch):
     """Make the extensions importable."""
     monkeypatch.syspath_prepend(str(BOOK / "_ext"))
     yield
-    for name in ("repro_api", "repro_site"):
+    for name in ("repro_api", "repro_links", "repro_site"):
         sys.modules.pop(name, None)
 
 
@@ -134,3 +134,54 @@ def test_the_script_of_the_form_comes_with_a_form(body, names):
     context = {"body": body, "script_files": [script("run_form.js")]}
     site.select_scripts(None, "page", "page.html", context, None)
     assert [item.filename for item in context["script_files"]] == [f"_static/{name}" for name in names]
+
+
+def test_names_in_cells_lead_to_the_reference():
+    """What cells import from a public package is known by where it is defined, and linked once in code."""
+    links = importlib.import_module("repro_links")
+    cells = [
+        {
+            "cell_type": "code",
+            "source": ["from repro import GradientDescent, track as follow\n", "import numpy as np"],
+        },
+        {"cell_type": "code", "source": ["from repro_companion.pages.table_1 import figures\n"]},
+        {"cell_type": "markdown", "source": ["from nowhere"]},
+    ]
+    homes = links.imported_names(cells)
+    assert homes == {
+        "GradientDescent": "repro.estimation.gradient_descent.GradientDescent",
+        "follow": "repro.estimation.base.track",
+    }
+    html = '<span class="n">follow</span><span class="p">(</span><span class="n">followed</span>'
+    linked = links.linked_code(html, {"follow": "../api/x.html#track"})
+    assert linked.startswith(
+        '<a class="api-link" href="../api/x.html#track"><span class="n">follow</span></a>'
+    )
+    assert linked.count("<a ") == 1
+    assert links.linked_code(linked, {"follow": "../api/x.html#track"}) == linked
+
+
+def test_words_lead_to_the_glossary_once(tmp_path):
+    """The first of each on a page, not in titles, code or links."""
+    from sphinx.testing.util import SphinxTestApp
+
+    source = tmp_path / "book"
+    (source / "chapters").mkdir(parents=True)
+    (source / "conf.py").write_text(
+        f"import sys\nsys.path.insert(0, {str(BOOK / '_ext')!r})\n"
+        "extensions = ['myst_parser', 'repro_links']\nmyst_enable_extensions = ['deflist']\n"
+    )
+    (source / "index.md").write_text("# A\n\n```{toctree}\nglossary\nchapters/x\n```\n")
+    (source / "glossary.md").write_text(
+        "# G\n\n(glossary-trajectories)=\n## T0 to T5\n\nText.\n\n```{glossary}\nNEES\n  An error.\n```\n"
+    )
+    (source / "chapters" / "x.md").write_text(
+        "# On T3\n\n`T3`, T3 and T4 and NEES; again NEES, T13 and xNEES.\n"
+    )
+    app = SphinxTestApp("html", srcdir=source, confoverrides={"html_theme": "basic"})
+    app.build()
+    text = (Path(app.outdir) / "chapters" / "x.html").read_text()
+    assert text.count('class="glossary-link reference internal"') == 2
+    assert re.search(r'<a class="glossary-link[^>]*glossary-trajectories">T3</a> and T4', text)
+    assert re.search(r'term-NEES">NEES</a>; again NEES', text)
+    app.cleanup()
