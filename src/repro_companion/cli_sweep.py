@@ -55,16 +55,10 @@ def sweep(
         Folder of points and joined tables; by default runs/NAME-sweep.
     """
     from repro_companion.book.parameters import declared_parameters
+    from repro_companion.book.points import Stopped, finished, local_runner, run_points
     from repro_companion.book.project import find_project, runs_folder, shown
     from repro_companion.book.runner import read_notebook, stop_on_termination
-    from repro_companion.book.sweep import (
-        SweepStopped,
-        check_folder,
-        finished,
-        local_runner,
-        plan,
-        run_points,
-    )
+    from repro_companion.book.sweep import check_folder, plan
     from repro_companion.book.sweep_grid import grid_points, read_grid, read_part
     from repro_companion.book.sweep_tables import write_sweep
 
@@ -87,10 +81,10 @@ def sweep(
         runner = cluster_runner(client)
     else:
         runner = local_runner(jobs)
-    stopped: SweepStopped | None = None
+    stopped: Stopped | None = None
     try:
         failures = run_points(points, runner, progress=sys.stderr.isatty())
-    except SweepStopped as stop:
+    except Stopped as stop:
         stopped, failures = stop, stop.failures
     finally:
         if client is not None:

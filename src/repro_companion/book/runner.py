@@ -1,13 +1,14 @@
 """Running one notebook with papermill: whole or not at all, with a record of what it was made from.
 
-``python -m repro_companion.book.runner NOTEBOOK OUTPUT RESULTS FAILED`` is how a build runs one notebook in a process
-of its own.
+``python -m repro_companion.book.runner NOTEBOOK OUTPUT RESULTS FAILED [PARAMETERS]``, with parameters as JSON, is how
+a page of the book and a point of a sweep are run in a process of their own.
 """
 
 from __future__ import annotations
 
 import contextlib
 import datetime
+import json
 import os
 import shutil
 import signal
@@ -223,13 +224,8 @@ def _keep_partial(notebook: Path, partial: Path, failed: Path, error: BaseExcept
     failed.parent.mkdir(parents=True, exist_ok=True)
     partial.replace(failed)
     number, head = _last_cell_begun(failed)
-    return "\n".join(
-        [
-            f"{shown(notebook)} failed in code cell {number}: {head}",
-            f"  {_describe(error)}",
-            f"  The partial notebook is {shown(failed)}",
-        ]
-    )
+    said = f"{shown(notebook)} failed in code cell {number}: {head}\n  {_describe(error)}"
+    return f"{said}\n  The partial notebook is {shown(failed)}"
 
 
 def _describe(error: BaseException) -> str:
@@ -285,13 +281,14 @@ def stop_on_termination() -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Run one notebook of a build; return 0, or 1 after printing why it failed."""
+    """Run one notebook; return 0, or 1 after saying why it failed."""
     stop_on_termination()
-    notebook, output, results, failed = map(Path, arguments)
+    notebook, output, results, failed = map(Path, arguments[:4])
+    parameters, project = json.loads("".join(arguments[4:]) or "{}"), find_project()
     try:
-        run_notebook(notebook, {}, output, results, project=find_project(), failed=failed)
+        run_notebook(notebook, parameters, output, results, project=project, failed=failed)
     except (NotebookFailed, InputError) as failure:
-        print(failure)
+        print(failure)  # libraries write to standard error
         return 1
     except KeyboardInterrupt:
         return 128 + signal.SIGINT

@@ -18,8 +18,8 @@ from typing import Any
 
 from repro.errors import InputError, bad_input
 from repro_companion.book.digests import combined_digest, tree_digests
+from repro_companion.book.points import Outcome, Point, Runner, RunnerGone, run_point
 from repro_companion.book.provenance import PACKAGES
-from repro_companion.book.sweep import Outcome, Point, Runner, RunnerGone, run_point
 from repro_companion.book.sweep_grid import OWNER
 
 TIMEOUT_S = 10
@@ -126,7 +126,7 @@ def check_workers(client: Any) -> None:
 def cluster_runner(client: Any) -> Runner:
     """Return a runner on the workers of a Dask client, each of which runs as many points as it has threads.
 
-    It raises :class:`~repro_companion.book.sweep.RunnerGone` where the scheduler goes away.
+    It raises :class:`~repro_companion.book.points.RunnerGone` where the scheduler goes away.
     """
 
     def run(points: Sequence[Point]) -> Iterator[Outcome]:

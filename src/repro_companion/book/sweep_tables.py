@@ -13,8 +13,8 @@ from typing import Any
 from repro.errors import bad_input
 from repro.files import write_whole
 from repro_companion.book.parameters import Parameter
+from repro_companion.book.points import Point, finished
 from repro_companion.book.project import shown
-from repro_companion.book.sweep import Point, finished
 from repro_companion.book.sweep_grid import OWNER, value_text
 
 

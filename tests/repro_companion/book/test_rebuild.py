@@ -27,7 +27,8 @@ def execute(root):
     program = (
         "from repro_companion.book import project as p; from repro_companion.book.after import build as b\n"
     )
-    program += "pr = p.find_project()\nb.run_all(pr, sorted(pr.notebooks.glob('*.ipynb')), 2)"
+    program += "from repro_companion.book.provenance import read_inputs\npr = p.find_project()\n"
+    program += "b.run_pages(b.page_points(pr, read_inputs(pr)), 2)"
     subprocess.run([sys.executable, "-c", program], cwd=root, check=True, stdout=subprocess.DEVNULL)
 
 

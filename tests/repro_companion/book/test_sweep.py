@@ -14,8 +14,9 @@ from cyclopts import App
 from logged_runs import LOGGED, PARAMETERS, in_background, logged, wait_for
 
 from repro.errors import InputError
+from repro_companion.book.points import finished, local_runner, run_points
 from repro_companion.book.project import find_project
-from repro_companion.book.sweep import finished, local_runner, plan, run_points
+from repro_companion.book.sweep import plan
 from repro_companion.book.sweep_tables import joined_tables, shown_command
 from repro_companion.cli_sweep import sweep
 
@@ -167,7 +168,7 @@ def test_a_package_that_changes_while_points_run_is_noticed(root, notebook):
     (point,) = plan(notebook, [{"n": 4}], root / "s", find_project())
     (root / "src" / "repro" / "module.py").write_text('"""Another module."""\n')
     assert run_points([point], local_runner(1)) == {
-        0: "it ran with another package, data, lock or libraries than the sweep was planned with"
+        0: "it ran with another package, data, lock or libraries than it was planned with"
     }
 
 

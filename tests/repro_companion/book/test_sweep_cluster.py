@@ -15,8 +15,9 @@ from logged_runs import LOGGED, PARAMETERS, in_background, logged, wait_for
 
 import repro
 from repro.errors import InputError
+from repro_companion.book.points import run_points
 from repro_companion.book.project import find_project
-from repro_companion.book.sweep import plan, run_points
+from repro_companion.book.sweep import plan
 from repro_companion.book.sweep_cluster import cluster_runner, connect, difference
 from repro_companion.cli_sweep import sweep
 

@@ -7,18 +7,22 @@ from __future__ import annotations
 
 import hashlib
 import os
-import subprocess
 import sys
-import threading
-import time
 from collections.abc import Iterable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 from repro.errors import InputError, bad_input
 from repro.files import write_whole
 from repro_companion.book.after.site import SiteFailed, build_site
-from repro_companion.book.digests import combined_digest, file_digest, write_if_changed
+from repro_companion.book.digests import combined_digest, write_if_changed
+from repro_companion.book.points import (
+    Point,
+    Stopped,
+    environment_of_runs,
+    finished,
+    local_runner,
+    run_points,
+)
 from repro_companion.book.project import Project, find_project
 from repro_companion.book.provenance import (
     RECORD_SUFFIX,
@@ -50,8 +54,9 @@ def build(project: Project, jobs: int) -> int:
     notebooks = sorted(project.notebooks.glob("*.ipynb"))
     remove_leftovers(project, notebooks)
     inputs = read_inputs(project)
-    due = [notebook for notebook in notebooks if not is_finished(project, notebook, inputs)]
-    if not run_all(project, due, jobs) or not _tables_are_told_apart(project, notebooks):
+    pages = page_points(project, inputs)
+    due = [page for page in pages if not finished(page)]
+    if not run_pages(due, jobs) or not _tables_are_told_apart(project, notebooks):
         return 1
     try:
         rows = compute_scorecard(project)
@@ -81,14 +86,26 @@ def _write_scorecard_pages(project: Project, rows: Sequence[ScorecardRow], input
     write_whole(done, key + "\n")
 
 
-def is_finished(project: Project, notebook: Path, inputs: Inputs) -> bool:
-    """Return whether a notebook was run from exactly these inputs, and what it made is there unchanged."""
-    record = read_record(record_path(project.results, notebook.stem))
-    if record is None or record.key != notebook_key(notebook, {}, inputs, project):
-        return False
-    made = {project.results / name: digest for name, digest in record.results.items()}
-    made[project.executed / notebook.name] = record.executed
-    return all(path.is_file() and file_digest(path) == digest for path, digest in made.items())
+def page_points(project: Project, inputs: Inputs) -> list[Point]:
+    """Return the pages of a book as points: with the notebooks' own parameters, in the folders of the book."""
+    # Partial notebooks go where readers look for runs, not where the site looks for pages.
+    runs, environment = project.root / "runs", environment_of_runs("PYTHONPATH")
+    return [
+        Point(
+            index=index,
+            parameters={},
+            key=notebook_key(notebook, {}, inputs, project),
+            notebook=notebook,
+            output=project.executed / notebook.name,
+            results=project.results,
+            failed=runs / f"{notebook.stem}.failed.ipynb",
+            lock=project.cache / "locks" / notebook.stem,
+            here=project.root,
+            environment=environment,
+            announced=True,
+        )
+        for index, notebook in enumerate(sorted(project.notebooks.glob("*.ipynb")))
+    ]
 
 
 def remove_leftovers(project: Project, notebooks: Iterable[Path]) -> None:
@@ -120,92 +137,25 @@ def _tables_are_told_apart(project: Project, notebooks: Iterable[Path]) -> bool:
     return not shared
 
 
-def run_all(project: Project, notebooks: Sequence[Path], jobs: int) -> bool:
-    """Run notebooks, several at once; a failure does not stop the others.
+def run_pages(pages: Sequence[Point], jobs: int) -> bool:
+    """Run pages, several at once; a failure does not stop the others, and is printed when all have ended.
 
     Parameters
     ----------
-    project
-        Where outputs and tables go.
-    notebooks
-        What to run.
+    pages
+        What to run, from :func:`page_points`.
     jobs
         How many may run at once.
 
     Returns
     -------
     bool
-        Whether all succeeded. Why one did not is printed when all have ended.
+        Whether all succeeded.
     """
-    running = _Processes()
-    failures: list[str] = []
-    with ThreadPoolExecutor(max_workers=jobs) as pool:
-        futures = [pool.submit(_run_one, project, notebook, running) for notebook in notebooks]
-        try:
-            failures = [message for future in as_completed(futures) if (message := future.result())]
-        except BaseException:
-            _stop(futures, running)
-            raise
-    for message in failures:
+    failures = run_points(pages, local_runner(jobs)) if pages else {}
+    for message in failures.values():
         print(message, file=sys.stderr)
     return not failures
-
-
-def _run_one(project: Project, notebook: Path, running: _Processes) -> str:
-    """Run one notebook in a process of its own; return why it failed, or nothing."""
-    started = time.monotonic()
-    # one write per line: lines of several threads must not mix
-    print(f"{notebook.stem}: started\n", end="", flush=True)
-    # Partial notebooks go where readers look for runs, not where the site looks for pages.
-    failed = project.root / "runs" / f"{notebook.stem}.failed.ipynb"
-    places = (notebook, project.executed / notebook.name, project.results, failed)
-    code, output = running.run(
-        [sys.executable, "-m", "repro_companion.book.runner", *map(str, places)], project.root
-    )
-    seconds = time.monotonic() - started
-    print(f"{notebook.stem}: {'failed after' if code else 'done in'} {seconds:.1f} s\n", end="", flush=True)
-    return output.strip() or f"{notebook.stem} ended with {code}" if code else ""
-
-
-class _Processes:
-    """Processes that run now, so that they can be stopped with the build."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._running: set[subprocess.Popen[str]] = set()
-        self._stopped = False
-
-    def run(self, command: Sequence[str], folder: Path) -> tuple[int, str]:
-        with self._lock:
-            if self._stopped:
-                return 1, "stopped"
-            process = subprocess.Popen(
-                command,
-                cwd=folder,
-                text=True,
-                errors="replace",
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-            )
-            self._running.add(process)
-        try:
-            output, _ = process.communicate()
-        finally:
-            with self._lock:
-                self._running.discard(process)
-        return process.returncode, output
-
-    def stop(self) -> None:
-        with self._lock:
-            self._stopped = True
-            for process in self._running:
-                process.terminate()
-
-
-def _stop(futures: Iterable[Future[str]], running: _Processes) -> None:
-    for future in futures:
-        future.cancel()
-    running.stop()
 
 
 def jobs_from_environment() -> int:
@@ -233,6 +183,8 @@ def main() -> int:
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
+    except Stopped as stop:
+        return 143 if isinstance(stop.__cause__, SystemExit) else 130
     except KeyboardInterrupt:
         return 130
 

@@ -14,7 +14,8 @@ from itertools import zip_longest
 from pathlib import Path
 
 from repro.errors import InputError, bad_input
-from repro_companion.book.after.build import is_finished, jobs_from_environment, run_all
+from repro_companion.book.after.build import jobs_from_environment, page_points, run_pages
+from repro_companion.book.points import Stopped, finished
 from repro_companion.book.project import Project, find_project
 from repro_companion.book.provenance import read_inputs
 from repro_companion.book.runner import stop_on_termination
@@ -45,8 +46,8 @@ def check_up_to_date(project: Project) -> None:
     InputError
         If there is one.
     """
-    notebooks, inputs = sorted(project.notebooks.glob("*.ipynb")), read_inputs(project)
-    due = [notebook.stem for notebook in notebooks if not is_finished(project, notebook, inputs)]
+    pages = page_points(project, read_inputs(project))
+    due = [page.notebook.stem for page in pages if not finished(page)]
     if due:
         raise bad_input(
             "results", "make reproduce", "up to date (run make book first)", f"{', '.join(due)} to run"
@@ -82,7 +83,7 @@ def rebuild(project: Project, jobs: int) -> list[str]:
     before = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = str(copy.root / "src")  # the copy's own package, not the installed one
     try:
-        run_all(copy, sorted(copy.notebooks.glob("*.ipynb")), jobs)
+        run_pages(page_points(copy, read_inputs(copy)), jobs)
     finally:
         if before is None:
             del os.environ["PYTHONPATH"]
@@ -145,7 +146,7 @@ def main(*folders: str) -> int:
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, Stopped):
         return 130
     for line in found:
         print(line, file=sys.stderr)
