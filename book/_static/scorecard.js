@@ -13,7 +13,7 @@ document.addEventListener("DOMContentLoaded", () => {
       text: `${table.dataset.paper} ${table.dataset.artefact} ${row.textContent}`.toLowerCase(),
     })),
   );
-  const VERDICTS = ["reproduced", "better", "differs", "not comparable", "missing"];
+  const VERDICTS = ["reproduced", "better", "differs", "weak", "printed again", "not comparable", "missing"];
   const values = (key, among) => [...new Set(among.map((entry) => entry[key]))];
 
   const add = (parent, tag, properties = {}) =>

@@ -148,9 +148,9 @@ def test_scorecard(folder):
     done = repro("scorecard", "--write-reference", "reference.csv")
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == (
-        "       reproduced  better  differs  not comparable  missing  all\n"
-        "a2020           0       0        0               0        1    1\n"
-        "all             0       0        0               0        1    1\n"
+        "       reproduced  better  differs  weak  printed again  not comparable  missing  all\n"
+        "a2020           0       0        0     0              0               0        1    1\n"
+        "all             0       0        0     0              0               0        1    1\n"
         "\n"
         "All rows: results/scorecard.csv\n"
     )

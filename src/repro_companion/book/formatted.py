@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from html import escape
+from numbers import Number
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -19,6 +20,12 @@ UNITS = {
     "n": "N", "g": "g", "mib": "MiB", "kb": "kB",
 }  # fmt: skip
 """Unit by the ending of a column's name."""
+MISSING = "–"
+LONGEST = 15
+"""Rows of a table that is not folded."""
+_IDENTIFIER = re.compile(r"(?![A-Za-z]_\w{1,2}$)[A-Za-z]\w*_\w+")
+"""A name with underscores, other than a letter with its index."""
+_WITH_INDEX = re.compile(r"\b([A-Za-z])_([A-Za-z0-9]{1,2})\b")
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _SMALLEST, _LARGEST = 1e-4, 1e7
 """Between these a number is written without a power of ten."""
@@ -37,60 +44,81 @@ def table_html(
     Parameters
     ----------
     table
-        As it was written; its index is not shown.
+        As it was written, or pivoted: an index that is more than row numbers becomes the first columns.
     headings
         Words for a column, by its name; any other column gets :func:`heading`.
     exact
         Columns of settings and names, whose numbers keep all digits.
     folded
-        For a long table: the words on which to click to see it.
+        For a long table: the words on which to click to see it. A table of more than 15 rows is always folded.
     caption
         What stands above it.
     """
     from IPython.display import HTML
+    from pandas.api.types import is_numeric_dtype
 
-    words = {name: (headings or {}).get(name, heading(str(name))) for name in table.columns}
-    numeric = {name: table[name].dtype.kind in "fiu" for name in table.columns}
+    if any(table.index.names) or not is_numeric_dtype(table.index.dtype):
+        table = table.reset_index(names=None if any(table.index.names) else "")
+    words = {name: (headings or {}).get(str(name), heading(name)) for name in table.columns}
+    columns = [
+        [(shown_value(value, exact=name in exact), _is_number(value)) for value in table[name]]
+        for name in table.columns
+    ]
+    numeric = [all(number or text == MISSING for text, number in column) for column in columns]
     head = "".join(
-        f'<th scope="col"{_right(numeric[name])}>{escape(words[name])}</th>' for name in table.columns
+        f'<th scope="col"{_right(number)}>{_html(words[name])}</th>' if words[name] else "<td></td>"
+        for name, number in zip(table.columns, numeric, strict=True)
     )
     rows = "".join(
-        "<tr>"
-        + "".join(
-            f"<td{_right(numeric[name])}>{escape(shown_value(value, exact=name in exact))}</td>"
-            for name, value in zip(table.columns, row, strict=True)
-        )
-        + "</tr>"
-        for row in table.itertuples(index=False, name=None)
+        "<tr>" + "".join(f"<td{_right(number)}>{_html(text)}</td>" for text, number in row) + "</tr>"
+        for row in zip(*columns, strict=True)
     )
     above = f"<caption>{escape(caption)}</caption>" if caption else ""
-    html = f'<div class="formatted"><table>{above}<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+    html = f"<table>{above}<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+    html = f'<div class="formatted">{html}</div>'
+    folded = folded or (f"All {len(table)} rows" if len(table) > LONGEST else "")
     return HTML(f"<details><summary>{escape(folded)}</summary>{html}</details>" if folded else html)
 
 
-def heading(name: str) -> str:
+def heading(name: object) -> str:
     """Return a column's name in words with its unit: ``tip_error_mm`` is *tip error [mm]*."""
-    parts = name.split("_")
-    if len(parts) > 1 and parts[-1].lower() in UNITS:
-        return f"{' '.join(parts[:-1])} [{UNITS[parts[-1].lower()]}]"
-    return " ".join(parts)
+    if isinstance(name, tuple):  # of a pivoted table
+        return ", ".join(filter(None, map(heading, name)))
+    if isinstance(name, float):
+        return shown_number(name)
+    if not _IDENTIFIER.fullmatch(text := str(name)):
+        return text
+    *words, last = text.split("_")
+    unit = UNITS.get(last.lower(), "") if words else ""
+    return f"{' '.join(words)} [{unit}]" if unit else " ".join([*words, last])
 
 
 def shown_value(value: Any, *, exact: bool = False) -> str:
     """Return a cell: a number with three significant digits, a dash for none, words without underscores."""
-    if value is None or (isinstance(value, float) and math.isnan(value)) or str(value) in ("<NA>", "NaT", ""):
-        return "–"
+    from pandas import isna
+
+    if isna(value) or value == "":
+        return MISSING
     if str(value) in ("True", "False"):
         return "yes" if str(value) == "True" else "no"
-    if isinstance(value, str):
-        return re.sub(r"(?<=\w)_(?=\w)", " ", value)
+    if not _is_number(value):
+        return heading(str(value))
     return f"{value:g}" if exact else shown_number(float(value))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Number) and str(value) not in ("True", "False")
+
+
+def _html(text: str) -> str:
+    """Escape, and set letters with an index as the papers do: n_b."""
+    return _WITH_INDEX.sub(r"<i>\1</i><sub>\2</sub>", escape(text))
 
 
 def shown_number(value: float, digits: int = DIGITS) -> str:
     """Return a number with some significant digits, never with ``e``: 0.0123, 44000, 6.94 × 10⁻⁹."""
     if math.isnan(value):
-        return "–"
+        return MISSING
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
     if value == 0:

@@ -51,6 +51,34 @@ COMPARED = HOLDS | {Verdict.DIFFERS}
 """Verdicts of rows that were compared."""
 
 
+WEAK, REPEATED = "weak", "printed again"
+KINDS = ("reproduced", "better", "differs", WEAK, REPEATED, "not comparable", "missing")
+"""As what a row can count."""
+
+
+def kinds(rows: Iterable[ScorecardRow]) -> list[str]:
+    """Return as what each row counts: by its verdict, or, where that would say little, as *weak* or *printed again*.
+
+    A weak row would also hold if the regenerated number were zero. A row is printed again if a row before it has the
+    same regenerated number of the same quantity, to all digits: both print one run of the paper.
+    """
+    seen, found = set(), []
+    for row in rows:
+        run = (row.paper, row.quantity, row.unit, row.regenerated, row.regenerated_std)
+        compared = row.verdict in COMPARED
+        apart = WEAK if row.weak else REPEATED if run in seen else ""
+        found.append(apart if compared and apart else row.verdict.words)
+        if compared and not row.weak:
+            seen.add(run)
+    return found
+
+
+def telling(rows: Sequence[ScorecardRow]) -> list[ScorecardRow]:
+    """Return the rows that count by a comparison: those that are neither weak nor printed again."""
+    words = {verdict.words for verdict in COMPARED}
+    return [row for row, kind in zip(rows, kinds(rows), strict=True) if kind in words]
+
+
 def compute_scorecard(project: Project) -> list[ScorecardRow]:
     """Return the scorecard from the rows that notebooks wrote.
 
@@ -181,20 +209,20 @@ def changed_verdicts(rows: Iterable[ScorecardRow], reference: Path) -> list[str]
     ]
 
 
-def count_verdicts(rows: Iterable[ScorecardRow]) -> dict[str, Counter[Verdict]]:
-    """Return the number of rows of each verdict, by paper, in the order of the rows."""
-    counts: dict[str, Counter[Verdict]] = {}
-    for row in rows:
-        counts.setdefault(row.paper, Counter())[row.verdict] += 1
+def count_kinds(rows: Sequence[ScorecardRow]) -> dict[str, Counter[str]]:
+    """Return the number of rows of each of :data:`KINDS`, by paper, in the order of the rows."""
+    counts: dict[str, Counter[str]] = {}
+    for row, kind in zip(rows, kinds(rows), strict=True):
+        counts.setdefault(row.paper, Counter())[kind] += 1
     return counts
 
 
 def summary(rows: Sequence[ScorecardRow]) -> str:
     """Return the counts by verdict and paper as a table of text."""
-    counts = count_verdicts(rows)
-    lines = [("", *(verdict.words for verdict in Verdict), "all")]
+    counts = count_kinds(rows)
+    lines = [("", *KINDS, "all")]
     for paper, count in [*counts.items(), ("all", sum(counts.values(), Counter()))]:
-        lines.append((paper, *(str(count[verdict]) for verdict in Verdict), str(count.total())))
+        lines.append((paper, *(str(count[kind]) for kind in KINDS), str(count.total())))
     widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]))]
     return "\n".join(
         line[0].ljust(widths[0])

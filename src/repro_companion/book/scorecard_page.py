@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from html import escape
 from urllib.parse import urlencode
 
-from repro_companion.book.scorecard import ScorecardRow, count_verdicts, geometric_mean_ratio
+from repro_companion.book.scorecard import (
+    KINDS,
+    REPEATED,
+    WEAK,
+    ScorecardRow,
+    count_kinds,
+    geometric_mean_ratio,
+    kinds,
+    telling,
+)
 from repro_companion.book.templates import rendered
-from repro_companion.book.verdicts import Verdict
 
 PAPERS = {
     "baaij2023": "Baaij et al. (2023)",
@@ -53,8 +61,10 @@ def scorecard_page(
     tables: dict[tuple[str, str], list[ScorecardRow]] = {}
     for row in rows:
         tables.setdefault((row.paper, row.artefact), []).append(row)
+    kind = dict(zip(rows, kinds(rows), strict=True))
     filters = {
-        "counts": lambda rows: _counts_in_words(Counter(row.verdict for row in rows)),
+        "counts": lambda rows: _listed(Counter(kind[row] for row in rows)),
+        "kind": kind.__getitem__,
         "ratios": _ratios,
         "line": lambda text: " ".join(text.split()),
         "cells": _numbers,
@@ -115,22 +125,33 @@ def counts_page(rows: Sequence[ScorecardRow]) -> str:
     rows
         The scorecard.
     """
-    counts = count_verdicts(rows)
-    total: Counter[Verdict] = sum(counts.values(), Counter())
+    counts = count_kinds(rows)
+    total: Counter[str] = sum(counts.values(), Counter())
     read_off = sum((row.paper, row.artefact) in READ_OFF for row in rows)
     numbers = f"print, or show in figures ({read_off} were read off)" if read_off else "print"
+    left = telling(rows)
+    compared = len(left) + total[WEAK] + total[REPEATED]
+    mean, count = geometric_mean_ratio(left, lambda row: row.regenerated, lambda row: row.published)
+    below = sum(float(row.regenerated) < float(row.published) for row in left)
     lines = [
-        f"Of the {len(rows)} numbers that the papers {numbers}, {_counts_in_words(total)}.",
+        f"Of the {len(rows)} numbers that the papers {numbers}, {compared} can be compared. {total[WEAK]} of these"
+        f" are weak, since zero would pass too, and {total[REPEATED]} print a run again."
+        f" **Of the {len(left)} left, {total['reproduced'] + total['better']} hold**"
+        f" ({total['reproduced']} reproduced, {total['better']} better) and {total['differs']} differ."
+        f" {total['not comparable']} are not comparable, {total['missing']} missing.",
         "",
-        "| Paper | " + " | ".join(verdict.words for verdict in Verdict) + " |",
-        "|---|" + "---:|" * len(Verdict),
+        f"The bias: {below} of the {len(left)} lie below the published number; the geometric mean of regenerated over"
+        f" published is {mean:.2f} ({count} numbers).",
+        "",
+        "| Paper | " + " | ".join(KINDS) + " |",
+        "|---|" + "---:|" * len(KINDS),
     ]
     lines += [_counts_line(name, count, name) for name, count in _named(counts)]
     lines.append(_counts_line("All", total))
     return "\n".join(lines) + "\n"
 
 
-def verdicts_page(rows: Iterable[ScorecardRow]) -> str:
+def verdicts_page(rows: Sequence[ScorecardRow]) -> str:
     """Return one paragraph with the counts of the verdicts by table, figure or section, for the chapter of a paper.
 
     Parameters
@@ -138,46 +159,30 @@ def verdicts_page(rows: Iterable[ScorecardRow]) -> str:
     rows
         Those of one paper.
     """
-    counts: dict[str, Counter[Verdict]] = {}
-    for row in rows:
-        counts.setdefault(row.artefact, Counter())[row.verdict] += 1
-    parts = [
-        f"{artefact}: "
-        + _joined(f"{count[verdict]} {verdict.words}" for verdict in Verdict if count[verdict])
-        for artefact, count in counts.items()
-    ]
+    counts: dict[str, Counter[str]] = {}
+    for row, kind in zip(rows, kinds(rows), strict=True):
+        counts.setdefault(row.artefact, Counter())[kind] += 1
+    parts = [f"{artefact}: {_listed(count)}" for artefact, count in counts.items()]
     return "Verdicts of the scorecard: " + "; ".join(parts) + ".\n"
 
 
-def _named(counts: Mapping[str, Counter[Verdict]]) -> list[tuple[str, Counter[Verdict]]]:
+def _named(counts: Mapping[str, Counter[str]]) -> list[tuple[str, Counter[str]]]:
     return [(PAPERS.get(paper, paper), count) for paper, count in counts.items()]
 
 
-def _counts_line(name: str, count: Counter[Verdict], paper: str = "") -> str:
-    cells = (_count_link(count[verdict], verdict, paper) for verdict in Verdict)
+def _counts_line(name: str, count: Counter[str], paper: str = "") -> str:
+    cells = (_count_link(count[kind], kind, paper) for kind in KINDS)
     return f"| {name} | " + " | ".join(cells) + " |"
 
 
-def _count_link(count: int, verdict: Verdict, paper: str) -> str:
+def _count_link(count: int, kind: str, paper: str) -> str:
     """Return a count that leads to the rows that it counts: the scorecard, filtered."""
     if not count:
         return "0"
-    chosen = {"paper": paper, "verdict": verdict.words} if paper else {"verdict": verdict.words}
-    label = f"{count} {verdict.words}" + (f" of {paper}" if paper else " of all")
+    chosen = {"paper": paper, "verdict": kind} if paper else {"verdict": kind}
+    label = f"{count} {kind}" + (f" of {paper}" if paper else " of all")
     return f'<a href="scorecard.html?{escape(urlencode(chosen))}" aria-label="{label}">{count}</a>'
 
 
-def _counts_in_words(count: Counter[Verdict]) -> str:
-    parts = [
-        (count[Verdict.REPRODUCED], "reproduced"),
-        (count[Verdict.BETTER], "better"),
-        (count[Verdict.DIFFERS], "different"),
-        (count[Verdict.NOT_COMPARABLE], "not comparable"),
-    ]
-    return _joined(f"{n} {'is' if n == 1 else 'are'} {word}" for n, word in parts) + (
-        f", and {count[Verdict.MISSING]} {'is' if count[Verdict.MISSING] == 1 else 'are'} missing"
-    )
-
-
-def _joined(parts: Iterable[str]) -> str:
-    return ", ".join(parts)
+def _listed(count: Counter[str]) -> str:
+    return ", ".join(f"{count[kind]} {kind}" for kind in KINDS if count[kind])

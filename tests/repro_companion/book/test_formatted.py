@@ -39,6 +39,10 @@ def test_headings():
     assert heading("share_percent") == "share [%]"
     assert heading("within") == "within"
     assert heading("m") == "m"
+    assert heading("n_b") == "n_b"
+    assert heading("delta_x_mm") == "delta x [mm]"
+    assert heading(("tip_mm", "T3")) == "tip [mm], T3"
+    assert heading("row n_b=3, d_s") == "row n_b=3, d_s"
 
 
 def test_cells_and_columns():
@@ -52,3 +56,20 @@ def test_cells_and_columns():
     assert shown_value(pd.NA) == "–"
     assert shown_value(True) == "yes"
     assert "&lt;b&gt;" in table_html(pd.DataFrame({"a": ["<b>"]})).data
+
+
+def test_pivoted_and_transposed_tables_keep_their_labels():
+    table = pd.DataFrame({"kind": ["a", "b"], "tip_mm": [1.2345, 2.0], "n_b": [1, 2]})
+    cells = re.findall(r"<t[dh](?: [^>]*)?>(.*?)</t[dh]>", table_html(table.set_index("kind").T).data)
+    assert cells == ["", "a", "b", "tip [mm]", "1.23", "2", "<i>n</i><sub>b</sub>", "1", "2"]
+    cells = re.findall(
+        r"<t[dh](?: [^>]*)?>(.*?)</t[dh]>", table_html(table.set_index("kind")[["tip_mm"]]).data
+    )
+    assert cells == ["kind", "tip [mm]", "a", "1.23", "b", "2"]
+
+
+def test_a_long_table_is_folded():
+    assert table_html(pd.DataFrame({"n": range(16)})).data.startswith(
+        "<details><summary>All 16 rows</summary>"
+    )
+    assert table_html(pd.DataFrame({"n": range(15)})).data.startswith('<div class="formatted">')

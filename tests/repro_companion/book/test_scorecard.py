@@ -17,8 +17,10 @@ from repro_companion.book.scorecard import (
     changed_verdicts,
     compute_scorecard,
     geometric_mean_ratio,
+    kinds,
     scorecard_csv,
     summary,
+    telling,
 )
 from repro_companion.book.scorecard_page import counts_page, scorecard_page, verdicts_page
 from repro_companion.book.verdicts import Verdict
@@ -62,10 +64,10 @@ def test_rows_from_several_files(project):
     rows = compute_scorecard(project)
     assert [row.verdict for row in rows] == ["reproduced", "missing", "better"]
     assert summary(rows) == (
-        "       reproduced  better  differs  not comparable  missing  all\n"
-        "a2020           1       0        0               0        1    2\n"
-        "b2021           0       1        0               0        0    1\n"
-        "all             1       1        0               0        1    3"
+        "       reproduced  better  differs  weak  printed again  not comparable  missing  all\n"
+        "a2020           1       0        0     0              0               0        1    2\n"
+        "b2021           0       1        0     0              0               0        0    1\n"
+        "all             1       1        0     0              0               0        1    3"
     )
 
 
@@ -205,7 +207,7 @@ def test_pages(project):
     page = scorecard_page(rows)
     assert page.count("<table") == 2
     assert page.count('<th scope="row">') == 3
-    assert "a2020, Table 1: 0 are reproduced, 1 is better, 1 is different, 0 are not comparable" in page
+    assert "a2020, Table 1: 1 better, 1 differs." in page
     assert "geometric mean of 2" in page
     assert "of 1 standard deviations: 2.00" in page
     assert (
@@ -219,12 +221,44 @@ def test_pages(project):
     assert 'class="verdict verdict-missing">missing<' in page
     # a blank line inside a table would end the block of HTML
     assert all(block.startswith("<div") and block.endswith("</div>") for block in page.strip().split("\n\n"))
-    sentence, _, header = counts_page(rows).splitlines()[:3]
+    sentence, _, bias, _, header = counts_page(rows).splitlines()[:5]
     assert sentence == (
-        "Of the 3 numbers that the papers print, 0 are reproduced, 1 is better, 1 is different, "
-        "0 are not comparable, and 1 is missing."
+        "Of the 3 numbers that the papers print, 2 can be compared. 0 of these are weak, since zero would pass too,"
+        " and 0 print a run again. **Of the 2 left, 1 hold** (0 reproduced, 1 better) and 1 differ."
+        " 0 are not comparable, 1 missing."
     )
-    assert header == "| Paper | reproduced | better | differs | not comparable | missing |"
+    assert bias.startswith("The bias: 1 of the 2 lie below the published number; the geometric mean")
+    assert (
+        header
+        == "| Paper | reproduced | better | differs | weak | printed again | not comparable | missing |"
+    )
+
+
+def test_weak_rows_and_runs_printed_again_count_apart():
+    """Whatever their verdict; the first row of a run counts, and a weak row is no run of another."""
+
+    def row(
+        name: str, verdict: Verdict, regenerated: str, *, weak: bool = False, quantity: str = "e"
+    ) -> ScorecardRow:
+        texts = dict.fromkeys(COLUMNS, "") | {
+            "paper": "a",
+            "row": name,
+            "quantity": quantity,
+            "published": "1",
+        }
+        flags = {"verdict": verdict, "weak": weak, "near_edge": False, "regenerated": regenerated}
+        return ScorecardRow(**texts | flags)  # pyright: ignore
+
+    rows = [
+        row("1", Verdict.REPRODUCED, "2", weak=True),
+        row("2", Verdict.REPRODUCED, "2"),
+        row("3", Verdict.DIFFERS, "2"),
+        row("4", Verdict.BETTER, "2", quantity="f"),
+        row("5", Verdict.NOT_COMPARABLE, "2"),
+        row("6", Verdict.MISSING, ""),
+    ]
+    assert kinds(rows) == ["weak", "reproduced", "printed again", "better", "not comparable", "missing"]
+    assert [row.row for row in telling(rows)] == ["2", "4"]
 
 
 def test_numbers_read_off_figures_are_counted():
@@ -233,7 +267,7 @@ def test_numbers_read_off_figures_are_counted():
     texts = dict.fromkeys(COLUMNS, "") | place | {"published": "160"}
     rows = [ScorecardRow(**texts | {"verdict": Verdict.MISSING, "weak": False, "near_edge": False})]  # pyright: ignore
     assert counts_page(rows).startswith(
-        "Of the 1 numbers that the papers print, or show in figures (1 were read off), 0 are reproduced"
+        "Of the 1 numbers that the papers print, or show in figures (1 were read off), 0 can be compared."
     )
     assert verdicts_page(rows) == "Verdicts of the scorecard: Fig. 3: 1 missing.\n"
 

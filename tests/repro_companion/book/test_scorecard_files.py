@@ -46,6 +46,8 @@ def test_json():
         "reproduced": 1,
         "better": 1,
         "differs": 1,
+        "weak": 0,
+        "printed_again": 0,
         "not_comparable": 1,
         "missing": 1,
     }
@@ -111,7 +113,7 @@ def test_counts_lead_to_the_rows_that_they_count():
         '<a href="scorecard.html?paper=Martin+et+al.+%282022%29&amp;verdict=not+comparable" '
         'aria-label="1 not comparable of Martin et al. (2022)">1</a>'
     ) in page
-    assert re.search(r"\| Martin et al\. \(2022\) \| 0 \| 0 \| 0 \|", page)
+    assert re.search(r"\| Martin et al\. \(2022\) \| 0 \| 0 \| 0 \| 0 \| 0 \|", page)
 
 
 def test_files(tmp_path):

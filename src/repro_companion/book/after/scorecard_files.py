@@ -15,9 +15,8 @@ from repro_companion.book.after.figures_scorecard import picture_alt, scorecard_
 from repro_companion.book.after.paper_index import index_page, index_path, places, read_index
 from repro_companion.book.digests import write_if_changed
 from repro_companion.book.project import Project
-from repro_companion.book.scorecard import ScorecardRow, count_verdicts
+from repro_companion.book.scorecard import KINDS, WEAK, ScorecardRow, count_kinds, kinds
 from repro_companion.book.scorecard_page import counts_page, scorecard_page, verdicts_page
-from repro_companion.book.verdicts import HOLDS, Verdict
 
 _NUMBERS = ("published", "published_std", "regenerated", "regenerated_std", "n_seeds", "best")
 _CHARACTER_PX = 6.6  # of 11 px sans serif, on average
@@ -49,8 +48,8 @@ def write_scorecard_files(project: Project, rows: Sequence[ScorecardRow]) -> Non
         "scorecard.svg": badge(rows),
         "scorecard.json": scorecard_json(rows),
     }
-    for paper in count_verdicts(rows):
-        texts[f"verdicts_{paper}.md"] = verdicts_page(row for row in rows if row.paper == paper)
+    for paper in count_kinds(rows):
+        texts[f"verdicts_{paper}.md"] = verdicts_page([row for row in rows if row.paper == paper])
     for name, text in texts.items():
         write_if_changed(folder / name, text)
 
@@ -60,12 +59,12 @@ def scorecard_json(rows: Sequence[ScorecardRow]) -> str:
 
     Numbers are numbers, null where there is none; the digits that were printed stand in ``results/scorecard.csv``.
     """
-    counts = count_verdicts(rows)
+    counts = count_kinds(rows)
     counts["all"] = sum(counts.values(), Counter())
     return json.dumps(
         {
             "counts": {
-                paper: {verdict.value: count[verdict] for verdict in Verdict}
+                paper: {kind.replace(" ", "_"): count[kind] for kind in KINDS}
                 for paper, count in counts.items()
             },
             "rows": [_typed(row) for row in rows],
@@ -103,14 +102,15 @@ def badge(rows: Sequence[ScorecardRow]) -> str:
 
 def badge_text(rows: Sequence[ScorecardRow]) -> str:
     """Return the counts that the badge shows; verdicts without a row are left out, except how many hold."""
-    counts = Counter(row.verdict for row in rows)
-    parts = [f"{sum(counts[verdict] for verdict in HOLDS)} hold"]
+    counts = Counter(kinds(rows))
+    parts = [f"{counts['reproduced'] + counts['better']} hold"]
     others = (
-        (Verdict.DIFFERS, "differ"),
-        (Verdict.NOT_COMPARABLE, "not comparable"),
-        (Verdict.MISSING, "missing"),
+        ("differs", "differ"),
+        (WEAK, WEAK),
+        ("not comparable", "not comparable"),
+        ("missing", "missing"),
     )
-    return ", ".join(parts + [f"{counts[verdict]} {word}" for verdict, word in others if counts[verdict]])
+    return ", ".join(parts + [f"{counts[kind]} {word}" for kind, word in others if counts[kind]])
 
 
 def _picture(rows: Sequence[ScorecardRow]) -> str:
