@@ -80,6 +80,19 @@ document.addEventListener("DOMContentLoaded", () => {
   }
   text.value = query.get("text") ?? "";
   apply();
+  // a link to a row shows it, even where the filter hides it
+  const open = () => {
+    const row = rows.find((entry) => entry.row.id && `#${entry.row.id}` === location.hash)?.row;
+    if (!row) return;
+    if (row.hidden) {
+      for (const control of [paper, artefact, verdict, text]) control.value = "";
+      apply();
+      keep();
+    }
+    row.scrollIntoView({ block: "center" });
+  };
+  open();
+  window.addEventListener("hashchange", open);
   form.addEventListener("input", () => { apply(); keep(); });
   form.addEventListener("submit", (event) => event.preventDefault());
   // a form is emptied after its reset event

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
@@ -65,6 +66,7 @@ def scorecard_page(
     filters = {
         "counts": lambda rows: _listed(Counter(kind[row] for row in rows)),
         "kind": kind.__getitem__,
+        "anchor": anchor,
         "ratios": _ratios,
         "line": lambda text: " ".join(text.split()),
         "cells": _numbers,
@@ -79,6 +81,11 @@ def scorecard_page(
         header=_HEADER,
         filtered=filtered,
     )
+
+
+def anchor(row: ScorecardRow) -> str:
+    """Return the address of a row within the page of the scorecard."""
+    return re.sub(r"[^a-z0-9]+", "-", f"row {row.key}".lower().replace("-", " minus ")).strip("-")
 
 
 def _ratios(rows: list[ScorecardRow]) -> str:

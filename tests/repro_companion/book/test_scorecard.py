@@ -15,6 +15,7 @@ from repro_companion.book.scorecard import (
     REFERENCE_COLUMNS,
     ScorecardRow,
     changed_verdicts,
+    compare_files,
     compute_scorecard,
     geometric_mean_ratio,
     kinds,
@@ -22,7 +23,7 @@ from repro_companion.book.scorecard import (
     summary,
     telling,
 )
-from repro_companion.book.scorecard_page import counts_page, scorecard_page, verdicts_page
+from repro_companion.book.scorecard_page import anchor, counts_page, scorecard_page, verdicts_page
 from repro_companion.book.verdicts import Verdict
 
 E_U = {"paper": "a2020", "artefact": "Table 1", "row": "one", "quantity": "e_u", "unit": "mT", "setting": "x"}
@@ -277,3 +278,13 @@ def test_the_committed_files_list_the_same_rows():
     published = read_published(here.published)
     reference = read_csv(here.data / "scorecard_reference.csv", REFERENCE_COLUMNS)
     assert [row_key(line) for line in reference] == list(published)
+
+
+def test_every_published_number_has_an_address_of_its_own():
+    published = read_published(find_project(Path(__file__).parent).published)
+    rows = compare_files([], published)
+    addresses = [anchor(row) for row in rows]
+    assert len(set(addresses)) == len(rows)
+    page = scorecard_page(rows, filtered=True)
+    assert all(page.count(f'<tr id="{address}"') == 1 for address in addresses)
+    assert "<tr id=" not in scorecard_page(rows), "a page of a notebook may show a row twice"
