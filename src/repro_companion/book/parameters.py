@@ -1,7 +1,9 @@
 """Parameters of a notebook: what it declares, and values from a command line converted to the declared type.
 
 A notebook declares them in its cell tagged ``parameters``, one a line:
-``name: type = value  # meaning [unit]``.
+``name: type = value  # meaning [unit]``. A comment may end in the values that are allowed: ``, 1 to 6``,
+``, at least 0``, ``, at most 10`` or ``, one of: released, published``, the unit behind it. Both ends are
+allowed themselves; in a list the rule holds for each value.
 """
 
 from __future__ import annotations
@@ -142,8 +144,33 @@ def listing(declared: Mapping[str, Parameter], owner: str) -> str:
     return "\n".join([f"Parameters of {owner}:", *lines])
 
 
+_NUMBER = r"[-+]?[0-9]+(?:\.[0-9]+)?(?:e[-+]?[0-9]+)?"
+_RULE = re.compile(
+    rf",\s*(?:(?P<low>{_NUMBER}) to (?P<high>{_NUMBER})|at least (?P<least>{_NUMBER})"
+    rf"|at most (?P<most>{_NUMBER})|one of: (?P<choices>[^\[\]]+?))\s*(?:\[[^\]]*\])?$"
+)
+
+
+def is_allowed(parameter: Parameter, value: Any) -> bool:
+    """Return whether a value keeps to the rule at the end of the parameter's comment, if there is one.
+
+    Examples
+    --------
+    >>> is_allowed(Parameter("n_segments", "int", "3", "segments of the robot, 1 to 6"), -4)
+    False
+    """
+    rule = _RULE.search(parameter.meaning)
+    values = value if isinstance(value, list) else [value]
+    if rule is None:
+        return True
+    if rule["choices"]:
+        return all(item in re.split(r",\s*", rule["choices"]) for item in values)
+    low, high = float(rule["low"] or rule["least"] or "-inf"), float(rule["high"] or rule["most"] or "inf")
+    return all(type(item) in (int, float) and low <= item <= high for item in values)
+
+
 def convert(parameter: Parameter, text: str, owner: str) -> Any:
-    """Return a typed text as a value of the parameter's type.
+    """Return a typed text as a value of the parameter's type, and one of those that its comment allows.
 
     Parameters
     ----------
@@ -157,13 +184,20 @@ def convert(parameter: Parameter, text: str, owner: str) -> Any:
     Raises
     ------
     InputError
-        If the text is not such a value. Nothing is rounded: 1.5 is no int.
+        If the text is not such a value, or not allowed. Nothing is rounded: 1.5 is no int.
 
     Examples
     --------
     >>> convert(Parameter("gains", "list", "[]", ""), "[1e-3, 2, on]", "x.ipynb")
     [0.001, 2, 'on']
     """
+    value = _of_its_type(parameter, text, owner)
+    if not is_allowed(parameter, value):
+        raise bad_input(f"parameter {parameter.name}", owner, f"allowed ({parameter.meaning})", text)
+    return value
+
+
+def _of_its_type(parameter: Parameter, text: str, owner: str) -> Any:
     refusal = bad_input(
         f"parameter {parameter.name}", owner, f"{parameter.type}: {KINDS[parameter.type]}", text
     )
