@@ -19,7 +19,7 @@ from repro_companion.book.values import PLACE
 ROOT = Path(__file__).resolve().parents[2]
 CHAPTERS = ROOT / "book" / "chapters"
 
-PARTS = ("first_steps", "magnets", "imus", "particles", "live", "one_robot", "speed")
+PARTS = ("first_steps", "magnets", "imus", "particles", "live", "speed")
 OTHER_PAGES = {"live": ["own_robot.md", "wire_formats.md"], "speed": ["sweeps.md"]}
 """Pages of a chapter that are no notebooks."""
 
@@ -42,23 +42,19 @@ STILL_TYPED = frozenset(
         "digital_twin",
         "field_of_a_magnet",
         "filter_on_segments",
-        "fusion",
         "how_many_imus",
         "imu_markers",
         "kinematics",
         "live",
         "noise_and_tolerances",
         "one_robot",
-        "performance",
         "probabilistic_curvature",
         "recorded_arm",
         "recorded_trial",
         "recording",
         "robustness",
-        "sensor_count",
         "sensor_failure",
         "sensor_placement",
-        "sweep",
         "table_1",
         "table_2",
         "temporal_filter",
