@@ -19,7 +19,7 @@ from repro_companion.book.values import PLACE
 ROOT = Path(__file__).resolve().parents[2]
 CHAPTERS = ROOT / "book" / "chapters"
 
-PARTS = ("first_steps", "magnets", "imus", "particles", "live", "speed")
+PARTS = ("first_steps", "magnets", "imus", "particles", "live", "one_robot", "speed")
 OTHER_PAGES = {"live": ["own_robot.md", "wire_formats.md"], "speed": ["sweeps.md"]}
 """Pages of a chapter that are no notebooks."""
 
@@ -47,7 +47,6 @@ STILL_TYPED = frozenset(
         "kinematics",
         "live",
         "noise_and_tolerances",
-        "one_robot",
         "probabilistic_curvature",
         "recorded_arm",
         "recorded_trial",
