@@ -43,6 +43,13 @@ def test_names_and_tab_stops(extension):
     assert accessible(expected) == expected
 
 
+def test_what_unfolds_a_cell_is_named_by_its_text(extension):
+    folded = (
+        '<details><summary aria-label="Toggle hidden content">\nShow code cell source</summary></details>'
+    )
+    assert extension("page_access").accessible(folded).startswith("<details><summary>\nShow")
+
+
 def test_only_the_search_page_loads_the_index(extension):
     site = extension("repro_site")
     kept = '<script src="../_static/doctools.js?v=1"></script>'

@@ -75,7 +75,9 @@ def table_html(
     )
     above = f"<caption>{escape(caption)}</caption>" if caption else ""
     html = f"<table>{above}<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
-    html = f'<div class="formatted">{html}</div>'
+    # what scrolls must be reachable by keyboard, and then needs a name
+    name = escape(caption or f"Table: {', '.join(filter(None, words.values()))}", quote=True)
+    html = f'<div class="formatted" tabindex="0" role="group" aria-label="{name}">{html}</div>'
     folded = folded or (f"All {len(table)} rows" if len(table) > LONGEST else "")
     return HTML(f"<details><summary>{escape(folded)}</summary>{html}</details>" if folded else html)
 

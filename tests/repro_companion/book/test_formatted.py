@@ -72,4 +72,4 @@ def test_a_long_table_is_folded():
     assert table_html(pd.DataFrame({"n": range(16)})).data.startswith(
         "<details><summary>All 16 rows</summary>"
     )
-    assert table_html(pd.DataFrame({"n": range(15)})).data.startswith('<div class="formatted">')
+    assert table_html(pd.DataFrame({"n": range(15)})).data.startswith('<div class="formatted" tabindex="0"')
