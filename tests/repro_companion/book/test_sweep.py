@@ -110,7 +110,7 @@ def test_a_sweep_that_is_killed_goes_on(root, notebook):
 def test_an_interrupted_sweep_says_how_to_go_on(root, notebook, number, send, status):
     arguments = ["notebooks/a.ipynb", "-p", "n", "13,0,1,2", "-p", "seconds", "2", "--jobs", "1"]
     sweeping = in_background(*arguments)
-    wait_for(lambda: sum(logged(root, "begun").values()) == 3)
+    wait_for(lambda: sum(logged(root, "begun").values()) >= 3)  # both workers may begin at once
     send(sweeping.pid, number)
     out, err = sweeping.communicate(timeout=60)
     assert sweeping.returncode == status
@@ -129,7 +129,7 @@ def test_an_interrupted_sweep_says_how_to_go_on(root, notebook, number, send, st
 def test_a_sweep_that_is_terminated_ends_its_workers(root, notebook):
     arguments = ["notebooks/a.ipynb", "-p", "n", "0:4", "-p", "seconds", "2", "--jobs", "2"]
     sweeping = in_background(*arguments)
-    wait_for(lambda: sum(logged(root, "begun").values()) == 3)
+    wait_for(lambda: sum(logged(root, "begun").values()) >= 3)  # both workers may begin at once
     started = psutil.Process(sweeping.pid).children(recursive=True)
     for _ in range(2):  # as `timeout` does
         os.kill(sweeping.pid, signal.SIGTERM)
