@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import pytest
 from loose_digits import loose_digits, texts
+from papermill import inspect_notebook
 
 from repro_companion.book.after.paper_index import read_index
 from repro_companion.book.values import PLACE
@@ -60,7 +61,10 @@ STILL_TYPED = frozenset(
     ]
 )
 """Notebooks whose text still holds typed numbers; the list may only shrink."""
-HEADINGS = ["The question", "The idea", "The equations", "The result", "What to read next"]
+DERIVED = frozenset(["first_steps", "magnets", "imus", "particles"])
+"""Chapters that derive what they state; `test_derivations` checks each step."""
+HEADINGS = ["The question", "The idea", "The equations", "The result", "Exercises", "What to read next"]
+HEADINGS_WITH_DERIVATIONS = [*HEADINGS[:4], "Derivations", *HEADINGS[4:]]
 EQUATION = re.compile(r"^\(([a-z0-9-]+)\)=\n\$\$\n(.*?)\n\$\$$", re.MULTILINE | re.DOTALL)
 ROLE = re.compile(r"\{py:(\w+)\}`~(repro[\w.]+)`")
 PLACES = re.compile(r"\b(?:eqs?\.|sections?|Figs?\.|Table)\s+[(\d][\d.()]*(?:(?:,| and| to) [(\d][\d.()]*)*")
@@ -98,12 +102,30 @@ def test_every_page_opens_a_part():
 
 @pytest.mark.parametrize("name", PARTS)
 def test_form(name):
-    """Question, idea in three sentences, equations, result, what to read next; short enough to be read."""
-    assert list(sections(name)) == HEADINGS
+    """Question, idea in three sentences, equations, result, derivations, exercises, what to read next.
+
+    Short enough to be read; derivations and exercises have room of their own.
+    """
+    assert list(sections(name)) == (HEADINGS_WITH_DERIVATIONS if name in DERIVED else HEADINGS)
     idea = prose(sections(name)["The idea"])
     assert len(re.findall(r"[.!?](?= [A-Z]|$)", idea)) == 3, idea
     assert "?" in sections(name)["The question"]
-    assert len(page(name).splitlines()) <= 120
+    apart = sum(len(sections(name).get(part, "").splitlines()) for part in ("Derivations", "Exercises"))
+    assert len(page(name).splitlines()) - apart <= 120
+    assert apart <= 120
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_two_exercises_with_folded_solutions(name):
+    """Each is done by a command that names a notebook of the book and parameters that it has."""
+    exercises = sections(name)["Exercises"]
+    option = r" -p \w+ (?:\"[^\"]*\"|\S+)"
+    commands = re.findall(rf"```bash\nrepro run (notebooks/\w+\.ipynb)((?:{option})+)\n```", exercises)
+    assert len(commands) == exercises.count("```bash") == exercises.count("```{dropdown} Solution") == 2
+    for notebook, options in commands:
+        known = inspect_notebook(str(ROOT / notebook))
+        assert set(re.findall(r" -p (\w+) ", options)) <= set(known)
+        assert chapter_of(ROOT / notebook) == name or f"../{notebook}" in exercises, notebook
 
 
 def chapter_of(notebook: Path) -> str:
@@ -233,5 +255,5 @@ def test_schematics(path):
     assert drawing.get("role") == "img"
     assert len(drawing.get("aria-label", "")) > 40
     assert drawing.get("fill") == "currentColor"
-    assert f":file: {path.name}" in page(path.stem)
+    assert sum(page(name).count(f":file: {path.name}\n") for name in PARTS) == 1
     assert "http" not in path.read_text(encoding="utf-8")
