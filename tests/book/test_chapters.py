@@ -37,7 +37,6 @@ PROSE = [*ROOT.glob("notebooks/*.ipynb"), *ROOT.glob("book/*.md"), *ROOT.glob("b
 WITH_VALUES = [path for path in PROSE if path.suffix == ".md" and "{{" in path.read_text(encoding="utf-8")]
 STILL_TYPED = frozenset(
     [
-        "affine_curvature",
         "closed_loop",
         "digital_twin",
         "field_of_a_magnet",
