@@ -53,7 +53,6 @@ STILL_TYPED = frozenset(
         "robustness",
         "sensor_failure",
         "sensor_placement",
-        "table_1",
         "table_2",
         "temporal_filter",
     ]
