@@ -38,7 +38,6 @@ WITH_VALUES = [path for path in PROSE if path.suffix == ".md" and "{{" in path.r
 STILL_TYPED = frozenset(
     [
         "closed_loop",
-        "digital_twin",
         "field_of_a_magnet",
         "filter_on_segments",
         "how_many_imus",
