@@ -38,9 +38,7 @@ PROSE = [*ROOT.glob("notebooks/*.ipynb"), *ROOT.glob("book/*.md"), *ROOT.glob("b
 WITH_VALUES = [path for path in PROSE if path.suffix == ".md" and "{{" in path.read_text(encoding="utf-8")]
 STILL_TYPED = frozenset(
     [
-        "affine_curvature",
         "closed_loop",
-        "digital_twin",
         "field_of_a_magnet",
         "filter_on_segments",
         "how_many_imus",
@@ -55,7 +53,6 @@ STILL_TYPED = frozenset(
         "robustness",
         "sensor_failure",
         "sensor_placement",
-        "table_1",
         "table_2",
         "temporal_filter",
     ]

@@ -9,6 +9,7 @@ from statistics import median
 
 import pandas as pd
 
+from repro_companion.book.formatted import LONGEST
 from repro_companion.book.project import find_project
 from repro_companion.book.published import read_published
 from repro_companion.book.results import results_dir
@@ -29,7 +30,12 @@ class VerdictTable:
         return "\n".join("\t".join(line) for line in lines)
 
     def _repr_html_(self) -> str:
-        return scorecard_page(self.rows)
+        """Show a long table folded, as every table of the book."""
+        page = scorecard_page(self.rows)
+        if len(self.rows) <= LONGEST:
+            return page
+        words = f"All {len(self.rows)} numbers, published and regenerated"
+        return f"<details><summary>{words}</summary>{page}</details>"
 
     def if_scaled(self, *factors: float) -> pd.DataFrame:
         """How many rows would be reproduced, had all regenerated numbers been so many times as large.

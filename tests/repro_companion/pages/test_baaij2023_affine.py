@@ -101,7 +101,7 @@ class TestPapersMethod:
 
     @of_these_data
     def test_errors_are_of_the_published_order(self, run):
-        table = affine.errors(run)
+        table = affine.configuration_errors(run)
         assert len(table) == 2 * (1 + 2 * 4)
         mean = table.groupby(["quantity", "unit"])["error"].mean()
         assert 0.01 < mean["e_u", "mT"] < 0.05
@@ -109,7 +109,7 @@ class TestPapersMethod:
             assert 0.2 * value < mean[name, "%"] < 5 * value
 
     def test_relative_and_absolute_errors_agree(self, run):
-        error = affine.errors(run).set_index(["seed", "quantity", "unit"])["error"]
+        error = affine.configuration_errors(run).set_index(["seed", "quantity", "unit"])["error"]
         width = run.flower.q.amax(0) - run.flower.q.amin(0)
         for k, (name, unit) in enumerate(zip(affine.QUANTITIES, affine.PRINTED_UNITS, strict=True)):
             expected = error[0, name, "%"] / 100 * float(width[k]) * affine.TO_PRINTED[k]
@@ -129,7 +129,7 @@ class TestPapersMethod:
 
     def test_scorecard_rows(self, run):
         ours = pd.DataFrame({"quantity": list(PUBLISHED), "error_percent": [0.1] * 4})
-        rows = affine_rows(affine.errors(run), ours, setting="test")
+        rows = affine_rows(affine.configuration_errors(run), ours, setting="test")
         published = pd.read_csv(DATA / "published" / "published.csv").query("artefact == 'Section 4.4'")
         keys = ["row", "quantity", "unit"]
         assert {tuple(row[k] for k in keys) for row in rows} == set(

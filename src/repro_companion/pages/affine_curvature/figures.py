@@ -107,7 +107,7 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
 
 @page_figure
 def published_and_regenerated(cells: pd.DataFrame) -> Figure:
-    """Relative errors of section 4.4: published, regenerated with the paper's method, ours.
+    """Relative errors of section 4.4: published, regenerated with the paper's method, calibrated model.
 
     Parameters
     ----------
@@ -123,7 +123,13 @@ def published_and_regenerated(cells: pd.DataFrame) -> Figure:
         value, spread = (cells[c].fillna(0).to_numpy(dtype=float) for c in (name, f"{name}_std"))
         low = np.minimum(spread, 0.95 * value)  # a bar below zero has no place on a log axis
         panel.errorbar(x + offset, value, yerr=[low, spread], fmt=marker, color=colour, label=label)
-    panel.plot(x + 0.32, cells["best"], "D", color=BEST, label="ours, robot not as drawn, with noise")
+    panel.plot(
+        x + 0.32,
+        cells["best"],
+        "D",
+        color=BEST,
+        label="calibrated multipole model, robot not as drawn, with noise",
+    )
     labels = [coordinate_symbol(q) for q in cells["quantity"]]
     panel.set(yscale="log", xticks=x, xticklabels=labels, xlim=(-0.6, len(x) - 0.4))
     panel.set(ylabel="relative error [%]")

@@ -134,7 +134,7 @@ def relative_error(
     return 100 * configuration_error(found, truth).square().mean(0).sqrt() / width
 
 
-def errors(run: PaperRun) -> pd.DataFrame:
+def configuration_errors(run: PaperRun) -> pd.DataFrame:
     """Errors of section 4.4, one row per seed, quantity and unit: ``row, seed, quantity, unit, error``.
 
     ``e_u`` [mT] is the root-mean-squared error of the prediction at the ground truth, averaged over the sensors.

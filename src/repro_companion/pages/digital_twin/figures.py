@@ -23,12 +23,16 @@ def actuation(table: pd.DataFrame, *, pressure_s: float = 20.0) -> Figure:
     pressure_s
         How much of the pressures is drawn [s].
     """
-    names = list(dict.fromkeys(table["recording"]))
-    figure, panels = plt.subplots(2, len(names), figsize=(1.75 * len(names) + 0.6, 4.3), squeeze=False)
+    names, columns = list(dict.fromkeys(table["recording"])), 3
+    lines = -(-len(names) // columns)
+    figure, panels = plt.subplots(
+        2 * lines, columns, figsize=(9.0, 4.9 * lines), height_ratios=[3, 2] * lines, squeeze=False
+    )
     reach = 1.08 * float(table[["delta_x_mm", "delta_y_mm"]].abs().to_numpy().max())
     for k, name in enumerate(names):
         part = table[table["recording"] == name]
-        path, pressure = panels[:, k]
+        line, column = divmod(k, columns)
+        path, pressure = panels[2 * line : 2 * line + 2, column]
         path.plot(part["delta_x_mm"], part["delta_y_mm"], color="#0072B2", linewidth=0.7)
         path.set(
             title=name,
@@ -45,14 +49,11 @@ def actuation(table: pd.DataFrame, *, pressure_s: float = 20.0) -> Figure:
                 shown["time_s"], shown[f"pressure_{i}_mbar"], color=colour, linewidth=1, label=label
             )
         pressure.set(ylim=(-10, 470), yticks=(0, 225, 450), xlim=(0, pressure_s))
-        if k:
-            path.set_yticklabels([])
-            pressure.set_yticklabels([])
-    panels[0, 0].set_ylabel(r"$\Delta_y$ [mm]")
-    panels[1, 0].set_ylabel("pressure [mbar]")
-    middle = len(names) // 2
-    panels[0, middle].set_xlabel(r"$\Delta_x$ [mm]")
-    panels[1, middle].set_xlabel("time [s]")
+        path.set_xlabel(r"$\Delta_x$ [mm]")
+        pressure.set_xlabel("time [s]")
+        if column == 0:
+            path.set_ylabel(r"$\Delta_y$ [mm]")
+            pressure.set_ylabel("pressure [mbar]")
     figure.legend(loc="outside lower center", ncols=3)
     figure.suptitle("Actuation and bend of the tip, synthetic")
     return figure

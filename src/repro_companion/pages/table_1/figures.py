@@ -17,7 +17,7 @@ SOLVERS = {"gradient descent": ("#0072B2", "o"), "Levenberg-Marquardt": ("#D55E0
 
 @page_figure
 def published_and_regenerated(cells: pd.DataFrame) -> Figure:
-    """Every cell in % of Table 1: published, regenerated with the paper's method, and ours where it is.
+    """Every cell in % of Table 1: published, regenerated with the paper's method, and of the calibrated model.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def published_and_regenerated(cells: pd.DataFrame) -> Figure:
         for name, c, m in (
             ("published (mean ± std of 3 networks)", PUBLISHED, "s"),
             ("regenerated, the paper's method", OURS, "o"),
-            ("ours, robot not as drawn, with noise", BEST, "D"),
+            ("calibrated multipole model, robot not as drawn, with noise", BEST, "D"),
         )
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=3 if columns == 2 else 1)
