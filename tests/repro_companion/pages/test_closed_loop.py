@@ -30,7 +30,7 @@ from repro_companion.pages.closed_loop.loop import (
     tune,
 )
 from repro_companion.pages.closed_loop.rig_loop import SESSIONS, SteppedRig, sessions
-from repro_companion.pages.closed_loop.tables import TARGET, loops_over_time, ratios
+from repro_companion.pages.closed_loop.tables import TARGET, loops_over_time, tracking_ratios
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.twins.pneumatic_actuation import Chambers
 from repro_companion.twins.pneumatic_rig import record_rig
@@ -292,7 +292,7 @@ class TestRatios:
         return pd.DataFrame(rows)
 
     def test_means_intervals_and_target_by_hand(self):
-        table = ratios(self.table(), "estimator", draws=500)
+        table = tracking_ratios(self.table(), "estimator", draws=500)
         assert len(table) == 2 * 2 * 3
         assert table["ratio"].to_numpy() == pytest.approx(np.full(12, 1.1))
         assert table["worst"].to_numpy() == pytest.approx(np.full(12, 1.2))
@@ -304,8 +304,8 @@ class TestRatios:
     def test_figures_draw_every_controller_and_reference(self):
         estimators = ("readings", "lag and command")
         both = pd.concat([self.table().assign(estimator=e) for e in estimators], ignore_index=True)
-        table = ratios(both, "estimator", draws=50)
-        assert len(figures.ratios(table, TARGET, "title").axes) == 2
+        table = tracking_ratios(both, "estimator", draws=50)
+        assert len(figures.tracking_ratios(table, TARGET, "title").axes) == 2
         time_s = np.linspace(0, 10, 50)
         wanted = reference_mm("circle", time_s)
         parts = [

@@ -26,7 +26,7 @@ from repro_companion.pages.closed_loop.tables import (
     lag_by_recording,
     ratio_of_estimators,
     ratio_ranges,
-    ratios,
+    tracking_ratios,
 )
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.twins.rig_filter import BendFilter, OursConfig
@@ -310,13 +310,13 @@ def errors() -> pd.DataFrame:
 
 class TestTables:
     def test_ratios_by_estimator_by_hand(self):
-        table = ratios(errors(), "estimator", draws=100)
+        table = tracking_ratios(errors(), "estimator", draws=100)
         assert table.columns[0] == "estimator"
         np.testing.assert_allclose(table["ratio"], [3.15, 1.05])
         assert table["met"].tolist() == [False, True]
 
     def test_estimators_stand_beside_each_other(self):
-        wide = ratio_of_estimators(ratios(errors(), "estimator", draws=100))
+        wide = ratio_of_estimators(tracking_ratios(errors(), "estimator", draws=100))
         assert wide.columns.tolist()[-2:] == ["readings", "lag and command"]
         np.testing.assert_allclose(wide.iloc[0, -2:].astype(float), [3.15, 1.05])
         assert wide.loc[0, "truth_mm"] == 2.0

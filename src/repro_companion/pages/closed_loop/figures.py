@@ -51,9 +51,9 @@ def loops(series: pd.DataFrame, title: str) -> Figure:
         path.set(title=name, xlabel=r"$\Delta_x$ [mm]", xlim=(-6, 10), ylim=(-10, 10), aspect="equal")
         over_time.set(xlabel="time [s]", ylim=(1e-2, 15))
     panels[0, 0].set_ylabel(r"$\Delta_y$ [mm]")
-    panels[1, 0].set_ylabel("from the reference [mm]")
+    panels[1, 0].set_ylabel("distance from the\nreference [mm]")
     fed_back = list(dict.fromkeys(series["feedback"]))
-    labels = {"truth": "true bend fed back"} | {f: f"ours: {f}" for f in fed_back if f != "truth"}
+    labels = {"truth": "true bend fed back"} | {f: f"estimate: {f}" for f in fed_back if f != "truth"}
     handles = [
         Line2D([], [], color="black", lw=2.4, label="reference"),
         *(Line2D([], [], color=FEEDBACK[f], label=labels[f]) for f in fed_back),
@@ -64,13 +64,13 @@ def loops(series: pd.DataFrame, title: str) -> Figure:
 
 
 @page_figure
-def ratios(table: pd.DataFrame, target: float, title: str) -> Figure:
-    """Tracking error with ours over the one with the true bend, by controller, reference, estimator and session.
+def tracking_ratios(table: pd.DataFrame, target: float, title: str) -> Figure:
+    """Tracking error with the estimate over that with the true bend, by controller, reference, estimator, session.
 
     Parameters
     ----------
     table
-        Columns of `repro_companion.pages.closed_loop.tables.ratios`, and ``estimator``.
+        Columns of `repro_companion.pages.closed_loop.tables.tracking_ratios`, and ``estimator``.
     target
         Drawn as a line.
     title
@@ -97,9 +97,9 @@ def ratios(table: pd.DataFrame, target: float, title: str) -> Figure:
         panel.set_yscale("log")
         panel.set(title=controller, xticks=range(len(names)), xlim=(-0.5, len(names) - 0.5))
         panel.set_xticklabels(names)
-    panels[0, 0].set_ylabel("tracking error, ours / truth")
+    panels[0, 0].set_ylabel("tracking error, estimate / true bend")
     handles = [
-        *(Line2D([], [], color=FEEDBACK[e], marker="o", ls="", label=f"ours: {e}") for e in estimators),
+        *(Line2D([], [], color=FEEDBACK[e], marker="o", ls="", label=f"estimate: {e}") for e in estimators),
         *(
             Line2D([], [], color="0.3", marker=m, ls="", label=f"session: {k}")
             for k, m in SESSION_MARKS.items()

@@ -65,8 +65,8 @@ def loops_over_time(*, controller: str, session: str, seed: int, duration_s: flo
     return pd.concat(parts, ignore_index=True)
 
 
-def ratios(errors: pd.DataFrame, group: str, *, draws: int) -> pd.DataFrame:
-    """Tracking error with ours over the one with the true bend, with 95 % bootstrap intervals over the seeds.
+def tracking_ratios(errors: pd.DataFrame, group: str, *, draws: int) -> pd.DataFrame:
+    """Tracking error with the estimate over the one with the true bend, with 95 % bootstrap intervals over the seeds.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def ratios(errors: pd.DataFrame, group: str, *, draws: int) -> pd.DataFrame:
 
 
 def ratio_of_estimators(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean ratios of all estimators, one column each, NaN where one was not run; from :func:`ratios`.
+    """Mean ratios of all estimators, one column each, NaN where one was not run; from :func:`tracking_ratios`.
 
     Returns
     -------
