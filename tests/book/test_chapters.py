@@ -52,7 +52,6 @@ STILL_TYPED = frozenset(
         "robustness",
         "sensor_failure",
         "sensor_placement",
-        "table_2",
         "temporal_filter",
     ]
 )

@@ -29,19 +29,20 @@ def trajectories(paths: pd.DataFrame, shapes: pd.DataFrame, title: str) -> Figur
         Above all panels.
     """
     names = list(dict.fromkeys(paths["recording"]))
-    figure = plt.figure(figsize=(1.75 * len(names) + 0.4, 4.6))
+    columns, lines = 3, -(-len(names) // 3)
+    figure = plt.figure(figsize=(9.0, 6.2 * lines))
     reach = 1.08 * float(paths[["delta_x_mm", "delta_y_mm"]].abs().to_numpy().max())
     for k, name in enumerate(names):
         path = paths[paths["recording"] == name]
-        flat = figure.add_subplot(2, len(names), k + 1)
+        line, column = divmod(k, columns)
+        flat = figure.add_subplot(2 * lines, columns, 2 * columns * line + column + 1)
         flat.plot(path["delta_x_mm"], path["delta_y_mm"], color=TIP, lw=0.7)
         flat.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", title=name)
         flat.set(xticks=(-8, 0, 8), yticks=(-8, 0, 8), xlabel=r"$\Delta_x$ [mm]")
-        if k:
-            flat.set_yticklabels([])
-        else:
+        if column == 0:
             flat.set_ylabel(r"$\Delta_y$ [mm]")
-        deep = figure.add_subplot(2, len(names), len(names) + k + 1, projection="3d")
+        place = 2 * columns * line + columns + column + 1
+        deep = figure.add_subplot(2 * lines, columns, place, projection="3d")
         for _, curve in shapes[shapes["recording"] == name].groupby("shape"):
             deep.plot(curve["x_mm"], curve["y_mm"], curve["z_mm"], color=SHAPE, lw=0.8)
         deep.plot(path["tip_x_mm"], path["tip_y_mm"], path["tip_z_mm"], color=TIP, lw=0.7)
@@ -88,7 +89,7 @@ def landscape(grid: pd.DataFrame, path: pd.DataFrame, title: str) -> Figure:
 
 @page_figure
 def estimates(series: pd.DataFrame, title: str, *, longest_s: float = 20.0) -> Figure:
-    """Fig. 10(b): bend over time; truth black, the paper's method dashed with a band over the seeds, ours orange.
+    """Fig. 10(b): bend over time; truth black, the paper's method dashed with a band, the filter orange.
 
     Parameters
     ----------
@@ -119,7 +120,7 @@ def estimates(series: pd.DataFrame, title: str, *, longest_s: float = 20.0) -> F
     handles = [
         Line2D([], [], color="black", label="motion capture"),
         Line2D([], [], color=PAPER, ls="--", label="the paper's method: mean, std over seeds"),
-        Line2D([], [], color=OURS, label="ours, with its own std"),
+        Line2D([], [], color=OURS, label="filter with a map, with its own std"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
     figure.suptitle(title)
@@ -140,9 +141,10 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, title: str) -> Figure:
         Above all panels.
     """
     times = np.unique(shapes["time_s"])
-    figure = plt.figure(figsize=(1.95 * len(times), 3.4))
+    columns, lines = 3, -(-len(times) // 3)
+    figure = plt.figure(figsize=(9.0, 3.4 * lines + 0.5))
     for k, time_s in enumerate(times):
-        panel = figure.add_subplot(1, len(times), k + 1, projection="3d")
+        panel = figure.add_subplot(lines, columns, k + 1, projection="3d")
         here = shapes[shapes["time_s"] == time_s]
         for seed, part in here.groupby("seed"):
             truth = seed == -1

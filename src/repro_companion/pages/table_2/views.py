@@ -1,16 +1,18 @@
-"""3-D views of the experiments of Baaij et al. 2023, section 5: motion capture, and ours with its uncertainty."""
+"""3-D views of the experiments of Baaij et al. 2023, section 5: motion capture, and what both methods find."""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from repro_companion.book.views_frames import every_nth, readings
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.recordings.rig_robot import RIG_RATE_HZ, rig_robot
+from repro_companion.twins.rig_descent import PaperRun
 from repro_companion.twins.rig_filter import OursRun
 from repro_live.view.robot_view import shape_view
 from repro_live.view.shape_view import ShapeView
@@ -19,6 +21,8 @@ LONGEST_S = 15.0
 """No view shows more than the beginning of this length [s]; a fast lemniscate takes a few seconds."""
 FRAMES = 75
 """Most frames of a view: six on one page have to be light."""
+LOST_M = 5e-3
+"""A bend further from the truth is lost [m]."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -79,8 +83,28 @@ def rig_view(part: Recording, ours: OursRun, title: str) -> ShapeView:
         rig_robot(),
         torch.from_numpy(part.q[shown]),
         times=part.time_s[shown] - part.time_s[0],
-        label=f"{title}: the segment by motion capture (truth), and ours with a tube of two standard deviations.",
+        label=f"{title}: the segment by motion capture (truth), and the filter with a tube of two deviations.",
         estimate=torch.from_numpy(ours.q[shown]),
         covariance=torch.from_numpy(ours.covariance[shown]),
         traces=[readings(part.u[shown], "mV")],
     )
+
+
+def lost_views(paper: PaperRun, names: Sequence[str], source: str) -> ShapeViews:
+    """The paper's method with known elongation on some trajectories, with the seed that loses the bend longest."""
+    views = {}
+    for name in names:
+        part, found = paper.parts[name], paper.estimates["known", name]
+        off_m = np.linalg.norm(found[..., :2] - part.q[:, None, :2], axis=-1)
+        seed = int((off_m > LOST_M).mean(axis=0).argmax())
+        shown = every_nth(min(len(part), round(LONGEST_S * RIG_RATE_HZ)), FRAMES)
+        title = f"{name}, the paper's method, seed {paper.seeds[seed]} ({source})"
+        views[title] = shape_view(
+            rig_robot(),
+            torch.from_numpy(part.q[shown]),
+            times=part.time_s[shown] - part.time_s[0],
+            label=f"{title}: the segment by motion capture (truth), and the estimate of the gradient descent.",
+            estimate=torch.from_numpy(found[shown, seed]),
+            traces=[readings(part.u[shown], "mV")],
+        )
+    return ShapeViews(views)
