@@ -121,15 +121,23 @@ def finished(point: Point) -> Record | None:
     return record if all(path.is_file() and file_digest(path) == made[path] for path in made) else None
 
 
-def run_point(point: Point) -> Outcome:
-    """Run a point in a process of its own unless it is finished; wait if another process runs it already."""
+def run_point(point: Point, environment: Mapping[str, str] | None = None) -> Outcome:
+    """Run a point in a process of its own unless it is finished; wait if another process runs it already.
+
+    Parameters
+    ----------
+    point
+        What to run.
+    environment
+        Of that process, that of this one when not given. A worker may be older than the environment of who calls.
+    """
     try:
-        return Outcome(point.index, _run(point))
-    except Exception as error:  # a point that cannot be run must not end the sweep
+        return Outcome(point.index, _run(point, environment or os.environ))
+    except Exception as error:  # a point that cannot be run must not end the others
         return Outcome(point.index, f"{type(error).__name__}: {error}")
 
 
-def _run(point: Point) -> str:
+def _run(point: Point, environment: Mapping[str, str]) -> str:
     folder, stem = point.results, point.output.stem
     folder.mkdir(parents=True, exist_ok=True)
     point.lock.parent.mkdir(parents=True, exist_ok=True)
@@ -144,7 +152,7 @@ def _run(point: Point) -> str:
         done = subprocess.run(
             point.command(),
             cwd=point.here,
-            env=os.environ | point.environment,
+            env={**environment, **point.environment},
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
@@ -185,7 +193,8 @@ def local_runner(jobs: int | None) -> Runner:
             batch_size=1,
             return_as="generator_unordered",
         )
-        yield from parallel(joblib.delayed(run_point)(point) for point in points)
+        here = dict(os.environ)
+        yield from parallel(joblib.delayed(run_point)(point, here) for point in points)
 
     return run
 
