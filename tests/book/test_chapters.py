@@ -56,7 +56,6 @@ STILL_TYPED = frozenset(
         "sensor_placement",
         "table_1",
         "table_2",
-        "temporal_filter",
     ]
 )
 """Notebooks whose text still holds typed numbers; the list may only shrink."""
