@@ -52,7 +52,6 @@ STILL_TYPED = frozenset(
         "recorded_trial",
         "recording",
         "robustness",
-        "sensor_failure",
         "sensor_placement",
         "table_1",
         "table_2",
