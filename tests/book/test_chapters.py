@@ -46,7 +46,6 @@ STILL_TYPED = frozenset(
         "imu_markers",
         "kinematics",
         "live",
-        "noise_and_tolerances",
         "probabilistic_curvature",
         "recorded_arm",
         "recorded_trial",
