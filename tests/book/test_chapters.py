@@ -44,15 +44,12 @@ STILL_TYPED = frozenset(
         "imu_markers",
         "kinematics",
         "live",
-        "noise_and_tolerances",
         "probabilistic_curvature",
         "recorded_arm",
         "recorded_trial",
         "recording",
         "robustness",
-        "sensor_failure",
         "sensor_placement",
-        "temporal_filter",
     ]
 )
 """Notebooks whose text still holds typed numbers; the list may only shrink."""

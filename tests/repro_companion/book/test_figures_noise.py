@@ -49,7 +49,7 @@ def test_tolerances_with_interval_and_first_order():
     )
     here = pd.DataFrame({"kind": ["sensor_gain"], "size": [1.5], "error_percent": [2.9]})
     tilt, gain = tolerance_curves(means, here).axes
-    assert (tilt.get_xlabel(), gain.get_xlabel()) == ("magnet tilt [deg]", "sensor gain [%]")
+    assert (tilt.get_xlabel(), gain.get_xlabel()) == ("magnet tilt [°]", "sensor gain [%]")
     points, line, own, level = gain.lines
     assert (own.get_xdata().tolist(), own.get_ydata().tolist()) == ([1.5], [2.9])
     assert points.get_ydata().tolist() == [2.0]  # a size of zero has no place on a logarithmic axis

@@ -37,7 +37,7 @@ def descent() -> Estimates:
 
 @pytest.fixture(scope="module")
 def least_squares() -> Estimates:
-    return experiment.ours(Failure(), draws=3, steps=STEPS)
+    return experiment.calibrated_method(Failure(), draws=3, steps=STEPS)
 
 
 def test_mask_is_that_of_the_paper():
@@ -69,7 +69,7 @@ def test_no_sensor_fails():
     nothing = Failure(())
     for found in (
         experiment.paper_method(nothing, (0,), NETWORKS, steps=4),
-        experiment.ours(nothing, draws=1, steps=4),
+        experiment.calibrated_method(nothing, draws=1, steps=4),
     ):
         assert torch.equal(found.q_hat[:, :, 0], found.q_hat[:, :, 1])
 
@@ -126,7 +126,7 @@ def test_errors_are_those_of_equation_13_on_each_part():
     deviation = (0.02 * span).expand(10, 1, 2, 9)
     u = torch.zeros(10, 1, 12, dtype=torch.float64)
     estimates = Estimates(q, u, q_hat, u.unsqueeze(2).expand(-1, -1, 2, -1), deviation)
-    table = tables.errors(estimates, Failure())
+    table = tables.errors_by_run(estimates, Failure())
     assert list(table.columns) == ["member", "run", "part", "quantity", "error_percent", "deviation_percent"]
     found = table.pivot(index="quantity", columns=["run", "part"], values="error_percent").loc[COORDINATES]
     rms = 100 * math.sqrt((0.03**2 + 3 * 0.04**2 + 0.05**2) / 5)
@@ -164,7 +164,7 @@ def test_two_ratios_and_which_holds():
 
 
 def test_gradient_descent_beside_the_authors_networks(descent):
-    table = tables.errors_with_authors(tables.errors(descent, Failure()))
+    table = tables.errors_with_authors(tables.errors_by_run(descent, Failure()))
     assert table["quantity"].tolist() == COORDINATES
     assert table["authors_before_percent"].tolist() == [3.5, 3.8, 3.5, 2.8, 3.1, 3.6, 1.5, 1.3, 2.4]
     assert table["authors_after_percent"].tolist() == [3.7, 5.8, 5.8, 2.2, 3.0, 5.1, 1.6, 2.2, 3.5]
@@ -173,7 +173,7 @@ def test_gradient_descent_beside_the_authors_networks(descent):
 
 def test_ours_loses_what_the_covariance_says(least_squares):
     """No unbiased estimator from one time step can keep delta_y; the mean stays within the target."""
-    table = tables.errors(least_squares, Failure())
+    table = tables.errors_by_run(least_squares, Failure())
     found = tables.compensation(table).set_index("quantity")
     assert found.loc["mean", "failure_to_all_sensors"] == pytest.approx(1.2, abs=0.1)
     across = [c for c in COORDINATES if c.startswith("delta_y")]
@@ -187,14 +187,14 @@ def test_ours_loses_what_the_covariance_says(least_squares):
 
 
 def test_draws_do_not_depend_on_their_number(least_squares):
-    one = experiment.ours(Failure(), draws=1, steps=STEPS)
+    one = experiment.calibrated_method(Failure(), draws=1, steps=STEPS)
     torch.testing.assert_close(one.q_hat[:, 0], least_squares.q_hat[:, 0], atol=1e-8, rtol=0)
 
 
 def test_loss_of_a_whole_segment_is_reported():
     """Eight readings for nine coordinates: none is determined, and the reported deviation says so."""
     failure = Failure((9, 10, 11, 12))
-    table = tables.errors(experiment.ours(failure, draws=1, steps=10), failure)
+    table = tables.errors_by_run(experiment.calibrated_method(failure, draws=1, steps=10), failure)
     found = tables.compensation(table).set_index("quantity")
     assert not found["determined"].any()
     assert (found["deviation_ratio"] > 1e3).all()
@@ -235,7 +235,7 @@ def test_stills_hold_both_shapes(descent):
 
 def test_time():
     began = time.process_time()
-    experiment.ours(Failure(), draws=2, steps=100)
+    experiment.calibrated_method(Failure(), draws=2, steps=100)
     assert time.process_time() - began < 10
 
 

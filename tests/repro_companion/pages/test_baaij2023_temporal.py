@@ -1,18 +1,19 @@
 """The filter over time: its frozen choice, its gain on other trajectories, and readings with several explanations."""
 
+import pandas as pd
 import pytest
 import torch
 
 from repro.errors import InputError
 from repro_companion.pages.temporal_filter.figures import gain_and_bands
 from repro_companion.pages.temporal_filter.filters import (
+    METHODS,
     SHARE,
-    ambiguities,
-    choices,
-    errors,
-    gains,
+    errors_by_draw,
+    filter_to_least_squares,
+    minima_by_robot,
     noisy_readings,
-    over_time,
+    scores_by_process_noise,
 )
 from repro_companion.twins.calibrated_robots import box
 from repro_companion.twins.trajectories import TRAJECTORIES, trajectory
@@ -20,13 +21,15 @@ from repro_companion.twins.trajectories import TRAJECTORIES, trajectory
 
 @pytest.mark.parametrize("n_segments", sorted(SHARE))
 def test_frozen_process_noise_is_in_the_flat_optimum_on_t2(n_segments):
-    table = choices(n_segments, (0, 1), shares=(0.05, SHARE[n_segments], 0.2, 0.5)).set_index("share")
+    table = scores_by_process_noise(n_segments, (0, 1), shares=(0.05, SHARE[n_segments], 0.2, 0.5)).set_index(
+        "share"
+    )
     assert table["score"][SHARE[n_segments]] < table["score"].min() + 0.1
     assert table["score"][0.5] > table["score"].min() + 0.5  # the score does tell candidates apart
 
 
 def test_filter_gains_on_other_trajectories_and_least_squares_is_calibrated():
-    table = gains(errors(1, ["T1", "T3"], (0, 1, 2)))
+    table = filter_to_least_squares(errors_by_draw(1, ["T1", "T3"], (0, 1, 2)))
     assert table["chosen_here"].tolist() == [False, False]
     assert (table["ratio_high"] < 0.9).all()
     assert table["lm_covered_percent"].between(92, 98).all()
@@ -48,14 +51,21 @@ def test_readings_are_those_of_their_seed():
 
 
 def test_figure_draws_the_tables():
-    table = errors(1, ["T2", "T3"], (0, 1), steps=10)
-    left, right = gain_and_bands(gains(table), over_time(1, "T3")).axes
+    table = errors_by_draw(1, ["T2", "T3"], (0, 1), steps=10)
+    over_time = pd.DataFrame(
+        [
+            {"time_s": t, "method": method, "error_mm": 0.1, "two_sigma_mm": 0.3}
+            for method in METHODS
+            for t in (0.0, 0.025)
+        ]
+    )
+    left, right = gain_and_bands(filter_to_least_squares(table), over_time).axes
     assert [text.get_text() for text in left.get_xticklabels()] == ["T2", "T3"]
     assert len(right.lines) == 2
 
 
 def test_search_reports_what_readings_do_not_tell_apart():
-    table = ambiguities().set_index("robot")
+    table = minima_by_robot().set_index("robot")
     assert table["minima"]["three sensors, constant curvature"] == 1
     assert table["minima"]["two sensors, constant curvature"] > 1
     assert table["minima"]["nine sensors, affine curvature"] > 1

@@ -91,7 +91,7 @@ def tolerance_curves(means: pd.DataFrame, here: pd.DataFrame) -> Figure:
         panel.plot(part["size"], part["error_percent"], "o", color="black", ms=7, mfc="none", lw=1.0)
         panel.axhline(1.0, color="0.5", lw=0.9, ls=":")
         name, unit, _ = KINDS[kind]
-        panel.set(xscale="log", yscale="log", xlabel=f"{name} [{unit}]")
+        panel.set(xscale="log", yscale="log", xlabel=f"{name} [{unit.replace('deg', '°')}]")
         plain_ticks(panel.xaxis, subs=(1, 3))
         panel.yaxis.set_major_formatter("{x:g}")
     for panel in panels.flat[len(kinds) :]:

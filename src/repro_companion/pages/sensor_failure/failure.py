@@ -154,7 +154,7 @@ def paper_method(failure: Failure, seeds: Sequence[int], folder: Path, *, steps:
     return Estimates(q, u, found.q, found.u_hat)
 
 
-def ours(
+def calibrated_method(
     failure: Failure, *, noise_mt: float = SENSOR_NOISE_MT, draws: int = 10, steps: int = STEPS
 ) -> Estimates:
     """Multipole model with Levenberg-Marquardt, on robots that are not as drawn and noisy readings.

@@ -1,4 +1,4 @@
-"""Figures of the sensor-failure page: readings and estimates over time (Fig. 4b), stills (Fig. 5), and ours."""
+"""Figures of the page: readings and estimates over time (Fig. 4b), stills (Fig. 5), calibrated model."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from repro_live.view.style import MAGNET, SENSOR, coordinate_symbol, page_figure
 
 COLOURS = ("#0072B2", "#009E73", "#CC79A7", "#D55E00")
 FAILED = "#D55E00"
+TRUTH = {"lw": 3.4, "alpha": 0.45}
+UNSEEN = {"lw": 3.4, "alpha": 0.18}
 GRID_MM = 100.0
 RUN_COLOURS = {"failure": "#D55E00", "all sensors": "#0072B2"}
 
@@ -24,8 +26,8 @@ RUN_COLOURS = {"failure": "#D55E00", "all sensors": "#0072B2"}
 def readings_and_estimates(u: pd.DataFrame, q: pd.DataFrame, failure_s: float) -> Figure:
     """Fig. 4(b): readings above and configurations below, one column per segment.
 
-    Truth solid, mean over the seeds dashed, band of one standard deviation; the readings of failed sensors, which
-    the estimate no longer sees, are faint.
+    Truth wide and pale, so that it shows below the mean over the seeds, which is dashed, with a band of one standard
+    deviation; the readings of failed sensors, which the estimate no longer sees, are fainter still.
 
     Parameters
     ----------
@@ -59,9 +61,9 @@ def readings_and_estimates(u: pd.DataFrame, q: pd.DataFrame, failure_s: float) -
     panels[1, 0].set_ylabel("configuration [mm]")
     figure.legend(
         handles=[
-            Line2D([], [], color="0.3", label="truth"),
+            Line2D([], [], color="0.3", **TRUTH, label="truth"),
             Line2D([], [], color="0.3", ls="--", label="mean over seeds, band: one standard deviation"),
-            Line2D([], [], color="0.3", alpha=0.35, label="truth, sensor failed"),
+            Line2D([], [], color="0.3", **UNSEEN, label="truth, sensor failed"),
             Line2D([], [], color="0.3", ls=":", lw=1, label="failure"),
         ],
         loc="outside lower center",
@@ -75,10 +77,10 @@ def _truth_and_mean(
 ) -> None:
     t, truth, mean, std = (part[c] for c in ("time_s", f"true_{unit}", f"mean_{unit}", f"std_{unit}"))
     if seen is None:
-        panel.plot(t, truth, color=colour, lw=1.3, label=label)
+        panel.plot(t, truth, color=colour, **TRUTH, label=label)
     else:
-        panel.plot(t, truth.where(seen), color=colour, lw=1.3, label=label)
-        panel.plot(t, truth.where(~seen), color=colour, lw=1.3, alpha=0.35)
+        panel.plot(t, truth.where(seen), color=colour, **TRUTH, label=label)
+        panel.plot(t, truth.where(~seen), color=colour, **UNSEEN)
     panel.plot(t, mean, color=colour, lw=1.3, ls=(0, (4, 2)))
     panel.fill_between(t, mean - std, mean + std, color=colour, alpha=0.2, lw=0)
 
@@ -138,7 +140,7 @@ def shape_stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
 
 @page_figure
 def error_and_deviation(table: pd.DataFrame, failure_s: float) -> Figure:
-    """Ours over time, with the failure and with all sensors: error above, reported standard deviation below.
+    """Calibrated model with the failure and with all sensors: error above, reported standard deviation below.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ PRIOR_PERCENT = 100 / math.sqrt(12)
 """Standard deviation of a uniform distribution over the range of a coordinate: what is known without readings."""
 
 
-def errors(estimates: Estimates, failure: Failure) -> pd.DataFrame:
+def errors_by_run(estimates: Estimates, failure: Failure) -> pd.DataFrame:
     """Errors of eq. (13) before and after the failure, one row per member, run, part and coordinate.
 
     Columns: ``member``, ``run``, ``part`` (before, after), ``quantity``, ``error_percent`` (relative RMSE over the
@@ -59,7 +59,7 @@ def errors_with_authors(table: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     table
-        From :func:`errors`.
+        From :func:`errors_by_run`.
     """
     parts = {
         "before": table.query("run == 'failure' and part == 'before'"),
@@ -87,7 +87,7 @@ def compensation(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
     Parameters
     ----------
     table
-        From :func:`errors` of :func:`~repro_companion.pages.sensor_failure.failure.ours`.
+        From :func:`errors_by_run` of :func:`~repro_companion.pages.sensor_failure.failure.calibrated_method`.
     seed
         Of the bootstrap.
     """

@@ -19,9 +19,9 @@ def gain_and_bands(gains: pd.DataFrame, over_time: pd.DataFrame) -> Figure:
     Parameters
     ----------
     gains
-        Columns of ``gains``; the trajectory that the choice was made on is drawn open.
+        Columns of ``filter_to_least_squares``; the trajectory that the choice was made on is drawn open.
     over_time
-        Columns of ``over_time``.
+        Columns ``time_s, method, error_mm, two_sigma_mm``, of one coordinate.
     """
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.4, 3.6), width_ratios=(1, 1.7))
     names, robots = list(dict.fromkeys(gains["trajectory"])), sorted(gains["n_b"].unique())

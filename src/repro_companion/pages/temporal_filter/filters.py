@@ -36,7 +36,7 @@ METHODS = ("Levenberg-Marquardt", "Kalman filter")
 SHARES = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Candidates for the process noise, in widths of the box per s^1.5."""
 SHARE = {1: 0.1, 3: 0.1}
-"""Process noise by number of segments: those with the best score on T2 (:func:`choices`)."""
+"""Process noise by number of segments: those with the best score on T2 (:func:`scores_by_process_noise`)."""
 ITERATIONS = 8
 STARTS = 40
 """Of the search for configurations that explain the same readings."""
@@ -85,7 +85,7 @@ def estimates(
     return track(kalman, u, start(n_segments).expand(u.shape[1], -1), rate_hz=RATE_HZ)
 
 
-def errors(
+def errors_by_draw(
     n_segments: int,
     names: Sequence[str] = TRAJECTORIES,
     seeds: Sequence[int] = tuple(range(10)),
@@ -138,7 +138,7 @@ def errors(
     return pd.DataFrame(lines)
 
 
-def choices(
+def scores_by_process_noise(
     n_segments: int,
     seeds: Sequence[int] = tuple(range(10)),
     *,
@@ -151,19 +151,19 @@ def choices(
     Parameters
     ----------
     n_segments, seeds, noise_mt, steps
-        As for :func:`errors`.
+        As for :func:`errors_by_draw`.
     shares
         Candidates.
     """
     lines = []
     for share in shares:
-        table = errors(n_segments, ["T2"], seeds, noise_mt=noise_mt, share=share, steps=steps)
+        table = errors_by_draw(n_segments, ["T2"], seeds, noise_mt=noise_mt, share=share, steps=steps)
         means = table[table["method"] == METHODS[1]][["score", "error_percent", "covered_percent"]].mean()
         lines.append({"n_b": n_segments, "share": share, **means})
     return pd.DataFrame(lines)
 
 
-def gains(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
+def filter_to_least_squares(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
     """Filter beside least squares, by robot and trajectory: means, and the ratio of errors with its 95 % interval.
 
     The interval is a paired bootstrap over the draws of the noise. Columns: ``n_b, trajectory, chosen_here``,
@@ -173,7 +173,7 @@ def gains(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
     Parameters
     ----------
     table
-        Of :func:`errors`.
+        Of :func:`errors_by_draw`.
     seed
         Of the bootstrap.
     """
@@ -198,26 +198,7 @@ def gains(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
     return pd.DataFrame(lines)
 
 
-def over_time(n_segments: int, name: str, *, seed: int = 0, noise_mt: float = NOISE_MT) -> pd.DataFrame:
-    r"""Error of one bending coordinate with two standard deviations, for the first segment.
-
-    Columns: ``time_s, method, error_mm, two_sigma_mm``, of :math:`\Delta_x`.
-    """
-    q = trajectory(name, n_segments)
-    u = noisy_readings(q, n_segments, [seed], noise_mt)
-    tables = []
-    for method in METHODS:
-        found = estimates(method, u, n_segments, noise_mt)
-        assert found.covariance is not None
-        error = 1e3 * (found.q[:, 0, 0] - q[:, 0])
-        two_sigma = 2e3 * found.covariance[:, 0, 0, 0].sqrt()
-        time_s = torch.arange(len(q)).double() / RATE_HZ
-        columns = {"time_s": time_s.numpy(), "method": method, "error_mm": error.numpy()}
-        tables.append(pd.DataFrame({**columns, "two_sigma_mm": two_sigma.numpy()}))
-    return pd.concat(tables, ignore_index=True)
-
-
-def ambiguities(noise_mt: float = 7.1e-4, *, seed: int = 0) -> pd.DataFrame:
+def minima_by_robot(noise_mt: float = 7.1e-4, *, seed: int = 0) -> pd.DataFrame:
     """Minima that the readings do not exclude, found by a search from many starts, for three robots.
 
     The affine segment has an exact ambiguity: both curvatures negated and the azimuth turned by half a turn are the
