@@ -50,7 +50,6 @@ STILL_TYPED = frozenset(
         "recorded_arm",
         "recorded_trial",
         "recording",
-        "robustness",
         "sensor_placement",
         "table_1",
         "table_2",
