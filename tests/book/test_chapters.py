@@ -48,7 +48,6 @@ STILL_TYPED = frozenset(
         "recorded_arm",
         "recorded_trial",
         "recording",
-        "robustness",
         "sensor_placement",
     ]
 )

@@ -98,13 +98,13 @@ def made_up(ours=(1.0, 2.0), known=2.0, family="first"):
 
 class TestTables:
     def test_ratio_is_the_geometric_mean_over_cells(self):
-        table = robustness.ratios(made_up())
+        table = robustness.ratio_by_twin(made_up())
         assert table["known"].tolist() == pytest.approx([1.0, 2.0])  # sqrt(1/2 * 4/2), sqrt(2/2 * 8/2)
         assert table["worst"].tolist() == ["T0 y: 2.00", "T0 y: 4.00"]
         assert table["covered"].tolist() == pytest.approx([0.9, 0.9])
 
     def test_medians_over_all_twins_and_by_kind(self):
-        table = robustness.medians(made_up(), draws=200).set_index(["kind", "against"])
+        table = robustness.median_ratios(made_up(), draws=200).set_index(["kind", "against"])
         assert table.loc[("all", "known"), "median"] == pytest.approx(1.5)
         assert table.loc[("all", "mean"), "lost"] == 1
         assert table.loc[("ramp", "shorter"), ["low", "high"]].tolist() == pytest.approx([1.0, 1.0])
@@ -114,8 +114,8 @@ class TestTables:
     def test_families_are_not_mixed(self):
         """The same twins with errors three times as large: each family keeps its own numbers."""
         one, other = made_up(), made_up(ours=(3.0, 6.0), family="second")
-        medians = partial(robustness.medians, draws=100)
-        for tabled in (robustness.ratios, medians, robustness.by_trajectory):
+        medians = partial(robustness.median_ratios, draws=100)
+        for tabled in (robustness.ratio_by_twin, medians, robustness.by_trajectory):
             both = tabled(pd.concat([one, other], ignore_index=True))
             columns = [c for c in both.columns if c not in ("low", "high")]  # their draws are others
             for table, name in ((one, "first"), (other, "second")):

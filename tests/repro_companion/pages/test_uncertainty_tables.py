@@ -184,7 +184,7 @@ class TestRobustness:
         }
         cell |= {"covered": 0.9, "nees": 1.0, "covered_delta_L": 1.0, "ours_delta_L_mm": 0.03}
         table = pd.DataFrame([cell])
-        medians = robustness.medians(table, draws=10)
+        medians = robustness.median_ratios(table, draws=10)
         assert set(medians["lost"]) == {lost}
         assert medians["median"].tolist() == pytest.approx([ratio] * len(medians))
         line = robustness.by_trajectory(table).iloc[0]

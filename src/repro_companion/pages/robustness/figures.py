@@ -24,12 +24,12 @@ AXES = {"x": "o", "y": "^"}
 
 @page_figure
 def twin_ratios(per_twin: pd.DataFrame, title: str) -> Figure:
-    """Ratio of ours to the paper's method: each twin against all variants, by family.
+    """Ratio of the bend filter to the paper's method: each twin against all variants, by family.
 
     Parameters
     ----------
     per_twin
-        Columns of :func:`repro_companion.pages.robustness.studies.ratios`.
+        Columns of :func:`repro_companion.pages.robustness.studies.ratio_by_twin`.
     title
         Above the panels.
     """
@@ -47,7 +47,7 @@ def twin_ratios(per_twin: pd.DataFrame, title: str) -> Figure:
         panel.axhline(TARGET, color="0.6", lw=0.8, ls="--")
         panel.set_xticks(range(len(families)), families)
         panel.set(yscale="log", title=VARIANTS[against], xlim=(-0.5, len(families) - 0.5))
-    panels[0].set_ylabel("bending error: ours / paper's method")
+    panels[0].set_ylabel("bending error:\nbend filter / paper's method")
     panels[0].yaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0]))
     panels[0].yaxis.set_minor_locator(NullLocator())
     panels[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -62,7 +62,7 @@ def twin_ratios(per_twin: pd.DataFrame, title: str) -> Figure:
 
 @page_figure
 def error_pairs(table: pd.DataFrame, title: str) -> Figure:
-    """Error of ours against that of the paper's method with known elongation: a point for each twin and axis.
+    """Error of the bend filter against that of the paper's method, elongation known: a point for each twin and axis.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def error_pairs(table: pd.DataFrame, title: str) -> Figure:
             side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     # Of the panel: one of the figure would lie on the legend.
     panels[-1, 1].set_xlabel("paper's method, elongation known: RMSE [mm]")
-    figure.supylabel("ours: RMSE [mm]", fontsize="medium")
+    figure.supylabel("bend filter: RMSE [mm]", fontsize="medium")
     marks = [Line2D([], [], ls="", marker=m, color="0.3", label=rf"$\Delta_{a}$") for a, m in AXES.items()]
     marks += [Line2D([], [], ls="", marker="o", color=FAMILIES[f], label=f) for f in families]
     figure.legend(handles=marks, loc="outside lower center", ncols=len(marks))

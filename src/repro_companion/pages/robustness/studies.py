@@ -183,7 +183,7 @@ STUDIES = tuple(
 )
 
 
-def ratios(table: pd.DataFrame) -> pd.DataFrame:
+def ratio_by_twin(table: pd.DataFrame) -> pd.DataFrame:
     """Error of ours over that of the paper's method, for each twin: geometric mean over trajectories and axes.
 
     Returns
@@ -210,7 +210,7 @@ def ratios(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def medians(table: pd.DataFrame, *, draws: int) -> pd.DataFrame:
+def median_ratios(table: pd.DataFrame, *, draws: int) -> pd.DataFrame:
     """Median ratio over the twins of a family with a bootstrap 95 % interval, over all of them and by kind of twin.
 
     Returns
@@ -220,7 +220,7 @@ def medians(table: pd.DataFrame, *, draws: int) -> pd.DataFrame:
         one, and the mean share of frames in the 95 % ellipse.
     """
     rng, rows, groups = np.random.default_rng(0), [], []
-    for family, per_twin in ratios(table).groupby("family", sort=False):
+    for family, per_twin in ratio_by_twin(table).groupby("family", sort=False):
         groups.append((family, "all", per_twin))
         for column in ("hysteresis", "drift"):
             groups += [(family, kind, part) for kind, part in per_twin.groupby(column)]
