@@ -39,7 +39,8 @@ _VOUCHED = (
     r"^(?:\([\w-]+\)=|:[\w-]+: .*)$",  # labels, options of a directive
 )
 _PLACES = (
-    r"\b(?:eqs?\.?|equations?|sections?|sec\.|Figs?\.?|figures?|Tables?|steps?|parts?|chapters?|items?|pages?|appendix|seeds?)"
+    r"\bappendix [A-Z](?:\.\d+)?\b|"
+    r"\b(?:[Ee]qs?\.?|[Ee]quations?|sections?|sec\.|Figs?\.?|figures?|Tables?|steps?|parts?|chapters?|items?|pages?|appendix|seeds?)"
     r"\s+\(?(?:[IVX]+(?:-[A-Z])?|\d)[\w.()]*"
     r"(?:(?:,\s*|\s+and\s+|\s+to\s+|\s*[-–]\s*)\(?(?:[IVX]+(?:-[A-Z])?|\d)[\w.()]*)*"
 )

@@ -42,7 +42,6 @@ STILL_TYPED = frozenset(
         "filter_on_segments",
         "how_many_imus",
         "imu_markers",
-        "kinematics",
         "live",
         "probabilistic_curvature",
         "recorded_arm",
