@@ -40,7 +40,7 @@ _VOUCHED = (
 )
 _PLACES = (
     r"\bappendix [A-Z](?:\.\d+)?\b|"
-    r"\b(?:[Ee]qs?\.?|[Ee]quations?|sections?|sec\.|Figs?\.?|figures?|Tables?|steps?|parts?|chapters?|items?|pages?|appendix|seeds?)"
+    r"\b(?:[Ee]qs?\.?|[Ee]quations?|[Ss]ections?|sec\.|Figs?\.?|figures?|Tables?|steps?|parts?|chapters?|items?|pages?|appendix|seeds?)"
     r"\s+\(?(?:[IVX]+(?:-[A-Z])?|\d)[\w.()]*"
     r"(?:(?:,\s*|\s+and\s+|\s+to\s+|\s*[-–]\s*)\(?(?:[IVX]+(?:-[A-Z])?|\d)[\w.()]*)*"
 )
