@@ -45,17 +45,17 @@ class TestLoops:
             | {"estimate_mm": 0.2 + 0.2 * k, "offset_mm": 0.1}
             for k, (own, truth) in enumerate([(1.25, 1.0), (2.5, 2.0)])
         ]
-        line = loops.ratios(pd.DataFrame(rows), "estimator", draws=100).iloc[0]
+        line = loops.tracking_ratios(pd.DataFrame(rows), "estimator", draws=100).iloc[0]
         assert (line["ratio"], line["worst"], line["seeds"]) == (1.25, 1.25, 2)
         assert (line["tracking_mm"], line["tracking_truth_mm"]) == (1.875, 1.5)
         assert line["estimate_mm"] == pytest.approx(0.3)
         rows[1]["tracking_mm"] = 2.7
-        line = loops.ratios(pd.DataFrame(rows), "estimator", draws=100).iloc[0]
+        line = loops.tracking_ratios(pd.DataFrame(rows), "estimator", draws=100).iloc[0]
         assert line["ratio"] == pytest.approx(1.3)
         assert line["worst"] == pytest.approx(1.35)
         for target, met in ((2.6, True), (2.75, False)):
             rows[1]["tracking_mm"] = target
-            assert loops.ratios(pd.DataFrame(rows), "estimator", draws=10).iloc[0]["met"] == met
+            assert loops.tracking_ratios(pd.DataFrame(rows), "estimator", draws=10).iloc[0]["met"] == met
 
     def test_references_have_their_sizes(self):
         """A circle of 4 mm and a lemniscate of 3 and 6 mm in 10 s about (2.5, 0); the training reaches 5 mm."""
@@ -155,7 +155,7 @@ class TestModes:
         ]
         table = pd.DataFrame(rows).assign(noise_mt=0.01, method="cloud", failed=True, minima=np.nan)
         search = table.assign(method="search", minima=[2.0, 1.0, 2.0, 1.0, 1.0, 9.0, 9.0])
-        found = segments_tables.modes_summary(pd.concat([table, search])).set_index("method")
+        found = segments_tables.kept_modes(pd.concat([table, search])).set_index("method")
         line = found.loc["cloud"]
         assert line["true_side_percent"] == pytest.approx(80.0)
         assert line["always_percent"] == pytest.approx(50.0)
@@ -180,7 +180,7 @@ class TestModes:
             for m, tips in (("cloud", (1.0, 3.0)), (segments_tables.REFERENCE, (4.0, 4.0)))
             for d, tip in enumerate(tips)
         ]
-        found = segments_tables.summary(pd.DataFrame(rows)).set_index("method")
+        found = segments_tables.mean_errors(pd.DataFrame(rows)).set_index("method")
         assert found["tip_mm"].tolist() == [2.0, 4.0]
         assert found["ratio"].tolist() == [0.5, 1.0]
         assert found["covered_percent"].tolist() == [90.5, 90.5]

@@ -97,7 +97,7 @@ def test_least_squares_is_calibrated_with_all_sensors():
 
 def test_tables(tracked):
     assert list(tracked["method"].unique()) == list(METHODS)
-    summary = tables.summary(tracked).set_index("method")
+    summary = tables.mean_errors(tracked).set_index("method")
     assert float(summary.loc[tables.REFERENCE, "ratio"]) == 1.0
     assert (summary["tip_mm_low"] <= summary["tip_mm"]).all()
     assert (summary["tip_mm"] <= summary["tip_mm_high"]).all()
@@ -111,7 +111,7 @@ def test_tables(tracked):
 
 def test_tables_of_the_modes(modes, monkeypatch):
     monkeypatch.setattr(tables, "CLEAR_MM", 2.0)
-    summary = tables.modes_summary(modes).set_index("method")
+    summary = tables.kept_modes(modes).set_index("method")
     assert list(summary.index) == [*METHODS, "search"]
     assert summary["true_side_percent"].dropna().between(0, 100).all()
     share = modes.loc[modes["method"] == "random walk", "share"]
@@ -153,7 +153,7 @@ def test_nothing_was_chosen_for_this():
 
 
 def test_figures_show_every_method(tracked, modes):
-    figure = figures.errors_by_method(tables.summary(tracked))
+    figure = figures.errors_by_method(tables.mean_errors(tracked))
     assert len(figure.legends[0].get_texts()) == len(METHODS)
     chosen = ["random walk", "Kalman filter"]
     assert len(figures.two_modes(modes, chosen).axes) == 2

@@ -40,7 +40,7 @@ SPREAD = np.array([[4.0, 1.0, 0.3], [1.0, 2.0, -0.5], [0.3, -0.5, 1.0]])
 
 @pytest.fixture(scope="module")
 def table():
-    return temporal.errors(1, ["T3"], (0, 1, 2))
+    return temporal.errors_by_draw(1, ["T3"], (0, 1, 2))
 
 
 @pytest.fixture(scope="module")
@@ -78,14 +78,6 @@ class TestTemporal:
         density = -0.5 * squares - 0.5 * np.linalg.slogdet(2 * np.pi * C / np.outer(span, span))[1]
         assert line["score"] == pytest.approx(-density.mean(), abs=1e-3)
 
-    def test_band_of_the_figure_is_two_deviations_in_millimetres_over_seconds(self, alone):
-        q, found = alone
-        drawn = temporal.over_time(1, "T3", seed=1).groupby("method").get_group("Levenberg-Marquardt")
-        np.testing.assert_allclose(drawn["time_s"], np.arange(400) / 40)
-        np.testing.assert_allclose(drawn["error_mm"], 1e3 * (found.q[:, 0, 0] - q[:, 0]))
-        deviation = found.covariance[:, 0, 0, 0].sqrt()
-        np.testing.assert_allclose(drawn["two_sigma_mm"], 2 * 1e3 * deviation)
-
     def test_random_motion_has_three_quarters_of_the_range(self):
         """The largest of each coordinate is three quarters of that of T3 from the middle."""
         q = temporal.trajectory("T0", 2) - torch.tensor([0.0, 0.0, 2.75e-3] * 2, dtype=torch.float64)
@@ -99,7 +91,7 @@ class TestTemporal:
             for m, e, c, n in (("Levenberg-Marquardt", 2.0, 90.0, 1.0), ("Kalman filter", 1.0, 80.0, 3.0))
             for s in (0, 1)
         ]
-        line = temporal.gains(pd.DataFrame(rows)).iloc[0]
+        line = temporal.filter_to_least_squares(pd.DataFrame(rows)).iloc[0]
         assert (line["lm_percent"], line["filter_percent"], line["ratio"]) == (3.0, 1.5, 0.5)
         assert (line["ratio_low"], line["ratio_high"]) == (0.5, 0.5)
         assert (line["lm_nees"], line["filter_nees"]) == (1.5, 3.5)
@@ -231,7 +223,7 @@ class TestSegments:
         error = torch.from_numpy(np.stack([gaussian(C, 200, seed) for seed in (0, 1)], axis=1))
         covariance = torch.from_numpy(C).expand(200, 2, 3, 3)
         q = course.q.unsqueeze(1) + error
-        found = segments_tables.errors(course, Trajectory(q, covariance, q, {}))
+        found = segments_tables.errors_by_draw(course, Trajectory(q, covariance, q, {}))
         span = torch.tensor([2 * D_M, 2 * D_M, 5.5e-3])
         expected = 100 * (error.square().mean(0).sqrt() / span).mean(-1)
         torch.testing.assert_close(found["error_percent"], expected, rtol=1e-3, atol=0)
@@ -239,7 +231,7 @@ class TestSegments:
         assert found["calibration"].tolist() == pytest.approx([chi2.ppf(0.5, 3) / 3] * 2, rel=0.2)
         assert found["covered_percent"].tolist() == pytest.approx([95.0, 95.0], abs=4.0)
         exact = Trajectory(course.q.unsqueeze(1).expand(-1, 2, -1), covariance, q, {})
-        assert segments_tables.errors(course, exact)["covered_percent"].tolist() == [100.0, 100.0]
+        assert segments_tables.errors_by_draw(course, exact)["covered_percent"].tolist() == [100.0, 100.0]
 
     @pytest.mark.parametrize(("squared", "covered"), [(7.81, 100.0), (7.82, 0.0)])
     def test_the_ellipsoid_is_that_of_three_coordinates(self, squared, covered):
@@ -248,7 +240,7 @@ class TestSegments:
         covariance = (1e-6 * torch.eye(3, dtype=torch.float64)).expand(5, 2, 3, 3)
         q = course.q.unsqueeze(1) + torch.tensor([0.0, 1e-3 * math.sqrt(squared), 0.0], dtype=torch.float64)
         q = q.expand(-1, 2, -1)
-        found = segments_tables.errors(course, Trajectory(q, covariance, q, {}))
+        found = segments_tables.errors_by_draw(course, Trajectory(q, covariance, q, {}))
         assert found["covered_percent"].tolist() == [covered] * 2
 
     def test_squared_error_at_the_quantile(self):

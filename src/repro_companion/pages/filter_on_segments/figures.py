@@ -28,7 +28,7 @@ def errors_by_method(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table
-        Columns of ``summary``.
+        Columns of ``mean_errors``.
     """
     noises, robots = table["noise_mt"].unique(), sorted(table["n_b"].unique())
     figure, panels = plt.subplots(1, len(noises), figsize=(9.4, 3.8), sharey=True, squeeze=False)

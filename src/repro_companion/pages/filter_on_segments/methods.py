@@ -228,7 +228,7 @@ def _followed(course: Course, method: ParticleFilter) -> Trajectory:
 
     ``positive`` in the diagnostics is the share of the cloud in which each coordinate is positive.
     """
-    whole = _begun(course, method)
+    whole = first_cloud(course, method)
     members = []
     for draw in range(course.draws):
         state = ParticleState(whole.q[draw], whole.velocity[draw], draw, whole.steps)
@@ -241,7 +241,7 @@ def _followed(course: Course, method: ParticleFilter) -> Trajectory:
     return stacked(members, dim=1)
 
 
-def _begun(course: Course, method: ParticleFilter) -> ParticleState:
+def first_cloud(course: Course, method: ParticleFilter) -> ParticleState:
     """Cloud before the third readings, from least squares on the first two, each by itself from the straight pose.
 
     The second fit is the configuration, the difference of both the velocity; velocities have the same prior as in the

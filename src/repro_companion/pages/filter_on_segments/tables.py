@@ -95,14 +95,14 @@ def tracking(
             for method in METHODS:
                 found = _scored(run(course, method, particles=particles), course)
                 key = {"n_b": n, "n_s": len(course.robot.sensors), "noise_mt": noise, "method": method}
-                columns = errors(course, found)
+                columns = errors_by_draw(course, found)
                 columns["evaluations"] = _evaluations(found, particles, course.robot.n_q, method)
                 values = {name: x.tolist() for name, x in columns.items()}
                 rows.append(pd.DataFrame({**key, "draw": range(draws), **values}))
     return pd.concat(rows, ignore_index=True)
 
 
-def errors(course: Course, found: Trajectory) -> dict[str, Tensor]:
+def errors_by_draw(course: Course, found: Trajectory) -> dict[str, Tensor]:
     """Columns of :func:`tracking` of one run, one number per draw each."""
     q = course.q[-len(found.q) :].unsqueeze(1)
     span = course.whole.amax(0) - course.whole.amin(0)
@@ -139,7 +139,7 @@ def _evaluations(found: Trajectory, particles: int, n_q: int, method: str) -> Te
     return torch.full(found.q.shape[1:2], float(particles + 1 + step))
 
 
-def summary(table: pd.DataFrame) -> pd.DataFrame:
+def mean_errors(table: pd.DataFrame) -> pd.DataFrame:
     """Means over draws, and the error of the tip relative to least squares with a paired bootstrap interval (95 %).
 
     Columns: ``n_b``, ``n_s``, ``noise_mt``, ``method``, means of the columns of :func:`tracking`, ``tip_mm_low`` and
@@ -218,7 +218,7 @@ def _course_table(course: Course, method: str, columns: dict[str, Tensor]) -> pd
     return pd.DataFrame({"noise_mt": course.noise_mt, "method": method, **flat})
 
 
-def modes_summary(table: pd.DataFrame) -> pd.DataFrame:
+def kept_modes(table: pd.DataFrame) -> pd.DataFrame:
     """What is kept after the segment has passed through the plane of its two sensors, where it is clearly bent again.
 
     Columns: ``noise_mt``, ``method``, ``true_side_percent`` (of draws and steps: estimates on the true side),
