@@ -41,7 +41,6 @@ STILL_TYPED = frozenset(
         "how_many_imus",
         "imu_markers",
         "live",
-        "probabilistic_curvature",
         "recorded_arm",
         "recorded_trial",
         "recording",

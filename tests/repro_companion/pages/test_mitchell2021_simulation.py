@@ -25,14 +25,14 @@ from repro_companion.pages.probabilistic_curvature.simulation import (
     GAUSS_NEWTON,
     PAPER,
     WEIGHTED,
-    errors,
+    errors_by_curve,
+    errors_by_setting,
     errors_over_time,
     follow,
     law_mm,
     law_table,
     memoryless,
     over_seeds,
-    summary,
 )
 from repro_companion.pages.probabilistic_curvature.studies import STUDIES
 
@@ -48,7 +48,7 @@ def test_batch_of_curves_and_process_noises_equals_each_alone():
 
 def test_settings_differ_as_they_should_on_noise_free_readings():
     """The paper's at the stated noise, the same at 0.005 pi, ours, and one least-squares step: each is smaller."""
-    table = errors([PAPER, FITS, WEIGHTED, GAUSS_NEWTON], steps=60, curves=["seagull"])
+    table = errors_by_curve([PAPER, FITS, WEIGHTED, GAUSS_NEWTON], steps=60, curves=["seagull"])
     paper, fits, weighted, newton = table["rmse_mm"]
     assert 0.01 < paper < 0.06  # the straight start weighs more here than along the whole curve
     assert fits < paper / 2
@@ -65,7 +65,7 @@ def test_error_of_the_stated_setting_agrees_with_its_law_where_the_arc_is_bent()
 
 
 def test_best_is_closer_than_least_squares_on_readings_with_noise():
-    ours = errors([BEST], steps=200, curves=["flower"])["rmse_mm"].iloc[0]
+    ours = errors_by_curve([BEST], steps=200, curves=["flower"])["rmse_mm"].iloc[0]
     alone = memoryless(200).set_index("curve")["rmse_mm"]
     assert ours < 0.8 * alone["flower"]
     # Standard deviation of least squares at the straight pose: noise times gain for two components.
@@ -75,11 +75,11 @@ def test_best_is_closer_than_least_squares_on_readings_with_noise():
 def test_summary_is_that_of_the_errors():
     table = errors_over_time([FEW], steps=30, curves=["spiral", "flower"])
     assert list(table.columns) == ["curve", "t", "error_mm", "setting", "process_noise_pi", "particles"]
-    cells = summary(table).set_index("curve")
+    cells = errors_by_setting(table).set_index("curve")
     part = table[table["curve"] == "flower"]["error_mm"].to_numpy()
     assert cells["rmse_mm"]["flower"] == pytest.approx(np.sqrt((part**2).mean()))
     assert cells["worst_mm"]["flower"] == part.max()
-    again = errors([FEW], steps=30, curves=["spiral", "flower"]).set_index("curve")
+    again = errors_by_curve([FEW], steps=30, curves=["spiral", "flower"]).set_index("curve")
     assert again["rmse_mm"]["spiral"] == pytest.approx(cells["rmse_mm"]["spiral"])
 
 
@@ -105,7 +105,7 @@ def test_law_has_its_proportions():
 
 
 def test_over_seeds():
-    table = errors([FEW], seeds=[0, 1], steps=10, curves=["flower"])
+    table = errors_by_curve([FEW], seeds=[0, 1], steps=10, curves=["flower"])
     line = over_seeds(table).iloc[0]
     assert line["rmse_mm"] == pytest.approx(table["rmse_mm"].mean())
     assert line["rmse_std_mm"] == pytest.approx(table["rmse_mm"].std())

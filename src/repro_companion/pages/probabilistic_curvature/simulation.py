@@ -151,7 +151,7 @@ def follow(
     return 1e3 * error, found.diagnostics["lost"]
 
 
-def errors(
+def errors_by_curve(
     settings: Sequence[Setting],
     seeds: Sequence[int] = (0,),
     *,
@@ -228,7 +228,7 @@ def errors_over_time(
     return pd.concat(tables, ignore_index=True)
 
 
-def summary(over_time: pd.DataFrame) -> pd.DataFrame:
+def errors_by_setting(over_time: pd.DataFrame) -> pd.DataFrame:
     """Errors of a table of :func:`errors_over_time` by setting, number of particles and curve.
 
     Columns: those, and ``rmse_mm, mean_mm, worst_mm``.
@@ -254,7 +254,7 @@ def law_mm(process_noise_pi: float, particles: int = 1000, length_m: float = LEN
 
 
 def law_table(*tables: pd.DataFrame) -> pd.DataFrame:
-    """Error law at every process noise, number of particles and length of some tables of ``errors``.
+    """Error law at every process noise, number of particles and length of some tables of ``errors_by_curve``.
 
     Returns
     -------
@@ -267,7 +267,7 @@ def law_table(*tables: pd.DataFrame) -> pd.DataFrame:
 
 
 def over_seeds(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean and standard deviation over the seeds of a table of ``errors``, by setting and curve.
+    """Mean and standard deviation over the seeds of a table of ``errors_by_curve``, by setting and curve.
 
     Returns
     -------

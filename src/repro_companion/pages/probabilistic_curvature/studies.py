@@ -16,7 +16,7 @@ from repro_companion.pages.probabilistic_curvature.simulation import (
     PAPER,
     PROCESS_NOISE_PI,
     WEIGHTED,
-    errors,
+    errors_by_curve,
 )
 from repro_companion.twins.bend_curves import CURVES
 
@@ -34,7 +34,7 @@ def setting_errors(
     curves: Sequence[str] = CURVES,
     steps: int | None = None,
 ) -> pd.DataFrame:
-    """Errors of settings: columns of ``errors``.
+    """Errors of settings: columns of ``errors_by_curve``.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def setting_errors(
         settings = [replace(setting, motion=motion) for setting in settings for motion in motions]
     if particles:
         settings = [replace(setting, particles=n) for setting in settings for n in particles]
-    return errors(settings, seeds, process_noise_pi=process_noise_pi, curves=curves, steps=steps)
+    return errors_by_curve(settings, seeds, process_noise_pi=process_noise_pi, curves=curves, steps=steps)
 
 
 NOISE = {"process_noise_pi": list(PROCESS_NOISE_PI)}
