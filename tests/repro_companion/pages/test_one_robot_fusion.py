@@ -11,7 +11,7 @@ from repro.kinematics.mounts import magnet_mounts
 from repro.kinematics.paper_robots import Dimensions
 from repro_companion.pages.fusion.models import Imus, Magnets
 from repro_companion.pages.fusion.study import SETTINGS, record
-from repro_companion.pages.fusion.tables import errors, gains, judged, summary
+from repro_companion.pages.fusion.tables import errors_by_step, judged, mean_errors, ratio_to_better_single
 from repro_companion.twins.segment_motion import ROBOT, TRAJECTORIES, motion
 
 
@@ -56,17 +56,17 @@ def test_readings_without_errors_are_those_of_the_models():
 @pytest.fixture(scope="module")
 def table():
     moved = judged(40)[:1]
-    return errors(moved, range(10), settings=SETTINGS[1:2])
+    return errors_by_step(moved, range(10), settings=SETTINGS[1:2])
 
 
 def test_covariance_is_consistent_and_both_win_as_predicted(table):
-    found = summary(table).set_index("method")
+    found = mean_errors(table).set_index("method")
     assert np.isnan(found.loc["IMUs", "nees_tip"])
     for kind in ("direction", "tip"):
         part = found.loc[["magnets", "both"]]
         assert bool((part[f"nees_{kind}"] > part[f"low_{kind}"]).all())
         assert bool((part[f"nees_{kind}"] < part[f"high_{kind}"]).all())
-    won = gains(table).set_index("quantity")
+    won = ratio_to_better_single(table).set_index("quantity")
     assert list(won["single"]) == ["magnets", "magnets"]
     assert bool((won["high"] < 1).all())
     assert bool((won["predicted"] < 1).all())
@@ -82,13 +82,13 @@ def test_band_and_ratio_of_a_table_made_by_hand():
         for seed in range(10)
     ]
     table = pd.DataFrame(lines)
-    found = summary(table)
+    found = mean_errors(table)
     np.testing.assert_allclose(
         found[["low_direction", "high_direction"]].iloc[0], [0.4795, 1.7085], atol=1e-4
     )
     assert list(found["inside_tip_percent"]) == [100.0] * 3
     assert list(found["inside_direction_percent"]) == [0.0] * 3
-    won = gains(table).iloc[0]
+    won = ratio_to_better_single(table).iloc[0]
     assert (won["single"], won["ratio"], won["low"], won["high"], won["predicted"]) == (
         "magnets",
         0.5,

@@ -25,7 +25,7 @@ def errors_and_nees(summary: pd.DataFrame) -> Figure:
     Parameters
     ----------
     summary
-        Columns of :func:`repro_companion.pages.fusion.tables.summary`; the prediction is drawn as a bar.
+        Columns of :func:`repro_companion.pages.fusion.tables.mean_errors`; the prediction is drawn as a bar.
     """
     settings = list(dict.fromkeys(summary["setting"]))
     names = list(dict.fromkeys(summary["trajectory"]))

@@ -148,7 +148,7 @@ def _turns(tip: np.ndarray, seed: int) -> np.ndarray:
     return rotation_vector(torch.from_numpy((base.inv() * top).as_matrix())).numpy()
 
 
-def _imu_drift() -> Drift:
+def imu_drift() -> Drift:
     """Nine slow errors of the relative orientation: constant and wandering on the left, mounting on the right."""
     two, tilt, heading = math.sqrt(2), ERRORS.tilt_static_rad, ERRORS.heading_offset_rad
     mounting = ERRORS.mounting_rad
@@ -199,7 +199,7 @@ def estimates(
         kalman = IteratedKalmanFilter(ring_model(), *moving, noise_mt=noise_mt, iterations=ITERATIONS)
         return _tracked(kalman, recorded.magnets)
     parts = {"magnets": [magnets], "IMUs": [imus], "both": [magnets, imus]}[method]
-    drifts = [_imu_drift()] if method != "magnets" else []
+    drifts = [imu_drift()] if method != "magnets" else []
     if stray and method != "IMUs":
         size = torch.full((3,), setting.stray_mt, dtype=torch.float64)
         drifts.append(Drift(size, torch.full_like(size, STRAY_TIME_S)))

@@ -46,7 +46,7 @@ def judged(steps: int = STEPS) -> list[Motion]:
     return [replace(x, time_s=x.time_s[:steps], poses=x.poses[:steps], q=None) for x in whole]
 
 
-def errors(
+def errors_by_step(
     motions: Sequence[Motion],
     seeds: Sequence[int],
     *,
@@ -126,7 +126,7 @@ def _normalised(error: Tensor, C: Tensor) -> Tensor:
     return (e.mT @ torch.linalg.solve(C, e)).squeeze(-1).squeeze(-1) / error.shape[-1]
 
 
-def summary(table: pd.DataFrame) -> pd.DataFrame:
+def mean_errors(table: pd.DataFrame) -> pd.DataFrame:
     """Errors, predictions, and the mean NEES with the 95 % band of a mean over the draws at one time.
 
     Columns: ``setting, trajectory, method, tip_mm, predicted_tip_mm, orientation_deg, predicted_orientation_deg``;
@@ -150,7 +150,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(lines)
 
 
-def gains(table: pd.DataFrame, *, method: str = "both", seed: int = 0) -> pd.DataFrame:
+def ratio_to_better_single(table: pd.DataFrame, *, method: str = "both", seed: int = 0) -> pd.DataFrame:
     """Errors of a filter of both kinds over those of the better single one, with paired bootstrap intervals.
 
     Columns: ``setting, trajectory, quantity, single``, the single method with the smaller error; ``ratio, low,
@@ -160,7 +160,7 @@ def gains(table: pd.DataFrame, *, method: str = "both", seed: int = 0) -> pd.Dat
     Parameters
     ----------
     table
-        Of :func:`errors`.
+        Of :func:`errors_by_step`.
     method
         The filter of both kinds.
     seed
