@@ -234,7 +234,7 @@ def test_the_table_has_every_case_and_the_same_numbers_again():
     assert np.isfinite(table[list(QUANTITIES)].to_numpy()).all()
     again = one_robot_errors(2, steps=20, poses=10)
     assert again.to_csv(float_format="%.10g") == table.to_csv(float_format="%.10g")
-    lines = tables.overview(tables.summary(table))
+    lines = tables.overview(tables.mean_errors(table))
     assert len(lines) == 2 * len(METHODS)
     assert list(lines["parts"]) == [4, 4, 2, 2, 2, 2, 2, 2]
     assert list(lines["tip, other magnet [mm]"] != "") == [True] * 4 + [False] * 4
@@ -259,12 +259,12 @@ def made_up(factors):
 
 def test_means_with_intervals_and_paired_ratios():
     table = made_up(dict(zip(METHODS, (2.0, 3.0, 4.0, 1.0), strict=True)))
-    means = tables.summary(table)
+    means = tables.mean_errors(table)
     line = means[means["method"] == METHODS[0]].iloc[0]
     assert line["tip_mm"] == pytest.approx(11.0)
     assert 5.5 < line["tip_low_mm"] < 9.0
     assert 13.0 < line["tip_high_mm"] < 16.5
-    found = tables.ratios(table)
+    found = tables.ratio_to_imus(table)
     first = found[found["trajectory"] == ARC]
     assert first["ratio"].tolist() == pytest.approx([2.0, 3.0, 4.0])
     assert first["low"].tolist() == pytest.approx([2.0, 3.0, 4.0])  # paired: the draws' spread drops out

@@ -37,7 +37,7 @@ def three_ways(means: pd.DataFrame) -> Figure:
     Parameters
     ----------
     means
-        Columns of :func:`repro_companion.pages.one_robot.tables.summary`.
+        Columns of :func:`repro_companion.pages.one_robot.tables.mean_errors`.
     """
     figure, panels = plt.subplots(2, 2, figsize=(9.0, 7.6))
     healthy = means[means["condition"] == CONDITIONS[0]]

@@ -169,7 +169,7 @@ def _estimates(
     return sorted(found, key=lambda entry: (METHODS.index(entry[0]), CONDITIONS.index(entry[1])))
 
 
-def summary(table: pd.DataFrame) -> pd.DataFrame:
+def mean_errors(table: pd.DataFrame) -> pd.DataFrame:
     """Means over the draws with their bootstrap 95 % intervals.
 
     Parameters
@@ -195,7 +195,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def ratios(table: pd.DataFrame) -> pd.DataFrame:
+def ratio_to_imus(table: pd.DataFrame) -> pd.DataFrame:
     """Mean tip error of every calibrated method over that of the IMUs, with a paired bootstrap 95 % interval.
 
     Parameters
@@ -228,7 +228,7 @@ def overview(means: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     means
-        From :func:`summary`.
+        From :func:`mean_errors`.
 
     Returns
     -------
