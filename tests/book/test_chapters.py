@@ -43,7 +43,6 @@ STILL_TYPED = frozenset(
         "live",
         "recorded_arm",
         "recorded_trial",
-        "recording",
         "sensor_placement",
     ]
 )
