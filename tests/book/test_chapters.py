@@ -40,7 +40,6 @@ STILL_TYPED = frozenset(
     [
         "how_many_imus",
         "imu_markers",
-        "live",
         "recorded_arm",
         "recorded_trial",
         "sensor_placement",
