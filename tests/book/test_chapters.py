@@ -41,7 +41,6 @@ STILL_TYPED = frozenset(
         "how_many_imus",
         "imu_markers",
         "recorded_arm",
-        "recorded_trial",
         "sensor_placement",
     ]
 )
