@@ -38,7 +38,6 @@ PROSE = [*ROOT.glob("notebooks/*.ipynb"), *ROOT.glob("book/*.md"), *ROOT.glob("b
 WITH_VALUES = [path for path in PROSE if path.suffix == ".md" and "{{" in path.read_text(encoding="utf-8")]
 STILL_TYPED = frozenset(
     [
-        "imu_markers",
         "recorded_arm",
         "sensor_placement",
     ]

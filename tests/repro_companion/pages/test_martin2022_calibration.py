@@ -15,7 +15,7 @@ from repro_companion.pages.imu_markers.calibration import (
     MARKERS_MEAN,
     calibration_errors,
     over_sensors,
-    ratios,
+    ratio_to_uncalibrated,
 )
 from repro_companion.twins.arm_draws import draw, drawn
 from repro_companion.twins.arm_recording import MotionCapture
@@ -75,7 +75,11 @@ def test_ratios_are_paired():
         for method, factor in ((BASELINE, 1.0), ("spline + all", 0.5))
         for point in (360.0, 600.0)
     ]
-    found = ratios(pd.concat(parts)).set_index(["method", "point"]).loc[("spline + all", MARKERS_MEAN)]
+    found = (
+        ratio_to_uncalibrated(pd.concat(parts))
+        .set_index(["method", "point"])
+        .loc[("spline + all", MARKERS_MEAN)]
+    )
     # The same factor in every draw: no spread is left, whatever the draws are.
     np.testing.assert_allclose(found[["ratio", "ratio_low", "ratio_high"]].to_numpy(dtype=float), 0.5)
     assert found["median_mm"] == pytest.approx(0.5 * base.mean())
@@ -107,7 +111,7 @@ def test_first_part_holds_one_mode():
 
 @pytest.mark.parametrize(("method", "target"), [("PCC-16 + frame", 0.8), ("spline + all", 0.6)])
 def test_targets_are_met_in_every_mode_and_at_every_point(study, method, target):
-    found = ratios(study).query("method == @method")
+    found = ratio_to_uncalibrated(study).query("method == @method")
     assert (found["ratio"] <= target).all()
     over_all = found[(found["mode"] == "all") & (found["point"] == MARKERS_MEAN)]
     assert (over_all["ratio_high"] <= target).all()

@@ -109,7 +109,7 @@ def over_sensors(
     return pd.concat(tables, ignore_index=True)
 
 
-def ratios(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
+def ratio_to_uncalibrated(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
     """Medians against those of the uncalibrated PCC-extended model, with paired bootstrap intervals over the draws.
 
     Parameters
