@@ -39,7 +39,6 @@ WITH_VALUES = [path for path in PROSE if path.suffix == ".md" and "{{" in path.r
 STILL_TYPED = frozenset(
     [
         "recorded_arm",
-        "sensor_placement",
     ]
 )
 """Notebooks whose text still holds typed numbers; the list may only shrink."""

@@ -15,10 +15,10 @@ from repro.sensing.magnets import ring
 from repro_companion.pages.sensor_placement.errors import (
     ROBOTS,
     bound_over_time,
+    errors_by_layout,
     estimate,
     field_check,
     measured_errors,
-    summary,
 )
 from repro_companion.pages.sensor_placement.studies import (
     NOISE_ONLY,
@@ -106,7 +106,7 @@ def test_summary_is_a_ratio_of_means_with_its_interval():
     rows += [("half", draw, 1.0 + draw / 2) for draw in range(4)]
     table = pd.DataFrame(rows, columns=["layout", "draw", "error_percent"])
     table = table.assign(task="robot", robot="as drawn", shapes="random shapes", quantity="delta_x_1")
-    found = summary(table).set_index("layout")
+    found = errors_by_layout(table).set_index("layout")
     assert found.loc["nominal", ["ratio", "ratio_low", "ratio_high"]].tolist() == [1, 1, 1]
     assert found.loc["half", ["ratio", "ratio_low", "ratio_high"]].tolist() == [0.5, 0.5, 0.5]
     assert found.loc["half", "mean_percent"] == 1.75

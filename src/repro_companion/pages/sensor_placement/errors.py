@@ -127,7 +127,7 @@ def estimate(
     return from_best_start(sensing, box, task.starts, u, ITERATIONS, noise_mt=noise_mt, known=known)
 
 
-def summary(table: pd.DataFrame, *, reference: str = "nominal", seed: int = 0) -> pd.DataFrame:
+def errors_by_layout(table: pd.DataFrame, *, reference: str = "nominal", seed: int = 0) -> pd.DataFrame:
     """Mean errors over coordinates and draws, beside those of one layout.
 
     Parameters

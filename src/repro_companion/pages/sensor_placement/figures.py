@@ -118,7 +118,7 @@ def judged(bound: pd.DataFrame, summary: pd.DataFrame) -> Figure:
     bound
         Columns of :func:`~repro_companion.pages.sensor_placement.errors.bound_over_time`.
     summary
-        Columns of :func:`~repro_companion.pages.sensor_placement.errors.summary`, of one robot.
+        Columns of :func:`~repro_companion.pages.sensor_placement.errors.errors_by_layout`, of one robot.
     """
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(9.4, 3.4), width_ratios=(1.35, 1, 1))
     names = list(dict.fromkeys(bound["layout"]))
@@ -162,8 +162,8 @@ def all_robots(summary: pd.DataFrame) -> Figure:
     Parameters
     ----------
     summary
-        Columns of :func:`~repro_companion.pages.sensor_placement.errors.summary`. Layouts without a ratio near one,
-        such as one that leaves a coordinate open, are left out where they exceed tenfold.
+        Columns of :func:`~repro_companion.pages.sensor_placement.errors.errors_by_layout`. Layouts
+        without a ratio near one, such as one that leaves a coordinate open, are left out where they exceed tenfold.
     """
     keys = list(dict.fromkeys(zip(summary["task"], summary["shapes"], strict=True)))
     names = [name for name in dict.fromkeys(summary["layout"]) if name.startswith("optimised")]

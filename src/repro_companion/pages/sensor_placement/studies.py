@@ -11,7 +11,7 @@ import pandas as pd
 import torch
 
 from repro_companion.book.studies import Study
-from repro_companion.pages.sensor_placement.errors import field_check, measured_errors, summary
+from repro_companion.pages.sensor_placement.errors import errors_by_layout, field_check, measured_errors
 from repro_companion.pages.sensor_placement.layouts import Layout, Room
 from repro_companion.pages.sensor_placement.search import Settings, search
 from repro_companion.pages.sensor_placement.tasks import (
@@ -160,7 +160,7 @@ def _of_robots(shapes: int, steps: int, starts: int, draws: int) -> dict[str, pd
         parts["layouts"].append(layouts_table(task, layouts))
         parts["starts"].append(starts_of_task)
         parts["expected"].append(expected_table(task, layouts))
-        parts["errors"].append(summary(errors, reference=reference_name(layouts)))
+        parts["errors"].append(errors_by_layout(errors, reference=reference_name(layouts)))
     return {name: pd.concat(tables, ignore_index=True) for name, tables in parts.items()}
 
 
@@ -170,7 +170,7 @@ def _of_robots_named(name: str, **settings: int) -> pd.DataFrame:
 
 ROBOT_TABLES = ("layouts", "starts", "expected", "errors")
 """Of :func:`layouts_table`, :func:`optimised_layouts`, :func:`expected_table` and
-:func:`~repro_companion.pages.sensor_placement.errors.summary`."""
+:func:`~repro_companion.pages.sensor_placement.errors.errors_by_layout`."""
 SIZE = {"shapes": 48, "steps": 100}
 STUDIES = (
     *(
