@@ -7,6 +7,7 @@ import importlib.util
 import inspect
 import json
 import re
+import statistics
 from collections import Counter
 from pathlib import Path
 from types import ModuleType
@@ -31,6 +32,10 @@ ENTRIES = [entry for entry in read_index(index_path(PROJECT)) if entry.status in
 PACKAGES = ("repro", "repro_live", "repro_companion")
 THREE_LINES = 320
 """Characters."""
+FOLDED = {"parameters", "hide-input", "remove-input", "hide-cell", "remove-cell"}
+"""Tags of cells whose code a reader does not see, or that is none."""
+NO_METHOD_OF_ITS_OWN = {"closed_loop", "sweep"}
+"""The sweep runs another page; the estimator of the loop is the rig's, which is no part of the library."""
 
 
 def texts(page: str) -> str:
@@ -105,6 +110,48 @@ def test_a_page_takes_no_code_of_another_page(page):
     assert not {name for name in modules if name.startswith("repro_companion.book.after")}
     of_pages = {name.split(".")[2] for name in modules if name.startswith("repro_companion.pages.")}
     assert of_pages <= {page}
+
+
+def visible_code(page: str) -> str:
+    """Return the code that the page shows."""
+    cells = [cell for cell in NOTEBOOKS[page]["cells"] if cell["cell_type"] == "code"]
+    shown = [cell for cell in cells if not FOLDED & set(cell["metadata"].get("tags", ()))]
+    return "\n".join("".join(cell["source"]) for cell in shown)
+
+
+def called_names(code: str) -> set[str]:
+    """Return what code calls, or a part of it: ``track`` of ``track(...)``, ``ring`` of ``ring("x").field(...)``."""
+    calls = [node.func for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Call)]
+    names = set()
+    for called in calls:
+        while isinstance(called, ast.Attribute):
+            called = called.value
+        if isinstance(called, ast.Name):
+            names.add(called.id)
+    return names
+
+
+@pytest.mark.parametrize("page", sorted(NOTEBOOKS))
+def test_a_page_calls_the_library_in_sight(page):
+    """Its method is in its cells: robot, model, estimator, parser or generator of a public module."""
+    sources = ["".join(c["source"]) for c in NOTEBOOKS[page]["cells"] if c["cell_type"] == "code"]
+    nodes = [node for source in sources for node in ast.walk(ast.parse(source))]
+    taken = {
+        alias.asname or alias.name
+        for node in nodes
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in ("repro", "repro_live")
+        for alias in node.names
+    }
+    called = called_names(visible_code(page)) & taken
+    assert bool(called) != (page in NO_METHOD_OF_ITS_OWN), f"calls in sight: {sorted(called)}"
+
+
+def test_code_in_sight_is_as_long_as_a_page():
+    lengths = []
+    for page in NOTEBOOKS:
+        lines = (line.strip() for line in visible_code(page).splitlines())
+        lengths.append(sum(bool(line) and not line.startswith(("#", "import ", "from ")) for line in lines))
+    assert 25 <= statistics.median(lengths) <= 60
 
 
 def draws(module: ModuleType, name: str) -> bool:

@@ -36,12 +36,6 @@ PAPER_OF = {
 PROSE = [*ROOT.glob("notebooks/*.ipynb"), *ROOT.glob("book/*.md"), *ROOT.glob("book/c*/*.md")]
 """Pages of the book, less those that are generated."""
 WITH_VALUES = [path for path in PROSE if path.suffix == ".md" and "{{" in path.read_text(encoding="utf-8")]
-STILL_TYPED = frozenset(
-    [
-        "recorded_arm",
-    ]
-)
-"""Notebooks whose text still holds typed numbers; the list may only shrink."""
 DERIVED = frozenset(["first_steps", "magnets", "imus", "particles"])
 """Chapters that derive what they state; `test_derivations` checks each step."""
 HEADINGS = ["The question", "The idea", "The equations", "The result", "Exercises", "What to read next"]
@@ -161,10 +155,7 @@ def test_results_are_filled_in_from_notebooks(path):
 def test_no_digit_is_loose(path):
     """Nothing measured is typed: every digit is of a paper, a setting, or put there by the build."""
     loose = {place: found for place, text in texts(path).items() if (found := loose_digits(text))}
-    if path.parent.name == "notebooks" and path.stem in STILL_TYPED:
-        assert loose, f"{path.stem} is clean: take it off the list"
-    else:
-        assert loose == {}
+    assert loose == {}
 
 
 def test_a_typed_result_is_found():
