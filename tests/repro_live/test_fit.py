@@ -22,7 +22,7 @@ from repro.robot_file.robot_file import RobotFile
 from repro_live.own import models
 from repro_live.own.align import find_clock_lag
 from repro_live.own.fit import fit
-from repro_live.own.judge import Tracked, Truth, errors, tip_positions
+from repro_live.own.judge import Tracked, Truth, errors_of_estimates, tip_positions
 from repro_live.own.poses import read_measured_poses
 from repro_live.own.results import write_results
 from repro_live.own.samples import TimedReadings, timed_readings
@@ -175,7 +175,7 @@ def test_poses_that_jump_are_left_out_of_the_fit(rig, tmp_path):
     found = fit(rig.robot, readings, poses)
     assert any(note.endswith("do not go with their readings: not fitted.") for note in found.notes)
     assert abs(found.lag.lag_s - LAG_S) < 2e-3
-    table = errors(rig.robot, found.truth, found.tracks)
+    table = errors_of_estimates(rig.robot, found.truth, found.tracks)
     tip = table[(table["quantity"] == "tip") & (table["model"] == "calibrated")]
     assert (tip["mean"] < 1.0).all()
 
@@ -192,7 +192,7 @@ def test_errors_of_known_size():
     measured[::7] = torch.nan
     truth = Truth(measured, R, *tip_positions(robot, measured, R))
     track = Tracked("made up", "by hand", estimate, P, np.zeros(n))
-    table = errors(robot, truth, [track]).set_index("quantity")
+    table = errors_of_estimates(robot, truth, [track]).set_index("quantity")
     assert list(table["frames"].unique()) == [n - len(range(0, n, 7))]
     for name in table.index:
         assert table["coverage"][name] == pytest.approx(0.95, abs=0.015)

@@ -31,7 +31,7 @@ from repro_companion.recordings.mitchell2021 import FIELD, HallTake, read_hall, 
 from repro_companion.recordings.mitchell2021_conventions import model_axes
 from repro_companion.twins.bend_curves import SENSOR_NOISE_MT
 from repro_companion.twins.bend_takes import write_light_tests
-from repro_companion.twins.field_ratios import FieldRatios, ratios
+from repro_companion.twins.field_ratios import FieldRatios, transverse_to_axial
 from repro_companion.twins.ratio_inversion import invert
 from repro_live.view.style import page_figure
 
@@ -243,7 +243,7 @@ def counts(curves: pd.DataFrame, found: Detector) -> pd.DataFrame:
 
 
 def _ratios(hall: HallTake) -> Tensor:
-    return ratios(model_axes(torch.from_numpy(hall.readings[FIELD].to_numpy(copy=True))))
+    return transverse_to_axial(model_axes(torch.from_numpy(hall.readings[FIELD].to_numpy(copy=True))))
 
 
 def as_drawn(length_mm: float) -> FieldRatios:

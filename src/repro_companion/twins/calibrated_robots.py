@@ -82,7 +82,7 @@ def calibration(row: Row, measured: Session, config: Config) -> Calibration:
     )
 
 
-def summary(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
+def gain_by_calibration(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
     """Means over draws and the gain by calibration, with a paired bootstrap interval over the draws.
 
     Columns: ``row``, ``quantity`` (a coordinate, or ``mean`` over the coordinates of a row), ``calibrated_percent``

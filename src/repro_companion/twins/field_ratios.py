@@ -16,7 +16,7 @@ from torch import Tensor
 from repro.sensing.bend_sensor import BendSensor
 
 
-def ratios(u: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
+def transverse_to_axial(u: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
     """Transverse over axial components, in the model's axes; NaN where a component is."""
     return torch.where(torch.isnan(u).any(-1, keepdim=True), torch.nan, u[..., :2] / u[..., 2:])
 
@@ -48,4 +48,4 @@ class FieldRatios:
 
     def __call__(self, q: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 2"]:
         """Return the ratios at bend ``q`` [rad]."""
-        return ratios(self.sensor(q)) @ self.matrix.T.to(q)
+        return transverse_to_axial(self.sensor(q)) @ self.matrix.T.to(q)

@@ -96,7 +96,7 @@ def paper_method(
     return estimates, predicted
 
 
-def errors(
+def errors_of_estimates(
     simulation: Simulation, estimates: Trajectory, predicted: Tensor, seeds: Sequence[int]
 ) -> pd.DataFrame:
     """Errors of Table 1, one row per simulation, seed and column.
@@ -165,4 +165,4 @@ def _run_group(
     options["step_size"] = step_sizes(rows[0].n_segments, *step_size)
     model = networks(rows, folder, seeds)
     estimates, predicted = paper_method(simulation, model, len(seeds), **options)
-    return errors(simulation, estimates, predicted, seeds)
+    return errors_of_estimates(simulation, estimates, predicted, seeds)

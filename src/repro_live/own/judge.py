@@ -100,7 +100,7 @@ def tip_positions(
     return tip + nan[:, None], J @ covariance @ J.mT + nan[:, None, None]
 
 
-def errors(robot: RobotFile, truth: Truth, tracks: list[Tracked]) -> pd.DataFrame:
+def errors_of_estimates(robot: RobotFile, truth: Truth, tracks: list[Tracked]) -> pd.DataFrame:
     """Errors and consistency of all estimates.
 
     Rows are the coordinates, the whole configuration and the tip. Columns: ``model, estimator, quantity, unit``; the

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from repro.errors import bad_input
 from repro.sensing.weights import save_weights
 from repro_live.own.fit import Fit
-from repro_live.own.judge import Tracked, errors, tip_positions
+from repro_live.own.judge import Tracked, errors_of_estimates, tip_positions
 from repro_live.own.models import LEAST_S
 from repro_live.own.poses import MeasuredPoses
 from repro_live.robot.calibrate import report as calibration_report
@@ -113,7 +113,7 @@ def write_results(folder: Path, found: Fit, poses: MeasuredPoses) -> str:
     stage = folder.with_name(f".{folder.name}-{uuid.uuid4().hex}")
     stage.mkdir()
     try:
-        table = errors(found.robot, found.truth, found.tracks)
+        table = errors_of_estimates(found.robot, found.truth, found.tracks)
         text = report(found, poses, table)
         options = {"index": False, "lineterminator": "\n", "float_format": "%.6g"}
         table.to_csv(stage / "errors.csv", **options)

@@ -163,6 +163,6 @@ def test_links_of_an_entry(code, page):
     assert entry.code_link == f"api/{page}.html#{code}"
 
 
-@pytest.mark.parametrize("code", ["", "repro_companion.twins.table_1_method.errors"])
+@pytest.mark.parametrize("code", ["", "repro_companion.twins.table_1_method.errors_of_estimates"])
 def test_private_code_has_no_link(code):
     assert not IndexEntry("a2020", "figure", "Fig. 1", "x", "redrawn", "notebooks/a", "", code, "").code_link

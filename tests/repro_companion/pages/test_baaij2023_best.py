@@ -16,7 +16,7 @@ from repro_companion.pages.table_1.limits import (
     observability,
     worst_cold_start_mm,
 )
-from repro_companion.twins.calibrated_robots import calibration, session, summary
+from repro_companion.twins.calibrated_robots import calibration, gain_by_calibration, session
 from repro_companion.twins.calibration_session import Config
 from repro_companion.twins.table_1_rows import ROWS
 
@@ -49,7 +49,7 @@ def test_calibrated_robots_are_below_three_tenths_of_the_published_errors(table)
 
 
 def test_summary(table):
-    found = summary(table)
+    found = gain_by_calibration(table)
     assert set(found.query("row == 'n_b=1'")["quantity"]) == {"delta_x_1", "delta_y_1", "delta_L_1", "mean"}
     assert found["ratio"].between(found["ratio_low"] - 1e-12, found["ratio_high"] + 1e-12).all()
     line = found.query("row == 'n_b=1' and quantity == 'delta_L_1'").iloc[0]

@@ -72,7 +72,7 @@ def test_batch_of_rows_and_seeds_equals_each_row_and_seed_alone():
     simulation = simulate(rows, steps=3)
     model = SeedEnsemble(networks, [i for i in range(3) for _ in range(4)])
     estimates, predicted = table1.paper_method(simulation, model, 2, iterations=4)
-    errors = table1.errors(simulation, estimates, predicted, (0, 1))
+    errors = table1.errors_of_estimates(simulation, estimates, predicted, (0, 1))
     for seed in range(2):
         for k, row in enumerate(rows):
             robot = row.robot()
@@ -95,7 +95,7 @@ def test_error_of_a_perfect_estimate_is_zero():
     rows = rows_named(["n_b=1"])
     simulation = simulate(rows, steps=20)
     perfect = table1.Trajectory(simulation.q[:, None, None], None, simulation.u[:, None], {})
-    errors = table1.errors(simulation, perfect, simulation.u[None], (0,))
+    errors = table1.errors_of_estimates(simulation, perfect, simulation.u[None], (0,))
     assert errors["error"].tolist() == [0.0] * 4
 
 

@@ -40,7 +40,13 @@ from repro.sensing.magnets import B444B, ring
 from repro.sensing.multipole import MultipoleField
 from repro.sensing.relations import relations
 from repro_companion.pages.performance.rows import COLUMNS, KINDS, Goal, rate, row
-from repro_companion.pages.performance.tables import arithmetic, missed, ratios, target_table, with_targets
+from repro_companion.pages.performance.tables import (
+    arithmetic,
+    missed,
+    ratios_of_kind,
+    target_table,
+    with_targets,
+)
 from repro_companion.recordings.martin2022_models import selection
 from repro_companion.twins.bend_curves import bend_curve, bend_readings
 
@@ -176,7 +182,7 @@ def test_missed_targets_and_what_bounds_them():
     lines = missed(table)
     assert lines["capability"].tolist() == ["training set"]
     assert lines["bound_by"].str.contains("multipole series").all()
-    assert ratios(table, "model")["capability"].tolist() == ["training set", "training set, torch"]
+    assert ratios_of_kind(table, "model")["capability"].tolist() == ["training set", "training set, torch"]
     assert arithmetic(table)[["kernel", "share of the limit"]].to_numpy().tolist() == [["kernel", 0.25]]
 
 

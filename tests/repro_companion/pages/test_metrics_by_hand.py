@@ -97,14 +97,16 @@ class TestBendTests:
         """Three readings count. Errors of 3, 4 and 0 degrees: sqrt(25/3); the z axis tilts by half, so 18, 19, 15."""
         first = bend_run(bend_take("a", 0, 30.0, 10.0), np.array([3.0, 50.0, 4.0, 0.0]), 12.0, 1.9)
         second = bend_run(bend_take("b", 1, 30.0, 90.0), np.array([1.0, 50.0, -1.0, 1.0]), 7.0, 0.49)
-        table = bend_errors.errors([first, second]).set_index("take")
+        table = bend_errors.errors_by_take([first, second]).set_index("take")
         assert table["rmse_deg"].tolist() == pytest.approx([math.sqrt(25 / 3), 1.0])
         assert table["rmse_tilt_z_deg"]["a"] == pytest.approx(math.sqrt((18**2 + 19**2 + 15**2) / 3))
         # Within two deviations: 3.0 and 0.0 of 3.8 degrees; of 0.98 degrees none.
         assert table["within_percent"].tolist() == pytest.approx([200 / 3, 0.0])
         # Turned by 12 and 7 degrees: each less the other.
         assert table["direction_deg"].tolist() == pytest.approx([5.0, 5.0])
-        in_frame = bend_errors.errors([replace(first, in_capture_frame=True), second]).set_index("take")
+        in_frame = bend_errors.errors_by_take([replace(first, in_capture_frame=True), second]).set_index(
+            "take"
+        )
         assert in_frame["direction_deg"]["a"] == pytest.approx(12.0)
 
     @pytest.mark.parametrize(("bend_deg", "counts"), [(19.0, False), (21.0, True)])
@@ -112,7 +114,7 @@ class TestBendTests:
         runs = [
             bend_run(bend_take(name, k, bend_deg, 0.0), 0.0, 10.0 * k, 1.0) for k, name in enumerate("ab")
         ]
-        found = bend_errors.errors(runs)["direction_deg"]
+        found = bend_errors.errors_by_take(runs)["direction_deg"]
         assert found.notna().all() == counts
         if counts:
             assert found.tolist() == pytest.approx([10.0, 10.0])
@@ -120,7 +122,7 @@ class TestBendTests:
     def test_medians_are_those_over_all_takes(self):
         runs = [bend_run(bend_take(name, k, 30.0, 0.0), off, 0.0, 1.0)
                 for k, (name, off) in enumerate([("a", 1.0), ("b", 2.0), ("c", 9.0)])]  # fmt: skip
-        table = bend_errors.medians(bend_errors.errors(runs))
+        table = bend_errors.median_errors(bend_errors.errors_by_take(runs))
         assert table["rmse_deg"].tolist() == pytest.approx([2.0])
         assert table["takes"].tolist() == [3]
 
@@ -131,7 +133,7 @@ class TestBendTests:
         run = replace(run, take=replace(take, logged=logged))
         found = bend_errors.beside_log([run])
         assert found["difference_deg"].tolist() == pytest.approx([math.sqrt((9 + 0 + 16 + 0) / 4)])
-        curves = bend_errors.over_time([bend_run(take, 2.0, 5.0, 1.5)], ["a"], every=1)
+        curves = bend_errors.estimates_over_time([bend_run(take, 2.0, 5.0, 1.5)], ["a"], every=1)
         own = curves[curves["method"] == "ours"]
         assert own["bend_deg"].iloc[[0, 2, 3]].tolist() == pytest.approx([32.0] * 3)
         assert own["deviation_deg"].tolist() == pytest.approx([1.5] * 4)

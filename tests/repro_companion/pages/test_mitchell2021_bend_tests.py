@@ -154,7 +154,7 @@ def test_no_calibration_has_seen_the_take_it_is_judged_on(real):
 
 def test_calibrated_takes_are_within_the_noise_and_the_band_says_so(real):
     runs = errors.run_all(real, NO_READINGS, lengths_mm=(13.0,), particles=20)
-    table = errors.errors(runs).query("method == 'ours'")
+    table = errors.errors_by_take(runs).query("method == 'ours'")
     assert set(table["take"]) == {take.name for take in real}
     by = table.groupby("calibration")[["rmse_deg", "direction_deg", "within_percent"]].median()
     assert by.loc["other try", "rmse_deg"] < 0.4
@@ -165,17 +165,17 @@ def test_calibrated_takes_are_within_the_noise_and_the_band_says_so(real):
     # Test 4 bends towards -97 deg, nearly about world z, which hardly tilts the z axis.
     z = table.query("take == 'bend_4_try_1' and calibration == 'other tests'")
     assert z["rmse_tilt_z_deg"].item() > 15
-    assert errors.medians(errors.errors(runs))["takes"].max() == 4
+    assert errors.median_errors(errors.errors_by_take(runs))["takes"].max() == 4
     assert errors.beside_log(runs).empty
-    curves = errors.over_time(runs, ["bend_2_try_1"])
+    curves = errors.estimates_over_time(runs, ["bend_2_try_1"])
     assert {"capture, y axis", "capture, z axis", "ours", "paper, as printed"} <= set(curves["method"])
 
 
 def test_direction_offset_comes_from_the_other_tests(exact):
     """One test alone leaves nothing to take an offset from; two tests with one offset leave no error."""
     runs = [errors.Run("ours", "none", 13.0, take, ours(take, NONE, SENSOR)) for take in exact]
-    assert errors.errors(runs[:1])["direction_deg"].isna().all()
-    assert errors.errors(runs)["direction_deg"].max() < 0.5
+    assert errors.errors_by_take(runs[:1])["direction_deg"].isna().all()
+    assert errors.errors_by_take(runs)["direction_deg"].max() < 0.5
 
 
 def test_our_length_must_be_run(exact):
@@ -199,10 +199,10 @@ def test_errors_by_bend_are_those_of_the_readings_in_between(real):
     bend_deg = np.degrees(take.truth["bend_rad"].to_numpy())
     wrong = take.truth["bend_rad"] + np.radians(np.select([bend_deg < 20, bend_deg < 40], [1.0, -2.0], 3.0))
     table = take.truth[["direction_rad"]].assign(bend_rad=wrong, deviation_rad=np.nan)
-    (row,) = errors.errors([errors.Run("x", "none", 13.0, take, table)])[errors.BY_BEND].to_numpy()
+    (row,) = errors.errors_by_take([errors.Run("x", "none", 13.0, take, table)])[errors.BY_BEND].to_numpy()
     np.testing.assert_allclose(row, [1.0, 2.0, 3.0])
     rest = replace(take, truth=take.truth.where(take.truth["bend_rad"] < 0.3))
-    (row,) = errors.errors([errors.Run("x", "none", 13.0, rest, table)])[errors.BY_BEND].to_numpy()
+    (row,) = errors.errors_by_take([errors.Run("x", "none", 13.0, rest, table)])[errors.BY_BEND].to_numpy()
     np.testing.assert_allclose(row, [1.0, np.nan, np.nan])
 
 
@@ -239,7 +239,9 @@ def test_logs_are_scored_refused_or_damaged_each_on_its_own_line(tmp_path):
     np.testing.assert_allclose(logged["bend_rad"], 0.1)
     np.testing.assert_allclose(logged["direction_rad"], math.pi - 0.5)  # their y is not mirrored
     runs = errors.run_all(found[:2], NO_READINGS, lengths_mm=(13.0,), particles=10)
-    assert errors.errors(runs).query('method == "authors\' output"')["take"].tolist() == ["bend_0_try_1"]
+    assert errors.errors_by_take(runs).query('method == "authors\' output"')["take"].tolist() == [
+        "bend_0_try_1"
+    ]
     said = say.of_logs(log_states(found), errors.beside_log(runs))
     assert said.startswith(
         "The authors' own output exists of 3 takes and is scored in 1, where it covers 100 %"
@@ -317,7 +319,7 @@ def test_released_takes_repeat_within_two_degrees(released):
         for take in released
         for found in calibrations(take, released, SENSOR, readings)
     ]
-    table = errors.errors(runs)
+    table = errors.errors_by_take(runs)
     medians = table.groupby("calibration")["rmse_deg"].median()
     assert medians["other try"] < errors.TARGET_DEG
     assert medians["other tests"] < 3.0

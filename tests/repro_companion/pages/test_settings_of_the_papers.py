@@ -77,7 +77,9 @@ class TestBaaij:
         # prediction errors: 1 and 7 at sensor 1 (root mean square 5), 2 at sensor 2, none at sensor 3
         wrong = torch.tensor([[1.0, 2.0, 0.0], [7.0, -2.0, 0.0]] * 2, dtype=torch.float64)
         predicted = (made.u + wrong[:, None])[None]
-        table = table1.errors(replace(made, q=q), found, predicted, (7,)).set_index("quantity")["error"]
+        table = table1.errors_of_estimates(replace(made, q=q), found, predicted, (7,)).set_index("quantity")[
+            "error"
+        ]
         assert table["e_u"] == pytest.approx((5 + 2 + 0) / 3)
         for name, span in (("delta_x_1", 10.0), ("delta_y_1", 20.0), ("delta_L_1", 5.0)):
             assert table[name] == pytest.approx(100 * math.sqrt(12.5) / span)

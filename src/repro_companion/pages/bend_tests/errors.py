@@ -111,7 +111,7 @@ def run_all(
     return runs
 
 
-def errors(runs: Sequence[Run]) -> pd.DataFrame:
+def errors_by_take(runs: Sequence[Run]) -> pd.DataFrame:
     """Errors by method, calibration, arc length and take, over the readings at which motion capture is not masked.
 
     Returns
@@ -177,14 +177,14 @@ def evidence(takes: Sequence[BendTake], runs: Sequence[Run]) -> pd.DataFrame:
     return facts(takes).merge(np.degrees(table), on="take")
 
 
-def medians(table: pd.DataFrame) -> pd.DataFrame:
-    """Medians of :func:`errors` over the takes, with the number of takes."""
+def median_errors(table: pd.DataFrame) -> pd.DataFrame:
+    """Medians of :func:`errors_by_take` over the takes, with the number of takes."""
     by = table.groupby(SETTING, sort=False, dropna=False)
     columns = ["rmse_deg", *BY_BEND, "rmse_tilt_z_deg", "direction_deg", "within_percent"]
     return by[columns].median().assign(takes=by["take"].nunique()).reset_index()
 
 
-def over_time(runs: Sequence[Run], shown: Sequence[str], every: int = 4) -> pd.DataFrame:
+def estimates_over_time(runs: Sequence[Run], shown: Sequence[str], every: int = 4) -> pd.DataFrame:
     """Estimates and motion capture over time, at our arc length, for a figure.
 
     Parameters

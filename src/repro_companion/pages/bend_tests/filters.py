@@ -32,7 +32,7 @@ from repro.sensing.bend_sensor import BendSensor
 from repro_companion.pages.bend_tests.takes import BendTake
 from repro_companion.recordings.mitchell2021_conventions import model_axes, noise_of_sigma
 from repro_companion.twins.bend_curves import SENSOR_NOISE_MT
-from repro_companion.twins.field_ratios import FieldRatios, ratios
+from repro_companion.twins.field_ratios import FieldRatios, transverse_to_axial
 from repro_companion.twins.ratio_inversion import invert
 
 OUR_LENGTH_MM = 13.0
@@ -111,7 +111,7 @@ def fit(
     """
     if not len(q):
         raise bad_input("bends", f"calibration {name!r}", "known at one reading or more", "none")
-    h = ratios(sensor(q))
+    h = transverse_to_axial(sensor(q))
     if per_axis:
         matrix = torch.linalg.lstsq(h, measured).solution.T
     else:
@@ -154,7 +154,7 @@ def fit_readings(readings: pd.DataFrame, sensor: BendSensor) -> Calibration:
     files = readings.groupby(pose, as_index=False).median()
     files = files[files["bend_rad"] <= np.radians(LARGEST_CALIBRATED_DEG) + 1e-9]
     field = torch.from_numpy(files[["bx_mT", "by_mT", "bz_mT"]].to_numpy(copy=True))
-    seen = ratios(model_axes(field))
+    seen = transverse_to_axial(model_axes(field))
     straight = torch.from_numpy((files["bend_rad"] == 0).to_numpy(copy=True))
     known = torch.from_numpy(files[["bend_rad", "direction_rad"]].to_numpy(copy=True))
     q = bend_vector(known[:, 0], known[:, 1])

@@ -23,7 +23,7 @@ from repro_companion.recordings.mitchell2021 import FIELD, REST_S, HallTake, ali
 from repro_companion.recordings.mitchell2021_conventions import model_axes
 from repro_companion.recordings.mitchell2021_tables import on_readings, read_calibration, read_filtered
 from repro_companion.twins.bend_takes import write_bend_takes
-from repro_companion.twins.field_ratios import ratios
+from repro_companion.twins.field_ratios import transverse_to_axial
 from repro_live.own.optitrack import Capture, read_capture
 
 LEAST_LOGGED = 0.9
@@ -80,9 +80,9 @@ class BendTake:
     facts: dict[str, int | float]
 
     @property
-    def ratios(self) -> Float[Tensor, "readings 2"]:
+    def transverse_to_axial(self) -> Float[Tensor, "readings 2"]:
         """Ratios of the transverse over the axial field less those at rest."""
-        return ratios(self.field) - self.rest
+        return transverse_to_axial(self.field) - self.rest
 
 
 def bend_takes(folder: Path | None = None) -> list[BendTake]:
@@ -224,7 +224,7 @@ def _aligned(name: str, hall: HallTake, capture: Capture, filtered: Path | None)
         time_s=table["time_s"].to_numpy(),
         field=model_axes(torch.from_numpy(table[FIELD].to_numpy(copy=True))),
         gain=table["gain"].to_numpy(),
-        rest=ratios(whole[at_rest]).nanmedian(0).values,
+        rest=transverse_to_axial(whole[at_rest]).nanmedian(0).values,
         rest_field=whole[:RELEASED_REST].nanmean(0),
         truth=table[["bend_rad", "direction_rad", "tilt_z_rad"]].reset_index(drop=True),
         logged=logged,

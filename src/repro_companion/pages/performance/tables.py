@@ -53,7 +53,7 @@ def missed(table: pd.DataFrame) -> pd.DataFrame:
     return found.rename(columns={"met": "bound_by"}).reset_index(drop=True)
 
 
-def ratios(table: pd.DataFrame, kind: str) -> pd.DataFrame:
+def ratios_of_kind(table: pd.DataFrame, kind: str) -> pd.DataFrame:
     """Lines of one kind of ratio.
 
     Parameters
