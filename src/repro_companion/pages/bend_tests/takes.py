@@ -80,7 +80,7 @@ class BendTake:
     facts: dict[str, int | float]
 
     @property
-    def transverse_to_axial(self) -> Float[Tensor, "readings 2"]:
+    def ratios(self) -> Float[Tensor, "readings 2"]:
         """Ratios of the transverse over the axial field less those at rest."""
         return transverse_to_axial(self.field) - self.rest
 
