@@ -21,6 +21,7 @@ _SERIES_SWITCH = 1.0
 _TERMS = 10
 _SINC = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(_TERMS))
 _COSC = tuple((-1) ** k / math.factorial(2 * k + 2) for k in range(_TERMS))
+_SINCC = tuple((-1) ** k / math.factorial(2 * k + 3) for k in range(_TERMS))
 # acos(1 - x)/sin(acos(1 - x)) = 2F1(1, 1; 3/2; x/2): each coefficient from the one before it.
 _ACOSC_SWITCH = 0.1
 _ACOSC = [1.0]
@@ -70,6 +71,24 @@ def cosc(z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     theta = torch.where(small, 1.0, z).sqrt()
     half = (theta / 2).sin() / theta
     return torch.where(small, _horner(_COSC, torch.where(small, z, 0.0)), 2 * half * half)
+
+
+def sincc(z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    r""":math:`(\theta - \sin\theta)/\theta^3` of the squared angle :math:`z = \theta^2`.
+
+    Parameters
+    ----------
+    z
+        Squared angle [rad^2], not negative.
+
+    Examples
+    --------
+    >>> sincc(torch.tensor([0.0, math.pi**2], dtype=torch.float64))
+    tensor([0.1667, 0.1013], dtype=torch.float64)
+    """
+    small = z < _SERIES_SWITCH
+    theta = torch.where(small, 1.0, z).sqrt()
+    return torch.where(small, _horner(_SINCC, torch.where(small, z, 0.0)), (theta - theta.sin()) / theta**3)
 
 
 def acosc(c: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
@@ -133,6 +152,60 @@ def inverse(T: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 4 4"]:
     """
     R_T = T[..., :3, :3].transpose(-1, -2)
     return pose(R_T, -(R_T @ T[..., :3, 3:]).squeeze(-1))
+
+
+def cross_matrix(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Matrix of the cross product: ``cross_matrix(v) @ x`` is ``v`` times ``x``."""
+    x, y, z = v.unbind(-1)
+    o = torch.zeros_like(x)
+    return _matrix((o, -z, y), (z, o, -x), (-y, x, o))
+
+
+def exponential(xi: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 4 4"]:
+    r"""Rigid motion of a twist :math:`(\rho, \phi)`, translation part first: a screw of angle :math:`\|\phi\|`.
+
+    The rotation is :math:`\exp(\phi^\wedge)`, the position :math:`V(\phi)\,\rho` with the left Jacobian V of SO(3).
+
+    Parameters
+    ----------
+    xi
+        Twist [m, rad].
+
+    Examples
+    --------
+    A quarter turn about y along an arc of length pi/2 ends one radius to the side and one ahead:
+
+    >>> quarter = torch.tensor([0, 0, math.pi / 2, 0, math.pi / 2, 0], dtype=torch.float64)
+    >>> exponential(quarter)[:3, 3]
+    tensor([1.0000, 0.0000, 1.0000], dtype=torch.float64)
+    """
+    rho, phi = xi[..., :3], xi[..., 3:]
+    z, W, eye = phi.square().sum(-1), cross_matrix(phi), torch.eye(3).to(xi)
+    a, b, c = (f(z)[..., None, None] for f in (sinc, cosc, sincc))
+    W2 = W @ W
+    return pose(eye + a * W + b * W2, ((eye + b * W + c * W2) @ rho.unsqueeze(-1)).squeeze(-1))
+
+
+def logarithm(T: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 6"]:
+    """Twist of a rigid motion [m, rad]: the inverse of :func:`exponential` for turns below pi.
+
+    Examples
+    --------
+    >>> xi = torch.tensor([0.1, -0.2, 0.3, 0.4, 0.5, -0.6], dtype=torch.float64)
+    >>> torch.allclose(logarithm(exponential(xi)), xi)
+    True
+    """
+    R = T[..., :3, :3]
+    odd = torch.stack(
+        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1
+    )
+    cosine = (R.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
+    phi = odd / 2 * acosc(cosine.clamp(max=1.0)).unsqueeze(-1)
+    z, W, eye = phi.square().sum(-1), cross_matrix(phi), torch.eye(3).to(T)
+    b, c = cosc(z)[..., None, None], sincc(z)[..., None, None]
+    left = eye + b * W + c * (W @ W)
+    rho = torch.linalg.solve(left, T[..., :3, 3])
+    return torch.cat([rho, phi], dim=-1)
 
 
 def require_finite(x: Tensor, name: str, owner: str) -> None:

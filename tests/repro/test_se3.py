@@ -2,11 +2,14 @@
 
 import math
 
+import numpy as np
 import pytest
 import roma
+import scipy.linalg
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from repro import se3
 from repro.errors import InputError
@@ -109,3 +112,24 @@ def test_finite_check_passes_inside_vmap():
         return 2 * x
 
     assert torch.func.vmap(function)(torch.ones(3)).tolist() == [2, 2, 2]
+
+
+@given(twist=arrays(float, 6, elements=st.floats(-1.7, 1.7)))
+def test_exponential_is_the_matrix_exponential(twist):
+    """By SciPy's matrix exponential, and back by the logarithm."""
+    xi = torch.as_tensor(twist)
+    generator = torch.zeros(4, 4, dtype=torch.float64)
+    generator[:3, :3], generator[:3, 3] = se3.cross_matrix(xi[3:]), xi[:3]
+    T = se3.exponential(xi)
+    np.testing.assert_allclose(T, scipy.linalg.expm(generator.numpy()), atol=1e-14)
+    torch.testing.assert_close(se3.logarithm(T), xi, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-8, 0.999, 1.001, 2.5])
+def test_derivatives_of_exponential_and_logarithm(angle):
+    """At zero, beside it, at the switch of the series, and large."""
+    xi = torch.tensor(
+        [0.3, -0.2, 0.5, 0.6 * angle, 0.0, 0.8 * angle], dtype=torch.float64, requires_grad=True
+    )
+    assert torch.autograd.gradcheck(se3.exponential, xi)
+    assert torch.autograd.gradcheck(lambda x: se3.logarithm(se3.exponential(x)), xi)
