@@ -17,8 +17,12 @@ from repro_companion.book.values import filled
 
 MATHJAX = "vendor/mathjax/"
 VIEWER = "shape_viewer.js"
-FORM = "run_form.js"
-FILTER = "scorecard.js"
+SCRIPT_OF = {
+    "run_form.js": 'class="run-form"',
+    "scorecard.js": 'class="scorecard-filter"',
+    "frame_strip.js": 'class="frame-strip"',
+}
+"""Scripts by what a page has that they bring to life."""
 OFFLINE_SEARCH = "offline_search.js"
 SCORECARD_FILES = ("scorecard.json", "scorecard.svg")
 NOTEBOOKS = "notebooks/"
@@ -44,12 +48,10 @@ def select_scripts(app: Sphinx, pagename: str, templatename: str, context: dict,
             continue
         if name.startswith("vendor/") and not is_mathjax and name not in wanted:
             continue
-        if name == FORM and 'class="run-form"' not in (context.get("body") or ""):
+        if SCRIPT_OF.get(name, "") not in (context.get("body") or ""):
             continue
         if is_mathjax and name and not {"defer", "async"} & set(attributes):
             continue  # Jupyter Book's copy; Sphinx's own entry is deferred and comes after the configuration
-        if name == FILTER and 'class="scorecard-filter"' not in (context.get("body") or ""):
-            continue
         if name == OFFLINE_SEARCH and pagename != "search":
             continue
         key = (name, body)

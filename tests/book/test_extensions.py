@@ -128,10 +128,17 @@ def test_the_script_of_the_viewer_comes_with_a_view():
     assert str(context["script_files"][-1]) == "_static/shape_viewer.js"
 
 
-@pytest.mark.parametrize(("body", "names"), [('<div class="run-form">', ["run_form.js"]), ("<p>", [])])
-def test_the_script_of_the_form_comes_with_a_form(body, names):
+@pytest.mark.parametrize(
+    ("body", "names"),
+    [
+        ('<div class="run-form">', ["run_form.js"]),
+        ('<div class="frame-strip">', ["frame_strip.js"]),
+        ("<p>", []),
+    ],
+)
+def test_a_script_comes_with_what_it_brings_to_life(body, names):
     site = importlib.import_module("repro_site")
-    context = {"body": body, "script_files": [script("run_form.js")]}
+    context = {"body": body, "script_files": [script("run_form.js"), script("frame_strip.js")]}
     site.select_scripts(None, "page", "page.html", context, None)
     assert [item.filename for item in context["script_files"]] == [f"_static/{name}" for name in names]
 

@@ -27,7 +27,9 @@ FOLDER = "downloads"
 """Folder of the site that holds the files of :func:`page_files`, one folder a notebook."""
 
 _ENDINGS = {"image/png": "png", "image/svg+xml": "svg", "application/pdf": "pdf"}
-_PICTURE_IN_A_VIEW = re.compile(r'<div class="shape-view"><img src="data:image/png;base64,([^"]+)"')
+_PICTURE_IN_HTML = re.compile(
+    r'<div class="(?:shape-view|frame-strip)"><img src="data:(image/[\w+]+);base64,([^"]+)"'
+)
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class FigureFiles:
 
 
 def figures_of(executed: NotebookNode) -> list[FigureFiles]:
-    """Return the figures of an executed notebook; those of 3-D views by their pictures."""
+    """Return the figures of an executed notebook; those of 3-D views and of frames by their stills."""
     found = []
     for cell in executed.cells:
         about = cell.metadata.get("mystnb", {})
@@ -63,14 +65,14 @@ def figures_of(executed: NotebookNode) -> list[FigureFiles]:
 
 
 def _pictures(data: Mapping[str, Any]) -> list[dict[str, bytes]]:
-    """Return the pictures of an output, each in all its forms: one, or one for each 3-D view."""
+    """Return the pictures of an output, each in all its forms: one, or one for each 3-D view or strip of frames."""
     files = {}
     for kind, ending in _ENDINGS.items():
         if kind in data:
             text = data[kind] if isinstance(data[kind], str) else "".join(data[kind])
             files[ending] = text.encode() if kind == "image/svg+xml" else base64.b64decode(text)
-    views = _PICTURE_IN_A_VIEW.findall("".join(data.get("text/html", "")))
-    return [files] if files else [{"png": base64.b64decode(view)} for view in views]
+    views = _PICTURE_IN_HTML.findall("".join(data.get("text/html", "")))
+    return [files] if files else [{_ENDINGS[kind]: base64.b64decode(view)} for kind, view in views]
 
 
 def page_files(project: Project, stem: str) -> dict[str, bytes]:

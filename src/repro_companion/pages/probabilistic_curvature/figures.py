@@ -1,16 +1,21 @@
-"""Figures of the page on probabilistic curvature: bend space, errors, process noise, sensor noise, field."""
+"""Figures of the page on probabilistic curvature: bend space, steps of the filter, errors, noise, field."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, PathPatch, Rectangle
+from matplotlib.path import Path
 from matplotlib.ticker import NullFormatter
 
+from repro_companion.book.frame_strip import Frame, FrameStrip, page_strip
 from repro_live.view.style import page_figure
 
 COLOURS = {"spiral": "#0072B2", "flower": "#D55E00", "seagull": "#009E73"}
@@ -57,6 +62,85 @@ def _disc(panel: Axes) -> None:
     ticks = [-90, 0, 90]
     panel.set(aspect="equal", xlim=(-95, 95), ylim=(-95, 95), xticks=ticks, yticks=ticks)
     panel.grid(visible=False)
+
+
+@page_strip
+def filter_steps(
+    clouds: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    truth_rad: np.ndarray,
+    estimates_rad: np.ndarray,
+    first: int,
+) -> FrameStrip:
+    """Clouds of particles that are weighed, drawn anew and moved, around the true bend.
+
+    Parameters
+    ----------
+    clouds
+        For each reading the particles [rad], their weights, and the indices of those that are drawn; of one more
+        reading, what the last were moved to.
+    truth_rad, estimates_rad
+        Bend vectors for each reading [rad].
+    first
+        Number of the first of these readings.
+    """
+    figure, panels = plt.subplots(1, 2, figsize=(7.4, 4.3))
+    centre = np.rad2deg(truth_rad.mean(axis=0))
+    for panel, reach in zip(panels, (11.0, 2.5), strict=True):
+        panel.set(aspect="equal", xlim=centre[0] + [-reach, reach], ylim=centre[1] + [-reach, reach])
+    panels[0].add_patch(Rectangle(centre - 2.5, 5.0, 5.0, fill=False, color="0.5", lw=0.8))
+    panels[0].set(title="Cloud", ylabel=r"$\varphi\,\sin\theta$ [deg]")
+    panels[1].set(title="Its middle, enlarged")
+    frames: list[list[Artist]] = [[] for _ in range(3 * len(truth_rad))]
+    says: list[str] = []
+    for k, (q, weights, drawn) in enumerate(clouds[:-1]):
+        heavy, (kept, copies) = weights > 1e-3, np.unique(drawn, return_counts=True)
+        truth, estimate = np.rad2deg(truth_rad[k]), np.rad2deg(estimates_rad[k])
+        for panel in panels:
+            marks = [
+                *panel.plot(*truth, "*", color="black", ms=11, zorder=4),
+                *panel.plot(*estimate, "X", color="#D55E00", mec="white", ms=9, zorder=5),
+            ]
+            for seen in frames[3 * k : 3 * k + 3]:
+                seen += marks
+            cloud = _dots(panel, np.rad2deg(q))
+            for seen in frames[max(3 * k - 1, 0) : 3 * k + 1]:
+                seen.append(cloud)
+            for seen, chosen, share, colour in (
+                (frames[3 * k], q[heavy], weights[heavy], "#E69F00"),
+                (frames[3 * k + 1], q[kept], copies / len(q), "#0072B2"),
+            ):
+                seen.append(panel.scatter(*np.rad2deg(chosen).T, s=8 + 600 * share, color=colour, alpha=0.7))
+        off = np.linalg.norm(estimate - truth)
+        says += [
+            f"Reading {first + k}, weighed: {heavy.sum()} of {len(q)} particles have more than a thousandth of the"
+            f" weight each. The estimate is {off:.2f}° off.",
+            f"Reading {first + k}, drawn anew: {len(kept)} different particles are left, one of them"
+            f" {copies.max()} times.",
+            f"Reading {first + k}, moved by the process noise: {len(q)} different particles again.",
+        ]
+    frames[-1] += [_dots(panel, np.rad2deg(clouds[-1][0])) for panel in panels]
+    figure.supxlabel(r"$\varphi\,\cos\theta$ [deg]", fontsize="medium")
+    large = {"ls": "none", "ms": 8}
+    handles = [
+        Line2D([], [], marker=".", color="0.6", ls="none", label="particles"),
+        Line2D([], [], marker="o", color="#E69F00", **large, label="size: weight"),
+        Line2D([], [], marker="o", color="#0072B2", **large, label="size: how often drawn"),
+        Line2D([], [], marker="*", color="black", **large, label="truth"),
+        Line2D([], [], marker="X", color="#D55E00", **large, label="estimate"),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=5, columnspacing=1.2, handletextpad=0.2)
+    told = [Frame(text, artists) for text, artists in zip(says, frames, strict=True)]
+    return FrameStrip(figure, told, f"A cloud of particles around the true bend. {says[0]}", still=0)
+
+
+def _dots(panel: Axes, points: np.ndarray) -> PathPatch:
+    """One path for all: in a vector file a third of the size of as many markers."""
+    low, high = np.transpose([panel.get_xlim(), panel.get_ylim()])
+    points = points[((low < points) & (points < high)).all(axis=1)]
+    path = Path(np.repeat(points, 2, axis=0), np.tile([Path.MOVETO, Path.LINETO], len(points)))
+    path.should_simplify = False  # points without length would be left out
+    dots = PathPatch(path, fill=False, edgecolor="0.6", lw=2.4, capstyle="round", zorder=1)
+    return panel.add_patch(dots)
 
 
 @page_figure

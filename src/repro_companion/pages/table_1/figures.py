@@ -1,18 +1,71 @@
-"""Figures of the Table 1 page: published against regenerated cells, model by solver, calibration."""
+"""Figures of the Table 1 page: descents, published against regenerated cells, model by solver, calibration."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from repro_companion.book.frame_strip import Frame, FrameStrip, page_strip
 from repro_live.view.style import coordinate_symbol, in_symbols, page_figure, plain_ticks
 
 PUBLISHED, OURS, BEST = "0.45", "#0072B2", "#D55E00"
 MODELS = {"network of the paper": "o", "fast network": "s", "multipole": "D"}
 SOLVERS = {"gradient descent": ("#0072B2", "o"), "Levenberg-Marquardt": ("#D55E00", "D")}
+
+
+@page_strip
+def descents(
+    sides_m: np.ndarray,
+    off_mt: np.ndarray,
+    paths_m: Mapping[str, np.ndarray],
+    path_off_mt: Mapping[str, np.ndarray],
+    truth_m: np.ndarray,
+) -> FrameStrip:
+    """Paths of the solvers over the bend, update by update, on level lines of what the readings are off.
+
+    Parameters
+    ----------
+    sides_m, off_mt
+        Bends along either axis [m], and root mean square of the readings' error over them, ``[y, x]``.
+    paths_m, path_off_mt
+        Configurations by solver, ``[updates + 1, 3]`` [m], and the same root mean square there.
+    truth_m
+        True configuration [m].
+    """
+    figure, panel = plt.subplots(figsize=(5.6, 5.0))
+    side = 1e3 * sides_m
+    levels = panel.contour(side, side, off_mt, 12, colors="0.6", linewidths=0.8)
+    panel.clabel(levels, levels.levels[1::2], fmt="%g mT", fontsize=7, colors="0.35")
+    panel.plot(*1e3 * truth_m[:2], "*", color="black", ms=13, label="truth")
+    first = next(iter(paths_m.values()))
+    panel.plot(*1e3 * first[0, :2], "s", color="black", ms=6, label="start")
+    seen: list[list[Artist]] = [[] for _ in first]
+    for name, path in paths_m.items():
+        colour, marker = SOLVERS[name]
+        bend = 1e3 * path[:, :2]
+        style = {"color": colour, "marker": marker, "ms": 5, "lw": 1.4}
+        panel.plot([], [], **style, label=name)
+        for k in range(1, len(bend)):
+            (line,) = panel.plot(*bend[k - 1 : k + 1].T, **style, markevery=[1])
+            for later in seen[k:]:
+                later.append(line)
+    panel.set(xlabel=r"$\Delta_x$ [mm]", ylabel=r"$\Delta_y$ [mm]", aspect="equal")
+    panel.grid(visible=False)
+    figure.legend(loc="outside upper center", ncols=4)
+    bend_off = {n: 1e3 * np.linalg.norm((p - truth_m)[:, :2], axis=1) for n, p in paths_m.items()}
+
+    def told(k: int) -> str:
+        each = (f"{n} {bend_off[n][k]:.1f} mm off, readings {path_off_mt[n][k]:.3f} mT" for n in paths_m)
+        return f"After {k} of {len(seen) - 1} updates: {'; '.join(each)}."
+
+    alt = f"Level lines of the readings' error over the bend, a bowl around the truth. {told(len(seen) - 1)}"
+    return FrameStrip(figure, [Frame(told(k), lines) for k, lines in enumerate(seen)], alt)
 
 
 @page_figure
