@@ -9,6 +9,7 @@ from pathlib import Path
 
 from docutils import nodes
 from page_access import accessible
+from repro_search import INDEX
 from sphinx.application import Sphinx
 
 from repro_companion.book.after.page_notes import with_notes, write_page_files
@@ -61,6 +62,8 @@ def select_scripts(app: Sphinx, pagename: str, templatename: str, context: dict,
         kept.append(script)
     if 'class="shape-view"' in (context.get("body") or ""):
         kept.append(f"_static/{VIEWER}")
+    if pagename == "search":
+        kept.insert(0, f"_static/{INDEX}")
     context["script_files"] = kept
 
 
@@ -123,8 +126,8 @@ def add_scorecard_files(app: Sphinx, exception: Exception | None) -> None:
                 shutil.copyfile(source, Path(app.outdir) / name)
 
 
-def without_search_index(text: str) -> str:
-    """Leave out what only the page of search results uses; the index alone is half a megabyte."""
+def without_search_of_sphinx(text: str) -> str:
+    """Leave out the search of Sphinx, which shows no excerpts from disk: ``offline_search.js`` takes its place."""
     return re.sub(
         r'\s*<script src="[./]*(_static/searchtools|_static/language_data|searchindex)\.js"></script>',
         "",
@@ -142,9 +145,7 @@ def tidy(app: Sphinx, exception: Exception | None) -> None:
         new = text.replace('<div role="list" class="citation-list">', '<div class="citation-list">')
         new = re.sub(r'(<div class="citation"[^>]*?) role="doc-biblioentry"', r"\1", new)
         # pandas leaves the corner cells of a table's head empty: not a header, then
-        new = accessible(re.sub(r"<th>\s*</th>", "<td></td>", new))
-        if path.name != "search.html":
-            new = without_search_index(new)
+        new = without_search_of_sphinx(accessible(re.sub(r"<th>\s*</th>", "<td></td>", new)))
         if new != text:
             path.write_text(new, encoding="utf-8")
     for pattern in ("**/*.map", "_static/scripts/fontawesome.js*", "_static/*webpack-macros.html"):

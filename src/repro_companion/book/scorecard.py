@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from repro.errors import bad_input
 from repro_companion.book.project import Project
@@ -209,12 +210,29 @@ def changed_verdicts(rows: Iterable[ScorecardRow], reference: Path) -> list[str]
     ]
 
 
-def count_kinds(rows: Sequence[ScorecardRow]) -> dict[str, Counter[str]]:
-    """Return the number of rows of each of :data:`KINDS`, by paper, in the order of the rows."""
-    counts: dict[str, Counter[str]] = {}
+def count_kinds(
+    rows: Sequence[ScorecardRow], of: Callable[[ScorecardRow], Any] = lambda row: row.paper
+) -> dict[Any, Counter[str]]:
+    """Return the number of rows of each of :data:`KINDS`, by paper or by what is asked, in their order."""
+    counts: dict[Any, Counter[str]] = {}
     for row, kind in zip(rows, kinds(rows), strict=True):
-        counts.setdefault(row.paper, Counter())[kind] += 1
+        counts.setdefault(of(row), Counter())[kind] += 1
     return counts
+
+
+def listed(count: Counter[str]) -> str:
+    """Return counts in words, in the order of :data:`KINDS`; those of nothing are left out.
+
+    Examples
+    --------
+    >>> listed(Counter({"differs": 2, "reproduced": 1}))
+    '1 reproduced, 2 differ'
+    """
+    return ", ".join(
+        f"{count[kind]} {'differ' if kind == 'differs' and count[kind] > 1 else kind}"
+        for kind in KINDS
+        if count[kind]
+    )
 
 
 def summary(rows: Sequence[ScorecardRow]) -> str:

@@ -139,7 +139,7 @@ def with_notes(page: dict[str, Any], project: Project, stem: str) -> dict[str, A
     ]
     cells = [dict(cell) for cell in page["cells"]]
     if cells and cells[0]["cell_type"] == "markdown":
-        cells[0]["source"] = _below_title("".join(cells[0]["source"]), _summary(record, bool(declared)))
+        cells[0]["source"] = _below_title("".join(cells[0]["source"]), _summary(bool(declared)))
     return {**page, "cells": cells + added}
 
 
@@ -156,11 +156,9 @@ def _below_title(source: str, line: str) -> str:
     return f"{title}\n\n{line}\n{newline}{rest}" if title.startswith("# ") else source
 
 
-def _summary(record: Record | None, has_form: bool) -> str:
+def _summary(has_form: bool) -> str:
     parts = ['<a href="#run-it-with-your-parameters">Run it with your parameters</a>'] if has_form else []
     parts.append('<a href="#provenance-and-downloads">Data, figures and notebook</a>')
-    if record:
-        parts.append(f"{_code(record, short=True)}, ran in {record.seconds:.0f} s")
     return f'<p class="page-summary">{" · ".join(parts)}</p>'
 
 
@@ -187,7 +185,7 @@ def provenance_line(record: Record, declared: Mapping[str, Parameter]) -> str:
         ("Notebook", record.notebook),
         ("Parameters", changed or ("its own" if declared else "none")),
         ("Seed", seeds or "none"),
-        ("Code", _code(record, short=False)),
+        ("Code", _code(record)),
         ("Recordings", source),
         ("All inputs", f"SHA-256 {record.key[:12]}"),
         ("Python", record.python),
@@ -197,12 +195,12 @@ def provenance_line(record: Record, declared: Mapping[str, Parameter]) -> str:
     return f'<p class="provenance">{cells}.</p>'
 
 
-def _code(record: Record, *, short: bool) -> str:
+def _code(record: Record) -> str:
     commit = record.code.get("commit")
     if not commit:
         return f"source archive {str(record.code.get('source archive', ''))[:12]}"
     changed = " with uncommitted changes" if record.code.get("dirty") else ""
-    return f"commit {commit[:7] if short else commit[:12]}{changed}"
+    return f"commit {commit[:12]}{changed}"
 
 
 def _downloads(
@@ -229,9 +227,15 @@ def _downloads(
     lines.append("- Notebook: " + ", ".join(link(name, text) for name, text in own if name in files))
     if tables := [name for name in (record.results if record else ()) if name in files]:
         lines.append("- Tables: " + ", ".join(link(name, name) for name in tables))
-    for figure in figures_of(executed):
+    figures = figures_of(executed)
+    numbered = {figure.name for figure in figures if figure.caption}
+    for figure in figures:
         links = ", ".join(link(f"{figure.name}.{ending}", ending.upper()) for ending in figure.files)
-        named = f"{{numref}}`{figure.name}`" if figure.caption else figure.name
+        named, (first, _, number) = figure.name, figure.name.rpartition("-")
+        if named in numbered:
+            named = f"{{numref}}`{named}`"
+        elif first in numbered:  # another picture of the same cell
+            named = f"{{numref}}`{first}`, picture {number}"
         none = "" if {"svg", "pdf"} & set(figure.files) else "; no vector version (too large, or a 3-D view)"
         lines.append(f"- {named}: {links}{none}")
     return "\n".join(lines) + "\n"
