@@ -120,11 +120,10 @@ def judged(bound: pd.DataFrame, summary: pd.DataFrame) -> Figure:
     summary
         Columns of :func:`~repro_companion.pages.sensor_placement.errors.errors_by_layout`, of one robot.
     """
-    figure, grid = plt.subplots(2, 2, figsize=(WIDTH_IN, 6.4), height_ratios=(1, 1.2))
-    (middle, right), spec = grid[1], grid[0, 0].get_gridspec()
-    for panel in grid[0]:
-        panel.remove()
-    left = figure.add_subplot(spec[0, :])
+    figure, panels = plt.subplot_mosaic(
+        [["bound", "bound"], ["drawn", "tolerant"]], figsize=(WIDTH_IN, 6.4), height_ratios=(1, 1.2)
+    )
+    left, middle, right = (panels[name] for name in ("bound", "drawn", "tolerant"))
     names = list(dict.fromkeys(bound["layout"]))
     for k, name in enumerate(names):
         part = bound[bound["layout"] == name]
