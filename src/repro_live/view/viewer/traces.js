@@ -68,8 +68,8 @@ export function createTraces(element, traces, time, pick) {
       viewBox: `0 0 ${WIDTH} ${HEIGHT}`, preserveAspectRatio: "none", role: "img",
       "aria-label": `${title} in ${unit} over time, from ${shown(low)} to ${shown(high)}: ${names}`,
     });
-    const middle = { x1: 0, x2: WIDTH, y1: HEIGHT / 2, y2: HEIGHT / 2, "vector-effect": "non-scaling-stroke" };
-    svg.append(drawn("line", { ...middle, stroke: "rgb(128 128 128 / 40%)" }));
+    const across = { d: `M0 ${HEIGHT / 2}H${WIDTH}`, stroke: "rgb(128 128 128 / 40%)" };
+    svg.append(drawn("path", { ...across, "vector-effect": "non-scaling-stroke" }));
     const legend = make("ul", { class: "shape-view-legend" });
     const values = series.map((s, i) => {
       const colour = SERIES[i];
@@ -93,7 +93,9 @@ export function createTraces(element, traces, time, pick) {
     svg.addEventListener("pointerdown", point);
     svg.addEventListener("pointermove", point);
     const dashed = series.some((s) => s.estimate) ? ", estimate dashed" : "";
-    const ticks = [high, (low + high) / 2, low].map((value) => make("span", {}, shown(value)));
+    const quantum = 10 ** (Math.floor(Math.log10(high - low || 1)) - 2); // a middle of 0.00003 between ±1 is 0
+    const middle = Math.round((low + high) / 2 / quantum) * quantum;
+    const ticks = [high, middle, low].map((value) => make("span", {}, shown(value)));
     const limits = make("div", { class: "shape-view-limits" }, ...ticks);
     const row = make("div", { class: "shape-view-row" }, limits, svg);
     const heading = first ? [make("p", {}, `${title} [${unit}]${dashed}`)] : [];
