@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from functools import cache
 from html.parser import HTMLParser
@@ -13,6 +14,7 @@ import pytest
 from chromium import MISSING, find, started
 from page_on_screen import differing, pixels
 from page_visit import FACTS, Visit, open_page, visit
+from shown import MACHINE_NAME, cells_not_to_show, texts_of_picture
 
 SITE = Path(__file__).resolve().parents[2] / "book" / "_build" / "html"
 # Pages that only list source code need no browser; their links are checked with the others.
@@ -22,6 +24,9 @@ WRITTEN = [page for page in PAGES if not page.startswith(("api/", "genindex"))]
 """Notebooks and pages written by hand."""
 WITH_STRIPS = [page for page in WRITTEN if 'class="frame-strip"' in (SITE / page).read_text(encoding="utf-8")]
 WITH_VIEWS = [page for page in WRITTEN if 'class="shape-view"' in (SITE / page).read_text(encoding="utf-8")]
+EXECUTED = sorted((SITE.parents[1] / "notebooks").glob("*.ipynb"))
+SMALLEST_LETTERS_PX = 5.5
+"""On a telephone, without turning it or drawing the figure larger."""
 VIEWER = SITE / "_static" / "shape_viewer.js"
 NARROW = (390, 320)
 LANDING_LIMIT_BYTES = 1_000_000
@@ -344,6 +349,22 @@ def test_strips_of_frames(name, browser):
         assert seen.console == []
     finally:
         page.close()
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_tables_are_for_readers(name):
+    """No name of a column, nothing missing that reads as a word, no digits that nobody knows."""
+    assert cells_not_to_show((SITE / name).read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("path", EXECUTED, ids=lambda path: path.stem)
+def test_letters_of_figures_are_words_and_large_enough(path):
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    outputs = [output.get("data", {}) for cell in cells for output in cell.get("outputs", [])]
+    pictures = ["".join(data["image/svg+xml"]) for data in outputs if "image/svg+xml" in data]
+    texts = [text for picture in pictures for text in texts_of_picture(picture)]
+    assert [text for text, _ in texts if MACHINE_NAME.search(text)] == []
+    assert [text for text, size_px in texts if size_px < SMALLEST_LETTERS_PX and len(text) > 1] == []
 
 
 class Links(HTMLParser):

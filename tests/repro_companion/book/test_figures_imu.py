@@ -147,7 +147,7 @@ def test_fewer_imus_has_a_panel_per_point():
     lines = [("spline", n, point, 10.0 * n, 20.0 * n) for n in (2, 8) for point in (360.0, 640.0)]
     table = pd.DataFrame(lines, columns=["model", "n_imus", "point_mm", "median_mm", "q75_mm"])
     first, second = fewer_imus(table, "synthetic").axes
-    assert (first.get_title(), second.get_title()) == ("at 360 mm, synthetic", "at 640 mm, synthetic")
+    assert (first.get_title(), second.get_title()) == ("at 360 mm,\nsynthetic", "at 640 mm,\nsynthetic")
     drawn = [y for line in first.lines if len(y := line.get_ydata())]
     np.testing.assert_array_equal(drawn[0], [20, 80])
 

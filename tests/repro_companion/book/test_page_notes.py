@@ -120,7 +120,12 @@ def test_everything_that_a_page_offers_is_there(root, page):
     before = json.loads(page.read_text())
     shown = with_notes(before, project, "a")
     assert before == json.loads(page.read_text())
-    assert shown["cells"][1:-2] == before["cells"][1:]
+    drawn = [
+        output["data"] for cell in before["cells"] for output in cell.get("outputs", []) if "data" in output
+    ]
+    assert any({"image/png", "image/svg+xml"} <= set(data) for data in drawn)
+    for cell, own in zip(shown["cells"][1:-2], before["cells"][1:], strict=True):
+        assert {**cell, "outputs": None} == {**own, "outputs": None}
     assert shown["cells"][0]["source"].startswith('# Title\n\n<p class="page-summary"><a href="#run-it-')
     assert shown["cells"][0]["source"].endswith("</p>\n\n\nText.")
     form, downloads = (cell["source"] for cell in shown["cells"][-2:])
@@ -195,3 +200,17 @@ def test_figures_in_the_order_of_the_page():
     assert [figure.caption for figure in found[2:]] == ["A view.", "", "", ""]  # a label is there once
     assert found[0].files == {"png": b"\x89PNG of the figure", "svg": b"<svg/>"}
     assert found[2].files == {"png": b"\x89PNG of the figure"}
+
+
+@pytest.mark.parametrize(("svg", "kept"), [("<svg/>", "image/svg+xml"), ("<svg>" + 40 * " ", "image/png")])
+def test_a_page_shows_the_lighter_of_two_pictures(root, page, svg, kept):
+    notebook = json.loads(page.read_text())
+    pictures = {"image/png": PNG, "image/svg+xml": svg, "text/plain": "Figure"}
+    output = {"output_type": "display_data", "data": pictures, "metadata": {}}
+    notebook["cells"].append(
+        {"cell_type": "code", "id": "x", "metadata": {}, "source": "", "outputs": [output]}
+    )
+    shown = with_notes(notebook, find_project(), "a")
+    assert set(shown["cells"][-3]["outputs"][0]["data"]) == {kept, "text/plain"}
+    assert output["data"] is pictures  # the notebook keeps both, to download
+    assert len(pictures) == 3

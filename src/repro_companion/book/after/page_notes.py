@@ -137,10 +137,22 @@ def with_notes(page: dict[str, Any], project: Project, stem: str) -> dict[str, A
         {"cell_type": "markdown", "id": f"page-{key}", "metadata": {}, "source": text}
         for key, text in sections
     ]
-    cells = [dict(cell) for cell in page["cells"]]
+    cells = [_with_light_pictures(cell) for cell in page["cells"]]
     if cells and cells[0]["cell_type"] == "markdown":
         cells[0]["source"] = _below_title("".join(cells[0]["source"]), _summary(bool(declared)))
     return {**page, "cells": cells + added}
+
+
+def _with_light_pictures(cell: Mapping[str, Any]) -> dict[str, Any]:
+    """Leave of a figure that is there as SVG and as PNG the one of fewer bytes for the page."""
+    outputs = []
+    for output in cell.get("outputs", []):
+        data = dict(output.get("data", {}))
+        if {"image/svg+xml", "image/png"} <= set(data):
+            files = _pictures(data)[0]
+            del data["image/png" if len(files["svg"]) < len(files["png"]) else "image/svg+xml"]
+        outputs.append({**output, "data": data} if data else output)
+    return {**cell, "outputs": outputs} if outputs else dict(cell)
 
 
 _RUN = """\

@@ -12,7 +12,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from repro_companion.book.frame_strip import Frame, FrameStrip, page_strip
-from repro_live.view.style import coordinate_symbol, in_symbols, page_figure, plain_ticks
+from repro_live.view.style import (
+    WIDTH_IN,
+    coordinate_symbol,
+    in_symbols,
+    page_figure,
+    plain_ticks,
+    wrapped_panels,
+)
 
 PUBLISHED, OURS, BEST = "0.45", "#0072B2", "#D55E00"
 MODELS = {"network of the paper": "o", "fast network": "s", "multipole": "D"}
@@ -79,12 +86,8 @@ def published_and_regenerated(cells: pd.DataFrame) -> Figure:
         empty where there is none.
     """
     rows = list(dict.fromkeys(cells["row"]))
-    columns = 2 if len(rows) > 3 else 1
-    lines = -(-len(rows) // columns)
-    figure, panels = plt.subplots(
-        lines, columns, figsize=(4.7 * columns, 1.65 * lines + 0.5), sharey=True, squeeze=False
-    )
-    for panel, row in zip(panels.flat, rows, strict=False):
+    figure, panels = wrapped_panels(len(rows), 2, 1.75, sharey=True)
+    for panel, row in zip(panels, rows, strict=True):
         part = cells[cells["row"] == row]
         x = np.arange(len(part))
         for offset, name, colour, marker in (
@@ -103,9 +106,9 @@ def published_and_regenerated(cells: pd.DataFrame) -> Figure:
         labels = [coordinate_symbol(q) for q in part["quantity"]]
         panel.set(yscale="log", xticks=x, xticklabels=labels, xlim=(-0.6, len(part) - 0.4))
         panel.grid(axis="x", visible=False)
-    for panel in panels.flat[len(rows) :]:
-        panel.set_visible(False)
-    figure.supylabel("relative error [%]", fontsize="medium")
+        plain_ticks(panel.yaxis, subs=(1,))
+    for panel in panels[::2]:
+        panel.set_ylabel("relative error [%]")
     handles = [
         Line2D([], [], marker=m, ls="", color=c, label=name)
         for name, c, m in (
@@ -114,7 +117,7 @@ def published_and_regenerated(cells: pd.DataFrame) -> Figure:
             ("calibrated multipole model, robot not as drawn, with noise", BEST, "D"),
         )
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3 if columns == 2 else 1)
+    figure.legend(handles=handles, loc="outside upper center", ncols=1)
     return figure
 
 
@@ -127,7 +130,7 @@ def model_by_solver(table: pd.DataFrame) -> Figure:
     table
         Columns of ``model_by_solver``.
     """
-    figure, panels = plt.subplots(1, 2, figsize=(8.2, 3.4))
+    figure, panels = plt.subplots(2, 1, figsize=(WIDTH_IN, 6.0), sharex=True)
     models = [m for m in MODELS if m in set(table["model"])]
     for panel, column, label in zip(
         panels,
@@ -140,9 +143,9 @@ def model_by_solver(table: pd.DataFrame) -> Figure:
             x = np.array([models.index(m) for m in part["model"]]) + 0.24 * (k - 0.5)
             panel.plot(x, part[column], marker, color=colour, ms=5, alpha=0.85, label=solver)
         panel.set(yscale="log", ylabel=label, xticks=range(len(models)), xlim=(-0.5, len(models) - 0.5))
-        panel.set_xticklabels([m.replace(" of ", "\nof ") for m in models])
+        panel.set_xticklabels(models)
         panel.grid(axis="x", visible=False)
-    panels[0].legend(loc="lower left")
+    panels[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return figure
 
 
@@ -155,17 +158,17 @@ def calibration_gain(summary: pd.DataFrame) -> Figure:
     summary
         Columns ``row, uncalibrated_percent, calibrated_percent, ratio, ratio_low, ratio_high``.
     """
-    figure, (left, right) = plt.subplots(1, 2, figsize=(8.2, 0.34 * len(summary) + 1.1), sharey=True)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH_IN, 0.38 * len(summary) + 1.2), sharey=True)
     y = np.arange(len(summary))[::-1]
     left.hlines(y, summary["calibrated_percent"], summary["uncalibrated_percent"], color="0.8", lw=2)
     left.plot(summary["uncalibrated_percent"], y, "s", color=PUBLISHED, label="as drawn")
     left.plot(summary["calibrated_percent"], y, "D", color=BEST, label="calibrated")
-    left.set(xscale="log", xlabel="mean relative error [%]")
+    left.set(xscale="log", xlabel="mean relative\nerror [%]")
     left.set_yticks(y, [in_symbols(row) for row in summary["row"]])
-    plain_ticks(left.xaxis)
-    left.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    plain_ticks(left.xaxis, subs=(1,))
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=2)
     ratio = summary["ratio"].to_numpy()
     spread = [ratio - summary["ratio_low"], summary["ratio_high"] - ratio]
     right.errorbar(ratio, y, xerr=spread, fmt="o", color=OURS, capsize=2)
-    right.set(xlabel="calibrated / as drawn, 95 % interval", xlim=(0, None))
+    right.set(xlabel="calibrated / as drawn,\n95 % interval", xlim=(0, None))
     return figure
