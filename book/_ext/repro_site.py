@@ -20,14 +20,17 @@ MATHJAX = "vendor/mathjax/"
 VIEWER = "shape_viewer.js"
 SCRIPT_OF = {
     "run_form.js": 'class="run-form"',
+    "live/carry.js": 'class="run-form"',
     "scorecard.js": 'class="scorecard-filter"',
     "frame_strip.js": 'class="frame-strip"',
 }
 """Scripts by what a page has that they bring to life."""
+LIVE_FIRST = ("model", "figure")
+"""What every live figure is made of, in the order in which it is loaded; its own script comes last."""
 OFFLINE_SEARCH = "offline_search.js"
 SCORECARD_FILES = ("scorecard.json", "scorecard.svg")
 NOTEBOOKS = "notebooks/"
-VIEW = re.compile(r"<!-- view of (\w+) -->")
+LIVE = re.compile(r'data-live="(\w+)"')
 
 
 def select_scripts(app: Sphinx, pagename: str, templatename: str, context: dict, doctree) -> None:
@@ -51,6 +54,8 @@ def select_scripts(app: Sphinx, pagename: str, templatename: str, context: dict,
             continue
         if SCRIPT_OF.get(name, "") not in (context.get("body") or ""):
             continue
+        if name.startswith("live/") and name not in SCRIPT_OF:
+            continue
         if is_mathjax and name and not {"defer", "async"} & set(attributes):
             continue  # Jupyter Book's copy; Sphinx's own entry is deferred and comes after the configuration
         if name == OFFLINE_SEARCH and pagename != "search":
@@ -64,6 +69,8 @@ def select_scripts(app: Sphinx, pagename: str, templatename: str, context: dict,
         kept.append(f"_static/{VIEWER}")
     if pagename == "search":
         kept.insert(0, f"_static/{INDEX}")
+    live = sorted(set(LIVE.findall(context.get("body") or "")))
+    kept += [f"_static/live/{stem}.js" for stem in ((*LIVE_FIRST, *live) if live else ())]
     context["script_files"] = kept
 
 
@@ -73,18 +80,6 @@ def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:
         project = Project(Path(app.srcdir).parent)
         page = with_notes(json.loads(source[0]), project, docname.removeprefix(NOTEBOOKS))
         source[0] = json.dumps(page)
-
-
-def add_view(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Put the first 3-D view of a notebook where another page asks for it: ``<!-- view of table_1 -->``."""
-    for stem in VIEW.findall(source[0]):
-        page = json.loads(
-            (Project(Path(app.srcdir).parent).executed / f"{stem}.ipynb").read_text(encoding="utf-8")
-        )
-        outputs = [output for cell in page["cells"] for output in cell.get("outputs", [])]
-        html = ("".join(output.get("data", {}).get("text/html", "")) for output in outputs)
-        view = next(text for text in html if 'class="shape-view"' in text)
-        source[0] = source[0].replace(f"<!-- view of {stem} -->", f"```{{raw}} html\n{view}\n```")
 
 
 def fill_values(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -168,7 +163,6 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.connect("html-page-context", select_scripts, priority=900)
     app.connect("html-collect-pages", forget_modules_without_source, priority=100)
     app.connect("source-read", add_notes)
-    app.connect("source-read", add_view)
     app.connect("source-read", fill_values)
     # a number of a paper, a setting: so that every other digit in prose is known to be loose
     for role in ("paper", "setting"):
