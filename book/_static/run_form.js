@@ -120,6 +120,7 @@
     var keys = parts.map(function (part) { return /^"/.test(part) ? part : String(Number(part)); });
     if (rule.once && keys.some(function (key, k) { return keys.indexOf(key) < k; })) return false;
     if (rule.count && parts.length && parts.length !== +rule.count) return false;
+    if (rule.among && !parts.some(function (part) { return Number(part) === +rule.among; })) return false;
     return !rule.filled || parts.length > 0;
   }
 

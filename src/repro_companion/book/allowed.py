@@ -1,10 +1,13 @@
 """Values that a parameter may have, as the end of its comment says; checked by ``repro run`` and by the form alike.
 
 ``, 1 to 6``, ``, at least 0``, ``, above 0``, ``, at most 10``, ``, below 10``, ``, above 0 and at most 10`` or
-``, one of: released, published``, with the unit behind it. In a list the rule holds for each value. A list may be
-empty where its comment has the words ``when empty``; its values are whole numbers where those of its default are.
-``, each once, 1 to 12`` or a choice takes no value twice; ``, 8 values, above 0`` takes so many. Commas between
-choices have a space behind them, and a choice with such a comma stands in double quotes.
+``, one of: released, published``, with the unit behind it. Commas between choices have a space behind them, and a
+choice with such a comma stands in double quotes.
+
+In a list the rule holds for each value, and before it may stand how many there are, one that must be there, and that
+there is none twice: ``, 8 values, above 0``, ``, 13.0 among them, each once, above 0``; a choice takes none twice. A
+list may be empty where its comment has the words ``when empty``; its values are whole numbers where those of its
+default are.
 """
 
 from __future__ import annotations
@@ -24,7 +27,8 @@ _BETWEEN = re.compile(r',\s+(?=(?:[^"]*"[^"]*")*[^"]*$)')
 """What divides choices: not within quotes."""
 _END = rf"(at least|above|at most|below) ({_NUMBER})"
 _RULE = re.compile(
-    rf",\s*(?:(?P<count>[0-9]+) values, |(?P<once>each once, ))?(?P<said>(?P<low>{_NUMBER}) to (?P<high>{_NUMBER})"
+    rf",\s*(?:(?P<count>[0-9]+) values, )?(?:(?P<among>{_NUMBER}) among them, )?(?P<once>each once, )?"
+    rf"(?P<said>(?P<low>{_NUMBER}) to (?P<high>{_NUMBER})"
     rf"|(?P<ends>{_END}(?: and {_END})?)|one of: (?P<choices>[^\[\]]+?))\s*(?:\[[^\]]*\])?$"
 )
 
@@ -50,6 +54,8 @@ class Rule:
     """Whether a list may not have a value twice."""
     filled: bool = False
     """Whether a list may not be empty."""
+    among: float | None = None
+    """A value that a list must have."""
     count: int = 0
     """How many values a list has that is not empty; 0 where any number will do."""
 
@@ -60,6 +66,8 @@ class Rule:
         if (self.filled and not value) or not all(map(self._allows_one, value)):
             return False
         if self.count and value and len(value) != self.count:
+            return False
+        if self.among is not None and self.among not in value:
             return False
         return not self.once or len(set(value)) == len(value)
 
@@ -80,11 +88,12 @@ class Rule:
         if not self.is_list:
             return self.said
         number = f"{self.count} " if self.count else "one or more " if self.filled else ""
+        among = "" if self.among is None else f", {self.among:g} among them"
         if self.choices:
             kind = "one or more" if self.filled else "any"
-            return f"a list of {kind} of: {self.said.removeprefix('one of: ')}, none of them twice"
+            return f"a list of {kind} of: {self.said.removeprefix('one of: ')}{among}, none of them twice"
         values = "whole numbers" if self.whole else "values"
-        return f"a list of {number}{values}, each {self.said}{', none of them twice' if self.once else ''}"
+        return f"a list of {number}{values}{among}, each {self.said}{', none of them twice' if self.once else ''}"
 
     def attributes(self) -> str:
         """Return the rule as attributes of HTML, from which the form's script checks it."""
@@ -92,6 +101,7 @@ class Rule:
         known: dict[str, str] = {"must-be": self.must_be}
         known |= {name: "true" for name in flags if getattr(self, name)}
         known |= {"count": str(self.count)} if self.count else {}
+        known |= {"among": repr(self.among)} if self.among is not None else {}
         if self.choices:
             known["choices"] = json.dumps(self.choices, ensure_ascii=False)
         else:
@@ -123,6 +133,7 @@ def rule_of(kind: str, default: str, meaning: str) -> Rule | None:
         "once": is_list and bool(words["once"] or words["choices"]),
         "filled": is_list and "when empty" not in meaning,
         "count": int(words["count"] or 0),
+        "among": float(words["among"]) if words["among"] else None,
         "whole": kind == "int" or (is_list and _all_whole(default)),
     }
     if words["choices"]:

@@ -51,6 +51,14 @@ CASES = [
         "list", "[80.0, 80.0]", "links, base to tip, 2 values, above 0 [mm]", "a list of 2 values, each above 0",
         ("[1, 1]",), ("[]", "[1]", "[1, 2, 3]", "[1, -1]"),
     ),
+    Case(
+        "list",
+        "[13.0]",
+        "lengths, 13.0 among them, each once, above 0 [mm]",
+        "a list of one or more values, 13 among them, each above 0, none of them twice",
+        ("[13, 14]", "[12, 13.0]"),
+        ("[14]", "[]", "[13, -1]", "[13, 13.0]"),
+    ),
 ]  # fmt: skip
 OF_CHOICES = [
     Case(
