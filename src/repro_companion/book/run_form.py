@@ -197,6 +197,8 @@ def _boxes(choices: Sequence[Any], chosen: Sequence[Any], common: str, place: st
 
 
 def _hint(parameter: Parameter) -> str:
+    if parameter.rule and parameter.rule.choices:  # which stand in the field
+        return parameter.meaning.replace(f", {parameter.rule.said}", "")
     kind = {"int": "whole number", "float": "number", "str": "text", "bool": "yes or no"}.get(
         parameter.type, f"{parameter.type} in YAML"
     )
