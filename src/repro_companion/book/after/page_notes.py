@@ -152,8 +152,8 @@ _RUN = """\
 ## Run it with your parameters
 
 Change values and copy a command into a terminal, in the folder of the repository after `make env` (or `make book`).
-Only changed values are named. `repro run` refuses unknown names and values that are not allowed, as the form does; the
-book's own results stay as they are, and `make diff RUN=runs/…` shows a run beside them."""
+Only changed values are named. `repro run` refuses what the form refuses; the book's own results stay as they are, and
+`make diff RUN=runs/…` shows a run beside them."""
 
 
 def _below_title(source: str, line: str) -> str:
