@@ -149,7 +149,7 @@ def run_notebook(
         # A kernel on TCP ports dies where another program takes one of them first. Paths of sockets must be
         # short (104 characters on macOS), hence a folder of their own.
         with (
-            _environment(_kernel_environment(tables)),
+            changed_environment(_kernel_environment(tables)),
             tempfile.TemporaryDirectory(prefix="repro-") as sockets,
         ):
             try:
@@ -195,14 +195,18 @@ def _literal(path: Path) -> str:
 
 
 def _kernel_environment(tables: Path) -> dict[str, str]:
-    threads = {name + ("_THREADS" if "MAX" in name else "_NUM_THREADS"): "1" for name in _ONE_THREAD}
     folders = {"REPRO_RESULTS_DIR": str(tables.absolute()), "REPRO_DATA_DIR": str(data_dir())}
     # The debugger of ipykernel warns at every start about modules that Python has frozen.
-    return {**threads, **folders, "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
+    return {**one_thread(), **folders, "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
+
+
+def one_thread() -> dict[str, str]:
+    """Return the environment in which the libraries that compute use one thread: sums then have one order."""
+    return {name + ("_THREADS" if "MAX" in name else "_NUM_THREADS"): "1" for name in _ONE_THREAD}
 
 
 @contextlib.contextmanager
-def _environment(changes: Mapping[str, str]) -> Iterator[None]:
+def changed_environment(changes: Mapping[str, str]) -> Iterator[None]:
     """Change the environment, which the kernel inherits, and change it back."""
     before = {name: os.environ.get(name) for name in changes}
     os.environ.update(changes)

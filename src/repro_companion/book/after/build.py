@@ -13,6 +13,7 @@ from pathlib import Path
 
 from repro.errors import InputError, bad_input
 from repro.files import write_whole
+from repro_companion.book.after.alternatives import alternative_points, remove_other_runs, warm_runner
 from repro_companion.book.after.site import SiteFailed, build_site
 from repro_companion.book.digests import combined_digest, write_if_changed
 from repro_companion.book.points import (
@@ -59,6 +60,8 @@ def build(project: Project, jobs: int) -> int:
     if not run_pages(due, jobs) or not _tables_are_told_apart(project, notebooks):
         return 1
     try:
+        if not run_alternatives(project, inputs, jobs):
+            return 1
         rows = compute_scorecard(project)
         write_if_changed(project.results / "scorecard.csv", scorecard_csv(rows))
         _write_scorecard_pages(project, rows, inputs)
@@ -153,6 +156,19 @@ def run_pages(pages: Sequence[Point], jobs: int) -> bool:
         Whether all succeeded.
     """
     failures = run_points(pages, local_runner(jobs)) if pages else {}
+    for message in failures.values():
+        print(message, file=sys.stderr)
+    return not failures
+
+
+def run_alternatives(project: Project, inputs: Inputs, jobs: int) -> bool:
+    """Compute what changed parameters give, for the pages to show; return whether all of it succeeded."""
+    points = alternative_points(project, inputs)
+    remove_other_runs(project, points)
+    due = [point for point in points if not finished(point)]
+    if due:
+        print(f"alternatives: {len(due)} short runs with other parameters", flush=True)
+    failures = run_points(due, warm_runner(jobs, inputs)) if due else {}
     for message in failures.values():
         print(message, file=sys.stderr)
     return not failures

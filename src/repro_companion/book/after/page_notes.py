@@ -13,6 +13,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from repro_companion.book.after.alternatives import alternatives_of
+from repro_companion.book.after.before_after import CHECK, section
 from repro_companion.book.digests import combined_digest
 from repro_companion.book.parameters import Parameter, declared_parameters
 from repro_companion.book.project import Project
@@ -132,12 +134,17 @@ def with_notes(page: dict[str, Any], project: Project, stem: str) -> dict[str, A
     sections = []
     if declared:
         sections.append(("run", f"{_RUN}\n\n{form_html(name, declared)}"))
+    if alternatives := alternatives_of(executed, name):
+        sections.append(("alternatives", section(project, stem, name, alternatives)))
     sections.append(("downloads", _downloads(project, stem, executed, record, declared)))
     added = [
         {"cell_type": "markdown", "id": f"page-{key}", "metadata": {}, "source": text}
         for key, text in sections
     ]
     cells = [_with_light_pictures(cell) for cell in page["cells"]]
+    if alternatives and alternatives[0].exercise:
+        exercise = next(cell for cell in cells if "".join(cell["source"]).startswith("## Exercise\n"))
+        exercise["source"] = "".join(exercise["source"]) + CHECK
     if cells and cells[0]["cell_type"] == "markdown":
         cells[0]["source"] = _below_title("".join(cells[0]["source"]), _summary(bool(declared)))
     return {**page, "cells": cells + added}
@@ -159,8 +166,8 @@ _RUN = """\
 ## Run it with your parameters
 
 Change values and copy a command into a terminal, in the folder of the repository after `make env` (or `make book`).
-Only changed values are named. `repro run` refuses unknown names and wrong types; the book's own results stay as they
-are, and `make diff RUN=runs/…` shows a run beside them."""
+Only changed values are named. `repro run` refuses what the form refuses; the book's own results stay as they are, and
+`make diff RUN=runs/…` shows a run beside them."""
 
 
 def _below_title(source: str, line: str) -> str:

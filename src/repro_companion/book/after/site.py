@@ -11,6 +11,7 @@ from pathlib import Path
 
 from repro.errors import bad_input
 from repro.files import write_whole
+from repro_companion.book.after.alternatives import alternatives_folder
 from repro_companion.book.digests import combined_digest, file_digest, tree_digests
 from repro_companion.book.project import Project, shown
 
@@ -33,6 +34,7 @@ def site_key(project: Project) -> str:
             {path.name: file_digest(path) for path in top},
             tree_digests(project.book, leave_out=_WRITTEN_BY_SPHINX),
             tree_digests(project.results),
+            tree_digests(alternatives_folder(project)),
             tree_digests(project.data),
             tree_digests(project.sources),
         ]
