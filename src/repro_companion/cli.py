@@ -11,7 +11,7 @@ from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, require
 from repro_companion import cli_diff, cli_live, cli_robot, cli_sweep, cli_track
 from repro_companion.cli_terminal import pairs
 
@@ -132,8 +132,7 @@ def train(*, only: str = "", folder: Path | None = None, checkpoints: Path | Non
     project = find_project()
     folder, checkpoints = folder or project.data / "networks", checkpoints or project.cache / "networks"
     wanted = [spec for spec in (*specs(), *rig_specs()) if spec.name.startswith(only)]
-    if not wanted:
-        raise bad_input("only", "repro train", "the start of a network's name", repr(only))
+    require(wanted, "only", "repro train", "the start of a network's name", repr(only))
     missing = [spec for spec in wanted if not (folder / f"{spec.name}.safetensors").exists()]
     print(f"{len(wanted) - len(missing)} of {len(wanted)} networks are there.")
     for spec in missing:

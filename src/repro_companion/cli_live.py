@@ -211,8 +211,7 @@ def emulate(
         label, form, readings = take.label, take.format, take.readings(loop=loop)
     else:
         for name, value in (("source", source), ("format", format), ("loop", loop)):
-            if value:
-                raise bad_input(name, "repro emulate", "left out with --robot", value)
+            require(not value, name, "repro emulate", "left out with --robot", value)
         board = open_board(
             robot,
             rate_hz=rate,

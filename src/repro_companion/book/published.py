@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 
 class RowKey(NamedTuple):
@@ -59,8 +59,7 @@ def read_published(path: Path) -> dict[RowKey, Published]:
     published: dict[RowKey, Published] = {}
     for row in read_csv(path, PUBLISHED_COLUMNS):
         key = row_key(row)
-        if key in published:
-            raise bad_input("row", path.name, "listed once", str(key))
+        require(key not in published, "row", path.name, "listed once", str(key))
         if not is_number(row["value"]) or (row["std"] and not is_number(row["std"])):
             raise bad_input("value", path.name, f"a number in row {key}", f"{row['value']}, {row['std']}")
         published[key] = Published(row["value"], row["std"])
@@ -92,13 +91,11 @@ def read_csv(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
     InputError
         If the file is missing, has other columns, or a line with more or fewer cells.
     """
-    if not path.is_file():
-        raise bad_input("file", "the scorecard", "an existing CSV file", path)
+    require(path.is_file(), "file", "the scorecard", "an existing CSV file", path)
     with path.open(encoding="utf-8", newline="") as stream:
         reader = csv.reader(stream)
         header = next(reader, [])
-        if header != list(columns):
-            raise bad_input("columns", path.name, ", ".join(columns), ", ".join(header))
+        require(header == list(columns), "columns", path.name, ", ".join(columns), ", ".join(header))
         rows = []
         for cells in reader:
             if len(cells) != len(header):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_companion.book.published import Published, RowKey, is_number, row_key
 
 ROW_COLUMNS = (
@@ -40,12 +40,10 @@ def check_row(row: Mapping[str, str], owner: str, published: Mapping[RowKey, Pub
         As for :func:`write_scorecard_rows`.
     """
     unknown = [column for column in row if column not in ROW_COLUMNS]
-    if unknown:
-        raise bad_input("columns", owner, "among " + ", ".join(ROW_COLUMNS), ", ".join(unknown))
+    require(not unknown, "columns", owner, "among " + ", ".join(ROW_COLUMNS), ", ".join(unknown))
     full = {column: row.get(column, "") for column in ROW_COLUMNS}
     key = row_key(full)
-    if key not in published:
-        raise bad_input("row", owner, "a row of published.csv", str(key))
+    require(key in published, "row", owner, "a row of published.csv", str(key))
 
     def refuse(column: str, must_be: str) -> None:
         raise bad_input(f"{column} of row {key}", owner, must_be, full[column] or "nothing")

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.files import write_whole
 from repro_companion.book.project import find_project, runs_folder
 from repro_companion.book.published import RowKey, read_published, row_key
@@ -98,8 +98,7 @@ def read_table(name: str) -> DataFrame:
     from pandas import read_csv
 
     path = results_dir() / f"{name}.csv"
-    if not path.is_file():
-        raise bad_input("name", "read_table", "a table that this notebook has written", name)
+    require(path.is_file(), "name", "read_table", "a table that this notebook has written", name)
     return read_csv(path)
 
 
@@ -137,8 +136,7 @@ def write_scorecard_rows(rows: Iterable[Mapping[str, Any]], name: str) -> None:
     for row in rows:
         checked = check_row({column: _as_text(value) for column, value in row.items()}, name, published)
         key = row_key(checked)
-        if key in texts:
-            raise bad_input("row", name, "given once", str(key))
+        require(key not in texts, "row", name, "given once", str(key))
         texts[key] = checked
     stream = io.StringIO()
     writer = csv.DictWriter(stream, ROW_COLUMNS, lineterminator="\n")

@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro_companion.book.digests import file_digest, tree_digests
 from repro_companion.book.project import Project, find_project, runs_folder, shown
 from repro_companion.book.provenance import (
@@ -60,8 +60,7 @@ def read_notebook(path: Path) -> NotebookNode:
     """
     import nbformat
 
-    if not path.is_file():
-        raise bad_input("notebook", "repro run", "an existing file", path)
+    require(path.is_file(), "notebook", "repro run", "an existing file", path)
     try:
         return nbformat.read(path, as_version=4)
     except RecursionError as error:

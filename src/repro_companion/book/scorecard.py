@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_companion.book.project import Project
 from repro_companion.book.published import Published, RowKey, read_csv, read_published, row_key
 from repro_companion.book.regenerated import ROW_COLUMNS, check_row
@@ -197,8 +197,7 @@ def changed_verdicts(rows: Iterable[ScorecardRow], reference: Path) -> list[str]
     changed = []
     for line in read_csv(reference, REFERENCE_COLUMNS):
         row, then = now.pop(row_key(line), None), line["verdict"]
-        if then not in set(Verdict):
-            raise bad_input("verdict", reference.name, "one of " + ", ".join(Verdict), then)
+        require(then in set(Verdict), "verdict", reference.name, "one of " + ", ".join(Verdict), then)
         if row is None:
             changed.append(f"{row_key(line)}: was {Verdict(then).words}, is not listed")
         elif row.verdict != then:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_companion.book.points import Point, environment_of_runs
 from repro_companion.book.project import Project
 from repro_companion.book.provenance import notebook_key, read_inputs
@@ -23,8 +23,7 @@ def check_folder(folder: Path, project: Project) -> None:
     """
     if owner := project.owner_of(folder):
         raise bad_input("output", OWNER, f"outside {owner}/, which belongs to the book", folder)
-    if folder.exists() and not folder.is_dir():
-        raise bad_input("output", OWNER, "a folder", folder)
+    require(not folder.exists() or folder.is_dir(), "output", OWNER, "a folder", folder)
 
 
 def plan(notebook: Path, grid: Sequence[Mapping[str, Any]], folder: Path, project: Project) -> list[Point]:

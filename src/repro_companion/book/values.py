@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 if TYPE_CHECKING:
     from nbformat import NotebookNode
@@ -28,8 +28,7 @@ def give(**values: str) -> None:
     from IPython.display import display
 
     for name, value in values.items():
-        if not isinstance(value, str):
-            raise bad_input(name, "give", "a text, with the digits that are to be read", value)
+        require(isinstance(value, str), name, "give", "a text, with the digits that are to be read", value)
     display({KIND: values, "text/plain": ""}, raw=True)
 
 

@@ -83,8 +83,7 @@ class SensorFaults:
         n = len(robot.channel) if magnetic else len(robot.imus)
         for name in _NUMBERED:
             number = getattr(self, name)
-            if number > n:
-                raise bad_input(name, robot.name, f"the number of a sensor, 1 to {n}", number)
+            require(number <= n, name, robot.name, f"the number of a sensor, 1 to {n}", number)
             if number and not magnetic and name not in ("unplug", "stick"):
                 raise bad_input("fault", robot.name, "unplug, stick or noise for IMUs", name)
         if self.magnet and (not magnetic or robot.networks):
@@ -128,8 +127,7 @@ def faults_named(
             values[kind][name] = number(text)
         except ValueError as error:
             raise bad_input(name, "repro emulate", must_be, repr(text)) from error
-        if name in _NUMBERED and values[kind][name] < 1:
-            raise bad_input(name, "repro emulate", must_be, repr(text))
+        require(name not in _NUMBERED or values[kind][name] >= 1, name, "repro emulate", must_be, repr(text))
     return Faults(**values[Faults]), SensorFaults(**values[SensorFaults])  # pyright: ignore[reportArgumentType]
 
 

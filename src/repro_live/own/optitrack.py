@@ -189,8 +189,7 @@ def read_header(rows: list[list[str]], owner: str, *, version: str, frames: int)
         rate_hz = float(header["Capture Frame Rate"])
     except ValueError:
         rate_hz = 0.0
-    if not 0 < rate_hz < np.inf:
-        raise bad_input("Capture Frame Rate", owner, "above zero", header["Capture Frame Rate"])
+    require(0 < rate_hz < np.inf, "Capture Frame Rate", owner, "above zero", header["Capture Frame Rate"])
     return header
 
 

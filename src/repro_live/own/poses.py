@@ -121,15 +121,13 @@ def read_measured_poses(
             raise bad_input("body", "repro fit", expected, ", ".join(bodies) or "none (use --body NAME)")
         time_s, table = read_bodies(path, bodies)
         return _of_bodies(path, robot, time_s, table, straight_s, noise_m, noise_rad)
-    if bodies:
-        raise bad_input("body", "repro fit", "for files of Motive only", path.name)
+    require(not bodies, "body", "repro fit", "for files of Motive only", path.name)
     table = read_numbers(path)
     time_column, time_s = times_of(path.name, table, apart=True)
     table = table.drop(columns=time_column)
     columns = coordinate_columns(robot)
     if any(name in table for name in columns):
-        if straight_s:
-            raise bad_input("straight-s", "repro fit", "for measured poses of bodies only", path.name)
+        require(not straight_s, "straight-s", "repro fit", "for measured poses of bodies only", path.name)
         check_columns(path.name, list(columns), list(table), "a time")
         values = torch.from_numpy(table[list(columns)].to_numpy() * np.array(list(columns.values())))
         seen = torch.isfinite(values).all(-1).numpy()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_companion.book.after.page_notes import FigureFiles, figures_of
 from repro_companion.book.parameters import declared_parameters
 from repro_companion.book.project import Project
@@ -58,11 +58,9 @@ def find_run(place: Path) -> Side:
         if len(records) > 1:
             names = ", ".join(path.name.removesuffix(RECORD_SUFFIX) + ".ipynb" for path in records)
             raise bad_input("run", "repro diff", f"one of the notebooks {names}", place)
-        if not records:
-            raise bad_input("run", "repro diff", what, f"{place}, which has no *{RECORD_SUFFIX}")
+        require(records, "run", "repro diff", what, f"{place}, which has no *{RECORD_SUFFIX}")
         place = records[0].with_name(records[0].name.removesuffix(RECORD_SUFFIX) + ".ipynb")
-    if not place.is_file() or place.suffix != ".ipynb":
-        raise bad_input("run", "repro diff", what, place)
+    require(place.is_file() and place.suffix == ".ipynb", "run", "repro diff", what, place)
     record = read_record(record_path(place.parent, place.stem))
     if record is None:
         raise bad_input("run", "repro diff", what, f"{place}, without {place.stem}{RECORD_SUFFIX}")

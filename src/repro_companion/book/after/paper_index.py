@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro_companion.book.project import Project
 from repro_companion.book.published import read_csv
 from repro_companion.book.scorecard_page import PAPERS
@@ -90,14 +90,10 @@ def read_index(path: Path) -> list[IndexEntry]:
     for line in read_csv(path, COLUMNS):
         entry = IndexEntry(**line)
         key = (entry.paper, entry.kind, entry.artefact)
-        if key in entries:
-            raise bad_input("entry", path.name, "listed once", " / ".join(key))
-        if entry.kind not in KINDS:
-            raise bad_input("kind", path.name, "one of " + ", ".join(KINDS), entry.kind)
-        if entry.status not in STATUSES:
-            raise bad_input("status", path.name, "one of " + ", ".join(STATUSES), entry.status)
-        if not entry.page:
-            raise bad_input(f"page of {' / '.join(key)}", path.name, "the page to look at", "nothing")
+        require(key not in entries, "entry", path.name, "listed once", " / ".join(key))
+        require(entry.kind in KINDS, "kind", path.name, "one of " + ", ".join(KINDS), entry.kind)
+        require(entry.status in STATUSES, "status", path.name, "one of " + ", ".join(STATUSES), entry.status)
+        require(entry.page, f"page of {' / '.join(key)}", path.name, "the page to look at", "nothing")
         entries[key] = entry
     return list(entries.values())
 
