@@ -6,8 +6,6 @@ and a difference means something.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 import re
@@ -18,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 from repro.errors import bad_input, require
 from repro.files import write_whole
 from repro_companion.book.project import find_project, runs_folder
-from repro_companion.book.published import RowKey, read_published, row_key
-from repro_companion.book.regenerated import ROW_COLUMNS, check_row
+from repro_companion.book.published import ROW_COLUMNS, RowKey, check_row, csv_text, read_published, row_key
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -138,11 +135,7 @@ def write_scorecard_rows(rows: Iterable[Mapping[str, Any]], name: str) -> None:
         key = row_key(checked)
         require(key not in texts, "row", name, "given once", str(key))
         texts[key] = checked
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, ROW_COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(texts.values())
-    write_whole(results_dir() / f"{name}.rows.csv", stream.getvalue())
+    write_whole(results_dir() / f"{name}.rows.csv", csv_text(texts.values(), ROW_COLUMNS))
 
 
 def _as_text(value: Any) -> str:

@@ -30,7 +30,7 @@ from repro_companion.book.provenance import (
     record_path,
     write_record,
 )
-from repro_companion.book.values import fill_text
+from repro_companion.book.values import fill
 from repro_companion.recordings.sources import data_dir
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def run_notebook(
         # A kernel on TCP ports dies where another program takes one of them first. Paths of sockets must be
         # short (104 characters on macOS), hence a folder of their own.
         with (
-            _environment(_kernel_environment(tables)),
+            environment(_kernel_environment(tables)),
             tempfile.TemporaryDirectory(prefix="repro-") as sockets,
         ):
             try:
@@ -169,8 +169,7 @@ def run_notebook(
                     print(message, file=sys.stderr)
                     raise
                 raise NotebookFailed(message) from error
-        _forget_places(partial, notebook, output)
-        fill_text(partial, notebook.name)
+        _finish(partial, notebook, output)
         record = make_record(
             project,
             notebook,
@@ -201,7 +200,7 @@ def _kernel_environment(tables: Path) -> dict[str, str]:
 
 
 @contextlib.contextmanager
-def _environment(changes: Mapping[str, str]) -> Iterator[None]:
+def environment(changes: Mapping[str, str]) -> Iterator[None]:
     """Change the environment, which the kernel inherits, and change it back."""
     before = {name: os.environ.get(name) for name in changes}
     os.environ.update(changes)
@@ -219,7 +218,7 @@ def _keep_partial(notebook: Path, partial: Path, failed: Path, error: BaseExcept
     """Keep the partial notebook and return a message that says where it is and which cell failed."""
     if not partial.is_file():
         return f"{shown(notebook)} failed before its first cell: {_describe(error)}"
-    _forget_places(partial, notebook, failed)
+    _finish(partial, notebook, failed, complete=False)
     failed.parent.mkdir(parents=True, exist_ok=True)
     partial.replace(failed)
     number, head = _last_cell_begun(failed)
@@ -243,12 +242,14 @@ def _last_cell_begun(path: Path) -> tuple[int, str]:
     return len(begun), begun[-1].strip().partition("\n")[0] if begun else "(none was begun)"
 
 
-def _forget_places(path: Path, notebook: Path, output: Path) -> None:
-    """Replace the absolute paths that papermill notes in a notebook by names."""
+def _finish(path: Path, notebook: Path, output: Path, *, complete: bool = True) -> None:
+    """Replace the absolute paths that papermill notes in a notebook by names, and fill a complete one's text."""
     import nbformat
 
     content = nbformat.read(path, as_version=4)
     content.metadata.papermill.update(input_path=notebook.name, output_path=output.name)
+    if complete:
+        fill(content, notebook.name)
     nbformat.write(content, path)
 
 

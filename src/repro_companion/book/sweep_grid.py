@@ -164,13 +164,10 @@ def _checked(parameter: Parameter, values: Any, owner: str) -> list[Any]:
 def _can_be_typed(parameter: Parameter, value: Any) -> bool:
     """Return whether ``repro run -p NAME TEXT`` gives the notebook this very value."""
     try:
-        return _same(convert(parameter, value_text(value), OWNER), value)
+        taken = convert(parameter, value_text(value), OWNER)
+        return json.dumps(taken, sort_keys=True) == json.dumps(value, sort_keys=True)
     except (ValueError, RecursionError):
         return False
-
-
-def _same(one: Any, other: Any) -> bool:
-    return json.dumps(one, sort_keys=True) == json.dumps(other, sort_keys=True)
 
 
 def _first_repeated(values: Sequence[Any]) -> str:

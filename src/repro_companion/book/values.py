@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from repro.errors import bad_input, require
@@ -65,7 +64,7 @@ def filled(text: str, values: Mapping[str, str], place: str) -> str:
     return PLACE.sub(value, text)
 
 
-def fill_text(path: Path, name: str) -> None:
+def fill(notebook: NotebookNode, name: str) -> None:
     """Put the values that the cells of an executed notebook gave into its text, and keep them in its metadata.
 
     Raises
@@ -73,15 +72,6 @@ def fill_text(path: Path, name: str) -> None:
     InputError
         If the text names a value that no cell gave.
     """
-    import nbformat
-
-    notebook = nbformat.read(path, as_version=4)
-    fill(notebook, name)
-    nbformat.write(notebook, path)
-
-
-def fill(notebook: NotebookNode, name: str) -> None:
-    """Put the values that an executed notebook gave into its text, as :func:`fill_text` does with a file."""
     values: dict[str, str] = {}
     for cell in notebook.cells:
         for output in cell.get("outputs", []):
