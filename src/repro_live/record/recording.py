@@ -161,7 +161,7 @@ class _Block(NamedTuple):
     end: int
     kind: bytes
     width: int
-    count: int
+    frames: int
     content: Any
     """Of a text what it says, of frames their bytes."""
 
@@ -190,7 +190,7 @@ def _blocks(data: bytes) -> Iterator[_Block]:
 
 def _rows(blocks: list[_Block]) -> np.ndarray:
     """Return the frames of all blocks, in the order of the file, as wide as the widest of them."""
-    widths = np.repeat(*np.array([(block.width, block.count) for block in blocks], int).reshape(-1, 2).T)
+    widths = np.repeat(*np.array([(block.width, block.frames) for block in blocks], int).reshape(-1, 2).T)
     rows = np.zeros(len(widths), row_type(max((block.width for block in blocks), default=0)))
     for width in sorted({block.width for block in blocks}):
         payload = b"".join(block.content for block in blocks if block.width == width)
