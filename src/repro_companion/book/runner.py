@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro_companion.book.digests import file_digest, tree_digests
 from repro_companion.book.project import Project, find_project, runs_folder, shown
 from repro_companion.book.provenance import (
@@ -30,7 +30,7 @@ from repro_companion.book.provenance import (
     record_path,
     write_record,
 )
-from repro_companion.book.values import fill_text
+from repro_companion.book.values import fill
 from repro_companion.recordings.sources import data_dir
 
 if TYPE_CHECKING:
@@ -60,8 +60,7 @@ def read_notebook(path: Path) -> NotebookNode:
     """
     import nbformat
 
-    if not path.is_file():
-        raise bad_input("notebook", "repro run", "an existing file", path)
+    require(path.is_file(), "notebook", "repro run", "an existing file", path)
     try:
         return nbformat.read(path, as_version=4)
     except RecursionError as error:
@@ -170,8 +169,7 @@ def run_notebook(
                     print(message, file=sys.stderr)
                     raise
                 raise NotebookFailed(message) from error
-        _forget_places(partial, notebook, output)
-        fill_text(partial, notebook.name)
+        _finish(partial, notebook, output)
         record = make_record(
             project,
             notebook,
@@ -224,7 +222,7 @@ def _keep_partial(notebook: Path, partial: Path, failed: Path, error: BaseExcept
     """Keep the partial notebook and return a message that says where it is and which cell failed."""
     if not partial.is_file():
         return f"{shown(notebook)} failed before its first cell: {_describe(error)}"
-    _forget_places(partial, notebook, failed)
+    _finish(partial, notebook, failed, complete=False)
     failed.parent.mkdir(parents=True, exist_ok=True)
     partial.replace(failed)
     number, head = _last_cell_begun(failed)
@@ -248,12 +246,14 @@ def _last_cell_begun(path: Path) -> tuple[int, str]:
     return len(begun), begun[-1].strip().partition("\n")[0] if begun else "(none was begun)"
 
 
-def _forget_places(path: Path, notebook: Path, output: Path) -> None:
-    """Replace the absolute paths that papermill notes in a notebook by names."""
+def _finish(path: Path, notebook: Path, output: Path, *, complete: bool = True) -> None:
+    """Replace the absolute paths that papermill notes in a notebook by names, and fill a complete one's text."""
     import nbformat
 
     content = nbformat.read(path, as_version=4)
     content.metadata.papermill.update(input_path=notebook.name, output_path=output.name)
+    if complete:
+        fill(content, notebook.name)
     nbformat.write(content, path)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -11,10 +9,18 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_companion.book.project import Project
-from repro_companion.book.published import Published, RowKey, read_csv, read_published, row_key
-from repro_companion.book.regenerated import ROW_COLUMNS, check_row
+from repro_companion.book.published import (
+    ROW_COLUMNS,
+    Published,
+    RowKey,
+    check_row,
+    csv_text,
+    read_csv,
+    read_published,
+    row_key,
+)
 from repro_companion.book.verdicts import HOLDS, Verdict, is_near_edge, is_weak, verdict
 
 
@@ -164,13 +170,9 @@ def _compare(key: RowKey, printed: Published, row: Mapping[str, str]) -> Scoreca
 
 def scorecard_csv(rows: Iterable[ScorecardRow], columns: Sequence[str] = COLUMNS) -> str:
     """Return the scorecard as the text of a CSV file; truth values are ``true`` and ``false``."""
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, columns, lineterminator="\n", extrasaction="ignore")
-    writer.writeheader()
-    for row in rows:
-        truths = {name: str(getattr(row, name)).lower() for name in ("weak", "near_edge")}
-        writer.writerow(asdict(row) | truths)
-    return stream.getvalue()
+    truths = ("weak", "near_edge")
+    lines = (asdict(row) | {name: str(getattr(row, name)).lower() for name in truths} for row in rows)
+    return csv_text(lines, columns)
 
 
 def changed_verdicts(rows: Iterable[ScorecardRow], reference: Path) -> list[str]:
@@ -198,8 +200,7 @@ def changed_verdicts(rows: Iterable[ScorecardRow], reference: Path) -> list[str]
     changed = []
     for line in read_csv(reference, REFERENCE_COLUMNS):
         row, then = now.pop(row_key(line), None), line["verdict"]
-        if then not in set(Verdict):
-            raise bad_input("verdict", reference.name, "one of " + ", ".join(Verdict), then)
+        require(then in set(Verdict), "verdict", reference.name, "one of " + ", ".join(Verdict), then)
         if row is None:
             changed.append(f"{row_key(line)}: was {Verdict(then).words}, is not listed")
         elif row.verdict != then:
