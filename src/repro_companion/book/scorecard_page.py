@@ -239,7 +239,8 @@ def counts_page(rows: Sequence[ScorecardRow]) -> str:
         f" {total['differs']} differ.** {total['not comparable']} are not comparable, {total['missing']} missing.",
         "",
         f"The bias: {below} of the {len(left)} lie below the published number; the geometric mean of regenerated over"
-        f" published is {mean:.2f} ({count} numbers). {{ref}}`What is known of it <scorecard-bias>`.",
+        f" published is {mean:.2f} ({count} numbers)."
+        ' <a href="scorecard.html#scorecard-bias">What is known of it</a>.',
         "",
         f"| | {' | '.join(name for name, _, _ in columns)} |",
         "|---|" + "---:|" * len(columns),

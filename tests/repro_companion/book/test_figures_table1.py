@@ -39,7 +39,7 @@ def test_table_lists_every_published_number_with_its_verdict(written):
         "e_u": "reproduced", "delta_x_1": "reproduced", "delta_y_1": "differs", "delta_L_1": "missing",
     }  # fmt: skip
     html = table._repr_html_()
-    assert html.count("<tr") == 4 + 7 + 11 * 10 + 1  # every number of Table 1, and the head
+    assert html.count("<tbody") == 4 + 7 + 11 * 10  # every number of Table 1
     assert "verdict-differs" in html
     assert "differs" in repr(table)
 
