@@ -199,12 +199,14 @@ function multipole(moments, distance, c) {
 }
 
 /** Flux density [mT] at a point, of magnets that are placed. */
-function fieldAt(magnets, moments, point) {
-  let B = [0, 0, 0];
-  for (const magnet of magnets) {
-    const p = plus(point, magnet.position, -1), d = Math.hypot(p[0], p[1], p[2]);
-    const { f, g } = multipole(moments, d, dot(p, magnet.axis) / d);
-    B = plus(plus(B, magnet.axis, f), p, g / d);
+function fieldAt(magnets, moments, [x, y, z]) {
+  const B = [0, 0, 0];
+  for (const { position, axis } of magnets) {
+    const px = x - position[0], py = y - position[1], pz = z - position[2], d = Math.sqrt(px * px + py * py + pz * pz);
+    const { f, g } = multipole(moments, d, (px * axis[0] + py * axis[1] + pz * axis[2]) / d), along = g / d;
+    B[0] += f * axis[0] + along * px;
+    B[1] += f * axis[1] + along * py;
+    B[2] += f * axis[2] + along * pz;
   }
   return B;
 }

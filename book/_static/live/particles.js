@@ -73,6 +73,7 @@ function draw(figure) {
   figure.dot(at(truth), "truth", 5, { flat: true });
   if (figure.estimate) figure.dot(at(figure.estimate), "estimate", 8, { flat: true, hollow: true });
   figure.truthHandle.place(at(truth));
+  figure.next.textContent = ["Weigh", "Draw anew", "Move"][figure.phase];
   figure.legend([["truth", "true bend"], ["descent", "particles"], ["estimate", "estimate"]], wide ? figure.height - 54 : 16);
   drawErrors(figure, wide ? [half + 50, 40, figure.width - 14, figure.height - 40] : [50, 2 * size + 40, figure.width - 14, figure.height - 26]);
 }
@@ -104,10 +105,8 @@ REPRO.views.particles = function (box) {
   Object.assign(state, bound(state.x, state.y));
   restart(figure);
   figure.truthHandle = figure.handle("True bend: drag it, or move it with the arrow keys", (dx, dy) => figure.set(bound(state.x + dx / figure.perDegree, state.y - dy / figure.perDegree)));
-  const names = ["Weigh", "Draw anew", "Move"], next = figure.button("Weigh", () => { advance(figure); figure.set({}); });
-  const rename = figure.speak.bind(figure);
-  figure.speak = () => { rename(); next.textContent = names[figure.phase]; };
-  figure.group("Step by step", element("div", { class: "live-buttons" }, next,
+  figure.next = figure.button("Weigh", () => { advance(figure); figure.set({}); });
+  figure.group("Step by step", element("div", { class: "live-buttons" }, figure.next,
     figure.player("Follow the curve", (frames) => {
       for (let k = 0; k < Math.max(Math.floor(frames), 1); k++) {
         while (figure.phase) advance(figure);
