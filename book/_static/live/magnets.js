@@ -114,13 +114,16 @@ function compute(figure) {
   if (!use.some(Boolean)) use = use.map((_, s) => s === 0);
   const u = [...sensingOf(figure.real)(q, false).u].map((x) => x + state.noise * random.normal());
   const sensing = sensingOf(model), { low, high } = box(n), evaluations = state.evaluations;
-  const last = state.start === "last" && figure.estimate && figure.estimate.lm.q.length === 3 * n ? figure.estimate : null;
-  const from = straight(n), steps = from.map((_, c) => STEPS[n][c % 3 === 2 ? 1 : 0]);
-  const lm = REPRO.levenbergMarquardt(sensing, last ? last.lm.q : from, u, use, low, high, evaluations - 1);
-  const descent = REPRO.gradientDescent(sensing, last ? last.descent.q : from, last ? last.descent.momentum : from.map(() => 0), u, use, steps, 0.3, evaluations);
+  const before = figure.estimate, asked = [figure.key, state.start, model === figure.drawn, evaluations, use, u].join();
+  if (!before || before.asked !== asked) { // the same question, as when the view is turned, is answered once
+    const last = state.start === "last" && before, from = straight(n), steps = from.map((_, c) => STEPS[n][c % 3 === 2 ? 1 : 0]);
+    const lm = REPRO.levenbergMarquardt(sensing, last ? last.lm.q : from, u, use, low, high, evaluations - 1);
+    const descent = REPRO.gradientDescent(sensing, last ? last.descent.q : from, last ? last.descent.momentum : from.map(() => 0), u, use, steps, 0.3, evaluations);
+    figure.estimate = { lm, descent, asked };
+  }
+  const { lm, descent } = figure.estimate;
   const tip = REPRO.tip(model.body, q).p;
   const off_mm = (x) => 1e3 * Math.hypot(...plus(REPRO.tip(model.body, x).p, tip, -1));
-  figure.estimate = { lm, descent };
   return { q, u, use, sensing, model, lm, descent, chosen: state.method === "lm" ? lm : descent, off_mm, tip };
 }
 
@@ -330,7 +333,7 @@ REPRO.views.magnets = function (box_) {
   if (!few) {
     figure.bars = element("div", { class: "live-readings", role: "group", "aria-label": "Readings; press one to switch its sensor off" });
     figure.progress = element("canvas", { class: "live-progress", role: "img", "aria-label": "Error of the tip by iteration, for both methods; the text below says where they end." });
-    figure.below.append(element("div", {}, element("p", { class: "live-title", text: "Readings (line: predicted); press to switch off" }), figure.bars),
+    figure.below.append(element("div", {}, element("p", { class: "live-title", text: "Readings, base to tip (line: predicted); press to switch off" }), figure.bars),
       element("div", {}, element("p", { class: "live-title", text: "Least squares against descent, step by step" }), figure.progress));
     figure.group("Sensors",
       figure.choice("sensors", "On each segment", numbers(2, 6)),

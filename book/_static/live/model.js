@@ -258,7 +258,7 @@ function pull(row, chain, part, torque, force, gain) {
 
 const EPS = 2 ** -52, TOLERANCE = 1e-12;
 
-/** Levenberg-Marquardt within bounds, from q: {q, u, J, rmse, count, trail}. `use` says which readings count;
+/** Levenberg-Marquardt within bounds, from q: {q, u, J, rmse, trail}. `use` says which readings count;
     the trail has configuration and mean squared error after every iteration. */
 function levenbergMarquardt(sensing, q, u, use, low, high, iterations) {
   const n = q.length, used = use.reduce((total, one) => total + (one ? 1 : 0), 0);
@@ -292,7 +292,7 @@ function levenbergMarquardt(sensing, q, u, use, low, high, iterations) {
     damping = clamp(better ? damping / 10 : damping * 10, 1e-12, 1e12);
     trail.push({ q, loss: error / used });
   }
-  return { q, u: best.u, J: best.J, rmse: Math.sqrt(error / used), count, trail };
+  return { q, u: best.u, J: best.J, rmse: Math.sqrt(error / used), trail };
 }
 
 /** Information about the coordinates, each in its unit `scale` (by default such that the diagonal is one):
@@ -315,17 +315,17 @@ function covariance(J, use, noise) {
   return C;
 }
 
-/** Gradient descent with momentum, eqs (9)-(12): {q, momentum, loss, at, trail}; the best of `iterations`
+/** Gradient descent with momentum, eqs (9)-(12): {q, momentum, loss, trail}; the best of `iterations`
     evaluations is the estimate. The trail has every iterate and its loss, until one is no number. */
 function gradientDescent(sensing, q, momentum, u, use, steps, mu, iterations) {
   const used = use.reduce((total, one) => total + (one ? 1 : 0), 0), trail = [];
-  let x = Float64Array.from(q), b = Float64Array.from(momentum), loss = Infinity, at = 0, best = x;
+  let x = Float64Array.from(q), b = Float64Array.from(momentum), loss = Infinity, best = x;
   for (let k = 0; k < iterations; k++) {
     const last = k === iterations - 1, found = sensing(x, !last);
     let here = 0;
     found.u.forEach((value, s) => { if (use[s]) here += (value - u[s]) ** 2 / used; });
     if (!Number.isFinite(here)) break;
-    if (here < loss) [loss, at, best] = [here, k, x];
+    if (here < loss) [loss, best] = [here, x];
     trail.push({ q: x, loss: here });
     if (last) break;
     b = b.map((old) => mu * old);
@@ -334,7 +334,7 @@ function gradientDescent(sensing, q, momentum, u, use, steps, mu, iterations) {
     });
     x = x.map((old, c) => old - steps[c] * b[c]);
   }
-  return { q: best, momentum: b, loss, at, trail };
+  return { q: best, momentum: b, loss, trail };
 }
 
 // ---- A cube at the end of a bent arc, and a particle filter (Mitchell et al. 2021) ---------------------------------

@@ -87,6 +87,7 @@ function drawErrors(figure, place) {
 function summary(figure) {
   const { state } = figure, n = state.particles, after = [`${n} particles that have just been moved`, "weighed by the readings: large ones agree with them", "drawn anew by their weights: few places, many times"];
   const words = [`Now: ${after[figure.phase]}.`];
+  if (!figure.errors.length) words.push("They start around the straight arc; the sensor has not been read yet.");
   if (figure.phase === 1) words.push(`They are worth ${short(figure.effective)} equal ones.`);
   if (figure.errors.length) words.push(`The estimate is off by ${short(figure.errors[figure.errors.length - 1])} mm, ${short(rms(figure.errors))} mm over ${figure.errors.length} steps; the spread of the cloud alone gives ${short(law(state))} mm. All synthetic.`);
   return words.join(" ");
