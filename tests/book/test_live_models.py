@@ -1,7 +1,7 @@
 """The models of the live figures, in the browser, against the library: the same numbers on random inputs.
 
-Readings, slopes, steps of the estimators and chains of IMUs are computed by ``book/_static/live/model.js`` in a page that
-is opened from disk, and by the library; they may differ by rounding only.
+Readings, slopes, steps of the estimators and chains of IMUs are computed by ``book/_static/live/model.js`` in a page
+that is opened from disk, and by the library; they may differ by rounding only.
 """
 
 from __future__ import annotations
@@ -46,8 +46,9 @@ const packed = list => {
   for (let k = 0; k < bytes.length; k += 32768) parts.push(String.fromCharCode(...bytes.subarray(k, k + 32768)));
   return btoa(parts.join(""));
 };
-const rows = (text, n) => { const x = numbers(text), all = []; for (let k = 0; k < x.length; k += n) all.push(x.slice(k, k + n)); return all; };
-const pairs = x => { const all = []; for (let k = 0; k < x.length; k += 2) all.push([x[k], x[k + 1]]); return all; };
+const parts = (x, n) => Array.from({length: x.length / n}, (_, k) => x.slice(k * n, k * n + n));
+const rows = (text, n) => parts(numbers(text), n), pairs = x => parts([...x], 2);
+const flat = ({u, p, J}) => [...(u || p), ...J.flatMap(row => [...row])];
 </script>"""
 
 BODY = "const body = REPRO.robot(d.segments, d.length, d.radius, d.magnets, d.sensors);"
@@ -84,7 +85,7 @@ def assert_same(found: np.ndarray, expected) -> None:
 
 
 class Example:
-    """A robot whose parts are not as drawn, and configurations: straight, all but straight, and bent up to 80 degrees."""
+    """A robot whose parts are not as drawn, and configurations: straight or all but, and bent up to 80 degrees."""
 
     def __init__(self, n_segments: int, n: int) -> None:
         rng = np.random.default_rng(n_segments)
@@ -109,8 +110,10 @@ class Example:
 
     def data(self, **more) -> dict:
         def mounts(them) -> list:
-            parts = zip(them.segment, them.axial.tolist(), them.local.tolist(), strict=True)
-            return [{"segment": i, "axial": a, "position": [row[3] for row in T[:3]], "axis": [row[2] for row in T[:3]]} for i, a, T in parts]  # fmt: skip
+            return [
+                {"segment": i, "axial": a, "position": T[:3, 3].tolist(), "axis": T[:3, 2].tolist()}
+                for i, a, T in zip(them.segment, them.axial.tolist(), them.local, strict=True)
+            ]
 
         return {
             "segments": len(self.robot.segments),
@@ -140,7 +143,7 @@ def test_moments_of_a_ring(models, magnet):
 
 def test_readings_and_slopes(models, example):
     u, J = example.sensing.linearise(example.q)
-    body = f"{SENSING} return packed(rows(d.q, d.n).flatMap(q => {{ const f = sensing(q); return [...f.u, ...f.J.flatMap(r => [...r])]; }}));"  # fmt: skip
+    body = f"{SENSING} return packed(rows(d.q, d.n).flatMap(q => flat(sensing(q))));"
     found = models(body, example.data(q=example.q)).reshape(len(u), -1)
     assert_same(found[:, : u.shape[-1]], u)
     assert_same(found[:, u.shape[-1] :], J)
@@ -150,7 +153,7 @@ def test_tip_and_its_slopes(models, example):
     q = example.q
     expected = example.robot.tip(q)[:, :3, 3]
     J = torch.func.jacrev(lambda x: example.robot.tip(x)[:, :3, 3].sum(0))(q).movedim(0, -2)
-    body = f"{BODY} return packed(rows(d.q, d.n).flatMap(q => {{ const f = REPRO.tip(body, q); return [...f.p, ...f.J.flatMap(r => [...r])]; }}));"  # fmt: skip
+    body = f"{BODY} return packed(rows(d.q, d.n).flatMap(q => flat(REPRO.tip(body, q))));"
     found = models(body, example.data(q=q)).reshape(len(q), -1)
     assert_same(found[:, :3], expected)
     assert_same(found[:, 3:], J)
@@ -231,8 +234,8 @@ def test_a_step_of_the_particle_filter(models, estimate, scheme):
     rng, n, members = np.random.default_rng(1), 20, CONFIGURATIONS // 4
     method = ParticleFilter(BendSensor(15e-3), torch.tensor([0.1, 0.1], dtype=torch.float64), 0.1, Disc(math.pi / 2),
                             particles=n, estimate=estimate, resampling=scheme)  # fmt: skip
-    body = """const sensing = (x, y) => REPRO.bendReading(x, y, 0.015, d.edge, d.mt), noise = rows(d.noise, 2 * d.n).map(pairs);
-      const clouds = rows(d.q, 2 * d.n).map(pairs), u = rows(d.u, 3);
+    body = """const sensing = (x, y) => REPRO.bendReading(x, y, 0.015, d.edge, d.mt);
+      const clouds = rows(d.q, 2 * d.n).map(pairs), noise = rows(d.noise, 2 * d.n).map(pairs), u = rows(d.u, 3);
       return packed(clouds.flatMap((cloud, k) => {
         const w = REPRO.weigh(cloud, u[k], 0.1, sensing), estimates = REPRO.cloudEstimates(cloud, w);
         const drawn = REPRO.resample(w, d.shares).map(k => cloud[k]);
@@ -284,7 +287,8 @@ def test_chain_between_imus(models, name, imus):
     model, call = MODELS[name]
     arcs, rigid = np.cumsum(lengths).tolist(), name == "rigid"
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (samples, 1, 1))
-    chosen = Selection(tuple(range(rigid, imus + 1)), tuple(arcs if rigid else [0.0, *arcs]), tuple(lengths.tolist()), sub_links=0 if rigid else n)  # fmt: skip
+    numbers, arcs = range(rigid, imus + 1), arcs if rigid else [0.0, *arcs]
+    chosen = Selection(tuple(numbers), tuple(arcs), tuple(lengths.tolist()), sub_links=0 if rigid else n)
     expected = model(q if rigid else np.concatenate([upright, q], 1), chosen, points)
     body = f"""const base = [0, 0, 0, 1];
       return packed(rows(d.q, 4 * d.imus).flatMap(all => {{

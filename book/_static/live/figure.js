@@ -35,7 +35,7 @@ function randomOf(seed) {
 
 /** State of a figure in the address: `#magnets=segments:2,noise:0.01`, what differs from the defaults only. */
 function stateOf(name, defaults) {
-  const state = { ...defaults }, found = new RegExp("^#" + name + "=(.*)$").exec(decodeURIComponent(location.hash));
+  const state = { ...defaults }, found = new RegExp("^#" + name + "=(.*)$").exec(location.hash);
   for (const part of found ? found[1].split(",") : []) {
     const [key, value] = part.split(":");
     if (!(key in defaults) || value === undefined) continue;
@@ -62,7 +62,7 @@ class Figure {
     this.side = element("div", { class: "live-controls", role: "group", "aria-label": "Controls of the figure" });
     this.below = element("div", { class: "live-below" });
     this.record = element("a", { text: view.record[1] });
-    box.replaceChildren(element("div", { class: "live-frame" }, this.stage, this.below, this.side), this.text,
+    box.replaceChildren(element("div", { class: "live-frame" }, this.stage, this.text, this.below, this.side),
       element("p", { class: "live-record" }, "For the record, with these settings: ", this.record));
     this.dirty = true;
     new ResizeObserver(() => this.resize()).observe(this.stage);
@@ -90,18 +90,25 @@ class Figure {
   }
 
   resize() {
-    const { clientWidth: width, clientHeight: height } = this.stage, ratio = Math.min(devicePixelRatio || 1, 2);
+    const { clientWidth: width, clientHeight: height } = this.stage;
     if (!width) return;
     Object.assign(this, { width, height });
-    [this.canvas.width, this.canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
-    this.context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    this.fit(this.canvas);
+    if (this.progress) this.fit(this.progress);
     this.redraw();
+  }
+
+  /** As many points in a canvas as the screen has for it; its size is measured here only, and not while drawing. */
+  fit(canvas) {
+    const ratio = Math.min(devicePixelRatio || 1, 2), { clientWidth: width, clientHeight: height } = canvas;
+    Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio), extent: [width, height] });
+    Object.assign(canvas.getContext("2d"), { written: "" }).setTransform(ratio, 0, 0, ratio, 0, 0);
   }
 
   /** Change the state; controls follow, the address and the summary a moment later. */
   set(changes) {
     Object.assign(this.state, changes);
-    for (const key of Object.keys(changes)) if (this.controls[key]) this.controls[key].show(this.state[key]);
+    for (const key of Object.keys(changes)) this.controls[key]?.show(this.state[key]);
     if (this.view.changed) this.view.changed(this, changes);
     this.redraw();
     clearTimeout(this.later);
@@ -118,8 +125,7 @@ class Figure {
   }
 
   speak() {
-    const words = this.view.summary(this);
-    if (this.text.textContent !== words) this.text.textContent = words;
+    this.text.textContent = this.view.summary(this);
   }
 
   redraw() {
@@ -188,8 +194,10 @@ class Figure {
   }
 
   words(text, x, y, { align = "left", role = "text", size = 13 } = {}) {
-    Object.assign(this.context, { font: size + "px system-ui, sans-serif", textAlign: align, textBaseline: "middle", fillStyle: this.colour(role) });
-    this.context.fillText(text, x, y);
+    const c = this.context, font = size + "px system-ui, sans-serif";
+    if (c.written !== font) c.font = c.written = font; // setting a font takes longer than writing
+    Object.assign(c, { textAlign: align, textBaseline: "middle", fillStyle: this.colour(role) });
+    c.fillText(text, x, y);
   }
 
   /** Names of what is drawn, a line of colour before each: [[role, words], ...]. */
@@ -221,6 +229,12 @@ class Figure {
     this.side.append(element("fieldset", {}, element("legend", { text: title }), ...children));
   }
 
+  /** A control beside its name. */
+  field(key, label, input, ...more) {
+    input.id = `live-${this.view.name}-${key}`;
+    return element("div", { class: "live-field" }, element("label", { for: input.id, text: label }), input, ...more);
+  }
+
   /** A slider; `values` names the values it can take where these are not even, `show` writes one. */
   slider(key, label, { min = 0, max, step = 1, values, show = String, change } = {}) {
     const input = element("input", { type: "range", min: values ? 0 : min, max: values ? values.length - 1 : max, step: values ? 1 : step });
@@ -238,7 +252,7 @@ class Figure {
     });
     this.controls[key] = { show: here, input };
     here(this.state[key] ?? 0);
-    return element("label", {}, element("span", { text: label }), input, output);
+    return this.field(key, label, input, output);
   }
 
   choice(key, label, options) {
@@ -247,14 +261,14 @@ class Figure {
     this.controls[key] = { show: (value) => { select.value = value; }, input: select };
     if (!options.some(([value]) => value === this.state[key])) this.state[key] = this.view.defaults[key];
     select.value = this.state[key];
-    return element("label", {}, element("span", { text: label }), select);
+    return this.field(key, label, select);
   }
 
   check(key, label) {
     const input = element("input", { type: "checkbox", onchange: () => this.set({ [key]: input.checked }) });
     this.controls[key] = { show: (value) => { input.checked = value; }, input };
     input.checked = this.state[key];
-    return element("label", { class: "live-check" }, input, element("span", { text: label }));
+    return this.field(key, label, input);
   }
 
   button(label, act) {

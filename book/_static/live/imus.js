@@ -107,7 +107,7 @@ REPRO.views.imus = function (box) {
     element("tbody", {}, ...Object.keys(NAMES).map(row))));
   figure.tipHandle = figure.handle("End of the arm: drag it, or move it with the arrow keys", (dx, dy) => drag(figure, dx, dy));
   const keys = ["bend_x", "bend_y", "s_x", "s_y"], labels = ["Bend in x", "Bend in y", "As an S in x", "As an S in y"];
-  const showShape = (one) => parsed(state.shape).forEach((x, k) => one.controls[keys[k]] && one.controls[keys[k]].show(Math.round(x)));
+  const showShape = (one) => parsed(state.shape).forEach((x, k) => one.controls[keys[k]]?.show(Math.round(x)));
   figure.group("Shape", ...keys.map((key, k) => figure.slider(key, labels[k], {
     min: -150, max: 150, show: degrees,
     change: (x) => figure.set({ shape: parsed(state.shape).map((old, i) => (i === k ? x : old)).join(";") }),

@@ -7,7 +7,7 @@ const { plus, clamp, solve, eigen, zeros } = algebra;
 const LENGTH = 0.11, RADIUS = 0.022, BEND = 0.022 * 54 * Math.PI / 180, STRETCH = 6.6e-3, RING = [0.024, 0.012, 0.006, 1450];
 const MOMENTS = REPRO.ringMoments(...RING, 9);
 const STEPS = { 1: [3.5e-4, 3.5e-4], 2: [3e-3, 3e-4], 3: [2e-3, 2e-4] }; // section 3.3, bending and elongation
-const POSES = 40, AS_DRAWN = null;
+const POSES = 40;
 
 const DEFAULTS = {
   segments: 3, sensors: 3, radial: 13, tilt: 0, noise: 7.1e-4, seed: 1, off: "", tolerances: false, calibrated: false,
@@ -89,7 +89,7 @@ function parts(figure) {
   if (figure.key !== key) {
     const random = randomOf(state.seed);
     figure.key = key;
-    figure.drawn = build(state, AS_DRAWN);
+    figure.drawn = build(state);
     figure.real = state.tolerances ? build(state, Array.from({ length: count(state) }, () => random.normal())) : figure.drawn;
     figure.estimate = null;
   }
@@ -114,13 +114,16 @@ function compute(figure) {
   if (!use.some(Boolean)) use = use.map((_, s) => s === 0);
   const u = [...sensingOf(figure.real)(q, false).u].map((x) => x + state.noise * random.normal());
   const sensing = sensingOf(model), { low, high } = box(n), evaluations = state.evaluations;
-  const last = state.start === "last" && figure.estimate && figure.estimate.lm.q.length === 3 * n ? figure.estimate : null;
-  const from = straight(n), steps = from.map((_, c) => STEPS[n][c % 3 === 2 ? 1 : 0]);
-  const lm = REPRO.levenbergMarquardt(sensing, last ? last.lm.q : from, u, use, low, high, evaluations - 1);
-  const descent = REPRO.gradientDescent(sensing, last ? last.descent.q : from, last ? last.descent.momentum : from.map(() => 0), u, use, steps, 0.3, evaluations);
+  const before = figure.estimate, asked = [figure.key, state.start, model === figure.drawn, evaluations, use, u].join();
+  if (!before || before.asked !== asked) { // the same question, as when the view is turned, is answered once
+    const last = state.start === "last" && before, from = straight(n), steps = from.map((_, c) => STEPS[n][c % 3 === 2 ? 1 : 0]);
+    const lm = REPRO.levenbergMarquardt(sensing, last ? last.lm.q : from, u, use, low, high, evaluations - 1);
+    const descent = REPRO.gradientDescent(sensing, last ? last.descent.q : from, last ? last.descent.momentum : from.map(() => 0), u, use, steps, 0.3, evaluations);
+    figure.estimate = { lm, descent, asked };
+  }
+  const { lm, descent } = figure.estimate;
   const tip = REPRO.tip(model.body, q).p;
   const off_mm = (x) => 1e3 * Math.hypot(...plus(REPRO.tip(model.body, x).p, tip, -1));
-  figure.estimate = { lm, descent };
   return { q, u, use, sensing, model, lm, descent, chosen: state.method === "lm" ? lm : descent, off_mm, tip };
 }
 
@@ -181,17 +184,14 @@ function drawEllipsoid(figure, { lm, use, model }, noise) {
     points.push([x + s * vectors[0][0] + t * vectors[1][0], y - s * vectors[0][1] - t * vectors[1][1]]);
   }
   figure.line(points, "estimate", 1.5, { flat: true });
-  const noted = larger === 1 ? "95 % of estimates" : `95 % of estimates, ${larger} times as large`;
-  figure.words(noted, figure.width - 10, figure.height - 14, { align: "right", role: "estimate" });
+  figure.words(`95 % of estimates${larger > 1 ? `, ${larger} times as large` : ""}`, figure.width - 10, figure.height - 14, { align: "right", role: "estimate" });
   return Math.sqrt(Math.max(values[1], 0)) * 1e3;
 }
 
 function draw(figure) {
   const { state } = figure, found = compute(figure), n = state.segments, { body } = found.model;
-  const tall = n * LENGTH;
-  figure.look(state.view, 16, [0, 0, tall / 2 + 0.004], Math.max(tall * 0.64, 0.095));
-  const ground = figure.circle([0, 0, 0], [0, 0, 1], 0.045);
-  figure.line(ground, "faint", 1.5);
+  figure.look(state.view, 16, [0, 0, n * LENGTH / 2 + 0.004], Math.max(n * LENGTH * 0.64, 0.095));
+  figure.line(figure.circle([0, 0, 0], [0, 0, 1], 0.045), "faint", 1.5);
   const chain = REPRO.frames(figure.real.body, found.q), magnets = REPRO.placed(figure.real.body, found.q, chain, figure.real.body.magnets);
   const sensors = REPRO.placed(figure.real.body, found.q, chain, figure.real.body.sensors);
   if (state.field) drawField(figure, magnets);
@@ -199,10 +199,7 @@ function draw(figure) {
   figure.line(points, "body", 2 * RADIUS * figure.scale, { alpha: 0.16 });
   found.ghosts = ghosts(found, state);
   for (const q of found.ghosts.shapes) figure.line(REPRO.backbone(body, q, 8), "ghost", 3, { alpha: 0.5 });
-  for (const magnet of magnets) {
-    figure.line(figure.circle(magnet.position, magnet.axis, 0.012), "magnet", 4);
-    figure.line(figure.circle(magnet.position, magnet.axis, 0.006), "magnet", 2);
-  }
+  for (const magnet of magnets) for (const part of [2, 1]) figure.line(figure.circle(magnet.position, magnet.axis, 0.006 * part), "magnet", 2 * part);
   for (let i = 1; i <= n; i++) figure.line(figure.circle(chain.bases[i].p, chain.bases[i].R.map((row) => row[2]), RADIUS), "body", 1, { alpha: 0.5 });
   sensors.forEach((sensor, s) => {
     figure.dot(sensor.position, "sensor", 5, { hollow: !found.use[s] });
@@ -210,12 +207,11 @@ function draw(figure) {
   });
   figure.line(points, "truth", 6);
   const other = state.method === "lm" ? "descent" : "lm", colour = { lm: "estimate", descent: "descent" };
-  const shape = (trail) => REPRO.backbone(body, trail, 12);
-  figure.line(shape(found[other].q), colour[other], 2, { alpha: 0.8, dash: [2, 6] });
-  figure.line(shape(found.chosen.q), colour[state.method], 3, { dash: [10, 7] });
+  figure.line(REPRO.backbone(body, found[other].q, 12), colour[other], 2, { alpha: 0.8, dash: [2, 6] });
+  figure.line(REPRO.backbone(body, found.chosen.q, 12), colour[state.method], 3, { dash: [10, 7] });
   found.std_mm = state.method === "lm" && state.noise > 0 && found.ghosts.spread < 0.3 ? drawEllipsoid(figure, found, state.noise) : NaN;
   figure.tipHandle.place(figure.at(found.tip));
-  const names = [["truth", "true shape"], [colour[state.method], state.method === "lm" ? "least squares" : "gradient descent"]];
+  const names = [["truth", "true shape"], ["estimate", "least squares"], ["descent", "gradient descent"]];
   if (figure.width > 420) names.push(["magnet", "ring magnets"], ["sensor", "sensors"]);
   if (found.ghosts.shapes.length) names.push(["ghost", "shapes that read all but alike"]);
   figure.legend(names);
@@ -227,13 +223,10 @@ function draw(figure) {
 
 /** Error of the tip by iteration, of both methods, on a canvas of its own. */
 function drawProgress(figure, found) {
-  const { canvas } = figure.progress, c = canvas.getContext("2d"), ratio = Math.min(devicePixelRatio || 1, 2), stage = figure.context;
-  const { clientWidth: width, clientHeight: height } = canvas, [w, h] = [width, height].map((x) => Math.round(x * ratio));
-  if (canvas.width !== w || canvas.height !== h) [canvas.width, canvas.height] = [w, h];
-  c.setTransform(ratio, 0, 0, ratio, 0, 0);
-  c.clearRect(0, 0, width, height);
-  figure.context = c;
-  const errors = (one) => one.trail.map(({ q }) => found.off_mm(q)), last = figure.state.evaluations - 1;
+  const [width, height] = figure.progress.extent, stage = figure.context, last = figure.state.evaluations - 1;
+  const errors = (one) => one.trail.map(({ q }) => found.off_mm(q));
+  figure.context = figure.progress.getContext("2d");
+  figure.context.clearRect(0, 0, width, height);
   figure.plot([48, 10, width - 10, height - 28], [-3, 2], last + 1, { descent: errors(found.descent), estimate: errors(found.lm) }, `error of the tip [mm], step 0 to ${last}`);
   figure.context = stage;
 }
@@ -248,7 +241,8 @@ function makeReadings(figure) {
     const row = element("div", { class: "live-bars" });
     for (let s = 0; s < state.sensors; s++) {
       const k = i * state.sensors + s, bar = element("i"), mark = element("b"), value = element("span");
-      const button = element("button", { type: "button", onclick: () => toggle(figure, k + 1) }, element("span", { class: "live-bar" }, bar, mark), value);
+      const name = element("span", { class: "live-unseen", text: `Sensor ${s + 1} on segment ${i + 1}: ` });
+      const button = element("button", { type: "button", onclick: () => toggle(figure, k + 1) }, element("span", { class: "live-bar" }, bar, mark), name, value);
       row.append(button);
       figure.bar.push({ button, bar, mark, value });
     }
@@ -272,40 +266,37 @@ function showReadings(figure, { u, use, chosen, sensing }) {
     mark.style.left = clamp(100 * Math.abs(predicted[s]) / largest, 0, 99) + "%";
     value.textContent = use[s] ? u[s].toFixed(3) + " mT" : "off";
     if (button.getAttribute("aria-pressed") !== String(use[s])) button.setAttribute("aria-pressed", use[s]);
-    if (!button.ariaLabel) button.setAttribute("aria-label", `Sensor ${s % figure.state.sensors + 1} on segment ${Math.floor(s / figure.state.sensors) + 1} in use`);
   });
 }
 
 function showSliders(figure, q) {
   if (figure.state.moved > figure.state.segments) {
     figure.state.moved = figure.state.segments;
-    if (figure.controls.moved) figure.controls.moved.show(figure.state.moved);
+    figure.controls.moved?.show(figure.state.moved);
   }
-  ["bend_x", "bend_y", "stretch"].forEach((key, c) => {
-    const value = 1e3 * q[3 * (figure.state.moved - 1) + c];
-    if (figure.controls[key]) figure.controls[key].show(Math.round(value * 10) / 10);
-  });
+  ["bend_x", "bend_y", "stretch"].forEach((key, c) => figure.controls[key]?.show(Math.round(1e4 * q[3 * (figure.state.moved - 1) + c]) / 10));
 }
 
-const inText = (q) => Array.from(q, (x) => Math.round(1e4 * x) / 10).join(";");
+const inText = (q) => q.map((x) => Math.round(1e5 * x) / 100).join(";");
 
 /** Move the tip in the plane of the screen: a few damped steps, bending before stretching. */
 function drag(figure, dx, dy) {
   const n = figure.state.segments, { low, high } = box(n), { body } = figure.drawn;
-  let q = Array.from(truthOf(figure.state));
+  let q = truthOf(figure.state);
   const target = plus(REPRO.tip(body, q).p, figure.moved(dx, dy)), weight = q.map((_, c) => (c % 3 === 2 ? 0.05 : 1));
   for (let turn = 0; turn < 4; turn++) {
     const { p, J } = REPRO.tip(body, q), A = J.map((a, i) => J.map((b, k) => a.reduce((sum, x, c) => sum + weight[c] * x * b[c], 0) + (i === k ? 1e-2 : 0)));
     const pull = solve(A, plus(target, p, -1));
     q = q.map((x, c) => clamp(x + weight[c] * (J[0][c] * pull[0] + J[1][c] * pull[1] + J[2][c] * pull[2]), low[c], high[c]));
   }
-  figure.set({ q: q.map((x) => Math.round(1e5 * x) / 100).join(";") });
+  figure.set({ q: inText(q) });
 }
 
 function summary(figure) {
   const { state, now } = figure, n = state.segments, on = now.use.filter(Boolean).length;
+  const mm = (x) => (x < 1e-4 ? "less than 0.0001 mm" : short(x) + " mm");
   const words = [`${n} segment${n > 1 ? "s" : ""}, ${on} of ${now.use.length} sensors in use, synthetic readings.`];
-  words.push(`From ${state.start === "last" ? "the last estimate" : "the straight pose"}, ${state.evaluations} evaluations: the tip is off by ${short(now.off_mm(now.lm.q))} mm by least squares (Levenberg-Marquardt) and by ${short(now.off_mm(now.descent.q))} mm by gradient descent.`);
+  words.push(`From ${state.start === "last" ? "the last estimate" : "the straight pose"}, ${state.evaluations} evaluations: the tip is off by ${mm(now.off_mm(now.lm.q))} by least squares (Levenberg-Marquardt) and by ${mm(now.off_mm(now.descent.q))} by gradient descent.`);
   if (Number.isFinite(now.std_mm)) words.push(`The noise alone allows ${short(now.std_mm)} mm along the worst axis.`);
   if (now.ghosts.shapes.length) words.push(`${now.ghosts.shapes.length} other shapes are drawn that these sensors cannot tell from the estimate: one direction is all but undetermined.`);
   if (figure.waiting) words.push("Calibration is being computed.");
@@ -326,28 +317,24 @@ REPRO.views.magnets = function (box_) {
   const { state } = figure, few = box_.dataset.controls === "few", mm = (x) => x.toFixed(1) + " mm", clip = (key, low, high) => { state[key] = clamp(Math.round(state[key]), low, high); };
   [["segments", 1, 3], ["sensors", 2, 6], ["evaluations", 2, 40], ["course", 0, 399]].forEach((limits) => clip(...limits));
   figure.tipHandle = figure.handle("Tip of the robot: drag it, or move it with the arrow keys", (dx, dy) => drag(figure, dx, dy));
-  const shape = (c) => ({
-    change: (x) => {
-      const q = Array.from(truthOf(state));
-      q[3 * (state.moved - 1) + c] = x / 1e3;
-      figure.set({ q: inText(q) });
-    },
-  });
+  const shape = (c) => ({ change: (x) => figure.set({ q: inText(truthOf(state).map((old, k) => (k === 3 * (state.moved - 1) + c ? x / 1e3 : old))) }) });
   const limit = Math.floor(BEND * 1e4) / 10, numbers = (a, b) => Array.from({ length: b - a + 1 }, (_, k) => [a + k, a + k]);
-  figure.group("Shape",
-    figure.choice("segments", "Segments", numbers(1, 3)),
-    few ? null : figure.choice("moved", "Segment to bend", numbers(1, 3)),
+  const bends = few ? [] : [
+    figure.choice("moved", "Segment to bend", numbers(1, 3)),
     figure.slider("bend_x", "Bend in x", { min: -limit, max: limit, step: 0.1, show: mm, ...shape(0) }),
     figure.slider("bend_y", "Bend in y", { min: -limit, max: limit, step: 0.1, show: mm, ...shape(1) }),
-    figure.slider("stretch", "Stretch", { min: 0, max: 6.6, step: 0.1, show: mm, ...shape(2) }),
+    figure.slider("stretch", "Stretch", { min: 0, max: 6.6, step: 0.1, show: mm, ...shape(2) })];
+  figure.group("Shape",
+    figure.choice("segments", "Segments", numbers(1, 3)),
+    ...bends,
     figure.slider("course", "Place on the course T3", { min: 0, max: 399, show: (x) => (x / 40).toFixed(1) + " s", change: (x) => figure.set({ course: x, q: "" }) }),
     figure.player("Follow the course", (steps) => figure.set({ course: (state.course + steps) % 400, q: "" })),
     figure.turning());
   if (!few) {
     figure.bars = element("div", { class: "live-readings", role: "group", "aria-label": "Readings; press one to switch its sensor off" });
-    figure.progress = { canvas: element("canvas", { class: "live-progress", role: "img", "aria-label": "Error of the tip by iteration, for both methods; the text below says where they end." }) };
-    figure.below.append(element("div", {}, element("p", { class: "live-title", text: "Readings (line: predicted); press to switch off" }), figure.bars),
-      element("div", {}, element("p", { class: "live-title", text: "Least squares against descent, step by step" }), figure.progress.canvas));
+    figure.progress = element("canvas", { class: "live-progress", role: "img", "aria-label": "Error of the tip by iteration, for both methods; the text below says where they end." });
+    figure.below.append(element("div", {}, element("p", { class: "live-title", text: "Readings, base to tip (line: predicted); press to switch off" }), figure.bars),
+      element("div", {}, element("p", { class: "live-title", text: "Least squares against descent, step by step" }), figure.progress));
     figure.group("Sensors",
       figure.choice("sensors", "On each segment", numbers(2, 6)),
       figure.slider("radial", "Distance from the axis", { min: 5, max: 21, show: (x) => x + " mm" }),

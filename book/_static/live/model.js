@@ -199,12 +199,14 @@ function multipole(moments, distance, c) {
 }
 
 /** Flux density [mT] at a point, of magnets that are placed. */
-function fieldAt(magnets, moments, point) {
-  let B = [0, 0, 0];
-  for (const magnet of magnets) {
-    const p = plus(point, magnet.position, -1), d = Math.hypot(p[0], p[1], p[2]);
-    const { f, g } = multipole(moments, d, dot(p, magnet.axis) / d);
-    B = plus(plus(B, magnet.axis, f), p, g / d);
+function fieldAt(magnets, moments, [x, y, z]) {
+  const B = [0, 0, 0];
+  for (const { position, axis } of magnets) {
+    const px = x - position[0], py = y - position[1], pz = z - position[2], d = Math.sqrt(px * px + py * py + pz * pz);
+    const { f, g } = multipole(moments, d, (px * axis[0] + py * axis[1] + pz * axis[2]) / d), along = g / d;
+    B[0] += f * axis[0] + along * px;
+    B[1] += f * axis[1] + along * py;
+    B[2] += f * axis[2] + along * pz;
   }
   return B;
 }
@@ -256,7 +258,7 @@ function pull(row, chain, part, torque, force, gain) {
 
 const EPS = 2 ** -52, TOLERANCE = 1e-12;
 
-/** Levenberg-Marquardt within bounds, from q: {q, u, J, rmse, count, trail}. `use` says which readings count;
+/** Levenberg-Marquardt within bounds, from q: {q, u, J, rmse, trail}. `use` says which readings count;
     the trail has configuration and mean squared error after every iteration. */
 function levenbergMarquardt(sensing, q, u, use, low, high, iterations) {
   const n = q.length, used = use.reduce((total, one) => total + (one ? 1 : 0), 0);
@@ -290,7 +292,7 @@ function levenbergMarquardt(sensing, q, u, use, low, high, iterations) {
     damping = clamp(better ? damping / 10 : damping * 10, 1e-12, 1e12);
     trail.push({ q, loss: error / used });
   }
-  return { q, u: best.u, J: best.J, rmse: Math.sqrt(error / used), count, trail };
+  return { q, u: best.u, J: best.J, rmse: Math.sqrt(error / used), trail };
 }
 
 /** Information about the coordinates, each in its unit `scale` (by default such that the diagonal is one):
@@ -313,17 +315,17 @@ function covariance(J, use, noise) {
   return C;
 }
 
-/** Gradient descent with momentum, eqs (9)-(12): {q, momentum, loss, at, trail}; the best of `iterations`
+/** Gradient descent with momentum, eqs (9)-(12): {q, momentum, loss, trail}; the best of `iterations`
     evaluations is the estimate. The trail has every iterate and its loss, until one is no number. */
 function gradientDescent(sensing, q, momentum, u, use, steps, mu, iterations) {
   const used = use.reduce((total, one) => total + (one ? 1 : 0), 0), trail = [];
-  let x = Float64Array.from(q), b = Float64Array.from(momentum), loss = Infinity, at = 0, best = x;
+  let x = Float64Array.from(q), b = Float64Array.from(momentum), loss = Infinity, best = x;
   for (let k = 0; k < iterations; k++) {
     const last = k === iterations - 1, found = sensing(x, !last);
     let here = 0;
     found.u.forEach((value, s) => { if (use[s]) here += (value - u[s]) ** 2 / used; });
     if (!Number.isFinite(here)) break;
-    if (here < loss) [loss, at, best] = [here, k, x];
+    if (here < loss) [loss, best] = [here, x];
     trail.push({ q: x, loss: here });
     if (last) break;
     b = b.map((old) => mu * old);
@@ -332,7 +334,7 @@ function gradientDescent(sensing, q, momentum, u, use, steps, mu, iterations) {
     });
     x = x.map((old, c) => old - steps[c] * b[c]);
   }
-  return { q: best, momentum: b, loss, at, trail };
+  return { q: best, momentum: b, loss, trail };
 }
 
 // ---- A cube at the end of a bent arc, and a particle filter (Mitchell et al. 2021) ---------------------------------

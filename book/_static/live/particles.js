@@ -73,6 +73,7 @@ function draw(figure) {
   figure.dot(at(truth), "truth", 5, { flat: true });
   if (figure.estimate) figure.dot(at(figure.estimate), "estimate", 8, { flat: true, hollow: true });
   figure.truthHandle.place(at(truth));
+  figure.next.textContent = ["Weigh", "Draw anew", "Move"][figure.phase];
   figure.legend([["truth", "true bend"], ["descent", "particles"], ["estimate", "estimate"]], wide ? figure.height - 54 : 16);
   drawErrors(figure, wide ? [half + 50, 40, figure.width - 14, figure.height - 40] : [50, 2 * size + 40, figure.width - 14, figure.height - 26]);
 }
@@ -86,6 +87,7 @@ function drawErrors(figure, place) {
 function summary(figure) {
   const { state } = figure, n = state.particles, after = [`${n} particles that have just been moved`, "weighed by the readings: large ones agree with them", "drawn anew by their weights: few places, many times"];
   const words = [`Now: ${after[figure.phase]}.`];
+  if (!figure.errors.length) words.push("They start around the straight arc; the sensor has not been read yet.");
   if (figure.phase === 1) words.push(`They are worth ${short(figure.effective)} equal ones.`);
   if (figure.errors.length) words.push(`The estimate is off by ${short(figure.errors[figure.errors.length - 1])} mm, ${short(rms(figure.errors))} mm over ${figure.errors.length} steps; the spread of the cloud alone gives ${short(law(state))} mm. All synthetic.`);
   return words.join(" ");
@@ -104,10 +106,8 @@ REPRO.views.particles = function (box) {
   Object.assign(state, bound(state.x, state.y));
   restart(figure);
   figure.truthHandle = figure.handle("True bend: drag it, or move it with the arrow keys", (dx, dy) => figure.set(bound(state.x + dx / figure.perDegree, state.y - dy / figure.perDegree)));
-  const names = ["Weigh", "Draw anew", "Move"], next = figure.button("Weigh", () => { advance(figure); figure.set({}); });
-  const rename = figure.speak.bind(figure);
-  figure.speak = () => { rename(); next.textContent = names[figure.phase]; };
-  figure.group("Step by step", element("div", { class: "live-buttons" }, next,
+  figure.next = figure.button("Weigh", () => { advance(figure); figure.set({}); });
+  figure.group("Step by step", element("div", { class: "live-buttons" }, figure.next,
     figure.player("Follow the curve", (frames) => {
       for (let k = 0; k < Math.max(Math.floor(frames), 1); k++) {
         while (figure.phase) advance(figure);

@@ -79,7 +79,9 @@ def rebuild(project: Project, jobs: int) -> list[str]:
     check_up_to_date(project)
     copy = Project(project.root / ".cache" / "again")
     copy_sources(project.root, copy.root)
-    with changed_environment({"PYTHONPATH": str(copy.root / "src")}):  # the copy's own package, not the installed one
+    with changed_environment(
+        {"PYTHONPATH": str(copy.root / "src")}
+    ):  # the copy's own package, not the installed one
         run_pages(page_points(copy, read_inputs(copy)), jobs)
     return differences(project.results, copy.results)
 
