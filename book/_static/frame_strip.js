@@ -78,5 +78,5 @@
     setFrame(still);
   }
 
-  for (const strip of document.querySelectorAll(".frame-strip")) mount(strip);
+  document.addEventListener("DOMContentLoaded", () => document.querySelectorAll(".frame-strip").forEach(mount));
 })();

@@ -25,7 +25,7 @@ PAGE = """<!doctype html><html lang="en" data-theme="{theme}"><head><meta charse
 <meta name="viewport" content="width=device-width"><link rel="stylesheet" href="{style}">
 <meta http-equiv="Content-Security-Policy"
  content="default-src 'none'; script-src file:; style-src file: 'unsafe-inline'; img-src data:">
-</head><body class="bd-article"><main><h1>Frames</h1>{body}</main><script src="{script}"></script></body></html>"""
+<script src="{script}"></script></head><body class="bd-article"><main><h1>Frames</h1>{body}</main></body></html>"""
 
 
 @page_strip
