@@ -28,7 +28,7 @@ FOLDER = "downloads"
 
 _ENDINGS = {"image/png": "png", "image/svg+xml": "svg", "application/pdf": "pdf"}
 _PICTURE_IN_HTML = re.compile(
-    r'<div class="(?:shape-view|frame-strip)"><img src="data:(image/[\w+]+);base64,([^"]+)"'
+    r'<div class="(?:shape-view|frame-strip)"><img src="data:image/png;base64,([^"]+)"'
 )
 
 
@@ -72,7 +72,7 @@ def _pictures(data: Mapping[str, Any]) -> list[dict[str, bytes]]:
             text = data[kind] if isinstance(data[kind], str) else "".join(data[kind])
             files[ending] = text.encode() if kind == "image/svg+xml" else base64.b64decode(text)
     views = _PICTURE_IN_HTML.findall("".join(data.get("text/html", "")))
-    return [files] if files else [{_ENDINGS[kind]: base64.b64decode(view)} for kind, view in views]
+    return [files] if files else [{"png": base64.b64decode(view)} for view in views]
 
 
 def page_files(project: Project, stem: str) -> dict[str, bytes]:
@@ -232,7 +232,11 @@ def _downloads(
     for figure in figures_of(executed):
         links = ", ".join(link(f"{figure.name}.{ending}", ending.upper()) for ending in figure.files)
         named = f"{{numref}}`{figure.name}`" if figure.caption else figure.name
-        none = "" if {"svg", "pdf"} & set(figure.files) else "; no vector version (too large, or a 3-D view)"
+        none = (
+            ""
+            if {"svg", "pdf"} & set(figure.files)
+            else "; no vector version (too large, a 3-D view or frames)"
+        )
         lines.append(f"- {named}: {links}{none}")
     return "\n".join(lines) + "\n"
 
