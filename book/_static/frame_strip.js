@@ -18,7 +18,8 @@
   function mount(strip) {
     const { frames, still, svg } = JSON.parse(strip.querySelector("script").textContent);
     let picture = strip.querySelector("img");
-    const pictures = { [still]: picture };
+    const alt = picture.alt;
+    const pictures = [];
     let current = still;
     let timer = 0; // of the next frame, 0 when paused
 
@@ -35,7 +36,7 @@
     function pictureOf(k) {
       if (!pictures[k]) {
         const rule = `g[id^="f-"]:not([id*="-${k}-"]){display:none}</style>`;
-        pictures[k] = make("img", { alt: frames[k] });
+        pictures[k] = make("img", { alt: k === still ? alt : frames[k] });
         pictures[k].src = `data:image/svg+xml,${encodeURIComponent(svg.replace("</style>", rule))}`;
       }
       return pictures[k];
@@ -78,5 +79,5 @@
     setFrame(still);
   }
 
-  for (const strip of document.querySelectorAll(".frame-strip")) mount(strip);
+  document.addEventListener("DOMContentLoaded", () => document.querySelectorAll(".frame-strip").forEach(mount));
 })();

@@ -21,6 +21,7 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
 from repro.errors import require
+from repro_live.view.shape_view import small_png
 from repro_live.view.style import STYLE
 
 P = ParamSpec("P")
@@ -62,6 +63,14 @@ class FrameStrip:
 
     def svg(self, shown: Iterable[int]) -> str:
         """Draw these frames on each other; the group of an artist is named after all its frames, ``f-2-3--7``."""
+        self._show(shown)
+        stream = io.StringIO()
+        # the style also fixes the names inside an SVG, which are random otherwise
+        with plt.style.context(STYLE):
+            self.figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
+        return re.sub(r' (d|x|y)="([^"]*)"', _shortened, stream.getvalue())
+
+    def _show(self, shown: Iterable[int]) -> None:
         shown, frames_of = set(shown), {}
         for k, frame in enumerate(self.frames):
             for artist in frame.artists:
@@ -69,23 +78,24 @@ class FrameStrip:
         for number, (artist, frames) in enumerate(frames_of.items()):
             artist.set_gid(f"f-{'-'.join(map(str, frames))}--{number}")
             artist.set_visible(not shown.isdisjoint(frames))
-        stream = io.StringIO()
-        # the style also fixes the names inside an SVG, which are random otherwise
-        with plt.style.context(STYLE):
-            self.figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
-        return re.sub(r' (d|x|y)="([^"]*)"', _shortened, stream.getvalue())
 
     def to_html(self) -> str:
         """Return the still with the frames beside it; the script puts itself in the place of the still."""
-        still = self.still % len(self.frames)
-        picture = base64.b64encode(self.svg([still]).encode()).decode("ascii")
-        frames = [frame.says for frame in self.frames]
-        data = {"frames": frames, "still": still, "svg": self.svg(range(len(frames)))}
+        still, count = self.still % len(self.frames), len(self.frames)
+        data = {
+            "frames": [frame.says for frame in self.frames],
+            "still": still,
+            "svg": self.svg(range(count)),
+        }
         # "</script>" within a text must not end the element
         text = json.dumps(data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
+        self._show([still])
+        with plt.style.context(STYLE):
+            picture = base64.b64encode(small_png(self.figure)).decode("ascii")
+        width = round(96 * self.figure.get_figwidth())  # that of the drawing on the screen
         return (
             '<div class="frame-strip">'
-            f'<img src="data:image/svg+xml;base64,{picture}" alt="{html.escape(self.alt)}">'
+            f'<img src="data:image/png;base64,{picture}" alt="{html.escape(self.alt)}" width="{width}">'
             f'<script type="application/json">{text}</script></div>'
         )
 

@@ -218,7 +218,7 @@ class ShapeView:
 
     def to_html(self) -> str:
         """Return a picture with the data beside it; the viewer puts itself in the place of the picture."""
-        picture = base64.b64encode(_png(self.figure())).decode("ascii")
+        picture = base64.b64encode(small_png(self.figure())).decode("ascii")
         # "</script>" within a name must not end the element
         data = json.dumps(self.data(), separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
         return (
@@ -235,7 +235,7 @@ class ShapeView:
         return f"ShapeView of {n} frame{'s' * (n > 1)}, {first:g} to {last:g} s: {self.label}"
 
 
-def _png(figure: Figure) -> bytes:
+def small_png(figure: Figure) -> bytes:
     """Draw a figure small, with 64 colours: a third of the size."""
     drawn, small = io.BytesIO(), io.BytesIO()
     figure.savefig(drawn, format="png", dpi=80, facecolor="white")

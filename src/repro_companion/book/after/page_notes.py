@@ -30,7 +30,7 @@ FOLDER = "downloads"
 
 _ENDINGS = {"image/png": "png", "image/svg+xml": "svg", "application/pdf": "pdf"}
 _PICTURE_IN_HTML = re.compile(
-    r'<div class="(?:shape-view|frame-strip)"><img src="data:(image/[\w+]+);base64,([^"]+)"'
+    r'<div class="(?:shape-view|frame-strip)"><img src="data:image/png;base64,([^"]+)"'
 )
 
 
@@ -74,7 +74,7 @@ def _pictures(data: Mapping[str, Any]) -> list[dict[str, bytes]]:
             text = data[kind] if isinstance(data[kind], str) else "".join(data[kind])
             files[ending] = text.encode() if kind == "image/svg+xml" else base64.b64decode(text)
     views = _PICTURE_IN_HTML.findall("".join(data.get("text/html", "")))
-    return [files] if files else [{_ENDINGS[kind]: base64.b64decode(view)} for kind, view in views]
+    return [files] if files else [{"png": base64.b64decode(view)} for view in views]
 
 
 def page_files(project: Project, stem: str) -> dict[str, bytes]:
@@ -255,7 +255,8 @@ def _downloads(
             named = f"{{numref}}`{named}`"
         elif first in numbered:  # another picture of the same cell
             named = f"{{numref}}`{first}`, picture {number}"
-        none = "" if {"svg", "pdf"} & set(figure.files) else "; no vector version (too large, or a 3-D view)"
+        vector = {"svg", "pdf"} & set(figure.files)
+        none = "" if vector else "; no vector version (too large, a 3-D view or frames)"
         lines.append(f"- {named}: {links}{none}")
     return "\n".join(lines) + "\n"
 

@@ -109,7 +109,9 @@ def filter_steps(
                 (frames[3 * k], q[heavy], weights[heavy], "#E69F00"),
                 (frames[3 * k + 1], q[kept], copies / len(q), "#0072B2"),
             ):
-                seen.append(panel.scatter(*np.rad2deg(chosen).T, s=8 + 600 * share, color=colour, alpha=0.7))
+                for bend, part in zip(np.rad2deg(chosen), share, strict=True):
+                    size = (8 + 600 * part) ** 0.5
+                    seen.append(_dots(panel, bend[None], width=size, colour=colour, alpha=0.7))
         off = np.linalg.norm(estimate - truth)
         says += [
             f"Reading {first + k}, weighed: {heavy.sum()} of {len(q)} particles have more than a thousandth of the"
@@ -133,14 +135,16 @@ def filter_steps(
     return FrameStrip(figure, told, f"A cloud of particles around the true bend. {says[0]}", still=0)
 
 
-def _dots(panel: Axes, points: np.ndarray) -> PathPatch:
+def _dots(
+    panel: Axes, points: np.ndarray, *, width: float = 2.4, colour: str = "0.6", alpha: float | None = None
+) -> PathPatch:
     """One path for all: in a vector file a third of the size of as many markers."""
     low, high = np.transpose([panel.get_xlim(), panel.get_ylim()])
     points = points[((low < points) & (points < high)).all(axis=1)]
     path = Path(np.repeat(points, 2, axis=0), np.tile([Path.MOVETO, Path.LINETO], len(points)))
     path.should_simplify = False  # points without length would be left out
-    dots = PathPatch(path, fill=False, edgecolor="0.6", lw=2.4, capstyle="round", zorder=1)
-    return panel.add_patch(dots)
+    style = {"edgecolor": colour, "lw": width, "alpha": alpha, "capstyle": "round", "zorder": 1}
+    return panel.add_patch(PathPatch(path, fill=False, **style))
 
 
 @page_figure
