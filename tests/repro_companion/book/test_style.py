@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import to_hex, to_rgb, to_rgba
 from matplotlib.figure import Figure
 
 import repro_companion
@@ -96,7 +96,7 @@ def test_most_pages_draw():
 def test_ground_is_transparent_and_text_is_text():
     """A page shows its own ground, light or dark; a coordinate of a path has two digits after the point."""
     figure = drawn_line()
-    assert figure.get_facecolor()[3] == figure.axes[0].get_facecolor()[3] == 0
+    assert to_rgba(figure.get_facecolor())[3] == to_rgba(figure.axes[0].get_facecolor())[3] == 0
     svg = figure._repr_mimebundle_()["image/svg+xml"]  # pyright: ignore[reportAttributeAccessIssue]
     assert re.search(r"<text[^>]*>third</text>", svg)
     assert re.findall(r' d="[^"]*\.\d{3}', svg) == []
