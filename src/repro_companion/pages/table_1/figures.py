@@ -48,7 +48,7 @@ def descents(
     figure, panel = plt.subplots(figsize=(5.6, 5.0))
     side = 1e3 * sides_m
     levels = panel.contour(side, side, off_mt, 12, colors="0.6", linewidths=0.8)
-    panel.clabel(levels, levels.levels[1::2], fmt="%g mT", fontsize=7, colors="0.35")
+    panel.clabel(levels, np.asarray(levels.levels)[1::2], fmt="%g mT", fontsize=7, colors="0.35")
     panel.plot(*1e3 * truth_m[:2], "*", color="black", ms=13, label="truth")
     first = next(iter(paths_m.values()))
     panel.plot(*1e3 * first[0, :2], "s", color="black", ms=6, label="start")
