@@ -58,7 +58,10 @@ def test_a_book_from_nothing_and_what_makes_it_run_again(book, build, tmp_path):
     assert "a: started\n" in first.stdout
     assert "0 of 2 notebooks were up to date; the site was built in " in first.stdout
     site = book / "book/_build/html"
-    assert "<strong>Of the 0 left, 0 hold</strong>" in (site / "index.html").read_text()
+    assert (
+        "<strong>Of the 0 left, 0 are reproduced, 0 better, and 0 differ.</strong>"
+        in (site / "index.html").read_text()
+    )
     assert (site / "notebooks/a.html").is_file()
     assert sorted(os.listdir(book / "results")) == [
         "a.provenance.json",
@@ -80,7 +83,10 @@ def test_a_book_from_nothing_and_what_makes_it_run_again(book, build, tmp_path):
         assert executed(broken.stdout) == set()
         assert "nowhere" in broken.stderr
         assert "jupyter-book ended with 1; the site was not replaced." in broken.stderr
-    assert "<strong>Of the 0 left, 0 hold</strong>" in (site / "index.html").read_text()
+    assert (
+        "<strong>Of the 0 left, 0 are reproduced, 0 better, and 0 differ.</strong>"
+        in (site / "index.html").read_text()
+    )
 
 
 @pytest.fixture
