@@ -61,11 +61,11 @@ ELSEWHERE_MM = 5.0
 class BatchState(Generic[_M]):
     """The newest estimate, and the filter of each member of the batch, which all run on their own."""
 
-    q: Float[Tensor, "*batch 3"]
+    q: Float[Tensor, "*batch n_q"]
     members: tuple[_M, ...]
 
 
-def batch_of(member: _M, q0: Float[Tensor, "*batch 3"], owner: str) -> BatchState[_M]:
+def batch_of(member: _M, q0: Float[Tensor, "*batch n_q"], owner: str) -> BatchState[_M]:
     """State before the first readings, the same for all members of the batch of ``q0``."""
     check_start(q0, None, owner, n_q=3)
     return BatchState(q0, (member,) * math.prod(q0.shape[:-1]))
@@ -111,7 +111,7 @@ class BendFilter:
     def _bank(self) -> BendBank:
         return BendBank(self.bend_map, self.config)
 
-    def init(self, q0: Float[Tensor, "*batch 3"], *, seed: int = 0) -> BatchState[_Watched]:
+    def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> BatchState[_Watched]:
         """State before the first readings, which alone say where it starts: of ``q0`` only the batch counts."""
         return batch_of(_Watched(self._bank.start()), q0, "BendFilter")
 

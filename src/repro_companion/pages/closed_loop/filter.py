@@ -85,7 +85,7 @@ class LoopFilter:
         known = replace(self.bend_map, error_mv=self.segment.error_mv)
         return BendBank(replace(known, acceleration=STILL, rate=STILL) if self.follows else known)
 
-    def init(self, q0: Float[Tensor, "*batch 3"], *, seed: int = 0) -> BatchState[Following]:
+    def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> BatchState[Following]:
         """State before the first readings, after a long time without torque; of ``q0`` only the batch counts."""
         return batch_of(Following(self._bank.start(), np.zeros(2), *np.zeros((2, 3))), q0, "LoopFilter")
 
@@ -143,7 +143,7 @@ class CommandAlone:
     bend_map: BendMap
     segment: Segment
 
-    def init(self, q0: Float[Tensor, "*batch 3"], *, seed: int = 0) -> BatchState[Float[np.ndarray, " 2"]]:
+    def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> BatchState[Float[np.ndarray, " 2"]]:
         """State after a long time without torque: the torque after its lag; of ``q0`` only the batch counts."""
         return batch_of(np.zeros(2), q0, "CommandAlone")
 
