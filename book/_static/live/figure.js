@@ -312,9 +312,8 @@ class Figure {
     for (const end of ["pointerup", "pointercancel"]) made.addEventListener(end, () => { last = null; });
     made.addEventListener("keydown", (event) => {
       const way = { ArrowLeft: [-6, 0], ArrowRight: [6, 0], ArrowUp: [0, -6], ArrowDown: [0, 6] }[event.key];
-      if (!way) return;
-      event.preventDefault();
-      move(...way);
+      if (way) move(...way);
+      if (way) event.preventDefault();
     });
     this.stage.append(made);
     return { place: ([x, y]) => { made.style.transform = `translate(${x}px, ${y}px)`; } };
