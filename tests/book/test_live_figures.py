@@ -174,7 +174,7 @@ def test_particles_step_by_step(figure):
 
 def test_more_imus_and_a_better_model(figure):
     """With perfect sensors the error falls with their number, and from rigid links to a smooth curve."""
-    page = figure("imus", "#imus=imus:2,mounting:0,heading:0,tilt:0")
+    page = figure("imus", "#imus=imus:2,mounting:0,heading:0")
     errors = "() => document.querySelector('.live-figure').live.errors"
     two = page.evaluate(errors)
     page.get_by_label("IMUs", exact=True).select_option("8")

@@ -57,7 +57,8 @@ class Figure {
     this.controls = {};
     this.canvas = element("canvas", { role: "img", "aria-label": view.alt });
     this.context = this.canvas.getContext("2d");
-    this.stage = element("div", { class: "live-stage" }, this.canvas);
+    this.names = element("ul", { class: "live-legend" });
+    this.stage = element("div", { class: "live-stage" }, this.canvas, this.names);
     this.text = element("p", { class: "live-text", role: "status" });
     this.side = element("div", { class: "live-controls", role: "group", "aria-label": "Controls of the figure" });
     this.below = element("div", { class: "live-below" });
@@ -200,13 +201,11 @@ class Figure {
     c.fillText(text, x, y);
   }
 
-  /** Names of what is drawn, a line of colour before each: [[role, words], ...]. */
-  legend(entries, top = 16) {
-    entries.forEach(([role, words], k) => {
-      const y = top + 19 * k;
-      this.line([[12, y], [30, y]], role, 4, { flat: true });
-      this.words(words, 37, y);
-    });
+  /** Names of what is drawn, [[role, words], ...]: text beside the canvas, in which text takes long to draw. */
+  legend(entries) {
+    if (this.named === String(entries)) return;
+    this.named = String(entries);
+    this.names.replaceChildren(...entries.map(([role, text]) => element("li", { style: `--role: var(--live-${role})`, text })));
   }
 
   /** Curves {role: values} on a logarithmic scale from 10^low to 10^high, over as many steps; returns a value's height. */
@@ -312,9 +311,8 @@ class Figure {
     for (const end of ["pointerup", "pointercancel"]) made.addEventListener(end, () => { last = null; });
     made.addEventListener("keydown", (event) => {
       const way = { ArrowLeft: [-6, 0], ArrowRight: [6, 0], ArrowUp: [0, -6], ArrowDown: [0, 6] }[event.key];
-      if (!way) return;
-      event.preventDefault();
-      move(...way);
+      if (way) move(...way);
+      if (way) event.preventDefault();
     });
     this.stage.append(made);
     return { place: ([x, y]) => { made.style.transform = `translate(${x}px, ${y}px)`; } };

@@ -4,7 +4,7 @@
 const { algebra, element, randomOf, Figure } = REPRO;
 const { plus, clamp, solve } = algebra;
 const LENGTH = 0.64, STEPS = 160, MARKERS = [0.36, 0.6], DEGREE = Math.PI / 180;
-const DEFAULTS = { imus: 4, model: "interpolated", mounting: 3, heading: 6, tilt: 1, seed: 1, view: 300, shape: "70;30;-60;50" };
+const DEFAULTS = { imus: 4, model: "interpolated", mounting: 3, heading: 6, seed: 1, view: 300, shape: "70;30;-60;50" };
 const COLOURS = { rigid: "descent", interpolated: "estimate", spline: "sensor" };
 const NAMES = { rigid: "rigid links", interpolated: "interpolated links", spline: "smooth curve" };
 const USED = { rigid: { 2: [2, 6], 4: [2, 4, 6, 8] }, other: { 2: [4, 8], 4: [2, 4, 6, 8] } }; // Table I
@@ -27,13 +27,13 @@ function arm(angles) {
   return { points, turns };
 }
 
-/** What the eight IMUs read: turned about the vertical, tilted, and not mounted along the arm. */
+/** What the eight IMUs read: turned about the vertical, and not mounted along the arm. */
 function read(state, turns) {
   const random = randomOf(state.seed);
   return ALL.map((k) => {
-    const [a, b, c, d, e, f] = Array.from({ length: 6 }, random.normal), m = state.mounting * DEGREE;
-    const world = REPRO.turnProduct(REPRO.turnOf([0, 0, state.heading * DEGREE * a]), REPRO.turnOf([state.tilt * DEGREE * b, state.tilt * DEGREE * c, 0]));
-    return REPRO.turnProduct(REPRO.turnProduct(world, turns[k * STEPS / 8]), REPRO.turnOf([m * d, m * e, m * f]));
+    const heading = REPRO.turnOf([0, 0, state.heading * DEGREE * random.normal()]);
+    const mounting = REPRO.turnOf([0, 0, 0].map(() => state.mounting * DEGREE * random.normal()));
+    return REPRO.turnProduct(REPRO.turnProduct(heading, turns[k * STEPS / 8]), mounting);
   });
 }
 
@@ -90,14 +90,14 @@ function drag(figure, dx, dy) {
 function summary({ state, errors }) {
   const [one, two] = errors[state.model].map((mm) => mm.toFixed(1));
   return `${state.imus} IMUs and the base; ${NAMES[state.model]} put marker M1 ${one} mm and marker M2 ${two} mm from where they are. `
-    + `Each IMU is off by about ${state.mounting}° in its mounting, ${state.heading}° in its heading and ${state.tilt}° in its tilt. All synthetic.`;
+    + `Each IMU is off by about ${state.mounting}° in its mounting and ${state.heading}° in its heading. All synthetic.`;
 }
 
 REPRO.views.imus = function (box) {
   const figure = new Figure(box, {
     name: "imus", defaults: DEFAULTS, draw, summary,
     alt: "A soft arm with orientation sensors: its true shape, and the shapes that three models make of what the sensors read. The table and the text below say how far apart they are.",
-    record: ["imu_markers", "Markers from eight IMUs", (state) => ({ imus: `[${state.imus}]`, mounting_deg: state.mounting, heading_deg: state.heading, tilt_deg: state.tilt, seeds: `[${state.seed}]` })],
+    record: ["imu_markers", "Markers from eight IMUs", (state) => ({ imus: `[${state.imus}]`, mounting_deg: state.mounting, heading_deg: state.heading, seeds: `[${state.seed}]` })],
     changed: (one) => showShape(one),
   });
   const { state } = figure, degrees = (x) => x + "°";
@@ -118,7 +118,6 @@ REPRO.views.imus = function (box) {
     figure.choice("model", "Bold line", Object.entries(NAMES)),
     figure.slider("mounting", "Error of the mounting", { max: 10, step: 0.5, show: degrees }),
     figure.slider("heading", "Error of the heading", { max: 20, step: 0.5, show: degrees }),
-    figure.slider("tilt", "Error of the tilt", { max: 5, step: 0.5, show: degrees }),
     figure.button("Other sensors", () => figure.set({ seed: state.seed % 99 + 1 })));
   figure.start();
 };

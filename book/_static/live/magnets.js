@@ -184,8 +184,7 @@ function drawEllipsoid(figure, { lm, use, model }, noise) {
     points.push([x + s * vectors[0][0] + t * vectors[1][0], y - s * vectors[0][1] - t * vectors[1][1]]);
   }
   figure.line(points, "estimate", 1.5, { flat: true });
-  figure.words(`95 % of estimates${larger > 1 ? `, ${larger} times as large` : ""}`, figure.width - 10, figure.height - 14, { align: "right", role: "estimate" });
-  return Math.sqrt(Math.max(values[1], 0)) * 1e3;
+  return { worst: Math.sqrt(Math.max(values[1], 0)) * 1e3, larger };
 }
 
 function draw(figure) {
@@ -209,10 +208,11 @@ function draw(figure) {
   const other = state.method === "lm" ? "descent" : "lm", colour = { lm: "estimate", descent: "descent" };
   figure.line(REPRO.backbone(body, found[other].q, 12), colour[other], 2, { alpha: 0.8, dash: [2, 6] });
   figure.line(REPRO.backbone(body, found.chosen.q, 12), colour[state.method], 3, { dash: [10, 7] });
-  found.std_mm = state.method === "lm" && state.noise > 0 && found.ghosts.spread < 0.3 ? drawEllipsoid(figure, found, state.noise) : NaN;
+  found.ellipsoid = state.method === "lm" && state.noise > 0 && found.ghosts.spread < 0.3 ? drawEllipsoid(figure, found, state.noise) : null;
   figure.tipHandle.place(figure.at(found.tip));
   const names = [["truth", "true shape"], ["estimate", "least squares"], ["descent", "gradient descent"]];
   if (figure.width > 420) names.push(["magnet", "ring magnets"], ["sensor", "sensors"]);
+  if (found.ellipsoid) names.push(["estimate", "95 % of estimates" + (found.ellipsoid.larger > 1 ? `, ${found.ellipsoid.larger} × as large` : "")]);
   if (found.ghosts.shapes.length) names.push(["ghost", "shapes that read all but alike"]);
   figure.legend(names);
   figure.now = found;
@@ -297,7 +297,7 @@ function summary(figure) {
   const mm = (x) => (x < 1e-4 ? "less than 0.0001 mm" : short(x) + " mm");
   const words = [`${n} segment${n > 1 ? "s" : ""}, ${on} of ${now.use.length} sensors in use, synthetic readings.`];
   words.push(`From ${state.start === "last" ? "the last estimate" : "the straight pose"}, ${state.evaluations} evaluations: the tip is off by ${mm(now.off_mm(now.lm.q))} by least squares (Levenberg-Marquardt) and by ${mm(now.off_mm(now.descent.q))} by gradient descent.`);
-  if (Number.isFinite(now.std_mm)) words.push(`The noise alone allows ${short(now.std_mm)} mm along the worst axis.`);
+  if (now.ellipsoid) words.push(`The noise alone allows ${short(now.ellipsoid.worst)} mm along the worst axis.`);
   if (now.ghosts.shapes.length) words.push(`${now.ghosts.shapes.length} other shapes are drawn that these sensors cannot tell from the estimate: one direction is all but undetermined.`);
   if (figure.waiting) words.push("Calibration is being computed.");
   else if (state.tolerances) words.push(state.calibrated ? `The model is calibrated in ${POSES} known poses.` : "The parts are not where the drawing has them, and the model does not know it.");

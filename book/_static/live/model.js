@@ -218,23 +218,26 @@ function magneticSensing(body, moments, gains) {
     const chain = frames(body, q), magnets = placed(body, q, chain, body.magnets);
     const sensors = placed(body, q, chain, body.sensors);
     const u = new Float64Array(sensors.length), J = slopes ? zeros(sensors.length, body.n) : null;
+    const byM = [0, 0, 0], byP = [0, 0, 0], p = [0, 0, 0]; // used again and again
     sensors.forEach((sensor, s) => {
-      const o = sensor.axis, gain = gains ? gains[s] : 1;
-      let torque = [0, 0, 0], force = [0, 0, 0];
+      const o = sensor.axis, gain = gains ? gains[s] : 1, torque = [0, 0, 0], force = [0, 0, 0];
       for (const magnet of magnets) {
-        const m = magnet.axis, p = plus(sensor.position, magnet.position, -1), d = Math.sqrt(dot(p, p));
-        const alpha = dot(o, m), beta = dot(o, p) / d, c = dot(m, p) / d;
+        const m = magnet.axis;
+        for (let k = 0; k < 3; k++) p[k] = sensor.position[k] - magnet.position[k];
+        const d = Math.sqrt(dot(p, p)), alpha = dot(o, m), beta = dot(o, p) / d, c = dot(m, p) / d;
         const { f, g, fc, gc, fd, gd } = multipole(moments, d, c);
         u[s] += gain * (f * alpha + g * beta);
         if (!slopes) continue;
-        const byC = fc * alpha + gc * beta, byD = fd * alpha + gd * beta;
-        const byO = plus([f * m[0], f * m[1], f * m[2]], p, g / d);
-        const byM = plus([f * o[0], f * o[1], f * o[2]], p, byC / d);
-        const along = (byD - (g * beta + byC * c) / d) / d;
-        const byP = [0, 1, 2].map((k) => along * p[k] + (g * o[k] + byC * m[k]) / d);
-        torque = plus(plus(torque, cross(o, byO)), cross(sensor.position, byP));
-        force = plus(force, byP);
-        pull(J[s], chain, magnet, plus(cross(m, byM), cross(magnet.position, byP), -1), byP.map((x) => -x), gain);
+        const byC = fc * alpha + gc * beta, along = (fd * alpha + gd * beta - (g * beta + byC * c) / d) / d;
+        for (let k = 0; k < 3; k++) {
+          byM[k] = f * o[k] + byC / d * p[k];
+          byP[k] = along * p[k] + (g * o[k] + byC * m[k]) / d;
+          force[k] += byP[k];
+        }
+        // Turning everything changes no reading: the torques on sensor and magnet cancel.
+        const turning = plus(cross(magnet.position, byP), cross(m, byM), -1);
+        for (let k = 0; k < 3; k++) torque[k] += turning[k];
+        pull(J[s], chain, magnet, turning, byP, -gain);
       }
       if (slopes) pull(J[s], chain, sensor, torque, force, gain);
     });

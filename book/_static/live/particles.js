@@ -74,7 +74,7 @@ function draw(figure) {
   if (figure.estimate) figure.dot(at(figure.estimate), "estimate", 8, { flat: true, hollow: true });
   figure.truthHandle.place(at(truth));
   figure.next.textContent = ["Weigh", "Draw anew", "Move"][figure.phase];
-  figure.legend([["truth", "true bend"], ["descent", "particles"], ["estimate", "estimate"]], wide ? figure.height - 54 : 16);
+  figure.legend([["truth", "true bend"], ["descent", "particles"], ["estimate", "estimate"]]);
   drawErrors(figure, wide ? [half + 50, 40, figure.width - 14, figure.height - 40] : [50, 2 * size + 40, figure.width - 14, figure.height - 26]);
 }
 
