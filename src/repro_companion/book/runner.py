@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from repro.errors import InputError, bad_input, require
 from repro_companion.book.digests import file_digest, tree_digests
+from repro_companion.book.points import one_thread
 from repro_companion.book.project import Project, find_project, runs_folder, shown
 from repro_companion.book.provenance import (
     Record,
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
 
 # The kernel calls its own orderly end an error; what a cell raises is reported in any case.
 _QUIET_KERNEL = ("--IPKernelApp.log_level=50",)
-_ONE_THREAD = ("OMP", "MKL", "OPENBLAS", "NUMEXPR", "VECLIB_MAXIMUM", "NUMBA")
 
 
 class NotebookFailed(Exception):
@@ -196,11 +196,6 @@ def _kernel_environment(tables: Path) -> dict[str, str]:
     folders = {"REPRO_RESULTS_DIR": str(tables.absolute()), "REPRO_DATA_DIR": str(data_dir())}
     # The debugger of ipykernel warns at every start about modules that Python has frozen.
     return {**one_thread(), **folders, "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
-
-
-def one_thread() -> dict[str, str]:
-    """Return the environment in which the libraries that compute use one thread: sums then have one order."""
-    return {name + ("_THREADS" if "MAX" in name else "_NUM_THREADS"): "1" for name in _ONE_THREAD}
 
 
 @contextlib.contextmanager

@@ -96,12 +96,10 @@ def test_an_alternative_that_fails_stops_the_build(book, build, notebook_at, wri
     set_alternatives(path, SIX)
     done = build()
     assert done.returncode == 1
-    assert done.stderr == (
-        "notebooks/a.ipynb with n=6 failed in code cell 2: 1 / (n - 6)\n"
-        "  ZeroDivisionError: division by zero\n"
-    )
+    head = "notebooks/a.ipynb with n=6 failed in code cell 2: 1 / (n - 6)\n"
+    assert head + "  ZeroDivisionError: division by zero\n" in done.stderr
     set_alternatives(path, SIX | {"table": "other", "parameters": {"n": 5}})
-    assert build().stderr == "notebooks/a.ipynb with n=5 does not write the table other.csv\n"
+    assert "notebooks/a.ipynb with n=5 does not write the table other.csv\n" in build().stderr
     set_alternatives(path, SIX | {"wrong": 1})
     assert "Input alternatives of the metadata of a.ipynb must be as its class has it" in build().stderr
 

@@ -23,10 +23,17 @@ from typing import TYPE_CHECKING, Any
 
 from repro.errors import bad_input
 from repro_companion.book.digests import combined_digest, file_digest, tree_digests
-from repro_companion.book.points import Outcome, Point, Runner, environment_of_runs, finished
+from repro_companion.book.points import (
+    Outcome,
+    Point,
+    Runner,
+    environment_of_runs,
+    finished,
+    one_thread,
+)
 from repro_companion.book.project import Project, find_project, shown
 from repro_companion.book.provenance import Inputs, make_record, notebook_key, record_path, write_record
-from repro_companion.book.runner import changed_environment, one_thread, read_notebook
+from repro_companion.book.runner import changed_environment, read_notebook
 
 if TYPE_CHECKING:
     from nbformat import NotebookNode

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from repro.errors import bad_input
 from repro.estimation.base import Trajectory
 from repro_companion.book.views_frames import every_nth, readings
 from repro_companion.recordings.baaij2023 import Recording
@@ -94,6 +95,8 @@ def lost_views(paper: PaperRun, names: Sequence[str], source: str) -> ShapeViews
     """The paper's method with known elongation on some trajectories, with the seed that loses the bend longest."""
     views = {}
     for name in names:
+        if name not in paper.parts:
+            raise bad_input("trajectories", "the views", f"with {name} among them", list(paper.parts))
         part, found = paper.parts[name], paper.estimates["known", name]
         off_m = np.linalg.norm(found[..., :2] - part.q[:, None, :2], axis=-1)
         seed = int((off_m > LOST_M).mean(axis=0).argmax())
