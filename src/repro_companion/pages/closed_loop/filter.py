@@ -120,7 +120,7 @@ class LoopFilter:
         noise = np.hypot(self.bend_map.noise_mv, segment.share * size)
         return Following(self._bank.step(bank, reading_mv - lag, noise), s, lag, size)
 
-    def _moved(self, bank: BendState, before: np.ndarray, now: np.ndarray) -> BendState:
+    def _moved(self, bank: BankState, before: np.ndarray, now: np.ndarray) -> BankState:
         """Move all filters with the command, up to the next reading."""
         if bank.frame == 0:
             return bank

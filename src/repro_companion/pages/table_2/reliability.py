@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.estimation.base import track
+from repro.estimation.base import Trajectory, track
 from repro.estimation.consistency import Status, lasting
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kernels import compiled
