@@ -213,7 +213,7 @@ class Figure {
     const y = (x) => top + (bottom - top) * (high - REPRO.algebra.clamp(Math.log10(x), low, high)) / (high - low);
     for (let d = low; d <= high; d++) {
       this.line([[left, y(10 ** d)], [right, y(10 ** d)]], "faint", 1, { flat: true });
-      this.words(String(Number((10 ** d).toFixed(3))), left - 6, y(10 ** d), { align: "right", size: 12 });
+      if ((d - low) % 2 === 0) this.words(String(Number((10 ** d).toFixed(3))), left - 6, y(10 ** d), { align: "right", size: 12 });
     }
     this.words(caption, (left + right) / 2, bottom + 16, { align: "center", size: 12 });
     for (const [role, values] of Object.entries(curves)) {

@@ -260,7 +260,7 @@ function toggle(figure, k) {
 function showReadings(figure, { u, use, chosen, sensing }) {
   if (!figure.bars) return;
   if (figure.barsFor !== figure.state.segments + " " + figure.state.sensors) makeReadings(figure);
-  const predicted = sensing(chosen.q, false).u, largest = Math.max(...u.map(Math.abs), 1e-9);
+  const predicted = chosen.u || sensing(chosen.q, false).u, largest = Math.max(...u.map(Math.abs), 1e-9);
   figure.bar.forEach(({ button, bar, mark, value }, s) => {
     bar.style.transform = `scaleX(${use[s] ? Math.abs(u[s]) / largest : 0})`;
     mark.style.left = clamp(100 * Math.abs(predicted[s]) / largest, 0, 99) + "%";
