@@ -9,6 +9,7 @@ from fractions import Fraction
 
 import pytest
 
+from repro.errors import InputError
 from repro_companion.book.after.figures_scorecard import HIGHEST, height_of, picture_alt, picture_page
 from repro_companion.book.after.scorecard_files import (
     badge,
@@ -135,6 +136,13 @@ def test_files(tmp_path):
         "martin2022,figure,Fig. 3,errors,regenerated,notebooks/imu_markers,fig-imu-markers,,synthetic\n",
         encoding="utf-8",
     )
+    with pytest.raises(
+        InputError, match="page of index.csv must be a page of the book; instead received note"
+    ):
+        write_scorecard_files(project, ROWS)
+    project.notebooks.mkdir()
+    cell = {"cell_type": "markdown", "source": ["# Markers\n", "\n", "Text."]}
+    (project.notebooks / "imu_markers.ipynb").write_text(json.dumps({"cells": [cell]}), encoding="utf-8")
     write_scorecard_files(project, ROWS)
     folder = project.book / "generated"
     first = {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -149,6 +157,7 @@ def test_files(tmp_path):
         "verdicts_martin2022.md",
     ]
     assert b"notebooks/imu_markers.html#fig-imu-markers" in first["scorecard.md"]
+    assert b'<a href="notebooks/imu_markers.html#fig-imu-markers">Markers</a>' in first["papers.md"]
     assert b'aria-label="Regenerated over published for 5 numbers' in first["scorecard_picture.md"]
     write_scorecard_files(project, ROWS)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == first

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,11 +49,6 @@ class IndexEntry:
     def link(self) -> str:
         """The place in the built site, from its root."""
         return f"{self.page}.html" + (f"#{self.anchor}" if self.anchor else "")
-
-    @property
-    def title(self) -> str:
-        """The page in words."""
-        return self.page.rsplit("/", 1)[-1].replace("_", " ")
 
     @property
     def code_name(self) -> str:
@@ -113,12 +110,29 @@ def places(entries: Iterable[IndexEntry]) -> dict[tuple[str, str], str]:
     return {(entry.paper, entry.artefact): entry.link for entry in entries if entry.kind not in ("equation",)}
 
 
-def index_page(entries: Sequence[IndexEntry]) -> str:
+def page_titles(project: Project, entries: Iterable[IndexEntry]) -> dict[str, str]:
+    """Return the titles of the pages to which entries lead, by the path of the page."""
+    return {page: _title(project, page) for page in {entry.page for entry in entries}}
+
+
+def _title(project: Project, page: str) -> str:
+    notebook, other = project.root / f"{page}.ipynb", project.book / f"{page}.md"
+    if notebook.is_file():
+        text = "".join(json.loads(notebook.read_text(encoding="utf-8"))["cells"][0]["source"])
+    else:
+        require(other.is_file(), "page", "index.csv", "a page of the book", page)
+        text = other.read_text(encoding="utf-8")
+    return re.findall(r"^# (.+)$", text, flags=re.MULTILINE)[0]
+
+
+def index_page(entries: Sequence[IndexEntry], titles: Mapping[str, str]) -> str:
     """Return the index as MyST: a heading for each paper, and a table for each kind of artefact.
 
     Parameters
     ----------
     entries
         What the papers contain.
+    titles
+        Of their pages.
     """
-    return rendered("paper_index.html", entries=entries, papers=PAPERS, kinds=KINDS)
+    return rendered("paper_index.html", entries=entries, titles=titles, papers=PAPERS, kinds=KINDS)

@@ -9,7 +9,13 @@ from dataclasses import asdict
 from html import escape
 
 from repro_companion.book.after.figures_scorecard import picture_page
-from repro_companion.book.after.paper_index import index_page, index_path, places, read_index
+from repro_companion.book.after.paper_index import (
+    index_page,
+    index_path,
+    page_titles,
+    places,
+    read_index,
+)
 from repro_companion.book.digests import write_if_changed
 from repro_companion.book.project import Project
 from repro_companion.book.scorecard import KINDS, ScorecardRow, count_kinds, listed
@@ -25,7 +31,7 @@ def write_scorecard_files(project: Project, rows: Sequence[ScorecardRow]) -> Non
     Parameters
     ----------
     project
-        Read is ``data/published/index.csv``.
+        Read are ``data/published/index.csv`` and the titles of the pages that it names.
     rows
         The scorecard.
 
@@ -39,7 +45,7 @@ def write_scorecard_files(project: Project, rows: Sequence[ScorecardRow]) -> Non
     texts = {
         "scorecard.md": scorecard_page(rows, places(index)),
         "counts.md": counts_page(rows),
-        "papers.md": index_page(index),
+        "papers.md": index_page(index, page_titles(project, index)),
         "scorecard_picture.md": picture_page(rows) + _OTHER_PROGRAMS.format(badge_text(rows)),
         "scorecard.svg": badge(rows),
         "scorecard.json": scorecard_json(rows),
