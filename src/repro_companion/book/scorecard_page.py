@@ -150,12 +150,14 @@ def band_words(row: ScorecardRow) -> Markup:
     if row.verdict not in COMPARED:
         return Markup(MISSING)
     width = band(row.published, row.published_std, row.regenerated_std)
-    return with_unit(f"± {_two_digits(width)}", "", row.unit)
+    return with_unit(f"±\N{NO-BREAK SPACE}{_two_digits(width)}", "", row.unit)
 
 
 def with_unit(number: str, std: str, unit: str) -> Markup:
-    """Return a number, its standard deviation where it has one, and its unit."""
-    return Markup(f"{number} ± {std}" if std else number) + " " + words(unit)
+    """Return a number, its standard deviation where it has one, and its unit on the same line."""
+    return (
+        Markup(f"{number} ±\N{NO-BREAK SPACE}{std}" if std else number) + "\N{NO-BREAK SPACE}" + words(unit)
+    )
 
 
 def ratio(row: ScorecardRow) -> float | None:

@@ -218,13 +218,13 @@ def test_pages(project):
     assert "of 1 standard deviations: 2.00" in page
     assert (
         'data-verdict="differs"><tr><th scope="row">one, <i>e</i><sub>u</sub></th>'
-        "<td>0.015 ± 0.002 mT</td><td>0.0301 ± 0.0040 mT</td><td>± 0.0077 mT</td>"
+        "<td>0.015 ±\xa00.002\xa0mT</td><td>0.0301 ±\xa00.0040\xa0mT</td><td>±\xa00.0077\xa0mT</td>"
         '<td><span class="verdict verdict-differs">differs</span></td></tr>'
         '<tr class="remarks"><td colspan="5">&lt;b&gt; x. <span class="setting">Setting: x, 3 seeds.</span></td></tr>'
     ) in page
     assert 'data-ratio="2.007"' in page
-    assert "<td>0.000010 mT</td>" in page
-    assert '<span class="best">Best: 0.0020 mT (LM).</span>' in page
+    assert "<td>0.000010\xa0mT</td>" in page
+    assert '<span class="best">Best: 0.0020\xa0mT (LM).</span>' in page
     assert 'class="verdict verdict-missing">missing<' in page
     assert '<a href="notebooks/rates.html">one</a>, update rate' in page
     # a blank line inside a table would end the block of HTML
