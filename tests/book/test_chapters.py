@@ -96,7 +96,9 @@ def test_two_exercises_with_folded_solutions(name):
     """Each is done by a command that names a notebook of the book and parameters that it has."""
     exercises = sections(name)["Exercises"]
     option = r" -p \w+ (?:\"[^\"]*\"|\S+)"
-    commands = re.findall(rf"```bash\nrepro run (notebooks/\w+\.ipynb)((?:{option})+)\n```", exercises)
+    commands = re.findall(
+        rf"```bash\n\.venv/bin/repro run (notebooks/\w+\.ipynb)((?:{option})+)\n```", exercises
+    )
     assert len(commands) == exercises.count("```bash") == exercises.count("```{dropdown} Solution") == 2
     for notebook, options in commands:
         known = inspect_notebook(str(ROOT / notebook))
