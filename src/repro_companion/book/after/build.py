@@ -14,6 +14,7 @@ from pathlib import Path
 from repro.errors import InputError, bad_input
 from repro.files import write_whole
 from repro_companion.book.after.alternatives import alternative_points, remove_other_runs, warm_runner
+from repro_companion.book.after.paper_index import index_path, page_titles, read_index
 from repro_companion.book.after.site import SiteFailed, build_site
 from repro_companion.book.digests import combined_digest, write_if_changed
 from repro_companion.book.points import (
@@ -77,7 +78,8 @@ def build(project: Project, jobs: int) -> int:
 def _write_scorecard_pages(project: Project, rows: Sequence[ScorecardRow], inputs: Inputs) -> None:
     """Write what the site shows of the scorecard, unless all that it follows from is as it was."""
     numbers = hashlib.sha256(scorecard_csv(rows).encode()).hexdigest()
-    key = combined_digest([inputs.sources, inputs.data, {"scorecard": numbers, "lock": inputs.lock}])
+    titles = page_titles(project, read_index(index_path(project)))
+    key = combined_digest([inputs.sources, inputs.data, titles, {"scorecard": numbers, "lock": inputs.lock}])
     done, last = project.cache / "scorecard", project.book / "generated" / "scorecard.json"
     if last.is_file() and done.is_file() and done.read_text(encoding="utf-8").strip() == key:
         return

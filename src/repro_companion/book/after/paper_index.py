@@ -112,7 +112,7 @@ def places(entries: Iterable[IndexEntry]) -> dict[tuple[str, str], str]:
 
 def page_titles(project: Project, entries: Iterable[IndexEntry]) -> dict[str, str]:
     """Return the titles of the pages to which entries lead, by the path of the page."""
-    return {page: _title(project, page) for page in {entry.page for entry in entries}}
+    return {page: _title(project, page) for page in sorted({entry.page for entry in entries})}
 
 
 def _title(project: Project, page: str) -> str:
