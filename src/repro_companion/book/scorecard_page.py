@@ -56,8 +56,9 @@ _WORDS = (
     (r" ?= ?(?=[\d(])", " = "),
     ("-&gt;", " → "),
     (r"\^2", "²"),
+    (r"\b(\d[\d.]*)e-0?(\d+)\b", r"\1 × 10<sup>−\2</sup>"),
 )
-"""Names of rows, quantities and units in files, and how a page writes them."""
+"""Names of rows, quantities and units, and small numbers, in files, and how a page writes them."""
 
 
 def scorecard_page(rows: Sequence[ScorecardRow], places: Mapping[tuple[str, str], str] | None = None) -> str:
@@ -90,8 +91,8 @@ def scorecard_page(rows: Sequence[ScorecardRow], places: Mapping[tuple[str, str]
             "artefact": artefact,
             "place": (places or {}).get((paper, artefact), ""),
             "counts": listed(counts[paper, artefact]) + "." + _ratios(group),
-            "setting": _shared(map(_setting, group)),
-            "best_method": _shared(row.best_method for row in group),
+            "setting": words(_shared(map(_setting, group))),
+            "best_method": words(_shared(row.best_method for row in group)),
             "cards": [_card(row, kind[row]) for row in group],
         }
         for (paper, artefact), group in groups.items()
@@ -109,9 +110,10 @@ def _card(row: ScorecardRow, kind: str) -> dict[str, Any]:
         "numbers": (published_words(row), regenerated_words(row), band_words(row)),
         "ratio": ratio(row),
         "bands_away": _bands_away(row),
-        "setting": _setting(row),
+        "setting": words(_setting(row)),
         "best": with_unit(_rounded(row.best, row.published), "", row.unit) if row.best else "",
-        "note": _sentence(row.note),
+        "best_method": words(row.best_method),
+        "note": words(_sentence(row.note)),
     }
 
 
@@ -121,12 +123,14 @@ def anchor(row: ScorecardRow) -> str:
 
 
 def words(name: str) -> Markup:
-    """Return the name of a row, quantity or unit with the letters of the notation page, as HTML.
+    """Return the name of a row, quantity or unit, or a note, with the letters of the notation page, as HTML.
 
     Examples
     --------
     >>> words("psi_s=10deg"), words("delta_x_1")
     (Markup('ψ = 10°'), Markup('Δ<i>x</i><sub>1</sub>'))
+    >>> words("noise 7.1e-4 mT")
+    Markup('noise 7.1 × 10<sup>−4</sup> mT')
     """
     text = escape(" ".join(name.split()))
     for pattern, written in _WORDS:

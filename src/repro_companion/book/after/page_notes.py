@@ -141,7 +141,7 @@ def with_notes(page: dict[str, Any], project: Project, stem: str) -> dict[str, A
         {"cell_type": "markdown", "id": f"page-{key}", "metadata": {}, "source": text}
         for key, text in sections
     ]
-    cells = [_with_light_pictures(cell) for cell in page["cells"]]
+    cells = [_without_bar(_with_light_pictures(cell)) for cell in page["cells"]]
     if alternatives and alternatives[0].exercise:
         exercise = next(cell for cell in cells if "".join(cell["source"]).startswith("## Exercise\n"))
         exercise["source"] = "".join(exercise["source"]) + CHECK
@@ -162,6 +162,15 @@ def _with_light_pictures(cell: Mapping[str, Any]) -> dict[str, Any]:
     return {**cell, "outputs": outputs} if outputs else dict(cell)
 
 
+def _without_bar(cell: Mapping[str, Any]) -> dict[str, Any]:
+    """Leave a folded cell out of the page that shows nothing and gives the text its values: no method is in it."""
+    tags = cell["metadata"].get("tags", [])
+    if "hide-input" not in tags or cell.get("outputs") or not _GIVES.search("".join(cell["source"])):
+        return dict(cell)
+    return {**cell, "metadata": {**cell["metadata"], "tags": [*tags, "remove-cell"]}}
+
+
+_GIVES = re.compile(r"^give\(", re.MULTILINE)
 _RUN = """\
 ## Run it with your parameters
 
@@ -198,8 +207,8 @@ def provenance_line(record: Record, declared: Mapping[str, Parameter]) -> str:
     recordings = record.data.get("recordings", {})
     source = str(record.data.get("source", "unknown"))
     if recordings:
-        count = f"{len(recordings)} files found in {source}, whether this page reads them or not"
-        source = f"{count}, SHA-256 {combined_digest(recordings)[:12]}"
+        found = f"found, of all papers: {len(recordings)} files in {source}"
+        source = f"{found}, SHA-256 {combined_digest(recordings)[:12]}"
     facts = [
         ("Notebook", record.notebook),
         ("Parameters", changed or ("its own" if declared else "none")),
@@ -247,17 +256,19 @@ def _downloads(
     if tables := [name for name in (record.results if record else ()) if name in files]:
         lines.append("- Tables: " + ", ".join(link(name, name) for name in tables))
     figures = figures_of(executed)
-    numbered = {figure.name for figure in figures if figure.caption}
+    numbered, pixels_only = {figure.name for figure in figures if figure.caption}, {}
     for figure in figures:
         links = ", ".join(link(f"{figure.name}.{ending}", ending.upper()) for ending in figure.files)
-        named, (first, _, number) = figure.name, figure.name.rpartition("-")
+        named, picture, (first, _, number) = figure.name, "", figure.name.rpartition("-")
         if named in numbered:
             named = f"{{numref}}`{named}`"
         elif first in numbered:  # another picture of the same cell
-            named = f"{{numref}}`{first}`, picture {number}"
-        vector = {"svg", "pdf"} & set(figure.files)
-        none = "" if vector else "; no vector version (too large, a 3-D view or frames)"
-        lines.append(f"- {named}: {links}{none}")
+            named, picture = f"{{numref}}`{first}`", f", picture {number}"
+        lines.append(f"- {named}{picture}: {links}")
+        if not {"svg", "pdf"} & set(figure.files):
+            pixels_only[named] = None
+    if pixels_only:
+        lines.append(f"- Without a vector version (too large, 3-D views or frames): {', '.join(pixels_only)}")
     return "\n".join(lines) + "\n"
 
 

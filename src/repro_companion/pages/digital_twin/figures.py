@@ -110,10 +110,10 @@ def readings_over_time(table: pd.DataFrame, names: tuple[str, ...] = ("T5", "T3"
         for axis, colour in (("x", "#CC79A7"), ("y", "black")):
             label = rf"$\Delta_{axis}$"
             bend.plot(part["time_s"], part[f"delta_{axis}_mm"], color=colour, linewidth=1, label=label)
-        sensors.set_title(f"{name}, synthetic", loc="right", y=1.12)
+        sensors.set_title(f"{name}, synthetic")
         bend.set_xlabel("time [s]")
-    panels[0, 0].set_ylabel("reading less its mean [mV]")
+    panels[0, 0].set_ylabel("reading less\nits mean [mV]")
     panels[1, 0].set_ylabel("bend [mm]")
-    for row in panels[:, 0]:
-        row.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
+    lines = [line for panel in panels[:, 0] for line in panel.get_lines()]
+    figure.legend(handles=lines, loc="outside lower center", ncols=len(lines))
     return figure

@@ -15,7 +15,6 @@ HYSTERESES = {"bouc-wen": ("#0072B2", "o"), "prandtl-ishlinskii": ("#D55E00", "^
 """Colour and marker of each model of hysteresis."""
 VARIANTS = {"known": "elongation known", "mean": "mean elongation", "shorter": "known, half the step size"}
 """Variants of the paper's method, and what the panels say of them."""
-TARGET = 0.75
 FAMILIES = {"first": "#0072B2", "second": "#D55E00", "own biases": "#009E73"}
 """Colours of the families of twins."""
 AXES = {"x": "o", "y": "^"}
@@ -44,7 +43,6 @@ def twin_ratios(per_twin: pd.DataFrame, title: str) -> Figure:
                 panel.plot(x, twin[against], marker, color=colour, ms=5)
             panel.plot([k - 0.32, k + 0.32], [part[against].median()] * 2, color="black", lw=1.5)
         panel.axhline(1.0, color="0.6", lw=0.8)
-        panel.axhline(TARGET, color="0.6", lw=0.8, ls="--")
         panel.set_xticks(range(len(families)), families)
         panel.set(yscale="log", title=VARIANTS[against], xlim=(-0.5, len(families) - 0.5))
         panel.set_ylabel("bending error:\nbend filter / paper's method")
