@@ -247,7 +247,7 @@ def test_logs_are_scored_refused_or_damaged_each_on_its_own_line(tmp_path):
         "The authors' own output exists of 3 takes and is scored in 1, where it covers 100 %"
     )
     assert re.search(
-        r"\*\*bend_0_try_2 \(\d\d %\) is refused: covers less than 90% of the readings\.\*\*", said
+        r"\*\*test 0, try 2 \(\d\d %\) is refused: covers less than 90% of the readings\.\*\*", said
     )
     assert "are those of no take" in said
 
@@ -295,7 +295,7 @@ def test_statements_have_the_numbers_of_the_tables(real):
         for c, e in (("none", 8.0), ("none", 9.0), ("none", 13.0), ("other try", 1.04))
     ]
     said = say.of_errors(pd.DataFrame(rows), "recorded")
-    assert "ours 9.0 deg (8.0 to 13.0; 3)." in said
+    assert "least squares on ratios 9.0 deg (8.0 to 13.0; 3)." in said
     assert "other try 1.0 deg (1.0; 1), target 2 deg; to the other tests not run." in said
     assert "Above 40 deg these two are 2.1 deg (2.1; 1) and not run." in said
     table = errors.factors(real, NO_READINGS)
