@@ -58,7 +58,7 @@ def test_a_page_shows_the_run_before_and_after(book, build):
     assert first.returncode == 0, first.stdout + first.stderr
     assert "alternatives: 1 short runs with other parameters" in first.stdout
     html = page_with_notes(book)
-    assert "What comes out: six" in html
+    assert "Before and after: six" in html
     assert "repro run notebooks/a.ipynb -p n 6" in html
     shown = re.search(r'<details class="before-after">.*?</details>', html, re.DOTALL)
     assert shown
