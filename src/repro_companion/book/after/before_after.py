@@ -14,7 +14,7 @@ from repro_companion.book.run_form import command_line
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-WHOLE = ("this run", "this run first")
+WHOLE = ("this run", "this run first", "this run as well")
 """What the exercise asks for where the alternative is no smaller run."""
 
 
