@@ -13,7 +13,7 @@ import pytest
 from test_build import CONFIG, TITLE, executed
 
 from repro_companion.book.after.alternatives import Alternative, alternatives_of, run_until_written
-from repro_companion.book.after.before_after import compared
+from repro_companion.book.after.before_after import WHOLE, check, compared
 from repro_companion.book.after.page_notes import with_notes
 from repro_companion.book.parameters import convert_all, declared_parameters
 from repro_companion.book.project import Project
@@ -58,7 +58,7 @@ def test_a_page_shows_the_run_before_and_after(book, build):
     assert first.returncode == 0, first.stdout + first.stderr
     assert "alternatives: 1 short runs with other parameters" in first.stdout
     html = page_with_notes(book)
-    assert "What comes out: six" in html
+    assert "Before and after: six" in html
     assert "repro run notebooks/a.ipynb -p n 6" in html
     shown = re.search(r'<details class="before-after">.*?</details>', html, re.DOTALL)
     assert shown
@@ -148,7 +148,7 @@ def test_alternatives_of_the_book(path):
         run = values_of(command_line("x.ipynb", one.runs()["after"]).partition(" ")[2], declared)
         assert run == one.runs()["after"]
         assert one.parameters
-        assert (run in asked) == (one.exercise in ("this run", "this run first", "this run as well"))
+        assert (run in asked) == (one.exercise in WHOLE)
 
 
 def values_of(command: str, declared: dict) -> dict:
@@ -159,3 +159,11 @@ def values_of(command: str, declared: dict) -> dict:
 def test_a_notebook_says_it_in_its_metadata():
     notebook = nbformat.v4.new_notebook(metadata={"repro": {"alternatives": [SIX]}})
     assert alternatives_of(notebook, "a.ipynb") == [Alternative(**SIX)]
+
+
+@pytest.mark.parametrize(
+    ("exercise", "run"),
+    [("this run", "this run"), ("this run first", "this run"), ("in full", "a smaller run")],
+)
+def test_a_smaller_run_than_the_exercise_asks_for_is_called_so(exercise, run):
+    assert f"Check your prediction: {run}, before" in check(Alternative(**SIX, exercise=exercise))

@@ -150,6 +150,7 @@ def test_everything_that_a_page_offers_is_there(root, page):
         f"{record.seconds:.1f} s.",
     ):
         assert part in line
+    assert "<b>Seed:</b> fixed in the code;" in provenance_line(record, {})
 
 
 def test_recordings_commit_and_changed_parameters_stand_in_the_line(page):

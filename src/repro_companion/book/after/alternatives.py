@@ -53,7 +53,7 @@ class Alternative:
     table: str
     """Name of the table without its ending."""
     rows: dict[str, str]
-    """Columns that name a row, with their headings; rows alike are averaged."""
+    """Columns that name a row, or expressions of them, with their headings; rows alike are averaged."""
     values: dict[str, str]
     """What is compared, an expression of columns by its heading: ``{"error [mm]": "(x_mm**2 + y_mm**2)**0.5"}``."""
     where: str = ""

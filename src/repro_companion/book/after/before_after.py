@@ -14,8 +14,14 @@ from repro_companion.book.run_form import command_line
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-CHECK = '\n\n<p><a href="#before-after-0">Check your prediction: this run, before and after</a></p>'
-"""What stands below an exercise whose run is the first alternative."""
+WHOLE = ("this run", "this run first", "this run as well")
+"""What the exercise asks for where the alternative is no smaller run."""
+
+
+def check(one: Alternative) -> str:
+    """Return what stands below an exercise that asks for the run of the first alternative, or for a larger one."""
+    run = "this run" if one.exercise in WHOLE else "a smaller run"
+    return f'\n\n<p><a href="#before-after-0">Check your prediction: {run}, before and after</a></p>'
 
 
 def compared(one: Alternative, before: DataFrame, after: DataFrame) -> DataFrame:
@@ -33,7 +39,7 @@ def compared(one: Alternative, before: DataFrame, after: DataFrame) -> DataFrame
     sides = {"before": _measured(one, before), "after": _measured(one, after)}
     beside = concat(sides, axis=1).swaplevel(axis=1)
     columns = [(value, side) for value in one.values for side in sides]
-    table = beside[columns].rename_axis(index=one.rows)
+    table = beside[columns].rename_axis(index=list(one.rows.values()) or None)
     table.columns = [f"{value}, {side}" for value, side in columns]
     return table.reset_index() if one.rows else table.reset_index(drop=True)
 
@@ -41,7 +47,7 @@ def compared(one: Alternative, before: DataFrame, after: DataFrame) -> DataFrame
 def _measured(one: Alternative, table: DataFrame) -> DataFrame:
     chosen = table.query(one.where) if one.where else table
     values = chosen.assign(**{name: chosen.eval(how) for name, how in one.values.items()})
-    by = list(one.rows) or [0] * len(values)
+    by = [chosen.eval(row) for row in one.rows] or [0] * len(values)
     return values.groupby(by, sort=False)[list(one.values)].mean()
 
 
@@ -75,7 +81,7 @@ def _block(one: Alternative, number: int, name: str, table: DataFrame) -> str:
         f"Before: the same with <code>{escape(_named(one.both))}</code>" if one.both else "Before: this page"
     )
     return (
-        f'<details class="before-after"><summary>What comes out: {escape(one.title)}</summary>'
+        f'<details class="before-after"><summary>Before and after: {escape(one.title)}</summary>'
         f'<p id="before-after-{number}">{asked}{before}. After:</p>'
         '<div class="highlight-none notranslate"><div class="highlight"><pre tabindex="0">'
         f"{escape(command_line(name, one.both | one.parameters))}</pre></div></div>"

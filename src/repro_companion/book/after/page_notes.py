@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from repro_companion.book.after.alternatives import alternatives_of
-from repro_companion.book.after.before_after import CHECK, section
+from repro_companion.book.after.before_after import check, section
 from repro_companion.book.digests import combined_digest
 from repro_companion.book.parameters import Parameter, declared_parameters
 from repro_companion.book.project import Project
@@ -144,7 +144,7 @@ def with_notes(page: dict[str, Any], project: Project, stem: str) -> dict[str, A
     cells = [_without_bar(_with_light_pictures(cell)) for cell in page["cells"]]
     if alternatives and alternatives[0].exercise:
         exercise = next(cell for cell in cells if "".join(cell["source"]).startswith("## Exercise\n"))
-        exercise["source"] = "".join(exercise["source"]) + CHECK
+        exercise["source"] = "".join(exercise["source"]) + check(alternatives[0])
     if cells and cells[0]["cell_type"] == "markdown":
         cells[0]["source"] = _below_title("".join(cells[0]["source"]), _summary(bool(declared)))
     return {**page, "cells": cells + added}
@@ -212,7 +212,7 @@ def provenance_line(record: Record, declared: Mapping[str, Parameter]) -> str:
     facts = [
         ("Notebook", record.notebook),
         ("Parameters", changed or ("its own" if declared else "none")),
-        ("Seed", seeds or "none"),
+        ("Seed", seeds or "fixed in the code"),
         ("Code", _code(record)),
         ("Recordings", source),
         ("All inputs", f"SHA-256 {record.key[:12]}"),

@@ -8,6 +8,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from repro_companion.pages.bend_tests.takes import take_in_words
 from repro_live.view.style import WIDTH_IN, page_figure
 
 OURS, PRINTED, RELEASED, LOGGED = "#0072B2", "#CC79A7", "#D55E00", "#009E73"
@@ -68,7 +69,7 @@ def gain(table: pd.DataFrame, take: str, source: str) -> Figure:
     panel.plot(table["time_s"], table["sent_mt"], color=RELEASED, lw=1, label="as sent")
     panel.plot(table["time_s"], table["over_gain_mt"], color=OURS, lw=1, label="over the inferred gain")
     panel.set(xlabel="time [s]", ylabel="axial field [mT]")
-    figure.suptitle(f"Field along the body, {_test_and_try(take)}, {source}")
+    figure.suptitle(f"Field along the body, {take_in_words(take)}, {source}")
     figure.legend(loc="outside lower center", ncols=2)
     return figure
 
@@ -114,7 +115,7 @@ def bend_over_time(table: pd.DataFrame, calibration: str, source: str) -> Figure
                 panels[0, column].fill_between(
                     line["time_s"], low, line["bend_deg"] + band, color=OURS, alpha=0.2, lw=0
                 )
-        panels[0, column].set_title(f"{_test_and_try(take)},\n{source}".capitalize())
+        panels[0, column].set_title(f"{take_in_words(take)},\n{source}".capitalize())
         panels[1, column].set(xlabel="time [s]", ylim=(-30, 30))
     panels[0, 0].set(ylabel="bend angle [deg]", ylim=(0, None))
     panels[1, 0].set_ylabel("direction less its mean [deg]")
@@ -191,10 +192,6 @@ def _rows_of_methods(table: pd.DataFrame, length_mm: float, titles: dict[str, st
     figure.suptitle(f"Error of the bend angle, {above}")
     figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
-
-
-def _test_and_try(name: str) -> str:
-    return f"test {_short(name)}".replace(",", ", try")
 
 
 def _short(name: str) -> str:

@@ -101,7 +101,7 @@ def placement_and_sensors(placement: pd.DataFrame, sensors: pd.DataFrame, length
     right.legend(handles=lines, loc="center left", bbox_to_anchor=(1.0, 0.5), title="each axis")
     plain_ticks(right.yaxis, subs=(1,))
     handles = [Line2D([], [], color=STYLES[m][0], marker=STYLES[m][1], ms=4, label=m) for m in shown]
-    handles.append(Line2D([], [], color="0.6", lw=1, label=r"$\sigma L\sqrt{2/n}$"))
+    handles.append(Line2D([], [], color="0.6", lw=1, label=r"$\sigma L\,(2/n)^{1/2}$"))
     figure.legend(handles=handles, loc="outside upper center", ncols=2)
     return figure
 

@@ -82,7 +82,7 @@ def settings_of_figure_5(table: pd.DataFrame, source: str) -> Figure:
         panel.set_xticks(range(len(counts)), [f"{n:g}" for n in counts])
         panel.set(title=f"{marker}, {source}", xlabel="IMUs", xlim=(-0.5, len(counts) - 0.5))
         panel.grid(axis="x", visible=False)
-    panels[0].set(ylim=(0, None), ylabel="distance from the spline [mm]\n(black: printed error)")
+    panels[0].set(ylim=(0, None), ylabel="distance from the spline [mm]\n(dash: printed error)")
     handles = [Line2D([], [], color=c, marker=m, ls="none", label=n) for n, (c, m) in CHAINS.items()]
     handles.append(Line2D([], [], color="black", marker="_", ls="none", ms=10, label="printed, Fig. 5"))
     figure.legend(handles=handles, loc="outside upper center", ncols=2)
