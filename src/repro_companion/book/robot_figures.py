@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from repro.sensing.magnets import ring
-from repro_live.view.style import GROUND_OF_MAPS, MAGNET, SENSOR, WIDTH_IN, page_figure, plain_ticks
+from repro_live.view.style import INK_OF_MAPS, MAGNET, SENSOR, WIDTH_IN, page_figure, plain_ticks
 
 MM = 1e3
 
@@ -171,7 +171,7 @@ def field_of_robot(
     x, z = np.linspace(x[0], x[-1], len(x)), np.linspace(z[0], z[-1], len(z))
     bx, bz = grid["b_x_mT"].to_numpy(), grid["b_z_mT"].to_numpy()
     magnitude = np.hypot(bx, bz)
-    plt.rcParams.update(GROUND_OF_MAPS)
+    plt.rcParams.update(INK_OF_MAPS)
     figure, axes = plt.subplots(figsize=(4.4, 6.4))
     axes.grid(visible=False)
     norm = LogNorm(vmin=max(magnitude.min(), 1e-3), vmax=100)

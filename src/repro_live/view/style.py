@@ -24,8 +24,10 @@ WIDTH_IN = 6.4
 TRUTH = {"lw": 3.4, "alpha": 0.4}
 """Look of the truth where an estimate of the same colour lies on it: wide and pale."""
 ESTIMATE = {"lw": 1.3, "ls": (0, (4, 2))}
-GROUND_OF_MAPS = {"figure.facecolor": "white"}
-"""A map of colours is not inverted in dark mode, where its dark stays low: its letters need a light ground."""
+INK_OF_MAPS = dict.fromkeys(
+    ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), "#767676"
+)
+"""Read on a light and on a dark ground: a map of colours is not inverted in dark mode, where its dark stays low."""
 VECTOR_LIMIT_BYTES = 1_000_000
 """A vector version that is larger is not kept: SVG up to this size, else PDF up to this size, else none."""
 

@@ -16,7 +16,7 @@ from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from repro_companion.book.frame_strip import Frame, FrameStrip, page_strip
-from repro_live.view.style import GROUND_OF_MAPS, WIDTH_IN, page_figure, plain_ticks, wrapped_panels
+from repro_live.view.style import INK_OF_MAPS, WIDTH_IN, page_figure, plain_ticks, wrapped_panels
 
 COLOURS = {"spiral": "#0072B2", "flower": "#D55E00", "seagull": "#009E73"}
 MARKERS = {"spiral": "o", "flower": "s", "seagull": "D"}
@@ -273,7 +273,7 @@ def field_over_bend(table: pd.DataFrame) -> Figure:
         "condition": "condition of its derivative",
         "gain_mm_per_mt": "error gain [mm/mT]",
     }
-    plt.rcParams.update(GROUND_OF_MAPS)
+    plt.rcParams.update(INK_OF_MAPS)
     figure, panels = plt.subplots(1, len(panels_of), figsize=(WIDTH_IN, 3.0), sharey=True)
     for panel, (column, label) in zip(panels, panels_of.items(), strict=True):
         levels = panel.tricontourf(table["bend_x_deg"], table["bend_y_deg"], table[column], 12)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from repro_live.view.style import GROUND_OF_MAPS, MAGNET, SENSOR, TRUTH, WIDTH_IN, label_in_mm, page_figure
+from repro_live.view.style import INK_OF_MAPS, MAGNET, SENSOR, TRUTH, WIDTH_IN, label_in_mm, page_figure
 
 PAPER, OURS = "#0072B2", "#D55E00"
 SHAPE, TIP = "#56B4E9", "#0072B2"
@@ -61,7 +61,7 @@ def landscape(grid: pd.DataFrame, path: pd.DataFrame, title: str) -> Figure:
     title
         Above the panel.
     """
-    plt.rcParams.update(GROUND_OF_MAPS)
+    plt.rcParams.update(INK_OF_MAPS)
     figure, panel = plt.subplots(figsize=(WIDTH_IN, 5.2))
     table = grid.pivot(index="delta_y_mm", columns="delta_x_mm", values="rmse_mV")
     mesh = panel.pcolormesh(
