@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from repro.sensing.magnets import ring
-from repro_live.view.style import INK_OF_MAPS, MAGNET, SENSOR, WIDTH_IN, page_figure, plain_ticks
+from repro_live.view.style import INK_OF_MAPS, MAGNET, SENSOR, TIMES, WIDTH_IN, page_figure, plain_ticks
 
 MM = 1e3
 
@@ -32,7 +32,7 @@ def shapes_3d(table: pd.DataFrame) -> Figure:
     axes = figure.add_subplot(projection="3d")
     assert isinstance(axes, Axes3D)
     n = table["shape"].nunique()
-    instants = plt.get_cmap("viridis")(np.linspace(0, 0.92, n))
+    instants = TIMES(np.linspace(0, 1, n))
     xyz, shapes, segments = (table[c].to_numpy() for c in (["x_mm", "y_mm", "z_mm"], "shape", "segment"))
     for shape in range(n):
         for segment in np.unique(segments):

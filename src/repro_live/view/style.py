@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import Any, ParamSpec
 
 import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from mpl_toolkits.mplot3d.axes3d import Axes3D
@@ -24,6 +27,8 @@ WIDTH_IN = 6.4
 TRUTH = {"lw": 3.4, "alpha": 0.4}
 """Look of the truth where an estimate of the same colour lies on it: wide and pale."""
 ESTIMATE = {"lw": 1.3, "ls": (0, (4, 2))}
+TIMES = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.7, 256)), name="times")
+"""Colours of lines by time, early to late: without the yellow end, which neither a white nor a dark page shows."""
 INK_OF_MAPS = dict.fromkeys(
     ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), "#767676"
 )

@@ -142,6 +142,16 @@ def test_a_failing_notebook_does_not_stop_the_others(without_site, build, notebo
     assert (again.returncode, executed(again.stdout)) == (1, set())
 
 
+def test_a_page_with_a_warning_is_refused_until_it_has_none(without_site, build, notebook_at, writes_a_table):
+    warns = "import warnings\nwarnings.warn('old', DeprecationWarning)"
+    notebook_at(without_site / "notebooks" / "a.ipynb", writes_a_table("table_a"), warns)
+    for run in ({"a", "b"}, {"a"}):
+        done = build()
+        assert (done.returncode, executed(done.stdout)) == (1, run)
+        assert done.stderr.startswith("a.ipynb shows a warning: ")
+        assert "DeprecationWarning: old" in done.stderr
+
+
 def test_a_table_of_two_notebooks_is_refused(without_site, build, notebook_at, writes_a_table):
     notebook_at(without_site / "notebooks" / "a.ipynb", writes_a_table("table_b"))
     done = build()

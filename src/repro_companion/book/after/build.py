@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import sys
 from collections.abc import Iterable, Sequence
@@ -59,6 +60,8 @@ def build(project: Project, jobs: int) -> int:
     pages = page_points(project, inputs)
     due = [page for page in pages if not finished(page)]
     if not run_pages(due, jobs) or not _tables_are_told_apart(project, notebooks):
+        return 1
+    if not _pages_are_quiet(project, due):
         return 1
     try:
         if not run_alternatives(project, inputs, jobs):
@@ -140,6 +143,20 @@ def _tables_are_told_apart(project: Project, notebooks: Iterable[Path]) -> bool:
         for stem in stems:
             record_path(project.results, stem).unlink(missing_ok=True)
     return not shared
+
+
+def _pages_are_quiet(project: Project, pages: Iterable[Point]) -> bool:
+    """Return whether no page that was run shows a warning; one that does counts as not run."""
+    quiet = True
+    for page in pages:
+        cells = json.loads(page.output.read_text(encoding="utf-8"))["cells"]
+        outputs = [output for cell in cells for output in cell.get("outputs", [])]
+        said = "".join("".join(output["text"]) for output in outputs if output.get("name") == "stderr")
+        if said:
+            print(f"{page.notebook.name} shows a warning: {said.strip()}", file=sys.stderr)
+            record_path(project.results, page.notebook.stem).unlink(missing_ok=True)
+            quiet = False
+    return quiet
 
 
 def run_pages(pages: Sequence[Point], jobs: int) -> bool:

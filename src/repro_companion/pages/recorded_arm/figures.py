@@ -5,14 +5,13 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from repro_live.view.style import WIDTH_IN, page_figure
+from repro_live.view.style import TIMES, WIDTH_IN, page_figure
 
 HEADING, OTHER = "#D55E00", "#E69F00"
 HEADING_AXIS_Z = 0.95  # a jump about an axis within 18 deg of the vertical is drawn as a change of heading
@@ -33,9 +32,7 @@ def arm_shapes(shapes: pd.DataFrame, source: str) -> Figure:
     figure = plt.figure(figsize=(WIDTH_IN, 6.0))
     axes = figure.add_subplot(projection="3d")
     times = shapes["time_s"].to_numpy(dtype=float)
-    colours = ScalarMappable(
-        Normalize(times.min(), max(times.max(), times.min() + 1e-9)), colormaps["viridis"]
-    )
+    colours = ScalarMappable(Normalize(times.min(), max(times.max(), times.min() + 1e-9)), TIMES)
     for time_s in np.unique(times):
         points = shapes.loc[times == time_s, ["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=float)
         axes.plot(*points.T, color=colours.to_rgba(time_s), marker="o", markersize=2.5, linewidth=2)
@@ -75,7 +72,7 @@ def tip_path(tip: pd.DataFrame, source: str) -> Figure:
     )
     height.set(xlabel="time [s]", ylabel="height above the base, z [mm]")
     pieces = np.stack([tip[["x_mm", "y_mm"]].to_numpy()[:-1], tip[["x_mm", "y_mm"]].to_numpy()[1:]], axis=1)
-    path = LineCollection(list(pieces), array=tip["time_s"].to_numpy()[:-1], cmap="viridis", linewidth=1)
+    path = LineCollection(list(pieces), array=tip["time_s"].to_numpy()[:-1], cmap=TIMES, linewidth=1)
     above.add_collection(path)
     above.autoscale()
     above.plot(0, 0, "ks", markersize=6)

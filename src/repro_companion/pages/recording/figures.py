@@ -39,11 +39,19 @@ def interruptions(recorded: pd.DataFrame, counters: pd.DataFrame) -> Figure:
     panels[0].set_ylabel("reading [mT]")
     panels[1].plot(recorded["time_s"], recorded["device_s"], color="0.2")
     panels[1].set_ylabel("clock of the board [s]")
-    styles = ("-", "--", ":", "-.")
-    for colour, style, (name, label) in zip((*COLOURS, WRONG), styles, COUNTED.items(), strict=True):
-        panels[2].step(counters["time_s"], counters[name], where="post", color=colour, ls=style, label=label)
+    looks = (
+        {"ls": "-"},
+        {"ls": "--"},
+        {"lw": 5.0, "alpha": 0.5},
+        {"ls": "-."},
+    )  # equal counts lie on each other
+    for colour, look, (name, label) in zip((*COLOURS, WRONG), looks, COUNTED.items(), strict=True):
+        panels[2].step(counters["time_s"], counters[name], where="post", color=colour, label=label, **look)
+    most = max(1.0, counters[list(COUNTED)].to_numpy().max())
     panels[2].set_yscale("symlog", linthresh=1.0)
-    panels[2].set_ylim(-0.1, 5.0 * max(1.0, counters[list(COUNTED)].to_numpy().max()))
+    panels[2].set_yticks([0, *10 ** np.arange(np.ceil(np.log10(most)) + 1)])
+    panels[2].yaxis.set_major_formatter("{x:g}")
+    panels[2].set_ylim(-0.1, 5.0 * most)
     panels[2].set_ylabel("counted so far")
     panels[2].set_xlabel("time of sending [s]")
     panels[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
