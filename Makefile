@@ -55,7 +55,7 @@ book: env
 	@echo 'The site: book/_build/html/index.html'
 
 test: env
-	$(PY) -m pytest -n $(JOBS) --ignore=tests/book/test_site.py
+	$(PY) -m pytest -n $(JOBS) --ignore-glob='tests/book/test_site*.py'
 
 # A list that anybody may add to: bench/mutants/mutants.toml
 mutants: env
@@ -70,7 +70,7 @@ lint: env
 check-site: env
 	@test -f book/_build/html/index.html || { echo 'The site is not built: run `make book` first.' >&2; exit 1; }
 	@$(PY) tests/chromium.py
-	$(PY) -m pytest -n $(JOBS) tests/book/test_site.py
+	$(PY) -m pytest -n $(JOBS) tests/book/test_site*.py
 
 # STUDIES=1: the committed studies too, computed in a folder that is empty at first and kept until they are all there.
 reproduce: env

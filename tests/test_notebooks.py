@@ -155,11 +155,11 @@ def test_code_in_sight_is_as_long_as_a_page():
 
 
 def draws(module: ModuleType, name: str) -> bool:
-    """Tell whether something is a function of a module of figures, and returns one."""
+    """Tell whether something is a function of a module of figures, and returns one, or one in frames."""
     function = getattr(module, name)
     if "figures" not in module.__name__.rsplit(".")[-1] or not inspect.isfunction(function):
         return False
-    return inspect.signature(function).return_annotation == "Figure"
+    return inspect.signature(function).return_annotation in ("Figure", "FrameStrip")
 
 
 @pytest.mark.parametrize("page", sorted(NOTEBOOKS))
@@ -179,26 +179,33 @@ def test_captions_are_asked_of_most_pages():
     assert len(pages) > len(NOTEBOOKS) / 2, pages
 
 
-def begins_with(caption: str, artefact: str) -> bool:
-    """Tell whether a caption begins with the number of a figure, alone or in a range."""
-    if found := re.match(r"Figs (\d+) (?:to|and) (\d+)\b", caption):
-        return artefact in {f"Fig. {n}" for n in range(int(found[1]), int(found[2]) + 1)}
-    return re.match(rf"{re.escape(artefact)}(?![\d(])", caption) is not None
+def names_figure(caption: str, artefact: str) -> bool:
+    """Tell whether a caption names a figure of the paper, alone or in a range."""
+    ranges = re.findall(r"\bFigs (\d+) (?:to|and) (\d+) of the paper", caption)
+    numbers = {f"Fig. {n}" for low, high in ranges for n in range(int(low), int(high) + 1)}
+    return artefact in numbers or f"{artefact} of the paper" in caption
 
 
 def test_ranges_of_figures():
-    assert begins_with("Figs 3 to 5: errors.", "Fig. 4")
-    assert begins_with("Fig. 4(b): readings.", "Fig. 4(b)")
-    assert not begins_with("Figs 3 to 5: errors.", "Fig. 6")
-    assert not begins_with("Fig. 11, lower row: stills.", "Fig. 1")
+    assert names_figure("Errors: Figs 3 to 5 of the paper.", "Fig. 4")
+    assert names_figure("Readings, as in Fig. 4(b) of the paper.", "Fig. 4(b)")
+    assert not names_figure("Errors: Figs 3 to 5 of the paper.", "Fig. 6")
+    assert not names_figure("Stills, as in Fig. 11 of the paper.", "Fig. 1")
 
 
 @pytest.mark.parametrize(
     "entry", [e for e in ENTRIES if e.kind == "figure"], ids=lambda e: f"{e.paper}-{e.artefact}"
 )
-def test_caption_begins_with_the_number_of_the_paper(entry):
+def test_caption_names_the_figure_of_the_paper(entry):
     (caption,) = [told["figure"]["caption"] for _, told in FIGURES if told["figure"]["name"] == entry.anchor]
-    assert begins_with(caption, entry.artefact), caption
+    assert names_figure(caption, entry.artefact), caption
+
+
+def test_no_figure_has_two_numbers():
+    """The book numbers its figures: a caption that began with the paper's number would read Fig. 61 Fig. 9."""
+    assert [
+        told["figure"]["name"] for _, told in FIGURES if told["figure"]["caption"].startswith("Fig")
+    ] == []
 
 
 @pytest.mark.parametrize(

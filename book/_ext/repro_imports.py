@@ -60,7 +60,7 @@ def picture(counts: Counter[tuple[int, int]]) -> str:
     said = f"{TEXT}. {'No arc goes' if not up else f'{up} arcs go'} up."
     lines = [
         f'<svg class="imports" role="img" aria-label="{said}" viewBox="0 0 {WIDTH} {height}" '
-        'style="width:100%;height:auto" xmlns="http://www.w3.org/2000/svg">'
+        f'style="width:100%;max-width:{WIDTH}px;height:auto" xmlns="http://www.w3.org/2000/svg">'
     ]
     labels = [", ".join((names[0], *(name.rpartition(".")[2] for name in names[1:]))) for names in ROOMS]
     for k, room in enumerate(labels):

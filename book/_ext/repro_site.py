@@ -9,6 +9,7 @@ from pathlib import Path
 
 from docutils import nodes
 from page_access import accessible
+from repro_search import INDEX
 from sphinx.application import Sphinx
 
 from repro_companion.book.after.page_notes import with_notes, write_page_files
@@ -17,12 +18,19 @@ from repro_companion.book.values import filled
 
 MATHJAX = "vendor/mathjax/"
 VIEWER = "shape_viewer.js"
-FORM = "run_form.js"
-FILTER = "scorecard.js"
+SCRIPT_OF = {
+    "run_form.js": 'class="run-form"',
+    "live/carry.js": 'class="run-form"',
+    "scorecard.js": 'class="scorecard-filter"',
+    "frame_strip.js": 'class="frame-strip"',
+}
+"""Scripts by what a page has that they bring to life."""
+LIVE_FIRST = ("model", "figure")
+"""What every live figure is made of, in the order in which it is loaded; its own script comes last."""
 OFFLINE_SEARCH = "offline_search.js"
 SCORECARD_FILES = ("scorecard.json", "scorecard.svg")
 NOTEBOOKS = "notebooks/"
-VIEW = re.compile(r"<!-- view of (\w+) -->")
+LIVE = re.compile(r'data-live="(\w+)"')
 
 
 def select_scripts(app: Sphinx, pagename: str, templatename: str, context: dict, doctree) -> None:
@@ -44,12 +52,12 @@ def select_scripts(app: Sphinx, pagename: str, templatename: str, context: dict,
             continue
         if name.startswith("vendor/") and not is_mathjax and name not in wanted:
             continue
-        if name == FORM and 'class="run-form"' not in (context.get("body") or ""):
+        if SCRIPT_OF.get(name, "") not in (context.get("body") or ""):
+            continue
+        if name.startswith("live/") and name not in SCRIPT_OF:
             continue
         if is_mathjax and name and not {"defer", "async"} & set(attributes):
             continue  # Jupyter Book's copy; Sphinx's own entry is deferred and comes after the configuration
-        if name == FILTER and 'class="scorecard-filter"' not in (context.get("body") or ""):
-            continue
         if name == OFFLINE_SEARCH and pagename != "search":
             continue
         key = (name, body)
@@ -59,6 +67,10 @@ def select_scripts(app: Sphinx, pagename: str, templatename: str, context: dict,
         kept.append(script)
     if 'class="shape-view"' in (context.get("body") or ""):
         kept.append(f"_static/{VIEWER}")
+    if pagename == "search":
+        kept.insert(0, f"_static/{INDEX}")
+    live = sorted(set(LIVE.findall(context.get("body") or "")))
+    kept += [f"_static/live/{stem}.js" for stem in ((*LIVE_FIRST, *live) if live else ())]
     context["script_files"] = kept
 
 
@@ -68,18 +80,6 @@ def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:
         project = Project(Path(app.srcdir).parent)
         page = with_notes(json.loads(source[0]), project, docname.removeprefix(NOTEBOOKS))
         source[0] = json.dumps(page)
-
-
-def add_view(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Put the first 3-D view of a notebook where another page asks for it: ``<!-- view of table_1 -->``."""
-    for stem in VIEW.findall(source[0]):
-        page = json.loads(
-            (Project(Path(app.srcdir).parent).executed / f"{stem}.ipynb").read_text(encoding="utf-8")
-        )
-        outputs = [output for cell in page["cells"] for output in cell.get("outputs", [])]
-        html = ("".join(output.get("data", {}).get("text/html", "")) for output in outputs)
-        view = next(text for text in html if 'class="shape-view"' in text)
-        source[0] = source[0].replace(f"<!-- view of {stem} -->", f"```{{raw}} html\n{view}\n```")
 
 
 def fill_values(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -121,8 +121,8 @@ def add_scorecard_files(app: Sphinx, exception: Exception | None) -> None:
                 shutil.copyfile(source, Path(app.outdir) / name)
 
 
-def without_search_index(text: str) -> str:
-    """Leave out what only the page of search results uses; the index alone is half a megabyte."""
+def without_search_of_sphinx(text: str) -> str:
+    """Leave out the search of Sphinx, which shows no excerpts from disk: ``offline_search.js`` takes its place."""
     return re.sub(
         r'\s*<script src="[./]*(_static/searchtools|_static/language_data|searchindex)\.js"></script>',
         "",
@@ -140,9 +140,7 @@ def tidy(app: Sphinx, exception: Exception | None) -> None:
         new = text.replace('<div role="list" class="citation-list">', '<div class="citation-list">')
         new = re.sub(r'(<div class="citation"[^>]*?) role="doc-biblioentry"', r"\1", new)
         # pandas leaves the corner cells of a table's head empty: not a header, then
-        new = accessible(re.sub(r"<th>\s*</th>", "<td></td>", new))
-        if path.name != "search.html":
-            new = without_search_index(new)
+        new = without_search_of_sphinx(accessible(re.sub(r"<th>\s*</th>", "<td></td>", new)))
         if new != text:
             path.write_text(new, encoding="utf-8")
     for pattern in ("**/*.map", "_static/scripts/fontawesome.js*", "_static/*webpack-macros.html"):
@@ -165,7 +163,6 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.connect("html-page-context", select_scripts, priority=900)
     app.connect("html-collect-pages", forget_modules_without_source, priority=100)
     app.connect("source-read", add_notes)
-    app.connect("source-read", add_view)
     app.connect("source-read", fill_values)
     # a number of a paper, a setting: so that every other digit in prose is known to be loose
     for role in ("paper", "setting"):

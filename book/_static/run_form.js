@@ -37,8 +37,8 @@
     return text(plain);
   }
 
-  function flow(source, kind) { // returns the value as YAML again; throws where it is none
-    var at = 0;
+  function flow(source, kind) { // returns the value as YAML again, and its parts; throws where it is none
+    var at = 0, parts = [];
     function space() { while (/\s/.test(source.charAt(at))) at += 1; }
     function quoted() {
       var rest = source.slice(at);
@@ -84,6 +84,7 @@
           at += 1;
           items.push(name + ": " + item(depth + 1));
         } else items.push(item(depth + 1));
+        if (depth === 0) parts = items;
         space();
         if (source.charAt(at) === ",") at += 1;
         else if (source.charAt(at) !== close) throw Error(source);
@@ -96,30 +97,81 @@
     var written = item(0);
     space();
     if (at < source.length) throw Error(source);
-    return written;
+    return { line: written, parts: parts };
+  }
+
+  // ---- what is allowed, from the attributes that Python wrote; repro run checks the same --------------------------
+
+  function allowsOne(rule, part) { // a part as YAML
+    if (rule.choices) return JSON.parse(rule.choices).some(function (choice) {
+      if (typeof choice !== "number") return part === text(choice);
+      return /^-?[0-9]/.test(part) && Number(part) === choice && /^-?[0-9]+$/.test(part) === Number.isInteger(choice);
+    });
+    if (!/^-?[0-9.]/.test(part) || !isFinite(Number(part))) return false; // a text, true, null or .inf
+    var whole = /^-?[0-9]+$/.test(part), value = Number(part);
+    if (whole ? !Number.isSafeInteger(value) : rule.whole) return false;
+    if (rule.low !== undefined && (rule.above ? value <= +rule.low : value < +rule.low)) return false;
+    return rule.high === undefined || (rule.below ? value < +rule.high : value <= +rule.high);
+  }
+
+  function allows(rule, parts, isList) {
+    if (!parts.every(function (part) { return allowsOne(rule, part); })) return false;
+    if (!isList) return true;
+    var keys = parts.map(function (part) { return /^"/.test(part) ? part : String(Number(part)); });
+    if (rule.once && keys.some(function (key, k) { return keys.indexOf(key) < k; })) return false;
+    if (rule.count && parts.length && parts.length !== +rule.count) return false;
+    if (rule.among && !parts.some(function (part) { return Number(part) === +rule.among; })) return false;
+    return !rule.filled || parts.length > 0;
   }
 
   // ---- values and commands ----------------------------------------------------------------------------------------
 
   function read(field, value) { // {typed, yaml}: as typed for repro run, and as YAML; throws a message
-    var kind = field.dataset.type;
-    if (kind === "bool") return { typed: String(value), yaml: String(value) };
+    var kind = field.dataset.type, rule = field.dataset;
+    var found = convert(kind, value);
+    if (rule.mustBe && !allows(rule, found.parts, kind === "list")) throw Error(rule.mustBe);
+    return found;
+  }
+
+  function convert(kind, value) {
+    if (kind === "bool") return { typed: String(value), yaml: String(value), parts: [] };
     if (kind === "str") {
       if (/^(-h|--help|--)$/.test(value)) throw Error("another text than " + value + ", which repro does not read as a value");
-      return { typed: value, yaml: text(value) };
+      return { typed: value, yaml: text(value), parts: [text(value)] };
     }
     value = value.trim();
     if (RULES[kind]) {
       if (!RULES[kind][0].test(value)) throw Error(RULES[kind][1]);
       var written = number(value);
-      return { typed: value, yaml: kind === "float" && /^-?[0-9]+$/.test(written) ? written + ".0" : written };
+      var yaml = kind === "float" && /^-?[0-9]+$/.test(written) ? written + ".0" : written;
+      return { typed: value, yaml: yaml, parts: [yaml] };
     }
     try {
-      var line = flow(value, kind);
-      return { typed: line, yaml: line };
+      var found = flow(value.replace(/\s*[\r\n]+\s*/g, " "), kind);
+      return { typed: found.line, yaml: found.line, parts: found.parts };
     } catch (error) {
       throw Error(MUST_BE[kind]);
     }
+  }
+
+  function state(field, own) { // what a field holds now, or what the notebook has
+    if (field.matches("div")) { // boxes to tick: a list
+      var boxes = Array.prototype.slice.call(field.querySelectorAll("input"));
+      var chosen = boxes.filter(function (box) { return own ? box.defaultChecked : box.checked; });
+      return "[" + chosen.map(function (box) { return box.value; }).join(", ") + "]";
+    }
+    if (field.matches("select")) {
+      var options = Array.prototype.slice.call(field.options);
+      return own ? options.filter(function (option) { return option.defaultSelected; })[0].value : field.value;
+    }
+    if (field.type === "checkbox") return own ? field.defaultChecked : field.checked;
+    return own ? field.defaultValue : field.value;
+  }
+
+  function fit(field) { // a box of text is as high as its lines
+    if (!field.matches("textarea")) return;
+    field.style.height = "auto";
+    field.style.height = field.scrollHeight + field.offsetHeight - field.clientHeight + "px";
   }
 
   function quote(word) { // for any POSIX shell
@@ -136,7 +188,7 @@
 
   function start(box) {
     var form = box.querySelector("form");
-    var fields = Array.prototype.slice.call(form.querySelectorAll("input[data-name]"));
+    var fields = Array.prototype.slice.call(form.querySelectorAll("[data-name]"));
     var outputs = box.querySelector(".run-form-commands");
     var refused = box.querySelector(".run-form-refused");
     var download = box.querySelector(".run-form-yaml");
@@ -153,11 +205,10 @@
     function update() {
       var repro = shown.repro.first, papermill = shown.papermill.first, yaml = "", changed = 0, wrong = 0;
       fields.forEach(function (field) {
-        var name = field.dataset.name, kind = field.dataset.type, isBox = field.type === "checkbox";
+        var name = field.dataset.name, kind = field.dataset.type;
         var message = "";
         try {
-          var value = read(field, isBox ? field.checked : field.value);
-          var own = read(field, isBox ? field.defaultChecked : field.defaultValue);
+          var value = read(field, state(field, false)), own = convert(kind, state(field, true));
           yaml += (RESERVED.test(name) ? text(name) : name) + ": " + value.yaml + "\n";
           if (value.yaml !== own.yaml) {
             changed += 1;
@@ -172,11 +223,13 @@
         if (place.textContent !== message) place.textContent = message;
         if (message) field.setAttribute("aria-invalid", "true");
         else field.removeAttribute("aria-invalid");
+        fit(field);
       });
       outputs.hidden = wrong > 0;
       refused.hidden = wrong === 0;
-      form.querySelector('[role="status"]').textContent =
-        changed === 0 ? "No value changed" : changed === 1 ? "1 value changed" : changed + " values changed";
+      var counted = changed === 0 ? "No value changed" : changed === 1 ? "1 value changed" : changed + " values changed";
+      if (wrong) counted = wrong === 1 ? "1 value is not allowed" : wrong + " values are not allowed";
+      form.querySelector('[role="status"]').textContent = counted;
       if (wrong) return;
       show("repro", repro);
       show("papermill", papermill);
@@ -185,6 +238,7 @@
     }
 
     form.addEventListener("input", update);
+    window.addEventListener("resize", function () { fields.forEach(fit); });
     form.addEventListener("reset", function () { setTimeout(update, 0); });
     form.addEventListener("submit", function (event) { event.preventDefault(); });
     form.hidden = false;

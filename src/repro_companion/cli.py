@@ -11,8 +11,9 @@ from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 
-from repro.errors import InputError, bad_input
-from repro_companion import cli_diff, cli_live, cli_robot, cli_sweep, cli_track
+from repro.errors import InputError, require
+from repro_companion import cli_live, cli_robot, cli_sweep, cli_track
+from repro_companion.book.project import find_project, shown
 from repro_companion.cli_terminal import pairs
 
 app = App(
@@ -40,7 +41,6 @@ def run(notebook: Path, /, *, parameters: Given = None, output: Output = None) -
         The executed notebook; tables are written beside it. By default a folder below runs/.
     """
     from repro_companion.book.parameters import convert_all, declared_parameters
-    from repro_companion.book.project import find_project, shown
     from repro_companion.book.provenance import notebook_key, read_inputs
     from repro_companion.book.runner import (
         NotebookFailed,
@@ -85,7 +85,6 @@ def scorecard(*, require: Path | None = None, write_reference: Path | None = Non
         Write today's verdicts as a reference to this file.
     """
     from repro.files import write_whole
-    from repro_companion.book.project import find_project, shown
     from repro_companion.book.scorecard import (
         REFERENCE_COLUMNS,
         changed_verdicts,
@@ -123,7 +122,6 @@ def train(*, only: str = "", folder: Path | None = None, checkpoints: Path | Non
     """
     import torch
 
-    from repro_companion.book.project import find_project, shown
     from repro_companion.twins.networks import specs
     from repro_companion.twins.networks import train as train_network
     from repro_companion.twins.rig_networks import RigSpec, rig_specs, train_rig
@@ -132,17 +130,13 @@ def train(*, only: str = "", folder: Path | None = None, checkpoints: Path | Non
     project = find_project()
     folder, checkpoints = folder or project.data / "networks", checkpoints or project.cache / "networks"
     wanted = [spec for spec in (*specs(), *rig_specs()) if spec.name.startswith(only)]
-    if not wanted:
-        raise bad_input("only", "repro train", "the start of a network's name", repr(only))
+    require(wanted, "only", "repro train", "the start of a network's name", repr(only))
     missing = [spec for spec in wanted if not (folder / f"{spec.name}.safetensors").exists()]
     print(f"{len(wanted) - len(missing)} of {len(wanted)} networks are there.")
     for spec in missing:
         print(spec.name, flush=True)
-        progress = sys.stderr.isatty()
-        if isinstance(spec, RigSpec):
-            path = train_rig(spec, folder, checkpoints, progress=progress)
-        else:
-            path = train_network(spec, folder, checkpoints, progress=progress)
+        train_one = train_rig if isinstance(spec, RigSpec) else train_network
+        path = train_one(spec, folder, checkpoints, progress=sys.stderr.isatty())
         print(f"  {shown(path)}", flush=True)
     return 0
 
@@ -158,7 +152,6 @@ def studies(*, folder: Path | None = None) -> int:
     """
     import torch
 
-    from repro_companion.book.project import find_project, shown
     from repro_companion.book.studies import write_studies
     from repro_companion.pages import all_studies
 
@@ -189,7 +182,6 @@ def fetch(
     list_only
         Download nothing; print what there is, how much of it is here already, and where it comes from.
     """
-    from repro_companion.book.project import find_project, shown
     from repro_companion.book.runner import stop_on_termination
     from repro_companion.recordings.download import fetch as fetch_files
     from repro_companion.recordings.download import listing
@@ -206,6 +198,26 @@ def fetch(
     return 1 if report.failed else 0
 
 
+@app.command
+def diff(place: Path, /) -> int:
+    """Compare a run with the book: repro diff runs/NAME-12345678. Writes NAME.diff.html beside the run.
+
+    The page shows which parameters differ, tables side by side with absolute and relative differences, and figures
+    side by side. A difference is no failure: the exit status is 0.
+
+    Parameters
+    ----------
+    place
+        The folder of a repro run, or its executed notebook.
+    """
+    from repro_companion.book.after.diff_page import write_diff
+
+    page, summary = write_diff(place, find_project())
+    print(summary)
+    print(f"The page: {shown(page)}")
+    return 0
+
+
 for command in (
     cli_live.record,
     cli_live.export,
@@ -215,7 +227,6 @@ for command in (
     cli_track.track,
     cli_track.fit,
     cli_sweep.sweep,
-    cli_diff.diff,
 ):
     app.command(command)
 

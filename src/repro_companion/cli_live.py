@@ -14,6 +14,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from repro.errors import bad_input, require
+from repro_companion.book.project import shown
 from repro_companion.cli_terminal import Screen, pairs, set_by_signals
 
 Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
@@ -52,7 +53,6 @@ def record(
     list_only
         Record nothing; print the ports found with their descriptions.
     """
-    from repro_companion.book.project import shown
     from repro_live.record.ports import listing
     from repro_live.record.recorder import record as record_port
     from repro_live.record.recording_file import WriteFailed
@@ -111,7 +111,6 @@ def export(
     robot
         The robot file that says which unit the values have; columns are named by it.
     """
-    from repro_companion.book.project import shown
     from repro_live.record.export import export as export_to
     from repro_live.record.recording import read_recording
 
@@ -211,8 +210,7 @@ def emulate(
         label, form, readings = take.label, take.format, take.readings(loop=loop)
     else:
         for name, value in (("source", source), ("format", format), ("loop", loop)):
-            if value:
-                raise bad_input(name, "repro emulate", "left out with --robot", value)
+            require(not value, name, "repro emulate", "left out with --robot", value)
         board = open_board(
             robot,
             rate_hz=rate,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from repro.errors import bad_input, require
+from repro_companion.book.project import shown
 from repro_companion.cli_terminal import Screen, load_described, set_by_signals
 from repro_companion.cli_track import estimated
 
@@ -132,7 +133,6 @@ def live(
         )
         return estimated(Path(port), robot, calibration, estimator, failed or [], estimates)
 
-    from repro_companion.book.project import shown
     from repro_live.follow import live_text
     from repro_live.follow.browser import BrowserView
     from repro_live.follow.estimate_table import EstimateFile

@@ -10,6 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from repro.errors import bad_input
+from repro_companion.book.project import find_project, runs_folder, shown
 from repro_companion.cli_terminal import pairs
 
 Given = Annotated[list[tuple[str, str]] | None, pairs(["-p", "--parameter"], "NAME VALUES")]
@@ -56,11 +57,9 @@ def sweep(
     """
     from repro_companion.book.parameters import declared_parameters
     from repro_companion.book.points import Stopped, finished, local_runner, run_points
-    from repro_companion.book.project import find_project, runs_folder, shown
     from repro_companion.book.runner import read_notebook, stop_on_termination
-    from repro_companion.book.sweep import check_folder, plan
+    from repro_companion.book.sweep import check_folder, plan, write_sweep
     from repro_companion.book.sweep_grid import grid_points, read_grid, read_part
-    from repro_companion.book.sweep_tables import write_sweep
 
     stop_on_termination()
     project = find_project()

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
 from repro.errors import bad_input
+from repro_companion.book.project import shown
 from repro_companion.cli_terminal import load_described
 
 
@@ -53,7 +55,6 @@ def estimated(
     output: Path | None,
 ) -> int:
     """Estimate a file, write the estimates if there is an output, and say what came of it."""
-    from repro_companion.book.project import shown
     from repro_live.follow.estimate_table import EstimateFile
     from repro_live.follow.follower import track_readings
     from repro_live.follow.live_text import limits
@@ -70,20 +71,17 @@ def estimated(
     each = (lambda *_: None) if table is None else table.add
     print("Preparing the estimator (the first time its kernels are compiled: a minute).", file=sys.stderr)
     try:
-        try:
+        with table or nullcontext():
             method.prepared()
-            tracked = track_readings(readings, method, each, progress=sys.stderr.isatty())
-        finally:
-            if table is not None:
-                table.close()
+            follower, said = track_readings(readings, method, each, progress=sys.stderr.isatty())
     except WriteFailed as failure:
         print(f"repro: {failure}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print(f"Stopped; {0 if table is None else table.written} estimates are written.", file=sys.stderr)
         return 130
-    print("\n".join(tracked.lines()), file=sys.stderr)
-    if not tracked.follower.estimated:
+    print("\n".join(said), file=sys.stderr)
+    if not follower.estimated:
         print("No frame could be used.", file=sys.stderr)
         return 1
     if table is None:

@@ -40,14 +40,15 @@ DERIVED = frozenset(["first_steps", "magnets", "imus", "particles"])
 """Chapters that derive what they state; `test_derivations` checks each step."""
 HEADINGS = ["The question", "The idea", "The equations", "The result", "Exercises", "What to read next"]
 HEADINGS_WITH_DERIVATIONS = [*HEADINGS[:4], "Derivations", *HEADINGS[4:]]
+FRONT_MATTER = re.compile(r"\A---\n.*?\n---\n\n?", re.DOTALL)
 EQUATION = re.compile(r"^\(([a-z0-9-]+)\)=\n\$\$\n(.*?)\n\$\$$", re.MULTILINE | re.DOTALL)
 ROLE = re.compile(r"\{py:(\w+)\}`~(repro[\w.]+)`")
 PLACES = re.compile(r"\b(?:eqs?\.|sections?|Figs?\.|Table)\s+[(\d][\d.()]*(?:(?:,| and| to) [(\d][\d.()]*)*")
 
 
 def page(name: str) -> str:
-    """Return the source of a chapter page."""
-    return (CHAPTERS / f"{name}.md").read_text(encoding="utf-8")
+    """Return the source of a chapter page, as far as it is read."""
+    return FRONT_MATTER.sub("", (CHAPTERS / f"{name}.md").read_text(encoding="utf-8"))
 
 
 def sections(name: str) -> dict[str, str]:
@@ -95,7 +96,9 @@ def test_two_exercises_with_folded_solutions(name):
     """Each is done by a command that names a notebook of the book and parameters that it has."""
     exercises = sections(name)["Exercises"]
     option = r" -p \w+ (?:\"[^\"]*\"|\S+)"
-    commands = re.findall(rf"```bash\nrepro run (notebooks/\w+\.ipynb)((?:{option})+)\n```", exercises)
+    commands = re.findall(
+        rf"```bash\n\.venv/bin/repro run (notebooks/\w+\.ipynb)((?:{option})+)\n```", exercises
+    )
     assert len(commands) == exercises.count("```bash") == exercises.count("```{dropdown} Solution") == 2
     for notebook, options in commands:
         known = inspect_notebook(str(ROOT / notebook))

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
-from functools import cache
-from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import pytest
+from built_site import SITE, links_of, no_site, url_of
 from chromium import MISSING, find, started
-from page_on_screen import pixels
-from page_visit import Visit, open_page, visit
+from page_on_screen import differing, pixels
+from page_visit import FACTS, Visit, open_page, visit
+from shown import MACHINE_NAME, cells_not_to_show, texts_of_picture
 
-SITE = Path(__file__).resolve().parents[2] / "book" / "_build" / "html"
 # Pages that only list source code need no browser; their links are checked with the others.
 ALL_PAGES = sorted(path.relative_to(SITE).as_posix() for path in SITE.rglob("*.html"))
 PAGES = [page for page in ALL_PAGES if not page.startswith("_modules/")]
 WRITTEN = [page for page in PAGES if not page.startswith(("api/", "genindex"))]
 """Notebooks and pages written by hand."""
+WITH_STRIPS = [page for page in WRITTEN if 'class="frame-strip"' in (SITE / page).read_text(encoding="utf-8")]
 WITH_VIEWS = [page for page in WRITTEN if 'class="shape-view"' in (SITE / page).read_text(encoding="utf-8")]
+EXECUTED = sorted((SITE.parents[1] / "notebooks").glob("*.ipynb"))
+SMALLEST_LETTERS_PX = 5.5
+"""On a telephone, without turning it or drawing the figure larger."""
 VIEWER = SITE / "_static" / "shape_viewer.js"
 NARROW = (390, 320)
 LANDING_LIMIT_BYTES = 1_000_000
@@ -28,8 +32,6 @@ PAGE_LIMIT_BYTES = 3_000_000
 """Without 3-D views; the theme included."""
 REFERENCE_LIMIT_BYTES = 5_000_000
 """Pages that list all docstrings of a package."""
-
-no_site = pytest.mark.skipif("index.html" not in PAGES, reason="the site is not built")
 
 
 @pytest.fixture(scope="module")
@@ -40,11 +42,6 @@ def browser() -> Iterator:
         pytest.fail(MISSING)
     with started(executable) as chromium:
         yield chromium
-
-
-def url_of(name: str) -> str:
-    """Return the address of a page on disk."""
-    return (SITE / name).as_uri()
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -114,48 +111,17 @@ def test_landing_page_is_a_page(browser):
 
 
 @no_site
-def test_scorecard_filter(browser):
-    """Keys alone narrow the rows down; the count says so aloud; without the script every row is there."""
-    page, seen = open_page(browser, url_of("scorecard.html"))
+@pytest.mark.parametrize("name", [page for page in WRITTEN if page.startswith(("chapters/", "notation"))])
+def test_formulas_open_at_their_left_end(name, browser):
+    """One that is wider than the screen begins where its box does."""
+    page, _ = open_page(browser, url_of(name), width=390)
     try:
-        rows = page.locator("table.scorecard tbody tr")
-        total = rows.count()
-        count = page.get_by_role("status").filter(has_text="rows")
-        assert count.inner_text().startswith(f"{total} of {total} rows")
-        page.get_by_label("Verdict").focus()
-        page.keyboard.type("differs")
-        shown = page.locator("table.scorecard tbody tr:visible")
-        differs = page.locator("tbody tr[data-verdict=differs]").count()
-        assert shown.count() == differs
-        assert count.inner_text().startswith(f"{differs} of {total} rows: {differs} differs")
-        page.get_by_label("Text").fill("no such row anywhere")
-        assert shown.count() == 0
-        assert count.inner_text() == f"0 of {total} rows."
-        page.get_by_role("button", name="Show all").press("Enter")
-        page.wait_for_function("() => !document.querySelector('tbody tr[hidden]')")
-        assert seen.console == []
-    finally:
-        page.close()
-    assert (
-        "hidden"
-        not in (SITE / "scorecard.html").read_text(encoding="utf-8").split("scorecard-filter")[1][:20_000]
-    )
-
-
-@no_site
-@pytest.mark.parametrize("word", ["lemniscate", "quaternion", "momentum"])
-def test_search_finds_known_words(word, browser):
-    """The search works from disk and asks nobody."""
-    page, seen = open_page(browser, f"{url_of('search.html')}?q={word}")
-    try:
-        page.wait_for_selector("#search-results ul.search li a")
-        page.wait_for_function("() => !document.querySelector('#search-progress')?.textContent.includes('.')")
-        links = page.eval_on_selector_all("#search-results li > a", "all => all.map(a => a.href)")
-        assert any("notebooks/" in link for link in links)
-        page.wait_for_timeout(200)
-        assert seen.failed == []
-        assert seen.console == []
-        assert seen.asked_outside() == []
+        page.evaluate(FACTS)  # waits for the formulas
+        starts = page.evaluate(
+            """() => [...document.querySelectorAll('div.math')].map(box =>
+            box.querySelector('mjx-math').getBoundingClientRect().left - box.getBoundingClientRect().left)"""
+        )
+        assert [start for start in starts if start < -1] == []
     finally:
         page.close()
 
@@ -184,29 +150,48 @@ def test_shape_views(name, browser):
         page.close()
 
 
-class Links(HTMLParser):
-    """The links and anchors of a page."""
+@pytest.mark.parametrize("name", WITH_STRIPS)
+def test_strips_of_frames(name, browser):
+    """Each has its slider, which moves it, and says what happens."""
+    page, seen = open_page(browser, url_of(name))
+    try:
+        strips = page.locator(".frame-strip")
+        for k in range(strips.count()):
+            strip = strips.nth(k)
+            strip.scroll_into_view_if_needed()
+            slider, said = strip.get_by_role("slider"), strip.locator(".frame-strip-says").inner_text()
+            before = pixels(strip.locator("img"))
+            slider.focus()
+            slider.press("End" if slider.input_value() == "0" else "Home")
+            page.wait_for_timeout(300)
+            assert differing(pixels(strip.locator("img")), before) > 100, "the slider does not move it"
+            assert strip.locator(".frame-strip-says").inner_text() != said
+        assert seen.console == []
+    finally:
+        page.close()
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.links: list[tuple[str, str]] = []
-        self.anchors: set[str] = set()
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Collect ``href``, ``src``, ``id`` and ``name``."""
-        for key, value in attrs:
-            if key in ("href", "src") and value:
-                self.links.append((tag, value))
-            elif key == "id" or (key == "name" and tag == "a"):
-                self.anchors.add(value or "")
+@pytest.mark.parametrize("name", WRITTEN)
+def test_tables_are_for_readers(name):
+    """No name of a column, nothing missing that reads as a word, no digits that nobody knows."""
+    assert cells_not_to_show((SITE / name).read_text(encoding="utf-8")) == []
 
 
-@cache
-def links_of(path: Path) -> Links:
-    """Return the links and anchors of a file."""
-    parser = Links()
-    parser.feed(path.read_text(encoding="utf-8"))
-    return parser
+@pytest.mark.parametrize("path", EXECUTED, ids=lambda path: path.stem)
+def test_letters_of_figures_are_words_and_large_enough(path):
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    outputs = [output.get("data", {}) for cell in cells for output in cell.get("outputs", [])]
+    pictures = ["".join(data["image/svg+xml"]) for data in outputs if "image/svg+xml" in data]
+    texts = [text for picture in pictures for text in texts_of_picture(picture)]
+    assert [text for text, _ in texts if MACHINE_NAME.search(text)] == []
+    assert [text for text, size_px in texts if size_px < SMALLEST_LETTERS_PX and len(text) > 1] == []
+
+
+@pytest.mark.parametrize("path", EXECUTED, ids=lambda path: path.stem)
+def test_no_page_shows_a_warning(path):
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    outputs = [output for cell in cells for output in cell.get("outputs", [])]
+    assert [output["text"] for output in outputs if output.get("name") == "stderr"] == []
 
 
 @pytest.mark.parametrize("name", ALL_PAGES)

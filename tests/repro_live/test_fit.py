@@ -20,8 +20,7 @@ from repro.errors import InputError
 from repro.robot_file.load import load_robot
 from repro.robot_file.robot_file import RobotFile
 from repro_live.own import models
-from repro_live.own.align import find_clock_lag
-from repro_live.own.fit import fit
+from repro_live.own.fit import find_clock_lag, fit
 from repro_live.own.judge import Tracked, Truth, errors_of_estimates, tip_positions
 from repro_live.own.poses import read_measured_poses
 from repro_live.own.results import write_results

@@ -249,8 +249,8 @@ def test_a_recording_of_both_is_read_stream_by_stream(tmp_path):
     widths = [(frame.stream, len(frame.values)) for _, frame in readings.frames]
     assert [widths.count(pair) for pair in ((0, 6), (1, 4), (2, 4))] == [20, 19, 20]
     estimates = []
-    done = track_readings(readings, robot_estimator(found), lambda _, found: estimates.append(found))
-    assert done.follower.missing == [0] * 6
+    done, _ = track_readings(readings, robot_estimator(found), lambda _, found: estimates.append(found))
+    assert done.missing == [0] * 6
     assert float((estimates[-1].q - q).abs().max()) < 5e-3
     window = np.array([[0.0, 1.0]])
     held = recorded_readings(read_recording(tmp_path / "a.rec"), found, Poses(q[None], window, ("",)))

@@ -38,22 +38,20 @@ def test_the_best_step_and_the_part_of_a_step(lag_s):
     assert exact.common_s == pytest.approx(60.0 - abs(lag_s), abs=0.2)
 
 
-def test_size_of_what_is_left_and_of_the_slope():
+def test_size_of_what_is_left():
     """Readings move 1.3 times as much as predicted; white noise of 0.05 is left."""
     readings, predicted = shifted(0.2, gain=1.3, noise=0.05)
     found = refined(readings, predicted, 0.2)
-    assert found.slope == pytest.approx(1.3, rel=0.01)
     assert found.residual == pytest.approx(0.05, rel=0.05)
     assert abs(found.lag_s - 0.2) < 4 * found.error_s
     assert found.error_s < 2e-3
 
 
 @pytest.mark.parametrize("ppm", [-300.0, 300.0])
-def test_a_faster_clock_of_the_readings_drifts_upwards(ppm):
+def test_of_clocks_that_drift_the_lag_is_that_of_the_middle(ppm):
     """At 300 ppm the lag grows by 0.3 ms every second: 18 ms over the recording, 9 ms in its middle."""
     readings, predicted = shifted(0.0, drift=1e-6 * ppm)
     found = refined(readings, predicted, 0.0)
-    assert found.drift_ppm == pytest.approx(ppm, rel=0.05)
     assert found.lag_s == pytest.approx(1e-6 * ppm * 30.0, rel=0.15)
 
 

@@ -70,7 +70,12 @@ def table_html(
         for name, number in zip(table.columns, numeric, strict=True)
     )
     rows = "".join(
-        "<tr>" + "".join(f"<td{_right(number)}>{_html(text)}</td>" for text, number in row) + "</tr>"
+        "<tr>"
+        + "".join(
+            f"<td{_right(number, exact=name in exact)}>{_html(text)}</td>"
+            for name, (text, number) in zip(table.columns, row, strict=True)
+        )
+        + "</tr>"
         for row in zip(*columns, strict=True)
     )
     above = f"<caption>{escape(caption)}</caption>" if caption else ""
@@ -136,5 +141,5 @@ def shown_number(value: float, digits: int = DIGITS) -> str:
     return f"{sign}{rounded:.{max(0, digits - 1 - power)}f}"
 
 
-def _right(number: bool) -> str:
-    return ' class="number"' if number else ""
+def _right(number: bool, *, exact: bool = False) -> str:
+    return (' class="number exact"' if exact else ' class="number"') if number else ""

@@ -1,9 +1,9 @@
 """Parameters of a notebook: what it declares, and values from a command line converted to the declared type.
 
 A notebook declares them in its cell tagged ``parameters``, one a line:
-``name: type = value  # meaning [unit]``. A comment may end in the values that are allowed: ``, 1 to 6``,
-``, at least 0``, ``, at most 10`` or ``, one of: released, published``, the unit behind it. Both ends are
-allowed themselves; in a list the rule holds for each value.
+``name: type = value  # meaning [unit]``. A comment may end in the values that are allowed, see
+:mod:`repro_companion.book.allowed`; many choices, or those that papermill does not read in its line, stand in
+lines of their own at the end of the cell: ``# name, one of: n_b=1, n_b=2,`` and ``#   n_b=3``.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from repro.errors import InputError, bad_input
+from repro_companion.book.allowed import Rule, rule_of
 
 if TYPE_CHECKING:
     from nbformat import NotebookNode
@@ -46,6 +48,11 @@ class Parameter:
     """The default as it stands in the notebook."""
     meaning: str
     """The comment behind it."""
+
+    @cached_property
+    def rule(self) -> Rule | None:
+        """What its values must keep to."""
+        return rule_of(self.type, self.default, self.meaning)
 
 
 def declared_parameters(notebook: NotebookNode, owner: str) -> dict[str, Parameter]:
@@ -78,7 +85,9 @@ def declared_parameters(notebook: NotebookNode, owner: str) -> dict[str, Paramet
             raise bad_input(
                 f"parameter {item.name}", owner, form, f"{item.inferred_type_name} = {item.default}"
             )
-        found[item.name] = Parameter(item.name, kind, item.default, item.help)
+        alone = re.search(rf"^# {item.name}(, one of: .+(?:\n#   .+)*)", cells[0].source, re.MULTILINE)
+        meaning = item.help + (alone[1].replace("\n#  ", "") if alone else "")
+        found[item.name] = Parameter(item.name, kind, item.default, meaning)
     # papermill skips a line it cannot read (one with a second "=", for instance) with no more than a warning
     for name in _assigned_names(cells[0].source, owner):
         if name not in found:
@@ -144,31 +153,6 @@ def listing(declared: Mapping[str, Parameter], owner: str) -> str:
     return "\n".join([f"Parameters of {owner}:", *lines])
 
 
-_NUMBER = r"[-+]?[0-9]+(?:\.[0-9]+)?(?:e[-+]?[0-9]+)?"
-_RULE = re.compile(
-    rf",\s*(?:(?P<low>{_NUMBER}) to (?P<high>{_NUMBER})|at least (?P<least>{_NUMBER})"
-    rf"|at most (?P<most>{_NUMBER})|one of: (?P<choices>[^\[\]]+?))\s*(?:\[[^\]]*\])?$"
-)
-
-
-def is_allowed(parameter: Parameter, value: Any) -> bool:
-    """Return whether a value keeps to the rule at the end of the parameter's comment, if there is one.
-
-    Examples
-    --------
-    >>> is_allowed(Parameter("n_segments", "int", "3", "segments of the robot, 1 to 6"), -4)
-    False
-    """
-    rule = _RULE.search(parameter.meaning)
-    values = value if isinstance(value, list) else [value]
-    if rule is None:
-        return True
-    if rule["choices"]:
-        return all(item in re.split(r",\s*", rule["choices"]) for item in values)
-    low, high = float(rule["low"] or rule["least"] or "-inf"), float(rule["high"] or rule["most"] or "inf")
-    return all(type(item) in (int, float) and low <= item <= high for item in values)
-
-
 def convert(parameter: Parameter, text: str, owner: str) -> Any:
     """Return a typed text as a value of the parameter's type, and one of those that its comment allows.
 
@@ -192,8 +176,8 @@ def convert(parameter: Parameter, text: str, owner: str) -> Any:
     [0.001, 2, 'on']
     """
     value = _of_its_type(parameter, text, owner)
-    if not is_allowed(parameter, value):
-        raise bad_input(f"parameter {parameter.name}", owner, f"allowed ({parameter.meaning})", text)
+    if parameter.rule and not parameter.rule.allows(value):
+        raise bad_input(f"parameter {parameter.name}", owner, parameter.rule.must_be, text)
     return value
 
 

@@ -27,6 +27,7 @@ from repro_companion.book.sweep_grid import value_text
 from repro_companion.recordings.sources import data_dir
 
 QUIET = "ignore:resource_tracker:UserWarning"
+_ONE_THREAD = ("OMP", "MKL", "OPENBLAS", "NUMEXPR", "VECLIB_MAXIMUM", "NUMBA")
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,11 @@ def environment_of_runs(*names: str) -> dict[str, str]:
     """Return where recordings are, and those of the environment variables that are set here."""
     given = {name: os.environ[name] for name in names if name in os.environ}
     return {"REPRO_DATA_DIR": str(data_dir()), **given}
+
+
+def one_thread() -> dict[str, str]:
+    """Return the environment in which the libraries that compute use one thread: sums then have one order."""
+    return {name + ("_THREADS" if "MAX" in name else "_NUM_THREADS"): "1" for name in _ONE_THREAD}
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,17 @@
-"""The numbers that the papers print, as text: what was printed tells how exact it is."""
+"""The numbers that papers print, as text: that tells how exact they are; and what notebooks regenerate of them."""
 
 from __future__ import annotations
 
 import csv
+import io
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 
 class RowKey(NamedTuple):
@@ -59,8 +61,7 @@ def read_published(path: Path) -> dict[RowKey, Published]:
     published: dict[RowKey, Published] = {}
     for row in read_csv(path, PUBLISHED_COLUMNS):
         key = row_key(row)
-        if key in published:
-            raise bad_input("row", path.name, "listed once", str(key))
+        require(key not in published, "row", path.name, "listed once", str(key))
         if not is_number(row["value"]) or (row["std"] and not is_number(row["std"])):
             raise bad_input("value", path.name, f"a number in row {key}", f"{row['value']}, {row['std']}")
         published[key] = Published(row["value"], row["std"])
@@ -92,13 +93,11 @@ def read_csv(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
     InputError
         If the file is missing, has other columns, or a line with more or fewer cells.
     """
-    if not path.is_file():
-        raise bad_input("file", "the scorecard", "an existing CSV file", path)
+    require(path.is_file(), "file", "the scorecard", "an existing CSV file", path)
     with path.open(encoding="utf-8", newline="") as stream:
         reader = csv.reader(stream)
         header = next(reader, [])
-        if header != list(columns):
-            raise bad_input("columns", path.name, ", ".join(columns), ", ".join(header))
+        require(header == list(columns), "columns", path.name, ", ".join(columns), ", ".join(header))
         rows = []
         for cells in reader:
             if len(cells) != len(header):
@@ -107,9 +106,78 @@ def read_csv(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
     return rows
 
 
+def csv_text(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> str:
+    """Return rows as a CSV file with these columns; others are left out."""
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, columns, lineterminator="\n", extrasaction="ignore")
+    writer.writeheader()
+    writer.writerows(rows)
+    return stream.getvalue()
+
+
 def is_number(text: str) -> bool:
     """Return whether a text is a finite number."""
     try:
         return math.isfinite(float(text)) and "_" not in text
     except ValueError:
         return False
+
+
+ROW_COLUMNS = (
+    *RowKey._fields,
+    "regenerated",
+    "regenerated_std",
+    "n_seeds",
+    "setting",
+    "best",
+    "best_method",
+    "note",
+    "comparable",
+)
+"""Columns of a file of scorecard rows."""
+
+
+def check_row(row: Mapping[str, str], owner: str, published: Mapping[RowKey, Published]) -> dict[str, str]:
+    """Return a scorecard row with every column, or refuse it.
+
+    Parameters
+    ----------
+    row
+        Texts by column; columns that may be left out may be missing or empty.
+    owner
+        The file or notebook that it comes from, for messages.
+    published
+        The published numbers; the row must be one of them.
+
+    Raises
+    ------
+    InputError
+        As for :func:`write_scorecard_rows`.
+    """
+    unknown = [column for column in row if column not in ROW_COLUMNS]
+    require(not unknown, "columns", owner, "among " + ", ".join(ROW_COLUMNS), ", ".join(unknown))
+    full = {column: row.get(column, "") for column in ROW_COLUMNS}
+    key = row_key(full)
+    require(key in published, "row", owner, "a row of published.csv", str(key))
+
+    full["comparable"] = full["comparable"] or "true"
+    std, best = full["regenerated_std"], full["best"]
+    for column, holds, must_be in (
+        ("regenerated", is_number(full["regenerated"]), "a finite number"),
+        (
+            "regenerated_std",
+            not std or (is_number(std) and float(std) >= 0),
+            "a finite number of 0 or more, or left out",
+        ),
+        (
+            "n_seeds",
+            not full["n_seeds"] or re.fullmatch(r"[1-9]\d*", full["n_seeds"]),
+            "a whole number of 1 or more, or left out",
+        ),
+        ("setting", full["setting"], "the setting under which the number was regenerated"),
+        ("best", not best or is_number(best), "a finite number, or left out"),
+        ("best_method", bool(best) == bool(full["best_method"]), "given exactly where best is"),
+        ("comparable", full["comparable"] in ("true", "false"), "true or false"),
+    ):
+        require(holds, f"{column} of row {key}", owner, must_be, full[column] or "nothing")
+    return full

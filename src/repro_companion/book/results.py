@@ -6,8 +6,6 @@ and a difference means something.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 import re
@@ -15,11 +13,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.files import write_whole
 from repro_companion.book.project import find_project, runs_folder
-from repro_companion.book.published import RowKey, read_published, row_key
-from repro_companion.book.regenerated import ROW_COLUMNS, check_row
+from repro_companion.book.published import ROW_COLUMNS, RowKey, check_row, csv_text, read_published, row_key
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -98,8 +95,7 @@ def read_table(name: str) -> DataFrame:
     from pandas import read_csv
 
     path = results_dir() / f"{name}.csv"
-    if not path.is_file():
-        raise bad_input("name", "read_table", "a table that this notebook has written", name)
+    require(path.is_file(), "name", "read_table", "a table that this notebook has written", name)
     return read_csv(path)
 
 
@@ -137,14 +133,9 @@ def write_scorecard_rows(rows: Iterable[Mapping[str, Any]], name: str) -> None:
     for row in rows:
         checked = check_row({column: _as_text(value) for column, value in row.items()}, name, published)
         key = row_key(checked)
-        if key in texts:
-            raise bad_input("row", name, "given once", str(key))
+        require(key not in texts, "row", name, "given once", str(key))
         texts[key] = checked
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, ROW_COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(texts.values())
-    write_whole(results_dir() / f"{name}.rows.csv", stream.getvalue())
+    write_whole(results_dir() / f"{name}.rows.csv", csv_text(texts.values(), ROW_COLUMNS))
 
 
 def _as_text(value: Any) -> str:

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from repro.sensing.magnets import ring
-from repro_live.view.style import MAGNET, SENSOR, page_figure
+from repro_live.view.style import INK_OF_MAPS, MAGNET, SENSOR, TIMES, WIDTH_IN, page_figure, plain_ticks
 
 MM = 1e3
 
@@ -32,7 +32,7 @@ def shapes_3d(table: pd.DataFrame) -> Figure:
     axes = figure.add_subplot(projection="3d")
     assert isinstance(axes, Axes3D)
     n = table["shape"].nunique()
-    instants = plt.get_cmap("viridis")(np.linspace(0, 0.92, n))
+    instants = TIMES(np.linspace(0, 1, n))
     xyz, shapes, segments = (table[c].to_numpy() for c in (["x_mm", "y_mm", "z_mm"], "shape", "segment"))
     for shape in range(n):
         for segment in np.unique(segments):
@@ -42,7 +42,7 @@ def shapes_3d(table: pd.DataFrame) -> Figure:
             axes.plot(*part[-1:].T, "o", color=instants[shape], ms=4)
     equal_axes(axes, xyz)
     axes.view_init(elev=18, azim=-58)
-    axes.legend(loc="upper left", bbox_to_anchor=(-0.02, 0.98))
+    figure.legend(loc="outside upper center", ncols=3)
     return figure
 
 
@@ -88,7 +88,7 @@ def relation_sketch(parts: pd.DataFrame, sensor: int) -> Figure:
     magnet = int(parts.loc[parts["part"] == "sensor", "segment"].iloc[sensor]) - 1
     p_s, o_s, p_m, o_m = positions_s[sensor], axes_s[sensor], positions_m[magnet], axes_m[magnet]
     offset = p_s - p_m
-    figure, axes = plt.subplots(figsize=(4.8, 5.0))
+    figure, axes = plt.subplots(figsize=(WIDTH_IN, 4.2))
     for origin, vector, colour, name, along in (
         (p_m, offset, "0.3", "$p$", 0.5),
         (p_m, 28 * o_m, MAGNET, "$o_m$", 1.1),
@@ -112,7 +112,7 @@ def relation_sketch(parts: pd.DataFrame, sensor: int) -> Figure:
     _angle_mark(axes, p_s, o_s, offset, 17, r"$\beta$")
     axes.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal")
     axes.margins(0.22)
-    axes.legend(loc="lower right")
+    figure.legend(loc="outside upper center", ncols=2)
     return figure
 
 
@@ -171,6 +171,7 @@ def field_of_robot(
     x, z = np.linspace(x[0], x[-1], len(x)), np.linspace(z[0], z[-1], len(z))
     bx, bz = grid["b_x_mT"].to_numpy(), grid["b_z_mT"].to_numpy()
     magnitude = np.hypot(bx, bz)
+    plt.rcParams.update(INK_OF_MAPS)
     figure, axes = plt.subplots(figsize=(4.4, 6.4))
     axes.grid(visible=False)
     norm = LogNorm(vmin=max(magnitude.min(), 1e-3), vmax=100)
@@ -189,7 +190,8 @@ def field_of_robot(
     axes.plot([], [], ">", color="#56B4E9", mec="black", mew=0.5, ms=9, label="sensor direction")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, columnspacing=1.2)
     axes.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=(x[0], x[-1]), ylim=(z[0], z[-1]))
-    figure.colorbar(image, label="|B| in the x-z plane [mT]", shrink=0.8, pad=0.02, extend="max")
+    colours = figure.colorbar(image, label="|B| in the x-z plane [mT]", shrink=0.8, pad=0.02, extend="max")
+    plain_ticks(colours.ax.yaxis, subs=(1,))
     return figure
 
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import ast
 import json
 import math
-from collections.abc import Mapping
+import shlex
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 from urllib.parse import quote
@@ -41,7 +42,7 @@ def form_html(notebook: str, declared: Mapping[str, Parameter]) -> str:
     yaml = parameters_yaml(defaults)
     plain = f"{PAPERMILL} {notebook} my_run.ipynb"
     blocks = (
-        ("repro", "Checked, with a record of what it was made from", f"{REPRO} run {notebook}"),
+        ("repro", "Checked, with a record of what it was made from", command_line(notebook, {})),
         ("papermill", "The same with plain papermill", plain),
         ("yaml", f"All parameters as YAML, for papermill’s option <code>-f {escape(stem)}.yaml</code>", yaml),
     )
@@ -97,6 +98,19 @@ def default_value(parameter: Parameter, owner: str) -> Any:
     return value
 
 
+def command_line(notebook: str, parameters: Mapping[str, Any]) -> str:
+    r"""Return the command that runs a notebook with parameters, for any POSIX shell.
+
+    Examples
+    --------
+    >>> command_line("notebooks/table_1.ipynb", {"rows": ["n_b=1"], "fast": True})
+    '.venv/bin/repro run notebooks/table_1.ipynb -p rows \'["n_b=1"]\' -p fast true'
+    """
+    typed = {name: x if isinstance(x, str) else _yaml(x) for name, x in parameters.items()}
+    given = "".join(f" -p {name} {shlex.quote(text)}" for name, text in typed.items())
+    return f"{REPRO} run {notebook}{given}"
+
+
 def parameters_yaml(values: Mapping[str, Any]) -> str:
     """Return values as YAML that readers of version 1.1 and 1.2 understand alike.
 
@@ -134,25 +148,57 @@ def _yaml(value: Any) -> str:
 
 
 def _field(parameter: Parameter, value: Any, owner: str) -> str:
-    name, kind = escape(parameter.name), parameter.type
+    name, rule = escape(parameter.name), parameter.rule
     place = f"run-form-{name}"
     described = f"{place}-meaning {place}-error"
-    common = f'id="{place}" data-name="{name}" data-type="{kind}" aria-describedby="{described}"'
-    if kind == "bool":
-        field = f'<input type="checkbox" {common}{" checked" if value else ""}>'
+    common = f'id="{place}" data-name="{name}" data-type="{parameter.type}" aria-describedby="{described}"'
+    common += rule.attributes() if rule else ""
+    if rule and rule.choices and parameter.type == "list":
+        field = _boxes(rule.choices, value, common, place)
+        label = f'<span class="run-form-name" id="{place}-name">{name}</span>'
     else:
-        text = escape(_as_typed(parameter, value, owner))
-        shape = {"int": ' step="1"', "float": ' step="any"'}.get(kind, ' spellcheck="false"')
-        as_number = kind == "int" or (kind == "float" and math.isfinite(value))
-        field = f'<input type="{"number" if as_number else "text"}"{shape} {common} value="{text}">'
+        field = _one_field(parameter, value, common, owner)
+        label = f'<label for="{place}">{name}</label>'
     return (
-        f'<div class="run-form-field"><label for="{place}">{name}</label>{field}'
+        f'<div class="run-form-field">{label}{field}'
         f'<span class="run-form-meaning" id="{place}-meaning">{escape(_hint(parameter))}</span>'
         f'<span class="run-form-error" id="{place}-error" role="alert"></span></div>'
     )
 
 
+def _one_field(parameter: Parameter, value: Any, common: str, owner: str) -> str:
+    kind, rule, text = parameter.type, parameter.rule, escape(_as_typed(parameter, value, owner))
+    if kind == "bool":
+        return f'<input type="checkbox" {common}{" checked" if value else ""}>'
+    if rule and rule.choices:
+        options = [
+            f"<option{' selected' if choice == value else ''}>{escape(str(choice))}</option>"
+            for choice in rule.choices
+        ]
+        return f"<select {common}>{''.join(options)}</select>"
+    if kind in ("list", "dict"):  # as long as it is, in as many lines as that takes
+        return f'<textarea rows="1" spellcheck="false" {common}>{text}</textarea>'
+    shape = {"int": ' step="1"', "float": ' step="any"'}.get(kind, ' spellcheck="false"')
+    if rule:
+        ends = {"min": rule.low, "max": rule.high}
+        shape += "".join(f' {name}="{end:g}"' for name, end in ends.items() if math.isfinite(end))
+    as_number = kind == "int" or (kind == "float" and math.isfinite(value))
+    return f'<input type="{"number" if as_number else "text"}"{shape} {common} value="{text}">'
+
+
+def _boxes(choices: Sequence[Any], chosen: Sequence[Any], common: str, place: str) -> str:
+    """Return a box to tick for each value that a list may have."""
+    boxes = [
+        f'<label><input type="checkbox" value="{escape(_yaml(choice))}"{" checked" if choice in chosen else ""}>'
+        f"{escape(str(choice))}</label>"
+        for choice in choices
+    ]
+    return f'<div class="run-form-boxes" role="group" aria-labelledby="{place}-name" {common}>{"".join(boxes)}</div>'
+
+
 def _hint(parameter: Parameter) -> str:
+    if parameter.rule and parameter.rule.choices:  # which stand in the field
+        return parameter.meaning.replace(f", {parameter.rule.said}", "")
     kind = {"int": "whole number", "float": "number", "str": "text", "bool": "yes or no"}.get(
         parameter.type, f"{parameter.type} in YAML"
     )

@@ -19,8 +19,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro_companion.book.digests import file_digest, tree_digests
+from repro_companion.book.points import one_thread
 from repro_companion.book.project import Project, find_project, runs_folder, shown
 from repro_companion.book.provenance import (
     Record,
@@ -30,7 +31,7 @@ from repro_companion.book.provenance import (
     record_path,
     write_record,
 )
-from repro_companion.book.values import fill_text
+from repro_companion.book.values import fill
 from repro_companion.recordings.sources import data_dir
 
 if TYPE_CHECKING:
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
 
 # The kernel calls its own orderly end an error; what a cell raises is reported in any case.
 _QUIET_KERNEL = ("--IPKernelApp.log_level=50",)
-_ONE_THREAD = ("OMP", "MKL", "OPENBLAS", "NUMEXPR", "VECLIB_MAXIMUM", "NUMBA")
 
 
 class NotebookFailed(Exception):
@@ -60,8 +60,7 @@ def read_notebook(path: Path) -> NotebookNode:
     """
     import nbformat
 
-    if not path.is_file():
-        raise bad_input("notebook", "repro run", "an existing file", path)
+    require(path.is_file(), "notebook", "repro run", "an existing file", path)
     try:
         return nbformat.read(path, as_version=4)
     except RecursionError as error:
@@ -149,7 +148,7 @@ def run_notebook(
         # A kernel on TCP ports dies where another program takes one of them first. Paths of sockets must be
         # short (104 characters on macOS), hence a folder of their own.
         with (
-            _environment(_kernel_environment(tables)),
+            changed_environment(_kernel_environment(tables)),
             tempfile.TemporaryDirectory(prefix="repro-") as sockets,
         ):
             try:
@@ -170,8 +169,7 @@ def run_notebook(
                     print(message, file=sys.stderr)
                     raise
                 raise NotebookFailed(message) from error
-        _forget_places(partial, notebook, output)
-        fill_text(partial, notebook.name)
+        _finish(partial, notebook, output)
         record = make_record(
             project,
             notebook,
@@ -195,14 +193,13 @@ def _literal(path: Path) -> str:
 
 
 def _kernel_environment(tables: Path) -> dict[str, str]:
-    threads = {name + ("_THREADS" if "MAX" in name else "_NUM_THREADS"): "1" for name in _ONE_THREAD}
     folders = {"REPRO_RESULTS_DIR": str(tables.absolute()), "REPRO_DATA_DIR": str(data_dir())}
     # The debugger of ipykernel warns at every start about modules that Python has frozen.
-    return {**threads, **folders, "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
+    return {**one_thread(), **folders, "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
 
 
 @contextlib.contextmanager
-def _environment(changes: Mapping[str, str]) -> Iterator[None]:
+def changed_environment(changes: Mapping[str, str]) -> Iterator[None]:
     """Change the environment, which the kernel inherits, and change it back."""
     before = {name: os.environ.get(name) for name in changes}
     os.environ.update(changes)
@@ -220,7 +217,7 @@ def _keep_partial(notebook: Path, partial: Path, failed: Path, error: BaseExcept
     """Keep the partial notebook and return a message that says where it is and which cell failed."""
     if not partial.is_file():
         return f"{shown(notebook)} failed before its first cell: {_describe(error)}"
-    _forget_places(partial, notebook, failed)
+    _finish(partial, notebook, failed, complete=False)
     failed.parent.mkdir(parents=True, exist_ok=True)
     partial.replace(failed)
     number, head = _last_cell_begun(failed)
@@ -244,12 +241,14 @@ def _last_cell_begun(path: Path) -> tuple[int, str]:
     return len(begun), begun[-1].strip().partition("\n")[0] if begun else "(none was begun)"
 
 
-def _forget_places(path: Path, notebook: Path, output: Path) -> None:
-    """Replace the absolute paths that papermill notes in a notebook by names."""
+def _finish(path: Path, notebook: Path, output: Path, *, complete: bool = True) -> None:
+    """Replace the absolute paths that papermill notes in a notebook by names, and fill a complete one's text."""
     import nbformat
 
     content = nbformat.read(path, as_version=4)
     content.metadata.papermill.update(input_path=notebook.name, output_path=output.name)
+    if complete:
+        fill(content, notebook.name)
     nbformat.write(content, path)
 
 

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_companion.book.project import Project
-from repro_companion.book.published import Published, RowKey, read_csv, read_published, row_key
-from repro_companion.book.regenerated import ROW_COLUMNS, check_row
+from repro_companion.book.published import (
+    ROW_COLUMNS,
+    Published,
+    RowKey,
+    check_row,
+    csv_text,
+    read_csv,
+    read_published,
+    row_key,
+)
 from repro_companion.book.verdicts import HOLDS, Verdict, is_near_edge, is_weak, verdict
 
 
@@ -163,13 +170,9 @@ def _compare(key: RowKey, printed: Published, row: Mapping[str, str]) -> Scoreca
 
 def scorecard_csv(rows: Iterable[ScorecardRow], columns: Sequence[str] = COLUMNS) -> str:
     """Return the scorecard as the text of a CSV file; truth values are ``true`` and ``false``."""
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, columns, lineterminator="\n", extrasaction="ignore")
-    writer.writeheader()
-    for row in rows:
-        truths = {name: str(getattr(row, name)).lower() for name in ("weak", "near_edge")}
-        writer.writerow(asdict(row) | truths)
-    return stream.getvalue()
+    truths = ("weak", "near_edge")
+    lines = (asdict(row) | {name: str(getattr(row, name)).lower() for name in truths} for row in rows)
+    return csv_text(lines, columns)
 
 
 def changed_verdicts(rows: Iterable[ScorecardRow], reference: Path) -> list[str]:
@@ -197,8 +200,7 @@ def changed_verdicts(rows: Iterable[ScorecardRow], reference: Path) -> list[str]
     changed = []
     for line in read_csv(reference, REFERENCE_COLUMNS):
         row, then = now.pop(row_key(line), None), line["verdict"]
-        if then not in set(Verdict):
-            raise bad_input("verdict", reference.name, "one of " + ", ".join(Verdict), then)
+        require(then in set(Verdict), "verdict", reference.name, "one of " + ", ".join(Verdict), then)
         if row is None:
             changed.append(f"{row_key(line)}: was {Verdict(then).words}, is not listed")
         elif row.verdict != then:
@@ -209,12 +211,29 @@ def changed_verdicts(rows: Iterable[ScorecardRow], reference: Path) -> list[str]
     ]
 
 
-def count_kinds(rows: Sequence[ScorecardRow]) -> dict[str, Counter[str]]:
-    """Return the number of rows of each of :data:`KINDS`, by paper, in the order of the rows."""
-    counts: dict[str, Counter[str]] = {}
+def count_kinds(
+    rows: Sequence[ScorecardRow], of: Callable[[ScorecardRow], Any] = lambda row: row.paper
+) -> dict[Any, Counter[str]]:
+    """Return the number of rows of each of :data:`KINDS`, by paper or by what is asked, in their order."""
+    counts: dict[Any, Counter[str]] = {}
     for row, kind in zip(rows, kinds(rows), strict=True):
-        counts.setdefault(row.paper, Counter())[kind] += 1
+        counts.setdefault(of(row), Counter())[kind] += 1
     return counts
+
+
+def listed(count: Counter[str]) -> str:
+    """Return counts in words, in the order of :data:`KINDS`; those of nothing are left out.
+
+    Examples
+    --------
+    >>> listed(Counter({"differs": 2, "reproduced": 1}))
+    '1 reproduced, 2 differ'
+    """
+    return ", ".join(
+        f"{count[kind]} {'differ' if kind == 'differs' and count[kind] > 1 else kind}"
+        for kind in KINDS
+        if count[kind]
+    )
 
 
 def summary(rows: Sequence[ScorecardRow]) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 
 import yaml
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro_companion.book.parameters import KINDS, Parameter, check_size, convert, listing
 
 OWNER = "repro sweep"
@@ -58,8 +58,7 @@ def read_grid(
         if name not in declared:
             error = bad_input(f"parameter {name}", owner, "one of the parameters listed below", values)
             raise InputError(f"{error}\n{listing(declared, notebook)}")
-        if name in grid:
-            raise bad_input(f"parameter {name}", owner, "given once", f"{values} as well")
+        require(name not in grid, f"parameter {name}", owner, "given once", f"{values} as well")
         is_text = isinstance(values, str)
         found = (
             from_text(declared[name], values, owner) if is_text else _checked(declared[name], values, owner)
@@ -67,8 +66,7 @@ def read_grid(
         if repeated := _first_repeated(found):
             raise bad_input(f"parameter {name}", owner, "values that differ", f"{repeated} twice")
         grid[name] = found
-    if not grid:
-        raise bad_input("grid", OWNER, "at least one parameter, by -p NAME VALUES or --grid", "none")
+    require(grid, "grid", OWNER, "at least one parameter, by -p NAME VALUES or --grid", "none")
     _check_count(math.prod(map(len, grid.values())), "grid")
     return grid
 
@@ -104,8 +102,7 @@ def from_text(parameter: Parameter, text: str, owner: str) -> list[Any]:
     for item in text.split(","):
         if parameter.type == "int" and (found := _RANGE.fullmatch(item.strip())):
             first, end = map(int, found.groups())
-            if first >= end:
-                raise bad_input(name, owner, "a range first:end with first below end", item)
+            require(first < end, name, owner, "a range first:end with first below end", item)
             _check_count(end - first, name)
             values += range(first, end)
         else:
@@ -115,8 +112,7 @@ def from_text(parameter: Parameter, text: str, owner: str) -> list[Any]:
 
 
 def _check_count(count: int, name: str) -> None:
-    if count > MOST_POINTS:
-        raise bad_input(name, OWNER, f"at most {MOST_POINTS} points", count)
+    require(count <= MOST_POINTS, name, OWNER, f"at most {MOST_POINTS} points", count)
 
 
 def _read_file(file: Path) -> dict[str, Any]:
@@ -153,8 +149,7 @@ def _check_keys(node: Any) -> None:
 def _checked(parameter: Parameter, values: Any, owner: str) -> list[Any]:
     """Return values of a grid file, of the parameter's type."""
     name = f"parameter {parameter.name}"
-    if not isinstance(values, list) or not values:
-        raise bad_input(name, owner, "a list of values", values)
+    require(isinstance(values, list) and values, name, owner, "a list of values", values)
     found = []
     for value in values:
         if parameter.type == "float" and isinstance(value, int) and not isinstance(value, bool):
@@ -169,13 +164,10 @@ def _checked(parameter: Parameter, values: Any, owner: str) -> list[Any]:
 def _can_be_typed(parameter: Parameter, value: Any) -> bool:
     """Return whether ``repro run -p NAME TEXT`` gives the notebook this very value."""
     try:
-        return _same(convert(parameter, value_text(value), OWNER), value)
+        taken = convert(parameter, value_text(value), OWNER)
+        return json.dumps(taken, sort_keys=True) == json.dumps(value, sort_keys=True)
     except (ValueError, RecursionError):
         return False
-
-
-def _same(one: Any, other: Any) -> bool:
-    return json.dumps(one, sort_keys=True) == json.dumps(other, sort_keys=True)
 
 
 def _first_repeated(values: Sequence[Any]) -> str:
@@ -222,6 +214,5 @@ def read_part(text: str) -> tuple[int, int]:
     """
     found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text or "1/1")
     number, parts = map(int, found.groups()) if found else (0, 0)
-    if not 1 <= number <= parts:
-        raise bad_input("part", OWNER, "i/n, a number from 1 to n and n, such as 2/8", text)
+    require(1 <= number <= parts, "part", OWNER, "i/n, a number from 1 to n and n, such as 2/8", text)
     return number, parts

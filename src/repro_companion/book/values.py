@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 if TYPE_CHECKING:
     from nbformat import NotebookNode
@@ -28,8 +27,7 @@ def give(**values: str) -> None:
     from IPython.display import display
 
     for name, value in values.items():
-        if not isinstance(value, str):
-            raise bad_input(name, "give", "a text, with the digits that are to be read", value)
+        require(isinstance(value, str), name, "give", "a text, with the digits that are to be read", value)
     display({KIND: values, "text/plain": ""}, raw=True)
 
 
@@ -66,7 +64,7 @@ def filled(text: str, values: Mapping[str, str], place: str) -> str:
     return PLACE.sub(value, text)
 
 
-def fill_text(path: Path, name: str) -> None:
+def fill(notebook: NotebookNode, name: str) -> None:
     """Put the values that the cells of an executed notebook gave into its text, and keep them in its metadata.
 
     Raises
@@ -74,15 +72,6 @@ def fill_text(path: Path, name: str) -> None:
     InputError
         If the text names a value that no cell gave.
     """
-    import nbformat
-
-    notebook = nbformat.read(path, as_version=4)
-    fill(notebook, name)
-    nbformat.write(notebook, path)
-
-
-def fill(notebook: NotebookNode, name: str) -> None:
-    """Put the values that an executed notebook gave into its text, as :func:`fill_text` does with a file."""
     values: dict[str, str] = {}
     for cell in notebook.cells:
         for output in cell.get("outputs", []):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro_live.view.shape_view import Traces
 
 
@@ -29,8 +29,7 @@ def every_nth(samples: int, most: int) -> slice:
     >>> every_nth(400, 100), every_nth(401, 100), every_nth(40, 100)
     (slice(0, 400, 4), slice(0, 401, 5), slice(0, 40, 1))
     """
-    if samples < 1 or most < 1:
-        raise bad_input("samples, most", "every_nth", "at least 1", (samples, most))
+    require(samples >= 1 and most >= 1, "samples, most", "every_nth", "at least 1", (samples, most))
     return slice(0, samples, -(-samples // most))
 
 

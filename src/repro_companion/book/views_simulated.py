@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.kinematics.paper_robots import pcc_robot
 from repro_companion.book.views_frames import every_nth, readings
 from repro_companion.twins import table_1_method as table1
@@ -64,8 +64,7 @@ def paper_method_view(
     InputError
         If there is no row.
     """
-    if not rows:
-        raise bad_input("rows", "paper_method_view", "at least one with trained networks", "none")
+    require(rows, "rows", "paper_method_view", "at least one with trained networks", "none")
     row = max(rows, key=lambda row: row.n_segments)
     simulation = simulate([row], steps=steps)
     found, _ = table1.paper_method(

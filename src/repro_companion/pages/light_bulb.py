@@ -33,7 +33,7 @@ from repro_companion.twins.bend_curves import SENSOR_NOISE_MT
 from repro_companion.twins.bend_takes import write_light_tests
 from repro_companion.twins.field_ratios import FieldRatios, transverse_to_axial
 from repro_companion.twins.ratio_inversion import invert
-from repro_live.view.style import page_figure
+from repro_live.view.style import WIDTH_IN, page_figure
 
 FIRST = "light_-1"
 """The file that sets rest and threshold."""
@@ -268,7 +268,7 @@ def events_over_time(curves: pd.DataFrame, events: pd.DataFrame, threshold: floa
     """
     files = list(dict.fromkeys(curves["file"]))
     figure, panels = plt.subplots(
-        len(files), 2, figsize=(9.6, 1.9 * len(files) + 0.7), sharex=True, squeeze=False
+        len(files), 2, figsize=(WIDTH_IN, 1.9 * len(files) + 0.7), sharex=True, sharey="col", squeeze=False
     )
     for (left, right), file in zip(panels, files, strict=True):
         part = curves[curves["file"] == file]
@@ -281,18 +281,18 @@ def events_over_time(curves: pd.DataFrame, events: pd.DataFrame, threshold: floa
         left.set(ylim=(0, 98), yticks=(0, 30, 60, 90))
         right.plot(part["time_s"], part["ratio"], color="black", lw=0.7)
         right.plot(part["time_s"], part["baseline"], color="0.6", lw=1)
-        right.plot(part["time_s"], part["baseline"] + threshold, color="0.6", lw=0.8, ls=":")
+        right.plot(part["time_s"], part["baseline"] + threshold, color="0.3", lw=1.2, ls=":")
         for _, event in events[events["file"] == file].iterrows():
             for panel in (left, right):
                 panel.axvspan(event["start_s"], event["end_s"], color=EVENT, alpha=0.25, lw=0)
-        left.set_title(f"{file}, {source}", loc="left")
+        left.set_title(f"file {file.removeprefix('light_')}, {source}", loc="left")
         left.set_ylabel("bend [deg]")
         right.set_ylabel("transverse / axial")
     for panel in panels[-1]:
         panel.set_xlabel("time [s]")
     handles = [
         Line2D([], [], color="0.6", lw=1, label="running median"),
-        Line2D([], [], color="0.6", lw=0.8, ls=":", label="threshold"),
+        Line2D([], [], color="0.3", lw=1.2, ls=":", label="threshold"),
         Line2D([], [], color=EVENT, lw=6, alpha=0.3, label="event"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3)

@@ -7,7 +7,6 @@ both bags, so the time of a reading is the time at which it was recorded.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from repro.errors import bad_input
 from repro.estimation.orientations import UNIT_TOLERANCE
+from repro_companion.recordings.released import verified
 from repro_companion.recordings.sources import data_dir
 
 BAG_FOLDER = "martin2022/ros_packages/sesa/bags"
@@ -73,12 +73,7 @@ def find_bag(name: str) -> Path | None:
     """
     if name not in BAGS:
         raise bad_input("name", "find_bag", f"one of {', '.join(BAGS)}", name)
-    path = data_dir() / BAG_FOLDER / name
-    if not path.is_file():
-        return None
-    if (found := hashlib.sha256(path.read_bytes()).hexdigest()) != BAGS[name]:
-        raise bad_input(name, BAG_FOLDER, f"the released file, sha256 {BAGS[name]}", f"sha256 {found}")
-    return path
+    return verified(data_dir() / BAG_FOLDER / name, name, BAG_FOLDER, sha256=BAGS[name])
 
 
 def read_messages(path: Path, topic: str) -> pd.DataFrame:

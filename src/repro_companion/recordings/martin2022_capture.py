@@ -6,7 +6,6 @@ here. Nothing is guessed: whoever has the file says which columns hold what.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from jaxtyping import Float
 
 from repro.errors import bad_input
 from repro_companion.recordings.martin2022_outputs import OUTPUT_FOLDER
+from repro_companion.recordings.released import verified
 from repro_companion.recordings.sources import data_dir
 
 CAPTURE = "elephant/mocap/mocap_base_and_2_points_1.csv"
@@ -62,16 +62,7 @@ def find_capture() -> Path | None:
     InputError
         If the file found is not the released one, by its git blob hash.
     """
-    path = data_dir() / OUTPUT_FOLDER / CAPTURE
-    if not path.is_file():
-        return None
-    content = path.read_bytes()
-    found = hashlib.sha1(b"blob %d\0" % len(content) + content, usedforsecurity=False).hexdigest()
-    if found != CAPTURE_BLOB:
-        raise bad_input(
-            CAPTURE, OUTPUT_FOLDER, f"the released file, git blob {CAPTURE_BLOB}", f"git blob {found}"
-        )
-    return path
+    return verified(data_dir() / OUTPUT_FOLDER / CAPTURE, CAPTURE, OUTPUT_FOLDER, git_blob=CAPTURE_BLOB)
 
 
 def read_capture(path: Path, layout: Mapping[str, Any]) -> MarkerCapture:

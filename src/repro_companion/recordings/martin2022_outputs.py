@@ -8,7 +8,6 @@ by row.
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from repro.errors import bad_input
+from repro_companion.recordings.released import verified
 from repro_companion.recordings.sources import data_dir
 
 OUTPUT_FOLDER = "martin2022/data analysis/data"
@@ -72,12 +72,7 @@ def find_output(name: str) -> Path | None:
     """
     if name not in OUTPUTS:
         raise bad_input("name", "find_output", f"one of {', '.join(OUTPUTS)}", name)
-    path = data_dir() / OUTPUT_FOLDER / name
-    if not path.is_file():
-        return None
-    if (found := hashlib.sha256(path.read_bytes()).hexdigest()) != OUTPUTS[name]:
-        raise bad_input(name, OUTPUT_FOLDER, f"the released file, sha256 {OUTPUTS[name]}", f"sha256 {found}")
-    return path
+    return verified(data_dir() / OUTPUT_FOLDER / name, name, OUTPUT_FOLDER, sha256=OUTPUTS[name])
 
 
 def read_output(path: Path) -> ModelOutput:

@@ -6,7 +6,8 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from repro_companion.recordings.sources import RecordedFile, data_dir
+from repro.errors import bad_input
+from repro_companion.recordings.sources import RecordedFile, data_dir, read_sources
 
 
 def unlike_released(
@@ -40,6 +41,25 @@ def unlike_released(
     return unlike
 
 
+def not_released(paths: Sequence[Path], paper: str, folder: Path, manifest: Path) -> list[str]:
+    """Names of the files that are not those of the public repository; one that is not listed counts as another.
+
+    Parameters
+    ----------
+    paths
+        Files that exist below ``folder``.
+    paper
+        Name of the paper.
+    folder
+        The paper's folder: files lie in it as in the repository.
+    manifest
+        The list, ``data/sources.json``.
+    """
+    listed = {file.path: file for file in read_sources(manifest, [paper])}
+    found = [(path.name, path, listed.get(path.relative_to(folder).as_posix())) for path in paths]
+    return [name for name, path, file in found if file is None or difference(file, path)]
+
+
 def difference(file: RecordedFile, path: Path) -> str | None:
     """Return how a file's content differs from the released one, by hash, or None.
 
@@ -50,13 +70,32 @@ def difference(file: RecordedFile, path: Path) -> str | None:
     path
         A file that exists.
     """
-    kind, expected = ("sha256", file.sha256) if file.sha256 else ("git blob", file.git_blob)
-    if file.sha256:
-        with path.open("rb") as stream:
-            found = hashlib.file_digest(stream, "sha256").hexdigest()
-    else:
-        found = git_blob_hash(path.read_bytes())
+    kind, expected, found = _hashes(path, file.sha256, file.git_blob)
     return None if found == expected else f"{kind} {found} instead of {expected}"
+
+
+def verified(path: Path, name: str, folder: str, *, sha256: str = "", git_blob: str = "") -> Path | None:
+    """Return a released file's path, or None if it is not there.
+
+    Raises
+    ------
+    InputError
+        If the file found is not the released one, by its hash.
+    """
+    if not path.is_file():
+        return None
+    kind, expected, found = _hashes(path, sha256, git_blob)
+    if found != expected:
+        raise bad_input(name, folder, f"the released file, {kind} {expected}", f"{kind} {found}")
+    return path
+
+
+def _hashes(path: Path, sha256: str, git_blob: str) -> tuple[str, str, str]:
+    """Which hash is known, the one expected, and the one found."""
+    if sha256:
+        with path.open("rb") as stream:
+            return "sha256", sha256, hashlib.file_digest(stream, "sha256").hexdigest()
+    return "git blob", git_blob, git_blob_hash(path.read_bytes())
 
 
 def git_blob_hash(content: bytes) -> str:

@@ -10,7 +10,6 @@ itself. Files that repeat another byte by byte are left out.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
@@ -97,39 +96,6 @@ def read_sources(manifest: Path, papers: Sequence[str] = ()) -> list[RecordedFil
         for paper in papers or sorted(listed)
         for entry in listed[paper]["files"]
     ]
-
-
-def not_released(paths: Sequence[Path], paper: str, folder: Path, manifest: Path) -> list[str]:
-    """Names of the files that are not, byte for byte, those of the public repository.
-
-    Parameters
-    ----------
-    paths
-        Files below ``folder``; one that does not exist, or is not listed with its SHA-256, counts as another.
-    paper
-        Name of the paper.
-    folder
-        The paper's folder: files lie in it as in the repository.
-    manifest
-        The list, ``data/sources.json``.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_sources`.
-    """
-    listed = {file.path: file.sha256 for file in read_sources(manifest, [paper])}
-
-    def released(path: Path) -> bool:
-        expected = listed.get(path.relative_to(folder).as_posix())
-        return bool(expected) and path.is_file() and _sha256(path) == expected
-
-    return [path.name for path in paths if not released(path)]
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _checked(paper: str, source: dict[str, Any], entry: dict[str, Any], owner: str) -> RecordedFile:

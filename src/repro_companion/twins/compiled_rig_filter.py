@@ -14,73 +14,6 @@ STATES = 7
 
 
 @machine_code()
-def filter_bank(
-    u, factors, degree, scale, biases, log_weights, firsts, start, spread, bounds, numbers, noise, error
-):
-    """Mixture of the filters of all biases, for every frame from the readings up to it: a loop over `bank_step`.
-
-    Parameters
-    ----------
-    u
-        Readings ``[frames, 3]``.
-    factors, degree, scale
-        Factors of the monomials ``[terms, 3]``, their degree, and the unit of the bend in them [mm].
-    biases, log_weights
-        Common bias of each filter, and the logarithm of its prior weight ``[filters]``.
-    firsts
-        Bends about which the first update of each filter is linearised ``[filters, 2]``.
-    start, spread
-        Mean and standard deviation of the state before the first reading ``[7]``.
-    bounds
-        Lower and upper bounds of the bend ``[2, 2]``.
-    numbers
-        Time between frames, time constant of the sensors' errors, density of the acceleration, largest number of
-        iterations in an update.
-    noise, error
-        Standard deviations of the white noise and of the slow error of each sensor.
-
-    Returns
-    -------
-    means, covariances, weights
-        Bend and its rate ``[frames, 4]``, covariance of the bend with the spread between the filters
-        ``[frames, 2, 2]``, and the weights ``[frames, filters]``.
-    """
-    frames, filters = len(u), len(biases)
-    means, covariances = np.empty((frames, 4)), np.empty((frames, 2, 2))
-    weights = np.empty((frames, filters))
-    states, moments = bank_start(filters, start, spread)
-    logs = log_weights
-    for t in range(frames):
-        states, moments, logs, means[t], covariances[t], weights[t] = bank_step(
-            t,
-            u[t],
-            states,
-            moments,
-            logs,
-            factors,
-            degree,
-            scale,
-            biases,
-            firsts,
-            bounds,
-            numbers,
-            noise,
-            error,
-        )
-    return means, covariances, weights
-
-
-@machine_code()
-def bank_start(filters, start, spread):
-    """State and covariance of each filter before the first reading ``[filters, 7]``, ``[filters, 7, 7]``."""
-    states, moments = np.empty((filters, STATES)), np.empty((filters, STATES, STATES))
-    for b in range(filters):
-        states[b] = start
-        moments[b] = np.diag(spread**2)
-    return states, moments
-
-
-@machine_code()
 def bank_step(
     frame,
     u,
@@ -97,23 +30,36 @@ def bank_step(
     noise,
     error,
 ):
-    """One frame of :func:`filter_bank`; nothing that is given is changed.
+    """One frame of the filters of all biases, and their mixture; nothing that is given is changed.
 
     Parameters
     ----------
     frame
         Number of the frame: before the first, 0, nothing moves, and only there ``firsts`` count.
     u
-        Readings of the frame ``[3]``.
+        Readings of the frame ``[3]``; one that is NaN is left out.
     states, moments, log_weights
         Of each filter after the frame before: ``[filters, 7]``, ``[filters, 7, 7]``, ``[filters]``.
-    factors, degree, scale, biases, firsts, bounds, numbers, noise, error
-        As in :func:`filter_bank`.
+    factors, degree, scale
+        Factors of the monomials ``[terms, 3]``, their degree, and the unit of the bend in them [mm].
+    biases
+        Common bias of each filter ``[filters]``.
+    firsts
+        Bends about which the first update of each filter is linearised ``[filters, 2]``.
+    bounds
+        Lower and upper bounds of the bend ``[2, 2]``.
+    numbers
+        Time between frames, time constant of the sensors' errors, density of the acceleration, largest number of
+        iterations in an update.
+    noise, error
+        Standard deviations of the white noise and of the slow error of each sensor.
 
     Returns
     -------
-    states, moments, log_weights, mean, covariance, weights
-        Of each filter, then of the mixture ``[4]``, ``[2, 2]``, and the weights ``[filters]``.
+    states, moments, log_weights, mean, covariance, weights, predicted, square
+        Of each filter, then of the mixture: bend and its rate ``[4]``, covariance of the bend with the spread between
+        the filters ``[2, 2]``, the weights ``[filters]``, the readings that bend and bias let expect ``[3]``, and the
+        mean square of what is left of ``u``, in units of noise and error together.
     """
     dt, tau, acceleration, iterations = numbers
     filters = len(biases)
@@ -121,7 +67,7 @@ def bank_step(
     new_logs = np.empty(filters)
     move, driven = _motion(dt, tau, acceleration, error)
     R = np.diag(noise**2)
-    H = np.zeros((3, STATES))
+    H, used = np.zeros((3, STATES)), ~np.isnan(u)
     for b in range(filters):
         mean, P, log_weight = states[b].copy(), moments[b].copy(), log_weights[b]
         if frame:
@@ -131,28 +77,73 @@ def bank_step(
             x[:2] = firsts[b]
         reading = u - biases[b]
         for step in range(int(iterations)):
-            predicted = _linearise(x, factors, degree, scale, H)
+            predicted = _linearise(x, factors, degree, scale, used, H)
             HP = H @ P
             S = HP @ H.T + R
-            innovation = reading - predicted - H @ (mean - x)
+            innovation = np.where(used, reading - predicted - H @ (mean - x), 0.0)
+            gained = np.linalg.solve(S, innovation)
             if step == 0:
-                surprise = innovation @ np.linalg.solve(S, innovation) + np.log(np.linalg.det(S))
-                log_weight -= 0.5 * surprise
-            new = mean + HP.T @ np.linalg.solve(S, innovation)
+                log_weight -= 0.5 * (innovation @ gained + np.log(np.linalg.det(S)))
+            new = mean + HP.T @ gained
             for k in range(2):
                 new[k] = min(max(new[k], bounds[0, k]), bounds[1, k])
             change = np.abs(new[:2] - x[:2]).max()
             x = new
             if change < 1e-5:
                 break
-        _linearise(x, factors, degree, scale, H)
+        _linearise(x, factors, degree, scale, used, H)
         HP = H @ P
         P = P - HP.T @ np.linalg.solve(HP @ H.T + R, HP)
         new_states[b] = x
         new_moments[b] = (P + P.T) / 2
         new_logs[b] = log_weight
     mean, covariance, weights = _mixture(new_states, new_moments, new_logs)
-    return new_states, new_moments, new_logs, mean, covariance, weights
+    x = np.zeros(STATES)
+    x[:2] = mean[:2]
+    predicted = _linearise(x, factors, degree, scale, used, H) + weights @ biases
+    square = np.nanmean((u - predicted) ** 2 / (noise**2 + error**2))
+    return new_states, new_moments, new_logs, mean, covariance, weights, predicted, square
+
+
+@machine_code()
+def bank_estimate(mean, covariance, weights, biases, slopes, spread, elongation, numbers):
+    """Configuration and common bias of a mixture; the covariance of bend and elongation is left out.
+
+    Parameters
+    ----------
+    mean, covariance, weights
+        Of the mixture.
+    biases
+        Common bias of each filter ``[filters]``.
+    slopes
+        Derivatives of the readings by the bend at the mean ``[3, 2]``.
+    spread
+        Standard deviation of the bend in T5.train ``[2]``.
+    elongation
+        Elongation without bend, and its change with the square of the bend ``[2]``.
+    numbers
+        Change of a reading with the elongation, standard deviations of the elongation and of all that sensors have in
+        common, of their difference from the map elsewhere, step between biases, spread of the elongation elsewhere.
+
+    Returns
+    -------
+    q, covariance, bias, deviation
+        Bend and elongation ``[3]``, ``[3, 3]``; the bias proper, and its standard deviation.
+    """
+    g, spread_l, common, shape_mv, step_mv, elsewhere = numbers
+    bend, straight, per_mm2 = mean[:2], elongation[0], elongation[1]
+    c = weights @ biases
+    c_variance = weights @ biases**2 - c**2 + step_mv**2 / 12
+    share = g * spread_l**2 / common**2  # millimetres of elongation for each millivolt of c
+    rest = spread_l**2 * (1 - g * share)
+    of_bend = covariance + np.linalg.inv(slopes.T @ slopes / shape_mv**2 + np.diag(spread**-2.0))
+    by_bend = 2 * per_mm2 * bend
+    C = np.zeros((3, 3))
+    C[:2, :2] = of_bend
+    C[2, 2] = by_bend @ of_bend @ by_bend + rest + share**2 * c_variance + elsewhere**2
+    q = np.array([bend[0], bend[1], straight + per_mm2 * (bend * bend).sum() + share * c])
+    deviation = np.sqrt(g**2 * rest + (1 - g * share) ** 2 * c_variance)
+    return q, C, (1 - g * share) * c, deviation
 
 
 @machine_code()
@@ -186,8 +177,8 @@ def _motion(dt, tau, acceleration, error):
 
 
 @machine_code()
-def _linearise(state, factors, degree, scale, H):
-    """Predicted readings; their derivatives by the state go to ``H``."""
+def _linearise(state, factors, degree, scale, used, H):
+    """Predicted readings; their derivatives by the state go to ``H``, none of a reading that is not used."""
     x, y = state[0] / scale, state[1] / scale
     across, up = np.ones(degree + 1), np.ones(degree + 1)
     for k in range(degree):
@@ -208,4 +199,6 @@ def _linearise(state, factors, degree, scale, H):
             n += 1
     for s in range(3):
         H[s, 4 + s] = 1.0
+        if not used[s]:
+            H[s] = 0.0
     return predicted

@@ -106,13 +106,9 @@ def specs() -> Iterator[NetworkSpec | AffineSpec]:
     27 of Table 1: robots of 1, 2 and 3 segments, and 3 segments with an Earth field. 27 of section 4.4: one for each
     of nine sensors and three seeds.
     """
-    for n_segments, earth in ((1, False), (2, False), (3, False), (3, True)):
-        for seed in SEEDS:
-            for segment in range(n_segments):
-                yield NetworkSpec(n_segments, segment, earth, seed)
-    for seed in SEEDS:
-        for sensor in range(9):
-            yield AffineSpec(sensor, seed)
+    robots = ((1, False), (2, False), (3, False), (3, True))
+    yield from (NetworkSpec(n, k, earth, seed) for n, earth in robots for seed in SEEDS for k in range(n))
+    yield from (AffineSpec(sensor, seed) for seed in SEEDS for sensor in range(9))
 
 
 def training_rows(

@@ -18,8 +18,9 @@ from repro_companion.recordings.baaij2023 import (
     raw_paths,
     split,
 )
+from repro_companion.recordings.released import not_released
 from repro_companion.recordings.rig_robot import RIG_RATE_HZ
-from repro_companion.recordings.sources import data_dir, not_released
+from repro_companion.recordings.sources import data_dir
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
 from repro_companion.twins.pneumatic_rig import TwinConfig, record_twin
 from repro_companion.twins.rig_networks import RECORDING_SEED

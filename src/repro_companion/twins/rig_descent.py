@@ -14,7 +14,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from repro.errors import bad_input
-from repro.estimation.base import track
+from repro.estimation.base import Trajectory, track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.kernels import compiled
 from repro.sensing.ensemble import SeedEnsemble
@@ -23,7 +23,6 @@ from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS, rig_earth_axis, rig_robot
 from repro_companion.twins.networks import rows_sha256
 from repro_companion.twins.rig_data import RigData
-from repro_companion.twins.rig_filter import OursRun
 from repro_companion.twins.rig_networks import RigSpec, rig_networks, train_rig, trained_on
 
 STEP_SIZE = (1.5e-8, 1.5e-8, 0.0)
@@ -209,7 +208,7 @@ def bend_errors(
     return rows
 
 
-def method_errors(part: Recording, found: dict[str, np.ndarray], own: OursRun) -> dict[str, float]:
+def method_errors(part: Recording, found: dict[str, np.ndarray], own: Trajectory) -> dict[str, float]:
     """Errors of the bend of several methods and of ours, as in a row of the page on random twins.
 
     Parameters
@@ -221,11 +220,12 @@ def method_errors(part: Recording, found: dict[str, np.ndarray], own: OursRun) -
     own
         What ours finds.
     """
-    row = {}
-    for method, q in (found | {"ours": own.q[:, None]}).items():
+    row, own_q, covariance = {}, own.q.numpy(), own.covariance
+    assert covariance is not None
+    for method, q in (found | {"ours": own_q[:, None]}).items():
         error = np.sqrt(((q - part.q[:, None]) ** 2).mean(axis=0)).mean(axis=0)
         row |= {f"{method}_delta_{axis}_mm": 1e3 * error[k] for k, axis in enumerate("xy")}
-    return row | _own_uncertainty(own.q - part.q, own.covariance)
+    return row | _own_uncertainty(own_q - part.q, covariance.numpy())
 
 
 def _own_uncertainty(error: np.ndarray, covariance: np.ndarray) -> dict[str, float]:

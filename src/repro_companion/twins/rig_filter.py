@@ -31,15 +31,23 @@ error there by less than 3 %.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
+import torch
+from jaxtyping import Float
+from torch import Tensor
 
+from repro.estimation.base import Estimate, Trajectory, check_start, track, usable
 from repro.estimation.consistency import WINDOW, Status
 from repro_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS
-from repro_companion.twins.compiled_rig_filter import bank_start, bank_step, filter_bank
-from repro_companion.twins.rig_map import SCALE_MM, BendMap
+from repro_companion.twins.rig_bank import BankState, BendBank, OursConfig
+from repro_companion.twins.rig_map import BendMap
+
+_M = TypeVar("_M")
 
 RESIDUAL = 4.0
 """Root mean square over the sensors, in units of the error of the map: above it, something is wrong."""
@@ -50,99 +58,43 @@ ELSEWHERE_MM = 5.0
 
 
 @dataclass(frozen=True)
-class OursConfig:
-    """Settings of ours: assumed, none is fitted to a test part.
+class BatchState(Generic[_M]):
+    """The newest estimate, and the filter of each member of the batch, which all run on their own."""
 
-    Parameters
-    ----------
-    bias_mv
-        Standard deviation of the common bias; known are biases of -2 to -4 mV between the authors' recordings.
-    widest_mv, step_mv
-        Largest bias that is considered, and the distance between two.
-    elongation_spread
-        Standard deviation of the elongation, in units of what the square of the bend leaves of it in T5.train.
-    shape_mv
-        Standard deviation of a sensor's difference from the map in other recordings; known are 2 to 3 mV for slow
-        and 3 to 7 mV for fast motion; in the covariance alone.
-    elongation_mm
-        Standard deviation of the elongation between recordings, as is known; in the covariance alone.
-    iterations
-        Largest number of iterations in an update.
-    """
+    q: Float[Tensor, "*batch n_q"]
+    members: tuple[_M, ...]
 
-    bias_mv: float = 4.0
-    widest_mv: float = 10.0
-    step_mv: float = 1.0
-    elongation_spread: float = 2.0
-    shape_mv: float = 5.0
-    elongation_mm: float = 0.3
-    iterations: int = 5
 
-    def biases(self) -> Float[np.ndarray, " values"]:
-        """Values of the common bias [mV]: one filter for each."""
-        half = round(self.widest_mv / self.step_mv)
-        return self.step_mv * np.arange(-half, half + 1)
+def batch_of(member: _M, q0: Float[Tensor, "*batch n_q"], owner: str) -> BatchState[_M]:
+    """State before the first readings, the same for all members of the batch of ``q0``."""
+    check_start(q0, None, owner, n_q=3)
+    return BatchState(q0, (member,) * math.prod(q0.shape[:-1]))
+
+
+def sensor_rows(u: Tensor, use: Tensor) -> Float[np.ndarray, "members 3"]:
+    """Readings of each member of a batch, NaN where they are not used."""
+    return torch.where(use, u, torch.nan).detach().double().reshape(-1, RIG_SENSORS).numpy()
 
 
 @dataclass(frozen=True)
-class OursRun:
-    """What ours finds on a recording.
+class _Watched:
+    """A bank, what is held against it, and the newest readings with the square that was left of each."""
 
-    Attributes
-    ----------
-    q
-        Configuration [m].
-    covariance
-        Its covariance [m²]; that of bend and elongation with one another is left out.
-    bias_mv, bias_deviation_mv
-        Common bias and its standard deviation, given the readings so far.
-    status
-        Of each frame, a number of :class:`repro.estimation.consistency.Status`: *suspicious* while no new start
-        explains the readings, and just after one. Empty, reading by reading.
-    anew
-        How often the filter was started anew, up to each frame.
-    """
-
-    q: Float[np.ndarray, "t 3"]
-    covariance: Float[np.ndarray, "t 3 3"]
-    bias_mv: Float[np.ndarray, " t"]
-    bias_deviation_mv: Float[np.ndarray, " t"]
-    status: Int[np.ndarray, " watched"] = field(default_factory=lambda: np.zeros(0, dtype=int))
-    anew: Int[np.ndarray, " watched"] = field(default_factory=lambda: np.zeros(0, dtype=int))
-
-
-@dataclass(frozen=True)
-class BendState:
-    """The bank of filters after a reading; no array is ever changed.
-
-    Attributes
-    ----------
-    frame
-        How many readings it has seen.
-    states, moments, log_weights
-        State, covariance and logarithm of the weight of each filter.
-    mean_mm, covariance_mm2, weights
-        Of the mixture: bend [mm] and its rate [mm/s], covariance of the bend, and weight of each filter; NaN before
-        the first reading.
-    """
-
-    frame: int
-    states: Float[np.ndarray, "filters 7"]
-    moments: Float[np.ndarray, "filters 7 7"]
-    log_weights: Float[np.ndarray, " filters"]
-    mean_mm: Float[np.ndarray, " 4"]
-    covariance_mm2: Float[np.ndarray, "2 2"]
-    weights: Float[np.ndarray, " filters"]
+    bank: BankState
+    recent: tuple[tuple[Float[np.ndarray, " 3"], float], ...] = ()
+    lasting: int = 0
+    since: int = WINDOW
+    anew: int = 0
 
     @property
-    def bend_mm(self) -> Float[np.ndarray, " 2"]:
-        """Bend after the newest reading [mm], the mean of all filters; NaN before the first."""
-        return self.mean_mm[:2]
+    def status(self) -> Status:
+        doubtful = self.lasting >= LASTING or self.since < WINDOW
+        return Status.SUSPICIOUS if doubtful else Status.CONSISTENT
 
 
 @dataclass(frozen=True)
 class BendFilter:
-    """Ours, reading by reading or on a whole recording: bend, elongation and common bias.
+    """Ours as an estimator: readings [mV], 40 Hz, to bend and elongation [m], with the common bias beside them.
 
     Parameters
     ----------
@@ -155,119 +107,60 @@ class BendFilter:
     bend_map: BendMap
     config: OursConfig = field(default_factory=OursConfig)
 
-    def init(self) -> BendState:
-        """State before the first reading."""
-        biases = self.config.biases()
-        states, moments = bank_start(len(biases), *self._start())
-        mean, covariance, weights = (np.full(shape, np.nan) for shape in (4, (2, 2), len(biases)))
-        return BendState(0, states, moments, self._log_prior(), mean, covariance, weights)
+    @cached_property
+    def _bank(self) -> BendBank:
+        return BendBank(self.bend_map, self.config)
 
-    def step(self, state: BendState, reading_mv: Float[np.ndarray, " 3"]) -> BendState:
-        """State after the next reading, 40 Hz."""
-        found = bank_step(
-            state.frame,
-            np.ascontiguousarray(reading_mv),
-            state.states,
-            state.moments,
-            state.log_weights,
-            *self._map(),
-            self._firsts(reading_mv) if state.frame == 0 else np.zeros((len(state.log_weights), 2)),
-            *self._rest(),
+    def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> BatchState[_Watched]:
+        """State before the first readings, which alone say where it starts: of ``q0`` only the batch counts."""
+        return batch_of(_Watched(self._bank.start()), q0, "BendFilter")
+
+    def step(
+        self,
+        state: BatchState[_Watched],
+        u: Float[Tensor, "*batch 3"],
+        t: float,
+        *,
+        mask: Tensor | None = None,
+        known: Tensor | None = None,
+    ) -> tuple[BatchState[_Watched], Estimate]:
+        """Take in the next readings; beside those of :meth:`BendBank.estimate` two diagnostics.
+
+        ``status`` is a number of :class:`repro.estimation.consistency.Status`: *suspicious* while no new start
+        explains the readings, and just after one; ``anew`` how often the filter was started anew.
+        """
+        use = usable(u, mask, "BendFilter")
+        members = tuple(map(self._watched, state.members, sensor_rows(u, use)))
+        found = self._bank.estimate(
+            [member.bank for member in members],
+            u,
+            use,
+            known,
+            status=[member.status for member in members],
+            anew=[member.anew for member in members],
         )
-        return BendState(state.frame + 1, *found)
+        return BatchState(found.q.to(state.q), members), found
 
-    def found(self, state: BendState) -> OursRun:
-        """Bend, elongation and bias after a reading, as a run of one frame; NaN before the first."""
-        return self._run(state.mean_mm[None], state.covariance_mm2[None], state.weights[None])
+    def _watched(self, old: _Watched, reading_mv: np.ndarray) -> _Watched:
+        """A member after the next reading, started anew if that explains the newest ones much better."""
+        bank = self._bank.step(old.bank, reading_mv)
+        recent = (*old.recent, (reading_mv, bank.square))[-LASTING:]
+        lasting = old.lasting + 1 if bank.square > RESIDUAL**2 else 0
+        if lasting and lasting % LASTING == 0:
+            fresh, squares = self._bank.start(), []
+            for reading, _ in recent:
+                fresh = self._bank.step(fresh, reading)
+                squares.append(fresh.square)
+            better = np.mean(squares) < 0.25 * np.mean([was for _, was in recent])
+            if better and np.hypot(*(fresh.mean_mm - bank.mean_mm)[:2]) > ELSEWHERE_MM:
+                return _Watched(fresh, recent, since=0, anew=old.anew + 1)
+        return _Watched(bank, recent, lasting, old.since + 1, old.anew)
 
-    def whole(self, readings_mv: Float[np.ndarray, "t 3"]) -> OursRun:
-        """All frames of a recording: as in steps, to the bit as far as the bend goes, up to the first new start."""
-        u = np.ascontiguousarray(readings_mv)
-        found = self._bank(u)
-        square = self._square(u, found)
-        status, anew, lasting, since = (
-            np.full(len(u), Status.CONSISTENT),
-            np.zeros(len(u), dtype=int),
-            0,
-            WINDOW,
-        )
-        for k in range(len(u)):
-            lasting, since = lasting + 1 if square[k] > RESIDUAL**2 else 0, since + 1
-            if lasting and lasting % LASTING == 0:
-                recent = slice(k - LASTING + 1, k + 1)
-                fresh = self._bank(u[recent])
-                better = self._square(u[recent], fresh).mean() < 0.25 * square[recent].mean()
-                if better and np.hypot(*(fresh[0][-1] - found[0][k])[:2]) > ELSEWHERE_MM:
-                    for old, new in zip(found, self._bank(u[recent.start :]), strict=True):
-                        old[k:] = new[LASTING - 1 :]
-                    square[k:] = self._square(u[k:], tuple(x[k:] for x in found))
-                    anew[k:] += 1
-                    lasting = since = 0
-            if lasting >= LASTING or since < WINDOW:
-                status[k] = Status.SUSPICIOUS
-        return replace(self._run(*found), status=status, anew=anew)
 
-    def _bank(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return filter_bank(
-            u, *self._map(), self._log_prior(), self._firsts(u[0]), *self._start(), *self._rest()
-        )
-
-    def _log_prior(self) -> np.ndarray:
-        return -0.5 * (self.config.biases() / self._common()) ** 2
-
-    def _square(self, u: np.ndarray, found: tuple[np.ndarray, ...]) -> np.ndarray:
-        means, _, weights = found
-        apart = u - self.bend_map(means[:, :2]) - (weights @ self.config.biases())[:, None]
-        return ((apart / self._unit()) ** 2).mean(axis=1)
-
-    def _unit(self) -> np.ndarray:
-        return np.hypot(self.bend_map.noise_mv, self.bend_map.error_mv)
-
-    def _map(self) -> tuple[np.ndarray, int, float, np.ndarray]:
-        return self.bend_map.factors, self.bend_map.degree, SCALE_MM, self.config.biases()
-
-    def _start(self) -> tuple[np.ndarray, np.ndarray]:
-        bend_map = self.bend_map
-        start = np.concatenate([bend_map.mean_mm, np.zeros(2 + RIG_SENSORS)])
-        # A bend of another recording may lie anywhere in the box: twice the spread of T5 covers it.
-        return start, np.concatenate([2 * bend_map.spread_mm, [bend_map.rate] * 2, bend_map.error_mv])
-
-    def _rest(self) -> tuple[np.ndarray, ...]:
-        bend_map = self.bend_map
-        numbers = [1.0 / RIG_RATE_HZ, bend_map.error_s, bend_map.acceleration, self.config.iterations]
-        bounds = np.stack([bend_map.lower, bend_map.upper])
-        return bounds, np.array(numbers), bend_map.noise_mv, bend_map.error_mv
-
-    def _firsts(self, reading_mv: np.ndarray) -> np.ndarray:
-        bend_map = self.bend_map
-        apart = (reading_mv - self.config.biases()[:, None])[:, None] - bend_map(bend_map.starts)
-        return bend_map.starts[((apart / self._unit()) ** 2).sum(axis=-1).argmin(axis=1)]
-
-    def _spread_l(self) -> float:
-        return self.config.elongation_spread * self.bend_map.elongation_spread_mm
-
-    def _common(self) -> float:
-        return float(np.hypot(self.config.bias_mv, self.bend_map.elongation_slope * self._spread_l()))
-
-    def _run(self, means: np.ndarray, covariances: np.ndarray, weights: np.ndarray) -> OursRun:
-        bend_map, config, biases = self.bend_map, self.config, self.config.biases()
-        g, spread_l = bend_map.elongation_slope, self._spread_l()
-        bend = means[:, :2]
-        J = bend_map.slopes(bend)
-        prior = np.diag(bend_map.spread_mm**-2)
-        shape = np.linalg.inv(J.transpose(0, 2, 1) @ J / config.shape_mv**2 + prior)
-        c = weights @ biases
-        c_variance = weights @ biases**2 - c**2 + config.step_mv**2 / 12
-        share = g * spread_l**2 / self._common() ** 2  # millimetres of elongation for each millivolt of c
-        rest = spread_l**2 * (1 - g * share)
-        covariance = np.zeros((len(c), 3, 3))
-        covariance[:, :2, :2] = covariances + shape
-        elongation, slopes = bend_map.elongation(bend)
-        by_bend = np.einsum("ti,tij,tj->t", slopes, covariance[:, :2, :2], slopes)
-        covariance[:, 2, 2] = by_bend + rest + share**2 * c_variance + config.elongation_mm**2
-        return OursRun(
-            q=1e-3 * np.column_stack([bend, elongation + share * c]),
-            covariance=1e-6 * covariance,
-            bias_mv=(1 - g * share) * c,
-            bias_deviation_mv=np.sqrt(g**2 * rest + (1 - g * share) ** 2 * c_variance),
-        )
+def filtered(
+    bend_map: BendMap, readings_mv: Float[np.ndarray, "t 3"], config: OursConfig | None = None
+) -> Trajectory:
+    """Ours on a whole recording; of it the readings alone."""
+    q0 = torch.zeros(3, dtype=torch.float64)
+    ours = BendFilter(bend_map, config or OursConfig())
+    return track(ours, torch.from_numpy(readings_mv), q0, rate_hz=RIG_RATE_HZ)

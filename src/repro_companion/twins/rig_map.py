@@ -8,6 +8,7 @@ map is that the readings of other recordings are another function of the bend.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import torch
@@ -17,7 +18,7 @@ from scipy.signal import savgol_filter
 from repro.sensing.magnetic import field_at_sensors
 from repro.sensing.magnets import ring
 from repro_companion.recordings.baaij2023 import Recording
-from repro_companion.recordings.rig_robot import RIG_RATE_HZ, rig_robot
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS, rig_robot
 
 DEGREE = 6
 """Degree of the map, chosen on T5.train of the nominal twin, as a test repeats: the smallest whose error on held-out
@@ -83,14 +84,14 @@ class BendMap:
     def slopes(self, bend_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3 2"]:
         """Derivatives of the readings [mV/mm], by central differences."""
         apart = 1e-4 * np.eye(2)
-        return np.stack([(self(bend_mm + d) - self(bend_mm - d)) / 2e-4 for d in apart], axis=-1)
+        readings = self(np.concatenate([bend_mm + side * d for d in apart for side in (1, -1)]))
+        left, right, down, up = readings.reshape(4, -1, RIG_SENSORS)
+        return np.stack([left - right, down - up], axis=-1) / 2e-4
 
-    def elongation(
-        self, bend_mm: Float[np.ndarray, "n 2"]
-    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
-        """Elongation [mm] that goes with bends [mm], and its derivatives."""
+    def elongation(self, bend_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+        """Elongation [mm] that goes with bends [mm]."""
         straight, per_mm2 = self.elongation_mm
-        return straight + per_mm2 * (bend_mm * bend_mm).sum(axis=1), 2 * per_mm2 * bend_mm
+        return straight + per_mm2 * (bend_mm * bend_mm).sum(axis=1)
 
     def readings_mv(self, q: Float[np.ndarray, "t q"]) -> Float[np.ndarray, "t 3"]:
         """Readings [mV] at configurations [m]."""
@@ -105,8 +106,15 @@ def monomials(bend_mm: Float[np.ndarray, "n 2"], degree: int) -> Float[np.ndarra
     >>> monomials(np.array([[2.0 * SCALE_MM, 3.0 * SCALE_MM]]), 2).tolist()
     [[1.0, 2.0, 3.0, 4.0, 6.0, 9.0]]
     """
-    x, y = (bend_mm / SCALE_MM).T
-    return np.stack([x ** (n - j) * y**j for n in range(degree + 1) for j in range(n + 1)], axis=-1)
+    powers = np.stack([(bend_mm / SCALE_MM) ** k for k in range(degree + 1)], axis=-1)
+    of_x, of_y = _exponents(degree)
+    return powers[:, 0].take(of_x, axis=1) * powers[:, 1].take(of_y, axis=1)
+
+
+@cache
+def _exponents(degree: int) -> tuple[np.ndarray, np.ndarray]:
+    total, of_y = np.tril_indices(degree + 1)
+    return total - of_y, of_y
 
 
 def fit_map(train: Recording, *, degree: int = DEGREE) -> BendMap:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import ClassVar
 
@@ -67,10 +68,8 @@ class RigSpec:
 
 def rig_specs() -> Iterator[RigSpec]:
     """Yield the networks of Table 2: three sensors and three seeds, for each of two twins."""
-    for second in (False, True):
-        for seed in RIG_SEEDS:
-            for sensor in range(RIG_SENSORS):
-                yield RigSpec(sensor, seed, second)
+    for second, seed, sensor in product((False, True), RIG_SEEDS, range(RIG_SENSORS)):
+        yield RigSpec(sensor, seed, second)
 
 
 def sensor_rows(part: Recording, sensor: int) -> tuple[Tensor, Tensor]:

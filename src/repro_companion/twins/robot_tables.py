@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from repro.errors import bad_input
 from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.paper_robots import Dimensions, pcc_robot
 from repro.kinematics.robot import Robot
@@ -89,8 +90,15 @@ def relations_along_lemniscate(n_segments: int, sensors_per_segment: int, sensor
         The robot.
     sensor
         Index of the sensor, from 0.
+
+    Raises
+    ------
+    InputError
+        If the robot has no such sensor.
     """
     robot, q = pcc_robot(n_segments, sensors_per_segment), lemniscate(n_segments)
+    if not 0 <= sensor < len(robot.sensors):
+        raise bad_input("sensor", "the robot", f"0 to {len(robot.sensors) - 1}", sensor)
     magnet = robot.sensors.segment[sensor]
     xi = relations(robot, q).angles()[:, sensor, 1:].unflatten(-1, (-1, 4))[:, magnet]
     table = pd.DataFrame({"time_s": torch.arange(len(q)).numpy() / RATE_HZ, "d_mm": MM * xi[:, 0].numpy()})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import pandas as pd
@@ -38,8 +38,17 @@ def setting(
 
 def scorecard_lines(artefact: str, table: pd.DataFrame, setting: str) -> list[dict[str, Any]]:
     """Rows of the scorecard: means over the seeds of a table with columns ``row, seed, quantity, unit, error``."""
-    cells = table.groupby(["row", "quantity", "unit"], sort=False)["error"].agg(["mean", "std", "count"])
-    return [scorecard_line(artefact, *cell, setting) for cell in cells.reset_index().itertuples(index=False)]
+    by_cell = table.groupby(["row", "quantity", "unit"], sort=False)["error"]
+    cells = by_cell.agg(["mean", "std", "count"]).reset_index()
+    return [
+        scorecard_line(artefact, *cell, setting) | {"note": note}
+        for cell, note in zip(cells.itertuples(index=False), by_cell.agg(seeds_note), strict=True)
+    ]
+
+
+def seeds_note(errors: Iterable[float]) -> str:
+    """What is known of a row beside its mean: the error of each seed."""
+    return "of the single seeds: " + ", ".join(f"{error:.3g}" for error in errors)
 
 
 def scorecard_line(

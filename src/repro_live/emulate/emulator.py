@@ -64,7 +64,8 @@ class Emulator:
             link.remove()
             raise bad_input("speed", "Emulator", "above zero", speed)
         self._passages, self._link, self._speed, self._hang_up = passages, link, float(speed), hang_up
-        self._each = each
+        self._each, self._paced = each, math.isfinite(speed)
+        self._zero = math.nan  # when the board was switched on, by the monotonic clock [s]
         self._stopped = threading.Event()
         self._ready = threading.Event()
         self._error: BaseException | None = None
@@ -126,42 +127,37 @@ class Emulator:
         return not self._stopped.wait(_SETTLE_S)
 
     def _play(self) -> None:
-        clock = _Clock(self._speed)
         connection = 0
         for passage in self._passages:
             if passage.connection != connection:
                 connection = passage.connection
                 self._link.vanish()
-                self._sleep(clock.until(float(passage.time_s[0])))
+                self._sleep(self._until(float(passage.time_s[0])))
                 self._link.appear()
-                if not clock.paced and not self._reader_settled():
+                if not self._paced and not self._reader_settled():
                     return
-            if not clock.paced and not self._sleep(passage.silent_s):
+            if not self._paced and not self._sleep(passage.silent_s):
                 return
-            if not self._send(passage, clock):
+            if not self._send(passage):
                 return
 
-    def _send(self, passage: Passage, clock: _Clock) -> bool:
+    def _send(self, passage: Passage) -> bool:
         """Send a passage; return whether to go on."""
         data = memoryview(passage.data)
-        if not clock.paced:
-            return self._send_all(data)
-        sent = k = 0
-        while k < len(passage.frames):
-            if not self._sleep(clock.until(float(passage.time_s[k]))):
+        while data and not self._paced:
+            if self._stopped.is_set() or not (self._link.has_reader() or self._reader_settled()):
                 return False
-            k = max(k + 1, int(np.searchsorted(passage.time_s, clock.now(), side="right")))
+            data = data[self._write(data) :]
+        sent = k = 0
+        while k < len(passage.frames) and self._paced:
+            if not self._sleep(self._until(float(passage.time_s[k]))):
+                return False
+            now_s = (time.monotonic() - self._zero) * self._speed
+            k = max(k + 1, int(np.searchsorted(passage.time_s, now_s, side="right")))
             end = int(passage.ends[k - 1])
             while sent < end and self._link.has_reader() and not self._stopped.is_set():
                 sent += self._write(data[sent:end])
             sent = end
-        return True
-
-    def _send_all(self, data: memoryview) -> bool:
-        while data:
-            if self._stopped.is_set() or not (self._link.has_reader() or self._reader_settled()):
-                return False
-            data = data[self._write(data) :]
         return True
 
     def _write(self, data: memoryview) -> int:
@@ -170,30 +166,16 @@ class Emulator:
             self._each(began_ns, sent)
         return sent
 
+    def _until(self, time_s: float) -> float:
+        """How long to wait until a time of the board [s], which begins with the first frame."""
+        if not self._paced:
+            return 0.0
+        if math.isnan(self._zero):
+            self._zero = time.monotonic() - time_s / self._speed
+        return self._zero + time_s / self._speed - time.monotonic()
+
     def _sleep(self, seconds: float) -> bool:
         """Wait; return whether to go on."""
         if seconds <= 0:
             return not self._stopped.is_set()
         return not self._stopped.wait(seconds)
-
-
-class _Clock:
-    """Time of the board, which begins with the first frame."""
-
-    def __init__(self, speed: float) -> None:
-        self.paced = math.isfinite(speed)
-        self._speed = speed
-        self._zero: float | None = None
-
-    def until(self, time_s: float) -> float:
-        """How long to wait until a time of the board [s]."""
-        if not self.paced:
-            return 0.0
-        if self._zero is None:
-            self._zero = time.monotonic() - time_s / self._speed
-        return self._zero + time_s / self._speed - time.monotonic()
-
-    def now(self) -> float:
-        """Time of the board [s]."""
-        assert self._zero is not None
-        return (time.monotonic() - self._zero) * self._speed

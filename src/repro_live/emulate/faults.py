@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 _CHANCES = ("flips", "drops", "duplicates", "bursts", "stalls", "disconnects", "reboots")
 """Those of :class:`Faults` that are chances."""
@@ -71,8 +71,7 @@ class Faults:
         for name in ("stall_s", "away_s", "boot_s"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise bad_input(name, "Faults", "a time of 0 or more [s]", getattr(self, name))
-        if self.burst_bytes < 1:
-            raise bad_input("burst_bytes", "Faults", "1 or more", self.burst_bytes)
+        require(self.burst_bytes >= 1, "burst_bytes", "Faults", "1 or more", self.burst_bytes)
         if not abs(self.drift_ppm) < 1e6:
             raise bad_input("drift_ppm", "Faults", "between -1e6 and 1e6 [parts per million]", self.drift_ppm)
 

@@ -83,8 +83,7 @@ class SensorFaults:
         n = len(robot.channel) if magnetic else len(robot.imus)
         for name in _NUMBERED:
             number = getattr(self, name)
-            if number > n:
-                raise bad_input(name, robot.name, f"the number of a sensor, 1 to {n}", number)
+            require(number <= n, name, robot.name, f"the number of a sensor, 1 to {n}", number)
             if number and not magnetic and name not in ("unplug", "stick"):
                 raise bad_input("fault", robot.name, "unplug, stick or noise for IMUs", name)
         if self.magnet and (not magnetic or robot.networks):
@@ -128,8 +127,7 @@ def faults_named(
             values[kind][name] = number(text)
         except ValueError as error:
             raise bad_input(name, "repro emulate", must_be, repr(text)) from error
-        if name in _NUMBERED and values[kind][name] < 1:
-            raise bad_input(name, "repro emulate", must_be, repr(text))
+        require(name not in _NUMBERED or values[kind][name] >= 1, name, "repro emulate", must_be, repr(text))
     return Faults(**values[Faults]), SensorFaults(**values[SensorFaults])  # pyright: ignore[reportArgumentType]
 
 
@@ -176,62 +174,52 @@ def with_sensor_faults(
     if since == len(part.time_s) or faults == SensorFaults():
         return part
     rng = np.random.default_rng([seed, 3, round(1e6 * float(part.time_s[0]))])
-    values, orientations = part.values.copy(), part.orientations.copy()
-    if part.robot.channel:
-        _break_magnetic(part, faults, values, since, before, rng)
-    else:
-        _break_imus(part.robot.imu_noise, faults, orientations, since, before, rng)
-    return replace(part, values=values, orientations=orientations)
-
-
-def _break_magnetic(
-    part: RobotReadings,
-    faults: SensorFaults,
-    values: np.ndarray,
-    since: int,
-    before: RobotReadings | None,
-    rng: np.random.Generator,
-) -> None:
-    robot, late, used = part.robot, slice(since, None), list(part.robot.channel)
+    signals = _signals(part)
+    late, number = signals[since:], faults.stick - 1
     # what reaches all sensors first, then each sensor, then what is left of it on the way
+    (_disturb_magnetic if part.robot.channel else _turn_imus)(part, faults, late, rng)
+    if faults.stick:
+        earlier = signals[since - 1] if since else late[0] if before is None else _signals(before)[-1]
+        late[:, number] = earlier[number]
+    if faults.unplug:
+        late[:, faults.unplug - 1] = 0.0 if part.robot.channel else math.nan
+    if faults.nan:
+        late[:, faults.nan - 1] = math.nan
+    if not part.robot.channel:
+        return replace(part, orientations=signals)
+    values = part.values.copy()
+    values[:, list(part.robot.channel)] = signals
+    return replace(part, values=values)
+
+
+def _signals(part: RobotReadings) -> np.ndarray:
+    """Readings of the magnetic sensors ``[rounds, sensors]``, or orientations of the IMUs ``[rounds, imus, 4]``."""
+    channel = list(part.robot.channel)
+    return part.values[:, channel] if channel else part.orientations.copy()
+
+
+def _disturb_magnetic(
+    part: RobotReadings, faults: SensorFaults, late: np.ndarray, rng: np.random.Generator
+) -> None:
+    robot = part.robot
     if faults.magnet:
-        values[late, used] += robot.gain.numpy() * _foreign_field(robot, part.q[late], 1e-3 * faults.magnet)
+        q = part.q[len(part.q) - len(late) :]
+        late += robot.gain.numpy() * _foreign_field(robot, q, 1e-3 * faults.magnet)
     if faults.noise > 1:
-        more = robot.noise * math.sqrt(faults.noise**2 - 1)
-        values[late, used] += more * rng.standard_normal((len(values) - since, len(used)))
+        late += robot.noise * math.sqrt(faults.noise**2 - 1) * rng.standard_normal(late.shape)
     if k := faults.gain:
-        signal, offset = values[late, used[k - 1]], float(robot.offset[k - 1])
-        values[late, used[k - 1]] = offset + (1 + _GAIN_CHANGE) * (signal - offset)
+        offset = float(robot.offset[k - 1])
+        late[:, k - 1] = offset + (1 + _GAIN_CHANGE) * (late[:, k - 1] - offset)
     if k := faults.saturate:
         offset, level = float(robot.offset[k - 1]), saturation_level(robot, k)
-        values[late, used[k - 1]] = values[late, used[k - 1]].clip(offset - level, offset + level)
-    if k := faults.stick:
-        earlier = values[since - 1] if since else values[0] if before is None else before.values[-1]
-        values[late, used[k - 1]] = earlier[used[k - 1]]
-    if k := faults.unplug:
-        values[late, used[k - 1]] = 0.0
-    if k := faults.nan:
-        values[late, used[k - 1]] = math.nan
+        late[:, k - 1] = late[:, k - 1].clip(offset - level, offset + level)
 
 
-def _break_imus(
-    noise_rad: float,
-    faults: SensorFaults,
-    orientations: np.ndarray,
-    since: int,
-    before: RobotReadings | None,
-    rng: np.random.Generator,
-) -> None:
-    late = orientations[since:]
+def _turn_imus(part: RobotReadings, faults: SensorFaults, late: np.ndarray, rng: np.random.Generator) -> None:
     if faults.noise > 1:
-        more = noise_rad * math.sqrt(faults.noise**2 - 1)
+        more = part.robot.imu_noise * math.sqrt(faults.noise**2 - 1)
         turn = Rotation.from_rotvec(more * rng.standard_normal((late[..., 0].size, 3)))
         late[:] = (Rotation.from_quat(late.reshape(-1, 4)) * turn).as_quat().reshape(late.shape)
-    if k := faults.stick:
-        earlier = orientations[since - 1] if since else late[0] if before is None else before.orientations[-1]
-        late[:, k - 1] = earlier[k - 1]
-    if k := faults.unplug:
-        late[:, k - 1] = math.nan
 
 
 def saturation_level(robot: RobotFile, number: int) -> float:

@@ -12,6 +12,7 @@ import math
 import queue
 import threading
 import time
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -93,7 +94,10 @@ class BrowserView:
         self._threads[1].join()
         with self._lock:
             for client in self._clients:
-                _put(client, None)
+                if client.full():  # in the place of the oldest
+                    with suppress(queue.Empty):
+                        client.get_nowait()
+                client.put_nowait(None)
         deadline = time.monotonic() + ALIVE_S
         while self._clients and time.monotonic() < deadline:  # they are told that it is over
             time.sleep(0.01)
@@ -193,15 +197,3 @@ def _largest_mm(blocks: torch.Tensor, robot: RobotFile) -> list[float]:
 def _traces(estimator: RobotEstimator, u: torch.Tensor) -> list[float | None]:
     """Readings, or of IMUs how far the arm leans there [deg]."""
     return [float(f"{x:.6g}") if math.isfinite(x) else None for x in estimator.shown(u).tolist()]
-
-
-def _put(client: queue.Queue[str | None], text: str | None) -> None:
-    """Put it in, in place of the oldest if there is no room."""
-    while True:
-        try:
-            return client.put_nowait(text)
-        except queue.Full:
-            try:
-                client.get_nowait()
-            except queue.Empty:
-                continue

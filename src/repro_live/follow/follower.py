@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float
@@ -14,10 +13,12 @@ from tqdm import tqdm
 from repro.errors import InputError
 from repro.estimation.base import Estimate
 from repro.estimation.consistency import Status, Verdict
-from repro_live.follow import imu_streams
 from repro_live.follow.robot_estimator import RobotEstimator
 from repro_live.follow.time_steps import TimeStep, time_steps
 from repro_live.robot.readings_file import Readings
+
+_SILENT_S = 1.0
+"""A stream of which nothing was heard for so long gives no reading [s]; until then it is only slower than others."""
 
 
 class Follower:
@@ -34,6 +35,8 @@ class Follower:
     ----------
     estimated
         Time steps with an estimate.
+    consistency
+        How many of these are consistent, suspicious, wrong.
     missing
         For every sensor, time steps in which it gave no number.
     refused
@@ -47,8 +50,8 @@ class Follower:
         self.estimator = estimator
         self.estimated = self.refused = 0
         self.refusal = ""
-        self.missing = [0] * len(estimator.sensors)
-        self._silences = imu_streams.Silences(len(estimator.robot.channel))
+        self.missing, self.consistency = [0] * len(estimator.sensors), [0] * len(Status)
+        self._heard: dict[int, float] = {}
         self._state = estimator.method.init(estimator.start, seed=seed)
 
     @property
@@ -66,7 +69,7 @@ class Follower:
             u = self.estimator.readings(step)
             missing = self.estimator.missing(u)
             if self.estimator.stacked is not None:
-                missing = self._silences.told(step, missing)
+                missing = self._told(step, missing)
             for k, gone in enumerate(missing):
                 self.missing[k] += gone
             self._state, estimate = self.estimator.method.step(
@@ -77,44 +80,19 @@ class Follower:
             self.refusal = str(error)
             return u, None
         self.estimated += 1
+        self.consistency[self.verdict.status] += 1
         return u, estimate
 
-
-@dataclass
-class Tracked:
-    """What became of a recording.
-
-    Attributes
-    ----------
-    follower
-        The estimator behind the last time step, and its counters.
-    seconds
-        How long it took.
-    notes
-        What was left out, one sentence each.
-    consistency
-        How many estimates are consistent, suspicious, wrong; zeros where the estimator does not say.
-    """
-
-    follower: Follower
-    seconds: float = 0.0
-    notes: list[str] = field(default_factory=list)
-    consistency: list[int] = field(default_factory=lambda: [0] * len(Status))
-
-    def lines(self) -> list[str]:
-        """Return the summary in words: estimates, consistency, and what could not be used."""
-        follower = self.follower
-        rate = f", {follower.estimated / self.seconds:.0f} per second" if self.seconds else ""
-        said = [f"{follower.estimated} estimates by {follower.estimator.name} in {self.seconds:.1f} s{rate}."]
-        if sum(self.consistency):
-            counts = zip(self.consistency, (x.word for x in Status), strict=True)
-            said.append(f"Consistency: {', '.join(f'{n} {word}' for n, word in counts)}.")
-        if follower.refused:
-            said.append(f"{follower.refused} time steps without an estimate. {follower.refusal}")
-        for name, count in zip(follower.estimator.sensors, follower.missing, strict=True):
-            if count:
-                said.append(f"{name} gave no reading in {count} time steps and was left out there.")
-        return said + self.notes
+    def _told(self, step: TimeStep, missing: list[bool]) -> list[bool]:
+        """Which of the sensors that gave no number are to be told of: streams that are only slower are not."""
+        n, said = len(self.estimator.robot.channel), list(missing)
+        for k, frame in enumerate(step.frames):
+            if frame is not None:
+                self._heard[k] = step.time_s
+            elif step.time_s - self._heard.setdefault(k, step.time_s) < _SILENT_S:
+                first, last = (0, n) if k == 0 else (n + k - 1, n + k)
+                said[first:last] = [False] * (last - first)
+        return said
 
 
 def track_readings(
@@ -124,7 +102,7 @@ def track_readings(
     *,
     progress: bool = False,
     seed: int = 0,
-) -> Tracked:
+) -> tuple[Follower, list[str]]:
     """Estimate readings at full speed, by the same steps as live.
 
     Parameters
@@ -139,22 +117,34 @@ def track_readings(
         Show a progress bar.
     seed
         Of estimators that draw random numbers.
+
+    Returns
+    -------
+    follower, summary
+        The estimator behind the last time step, with its counts; and in sentences: how many estimates, how
+        consistent, what could not be used, what was left out.
     """
-    tracked = Tracked(Follower(estimator, seed=seed), notes=list(readings.notes))
-    began = time.monotonic()
+    follower, began = Follower(estimator, seed=seed), time.monotonic()
     with tqdm(total=len(readings.frames), unit="frames", disable=not progress) as bar:
-        counted = 0
         for complete in time_steps(readings, estimator.robot):
             for step in complete:
-                _, estimate = tracked.follower.step(step)
-                if estimate is None:
-                    continue
-                if (status := estimate.diagnostics.get("status")) is not None:
-                    tracked.consistency[int(status)] += 1
-                each(readings.start_s + step.time_s, estimate)
-            used = sum(frame is not None for step in complete for frame in step.frames)
-            counted += used
-            bar.update(used)
-        bar.update(len(readings.frames) - counted)
-    tracked.seconds = time.monotonic() - began
-    return tracked
+                _, estimate = follower.step(step)
+                if estimate is not None:
+                    each(readings.start_s + step.time_s, estimate)
+            bar.update(sum(frame is not None for step in complete for frame in step.frames))
+        bar.update(len(readings.frames) - bar.n)
+    return follower, _summary(follower, time.monotonic() - began) + readings.notes
+
+
+def _summary(follower: Follower, seconds: float) -> list[str]:
+    rate = f", {follower.estimated / seconds:.0f} per second" if seconds else ""
+    said = [f"{follower.estimated} estimates by {follower.estimator.name} in {seconds:.1f} s{rate}."]
+    if follower.estimated:
+        counts = zip(follower.consistency, (x.word for x in Status), strict=True)
+        said.append(f"Consistency: {', '.join(f'{n} {word}' for n, word in counts)}.")
+    if follower.refused:
+        said.append(f"{follower.refused} time steps without an estimate. {follower.refusal}")
+    for name, count in zip(follower.estimator.sensors, follower.missing, strict=True):
+        if count:
+            said.append(f"{name} gave no reading in {count} time steps and was left out there.")
+    return said

@@ -26,9 +26,6 @@ from repro_live.follow.time_steps import TimeStep
 from repro_live.view.robot_view import POINTS_PER_SEGMENT
 from repro_live.wire.frame import Frame
 
-_SILENT_S = 1.0
-"""A stream of which nothing was heard for so long gives no reading [s]; until then it is only slower than others."""
-
 
 def chain(robot: RobotFile) -> ImuShape:
     """Estimator of a robot of IMUs alone.
@@ -183,28 +180,3 @@ def shown(
     ]  # the backbone as IMUs see it
     leans = [part[-3:] @ torch.from_numpy(axis) for part, axis in zip(parts, axes, strict=True)]
     return torch.cat([u[:n] * robot.noise, torch.rad2deg(torch.arccos(torch.stack(leans).clamp(-1, 1)))])
-
-
-class Silences:
-    """Which of the sensors that gave no number in a time step are to be told of: slower streams are not.
-
-    Parameters
-    ----------
-    sensors
-        How many there are besides the IMUs.
-    """
-
-    def __init__(self, sensors: int) -> None:
-        self._sensors = sensors
-        self._heard: dict[int, float] = {}
-
-    def told(self, step: TimeStep, missing: Sequence[bool]) -> list[bool]:
-        """Return ``missing`` without the streams that had nothing to send yet."""
-        said = list(missing)
-        for k, frame in enumerate(step.frames):
-            if frame is not None:
-                self._heard[k] = step.time_s
-            elif step.time_s - self._heard.setdefault(k, step.time_s) < _SILENT_S:
-                first, last = (0, self._sensors) if k == 0 else (self._sensors + k - 1, self._sensors + k)
-                said[first:last] = [False] * (last - first)
-        return said

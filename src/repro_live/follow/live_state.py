@@ -154,7 +154,6 @@ class Tally:
         self._counted, self._counted_at = 0, self._began
         self._time_s = self._since_s = math.nan
         self._last: tuple[Tensor, Estimate] | None = None
-        self._doubted = 0
         self._missing_now = (False,) * len(follower.missing)
         self._estimated_at = self._began
         self._arrived_at = self._bytes_at = self._dropped_at = self._refused_at = -math.inf
@@ -197,7 +196,6 @@ class Tally:
         if estimate is None:
             self._refused_at = 1e-9 * done_ns
             return None
-        self._doubted += self._follower.verdict.status > Status.CONSISTENT
         moments = (step.arrival_ns, step.parsed_ns, taken_ns, done_ns)
         for stage, start, end in zip(STAGES, moments, moments[1:], strict=False):
             self._latencies[stage].add(1e-9 * (end - start))
@@ -242,7 +240,7 @@ class Tally:
             readings=readings,
             estimate=estimate,
             verdict=follower.verdict,
-            doubted=self._doubted,
+            doubted=follower.estimated - follower.consistency[Status.CONSISTENT],
             age_s=age_s,
             silent=age_s > window_s,
             arriving=arriving,

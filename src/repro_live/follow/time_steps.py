@@ -68,7 +68,10 @@ class TimeSteps:
         self._place = {stream: k for k, stream in enumerate(streams)}
         self._rate_hz = rate_hz
         self._waiting: list[Frame | None] = [None] * len(self._place)
-        self._clock = _Clock()
+        self._time_s = 0.0
+        self._before: tuple[float, int | None] | None = (
+            None  # arrival [s] and time of the board of the last step
+        )
 
     def add(self, arrival_ns: int, frames: Sequence[Frame]) -> list[TimeStep]:
         """Take frames that arrived together; return the steps that they complete, in order."""
@@ -83,12 +86,10 @@ class TimeSteps:
             self._waiting[place] = frame
             if None not in self._waiting:
                 complete.append(self._taken())
-        parsed_ns, behind = time.monotonic_ns(), len(complete)
-        steps = []
-        for together in complete:
-            behind -= 1
+        parsed_ns, steps = time.monotonic_ns(), []
+        for behind, together in zip(reversed(range(len(complete))), complete, strict=True):
             sent_us = next((frame.device_us for frame in together if frame is not None), None)
-            time_s = self._clock.at(1e-9 * arrival_ns - behind / self._rate_hz, sent_us)
+            time_s = self._time(1e-9 * arrival_ns - behind / self._rate_hz, sent_us)
             steps.append(TimeStep(time_s, arrival_ns, parsed_ns, together))
         return steps
 
@@ -97,27 +98,18 @@ class TimeSteps:
         self._waiting[:] = [None] * len(self._place)
         return together
 
-
-class _Clock:
-    """Time since the first step: it increases, whatever the clocks do."""
-
-    def __init__(self) -> None:
-        self._time_s = 0.0
-        self._host_s: float | None = None
-        self._sent_us: int | None = None
-
-    def at(self, host_s: float, sent_us: int | None) -> float:
-        if self._host_s is None:
-            self._host_s, self._sent_us = host_s, sent_us
+    def _time(self, host_s: float, sent_us: int | None) -> float:
+        """Time since the first step: it increases, whatever the clocks do."""
+        before, self._before = self._before, (host_s, sent_us)
+        if before is None:
             return 0.0
-        passed_s = host_s - self._host_s
-        if sent_us is not None and self._sent_us is not None:
+        passed_s = host_s - before[0]
+        if sent_us is not None and before[1] is not None:
             # one wrap is 72 minutes: a longer silence is told by the host alone
-            device_s = 1e-6 * ((sent_us - self._sent_us) % WRAP)
+            device_s = 1e-6 * ((sent_us - before[1]) % WRAP)
             if device_s < passed_s + _PLAUSIBLE_S:
                 passed_s = device_s
         self._time_s += max(passed_s, _SHORTEST_S)
-        self._host_s, self._sent_us = host_s, sent_us
         return self._time_s
 
 

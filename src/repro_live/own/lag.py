@@ -39,12 +39,8 @@ class Lag:
         To be added to the times of the poses to have those of the readings [s].
     error_s
         Its standard deviation, by what the blocks of the recording say [s].
-    drift_ppm, drift_error_ppm
-        By how much the clock of the readings is faster, and its standard deviation.
     r
         Correlation of predicted and measured readings.
-    slope
-        How much measured readings move, where predicted ones move by 1.
     residual
         Root mean square of what is left after a gain and an offset for each sensor [unit].
     common_s
@@ -53,10 +49,7 @@ class Lag:
 
     lag_s: float
     error_s: float
-    drift_ppm: float
-    drift_error_ppm: float
     r: float
-    slope: float
     residual: float
     common_s: float
 
@@ -212,29 +205,19 @@ def refined(readings: Samples, predicted: Samples, near_s: float) -> Lag:
         raise bad_input("readings and poses", OWNER, expected, "a correlation that rises away from there")
     x, gain = fitted(shift)
     left = u - gain * x
-    error_s, drift, drift_error = _blocks(time_s, -left * rate, gain * predicted_rate * rate)
+    error_s = _error_s(-left * rate, gain * predicted_rate * rate)
     r = float((gain * x * u).sum() / np.sqrt(((gain * x) ** 2).sum() * (u**2).sum()))
-    slope = float((x * u).sum() / (x**2).sum())
     common_s = float(len(u) * np.median(np.diff(readings.time_s)))
-    residual = float(np.sqrt((left**2).mean()))
-    return Lag(near_s + shift, error_s, 1e6 * drift, 1e6 * drift_error, r, slope, residual, common_s)
+    return Lag(near_s + shift, error_s, r, float(np.sqrt((left**2).mean())), common_s)
 
 
-def _blocks(time_s: np.ndarray, left: np.ndarray, slope: np.ndarray) -> tuple[float, float, float]:
-    """Error of the lag [s], drift and its error, from the lag that each block of time asks for by itself.
+def _error_s(left: np.ndarray, slope: np.ndarray) -> float:
+    """Error of the lag [s], from the lag that each block of time asks for by itself.
 
     Of every time and sensor: what is left of the sum that shall vanish, and how fast that changes with the lag.
     """
-    parts = np.array_split(np.arange(len(time_s)), _BLOCKS)
-    weight = np.maximum([slope[k].sum() for k in parts], np.finfo(float).tiny)
-    own = np.array([left[k].sum() for k in parts]) / weight
-    middle = np.array([time_s[k].mean() for k in parts])
+    weight = np.maximum([part.sum() for part in np.array_split(slope, _BLOCKS)], np.finfo(float).tiny)
+    own = np.array([part.sum() for part in np.array_split(left, _BLOCKS)]) / weight
     share = weight / weight.sum()
-    about = middle - share @ middle
-    spread = share @ about**2
-    drift = float(share @ (about * own) / spread)
     rest = own - share @ own
-    error_s = float(np.sqrt((share**2 * rest**2).sum() * _BLOCKS / (_BLOCKS - 1)))
-    rest = rest - drift * about
-    drift_error = float(np.sqrt((share**2 * about**2 * rest**2).sum() * _BLOCKS / (_BLOCKS - 2)) / spread)
-    return error_s, drift, drift_error
+    return float(np.sqrt((share**2 * rest**2).sum() * _BLOCKS / (_BLOCKS - 1)))

@@ -8,8 +8,6 @@ true orientation T, the orientation seen is T H. No body moves like that: half a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
@@ -22,25 +20,6 @@ SAME_TURN_DEG = 15.0
 """Jumps within this of each other are one exchange [deg]; those of different markers are 125 deg apart."""
 LARGEST_REST_DEG = 5.0
 """Largest turn that may be left at an end of a stretch whose exchange was undone [deg]."""
-
-
-@dataclass(frozen=True)
-class Undone:
-    """Orientations of which exchanges are undone.
-
-    Attributes
-    ----------
-    quaternions
-        Body to world, XYZW; of the frames in ``frames`` as if no marker had been exchanged, else as they came.
-    frames
-        Which frames were turned back.
-    turns_deg
-        The half turns found, in body axes, one row each: axis times angle [deg].
-    """
-
-    quaternions: Float[np.ndarray, "frames 4"]
-    frames: Bool[np.ndarray, " frames"]
-    turns_deg: Float[np.ndarray, "turns 3"]
 
 
 def not_turned(
@@ -59,7 +38,7 @@ def undo_exchanges(
     quaternions: Float[np.ndarray, "frames 4"],
     tracked: Bool[np.ndarray, " frames"],
     kept: Bool[np.ndarray, " frames"],
-) -> Undone:
+) -> tuple[Float[np.ndarray, "frames 4"], Bool[np.ndarray, " frames"], int]:
     """Turn back the frames in which markers are exchanged.
 
     A stretch of turned frames is turned back as a whole, by the half turn that joins it to the frame before or behind
@@ -74,6 +53,12 @@ def undo_exchanges(
         Frames in which the body was seen.
     kept
         Of :func:`not_turned`.
+
+    Returns
+    -------
+    quaternions, frames, turns
+        Orientations as if no marker had been exchanged in ``frames``, else as they came; which frames were turned
+        back; and how many half turns were found.
     """
     off = tracked & ~kept
     seen = Rotation.from_quat(np.where(tracked[:, None], quaternions, [0.0, 0.0, 0.0, 1.0]))
@@ -89,8 +74,7 @@ def undo_exchanges(
                     if rest < best[0]:
                         best, undone[start:end] = (rest, back.as_quat()), True
         found[start:end] = best[1]
-    vectors = np.array([turn.as_rotvec(degrees=True) for turn in turns]).reshape(-1, 3)
-    return Undone(np.where(undone[:, None], found, quaternions), undone, vectors)
+    return np.where(undone[:, None], found, quaternions), undone, len(turns)
 
 
 def _half_turns(seen: Rotation, kept: np.ndarray, off: np.ndarray) -> list[Rotation]:

@@ -189,8 +189,7 @@ def read_header(rows: list[list[str]], owner: str, *, version: str, frames: int)
         rate_hz = float(header["Capture Frame Rate"])
     except ValueError:
         rate_hz = 0.0
-    if not 0 < rate_hz < np.inf:
-        raise bad_input("Capture Frame Rate", owner, "above zero", header["Capture Frame Rate"])
+    require(0 < rate_hz < np.inf, "Capture Frame Rate", owner, "above zero", header["Capture Frame Rate"])
     return header
 
 
@@ -234,11 +233,11 @@ def _motion(table: np.ndarray, owner: str) -> tuple[pd.DataFrame, int, int, int,
     tilt = np.degrees(np.arccos(np.clip(Rotation.from_quat(quaternions[first]).as_matrix()[1, 1], -1.0, 1.0)))
     require(tilt < 45.0, "first frame", owner, "upright within 45 deg", f"{tilt:.1f} deg")
     upright = not_turned(quaternions, tracked)
-    undone = undo_exchanges(quaternions, tracked, upright)
-    kept = upright | undone.frames
-    known = kept & ~_near_jumps(undone.quaternions, kept)
+    upright_again, undone, turns = undo_exchanges(quaternions, tracked, upright)
+    kept = upright | undone
+    known = kept & ~_near_jumps(upright_again, kept)
     axes = np.full((len(table), 3, 3), np.nan)
-    axes[known] = Rotation.from_quat(undone.quaternions[known]).as_matrix()
+    axes[known] = Rotation.from_quat(upright_again[known]).as_matrix()
     moved = place - place[first]
     motion = pd.DataFrame(
         {
@@ -248,7 +247,7 @@ def _motion(table: np.ndarray, owner: str) -> tuple[pd.DataFrame, int, int, int,
             "tilt_z_rad": np.arccos(np.clip(axes[:, 2, 2], -1.0, 1.0)),
             "moved_mm": np.linalg.norm(moved, axis=1),
             "moved_towards_rad": np.arctan2(moved[:, 0], moved[:, 1]),
-            "undone": undone.frames,
+            "undone": undone,
         }
     )
     left = len(table) - int((upright & ~_near_jumps(quaternions, upright)).sum())
@@ -257,8 +256,8 @@ def _motion(table: np.ndarray, owner: str) -> tuple[pd.DataFrame, int, int, int,
         int((~tracked).sum()),
         int((tracked & ~kept).sum()),
         int((kept & ~known).sum()),
-        int(undone.frames.sum()),
-        len(undone.turns_deg),
+        int(undone.sum()),
+        turns,
         left / len(table),
     )
 

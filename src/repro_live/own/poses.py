@@ -114,27 +114,43 @@ def read_measured_poses(
         If the file does not hold poses of this robot; the message names column and line, or says what does not fit.
     """
     require(0 <= straight_s < math.inf, "straight-s", "repro fit", "0 or above", straight_s)
+    time_s, table = _rows(path, robot, bodies)
+    seen = np.asarray(np.isfinite(table).reshape(len(table), -1).all(axis=1))
+    tip, tip_covariance, notes = None, None, ()
+    if table.ndim == 2:
+        require(not straight_s, "straight-s", "repro fit", "for measured poses of bodies only", path.name)
+        q = torch.from_numpy(table[seen])
+        covariance = pose_covariance(robot, noise_m, noise_rad).expand(len(q), -1, -1)
+    else:
+        require(seen.any(), "poses", path.name, "seen in some frame by all bodies", "none in any frame")
+        T = end_poses(path.name, robot, time_s[seen], table[seen], straight_s)
+        q, covariance, fits, notes = configurations_of(path.name, robot, T, noise_m, noise_rad)
+        seen[seen] = fits
+        tip, tip_covariance = T[fits, -1, :3, 3], noise_m**2 * torch.eye(3, dtype=torch.float64)
+    require(len(q) >= 3, "poses", path.name, "at least three", f"{len(q)} of {len(seen)} rows")
+    _check_range(path, robot, q)
+    if len(q) < len(seen):
+        notes = (*notes, f"{len(seen) - len(q)} of {len(seen)} rows of {path.name} have no pose.")
+    step_s = float(np.median(np.diff(time_s)))
+    return MeasuredPoses(time_s[seen], q, covariance, tip, tip_covariance, step_s, len(seen), notes)
+
+
+def _rows(path: Path, robot: RobotFile, bodies: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return times [s], and coordinates ``[rows, n_q]`` or positions [m] and quaternions ``[rows, bodies, 7]``."""
     if is_motive(path):
         ends = len(robot.robot.segments)
         if len(bodies) not in (ends, ends + 1) or len(set(bodies)) != len(bodies):
             expected = f"{ends} different rigid bodies from base to tip, or {ends + 1} with one on the base"
             raise bad_input("body", "repro fit", expected, ", ".join(bodies) or "none (use --body NAME)")
-        time_s, table = read_bodies(path, bodies)
-        return _of_bodies(path, robot, time_s, table, straight_s, noise_m, noise_rad)
-    if bodies:
-        raise bad_input("body", "repro fit", "for files of Motive only", path.name)
+        return read_bodies(path, bodies)
+    require(not bodies, "body", "repro fit", "for files of Motive only", path.name)
     table = read_numbers(path)
     time_column, time_s = times_of(path.name, table, apart=True)
     table = table.drop(columns=time_column)
     columns = coordinate_columns(robot)
     if any(name in table for name in columns):
-        if straight_s:
-            raise bad_input("straight-s", "repro fit", "for measured poses of bodies only", path.name)
         check_columns(path.name, list(columns), list(table), "a time")
-        values = torch.from_numpy(table[list(columns)].to_numpy() * np.array(list(columns.values())))
-        seen = torch.isfinite(values).all(-1).numpy()
-        covariance = pose_covariance(robot, noise_m, noise_rad).expand(int(seen.sum()), -1, -1)
-        return _measured(path, robot, time_s, seen, values[seen], covariance, None, noise_m, ())
+        return time_s, table[list(columns)].to_numpy() * np.array(list(columns.values()))
     first = int("qx_0" not in table.columns)
     numbers = range(first, len(robot.robot.segments) + 1)
     unit = "_m" if f"x_{first}_m" in table.columns else "_mm"
@@ -146,44 +162,7 @@ def read_measured_poses(
     check_columns(path.name, names, list(table), "a time")
     values = table[names].to_numpy(copy=True).reshape(len(table), len(wanted), 7)
     values[..., :3] *= 1.0 if unit == "_m" else 1e-3
-    return _of_bodies(path, robot, time_s, values, straight_s, noise_m, noise_rad)
-
-
-def _of_bodies(
-    path: Path,
-    robot: RobotFile,
-    time_s: np.ndarray,
-    table: np.ndarray,
-    straight_s: float,
-    noise_m: float,
-    noise_rad: float,
-) -> MeasuredPoses:
-    seen = np.asarray(np.isfinite(table).all(axis=(1, 2)))
-    require(seen.any(), "poses", path.name, "seen in some frame by all bodies", "none in any frame")
-    T = end_poses(path.name, robot, time_s[seen], table[seen], straight_s)
-    q, covariance, fits, note = configurations_of(path.name, robot, T, noise_m, noise_rad)
-    seen[seen] = fits
-    return _measured(path, robot, time_s, seen, q, covariance, T[fits, -1, :3, 3], noise_m, note)
-
-
-def _measured(
-    path: Path,
-    robot: RobotFile,
-    time_s: np.ndarray,
-    seen: np.ndarray,
-    q: Tensor,
-    covariance: Tensor,
-    tip: Tensor | None,
-    noise_m: float,
-    notes: tuple[str, ...],
-) -> MeasuredPoses:
-    require(len(q) >= 3, "poses", path.name, "at least three", f"{len(q)} of {len(seen)} rows")
-    _check_range(path, robot, q)
-    if len(q) < len(seen):
-        notes = (*notes, f"{len(seen) - len(q)} of {len(seen)} rows of {path.name} have no pose.")
-    tip_covariance = None if tip is None else noise_m**2 * torch.eye(3, dtype=torch.float64)
-    step_s = float(np.median(np.diff(time_s)))
-    return MeasuredPoses(time_s[seen], q, covariance, tip, tip_covariance, step_s, len(seen), notes)
+    return time_s, values
 
 
 def _check_range(path: Path, robot: RobotFile, q: Tensor) -> None:

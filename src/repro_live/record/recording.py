@@ -135,54 +135,40 @@ def read_recording(path: Path) -> Recording:
         If it has no whole block of a recording.
     """
     data = path.read_bytes()
-    found = _scan(data)
-    if not found.blocks:
+    blocks = list(_blocks(data))
+    if not blocks:
         begins = data.startswith(MAGIC)
         expected = (
             f"a recording ({'at least one block is whole' if begins else f'it starts with {MAGIC.decode()}'})"
         )
         received = f"{len(data)} bytes without a whole block" if begins else data[:16]
         raise bad_input("file", path.name, expected, received)
-    tables = [
-        np.frombuffer(b"".join(block.payload for block in blocks), row_type(width))
-        for width, blocks in found.frames.items()
-    ]
-    first_ns = min((int(table["host_ns"].min()) for table in tables if len(table)), default=None)
-    numbered = any(bool(table["known"].any()) for table in tables)
-    metadata, remarks = metadata_of(path, found.head, first_ns, numbered=numbered)
-    if left_out := found.torn_bytes + found.damaged_bytes:
-        remarks.insert(0, f"{left_out} bytes of the recording are not whole and were left out")
-    frames, widths = _table(found.frames, tables, metadata)
-    return Recording(
-        frames, metadata, widths, found.notes, found.torn_bytes, found.damaged_bytes, tuple(remarks)
-    )
+    head = blocks[0].content if blocks[0].start == 0 and blocks[0].kind == b"H" else None
+    notes = [block.content for block in blocks if block.kind == b"H" and block.start]
+    rows = _rows([block for block in blocks if block.kind == b"F"])
+    first_ns = int(rows["host_ns"].min()) if len(rows) else None
+    metadata, remarks = metadata_of(path, head, first_ns, numbered=bool(rows["known"].any()))
+    torn = len(data) - blocks[-1].end
+    damaged = blocks[-1].end - sum(block.end - block.start for block in blocks)
+    if torn + damaged:
+        remarks.insert(0, f"{torn + damaged} bytes of the recording are not whole and were left out")
+    widths = rows["width"].astype(np.int64)
+    return Recording(_table(rows, metadata), metadata, widths, notes, torn, damaged, tuple(remarks))
 
 
 class _Block(NamedTuple):
-    number: int
-    """Place among the blocks of the file."""
+    start: int
+    end: int
+    kind: bytes
+    width: int
     frames: int
-    payload: bytes
+    content: Any
+    """Of a text what it says, of frames their bytes."""
 
 
-class _Scan(NamedTuple):
-    head: dict[str, Any] | None
-    """Content of the text at the beginning of the file; None if that is damaged."""
-    notes: list[dict[str, Any]]
-    frames: dict[int, list[_Block]]
-    """Blocks of frames by width."""
-    blocks: int
-    """Whole blocks of any kind."""
-    torn_bytes: int
-    damaged_bytes: int
-
-
-def _scan(data: bytes) -> _Scan:
-    head: dict[str, Any] | None = None
-    notes: list[dict[str, Any]] = []
-    frames: dict[int, list[_Block]] = {}
-    at = lost = number = 0
-    good_until = 0
+def _blocks(data: bytes) -> Iterator[_Block]:
+    """Find the whole blocks of a file, in order."""
+    at = 0
     while at + _HEADER_BYTES <= len(data):
         magic, kind, width, count = BLOCK.unpack_from(data, at)
         size = count * row_type(width).itemsize if kind == b"F" and count <= MOST_FRAMES else count
@@ -193,54 +179,40 @@ def _scan(data: bytes) -> _Scan:
         payload = data[at + _HEADER_BYTES : end] if plausible else b""
         (crc,) = CRC.unpack_from(data, at + BLOCK.size)
         whole = plausible and zlib.crc32(payload, zlib.crc32(data[at : at + BLOCK.size])) == crc
-        text = parsed(payload) if whole and kind == b"H" else None
-        if not whole or (kind == b"H" and text is None):
+        content = parsed(payload) if whole and kind == b"H" else payload
+        if not whole or content is None:
             again = data.find(MAGIC, end if whole else at + 1)
             at = len(data) if again < 0 else again
             continue
-        lost += at - good_until
-        if kind == b"F":
-            frames.setdefault(width, []).append(_Block(number, count, payload))
-        elif at == 0:
-            head = text
-        elif text is not None:
-            notes.append(text)
-        number += 1
-        at = good_until = end
-    return _Scan(head, notes, frames, number, len(data) - good_until, lost)
+        yield _Block(at, end, kind, width, count, content)
+        at = end
 
 
-def _table(
-    found: dict[int, list[_Block]], tables: list[np.ndarray], head: dict[str, Any]
-) -> tuple[pd.DataFrame, np.ndarray]:
-    """Put the frames of all blocks into one table, in the order of the file; return it and the frames' widths."""
+def _rows(blocks: list[_Block]) -> np.ndarray:
+    """Return the frames of all blocks, in the order of the file, as wide as the widest of them."""
+    widths = np.repeat(*np.array([(block.width, block.frames) for block in blocks], int).reshape(-1, 2).T)
+    rows = np.zeros(len(widths), row_type(max((block.width for block in blocks), default=0)))
+    for width in sorted({block.width for block in blocks}):
+        payload = b"".join(block.content for block in blocks if block.width == width)
+        part, here = np.frombuffer(payload, row_type(width)), widths == width
+        for name in ("host_ns", "device_us", "sequence", "stream", "width", "known"):
+            rows[name][here] = part[name]
+        rows["values"][here, :width] = part["values"]
+    return rows
+
+
+def _table(rows: np.ndarray, head: dict[str, Any]) -> pd.DataFrame:
     # Killed at once it has no frames yet, but the head tells their columns.
-    most = max(found, default=len(head.get("channels", ())))
-    numbers_of_blocks = [
-        np.repeat([b.number for b in blocks], [b.frames for b in blocks]) for blocks in found.values()
-    ]
-    order = np.concatenate(numbers_of_blocks or [np.zeros(0)]).argsort(kind="stable")
-
-    def column(name: str) -> np.ndarray:
-        return np.concatenate([table[name] for table in tables] or [np.zeros(0, np.int64)])[order]
-
-    values = np.full((len(order), most), np.nan)
-    values[:] = np.concatenate(
-        [np.pad(t["values"], ((0, 0), (0, most - t["values"].shape[1]))) for t in tables] or [values]
-    )[order]
-    widths, known, host_ns = (
-        column("width").astype(np.int64),
-        column("known"),
-        column("host_ns").astype(np.int64),
-    )
-    values[np.arange(most) >= widths[:, None]] = np.nan
+    most = rows["values"].shape[1] or len(head.get("channels", ()))
+    values = rows["values"] if len(rows) else np.zeros((0, most))
+    values = np.where(np.arange(most) < rows["width"][:, None], values, np.nan)
+    host_ns = rows["host_ns"].astype(np.int64)
     numbers = {
-        name: pd.arrays.IntegerArray(column(name).astype(np.int64), (known & bit) == 0)
+        name: pd.arrays.IntegerArray(rows[name].astype(np.int64), (rows["known"] & bit) == 0)
         for name, bit in (("sequence", SEQUENCE), ("device_us", DEVICE))
     }
-    stream = column("stream").astype(np.int64)
+    stream = rows["stream"].astype(np.int64)
     table = pd.DataFrame(
         {"time_s": 1e-9 * (host_ns - head["start_host_ns"]), "host_ns": host_ns, "stream": stream} | numbers
     )
-    names = _columns(head, most)
-    return pd.concat([table, pd.DataFrame(values, columns=names)], axis=1), widths
+    return pd.concat([table, pd.DataFrame(values, columns=_columns(head, most))], axis=1)

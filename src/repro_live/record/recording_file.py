@@ -39,7 +39,7 @@ from typing import Any
 
 import numpy as np
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.files import write_whole
 from repro_live.wire.frame import Frame
 
@@ -264,8 +264,7 @@ def _write_new(path: Path, content: bytes) -> None:
 def check_new(path: Path, owner: str) -> None:
     """Refuse a path at which a recording or its sidecar lies already."""
     for taken in (path, sidecar_path(path)):
-        if taken.exists():
-            raise bad_input("output", owner, _NEW, taken)
+        require(not taken.exists(), "output", owner, _NEW, taken)
 
 
 def sidecar_path(path: Path) -> Path:

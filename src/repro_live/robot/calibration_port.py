@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import torch
 
-from repro.errors import bad_input
+from repro.errors import InputError, bad_input
 from repro.robot_file.columns import MAGNETIC_STREAM
 from repro.robot_file.robot_file import RobotFile
 from repro_live.record.ports import LastingPort
@@ -86,15 +88,15 @@ def guide(
         )
     if len(parts) == len(poses.words):
         return pose_readings(parts, robot)
-    with _Collector(frames) as source:
+    with _read(frames) as arriving:
         for k in range(len(parts), len(poses.words)):
             question = (
                 f"Pose {k + 1} of {len(poses.words)}: {poses.words[k]}. Hold it still and press Enter. "
             )
-            part = _taken(robot, source, question, say, ask, (silence_s, patience_s))
+            part = _taken(robot, arriving, question, say, ask, (silence_s, patience_s))
             if moved(part, robot):
                 say("That was not still: once more.")
-                part = _taken(robot, source, question, say, ask, (silence_s, patience_s))
+                part = _taken(robot, arriving, question, say, ask, (silence_s, patience_s))
             parts.append(part)
             if kept is not None:
                 kept.add(poses.q[k], part)
@@ -155,9 +157,13 @@ def port_frames(
     return frames()
 
 
+_Arriving = queue.SimpleQueue[tuple[float, Frame] | BaseException]
+"""Frames with their arrival [s]; at the end, why no more will come."""
+
+
 def _taken(
     robot: RobotFile,
-    source: _Collector,
+    arriving: _Arriving,
     question: str,
     say: Callable[[str], object],
     ask: Callable[[str], object],
@@ -166,40 +172,43 @@ def _taken(
     """Ask for a pose, and return its readings; told and waited for while the board is away."""
     ask(question)
     silence_s, patience_s = limits_s
-    source.begin()
-    since, seen, told = time.monotonic(), 0, False
-    while True:
-        arrived, end = source.wait(silence_s, first=told)
-        now = time.monotonic()
-        if told and arrived:
-            say("The board is back; half a second from now on.")
-            source.begin()
-            since, seen, told = now, 0, False
+    since, told = time.monotonic(), False
+    from_s = since + _SETTLE_S
+    arrived: list[tuple[float, Frame]] = []
+    while not (len(arrived) >= _LEAST_FRAMES and arrived[-1][0] - arrived[0][0] >= WINDOW_S):
+        try:
+            found = arriving.get(timeout=silence_s)
+        except queue.Empty:
+            if time.monotonic() - since >= patience_s:
+                raise _too_few(f"none for {patience_s:g} s") from None
+            if not told:
+                say(f"No frame for {silence_s:g} s: waiting for the board. Keep the pose; Ctrl-C ends.")
+            arrived, told = [], True
             continue
-        fit = [(t, f) for t, f in arrived if len(f.values) == robot.channels and np.isfinite(f.values).all()]
-        if _complete(arrived):
-            if 2 * len(fit) >= len(arrived):
-                return part_of(np.array([f.values for _, f in fit]), fit[-1][0] - fit[0][0])
-            _refuse(robot, arrived)
-        if end is not None:
-            if not fit:
+        if isinstance(found, BaseException):
+            if not _usable(robot, arrived):
                 _refuse(robot, arrived)
-            received = f"{len(arrived)} of them: {end}"
-            raise bad_input("frames", "repro calibrate", f"{WINDOW_S:g} s of them for a pose", received)
-        if len(arrived) > seen:
-            since, seen = arrived[-1][0], len(arrived)
-        if now - since >= patience_s:
-            received = f"none for {patience_s:g} s"
-            raise bad_input("frames", "repro calibrate", f"{WINDOW_S:g} s of them for a pose", received)
-        if now - since >= silence_s and not told:
-            say(f"No frame for {silence_s:g} s: waiting for the board. Keep the pose; Ctrl-C ends.")
-            source.begin()
-            seen, told = 0, True
+            raise _too_few(f"{len(arrived)} of them: {found}")
+        if found[0] < from_s:  # it may have been on the way
+            continue
+        since = found[0]
+        if told:
+            say("The board is back; half a second from now on.")
+            from_s, told = since + _SETTLE_S, False
+            continue
+        arrived.append(found)
+    fit = _usable(robot, arrived)
+    if 2 * len(fit) < len(arrived):
+        _refuse(robot, arrived)
+    return part_of(np.array([frame.values for _, frame in fit]), fit[-1][0] - fit[0][0])
 
 
-def _complete(arrived: list[tuple[float, Frame]]) -> bool:
-    """Whether frames with their arrival [s] are enough for a pose."""
-    return len(arrived) >= _LEAST_FRAMES and arrived[-1][0] - arrived[0][0] >= WINDOW_S
+def _too_few(received: str) -> InputError:
+    return bad_input("frames", "repro calibrate", f"{WINDOW_S:g} s of them for a pose", received)
+
+
+def _usable(robot: RobotFile, arrived: list[tuple[float, Frame]]) -> list[tuple[float, Frame]]:
+    return [(t, f) for t, f in arrived if len(f.values) == robot.channels and np.isfinite(f.values).all()]
 
 
 def _refuse(robot: RobotFile, arrived: list[tuple[float, Frame]]) -> None:
@@ -210,59 +219,29 @@ def _refuse(robot: RobotFile, arrived: list[tuple[float, Frame]]) -> None:
         raise bad_input("frames", "the stream", "of finite numbers", arrived[-1][1].values)
 
 
-class _Collector:
-    """Reads frames in a thread, and keeps those from a beginning on, with their arrival [s]."""
+@contextmanager
+def _read(frames: Iterator[Frame | None]) -> Iterator[_Arriving]:
+    """Read frames in a thread, all the time, so that their arrival is known."""
+    arriving, over = _Arriving(), threading.Event()
 
-    def __init__(self, frames: Iterator[Frame | None]) -> None:
-        self._changed = threading.Condition()
-        self._taken: list[tuple[float, Frame]] | None = None
-        self._end: BaseException | None = None
-        self._over, self._from_s = False, 0.0
-        self._thread = threading.Thread(target=self._read, args=(frames,), daemon=True)
-        self._thread.start()
-
-    def __enter__(self) -> _Collector:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over = True
-        self._thread.join(_LEAVE_S)
-
-    def _read(self, frames: Iterator[Frame | None]) -> None:
+    def read() -> None:
         end: BaseException = EOFError("the stream ended")
         try:
             for frame in frames:
-                if self._over:
+                if over.is_set():
                     break
-                if frame is None:
-                    continue
-                with self._changed:
-                    if self._taken is not None and (now := time.monotonic()) >= self._from_s:
-                        self._taken.append((now, frame))
-                        if len(self._taken) == 1 or _complete(self._taken):
-                            self._changed.notify()
+                if frame is not None:
+                    arriving.put((time.monotonic(), frame))
         except Exception as error:  # belongs to whoever waits for frames
             end = error
         if isinstance(frames, Generator):
             frames.close()  # and with it the port
-        with self._changed:
-            self._end = end
-            self._changed.notify()
+        arriving.put(end)
 
-    def begin(self) -> None:
-        """Keep what arrives from now on, but for what was on the way."""
-        with self._changed:
-            self._taken, self._from_s = [], time.monotonic() + _SETTLE_S
-
-    def wait(
-        self, timeout_s: float, *, first: bool
-    ) -> tuple[list[tuple[float, Frame]], BaseException | None]:
-        """Wait for the first frame, or else for enough for a pose; return what came, and why no more will come."""
-
-        def ready() -> bool:
-            taken = self._taken or []
-            return self._end is not None or (bool(taken) if first else _complete(taken))
-
-        with self._changed:
-            self._changed.wait_for(ready, timeout_s)
-            return list(self._taken or []), self._end
+    thread = threading.Thread(target=read, daemon=True)
+    thread.start()
+    try:
+        yield arriving
+    finally:
+        over.set()
+        thread.join(_LEAVE_S)

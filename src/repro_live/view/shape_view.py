@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from repro.errors import bad_input, require
-from repro_live.view.style import MAGNET, SENSOR, page_figure
+from repro_live.view.style import MAGNET, SENSOR, page_figure, plain_symbol
 
 ROLES = {"truth": "#000000", "estimate": "#D55E00"}
 """What a shape may be, and its colour on white."""
@@ -218,7 +218,7 @@ class ShapeView:
 
     def to_html(self) -> str:
         """Return a picture with the data beside it; the viewer puts itself in the place of the picture."""
-        picture = base64.b64encode(_png(self.figure())).decode("ascii")
+        picture = base64.b64encode(small_png(self.figure())).decode("ascii")
         # "</script>" within a name must not end the element
         data = json.dumps(self.data(), separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
         return (
@@ -235,10 +235,10 @@ class ShapeView:
         return f"ShapeView of {n} frame{'s' * (n > 1)}, {first:g} to {last:g} s: {self.label}"
 
 
-def _png(figure: Figure) -> bytes:
+def small_png(figure: Figure) -> bytes:
     """Draw a figure small, with 64 colours: a third of the size."""
     drawn, small = io.BytesIO(), io.BytesIO()
-    figure.savefig(drawn, format="png", dpi=80)
+    figure.savefig(drawn, format="png", dpi=80, facecolor="white")
     # this method keeps rare colours, such as those of the few sensors
     colours = Image.open(drawn).convert("RGB").quantize(64, method=Image.Quantize.MAXCOVERAGE)
     colours.save(small, format="png", optimize=True)
@@ -253,7 +253,7 @@ def _packed(values: np.ndarray, quantum: float) -> str:
 def _panel(panel: Traces) -> dict[str, Any]:
     series = []
     for name, values in panel.values.items():
-        entry: dict[str, Any] = {"name": name, "values": _rounded(values)}
+        entry: dict[str, Any] = {"name": plain_symbol(name), "values": _rounded(values)}
         if name in panel.estimates:
             entry["estimate"] = _rounded(panel.estimates[name])
         series.append(entry)

@@ -11,13 +11,28 @@ from pathlib import Path
 from typing import Any, ParamSpec
 
 import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 STYLE = str(Path(__file__).with_name("style.mplstyle"))
 MAGNET, SENSOR = "#009E73", "#0072B2"
+WIDTH_IN = 6.4
+"""Width of a figure [in]: its text of 10 points is still read where a telephone shows the page 358 px wide."""
+TRUTH = {"lw": 3.4, "alpha": 0.4}
+"""Look of the truth where an estimate of the same colour lies on it: wide and pale."""
+ESTIMATE = {"lw": 1.3, "ls": (0, (4, 2))}
+TIMES = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.7, 256)), name="times")
+"""Colours of lines by time, early to late: without the yellow end, which neither a white nor a dark page shows."""
+INK_OF_MAPS = dict.fromkeys(
+    ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), "#767676"
+)
+"""Read on a light and on a dark ground: a map of colours is not inverted in dark mode, where its dark stays low."""
 VECTOR_LIMIT_BYTES = 1_000_000
 """A vector version that is larger is not kept: SVG up to this size, else PDF up to this size, else none."""
 
@@ -33,6 +48,8 @@ _COORDINATES = {
     "kappa_1": (r"\kappa", "1"),
     "phi": (r"\phi", ""),
 }
+_PLAIN = {"delta_x": "Δx", "delta_y": "Δy", "delta_L": "δL", "kappa_0": "κ₀", "kappa_1": "κ₁", "phi": "φ"}
+_LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
 def in_symbols(name: str) -> str:
@@ -79,6 +96,49 @@ def coordinate_symbol(name: str) -> str:
     return f"${letter}_{{{index}{segment}}}$" if index + segment else f"${letter}$"
 
 
+def plain_symbol(name: str) -> str:
+    """Return a coordinate or a reading in letters that need no typesetting; what is neither stays as it is.
+
+    Parameters
+    ----------
+    name
+        As in tables of results, alone or with the number of its segment or sensor.
+
+    Examples
+    --------
+    >>> plain_symbol("delta_x_1"), plain_symbol("kappa_0"), plain_symbol("u_12"), plain_symbol("IMU 3")
+    ('Δx₁', 'κ₀', 'u₁₂', 'IMU 3')
+    """
+    stem, _, index = (name, "", "") if name in _PLAIN else name.rpartition("_")
+    if not (stem in _PLAIN or len(stem) == 1) or not (index + "0").isdigit():
+        return name
+    comma = "," if stem.startswith("kappa") and index else ""
+    return _PLAIN.get(stem, stem) + comma + index.translate(_LOWERED)
+
+
+def wrapped_panels(count: int, columns: int, row_in: float, **options: Any) -> tuple[Figure, list[Axes]]:
+    """Return a figure as wide as a page with panels in rows of so many columns.
+
+    Parameters
+    ----------
+    count
+        How many panels.
+    columns
+        The most beside each other.
+    row_in
+        Height of a row [in].
+    options
+        As for :func:`matplotlib.pyplot.subplots`.
+    """
+    columns = min(columns, count)
+    rows = -(-count // columns)
+    figure, panels = plt.subplots(rows, columns, figsize=(WIDTH_IN, row_in * rows), squeeze=False, **options)
+    for panel, above in zip(panels.flat[count:], panels.flat[count - columns :], strict=False):
+        panel.remove()
+        above.xaxis.set_tick_params(labelbottom=True)
+    return figure, list(panels.flat[:count])
+
+
 def plain_ticks(axis: Axis, *, subs: tuple[int, ...] = (1, 2, 5)) -> None:
     """Put plain numbers on a logarithmic axis, at these multiples of the powers of ten alone."""
     axis.set_major_locator(LogLocator(subs=subs))
@@ -122,7 +182,9 @@ def page_figure(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
 def _vector_version(figure: Figure, include: Any = None, exclude: Any = None) -> dict[str, str]:
     """Return SVG or PDF by MIME type, as IPython asks for it; the same figure gives the same bytes."""
-    svg = _written(figure, "svg", {"Date": None})
+    # a hundredth of a point is less than is seen
+    written = _written(figure, "svg", {"Date": None})
+    svg = re.sub(rb' [dxy]="[^"]*"', lambda path: re.sub(rb"(\.\d\d)\d+", rb"\1", path[0]), written)
     if len(svg) <= VECTOR_LIMIT_BYTES:
         return {"image/svg+xml": svg.decode()}
     pdf = _written(figure, "pdf", {"CreationDate": None})

@@ -13,7 +13,7 @@ from zlib import crc32
 from cobs import cobs
 
 from repro.errors import bad_input
-from repro_live.wire.frame import WRAP, Counters, Frame, Splitter
+from repro_live.wire.frame import WRAP, Frame, Parser
 
 _VERSION = 1
 KINDS = {"float32": (1, "f", 59), "int16": (2, "h", 118)}
@@ -80,7 +80,7 @@ def encode_frame(frame: Frame, kind: str = "float32") -> bytes:
     return b"\0" + cobs.encode(body + crc32(body).to_bytes(4, "little")) + b"\0"
 
 
-class BinaryParser:
+class BinaryParser(Parser):
     """Parser of our own frames.
 
     Sequence numbers are followed in each stream, across interruptions of the line too. A step ahead by more than one
@@ -95,18 +95,14 @@ class BinaryParser:
     """
 
     def __init__(self, channels: int | None = None) -> None:
-        self.counters = Counters()
-        self.refused = ""
-        self._splitter = Splitter(b"\0", LONGEST_PACKET, self.counters)
+        super().__init__(b"\0", LONGEST_PACKET)
         self._layouts = _LAYOUTS
         if channels is not None:
             self._layouts = {key: layout for key, layout in _LAYOUTS.items() if key[1] == channels}
         # By stream: sequence number and bytes of the last frame.
         self._last: dict[int, tuple[int, bytes]] = {}
 
-    def feed(self, chunk: bytes) -> list[Frame]:
-        """Take the next bytes; return the frames that they complete, in order."""
-        packets, cut = self._splitter.split(chunk)
+    def _frames(self, packets: list[bytes], cut: bool) -> list[Frame]:
         frames, counters = [], self.counters
         # One frame takes about a microsecond here: looked up once, the names cost nothing in the loop.
         decode, layouts, last, add = cobs.decode, self._layouts, self._last, frames.append
@@ -127,15 +123,13 @@ class BinaryParser:
                 continue
             layout = layouts.get(body[2:4])
             if layout is None or layout[0] != len(body) or body[0] != _VERSION:
-                counters.malformed += 1
-                counters.discarded_bytes += len(packet)
                 known = _LAYOUTS.get(body[2:4])
                 what = (
                     "another version or length"
                     if known is None or body[0] != _VERSION
                     else f"{body[3]} values"
                 )
-                self.refused = self.refused or f"a frame of {what}"
+                self._refuse(len(packet), f"a frame of {what}")
                 continue
             sequence, device_us, *values = layout[1](body)
             stream = body[1]
@@ -151,9 +145,4 @@ class BinaryParser:
                     counters.restarts += 1
             last[stream] = (sequence, packet)
             add(Frame(stream, sequence, device_us, tuple(map(float, values) if layout[2] else values)))
-        counters.frames += len(frames)
         return frames
-
-    def reopened(self) -> None:
-        """Forget a frame begun (its bytes count as discarded): the port was opened, perhaps in the middle of one."""
-        self._splitter.reopened()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from repro.errors import bad_input
 from repro_live.wire.csv_fields import (
@@ -25,7 +25,7 @@ from repro_live.wire.csv_fields import (
     separator_of,
     time_scale,
 )
-from repro_live.wire.frame import WRAP, Counters, Frame, Splitter
+from repro_live.wire.frame import WRAP, Frame, Parser
 
 AGREEING = 3
 """Lines of one form that fix it."""
@@ -40,8 +40,7 @@ RESERVED = ("time_s", "host_ns", "stream", "sequence", "device_us")
 """Columns of a recording that no value may be called."""
 
 
-@dataclass(frozen=True)
-class Layout:
+class Layout(NamedTuple):
     """The form of the lines of a board.
 
     Attributes
@@ -62,21 +61,21 @@ class Layout:
     def columns(self) -> list[tuple[str, str]]:
         """Name and unit of every column, the time's too; a unit behind the last number only is that of all."""
         units = list(self.units)
-        named = [name_and_unit(text) for text in self.header or self.labels]
         values = [k for k in range(len(units)) if k != self.time_column]
         if values and units[values[-1]] and not any(units[k] for k in values[:-1]):
             for k in values:
                 units[k] = units[values[-1]]
-        return [(name, unit or by_name) for (name, by_name), unit in zip(named, units, strict=True)]
+        return self._with_units(units)
 
     @property
     def time_column(self) -> int | None:
         """Place of the column of times; None without one."""
-        named = zip(self.header or self.labels, self.units, strict=True)
-        pairs = [
-            (name, unit or by_name) for (name, by_name), unit in ((name_and_unit(t), u) for t, u in named)
-        ]
-        return next((k for k, pair in enumerate(pairs) if time_scale(*pair) is not None), None)
+        pairs = enumerate(self._with_units(self.units))
+        return next((k for k, pair in pairs if time_scale(*pair) is not None), None)
+
+    def _with_units(self, units: Sequence[str]) -> list[tuple[str, str]]:
+        named = map(name_and_unit, self.header or self.labels)
+        return [(name, unit or by_name) for (name, by_name), unit in zip(named, units, strict=True)]
 
     @property
     def value_units(self) -> list[str]:
@@ -110,7 +109,7 @@ class Layout:
         return f"{text}; {name} is a time without a unit and is left out, times are those of arrival"
 
 
-class CsvParser:
+class CsvParser(Parser):
     """Parser of lines of numbers.
 
     The first line after an opening is dropped, as by :class:`repro_live.wire.text.TextParser`, but may be a header.
@@ -133,99 +132,89 @@ class CsvParser:
     """
 
     def __init__(self, channels: int | None = None, unit: str | None = None) -> None:
-        self.counters = Counters()
-        self.refused = ""
+        super().__init__(b"\n", LONGEST_LINE)
         self.layout: Layout | None = None
         self._channels, self._unit = channels, unit
-        self._splitter = Splitter(b"\n", LONGEST_LINE, self.counters)
         self._header: tuple[str, ...] = ()
         self._header_separator = ""
         self._other_header = False
-        self._held: list[tuple[Layout, Line, str, int]] = []
+        self._held: list[tuple[Layout, Line, bytes]] = []
         self._time: tuple[int, float] | None = None
-
-    def feed(self, chunk: bytes) -> list[Frame]:
-        """Take the next bytes; return the frames that they complete, in order."""
-        lines, cut = self._splitter.split(chunk)
-        frames: list[Frame] = []
-        for raw in lines:
-            begun, cut = cut, False
-            text = raw.removesuffix(b"\r").decode(errors="replace")
-            if begun:
-                self.counters.first_partial += 1
-                self.counters.discarded_bytes += len(raw)
-                self._named(read_header(text), separator_of(text.strip(BLANKS)), cut=True)
-            elif text.strip(BLANKS):
-                frames += self._line(text, len(raw))
-        self.counters.frames += len(frames)
-        return frames
 
     def reopened(self) -> None:
         """Forget a line begun, and those that wait; the next one is dropped too."""
-        self._splitter.reopened()
+        super().reopened()
         self._other_header = False
         while self._held:
-            _, _, text, size = self._held.pop(0)
-            self._refuse(text, "too few lines before the port was opened anew", size)
+            self._drop(self._held.pop(0)[-1], "too few lines before the port was opened anew")
 
-    def _line(self, text: str, size: int) -> list[Frame]:
-        line = read_line(text)
+    def _frames(self, packets: list[bytes], cut: bool) -> list[Frame]:
+        frames: list[Frame] = []
+        if cut:
+            self.counters.first_partial += 1
+            self.counters.discarded_bytes += len(packets[0])
+            self._named(_text(packets.pop(0)), cut=True)
+        for raw in packets:
+            if raw.removesuffix(b"\r").strip(BLANKS.encode()):
+                frames += self._line(raw)
+        return frames
+
+    def _line(self, raw: bytes) -> list[Frame]:
+        line = read_line(_text(raw))
         if isinstance(line, str):
-            names = read_header(text)
-            if not (names and self._named(names, separator_of(text.strip(BLANKS)), cut=False)):
-                self._refuse(text, line, size)
+            if not self._named(_text(raw), cut=False):
+                self._drop(raw, line)
             return []
         if self.layout is not None:
-            form = (self.layout.separator, self.layout.labels, self.layout.units, self.layout.trailing)
-            if self._other_header or line[:4] != form:
-                self._refuse(text, self._difference(line), size)
+            if self._other_header or line[:4] != self.layout[:4]:
+                self._drop(raw, self._difference(line))
                 return []
-            return self._frames(line, text, size)
+            return self._frame(line, raw)
         fits = self._header_separator == line.separator and len(self._header) == len(line.values)
         layout = Layout(*line[:4], header=self._header if fits and not any(line.labels) else ())
         n = len(line.values) - (layout.time_column is not None)
-        if decimal_commas(text):
-            self._refuse(text, "decimal commas, or twice as many numbers?", size)
+        if decimal_commas(_text(raw)):
+            self._drop(raw, "decimal commas, or twice as many numbers?")
         elif not 1 <= n <= MOST_VALUES or (self._channels is not None and n != self._channels):
-            self._refuse(text, f"{n} values, not {self._channels or f'1 to {MOST_VALUES}'}", size)
+            self._drop(raw, f"{n} values, not {self._channels or f'1 to {MOST_VALUES}'}")
         else:
-            return self._hold(layout, line, text, size)
+            return self._hold(layout, line, raw)
         return []
 
-    def _hold(self, layout: Layout, line: Line, text: str, size: int) -> list[Frame]:
+    def _hold(self, layout: Layout, line: Line, raw: bytes) -> list[Frame]:
         """Keep a line; when enough agree, their form is that of the board."""
-        self._held.append((layout, line, text, size))
+        self._held.append((layout, line, raw))
         agreeing = sum(held[0] == layout for held in self._held)
         if agreeing < AGREEING:
             if len(self._held) > MOST_HELD:
-                _, _, first, bytes_of_it = self._held.pop(0)
-                self._refuse(first, f"no {AGREEING} of the first lines have one form", bytes_of_it)
+                self._drop(self._held.pop(0)[-1], f"no {AGREEING} of the first lines have one form")
             return []
         check_units(layout.names, layout.value_units, self._unit)
         self.layout = layout
         if (k := layout.time_column) is not None:
             self._time = (k, time_scale(*layout.columns[k]) or 0.0)
         held, self._held, frames = self._held, [], []
-        for other, numbers, words, bytes_of_it in held:
+        for other, numbers, packet in held:
             if other != layout:
-                self._refuse(words, self._difference(numbers), bytes_of_it)
+                self._drop(packet, self._difference(numbers))
             else:
-                frames += self._frames(numbers, words, bytes_of_it)
+                frames += self._frame(numbers, packet)
         return frames
 
-    def _frames(self, line: Line, text: str, size: int) -> list[Frame]:
+    def _frame(self, line: Line, raw: bytes) -> list[Frame]:
         """Return the frame of a line of the right form; none if its time is impossible."""
         if self._time is None:
             return [Frame(0, None, None, line.values)]
         k, scale = self._time
         if not 0 <= line.values[k] <= _LATEST:
-            self._refuse(text, f"a time must be from 0 to {_LATEST:g}", size)
+            self._drop(raw, f"a time must be from 0 to {_LATEST:g}")
             return []
         device_us = round(line.values[k] * scale) % WRAP if scale else None
         return [Frame(0, None, device_us, line.values[:k] + line.values[k + 1 :])]
 
-    def _named(self, names: tuple[str, ...], separator: str, *, cut: bool) -> bool:
-        """Take a header; return whether it is one. One cut off in front tells the other columns only."""
+    def _named(self, text: str, *, cut: bool) -> bool:
+        """Take a header; return whether a line is one. One cut off in front tells the other columns only."""
+        names, separator = read_header(text), separator_of(text.strip(BLANKS))
         if self.layout is None:
             if names and not (cut and may_be_cut(names[0])):
                 self._header, self._header_separator = names, separator
@@ -246,15 +235,16 @@ class CsvParser:
         counts = len(line.values), len(self.layout.units)
         if counts[0] != counts[1]:
             return f"{counts[0]} numbers, not {counts[1]}"
-        before = (self.layout.separator, self.layout.labels, self.layout.units, self.layout.trailing)
         words = ("another separator", "other labels", "other units", "another end")
-        other = next(word for word, a, b in zip(words, line[:4], before, strict=True) if a != b)
+        other = next(word for word, a, b in zip(words, line, self.layout, strict=False) if a != b)
         return f"{other} than the lines before"
 
-    def _refuse(self, text: str, why: str, size: int) -> None:
-        self.counters.malformed += 1
-        self.counters.discarded_bytes += size
-        self.refused = self.refused or f"{text[:80]!r}: {why}"
+    def _drop(self, raw: bytes, why: str) -> None:
+        self._refuse(len(raw), f"{_text(raw)[:80]!r}: {why}")
+
+
+def _text(raw: bytes) -> str:
+    return raw.removesuffix(b"\r").decode(errors="replace")
 
 
 def check_units(names: Sequence[str], units: Sequence[str], unit: str | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.robot_file.columns import FORMATS
 from repro_live.wire.binary import KINDS, BinaryParser, encode_frame
 from repro_live.wire.csv_text import MOST_VALUES, CsvParser, write_line
@@ -38,8 +38,7 @@ def parser(format: str, channels: int | None = None, unit: str | None = None) ->
     """
     if format == "frames":
         most = max(most for _, _, most in KINDS.values())
-        if channels is not None and not 1 <= channels <= most:
-            raise bad_input("channels", "frames", f"1 to {most}", channels)
+        require(channels is None or 1 <= channels <= most, "channels", "frames", f"1 to {most}", channels)
         return BinaryParser(channels)
     if format == "csv":
         if channels is not None and not 1 <= channels <= MOST_VALUES:
@@ -76,13 +75,10 @@ def encode(format: str, frame: Frame, *, kind: str = "float32") -> bytes:
 
 
 def _line(format: str, channels: int | None) -> Line:
-    if format not in FORMATS:
-        raise bad_input("format", "the parser", f"one of {', '.join(FORMATS)}", format)
+    require(format in FORMATS, "format", "the parser", f"one of {', '.join(FORMATS)}", format)
     if format == "millivolts":
-        if channels is not None and channels < 1:
-            raise bad_input("channels", format, "1 or more", channels)
+        require(channels is None or channels >= 1, "channels", format, "1 or more", channels)
         return millivolts(channels or 3)
     line = HALL if format == "hall" else QUATERNION
-    if channels not in (None, line.count):
-        raise bad_input("channels", format, f"{line.count}, or none given", channels)
+    require(channels in (None, line.count), "channels", format, f"{line.count}, or none given", channels)
     return line

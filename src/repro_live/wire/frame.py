@@ -1,9 +1,9 @@
-"""A frame of a stream, what a parser is, what it counts, and where frames begin and end among the bytes."""
+"""A frame of a stream, what a parser is and counts, and where frames begin and end among the bytes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 WRAP = 1 << 32
 """Sequence numbers and device times [µs] start again from 0 after this: 71.6 minutes."""
@@ -71,32 +71,8 @@ class Counters:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
-@runtime_checkable
-class Parser(Protocol):
-    """Bytes in, frames out; chunks may be cut anywhere.
-
-    Attributes
-    ----------
-    counters
-        What it has seen.
-    refused
-        The first whole packet or line that counts as malformed, in words; empty before there is one.
-    """
-
-    counters: Counters
-    refused: str
-
-    def feed(self, chunk: bytes) -> list[Frame]:
-        """Take the next bytes; return the frames that they complete, in order."""
-        ...
-
-    def reopened(self) -> None:
-        """Forget a frame begun: the port was opened, and the first bytes may be the end of a frame."""
-        ...
-
-
-class Splitter:
-    """Cut a stream at a delimiter of one byte.
+class Parser:
+    """Bytes in, frames out; chunks may be cut anywhere. The bytes are cut at a delimiter of one byte.
 
     Parameters
     ----------
@@ -105,55 +81,70 @@ class Splitter:
     longest
         Length of the longest packet [bytes]. A longer run without a delimiter is dropped as it comes, up to the
         next delimiter, and counted as ``oversized``: so no more than this is ever kept.
+
+    Attributes
+    ----------
     counters
-        Where that is counted; ``discarded_bytes`` counts no delimiters.
+        What it has seen; ``discarded_bytes`` counts no delimiters.
+    refused
+        The first whole packet or line that counts as malformed, in words; empty before there is one.
     """
 
-    def __init__(self, delimiter: bytes, longest: int, counters: Counters) -> None:
-        self._delimiter = delimiter
-        self._longest = longest
-        self._counters = counters
+    def __init__(self, delimiter: bytes, longest: int) -> None:
+        self.counters = Counters()
+        self.refused = ""
+        self._delimiter, self._longest = delimiter, longest
         self._begun = b""
-        self._oversized = False
-        self._opened = True
+        self._oversized, self._opened = False, True
 
-    def split(self, chunk: bytes) -> tuple[list[bytes], bool]:
-        """Take the next bytes; return the packets that they complete, without delimiters.
+    def feed(self, chunk: bytes) -> list[Frame]:
+        """Take the next bytes; return the frames that they complete, in order."""
+        frames = self._frames(*self._split(chunk))
+        self.counters.frames += len(frames)
+        return frames
 
-        Returns
-        -------
-        packets, cut
-            The packets, in order, and whether the first of them is the first since the port was opened: what came
-            before it is then unknown.
+    def reopened(self) -> None:
+        """Forget a packet begun (its bytes count as discarded): the next may be the end of one only."""
+        self._drop_begun()
+        self._oversized, self._opened = False, True
+
+    def _frames(self, packets: list[bytes], cut: bool) -> list[Frame]:
+        """Return the frames in whole packets without delimiters.
+
+        With ``cut`` the first packet is the first since the port was opened: what came before it is not known.
         """
+        raise NotImplementedError
+
+    def _refuse(self, size: int, why: str) -> None:
+        """Count a whole packet that is malformed; keep in words why the first of them is."""
+        self.counters.malformed += 1
+        self.counters.discarded_bytes += size
+        self.refused = self.refused or why
+
+    def _split(self, chunk: bytes) -> tuple[list[bytes], bool]:
         packets = (self._begun + chunk).split(self._delimiter)
         self._begun = packets.pop()
         cut = False
         if packets:
             cut, self._opened = self._opened, False
             if self._oversized:
-                self._counters.discarded_bytes += len(packets.pop(0))
+                self.counters.discarded_bytes += len(packets.pop(0))
                 self._oversized = cut = False
             if packets and max(map(len, packets)) > self._longest:
                 cut = cut and len(packets[0]) <= self._longest
                 for packet in packets:
                     if len(packet) > self._longest:
-                        self._counters.oversized += 1
-                        self._counters.discarded_bytes += len(packet)
+                        self.counters.oversized += 1
+                        self.counters.discarded_bytes += len(packet)
                 packets = [packet for packet in packets if len(packet) <= self._longest]
         if self._oversized:
             self._drop_begun()
         elif len(self._begun) > self._longest:
             self._oversized = True
-            self._counters.oversized += 1
+            self.counters.oversized += 1
             self._drop_begun()
         return packets, cut
 
-    def reopened(self) -> None:
-        """Drop a packet begun; the next one may be the end of one only."""
-        self._drop_begun()
-        self._oversized, self._opened = False, True
-
     def _drop_begun(self) -> None:
-        self._counters.discarded_bytes += len(self._begun)
+        self.counters.discarded_bytes += len(self._begun)
         self._begun = b""

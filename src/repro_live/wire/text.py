@@ -12,7 +12,7 @@ import re
 from dataclasses import dataclass
 
 from repro.errors import bad_input
-from repro_live.wire.frame import Counters, Frame, Splitter
+from repro_live.wire.frame import Frame, Parser
 
 HALL_RANGE = (-8192.0, 8191.0)
 """Components of the sensor of Mitchell et al., an MLX90363: 14 bits with sign [counts]."""
@@ -118,7 +118,7 @@ def millivolts(channels: int = 3) -> Line:
     return Line(channels, *MILLIVOLT_RANGE, decimals=4)
 
 
-class TextParser:
+class TextParser(Parser):
     """Parser of one kind of line.
 
     The first line after an opening is dropped, whatever it looks like: without a checksum ``123,4,5`` cannot be told
@@ -126,29 +126,18 @@ class TextParser:
     """
 
     def __init__(self, line: Line) -> None:
-        self.counters = Counters()
-        self.refused = ""
+        super().__init__(b"\n", _LONGEST_FIELD * (line.count + line.identity))
         self._line = line
-        self._splitter = Splitter(b"\n", _LONGEST_FIELD * (line.count + line.identity), self.counters)
 
-    def feed(self, chunk: bytes) -> list[Frame]:
-        """Take the next bytes; return the frames that they complete, in order."""
-        lines, cut = self._splitter.split(chunk)
-        frames, counters = [], self.counters
+    def _frames(self, packets: list[bytes], cut: bool) -> list[Frame]:
+        frames = []
         if cut:
-            counters.first_partial += 1
-            counters.discarded_bytes += len(lines.pop(0))
-        for line in lines:
+            self.counters.first_partial += 1
+            self.counters.discarded_bytes += len(packets.pop(0))
+        for line in packets:
             frame = self._line.read(line.removesuffix(b"\r"))
             if frame is None:
-                counters.malformed += 1
-                counters.discarded_bytes += len(line)
-                self.refused = self.refused or repr(line[:80].removesuffix(b"\r"))[1:]
+                self._refuse(len(line), repr(line[:80].removesuffix(b"\r"))[1:])
             else:
                 frames.append(frame)
-        counters.frames += len(frames)
         return frames
-
-    def reopened(self) -> None:
-        """Forget a line begun; the next one is dropped too."""
-        self._splitter.reopened()

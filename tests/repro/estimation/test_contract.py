@@ -1,12 +1,13 @@
 """What every estimator promises: one suite for all of them."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from linear_rig import linear_map, segment
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -25,6 +26,8 @@ from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
+from repro_companion.pages.closed_loop.filter import CommandAlone, LoopFilter
+from repro_companion.twins.rig_filter import BendFilter
 from repro_companion.twins.trajectories import lemniscate
 
 ROBOT = pcc_robot(1)
@@ -79,6 +82,7 @@ class Case:
     q: Tensor
     u: Tensor
     noise: float
+    sensors: int
 
     def step(self, u, **options):
         return self.estimator.step(self.estimator.init(self.q[0], seed=0), u, 0.0, **options)
@@ -94,8 +98,28 @@ class ImuCase(Case):
         torch.testing.assert_close(torch.from_numpy(positions[:, 0]), estimate.q)
 
 
-CASES = {name: Case(estimator, LEMNISCATE, MAGNETIC, 1e-3) for name, estimator in ESTIMATORS.items()}
-CASES["IMUs"] = ImuCase(ImuShape(exact_arcs, ARM, (0.64,), noise_rad=0.02), TIPS, QUATERNIONS, 1e-4)
+class RigCase(Case):
+    def check(self, estimate):
+        """The elongation does not change these readings; all of what they have in common is the bias."""
+        bias = estimate.diagnostics.get("bias_mv", torch.zeros(6))
+        expected = torch.from_numpy(RIG(1e3 * estimate.q[:, :2].numpy())) + bias[:, None]
+        torch.testing.assert_close(estimate.u_hat, expected)
+
+
+# A segment that starts to follow a command; readings without a lag, with what is commanded up to each and from it.
+RIG, SEGMENT = linear_map(), segment(across=np.zeros((2, 3)))
+TORQUE = np.tile([0.3, -0.2], (6, 2))
+BENDS_MM = 7.0 * TORQUE[:, :2] * (1 - SEGMENT.fading ** np.arange(1, 7)[:, None])
+BENT_RIG = torch.from_numpy(1e-3 * np.column_stack([BENDS_MM, RIG.elongation(BENDS_MM)]))
+COMMANDED = torch.from_numpy(np.column_stack([RIG(BENDS_MM), TORQUE]))
+
+CASES = {name: Case(estimator, LEMNISCATE, MAGNETIC, 1e-3, 3) for name, estimator in ESTIMATORS.items()}
+CASES["IMUs"] = ImuCase(ImuShape(exact_arcs, ARM, (0.64,), noise_rad=0.02), TIPS, QUATERNIONS, 1e-4, 12)
+CASES["bend filter"] = RigCase(BendFilter(RIG), BENT_RIG, COMMANDED[:, :3], 1e-3, 3)
+for follows in (False, True):
+    loop = LoopFilter(RIG, SEGMENT, follows=follows)
+    CASES[f"loop filter, follows={follows}"] = RigCase(loop, BENT_RIG, COMMANDED, 1e-3, 3)
+CASES["command alone"] = RigCase(CommandAlone(RIG, SEGMENT), BENT_RIG, COMMANDED, 1e-3, 3)
 
 
 @pytest.fixture(params=CASES.values(), ids=CASES)
@@ -104,7 +128,11 @@ def case(request):
 
 
 def flatten(state):
-    return [x for x in vars(state).values() if isinstance(x, torch.Tensor)]
+    """All arrays of a state, as tensors without NaN."""
+    if isinstance(state, torch.Tensor | np.ndarray):
+        return [torch.as_tensor(state).nan_to_num()]
+    parts = vars(state).values() if is_dataclass(state) else state if isinstance(state, tuple) else ()
+    return [x for part in parts for x in flatten(part)]
 
 
 def test_step_leaves_the_state_and_the_readings_alone(case):
@@ -133,9 +161,8 @@ def test_prediction_belongs_to_the_estimate(case):
 
 def test_batch_equals_loop(case):
     """Also for a batch of two dimensions, and with different masks for its members."""
-    sensors = case.u.shape[-1]
     generator = torch.Generator().manual_seed(0)
-    noise = case.noise * torch.randn(6, 2, 2, sensors, generator=generator, dtype=torch.float64)
+    noise = case.noise * torch.randn(6, 2, 2, case.u.shape[-1], generator=generator, dtype=torch.float64)
     u = case.u[:, None, None] + noise
     u[2, 1, 0, 1] = math.nan
     batched = track(case.estimator, u, case.q[0].expand(2, 2, 3))
@@ -147,7 +174,7 @@ def test_batch_equals_loop(case):
 
 
 def test_a_reading_that_is_nan_is_a_masked_sensor_and_is_counted(case):
-    mask = torch.ones_like(case.u, dtype=torch.bool)
+    mask = torch.ones(6, case.sensors, dtype=torch.bool)
     mask[3, 1] = False
     u = case.u.clone()
     u[3, 1] = math.nan
@@ -157,7 +184,7 @@ def test_a_reading_that_is_nan_is_a_masked_sensor_and_is_counted(case):
 
 
 def test_masked_readings_have_no_effect(case):
-    mask = (torch.arange(case.u.shape[-1]) != 2).expand_as(case.u)
+    mask = (torch.arange(case.sensors) != 2).expand(6, -1)
     u = case.u.clone()
     u[:, 2] = 1e6
     assert torch.equal(
@@ -190,7 +217,7 @@ def test_precision_of_the_caller_is_kept(case):
             "Input u of .* at least one",
         ),
         (
-            lambda c: c.step(c.u[0], mask=torch.zeros_like(c.u[0], dtype=torch.bool)),
+            lambda c: c.step(c.u[0], mask=torch.zeros(c.sensors, dtype=torch.bool)),
             "Input u of .* must be at least one reading that is a number and not masked; instead received none.",
         ),
         (
@@ -202,7 +229,7 @@ def test_precision_of_the_caller_is_kept(case):
             r"each of \d+ sensors",
         ),
         (
-            lambda c: c.step(c.u[0], mask=torch.ones_like(c.u[0])),
+            lambda c: c.step(c.u[0], mask=torch.ones(c.sensors)),
             "Input mask of .* boolean",
         ),
         (lambda c: c.estimator.init(torch.full((3,), math.nan), seed=0), "Input q0 of .* must be finite"),

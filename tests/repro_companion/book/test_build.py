@@ -58,7 +58,10 @@ def test_a_book_from_nothing_and_what_makes_it_run_again(book, build, tmp_path):
     assert "a: started\n" in first.stdout
     assert "0 of 2 notebooks were up to date; the site was built in " in first.stdout
     site = book / "book/_build/html"
-    assert "<strong>Of the 0 left, 0 hold</strong>" in (site / "index.html").read_text()
+    assert (
+        "<strong>Of the 0 left, 0 are reproduced, 0 better, and 0 differ.</strong>"
+        in (site / "index.html").read_text()
+    )
     assert (site / "notebooks/a.html").is_file()
     assert sorted(os.listdir(book / "results")) == [
         "a.provenance.json",
@@ -80,7 +83,10 @@ def test_a_book_from_nothing_and_what_makes_it_run_again(book, build, tmp_path):
         assert executed(broken.stdout) == set()
         assert "nowhere" in broken.stderr
         assert "jupyter-book ended with 1; the site was not replaced." in broken.stderr
-    assert "<strong>Of the 0 left, 0 hold</strong>" in (site / "index.html").read_text()
+    assert (
+        "<strong>Of the 0 left, 0 are reproduced, 0 better, and 0 differ.</strong>"
+        in (site / "index.html").read_text()
+    )
 
 
 @pytest.fixture
@@ -134,6 +140,16 @@ def test_a_failing_notebook_does_not_stop_the_others(without_site, build, notebo
     assert not (root / "results/scorecard.csv").exists()
     again = build()
     assert (again.returncode, executed(again.stdout)) == (1, set())
+
+
+def test_a_page_with_a_warning_is_refused_until_it_has_none(without_site, build, notebook_at, writes_a_table):
+    warns = "import warnings\nwarnings.warn('old', DeprecationWarning)"
+    notebook_at(without_site / "notebooks" / "a.ipynb", writes_a_table("table_a"), warns)
+    for run in ({"a", "b"}, {"a"}):
+        done = build()
+        assert (done.returncode, executed(done.stdout)) == (1, run)
+        assert done.stderr.startswith("a.ipynb shows a warning: ")
+        assert "DeprecationWarning: old" in done.stderr
 
 
 def test_a_table_of_two_notebooks_is_refused(without_site, build, notebook_at, writes_a_table):

@@ -15,7 +15,7 @@ from repro.errors import InputError
 from repro_companion.book.after.diff_page import write_diff
 from repro_companion.book.project import Project
 from repro_companion.book.runner import read_notebook, run_notebook
-from repro_companion.cli_diff import diff
+from repro_companion.cli import diff
 
 TABLES = """\
 from repro_companion.book.results import results_dir

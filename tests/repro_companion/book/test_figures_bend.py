@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+from matplotlib.patches import PathPatch
 
 from repro_companion.pages.probabilistic_curvature import figures
 from repro_companion.pages.probabilistic_curvature.bend_space import curves_table, field_map
@@ -11,7 +12,7 @@ def test_bend_space_draws_curves_in_degrees_and_the_cloud():
     points = pd.DataFrame({"bend_x_rad": [0.1, 0.2, 0.15], "bend_y_rad": [0.0, 0.1, 0.05]})
     panels = figures.bend_space(curves_table(every=50), points.assign(is_truth=[False, False, True])).axes
     assert [panel.get_title() for panel in panels] == [
-        "Particles and true state",
+        "Particles, truth (star), enlarged",
         "Spiral",
         "Flower",
         "Seagull",
@@ -23,6 +24,32 @@ def test_bend_space_draws_curves_in_degrees_and_the_cloud():
     assert np.hypot(x, y).max() == np.rad2deg(0.03 * 31.0)
 
 
+def test_a_cloud_is_weighed_drawn_and_moved():
+    """Three frames a reading; what a cloud was moved to is what is weighed next."""
+    truth, weights = np.deg2rad([[10.0, 0.0], [11.0, 0.0]]), np.array([0.7, 0.2995, 0.0005])
+    q = truth[0] + np.deg2rad([[0.0, 0.0], [0.5, 0.5], [1.0, 5.0]])
+    clouds = [
+        (q, weights, np.array([0, 0, 1])),
+        (q + 0.01, weights, np.array([0, 0, 0])),
+        (q + 0.02, weights, np.array([0])),
+    ]
+    strip = figures.filter_steps(clouds, truth, truth + np.deg2rad([0.3, 0.4]), first=7)
+    assert len(strip.frames) == 6
+    assert strip.frames[0].says == (
+        "Reading 7, weighed: 2 of 3 particles have more than a thousandth of the weight each. "
+        "The estimate is 0.50° off."
+    )
+    assert "1 different particles are left, one of them 3 times" in strip.frames[4].says
+    seen = [
+        {a for a in frame.artists if isinstance(a, PathPatch) and a.get_alpha() is None}
+        for frame in strip.frames
+    ]
+    assert seen[2] == seen[3] != seen[0]
+    assert seen[1] == seen[4] == set()
+    (whole, *_) = sorted(seen[5], key=lambda dots: -len(dots.get_path().vertices))
+    np.testing.assert_allclose(whole.get_path().vertices[::2], np.rad2deg(q + 0.02))
+
+
 def test_errors_over_time_have_a_panel_for_every_curve_and_process_noise():
     rows = [
         {"process_noise_pi": walk, "particles": n, "curve": curve, "t": t, "error_mm": walk * n + t}
@@ -32,9 +59,13 @@ def test_errors_over_time_have_a_panel_for_every_curve_and_process_noise():
         for t in (0.0, 0.01)
     ]
     figure = figures.error_over_time(pd.DataFrame(rows))
-    titles = [panel.get_title(loc="left") for panel in figure.axes]
-    assert titles[:2] == ["Spiral, process noise 0.02π rad", "Spiral, process noise 0.005π rad"]
-    assert [line.get_ydata().tolist() for line in figure.axes[1].lines] == [[0.5, 0.51], [5.0, 5.01]]
+    titles = [panel.get_title() for panel in figure.axes]
+    assert titles[:2] == ["Spiral,\nprocess noise 0.02π rad", "Spiral,\nprocess noise 0.005π rad"]
+    few, many = (line.get_ydata() for line in figure.axes[1].lines)
+    np.testing.assert_allclose(
+        few, np.sqrt(np.mean(np.square([0.5, 0.51])))
+    )  # both lie within the running mean
+    np.testing.assert_allclose(many, np.sqrt(np.mean(np.square([5.0, 5.01]))))
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["100 particles", "1000 particles"]
 
 
@@ -79,5 +110,5 @@ def test_sensor_noise_has_a_panel_for_each_motion():
 
 def test_field_has_three_maps_with_scales():
     figure = figures.field_over_bend(field_map(rings=4, spokes=12))
-    labels = [axis.get_ylabel() for axis in figure.axes[3:]]
+    labels = [axis.get_xlabel() for axis in figure.axes[3:]]
     assert labels == ["flux density [mT]", "condition of its derivative", "error gain [mm/mT]"]

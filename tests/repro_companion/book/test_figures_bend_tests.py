@@ -36,7 +36,7 @@ def test_peaks_and_gain():
     assert len(left.get_lines()) == 3
     assert list(right.get_lines()[0].get_ydata()) == [-20, -25]
     axial = pd.DataFrame({"time_s": [0.0, 1.0], "sent_mt": [22.0, 25.0], "over_gain_mt": [22.0, 22.0]})
-    assert len(figures.gain(axial, "synthetic").axes[0].get_lines()) == 2
+    assert len(figures.gain(axial, "bend_0_try_1", "synthetic").axes[0].get_lines()) == 2
 
 
 def test_over_time_draws_one_calibration_with_its_band():
@@ -46,7 +46,7 @@ def test_over_time_draws_one_calibration_with_its_band():
     assert len(bottom.get_lines()) == 3  # the z axis gives no direction
     band = top.collections[0].get_paths()[0].vertices[:, 1]
     assert (band.min(), band.max()) == pytest.approx((6.0, 15.0))
-    assert "ours (other tests)" in [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "least squares (other tests)" in [text.get_text() for text in figure.legends[0].get_texts()]
     assert not plt.get_fignums()
 
 
@@ -59,12 +59,12 @@ def test_errors_have_a_row_for_each_method_and_a_panel_for_each_column():
     table = pd.DataFrame(rows).assign(rmse_tilt_z_deg=3.0)
     left, right = figures.errors_by_take(table, 13.0, "synthetic").axes
     labels = [text.get_text() for text in left.get_yticklabels()]
-    assert labels == ["ours: other tests", "ours: none", "paper, as printed"]
+    assert labels == ["least squares:\nother tests", "least squares:\nnot calibrated", "paper, as printed"]
     assert list(left.get_lines()[0].get_xdata()) == [1.0, 1.0]
     assert right.get_lines()[0].get_xdata()[0] == 3.0
     by_bend = {"rmse_below_20_deg": 1.0, "rmse_20_to_40_deg": 2.0, "rmse_above_40_deg": float("nan")}
     low, middle, high = figures.errors_by_bend(table.assign(**by_bend), 13.0, "synthetic").axes
-    assert low.get_title() == "bends below 20 deg, synthetic"
+    assert low.get_title() == "below 20°"
     assert middle.get_lines()[0].get_xdata()[0] == 2.0
     assert high.get_xlim() == low.get_xlim() == (0, 2.1)
 
@@ -75,4 +75,4 @@ def test_light_bulb_shades_events():
     figure = events_over_time(table.assign(bend_deg=30.0, deviation_deg=1.0), events, 0.01, "synthetic")
     left, right = figure.axes
     assert len(left.patches) == len(right.patches) == 1
-    assert left.get_title(loc="left") == "light_0, synthetic"
+    assert left.get_title(loc="left") == "file 0, synthetic"

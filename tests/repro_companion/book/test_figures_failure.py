@@ -35,10 +35,11 @@ def q() -> pd.DataFrame:
 
 def test_truth_estimate_and_failure_are_drawn(u, q):
     panels = readings_and_estimates(u, q, 5.0).axes
-    assert [panel.get_title() for panel in panels[:3]] == ["segment 1", "segment 2", "segment 3"]
+    readings = [f"segment {k}: reading [mT]" for k in (1, 2, 3)]
+    assert [panel.get_ylabel() for panel in panels[::2]] == readings
     # per sensor: truth while it works, truth after it failed, mean; and the failure
-    assert [len(panel.lines) for panel in panels] == [4 * 3 + 1] * 3 + [3 * 2 + 1] * 3
-    seen, unseen, mean = (line.get_ydata() for line in panels[1].lines[9:12])  # sensor 8
+    assert [len(panel.lines) for panel in panels] == [4 * 3 + 1, 3 * 2 + 1] * 3
+    seen, unseen, mean = (line.get_ydata() for line in panels[2].lines[9:12])  # sensor 8
     np.testing.assert_allclose(seen, [0.8, -1.7, np.nan, np.nan])
     np.testing.assert_allclose(unseen, [np.nan, np.nan, -4.2, -6.7])
     np.testing.assert_allclose(mean, [0.0, -2.5, -5.0, -7.5])
@@ -80,4 +81,4 @@ def test_both_runs_are_drawn_from_zero():
     panels = error_and_deviation(table, 5.0).axes
     assert all(len(panel.lines) == 3 and panel.get_ylim()[0] == 0 for panel in panels)
     chosen = table.query("run == 'failure' and quantity == 'delta_y'")
-    assert panels[4].lines[0].get_ydata().tolist() == chosen["deviation_mm"].tolist()
+    assert panels[3].lines[0].get_ydata().tolist() == chosen["deviation_mm"].tolist()

@@ -22,7 +22,7 @@ def test_points_are_those_of_the_table():
     ]
     table = pd.DataFrame(rows, columns=[*columns, "low_direction", "high_direction"])
     figure = errors_and_nees(table)
-    quiet, loud, below, _ = figure.axes
+    quiet, below, loud, _ = figure.axes
     assert [line.get_ydata()[0] for line in quiet.lines] == [1.0, 0.5, 2.0, 0.5, 3.0, 0.5, 4.0, 0.5]
     assert len(loud.lines) == 6
     assert [line.get_ydata()[0] for line in below.lines] == [2.0, 3.0, 4.0, 5.0]

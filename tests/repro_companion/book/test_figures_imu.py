@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.lines import Line2D
 
 from repro_companion.pages.how_many_imus.figures import errors_and_bounds, placement_and_sensors
 from repro_companion.pages.imu_markers.figures import (
@@ -12,6 +13,7 @@ from repro_companion.pages.imu_markers.figures import (
     error_hull,
     errors_along_arm,
 )
+from repro_companion.pages.imu_markers.figures_chains import link_by_link
 from repro_companion.pages.recorded_trial.figures import (
     CHAINS,
     differences_of_files,
@@ -145,7 +147,7 @@ def test_fewer_imus_has_a_panel_per_point():
     lines = [("spline", n, point, 10.0 * n, 20.0 * n) for n in (2, 8) for point in (360.0, 640.0)]
     table = pd.DataFrame(lines, columns=["model", "n_imus", "point_mm", "median_mm", "q75_mm"])
     first, second = fewer_imus(table, "synthetic").axes
-    assert (first.get_title(), second.get_title()) == ("at 360 mm, synthetic", "at 640 mm, synthetic")
+    assert (first.get_title(), second.get_title()) == ("at 360 mm,\nsynthetic", "at 640 mm,\nsynthetic")
     drawn = [y for line in first.lines if len(y := line.get_ydata())]
     np.testing.assert_array_equal(drawn[0], [20, 80])
 
@@ -167,3 +169,19 @@ def test_count_figures_draw_errors_and_bounds():
     right = placement_and_sensors(exact, table, 640.0).axes[1]
     rule = [line.get_ydata() for line in right.lines if line.get_color() == "0.6"]
     np.testing.assert_allclose(rule[0], 640 * np.deg2rad(3) * np.sqrt(2 / np.array([4, 8])))
+
+
+def test_a_chain_is_laid_out_link_by_link():
+    """Each frame has one link more, and says how far its end is from its place on the arm."""
+    arm = np.outer(np.arange(1, 5), [0.03, 0.04, 0.0]) + np.array([0.0, 0.0, 0.2])
+    chains = {"rigid links": arm[1::2] + np.array([0.0, 0.0, 0.01]), "interpolated links": arm}
+    strip = link_by_link(chains, arm, links=2)
+    assert [frame.says for frame in strip.frames] == [
+        "The arm, and no link yet.",
+        "Link 1 of 2. The end is off by: rigid links 10 mm, interpolated links 0 mm.",
+        "Link 2 of 2. The end is off by: rigid links 10 mm, interpolated links 0 mm.",
+    ]
+    last = [artist for artist in strip.frames[2].artists if artist not in strip.frames[1].artists]
+    links = [artist.get_xydata() for artist in last if isinstance(artist, Line2D)][::2]
+    np.testing.assert_allclose(links[0], [[100.0, 210.0], [200.0, 210.0]])  # along the arm, and height
+    np.testing.assert_allclose(links[1], [[100.0, 200.0], [150.0, 200.0], [200.0, 200.0]])

@@ -25,8 +25,8 @@ def test_a_panel_for_every_solver_and_robot():
     figure = noise_curves(noise_table())
     titles = [panel.get_title(loc="left") for panel in figure.axes]
     assert titles == [
-        "gradient descent, $n_b = 1$", "gradient descent, $n_b = 3$",
-        "Levenberg-Marquardt, $n_b = 1$", "Levenberg-Marquardt, $n_b = 3$",
+        "gradient descent, $n_b = 1$", "Levenberg-Marquardt, $n_b = 1$",
+        "gradient descent, $n_b = 3$", "Levenberg-Marquardt, $n_b = 3$",
     ]  # fmt: skip
     for panel in figure.axes:
         paper, exact, bound = (line.get_ydata().tolist() for line in panel.lines)

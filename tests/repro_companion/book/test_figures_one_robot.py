@@ -29,10 +29,10 @@ def means():
 
 def test_a_mark_with_its_interval_for_every_method_and_trajectory(means):
     panels = three_ways(means).axes
-    assert [panel.get_title() for panel in panels[:3]] == [
-        "tip position [mm]",
-        "tip orientation [deg]",
-        "shape [mm]",
+    assert [panel.get_ylabel() for panel in panels[:3]] == [
+        "error of the tip's position [mm]",
+        "error of the tip's orientation [deg]",
+        "error of the shape [mm]",
     ]
     assert len(panels[0].containers) == len(TRAJECTORIES) * len(METHODS) * 2
     mark, _, (bar,) = panels[0].containers[0]

@@ -17,14 +17,13 @@ def test_rates_with_targets_and_the_rates_of_the_sensors():
         ]
     )
     (panel,) = rates(table, [40.0, 60.0]).axes
-    assert [label.get_text() for label in panel.get_yticklabels()] == ["a", "a, live"]
     reference, target, ours, *sensor = panel.lines
     assert reference.get_xdata().tolist() == [10.0, 10.0]
     assert target.get_xdata().tolist() == pytest.approx([50.0, np.nan], nan_ok=True)
     assert ours.get_xdata().tolist() == [100.0, 20.0]
     assert [line.get_xdata()[0] for line in sensor] == [40.0, 60.0]
-    assert [text.get_text() for text in panel.texts] == ["sensor rate, 40 and 60 Hz"]
-    assert not rates(table, []).axes[0].texts
+    assert [text.get_text() for text in panel.texts] == ["a", "a, live", "sensor rate, 40 and 60 Hz"]
+    assert len(rates(table, []).axes[0].texts) == 2
 
 
 def test_a_panel_for_everything_the_cost_grows_with():
@@ -36,7 +35,8 @@ def test_a_panel_for_everything_the_cost_grows_with():
     panels = scaling_curves(points).axes
     assert [panel.get_xlabel() for panel in panels] == ["samples", "segments"]
     labels = [[text.get_text() for text in panel.get_legend().get_texts()] for panel in panels]
-    assert labels == [["a: 1.00", "b: 1.10"], ["a: 2.00"]]
+    assert labels == [["a", "b"], ["a"]]
+    assert [[text.get_text() for text in panel.texts] for panel in panels] == [["1.00", "1.10"], ["2.00"]]
     measured, law = panels[1].lines
     assert measured.get_ydata().tolist() == pytest.approx((size**2.0).tolist())
     assert law.get_ydata().tolist() == pytest.approx([100.0, 900.0, 1e4])

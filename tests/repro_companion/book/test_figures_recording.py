@@ -43,8 +43,8 @@ def test_wrong_readings_are_marked():
         }
     )
     ours, lines = flipped_digits(series).axes
-    assert ours.get_title() == "frames: 0 of 2 wrong"
-    assert lines.get_title() == "millivolts: 1 of 3 wrong"
+    assert ours.get_title() == "frames:\n0 of 2 wrong"
+    assert lines.get_title() == "millivolts:\n1 of 3 wrong"
     assert lines.lines[0].get_ydata().tolist() == [1.0, 2.0]
     assert lines.lines[1].get_ydata().tolist() == [9.0]
     assert len(ours.lines[1].get_ydata()) == 0

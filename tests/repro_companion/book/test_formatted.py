@@ -73,3 +73,9 @@ def test_a_long_table_is_folded():
         "<details><summary>All 16 rows</summary>"
     )
     assert table_html(pd.DataFrame({"n": range(15)})).data.startswith('<div class="formatted" tabindex="0"')
+
+
+def test_numbers_that_keep_all_digits_are_told_apart():
+    """The check of the built pages asks for few digits of the others."""
+    html = table_html(pd.DataFrame({"sent": [123876], "error_mm": [1.23456]}), exact=["sent"]).data
+    assert '<td class="number exact">123876</td><td class="number">1.23</td>' in html

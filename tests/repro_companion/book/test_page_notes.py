@@ -120,7 +120,12 @@ def test_everything_that_a_page_offers_is_there(root, page):
     before = json.loads(page.read_text())
     shown = with_notes(before, project, "a")
     assert before == json.loads(page.read_text())
-    assert shown["cells"][1:-2] == before["cells"][1:]
+    drawn = [
+        output["data"] for cell in before["cells"] for output in cell.get("outputs", []) if "data" in output
+    ]
+    assert any({"image/png", "image/svg+xml"} <= set(data) for data in drawn)
+    for cell, own in zip(shown["cells"][1:-2], before["cells"][1:], strict=True):
+        assert {**cell, "outputs": None} == {**own, "outputs": None}
     assert shown["cells"][0]["source"].startswith('# Title\n\n<p class="page-summary"><a href="#run-it-')
     assert shown["cells"][0]["source"].endswith("</p>\n\n\nText.")
     form, downloads = (cell["source"] for cell in shown["cells"][-2:])
@@ -145,6 +150,7 @@ def test_everything_that_a_page_offers_is_there(root, page):
         f"{record.seconds:.1f} s.",
     ):
         assert part in line
+    assert "<b>Seed:</b> fixed in the code;" in provenance_line(record, {})
 
 
 def test_recordings_commit_and_changed_parameters_stand_in_the_line(page):
@@ -163,7 +169,7 @@ def test_recordings_commit_and_changed_parameters_stand_in_the_line(page):
     assert "<b>Parameters:</b> n = &lt;4&gt;;" in line
     assert "<b>Code:</b> commit 0123456789ab with uncommitted changes;" in line
     digest = combined_digest(recordings)[:12]
-    found = "2 files found in REPRO_DATA_DIR, whether this page reads them or not"
+    found = "found, of all papers: 2 files in REPRO_DATA_DIR"
     assert f"<b>Recordings:</b> {found}, SHA-256 {digest};" in line
 
 
@@ -195,3 +201,42 @@ def test_figures_in_the_order_of_the_page():
     assert [figure.caption for figure in found[2:]] == ["A view.", "", "", ""]  # a label is there once
     assert found[0].files == {"png": b"\x89PNG of the figure", "svg": b"<svg/>"}
     assert found[2].files == {"png": b"\x89PNG of the figure"}
+
+
+def test_figures_without_a_vector_version_stand_in_one_line(root, page):
+    notebook = nbformat.read(page, as_version=4)
+    view = f'<div class="shape-view"><img src="data:image/png;base64,{PNG}" alt="x"></div>'
+    for name in ("fig-one", "fig-two"):
+        cell = nbformat.v4.new_code_cell("")
+        cell.outputs = [nbformat.v4.new_output("display_data", {"text/html": view + view})]
+        cell.metadata["mystnb"] = {"figure": {"name": name, "caption": "A view."}}
+        notebook.cells.append(cell)
+    nbformat.write(notebook, page)
+    downloads = with_notes(json.loads(page.read_text()), find_project(), "a")["cells"][-1]["source"]
+    (line,) = [line for line in downloads.splitlines() if "vector" in line]
+    assert line.endswith(": {numref}`fig-one`, {numref}`fig-two`")
+
+
+def test_a_folded_cell_that_only_gives_values_has_no_bar(root, page):
+    notebook = json.loads(page.read_text())
+    for source, outputs in (("x = 1\ngive(x=1)", []), ("x = 1", []), ("give(x=1)\nx", [{"data": {}}])):
+        metadata = {"tags": ["hide-input"]}
+        cell = {"cell_type": "code", "id": "x", "metadata": metadata, "source": source, "outputs": outputs}
+        notebook["cells"].append(cell)
+    shown = with_notes(notebook, find_project(), "a")["cells"][-5:-2]
+    assert ["remove-cell" in cell["metadata"]["tags"] for cell in shown] == [True, False, False]
+    assert notebook["cells"][-3]["metadata"]["tags"] == ["hide-input"]
+
+
+@pytest.mark.parametrize(("svg", "kept"), [("<svg/>", "image/svg+xml"), ("<svg>" + 40 * " ", "image/png")])
+def test_a_page_shows_the_lighter_of_two_pictures(root, page, svg, kept):
+    notebook = json.loads(page.read_text())
+    pictures = {"image/png": PNG, "image/svg+xml": svg, "text/plain": "Figure"}
+    output = {"output_type": "display_data", "data": pictures, "metadata": {}}
+    notebook["cells"].append(
+        {"cell_type": "code", "id": "x", "metadata": {}, "source": "", "outputs": [output]}
+    )
+    shown = with_notes(notebook, find_project(), "a")
+    assert set(shown["cells"][-3]["outputs"][0]["data"]) == {kept, "text/plain"}
+    assert output["data"] is pictures  # the notebook keeps both, to download
+    assert len(pictures) == 3

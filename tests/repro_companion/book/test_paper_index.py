@@ -15,6 +15,7 @@ from repro_companion.book.after.paper_index import (
     IndexEntry,
     index_page,
     index_path,
+    page_titles,
     places,
     read_index,
 )
@@ -89,20 +90,20 @@ def _anchors(page: str) -> set[str]:
 
 def test_page():
     """A heading for each paper, tables by kind, links to page and code, and why something is not reproduced."""
-    page = index_page(ENTRIES)
+    page = index_page(ENTRIES, page_titles(PROJECT, ENTRIES))
     assert re.findall(r"^## (.+)$", page, flags=re.MULTILINE) == [
         "Baaij et al. (2023)",
         "Mitchell et al. (2021)",
         "Martin et al. (2022)",
     ]
-    assert '<a href="notebooks/table_1.html#fig-table-1">table 1</a>' in page
+    assert '<a href="notebooks/table_1.html#fig-table-1">How well magnets give the shape</a>' in page
     assert (
         '<a href="api/repro.sensing.html#repro.sensing.relations.Relations"><code>Relations</code></a>'
         in page
     )
     assert "<td>not reproduced (photographs)</td>" in page
     assert page.count("<tr>") == len(ENTRIES) + page.count("<thead>")
-    assert not re.search(r"\n\n(?!<div|## )", page.rstrip()), "an empty line ends a block of HTML"
+    assert not re.search(r"\n\n(?!<table|## )", page.rstrip()), "an empty line ends a block of HTML"
 
 
 LINE = {

@@ -16,6 +16,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from papermill.cli import papermill as papermill_command
+from rule_cases import CASES, OF_CHOICES
 
 from repro.errors import InputError
 from repro_companion.book.parameters import Parameter, convert_all, declared_parameters
@@ -90,6 +91,11 @@ def fill(page, **values: str | bool) -> None:
         field.set_checked(value) if isinstance(value, bool) else field.fill(value)
 
 
+def reset(page) -> None:
+    page.get_by_role("button").press("Enter")
+    page.get_by_role("status").filter(has_text="No value changed").wait_for()
+
+
 def command(page, key: str) -> str:
     return page.locator(f"[data-command={key}]").text_content()
 
@@ -158,7 +164,7 @@ def test_a_text_arrives_as_typed(page, typed):
     assert same(yaml.safe_load(command(page, "yaml")), DEFAULTS | expected)
 
 
-CASES = [
+TYPED = [
     ("steps", "-3", -3),
     ("steps", "007", 7),
     ("noise_mt", "-2e-4", -2e-4),
@@ -176,7 +182,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("name", "typed", "value"), CASES, ids=[case[1] for case in CASES])
+@pytest.mark.parametrize(("name", "typed", "value"), TYPED, ids=[case[1] for case in TYPED])
 def test_a_value_arrives_as_repro_run_reads_it(page, name, typed, value):
     # what a reader typed, read by the converter of repro run itself
     expected = convert_all([(name, typed)], declared(), "a.ipynb")
@@ -233,6 +239,80 @@ def test_a_text_that_cannot_be_passed_is_refused(page, typed):
     said = page.locator("#run-form-name-error").inner_text()
     assert said == f"Must be another text than {typed}, which repro does not read as a value"
     assert not page.locator(".run-form-commands").is_visible()
+
+
+@pytest.fixture(scope="module")
+def ruled(browser, tmp_path_factory) -> Iterator[Any]:
+    """Return the form of parameters with rules, x0, x1 and so on, open from a file."""
+    parameters = {
+        f"x{k}": Parameter(f"x{k}", case.kind, case.default, case.meaning)
+        for k, case in enumerate(CASES + OF_CHOICES)
+    }
+    place = tmp_path_factory.mktemp("form") / "page.html"
+    html = f'<!doctype html><meta charset="utf-8">{form_html("notebooks/a.ipynb", parameters)}'
+    place.write_text(f"{html}<script>{SCRIPT.read_text()}</script>", encoding="utf-8")
+    tab = browser.new_page()
+    tab.goto(place.as_uri())
+    yield tab
+    tab.close()
+
+
+@pytest.mark.parametrize("number", range(len(CASES)), ids=lambda k: CASES[k].meaning)
+def test_the_form_allows_what_repro_run_allows(ruled, number):
+    """One rule, two programs: what is refused names the rule, and nothing is said to be unchanged then."""
+    case, name = CASES[number], f"x{number}"
+    field, status = ruled.locator(f"[data-name={name}]"), ruled.get_by_role("status")
+    error = ruled.locator(f"#run-form-{name}-error")
+    if field.evaluate("field => field.tagName") == "SELECT":
+        rule = Parameter(name, case.kind, case.default, case.meaning).rule
+        offered = {str(choice) for choice in rule.choices} if rule else set()
+        assert set(field.locator("option").all_inner_texts()) == offered
+        return
+    as_number = field.get_attribute("type") == "number"  # where letters cannot be typed
+    for text in case.allowed:
+        field.fill(text)
+        assert error.inner_text() == ""
+        assert f"-p {name}" in command(ruled, "repro") or "No value changed" in status.inner_text()
+    for text in case.refused:
+        if not (as_number and text.lstrip("-").isalpha()):
+            field.fill(text)
+            assert error.inner_text() == f"Must be {case.must_be}", text
+            assert status.inner_text() == "1 value is not allowed"
+    reset(ruled)
+
+
+def test_a_range_is_told_to_the_browser(ruled):
+    field = ruled.locator("[data-name=x0]")
+    assert (field.get_attribute("min"), field.get_attribute("max")) == ("1", "6")
+    assert ruled.locator("[data-name=x3]").get_attribute("max") is None
+
+
+def test_choices_of_a_list_by_keyboard(ruled):
+    """Boxes to tick, named after the parameter; what is ticked arrives as a list in the order of the choices."""
+    models, seeds = (f"x{len(CASES) + k}" for k in range(2))
+    group = ruled.get_by_role("group", name=models)
+    group.get_by_label("fast network").press("Space")
+    assert command(ruled, "repro").endswith(f"""-p {models} '["fast network", "multipole"]'""")
+    for label in ("fast network", "multipole"):
+        group.get_by_label(label).press("Space")
+    assert ruled.locator(f"#run-form-{models}-error").inner_text() == f"Must be {OF_CHOICES[0].must_be}"
+    group.get_by_label("multipole").press("Space")
+    assert command(ruled, "repro") == ".venv/bin/repro run notebooks/a.ipynb"
+    for label in ("0", "1"):
+        ruled.get_by_role("group", name=seeds).get_by_label(label).press("Space")
+    assert command(ruled, "repro").endswith(f"-p {seeds} '[]'")
+    reset(ruled)
+
+
+def test_a_long_list_is_seen_whole(ruled):
+    """A box of text grows with its lines, and takes no new line itself."""
+    field = ruled.locator(f"[data-name=x{len(CASES) - 2}]")
+    assert field.evaluate("field => field.tagName") == "TEXTAREA"
+    field.fill(f"[{', '.join(['0.125'] * 40)}]")
+    assert field.evaluate("field => field.scrollHeight <= field.clientHeight && field.clientHeight > 40")
+    field.fill("[1,\n2]")
+    assert command(ruled, "repro").endswith("'[1, 2]'")
+    reset(ruled)
 
 
 def test_several_values_by_keyboard_alone(page):

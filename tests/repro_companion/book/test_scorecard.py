@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from repro.errors import InputError
+from repro_companion.book.after.figures_scorecard import picture_alt
+from repro_companion.book.after.scorecard_files import badge_text, scorecard_json
 from repro_companion.book.project import Project, find_project
 from repro_companion.book.published import read_csv, read_published, row_key
 from repro_companion.book.results import write_scorecard_rows
 from repro_companion.book.scorecard import (
     COLUMNS,
+    KINDS,
     REFERENCE_COLUMNS,
     ScorecardRow,
     changed_verdicts,
@@ -23,7 +28,7 @@ from repro_companion.book.scorecard import (
     summary,
     telling,
 )
-from repro_companion.book.scorecard_page import anchor, counts_page, scorecard_page, verdicts_page
+from repro_companion.book.scorecard_page import anchor, counts_page, scorecard_page, verdicts_page, words
 from repro_companion.book.verdicts import Verdict
 
 E_U = {"paper": "a2020", "artefact": "Table 1", "row": "one", "quantity": "e_u", "unit": "mT", "setting": "x"}
@@ -161,7 +166,7 @@ def test_near_the_edge_of_a_band(project, tmp_path, regenerated, verdict, near):
     write_scorecard_rows([{**E_U, "regenerated": regenerated, "note": "n"}], "first")
     rows = compute_scorecard(project)
     assert (rows[0].verdict, rows[0].near_edge) == (verdict, near)
-    assert ("near the edge of its band" in scorecard_page(rows)) == near
+    assert ("near the edge" in scorecard_page(rows)) == near
     reference = tmp_path / "reference.csv"
     reference.write_text(scorecard_csv(rows, REFERENCE_COLUMNS).replace(verdict, "not_comparable", 1))
     (changed,) = changed_verdicts(rows, reference)
@@ -205,33 +210,80 @@ def test_pages(project):
         "first",
     )
     rows = compute_scorecard(project)
-    page = scorecard_page(rows)
+    page = scorecard_page(rows, {("b2021", "Fig. 2"): "notebooks/rates.html"})
     assert page.count("<table") == 2
     assert page.count('<th scope="row">') == 3
-    assert "a2020, Table 1: 1 better, 1 differs." in page
-    assert "geometric mean of 2" in page
+    assert "a2020, Table 1</span>" in page
+    assert ": 1 better, 1 differs. Regenerated / published, geometric mean of 2" in page
     assert "of 1 standard deviations: 2.00" in page
     assert (
-        '<tr data-verdict="differs"><th scope="row">one</th><td>e_u</td><td>mT</td><td>0.015 ± 0.002</td>'
-        "<td>0.0301 ± 0.0040</td>"
-        '<td><span class="verdict verdict-differs">differs</span></td><td>x, 3 seeds</td><td></td>'
-        "<td>&lt;b&gt; x</td></tr>"
+        'data-verdict="differs"><tr><th scope="row">one, <i>e</i><sub>u</sub></th>'
+        "<td>0.015 ±\xa00.002\xa0mT</td><td>0.0301 ±\xa00.0040\xa0mT</td><td>±\xa00.0077\xa0mT</td>"
+        '<td><span class="verdict verdict-differs">differs</span></td></tr>'
+        '<tr class="remarks"><td colspan="5">&lt;b&gt; x. <span class="setting">Setting: x, 3 seeds.</span></td></tr>'
     ) in page
-    assert "<td>1e-05</td>" in page
-    assert "<td>0.0020 (LM)</td>" in page
+    assert 'data-ratio="2.007"' in page
+    assert "<td>0.000010\xa0mT</td>" in page
+    assert '<span class="best">Best: 0.0020\xa0mT (LM).</span>' in page
     assert 'class="verdict verdict-missing">missing<' in page
+    assert '<a href="notebooks/rates.html">one</a>, update rate' in page
     # a blank line inside a table would end the block of HTML
-    assert all(block.startswith("<div") and block.endswith("</div>") for block in page.strip().split("\n\n"))
+    blocks = page.strip().split("\n\n")
+    assert blocks[0] == '<div class="scorecard-filter"></div>'
+    assert all(block.startswith("<table") and block.endswith("</table>") for block in blocks[1:])
     sentence, _, bias, _, header = counts_page(rows).splitlines()[:5]
     assert sentence == (
         "Of the 3 numbers that the papers print, 2 can be compared. 0 of these are weak, since zero would pass too,"
-        " and 0 print a run again. **Of the 2 left, 1 hold** (0 reproduced, 1 better) and 1 differ."
+        " and 0 print a run again. **Of the 2 left, 0 are reproduced, 1 better, and 1 differ.**"
         " 0 are not comparable, 1 missing."
     )
     assert bias.startswith("The bias: 1 of the 2 lie below the published number; the geometric mean")
-    assert (
-        header
-        == "| Paper | reproduced | better | differs | weak | printed again | not comparable | missing |"
+    assert header == "| | a2020 | b2021 | All |"
+
+
+@pytest.mark.parametrize(
+    ("name", "written"),
+    [
+        ("n_s=6", "<i>n</i><sub>s</sub> = 6"),
+        ("d_s_r=16mm", "<i>d</i><sub>s,r</sub> = 16\N{NO-BREAK SPACE}mm"),
+        ("delta_L_2", "δ<i>L</i><sub>2</sub>"),
+        ("delta_y", "Δ<i>y</i>"),
+        ("n_e=(0,0,1)", "<i>n</i><sub>e</sub> = (0,0,1)"),
+        ("T5.train->T0.test", "T5.train → T0.test"),
+        ("rad/m^2", "rad/m²"),
+        ("<b>", "&lt;b&gt;"),
+    ],
+)
+def test_names_are_written_with_the_letters_of_the_papers(name, written):
+    assert words(name) == written
+
+
+def test_no_name_of_a_file_is_left_on_the_page():
+    """Rows, quantities and units of all published numbers are words or letters."""
+    published = read_published(find_project(Path(__file__).parent).published)
+    names = {name for key in published for name in (key.row, key.quantity, key.unit)}
+    assert [name for name in names if "_" in words(name) or "&gt;" in words(name)] == []
+
+
+def test_every_count_is_apart_for_weak_rows_and_runs_printed_again(project):
+    """Page, picture, badge, chapter and JSON count the same."""
+    weak = {**E_U, "regenerated": 0.001, "regenerated_std": 0.05, "n_seeds": 3, "note": "n"}
+    again = {**E_U, "row": "two", "regenerated": 0.0301, "note": "n"}
+    write_scorecard_rows([weak, again, {**RATE, "regenerated": 1, "comparable": False}], "first")
+    rows = compute_scorecard(project)
+    first = [row for row in rows if row.row == "two"]
+    rows += [replace(row, row="three") for row in first]
+    kind = first[0].verdict.words
+    counts = {kind: 1, "weak": 1, "printed again": 1, "not comparable": 1}
+    said = ", ".join(f"{counts[name]} {name}" for name in KINDS if name in counts)
+    assert badge_text(rows) == said
+    assert f"{len(rows)} numbers of the papers: {said}. The 1 ratios" in picture_alt(rows)
+    ours = [row for row in rows if row.paper == "a2020"]
+    assert verdicts_page(ours).endswith(f"Table 1: {said.removesuffix(', 1 not comparable')}.\n")
+    of_all = json.loads(scorecard_json(rows))["counts"]["all"]
+    assert {name.replace("_", " "): n for name, n in of_all.items() if n} == counts
+    assert f": {said.removesuffix(', 1 not comparable')}. Regenerated / published, geometric mean of 1:" in (
+        scorecard_page(rows)
     )
 
 
@@ -285,6 +337,8 @@ def test_every_published_number_has_an_address_of_its_own():
     rows = compare_files([], published)
     addresses = [anchor(row) for row in rows]
     assert len(set(addresses)) == len(rows)
-    page = scorecard_page(rows, filtered=True)
-    assert all(page.count(f'<tr id="{address}"') == 1 for address in addresses)
-    assert "<tr id=" not in scorecard_page(rows), "a page of a notebook may show a row twice"
+    page = scorecard_page(rows, {})
+    assert all(page.count(f'<tbody id="{address}"') == 1 for address in addresses)
+    elsewhere = scorecard_page(rows)
+    assert "<tbody id=" not in elsewhere, "a page of a notebook may show a row twice"
+    assert all(elsewhere.count(f'<a href="../scorecard.html#{address}">') == 1 for address in addresses)

@@ -7,7 +7,10 @@ import re
 import xml.etree.ElementTree as ET
 from fractions import Fraction
 
-from repro_companion.book.after.figures_scorecard import HIGHEST, picture_alt, scorecard_picture
+import pytest
+
+from repro.errors import InputError
+from repro_companion.book.after.figures_scorecard import HIGHEST, height_of, picture_alt, picture_page
 from repro_companion.book.after.scorecard_files import (
     badge,
     badge_text,
@@ -16,8 +19,10 @@ from repro_companion.book.after.scorecard_files import (
 )
 from repro_companion.book.project import Project
 from repro_companion.book.scorecard import ScorecardRow
-from repro_companion.book.scorecard_page import counts_page, scorecard_page
+from repro_companion.book.scorecard_page import anchor, counts_page, scorecard_page
 from repro_companion.book.verdicts import Verdict, band, within_band
+
+SVG = "{http://www.w3.org/2000/svg}"
 
 
 def row(verdict: Verdict, published: str = "2.0", regenerated: str = "1.0", **other: str) -> ScorecardRow:
@@ -60,8 +65,8 @@ def test_json():
 
 def test_badge():
     """The badge is a picture with a name, wide enough for its text."""
-    assert badge_text(ROWS) == "2 hold, 1 differ, 1 not comparable, 1 missing"
-    assert badge_text(ROWS[:2]) == "2 hold"
+    assert badge_text(ROWS) == "1 reproduced, 1 better, 1 differs, 1 not comparable, 1 missing"
+    assert badge_text(ROWS[:2]) == "1 reproduced, 1 better"
     root = ET.fromstring(badge(ROWS))
     assert root.get("aria-label") == f"5 published numbers: {badge_text(ROWS)}"
     assert float(root.get("width") or 0) > 6 * len("published numbers" + badge_text(ROWS))
@@ -76,18 +81,26 @@ def test_band_is_the_one_of_the_verdict():
 
 
 def test_picture_shows_every_row():
-    """Every row has one mark at its ratio, or at the edge beyond which it lies; missing ones stand at the bottom."""
-    figure = scorecard_picture(ROWS)
-    marks = [
-        (round(float(x), 3), float(y))
-        for ax in figure.axes
-        for line in ax.get_lines()
-        if line.get_marker() not in ("None", "", None)
-        for x, y in zip(line.get_xdata(), line.get_ydata(), strict=True)
-    ]
-    assert sorted(y for _, y in marks) == [0.1, 0.1, 0.5, 1.02, HIGHEST]
-    labels = [label.get_text() for ax in figure.axes for label in ax.get_xticklabels()]
-    assert labels == ["Baaij, Table 1", "Martin, Fig. 3"]
+    """Every row has one dot at its ratio, or at the edge beyond which it lies; it says which row, and leads to it."""
+    page = picture_page(ROWS)
+    assert "\n\n" not in page, "a blank line would end the block of HTML"
+    figure = ET.fromstring(page.replace("&nbsp;", " "))
+    links = figure.findall(f".//{SVG}a")
+    assert [link.get("href") for link in links] == [f"#{anchor(row)}" for row in ROWS]
+    assert [link.get("tabindex") for link in links] == ["0", "-1", "-1", "-1", "-1"]
+    heights = [float(link.find(f"{SVG}use").get("y")) for link in links]
+    tops = [min(heights[:3]), min(heights[3:])]  # two lines, of three rows and of two
+    assert heights[0] - tops[0] == pytest.approx(height_of(2.04 / 2) - height_of(HIGHEST), abs=0.1)
+    assert heights[2] == tops[0], "fifty times the published number stands at the upper edge"
+    assert heights[4] - heights[3] == 0, "a tenth of it, and a missing one, stand at the lower edge"
+    titles = [link.findtext(f"{SVG}title") for link in links]
+    assert (
+        titles[0]
+        == "Baaij et al. (2023), Table 1, nb = 1, eu: published 2.0 mT, regenerated 2.04 mT, reproduced"
+    )
+    assert titles[4].endswith("published 2.0 mT, regenerated –, missing")
+    labels = [text.text for text in figure.iter(f"{SVG}text")]
+    assert {"Baaij, Table 1", "Martin, Fig. 3"} <= set(labels)
     assert picture_alt(ROWS) == (
         "Regenerated over published for 5 numbers of the papers: 1 reproduced, 1 better, 1 differs, "
         "1 not comparable, 1 missing. The 3 ratios that are compared go from 0.5 to 50, median 1.02."
@@ -96,13 +109,11 @@ def test_picture_shows_every_row():
 
 
 def test_every_row_leads_to_its_page():
-    page = scorecard_page(
-        ROWS, {("baaij2023", "Table 1"): "notebooks/table_1.html#fig-table-1"}, filtered=True
-    )
-    assert page.startswith('<div class="scorecard-filter"></div>\n\n<div class="scorecard-scroll"')
-    assert page.count('<a href="notebooks/table_1.html#fig-table-1">') == 3
+    page = scorecard_page(ROWS, {("baaij2023", "Table 1"): "notebooks/table_1.html#fig-table-1"})
+    assert page.startswith('<div class="scorecard-filter"></div>\n\n<table class="scorecard cards"')
+    assert page.count('<a href="notebooks/table_1.html#fig-table-1">') == 4  # three rows and the caption
     assert page.count("data-verdict=") == len(ROWS)
-    assert '<th scope="row">M2</th>' in page
+    assert '<th scope="row">M2, <i>e</i><sub>u</sub></th>' in page
     assert 'data-paper="Martin et al. (2022)" data-artefact="Fig. 3"' in page
     assert "scorecard-filter" not in scorecard_page(ROWS)
 
@@ -113,7 +124,7 @@ def test_counts_lead_to_the_rows_that_they_count():
         '<a href="scorecard.html?paper=Martin+et+al.+%282022%29&amp;verdict=not+comparable" '
         'aria-label="1 not comparable of Martin et al. (2022)">1</a>'
     ) in page
-    assert re.search(r"\| Martin et al\. \(2022\) \| 0 \| 0 \| 0 \| 0 \| 0 \|", page)
+    assert re.search(r"\| weak \| 0 \| 0 \| 0 \|", page)
 
 
 def test_files(tmp_path):
@@ -125,6 +136,13 @@ def test_files(tmp_path):
         "martin2022,figure,Fig. 3,errors,regenerated,notebooks/imu_markers,fig-imu-markers,,synthetic\n",
         encoding="utf-8",
     )
+    with pytest.raises(
+        InputError, match="page of index.csv must be a page of the book; instead received note"
+    ):
+        write_scorecard_files(project, ROWS)
+    project.notebooks.mkdir()
+    cell = {"cell_type": "markdown", "source": ["# Markers\n", "\n", "Text."]}
+    (project.notebooks / "imu_markers.ipynb").write_text(json.dumps({"cells": [cell]}), encoding="utf-8")
     write_scorecard_files(project, ROWS)
     folder = project.book / "generated"
     first = {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -135,12 +153,11 @@ def test_files(tmp_path):
         "scorecard.md",
         "scorecard.svg",
         "scorecard_picture.md",
-        "scorecard_picture.svg",
         "verdicts_baaij2023.md",
         "verdicts_martin2022.md",
     ]
     assert b"notebooks/imu_markers.html#fig-imu-markers" in first["scorecard.md"]
-    assert b":alt: Regenerated over published for 5 numbers" in first["scorecard_picture.md"]
-    ET.fromstring(first["scorecard_picture.svg"])
+    assert b'<a href="notebooks/imu_markers.html#fig-imu-markers">Markers</a>' in first["papers.md"]
+    assert b'aria-label="Regenerated over published for 5 numbers' in first["scorecard_picture.md"]
     write_scorecard_files(project, ROWS)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == first

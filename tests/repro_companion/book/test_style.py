@@ -7,18 +7,30 @@ from itertools import combinations
 from pathlib import Path
 
 import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import to_hex, to_rgb, to_rgba
+from matplotlib.figure import Figure
 
+import repro_companion
 from repro_companion.pages.affine_curvature.figures import stills
-from repro_live.view import style
-from repro_live.view.style import MAGNET, SENSOR, STYLE, coordinate_symbol, in_symbols
+from repro_live.view.style import (
+    MAGNET,
+    SENSOR,
+    STYLE,
+    WIDTH_IN,
+    coordinate_symbol,
+    in_symbols,
+    page_figure,
+    wrapped_panels,
+)
 
 CYCLE = mpl.rc_params_from_file(STYLE, use_default_template=False)["axes.prop_cycle"]
 PALETTE = [to_hex(colour).upper() for colour in CYCLE.by_key()["color"]]
 """Colours of the style file."""
+DRAWING = sorted(Path(repro_companion.__file__).parent.glob("pages/*/figures.py"))
 
 SEEN_WITH = {
     "normal vision": np.eye(3),
@@ -34,6 +46,14 @@ SEEN_WITH = {
 RGB_TO_XYZ = np.array(
     [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
 )
+
+
+@page_figure
+def drawn_line() -> Figure:
+    figure, panel = plt.subplots()
+    panel.plot(np.linspace(0, 1, 7), np.linspace(0, 1, 7) ** 2)
+    panel.set_title("third")
+    return figure
 
 
 def lab(colour: str, seen_with: str) -> np.ndarray:
@@ -60,15 +80,34 @@ def test_colours_can_be_told_apart(seen_with):
     assert min(apart.values()) > 10.0, min(apart, key=apart.__getitem__)
 
 
-@pytest.mark.parametrize(
-    "path", sorted(Path(style.__file__).parent.glob("figures/[a-z]*.py")), ids=lambda p: p.stem
-)
+@pytest.mark.parametrize("path", DRAWING, ids=lambda p: p.parent.name)
 def test_figures_have_the_colours_of_the_style(path):
     """Colours that are not greys are those of the palette."""
     named = set(re.findall(r"#[0-9A-Fa-f]{6}\b", path.read_text("utf-8")))
     coloured = {colour.upper() for colour in named if len({colour[1:3], colour[3:5], colour[5:]}) > 1}
     assert coloured <= set(PALETTE)
     assert {MAGNET, SENSOR} <= set(PALETTE)
+
+
+def test_most_pages_draw():
+    assert len(DRAWING) > 15
+
+
+def test_ground_is_transparent_and_text_is_text():
+    """A page shows its own ground, light or dark; a coordinate of a path has two digits after the point."""
+    figure = drawn_line()
+    assert to_rgba(figure.get_facecolor())[3] == to_rgba(figure.axes[0].get_facecolor())[3] == 0
+    svg = figure._repr_mimebundle_()["image/svg+xml"]  # pyright: ignore[reportAttributeAccessIssue]
+    assert re.search(r"<text[^>]*>third</text>", svg)
+    assert re.findall(r' d="[^"]*\.\d{3}', svg) == []
+
+
+def test_panels_wrap_and_the_lowest_have_numbers():
+    figure, panels = wrapped_panels(3, 2, 1.0, sharex=True)
+    assert (len(panels), len(figure.axes), figure.get_size_inches().tolist()) == (3, 3, [WIDTH_IN, 2.0])
+    assert [panel.xaxis.get_tick_params()["labelbottom"] for panel in panels] == [False, True, True]
+    assert len(wrapped_panels(1, 2, 1.0)[1]) == 1
+    plt.close("all")
 
 
 @pytest.mark.parametrize(

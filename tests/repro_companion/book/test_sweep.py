@@ -16,8 +16,7 @@ from logged_runs import LOGGED, PARAMETERS, in_background, logged, wait_for
 from repro.errors import InputError
 from repro_companion.book.points import finished, local_runner, run_points
 from repro_companion.book.project import find_project
-from repro_companion.book.sweep import plan
-from repro_companion.book.sweep_tables import joined_tables, shown_command
+from repro_companion.book.sweep import joined_tables, plan, shown_command
 from repro_companion.cli_sweep import sweep
 
 

@@ -146,7 +146,7 @@ def test_mouse_turns_the_view_and_the_wheel_scrolls_the_page(show, view):
 def test_traces_say_their_values_and_set_the_time(show, view):
     """A trace has a text and its values at the time that is shown; pointing at it goes there."""
     page = show(view.to_html())
-    trace = page.locator(".shape-view-trace").last
+    configuration, trace, more = page.locator(".shape-view-trace").all()
     svg = trace.get_by_role("img")
     assert svg.get_attribute("aria-label").startswith(
         "readings in mT over time, from −1 to 1: sensor 1, sensor 2"
@@ -156,7 +156,11 @@ def test_traces_say_their_values_and_set_the_time(show, view):
     assert page.get_by_role("slider", name="Time").input_value() == "15"
     value = np.sin(view.time_s[15] + 1)
     assert trace.locator("li").first.inner_text().strip() == f"sensor 1 {value:.3g}"
-    assert page.locator(".shape-view-trace").first.locator("li").first.inner_text() == "delta_x_1 15 (15.5)"
+    assert configuration.locator("li").first.inner_text() == "Δx₁ 15 (15.5)"
+    assert [panel.locator("li").count() for panel in (trace, more)] == [4, 4]  # eight readings, in one scale
+    assert [panel.locator("p").count() for panel in (trace, more)] == [1, 0]
+    limits = [panel.locator(".shape-view-limits span").all_inner_texts() for panel in (trace, more)]
+    assert limits == [["1", "0", "−1"]] * 2
 
 
 def test_play_runs_once_and_only_when_asked(show, view):

@@ -3,11 +3,12 @@
 import json
 
 import numpy as np
+import torch
 
+from repro.estimation.base import Trajectory
 from repro_companion.pages.table_2.views import FRAMES, LONGEST_S, ShapeViews, rig_view, rig_views
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.recordings.rig_robot import RIG_LENGTH_M, RIG_RADIUS_M, RIG_RATE_HZ
-from repro_companion.twins.rig_filter import OursRun
 
 DEVIATION_M = 3e-4
 
@@ -22,7 +23,8 @@ def recorded(n, first=0):
 def found(n):
     """Zero throughout, with one covariance."""
     covariance = np.diag([DEVIATION_M**2, DEVIATION_M**2, 0.0])
-    return OursRun(np.zeros((n, 3)), np.tile(covariance, (n, 1, 1)), np.zeros(n), np.zeros(n))
+    zero = torch.zeros(n, 3).double()
+    return Trajectory(zero, torch.from_numpy(np.tile(covariance, (n, 1, 1))), zero, {})
 
 
 def test_tube_of_a_straight_segment():

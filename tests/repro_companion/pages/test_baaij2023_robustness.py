@@ -19,7 +19,7 @@ from repro_companion.pages.robustness import studies as robustness
 from repro_companion.twins import rig_descent as table2
 from repro_companion.twins.pneumatic_rig import record_rig
 from repro_companion.twins.rig_data import load_recordings
-from repro_companion.twins.rig_filter import BendFilter
+from repro_companion.twins.rig_filter import filtered
 from repro_companion.twins.rig_map import fit_map
 from repro_companion.twins.rig_networks import RIG_LEARNING_RATE, rig_networks
 from repro_companion.twins.rig_twins import nominal_twin, random_twin
@@ -221,5 +221,5 @@ class TestStepSize:
     def test_ours_on_the_nominal_twin_is_not_lost_either(self, nominal):
         data, _ = nominal
         part = data.tests["T2"]
-        run = BendFilter(fit_map(data.train)).whole(part.u)
-        assert 1e3 * np.abs(run.q - part.q)[:, :2].max() < 2.0
+        run = filtered(fit_map(data.train), part.u)
+        assert 1e3 * np.abs(run.q.numpy() - part.q)[:, :2].max() < 2.0

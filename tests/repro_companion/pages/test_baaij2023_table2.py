@@ -33,11 +33,12 @@ from repro_companion.pages.table_2.tables import (
 from repro_companion.recordings.baaij2023 import FOLDER, NAMES, Recording, raw_paths, split
 from repro_companion.twins import rig_descent as table2
 from repro_companion.twins import rig_networks as rig_training
-from repro_companion.twins.compiled_rig_filter import filter_bank
+from repro_companion.twins.compiled_rig_filter import bank_step
 from repro_companion.twins.pneumatic_rig import record_rig, record_twin
+from repro_companion.twins.rig_bank import OursConfig
 from repro_companion.twins.rig_data import load_recordings
 from repro_companion.twins.rig_files import write_recording
-from repro_companion.twins.rig_filter import BendFilter, OursConfig
+from repro_companion.twins.rig_filter import filtered
 from repro_companion.twins.rig_map import DEGREE, correlation_s, fit_map, monomials
 from repro_companion.twins.rig_networks import (
     RigSpec,
@@ -117,23 +118,24 @@ class TestOurs:
     def test_exact_where_readings_are_linear_and_without_noise(self):
         bend_map = fit_map(linear_twin(spiral(2000)), degree=1)
         test = linear_twin(spiral(2000, seed=1)[:400])
-        run = BendFilter(bend_map).whole(test.u)
-        assert np.abs(run.q[:, :2] - test.q[:, :2])[40:].max() < 2e-5
-        assert abs(run.bias_mv[-1]) < 1e-6
+        run = filtered(bend_map, test.u)
+        assert np.abs(run.q[:, :2].numpy() - test.q[:, :2])[40:].max() < 2e-5
+        assert abs(run.diagnostics["bias_mv"][-1]) < 1e-6
 
     def test_bias_is_found_where_the_slopes_do_not_hide_it(self):
         """The normal of these slopes is nearly across (1, 1, 1): far from all of a bias shows in a frame."""
         train = noisy(linear_twin(spiral(4000)))
         test = noisy(linear_twin(spiral(4000, seed=1)[:2000], bias=-3.0), seed=1)
-        run = BendFilter(fit_map(train, degree=1)).whole(test.u)
+        run = filtered(fit_map(train, degree=1), test.u)
         # The elongation takes its share of what the sensors have in common.
-        share = run.bias_mv[-1] / -3.0
+        bias_mv = run.diagnostics["bias_mv"][-1].item()
+        share = bias_mv / -3.0
         assert 0.5 < share <= 1.0
-        elongation = run.q[-1, 2] - train.q[:, 2].mean()
+        elongation = run.q[-1, 2].item() - train.q[:, 2].mean()
         slope = fit_map(train, degree=1).elongation_slope
-        assert run.bias_mv[-1] + slope * 1e3 * elongation == pytest.approx(-3.0, abs=0.3)
-        assert np.abs(run.q[-1, :2] - test.q[-1, :2]).max() < 3e-4
-        assert run.bias_deviation_mv[-1] < run.bias_deviation_mv[0]
+        assert bias_mv + slope * 1e3 * elongation == pytest.approx(-3.0, abs=0.3)
+        assert np.abs(run.q[-1, :2].numpy() - test.q[-1, :2]).max() < 3e-4
+        assert run.diagnostics["bias_deviation_mv"][-1] < run.diagnostics["bias_deviation_mv"][0]
 
     def test_truth_and_future_readings_do_not_enter(self):
         data = short_data()
@@ -142,9 +144,9 @@ class TestOurs:
         moved = replace(part, q=part.q + 1e-3)
         first = ours_runs(bend_map, {"T3": part})["T3"]
         second = ours_runs(bend_map, {"T3": moved})["T3"]
-        assert np.array_equal(first.q, second.q)
-        assert np.array_equal(first.covariance, second.covariance)
-        half = BendFilter(bend_map).whole(part.u[: len(part) // 2])
+        assert torch.equal(first.q, second.q)
+        assert torch.equal(first.covariance, second.covariance)
+        half = filtered(bend_map, part.u[: len(part) // 2])
         np.testing.assert_allclose(half.q, first.q[: len(half.q)], atol=1e-12)
 
     def test_one_filter_of_the_bank_is_the_kalman_filter(self):
@@ -155,11 +157,15 @@ class TestOurs:
         u = factors[0] + path @ factors[1:] + 0.5 * g.standard_normal((n, 3))
         width = 20.0
         spread = np.array([*[2 * width / 12**0.5] * 2, 2.0, 2.0, *[1e-6] * 3])
-        means, covariances, weights = filter_bank(
-            u, factors, 1, 1.0, np.zeros(1), np.zeros(1), np.zeros((1, 2)), np.zeros(7), spread,
-            width * np.array([[-1.0, -1.0], [1.0, 1.0]]), np.array([1 / 40, 1.0, 3.0, 5.0]),
-            np.full(3, 0.5), np.full(3, 1e-6),
+        model = (
+            factors, 1, 1.0, np.zeros(1), np.zeros((1, 2)), width * np.array([[-1.0, -1.0], [1.0, 1.0]]),
+            np.array([1 / 40, 1.0, 3.0, 5.0]), np.full(3, 0.5), np.full(3, 1e-6),
         )  # fmt: skip
+        bank, parts = (np.zeros((1, 7)), np.diag(spread**2)[None], np.zeros(1)), []
+        for frame, reading in enumerate(u):
+            *bank, mean, covariance, weight, _, _ = bank_step(frame, reading, *bank, *model)
+            parts.append((mean, covariance, weight))
+        means, covariances, weights = (np.stack(x) for x in zip(*parts, strict=True))
         bound, one = torch.full((2,), width, dtype=torch.float64), torch.ones(2, dtype=torch.float64)
         level, slopes = torch.from_numpy(factors[0]), torch.from_numpy(factors[1:])
         method = IteratedKalmanFilter(
@@ -178,11 +184,11 @@ class TestOurs:
         bend_map, test = fit_map(train, degree=1), linear_twin(spiral(4000, seed=1)[2000:2060])
         g = np.random.default_rng(2)
         runs = [
-            BendFilter(bend_map, config).whole(noisy(test, seed=100 + k).u + 5 * g.standard_normal())
+            filtered(bend_map, noisy(test, seed=100 + k).u + 5 * g.standard_normal(), config)
             for k in range(40)
         ]
-        error = np.stack([run.q[-1, :2] - test.q[-1, :2] for run in runs])
-        C = np.stack([run.covariance[-1, :2, :2] for run in runs])
+        error = np.stack([run.q[-1, :2].numpy() - test.q[-1, :2] for run in runs])
+        C = np.stack([run.covariance[-1, :2, :2].numpy() for run in runs])
         normalised = np.einsum("ni,ni->n", error, np.linalg.solve(C, error[..., None])[..., 0])
         assert normalised.mean() == pytest.approx(2.0, abs=0.95)  # 2 +- 0.32 for 40 draws
 
@@ -193,10 +199,7 @@ class TestOurs:
         bend_map = fit_map(replace(train, q=np.column_stack([train.q[:, :2], 1e-3 * longer])), degree=1)
         assert bend_map.elongation_mm == pytest.approx([5.4, 0.025], rel=2e-3)
         assert bend_map.elongation_spread_mm == pytest.approx(0.02, rel=0.05)
-        values, slopes = bend_map.elongation(bend_mm)
-        assert np.abs(values - longer + free).max() < 5e-3
-        apart = (bend_map.elongation(bend_mm + np.array([1e-4, 0.0]))[0] - values) / 1e-4
-        np.testing.assert_allclose(slopes[:, 0], apart, atol=1e-5)
+        assert np.abs(bend_map.elongation(bend_mm) - longer + free).max() < 5e-3
 
     def test_elongation_interval_holds_the_spread_between_recordings(self):
         """Known map, recordings whose mean elongation differs by the known 0.3 mm: 95 % of the intervals hold."""
@@ -206,9 +209,9 @@ class TestOurs:
             linear_twin(spiral(4000, seed=1)[:400]),
             np.random.default_rng(4),
         )
-        run = BendFilter(bend_map).whole(noisy(test, seed=5).u)
-        deviation = np.sqrt(run.covariance[-1, 2, 2])
-        errors = run.q[-1, 2] - test.q[-1, 2] + 3e-4 * g.standard_normal(2000)
+        run = filtered(bend_map, noisy(test, seed=5).u)
+        deviation = run.covariance[-1, 2, 2].sqrt().item()
+        errors = run.q[-1, 2].item() - test.q[-1, 2] + 3e-4 * g.standard_normal(2000)
         assert (np.abs(errors) < 1.96 * deviation).mean() == pytest.approx(0.95, abs=0.03)
 
     def test_settings_come_from_the_training_part(self):

@@ -32,9 +32,11 @@ from repro_companion.pages.closed_loop.loop import (
 from repro_companion.pages.closed_loop.rig_loop import SESSIONS, SteppedRig, sessions
 from repro_companion.pages.closed_loop.tables import TARGET, loops_over_time, tracking_ratios
 from repro_companion.recordings.baaij2023 import Recording
+from repro_companion.twins.compiled_rig_filter import bank_estimate
 from repro_companion.twins.pneumatic_actuation import Chambers
 from repro_companion.twins.pneumatic_rig import record_rig
-from repro_companion.twins.rig_filter import BendFilter
+from repro_companion.twins.rig_bank import BendBank
+from repro_companion.twins.rig_filter import filtered
 from repro_companion.twins.rig_map import BendMap, fit_map
 from repro_companion.twins.rig_motion import rig_motion
 from repro_companion.twins.rig_twins import nominal_twin
@@ -70,28 +72,26 @@ def learned() -> Learned:
 
 
 class TestFilterInSteps:
-    def test_steps_are_the_whole_recording_to_the_bit(self):
-        u = recording().readings_mv[400:700]
-        bank, whole = BendFilter(learned().bend_map), BendFilter(learned().bend_map).whole(u)
-        state, bends, runs = bank.init(), [], []
+    def test_steps_of_the_bank_are_the_filter_to_the_bit(self):
+        u, bank = recording().readings_mv[400:700], BendBank(learned().bend_map)
+        found, state, bends = filtered(learned().bend_map, u), bank.start(), []
+        assert np.isnan(state.mean_mm).all()
         for reading in u:
             state = bank.step(state, reading)
-            bends.append(state.bend_mm)
-            runs.append(bank.found(state))
-        assert np.array_equal(1e-3 * np.array(bends), whole.q[:, :2])
-        for name in ("q", "covariance", "bias_mv", "bias_deviation_mv"):
-            found = np.concatenate([getattr(run, name) for run in runs])
-            np.testing.assert_allclose(found, getattr(whole, name), rtol=1e-9, atol=1e-12)
+            bends.append(state.mean_mm[:2])
+        assert np.array_equal(np.array(bends), found.diagnostics["bend_mm"].numpy())
+        assert not found.diagnostics["anew"].any()
 
-    def test_state_is_not_changed_and_has_no_bend_before_a_reading(self):
-        bank, u = BendFilter(learned().bend_map), recording().readings_mv[400:402]
-        first = bank.init()
-        assert np.isnan(first.bend_mm).all()
-        second = bank.step(first, u[0])
-        kept = second.states.copy()
-        one, two = bank.step(second, u[1]), bank.step(second, u[1])
-        assert np.array_equal(second.states, kept)
-        assert np.array_equal(one.states, two.states)
+    def test_variance_of_the_elongation_follows_that_of_the_bend(self):
+        """Linear propagation, with the derivative of the elongation as a difference quotient."""
+        g, numbers = np.random.default_rng(0), np.array([50.0, 0.1, 6.0, 5.0, 1.0, 0.3])
+        mixture = (np.eye(2), np.full(3, 1 / 3), np.array([-1.0, 0.0, 1.0]), g.standard_normal((3, 2)))
+        bend, known = np.array([3.0, -2.0, 0.0, 0.0]), (np.full(2, 4.0), np.array([5.0, 0.02]), numbers)
+        q, C, *_ = bank_estimate(bend, *mixture, *known)
+        moved = [bank_estimate(bend + d, *mixture, *known)[0] for d in 1e-5 * np.eye(4)[:2]]
+        slope = np.array([(other - q)[2] / 1e-5 for other in moved])
+        straight = bank_estimate(0 * bend, *mixture, *known)[1]
+        assert C[2, 2] - straight[2, 2] == pytest.approx(slope @ C[:2, :2] @ slope, rel=1e-4)
 
 
 class TestSteppedRig:

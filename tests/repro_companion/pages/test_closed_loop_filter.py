@@ -7,7 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 import pytest
+import torch
+from linear_rig import ACROSS, linear_map, segment
 
+from repro.estimation.base import track
 from repro_companion.pages.closed_loop.filter import CommandAlone, LoopFilter
 from repro_companion.pages.closed_loop.identification import (
     HELD_S,
@@ -16,7 +19,6 @@ from repro_companion.pages.closed_loop.identification import (
     STATIC_DEGREE,
     SWEEP_S,
     Commanded,
-    Segment,
     experiment_torque,
     identify,
 )
@@ -29,55 +31,12 @@ from repro_companion.pages.closed_loop.tables import (
     tracking_ratios,
 )
 from repro_companion.recordings.baaij2023 import Recording
-from repro_companion.twins.rig_filter import BendFilter, OursConfig
-from repro_companion.twins.rig_map import SCALE_MM, BendMap, monomials
+from repro_companion.twins.rig_bank import OursConfig
+from repro_companion.twins.rig_filter import BendFilter
+from repro_companion.twins.rig_map import monomials
 from repro_companion.twins.rig_twins import nominal_twin
 
 TWIN = nominal_twin()
-SLOPES = np.array([[-5.0, 1.0, -4.0], [-3.0, -3.0, 1.5]])  # mV/mm
-ACROSS = np.array([[2.0, 0.5, 1.4], [1.5, 1.8, 1.0]])  # mV s/mm
-
-
-def linear_map(**changes) -> BendMap:
-    """Readings linear in the bend."""
-    factors = np.vstack([[1300.0, 1200.0, 1400.0], SCALE_MM * SLOPES])
-    box = np.full(2, 9.0)
-    known = BendMap(
-        degree=1,
-        factors=factors,
-        noise_mv=np.full(3, 0.6),
-        error_mv=np.full(3, 0.5),
-        error_s=1.5,
-        acceleration=2.0,
-        rate=3.0,
-        mean_mm=np.zeros(2),
-        spread_mm=np.array([3.0, 4.0]),
-        elongation_mm=np.array([4.5, 0.0]),
-        elongation_spread_mm=1e-3,
-        lower=-box,
-        upper=box,
-        starts=np.stack(np.meshgrid(*[np.linspace(-8.0, 8.0, 9)] * 2), axis=-1).reshape(-1, 2),
-        elongation_slope=0.0,
-    )
-    return replace(known, **changes)
-
-
-def segment(**changes) -> Segment:
-    """Seven millimetres for the reference torque, linear; 0.2 s."""
-    static = np.zeros((10, 2))
-    static[1:3] = 7.0 * np.eye(2)
-    known = Segment(
-        lag_s=0.2,
-        static=static,
-        rest_mm=np.zeros(2),
-        apart_mm=0.1,
-        apart_s=0.8,
-        centre=0.1,
-        across=ACROSS,
-        error_mv=np.full(3, 0.5),
-        share=0.0,
-    )
-    return replace(known, **changes)
 
 
 def commands(steps: int, rng: np.random.Generator) -> np.ndarray:
@@ -87,48 +46,68 @@ def commands(steps: int, rng: np.random.Generator) -> np.ndarray:
     return 0.5 * np.column_stack([np.cos(turn), np.sin(turn)]) + jumps
 
 
+def started(method):
+    return method.init(torch.zeros(3).double())
+
+
+def stepped(method, state, reading_mv, torque, following):
+    u = torch.from_numpy(np.concatenate([reading_mv, torque, following]))
+    return method.step(state, u, 0.0)
+
+
+def bend_mm(estimate):
+    return estimate.diagnostics["bend_mm"].numpy()
+
+
 class TestLimits:
     def test_without_lag_and_command_it_is_the_filter_of_table_2_to_the_bit(self):
         g, bend_map = np.random.default_rng(0), linear_map()
         still = segment(across=np.zeros((2, 3)))
         ours, plain = LoopFilter(bend_map, still, follows=False), BendFilter(bend_map)
-        a, b = ours.init(), plain.init()
+        a, b = started(ours), started(plain)
         for torque in commands(60, g):
             u = bend_map(g.uniform(-4.0, 4.0, (1, 2)))[0]
-            a, b = ours.step(a, u, torque, torque), plain.step(b, u)
+            (a, one), (b, two) = stepped(ours, a, u, torque, torque), plain.step(b, torch.from_numpy(u), 0.0)
             for name in ("states", "moments", "log_weights", "mean_mm", "covariance_mm2", "weights"):
-                assert np.array_equal(getattr(a.bank, name), getattr(b, name))
+                assert np.array_equal(getattr(a.members[0].bank, name), getattr(b.members[0].bank, name))
+            assert torch.equal(one.q, two.q)
+            assert torch.equal(one.covariance, two.covariance)
 
     def test_command_alone_is_the_step_response(self):
-        method = CommandAlone(segment())
-        state, torque = method.init(), np.array([0.5, -0.2])
+        method = CommandAlone(linear_map(), segment())
+        state, torque = started(method), np.array([0.5, -0.2])
         for _ in range(16):
-            state = method.step(state, np.zeros(3), torque, torque)
+            state, estimate = stepped(method, state, np.zeros(3), torque, torque)
         expected = 7.0 * torque * (1.0 - np.exp(-16 / 40.0 / 0.2))
-        np.testing.assert_allclose(state.bend_mm, expected, rtol=1e-12)
+        np.testing.assert_allclose(bend_mm(estimate), expected, rtol=1e-12)
 
     def test_readings_as_expected_leave_the_bend_where_the_command_says(self):
         """A rest of nothing: the filter stays at f(s), with readings that have the lag in them."""
         bend_map, known, g = linear_map(), segment(), np.random.default_rng(1)
         ours = LoopFilter(bend_map, known, follows=True, rest_mm=1e-6)
-        alone, state, expected = CommandAlone(known), ours.init(), None
-        expected = alone.init()
+        alone = CommandAlone(bend_map, known)
+        state, command = started(ours), started(alone)
         for torque in commands(200, g):
-            expected = alone.step(expected, np.zeros(3), torque, torque)
-            s = expected.torque[None]
-            lag = known.lag_mv(s, (torque - s[0])[None] / known.lag_s, expected.bend_mm[None])
-            state = ours.step(state, (bend_map(expected.bend_mm[None]) + lag)[0], torque, torque)
-        np.testing.assert_allclose(state.bend_mm, expected.bend_mm, atol=0.02)
+            command, expected = stepped(alone, command, np.zeros(3), torque, torque)
+            x, s = bend_mm(expected)[None], command.members[0][None]
+            lag = known.lag_mv(s, (torque - s[0])[None] / known.lag_s, x)
+            state, estimate = stepped(ours, state, (bend_map(x) + lag)[0], torque, torque)
+        np.testing.assert_allclose(bend_mm(estimate), x[0], atol=0.02)
 
-    def test_state_is_not_changed(self):
-        ours, g = LoopFilter(linear_map(), segment(), follows=True), np.random.default_rng(2)
-        first = ours.step(ours.init(), np.array([1290.0, 1190.0, 1390.0]), *np.zeros((2, 2)))
-        states, moments = first.bank.states.copy(), first.bank.moments.copy()
-        u, torque = first.bank.states[0, 4:] + 1290.0, g.uniform(-0.5, 0.5, 2)
-        one, two = (ours.step(first, u, torque, torque) for _ in range(2))
-        assert np.array_equal(one.bend_mm, two.bend_mm)
-        assert np.array_equal(first.bank.states, states)
-        assert np.array_equal(first.bank.moments, moments)
+    def test_members_of_a_batch_have_commands_of_their_own(self):
+        ours, bend_map, g = (
+            LoopFilter(linear_map(), segment(), follows=True),
+            linear_map(),
+            np.random.default_rng(2),
+        )
+        rows = np.stack(
+            [np.column_stack([bend_map(2 * s), s, s]) for s in (commands(9, g), commands(9, g))], 1
+        )
+        both = track(ours, torch.from_numpy(rows), torch.zeros(2, 3).double())
+        for k in range(2):
+            alone = track(ours, torch.from_numpy(rows[:, k]), torch.zeros(3).double())
+            torch.testing.assert_close(both.q[:, k], alone.q, rtol=0, atol=0)
+        assert not torch.equal(both.q[:, 0], both.q[:, 1])
 
 
 class TestOwnModel:
@@ -144,39 +123,39 @@ class TestOwnModel:
         for _ in range(15):
             c = g.choice(biases, p=prior / prior.sum())
             rest, error = 0.5 * g.standard_normal(2), 0.5 * g.standard_normal(3)
-            alone, state = CommandAlone(known), ours.init()
-            expected, size = alone.init(), np.zeros(3)
+            alone, state = CommandAlone(bend_map, known), started(ours)
+            command, size = started(alone), np.zeros(3)
             sent = commands(81, g)
             for tick, (torque, following) in enumerate(pairwise(sent)):
-                expected = alone.step(expected, np.zeros(3), torque, torque)
+                command, expected = stepped(alone, command, np.zeros(3), torque, torque)
                 rest = kept * rest + 0.5 * np.sqrt(1 - kept**2) * g.standard_normal(2)
                 error = slow * error + 0.5 * np.sqrt(1 - slow**2) * g.standard_normal(3)
-                x, s = expected.bend_mm + rest, expected.torque[None]
+                x, s = bend_mm(expected) + rest, command.members[0][None]
                 lag = known.lag_mv(s, (torque - s[0])[None] / known.lag_s, x[None])[0]
                 ahead = known.lag_mv(s, (following - s[0])[None] / known.lag_s, x[None])[0]
                 size = np.maximum(np.maximum(np.abs(lag), np.abs(ahead)), faded * size)
                 noise = np.hypot(0.6, share * size) * g.standard_normal(3)
                 u = bend_map(x[None])[0] + lag + c + error + noise
-                state = ours.step(state, u, torque, following)
+                state, estimate = stepped(ours, state, u, torque, following)
                 if tick >= 40:
-                    apart = state.bend_mm - x
-                    squares.append(apart @ np.linalg.solve(state.bank.covariance_mm2, apart))
+                    apart = bend_mm(estimate) - x
+                    squares.append(apart @ np.linalg.solve(state.members[0].bank.covariance_mm2, apart))
         assert 1.5 < np.mean(squares) < 2.6
 
     def test_a_command_that_takes_effect_early_is_no_bend(self):
         """The reading at which a jump is sent has a part of its lag already; without a warning it is all bend."""
         bend_map, known = linear_map(), segment(share=0.3)
-        ours, alone = LoopFilter(bend_map, known, follows=True), CommandAlone(known)
+        ours, alone = LoopFilter(bend_map, known, follows=True), CommandAlone(bend_map, known)
         before, jump = np.array([0.5, 0.0]), np.array([-0.2, 0.4])
-        state, expected = ours.init(), alone.init()
+        state, command = started(ours), started(alone)
         for _ in range(80):
-            expected = alone.step(expected, np.zeros(3), before, before)
-            state = ours.step(state, bend_map(expected.bend_mm[None])[0], before, before)
-        x, s = expected.bend_mm, expected.torque[None]
+            command, expected = stepped(alone, command, np.zeros(3), before, before)
+            state, _ = stepped(ours, state, bend_map(bend_mm(expected)[None])[0], before, before)
+        x, s = bend_mm(expected), command.members[0][None]
         early = 0.25 * known.lag_mv(s, (jump - s[0])[None] / known.lag_s, x[None])[0]
         reading = bend_map(x[None])[0] + early
         told, surprised = (
-            ours.step(state, reading, before, following).bend_mm for following in (jump, before)
+            bend_mm(stepped(ours, state, reading, before, following)[1]) for following in (jump, before)
         )
         assert np.linalg.norm(surprised - x) > 0.5
         assert np.linalg.norm(told - x) < 0.1 * np.linalg.norm(surprised - x)
@@ -188,15 +167,16 @@ class TestOwnModel:
             LoopFilter(bend_map, known, follows=False),
             LoopFilter(bend_map, known, follows=True),
         ]
-        states, alone = [m.init() for m in methods], CommandAlone(known)
-        expected, squares = alone.init(), np.zeros(3)
+        states, alone = [started(m) for m in methods], CommandAlone(bend_map, known)
+        command, squares = started(alone), np.zeros(3)
         for torque in commands(400, g):
-            expected = alone.step(expected, np.zeros(3), torque, torque)
-            x, s = expected.bend_mm, expected.torque[None]
+            command, expected = stepped(alone, command, np.zeros(3), torque, torque)
+            x, s = bend_mm(expected), command.members[0][None]
             lag = known.lag_mv(s, (torque - s[0])[None] / known.lag_s, x[None])[0]
             u = bend_map(x[None])[0] + lag + 0.6 * g.standard_normal(3)
-            states = [m.step(state, u, torque, torque) for m, state in zip(methods, states, strict=True)]
-            squares += [((state.bend_mm - x) ** 2).sum() for state in states]
+            found = [stepped(m, state, u, torque, torque) for m, state in zip(methods, states, strict=True)]
+            states = [state for state, _ in found]
+            squares += [((bend_mm(estimate) - x) ** 2).sum() for _, estimate in found]
         assert squares[2] < 0.5 * squares[1] < 0.25 * squares[0]
 
 

@@ -247,7 +247,7 @@ def test_logs_are_scored_refused_or_damaged_each_on_its_own_line(tmp_path):
         "The authors' own output exists of 3 takes and is scored in 1, where it covers 100 %"
     )
     assert re.search(
-        r"\*\*bend_0_try_2 \(\d\d %\) is refused: covers less than 90% of the readings\.\*\*", said
+        r"\*\*test 0, try 2 \(\d\d %\) is refused: covers less than 90% of the readings\.\*\*", said
     )
     assert "are those of no take" in said
 
@@ -273,7 +273,7 @@ def test_facts_tell_what_was_dropped_and_doubtful_lags(real, tmp_path):
     assert "None is further than 0.0" in say.of_lags(table)
     late = replace(real[1], facts=real[1].facts | {"lag_s": 1.87})
     said = say.of_lags(facts([real[0], late, *real[2:]]))
-    assert "**Doubtful, far from the median of the other takes: bend_0_try_2 (+1.3" in said
+    assert "**Doubtful, far from the median of the other takes: test 0, try 2 (+1.3" in said
     assert "0 unreadable rows and 60 from a buffer were dropped (15 per take)" in say.of_hall(table)
     assert (
         "undone in 0.0 % of the frames of a take, and in up to 0 % of those above 40 deg"
@@ -295,9 +295,19 @@ def test_statements_have_the_numbers_of_the_tables(real):
         for c, e in (("none", 8.0), ("none", 9.0), ("none", 13.0), ("other try", 1.04))
     ]
     said = say.of_errors(pd.DataFrame(rows), "recorded")
-    assert "ours 9.0 deg (8.0 to 13.0; 3)." in said
+    assert "least squares on ratios 9.0 deg (8.0 to 13.0; 3)." in said
     assert "other try 1.0 deg (1.0; 1), target 2 deg; to the other tests not run." in said
     assert "Above 40 deg these two are 2.1 deg (2.1; 1) and not run." in said
+    medians = pd.DataFrame(
+        {
+            "method": "paper, as released",
+            "length_mm": [13.0, 15.0],
+            "rmse_deg": [10.28, 2.93],
+            "takes": [9, 6],
+        }
+    )
+    assert "by 10.3 deg at 13 mm (9 takes), 2.9 deg at 15 mm (6 first tries)," in say.of_lengths(medians)
+    assert say.of_lengths(medians[:1]) == ""
     table = errors.factors(real, NO_READINGS)
     assert table["fitted_to"].tolist() == [take.name for take in real]
     np.testing.assert_allclose(table["factor"], 1.2, rtol=0.02)  # the gain across the body that was put in

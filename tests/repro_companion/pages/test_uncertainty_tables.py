@@ -18,7 +18,8 @@ from repro_companion.pages.temporal_filter import filters as temporal
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.twins import rig_descent
 from repro_companion.twins.calibrated_robots import relative_error
-from repro_companion.twins.rig_filter import BendFilter, OursConfig
+from repro_companion.twins.rig_bank import OursConfig
+from repro_companion.twins.rig_filter import filtered
 from repro_companion.twins.rig_map import fit_map
 from repro_companion.twins.segment_motion import ROBOT
 from repro_companion.twins.trajectories import lemniscate
@@ -208,9 +209,9 @@ class TestRig:
         config = OursConfig(bias_mv=0.01, widest_mv=0.02, step_mv=0.01, shape_mv=5.0)
         squares, bend = [], path[2000:2040]
         for _ in range(200):
-            run = BendFilter(bend_map, config).whole(recorded(bend, 5.0 * g.standard_normal(3)).u)
-            error = run.q[-1, :2] - bend[-1]
-            squares.append(error @ np.linalg.solve(run.covariance[-1, :2, :2], error))
+            run = filtered(bend_map, recorded(bend, 5.0 * g.standard_normal(3)).u, config)
+            error = run.q[-1, :2].numpy() - bend[-1]
+            squares.append(error @ np.linalg.solve(run.covariance[-1, :2, :2].numpy(), error))
         assert np.mean(squares) / 2 == pytest.approx(1.0, abs=0.25)
         assert np.mean(np.array(squares) < chi2.ppf(0.95, 2)) == pytest.approx(0.95, abs=0.05)
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import sys
 from collections.abc import Iterable, Sequence
@@ -13,6 +14,8 @@ from pathlib import Path
 
 from repro.errors import InputError, bad_input
 from repro.files import write_whole
+from repro_companion.book.after.alternatives import alternative_points, remove_other_runs, warm_runner
+from repro_companion.book.after.paper_index import index_path, page_titles, read_index
 from repro_companion.book.after.site import SiteFailed, build_site
 from repro_companion.book.digests import combined_digest, write_if_changed
 from repro_companion.book.points import (
@@ -58,7 +61,11 @@ def build(project: Project, jobs: int) -> int:
     due = [page for page in pages if not finished(page)]
     if not run_pages(due, jobs) or not _tables_are_told_apart(project, notebooks):
         return 1
+    if not _pages_are_quiet(project, due):
+        return 1
     try:
+        if not run_alternatives(project, inputs, jobs):
+            return 1
         rows = compute_scorecard(project)
         write_if_changed(project.results / "scorecard.csv", scorecard_csv(rows))
         _write_scorecard_pages(project, rows, inputs)
@@ -74,7 +81,8 @@ def build(project: Project, jobs: int) -> int:
 def _write_scorecard_pages(project: Project, rows: Sequence[ScorecardRow], inputs: Inputs) -> None:
     """Write what the site shows of the scorecard, unless all that it follows from is as it was."""
     numbers = hashlib.sha256(scorecard_csv(rows).encode()).hexdigest()
-    key = combined_digest([inputs.sources, inputs.data, {"scorecard": numbers, "lock": inputs.lock}])
+    titles = page_titles(project, read_index(index_path(project)))
+    key = combined_digest([inputs.sources, inputs.data, titles, {"scorecard": numbers, "lock": inputs.lock}])
     done, last = project.cache / "scorecard", project.book / "generated" / "scorecard.json"
     if last.is_file() and done.is_file() and done.read_text(encoding="utf-8").strip() == key:
         return
@@ -137,6 +145,20 @@ def _tables_are_told_apart(project: Project, notebooks: Iterable[Path]) -> bool:
     return not shared
 
 
+def _pages_are_quiet(project: Project, pages: Iterable[Point]) -> bool:
+    """Return whether no page that was run shows a warning; one that does counts as not run."""
+    quiet = True
+    for page in pages:
+        cells = json.loads(page.output.read_text(encoding="utf-8"))["cells"]
+        outputs = [output for cell in cells for output in cell.get("outputs", [])]
+        said = "".join("".join(output["text"]) for output in outputs if output.get("name") == "stderr")
+        if said:
+            print(f"{page.notebook.name} shows a warning: {said.strip()}", file=sys.stderr)
+            record_path(project.results, page.notebook.stem).unlink(missing_ok=True)
+            quiet = False
+    return quiet
+
+
 def run_pages(pages: Sequence[Point], jobs: int) -> bool:
     """Run pages, several at once; a failure does not stop the others, and is printed when all have ended.
 
@@ -153,6 +175,19 @@ def run_pages(pages: Sequence[Point], jobs: int) -> bool:
         Whether all succeeded.
     """
     failures = run_points(pages, local_runner(jobs)) if pages else {}
+    for message in failures.values():
+        print(message, file=sys.stderr)
+    return not failures
+
+
+def run_alternatives(project: Project, inputs: Inputs, jobs: int) -> bool:
+    """Compute what changed parameters give, for the pages to show; return whether all of it succeeded."""
+    points = alternative_points(project, inputs)
+    remove_other_runs(project, points)
+    due = [point for point in points if not finished(point)]
+    if due:
+        print(f"alternatives: {len(due)} short runs with other parameters", flush=True)
+    failures = run_points(due, warm_runner(jobs, inputs)) if due else {}
     for message in failures.values():
         print(message, file=sys.stderr)
     return not failures

@@ -43,7 +43,7 @@ def cover(shapes: pd.DataFrame, parts: pd.DataFrame, cloud: pd.DataFrame, arm: p
     arm
         As for :func:`repro_companion.pages.recorded_arm.figures.arm_shapes`.
     """
-    figure = plt.figure(figsize=(9.0, 3.6))
+    figure = plt.figure(figsize=(9.0, 4.2))
     left, right = (figure.add_subplot(1, 3, k, projection="3d") for k in (1, 3))
     middle = figure.add_subplot(1, 3, 2)
     _segments(left, shapes, parts)
@@ -62,29 +62,29 @@ def cover(shapes: pd.DataFrame, parts: pd.DataFrame, cloud: pd.DataFrame, arm: p
 def _segments(axes: Axes3D, shapes: pd.DataFrame, parts: pd.DataFrame) -> None:
     times = np.unique(shapes["time_s"])
     moment = times[len(times) // 3]  # before sensors fail
-    for estimated, colour, width in ((False, TRUTH, 4.5), (True, ESTIMATE, 1.5)):
+    for estimated, colour, look in ((False, "0.7", {"lw": 8}), (True, ESTIMATE, {"lw": 2, "ls": "--"})):
         here = shapes[(shapes["time_s"] == moment) & (shapes["estimated"] == estimated)]
-        axes.plot(*_points(here), color=colour, lw=width, label="estimate" if estimated else "truth")
+        axes.plot(*_points(here), color=colour, **look, label="estimate" if estimated else "truth")
     there = parts[(parts["time_s"] == moment) & ~parts["estimated"]]
     for kind, colour, marker in (("magnet", MAGNET, "o"), ("sensor", SENSOR, "s")):
         axes.plot(*_points(there[there["part"] == kind]), marker, color=colour, ms=5, label=kind)
     reach = float(np.ptp(_points(here), axis=1).max()) / 3
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
     _bare(axes, 1.05)
-    axes.legend(loc="lower left", fontsize=9, frameon=False, borderpad=0)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.05), ncols=2)
 
 
 def _particles(axes: Axes, cloud: pd.DataFrame) -> None:
     degrees = np.rad2deg(cloud[["bend_x_rad", "bend_y_rad"]].to_numpy())
     truth = cloud["is_truth"].to_numpy(dtype=bool)
-    axes.plot(*degrees[~truth].T, ".", ms=3, color=ESTIMATE, alpha=0.5, label="particles")
+    axes.plot(*degrees[~truth].T, ".", ms=3, color=ESTIMATE, alpha=0.5, mew=0, label="particles")
     axes.plot(*degrees[truth].T, "o", ms=6, color=TRUTH, label="truth")
     for radius in (30, 60, 90):
         axes.add_patch(Circle((0, 0), radius, fill=False, lw=0.8, color="0.6"))
         axes.text(0, radius - 3, f"{radius}°", ha="center", va="top", fontsize=8, color="0.35")
     axes.set(aspect="equal", xlim=(-95, 95), ylim=(-95, 95))
     axes.axis("off")
-    axes.legend(loc="lower center", fontsize=9, frameon=False, borderpad=0)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2, markerscale=1.5)
 
 
 def _arm(axes: Axes3D, arm: pd.DataFrame) -> None:
@@ -116,7 +116,7 @@ def main(arguments: Sequence[str]) -> int:
     names = ("sensor_failure_shapes", "sensor_failure_parts", "bend_cloud", "recorded_arm_shapes")
     figure = cover(*(pd.read_csv(folder / f"{name}.csv") for name in names))
     drawn = io.BytesIO()
-    figure.savefig(drawn, dpi=POINTS_PER_IN)
+    figure.savefig(drawn, dpi=POINTS_PER_IN, facecolor="white")
     # few colours, little weight: the landing page shows it
     Image.open(drawn).convert("RGB").quantize(64).save(find_project().book / "_static" / COVER, optimize=True)
     return 0

@@ -52,24 +52,25 @@ def sketch() -> str:
         ("experiments", {name: experiment_path(name) for name in TRAJECTORIES}),
         ("simulation", {name: simulated_path(name) for name in ("T0", "T1", "T2", "T3", "flower")}),
     )
-    parts = [
-        '<figure class="schematic">',
-        f'<svg role="img" aria-label="{ALT}" viewBox="0 0 {6 * WIDTH} {2 * (WIDTH + 30)}" width="100%"'
-        f' style="max-width: {6 * WIDTH}px"'
-        ' font-size="13" fill="currentColor" stroke="currentColor" stroke-width="0">',
-    ]
-    for row, (kind, paths) in enumerate(rows):
-        top = row * (WIDTH + 30)
-        parts.append(f'<text x="4" y="{top + 14}" font-weight="600">{kind}</text>')
-        for column, (name, path) in enumerate(paths.items()):
-            x, y = column * WIDTH + WIDTH // 2, top + 26 + HALF
-            parts.append(f'<circle cx="{x}" cy="{y}" r="1.5" opacity="0.6"/>')
-            line = " ".join(
-                f"{x + HALF * dx:.1f},{y - HALF * dy:.1f}" for dx, dy in path[:: max(1, len(path) // POINTS)]
-            )
-            parts.append(f'<polyline points="{line}" fill="none" stroke-width="1"/>')
-            parts.append(f'<text x="{x}" y="{y + HALF + 18}" text-anchor="middle">{name}</text>')
-    return "\n".join([*parts, "</svg>", "</figure>", ""])
+    parts = [f'<figure class="schematic"><div role="img" aria-label="{ALT}">']
+    for kind, paths in rows:
+        parts.append(f'<p class="trajectories-title">{kind}</p><div class="trajectories">')
+        parts += [_drawn(name, path) for name, path in paths.items()]
+        parts.append("</div>")
+    return "\n".join([*parts, "</div></figure>", ""])
+
+
+def _drawn(name: str, path: np.ndarray) -> str:
+    """Return one path as a picture of its own, so that a narrow screen breaks the row."""
+    x, y = WIDTH // 2, HALF + 4
+    points = path[:: max(1, len(path) // POINTS)]
+    line = " ".join(f"{x + HALF * dx:.1f},{y - HALF * dy:.1f}" for dx, dy in points)
+    return (
+        f'<svg width="{WIDTH}" height="{y + HALF + 24}" font-size="13" fill="currentColor" stroke="currentColor"'
+        f' stroke-width="0">\n<circle cx="{x}" cy="{y}" r="1.5" opacity="0.6"/>\n'
+        f'<polyline points="{line}" fill="none" stroke-width="1"/>\n'
+        f'<text x="{x}" y="{y + HALF + 18}" text-anchor="middle">{name}</text>\n</svg>'
+    )
 
 
 if __name__ == "__main__":

@@ -1,125 +1,141 @@
-"""The scorecard in one picture: every published number beside its regenerated one."""
+"""The scorecard in one picture: a dot for every number, which says what it is and leads to its row."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-import matplotlib.pyplot as plt
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from markupsafe import Markup
 
-from repro_companion.book.scorecard import ScorecardRow
-from repro_companion.book.verdicts import Verdict, band
-from repro_live.view.style import page_figure
+from repro_companion.book.scorecard import (
+    COMPARED,
+    KINDS,
+    REPEATED,
+    WEAK,
+    ScorecardRow,
+    count_kinds,
+    kinds,
+    listed,
+    telling,
+)
+from repro_companion.book.scorecard_page import (
+    PAPERS,
+    anchor,
+    published_words,
+    ratio,
+    regenerated_words,
+    words,
+)
+from repro_companion.book.templates import rendered
+from repro_companion.book.verdicts import band
 
 LOWEST, HIGHEST = 0.1, 10.0
 """Ratios at which the picture ends; what lies beyond stands at its edge."""
 
-_MARKS = {
-    Verdict.REPRODUCED: {"marker": "o", "color": "#009E73"},
-    Verdict.BETTER: {"marker": "v", "color": "#0072B2"},
-    Verdict.DIFFERS: {"marker": "D", "color": "#D55E00"},
-    Verdict.NOT_COMPARABLE: {"marker": "o", "color": "#555555", "markerfacecolor": "none"},
-    Verdict.MISSING: {"marker": "x", "color": "#999999"},
+TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+MARKS = {
+    "reproduced": "M-3.5 0a3.5 3.5 0 1 0 7 0a3.5 3.5 0 1 0-7 0",
+    "better": "M-4-3.5H4L0 4z",
+    "differs": "M0-5L4.5 0L0 5L-4.5 0z",
+    WEAK: "M-3 0a3 3 0 1 0 6 0a3 3 0 1 0-6 0",
+    REPEATED: "M-3-3H3V3H-3z",
+    "not comparable": "M-3 0a3 3 0 1 0 6 0a3 3 0 1 0-6 0",
+    "missing": "M-3-3L3 3M-3 3L3-3",
 }
-_SHORT = {"baaij2023": "Baaij", "mitchell2021": "Mitchell", "martin2022": "Martin"}
-_GAP = 2.5  # rows of room between two artefacts
-_NARROW = 9  # an artefact of fewer rows has its label written upright
+"""Outline of a dot by what the row counts as; its colour stands in ``repro.css``."""
+SHORT = {"baaij2023": "Baaij", "mitchell2021": "Mitchell", "martin2022": "Martin"}
+LEFT, STEP, TOP, HEIGHT, LEVEL, UPRIGHT = 58.0, 7.6, 10.0, 230.0, 50.0, 150.0
+"""Where the first dot stands, from dot to dot, where a line begins, how high it is, and the room for its labels."""
+_GAP = 2.5  # dots of room between two artefacts
+_NARROW = 14  # an artefact of fewer rows has its label written upright
 
 
-@page_figure
-def scorecard_picture(rows: Sequence[ScorecardRow]) -> Figure:
-    """Draw regenerated over published for every row, with the bands, on two lines of artefacts.
+def picture_page(rows: Sequence[ScorecardRow]) -> str:
+    """Return the figure: regenerated over published for every row, with the bands, on two lines of artefacts.
 
     Parameters
     ----------
     rows
         The scorecard; rows that are missing stand at the lower edge.
     """
-    artefacts: dict[tuple[str, str], list[ScorecardRow]] = {}
-    for row in rows:
-        artefacts.setdefault((row.paper, row.artefact), []).append(row)
-    lines = _two_lines(artefacts)
-    figure, axes = plt.subplots(
-        len(lines), 1, figsize=(10, 3.1 * len(lines)), squeeze=False, layout="constrained"
+    artefacts: dict[tuple[str, str], list[tuple[ScorecardRow, str]]] = {}
+    for row, kind in zip(rows, kinds(rows), strict=True):
+        artefacts.setdefault((row.paper, row.artefact), []).append((row, kind))
+    top, dots, labels, axes = TOP, [], [], []
+    for line in _two_lines(artefacts):
+        x = LEFT
+        for (paper, artefact), members in line.items():
+            dots += [_dot(row, kind, x + STEP * k, top) for k, (row, kind) in enumerate(members)]
+            label = {
+                "text": f"{SHORT.get(paper, paper)}, {artefact}",
+                "x": round(x + STEP * (len(members) - 1) / 2, 1),
+                "edge": round(x + STEP * (len(members) + (_GAP - 1) / 2), 1),
+                "y": top,
+                "upright": len(members) < _NARROW,
+            }
+            labels.append(label)
+            x += STEP * (len(members) + _GAP)
+        axes.append((top, round(x - STEP * _GAP)))
+        top += HEIGHT + (UPRIGHT if any(label["upright"] for label in labels if label["y"] == top) else LEVEL)
+    counts: Counter[str] = sum(count_kinds(rows).values(), Counter())
+    return rendered(
+        "scorecard_picture.html",
+        alt=picture_alt(rows),
+        dots=dots,
+        labels=labels,
+        lines=axes,
+        ticks=[(f"{tick:g}", height_of(tick)) for tick in TICKS],
+        marks=MARKS,
+        legend=[(kind, counts[kind]) for kind in KINDS if counts[kind]],
+        height=HEIGHT,
+        left=LEFT,
+        size=(max(end for _, end in axes) + LEFT / 2, top),
     )
-    for ax, line in zip(axes[:, 0], lines, strict=True):
-        _draw_line(ax, line)
-    counts = Counter(row.verdict for row in rows)
-    handles = [
-        Line2D([], [], linestyle="none", markersize=5, label=f"{verdict.words} ({counts[verdict]})", **mark)
-        for verdict, mark in _MARKS.items()
-        if counts[verdict]
-    ]
-    handles.append(Line2D([], [], color="#bbbbbb", linewidth=3, label="band"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
-    return figure
 
 
-def _two_lines(
-    artefacts: dict[tuple[str, str], list[ScorecardRow]],
-) -> list[dict[tuple[str, str], list[ScorecardRow]]]:
+def _two_lines(artefacts: Mapping[Any, Sequence[Any]]) -> list[dict[Any, Sequence[Any]]]:
     """Return the artefacts in two groups of about as many rows, in their order; one group where there is one."""
     total, seen = sum(map(len, artefacts.values())), 0
-    lines: list[dict[tuple[str, str], list[ScorecardRow]]] = [{}, {}]
+    lines: list[dict[Any, Sequence[Any]]] = [{}, {}]
     for place, members in artefacts.items():
         lines[seen + len(members) / 2 > total / 2][place] = members
         seen += len(members)
     return [line for line in lines if line]
 
 
-def _draw_line(ax: Axes, artefacts: dict[tuple[str, str], list[ScorecardRow]]) -> None:
-    start = 0.0
-    ticks = []
-    for (paper, artefact), members in artefacts.items():
-        for k, row in enumerate(members):
-            _draw_row(ax, start + k, row)
-        middle = start + (len(members) - 1) / 2
-        ticks.append((middle, f"{_SHORT.get(paper, paper)}, {artefact}", len(members)))
-        start += len(members) + _GAP
-        ax.axvline(start - (_GAP + 1) / 2, color="#dddddd", linewidth=0.8)
-    ax.axhline(1, color="black", linewidth=0.8, zorder=0)
-    ax.set_yscale("log")
-    ax.set_ylim(LOWEST * 0.85, HIGHEST * 1.15)
-    ax.set_xlim(-2, start - 1)
-    ax.set_yticks([0.1, 0.2, 0.5, 1, 2, 5, 10])
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.yaxis.set_minor_formatter(NullFormatter())
-    ax.set_xticks([middle for middle, _, _ in ticks], [label for _, label, _ in ticks])
-    for label, (_, _, count) in zip(ax.get_xticklabels(), ticks, strict=True):
-        label.set_rotation(90 if count < _NARROW else 0)
-    ax.tick_params(axis="x", length=0)
-    ax.grid(axis="x", visible=False)
-    ax.set_ylabel("regenerated / published")
+def height_of(value: float) -> float:
+    """Return how far below the upper edge a ratio stands."""
+    inside = min(max(value, LOWEST), HIGHEST)
+    return round(HEIGHT * math.log(HIGHEST / inside) / math.log(HIGHEST / LOWEST), 1)
 
 
-def _draw_row(ax: Axes, at: float, row: ScorecardRow) -> None:
-    mark = _MARKS[row.verdict]
-    if not row.regenerated or float(row.published) == 0:
-        ax.plot(at, LOWEST, markersize=3, linestyle="none", **mark)
-        return
-    published = float(row.published)
-    width = band(row.published, row.published_std, row.regenerated_std) / abs(published)
-    if row.verdict is not Verdict.NOT_COMPARABLE:
-        low, high = max(1 - width, LOWEST), min(1 + width, HIGHEST)
-        ax.plot([at, at], [low, high], color="#bbbbbb", linewidth=2.2, solid_capstyle="butt", zorder=1)
-    ratio = min(max(float(row.regenerated) / published, LOWEST), HIGHEST)
-    ax.plot(at, ratio, markersize=3.5, linestyle="none", zorder=2, **mark)
+def _dot(row: ScorecardRow, kind: str, x: float, y: float) -> dict[str, Any]:
+    value = ratio(row)
+    at = height_of(LOWEST if value is None else value)
+    place = f"{PAPERS.get(row.paper, row.paper)}, {row.artefact}, {words(row.row)}, {words(row.quantity)}"
+    numbers = f"published {published_words(row)}, regenerated {regenerated_words(row)}"
+    verdict = row.verdict.words if kind == row.verdict.words else f"{row.verdict.words} ({kind})"
+    edges = None
+    if row.verdict in COMPARED and value is not None:
+        width = band(row.published, row.published_std, row.regenerated_std) / abs(float(row.published))
+        edges = [y + height_of(1 + side * width) for side in (1, -1)]
+    return {
+        "x": round(x, 1),
+        "y": y + at,
+        "kind": kind,
+        "anchor": anchor(row),
+        "title": Markup(f"{place}: {numbers}, {verdict}").striptags(),
+        "band": edges,
+    }
 
 
 def picture_alt(rows: Sequence[ScorecardRow]) -> str:
     """Return what the picture shows, in one line with its numbers."""
-    counts = Counter(row.verdict for row in rows)
-    named = ", ".join(f"{counts[verdict]} {verdict.words}" for verdict in Verdict)
-    ratios = sorted(
-        float(row.regenerated) / float(row.published)
-        for row in rows
-        if row.verdict not in (Verdict.MISSING, Verdict.NOT_COMPARABLE) and float(row.published)
-    )
-    text = f"Regenerated over published for {len(rows)} numbers of the papers: {named}."
+    counts: Counter[str] = sum(count_kinds(rows).values(), Counter())
+    ratios = sorted(found for row in telling(rows) if (found := ratio(row)) is not None)
+    text = f"Regenerated over published for {len(rows)} numbers of the papers: {listed(counts)}."
     if not ratios:
         return text
     low, middle, high = ratios[0], ratios[len(ratios) // 2], ratios[-1]

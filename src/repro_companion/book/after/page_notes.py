@@ -13,6 +13,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from repro_companion.book.after.alternatives import alternatives_of
+from repro_companion.book.after.before_after import check, section
 from repro_companion.book.digests import combined_digest
 from repro_companion.book.parameters import Parameter, declared_parameters
 from repro_companion.book.project import Project
@@ -27,7 +29,9 @@ FOLDER = "downloads"
 """Folder of the site that holds the files of :func:`page_files`, one folder a notebook."""
 
 _ENDINGS = {"image/png": "png", "image/svg+xml": "svg", "application/pdf": "pdf"}
-_PICTURE_IN_A_VIEW = re.compile(r'<div class="shape-view"><img src="data:image/png;base64,([^"]+)"')
+_PICTURE_IN_HTML = re.compile(
+    r'<div class="(?:shape-view|frame-strip)"><img src="data:image/png;base64,([^"]+)"'
+)
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ class FigureFiles:
 
 
 def figures_of(executed: NotebookNode) -> list[FigureFiles]:
-    """Return the figures of an executed notebook; those of 3-D views by their pictures."""
+    """Return the figures of an executed notebook; those of 3-D views and of frames by their stills."""
     found = []
     for cell in executed.cells:
         about = cell.metadata.get("mystnb", {})
@@ -63,13 +67,13 @@ def figures_of(executed: NotebookNode) -> list[FigureFiles]:
 
 
 def _pictures(data: Mapping[str, Any]) -> list[dict[str, bytes]]:
-    """Return the pictures of an output, each in all its forms: one, or one for each 3-D view."""
+    """Return the pictures of an output, each in all its forms: one, or one for each 3-D view or strip of frames."""
     files = {}
     for kind, ending in _ENDINGS.items():
         if kind in data:
             text = data[kind] if isinstance(data[kind], str) else "".join(data[kind])
             files[ending] = text.encode() if kind == "image/svg+xml" else base64.b64decode(text)
-    views = _PICTURE_IN_A_VIEW.findall("".join(data.get("text/html", "")))
+    views = _PICTURE_IN_HTML.findall("".join(data.get("text/html", "")))
     return [files] if files else [{"png": base64.b64decode(view)} for view in views]
 
 
@@ -130,23 +134,49 @@ def with_notes(page: dict[str, Any], project: Project, stem: str) -> dict[str, A
     sections = []
     if declared:
         sections.append(("run", f"{_RUN}\n\n{form_html(name, declared)}"))
+    if alternatives := alternatives_of(executed, name):
+        sections.append(("alternatives", section(project, stem, name, alternatives)))
     sections.append(("downloads", _downloads(project, stem, executed, record, declared)))
     added = [
         {"cell_type": "markdown", "id": f"page-{key}", "metadata": {}, "source": text}
         for key, text in sections
     ]
-    cells = [dict(cell) for cell in page["cells"]]
+    cells = [_without_bar(_with_light_pictures(cell)) for cell in page["cells"]]
+    if alternatives and alternatives[0].exercise:
+        exercise = next(cell for cell in cells if "".join(cell["source"]).startswith("## Exercise\n"))
+        exercise["source"] = "".join(exercise["source"]) + check(alternatives[0])
     if cells and cells[0]["cell_type"] == "markdown":
-        cells[0]["source"] = _below_title("".join(cells[0]["source"]), _summary(record, bool(declared)))
+        cells[0]["source"] = _below_title("".join(cells[0]["source"]), _summary(bool(declared)))
     return {**page, "cells": cells + added}
 
 
+def _with_light_pictures(cell: Mapping[str, Any]) -> dict[str, Any]:
+    """Leave of a figure that is there as SVG and as PNG the one of fewer bytes for the page."""
+    outputs = []
+    for output in cell.get("outputs", []):
+        data = dict(output.get("data", {}))
+        if {"image/svg+xml", "image/png"} <= set(data):
+            files = _pictures(data)[0]
+            del data["image/png" if len(files["svg"]) < len(files["png"]) else "image/svg+xml"]
+        outputs.append({**output, "data": data} if data else output)
+    return {**cell, "outputs": outputs} if outputs else dict(cell)
+
+
+def _without_bar(cell: Mapping[str, Any]) -> dict[str, Any]:
+    """Leave a folded cell out of the page that shows nothing and gives the text its values: no method is in it."""
+    tags = cell["metadata"].get("tags", [])
+    if "hide-input" not in tags or cell.get("outputs") or not _GIVES.search("".join(cell["source"])):
+        return dict(cell)
+    return {**cell, "metadata": {**cell["metadata"], "tags": [*tags, "remove-cell"]}}
+
+
+_GIVES = re.compile(r"^give\(", re.MULTILINE)
 _RUN = """\
 ## Run it with your parameters
 
 Change values and copy a command into a terminal, in the folder of the repository after `make env` (or `make book`).
-Only changed values are named. `repro run` refuses unknown names and wrong types; the book's own results stay as they
-are, and `make diff RUN=runs/…` shows a run beside them."""
+Only changed values are named. `repro run` refuses what the form refuses; the book's own results stay as they are, and
+`make diff RUN=runs/…` shows a run beside them."""
 
 
 def _below_title(source: str, line: str) -> str:
@@ -154,11 +184,9 @@ def _below_title(source: str, line: str) -> str:
     return f"{title}\n\n{line}\n{newline}{rest}" if title.startswith("# ") else source
 
 
-def _summary(record: Record | None, has_form: bool) -> str:
+def _summary(has_form: bool) -> str:
     parts = ['<a href="#run-it-with-your-parameters">Run it with your parameters</a>'] if has_form else []
     parts.append('<a href="#provenance-and-downloads">Data, figures and notebook</a>')
-    if record:
-        parts.append(f"{_code(record, short=True)}, ran in {record.seconds:.0f} s")
     return f'<p class="page-summary">{" · ".join(parts)}</p>'
 
 
@@ -179,13 +207,13 @@ def provenance_line(record: Record, declared: Mapping[str, Parameter]) -> str:
     recordings = record.data.get("recordings", {})
     source = str(record.data.get("source", "unknown"))
     if recordings:
-        count = f"{len(recordings)} files found in {source}, whether this page reads them or not"
-        source = f"{count}, SHA-256 {combined_digest(recordings)[:12]}"
+        found = f"found, of all papers: {len(recordings)} files in {source}"
+        source = f"{found}, SHA-256 {combined_digest(recordings)[:12]}"
     facts = [
         ("Notebook", record.notebook),
         ("Parameters", changed or ("its own" if declared else "none")),
-        ("Seed", seeds or "none"),
-        ("Code", _code(record, short=False)),
+        ("Seed", seeds or "fixed in the code"),
+        ("Code", _code(record)),
         ("Recordings", source),
         ("All inputs", f"SHA-256 {record.key[:12]}"),
         ("Python", record.python),
@@ -195,12 +223,12 @@ def provenance_line(record: Record, declared: Mapping[str, Parameter]) -> str:
     return f'<p class="provenance">{cells}.</p>'
 
 
-def _code(record: Record, *, short: bool) -> str:
+def _code(record: Record) -> str:
     commit = record.code.get("commit")
     if not commit:
         return f"source archive {str(record.code.get('source archive', ''))[:12]}"
     changed = " with uncommitted changes" if record.code.get("dirty") else ""
-    return f"commit {commit[:7] if short else commit[:12]}{changed}"
+    return f"commit {commit[:12]}{changed}"
 
 
 def _downloads(
@@ -227,11 +255,20 @@ def _downloads(
     lines.append("- Notebook: " + ", ".join(link(name, text) for name, text in own if name in files))
     if tables := [name for name in (record.results if record else ()) if name in files]:
         lines.append("- Tables: " + ", ".join(link(name, name) for name in tables))
-    for figure in figures_of(executed):
+    figures = figures_of(executed)
+    numbered, pixels_only = {figure.name for figure in figures if figure.caption}, {}
+    for figure in figures:
         links = ", ".join(link(f"{figure.name}.{ending}", ending.upper()) for ending in figure.files)
-        named = f"{{numref}}`{figure.name}`" if figure.caption else figure.name
-        none = "" if {"svg", "pdf"} & set(figure.files) else "; no vector version (too large, or a 3-D view)"
-        lines.append(f"- {named}: {links}{none}")
+        named, picture, (first, _, number) = figure.name, "", figure.name.rpartition("-")
+        if named in numbered:
+            named = f"{{numref}}`{named}`"
+        elif first in numbered:  # another picture of the same cell
+            named, picture = f"{{numref}}`{first}`", f", picture {number}"
+        lines.append(f"- {named}{picture}: {links}")
+        if not {"svg", "pdf"} & set(figure.files):
+            pixels_only[named] = None
+    if pixels_only:
+        lines.append(f"- Without a vector version (too large, 3-D views or frames): {', '.join(pixels_only)}")
     return "\n".join(lines) + "\n"
 
 

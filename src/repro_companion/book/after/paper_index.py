@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro_companion.book.project import Project
 from repro_companion.book.published import read_csv
 from repro_companion.book.scorecard_page import PAPERS
+from repro_companion.book.templates import rendered
 
 KINDS = {
     "table": "Tables",
@@ -47,6 +49,11 @@ class IndexEntry:
     def link(self) -> str:
         """The place in the built site, from its root."""
         return f"{self.page}.html" + (f"#{self.anchor}" if self.anchor else "")
+
+    @property
+    def code_name(self) -> str:
+        """What computes it, without its module."""
+        return self.code.rsplit(".", 1)[-1]
 
     @property
     def code_link(self) -> str:
@@ -90,14 +97,10 @@ def read_index(path: Path) -> list[IndexEntry]:
     for line in read_csv(path, COLUMNS):
         entry = IndexEntry(**line)
         key = (entry.paper, entry.kind, entry.artefact)
-        if key in entries:
-            raise bad_input("entry", path.name, "listed once", " / ".join(key))
-        if entry.kind not in KINDS:
-            raise bad_input("kind", path.name, "one of " + ", ".join(KINDS), entry.kind)
-        if entry.status not in STATUSES:
-            raise bad_input("status", path.name, "one of " + ", ".join(STATUSES), entry.status)
-        if not entry.page:
-            raise bad_input(f"page of {' / '.join(key)}", path.name, "the page to look at", "nothing")
+        require(key not in entries, "entry", path.name, "listed once", " / ".join(key))
+        require(entry.kind in KINDS, "kind", path.name, "one of " + ", ".join(KINDS), entry.kind)
+        require(entry.status in STATUSES, "status", path.name, "one of " + ", ".join(STATUSES), entry.status)
+        require(entry.page, f"page of {' / '.join(key)}", path.name, "the page to look at", "nothing")
         entries[key] = entry
     return list(entries.values())
 
@@ -107,53 +110,29 @@ def places(entries: Iterable[IndexEntry]) -> dict[tuple[str, str], str]:
     return {(entry.paper, entry.artefact): entry.link for entry in entries if entry.kind not in ("equation",)}
 
 
-def index_page(entries: Sequence[IndexEntry]) -> str:
+def page_titles(project: Project, entries: Iterable[IndexEntry]) -> dict[str, str]:
+    """Return the titles of the pages to which entries lead, by the path of the page."""
+    return {page: _title(project, page) for page in sorted({entry.page for entry in entries})}
+
+
+def _title(project: Project, page: str) -> str:
+    notebook, other = project.root / f"{page}.ipynb", project.book / f"{page}.md"
+    if notebook.is_file():
+        text = "".join(json.loads(notebook.read_text(encoding="utf-8"))["cells"][0]["source"])
+    else:
+        require(other.is_file(), "page", "index.csv", "a page of the book", page)
+        text = other.read_text(encoding="utf-8")
+    return re.findall(r"^# (.+)$", text, flags=re.MULTILINE)[0]
+
+
+def index_page(entries: Sequence[IndexEntry], titles: Mapping[str, str]) -> str:
     """Return the index as MyST: a heading for each paper, and a table for each kind of artefact.
 
     Parameters
     ----------
     entries
         What the papers contain.
+    titles
+        Of their pages.
     """
-    parts = []
-    for paper in dict.fromkeys(entry.paper for entry in entries):
-        parts.append(f"## {PAPERS.get(paper, paper)}")
-        for kind, heading in KINDS.items():
-            chosen = [entry for entry in entries if (entry.paper, entry.kind) == (paper, kind)]
-            if chosen:
-                parts.append(_table(f"{PAPERS.get(paper, paper)}: {heading.lower()}", chosen))
-    return "\n\n".join(parts) + "\n"
-
-
-def _table(title: str, entries: list[IndexEntry]) -> str:
-    head = "".join(f'<th scope="col">{name}</th>' for name in ("In the paper", "Shows", "Here", "Where"))
-    # no blank line: it would end the block of HTML for MyST
-    lines = [
-        f'<div class="scorecard-scroll" tabindex="0" role="region" aria-label="{escape(title)}">',
-        '<table class="scorecard paper-index">',
-        f"<caption>{escape(title)}</caption>",
-        f"<thead><tr>{head}</tr></thead>",
-        "<tbody>",
-        *map(_line, entries),
-        "</tbody>",
-        "</table>",
-        "</div>",
-    ]
-    return "\n".join(lines)
-
-
-def _line(entry: IndexEntry) -> str:
-    here = entry.status + (f" ({entry.note})" if entry.note else "")
-    where = f'<a href="{escape(entry.link)}">{escape(_title(entry))}</a>'
-    if entry.code:
-        name = entry.code.rsplit(".", 1)[-1]
-        named = f"<code>{escape(name)}</code>"
-        where += f', <a href="{escape(entry.code_link)}">{named}</a>' if entry.code_link else f", {named}"
-    return (
-        f'<tr><th scope="row">{escape(entry.artefact)}</th><td>{escape(entry.shows)}</td>'
-        f"<td>{escape(here)}</td><td>{where}</td></tr>"
-    )
-
-
-def _title(entry: IndexEntry) -> str:
-    return entry.page.rsplit("/", 1)[-1].replace("_", " ")
+    return rendered("paper_index.html", entries=entries, titles=titles, papers=PAPERS, kinds=KINDS)

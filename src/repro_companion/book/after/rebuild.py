@@ -6,7 +6,6 @@ such as ``results/`` of another commit, and nothing is run again; with two, thes
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
@@ -18,7 +17,7 @@ from repro_companion.book.after.build import jobs_from_environment, page_points,
 from repro_companion.book.points import Stopped, finished
 from repro_companion.book.project import Project, find_project
 from repro_companion.book.provenance import read_inputs
-from repro_companion.book.runner import stop_on_termination
+from repro_companion.book.runner import changed_environment, stop_on_termination
 
 SHOWN = 100
 """Characters of a line that are shown where two tables differ."""
@@ -80,15 +79,10 @@ def rebuild(project: Project, jobs: int) -> list[str]:
     check_up_to_date(project)
     copy = Project(project.root / ".cache" / "again")
     copy_sources(project.root, copy.root)
-    before = os.environ.get("PYTHONPATH")
-    os.environ["PYTHONPATH"] = str(copy.root / "src")  # the copy's own package, not the installed one
-    try:
+    with changed_environment(
+        {"PYTHONPATH": str(copy.root / "src")}
+    ):  # the copy's own package, not the installed one
         run_pages(page_points(copy, read_inputs(copy)), jobs)
-    finally:
-        if before is None:
-            del os.environ["PYTHONPATH"]
-        else:
-            os.environ["PYTHONPATH"] = before
     return differences(project.results, copy.results)
 
 

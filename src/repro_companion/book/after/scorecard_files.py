@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from html import escape
 
-import matplotlib.pyplot as plt
-
-from repro_companion.book.after.figures_scorecard import picture_alt, scorecard_picture
-from repro_companion.book.after.paper_index import index_page, index_path, places, read_index
+from repro_companion.book.after.figures_scorecard import picture_page
+from repro_companion.book.after.paper_index import (
+    index_page,
+    index_path,
+    page_titles,
+    places,
+    read_index,
+)
 from repro_companion.book.digests import write_if_changed
 from repro_companion.book.project import Project
-from repro_companion.book.scorecard import KINDS, WEAK, ScorecardRow, count_kinds, kinds
+from repro_companion.book.scorecard import KINDS, ScorecardRow, count_kinds, listed
 from repro_companion.book.scorecard_page import counts_page, scorecard_page, verdicts_page
 
 _NUMBERS = ("published", "published_std", "regenerated", "regenerated_std", "n_seeds", "best")
@@ -28,7 +31,7 @@ def write_scorecard_files(project: Project, rows: Sequence[ScorecardRow]) -> Non
     Parameters
     ----------
     project
-        Read is ``data/published/index.csv``.
+        Read are ``data/published/index.csv`` and the titles of the pages that it names.
     rows
         The scorecard.
 
@@ -40,11 +43,10 @@ def write_scorecard_files(project: Project, rows: Sequence[ScorecardRow]) -> Non
     index = read_index(index_path(project))
     folder = project.book / "generated"
     texts = {
-        "scorecard.md": scorecard_page(rows, places(index), filtered=True),
+        "scorecard.md": scorecard_page(rows, places(index)),
         "counts.md": counts_page(rows),
-        "papers.md": index_page(index),
-        "scorecard_picture.md": _picture_page(rows),
-        "scorecard_picture.svg": _picture(rows),
+        "papers.md": index_page(index, page_titles(project, index)),
+        "scorecard_picture.md": picture_page(rows) + _OTHER_PROGRAMS.format(badge_text(rows)),
         "scorecard.svg": badge(rows),
         "scorecard.json": scorecard_json(rows),
     }
@@ -86,7 +88,7 @@ def _number(text: str) -> int | float | None:
 
 
 def badge(rows: Sequence[ScorecardRow]) -> str:
-    """Return a badge as SVG: how many of the published numbers hold, differ, and cannot be compared."""
+    """Return a badge as SVG: how many of the published numbers have which verdict."""
     left, right = "published numbers", badge_text(rows)
     edge, width = (round(_CHARACTER_PX * len(text) + pad) for text, pad in ((left, 12), (left + right, 24)))
     title = escape(f"{len(rows)} {left}: {right}")
@@ -101,36 +103,11 @@ def badge(rows: Sequence[ScorecardRow]) -> str:
 
 
 def badge_text(rows: Sequence[ScorecardRow]) -> str:
-    """Return the counts that the badge shows; verdicts without a row are left out, except how many hold."""
-    counts = Counter(kinds(rows))
-    parts = [f"{counts['reproduced'] + counts['better']} hold"]
-    others = (
-        ("differs", "differ"),
-        (WEAK, WEAK),
-        ("not comparable", "not comparable"),
-        ("missing", "missing"),
-    )
-    return ", ".join(parts + [f"{counts[kind]} {word}" for kind, word in others if counts[kind]])
+    """Return the counts that the badge shows, in the words of the verdicts; those of nothing are left out."""
+    return listed(sum(count_kinds(rows).values(), Counter()))
 
 
-def _picture(rows: Sequence[ScorecardRow]) -> str:
-    stream = io.StringIO()
-    # the same rows give the same bytes
-    with plt.rc_context({"svg.hashsalt": "scorecard"}):
-        scorecard_picture(rows).savefig(stream, format="svg", metadata={"Date": None}, bbox_inches="tight")
-    return stream.getvalue()
-
-
-def _picture_page(rows: Sequence[ScorecardRow]) -> str:
-    return f"""\
-```{{figure}} generated/scorecard_picture.svg
-:name: fig-scorecard
-:alt: {picture_alt(rows)}
-
-All numbers of the papers: regenerated over published, with the band within which a number counts as reproduced.
-What lies beyond an edge is drawn at the edge.
-```
-
+_OTHER_PROGRAMS = """
 <p>For other programs: <a href="scorecard.json">all rows as JSON</a> (<code>scorecard.json</code>) and a badge
-(<code>scorecard.svg</code>): <img src="scorecard.svg" alt="Badge: {badge_text(rows)}"></p>
+(<code>scorecard.svg</code>): <img src="scorecard.svg" alt="Badge: {}"></p>
 """

@@ -9,8 +9,9 @@ import sys
 import time
 from pathlib import Path
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.files import write_whole
+from repro_companion.book.after.alternatives import alternatives_folder
 from repro_companion.book.digests import combined_digest, file_digest, tree_digests
 from repro_companion.book.project import Project, shown
 
@@ -33,6 +34,7 @@ def site_key(project: Project) -> str:
             {path.name: file_digest(path) for path in top},
             tree_digests(project.book, leave_out=_WRITTEN_BY_SPHINX),
             tree_digests(project.results),
+            tree_digests(alternatives_folder(project)),
             tree_digests(project.data),
             tree_digests(project.sources),
         ]
@@ -79,8 +81,7 @@ def build_site(project: Project) -> float | None:
 def _run_jupyter_book(project: Project, fresh: Path) -> None:
     # Not resolved: the interpreter of an environment is a link, and its programs lie beside the link.
     program = Path(sys.executable).with_name("jupyter-book")
-    if not program.is_file():
-        raise bad_input("jupyter-book", "the build", "installed beside the interpreter", program)
+    require(program.is_file(), "jupyter-book", "the build", "installed beside the interpreter", program)
     fresh.mkdir(parents=True)
     command = [program, "build", project.book, "--path-output", fresh, "-W", "-n", "--keep-going"]
     environment = {**os.environ, "NO_COLOR": "1"}

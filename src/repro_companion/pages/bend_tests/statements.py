@@ -6,7 +6,7 @@ import pandas as pd
 
 from repro_companion.pages.bend_tests.errors import TARGET_DEG
 from repro_companion.pages.bend_tests.filters import OUR_LENGTH_MM
-from repro_companion.pages.bend_tests.takes import LARGEST_LAG_OFF_S
+from repro_companion.pages.bend_tests.takes import LARGEST_LAG_OFF_S, take_in_words
 
 SAME_OUTPUT_DEG = 0.5
 """Largest difference at which our run of the filter and the authors' output count as the same [deg]."""
@@ -56,7 +56,7 @@ def of_lags(takes: pd.DataFrame) -> str:
     if doubtful.empty:
         furthest = takes["lag_off_s"].abs().max()
         return f"{text} None is further than {furthest:.2f} s from the median of the other takes."
-    named = [f"{row.take} ({row.lag_off_s:+.2f} s)" for row in doubtful.itertuples()]
+    named = [f"{take_in_words(row.take)} ({row.lag_off_s:+.2f} s)" for row in doubtful.itertuples()]
     return f"{text} **Doubtful, far from the median of the other takes: {', '.join(named)}.**"
 
 
@@ -86,11 +86,24 @@ def of_errors(errors: pd.DataFrame, source: str) -> str:
     return (
         f"**Error of the bend angle, {source} takes**, median over takes (range; number of takes). "
         f"As drawn: paper's filter as printed {of('paper, as printed')}, as released {of('paper, as released')}, "
-        f"authors' output {logged}, ours {of('ours')}. Ours with a factor and a turn fitted to the "
-        f"other try {of('ours', 'other try')}, target {TARGET_DEG:g} deg; to the other tests "
+        f"authors' output {logged}, least squares on ratios {of('ours')}. The last with a factor and a turn "
+        f"fitted to the other try {of('ours', 'other try')}, target {TARGET_DEG:g} deg; to the other tests "
         f"{of('ours', 'other tests')}. Above 40 deg these two are {of('ours', 'other try', high)} and "
         f"{of('ours', 'other tests', high)}."
     )
+
+
+def of_lengths(medians: pd.DataFrame) -> str:
+    """Errors of the filter as released by the length of its model; nothing where there is one length."""
+    rows = medians[(medians["method"] == "paper, as released") & medians["length_mm"].notna()]
+    if len(rows) < 2:
+        return ""
+    tries = {True: "takes", False: "first tries"}
+    by_length = (
+        f"{row.rmse_deg:.1f} deg at {row.length_mm:g} mm ({row.takes} {tries[row.length_mm == OUR_LENGTH_MM]})"
+        for row in rows.itertuples()
+    )
+    return f"The paper's filter as released errs by {', '.join(by_length)}, in the median over the takes."
 
 
 def of_logs(states: pd.DataFrame, differences: pd.DataFrame) -> str:
@@ -103,11 +116,11 @@ def of_logs(states: pd.DataFrame, differences: pd.DataFrame) -> str:
     text += f", where it covers {span(scored['share_percent'], 0)} % of the readings." if len(scored) else "."
     for row in there[there["state"] != "scored"].itertuples():
         share = "" if pd.isna(row.share_percent) else f" ({row.share_percent:.0f} %)"
-        text += f" **{row.take}{share} is {row.state.rstrip('.')}.**"
+        text += f" **{take_in_words(row.take)}{share} is {row.state.rstrip('.')}.**"
     released = differences[differences["method"] == "paper, as released"]
     if len(released):
         same = released[released["difference_deg"] <= SAME_OUTPUT_DEG]["take"]
-        where = ", ".join(same) if len(same) else "no take"
+        where = "; ".join(map(take_in_words, same)) if len(same) else "no take"
         text += (
             f" Our run of the filter as released differs from it by {span(released['difference_deg'])} deg: the "
             f"settings of the released code are those of {where}, and not known elsewhere. Its median mixes settings."

@@ -85,6 +85,17 @@ class BendTake:
         return transverse_to_axial(self.field) - self.rest
 
 
+def take_in_words(name: str) -> str:
+    """Return a take's name as text and tables have it.
+
+    Examples
+    --------
+    >>> take_in_words("bend_0_try_2")
+    'test 0, try 2'
+    """
+    return name.replace("bend_", "test ").replace("_try_", ", try ")
+
+
 def bend_takes(folder: Path | None = None) -> list[BendTake]:
     """Read and align all bend tests of which a Hall file and a motion capture are found.
 

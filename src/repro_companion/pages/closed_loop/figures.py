@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from repro_live.view.style import page_figure
+from repro_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
 
 FEEDBACK = {
     "truth": "#0072B2",
@@ -23,7 +23,7 @@ SESSION_MARKS = {"as trained": "o", "another": "s"}
 
 @page_figure
 def loops(series: pd.DataFrame, title: str) -> Figure:
-    """Path of the true bend in its plane, and below it its distance from the reference over time.
+    """Path of the true bend in its plane, and beside it its distance from the reference over time.
 
     Parameters
     ----------
@@ -34,10 +34,9 @@ def loops(series: pd.DataFrame, title: str) -> Figure:
     """
     names = list(dict.fromkeys(series["reference"]))
     figure, panels = plt.subplots(
-        2, len(names), figsize=(3.2 * len(names), 5.4), height_ratios=(1.5, 1), squeeze=False
+        len(names), 2, figsize=(WIDTH_IN, 2.5 * len(names) + 0.8), width_ratios=(1, 1.6), squeeze=False
     )
-    for k, name in enumerate(names):
-        path, over_time = panels[:, k]
+    for name, (path, over_time) in zip(names, panels, strict=True):
         here = series[series["reference"] == name]
         wanted = here[here["feedback"] == "truth"]
         steps = (wanted[["reference_x_mm", "reference_y_mm"]].diff().abs() > 1.0).any(axis=1)
@@ -48,17 +47,18 @@ def loops(series: pd.DataFrame, title: str) -> Figure:
             path.plot(part["delta_x_mm"], part["delta_y_mm"], color=colour, lw=1.0)
             apart = [(part[f"reference_{a}_mm"] - part[f"delta_{a}_mm"]).to_numpy() for a in "xy"]
             over_time.semilogy(part["time_s"], np.maximum(np.hypot(*apart), 1e-2), color=colour, lw=0.9)
-        path.set(title=name, xlabel=r"$\Delta_x$ [mm]", xlim=(-6, 10), ylim=(-10, 10), aspect="equal")
-        over_time.set(xlabel="time [s]", ylim=(1e-2, 15))
-    panels[0, 0].set_ylabel(r"$\Delta_y$ [mm]")
-    panels[1, 0].set_ylabel("distance from the\nreference [mm]")
+        path.set(title=name, ylabel=r"$\Delta_y$ [mm]", xlim=(-6, 10), ylim=(-10, 10), aspect="equal")
+        over_time.set(ylabel="distance from the\nreference [mm]", ylim=(1e-2, 15))
+        plain_ticks(over_time.yaxis, subs=(1,))
+    panels[-1, 0].set_xlabel(r"$\Delta_x$ [mm]")
+    panels[-1, 1].set_xlabel("time [s]")
     fed_back = list(dict.fromkeys(series["feedback"]))
     labels = {"truth": "true bend fed back"} | {f: f"estimate: {f}" for f in fed_back if f != "truth"}
     handles = [
         Line2D([], [], color="black", lw=2.4, label="reference"),
         *(Line2D([], [], color=FEEDBACK[f], label=labels[f]) for f in fed_back),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
     figure.suptitle(title)
     return figure
 
@@ -79,10 +79,8 @@ def tracking_ratios(table: pd.DataFrame, target: float, title: str) -> Figure:
     controllers, names, estimators = (
         list(dict.fromkeys(table[c])) for c in ("controller", "reference", "estimator")
     )
-    figure, panels = plt.subplots(
-        1, len(controllers), figsize=(2.9 * len(controllers) + 0.6, 3.8), squeeze=False, sharey=True
-    )
-    for panel, controller in zip(panels[0], controllers, strict=True):
+    figure, panels = wrapped_panels(len(controllers), 1, 2.1, sharey=True)
+    for panel, controller in zip(panels, controllers, strict=True):
         here = table[table["controller"] == controller]
         for estimator, session in here[["estimator", "session"]].drop_duplicates().to_numpy():
             part = here[(here["estimator"] == estimator) & (here["session"] == session)]
@@ -94,10 +92,10 @@ def tracking_ratios(table: pd.DataFrame, target: float, title: str) -> Figure:
             panel.errorbar(np.arange(len(names)) + aside, rows["ratio"], bars, **style)
         panel.axhline(1.0, color="0.6", lw=0.8)
         panel.axhline(target, color="0.3", lw=0.9, ls="--")
-        panel.set_yscale("log")
+        panel.set(yscale="log", ylabel="error, estimate\nover true bend")
+        plain_ticks(panel.yaxis, subs=(1,))
         panel.set(title=controller, xticks=range(len(names)), xlim=(-0.5, len(names) - 0.5))
         panel.set_xticklabels(names)
-    panels[0, 0].set_ylabel("tracking error, estimate / true bend")
     handles = [
         *(Line2D([], [], color=FEEDBACK[e], marker="o", ls="", label=f"estimate: {e}") for e in estimators),
         *(
@@ -106,6 +104,6 @@ def tracking_ratios(table: pd.DataFrame, target: float, title: str) -> Figure:
         ),
         Line2D([], [], color="0.3", ls="--", label="target"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
     figure.suptitle(title)
     return figure

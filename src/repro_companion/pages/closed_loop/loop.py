@@ -14,6 +14,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float
 
 from repro.errors import bad_input
@@ -197,10 +198,11 @@ def run_loops(
     wanted = np.stack([reference_mm(run.reference, time_s) for run in runs], axis=1)
     own = np.array([k for k, run in enumerate(runs) if run.session != "truth"], dtype=int)
     drawn = sessions(config, [runs[k].session for k in own], [runs[k].seed for k in own], ticks)
-    rig, known = SteppedRig(config), _estimators(learned)
-    ours = [known[runs[k].estimator] for k in own]
+    rig, ours = SteppedRig(config), _estimators(learned)
+    members = {e: [i for i, k in enumerate(own) if runs[k].estimator == e] for e in ESTIMATORS}
+    filters = {e: ours[e].init(torch.zeros(len(at), 3).double()) for e, at in members.items() if at}
     controller = CurvatureController(config.chambers, learned.inverse, [run.gains for run in runs])
-    control, filters = controller.init(), [one.init() for one in ours]
+    control = controller.init()
     pressures = np.full((len(runs), 3), config.chambers.offset_mbar)
     state, rest = rig.init(len(runs)), np.zeros((len(own), RIG_SENSORS))
     torque = np.zeros((len(runs), 2))
@@ -217,10 +219,13 @@ def run_loops(
         if len(own):
             clean = analogue_readings(config.board, q[own], q_magnet[own])
             rest = clean if tick == 0 else rest  # no command has been applied yet
-            u = drawn.readings_mv(tick, clean, rest)
-            for k, run in enumerate(own):
-                filters[k] = ours[k].step(filters[k], u[k], torque[run], following[run])
-                fed_back[run] = filters[k].bend_mm
+            u = torch.from_numpy(
+                np.column_stack([drawn.readings_mv(tick, clean, rest), torque[own], following[own]])
+            )
+            for e, state_of_filters in filters.items():
+                at = members[e]
+                filters[e], estimate = ours[e].step(state_of_filters, u[at], time_s[tick])
+                fed_back[own[at]] = estimate.diagnostics["bend_mm"].numpy()
         torque = following
         control, pressures = controller.step(control, wanted[tick], np.where(watched, bends[-1], fed_back))
         fed_backs.append(fed_back)
@@ -235,7 +240,7 @@ def _estimators(learned: Learned) -> dict[str, Any]:
         "readings": LoopFilter(bend_map, no_lag, follows=False),
         "lag": LoopFilter(bend_map, segment, follows=False),
         "lag and command": LoopFilter(bend_map, segment, follows=True),
-        "command alone": CommandAlone(segment),
+        "command alone": CommandAlone(bend_map, segment),
     }
 
 

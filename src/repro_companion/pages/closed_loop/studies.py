@@ -38,6 +38,8 @@ PROMPT = "the magnet does not lag"
 """A twin whose magnet follows the tip without a lag across the direction of bending, with what is learned on it."""
 CHANGES = {"softer by a fifth": 1.2, "stiffer by a fifth": 0.8}
 """How much further the rig bends than the one that was learned."""
+OTHER: dict[str, Any] = {"controllers": MARGIN, "kinds": SESSIONS[1:]}
+"""With a margin, in another session."""
 COMPARED = ESTIMATORS[2:]
 """With the lag and the command, and the command alone: on rigs that the loop does not know exactly."""
 
@@ -124,18 +126,17 @@ def loop_errors(seeds: Sequence[int], *, duration_s: float) -> pd.DataFrame:
 def cause_errors(seeds: Sequence[int], *, duration_s: float) -> pd.DataFrame:
     """:func:`run_errors` with a margin, in a session as trained, by ``case``: :data:`WATCHED` and :data:`PROMPT`."""
     plain: dict[str, Any] = {"controllers": MARGIN, "kinds": SESSIONS[:1]}
-    watching = run_errors(nominal_twin(), seeds, duration_s, **plain, watched=True)
-    following = run_errors(_prompt_twin(), seeds, duration_s, **plain)
-    return pd.concat([watching.assign(case=WATCHED), following.assign(case=PROMPT)], ignore_index=True)
+    cases = [
+        ({"case": WATCHED}, nominal_twin(), plain | {"watched": True}),
+        ({"case": PROMPT}, _prompt_twin(), plain),
+    ]
+    return _labelled_errors(cases, seeds, duration_s)
 
 
 def estimator_errors(seeds: Sequence[int], *, duration_s: float) -> pd.DataFrame:
     """:func:`run_errors` of each of ours that knows the commands, on the nominal twin, by ``estimator``."""
-    parts = [
-        run_errors(nominal_twin(), seeds, duration_s, estimator=name).assign(estimator=name)
-        for name in ESTIMATORS[1:]
-    ]
-    return pd.concat(parts, ignore_index=True)
+    cases = [({"estimator": name}, nominal_twin(), {"estimator": name}) for name in ESTIMATORS[1:]]
+    return _labelled_errors(cases, seeds, duration_s)
 
 
 def changed_errors(seeds: Sequence[int], *, duration_s: float) -> pd.DataFrame:
@@ -147,15 +148,12 @@ def changed_errors(seeds: Sequence[int], *, duration_s: float) -> pd.DataFrame:
     config, prompt = nominal_twin(), _prompt_twin()
     rigs = {name: (_bent(config, factor), learn(config)) for name, factor in CHANGES.items()}
     rigs[PROMPT] = prompt, learn(prompt)
-    options: dict[str, Any] = {"controllers": MARGIN, "kinds": SESSIONS[1:]}
-    parts = [
-        run_errors(rig, seeds, duration_s, **options, estimator=estimator, learned=learned).assign(
-            estimator=estimator, rig=name
-        )
+    cases = [
+        ({"estimator": estimator, "rig": name}, rig, OTHER | {"estimator": estimator, "learned": learned})
         for name, (rig, learned) in rigs.items()
         for estimator in COMPARED
     ]
-    return pd.concat(parts, ignore_index=True)
+    return _labelled_errors(cases, seeds, duration_s)
 
 
 def twin_errors(twins: Sequence[int], seeds: Sequence[int], *, duration_s: float) -> pd.DataFrame:
@@ -163,13 +161,22 @@ def twin_errors(twins: Sequence[int], seeds: Sequence[int], *, duration_s: float
 
     Without and with lag and command, with a margin, another session; twins with the hysteresis that can be stepped.
     """
-    options: dict[str, Any] = {"controllers": MARGIN, "kinds": SESSIONS[1:]}
-    parts = [
-        run_errors(random_twin(twin), seeds, duration_s, **options, estimator=estimator).assign(
-            estimator=estimator, twin=twin
-        )
+    cases = [
+        ({"estimator": estimator, "twin": twin}, random_twin(twin), OTHER | {"estimator": estimator})
         for twin in twins
         for estimator in (ESTIMATORS[0], ESTIMATORS[2])
+    ]
+    return _labelled_errors(cases, seeds, duration_s)
+
+
+def _labelled_errors(
+    cases: Sequence[tuple[dict[str, Any], TwinConfig, dict[str, Any]]],
+    seeds: Sequence[int],
+    duration_s: float,
+) -> pd.DataFrame:
+    """:func:`run_errors` of labels, twins and options, one case below the other."""
+    parts = [
+        run_errors(config, seeds, duration_s, **options).assign(**labels) for labels, config, options in cases
     ]
     return pd.concat(parts, ignore_index=True)
 

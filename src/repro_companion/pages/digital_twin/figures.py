@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.figure import Figure
 
-from repro_live.view.style import page_figure
+from repro_live.view.style import WIDTH_IN, page_figure
 
 SENSOR_COLOURS = ("#0072B2", "#D55E00", "#009E73")
 CHAMBER_COLOURS = ("#000000", "#56B4E9", "#E69F00")
@@ -14,7 +14,7 @@ CHAMBER_COLOURS = ("#000000", "#56B4E9", "#E69F00")
 
 @page_figure
 def actuation(table: pd.DataFrame, *, pressure_s: float = 20.0) -> Figure:
-    """Path of the tip's bend, and below it the pressures of the three chambers, for each sequence.
+    """Path of the tip's bend, and beside it the pressures of the three chambers, for each sequence.
 
     Parameters
     ----------
@@ -23,16 +23,14 @@ def actuation(table: pd.DataFrame, *, pressure_s: float = 20.0) -> Figure:
     pressure_s
         How much of the pressures is drawn [s].
     """
-    names, columns = list(dict.fromkeys(table["recording"])), 3
-    lines = -(-len(names) // columns)
+    names = list(dict.fromkeys(table["recording"]))
     figure, panels = plt.subplots(
-        2 * lines, columns, figsize=(9.0, 4.9 * lines), height_ratios=[3, 2] * lines, squeeze=False
+        len(names), 2, figsize=(WIDTH_IN, 2.0 * len(names) + 0.6), width_ratios=(1, 1.8), squeeze=False
     )
     reach = 1.08 * float(table[["delta_x_mm", "delta_y_mm"]].abs().to_numpy().max())
     for k, name in enumerate(names):
         part = table[table["recording"] == name]
-        line, column = divmod(k, columns)
-        path, pressure = panels[2 * line : 2 * line + 2, column]
+        path, pressure = panels[k]
         path.plot(part["delta_x_mm"], part["delta_y_mm"], color="#0072B2", linewidth=0.7)
         path.set(
             title=name,
@@ -49,11 +47,10 @@ def actuation(table: pd.DataFrame, *, pressure_s: float = 20.0) -> Figure:
                 shown["time_s"], shown[f"pressure_{i}_mbar"], color=colour, linewidth=1, label=label
             )
         pressure.set(ylim=(-10, 470), yticks=(0, 225, 450), xlim=(0, pressure_s))
-        path.set_xlabel(r"$\Delta_x$ [mm]")
-        pressure.set_xlabel("time [s]")
-        if column == 0:
-            path.set_ylabel(r"$\Delta_y$ [mm]")
-            pressure.set_ylabel("pressure [mbar]")
+        path.set_ylabel(r"$\Delta_y$ [mm]")
+        pressure.set_ylabel("pressure [mbar]")
+    panels[-1, 0].set_xlabel(r"$\Delta_x$ [mm]")
+    panels[-1, 1].set_xlabel("time [s]")
     figure.legend(loc="outside lower center", ncols=3)
     figure.suptitle("Actuation and bend of the tip, synthetic")
     return figure
@@ -70,7 +67,7 @@ def hysteresis_loops(actuated: pd.DataFrame, differences: pd.DataFrame) -> Figur
     differences
         Columns of ``differences_table``, with the same recordings.
     """
-    figure, (bend, reading) = plt.subplots(1, 2, figsize=(9.0, 3.6), width_ratios=[1, 1.25])
+    figure, (bend, reading) = plt.subplots(2, 1, figsize=(WIDTH_IN, 6.0))
     for name, colour in (("T5", "0.6"), ("T3", "#D55E00")):
         part = actuated[(actuated["recording"] == name) & (actuated["time_s"] <= 60.0)]
         bend.plot(part["torque_x"], part["delta_x_mm"], color=colour, linewidth=0.9, label=name)
@@ -102,7 +99,7 @@ def readings_over_time(table: pd.DataFrame, names: tuple[str, ...] = ("T5", "T3"
         Recordings drawn, one column each.
     """
     figure, panels = plt.subplots(
-        2, len(names), figsize=(4.6 * len(names), 4.4), sharex="col", sharey="row", squeeze=False
+        2, len(names), figsize=(WIDTH_IN, 4.4), sharex="col", sharey="row", squeeze=False
     )
     for k, name in enumerate(names):
         part = table[table["recording"] == name]
@@ -115,8 +112,8 @@ def readings_over_time(table: pd.DataFrame, names: tuple[str, ...] = ("T5", "T3"
             bend.plot(part["time_s"], part[f"delta_{axis}_mm"], color=colour, linewidth=1, label=label)
         sensors.set_title(f"{name}, synthetic")
         bend.set_xlabel("time [s]")
-    panels[0, 0].set_ylabel("reading less its mean [mV]")
+    panels[0, 0].set_ylabel("reading less\nits mean [mV]")
     panels[1, 0].set_ylabel("bend [mm]")
-    for row in panels[:, -1]:
-        row.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    lines = [line for panel in panels[:, 0] for line in panel.get_lines()]
+    figure.legend(handles=lines, loc="outside lower center", ncols=len(lines))
     return figure

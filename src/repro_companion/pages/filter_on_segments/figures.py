@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from repro_live.view.style import page_figure
+from repro_live.view.style import WIDTH_IN, page_figure, plain_ticks
 
 STYLES = {
     "random walk": ("#E69F00", "o"),
@@ -31,7 +31,7 @@ def errors_by_method(table: pd.DataFrame) -> Figure:
         Columns of ``mean_errors``.
     """
     noises, robots = table["noise_mt"].unique(), sorted(table["n_b"].unique())
-    figure, panels = plt.subplots(1, len(noises), figsize=(9.4, 3.8), sharey=True, squeeze=False)
+    figure, panels = plt.subplots(1, len(noises), figsize=(WIDTH_IN, 4.2), sharey=True, squeeze=False)
     methods = list(dict.fromkeys(table["method"]))
     for panel, noise in zip(panels[0], noises, strict=True):
         for k, method in enumerate(methods):
@@ -47,7 +47,8 @@ def errors_by_method(table: pd.DataFrame) -> Figure:
         panel.set_xticklabels([f"{n}" for n in robots])
         panel.set_xlim(-0.5, len(robots) - 0.5)
     panels[0, 0].set_ylabel("error of the tip [mm]")
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    plain_ticks(panels[0, 0].yaxis)
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 
@@ -60,15 +61,15 @@ def two_modes(table: pd.DataFrame, methods: list[str]) -> Figure:
     table
         Columns of ``two_modes``.
     methods
-        One column each; rows are the noises.
+        One row each; columns are the noises.
     """
     noises = table["noise_mt"].unique()
-    size = (2.35 * len(methods), 2.4 * len(noises) + 0.7)
+    size = (WIDTH_IN, 2.1 * len(methods) + 0.9)
     figure, panels = plt.subplots(
-        len(noises), len(methods), figsize=size, sharex=True, sharey=True, squeeze=False
+        len(methods), len(noises), figsize=size, sharex=True, sharey=True, squeeze=False
     )
-    for row, noise in zip(panels, noises, strict=True):
-        for panel, method in zip(row, methods, strict=True):
+    for column, noise in zip(panels.T, noises, strict=True):
+        for panel, method in zip(column, methods, strict=True):
             part = table[(table["noise_mt"] == noise) & (table["method"] == method)]
             truth = part[part["draw"] == 0]
             for _, draw in part.groupby("draw"):
@@ -77,11 +78,10 @@ def two_modes(table: pd.DataFrame, methods: list[str]) -> Figure:
             mirror = truth["true_mm"].where(truth["failed"])
             panel.plot(truth["time_s"], -mirror, color="0.1", lw=1.2, ls=":")
             panel.axvline(truth["time_s"][truth["failed"]].min(), color="0.6", lw=0.8, ls="--")
-        row[0].set_ylabel(f"noise {noise:g} mT\n" + r"$\Delta_y$ of segment 2 [mm]")
-    for panel, method in zip(panels[0], methods, strict=True):
-        panel.set_title(method.replace(", ", ",\n").replace(" + ", "\n+ "), fontsize="medium")
-    for panel in panels[-1]:
-        panel.set_xlabel("time [s]")
+            panel.set_title(f"{method},\nnoise {noise:g} mT", loc="left")
+        column[-1].set_xlabel("time [s]")
+    for panel in panels[:, 0]:
+        panel.set_ylabel(r"$\Delta_y$, segment 2 [mm]")
     figure.legend(
         handles=[
             Line2D([], [], color="0.1", lw=1.2, label="truth"),
@@ -90,6 +90,6 @@ def two_modes(table: pd.DataFrame, methods: list[str]) -> Figure:
             Line2D([], [], color="0.6", lw=0.8, ls="--", label="two sensors fail"),
         ],
         loc="outside lower center",
-        ncols=4,
+        ncols=2,
     )
     return figure

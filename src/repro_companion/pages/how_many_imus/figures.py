@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, NullLocator
 
-from repro_live.view.style import page_figure
+from repro_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
 
 STYLES = {
     "rigid-body, IMU at the end": ("#D55E00", "s"),
@@ -35,26 +35,25 @@ def errors_and_bounds(tables: Sequence[pd.DataFrame], titles: Sequence[str]) -> 
     titles
         One per table.
     """
-    figure, panels = plt.subplots(
-        1, len(tables), figsize=(4.5 * len(tables), 4.0), sharey=True, squeeze=False
-    )
-    for panel, table, title in zip(panels[0], tables, titles, strict=True):
+    figure, panels = wrapped_panels(len(tables), 1, 3.2, sharex=True, sharey=True)
+    for panel, table, title in zip(panels, tables, titles, strict=True):
         for model, part in table.groupby("model", sort=False):
             colour, marker = STYLES[str(model)]
             panel.plot(part["n_imus"], part["largest_mm"], f"{marker}-", ms=4, color=colour)
             panel.plot(part["n_imus"], part["bound_mm"], "--", lw=1, color=colour)
-        panel.set(yscale="log", xlabel="IMUs", title=title)
+        panel.set(yscale="log", ylabel="error of the tip [mm]", title=title)
+        plain_ticks(panel.yaxis, subs=(1,))
         _counts(panel, table["n_imus"])
-    panels[0, 0].set_ylabel("error of the tip [mm]")
+    panels[-1].set_xlabel("IMUs")
     handles = [Line2D([], [], color=c, marker=m, ms=4, label=name) for name, (c, m) in STYLES.items()]
     handles.append(Line2D([], [], color="0.3", ls="--", lw=1, label="bound of the same colour"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    figure.legend(handles=handles, loc="outside upper center", ncols=2)
     return figure
 
 
 @page_figure
 def placement_and_sensors(placement: pd.DataFrame, sensors: pd.DataFrame, length_mm: float) -> Figure:
-    """Largest error by crowding towards the base (left); median error with errors of the sensors (right).
+    """Largest error by crowding towards the base (top); median error with errors of the sensors (bottom).
 
     Parameters
     ----------
@@ -65,7 +64,7 @@ def placement_and_sensors(placement: pd.DataFrame, sensors: pd.DataFrame, length
     length_mm
         Length of the arm, for the line of the rule.
     """
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.9))
+    figure, (left, right) = plt.subplots(2, 1, figsize=(WIDTH_IN, 7.2))
     shown = ["rigid-body, IMU in the middle", "PCC-extended", "spline"]
     counts = np.unique(placement["n_imus"])
     for n, style in zip(counts, ("-", "--", ":"), strict=False):
@@ -81,9 +80,8 @@ def placement_and_sensors(placement: pd.DataFrame, sensors: pd.DataFrame, length
         Line2D([], [], color="0.3", ls=s, label=f"{n:g} IMUs")
         for n, s in zip(counts, ("-", "--", ":"), strict=False)
     ]
-    left.legend(handles=lines, loc="upper left", ncols=len(lines))
-    low, high = left.get_ylim()
-    left.set_ylim(low, 2.5 * high)
+    left.legend(handles=lines, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    plain_ticks(left.yaxis)
     angles = np.unique(sensors["sensor_deg"])
     for angle, style in zip(angles, ("-", "--", ":", "-."), strict=False):
         here = sensors[sensors["sensor_deg"] == angle]
@@ -100,10 +98,11 @@ def placement_and_sensors(placement: pd.DataFrame, sensors: pd.DataFrame, length
         Line2D([], [], color="0.3", ls=s, label=f"{a:g}°")
         for a, s in zip(angles, ("-", "--", ":", "-."), strict=False)
     ]
-    right.legend(handles=lines, loc="lower left", title="each axis")
+    right.legend(handles=lines, loc="center left", bbox_to_anchor=(1.0, 0.5), title="each axis")
+    plain_ticks(right.yaxis, subs=(1,))
     handles = [Line2D([], [], color=STYLES[m][0], marker=STYLES[m][1], ms=4, label=m) for m in shown]
-    handles.append(Line2D([], [], color="0.6", lw=1, label=r"$\sigma L\sqrt{2/n}$"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=4)
+    handles.append(Line2D([], [], color="0.6", lw=1, label=r"$\sigma L\,(2/n)^{1/2}$"))
+    figure.legend(handles=handles, loc="outside upper center", ncols=2)
     return figure
 
 

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from repro_live.view.style import page_figure
+from repro_live.view.style import WIDTH_IN, label_in_mm, page_figure
 
 MARKER_COLOURS = {"M1": "#0072B2", "M2": "#CC79A7"}
 """As in the paper: M1 blue, M2 pink."""
@@ -26,9 +26,9 @@ LINES = {
 QUANTITIES = {"median": ("D", "paper, median"), "q3": ("^", "paper, Q3")}
 BOX = {"whislo": "q05_mm", "q1": "q25_mm", "med": "median_mm", "q3": "q75_mm", "whishi": "q95_mm"}
 PANELS = {
-    "Fig. 3": ("rigid-body, IMUs", "n_imus"),
-    "Fig. 4": ("PCC-extended, 8 IMUs, segments", "segments"),
-    "Fig. 5": ("PCC-extended, 16 segments, IMUs", "n_imus"),
+    "Fig. 3": ("rigid-body:\nIMUs", "n_imus"),
+    "Fig. 4": ("PCC-extended, 8 IMUs:\nsegments", "segments"),
+    "Fig. 5": ("PCC-extended,\n16 segments: IMUs", "n_imus"),
 }
 
 
@@ -44,7 +44,7 @@ def error_boxes(boxes: pd.DataFrame, published: pd.DataFrame) -> Figure:
         Columns ``artefact, row, quantity, unit, paper``, as from ``three_ways``: marked in the panels.
     """
     ways, figures = list(dict.fromkeys(boxes["evaluation"])), list(dict.fromkeys(boxes["figure"]))
-    size = (3.0 * len(figures) + 0.6, 2.35 * len(ways) + 0.7)
+    size = (WIDTH_IN, 2.5 * len(ways) + 0.9)
     widths = [boxes.loc[boxes["figure"] == name, "case"].nunique() for name in figures]
     figure, panels = plt.subplots(
         len(ways), len(figures), figsize=size, sharey=True, sharex="col", squeeze=False, width_ratios=widths
@@ -66,14 +66,14 @@ def error_boxes(boxes: pd.DataFrame, published: pd.DataFrame) -> Figure:
                 panel.set_xlabel(label)
         row[0].set_ylabel(f"{way}\nerror [mm]")
     handles: list[Line2D | Patch] = [
-        Patch(facecolor=c, alpha=0.6, label=m) for m, c in MARKER_COLOURS.items()
+        Patch(facecolor=c, alpha=0.35, label=m) for m, c in MARKER_COLOURS.items()
     ]
     handles += [
-        Line2D([], [], color="black", marker=shape, markersize=5, linestyle="none", label=label)
+        Line2D([], [], color="black", marker=shape, mec="white", ms=6, linestyle="none", label=label)
         for shape, label in QUANTITIES.values()
     ]
     panels[0, 0].set_ylim(0, None)
-    figure.legend(handles=handles, loc="outside upper center", ncols=4)
+    figure.legend(handles=handles, loc="outside upper center", ncols=2)
     return figure
 
 
@@ -85,7 +85,7 @@ def _boxes(panel: Axes, part: pd.DataFrame, at: np.ndarray, colour: str) -> None
         widths=0.34,
         showfliers=False,
         patch_artist=True,
-        boxprops={"facecolor": colour, "alpha": 0.6, "edgecolor": colour},
+        boxprops={"facecolor": colour, "alpha": 0.35, "edgecolor": colour},
         medianprops={"color": "black"},
         whiskerprops={"color": colour},
         capprops={"color": colour},
@@ -108,19 +108,21 @@ def _printed(
         for row in own.to_dict("records"):
             scale = 1.0 if row["unit"] == "mm" else MARKER_ARCS_MM[marker] / 100
             shape, _ = QUANTITIES[row["quantity"]]
-            panel.plot(x, scale * row["paper"], marker=shape, color="black", markersize=5, zorder=5)
+            panel.plot(
+                x, scale * row["paper"], marker=shape, color="black", mec="white", markersize=6, zorder=5
+            )
 
 
 @page_figure
 def errors_along_arm(along: pd.DataFrame) -> Figure:
-    """Errors along the arm (left) and by mode of motion (right): lines are medians, bands end at Q3.
+    """Errors along the arm (top) and by mode of motion (bottom): lines are medians, bands end at Q3.
 
     Parameters
     ----------
     along
         Columns ``model, mode, arc_mm, median_mm, q75_mm``.
     """
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.6), width_ratios=(3, 2))
+    figure, (left, right) = plt.subplots(2, 1, figsize=(WIDTH_IN, 6.4))
     everything = along[along["mode"] == "all"]
     for name, part in everything.groupby("model", sort=False):
         colour, label = LINES[str(name)]
@@ -132,7 +134,7 @@ def errors_along_arm(along: pd.DataFrame) -> Figure:
                       textcoords="offset points", color="0.35")  # fmt: skip
     left.set(xlabel="distance from the base [mm]", ylabel="error [mm]", xlim=(0, 650), ylim=(0, None))
     left.set_title("All samples: median, band to Q3")
-    left.legend(loc="upper left")
+    figure.legend(loc="outside upper center", ncols=2)
     modes = [mode for mode in dict.fromkeys(along["mode"]) if mode != "all"]
     names = list(dict.fromkeys(along["model"]))
     for k, name in enumerate(names):
@@ -152,9 +154,7 @@ def errors_along_arm(along: pd.DataFrame) -> Figure:
         Line2D([], [], color="0.3", marker="o", ls="none", label="M1"),
         Line2D([], [], color="0.3", marker="o", mfc="white", ls="none", label="M2"),
     ]
-    right.legend(handles=handles, loc="upper right", ncols=2, columnspacing=0.8, handletextpad=0.1)
-    low, high = right.get_ylim()
-    right.set_ylim(low, 1.15 * high)
+    right.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5), handletextpad=0.1)
     return figure
 
 
@@ -170,9 +170,9 @@ def error_hull(hull: pd.DataFrame) -> Figure:
         Columns ``mode, time_s, arc_mm, x_mm, y_mm, z_mm, radius_mm`` and ``estimate_x_mm`` and so on.
     """
     modes = list(dict.fromkeys(hull["mode"]))
-    figure = plt.figure(figsize=(3.3 * len(modes), 3.9))
+    figure = plt.figure(figsize=(WIDTH_IN, 3.3 * -(-len(modes) // 2)))
     for k, mode in enumerate(modes):
-        panel = figure.add_subplot(1, len(modes), k + 1, projection="3d")
+        panel = figure.add_subplot(-(-len(modes) // 2), 2, k + 1, projection="3d")
         part = hull[hull["mode"] == mode]
         true, estimate = (
             np.vstack([np.zeros(3), part[[f"{prefix}{axis}_mm" for axis in "xyz"]].to_numpy(dtype=float)])
@@ -184,15 +184,15 @@ def error_hull(hull: pd.DataFrame) -> Figure:
         tube = _tube(true, radius)
         panel.plot_surface(*tube, color="#56B4E9", alpha=0.28, linewidth=0, shade=False, rcount=99, ccount=99)
         panel.plot(*true.T, color="black", lw=2, label="arm")
-        panel.plot(*estimate.T, color="#D55E00", lw=1.6, ls="--", label="estimate")
+        panel.plot(*estimate.T, color="#D55E00", lw=1.6, label="estimate", zorder=5)
         _equal(panel, tube)
         panel.set_title(f"{mode}, {part['time_s'].iloc[0]:.0f} s", y=0.98)
     handles: list[Line2D | Patch] = [
         Line2D([], [], color="black", lw=2, label="arm"),
-        Line2D([], [], color="#D55E00", ls="--", label="estimate at this moment"),
+        Line2D([], [], color="#D55E00", label="estimate at this moment"),
         Patch(facecolor="#56B4E9", alpha=0.4, label="hull: Q3 of the error over the trial"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
 
 
@@ -224,9 +224,8 @@ def _equal(panel: Axes3D, tube: np.ndarray) -> None:
     limits = [(m - half, m + half) for m in middle]
     panel.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
     panel.set_box_aspect((1, 1, 1), zoom=0.9)
-    for name, label in (("x", "[mm]"), ("y", "[mm]"), ("z", "z [mm]")):
-        getattr(panel, f"set_{name}label")(label, labelpad=-6)
-    panel.tick_params(labelsize=7, pad=-3)
+    label_in_mm(panel, fontsize=9.0, labelpad=-5.0)
+    panel.tick_params(labelsize=8, pad=-3)
     panel.locator_params(nbins=4)
     panel.view_init(elev=14, azim=-60)
 
@@ -243,7 +242,7 @@ def calibration_ratios(ratios: pd.DataFrame, methods: Sequence[str] = ()) -> Fig
         Which methods; those with a target when empty.
     """
     shown = list(methods) or list(dict.fromkeys(ratios.loc[ratios["target"].notna(), "method"]))
-    figure, panels = plt.subplots(1, 2, figsize=(9.0, 3.4), sharey=True)
+    figure, panels = plt.subplots(2, 1, figsize=(WIDTH_IN, 5.8), sharey=True)
     modes, points = list(dict.fromkeys(ratios["mode"])), list(dict.fromkeys(ratios["point"]))
     cuts = (
         (panels[0], "mode", modes, ratios[ratios["point"] == "markers"], "Both markers, by mode of motion"),
@@ -266,7 +265,8 @@ def calibration_ratios(ratios: pd.DataFrame, methods: Sequence[str] = ()) -> Fig
     panels[0].set_xlabel("mode of motion")
     panels[1].set_xlabel("distance of the point from the base [mm]")
     panels[0].set(ylim=(0, 1.08), ylabel="error / uncalibrated PCC-16")
+    panels[1].set_ylabel("error / uncalibrated PCC-16")
     handles, names = panels[0].get_legend_handles_labels()
     handles.append(Line2D([], [], color="0.3", ls="--", lw=1, label="target of the same colour"))
-    figure.legend(handles, [*names, "target of the same colour"], loc="outside upper center", ncols=4)
+    figure.legend(handles, [*names, "target of the same colour"], loc="outside upper center", ncols=2)
     return figure

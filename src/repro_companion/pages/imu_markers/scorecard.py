@@ -174,7 +174,7 @@ def _row(printed: Printed, ways: Mapping[str, np.ndarray]) -> dict[str, Any]:
         "regenerated_std": numbers.std(ddof=1) if len(numbers) > 1 else None,
         "n_seeds": len(numbers),
         "setting": SETTING,
-        "note": "; ".join([*([printed.note] if printed.note else []), *others]),
+        "note": "; ".join(filter(None, (printed.note, "evaluated " + "; ".join(others)))),
         "comparable": False,
     }
 

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from repro_companion.pages.noise_and_tolerances.noise import REAL_MT
 from repro_companion.pages.noise_and_tolerances.tolerances import KINDS
-from repro_live.view.style import page_figure, plain_ticks
+from repro_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
 
 LOOKS = {
     "network of the paper": ("#0072B2", "o"),
@@ -25,7 +25,7 @@ SEGMENTS = {1: ("#0072B2", "o"), 2: ("#009E73", "^"), 3: ("#D55E00", "D")}
 
 @page_figure
 def noise_curves(table: pd.DataFrame) -> Figure:
-    """Mean error against the noise of the sensors: a row of panels per solver, a column per robot.
+    """Mean error against the noise of the sensors: a column of panels per solver, a row per robot.
 
     The dashed line is the Cramér-Rao bound, the grey band the noise of the real sensors.
 
@@ -35,13 +35,13 @@ def noise_curves(table: pd.DataFrame) -> Figure:
         Columns of :func:`repro_companion.pages.noise_and_tolerances.noise.against_bound`.
     """
     solvers, robots = list(dict.fromkeys(table["solver"])), sorted(set(table["n_b"]))
-    size = (max(5.2, 2.9 * len(robots) + 0.6), 2.5 * len(solvers) + 0.8)
+    size = (WIDTH_IN, 2.4 * len(robots) + 1.0)
     figure, panels = plt.subplots(
-        len(solvers), len(robots), figsize=size, sharex=True, sharey=True, squeeze=False
+        len(robots), len(solvers), figsize=size, sharex=True, sharey=True, squeeze=False
     )
     models = [model for model in LOOKS if model in set(table["model"])]
-    for line, solver in zip(panels, solvers, strict=True):
-        for panel, n_b in zip(line, robots, strict=True):
+    for column, solver in zip(panels.T, solvers, strict=True):
+        for panel, n_b in zip(column, robots, strict=True):
             here = table[(table["solver"] == solver) & (table["n_b"] == n_b)]
             panel.axvspan(*REAL_MT, color="0.92", zorder=0)
             for model in models:
@@ -52,12 +52,14 @@ def noise_curves(table: pd.DataFrame) -> Figure:
             panel.plot(limit["noise_mt"], limit["bound_percent"], "--", color="black", lw=1.2)
             panel.set(xscale="log", yscale="log")
             panel.set_title(f"{solver}, $n_b = {n_b}$", loc="left")
-    figure.supxlabel("noise of a sensor [mT]", fontsize="medium")
-    figure.supylabel("mean relative error [%]", fontsize="medium")
+            plain_ticks(panel.yaxis, subs=(1,))
+        column[-1].set_xlabel("noise of a sensor [mT]")
+    for panel in panels[:, 0]:
+        panel.set_ylabel("mean relative error [%]")
     handles = [Line2D([], [], color=LOOKS[m][0], marker=LOOKS[m][1], ms=4, lw=1.2, label=m) for m in models]
     handles.append(Line2D([], [], color="black", ls="--", lw=1.2, label="Cramér-Rao bound"))
     handles.append(Line2D([], [], color="0.88", lw=7, label="real sensors"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    figure.legend(handles=handles, loc="outside upper center", ncols=2)
     return figure
 
 
@@ -73,13 +75,9 @@ def tolerance_curves(means: pd.DataFrame, here: pd.DataFrame) -> Figure:
         The same for what was computed with parameters of the reader: open circles.
     """
     kinds = [kind for kind in KINDS if kind in set(means["kind"])]
-    columns = min(4, len(kinds))
-    lines = -(-len(kinds) // columns)
-    figure, panels = plt.subplots(
-        lines, columns, figsize=(2.3 * columns + 0.4, 2.3 * lines + 0.6), sharey=True, squeeze=False
-    )
+    figure, panels = wrapped_panels(len(kinds), 2, 2.3, sharey=True)
     robots = sorted(set(means["n_b"]))
-    for panel, kind in zip(panels.flat, kinds, strict=False):
+    for panel, kind in zip(panels, kinds, strict=True):
         for n_b in robots:
             part = means[(means["kind"] == kind) & (means["n_b"] == n_b) & (means["size"] > 0)]
             colour, marker = SEGMENTS.get(n_b, ("0.3", "s"))
@@ -94,9 +92,8 @@ def tolerance_curves(means: pd.DataFrame, here: pd.DataFrame) -> Figure:
         panel.set(xscale="log", yscale="log", xlabel=f"{name} [{unit.replace('deg', '°')}]")
         plain_ticks(panel.xaxis, subs=(1, 3))
         panel.yaxis.set_major_formatter("{x:g}")
-    for panel in panels.flat[len(kinds) :]:
-        panel.set_visible(False)
-    figure.supylabel("mean relative error [%]", fontsize="medium")
+    for panel in panels[::2]:
+        panel.set_ylabel("mean relative error [%]")
     handles = []
     for n_b in robots:
         colour, marker = SEGMENTS.get(n_b, ("0.3", "s"))
@@ -104,7 +101,7 @@ def tolerance_curves(means: pd.DataFrame, here: pd.DataFrame) -> Figure:
     handles.append(Line2D([], [], color="black", marker="o", ms=7, mfc="none", ls="", label="computed here"))
     handles.append(Line2D([], [], color="0.3", lw=1.0, label="first order"))
     handles.append(Line2D([], [], color="0.5", lw=0.9, ls=":", label="1 %"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    figure.legend(handles=handles, loc="outside upper center", ncols=3)
     return figure
 
 
@@ -121,7 +118,7 @@ def data_size_curves(table: pd.DataFrame, bound_percent: float) -> Figure:
     bound_percent
         Cramér-Rao bound of the configuration at the noise of the table [%].
     """
-    figure, panels = plt.subplots(1, 2, figsize=(8.2, 3.8))
+    figure, panels = plt.subplots(2, 1, figsize=(WIDTH_IN, 6.6))
     models = [model for model in LOOKS if model in set(table["model"])]
     labels = ("error of the readings $e_u$ [mT]", "error of the configuration [%]")
     for panel, column, label in zip(panels, ("e_u_mt", "noisy_percent"), labels, strict=True):

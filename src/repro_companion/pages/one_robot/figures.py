@@ -8,17 +8,20 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from repro_companion.pages.one_robot.estimates import METHODS
 from repro_companion.pages.one_robot.tables import CONDITIONS, QUANTITIES
 from repro_companion.twins.segment_motion import TRAJECTORIES
-from repro_live.view.style import page_figure
+from repro_live.view.style import WIDTH_IN, page_figure, plain_ticks
 
 STYLES = dict(
     zip(METHODS, (("#0072B2", "o"), ("#D55E00", "s"), ("#CC79A7", "D"), ("#009E73", "^")), strict=True)
 )
-TITLES = ("tip position [mm]", "tip orientation [deg]", "shape [mm]")
+TITLES = (
+    "error of the tip's position [mm]",
+    "error of the tip's orientation [deg]",
+    "error of the shape [mm]",
+)
 ROBUSTNESS = (
     (TRAJECTORIES[0], CONDITIONS[0], "all\nsensors"),
     (TRAJECTORIES[0], CONDITIONS[1], "worst\nfailed"),
@@ -39,30 +42,28 @@ def three_ways(means: pd.DataFrame) -> Figure:
     means
         Columns of :func:`repro_companion.pages.one_robot.tables.mean_errors`.
     """
-    figure, panels = plt.subplots(2, 2, figsize=(9.0, 7.6))
+    figure, panels = plt.subplots(2, 2, figsize=(WIDTH_IN, 7.0))
     healthy = means[means["condition"] == CONDITIONS[0]]
     for panel, quantity, title in zip(panels.flat, QUANTITIES, TITLES, strict=False):
         for place, trajectory in enumerate(TRAJECTORIES):
             _marks(panel, place, healthy[healthy["trajectory"] == trajectory], quantity)
-        panel.set_title(title)
+        panel.set_ylabel(title)
         panel.set_xticks(range(len(TRAJECTORIES)), [name.replace(" ", "\n", 1) for name in TRAJECTORIES])
     panel = panels[1, 1]
     known = means[means["calibrated"]]
     for place, (trajectory, condition, _) in enumerate(ROBUSTNESS):
         here = known[(known["trajectory"] == trajectory) & (known["condition"] == condition)]
         _marks(panel, place, here, QUANTITIES[0])
-    panel.set_title("tip position, calibrated [mm]")
+    panel.set(title="calibrated, and something amiss", ylabel=TITLES[0])
     panel.set_xticks(range(len(ROBUSTNESS)), [name for *_, name in ROBUSTNESS])
     for panel in panels.flat:
         panel.set_yscale("log")
         panel.grid(axis="x", visible=False)
-        panel.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        panel.yaxis.set_minor_formatter(NullFormatter())
+        plain_ticks(panel.yaxis)
     handles = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in STYLES.items()]
     handles.append(Line2D([], [], color="0.3", marker="o", ls="", label="calibrated"))
     handles.append(Line2D([], [], color="0.3", marker="o", mfc="white", ls="", label="as drawn"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    figure.legend(handles=handles, loc="outside upper center", ncols=2)
     return figure
 
 
@@ -78,5 +79,5 @@ def _marks(panel: Axes, place: int, here: pd.DataFrame, quantity: str) -> None:
             ]
             fill = colour if line["calibrated"] else "white"
             panel.errorbar(
-                x, line[quantity], yerr=np.array(ends), fmt=marker, color=colour, mfc=fill, ms=6, capsize=2
+                x, line[quantity], yerr=np.array(ends), fmt=marker, color=colour, mfc=fill, ms=5, capsize=2
             )

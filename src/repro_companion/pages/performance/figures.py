@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from repro_companion.pages.performance.tables import LIVE, exponents, with_targets
-from repro_live.view.style import in_symbols, page_figure, plain_ticks
+from repro_live.view.style import WIDTH_IN, in_symbols, page_figure, plain_ticks, wrapped_panels
 
 OURS, REFERENCE, TARGET = "#0072B2", "#D55E00", "0.25"
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
@@ -29,16 +29,18 @@ def rates(table: pd.DataFrame, sensor_rates_hz: Sequence[float]) -> Figure:
         Where to draw lines.
     """
     lines = pd.concat([with_targets(table), table[table["capability"].str.endswith(LIVE)]])
-    figure, panel = plt.subplots(figsize=(9.0, 0.42 * len(lines) + 1.6))
+    figure, panel = plt.subplots(figsize=(WIDTH_IN, 0.52 * len(lines) + 1.6))
     y = np.arange(len(lines))[::-1]
     panel.hlines(y, lines["reference"], lines["ours"], color="0.8", lw=1.2, zorder=1)
     panel.plot(lines["reference"], y, "s", color=REFERENCE, mfc="white", ms=6, label="reference")
     panel.plot(lines["target"], y, "|", color=TARGET, ms=13, mew=2, label="target")
-    panel.plot(lines["ours"], y, "o", color=OURS, ms=6, label="ours")
+    panel.plot(lines["ours"], y, "o", color=OURS, ms=6, label="this book")
     for rate in sensor_rates_hz:
         panel.axvline(rate, color="black", ls="--", lw=1)
     panel.set(xscale="log", xlabel="items per second of processor time", ylim=(-0.8, len(lines) + 0.4))
-    panel.set_yticks(y, [in_symbols(name) for name in lines["capability"]])
+    panel.set_yticks([])
+    for at, name in zip(y, lines["capability"], strict=True):
+        panel.annotate(in_symbols(name), (1.3 * max(sensor_rates_hz, default=1.0), at + 0.3))
     panel.grid(axis="y", visible=False)
     if len(sensor_rates_hz):
         names = " and ".join(f"{rate:g}" for rate in sensor_rates_hz)
@@ -55,7 +57,7 @@ def rates(table: pd.DataFrame, sensor_rates_hz: Sequence[float]) -> Figure:
 
 @page_figure
 def scaling_curves(points: pd.DataFrame) -> Figure:
-    """Time of a call against what it grows with; lines are the power laws of the largest decade.
+    """Time of a call against what it grows with; lines are the power laws of the largest decade, with their exponent.
 
     Parameters
     ----------
@@ -63,16 +65,19 @@ def scaling_curves(points: pd.DataFrame) -> Figure:
         Columns ``capability, against, size, seconds``.
     """
     names, fitted = list(dict.fromkeys(points["against"])), exponents(points)
-    columns = min(3, len(names))
-    rows = -(-len(names) // columns)
-    figure, panels = plt.subplots(rows, columns, figsize=(3.3 * columns, 3.4 * rows), squeeze=False)
-    for panel, against in zip(panels.flat, names, strict=False):
-        for colour, found in zip(COLOURS, fitted[fitted["against"] == against].itertuples(), strict=False):
+    figure, panels = wrapped_panels(len(names), 2, 3.2)
+    for panel, against in zip(panels, names, strict=True):
+        models = fitted[fitted["against"] == against].itertuples()
+        for k, (colour, found) in enumerate(zip(COLOURS, models, strict=False)):
             here = points[(points["against"] == against) & (points["capability"] == found.capability)]
             last = here[here["size"] >= here["size"].max() / 10 * (1 - 1e-9)]
             level = np.exp(np.mean(np.log(last["seconds"]) - found.exponent * np.log(last["size"])))
             panel.plot(here["size"], 1e3 * here["seconds"], "o", color=colour, ms=4)
-            panel.plot(last["size"], 1e3 * level * last["size"] ** found.exponent, color=colour, lw=1.2)
+            line = 1e3 * level * last["size"] ** found.exponent
+            panel.plot(last["size"], line, color=colour, lw=1.2)
+            end = (last["size"].max(), line.max())
+            beside = {"xytext": (4, 5 - 10 * k), "textcoords": "offset points", "va": "center"}
+            panel.annotate(f"{found.exponent:.2f}", end, color=colour, **beside)
         handles = [
             Line2D(
                 [],
@@ -81,15 +86,15 @@ def scaling_curves(points: pd.DataFrame) -> Figure:
                 marker="o",
                 ms=4,
                 lw=1.2,
-                label=in_symbols(f"{f.capability}: {f.exponent:.2f}"),
+                label=in_symbols(f.capability),
             )
             for c, f in zip(COLOURS, fitted[fitted["against"] == against].itertuples(), strict=False)
         ]
-        panel.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
+        panel.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        panel.margins(x=0.2, y=0.1)
         panel.set(xscale="log", yscale="log", xlabel=against)
         plain_ticks(panel.xaxis, subs=(1,))
         plain_ticks(panel.yaxis, subs=(1, 3))
-    for panel in panels.flat[len(names) :]:
-        panel.set_visible(False)
-    figure.supylabel("processor time of a call [ms]", fontsize="medium")
+    for panel in panels[::2]:
+        panel.set_ylabel("processor time of a call [ms]")
     return figure

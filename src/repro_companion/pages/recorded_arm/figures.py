@@ -5,13 +5,13 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from repro_live.view.style import page_figure
+from repro_live.view.style import TIMES, WIDTH_IN, page_figure
 
 HEADING, OTHER = "#D55E00", "#E69F00"
 HEADING_AXIS_Z = 0.95  # a jump about an axis within 18 deg of the vertical is drawn as a change of heading
@@ -29,12 +29,10 @@ def arm_shapes(shapes: pd.DataFrame, source: str) -> Figure:
     source
         Where the orientations come from; stands in the title.
     """
-    figure = plt.figure(figsize=(7.0, 6.2))
+    figure = plt.figure(figsize=(WIDTH_IN, 6.0))
     axes = figure.add_subplot(projection="3d")
     times = shapes["time_s"].to_numpy(dtype=float)
-    colours = ScalarMappable(
-        Normalize(times.min(), max(times.max(), times.min() + 1e-9)), colormaps["viridis"]
-    )
+    colours = ScalarMappable(Normalize(times.min(), max(times.max(), times.min() + 1e-9)), TIMES)
     for time_s in np.unique(times):
         points = shapes.loc[times == time_s, ["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=float)
         axes.plot(*points.T, color=colours.to_rgba(time_s), marker="o", markersize=2.5, linewidth=2)
@@ -46,7 +44,7 @@ def arm_shapes(shapes: pd.DataFrame, source: str) -> Figure:
     axes.locator_params(nbins=5)
     axes.view_init(elev=18, azim=-60)
     axes.legend(loc="upper left")
-    figure.colorbar(colours, ax=axes, label="time [s]", shrink=0.65, pad=0.02)
+    figure.colorbar(colours, ax=axes, label="time [s]", shrink=0.65, location="bottom", pad=0.08)
     return figure
 
 
@@ -61,8 +59,7 @@ def tip_path(tip: pd.DataFrame, source: str) -> Figure:
     source
         Where the orientations come from; stands in the title.
     """
-    figure = plt.figure(figsize=(9.0, 3.8))
-    height, above = figure.subplots(1, 2, width_ratios=[1.7, 1])
+    figure, (height, above) = plt.subplots(2, 1, figsize=(WIDTH_IN, 8.0), height_ratios=(1, 1.5))
     height.plot(tip["time_s"], tip["z_mm"], color="#0072B2", linewidth=1)
     height.axhline(0, color="black", linewidth=0.8, linestyle="--")
     height.annotate(
@@ -73,13 +70,15 @@ def tip_path(tip: pd.DataFrame, source: str) -> Figure:
         textcoords="offset points",
         ha="right",
     )
-    height.set(xlabel="time [s]", ylabel="height of the tip above the base, z [mm]")
-    above.plot(tip["x_mm"], tip["y_mm"], color="0.75", linewidth=0.6, zorder=1)
-    dots = above.scatter(tip["x_mm"], tip["y_mm"], c=tip["time_s"], cmap="viridis", s=4, zorder=2)
+    height.set(xlabel="time [s]", ylabel="height above the base, z [mm]")
+    pieces = np.stack([tip[["x_mm", "y_mm"]].to_numpy()[:-1], tip[["x_mm", "y_mm"]].to_numpy()[1:]], axis=1)
+    path = LineCollection(list(pieces), array=tip["time_s"].to_numpy()[:-1], cmap=TIMES, linewidth=1)
+    above.add_collection(path)
+    above.autoscale()
     above.plot(0, 0, "ks", markersize=6)
     above.set_aspect("equal", adjustable="datalim")
     above.set(xlabel="x [mm]", ylabel="y [mm]", title="from above; square: base")
-    figure.colorbar(dots, ax=above, label="time [s]")
+    figure.colorbar(path, ax=above, label="time [s]")
     height.set_title(f"Tip, {source}")
     return figure
 
@@ -99,7 +98,7 @@ def neighbour_angles(angles: pd.DataFrame, jumps: pd.DataFrame, source: str) -> 
         Where the orientations come from; stands in the title.
     """
     columns = [name for name in angles.columns if name.startswith("angle_")]
-    figure = plt.figure(figsize=(8.5, 1.05 * len(columns) + 0.9))
+    figure = plt.figure(figsize=(WIDTH_IN, 1.05 * len(columns) + 0.9))
     panels = figure.subplots(len(columns), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     top = float(angles[columns].to_numpy(dtype=float).max())
     for panel, column in zip(panels, columns, strict=True):

@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from repro_live.view.style import page_figure
+from repro_live.view.style import WIDTH_IN, page_figure, plain_ticks
 
 STYLES = {
     "rigid-body": ("#D55E00", "s"),
@@ -38,15 +38,20 @@ def differences_of_files(files: pd.DataFrame, source: str) -> Figure:
     source
         "recorded" or "synthetic"; stands in the title.
     """
-    figure, panel = plt.subplots(figsize=(7.0, 0.8 + 0.35 * len(files)))
+    figure, panel = plt.subplots(figsize=(WIDTH_IN, 1.0 + 0.35 * len(files)))
     rows = np.arange(len(files))
     panel.hlines(rows, files["median_um"], files["largest_um"], color="#0072B2", lw=1.5)
     panel.plot(files["median_um"], rows, "o", color="#0072B2", label="median")
     panel.plot(files["largest_um"], rows, "^", color="#D55E00", label="largest")
     panel.axvline(1.0, color="0.3", ls="--", lw=1.0, label="a millionth of a metre")
     panel.set_yticks(rows, [str(name).rsplit("/", 1)[-1] for name in files["file"]])
-    panel.set(xscale="log", xlabel="distance from our chain [µm]", title=f"Released tables, {source}")
+    panel.set(
+        xscale="log",
+        xlabel="distance from the chain of this library [µm]",
+        title=f"Released tables, {source}",
+    )
     panel.set(ylim=(len(files) - 0.5, -0.5), xlim=(1e-3, None))
+    plain_ticks(panel.xaxis, subs=(1,))
     figure.legend(loc="outside lower center", ncols=3)
     return figure
 
@@ -63,7 +68,7 @@ def settings_of_figure_5(table: pd.DataFrame, source: str) -> Figure:
         "recorded" or "synthetic"; stands in the titles.
     """
     counts = np.unique(table["n_imus"])
-    figure, panels = plt.subplots(1, 2, figsize=(9.0, 3.4), sharey=True)
+    figure, panels = plt.subplots(1, 2, figsize=(WIDTH_IN, 4.2), sharey=True)
     for panel, (marker, part) in zip(panels, table.groupby("marker"), strict=True):
         for k, (name, (colour, shape)) in enumerate(CHAINS.items()):
             own = part[part["chain"] == name]
@@ -77,10 +82,10 @@ def settings_of_figure_5(table: pd.DataFrame, source: str) -> Figure:
         panel.set_xticks(range(len(counts)), [f"{n:g}" for n in counts])
         panel.set(title=f"{marker}, {source}", xlabel="IMUs", xlim=(-0.5, len(counts) - 0.5))
         panel.grid(axis="x", visible=False)
-    panels[0].set(ylim=(0, None), ylabel="distance from the spline [mm]\n(black: printed error)")
+    panels[0].set(ylim=(0, None), ylabel="distance from the spline [mm]\n(dash: printed error)")
     handles = [Line2D([], [], color=c, marker=m, ls="none", label=n) for n, (c, m) in CHAINS.items()]
     handles.append(Line2D([], [], color="black", marker="_", ls="none", ms=10, label="printed, Fig. 5"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    figure.legend(handles=handles, loc="outside upper center", ncols=2)
     return figure
 
 
@@ -96,7 +101,7 @@ def fewer_imus(table: pd.DataFrame, source: str) -> Figure:
         "recorded" or "synthetic"; stands in the title.
     """
     points, counts = np.unique(table["point_mm"]), np.unique(table["n_imus"])
-    size = (3.0 * len(points), 3.3)
+    size = (WIDTH_IN, 3.8)
     figure, panels = plt.subplots(1, len(points), figsize=size, sharey=True, squeeze=False)
     for panel, point in zip(panels[0], points, strict=True):
         for k, (model, (colour, marker)) in enumerate(STYLES.items()):
@@ -105,10 +110,10 @@ def fewer_imus(table: pd.DataFrame, source: str) -> Figure:
             panel.vlines(x, part["median_mm"], part["q75_mm"], color=colour, lw=1.5)
             panel.plot(x, part["median_mm"], marker, color=colour, ms=5)
         panel.set_xticks(range(len(counts)), [f"{n:g}" for n in counts])
-        panel.set(title=f"at {point:.0f} mm, {source}", xlabel="IMUs", xlim=(-0.5, len(counts) - 0.5))
+        panel.set(title=f"at {point:.0f} mm,\n{source}", xlabel="IMUs", xlim=(-0.5, len(counts) - 0.5))
         panel.grid(axis="x", visible=False)
     panels[0, 0].set(ylim=(0, None), ylabel="distance from the spline,\n8 IMUs [mm]")
     handles = [Line2D([], [], color=c, marker=k, ls="none", label=m) for m, (c, k) in STYLES.items()]
     handles.append(Line2D([], [], color="0.3", label="from the median to Q3"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=4)
+    figure.legend(handles=handles, loc="outside upper center", ncols=2)
     return figure

@@ -244,7 +244,6 @@ def said_of_files(trial: Trial, files: pd.DataFrame) -> str:
     others = files[~within]
     words = [
         f"**{trial.source.capitalize()}** trial, {len(trial.found.orientations)} rows.",
-        *trial.notes,
         f"Of {len(files)} tables, {int(within.sum())} follow to 1 µm in every point of every row that is compared.",
     ]
     for line in others.to_dict("records"):

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from repro_live.view.style import page_figure
+from repro_live.view.style import WIDTH_IN, page_figure
 
 COLOURS = ("#0072B2", "#009E73", "#CC79A7")
 WRONG = "#D55E00"
@@ -31,7 +31,7 @@ def interruptions(recorded: pd.DataFrame, counters: pd.DataFrame) -> Figure:
     recorded, counters
         From ``trace_tables``: ``time_s, device_s, u_…`` and ``time_s, gaps, checksum_errors, restarts, reconnects``.
     """
-    figure, panels = plt.subplots(3, 1, figsize=(8.0, 6.4), sharex=True, height_ratios=(1.3, 1.0, 1.2))
+    figure, panels = plt.subplots(3, 1, figsize=(WIDTH_IN, 7.6), sharex=True, height_ratios=(1.3, 1.0, 1.2))
     recorded = _broken(recorded[recorded["time_s"].notna()])
     names = [name for name in recorded if name.startswith("u_")]
     for j, (colour, name) in enumerate(zip(COLOURS, names, strict=False)):
@@ -39,15 +39,23 @@ def interruptions(recorded: pd.DataFrame, counters: pd.DataFrame) -> Figure:
     panels[0].set_ylabel("reading [mT]")
     panels[1].plot(recorded["time_s"], recorded["device_s"], color="0.2")
     panels[1].set_ylabel("clock of the board [s]")
-    styles = ("-", "--", ":", "-.")
-    for colour, style, (name, label) in zip((*COLOURS, WRONG), styles, COUNTED.items(), strict=True):
-        panels[2].step(counters["time_s"], counters[name], where="post", color=colour, ls=style, label=label)
+    looks = (
+        {"ls": "-"},
+        {"ls": "--"},
+        {"lw": 5.0, "alpha": 0.5},
+        {"ls": "-."},
+    )  # equal counts lie on each other
+    for colour, look, (name, label) in zip((*COLOURS, WRONG), looks, COUNTED.items(), strict=True):
+        panels[2].step(counters["time_s"], counters[name], where="post", color=colour, label=label, **look)
+    most = max(1.0, counters[list(COUNTED)].to_numpy().max())
     panels[2].set_yscale("symlog", linthresh=1.0)
-    panels[2].set_ylim(-0.1, 5.0 * max(1.0, counters[list(COUNTED)].to_numpy().max()))
+    panels[2].set_yticks([0, *10 ** np.arange(np.ceil(np.log10(most)) + 1)])
+    panels[2].yaxis.set_major_formatter("{x:g}")
+    panels[2].set_ylim(-0.1, 5.0 * most)
     panels[2].set_ylabel("counted so far")
     panels[2].set_xlabel("time of sending [s]")
-    panels[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    panels[2].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    panels[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    panels[2].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     times = recorded.loc[recorded["device_s"].notna(), "time_s"].to_numpy()
     for at in np.flatnonzero(np.diff(times) > INTERRUPTED_S):
         for panel in panels:
@@ -66,17 +74,19 @@ def flipped_digits(series: pd.DataFrame) -> Figure:
     """
     formats = list(dict.fromkeys(series["format"]))
     figure, panels = plt.subplots(
-        1, len(formats), figsize=(3.9 * len(formats), 3.0), sharex=True, sharey=True, squeeze=False
+        1, len(formats), figsize=(WIDTH_IN, 3.4), sharex=True, sharey=True, squeeze=False
     )
     for panel, format in zip(panels[0], formats, strict=True):
         part = series[series["format"] == format]
         right, wrong = part[~part["wrong"]], part[part["wrong"]]
         panel.plot(right["index"], right["u_1_mV"], ".", ms=2, color=COLOURS[0], label="as sent")
         panel.plot(wrong["index"], wrong["u_1_mV"], "o", mfc="none", ms=6, color=WRONG, label="never sent")
-        panel.set_title(f"{format}: {len(wrong)} of {len(part)} wrong")
+        panel.set_title(f"{format}:\n{len(wrong)} of {len(part)} wrong")
         panel.set_xlabel("number of the reading")
     panels[0, 0].set_ylabel("reading of sensor 1 [mV]")
-    panels[0, -1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    figure.legend(
+        *panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, markerscale=2
+    )
     return figure
 
 

@@ -9,13 +9,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
-from repro_live.view.style import page_figure
+from repro_live.view.style import WIDTH_IN, page_figure
 
 HYSTERESES = {"bouc-wen": ("#0072B2", "o"), "prandtl-ishlinskii": ("#D55E00", "^")}
 """Colour and marker of each model of hysteresis."""
 VARIANTS = {"known": "elongation known", "mean": "mean elongation", "shorter": "known, half the step size"}
 """Variants of the paper's method, and what the panels say of them."""
-TARGET = 0.75
 FAMILIES = {"first": "#0072B2", "second": "#D55E00", "own biases": "#009E73"}
 """Colours of the families of twins."""
 AXES = {"x": "o", "y": "^"}
@@ -33,7 +32,7 @@ def twin_ratios(per_twin: pd.DataFrame, title: str) -> Figure:
     title
         Above the panels.
     """
-    figure, panels = plt.subplots(1, len(VARIANTS), figsize=(9.0, 3.6), sharey=True)
+    figure, panels = plt.subplots(len(VARIANTS), 1, figsize=(WIDTH_IN, 8.4), sharex=True, sharey=True)
     families = list(dict.fromkeys(per_twin["family"]))
     for panel, against in zip(panels, VARIANTS, strict=True):
         for k, family in enumerate(families):
@@ -44,10 +43,9 @@ def twin_ratios(per_twin: pd.DataFrame, title: str) -> Figure:
                 panel.plot(x, twin[against], marker, color=colour, ms=5)
             panel.plot([k - 0.32, k + 0.32], [part[against].median()] * 2, color="black", lw=1.5)
         panel.axhline(1.0, color="0.6", lw=0.8)
-        panel.axhline(TARGET, color="0.6", lw=0.8, ls="--")
         panel.set_xticks(range(len(families)), families)
         panel.set(yscale="log", title=VARIANTS[against], xlim=(-0.5, len(families) - 0.5))
-    panels[0].set_ylabel("bending error:\nbend filter / paper's method")
+        panel.set_ylabel("bending error:\nbend filter / paper's method")
     panels[0].yaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0]))
     panels[0].yaxis.set_minor_locator(NullLocator())
     panels[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -72,7 +70,7 @@ def error_pairs(table: pd.DataFrame, title: str) -> Figure:
         Above the panels.
     """
     names, families = (list(dict.fromkeys(table[column])) for column in ("trajectory", "family"))
-    figure, panels = plt.subplots(2, 3, figsize=(7.6, 5.2), sharex=True, sharey=True)
+    figure, panels = plt.subplots(2, 3, figsize=(WIDTH_IN, 5.4), sharex=True, sharey=True)
     errors = table.filter(regex="^(known|ours)_delta_[xy]").to_numpy()
     ends = np.array([0.8 * errors.min(), 1.25 * errors.max()])
     for panel, name in zip(panels.flat, names, strict=False):
@@ -80,7 +78,7 @@ def error_pairs(table: pd.DataFrame, title: str) -> Figure:
         for family, of_family in part.groupby("family", sort=False):
             for axis, marker in AXES.items():
                 columns = [of_family[f"{m}_delta_{axis}_mm"] for m in ("known", "ours")]
-                panel.plot(*columns, marker, color=FAMILIES[family], ms=3)
+                panel.plot(*columns, marker, color=FAMILIES[family], ms=4, mew=0, alpha=0.55)
         panel.plot(ends, ends, color="0.6", lw=0.8)
         panel.set(xscale="log", yscale="log", xlim=ends, ylim=ends, title=name)
         for side in (panel.xaxis, panel.yaxis):
@@ -88,9 +86,10 @@ def error_pairs(table: pd.DataFrame, title: str) -> Figure:
             side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     # Of the panel: one of the figure would lie on the legend.
     panels[-1, 1].set_xlabel("paper's method, elongation known: RMSE [mm]")
-    figure.supylabel("bend filter: RMSE [mm]", fontsize="medium")
+    for panel in panels[:, 0]:
+        panel.set_ylabel("bend filter: RMSE [mm]")
     marks = [Line2D([], [], ls="", marker=m, color="0.3", label=rf"$\Delta_{a}$") for a, m in AXES.items()]
     marks += [Line2D([], [], ls="", marker="o", color=FAMILIES[f], label=f) for f in families]
-    figure.legend(handles=marks, loc="outside lower center", ncols=len(marks))
+    figure.legend(handles=marks, loc="outside lower center", ncols=3)
     figure.suptitle(title)
     return figure

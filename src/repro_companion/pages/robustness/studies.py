@@ -25,7 +25,7 @@ from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
 from repro_companion.twins.pneumatic_rig import TwinConfig
 from repro_companion.twins.rig_data import load_recordings
 from repro_companion.twins.rig_descent import RIG_SENSORS, method_errors, paper_method, reading_errors
-from repro_companion.twins.rig_filter import BendFilter
+from repro_companion.twins.rig_filter import filtered
 from repro_companion.twins.rig_map import fit_map
 from repro_companion.twins.rig_networks import RigSpec, rig_networks, save_rig_network, sensor_rows
 from repro_companion.twins.rig_twins import random_twin
@@ -155,7 +155,7 @@ def twin_errors(twin: int, *, seed: int, longest_s: float, cache: Path, family: 
     slower = paper_method(parts, model, (seed,), mean_elongation_m=held, elongations=("known",), shorter=2)
     bend_map, rows = fit_map(data.train), []
     for name, part in parts.items():
-        own = BendFilter(bend_map).whole(part.u)
+        own = filtered(bend_map, part.u)
         found = {variant: run.estimates[variant, name] for variant in ("known", "mean")}
         found |= {"shorter": slower.estimates["known", name]}
         row = {

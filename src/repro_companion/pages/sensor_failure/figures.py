@@ -12,11 +12,19 @@ from matplotlib.ticker import MultipleLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from repro_companion.book.robot_figures import segment_colours
-from repro_live.view.style import MAGNET, SENSOR, coordinate_symbol, page_figure
+from repro_live.view.style import (
+    ESTIMATE,
+    MAGNET,
+    SENSOR,
+    TRUTH,
+    WIDTH_IN,
+    coordinate_symbol,
+    label_in_mm,
+    page_figure,
+)
 
 COLOURS = ("#0072B2", "#009E73", "#CC79A7", "#D55E00")
 FAILED = "#D55E00"
-TRUTH = {"lw": 3.4, "alpha": 0.45}
 UNSEEN = {"lw": 3.4, "alpha": 0.18}
 GRID_MM = 100.0
 RUN_COLOURS = {"failure": "#D55E00", "all sensors": "#0072B2"}
@@ -24,7 +32,7 @@ RUN_COLOURS = {"failure": "#D55E00", "all sensors": "#0072B2"}
 
 @page_figure
 def readings_and_estimates(u: pd.DataFrame, q: pd.DataFrame, failure_s: float) -> Figure:
-    """Fig. 4(b): readings above and configurations below, one column per segment.
+    """Fig. 4(b): readings at the left and configurations at the right, one row per segment.
 
     Truth wide and pale, so that it shows below the mean over the seeds, which is dashed, with a band of one standard
     deviation; the readings of failed sensors, which the estimate no longer sees, are fainter still.
@@ -37,37 +45,33 @@ def readings_and_estimates(u: pd.DataFrame, q: pd.DataFrame, failure_s: float) -
         Time of the failure [s], marked.
     """
     segments = np.unique(u["segment"])
-    size = (3.2 * len(segments) + 0.4, 5.8)
-    figure, panels = plt.subplots(2, len(segments), figsize=size, sharex=True, squeeze=False)
-    for column, segment in enumerate(segments):
-        upper, lower = panels[:, column]
+    size = (WIDTH_IN, 2.7 * len(segments) + 1.0)
+    figure, panels = plt.subplots(len(segments), 2, figsize=size, sharex=True, squeeze=False)
+    for (left, right), segment in zip(panels, segments, strict=True):
         here = u[u["segment"] == segment]
         for colour, (sensor, part) in zip(COLOURS, here.groupby("sensor"), strict=False):
-            _truth_and_mean(upper, part, "mT", colour, f"{sensor}", seen=part["working"])
+            _truth_and_mean(left, part, "mT", colour, f"$u_{{{sensor}}}$", seen=part["working"])
         here = q[q["segment"] == segment]
         for colour, (quantity, part) in zip(COLOURS, here.groupby("quantity", sort=False), strict=False):
-            _truth_and_mean(lower, part, "mm", colour, coordinate_symbol(quantity.rpartition("_")[0]))
-        for panel in (upper, lower):
+            _truth_and_mean(right, part, "mm", colour, coordinate_symbol(quantity.rpartition("_")[0]))
+        left.set_ylabel(f"segment {segment}: reading [mT]")
+        right.set_ylabel("configuration [mm]")
+        for panel in (left, right):
             panel.axvline(failure_s, color="0.3", lw=1, ls=":")
-        upper.set_title(f"segment {segment}")
-        legend = {"loc": "lower center", "handlelength": 1, "columnspacing": 0.9}
-        upper.legend(ncols=4, title="sensor", title_fontsize="small", **legend)
-        lower.legend(ncols=3, **legend)
-        for panel, room in ((upper, 0.3), (lower, 0.2)):  # for the legends
-            low, high = panel.get_ylim()
-            panel.set_ylim(low - room * (high - low), high)
-        lower.set_xlabel("time [s]")
-    panels[0, 0].set_ylabel("reading [mT]")
-    panels[1, 0].set_ylabel("configuration [mm]")
+            panel.legend(
+                loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, handlelength=1, columnspacing=0.9
+            )
+    for panel in panels[-1]:
+        panel.set_xlabel("time [s]")
     figure.legend(
         handles=[
             Line2D([], [], color="0.3", **TRUTH, label="truth"),
-            Line2D([], [], color="0.3", ls="--", label="mean over seeds, band: one standard deviation"),
+            Line2D([], [], color="0.3", **ESTIMATE, label="mean over seeds,\nband: one standard deviation"),
             Line2D([], [], color="0.3", **UNSEEN, label="truth, sensor failed"),
             Line2D([], [], color="0.3", ls=":", lw=1, label="failure"),
         ],
         loc="outside lower center",
-        ncols=4,
+        ncols=2,
     )
     return figure
 
@@ -81,7 +85,7 @@ def _truth_and_mean(
     else:
         panel.plot(t, truth.where(seen), color=colour, **TRUTH, label=label)
         panel.plot(t, truth.where(~seen), color=colour, **UNSEEN)
-    panel.plot(t, mean, color=colour, lw=1.3, ls=(0, (4, 2)))
+    panel.plot(t, mean, color=colour, **ESTIMATE)
     panel.fill_between(t, mean - std, mean + std, color=colour, alpha=0.2, lw=0)
 
 
@@ -89,17 +93,15 @@ def _truth_and_mean(
 def shape_stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
     """Fig. 5: true (opaque) and estimated (transparent) shape at several times, with magnets and sensors.
 
-    The lines of the grid are 100 mm apart.
-
     Parameters
     ----------
     shapes, parts
         Columns of ``stills``.
     """
     moments = np.unique(shapes["time_s"])
-    columns = min(3, len(moments))
+    columns = min(2, len(moments))
     lines = -(-len(moments) // columns)
-    figure = plt.figure(figsize=(3.0 * columns, 3.3 * lines + 0.4))
+    figure = plt.figure(figsize=(WIDTH_IN, 3.6 * lines + 0.6))
     colours = segment_colours(shapes["segment"].nunique())
     points = pd.concat([shapes, parts])[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=float)
     middle, reach = (points.max(0) + points.min(0)) / 2, np.ptp(points, axis=0) / 2
@@ -122,8 +124,9 @@ def shape_stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
         for name, centre, half in zip("xyz", middle, reach, strict=True):
             getattr(axes, f"set_{name}lim")(centre - half, centre + half)
             getattr(axes, f"{name}axis").set_major_locator(MultipleLocator(GRID_MM))
-            getattr(axes, f"{name}axis").set_ticklabels([])
-        axes.set_box_aspect(tuple(reach), zoom=1.3)
+        axes.tick_params(labelsize=8, pad=-2)
+        label_in_mm(axes, fontsize=9.0, labelpad=-5.0)
+        axes.set_box_aspect(tuple(reach), zoom=1.0)
         axes.view_init(elev=15, azim=-60)
         axes.set_title(f"t = {time_s:.1f} s", loc="left", y=0.95)
     handles = [
@@ -132,15 +135,14 @@ def shape_stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
         Line2D([], [], marker="o", ls="", color=MAGNET, label="magnet"),
         Line2D([], [], marker="s", ls="", color=SENSOR, label="sensor"),
         Line2D([], [], marker="X", ls="", color=FAILED, mew=0, ms=8, label="failed sensor"),
-        Line2D([], [], color="0.7", lw=0.8, label=f"grid: {GRID_MM:g} mm"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), columnspacing=1.2)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
 
 
 @page_figure
 def error_and_deviation(table: pd.DataFrame, failure_s: float) -> Figure:
-    """Calibrated model with the failure and with all sensors: error above, reported standard deviation below.
+    """Calibrated model with the failure and with all sensors: error at the left, reported deviation at the right.
 
     Parameters
     ----------
@@ -150,17 +152,20 @@ def error_and_deviation(table: pd.DataFrame, failure_s: float) -> Figure:
         Time of the failure [s], marked.
     """
     quantities = list(dict.fromkeys(table["quantity"]))
-    figure, panels = plt.subplots(2, len(quantities), figsize=(9.4, 4.6), sharex=True, sharey="row")
-    for column, quantity in enumerate(quantities):
-        for row, name in enumerate(("error_mm", "deviation_mm")):
-            panel = panels[row, column]
+    figure, panels = plt.subplots(
+        len(quantities), 2, figsize=(WIDTH_IN, 2.0 * len(quantities) + 0.6), sharex=True, sharey="col"
+    )
+    for row, quantity in zip(panels, quantities, strict=True):
+        for panel, name in zip(row, ("error_mm", "deviation_mm"), strict=True):
             for run, colour in RUN_COLOURS.items():
                 part = table[(table["quantity"] == quantity) & (table["run"] == run)]
                 panel.plot(part["time_s"], part[name], color=colour, lw=1, label=run)
             panel.axvline(failure_s, color="0.3", lw=1, ls=":")
-        panels[0, column].set_title(coordinate_symbol(quantity))
-        panels[1, column].set_xlabel("time [s]")
-    panels[0, 0].set(ylabel="error [mm]", ylim=(0, None))
-    panels[1, 0].set(ylabel="reported standard\ndeviation [mm]", ylim=(0, None))
+        row[0].set_ylabel(f"error of {coordinate_symbol(quantity)} [mm]")
+        row[1].set_ylabel("reported [mm]")
+    panels[0, 0].set_title("error")
+    panels[0, 1].set_title("reported standard deviation")
+    for panel in panels[-1]:
+        panel.set(xlabel="time [s]", ylim=(0, None))
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure

@@ -12,7 +12,7 @@ from matplotlib.patches import Circle, Rectangle
 
 from repro.kinematics.paper_robots import Dimensions
 from repro.sensing.magnets import ring
-from repro_live.view.style import MAGNET, in_symbols, page_figure, plain_ticks
+from repro_live.view.style import MAGNET, WIDTH_IN, in_symbols, page_figure, plain_ticks
 
 MM = 1e3
 ARROW_MM = 14.0
@@ -33,8 +33,8 @@ def layouts_drawn(table: pd.DataFrame) -> Figure:
     names = list(dict.fromkeys(table["layout"]))
     height = _length(table)
     sizes = (height + 30, 2 * MM * Dimensions.RADIUS_M + 30)
-    inches_per_mm = min(0.029, 9.5 / sum(sizes))
-    size = (2.5 * len(names) + 0.5, inches_per_mm * sum(sizes))
+    inches_per_mm = min(0.026, 9.5 / sum(sizes))
+    size = (WIDTH_IN, inches_per_mm * sum(sizes) + 0.5)
     figure, panels = plt.subplots(
         2, len(names), figsize=size, squeeze=False, sharex=True, height_ratios=sizes
     )
@@ -120,12 +120,17 @@ def judged(bound: pd.DataFrame, summary: pd.DataFrame) -> Figure:
     summary
         Columns of :func:`~repro_companion.pages.sensor_placement.errors.errors_by_layout`, of one robot.
     """
-    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(9.4, 3.4), width_ratios=(1.35, 1, 1))
+    figure, panels = plt.subplot_mosaic(
+        [["bound", "bound"], ["drawn", "tolerant"]], figsize=(WIDTH_IN, 6.4), height_ratios=(1, 1.2)
+    )
+    left, middle, right = (panels[name] for name in ("bound", "drawn", "tolerant"))
     names = list(dict.fromkeys(bound["layout"]))
     for k, name in enumerate(names):
         part = bound[bound["layout"] == name]
         left.plot(part["time_s"], part["bound_percent"], color=LAYOUTS[k], label=name)
-    left.set(yscale="log", xlabel="time [s]", ylabel="error [%]", title="bound along the trajectory")
+    left.set(
+        yscale="log", xlabel="time [s]", ylabel="bound on the error [%]", title="bound along the trajectory"
+    )
     plain_ticks(left.yaxis)
     tests = list(dict.fromkeys(summary["shapes"]))
     for panel, robot in ((middle, "as drawn"), (right, "within tolerances")):
@@ -142,16 +147,15 @@ def judged(bound: pd.DataFrame, summary: pd.DataFrame) -> Figure:
                 capsize=2,
             )
         panel.set(xticks=range(len(tests)), xlim=(-0.5, len(tests) - 0.5), title=f"measured, {robot}")
+        panel.set(yscale="log", ylabel="error [%]")
+        plain_ticks(panel.yaxis)
         panel.set_xticklabels([test.replace(" ", "\n") for test in tests])
         panel.grid(axis="x", visible=False)
-    middle.set_yscale("log")
-    plain_ticks(middle.yaxis)
-    right.set_ylim(0, None)
     handles = [
         Line2D([], [], marker=m, color=c, label=name)
         for name, c, m in zip(names, LAYOUTS, MARKERS, strict=False)
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(names))
+    figure.legend(handles=handles, loc="outside upper center", ncols=3)
     return figure
 
 
@@ -167,7 +171,7 @@ def all_robots(summary: pd.DataFrame) -> Figure:
     """
     keys = list(dict.fromkeys(zip(summary["task"], summary["shapes"], strict=True)))
     names = [name for name in dict.fromkeys(summary["layout"]) if name.startswith("optimised")]
-    figure, panels = plt.subplots(1, 2, figsize=(8.6, 0.42 * len(keys) + 1.5), sharey=True)
+    figure, panels = plt.subplots(1, 2, figsize=(WIDTH_IN, 0.55 * len(keys) + 1.5), sharey=True)
     y = {key: len(keys) - 1 - k for k, key in enumerate(keys)}
     for panel, robot in zip(panels, ("as drawn", "within tolerances"), strict=True):
         panel.axvline(1.0, color=LAYOUTS[0], lw=1.2)
@@ -177,9 +181,12 @@ def all_robots(summary: pd.DataFrame) -> Figure:
             ratio = part["ratio"].to_numpy()
             spread = [ratio - part["ratio_low"], part["ratio_high"] - ratio]
             panel.errorbar(ratio, height, xerr=spread, fmt=MARKERS[k], ms=5, color=LAYOUTS[k], capsize=2)
-        panel.set(title=f"robot {robot}", xlabel="error / error of the reference", xlim=(0, None))
+        panel.set(title=f"robot {robot}", xlabel="error over that\nof the reference", xlim=(0, None))
         panel.grid(axis="y", visible=False)
-    panels[0].set(yticks=list(y.values()), yticklabels=[in_symbols(f"{task}\n{test}") for task, test in keys])
+    panels[0].set(
+        yticks=list(y.values()),
+        yticklabels=[in_symbols(f"{task},\n{test}".replace(", elong", ",\nelong")) for task, test in keys],
+    )
     handles = [Line2D([], [], color=LAYOUTS[0], label="reference")]
     handles += [
         Line2D([], [], marker=MARKERS[k], ls="", color=LAYOUTS[k], label=name)
@@ -191,14 +198,14 @@ def all_robots(summary: pd.DataFrame) -> Figure:
 
 @page_figure
 def choices(table: pd.DataFrame) -> Figure:
-    """Price of the limit on the error from tolerances, and the error by what may be chosen.
+    """Price of the limit on the error from tolerances, and below it the error by what may be chosen.
 
     Parameters
     ----------
     table
         Columns of :func:`~repro_companion.pages.sensor_placement.studies.choices`.
     """
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.7), width_ratios=(1, 1.15))
+    figure, (left, right) = plt.subplots(2, 1, figsize=(WIDTH_IN, 6.6))
     nominal = table[table["study"] == "number"].iloc[0]
     limits = table[table["study"] == "limit"].sort_values("tolerance_percent")
     left.plot(limits["tolerance_percent"], limits["noise_percent"], "o-", color=LAYOUTS[1], ms=5)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
-from repro_live.view.style import page_figure
+from repro_live.view.style import WIDTH_IN, page_figure
 
 COLOURS = ("#0072B2", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#56B4E9")
 MARKERS = ("o", "s", "^", "D", "v", "P")
@@ -28,8 +28,9 @@ def sensors_noise_segments(table: pd.DataFrame) -> Figure:
         Joined table of a sweep of ``sensor_count.ipynb`` over ``n_segments``, ``n_sensors`` and ``noise_mt``.
     """
     robots, levels = sorted(set(table["n_segments"])), sorted(set(table["noise_mt"]))
-    size = (2.7 * len(robots) + 0.7, 3.6)
-    figure, panels = plt.subplots(1, len(robots), figsize=size, sharex=True, sharey=True, squeeze=False)
+    figure, panels = plt.subplots(
+        1, len(robots), figsize=(WIDTH_IN, 4.2), sharex=True, sharey=True, squeeze=False
+    )
     styles = {noise: (COLOURS[i % 6], MARKERS[i % 6]) for i, noise in enumerate(levels)}
     for panel, n_segments in zip(panels[0], robots, strict=True):
         for noise in levels:
@@ -53,12 +54,12 @@ def sensors_noise_segments(table: pd.DataFrame) -> Figure:
         panel.set_title(f"{n_segments} segment" + "s" * (n_segments > 1), loc="left")
         panel.yaxis.set_major_formatter("{x:g}")
         panel.yaxis.set_minor_formatter(NullFormatter())
-    figure.supxlabel("sensors on each segment", fontsize="medium")
-    figure.supylabel("mean relative error [%]", fontsize="medium")
+        panel.set_xlabel("sensors on\neach segment")
+    panels[0, 0].set_ylabel("mean relative error [%]")
     handles = [
         Line2D([], [], color=c, marker=m, ms=4, lw=1.2, label=f"noise {x:g} mT")
         for x, (c, m) in styles.items()
     ]
     handles.append(Line2D([], [], color="black", ls="--", lw=1.0, label="Cramér-Rao bound"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    figure.legend(handles=handles, loc="outside upper center", ncols=2)
     return figure

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from repro_live.view.style import MAGNET, SENSOR, label_in_mm, page_figure
+from repro_live.view.style import INK_OF_MAPS, MAGNET, SENSOR, TRUTH, WIDTH_IN, label_in_mm, page_figure
 
 PAPER, OURS = "#0072B2", "#D55E00"
 SHAPE, TIP = "#56B4E9", "#0072B2"
@@ -17,7 +17,7 @@ SHAPE, TIP = "#56B4E9", "#0072B2"
 
 @page_figure
 def trajectories(paths: pd.DataFrame, shapes: pd.DataFrame, title: str) -> Figure:
-    """Fig. 9: bend of the tip, and below it the shape of the segment with the path of the tip.
+    """Fig. 9: bend of the tip, and beside it the shape of the segment with the path of the tip.
 
     Parameters
     ----------
@@ -29,20 +29,17 @@ def trajectories(paths: pd.DataFrame, shapes: pd.DataFrame, title: str) -> Figur
         Above all panels.
     """
     names = list(dict.fromkeys(paths["recording"]))
-    columns, lines = 3, -(-len(names) // 3)
-    figure = plt.figure(figsize=(9.0, 6.2 * lines))
+    figure = plt.figure(figsize=(WIDTH_IN, 2.5 * len(names) + 0.5))
     reach = 1.08 * float(paths[["delta_x_mm", "delta_y_mm"]].abs().to_numpy().max())
     for k, name in enumerate(names):
         path = paths[paths["recording"] == name]
-        line, column = divmod(k, columns)
-        flat = figure.add_subplot(2 * lines, columns, 2 * columns * line + column + 1)
+        flat = figure.add_subplot(len(names), 2, 2 * k + 1)
         flat.plot(path["delta_x_mm"], path["delta_y_mm"], color=TIP, lw=0.7)
         flat.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", title=name)
-        flat.set(xticks=(-8, 0, 8), yticks=(-8, 0, 8), xlabel=r"$\Delta_x$ [mm]")
-        if column == 0:
-            flat.set_ylabel(r"$\Delta_y$ [mm]")
-        place = 2 * columns * line + columns + column + 1
-        deep = figure.add_subplot(2 * lines, columns, place, projection="3d")
+        flat.set(xticks=(-8, 0, 8), yticks=(-8, 0, 8), ylabel=r"$\Delta_y$ [mm]")
+        if name == names[-1]:
+            flat.set_xlabel(r"$\Delta_x$ [mm]")
+        deep = figure.add_subplot(len(names), 2, 2 * k + 2, projection="3d")
         for _, curve in shapes[shapes["recording"] == name].groupby("shape"):
             deep.plot(curve["x_mm"], curve["y_mm"], curve["z_mm"], color=SHAPE, lw=0.8)
         deep.plot(path["tip_x_mm"], path["tip_y_mm"], path["tip_z_mm"], color=TIP, lw=0.7)
@@ -64,10 +61,11 @@ def landscape(grid: pd.DataFrame, path: pd.DataFrame, title: str) -> Figure:
     title
         Above the panel.
     """
-    figure, panel = plt.subplots(figsize=(5.4, 4.4))
+    plt.rcParams.update(INK_OF_MAPS)
+    figure, panel = plt.subplots(figsize=(WIDTH_IN, 5.2))
     table = grid.pivot(index="delta_y_mm", columns="delta_x_mm", values="rmse_mV")
     mesh = panel.pcolormesh(
-        table.columns, table.index, table.to_numpy(), cmap="viridis_r", shading="nearest", rasterized=True
+        table.columns, table.index, table.to_numpy(), cmap="viridis", shading="nearest", rasterized=True
     )
     figure.colorbar(mesh, label="RMSE of the readings [mV]")
     steps, truth = path[path["iteration"] >= 0], path[path["iteration"] == -1]
@@ -101,28 +99,30 @@ def estimates(series: pd.DataFrame, title: str, *, longest_s: float = 20.0) -> F
         How much is drawn [s].
     """
     names = list(dict.fromkeys(series["recording"]))
-    figure, panels = plt.subplots(2, len(names), figsize=(4.4 * len(names), 4.6), sharex="col", squeeze=False)
+    figure, panels = plt.subplots(
+        2, len(names), figsize=(WIDTH_IN, 5.4), sharex="col", sharey="row", squeeze=False
+    )
     for k, name in enumerate(names):
         for i, axis in enumerate("xy"):
             panel = panels[i, k]
             chosen = (series["recording"] == name) & (series["name"] == f"delta_{axis}")
             part = series[chosen & (series["time_s"] <= longest_s)]
             t = part["time_s"].to_numpy()
-            panel.plot(t, part["truth"], color="black", lw=1.4)
-            for column, style, colour in (("mean", "--", PAPER), ("ours", "-", OURS)):
+            panel.plot(t, part["truth"], color="black", **TRUTH)
+            for column, style, colour in (("mean", (0, (4, 2)), PAPER), ("ours", "-", OURS)):
                 spread = part["std" if column == "mean" else "ours_std"].fillna(0).to_numpy()
                 value = part[column].to_numpy()
-                panel.plot(t, value, style, color=colour, lw=1.1)
+                panel.plot(t, value, ls=style, color=colour, lw=1.1)
                 panel.fill_between(t, value - spread, value + spread, color=colour, alpha=0.25, lw=0)
             panel.set_ylabel(rf"$\Delta_{axis}$ [mm]" if k == 0 else None)
         panels[0, k].set_title(name)
         panels[1, k].set_xlabel("time [s]")
     handles = [
-        Line2D([], [], color="black", label="motion capture"),
+        Line2D([], [], color="black", **TRUTH, label="motion capture"),
         Line2D([], [], color=PAPER, ls="--", label="the paper's method: mean, std over seeds"),
         Line2D([], [], color=OURS, label="filter with a map, with its own std"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    figure.legend(handles=handles, loc="outside lower center", ncols=1)
     figure.suptitle(title)
     return figure
 
@@ -141,8 +141,8 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, title: str) -> Figure:
         Above all panels.
     """
     times = np.unique(shapes["time_s"])
-    columns, lines = 3, -(-len(times) // 3)
-    figure = plt.figure(figsize=(9.0, 3.4 * lines + 0.5))
+    columns, lines = 2, -(-len(times) // 2)
+    figure = plt.figure(figsize=(WIDTH_IN, 3.3 * lines + 0.7))
     for k, time_s in enumerate(times):
         panel = figure.add_subplot(lines, columns, k + 1, projection="3d")
         here = shapes[shapes["time_s"] == time_s]
@@ -161,7 +161,7 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, title: str) -> Figure:
         Line2D([], [], color=MAGNET, marker="s", ls="", label="magnet"),
         Line2D([], [], color=SENSOR, marker="o", ls="", label="sensors"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
     figure.suptitle(title)
     return figure
 
@@ -171,6 +171,6 @@ def _in_space(panel: Axes3D, *, elevation: float) -> None:
     panel.set(xlim=(-40, 40), ylim=(-40, 40), zlim=(0, 115))
     panel.set(xticks=(-30, 30), yticks=(-30, 30), zticks=(0, 50, 100))
     panel.set_aspect("equal")
-    panel.tick_params(labelsize=7, pad=-2)
-    label_in_mm(panel, fontsize=8.0, labelpad=-7.0)
+    panel.tick_params(labelsize=8, pad=-2)
+    label_in_mm(panel, fontsize=9.0, labelpad=-6.0)
     panel.view_init(elev=elevation, azim=-55)

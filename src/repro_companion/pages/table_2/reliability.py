@@ -18,16 +18,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.estimation.base import track
+from repro.estimation.base import Trajectory, track
 from repro.estimation.consistency import Status, lasting
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.kernels import compiled
 from repro.sensing.ensemble import SeedEnsemble
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.recordings.rig_robot import RIG_RATE_HZ
+from repro_companion.twins.rig_bank import OursConfig
 from repro_companion.twins.rig_data import RigData
 from repro_companion.twins.rig_descent import PaperRun, bend_errors, paper_descent, rig_sensing, row_name
-from repro_companion.twins.rig_filter import OursConfig, OursRun
 from repro_companion.twins.rig_map import SCALE_MM, BendMap
 
 RELATIVE = 1e-12
@@ -166,7 +166,7 @@ def doubted(decrease: Float[np.ndarray, " t"]) -> np.ndarray:
     return lasting(decrease > MUCH_BETTER, LASTING_S * RIG_RATE_HZ)
 
 
-def doubt_table(bend_map: BendMap, paper: PaperRun, filtered: dict[str, OursRun]) -> pd.DataFrame:
+def doubt_table(bend_map: BendMap, paper: PaperRun, filtered: dict[str, Trajectory]) -> pd.DataFrame:
     """Share of the readings at which estimates are doubted, and at which the bend is lost, by recording and method.
 
     Returns
@@ -179,7 +179,7 @@ def doubt_table(bend_map: BendMap, paper: PaperRun, filtered: dict[str, OursRun]
     rows = []
     for name, part in paper.parts.items():
         runs = {f"paper, elongation {held}": q for (held, of), q in paper.estimates.items() if of == name} | {
-            "filter with a map": filtered[name].q[:, None]
+            "filter with a map": filtered[name].q[:, None].numpy()
         }
         for method, q in runs.items():
             found = []
@@ -191,10 +191,10 @@ def doubt_table(bend_map: BendMap, paper: PaperRun, filtered: dict[str, OursRun]
             names = ("lost_percent", "doubted_percent", "lost_and_doubted_percent")
             shares = dict(zip(names, (100 * np.mean(found, axis=0)).tolist(), strict=True))
             rows.append({"recording": name, "method": method} | shares)
-        own = filtered[name]
+        own = filtered[name].diagnostics
         rows[-1] |= {
-            "suspicious_percent": 100 * float((own.status != Status.CONSISTENT).mean()),
-            "restarts": own.anew[-1],
+            "suspicious_percent": 100 * float((own["status"].numpy() != Status.CONSISTENT).mean()),
+            "restarts": int(own["anew"][-1]),
         }
     return pd.DataFrame(rows)
 

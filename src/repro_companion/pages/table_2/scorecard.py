@@ -8,11 +8,10 @@ import pandas as pd
 
 from repro_companion.pages.table_2.reliability import RELATIVE
 from repro_companion.twins.rig_descent import row_name
-from repro_companion.twins.table_1_scorecard import scorecard_line
+from repro_companion.twins.table_1_scorecard import scorecard_line, scorecard_lines, seeds_note
 
 SETTING = "as released: elongation known, start at ground truth, momentum carried, split {train:g}/{test:g}"
 BEST_METHOD = "polynomial map fitted to T5.train, common bias estimated, no known start or elongation"
-NOTE = "three networks of our own per sensor against three of the authors"
 SYNTHETIC_NOTE = "synthetic: recorded by the digital twin, so not comparable with the authors' hardware"
 OWN_NOTE = "recordings of the reader's own under the authors' names, so not comparable with what they printed"
 KEYS = ["row", "quantity", "unit"]
@@ -71,16 +70,15 @@ def table_2_rows(
         for x in rounding[rounding["chaotic"]].to_dict("records")
     }
     printed, ours = _printed(table), {}
-    about: dict[str, Any] = {"note": NOTE}
+    about: dict[str, Any] = {}
     if synthetic or own_files:
         about = {"note": SYNTHETIC_NOTE if synthetic else OWN_NOTE, "comparable": False}
     else:
         ours = _printed(best[best["quantity"] != "e_u"]).set_index(KEYS)["error"].to_dict()
     rows: list[dict[str, Any]] = []
-    cells = printed.groupby(KEYS, sort=False)["error"].agg(["mean", "std", "count"]).reset_index()
-    for cell in cells.to_dict("records"):
-        key = (cell["row"], cell["quantity"], cell["unit"])
-        line = scorecard_line("Table 2", *key, cell["mean"], cell["std"], cell["count"], setting) | about
+    for line in scorecard_lines("Table 2", printed, setting):
+        line |= about
+        key = (line["row"], line["quantity"], line["unit"])
         line["note"] += decided.get(key, "")
         if key in ours:
             line |= {"best": ours[key], "best_method": BEST_METHOD}
@@ -91,7 +89,7 @@ def table_2_rows(
         relative = printed[(printed["unit"] == "%") & printed["quantity"].isin(quantities)]
         by_seed = relative.groupby("seed")["error"].mean()
         numbers = (by_seed.mean(), by_seed.std(), len(by_seed), setting)
-        line = scorecard_line(artefact, row, "mean", "%", *numbers) | about
+        line = scorecard_line(artefact, row, "mean", "%", *numbers) | {"note": seeds_note(by_seed)} | about
         own = [error for (_, _, unit), error in ours.items() if unit == "%"]
         if own and artefact == "Abstract":
             line |= {"best": sum(own) / len(own), "best_method": BEST_METHOD}

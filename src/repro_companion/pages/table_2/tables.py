@@ -9,6 +9,7 @@ import pandas as pd
 import torch
 
 from repro.errors import bad_input
+from repro.estimation.base import Trajectory
 from repro.sensing.ensemble import SeedEnsemble
 from repro_companion.book.project import find_project
 from repro_companion.book.published import read_published
@@ -25,7 +26,7 @@ from repro_companion.twins.rig_descent import (
     rig_sensing,
     row_name,
 )
-from repro_companion.twins.rig_filter import BendFilter, OursRun
+from repro_companion.twins.rig_filter import filtered
 from repro_companion.twins.rig_map import BendMap
 
 LANDSCAPE_S = 3.0
@@ -33,12 +34,12 @@ LANDSCAPE_S = 3.0
 LANDSCAPE_CLIP_MV = 100.0
 
 
-def ours_runs(bend_map: BendMap, tests: dict[str, Recording]) -> dict[str, OursRun]:
+def ours_runs(bend_map: BendMap, tests: dict[str, Recording]) -> dict[str, Trajectory]:
     """Ours on every test part; of these it takes the readings alone."""
-    return {name: BendFilter(bend_map).whole(part.u) for name, part in tests.items()}
+    return {name: filtered(bend_map, part.u) for name, part in tests.items()}
 
 
-def ours_errors(runs: dict[str, OursRun], bend_map: BendMap, data: RigData) -> pd.DataFrame:
+def ours_errors(runs: dict[str, Trajectory], bend_map: BendMap, data: RigData) -> pd.DataFrame:
     """Errors of Table 2 with ours: ``row, quantity, unit, error``, for test parts or their beginnings."""
     rows = []
     for name, run in runs.items():
@@ -46,7 +47,7 @@ def ours_errors(runs: dict[str, OursRun], bend_map: BendMap, data: RigData) -> p
         n = len(run.q)
         part = Recording(whole.name, whole.frame[:n], whole.q[:n], whole.u[:n])
         predicted = bend_map.readings_mv(part.q)[:, None]
-        for cell in reading_errors(predicted, part, whole) + bend_errors(run.q[:, None], part, whole):
+        for cell in reading_errors(predicted, part, whole) + bend_errors(run.q[:, None].numpy(), part, whole):
             del cell["model"]
             rows.append({"row": row_name(name)} | cell)
     return pd.DataFrame(rows)
@@ -131,7 +132,7 @@ def landscape(
 
 
 def series_table(
-    run: PaperRun, ours: dict[str, OursRun], names: Sequence[str] = ("T2", "T5")
+    run: PaperRun, ours: dict[str, Trajectory], names: Sequence[str] = ("T2", "T5")
 ) -> pd.DataFrame:
     """Fig. 10(b): bend over time [mm]: ``recording, time_s, name, truth, mean, std, ours, ours_std``.
 
@@ -141,7 +142,8 @@ def series_table(
     parts = []
     for name in names:
         part, q = run.parts[name], run.estimates["known", name]
-        own = ours[name]
+        own, covariance = ours[name].q.numpy(), ours[name].covariance
+        assert covariance is not None
         for k, axis in enumerate("xy"):
             several = q.shape[1] > 1
             columns = {
@@ -149,8 +151,8 @@ def series_table(
                 "truth": 1e3 * part.q[:, k],
                 "mean": 1e3 * q[:, :, k].mean(axis=1),
                 "std": 1e3 * q[:, :, k].std(axis=1, ddof=1) if several else np.full(len(q), np.nan),
-                "ours": 1e3 * own.q[: len(part), k],
-                "ours_std": 1e3 * np.sqrt(own.covariance[: len(part), k, k]),
+                "ours": 1e3 * own[: len(part), k],
+                "ours_std": 1e3 * np.sqrt(covariance.numpy()[: len(part), k, k]),
             }
             parts.append(pd.DataFrame(columns).assign(recording=name, name=f"delta_{axis}"))
     return pd.concat(parts, ignore_index=True)

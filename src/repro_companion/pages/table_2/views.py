@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from repro.errors import bad_input
+from repro.estimation.base import Trajectory
 from repro_companion.book.views_frames import every_nth, readings
 from repro_companion.recordings.baaij2023 import Recording
 from repro_companion.recordings.rig_robot import RIG_RATE_HZ, rig_robot
 from repro_companion.twins.rig_descent import PaperRun
-from repro_companion.twins.rig_filter import OursRun
 from repro_live.view.robot_view import shape_view
 from repro_live.view.shape_view import ShapeView
 
@@ -53,7 +54,7 @@ class ShapeViews:
         return "\n".join(f"{title}: {view!r}" for title, view in self.views.items())
 
 
-def rig_views(parts: Mapping[str, Recording], ours: Mapping[str, OursRun], source: str) -> ShapeViews:
+def rig_views(parts: Mapping[str, Recording], ours: Mapping[str, Trajectory], source: str) -> ShapeViews:
     """One view for each trajectory: see :func:`rig_view`.
 
     Parameters
@@ -67,7 +68,7 @@ def rig_views(parts: Mapping[str, Recording], ours: Mapping[str, OursRun], sourc
     return ShapeViews({title: rig_view(parts[name], ours[name], title) for name, title in titles.items()})
 
 
-def rig_view(part: Recording, ours: OursRun, title: str) -> ShapeView:
+def rig_view(part: Recording, ours: Trajectory, title: str) -> ShapeView:
     """Segment by motion capture, ours with a tube of two standard deviations that it gives itself, and readings.
 
     Parameters
@@ -84,8 +85,8 @@ def rig_view(part: Recording, ours: OursRun, title: str) -> ShapeView:
         torch.from_numpy(part.q[shown]),
         times=part.time_s[shown] - part.time_s[0],
         label=f"{title}: the segment by motion capture (truth), and the filter with a tube of two deviations.",
-        estimate=torch.from_numpy(ours.q[shown]),
-        covariance=torch.from_numpy(ours.covariance[shown]),
+        estimate=ours.q[shown],
+        covariance=None if ours.covariance is None else ours.covariance[shown],
         traces=[readings(part.u[shown], "mV")],
     )
 
@@ -94,6 +95,8 @@ def lost_views(paper: PaperRun, names: Sequence[str], source: str) -> ShapeViews
     """The paper's method with known elongation on some trajectories, with the seed that loses the bend longest."""
     views = {}
     for name in names:
+        if name not in paper.parts:
+            raise bad_input("trajectories", "the views", f"with {name} among them", list(paper.parts))
         part, found = paper.parts[name], paper.estimates["known", name]
         off_m = np.linalg.norm(found[..., :2] - part.q[:, None, :2], axis=-1)
         seed = int((off_m > LOST_M).mean(axis=0).argmax())

@@ -7,14 +7,14 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from repro_live.view.style import page_figure
+from repro_live.view.style import WIDTH_IN, page_figure
 
 COLOURS = {"Levenberg-Marquardt": "#0072B2", "Kalman filter": "#D55E00"}
 
 
 @page_figure
 def gain_and_bands(gains: pd.DataFrame, over_time: pd.DataFrame) -> Figure:
-    """Ratio of the errors by trajectory and robot, beside one coordinate over time with two standard deviations.
+    """Ratio of the errors by trajectory and robot, above one coordinate over time with two standard deviations.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def gain_and_bands(gains: pd.DataFrame, over_time: pd.DataFrame) -> Figure:
     over_time
         Columns ``time_s, method, error_mm, two_sigma_mm``, of one coordinate.
     """
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.4, 3.6), width_ratios=(1, 1.7))
+    figure, (left, right) = plt.subplots(2, 1, figsize=(WIDTH_IN, 6.4))
     names, robots = list(dict.fromkeys(gains["trajectory"])), sorted(gains["n_b"].unique())
     for k, n_b in enumerate(robots):
         part = gains[gains["n_b"] == n_b].set_index("trajectory").loc[names]
@@ -38,13 +38,11 @@ def gain_and_bands(gains: pd.DataFrame, over_time: pd.DataFrame) -> Figure:
     left.axhline(1.0, color="0.6", lw=0.8, ls="--")
     left.set(ylim=(0, 1.4), xticks=range(len(names)), ylabel="error of the filter / least squares")
     left.set_xticklabels(names)
-    left.legend(loc="upper center", ncols=len(robots))
+    left.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(robots))
     for method, part in over_time.groupby("method", sort=False):
         colour, t = COLOURS[method], part["time_s"]
         right.fill_between(t, -part["two_sigma_mm"], part["two_sigma_mm"], color=colour, alpha=0.15, lw=0)
         right.plot(t, part["error_mm"], color=colour, lw=0.8, label=method)
     right.set(xlabel="time [s]", ylabel=r"error of $\Delta_x$ [mm]")
-    low, high = right.get_ylim()
-    right.set_ylim(low, high + 0.2 * (high - low))
-    right.legend(loc="upper center", ncols=2)
+    right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return figure

@@ -5,6 +5,7 @@ import { SERIES } from "./colours.js";
 const SVG = "http://www.w3.org/2000/svg";
 const WIDTH = 1000; // of the coordinates inside; the drawing is stretched to the width there is
 const HEIGHT = 100;
+const MOST_LINES = 4; // in one panel; more are spread over panels of the same scale
 
 /** A new element with attributes and content. */
 export function make(name, attributes = {}, ...content) {
@@ -40,6 +41,18 @@ function path(values, x, y) {
   }).join("");
 }
 
+/** A trace as panels of at most `MOST_LINES` lines each, as evenly as can be; only the first has its title. */
+function panelsOf({ title, unit, series }) {
+  const all = series.flatMap((s) => [...s.values, ...(s.estimate ?? [])]).filter((value) => value !== null);
+  const count = Math.ceil(series.length / Math.ceil(series.length / MOST_LINES));
+  const panels = [];
+  for (let k = 0; k < series.length; k += count) {
+    const part = series.slice(k, k + count);
+    panels.push({ title, unit, series: part, first: k === 0, low: Math.min(...all), high: Math.max(...all) });
+  }
+  return panels;
+}
+
 /**
  * Draw panels of traces into `element`.
  *
@@ -48,25 +61,23 @@ function path(values, x, y) {
 export function createTraces(element, traces, time, pick) {
   const span = time.at(-1) - time[0] || 1;
   const x = (i) => (WIDTH * (time[i] - time[0])) / span;
-  const panels = traces.map(({ title, unit, series }) => {
-    const all = series.flatMap((s) => [...s.values, ...(s.estimate ?? [])]).filter((value) => value !== null);
-    const low = Math.min(...all);
-    const high = Math.max(...all);
+  const panels = traces.flatMap(panelsOf).map(({ title, unit, series, first, low, high }) => {
     const y = (value) => HEIGHT - 4 - ((HEIGHT - 8) * (value - low)) / (high - low || 1);
     const names = series.map((s) => s.name).join(", ");
     const svg = drawn("svg", {
       viewBox: `0 0 ${WIDTH} ${HEIGHT}`, preserveAspectRatio: "none", role: "img",
       "aria-label": `${title} in ${unit} over time, from ${shown(low)} to ${shown(high)}: ${names}`,
     });
+    const across = { d: `M0 ${HEIGHT / 2}H${WIDTH}`, stroke: "rgb(128 128 128 / 40%)" };
+    svg.append(drawn("path", { ...across, "vector-effect": "non-scaling-stroke" }));
     const legend = make("ul", { class: "shape-view-legend" });
     const values = series.map((s, i) => {
-      const colour = SERIES[i % SERIES.length];
+      const colour = SERIES[i];
       const style = { fill: "none", stroke: colour, "vector-effect": "non-scaling-stroke", "stroke-width": 1.6 };
-      const dots = i < SERIES.length ? {} : { "stroke-dasharray": "1.5 3" }; // the colours begin anew
-      svg.append(drawn("path", { ...style, ...dots, d: path(s.values, x, y) }));
+      svg.append(drawn("path", { ...style, d: path(s.values, x, y) }));
       if (s.estimate) svg.append(drawn("path", { ...style, "stroke-dasharray": "6 4", d: path(s.estimate, x, y) }));
       const chip = make("i");
-      chip.style.borderTop = `3px ${i < SERIES.length ? "solid" : "dotted"} ${colour}`;
+      chip.style.borderTop = `3px solid ${colour}`;
       const value = make("span");
       legend.append(make("li", {}, chip, `${s.name} `, value));
       return value;
@@ -82,9 +93,13 @@ export function createTraces(element, traces, time, pick) {
     svg.addEventListener("pointerdown", point);
     svg.addEventListener("pointermove", point);
     const dashed = series.some((s) => s.estimate) ? ", estimate dashed" : "";
-    const limits = make("div", { class: "shape-view-limits" }, make("span", {}, shown(high)), make("span", {}, shown(low)));
+    const quantum = 10 ** (Math.floor(Math.log10(high - low || 1)) - 2); // a middle of 0.00003 between ±1 is 0
+    const middle = Math.round((low + high) / 2 / quantum) * quantum;
+    const ticks = [high, middle, low].map((value) => make("span", {}, shown(value)));
+    const limits = make("div", { class: "shape-view-limits" }, ...ticks);
     const row = make("div", { class: "shape-view-row" }, limits, svg);
-    element.append(make("div", { class: "shape-view-trace" }, make("p", {}, `${title} [${unit}]${dashed}`), legend, row));
+    const heading = first ? [make("p", {}, `${title} [${unit}]${dashed}`)] : [];
+    element.append(make("div", { class: "shape-view-trace" }, ...heading, legend, row));
     return { series, values, cursor };
   });
   const ends = [time[0], time.at(-1)].map((t) => make("span", {}, `${shown(t)} s`));

@@ -1,0 +1,77 @@
+"""What a reader sees of tables and figures, and which texts of them no reader should meet."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+
+MACHINE_NAME = re.compile(r"(?<![\w./])(?![A-Za-z]_\w{1,2}\b)[A-Za-z]\w*_\w+(?!\w*\.\w)")
+"""A name with underscores, other than a letter with its index and the name of a file."""
+NO_VALUE = re.compile(r"nan|NaN|[-−]?inf|<NA>|NaT|None")
+NUMBER = re.compile(r"[-−]?[\d.]+(?= × 10|$)")
+MOST_DIGITS = 4
+TEXT = re.compile(r"<text\b([^>]*)>(.*?)</text>", re.DOTALL)
+SIZE = re.compile(r"(?<![\w-])(?:font-size: |font: [^;\"]*?)([\d.]+)px")
+WIDTH = re.compile(r'<svg[^>]* width="([\d.]+)pt"')
+
+
+class Cells(HTMLParser):
+    """The cells of the tables of a page: text without code and formulas, and whether all its digits are meant."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.cells: list[tuple[str, bool]] = []
+        self._text: list[str] | None = None
+        self._exact = False
+        self._code = 0
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Begin a cell."""
+        if tag in ("td", "th", "caption"):
+            self._text, self._exact = [], "exact" in (dict(attrs).get("class") or "").split()
+        self._code += tag == "code"
+
+    def handle_endtag(self, tag: str) -> None:
+        """End a cell."""
+        if tag in ("td", "th", "caption") and self._text is not None:
+            text = re.sub(r"\\\(.*?\\\)", "", "".join(self._text))
+            self.cells.append((" ".join(text.split()), self._exact))
+            self._text = None
+        self._code -= tag == "code"
+
+    def handle_data(self, data: str) -> None:
+        """Collect what is no code."""
+        if self._text is not None and not self._code:
+            self._text.append(data)
+
+
+def cells_not_to_show(html: str) -> list[str]:
+    """Return the cells of a page's tables with a machine's name, no value, or more digits than are known."""
+    parser = Cells()
+    parser.feed(html)
+    return [
+        text
+        for text, exact in parser.cells
+        if MACHINE_NAME.search(text) or NO_VALUE.fullmatch(text) or (not exact and digits(text) > MOST_DIGITS)
+    ]
+
+
+def digits(text: str) -> int:
+    """Return the significant digits of a cell that is a number, else 0; whole numbers end where they end."""
+    found = NUMBER.match(text)
+    if not found:
+        return 0
+    number = found[0].lstrip("-−")
+    return len(number.replace(".", "").lstrip("0") if "." in number else number.strip("0"))
+
+
+def texts_of_picture(svg: str) -> list[tuple[str, float]]:
+    """Return the texts of a figure with the size that their letters have where it is as wide as a telephone [px]."""
+    width = WIDTH.search(svg)
+    assert width is not None
+    found = []
+    for attributes, content in TEXT.findall(svg):
+        sizes = [float(size) for size in SIZE.findall(attributes) or SIZE.findall(content)]
+        text = "".join(re.sub(r"<[^>]*>", "", content).split("\n")).strip()
+        found.append((text, max(sizes) * 358 / float(width[1])))
+    return found

@@ -1,0 +1,221 @@
+"""The live figures, opened from disk without the site: by keyboard, by pointer, from an address, and at rest."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from page_on_screen import differing, pixels, wait_until
+from page_visit import AXE, SEVERE, VIOLATIONS, open_page
+
+ROOT = Path(__file__).resolve().parents[2]
+LIVE = ROOT / "book" / "_static" / "live"
+FIGURES = ("magnets", "particles", "imus")
+PARTS = ("model", "figure", *FIGURES)
+LARGEST_LINES, LARGEST_BYTES = 1500, 80_000
+FIRST_FRAME_MS = 300
+ERRORS = (
+    r"off by (?:less than )?([\d.]+) mm by least squares \(Levenberg-Marquardt\) "
+    r"and by ([\d.]+) mm by gradient descent"
+)
+
+PAGE = """<!doctype html><html lang="en" data-theme="light"><meta charset="utf-8"><title>A live figure</title>
+<meta name="viewport" content="width=device-width"><link rel="stylesheet" href="{folder}/live.css">
+<style>:root {{ --pst-color-background: #fff; --pst-color-text-base: #222; --pst-color-primary: #06c; }}</style>
+<main><h1>A live figure</h1>{box}</main>{scripts}"""
+
+
+@pytest.fixture
+def figure(browser, tmp_path):
+    """Open a page with one figure, and close it; nothing may be said on the console, and nothing asked outside."""
+    opened = []
+
+    def show(name: str, address: str = "", *, width: int = 900):
+        scripts = "".join(
+            f'<script src="{LIVE.as_uri()}/{part}.js"></script>' for part in ("model", "figure", name)
+        )
+        box = f'<div class="live-figure" data-live="{name}"></div>'
+        path = tmp_path / f"{name}.html"
+        path.write_text(PAGE.format(folder=LIVE.as_uri(), box=box, scripts=scripts), encoding="utf-8")
+        page, seen = open_page(browser, path.as_uri() + address, width=width)
+        opened.append((page, seen))
+        return page
+
+    yield show
+    for page, seen in opened:
+        page.wait_for_timeout(50)
+        page.close()
+        assert seen.console == []
+        assert seen.asked_outside() == []
+
+
+def said(page, pattern: str) -> re.Match:
+    """Return what the summary in words says, once it says it."""
+    wait_until(page, f"() => /{pattern}/.test(document.querySelector('.live-text').textContent)")
+    found = re.search(pattern, page.locator(".live-text").inner_text())
+    assert found is not None
+    return found
+
+
+def moved_to(page, label: str, key: str, times: int = 1) -> None:
+    slider = page.get_by_label(label)
+    slider.focus()
+    for _ in range(times):
+        page.keyboard.press(key)
+
+
+def test_small_enough_to_be_read():
+    texts = [(LIVE / f"{part}.js").read_text(encoding="utf-8") for part in PARTS]
+    assert sum(text.count("\n") for text in texts) <= LARGEST_LINES
+    assert sum(len(text.encode()) for text in texts) <= LARGEST_BYTES
+
+
+@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize("width", [390, 1400])
+def test_drawn_and_at_rest(figure, name, width):
+    """Soon after it is loaded the figure is there, fits its page, is accessible, and does not move by itself."""
+    page = figure(name, width=width)
+    first = page.evaluate("""() => { const box = document.querySelector('.live-figure'), start = performance.now();
+        REPRO.views[box.dataset.live](box); return performance.now() - start; }""")
+    assert first < FIRST_FRAME_MS
+    stage = page.locator(".live-stage")
+    before = pixels(stage)
+    assert before.std() > 5
+    page.wait_for_timeout(150)
+    assert differing(before, pixels(stage)) == 0
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.evaluate(AXE.read_text(encoding="utf-8"))
+    assert [one for one in page.evaluate(VIOLATIONS, None) if one["impact"] in SEVERE] == []
+    fields = page.locator(".live-figure :is(input, select)")
+    unnamed = fields.evaluate_all("all => all.filter(one => !one.labels.length).length")
+    assert unnamed == 0
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_handle_is_moved_by_pointer_and_by_keys(figure, name):
+    """Each way changes the picture and the address; the address alone brings the same picture again."""
+    page = figure(name)
+    stage, handle = page.locator(".live-stage"), page.locator(".live-handle")
+    before = pixels(stage)
+    handle.focus()
+    for key in ("ArrowRight", "ArrowUp", "ArrowRight"):
+        page.keyboard.press(key)
+    by_keys = pixels(stage)
+    assert differing(before, by_keys) > 50
+    box = handle.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x - 30, y + 10, steps=4)
+    page.mouse.up()
+    handle.blur()
+    by_pointer = pixels(stage)
+    assert differing(by_keys, by_pointer) > 50
+    after = handle.bounding_box()
+    assert abs(after["x"] - (box["x"] - 30)) < 12, "the handle follows the pointer"
+    page.wait_for_timeout(400)  # the address follows when the figure has come to rest
+    again = figure(name, page.evaluate("location.hash"))
+    assert differing(by_pointer, pixels(again.locator(".live-stage"))) < 30
+
+
+def test_least_squares_against_descent(figure):
+    """From the straight pose least squares needs few steps, and the paper's steps more than it takes."""
+    page = figure("magnets", "#magnets=segments:1,noise:0")
+    lm, descent = map(float, said(page, ERRORS).groups())
+    assert lm <= 1e-4 < 0.1 < descent
+    moved_to(page, "Evaluations", "Home")
+    early, _ = map(float, said(page, "pose, 2 evaluations: the tip is " + ERRORS).groups())
+    assert early > 100 * lm
+
+
+def test_a_sensor_off_leaves_a_direction_open(figure):
+    """Two sensors do not determine a segment: shapes that read alike are drawn, until it is on again."""
+    page = figure("magnets", "#magnets=segments:1")
+    assert "shapes are drawn" not in page.locator(".live-text").inner_text()
+    second = page.get_by_role("button", name="Sensor 2 on segment 1")
+    second.focus()
+    page.keyboard.press("Enter")
+    said(page, "2 of 3 sensors in use.*other shapes are drawn")
+    assert second.get_attribute("aria-pressed") == "false"
+    alike = page.evaluate("""() => {
+      const { live } = document.querySelector('.live-figure'), { ghosts, sensing, lm, use } = live.now;
+      const off = q => Math.max(...sensing(q, false).u.map((u, s) => use[s] * Math.abs(u - lm.u[s])));
+      return Math.max(...ghosts.shapes.map(off));
+    }""")
+    assert alike < 0.03, "the shapes read alike [mT]"
+    second.press("Enter")
+    said(page, "3 of 3 sensors in use")
+
+
+def test_calibration_finds_the_parts(figure):
+    """With parts that are not where the drawing has them, the error falls once the model is calibrated."""
+    page = figure("magnets", "#magnets=segments:1,tolerances:true")
+    as_drawn = float(said(page, ERRORS).group(1))
+    page.get_by_label("Model calibrated").check()
+    said(page, "The model is calibrated")
+    assert float(said(page, ERRORS).group(1)) < as_drawn / 3
+
+
+def test_particles_step_by_step(figure):
+    """Weighing, drawing and moving in turn bring the cloud to the bend; the error then keeps to the law's order."""
+    page = figure("particles")
+    for _ in range(14):
+        for name in ("Weigh", "Draw anew", "Move"):
+            page.get_by_role("button", name=name, exact=True).click()
+            wait_until(
+                page, f"() => document.querySelector('.live-controls button').textContent !== '{name}'"
+            )
+    errors = page.evaluate("document.querySelector('.live-figure').live.errors")
+    assert errors[0] > 3
+    assert np.mean(errors[-4:]) < 0.3
+
+
+def test_more_imus_and_a_better_model(figure):
+    """With perfect sensors the error falls with their number, and from rigid links to a smooth curve."""
+    page = figure("imus", "#imus=imus:2,mounting:0,heading:0")
+    errors = "() => document.querySelector('.live-figure').live.errors"
+    two = page.evaluate(errors)
+    page.get_by_label("IMUs", exact=True).select_option("8")
+    said(page, "8 IMUs")
+    eight = page.evaluate(errors)
+    assert eight["interpolated"][1] < two["interpolated"][1] / 4
+    assert eight["spline"][1] < eight["interpolated"][1] < eight["rigid"][1]
+
+
+def test_motion_only_on_demand(figure):
+    """The course runs when asked to; where motion is unwanted, a press is one step."""
+    page = figure("magnets")
+    follow = page.get_by_role("button", name="Follow the course")
+    follow.click()
+    wait_until(page, "() => document.querySelector('.live-figure').live.state.course > 61")
+    page.get_by_role("button", name="Pause").click()
+    page.emulate_media(reduced_motion="reduce")
+    before = page.evaluate("document.querySelector('.live-figure').live.state.course")
+    follow.click()
+    page.wait_for_timeout(100)
+    assert page.evaluate("document.querySelector('.live-figure').live.state.course") == pytest.approx(
+        (before + 20) % 400
+    )
+
+
+NONSENSE = ["#magnets=segments:9,noise:x,off:99,q:1;2", "#magnets=%E0%A4%A", "#magnets=course:-5,view:1e9"]
+
+
+@pytest.mark.parametrize("address", NONSENSE)
+def test_an_address_that_makes_no_sense(figure, address):
+    """The figure shows itself as far as the address can be read."""
+    assert pixels(figure("magnets", address).locator(".live-stage")).std() > 5
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_still_without_scripts(name):
+    """Each figure has a picture with words in its place, in its chapter."""
+    page = (ROOT / "book" / "chapters" / f"live_{name}.html").read_text(encoding="utf-8")
+    assert f"live_{name}.html" in (ROOT / "book" / "chapters" / f"{name}.md").read_text(encoding="utf-8")
+    image = r'<noscript>.*<img src="\.\./(_static/live/\w+\.png)"[^>]* alt="([^"]{60,})"'
+    ((picture, words),) = re.findall(image, page)
+    assert (ROOT / "book" / picture).is_file()
+    assert "synthetic" in page
+    assert words.endswith(".")
