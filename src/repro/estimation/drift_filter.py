@@ -169,21 +169,30 @@ class DriftFilter:
         if known is not None:
             free = torch.full((len(self.drift.std),), torch.nan).to(known).expand(*known.shape[:-1], -1)
             known = torch.cat([known, free], dim=-1)
+        before = self.predicted(state, t)
         # Without a time, a state is taken as it is: predicted here.
-        new, found = self._whole.step(self._predicted(state, t), u, t, mask=mask, known=known)
+        before = KalmanState(before.q, before.velocity, before.covariance)
+        new, found = self._whole.step(before, u, t, mask=mask, known=known)
         assert found.covariance is not None
         diagnostics = {**found.diagnostics, "drift": found.q[..., n:]}
         return new, Estimate(found.q[..., :n], found.covariance[..., :n, :n], found.u_hat, diagnostics)
 
-    def _predicted(self, state: KalmanState, t: float) -> KalmanState:
-        """Mean and covariance at time ``t``, before its readings."""
-        if state.t is None:
-            return state
-        tau, x, n, whole = t - state.t, state.q, len(self.lower), state.q.shape[-1]
-        std = self.drift.std.to(x)
-        kept = torch.exp(-tau / self.drift.time_s.to(x))
-        move, noise = driven(tau, torch.cat([self.acceleration.to(x), 0 * std]))
+    def motion(self, tau: float) -> tuple[Tensor, Tensor]:
+        """Transition of ``(q, b)`` and velocity over ``tau`` [s], and the covariance that it adds."""
+        n, std = len(self.lower), self.drift.std.to(self.lower)
+        kept = torch.exp(-tau / self.drift.time_s.to(std))
+        move, noise = driven(tau, torch.cat([self.acceleration, 0 * std]))
+        whole = n + len(std)
         stay, added = move.diagonal()[:whole], noise.diagonal()[:whole]
         stay[n:], added[n:] = kept, std**2 * (1 - kept**2)
+        return move, noise
+
+    def predicted(self, state: KalmanState, t: float) -> KalmanState:
+        """State carried to a time ``t`` [s] without a reading."""
+        if state.t is None:
+            return KalmanState(state.q, state.velocity, state.covariance, t)
+        tau, x = t - state.t, state.q
+        move, noise = (y.to(x) for y in self.motion(tau))
         P = move @ state.covariance @ move.mT + noise
-        return KalmanState(stay * x + tau * state.velocity, state.velocity, P)
+        stay = move.diagonal()[: x.shape[-1]]
+        return KalmanState(stay * x + tau * state.velocity, state.velocity, P, t)

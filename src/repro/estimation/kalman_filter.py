@@ -36,11 +36,14 @@ from repro.estimation.levenberg_marquardt import LeastSquaresState, LevenbergMar
 
 @dataclass(frozen=True)
 class KalmanState:
-    """Mean and covariance of configuration and velocity, and the time [s] they belong to (none before a step)."""
+    """Mean and covariance of configuration and velocity, and the time [s] they belong to (none before a step).
+
+    Filters with further states hold them behind the configuration; those may be without a velocity.
+    """
 
     q: Float[Tensor, "*batch n_q"]
-    velocity: Float[Tensor, "*batch n_q"]
-    covariance: Float[Tensor, "*batch two_n two_n"]
+    velocity: Float[Tensor, "*batch n_v"]
+    covariance: Float[Tensor, "*batch both both"]
     t: float | None = None
 
 
@@ -132,7 +135,8 @@ class IteratedKalmanFilter:
         if state.t is not None and not t > state.t:
             raise bad_input("t", "IteratedKalmanFilter", f"after the last step, {state.t} s", t)
         use = usable(u, mask, "IteratedKalmanFilter")
-        q, velocity, P = self._predicted(state, t)
+        before = self.predicted(state, t)
+        q, velocity, P = before.q, before.velocity, before.covariance
         n = q.shape[-1]
         P_qq, P_vq = P[..., :n, :n], P[..., n:, :n]
         # W W^T is the inverse of P_qq: W^T q has unit covariance.
@@ -196,13 +200,17 @@ class IteratedKalmanFilter:
             found.diagnostics["iterations"],
         )
 
-    def _predicted(self, state: KalmanState, t: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Mean and covariance at time ``t``, before its readings."""
+    def motion(self, tau: float) -> tuple[Tensor, Tensor]:
+        """Transition of configuration and velocity over ``tau`` [s], and the covariance that it adds."""
+        return driven(tau, self.acceleration)
+
+    def predicted(self, state: KalmanState, t: float) -> KalmanState:
+        """State carried to a time ``t`` [s] without a reading."""
         if state.t is None:
-            return state.q, state.velocity, state.covariance
-        tau, q, P = t - state.t, state.q, state.covariance
-        move, noise = driven(tau, self.acceleration.to(q))
-        return q + tau * state.velocity, state.velocity, move @ P @ move.mT + noise
+            return KalmanState(state.q, state.velocity, state.covariance, t)
+        tau, P = t - state.t, state.covariance
+        move, noise = (x.to(state.q) for x in self.motion(tau))
+        return KalmanState(state.q + tau * state.velocity, state.velocity, move @ P @ move.mT + noise, t)
 
     def _update(self, sensing: Callable[[Tensor], Tensor]) -> LevenbergMarquardt:
         """Least squares on readings in units of their noise, and the prior."""

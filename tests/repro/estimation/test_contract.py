@@ -21,8 +21,11 @@ from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box
+from repro.estimation.rod_filter import RodFilter
+from repro.estimation.rod_sensors import RodSensor
 from repro.kernels import compiled
 from repro.kinematics.paper_robots import pcc_robot
+from repro.kinematics.strain_series import StrainSeries
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
 from repro.sensing.multipole import MultipoleField
@@ -106,6 +109,24 @@ class RigCase(Case):
         torch.testing.assert_close(estimate.u_hat, expected)
 
 
+# A rod of one arc that twists, read by the positions of two points of it.
+class RodCase(Case):
+    def check(self, estimate):
+        torch.testing.assert_close(estimate.u_hat, two_points(estimate.q))
+
+
+ROD = StrainSeries(0.4, bending=1, torsion=1)
+
+
+def two_points(q):
+    return ROD.pose(q.unsqueeze(-2), torch.tensor([0.5, 1.0]).to(q))[..., :3, 3].flatten(-2)
+
+
+PHASE = torch.linspace(0.0, 0.3, 6).double()
+STRAINS = torch.stack([2 + PHASE.sin(), 3 - PHASE, 1 + PHASE.cos()], -1)
+POINTS = two_points(STRAINS)
+ROD_FILTER = RodFilter(ROD, (RodSensor("model", (1e-6,) * 6, sensing=two_points),), (10.0,) * 3, rate=5.0)
+
 # A segment that starts to follow a command; readings without a lag, with what is commanded up to each and from it.
 RIG, SEGMENT = linear_map(), segment(across=np.zeros((2, 3)))
 TORQUE = np.tile([0.3, -0.2], (6, 2))
@@ -119,6 +140,7 @@ CASES["bend filter"] = RigCase(BendFilter(RIG), BENT_RIG, COMMANDED[:, :3], 1e-3
 for follows in (False, True):
     loop = LoopFilter(RIG, SEGMENT, follows=follows)
     CASES[f"loop filter, follows={follows}"] = RigCase(loop, BENT_RIG, COMMANDED, 1e-3, 3)
+CASES["rod filter"] = RodCase(ROD_FILTER, STRAINS, POINTS, 1e-4, 6)
 CASES["command alone"] = RigCase(CommandAlone(RIG, SEGMENT), BENT_RIG, COMMANDED, 1e-3, 3)
 
 
