@@ -16,15 +16,19 @@ from repro_companion.book.after.page_notes import with_notes, write_page_files
 from repro_companion.book.project import Project
 from repro_companion.book.values import filled
 
-MATHJAX = "vendor/mathjax/"
 VIEWER = "shape_viewer.js"
-SCRIPT_OF = {
+USED_BY = {
     "run_form.js": 'class="run-form"',
     "live/carry.js": 'class="run-form"',
     "scorecard.js": 'class="scorecard-filter"',
     "frame_strip.js": 'class="frame-strip"',
+    "live/live.css": "data-live=",
+    "page_notes.css": 'class="run-form"',
+    "mystnb.": 'class="cell',
+    "sphinx-design.min.css": "sd-",
+    "design-tabs.js": "sd-tab",
 }
-"""Scripts by what a page has that they bring to life."""
+"""Scripts and styles by the beginning of their names, with what a page has that needs them."""
 LIVE_FIRST = ("model", "figure")
 """What every live figure is made of, in the order in which it is loaded; its own script comes last."""
 OFFLINE_SEARCH = "offline_search.js"
@@ -33,45 +37,31 @@ NOTEBOOKS = "notebooks/"
 LIVE = re.compile(r'data-live="(\w+)"')
 
 
-def select_scripts(app: Sphinx, pagename: str, templatename: str, context: dict, doctree) -> None:
-    """Keep each script once, MathJax only where there are formulas, other vendored files on request.
+def is_used(name: str, body: str) -> bool:
+    """Return whether a page has use for a script or a style."""
+    return all(mark in body for file, mark in USED_BY.items() if name.startswith(file))
 
-    Jupyter Book adds every ``.js`` file below ``_static`` to every page; a page names the vendored ones it needs
-    in its front matter: ``scripts: vendor/three/viewer.js``.
-    """
-    # Sphinx's own answer would count the pages below this one as well
-    has_formulas = re.search(r'class="[^"]*\bmath\b', context.get("body") or "") is not None
-    wanted = str((context.get("meta") or {}).get("scripts", "")).split()
-    kept, seen = [], set()
-    for script in context.get("script_files", []):
-        name = str(getattr(script, "filename", script) or "").removeprefix("_static/")
-        attributes = getattr(script, "attributes", {})
-        body = str(attributes.get("body", "") or "")
-        is_mathjax = name.startswith(MATHJAX) or body.startswith("window.MathJax")
-        if is_mathjax and not has_formulas:
-            continue
-        if name.startswith("vendor/") and not is_mathjax and name not in wanted:
-            continue
-        if SCRIPT_OF.get(name, "") not in (context.get("body") or ""):
-            continue
-        if name.startswith("live/") and name not in SCRIPT_OF:
-            continue
-        if is_mathjax and name and not {"defer", "async"} & set(attributes):
-            continue  # Jupyter Book's copy; Sphinx's own entry is deferred and comes after the configuration
-        if name == OFFLINE_SEARCH and pagename != "search":
-            continue
-        key = (name, body)
-        if key in seen:
-            continue
-        seen.add(key)
-        kept.append(script)
-    if 'class="shape-view"' in (context.get("body") or ""):
+
+def select_files(app: Sphinx, pagename: str, templatename: str, context: dict, doctree) -> None:
+    """Keep each script and style once, and only where a page has use for it: all would come with every page."""
+    page = context.get("body") or ""
+    for kind in ("css_files", "script_files"):
+        kept = {}
+        for file in context.get(kind, []):
+            name = str(getattr(file, "filename", file) or "").removeprefix("_static/")
+            below = (
+                name.startswith("live/") and name not in USED_BY
+            )  # those come in their order, after the others
+            if is_used(name, page) and not below and (name != OFFLINE_SEARCH or pagename == "search"):
+                kept.setdefault((name, str(getattr(file, "attributes", {}).get("body") or "")), file)
+        context[kind] = list(kept.values())
+    kept = context["script_files"]
+    if 'class="shape-view"' in page:
         kept.append(f"_static/{VIEWER}")
     if pagename == "search":
         kept.insert(0, f"_static/{INDEX}")
-    live = sorted(set(LIVE.findall(context.get("body") or "")))
+    live = sorted(set(LIVE.findall(page)))
     kept += [f"_static/live/{stem}.js" for stem in ((*LIVE_FIRST, *live) if live else ())]
-    context["script_files"] = kept
 
 
 def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -160,7 +150,7 @@ def setup(app: Sphinx) -> dict[str, object]:
     """Register the extension."""
     # Jupyter Book sets it, although sphinx_comments is left out
     app.add_config_value("comments_config", {}, "html")
-    app.connect("html-page-context", select_scripts, priority=900)
+    app.connect("html-page-context", select_files, priority=900)
     app.connect("html-collect-pages", forget_modules_without_source, priority=100)
     app.connect("source-read", add_notes)
     app.connect("source-read", fill_values)
