@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 from docutils import nodes
+from fontTools import subset
 from page_access import accessible
 from repro_search import INDEX
 from sphinx.application import Sphinx
@@ -17,6 +18,25 @@ from repro_companion.book.project import Project
 from repro_companion.book.values import filled
 
 VIEWER = "shape_viewer.js"
+ICONS_OF_THEME = "vendor/fontawesome/webfonts/fa-solid-900.ttf"
+ICONS = {
+    "magnifying-glass": 0xF002,
+    "xmark": 0xF00D,
+    "download": 0xF019,
+    "list": 0xF03A,
+    "circle-half-stroke": 0xF042,
+    "arrow-up": 0xF062,
+    "triangle-exclamation": 0xF071,
+    "chevron-down": 0xF078,
+    "bars": 0xF0C9,
+    "angle-left": 0xF104,
+    "angle-right": 0xF105,
+    "file": 0xF15B,
+    "sun": 0xF185,
+    "moon": 0xF186,
+    "file-pdf": 0xF1C1,
+}
+"""What pages show of the icons; for one that is not here, a browser loads the whole font of the theme."""
 USED_BY = {
     "run_form.js": 'class="run-form"',
     "live/carry.js": 'class="run-form"',
@@ -49,10 +69,8 @@ def select_files(app: Sphinx, pagename: str, templatename: str, context: dict, d
         kept = {}
         for file in context.get(kind, []):
             name = str(getattr(file, "filename", file) or "").removeprefix("_static/")
-            below = (
-                name.startswith("live/") and name not in USED_BY
-            )  # those come in their order, after the others
-            if is_used(name, page) and not below and (name != OFFLINE_SEARCH or pagename == "search"):
+            later = name.startswith("live/") and name not in USED_BY  # in the order of LIVE_FIRST
+            if is_used(name, page) and not later and (name != OFFLINE_SEARCH or pagename == "search"):
                 kept.setdefault((name, str(getattr(file, "attributes", {}).get("body") or "")), file)
         context[kind] = list(kept.values())
     kept = context["script_files"]
@@ -100,6 +118,18 @@ def add_viewer(app: Sphinx, exception: Exception | None) -> None:
     if exception is None and app.builder.format == "html":
         source = Path(app.srcdir).parent / "src" / "repro_live" / "view" / "viewer" / VIEWER
         shutil.copyfile(source, Path(app.outdir) / "_static" / VIEWER)
+
+
+def cut_icons(app: Sphinx, exception: Exception | None) -> None:
+    """Write the icons that pages show as a font of their own; ``repro.css`` puts it before that of the theme."""
+    if exception is None and app.builder.format == "html":
+        static = Path(app.outdir) / "_static"
+        options = subset.Options(layout_features=[], hinting=False, flavor="woff", recalc_timestamp=False)
+        with subset.load_font(str(static / ICONS_OF_THEME), options) as font:
+            cutter = subset.Subsetter(options)
+            cutter.populate(unicodes=ICONS.values())
+            cutter.subset(font)
+            subset.save_font(font, str(static / "icons.woff"), options)
 
 
 def add_scorecard_files(app: Sphinx, exception: Exception | None) -> None:
@@ -158,6 +188,7 @@ def setup(app: Sphinx) -> dict[str, object]:
     for role in ("paper", "setting"):
         app.add_generic_role(role, nodes.inline)
     app.connect("build-finished", add_viewer)
+    app.connect("build-finished", cut_icons)
     app.connect("build-finished", add_downloads)
     app.connect("build-finished", add_scorecard_files)
     app.connect("build-finished", tidy)

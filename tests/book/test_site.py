@@ -59,6 +59,7 @@ def test_page(name, browser, record_property):
     if name in WRITTEN:  # examples of the API show the errors they mean to show
         assert "Traceback (most recent call last)" not in seen.facts["text"]
     _check_images_and_formulas(seen)
+    assert not [url for url in seen.requests if "fa-solid" in url], "an icon that ICONS of repro_site lacks"
     assert seen.facts["squeezed"] == [], "cells of a table with less than ten letters to a line"
     for width, overflow in seen.overflow.items():
         assert overflow["scroll"] <= width, f"too wide for {width} px: {overflow['wide']}"
