@@ -43,7 +43,7 @@ help:
 	@echo 'make diff RUN=…  show a run of your own (runs/NAME-…) beside the results of the book'
 	@echo 'make soak        ten million frames through a faulty port, a hundred killed recorders, ten minutes live (half an hour)'
 	@echo 'make fuzz        a million inputs made to break the parsers (minutes)'
-	@echo 'make vendor      bundle the 3-D viewer anew from its sources (needs node and npm)'
+	@echo 'make vendor      bundle the 3-D viewer and cut the font of formulas anew (needs node and npm)'
 	@echo 'make env         set up .venv only (every target above does this by itself)'
 	@echo 'make lock        write requirements.lock anew from requirements.in'
 	@echo 'make clean       remove the built site, executed notebooks, results and caches; keeps .venv and runs/'
@@ -109,7 +109,8 @@ fuzz: env
 	PYTHONPATH=.cache/fuzz $(PY) tests/repro_live/fuzz_parsers.py -runs=1000000 -verbosity=1 -print_final_stats=1 \
 	  -artifact_prefix=.cache/fuzz-
 
-vendor:
+vendor: env
+	$(PY) book/_ext/formula_font.py .cache/font
 	node src/repro_live/view/viewer/bundle.mjs .cache/viewer
 
 # ---------------------------------------------------------------------------------------------------------------------

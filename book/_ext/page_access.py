@@ -7,7 +7,7 @@ import re
 
 def accessible(text: str) -> str:
     """Return the HTML of a page with the names and tab stops that theme and extensions leave out."""
-    return reachable_formulas(named_by_their_text(named_summaries(one_name_for_search(text))))
+    return named_by_their_text(named_summaries(one_name_for_search(text)))
 
 
 def one_name_for_search(text: str) -> str:
@@ -26,12 +26,3 @@ def named_summaries(text: str) -> str:
 def named_by_their_text(text: str) -> str:
     """Let what unfolds a cell be named by what is written on it: Show code cell source."""
     return text.replace('<summary aria-label="Toggle hidden content">', "<summary>")
-
-
-def reachable_formulas(text: str) -> str:
-    """Make displayed formulas reachable by keyboard: a long one scrolls in its own box."""
-    return re.sub(
-        r'<div class="math notranslate nohighlight"(?! tabindex)',
-        '<div class="math notranslate nohighlight" tabindex="0" role="group" aria-label="Formula"',
-        text,
-    )

@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 from docutils import nodes
+from fontTools import subset
 from page_access import accessible
 from repro_search import INDEX
 from sphinx.application import Sphinx
@@ -16,15 +17,38 @@ from repro_companion.book.after.page_notes import with_notes, write_page_files
 from repro_companion.book.project import Project
 from repro_companion.book.values import filled
 
-MATHJAX = "vendor/mathjax/"
 VIEWER = "shape_viewer.js"
-SCRIPT_OF = {
+ICONS_OF_THEME = "vendor/fontawesome/webfonts/fa-solid-900.ttf"
+ICONS = {
+    "magnifying-glass": 0xF002,
+    "xmark": 0xF00D,
+    "download": 0xF019,
+    "list": 0xF03A,
+    "circle-half-stroke": 0xF042,
+    "arrow-up": 0xF062,
+    "triangle-exclamation": 0xF071,
+    "chevron-down": 0xF078,
+    "bars": 0xF0C9,
+    "angle-left": 0xF104,
+    "angle-right": 0xF105,
+    "file": 0xF15B,
+    "sun": 0xF185,
+    "moon": 0xF186,
+    "file-pdf": 0xF1C1,
+}
+"""What pages show of the icons; for one that is not here, a browser loads the whole font of the theme."""
+USED_BY = {
     "run_form.js": 'class="run-form"',
     "live/carry.js": 'class="run-form"',
     "scorecard.js": 'class="scorecard-filter"',
     "frame_strip.js": 'class="frame-strip"',
+    "live/live.css": "data-live=",
+    "page_notes.css": 'class="run-form"',
+    "mystnb.": 'class="cell',
+    "sphinx-design.min.css": "sd-",
+    "design-tabs.js": "sd-tab",
 }
-"""Scripts by what a page has that they bring to life."""
+"""Scripts and styles by the beginning of their names, with what a page has that needs them."""
 LIVE_FIRST = ("model", "figure")
 """What every live figure is made of, in the order in which it is loaded; its own script comes last."""
 OFFLINE_SEARCH = "offline_search.js"
@@ -33,45 +57,29 @@ NOTEBOOKS = "notebooks/"
 LIVE = re.compile(r'data-live="(\w+)"')
 
 
-def select_scripts(app: Sphinx, pagename: str, templatename: str, context: dict, doctree) -> None:
-    """Keep each script once, MathJax only where there are formulas, other vendored files on request.
+def is_used(name: str, body: str) -> bool:
+    """Return whether a page has use for a script or a style."""
+    return all(mark in body for file, mark in USED_BY.items() if name.startswith(file))
 
-    Jupyter Book adds every ``.js`` file below ``_static`` to every page; a page names the vendored ones it needs
-    in its front matter: ``scripts: vendor/three/viewer.js``.
-    """
-    # Sphinx's own answer would count the pages below this one as well
-    has_formulas = re.search(r'class="[^"]*\bmath\b', context.get("body") or "") is not None
-    wanted = str((context.get("meta") or {}).get("scripts", "")).split()
-    kept, seen = [], set()
-    for script in context.get("script_files", []):
-        name = str(getattr(script, "filename", script) or "").removeprefix("_static/")
-        attributes = getattr(script, "attributes", {})
-        body = str(attributes.get("body", "") or "")
-        is_mathjax = name.startswith(MATHJAX) or body.startswith("window.MathJax")
-        if is_mathjax and not has_formulas:
-            continue
-        if name.startswith("vendor/") and not is_mathjax and name not in wanted:
-            continue
-        if SCRIPT_OF.get(name, "") not in (context.get("body") or ""):
-            continue
-        if name.startswith("live/") and name not in SCRIPT_OF:
-            continue
-        if is_mathjax and name and not {"defer", "async"} & set(attributes):
-            continue  # Jupyter Book's copy; Sphinx's own entry is deferred and comes after the configuration
-        if name == OFFLINE_SEARCH and pagename != "search":
-            continue
-        key = (name, body)
-        if key in seen:
-            continue
-        seen.add(key)
-        kept.append(script)
-    if 'class="shape-view"' in (context.get("body") or ""):
+
+def select_files(app: Sphinx, pagename: str, templatename: str, context: dict, doctree) -> None:
+    """Keep each script and style once, and only where a page has use for it: all would come with every page."""
+    page = context.get("body") or ""
+    for kind in ("css_files", "script_files"):
+        kept = {}
+        for file in context.get(kind, []):
+            name = str(getattr(file, "filename", file) or "").removeprefix("_static/")
+            later = name.startswith("live/") and name not in USED_BY  # in the order of LIVE_FIRST
+            if is_used(name, page) and not later and (name != OFFLINE_SEARCH or pagename == "search"):
+                kept.setdefault((name, str(getattr(file, "attributes", {}).get("body") or "")), file)
+        context[kind] = list(kept.values())
+    kept = context["script_files"]
+    if 'class="shape-view"' in page:
         kept.append(f"_static/{VIEWER}")
     if pagename == "search":
         kept.insert(0, f"_static/{INDEX}")
-    live = sorted(set(LIVE.findall(context.get("body") or "")))
+    live = sorted(set(LIVE.findall(page)))
     kept += [f"_static/live/{stem}.js" for stem in ((*LIVE_FIRST, *live) if live else ())]
-    context["script_files"] = kept
 
 
 def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -110,6 +118,18 @@ def add_viewer(app: Sphinx, exception: Exception | None) -> None:
     if exception is None and app.builder.format == "html":
         source = Path(app.srcdir).parent / "src" / "repro_live" / "view" / "viewer" / VIEWER
         shutil.copyfile(source, Path(app.outdir) / "_static" / VIEWER)
+
+
+def cut_icons(app: Sphinx, exception: Exception | None) -> None:
+    """Write the icons that pages show as a font of their own; ``repro.css`` puts it before that of the theme."""
+    if exception is None and app.builder.format == "html":
+        static = Path(app.outdir) / "_static"
+        options = subset.Options(layout_features=[], hinting=False, flavor="woff", recalc_timestamp=False)
+        with subset.load_font(str(static / ICONS_OF_THEME), options) as font:
+            cutter = subset.Subsetter(options)
+            cutter.populate(unicodes=ICONS.values())
+            cutter.subset(font)
+            subset.save_font(font, str(static / "icons.woff"), options)
 
 
 def add_scorecard_files(app: Sphinx, exception: Exception | None) -> None:
@@ -160,7 +180,7 @@ def setup(app: Sphinx) -> dict[str, object]:
     """Register the extension."""
     # Jupyter Book sets it, although sphinx_comments is left out
     app.add_config_value("comments_config", {}, "html")
-    app.connect("html-page-context", select_scripts, priority=900)
+    app.connect("html-page-context", select_files, priority=900)
     app.connect("html-collect-pages", forget_modules_without_source, priority=100)
     app.connect("source-read", add_notes)
     app.connect("source-read", fill_values)
@@ -168,6 +188,7 @@ def setup(app: Sphinx) -> dict[str, object]:
     for role in ("paper", "setting"):
         app.add_generic_role(role, nodes.inline)
     app.connect("build-finished", add_viewer)
+    app.connect("build-finished", cut_icons)
     app.connect("build-finished", add_downloads)
     app.connect("build-finished", add_scorecard_files)
     app.connect("build-finished", tidy)

@@ -16,7 +16,7 @@ OF_COLOUR = ("color-contrast", "link-in-text-block")
 """Rules whose outcome depends on the colours; all others are the same in light and dark."""
 
 FACTS = """async () => {
-  if (window.MathJax && MathJax.startup && MathJax.startup.promise) await MathJax.startup.promise;
+  await document.fonts.ready;
   const images = [...document.querySelectorAll('img')];
   images.forEach(image => { image.loading = 'eager'; });
   await Promise.all(images.map(image => image.decode().catch(() => null)));
@@ -26,13 +26,16 @@ FACTS = """async () => {
     const lines = inside.getBoundingClientRect().height / parseFloat(getComputedStyle(cell).lineHeight);
     return lines > 1.5 && lines > cell.textContent.trim().length / 10;
   });
+  const prose = document.querySelector('main').cloneNode(true);
+  prose.querySelectorAll('pre, code, script, style, annotation').forEach(part => part.remove());
   return {
     squeezed: squeezed.map(cell => cell.textContent.trim()),
     text: document.body.innerText,
     images: images.map(i => ({src: i.getAttribute('src'), alt: i.alt, width: i.naturalWidth})),
     formulas: document.querySelectorAll('.math').length,
-    rendered: document.querySelectorAll('.math mjx-container > :is(svg, mjx-math)').length,
-    errors: document.querySelectorAll('[data-mml-node="merror"], mjx-merror').length,
+    rendered: document.querySelectorAll('.math > math > semantics > annotation:not(:first-child)').length,
+    errors: document.querySelectorAll('merror').length,
+    tex: prose.textContent.match(/\\\\[a-z]{2,}|\\\\[()[\\]]|[_^]\\{/gi) || [],
     views: [...document.querySelectorAll('.shape-view')].map(view => new Blob([view.outerHTML]).size),
   };
 }"""

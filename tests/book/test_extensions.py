@@ -93,38 +93,41 @@ def script(name="", body="", **attributes):
     return SimpleNamespace(filename=name and f"_static/{name}", attributes={"body": body, **attributes})
 
 
-@pytest.mark.parametrize(
-    ("formulas", "meta", "expected"),
-    [
-        (False, {}, ["a.js"]),
-        (True, {}, ["", "a.js", "vendor/mathjax/m.js"]),
-        (False, {"scripts": "vendor/three/v.js"}, ["a.js", "vendor/three/v.js"]),
-    ],
-)
-def test_scripts_of_a_page(formulas, meta, expected):
-    """Each script once; formulas bring MathJax and its configuration; other vendored scripts on request."""
+def test_a_script_comes_once():
     site = importlib.import_module("repro_site")
     context = {
-        "body": '<span class="math">' if formulas else '<p class="mathjax_ignore">',
-        "meta": meta,
-        "script_files": [
-            script("a.js"),
-            script("a.js"),
-            script("vendor/mathjax/m.js"),
-            script(body="window.MathJax = {}"),
-            script("vendor/mathjax/m.js", defer="defer"),
-            script("vendor/three/v.js"),
-        ],
+        "body": "<p>",
+        "script_files": [script("a.js"), script("a.js"), script(body="1"), script(body="2")],
     }
-    site.select_scripts(None, "page", "page.html", context, None)
-    names = [(item.filename or "").removeprefix("_static/") for item in context["script_files"]]
-    assert sorted(names) == sorted(expected)
+    site.select_files(None, "page", "page.html", context, None)
+    assert [item.filename or item.attributes["body"] for item in context["script_files"]] == [
+        "_static/a.js",
+        "1",
+        "2",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("body", "names"),
+    [
+        ("<p>", ["repro.css"]),
+        ('<div class="cell docutils">', ["mystnb.0f.css", "repro.css"]),
+        ('<details class="sd-dropdown">', ["sphinx-design.min.css", "repro.css"]),
+        ('<div data-live="imus">', ["live/live.css", "repro.css"]),
+    ],
+)
+def test_a_style_comes_where_a_page_has_use_for_it(body, names):
+    site = importlib.import_module("repro_site")
+    every = ["mystnb.0f.css", "sphinx-design.min.css", "page_notes.css", "live/live.css", "repro.css"]
+    context = {"body": body, "css_files": [script(name) for name in every]}
+    site.select_files(None, "page", "page.html", context, None)
+    assert [item.filename for item in context["css_files"]] == [f"_static/{name}" for name in names]
 
 
 def test_the_script_of_the_viewer_comes_with_a_view():
     site = importlib.import_module("repro_site")
     context = {"body": '<div class="shape-view">', "script_files": [script("a.js")]}
-    site.select_scripts(None, "page", "page.html", context, None)
+    site.select_files(None, "page", "page.html", context, None)
     assert str(context["script_files"][-1]) == "_static/shape_viewer.js"
 
 
@@ -140,7 +143,7 @@ def test_a_script_comes_with_what_it_brings_to_life(body, names):
     site = importlib.import_module("repro_site")
     scripts = [script(name) for name in ("run_form.js", "live/carry.js", "frame_strip.js")]
     context = {"body": body, "script_files": scripts}
-    site.select_scripts(None, "page", "page.html", context, None)
+    site.select_files(None, "page", "page.html", context, None)
     assert [item.filename for item in context["script_files"]] == [f"_static/{name}" for name in names]
 
 
@@ -149,7 +152,7 @@ def test_the_scripts_of_a_live_figure_come_with_it_and_in_order():
     every = ["live/figure.js", "live/imus.js", "live/magnets.js", "live/model.js"]
     for body, names in (('<div data-live="imus">', ["model", "figure", "imus"]), ("<p>", [])):
         context = {"body": body, "script_files": [script(name) for name in every]}
-        site.select_scripts(None, "page", "page.html", context, None)
+        site.select_files(None, "page", "page.html", context, None)
         assert context["script_files"] == [f"_static/live/{name}.js" for name in names]
 
 
