@@ -25,6 +25,28 @@ def resampled(
     return np.random.default_rng(seed).integers(n, size=(bootstraps, n))
 
 
+def resampled_blocks(
+    n: int, block: int, seed: int | np.random.Generator, *, bootstraps: int = BOOTSTRAPS
+) -> Int[np.ndarray, "bootstraps n"]:
+    """Draw from ``n`` draws that follow one another in time, in blocks: neighbours are alike and stay together.
+
+    Each block begins anywhere, and goes on at the beginning where the draws end.
+
+    Parameters
+    ----------
+    n
+        Number of draws.
+    block
+        Number of neighbours that are drawn together; 1 is :func:`resampled`.
+    seed
+        Or the generator that goes on.
+    bootstraps
+        How often.
+    """
+    starts = np.random.default_rng(seed).integers(n, size=(bootstraps, -(-n // block)))
+    return ((starts[..., None] + np.arange(block)) % n).reshape(bootstraps, -1)[:, :n]
+
+
 def interval(values: Float[np.ndarray, " bootstraps"]) -> tuple[float, float]:
     """Quantiles between which 95 % of the values lie."""
     low, high = np.quantile(values, [0.025, 0.975])
