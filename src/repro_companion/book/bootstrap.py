@@ -82,3 +82,26 @@ def ratio_of_means(
     """Ratio of two means over the same draws with its interval: columns ``ratio, ratio_low, ratio_high``."""
     low, high = ratio_interval(upper, lower, index)
     return {"ratio": float(upper.mean() / lower.mean()), "ratio_low": low, "ratio_high": high}
+
+
+def mean_rms(
+    errors: Float[np.ndarray, "n columns"], index: Int[np.ndarray, "bootstraps n"]
+) -> Float[np.ndarray, " bootstraps"]:
+    """Mean over columns of the root mean square over draws, for every bootstrap; NaN is left out.
+
+    Parameters
+    ----------
+    errors
+        One row for each draw.
+    index
+        From :func:`resampled` or :func:`resampled_blocks`; the draws themselves are ``np.arange(n)[None]``.
+
+    Examples
+    --------
+    >>> mean_rms(np.array([[3.0, 1.0], [4.0, np.nan]]), np.arange(2)[None]).round(3)
+    array([2.268])
+    """
+    squares = errors**2
+    counted = np.isfinite(squares)
+    sums = np.where(counted, squares, 0.0)[index].sum(axis=1)
+    return np.sqrt(sums / counted[index].sum(axis=1)).mean(axis=1)

@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from repro import se3
-from repro_companion.book.bootstrap import interval, resampled_blocks
+from repro_companion.book.bootstrap import interval, mean_rms, resampled_blocks
 from repro_companion.recordings.continuum_robot import STATIONS_M
 
 RAW, OFFSET, FREE = "as recorded", "bodies moved onto the rod", "base frame free"
@@ -70,7 +70,7 @@ class Judged:
         lines = []
         for key, errors in self._errors.items():
             part = errors[:, judged(key[2])]
-            drawn = _rms_of(part, self._draws[key[0]])
+            drawn = mean_rms(part, self._draws[key[0]])
             low, high = interval(drawn)
             lines.append((*key, len(part), float(np.sqrt((part**2).mean(0)).mean()), low, high))
         return pd.DataFrame(lines, columns=[*_KEY, "frames", "error_mm", "low_mm", "high_mm"])
@@ -98,7 +98,7 @@ class Judged:
                 errors = np.concatenate([self._errors[(trial, *key)] for trial in self.bends])
                 part = np.where(inside[:, None], errors[:, judged(key[1])], np.nan)
                 some = draws[inside[draws].any(1)]
-                low, high = interval(_rms_of(part, some))
+                low, high = interval(mean_rms(part, some))
                 rms = float(np.sqrt(np.nanmean(part**2, axis=0)).mean())
                 lines.append((low_deg, high_deg, *key, int(inside.sum()), rms, low, high))
         names = ["bend_from_deg", "bend_to_deg", *_KEY[1:], "frames", "error_mm", "low_mm", "high_mm"]
@@ -109,20 +109,10 @@ class Judged:
         lines = []
         for trial, draw in self._draws.items():
             parts = [self._errors[(trial, *key)][:, judged(key[1])] for key in (upper, lower)]
-            ratio = _rms_of(parts[0], draw) / _rms_of(parts[1], draw)
+            ratio = mean_rms(parts[0], draw) / mean_rms(parts[1], draw)
             mean = [float(np.sqrt((part**2).mean(0)).mean()) for part in parts]
             lines.append((trial, mean[0] / mean[1], *interval(ratio)))
         return pd.DataFrame(lines, columns=["trial", "ratio", "ratio_low", "ratio_high"])
 
 
 _KEY = ["trial", "setting", "sensors", "shape"]
-
-
-def _rms_of(
-    errors_mm: Float[np.ndarray, "n stations"], draws: Int[np.ndarray, "bootstraps n"]
-) -> Float[np.ndarray, " bootstraps"]:
-    """Mean over the stations of the root mean square, for every bootstrap; NaN is left out."""
-    squares = errors_mm**2
-    counted = np.isfinite(squares)
-    sums = np.where(counted, squares, 0.0)[draws].sum(axis=1)
-    return np.sqrt(sums / counted[draws].sum(axis=1)).mean(axis=1)
