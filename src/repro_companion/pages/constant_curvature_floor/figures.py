@@ -74,11 +74,11 @@ def floors_by_bend(table: pd.DataFrame) -> Figure:
         Columns ``bend_from_deg, bend_to_deg, setting, sensors, shape, error_mm, low_mm, high_mm``.
     """
     figure, panels = plt.subplots(2, 1, figsize=(WIDTH_IN, 6.2), sharex=True, sharey=True)
-    table = table[table["setting"] == RAW]
-    bins = table[["bend_from_deg", "bend_to_deg"]].drop_duplicates().to_numpy()
+    recorded = table[table["setting"] == RAW]
+    bins = recorded[["bend_from_deg", "bend_to_deg"]].drop_duplicates().to_numpy()
     for panel, sensors in zip(panels, (TIP, TURNS), strict=True):
         for n, (shape, colour) in enumerate(COLOURS.items()):
-            part = table[(table["sensors"] == sensors) & (table["shape"] == shape)]
+            part = recorded[(recorded["sensors"] == sensors) & (recorded["shape"] == shape)]
             x = np.arange(len(bins)) + 0.1 * (n - 2)
             lines = np.abs(part[["low_mm", "high_mm"]].to_numpy().T - part["error_mm"].to_numpy())
             panel.errorbar(x, part["error_mm"], lines, fmt="o-", ms=4, lw=1, color=colour, label=shape)

@@ -66,11 +66,11 @@ def errors_by_number(table: pd.DataFrame) -> Figure:
     table
         Columns ``trial, setting, n_imus, model, error_mm, low_mm, high_mm``.
     """
-    table = table[table["setting"] == RAW]
-    trials = list(dict.fromkeys(table["trial"]))
+    recorded = table[table["setting"] == RAW]
+    trials = list(dict.fromkeys(recorded["trial"]))
     figure, panels = wrapped_panels(len(trials), 1, 2.4, sharex=True, sharey=True)
     for panel, trial in zip(panels, trials, strict=True):
-        _over_numbers(panel, table[table["trial"] == trial])
+        _over_numbers(panel, recorded.loc[recorded["trial"] == trial])
         panel.set(title=trial.replace("_", " "), ylabel="error [mm]")
     panels[-1].set_xlabel("IMUs, the base among them")
     _model_legend(figure)
