@@ -24,6 +24,7 @@ def chain_view(
     orientations: Float[np.ndarray, "samples imus 4"],
     link_lengths_m: Float[np.ndarray, " imus"],
     source: str,
+    sensors_m: Float[np.ndarray, " imus"] | None = None,
 ) -> ShapeView:
     """Chain of straight links, one for each IMU, over time (Martin et al. 2022, equation 2).
 
@@ -39,6 +40,8 @@ def chain_view(
         Lengths of the links, base to tip [m].
     source
         Where the orientations come from.
+    sensors_m
+        Where the sensors sit along the chain [m]; at the ends of their links when not given.
     """
     n = int(np.searchsorted(time_s, time_s[0] + LONGEST_S))
     shown = every_nth(n, FRAMES)
@@ -46,10 +49,11 @@ def chain_view(
     joints = rigid_body(q, link_lengths_m)
     arcs = np.linspace(0.0, link_lengths_m.sum(), POINTS_PER_LINK * len(link_lengths_m) + 1)
     pairs, up = np.degrees(adjacent_angles(q)), tangents(q)
+    at = joints[:, 1:] if sensors_m is None else point_at(joints, link_lengths_m, sensors_m)
     tip_mm = 1e3 * joints[:, -1]
     label = (
         f"Arm as a chain of {len(link_lengths_m)} straight links along its IMUs, from a {source}. {len(times)} "
-        f"frames from {times[0]:.4g} to {times[-1]:.4g} s. The height of the tip is {tip_mm[:, 2].min():.0f} to "
+        f"frames from {times[0]:.4g} to {times[-1]:.4g} s. The tip is at z = {tip_mm[:, 2].min():.0f} to "
         f"{tip_mm[:, 2].max():.0f} mm; neighbours are turned by {pairs.max():.0f} degrees at most."
     )
     between = {f"{k} to {k + 1}": pairs[:, k] for k in range(pairs.shape[1])}
@@ -58,7 +62,7 @@ def chain_view(
         time_s=times,
         shapes=(Shape(f"chain of links, {source}", point_at(joints, link_lengths_m, arcs), role="estimate"),),
         radius_m=RADIUS_M,
-        sensors=Markers(joints[:, 1:], up, "IMUs"),
+        sensors=Markers(at, up, "IMUs"),
         traces=(
             Traces("angle between neighbours", "deg", between),
             Traces("inclination of the IMUs", "deg", inclinations(up, first=0)),

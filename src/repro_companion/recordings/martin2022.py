@@ -8,19 +8,18 @@ both bags, so the time of a reading is the time at which it was recorded.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 from rosbags.rosbag1 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from scipy.spatial.transform import Rotation, Slerp
 
 from repro.errors import bad_input
 from repro.estimation.orientations import UNIT_TOLERANCE
+from repro_companion.recordings.imu_clock import ImuStream, on_clock_of_last
 from repro_companion.recordings.released import verified
 from repro_companion.recordings.sources import data_dir
 
@@ -31,36 +30,6 @@ BAGS = {
     "freshly_recorded_data.bag": "3cb51b202a6895c201ac1989c2ca18c0dea4ad13a36c39a4d18894597c34b52c",
 }
 READING_COLUMNS = ("sequence", "time_s", "imu", "x", "y", "z", "w")
-GAP_FACTOR = 2.0
-
-
-@dataclass(frozen=True)
-class ImuStream:
-    """Orientations of all IMUs on one clock, and what was found on the way there.
-
-    Attributes
-    ----------
-    time_s
-        Times of the samples [s]: those of the readings of the last IMU of a round.
-    orientations
-        Unit quaternions XYZW, sensor frame to world, of continuous sign.
-    facts
-        One row per IMU: ``readings``, ``rate_hz`` (mean), ``median_interval_ms``, ``longest_interval_ms``,
-        ``gaps`` (intervals above twice the median), ``samples_in_gaps``, ``repeats`` (readings equal to the
-        one before to the last bit), ``jumps`` and ``largest_step_deg`` (angle between consecutive readings),
-        ``sign_flips``, ``rescaled`` (norm off 1 by more than 1e-6) and ``largest_norm_error``.
-    jumps
-        One row per jump: ``time_s``, ``imu``, ``step_deg``, and ``axis_z``, the vertical part of the step's
-        unit axis in the world frame (1 or -1: a change of heading alone). Jumps stay in the data.
-    lost
-        Messages whose sequence numbers are missing.
-    """
-
-    time_s: Float[np.ndarray, " samples"]
-    orientations: Float[np.ndarray, "samples imus 4"]
-    facts: pd.DataFrame
-    jumps: pd.DataFrame
-    lost: int
 
 
 def find_bag(name: str) -> Path | None:
@@ -188,29 +157,15 @@ def one_clock(
         Missing columns, values that are not finite, an id that is unknown, absent, duplicated or out of
         order, time stamps that do not increase, or a quaternion whose norm is off 1 by more than 1e-3.
     """
-    if between not in ("interpolate", "hold"):
-        raise bad_input("between", "one_clock", '"interpolate" or "hold"', between)
-    if not jump_deg > 0:
-        raise bad_input("jump_deg", "one_clock", "an angle above zero [deg]", jump_deg)
     _check(readings, imus)
     ids, time_s = readings["imu"].to_numpy(), readings["time_s"].to_numpy(dtype=float)
     quaternions = readings[["x", "y", "z", "w"]].to_numpy(dtype=float)
     times = [time_s[ids == imu] for imu in range(imus)]
-    last = times[-1]
-    ticks = last[(last >= max(t[0] for t in times)) & (last <= min(t[-1] for t in times))]
-    if ticks.size == 0:
-        raise bad_input("readings", "one_clock", "of all IMUs over some common time", "none")
-    parts = [
-        _track(imu, times[imu], quaternions[ids == imu], ticks, between, jump_deg) for imu in range(imus)
-    ]
-    orientations, facts, jumps = zip(*parts, strict=True)
-    return ImuStream(
-        time_s=ticks,
-        orientations=np.stack(orientations, axis=1),
-        facts=pd.DataFrame(facts),
-        jumps=pd.concat(jumps).sort_values("time_s", ignore_index=True),
-        lost=int((np.diff(readings["sequence"].to_numpy(dtype=np.int64)) - 1).sum()),
+    lost = int((np.diff(readings["sequence"].to_numpy(dtype=np.int64)) - 1).sum())
+    stream = on_clock_of_last(
+        times, [quaternions[ids == imu] for imu in range(imus)], between=between, jump_deg=jump_deg
     )
+    return replace(stream, lost=lost)
 
 
 def _check(readings: pd.DataFrame, imus: int) -> None:
@@ -251,45 +206,3 @@ def _check_order(time_s: np.ndarray, ids: np.ndarray, imus: int) -> None:
             row = int(np.argmax(wrong & prompt)) + 1
             seen = f"an id {name}: {ids[row]} after {ids[row - 1]} at row {row}"
             raise bad_input("ids", "readings", f"in turn, 0 to {imus - 1}", seen)
-
-
-def _track(
-    imu: int, time_s: np.ndarray, raw: np.ndarray, ticks: np.ndarray, between: str, jump_deg: float
-) -> tuple[np.ndarray, dict[str, Any], pd.DataFrame]:
-    """Return one IMU's orientations at the ticks, its facts, and its jumps."""
-    if len(time_s) < 2:
-        raise bad_input("readings", "one_clock", "at least two per IMU", f"{len(time_s)} of IMU {imu}")
-    norms = np.linalg.norm(raw, axis=1, keepdims=True)
-    unit, norm_error = raw / norms, np.abs(norms - 1.0)
-    rotations = Rotation.from_quat(unit)
-    turns = np.degrees((rotations[1:] * rotations[:-1].inv()).as_rotvec())  # in the world frame
-    steps_deg = np.linalg.norm(turns, axis=1)
-    jumped = steps_deg > jump_deg
-    intervals = np.diff(time_s)
-    gap = intervals > GAP_FACTOR * np.median(intervals)
-    latest = np.searchsorted(time_s, ticks, side="right") - 1
-    at_ticks = unit[latest] if between == "hold" else Slerp(time_s, rotations)(ticks).as_quat()
-    facts = {
-        "imu": imu,
-        "readings": len(time_s),
-        "rate_hz": len(intervals) / (time_s[-1] - time_s[0]),
-        "median_interval_ms": 1e3 * np.median(intervals),
-        "longest_interval_ms": 1e3 * intervals.max(),
-        "gaps": int(gap.sum()),
-        "samples_in_gaps": int((np.append(gap, False)[latest] & (ticks > time_s[latest])).sum()),
-        "repeats": int((raw[1:] == raw[:-1]).all(axis=1).sum()),
-        "jumps": int(jumped.sum()),
-        "largest_step_deg": steps_deg.max(),
-        "sign_flips": int(((raw[1:] * raw[:-1]).sum(axis=1) < 0).sum()),
-        "rescaled": int((norm_error > 1e-6).sum()),
-        "largest_norm_error": norm_error.max(),
-    }
-    jumps = pd.DataFrame({"time_s": time_s[1:][jumped], "imu": imu, "step_deg": steps_deg[jumped]})
-    jumps["axis_z"] = turns[jumped, 2] / steps_deg[jumped]
-    return _continuous(at_ticks), facts, jumps
-
-
-def _continuous(quaternions: np.ndarray) -> np.ndarray:
-    """Flip signs so that consecutive quaternions lie on one side (q and -q are one rotation)."""
-    flips = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
-    return quaternions * np.cumprod(np.append(1.0, flips))[:, None]

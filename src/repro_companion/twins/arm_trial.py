@@ -35,7 +35,7 @@ class ArmTrial:
     mode
         Name of the mode of motion at each sample.
     facts
-        What was found per IMU on the way: see `repro_companion.recordings.martin2022.ImuStream`.
+        What was found per IMU on the way: see `repro_companion.recordings.imu_clock.ImuStream`.
     lag
         By how much the IMUs' clock is ahead of that of motion capture, their latency included.
     """

@@ -1,4 +1,4 @@
-"""A short SYNTHETIC stream of IMU readings, used where no recording is found; nothing in it was measured."""
+"""A short SYNTHETIC stream of IMU readings, to try a page without a recording; nothing in it was measured."""
 
 from __future__ import annotations
 

@@ -55,13 +55,16 @@ class TestChain:
         assert view.sensors is not None
         np.testing.assert_allclose(view.sensors.points_m[1], shape.points_m[1, 4::4], atol=1e-12)
         np.testing.assert_allclose(view.sensors.directions[2, :, 0], np.sin(angles), atol=1e-12)
+        middles = chain_view(np.arange(3.0), q, LINKS_M, "s", np.arange(0.04, 0.64, 0.08)).sensors
+        assert middles is not None
+        np.testing.assert_allclose(middles.points_m[1, 1, 0], (x[0] + x[1]) / 2, atol=1e-12)
         between, inclination, tip = view.traces
         np.testing.assert_allclose(between.values["6 to 7"], 10.0)
         np.testing.assert_allclose(inclination.values["IMU 7"], 80.0)
         np.testing.assert_allclose(tip.values["z"], 1e3 * z[-1])
         assert view.label == (
             "Arm as a chain of 8 straight links along its IMUs, from a synthetic stream. 3 frames from 0 to 2 s. "
-            f"The height of the tip is {1e3 * z[-1]:.0f} to {1e3 * z[-1]:.0f} mm; neighbours are turned by 10 "
+            f"The tip is at z = {1e3 * z[-1]:.0f} to {1e3 * z[-1]:.0f} mm; neighbours are turned by 10 "
             "degrees at most."
         )
 

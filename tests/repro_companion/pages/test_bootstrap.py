@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from repro_companion.book.bootstrap import interval, ratio_interval, resampled
+from repro_companion.book.bootstrap import interval, ratio_interval, resampled, resampled_blocks
 
 
 def test_interval_of_a_mean_is_that_of_the_normal_law():
@@ -33,3 +33,19 @@ def test_a_seed_gives_the_same_bits_and_a_generator_goes_on():
     rng = np.random.default_rng(3)
     np.testing.assert_array_equal(resampled(7, rng, bootstraps=5), once)
     assert (resampled(7, rng, bootstraps=5) != once).any()
+
+
+def test_blocks_keep_neighbours_together():
+    """Each value four times: blocks give about the interval of the distinct ones, single draws half of it."""
+    values = np.repeat(np.random.default_rng(2).standard_normal(1000), 4)
+    low, high = interval(values[resampled_blocks(4000, 40, 0, bootstraps=2000)].mean(1))
+    assert high - low == pytest.approx(2 * 1.959964 * values.std() / np.sqrt(1000), rel=0.2)
+    short = interval(values[resampled(4000, 0, bootstraps=2000)].mean(1))
+    assert short[1] - short[0] == pytest.approx((high - low) / 2, rel=0.2)
+    index = resampled_blocks(10, 3, 1, bootstraps=4)
+    assert index.shape == (4, 10)
+    np.testing.assert_array_equal(np.diff(index[:, :9].reshape(4, 3, 3), axis=2) % 10, 1)
+
+
+def test_a_block_of_one_is_no_block():
+    np.testing.assert_array_equal(resampled_blocks(9, 1, 5, bootstraps=3), resampled(9, 5, bootstraps=3))

@@ -1,7 +1,7 @@
 """The picture of the README and of the landing page: one robot of each paper. All that it shows is synthetic.
 
 ``python -m repro_companion.book.after.figures_cover FOLDER`` draws it from the tables that the notebooks
-``sensor_failure``, ``probabilistic_curvature`` and ``recorded_arm`` wrote there, the last one without recordings.
+``sensor_failure``, ``probabilistic_curvature`` and ``recorded_arm`` wrote there, the last with its synthetic stream.
 """
 
 from __future__ import annotations

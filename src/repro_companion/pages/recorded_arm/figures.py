@@ -25,7 +25,7 @@ def arm_shapes(shapes: pd.DataFrame, source: str) -> Figure:
     ----------
     shapes
         ``time_s, joint, x_mm, y_mm, z_mm``: the joints of each shape, from the base (0) to the tip, in the
-        world frame with z up.
+        world frame.
     source
         Where the orientations come from; stands in the title.
     """
@@ -40,7 +40,7 @@ def arm_shapes(shapes: pd.DataFrame, source: str) -> Figure:
     reach = 1.05 * float(np.abs(shapes[["x_mm", "y_mm"]].to_numpy(dtype=float)).max())
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach))  # a square floor leaves room for both axes' labels
     axes.set_aspect("equal")
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z, up [mm]", title=f"Shapes of the arm, {source}")
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]", title=f"Shapes of the arm, {source}")
     axes.locator_params(nbins=5)
     axes.view_init(elev=18, azim=-60)
     axes.legend(loc="upper left")
@@ -50,12 +50,12 @@ def arm_shapes(shapes: pd.DataFrame, source: str) -> Figure:
 
 @page_figure
 def tip_path(tip: pd.DataFrame, source: str) -> Figure:
-    """Draw the tip's height over time, and its path seen from above.
+    """Draw z of the tip over time, and its path seen along z.
 
     Parameters
     ----------
     tip
-        ``time_s, x_mm, y_mm, z_mm`` of the tip; the base is at the origin and z points up.
+        ``time_s, x_mm, y_mm, z_mm`` of the tip; the base is at the origin.
     source
         Where the orientations come from; stands in the title.
     """
@@ -70,14 +70,14 @@ def tip_path(tip: pd.DataFrame, source: str) -> Figure:
         textcoords="offset points",
         ha="right",
     )
-    height.set(xlabel="time [s]", ylabel="height above the base, z [mm]")
+    height.set(xlabel="time [s]", ylabel="z of the tip [mm]")
     pieces = np.stack([tip[["x_mm", "y_mm"]].to_numpy()[:-1], tip[["x_mm", "y_mm"]].to_numpy()[1:]], axis=1)
     path = LineCollection(list(pieces), array=tip["time_s"].to_numpy()[:-1], cmap=TIMES, linewidth=1)
     above.add_collection(path)
     above.autoscale()
     above.plot(0, 0, "ks", markersize=6)
     above.set_aspect("equal", adjustable="datalim")
-    above.set(xlabel="x [mm]", ylabel="y [mm]", title="from above; square: base")
+    above.set(xlabel="x [mm]", ylabel="y [mm]", title="along z; square: base")
     figure.colorbar(path, ax=above, label="time [s]")
     height.set_title(f"Tip, {source}")
     return figure

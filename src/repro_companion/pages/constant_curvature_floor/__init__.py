@@ -1,0 +1,1 @@
+"""The page `notebooks/constant_curvature_floor.ipynb`."""
