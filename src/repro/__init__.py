@@ -5,6 +5,7 @@ A robot is a chain of segments with magnets, sensors and IMUs on it::
     load_robot, RobotFile              a robot in a file
     Robot                              segments in series, and what is mounted on them
     ConstantCurvature, AffineCurvature a segment: configuration q -> poses along its backbone
+    StrainSeries                       a whole rod by a short series of curvatures
     magnet_mounts, sensor_mounts       where magnets and sensors sit
 
 A sensor model is any callable q -> readings u::
@@ -28,6 +29,8 @@ An estimator takes readings, one time step after the other, and says which q, ho
     ImuShape, rigid_body, pcc_extended Martin et al. 2022: positions from orientations
     LevenbergMarquardt                 least squares within bounds, with a covariance
     IteratedKalmanFilter               the same, with what the readings before say
+    RodFilter, RodSensor               a rod from poses, orientations, gyroscopes and models, at any time
+    smooth                             a Kalman filter over a recording, and back
     calibrate                          a robot that is not as drawn, from poses and readings
     Monitored                          any estimator, watched for sensors that fail
 
@@ -46,6 +49,7 @@ _HOMES = {
     "Robot": "kinematics.robot",
     "ConstantCurvature": "kinematics.constant_curvature",
     "AffineCurvature": "kinematics.affine_curvature",
+    "StrainSeries": "kinematics.strain_series",
     "magnet_mounts": "kinematics.mounts",
     "sensor_mounts": "kinematics.mounts",
     "Ring": "sensing.magnets",
@@ -70,6 +74,9 @@ _HOMES = {
     "pcc_extended": "estimation.imu_models",
     "LevenbergMarquardt": "estimation.levenberg_marquardt",
     "IteratedKalmanFilter": "estimation.kalman_filter",
+    "RodFilter": "estimation.rod_filter",
+    "RodSensor": "estimation.rod_sensors",
+    "smooth": "estimation.smoothing",
     "calibrate": "estimation.calibration",
     "Monitored": "estimation.monitor",
     "InputError": "errors",

@@ -54,6 +54,11 @@ class RodSensor:
     ------
     InputError
         If the kind is another one, numbers do not fit it, or a value is not positive.
+
+    Examples
+    --------
+    >>> RodSensor("gyroscope", (0.1, 0.1, 0.1), arc_m=0.2).lasting_time_s
+    inf
     """
 
     kind: str

@@ -1,0 +1,1 @@
+"""Page: filter and smoother on a real robot."""
