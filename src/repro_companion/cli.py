@@ -225,6 +225,7 @@ for command in (
     cli_robot.calibrate,
     cli_robot.live,
     cli_track.track,
+    cli_track.smooth,
     cli_track.fit,
     cli_sweep.sweep,
 ):

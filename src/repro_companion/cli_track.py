@@ -1,4 +1,4 @@
-"""The commands ``repro track`` and ``repro fit``: estimation of what was recorded."""
+"""The commands ``repro track``, ``repro smooth`` and ``repro fit``: estimation of what was recorded."""
 
 from __future__ import annotations
 
@@ -88,6 +88,59 @@ def estimated(
         print("Nothing is stored: repro track -o FILE.csv, or --estimates FILE.csv, does.", file=sys.stderr)
     else:
         print(f"{shown(table.path)}  ({table.written} estimates)")
+    return 0
+
+
+def smooth(
+    file: Path,
+    /,
+    *,
+    robot: Path,
+    output: Annotated[Path, Parameter(name=["-o", "--output"])],
+    calibration: Path | None = None,
+    failed: Annotated[list[int] | None, Parameter(negative="", metavar="NUMBER")] = None,
+    lag: float = math.inf,
+) -> int:
+    """Estimate the shape by earlier and later readings: repro smooth FILE --robot ROBOT.toml -o ESTIMATES.csv.
+
+    A Kalman filter, then back over its estimates. For robots with magnetic sensors.
+
+    Parameters
+    ----------
+    file
+        A recording of repro record; or a CSV with time_s and a column for each reading, such as u1_mT or channel_1.
+    robot
+        The robot as described.
+    output
+        The estimates, a new CSV with the columns of repro track.
+    calibration
+        From repro calibrate.
+    failed
+        Number of a sensor not to use, from 1; may be repeated.
+    lag
+        How many seconds later a reading may be to count; all of them when not given.
+    """
+    from repro_live.follow.estimate_table import EstimateFile
+    from repro_live.follow.robot_estimator import robot_estimator
+    from repro_live.follow.smoother import smooth_readings
+    from repro_live.record.recording_file import WriteFailed
+    from repro_live.robot.readings_file import read_readings
+
+    described = load_described(robot, calibration, to=sys.stderr)
+    method = robot_estimator(described, "kalman", failed=failed or [])
+    readings = read_readings(file, described)
+    table = EstimateFile(output, method)
+    print("Preparing the estimator (the first time its kernels are compiled: a minute).", file=sys.stderr)
+    try:
+        with table:
+            estimates, said = smooth_readings(readings, method, lag_s=lag, progress=sys.stderr.isatty())
+            for time_s, estimate in estimates:
+                table.add(time_s, estimate)
+    except WriteFailed as failure:
+        print(f"repro: {failure}", file=sys.stderr)
+        return 1
+    print("\n".join(said), file=sys.stderr)
+    print(f"{shown(table.path)}  ({table.written} estimates)")
     return 0
 
 

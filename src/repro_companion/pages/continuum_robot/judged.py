@@ -40,8 +40,8 @@ class Capture:
     """Of the readings, all sensors together."""
     u: Float[Tensor, "n 18"]
     """Readings, NaN where a sensor was not read."""
-    truth: tuple[tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k 4 4"]], ...]
-    """Times and poses of the bodies at the four stations, each at its own stamps."""
+    truth: tuple[tuple[np.ndarray, np.ndarray], ...]
+    """Times ``[k]`` and poses ``[k, 4, 4]`` of the bodies at the four stations, each at its own stamps."""
 
     @property
     def asked_s(self) -> Float[np.ndarray, " m"]:
