@@ -258,23 +258,30 @@ class RodFilter:
 
     def _take_in(self, x: np.ndarray, P: np.ndarray, u: np.ndarray, use: np.ndarray) -> float:
         """Update one member in place, and clear ``use`` of poses that are not whole; chi-square of its surprise."""
-        prior, s = x.copy(), len(u)
+        prior = x.copy()
         scale = np.concatenate([self._std, self._lasting[0], self._std * self._rates])
-        for _ in range(self.iterations):
-            r, H, R = np.zeros(s), np.zeros((s, len(x))), np.zeros(s)
-            rod_innovation(
-                self._layout, x, prior, P, u, use, self.n_q, *self._models(x, slopes=True), r, H, R
-            )
-            if not use.any():
-                expected = "at least one pose or orientation without a missing number"
-                raise bad_input("u", "RodFilter", expected, "none")
-            gain, chi2 = kalman_gain(P, r[use], H[use], R[use])
-            moved = prior + gain @ r[use] - x
+        gain, H, r, chi2 = self._gain(x, prior, P, u, use)
+        for k in range(self.iterations):
+            moved = prior + gain @ r - x
             x += moved
-            if np.abs(moved / scale).max() < _STILL:
+            if k + 1 == self.iterations or np.abs(moved / scale).max() < _STILL:
                 break
-        P[:] = reduced(P, gain, H[use])
+            gain, H, r, chi2 = self._gain(x, prior, P, u, use)
+        P[:] = reduced(P, gain, H)
         return chi2
+
+    def _gain(
+        self, x: np.ndarray, prior: np.ndarray, P: np.ndarray, u: np.ndarray, use: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """Gain of an update linearised at ``x``, with derivatives, surprise of the readings and its chi-square."""
+        s = len(u)
+        r, H, R = np.zeros(s), np.zeros((s, len(x))), np.zeros(s)
+        rod_innovation(self._layout, x, prior, P, u, use, self.n_q, *self._models(x, slopes=True), r, H, R)
+        if not use.any():
+            expected = "at least one pose or orientation without a missing number"
+            raise bad_input("u", "RodFilter", expected, "none")
+        gain, chi2 = kalman_gain(P, r[use], H[use], R[use])
+        return gain, H[use], r[use], chi2
 
     def _models(self, x: np.ndarray, *, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         """Readings of the sensors that are models, in their places, and their derivatives by the strain."""
