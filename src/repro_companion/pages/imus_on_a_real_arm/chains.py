@@ -16,7 +16,7 @@ from repro.estimation.orientations import exponential, product
 from repro_companion.book.bootstrap import interval, mean_rms, ratio_of_means, resampled, resampled_blocks
 from repro_companion.recordings.continuum_robot import LENGTH_M, STATIONS_M
 
-RAW, CALIBRATED = "as recorded", "calibrated on slow_free_space"
+RAW, CALIBRATED = "as recorded", "calibrated on slow free space"
 STATIONS = {2: (0, 4), 3: (0, 2, 4), 5: (0, 1, 2, 3, 4)}
 """Bodies that are taken for IMUs, by their number; the base is one of them."""
 SUB_LINKS = 2
