@@ -53,7 +53,10 @@ def show(browser, tmp_path):
 
     def open_page(strip: FrameStrip, theme: str = "light", width: int = 480, **options):
         path = tmp_path / "page.html"
-        names = {"style": STYLE.as_uri(), "script": SCRIPT.as_uri(), "theme": theme}
+        # Without its fonts: those lie beside it in a built site only.
+        style = re.sub(r"@font-face \{.*?\}", "", STYLE.read_text(encoding="utf-8"))
+        (tmp_path / "strip.css").write_text(style, encoding="utf-8")
+        names = {"style": "strip.css", "script": SCRIPT.as_uri(), "theme": theme}
         path.write_text(PAGE.format(body=strip.to_html(), **names), encoding="utf-8")
         contexts.append(browser.new_context(viewport={"width": width, "height": 700}, **options))
         page = contexts[-1].new_page()
