@@ -15,7 +15,12 @@ from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.rod_filter import RodFilter
 from repro.estimation.rod_sensors import RodSensor
+from repro.kinematics.mounts import magnet_mounts, sensor_mounts
+from repro.kinematics.robot import Robot
 from repro.kinematics.strain_series import StrainSeries
+from repro.sensing.magnetic import MagneticSensing, readings
+from repro.sensing.magnets import ring
+from repro.sensing.multipole import MultipoleField
 
 ROD = StrainSeries(0.4, bending=2, torsion=1)
 STD = (2.0, 1.0, 2.0, 1.0, 0.5)
@@ -189,3 +194,25 @@ def test_readings_out_of_order_are_refused():
             FILTER.step(state, torch.zeros(9).double(), t)
     with pytest.raises(InputError, match="not before the last step"):
         FILTER.predicted(state, 0.5)
+
+
+def test_magnets_on_the_rod_are_read_beside_a_gyroscope():
+    """A ring at the tip, three tilted sensors below: the filter has multipoles, the readings are magpylib's."""
+    rod = StrainSeries(0.1, bending=1, torsion=0)
+    robot = Robot(
+        (rod,),
+        magnets=magnet_mounts([0], [0.1]),
+        sensors=sensor_mounts([0] * 3, 0.05, radial=0.013, azimuth=[0.0, 2.1, 4.2], tilt=torch.pi / 6),
+    )
+    sensing = MagneticSensing(robot, MultipoleField.of(ring("released")))
+    magnets = RodSensor("model", (0.01,) * 3, sensing=sensing)
+    gyro = RodSensor("gyroscope", (0.05,) * 3, arc_m=0.1)
+    method = RodFilter(rod, (magnets, gyro), (5.0, 5.0), rate=4.0)
+    t = torch.linspace(0, 1, 51).double()
+    q = torch.stack([4 * t.sin(), 3 * (1 - t.cos())], -1)
+    turning = torch.stack(
+        [0.4 * t.cos(), 0.3 * t.sin(), 0 * t], -1
+    )  # about the axes across, while the bend is small
+    u = torch.cat([readings(robot, q, ring("released")), turning], -1)
+    found = track(method, u, torch.zeros(2).double(), rate_hz=50.0)
+    torch.testing.assert_close(found.q[5:], q[5:], atol=0.1, rtol=0)
