@@ -10,7 +10,6 @@ the integral of the tangent. The paper uses Simpson's rule with 101 points; here
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -53,12 +52,19 @@ class AffineCurvature:
 
     length: float
 
-    coordinates: ClassVar[tuple[str, ...]] = ("kappa_0", "kappa_1", "phi", "delta_L")
-    n_q: ClassVar[int] = 4
-
     def __post_init__(self) -> None:
         if not self.length > 0:
             raise bad_input("length", "AffineCurvature", "positive [m]", self.length)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the configuration variables."""
+        return ("kappa_0", "kappa_1", "phi", "delta_L")
+
+    @property
+    def n_q(self) -> int:
+        """Number of configuration variables."""
+        return 4
 
     def pose(self, q: Float[Tensor, "*q 4"], v: Float[Tensor, "*v"]) -> Float[Tensor, "*batch 4 4"]:
         """Pose ``T_base_v`` of the backbone frame at ``v``, eqs (17)-(18).

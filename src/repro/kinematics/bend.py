@@ -8,7 +8,6 @@ The state of the paper is a bend direction :math:`\theta` and a bend angle :math
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -50,12 +49,19 @@ class Bend:
 
     length: float
 
-    coordinates: ClassVar[tuple[str, ...]] = ("bend_x", "bend_y")
-    n_q: ClassVar[int] = 2
-
     def __post_init__(self) -> None:
         if not self.length > 0:
             raise bad_input("length", "Bend", "positive [m]", self.length)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the configuration variables."""
+        return ("bend_x", "bend_y")
+
+    @property
+    def n_q(self) -> int:
+        """Number of configuration variables."""
+        return 2
 
     def pose(self, q: Float[Tensor, "*q 2"], v: Float[Tensor, "*v"]) -> Float[Tensor, "*batch 4 4"]:
         """Pose ``T_base_v`` of the backbone frame at ``v``.

@@ -10,7 +10,6 @@ it the backbone has the length it must have. This module and every number of the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -52,13 +51,20 @@ class ConstantCurvature:
     length: float
     radius: float
 
-    coordinates: ClassVar[tuple[str, ...]] = ("delta_x", "delta_y", "delta_L")
-    n_q: ClassVar[int] = 3
-
     def __post_init__(self) -> None:
         for name in ("length", "radius"):
             if not getattr(self, name) > 0:
                 raise bad_input(name, "ConstantCurvature", "positive [m]", getattr(self, name))
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the configuration variables."""
+        return ("delta_x", "delta_y", "delta_L")
+
+    @property
+    def n_q(self) -> int:
+        """Number of configuration variables."""
+        return 3
 
     def pose(self, q: Float[Tensor, "*q 3"], v: Float[Tensor, "*v"]) -> Float[Tensor, "*batch 4 4"]:
         """Pose ``T_base_v`` of the backbone frame at ``v``, eq. (15) with the misprint corrected.

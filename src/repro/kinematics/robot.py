@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -26,10 +26,15 @@ class Segment(Protocol):
         """Unextended length [m]."""
         ...
 
-    coordinates: ClassVar[tuple[str, ...]]
-    """Names of the configuration variables."""
-    n_q: ClassVar[int]
-    """Number of configuration variables."""
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the configuration variables."""
+        ...
+
+    @property
+    def n_q(self) -> int:
+        """Number of configuration variables."""
+        ...
 
     def pose(self, q: Tensor, v: Tensor) -> Tensor:
         """Pose ``T_base_v`` of the backbone frame at ``v`` in [0, 1]."""
