@@ -29,7 +29,7 @@ class Cells(HTMLParser):
         """Begin a cell."""
         if tag in ("td", "th", "caption"):
             self._text, self._exact = [], "exact" in (dict(attrs).get("class") or "").split()
-        self._code += tag == "code"
+        self._code += tag in ("code", "math")
 
     def handle_endtag(self, tag: str) -> None:
         """End a cell."""
@@ -37,7 +37,7 @@ class Cells(HTMLParser):
             text = re.sub(r"\\\(.*?\\\)", "", "".join(self._text))
             self.cells.append((" ".join(text.split()), self._exact))
             self._text = None
-        self._code -= tag == "code"
+        self._code -= tag in ("code", "math")
 
     def handle_data(self, data: str) -> None:
         """Collect what is no code."""

@@ -21,15 +21,15 @@ _KINDS = {"pose": POSE, "orientation": ORIENTATION, "gyroscope": GYROSCOPE, "mod
 class RodSensor:
     r"""A sensor of a rod, and the errors of its readings.
 
-    ========== ========================================================== ================================
-    kind       readings                                                   errors
-    ========== ========================================================== ================================
-    pose       twist (m, rad) of its pose in the world, as                a twist in the sensor's frame
-               :func:`repro.se3.logarithm` gives it
-    orientation rotation vector [rad] of its frame in the world           rotation vector in its frame
-    gyroscope  angular velocity in its own frame [rad/s]                  added
-    model      what ``sensing`` makes of the terms of the strain          added
-    ========== ========================================================== ================================
+    =========== ======================================================= =====================================
+    kind        readings                                                errors
+    =========== ======================================================= =====================================
+    pose        twist (m, rad) of its pose in the world, as             a twist in the sensor's frame
+                :func:`repro.se3.logarithm` gives it
+    orientation rotation vector [rad] of its frame in the world         a rotation vector in its frame
+    gyroscope   angular velocity in its own frame [rad/s]               added
+    model       what ``sensing`` makes of the terms of the strain       added
+    =========== ======================================================= =====================================
 
     Parameters
     ----------
