@@ -34,7 +34,7 @@ class Cells(HTMLParser):
     def handle_endtag(self, tag: str) -> None:
         """End a cell."""
         if tag in ("td", "th", "caption") and self._text is not None:
-            text = re.sub(r"\\\(.*?\\\)", "", "".join(self._text))
+            text = "".join(self._text)
             self.cells.append((" ".join(text.split()), self._exact))
             self._text = None
         self._code -= tag in ("code", "math")

@@ -117,6 +117,7 @@ def track(
     q0: Float[Tensor, "*batch n_q"],
     *,
     rate_hz: float = 40.0,
+    times_s: Sequence[float] | None = None,
     seed: int = 0,
     mask: Bool[Tensor, "t *m"] | None = None,
     known: Float[Tensor, "t *k"] | None = None,
@@ -134,6 +135,8 @@ def track(
         Where the estimator starts.
     rate_hz
         Steps per second.
+    times_s
+        Time of each row [s], increasing, in place of a rate.
     seed
         For estimators that draw random numbers.
     mask, known
@@ -144,7 +147,7 @@ def track(
     Raises
     ------
     InputError
-        If there are no readings.
+        If there are no readings, or not one time for each row.
 
     Examples
     --------
@@ -157,13 +160,16 @@ def track(
     """
     if not len(readings):
         raise bad_input("readings", "track", "at least one time step", f"shape {tuple(readings.shape)}")
+    times = [k / rate_hz for k in range(len(readings))] if times_s is None else [float(t) for t in times_s]
+    if len(times) != len(readings):
+        raise bad_input("times_s", "track", f"one for each of {len(readings)} rows", len(times))
     state = estimator.init(q0, seed=seed)
     estimates = []
     for k, u in enumerate(tqdm(readings, desc=progress, disable=progress is None)):
         state, estimate = estimator.step(
             state,
             u,
-            k / rate_hz,
+            times[k],
             mask=None if mask is None else mask[k],
             known=None if known is None else known[k],
         )

@@ -131,16 +131,19 @@ class RodFilter:
         return np.array(std), np.array(rates)
 
     @cached_property
+    def _scale(self) -> np.ndarray:
+        """Standard deviation of every state before any reading."""
+        return np.concatenate([self._std, self._lasting[0], self._std * self._rates])
+
+    @cached_property
     def _layout(self) -> Layout:
         return layout(self.rod, self.sensors, base=self.base_std is not None)
 
     def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> KalmanState:
         """State at ``q0``, at rest, errors zero; nothing is random, the seed has no effect."""
         check_start(q0, None, "RodFilter", n_q=self.n_q)
-        std, _ = self._lasting
-        q = torch.cat([q0, q0.new_zeros(*q0.shape[:-1], len(std))], dim=-1)
-        variances = np.concatenate([self._std**2, std**2, (self._std * self._rates) ** 2])
-        covariance = torch.from_numpy(np.diag(variances)).expand(*q0.shape[:-1], -1, -1)
+        q = torch.cat([q0, q0.new_zeros(*q0.shape[:-1], len(self._lasting[0]))], dim=-1)
+        covariance = torch.from_numpy(np.diag(self._scale**2)).expand(*q0.shape[:-1], -1, -1)
         return KalmanState(q, torch.zeros_like(q0), covariance)
 
     def motion(self, tau: float) -> tuple[Tensor, Tensor]:
@@ -259,12 +262,11 @@ class RodFilter:
     def _take_in(self, x: np.ndarray, P: np.ndarray, u: np.ndarray, use: np.ndarray) -> float:
         """Update one member in place, and clear ``use`` of poses that are not whole; chi-square of its surprise."""
         prior = x.copy()
-        scale = np.concatenate([self._std, self._lasting[0], self._std * self._rates])
         gain, H, r, chi2 = self._gain(x, prior, P, u, use)
         for k in range(self.iterations):
             moved = prior + gain @ r - x
             x += moved
-            if k + 1 == self.iterations or np.abs(moved / scale).max() < _STILL:
+            if k + 1 == self.iterations or np.abs(moved / self._scale).max() < _STILL:
                 break
             gain, H, r, chi2 = self._gain(x, prior, P, u, use)
         P[:] = reduced(P, gain, H)

@@ -187,6 +187,15 @@ def test_bad_input(make, message):
         make()
 
 
+def test_a_track_at_given_times_is_that_at_their_rate(runs):
+    u = runs[0][1]
+    times = [0.02 * k for k in range(len(u))]
+    by_times, by_rate = track(FILTER, u, START, times_s=times), track(FILTER, u, START, rate_hz=50.0)
+    torch.testing.assert_close(by_times.q, by_rate.q, atol=1e-9, rtol=0)
+    with pytest.raises(InputError, match="Input times_s of track must be one for each of 25 rows"):
+        track(FILTER, u, START, times_s=times[:3])
+
+
 def test_readings_out_of_order_are_refused():
     state, _ = FILTER.step(FILTER.init(START), torch.zeros(9).double(), 1.0)
     for t in (1.0, 0.9):

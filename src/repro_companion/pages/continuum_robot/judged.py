@@ -267,10 +267,10 @@ def by_setting(
     settings: Mapping[str, Mapping[str, float]],
 ) -> pd.DataFrame:
     """Mean error of the filter over the stations by trial, with one setting changed at a time."""
-    rows = [
-        (label, trial, float(np.mean(rmse_mm([error for error, _ in errors(capture, filter_alone)]))))
-        for label, changed in settings.items()
-        for trial, capture in captures.items()
-        for filter_alone in [at_frames(make(**changed), *filtered(make(**changed), capture))]
-    ]
+    rows = []
+    for label, changed in settings.items():
+        method = make(**changed)
+        for trial, capture in captures.items():
+            found = errors(capture, at_frames(method, *filtered(method, capture)))
+            rows.append((label, trial, float(np.mean(rmse_mm([error for error, _ in found])))))
     return pd.DataFrame(rows, columns=["changed", "trial", "rmse_mm"])
