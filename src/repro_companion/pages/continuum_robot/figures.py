@@ -140,7 +140,7 @@ def robot_view(
     return ShapeView(
         label=label,
         time_s=time_s,
-        shapes=(Shape("filter, with two standard deviations", points, deviation, role="estimate"),),
+        shapes=(Shape("filter", points, deviation, role="estimate"),),
         radius_m=0.006,
         sensors=Markers(bodies[..., :3, 3], bodies[..., :3, 2], "bodies of the motion capture"),
         traces=(Traces("mean error of the stations", "mm", {"filter": error_mm}),),
