@@ -195,7 +195,7 @@ class RodFilter:
             raise bad_input("u", "RodFilter", f"of last dimension {s}", f"shape {tuple(u.shape)}")
         use = usable(u, mask, "RodFilter")
         n, m = self.n_q, state.q.shape[-1]
-        batch = torch.broadcast_shapes(state.q.shape[:-1], u.shape[:-1])
+        batch = np.broadcast_shapes(state.q.shape[:-1], u.shape[:-1])
         x = (
             torch.cat([state.q, state.velocity], -1)
             .double()
@@ -215,12 +215,13 @@ class RodFilter:
                 x[k], P[k] = conditioned(x[k], P[k], held[k])
             chi2[k] = self._take_in(x[k], P[k], rows[k], used[k])
             rod_readings(self._layout, x[k], n, self._models(x[k], slopes=False)[0], u_hat[k])
-        new, cov, u_hat, chi2, dof = (
-            torch.from_numpy(y).reshape((*batch, *y.shape[1:])) for y in (x, P, u_hat, chi2, used.sum(-1))
+        new, cov, u_hat, chi2, dof, masked = (
+            torch.from_numpy(y).reshape(batch + y.shape[1:])
+            for y in (x, P, u_hat, chi2, used.sum(-1), (~used).sum(-1))
         )
         after = KalmanState(new[..., :m].to(state.q), new[..., m:].to(state.q), cov, t)
         diagnostics = {
-            "masked": s - dof,
+            "masked": masked,
             "chi2": chi2.to(state.q),
             "dof": dof,
             "lasting": after.q[..., n:],
@@ -251,8 +252,7 @@ class RodFilter:
             where.append(T[:, :3, 3])
             spread.append(slope @ C @ slope.swapaxes(-1, -2))
         shape = (*q.shape[:-1], len(arcs_m), 3)
-        both = (torch.from_numpy(np.stack(values)).to(q) for values in (where, spread))
-        position, cov = both
+        position, cov = (torch.from_numpy(np.stack(values)).to(q) for values in (where, spread))
         return position.reshape(shape), cov.reshape(*shape, 3)
 
     def _motion_of(self, q: np.ndarray, arcs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

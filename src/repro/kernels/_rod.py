@@ -87,23 +87,31 @@ def inverse(T):
 
 
 @machine_code()
-def _bracket(x):
-    out = np.zeros((6, 6))
-    W = _cross(x[3:])
-    out[:3, :3], out[3:, 3:], out[:3, 3:] = W, W, _cross(x[:3])
-    return out
-
-
-@machine_code()
 def left_jacobian(x):
-    """Left Jacobian of SE(3); the right one is that of the opposite twist."""
-    A = _bracket(x)
-    term, total = np.eye(6), np.eye(6)
+    """Left Jacobian of SE(3); the right one is that of the opposite twist.
+
+    It is the sum of the powers of the bracket of the twist by (k + 1)!. All have the same block twice on the diagonal
+    and one above it.
+    """
+    V, W = _cross(x[:3]), _cross(x[3:])
+    diagonal, above = np.eye(3), np.zeros((3, 3))
+    total = np.eye(6)
     for k in range(1, _TERMS):
-        term = _times(term, A) / (k + 1)
-        total += term
-        if np.abs(term).max() < 1e-17:
+        largest = 0.0
+        for i in range(3):
+            d0, d1, d2 = diagonal[i]
+            a0, a1, a2 = above[i]
+            for j in range(3):
+                above[i, j] = (
+                    d0 * V[0, j] + d1 * V[1, j] + d2 * V[2, j] + a0 * W[0, j] + a1 * W[1, j] + a2 * W[2, j]
+                ) / (k + 1)
+                diagonal[i, j] = (d0 * W[0, j] + d1 * W[1, j] + d2 * W[2, j]) / (k + 1)
+                total[i, j] += diagonal[i, j]
+                total[i, 3 + j] += above[i, j]
+                largest = max(largest, abs(diagonal[i, j]), abs(above[i, j]))
+        if largest < 1e-17:
             break
+    total[3:, 3:] = total[:3, :3]
     return total
 
 
