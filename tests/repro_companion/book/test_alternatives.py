@@ -25,8 +25,6 @@ PROJECT = Project(Path(__file__).resolve().parents[3])
 PAGES = sorted(PROJECT.notebooks.glob("*.ipynb"))
 ONLY_SHOWN = {"performance", "robustness", "sweep"}
 """Pages on which a parameter only chooses what is shown of a committed table."""
-TOO_LONG = {"closed_loop", "table_2"}
-"""Pages that compute long before the first table that a parameter changes; their exercises tell what comes out."""
 SIX = {"title": "six", "parameters": {"n": 6}, "table": "table_a", "rows": {}, "values": {"third": "n / 3"}}
 
 
@@ -139,7 +137,7 @@ def test_alternatives_of_the_book(path):
     """Values are allowed, and what is called the run of the exercise is its own command."""
     notebook = read_notebook(path)
     alternatives = alternatives_of(notebook, path.name)
-    assert bool(alternatives) != (path.stem in ONLY_SHOWN | TOO_LONG)
+    assert bool(alternatives) != (path.stem in ONLY_SHOWN)
     declared = declared_parameters(notebook, path.name)
     texts = [cell.source for cell in notebook.cells if cell.source.startswith("## Exercise\n")]
     commands = re.findall(r"^\.venv/bin/repro (run .+)$", "\n".join(texts), re.MULTILINE)
