@@ -33,7 +33,8 @@ FRAMES = 100_000
 FAULTS = Faults(flips=3e-4, drops=2e-4, duplicates=2e-4, bursts=2e-5)
 PAGE = '<!doctype html><meta charset="utf-8"><title>Wire</title><script src="WIRE"></script>'
 READ = """({format, channels, data, cuts, reopened}) => {
-  const bytes = Uint8Array.from(atob(data), c => c.charCodeAt(0)), reader = BOARD.parser(format, channels), out = [], counts = [];
+  const bytes = Uint8Array.from(atob(data), c => c.charCodeAt(0));
+  const reader = BOARD.parser(format, channels), out = [], counts = [];
   let begin = 0;
   cuts.forEach((end, k) => {
     const frames = reader.feed(bytes.subarray(begin, end));
@@ -45,7 +46,8 @@ READ = """({format, channels, data, cuts, reopened}) => {
   const packed = new Uint8Array(Float64Array.from(out).buffer), parts = [];
   for (let k = 0; k < packed.length; k += 32768) parts.push(String.fromCharCode(...packed.subarray(k, k + 32768)));
   const layout = reader.layout ? String(reader.layout) : null;
-  return {numbers: btoa(parts.join("")), counts, counters: reader.counters, refused: reader.refused, begun: reader.begun.length, layout};
+  const { counters, refused, begun } = reader;
+  return {numbers: btoa(parts.join("")), counts, counters, refused, begun: begun.length, layout};
 }"""
 
 
@@ -90,7 +92,7 @@ def damaged(packets: list[bytes], rng: np.random.Generator) -> bytes:
 
 
 def random_packets(rng: np.random.Generator, count: int) -> list[bytes]:
-    """Frames of several streams, with lost and repeated ones, resets, wraps, messages between them, foreign bodies."""
+    """Frames of several streams, with lost and repeated ones, resets, wraps, messages and foreign bodies."""
     packets, sequence = [], [2**32 - 5, 0, 77, 1000]
     for _ in range(count):
         stream, kind = int(rng.integers(4)), ("float32", "int16")[rng.random() < 0.3]
@@ -212,13 +214,15 @@ def test_lines_of_sketches(page, form):
     assert assert_same(page, "csv", damaged(lines, rng), rng) > 0.5 * len(lines)
 
 
+WORDS = """1 -2.5 +.5e3 1e400 nan NaN ovf inf 0x1F 5. . - e5 1,5 , ; : = x Y t T time ms micros time_ _
+    µT (uT) [ms] m/s² é % ° # ' \""""
+OTHERS = ("\x1c", "\ufeff", "\u2028", "\U0001f916")
+
+
 def test_any_text_as_lines_of_sketches(page):
     """Lines put together from what such lines are made of, a new parser for every twenty."""
-    rng, parts = np.random.default_rng(7), [
-        "1", "-2.5", "+.5e3", "1e400", "nan", "NaN", "ovf", "0x1F", ",", ", ", ";", "\t", " ", "  ", ":", "=", "x", "Y ", "t", "T", "time",
-        "ms", " uT", "µT", "(uT)", "[ms]", "_", "m/s²", "é", "\r", "'", '"', "\x1c", "\ufeff", "\u2028", "\U0001f916", "1,5", "%", "°", "#",
-        "micros", "time_", "e5", "5.", ".", "-", "inf",
-    ]  # fmt: skip
+    rng = np.random.default_rng(7)
+    parts = [*WORDS.split(), *OTHERS, " ", " ", "  ", "\t", ", ", " uT", "\r", ","]
     for _ in range(400):
         shapes = ["".join(rng.choice(parts, int(rng.integers(1, 9)))) for _ in range(3)]
         lines = [
@@ -268,8 +272,6 @@ def test_values_are_named_as_in_a_recording(page):
     data = b"time_ms, X (uT), Y\n1,2,3\n1,2,3\n1,2,3\n"
     reader = CsvParser()
     reader.feed(data)
-    names = page.evaluate(
-        "text => { const p = BOARD.parser('csv'); p.feed(new TextEncoder().encode(text)); return BOARD.channelNames('csv', 2, p.layout); }",
-        data.decode(),
-    )
+    body = "p.feed(new TextEncoder().encode(text)); return BOARD.channelNames('csv', 2, p.layout);"
+    names = page.evaluate("text => { const p = BOARD.parser('csv'); " + body + "}", data.decode())
     assert names == channels_of("csv", 2, reader.layout)["channels"]
