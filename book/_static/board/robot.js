@@ -359,9 +359,9 @@ function tested(made, { q, u, J }, readings, use, E) {
   const system = () => model.map((row, i) => row.map((x, j) => x + (i === j ? variance : 0)));
   const solved = N.length ? solve(system(), p.slice()) : [], trace = N.reduce((sum, _, c) => sum + solve(system(), model.map((row) => row[c]))[c], 0);
   const A = zeros(n, n);
-  for (const k of rows) for (let a = 0; a < n; a++) for (let b = 0; b < n; b++) if (free[a] && free[b]) A[a][b] += J[k][a] * J[k][b];
-  for (let c = 0; c < n; c++) A[c][c] += free[c] ? 12 * variance / (made.high[c] - made.low[c]) ** 2 : 1;
-  const G = rows.map((k) => solve(A.map((row) => row.slice()), Array.from(J[k], (x, c) => (free[c] ? x : 0)))), columns = Array.from(q, (_, c) => G.map((row) => row[c]));
+  for (const k of rows) for (let a = 0; a < n; a++) for (let b = 0; b < n; b++) A[a][b] += J[k][a] * J[k][b];
+  for (let c = 0; c < n; c++) A[c][c] += 12 * variance / (made.high[c] - made.low[c]) ** 2;
+  const G = rows.map((k) => solve(A.map((row) => row.slice()), Array.from(J[k]))), columns = Array.from(q, (_, c) => G.map((row) => row[c]));
   return {
     chi2: p.reduce((sum, x, k) => sum + x * solved[k], 0), dof: N.length, systematic: N.length ? trace / N.length : 0,
     added: by(columns, columns, (i, j) => E[rows[i]][rows[j]]),
