@@ -71,9 +71,10 @@ e = 0.5
 
 
 REFUSALS = [
-    "a = 1979-05-27", "a = {b = 1}", "a.b = 1", "a = inf", "a = 0x10", "a = 01", "a = 1.", "a = .5", "a = 1__0", "a = 1 2", "a =",
-    "a = [1 2]", "a = [1", "a = [,]", 'a = "x', 'a = "\\q"', "a = 'x' 'y'", 'a = """x"""', "a = 1\na = 2", "[a]\n[a]", "[[a]]\n[a]",
-    "[a]\n[[a]]", "[a.b]", "[a", "[[a]", "a = 1\n[a]", "a", "= 1", "a = True", "a = \x01", "a = 1e", "a = +_1",
+    "a = 1979-05-27", "a = {b = 1}", "a.b = 1", "a = inf", "a = 0x10", "a = 01", "a = 1.", "a = .5", "a = 1__0",
+    "a = 1 2", "a =", "a = [1 2]", "a = [1", "a = [,]", 'a = "x', 'a = "\\q"', "a = 'x' 'y'", 'a = """x"""',
+    "a = 1\na = 2", "[a]\n[a]", "[[a]]\n[a]", "[a]\n[[a]]", "[a.b]", "[a", "[[a]", "a = 1\n[a]", "a", "= 1",
+    "a = True", "a = \x01", "a = 1e", "a = +_1",
 ]  # fmt: skip
 
 
@@ -92,16 +93,34 @@ def test_what_is_not_understood_is_refused_with_its_line(page, text):
 
 ONE = (ROOT / "data" / "robots" / "one_segment.toml").read_text(encoding="utf-8")
 WRONG = [
-    ("radius_mm = 22.0", "radius_m = 0.022"), ("radius_mm = 22.0", ""), ("radius_mm = 22.0", "radius_mm = 0.022"),
-    ("radius_mm = 22.0", 'radius_mm = "22"'), ("segment = 1", "segment = 2"), ("segment = 1", "segment = 1.0"),
-    ("at_mm = 55.0", "at_mm = 155.0"), ("channel = 2", "channel = 1"), ("channel = 3", "channel = 300"), ("rate_hz = 1000.0", "rate_hz = 0"),
-    ("inner_diameter_mm = 12.0", "inner_diameter_mm = 25.0"), ('unit = "mT"', 'unit = "T"'), ('format = "frames"', 'format = "hall"'),
-    ('format = "frames"', 'format = "quaternions"'), ("[0.0, 6.6]", "[6.6, 0.0]"), ("[0.0, 6.6]", "[-120.0, 6.6]"),
-    ("radial_mm = 13.0", "radial_mm = -13.0"), ("azimuth_deg = 120.0", "direction = [0, 0, 0]"), ("azimuth_deg = 120.0", "direction = [1, 0, 0]\ntilt_deg = 3"),
-    ('unit = "mT"', 'unit = "mT"\nchannels = 2'), ("polarisation_mt = 1450.0", "polarisation_mt = 1.45"), ("# One", "earth_mt = [0, 50, 0]\n# One"),
-    ("at_mm = 110.0\nradial_mm = 13.0\nazimuth_deg = 0.0", "at_mm = 55.0"), ('kind = "ring"', 'kind = "disc"'), ("[stream]", "[strema]"), ("length_mm = 110.0", "length_mm = true"),
+    ("radius_mm = 22.0", "radius_m = 0.022"),
+    ("radius_mm = 22.0", ""),
+    ("radius_mm = 22.0", "radius_mm = 0.022"),
+    ("radius_mm = 22.0", 'radius_mm = "22"'),
+    ("segment = 1", "segment = 2"),
+    ("segment = 1", "segment = 1.0"),
+    ("at_mm = 55.0", "at_mm = 155.0"),
+    ("channel = 2", "channel = 1"),
+    ("channel = 3", "channel = 300"),
+    ("rate_hz = 1000.0", "rate_hz = 0"),
+    ("inner_diameter_mm = 12.0", "inner_diameter_mm = 25.0"),
+    ('unit = "mT"', 'unit = "T"'),
+    ('format = "frames"', 'format = "hall"'),
+    ('format = "frames"', 'format = "quaternions"'),
+    ("[0.0, 6.6]", "[6.6, 0.0]"),
+    ("[0.0, 6.6]", "[-120.0, 6.6]"),
+    ("radial_mm = 13.0", "radial_mm = -13.0"),
+    ("azimuth_deg = 120.0", "direction = [0, 0, 0]"),
+    ("azimuth_deg = 120.0", "direction = [1, 0, 0]\ntilt_deg = 3"),
+    ('unit = "mT"', 'unit = "mT"\nchannels = 2'),
+    ("polarisation_mt = 1450.0", "polarisation_mt = 1.45"),
+    ("# One", "earth_mt = [0, 50, 0]\n# One"),
+    ("at_mm = 110.0\nradial_mm = 13.0\nazimuth_deg = 0.0", "at_mm = 55.0"),
+    ('kind = "ring"', 'kind = "disc"'),
+    ("[stream]", "[strema]"),
+    ("length_mm = 110.0", "length_mm = true"),
     ('kind = "constant_curvature"', 'kind = "constant_curvature"\nlength = 3'),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("old", "new"), WRONG)
@@ -150,7 +169,8 @@ def test_readings_bounds_and_slopes(page, tmp_path, path, changed):
     robot, rng = load_robot(tmp_path / "x.toml"), np.random.default_rng(0)
     q = robot.lower + torch.from_numpy(rng.random((50, len(robot.lower)))) * (robot.upper - robot.lower)
     body = """([text, all]) => { const robot = BOARD.robotOf('x.toml', text), sensing = BOARD.sensingOf(robot);
-      return [robot.low, robot.high, robot.start, robot.offset, robot.noise, robot.channel, robot.rate_hz, robot.format, robot.unit, robot.channels,
+      const {low, high, start, offset, noise, channel, rate_hz, format, unit, channels} = robot;
+      return [low, high, start, offset, noise, channel, rate_hz, format, unit, channels,
         all.map(q => { const {u, J} = sensing(q); return [[...u], J.map(row => [...row])]; })]; }"""
     *about, found = page.evaluate(body, [text, q.tolist()])
     expected = [x.tolist() for x in (robot.lower, robot.upper, robot.start, robot.offset)]
@@ -192,7 +212,10 @@ def test_a_calibrated_robot_and_what_its_calibration_leaves_uncertain(page, tmp_
     u[1, 0] = torch.nan
     body = """async ([text, calibration, all]) => {
       const robot = await BOARD.calibrated(BOARD.robotOf('x.toml', text), 'robot.json', calibration);
-      return all.map(values => { const f = new BOARD.Follower(robot); f.step(values.map(x => x ?? NaN)); const seen = f.window[0];
+      return all.map(values => {
+        const f = new BOARD.Follower(robot);
+        f.step(values.map(x => x ?? NaN));
+        const seen = f.window[0];
         return [f.q, f.C, seen.chi2, seen.dof, seen.systematic, f.excess, f.status, f.cause]; });
     }"""
     calibration = (tmp_path / "robot.json").read_text(encoding="utf-8")
@@ -221,7 +244,8 @@ def test_a_calibration_of_another_file_is_refused(page, tmp_path):
     path = ROOT / "data" / "robots" / "one_segment.toml"
     calibration_of(path, tmp_path)
     calibration = json.loads((tmp_path / "robot.json").read_text(encoding="utf-8"))
-    body = "([text, c]) => BOARD.calibrated(BOARD.robotOf('x.toml', text), 'c.json', c).then(() => '', e => e.message)"
+    body = """([text, c]) => BOARD.calibrated(BOARD.robotOf('x.toml', text), 'c.json', c)
+      .then(() => '', e => e.message)"""
     assert page.evaluate(body, [ONE, json.dumps(calibration)]) == ""
     wrong = [
         (ONE + "\n", {}),
@@ -245,7 +269,8 @@ def test_the_example_is_estimated_as_by_a_live_session(page):
     """The same shapes while all is well, and an alarm in both once a sensor sticks."""
     path = ROOT / "data" / "robots" / "two_segments.toml"
     sent = parser("frames").feed(frames())
-    body = """() => { const reader = BOARD.parser('frames'), f = new BOARD.Follower(BOARD.robotOf('x.toml', BOARD.example.robot));
+    body = """() => {
+      const reader = BOARD.parser('frames'), f = new BOARD.Follower(BOARD.robotOf('x.toml', BOARD.example.robot));
       return reader.feed(Uint8Array.from(atob(BOARD.example.frames), c => c.charCodeAt(0))).map(frame => {
         f.step(frame.values); return [[...f.q], f.C.map((row, k) => row[k]), f.status]; }); }"""
     found = page.evaluate(body)
