@@ -31,24 +31,33 @@ PORT = """
 class Port extends EventTarget {
   get readable() { return this.stream; }
   getInfo() { return {usbVendorId: 0x2341, usbProductId: 0x43}; }
-  async open({baudRate}) { this.baud = baudRate; this.stream = new ReadableStream({start: c => { this.controller = c; }}); }
+  async open({baudRate}) { this.stream = new ReadableStream({start: c => { this.controller = c; }}); }
   async close() { this.stream = null; }
   send(text) { this.controller.enqueue(Uint8Array.from(atob(text), c => c.charCodeAt(0))); }
-  lose() { const {controller} = this; this.stream = null; controller.error(new DOMException("The device has been lost.", "NetworkError")); }
+  lose() { this.stream = null; this.controller.error(new DOMException("Lost.", "NetworkError")); }
 }
 const serial = new EventTarget();
 window.port = new Port();
 serial.requestPort = async () => window.port;
 Object.defineProperty(navigator, "serial", {value: serial});
-window.found = () => { const e = new Event("connect"); Object.defineProperty(e, "target", {value: window.port}); serial.dispatchEvent(e); };
+window.found = () => {
+  const event = new Event("connect");
+  Object.defineProperty(event, "target", {value: window.port});
+  serial.dispatchEvent(event);
+};
 """
 FILE = """
 window.written = [];
 window.showSaveFilePicker = async () => ({name: "mine.rec", createWritable: async ({keepExistingData}) => {
   let now = keepExistingData ? window.written.slice() : [];
   return {
-    write: async ({position, data}) => { const b = new Uint8Array(await data.arrayBuffer()); b.forEach((x, k) => { now[position + k] = x; }); },
-    close: async () => { if (window.full) throw new DOMException("No space.", "QuotaExceededError"); window.written = now; },
+    write: async ({position, data}) => {
+      new Uint8Array(await data.arrayBuffer()).forEach((x, k) => { now[position + k] = x; });
+    },
+    close: async () => {
+      if (window.full) throw new DOMException("No space.", "QuotaExceededError");
+      window.written = now;
+    },
   };
 }});
 """
@@ -142,7 +151,8 @@ def test_a_thousand_frames_a_second_without_loss_and_drawn_in_time(board, record
           const bytes = Uint8Array.from(atob(text), c => c.charCodeAt(0)), began = performance.now();
           let sent = 0;
           const timer = setInterval(() => {
-            const end = Math.min(bytes.length, Math.floor((performance.now() - began) / 1e3 / seconds * bytes.length));
+            const share = Math.min((performance.now() - began) / 1e3 / seconds, 1);
+            const end = Math.floor(share * bytes.length);
             if (end > sent) port.controller.enqueue(bytes.subarray(sent, end));
             sent = end;
             if (end === bytes.length) { clearInterval(timer); setTimeout(done, 200); }
@@ -167,19 +177,26 @@ def test_half_an_hour_of_memory(board):
     piece = b"".join(data for _, data in emulated(60_000, 1000.0, Faults()))
     kept = page.evaluate(
         """async text => {
-          const bytes = Uint8Array.from(atob(text), c => c.charCodeAt(0)), tail = bytes.length / 60;
-          const about = {port: "p", baud: 1, start_ms: 0, start_unix_s: 0, system: ""}, session = new BOARD.Session("frames", about);
+          const bytes = Uint8Array.from(atob(text), c => c.charCodeAt(0));
+          const about = {port: "p", baud: 1, start_ms: 0, start_unix_s: 0, system: ""};
+          const session = new BOARD.Session("frames", about);
           const sizes = () => { const t = session.traces, r = session.recording; return {
-            bins: t.bins.length, names: t.names.length, places: t.places.size, tail: r.tailBytes, parts: r.parts.length,
+            bins: t.bins.length, names: t.names.length, places: t.places.size,
+            tail: r.tailBytes, parts: r.parts.length,
             begun: session.parser.begun.length, waiting: session.waiting.length, last: session.parser.last.size}; };
           const seen = [];
           for (let minute = 0; minute < 30; minute++) {
-            for (let s = 0; s < 600; s++) session.take(60000 * minute + 100 * s, bytes.subarray(s * bytes.length / 600, (s + 1) * bytes.length / 600));
-            session.recording.handle ??= {createWritable: async () => ({write: async () => {}, close: async () => {}})};
+            for (let s = 0; s < 600; s++) {
+              const [begin, end] = [s, s + 1].map(k => Math.round(k * bytes.length / 600));
+              session.take(60000 * minute + 100 * s, bytes.subarray(begin, end));
+            }
+            const file = {write: async () => {}, close: async () => {}};
+            session.recording.handle ??= {createWritable: async () => file};
             await session.recording.save();
             seen.push(sizes());
           }
-          return {seen, frames: session.counters.frames, saved: session.recording.saved, bytes: session.recording.bytes};
+          const {saved, bytes: all} = session.recording;
+          return {seen, frames: session.counters.frames, saved, bytes: all};
         }""",
         base64.b64encode(piece).decode(),
     )

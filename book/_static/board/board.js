@@ -4,7 +4,7 @@
 "use strict";
 
 const SHOWN_S = 20, BINS = 800, MOST_TRACES = 12; // of the traces
-const DETECT_BYTES = 600, DETECT_MS = 1500, SILENT_MS = 1000, SAVE_MS = 30000, SHAPE_REST = 20;
+const DETECT_BYTES = 600, DETECT_MS = 1500, SILENT_MS = 1000, GAP_MS = 250, SAVE_MS = 30000, SHAPE_REST = 20;
 const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"], DASHES = [[], [6, 3]];
 const BAUDS = [9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600, 1000000, 2000000];
 const nanoseconds = (ms) => BigInt(Math.round(ms * 1e6));
@@ -21,9 +21,9 @@ class Traces {
 
   add(ms, { stream, values }, label) {
     const number = Math.floor(ms / (1e3 * SHOWN_S / BINS));
-    let bin = this.bins[this.bins.length - 1];
+    let bin = this.bins[this.bins.length - 1]; // a time before it counts as its own
     if (!bin || number > bin[0]) this.bins.push(bin = [number, []]);
-    while (this.bins[0][0] < number - BINS) this.bins.shift();
+    while (this.bins[0][0] < bin[0] - BINS) this.bins.shift();
     values.forEach((x, k) => {
       const key = stream + " " + k;
       if (!this.places.has(key)) {
@@ -43,7 +43,7 @@ class Traces {
 class Session {
   /** `about`: port, baud, start_ms, start_unix_s; `format` "" is found out; `robot` says channels and unit. */
   constructor(format, about, robot = null, tell = () => {}) {
-    Object.assign(this, { about, robot, tell, format, parser: null, recording: null, traces: new Traces(), newest: null, waiting: [], foreign: "" });
+    Object.assign(this, { about, robot, tell, format, parser: null, recording: null, traces: new Traces(), newest: null, waiting: [], foreign: "", apart: [0] });
     Object.assign(this, { received: 0, reconnects: 0, lastFrame: -Infinity, lastByte: -Infinity, lost: false, rate: NaN, counted: [about.start_ms, 0], layout: null });
     if (format) this.begin(format);
   }
@@ -96,7 +96,9 @@ class Session {
     this.recording.append(nanoseconds(ms), frames);
     const { channels } = this.recording.metadata;
     const label = (stream, k) => (this.format === "quaternions" || stream ? stream + ": " : "") + (channels[k] ?? "u" + (k + 1));
-    for (const frame of frames) this.traces.add(ms, frame, label);
+    const passed = ms - this.lastFrame, since = passed < GAP_MS ? passed : 0; // what came together was sent one after the other
+    frames.forEach((frame, k) => this.traces.add(ms - since * (1 - (k + 1) / frames.length), frame, label));
+    if (Number.isFinite(passed)) this.apart = [...this.apart, passed].slice(-9);
     this.newest = frames.findLast((frame) => frame.stream === 0) ?? this.newest;
     this.lastFrame = ms;
   }
@@ -132,7 +134,8 @@ class Session {
   }
 
   silent(ms) {
-    return ms - this.lastFrame > SILENT_MS;
+    const median = this.apart.slice().sort((a, b) => a - b)[this.apart.length >> 1];
+    return ms - this.lastFrame > Math.max(SILENT_MS, 3 * median); // also of a slow board
   }
 
   /** Why there are no readings, in a sentence that stays the same while this lasts; empty if there are. */
@@ -344,6 +347,10 @@ class Board {
     if (this.session) this.draw(performance.now());
     if (this.session) this.session.ended = text;
     put(this.connecting, "Connect a board …");
+    if (this.follower?.q) {
+      put(this.mark, this.mark.textContent || "the last one");
+      this.box.classList.add("board-doubtful");
+    }
     this.say(text);
     this.autosave();
   }
@@ -424,7 +431,7 @@ class Board {
     pen.textAlign = "left";
     pen.fillText(`−${SHOWN_S} s`, left, height - 8);
     pen.lineWidth = 1.8;
-    const typical = Math.max(3, 4 * (bins[bins.length - 1][0] - bins[0][0]) / bins.length); // a longer time without is a gap
+    const typical = Math.max(GAP_MS / (1e3 * SHOWN_S / BINS), 3 * (bins[bins.length - 1][0] - bins[0][0]) / bins.length); // longer is a gap
     traces.names.forEach((_, k) => {
       pen.strokeStyle = COLOURS[k % COLOURS.length];
       pen.setLineDash(DASHES[Math.floor(k / COLOURS.length) % DASHES.length]);
