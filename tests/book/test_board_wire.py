@@ -100,7 +100,7 @@ def random_packets(rng: np.random.Generator, count: int) -> list[bytes]:
         if kind == "int16":
             values = rng.integers(-32768, 32768, n).astype(float).tolist()
         else:
-            values = np.float32(rng.normal(0, 10.0 ** rng.integers(-3, 5), n)).tolist()
+            values = rng.normal(0, 10.0 ** rng.integers(-3, 5), n).astype(np.float32).tolist()
             if rng.random() < 0.02:
                 values[0] = (math.nan, math.inf, -math.inf, 0.0, -0.0)[int(rng.integers(5))]
         event = rng.random()
