@@ -43,6 +43,7 @@ USED_BY = {
     "scorecard.js": 'class="scorecard-filter"',
     "frame_strip.js": 'class="frame-strip"',
     "live/live.css": "data-live=",
+    "board/board.css": 'class="board"',
     "page_notes.css": 'class="run-form"',
     "mystnb.": 'class="cell',
     "sphinx-design.min.css": "sd-",
@@ -51,6 +52,8 @@ USED_BY = {
 """Scripts and styles by the beginning of their names, with what a page has that needs them."""
 LIVE_FIRST = ("model", "figure")
 """What every live figure is made of, in the order in which it is loaded; its own script comes last."""
+BOARD = ("live/model", "board/wire", "board/recording", "board/robot", "board/example", "board/board")
+"""What the page of the board is made of, in the order in which it is loaded."""
 OFFLINE_SEARCH = "offline_search.js"
 SCORECARD_FILES = ("scorecard.json", "scorecard.svg")
 NOTEBOOKS = "notebooks/"
@@ -69,17 +72,19 @@ def select_files(app: Sphinx, pagename: str, templatename: str, context: dict, d
         kept = {}
         for file in context.get(kind, []):
             name = str(getattr(file, "filename", file) or "").removeprefix("_static/")
-            later = name.startswith("live/") and name not in USED_BY  # in the order of LIVE_FIRST
+            later = name.startswith(("live/", "board/")) and name not in USED_BY  # in an order of their own
             if is_used(name, page) and not later and (name != OFFLINE_SEARCH or pagename == "search"):
                 kept.setdefault((name, str(getattr(file, "attributes", {}).get("body") or "")), file)
         context[kind] = list(kept.values())
     kept = context["script_files"]
-    if 'class="shape-view"' in page:
+    board = 'class="board"' in page
+    if 'class="shape-view"' in page or board:
         kept.append(f"_static/{VIEWER}")
     if pagename == "search":
         kept.insert(0, f"_static/{INDEX}")
     live = sorted(set(LIVE.findall(page)))
     kept += [f"_static/live/{stem}.js" for stem in ((*LIVE_FIRST, *live) if live else ())]
+    kept += [f"_static/{stem}.js" for stem in (BOARD if board else ())]
 
 
 def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:

@@ -162,6 +162,14 @@ def test_lines_that_never_agree_are_counted_and_few_are_kept():
     assert "no 3 of the first lines have one form" in reader.refused
 
 
+def test_lines_before_a_header_do_not_count_as_those_behind_it():
+    """A board that was reset while the first lines waited for a third one."""
+    reader = CsvParser()
+    assert values(reader.feed(b"\n1,2\n3,4\nX,Y\n5,6\n7,8\n9,10\n")) == [(5, 6), (7, 8), (9, 10)]
+    assert reader.counters.malformed == 2
+    assert reader.refused == "'1,2': another header than the lines before"
+
+
 def test_channels_leave_other_lines_out():
     reader, frames = read("1,2", "1,2", "1,2", "1,2,3", "1,2,3", "1,2,3", channels=3)
     assert values(frames) == [(1, 2, 3)] * 3

@@ -236,7 +236,8 @@ class CsvParser(Parser):
         if counts[0] != counts[1]:
             return f"{counts[0]} numbers, not {counts[1]}"
         words = ("another separator", "other labels", "other units", "another end")
-        other = next(word for word, a, b in zip(words, line, self.layout, strict=False) if a != b)
+        pairs = zip(words, line, self.layout, strict=False)
+        other = next((word for word, a, b in pairs if a != b), "another header")
         return f"{other} than the lines before"
 
     def _drop(self, raw: bytes, why: str) -> None:
