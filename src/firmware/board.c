@@ -52,15 +52,17 @@ void board_begin(uint32_t baud)
     sei();
 }
 
+/* With interrupts on: an overflow is counted before the second look, which then differs. */
 uint32_t board_micros(void)
 {
-    const uint8_t interrupts = SREG;
-    cli();
-    const uint16_t ticks = TCNT1;
-    uint32_t us = overflows_us;
-    if ((TIFR1 & _BV(TOV1)) && ticks < 0x8000) us += 32768; /* wrapped, and not counted yet */
-    SREG = interrupts;
-    return us + (ticks >> 1);
+    uint32_t before, after = overflows_us;
+    uint16_t ticks;
+    do {
+        before = after;
+        ticks = TCNT1;
+        after = overflows_us;
+    } while (before != after);
+    return after + (ticks >> 1);
 }
 
 void board_wait_until(uint32_t time_us)
