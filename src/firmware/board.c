@@ -18,11 +18,8 @@ static struct { uint16_t resets, check; } kept __attribute__((section(".noinit")
 uint16_t board_resets;
 uint8_t board_reset_cause;
 
-static volatile uint32_t overflows_us;
 static uint8_t ring[256];
 static volatile uint8_t head, tail;
-
-ISR(TIMER1_OVF_vect) { overflows_us += 32768; }
 
 ISR(USART_UDRE_vect)
 {
@@ -42,7 +39,6 @@ void board_begin(uint32_t baud)
     TCCR1A = 0; /* the Arduino core sets it for PWM */
     TCCR1B = _BV(CS11);
     TCNT1 = 0;
-    TIMSK1 = _BV(TOIE1);
     UCSR0A = _BV(U2X0); /* first: simavr looks at it only when the rate is set */
     UBRR0 = (uint16_t)((F_CPU / 8 + baud / 2) / baud - 1);
     UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
@@ -52,17 +48,15 @@ void board_begin(uint32_t baud)
     sei();
 }
 
-/* With interrupts on: an overflow is counted before the second look, which then differs. */
+/* No interrupt, so no race with one: whoever waits asks often, and 32 ms may pass between two questions. */
 uint32_t board_micros(void)
 {
-    uint32_t before, after = overflows_us;
-    uint16_t ticks;
-    do {
-        before = after;
-        ticks = TCNT1;
-        after = overflows_us;
-    } while (before != after);
-    return after + (ticks >> 1);
+    static uint32_t us;
+    static uint16_t counted;
+    const uint16_t ticks = (uint16_t)(TCNT1 - counted) & 0xFFFE;
+    counted += ticks;
+    us += ticks >> 1;
+    return us;
 }
 
 void board_wait_until(uint32_t time_us)

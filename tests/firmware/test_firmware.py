@@ -29,7 +29,7 @@ STRICT = [
     "-Wall",
     "-Wextra",
     "-Werror",
-    "-Os",
+    "-O2",
     "-ffunction-sections",
     "-fdata-sections",
     f"-I{FIRMWARE}",
