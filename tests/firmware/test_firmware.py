@@ -312,3 +312,8 @@ def test_it_fits_the_chip_with_room_for_the_stack(built, sketch):
     text, data, bss = map(int, done.stdout.splitlines()[1].split()[:3])
     assert text + data <= 32256  # less a bootloader of 512 B
     assert data + bss <= 2048 - 512
+    rows = np.genfromtxt(
+        ROOT / "data" / "firmware.csv", delimiter=",", dtype=None, encoding="utf-8", skip_header=1
+    )
+    row = next(row for row in rows.tolist() if row[0] == sketch)
+    assert row[1:3] == pytest.approx((text + data, data + bss), rel=0.1)  # other compilers differ a little

@@ -602,7 +602,8 @@ def test_the_sketch_of_the_page_sends_frames(tmp_path):
         shutil.copy(FIRMWARE / name, tmp_path)
     source = ARDUINO + sketch[1] + "int main() { setup(); for (int i = 0; i < 3; i++) loop(); return 0; }\n"
     (tmp_path / "sketch.cpp").write_text(source, encoding="utf-8")
-    build = [compiler("c++", "g++", "clang++"), "-Wall", "-Wextra", "-Werror", "sketch.cpp", "-x", "c++", "frame_encoder.c", "-o", "sketch"]
+    sources = ["sketch.cpp", "-x", "c++", "frame_encoder.c"]
+    build = [compiler("c++", "g++", "clang++"), "-Wall", "-Wextra", "-Werror", *sources, "-o", "sketch"]
     done = subprocess.run(build, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     output = subprocess.run([str(tmp_path / "sketch")], capture_output=True, check=True).stdout
