@@ -26,7 +26,7 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help book test mutants lint check-site reproduce size train studies bench diff soak fuzz vendor env clean lock
+.PHONY: help book test mutants lint check-site reproduce size train studies bench diff soak fuzz firmware vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
@@ -43,6 +43,7 @@ help:
 	@echo 'make diff RUN=…  show a run of your own (runs/NAME-…) beside the results of the book'
 	@echo 'make soak        ten million frames through a faulty port, a hundred killed recorders, ten minutes live (half an hour)'
 	@echo 'make fuzz        a million inputs made to break the parsers (minutes)'
+	@echo 'make firmware    build the sketches for boards and run them under simavr (needs avr-gcc and simavr)'
 	@echo 'make vendor      bundle the 3-D viewer and cut the font of formulas anew (needs node and npm)'
 	@echo 'make env         set up .venv only (every target above does this by itself)'
 	@echo 'make lock        write requirements.lock anew from requirements.in'
@@ -108,6 +109,10 @@ fuzz: env
 	@$(PY) -m pip install --quiet --no-deps --require-hashes --upgrade --target .cache/fuzz -r requirements-fuzz.lock
 	PYTHONPATH=.cache/fuzz $(PY) tests/repro_live/fuzz_parsers.py -runs=1000000 -verbosity=1 -print_final_stats=1 \
 	  -artifact_prefix=.cache/fuzz-
+
+firmware: env
+	@$(PY) tests/firmware/tools.py
+	$(PY) -m pytest -q tests/firmware
 
 vendor: env
 	$(PY) book/_ext/formula_font.py .cache/font

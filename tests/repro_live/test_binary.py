@@ -21,6 +21,7 @@ from repro_live.wire.binary import KINDS, LONGEST_PACKET, RESIDUE, BinaryParser,
 from repro_live.wire.frame import Counters, Frame, Parser
 
 BOOK = Path(__file__).parents[2] / "book"
+FIRMWARE = BOOK.parent / "src" / "firmware"
 NUMBERS = st.integers(0, 2**32 - 1)
 FLOATS = st.floats(width=32, allow_nan=False)
 
@@ -531,7 +532,7 @@ def c_encoder(tmp_path_factory):
     library = tmp_path_factory.mktemp("c") / "frame_encoder.so"
     flags = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-shared", "-fPIC"]
     done = subprocess.run(
-        [compiler("cc", "gcc", "clang"), *flags, str(BOOK / "frame_encoder.c"), "-o", str(library)],
+        [compiler("cc", "gcc", "clang"), *flags, str(FIRMWARE / "frame_encoder.c"), "-o", str(library)],
         capture_output=True,
         text=True,
         check=False,
@@ -576,7 +577,7 @@ def test_the_c_encoder_refuses_what_does_not_fit(c_encoder):
 
 
 def test_the_c_encoder_has_at_most_40_lines():
-    assert len((BOOK / "frame_encoder.c").read_text(encoding="utf-8").splitlines()) <= 40
+    assert len((FIRMWARE / "frame_encoder.c").read_text(encoding="utf-8").splitlines()) <= 40
 
 
 ARDUINO = """
@@ -597,10 +598,12 @@ def test_the_sketch_of_the_page_sends_frames(tmp_path):
     page = (BOOK / "wire_formats.md").read_text(encoding="utf-8")
     sketch = re.search(r"```cpp\n(.*?)```", page, re.DOTALL)
     assert sketch
-    shutil.copy(BOOK / "frame_encoder.c", tmp_path / "frame_encoder.h")
+    for name in ("frame_encoder.c", "frame_encoder.h"):
+        shutil.copy(FIRMWARE / name, tmp_path)
     source = ARDUINO + sketch[1] + "int main() { setup(); for (int i = 0; i < 3; i++) loop(); return 0; }\n"
     (tmp_path / "sketch.cpp").write_text(source, encoding="utf-8")
-    build = [compiler("c++", "g++", "clang++"), "-Wall", "-Wextra", "-Werror", "sketch.cpp", "-o", "sketch"]
+    sources = ["sketch.cpp", "-x", "c++", "frame_encoder.c"]
+    build = [compiler("c++", "g++", "clang++"), "-Wall", "-Wextra", "-Werror", *sources, "-o", "sketch"]
     done = subprocess.run(build, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     output = subprocess.run([str(tmp_path / "sketch")], capture_output=True, check=True).stdout

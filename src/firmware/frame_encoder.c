@@ -1,9 +1,7 @@
 /* Frames of the format "frames", version 1, in the caller's memory. C99 and C++. */
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
+#include "frame_encoder.h"
 
-enum { FLOAT32 = 1, INT16 = 2, LONGEST_FRAME = 255 };
+#include <string.h>
 
 static uint8_t *put(uint8_t *to, uint32_t number, int bytes) /* lowest byte first */
 {
@@ -11,7 +9,6 @@ static uint8_t *put(uint8_t *to, uint32_t number, int bytes) /* lowest byte firs
     return to;
 }
 
-/* Write a frame of n floats or int16_t; return its length, 0 if they do not fit. */
 size_t encode_frame(uint8_t out[LONGEST_FRAME], uint8_t stream, uint8_t type,
         const void *values, uint8_t n, uint32_t sequence, uint32_t time_us)
 {
