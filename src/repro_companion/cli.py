@@ -221,6 +221,7 @@ def diff(place: Path, /) -> int:
 for command in (
     cli_live.record,
     cli_live.export,
+    cli_live.import_,
     cli_live.emulate,
     cli_robot.calibrate,
     cli_robot.live,
@@ -238,6 +239,13 @@ def main() -> int:
         return app(exit_on_error=False, print_error=False, result_action="return_value") or 0
     except (InputError, CycloptsError) as error:
         print(f"repro: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as missing:
+        package = str(missing.name).partition(".")[0]
+        if package.startswith("repro"):
+            raise
+        bring = "pip install pyarrow" if package == "pyarrow" else "pip install . without --no-deps"
+        print(f"repro: This needs {package}, which is not installed: {bring} brings it.", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

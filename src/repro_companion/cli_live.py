@@ -95,21 +95,27 @@ def export(
     /,
     *,
     output: Output = None,
+    to: str = "",
     schema: Annotated[str, Parameter(name="--as")] = "",
     robot: Path | None = None,
+    estimates: Path | None = None,
 ) -> int:
-    """Write a recording as a table: repro export RECORDING -o FILE.csv.
+    """Write a recording as a file for other programs: repro export RECORDING -o FILE.csv, .parquet or .mcap.
 
     Parameters
     ----------
     recording
         From repro record, of any number of channels.
     output
-        A new file: CSV with time_s, unix_s, stream and sequence where there are any, and a column for each value.
+        A new file: a table with time_s, unix_s, stream and sequence where there are any, and a column for each value.
+    to
+        csv, parquet or mcap (for Foxglove and PlotJuggler); by default that of the name of the file, or csv.
     schema
         The layout of a paper instead: hall, millivolts (CSV) or quaternions (a ROS 1 bag).
     robot
         The robot file that says which unit the values have; columns are named by it.
+    estimates
+        For mcap: the table that repro track, smooth or live wrote of this recording; it stands beside the readings.
     """
     from repro_live.record.export import export as export_to
     from repro_live.record.recording import read_recording
@@ -126,10 +132,48 @@ def export(
         described = load_robot(robot)
         frames_of(read, described)  # refuses recordings of another robot; the table has all frames
         unit = described.unit if described.channel and not described.imus else ""
-    for remark in (*read.remarks, *export_to(read, output, schema, unit=unit)):
+    for remark in (*read.remarks, *export_to(read, output, schema, to=to, unit=unit, estimates=estimates)):
         print(f"Note: {remark}.", file=sys.stderr)
     print(f"{shown(output)}  ({len(read.frames)} frames)")
     return 0
+
+
+def import_(
+    file: Path,
+    /,
+    *,
+    output: Output = None,
+    format: str = "",
+    rate: float | None = None,
+    unit: str = "",
+) -> int:
+    """Make a recording of a table, or of the lines that a sketch printed: repro import FILE.csv -o FILE.rec.
+
+    Parameters
+    ----------
+    file
+        A CSV with named columns, or lines such as x: 12 y: 3; with commas, semicolons, tabs or blanks, header or not.
+        A column of times is called time_s, t_ms, millis or the like.
+    output
+        The recording, a new file; its metadata are written beside it.
+    format
+        As for repro record, where a robot file says another one than csv, such as frames.
+    rate
+        Readings per second, where the file has no times.
+    unit
+        Of the values whose names say none, such as mT.
+    """
+    from repro_live.record.import_text import import_text
+
+    if output is None:
+        raise bad_input("output", "repro import", "given (-o FILE)", "none")
+    summary, notes = import_text(file, output, format=format, rate_hz=rate, unit=unit)
+    for note in notes:
+        print(f"Note: {note}.", file=sys.stderr)
+    if summary.dropped:
+        print(summary.losses(), file=sys.stderr)
+    print(f"{shown(output)}  ({summary.counters['frames']} frames)")
+    return int(summary.mostly_dropped)
 
 
 def emulate(
