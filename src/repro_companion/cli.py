@@ -48,8 +48,8 @@ def run(notebook: Path, /, *, parameters: Given = None, output: Output = None) -
         default_output,
         read_notebook,
         run_notebook,
-        stop_on_termination,
     )
+    from repro_companion.book.termination import stop_on_termination
 
     stop_on_termination()
     project = find_project()
@@ -182,7 +182,7 @@ def fetch(
     list_only
         Download nothing; print what there is, how much of it is here already, and where it comes from.
     """
-    from repro_companion.book.runner import stop_on_termination
+    from repro_companion.book.termination import stop_on_termination
     from repro_companion.recordings.download import fetch as fetch_files
     from repro_companion.recordings.download import listing
     from repro_companion.recordings.sources import data_dir, read_sources

@@ -231,13 +231,12 @@ def emulate(
     socket
         Number of a TCP port of this computer instead, 0 for a free one; the default on Windows.
     """
-    from repro_companion.book.runner import stop_on_termination
+    from repro_companion.book.termination import stop_on_termination
     from repro_companion.twins.takes import SOURCES, open_take
     from repro_live.emulate.board import BLOCK, passages
     from repro_live.emulate.emulator import Emulator
+    from repro_live.emulate.faults import Faults, faults_named
     from repro_live.emulate.links import HAS_PTY, PtyLink, SocketLink
-    from repro_live.emulate.robot_board import open_board
-    from repro_live.emulate.sensor_faults import faults_named
 
     require(fault_from >= 0, "fault_from", "repro emulate", "0 or more [s]", fault_from)
     if not source and robot is None:
@@ -245,8 +244,9 @@ def emulate(
         raise bad_input("source", "repro emulate", expected, "none")
     if socket is not None and port_file is not None:
         raise bad_input("port_file", "repro emulate", "left out with --socket", port_file)
-    (faults, sensors), block = faults_named(fault or [], of_sensors=robot is not None), BLOCK
+    block = BLOCK
     if robot is None:
+        (faults,) = faults_named(fault or [], Faults)
         options = {"tolerances": tolerances, "hold_poses": hold_poses, "hold": hold}
         for name, value in options.items():
             require(value is None, name, "repro emulate", "left out without --robot", value)
@@ -255,6 +255,10 @@ def emulate(
     else:
         for name, value in (("source", source), ("format", format), ("loop", loop)):
             require(not value, name, "repro emulate", "left out with --robot", value)
+        from repro_live.emulate.robot_board import open_board
+        from repro_live.emulate.sensor_faults import SensorFaults
+
+        faults, sensors = faults_named(fault or [], Faults, SensorFaults)
         board = open_board(
             robot,
             rate_hz=rate,
