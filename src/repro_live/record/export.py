@@ -122,7 +122,7 @@ def _write_table(recording: Recording, path: Path, unit: str, form: str) -> list
     columns |= {name: frames[channel] for name, channel in values}
     table = pd.DataFrame(columns)
     if form == "parquet":
-        from pyarrow import Table, parquet  # the extra "parquet"
+        from pyarrow import Table, parquet  # pyright: ignore[reportMissingImports]
 
         with whole_file(path) as temporary:
             parquet.write_table(Table.from_pandas(table, preserve_index=False), temporary)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +89,7 @@ def write_mcap(recording: Recording, path: Path, names: Sequence[str], estimates
 
 def _readings(recording: Recording, names: Sequence[str]) -> Iterator[Message]:
     frames, start_ns = recording.frames, recording.metadata["start_host_ns"]
-    several = frames["stream"].nunique() > 1
+    several = len(set(frames["stream"])) > 1
     numbers = [frames[name].to_numpy(float, na_value=math.nan) for name in ("sequence", "device_us")]
     heads = zip(frames["host_ns"].tolist(), frames["stream"].tolist(), frames["time_s"].tolist(), strict=True)
     rows = np.column_stack([*numbers, frames[recording.channels].to_numpy(float)]).tolist()

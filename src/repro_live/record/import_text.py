@@ -93,7 +93,7 @@ def import_text(
     if format != "csv" and names != (own := channel_names(format, width)):
         notes.append(f"{', '.join(names)} are called {', '.join(own)}, as those of {format}")
         names = own
-    time_s = np.arange(len(read.frames)) / rate_hz if rate_hz else read.time_s
+    time_s = np.arange(len(read.frames)) / (rate_hz or 1.0) if read.time_s is None else read.time_s
     first_s = float(time_s[0]) if abs(time_s[0]) >= _ABSOLUTE_S else 0.0
     if first_s:
         notes.append(f"times are counted from the first one, {first_s:.6f} s")
