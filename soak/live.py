@@ -21,7 +21,7 @@ import torch
 
 from repro.robot_file.load import load_robot
 from repro_companion.book.project import find_project
-from repro_companion.twins.takes import PERIOD_S, played
+from repro_companion.twins.played import PERIOD_S, played
 from repro_live.emulate.board import passages
 from repro_live.emulate.emulator import Emulator
 from repro_live.emulate.links import open_link
@@ -81,7 +81,7 @@ def live_soak(
     rate_hz
         Readings per second.
     robot
-        A robot file as for `repro_companion.twins.takes.played`; one segment by default.
+        A robot file as for `repro_companion.twins.played.played`; one segment by default.
     estimator
         One of :data:`repro_live.follow.robot_estimator.ESTIMATORS`.
     """

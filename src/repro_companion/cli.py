@@ -48,8 +48,8 @@ def run(notebook: Path, /, *, parameters: Given = None, output: Output = None) -
         default_output,
         read_notebook,
         run_notebook,
-        stop_on_termination,
     )
+    from repro_companion.book.termination import stop_on_termination
 
     stop_on_termination()
     project = find_project()
@@ -182,7 +182,7 @@ def fetch(
     list_only
         Download nothing; print what there is, how much of it is here already, and where it comes from.
     """
-    from repro_companion.book.runner import stop_on_termination
+    from repro_companion.book.termination import stop_on_termination
     from repro_companion.recordings.download import fetch as fetch_files
     from repro_companion.recordings.download import listing
     from repro_companion.recordings.sources import data_dir, read_sources
@@ -221,6 +221,7 @@ def diff(place: Path, /) -> int:
 for command in (
     cli_live.record,
     cli_live.export,
+    cli_live.import_,
     cli_live.emulate,
     cli_robot.calibrate,
     cli_robot.live,
@@ -238,6 +239,13 @@ def main() -> int:
         return app(exit_on_error=False, print_error=False, result_action="return_value") or 0
     except (InputError, CycloptsError) as error:
         print(f"repro: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as missing:
+        package = str(missing.name).partition(".")[0]
+        if package.startswith("repro"):
+            raise
+        bring = "pip install pyarrow" if package == "pyarrow" else "pip install . without --no-deps"
+        print(f"repro: This needs {package}, which is not installed: {bring} brings it.", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -95,21 +95,27 @@ def export(
     /,
     *,
     output: Output = None,
+    to: str = "",
     schema: Annotated[str, Parameter(name="--as")] = "",
     robot: Path | None = None,
+    estimates: Path | None = None,
 ) -> int:
-    """Write a recording as a table: repro export RECORDING -o FILE.csv.
+    """Write a recording as a file for other programs: repro export RECORDING -o FILE.csv, .parquet or .mcap.
 
     Parameters
     ----------
     recording
         From repro record, of any number of channels.
     output
-        A new file: CSV with time_s, unix_s, stream and sequence where there are any, and a column for each value.
+        A new file: a table with time_s, unix_s, stream and sequence where there are any, and a column for each value.
+    to
+        csv, parquet or mcap (for Foxglove and PlotJuggler); by default that of the name of the file, or csv.
     schema
         The layout of a paper instead: hall, millivolts (CSV) or quaternions (a ROS 1 bag).
     robot
         The robot file that says which unit the values have; columns are named by it.
+    estimates
+        For mcap: the table that repro track, smooth or live wrote of this recording; it stands beside the readings.
     """
     from repro_live.record.export import export as export_to
     from repro_live.record.recording import read_recording
@@ -126,10 +132,48 @@ def export(
         described = load_robot(robot)
         frames_of(read, described)  # refuses recordings of another robot; the table has all frames
         unit = described.unit if described.channel and not described.imus else ""
-    for remark in (*read.remarks, *export_to(read, output, schema, unit=unit)):
+    for remark in (*read.remarks, *export_to(read, output, schema, to=to, unit=unit, estimates=estimates)):
         print(f"Note: {remark}.", file=sys.stderr)
     print(f"{shown(output)}  ({len(read.frames)} frames)")
     return 0
+
+
+def import_(
+    file: Path,
+    /,
+    *,
+    output: Output = None,
+    format: str = "",
+    rate: float | None = None,
+    unit: str = "",
+) -> int:
+    """Make a recording of a table, or of the lines that a sketch printed: repro import FILE.csv -o FILE.rec.
+
+    Parameters
+    ----------
+    file
+        A CSV with named columns, or lines such as x: 12 y: 3; with commas, semicolons, tabs or blanks, header or not.
+        A column of times is called time_s, t_ms, millis or the like.
+    output
+        The recording, a new file; its metadata are written beside it.
+    format
+        As for repro record, where a robot file says another one than csv, such as frames.
+    rate
+        Readings per second, where the file has no times.
+    unit
+        Of the values whose names say none, such as mT.
+    """
+    from repro_live.record.import_text import import_text
+
+    if output is None:
+        raise bad_input("output", "repro import", "given (-o FILE)", "none")
+    summary, notes = import_text(file, output, format=format, rate_hz=rate, unit=unit)
+    for note in notes:
+        print(f"Note: {note}.", file=sys.stderr)
+    if summary.dropped:
+        print(summary.losses(), file=sys.stderr)
+    print(f"{shown(output)}  ({summary.counters['frames']} frames)")
+    return int(summary.mostly_dropped)
 
 
 def emulate(
@@ -187,13 +231,12 @@ def emulate(
     socket
         Number of a TCP port of this computer instead, 0 for a free one; the default on Windows.
     """
-    from repro_companion.book.runner import stop_on_termination
+    from repro_companion.book.termination import stop_on_termination
     from repro_companion.twins.takes import SOURCES, open_take
     from repro_live.emulate.board import BLOCK, passages
     from repro_live.emulate.emulator import Emulator
+    from repro_live.emulate.faults import Faults, faults_named
     from repro_live.emulate.links import HAS_PTY, PtyLink, SocketLink
-    from repro_live.emulate.robot_board import open_board
-    from repro_live.emulate.sensor_faults import faults_named
 
     require(fault_from >= 0, "fault_from", "repro emulate", "0 or more [s]", fault_from)
     if not source and robot is None:
@@ -201,8 +244,9 @@ def emulate(
         raise bad_input("source", "repro emulate", expected, "none")
     if socket is not None and port_file is not None:
         raise bad_input("port_file", "repro emulate", "left out with --socket", port_file)
-    (faults, sensors), block = faults_named(fault or [], of_sensors=robot is not None), BLOCK
+    block = BLOCK
     if robot is None:
+        (faults,) = faults_named(fault or [], Faults)
         options = {"tolerances": tolerances, "hold_poses": hold_poses, "hold": hold}
         for name, value in options.items():
             require(value is None, name, "repro emulate", "left out without --robot", value)
@@ -211,6 +255,10 @@ def emulate(
     else:
         for name, value in (("source", source), ("format", format), ("loop", loop)):
             require(not value, name, "repro emulate", "left out with --robot", value)
+        from repro_live.emulate.robot_board import open_board
+        from repro_live.emulate.sensor_faults import SensorFaults
+
+        faults, sensors = faults_named(fault or [], Faults, SensorFaults)
         board = open_board(
             robot,
             rate_hz=rate,

@@ -57,9 +57,10 @@ def sweep(
     """
     from repro_companion.book.parameters import declared_parameters
     from repro_companion.book.points import Stopped, finished, local_runner, run_points
-    from repro_companion.book.runner import read_notebook, stop_on_termination
+    from repro_companion.book.runner import read_notebook
     from repro_companion.book.sweep import check_folder, plan, write_sweep
     from repro_companion.book.sweep_grid import grid_points, read_grid, read_part
+    from repro_companion.book.termination import stop_on_termination
 
     stop_on_termination()
     project = find_project()

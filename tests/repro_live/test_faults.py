@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from repro.errors import InputError
-from repro_live.emulate.faults import Faults, damage
-from repro_live.emulate.sensor_faults import SensorFaults, faults_named
+from repro_live.emulate.faults import Faults, damage, faults_named
+from repro_live.emulate.sensor_faults import SensorFaults
 
 PACKETS = [bytes([0, *range(1, 20), 0])] * 50_000
 BYTES = sum(map(len, PACKETS))
@@ -90,9 +90,9 @@ def test_a_burst_replaces_a_run():
 
 
 def test_names_and_values_as_typed():
-    assert faults_named([]) == (Faults(), SensorFaults())
+    assert faults_named([], Faults, SensorFaults) == (Faults(), SensorFaults())
     given = [("drift_ppm", "-50"), ("reboots", "0.01")]
-    assert faults_named(given) == (Faults(drift_ppm=-50.0, reboots=0.01), SensorFaults())
+    assert faults_named(given, Faults) == (Faults(drift_ppm=-50.0, reboots=0.01),)
 
 
 @pytest.mark.parametrize(
@@ -127,4 +127,4 @@ def test_names_and_values_as_typed():
 )
 def test_bad_faults_are_refused(given_faults, message):
     with pytest.raises(InputError, match=f"^{message}$"):
-        faults_named(given_faults)
+        faults_named(given_faults, Faults)

@@ -11,7 +11,7 @@ from repro.errors import InputError
 from repro.robot_file.load import load_robot
 from repro_companion.pages.live import figures
 from repro_companion.pages.live.study import failure_summary, failures, live_run
-from repro_companion.twins.takes import played, with_sensors
+from repro_companion.twins.played import played, with_sensors
 from repro_live.follow import session
 
 ROBOTS = Path(__file__).parents[2] / "data" / "robots"

@@ -14,7 +14,8 @@ import pytest
 from test_recorder import COMMANDS, Recorder, coded, frames, recorded
 
 from repro.errors import InputError
-from repro_companion.twins.takes import open_take, played
+from repro_companion.twins.played import played
+from repro_companion.twins.takes import open_take
 from repro_live.emulate.board import passages
 from repro_live.follow.robot_estimator import robot_estimator
 from repro_live.follow.session import follow

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from repro.errors import InputError
 from repro_live.record.export import export
-from repro_live.record.recording import channel_names, read_recording
+from repro_live.record.recording import read_recording
 from repro_live.record.recording_file import (
     MOST_FRAMES,
     RecordingFile,
@@ -26,6 +26,7 @@ from repro_live.record.recording_file import (
     sidecar_path,
     write_sidecar,
 )
+from repro_live.wire.formats import channel_names
 from repro_live.wire.frame import Frame
 from soak.kills import kill_soak
 

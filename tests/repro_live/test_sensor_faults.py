@@ -10,11 +10,10 @@ from moving_robot import robot_readings
 from repro.errors import InputError
 from repro.robot_file._tables import IMU_NOISE_RAD
 from repro.robot_file.load import load_robot
-from repro_live.emulate.faults import Faults
+from repro_live.emulate.faults import Faults, faults_named
 from repro_live.emulate.robot_readings import readings_along
 from repro_live.emulate.sensor_faults import (
     SensorFaults,
-    faults_named,
     saturation_level,
     with_sensor_faults,
 )
@@ -119,7 +118,7 @@ def test_imus():
 
 def test_names_and_values():
     given = [("unplug", "3"), ("magnet", "80"), ("stalls", "0.1"), ("noise", "5")]
-    found = faults_named(given, of_sensors=True)
+    found = faults_named(given, Faults, SensorFaults)
     assert found == (Faults(stalls=0.1), SensorFaults(unplug=3, magnet=80.0, noise=5.0))
 
 
@@ -150,7 +149,7 @@ def test_names_and_values():
 )
 def test_messages(given, message):
     with pytest.raises(InputError) as raised:
-        faults_named(given, of_sensors=True)
+        faults_named(given, Faults, SensorFaults)
     assert str(raised.value) == message
 
 

@@ -13,7 +13,8 @@ from repro.errors import InputError
 from repro.estimation.imu_models import exact_arcs
 from repro.robot_file.load import load_robot
 from repro_companion.recordings.martin2022_models import selection
-from repro_companion.twins.takes import open_take, played
+from repro_companion.twins.played import played
+from repro_companion.twins.takes import open_take
 from repro_live.emulate.board import Reading, passages
 from repro_live.emulate.emulator import Emulator
 from repro_live.emulate.links import SocketLink

@@ -14,7 +14,7 @@ import torch
 
 from repro.errors import InputError
 from repro.robot_file.load import load_robot
-from repro_companion.twins.takes import played
+from repro_companion.twins.played import played
 from repro_live.follow.estimate_table import EstimateRows
 from repro_live.follow.follower import track_readings
 from repro_live.follow.robot_estimator import robot_estimator

@@ -9,7 +9,11 @@ from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.magnetic import readings
 from repro.sensing.magnets import ring
 from repro_companion.recordings.mitchell2021_conventions import model_axes
+from repro_companion.recordings.rig_robot import RIG_RATE_HZ
+from repro_companion.twins import bend_curves, takes, trajectories
 from repro_companion.twins.bend_curves import bend_curve, bend_readings
+from repro_companion.twins.courses import all_courses
+from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
 from repro_companion.twins.pneumatic_rig import record_rig
 from repro_companion.twins.rig_twins import nominal_twin
 from repro_companion.twins.takes import SOURCES, open_take
@@ -19,6 +23,24 @@ from repro_live.wire.formats import encode
 from repro_live.wire.frame import Frame
 
 QUICK = [source for source in SOURCES if not source.startswith("twin")] + ["twin:T2"]
+
+
+def test_the_courses_that_are_kept_are_those_computed():
+    """In the file that emulators play without torch; steps of a converter may fall the other way elsewhere."""
+    assert (takes.CURVES, takes.TRAJECTORIES) == (bend_curves.CURVES, TRAJECTORIES)
+    assert (takes.STEPS, takes.RATE_HZ) == (trajectories.STEPS, trajectories.RATE_HZ)
+    assert (takes.RIG_RATE_HZ, takes.TIME_STEP) == (RIG_RATE_HZ, bend_curves.TIME_STEP)
+    computed = all_courses()
+    with np.load(takes.KEPT) as kept:
+        assert set(kept) == set(computed)
+        for name, values in computed.items():
+            assert (kept[name].dtype, kept[name].shape) == (values.dtype, values.shape)
+            if name.startswith("twin"):
+                apart = np.abs(kept[name].astype(int) - values)
+                assert apart.max() <= 1
+                assert apart.mean() < 1e-3
+            else:
+                np.testing.assert_allclose(kept[name], values, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("source", QUICK)

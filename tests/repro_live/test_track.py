@@ -20,7 +20,8 @@ from repro.errors import InputError
 from repro.estimation.base import Estimate
 from repro.estimation.consistency import Status
 from repro.robot_file.load import load_robot
-from repro_companion.twins.takes import open_take, played
+from repro_companion.twins.played import played
+from repro_companion.twins.takes import open_take
 from repro_live.emulate.board import passages
 from repro_live.emulate.emulator import Emulator
 from repro_live.emulate.links import SocketLink

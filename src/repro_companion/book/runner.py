@@ -31,6 +31,7 @@ from repro_companion.book.provenance import (
     record_path,
     write_record,
 )
+from repro_companion.book.termination import stop_on_termination
 from repro_companion.book.values import fill
 from repro_companion.recordings.sources import data_dir
 
@@ -266,17 +267,6 @@ def _publish(record: Record, tables: Path, results: Path, partial: Path, output:
     output.parent.mkdir(parents=True, exist_ok=True)
     shutil.move(partial, output)
     write_record(record, place)
-
-
-def stop_on_termination() -> None:
-    """Let a request to terminate run the clean-up that an interruption from the keyboard runs."""
-
-    def stop(*_: object) -> None:
-        # `timeout` sends it twice: the second must not cut the clean-up short
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        sys.exit(128 + signal.SIGTERM)
-
-    signal.signal(signal.SIGTERM, stop)
 
 
 def main(arguments: list[str]) -> int:

@@ -4,34 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-from torch import Tensor
 
 from repro.errors import bad_input, require
-from repro.kinematics.paper_robots import pcc_robot
 from repro.robot_file.columns import FORMATS
-from repro.robot_file.robot_file import RobotFile
-from repro.sensing.magnetic import readings as field_readings
-from repro.sensing.magnets import ring
-from repro_companion.recordings.mitchell2021_conventions import file_axes
-from repro_companion.recordings.rig_robot import RIG_RATE_HZ
-from repro_companion.twins.bend_curves import CURVES, TIME_STEP, bend_curve, bend_readings
-from repro_companion.twins.imu_stream import synthetic_stream
-from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
-from repro_companion.twins.pneumatic_rig import record_rig
-from repro_companion.twins.rig_twins import nominal_twin
-from repro_companion.twins.trajectories import RATE_HZ, STEPS, lemniscate
 from repro_live.emulate.board import Reading
-from repro_live.record.recording import read_recording
 
+CURVES = ("spiral", "flower", "seagull")
+TRAJECTORIES = ("T0", "T1", "T2", "T3", "T4", "T5")
 SOURCES = ("lemniscate", *CURVES, *(f"twin:{name}" for name in TRAJECTORIES), "arm")
 """Synthetic takes: T3 of Baaij et al. [mT]; the curves of Mitchell et al. [mT]; the twin of the rig [mV]; the IMUs of
 Martin et al."""
+# Names and rates stand here too, since this module needs no torch; a test holds them to the others.
+STEPS, RATE_HZ, RIG_RATE_HZ, TIME_STEP = 400, 40.0, 40.0, 0.01
+KEPT = Path(__file__).with_name("courses.npz")
+"""The takes at their own rates, of seed 0."""
+ADC_STEPS = 16
+"""Steps of the converter of the rig in 1 mV."""
 COUNT_MT = 0.01
 """One count of the Hall sensor of Mitchell et al. [mT]."""
 ARM_S, ARM_HZ = 20.0, 35.0
@@ -117,11 +111,11 @@ def open_take(source: str, format: str = "", *, rate_hz: float | None = None, se
     if chosen not in fitting:
         fitting = " or ".join(fitting)
         raise bad_input("format", f"the take {source}", fitting, chosen)
-    values = _carried(chosen, take.values)
+    values = carried(chosen, take.values)
     return Take(take.label, chosen, take.time_s, take.stream, values, take.period_s)
 
 
-def _carried(format: str, values: np.ndarray) -> np.ndarray:
+def carried(format: str, values: np.ndarray) -> np.ndarray:
     """Round to what the format carries, so that what is sent can be compared with what arrives."""
     if format == "frames":
         return values.astype(np.float32).astype(float)
@@ -130,7 +124,8 @@ def _carried(format: str, values: np.ndarray) -> np.ndarray:
     return np.round(values, {"hall": 0, "millivolts": 4, "quaternions": 6}[format]) + 0.0
 
 
-def _even(label: str, format: str, values: np.ndarray, rate_hz: float) -> Take:
+def even(label: str, format: str, values: np.ndarray, rate_hz: float) -> Take:
+    """Readings of one stream at equal steps of time."""
     n = len(values)
     return Take(label, format, np.arange(n) / rate_hz, np.zeros(n, np.int64), values, n / rate_hz)
 
@@ -143,40 +138,56 @@ def _resampled(values: np.ndarray, rate_hz: float, wanted_hz: float) -> np.ndarr
 
 
 def _lemniscate(rate_hz: float) -> Take:
-    q = lemniscate(1, steps=max(2, round(STEPS * rate_hz / RATE_HZ)))
-    u = field_readings(pcc_robot(), q, ring("released")).numpy()
-    return _even("lemniscate T3 of one segment [mT], SYNTHETIC", "frames", u, rate_hz)
+    label = "lemniscate T3 of one segment [mT], SYNTHETIC"
+    if rate_hz == RATE_HZ:
+        return even(label, "frames", _kept("lemniscate"), rate_hz)
+    from repro_companion.twins.courses import lemniscate_mt
+
+    return even(label, "frames", lemniscate_mt(max(2, round(STEPS * rate_hz / RATE_HZ))), rate_hz)
 
 
 def _curve(name: str, rate_hz: float, format: str) -> Take:
     """Field of the cube; counts in the order of the board for its lines, else mT in the axes of the model."""
-    u = bend_readings(bend_curve(name))
+    u = _kept(name)
     if format == "frames":
-        return _even(
-            f"{name} [mT], SYNTHETIC", "frames", _resampled(u.numpy(), 1 / TIME_STEP, rate_hz), rate_hz
-        )
-    counts = file_axes(u).numpy()[:, ::-1] / COUNT_MT  # the board sends the component along the body last
-    return _even(
-        f"{name} [counts], SYNTHETIC", "hall", _resampled(counts, 1 / TIME_STEP, rate_hz).round(), rate_hz
-    )
+        return even(f"{name} [mT], SYNTHETIC", "frames", _resampled(u, 1 / TIME_STEP, rate_hz), rate_hz)
+    # Axes of the files, as `file_axes` has them; the board sends the component along the body last.
+    counts = np.column_stack([-u[:, 1], u[:, 0], -u[:, 2]]) / COUNT_MT
+    label = f"{name} [counts], SYNTHETIC"
+    return even(label, "hall", _resampled(counts, 1 / TIME_STEP, rate_hz).round(), rate_hz)
 
 
 def _twin(name: str, rate_hz: float, seed: int) -> Take:
-    u = record_rig(nominal_twin(), name, seed=seed).readings_mv
+    if seed:
+        from repro_companion.twins.courses import rig_mv
+
+        u = rig_mv(name, seed)
+    else:
+        u = _kept(f"twin:{name}") / ADC_STEPS
     label = f"{name} of the digital twin [mV], SYNTHETIC"
-    return _even(label, "millivolts", _resampled(u, RIG_RATE_HZ, rate_hz), rate_hz)
+    return even(label, "millivolts", _resampled(u, RIG_RATE_HZ, rate_hz), rate_hz)
 
 
 def _arm(rate_hz: float, seed: int) -> Take:
-    table = synthetic_stream(seed=seed, duration_s=max(ARM_S, 2 / rate_hz), rate_hz=rate_hz)
-    time_s = table["time_s"].to_numpy()
-    values, stream = table[["x", "y", "z", "w"]].to_numpy(), table["imu"].to_numpy(np.int64)
-    return Take(
-        "eight IMUs on an arm, SYNTHETIC", "quaternions", time_s, stream, values, time_s[-1] + time_s[1]
-    )
+    if rate_hz == ARM_HZ and not seed:
+        table = _kept("arm")
+    else:
+        from repro_companion.twins.courses import arm_table
+
+        table = arm_table(seed, duration_s=max(ARM_S, 2 / rate_hz), rate_hz=rate_hz)
+    time_s, stream = table[:, 0], table[:, 1].astype(np.int64)
+    label = "eight IMUs on an arm, SYNTHETIC"
+    return Take(label, "quaternions", time_s, stream, table[:, 2:], float(time_s[-1] + time_s[1]))
+
+
+def _kept(name: str) -> np.ndarray:
+    with np.load(KEPT) as courses:
+        return courses[name]
 
 
 def _recorded(path: Path, rate_hz: float | None) -> Take:
+    from repro_live.record.recording import read_recording  # brings pandas
+
     recording = read_recording(path)
     table = recording.frames
     require(len(table) >= 2, "source", "open_take", "a recording of at least two frames", len(table))
@@ -190,74 +201,3 @@ def _recorded(path: Path, rate_hz: float | None) -> Take:
     period_s = time_s[-1] * len(table) / (len(table) - 1)
     label = "; ".join([path.name, *recording.remarks])
     return Take(label, recording.format, time_s, stream, values, period_s)
-
-
-PERIOD_S = 10.0
-"""Duration of the lemniscate T3 [s]."""
-
-
-@dataclass(frozen=True)
-class Played:
-    """What a board sends, and the truth.
-
-    Attributes
-    ----------
-    robot
-        Whose readings.
-    take
-        What is sent; its sequence numbers count the rows.
-    q
-        Configurations, one for each row.
-    """
-
-    robot: RobotFile
-    take: Take
-    q: Float[Tensor, "readings n_q"]
-
-
-def played(robot: RobotFile, *, rate_hz: float, seconds: float, seed: int) -> Played:
-    """Return noisy readings on the lemniscate T3 of a robot of Baaij et al., as its board sends them.
-
-    Parameters
-    ----------
-    robot
-        Segments of constant curvature with ring magnets.
-    rate_hz
-        Readings per second.
-    seconds
-        How long, at most 10 s.
-    seed
-        Of the noise.
-
-    Raises
-    ------
-    InputError
-        If the robot is another one, or there is less than one reading.
-    """
-    n = len(robot.robot.segments)
-    if robot.magnet is None or robot.robot.n_q != 3 * n or robot.format != "frames":
-        raise bad_input("robot", "played", "one of Baaij et al. that sends frames", robot.name)
-    count = round(rate_hz * seconds)
-    if not 1 <= count <= rate_hz * PERIOD_S:
-        raise bad_input("seconds", "played", f"of one reading at least, {PERIOD_S:g} at most", seconds)
-    q = lemniscate(n, steps=round(rate_hz * PERIOD_S))[:count]
-    u = field_readings(robot.robot, q, robot.magnet, earth_mt=robot.earth_mt).numpy() * robot.gain.numpy()
-    u += robot.offset.numpy() + robot.noise * np.random.default_rng(seed).standard_normal(u.shape)
-    values = np.zeros((count, robot.channels))
-    values[:, list(robot.channel)] = u
-    label = f"lemniscate T3 of {robot.name} [{robot.unit}], SYNTHETIC"
-    take = _even(label, "frames", _carried("frames", values), rate_hz)
-    return Played(replace(robot, rate_hz=rate_hz), take, q)
-
-
-def with_sensors(robot: RobotFile, sensors: int) -> RobotFile:
-    """Return a robot with another number of sensors in the tip plane of its only segment."""
-    require(len(robot.robot.segments) == 1, "robot", "with_sensors", "one of one segment", robot.name)
-    return replace(
-        robot,
-        robot=replace(robot.robot, sensors=pcc_robot(1, sensors).sensors),
-        channels=sensors,
-        channel=tuple(range(sensors)),
-        gain=robot.gain[:1].expand(sensors).clone(),
-        offset=robot.offset[:1].expand(sensors).clone(),
-    )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -14,6 +14,8 @@ from repro.errors import bad_input, require
 
 _CHANCES = ("flips", "drops", "duplicates", "bursts", "stalls", "disconnects", "reboots")
 """Those of :class:`Faults` that are chances."""
+NUMBERED = ("unplug", "stick", "saturate", "gain", "nan")
+"""Faults of a sensor, whose value is its number."""
 
 
 @dataclass(frozen=True)
@@ -143,3 +145,40 @@ def damage(packets: Sequence[bytes], faults: Faults, rng: np.random.Generator) -
     whole[np.searchsorted(ends, touched, side="right")] = False
     closed[:] = (data[last] == sent[last]) & (copies[last] > 0)
     return Damaged(np.repeat(data, copies).tobytes(), np.cumsum(copies)[last], whole, closed)
+
+
+def faults_named(given: Iterable[tuple[str, str]], *kinds: type) -> tuple[Any, ...]:
+    """Return faults of each kind, from names and values as typed.
+
+    Parameters
+    ----------
+    given
+        Names of :class:`Faults` or :class:`~repro_live.emulate.sensor_faults.SensorFaults`, and their values.
+    kinds
+        Which of the two there may be.
+
+    Raises
+    ------
+    InputError
+        If there is no such fault, it occurs twice, or its value is not a number that it can have.
+
+    Examples
+    --------
+    >>> faults_named([("flips", "1e-4")], Faults)  # doctest: +ELLIPSIS
+    (Faults(flips=0.0001, drops=0.0, ...),)
+    """
+    known = {field.name: (kind, type(field.default)) for kind in kinds for field in fields(kind)}
+    values: dict[type, dict[str, float]] = {kind: {} for kind in kinds}
+    for name, text in given:
+        require(name in known, "fault", "repro emulate", f"one of {', '.join(known)}", name)
+        kind, number = known[name]
+        require(name not in values[kind], "fault", "repro emulate", "given once", f"{name} twice")
+        must_be = "a whole number" if number is int else "a number"
+        if name in NUMBERED:
+            must_be = "the number of a sensor, from 1"
+        try:
+            values[kind][name] = number(text)
+        except ValueError as error:
+            raise bad_input(name, "repro emulate", must_be, repr(text)) from error
+        require(name not in NUMBERED or values[kind][name] >= 1, name, "repro emulate", must_be, repr(text))
+    return tuple(kind(**values[kind]) for kind in kinds)

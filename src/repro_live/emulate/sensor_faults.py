@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -13,14 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from repro.errors import bad_input, require
 from repro.robot_file.robot_file import RobotFile
-from repro_live.emulate.faults import Faults
+from repro_live.emulate.faults import NUMBERED
 from repro_live.emulate.robot_readings import RobotReadings, course, readings_along
 
 _GAIN_CHANGE = 0.05
 """By how much a gain is off, relative."""
 _MOMENT_AM2 = 1.0
 """Moment of a foreign magnet [A m^2]: a neodymium cube of 1 cm."""
-_NUMBERED = ("unplug", "stick", "saturate", "gain", "nan")
 _SURVEY_S = np.linspace(0.0, 60.0, 257)
 
 
@@ -63,7 +61,7 @@ class SensorFaults:
     noise: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in _NUMBERED:
+        for name in NUMBERED:
             if getattr(self, name) < 0:
                 raise bad_input(name, "SensorFaults", "the number of a sensor, from 1", getattr(self, name))
         if not 0 <= self.magnet < math.inf:
@@ -81,7 +79,7 @@ class SensorFaults:
         """
         magnetic = bool(robot.channel)
         n = len(robot.channel) if magnetic else len(robot.imus)
-        for name in _NUMBERED:
+        for name in NUMBERED:
             number = getattr(self, name)
             require(number <= n, name, robot.name, f"the number of a sensor, 1 to {n}", number)
             if number and not magnetic and name not in ("unplug", "stick"):
@@ -89,46 +87,6 @@ class SensorFaults:
         if self.magnet and (not magnetic or robot.networks):
             kind = "networks, which know no field" if robot.networks else "IMUs"
             raise bad_input("fault", robot.name, f"another one for a robot with {kind}", "magnet")
-
-
-def faults_named(
-    given: Iterable[tuple[str, str]], *, of_sensors: bool = False
-) -> tuple[Faults, SensorFaults]:
-    """Return faults of line and board, and of sensors, from names and values as typed.
-
-    Parameters
-    ----------
-    given
-        Names of :class:`~repro_live.emulate.faults.Faults` or :class:`SensorFaults`, and their values.
-    of_sensors
-        Whether there may be faults of sensors.
-
-    Raises
-    ------
-    InputError
-        If there is no such fault, it occurs twice, or its value is not a number that it can have.
-
-    Examples
-    --------
-    >>> faults_named([("unplug", "3"), ("flips", "1e-4")], of_sensors=True)  # doctest: +ELLIPSIS
-    (Faults(flips=0.0001, drops=0.0, ...), SensorFaults(unplug=3, stick=0, ...))
-    """
-    kinds = (Faults, SensorFaults) if of_sensors else (Faults,)
-    known = {field.name: (kind, type(field.default)) for kind in kinds for field in fields(kind)}
-    values: dict[type, dict[str, float]] = {Faults: {}, SensorFaults: {}}
-    for name, text in given:
-        require(name in known, "fault", "repro emulate", f"one of {', '.join(known)}", name)
-        kind, number = known[name]
-        require(name not in values[kind], "fault", "repro emulate", "given once", f"{name} twice")
-        must_be = "a whole number" if number is int else "a number"
-        if name in _NUMBERED:
-            must_be = "the number of a sensor, from 1"
-        try:
-            values[kind][name] = number(text)
-        except ValueError as error:
-            raise bad_input(name, "repro emulate", must_be, repr(text)) from error
-        require(name not in _NUMBERED or values[kind][name] >= 1, name, "repro emulate", must_be, repr(text))
-    return Faults(**values[Faults]), SensorFaults(**values[SensorFaults])  # pyright: ignore[reportArgumentType]
 
 
 def with_sensor_faults(

@@ -1,21 +1,20 @@
-"""A recording as a table, or as a file that the loaders of `repro.recordings` read."""
+"""A recording as a table, for other programs, or as a file that the loaders of the papers' files read."""
 
 from __future__ import annotations
 
-import os
-import uuid
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Int
-from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from repro.errors import bad_input, require
-from repro.files import write_whole
+from repro.files import whole_file, write_whole
+from repro_live.record.export_mcap import write_mcap
 from repro_live.record.recording import Recording
 
+FORMS = ("csv", "parquet", "mcap")
+"""Files that other programs open."""
 SCHEMAS = {"hall": 3, "millivolts": 3, "quaternions": 4}
 """Layouts of the files of the three papers, and the number of values of a frame."""
 _TIE_NS = 1000
@@ -28,7 +27,15 @@ _TYPE = "estimator/msg/quat"
 _MESSAGE = "std_msgs/Header header\nuint8 ID\nfloat32 w\nfloat32 x\nfloat32 y\nfloat32 z\n"
 
 
-def export(recording: Recording, path: Path, schema: str = "", *, unit: str = "") -> list[str]:
+def export(
+    recording: Recording,
+    path: Path,
+    schema: str = "",
+    *,
+    to: str = "",
+    unit: str = "",
+    estimates: Path | None = None,
+) -> list[str]:
     """Write the readings of a recording as a table, or in the schema of a loader.
 
     Parameters
@@ -44,8 +51,13 @@ def export(recording: Recording, path: Path, schema: str = "", *, unit: str = ""
         One of :data:`SCHEMAS` for another layout: rows ``[x y z],unix_time`` in thousands of counts for ``hall``;
         columns u1, u2, u3 [mV] and time_s for ``millivolts``; for ``quaternions`` a ROS 1 bag, whose components are
         float32. The recording must have that format, or ``frames``, which do not know the unit of their values.
+    to
+        One of :data:`FORMS`; by default that of the name of the file, or ``csv``. Parquet holds the columns of the
+        table, and `repro_live.record.export_mcap` says what mcap holds.
     unit
         Unit of the values of a table, where their names do not say it.
+    estimates
+        For mcap: a table of estimates made from this recording.
 
     Returns
     -------
@@ -65,17 +77,23 @@ def export(recording: Recording, path: Path, schema: str = "", *, unit: str = ""
         )
     if path.exists():
         raise bad_input("output", "export", "a new file (give another name, or move the old one)", path)
+    named = path.suffix.removeprefix(".")
+    form = to or (named if named in FORMS and not schema else "csv")
+    require(form in FORMS, "to", "export", f"one of {', '.join(FORMS)}", form)
+    require(not (schema and to), "to", "export", f"left out with --as {schema}", to)
+    require(estimates is None or form == "mcap", "estimates", "export", "left out, but for mcap", form)
     if not schema:
         require(path.suffix != ".bag", "output", "export", "a CSV (--as quaternions writes a bag)", path)
         require(len(recording.frames), "recording", "export", "one with frames", "no frame")
-        return _write_table(recording, path, unit)
+        if form == "mcap":
+            return write_mcap(recording, path, _named_with_unit(recording, unit), estimates)
+        return _write_table(recording, path, unit, form)
     if not len(recording.frames) or (recording.widths != SCHEMAS[schema]).any():
         must = f"frames of {SCHEMAS[schema]} values each"
         found = sorted(set(recording.widths.tolist())) or "no frame"
         raise bad_input("recording", f"export as {schema}", must, found)
     if schema != "quaternions" and (streams := recording.frames["stream"].unique()).size > 1:
         raise bad_input("recording", f"export as {schema}", "of one stream", sorted(streams.tolist()))
-    path.parent.mkdir(parents=True, exist_ok=True)
     write = {"hall": _write_hall, "millivolts": _write_millivolts, "quaternions": _write_bag}[schema]
     return write(recording, path)
 
@@ -91,18 +109,25 @@ def _named_with_unit(recording: Recording, unit: str) -> list[str]:
     ]
 
 
-def _write_table(recording: Recording, path: Path, unit: str) -> list[str]:
+def _write_table(recording: Recording, path: Path, unit: str, form: str) -> list[str]:
     frames = recording.frames
     columns = {"time_s": frames["time_s"]}
     if "start_unix_s" in recording.metadata:
         start_ns = round(1e9 * recording.metadata["start_unix_s"]) - recording.metadata["start_host_ns"]
-        columns["unix_s"] = 1e-9 * (frames["host_ns"] + start_ns)
+        columns["unix_s"] = (frames["host_ns"] + start_ns) / 1e9
     if recording.format in ("frames", "quaternions"):
         columns["stream"] = frames["stream"]
     columns |= {name: frames[name] for name in ("sequence", "device_us") if bool(frames[name].notna().any())}
     values = zip(_named_with_unit(recording, unit), recording.channels, strict=True)
     columns |= {name: frames[channel] for name, channel in values}
-    write_whole(path, pd.DataFrame(columns).to_csv(index=False, lineterminator="\n"))
+    table = pd.DataFrame(columns)
+    if form == "parquet":
+        from pyarrow import Table, parquet  # pyright: ignore[reportMissingImports]
+
+        with whole_file(path) as temporary:
+            parquet.write_table(Table.from_pandas(table, preserve_index=False), temporary)
+    else:
+        write_whole(path, table.to_csv(index=False, lineterminator="\n"))
     widths = sorted(set(recording.widths.tolist()))
     return [f"frames have {widths[0]} to {widths[-1]} values; missing ones are empty"] if widths[1:] else []
 
@@ -136,23 +161,21 @@ def _write_millivolts(recording: Recording, path: Path) -> list[str]:
 
 
 def _write_bag(recording: Recording, path: Path) -> list[str]:
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
     unix_ns, remarks = _times(recording)
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg(_MESSAGE, _TYPE))
     message, head = store.types[_TYPE], store.types["std_msgs/msg/Header"]
     zero = store.types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-    temporary = path.with_name(f".{path.name}-{uuid.uuid4().hex}")
     quaternions = recording.frames[recording.channels].to_numpy().astype(np.float32)
     rows = zip(recording.frames["stream"].tolist(), quaternions, unix_ns.tolist(), strict=True)
-    try:
-        with Writer(temporary) as bag:
-            connection = bag.add_connection("/quat_meas", _TYPE, typestore=store)
-            for number, (imu, (x, y, z, w), time_ns) in enumerate(rows):
-                reading = message(head(number, zero, ""), ID=imu, w=w, x=x, y=y, z=z)
-                bag.write(connection, time_ns, store.serialize_ros1(reading, _TYPE))
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(path) as temporary, Writer(temporary) as bag:
+        connection = bag.add_connection("/quat_meas", _TYPE, typestore=store)
+        for number, (imu, (x, y, z, w), time_ns) in enumerate(rows):
+            reading = message(head(number, zero, ""), ID=imu, w=w, x=x, y=y, z=z)
+            bag.write(connection, time_ns, store.serialize_ros1(reading, _TYPE))
     return remarks
 
 

@@ -25,36 +25,11 @@ from repro_live.record.recording_file import (
 )
 from repro_live.record.recording_metadata import metadata_of, parsed
 from repro_live.wire.csv_text import RESERVED
+from repro_live.wire.formats import channel_names
 from repro_live.wire.frame import Frame
 
 _HEADER_BYTES = BLOCK.size + CRC.size
 """Bytes of a block before its frames or text."""
-_NAMES = {
-    "hall": ["z_counts", "y_counts", "x_counts"],
-    "quaternions": ["x", "y", "z", "w"],
-}
-
-
-def channel_names(format: str, n: int) -> list[str]:
-    """Return the names of the values of a frame, with the unit where the format has one.
-
-    Parameters
-    ----------
-    format
-        One of `repro_live.wire.formats.FORMATS`.
-    n
-        Number of values.
-
-    Examples
-    --------
-    >>> channel_names("millivolts", 3)
-    ['u1_mV', 'u2_mV', 'u3_mV']
-    """
-    names = _NAMES.get(format, [])
-    if len(names) == n:
-        return list(names)
-    unit = "_mV" if format == "millivolts" else ""
-    return [f"u{j + 1}{unit}" for j in range(n)]
 
 
 def _columns(head: dict[str, Any], n: int) -> list[str]:
@@ -75,8 +50,8 @@ class Recording:
     frames
         One row per frame in order of arrival: ``time_s``, arrival after the start of the recording; ``host_ns``,
         arrival by the host's monotonic clock; ``stream``; ``sequence`` and ``device_us``, as sent, missing where the
-        format has none; then the values under the names of :func:`channel_names` or, of ``csv``, of the lines;
-        NaN where a frame has fewer.
+        format has none; then the values under the names of
+        :func:`~repro_live.wire.formats.channel_names` or, of ``csv``, of the lines; NaN where a frame has fewer.
     metadata
         The first block and the sidecar, or what there is of them; ``format`` and ``start_host_ns`` in any case.
     widths
@@ -213,6 +188,6 @@ def _table(rows: np.ndarray, head: dict[str, Any]) -> pd.DataFrame:
     }
     stream = rows["stream"].astype(np.int64)
     table = pd.DataFrame(
-        {"time_s": 1e-9 * (host_ns - head["start_host_ns"]), "host_ns": host_ns, "stream": stream} | numbers
+        {"time_s": (host_ns - head["start_host_ns"]) / 1e9, "host_ns": host_ns, "stream": stream} | numbers
     )
     return pd.concat([table, pd.DataFrame(values, columns=_columns(head, most))], axis=1)

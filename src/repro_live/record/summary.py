@@ -10,9 +10,8 @@ from typing import Any
 
 from repro.errors import InputError, bad_input
 from repro.robot_file.columns import FORMATS
-from repro_live.record.recording import channel_names
 from repro_live.wire.csv_text import Layout
-from repro_live.wire.formats import parser
+from repro_live.wire.formats import channel_names, parser
 from repro_live.wire.frame import Frame
 
 _DROPPED = ("malformed", "checksum_errors", "oversized")

@@ -12,12 +12,12 @@ from jaxtyping import Float
 
 from repro.errors import bad_input, require
 from repro.robot_file.columns import name_and_unit
-from repro_live.wire.csv_fields import time_scale
+from repro_live.wire.csv_fields import SEPARATORS, time_scale
 
 _LONGEST_S = 1e9
 
 
-def read_rows(path: Path) -> list[tuple[int, list[str]]]:
+def read_rows(path: Path, separator: str = ",") -> list[tuple[int, list[str]]]:
     """Read a CSV file as (number of the line, cells); without empty lines and comments (``#``).
 
     Raises
@@ -28,7 +28,7 @@ def read_rows(path: Path) -> list[tuple[int, list[str]]]:
     require(path.is_file(), "path", path.name, "a CSV that is there", path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = csv.reader(stream)
+            rows = csv.reader(stream, delimiter=separator)
             return [
                 (rows.line_num, row)
                 for row in rows
@@ -38,7 +38,7 @@ def read_rows(path: Path) -> list[tuple[int, list[str]]]:
         raise bad_input("file", path.name, "a CSV in UTF-8", error) from error
 
 
-def read_numbers(path: Path) -> pd.DataFrame:
+def read_numbers(path: Path, separator: str = ",") -> pd.DataFrame:
     """Read a CSV of numbers with a header; the index is the number of the line, an empty cell is NaN.
 
     Raises
@@ -46,9 +46,15 @@ def read_numbers(path: Path) -> pd.DataFrame:
     InputError
         If the file is no such table; the message names line and column.
     """
-    rows = read_rows(path)
+    rows = read_rows(path, separator)
     head = [name.strip() for name in rows[0][1]] if rows else []
-    require(head, "table", path.name, "a CSV of numbers with a header, separated by commas", "nothing")
+    require(
+        head,
+        "table",
+        path.name,
+        f"a CSV of numbers with a header, separated by {SEPARATORS[separator]}",
+        "nothing",
+    )
     if twice := sorted({name for name in head if head.count(name) > 1}):
         raise bad_input("columns", path.name, "of different names", f"{', '.join(twice)} twice")
     numbers = np.full((len(rows) - 1, len(head)), np.nan)
@@ -59,7 +65,7 @@ def read_numbers(path: Path) -> pd.DataFrame:
             try:
                 numbers[k, j] = float(cell) if cell.strip() else np.nan
             except ValueError:
-                expected = "a number (cells are separated by commas)"
+                expected = f"a number (cells are separated by {SEPARATORS[separator]})"
                 raise bad_input(f"{head[j]} in line {line}", path.name, expected, repr(cell)) from None
     return pd.DataFrame(numbers, index=[line for line, _ in rows[1:]], columns=head)
 
@@ -122,3 +128,16 @@ def check_times(
     if time_s[-1] - time_s[0] > _LONGEST_S:
         expected = f"within {_LONGEST_S:g} s, 30 years"
         raise bad_input(column, owner, expected, f"{time_s[0]:g} to {time_s[-1]:g} s")
+
+
+def whole_numbers(owner: str, table: pd.DataFrame, name: str, end: int) -> list[int | None]:
+    """Whole numbers of a column; none where it, or a number, is missing."""
+    if name not in table:
+        return [None] * len(table)
+    column = table[name].to_numpy()
+    wrong = ~np.isnan(column) & ~((column >= 0) & (column < end) & (column % 1 == 0))
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        received = f"{column[row]:g} in line {table.index[row]}"
+        raise bad_input(name, owner, f"whole numbers from 0 to {end - 1}", received)
+    return [None if np.isnan(x) else int(x) for x in column]

@@ -16,10 +16,11 @@ from repro.errors import bad_input
 from repro.estimation.orientations import UPRIGHT
 from repro.robot_file.columns import MAGNETIC_STREAM, channel_columns, is_numbered, name_and_unit
 from repro.robot_file.robot_file import RobotFile
-from repro_live.record.recording import Recording, channel_names, read_recording
+from repro_live.record.recording import Recording, read_recording
 from repro_live.record.recording_file import MAGIC, sidecar_path
-from repro_live.robot.number_table import read_numbers, times_of
+from repro_live.robot.number_table import read_numbers, times_of, whole_numbers
 from repro_live.wire.csv_text import check_units
+from repro_live.wire.formats import channel_names
 from repro_live.wire.frame import WRAP, Frame
 
 
@@ -126,8 +127,8 @@ def read_table(path: Path, robot: RobotFile) -> tuple[list[tuple[int, Frame]], f
         if missing := [name for name in wanted if name not in names]:
             raise bad_input("columns", path.name, ", ".join(wanted), f"none called {', '.join(missing)}")
         values |= dict.fromkeys((imu.stream for imu in robot.imus), _rows(table, quaternion))
-    streams = [number or 0 for number in _whole(path.name, table, "stream", 1 << 16)]
-    device_us = _whole(path.name, table, "device_us", WRAP)
+    streams = [number or 0 for number in whole_numbers(path.name, table, "stream", 1 << 16)]
+    device_us = whole_numbers(path.name, table, "device_us", WRAP)
     arrival_ns = np.round(1e9 * (time_s - time_s[0])).astype(np.int64).tolist()
     rows = enumerate(zip(arrival_ns, streams, device_us, strict=True))
     frames = [
@@ -146,19 +147,6 @@ def _rows(table: pd.DataFrame, columns: Sequence[str | None]) -> list[list[float
         if name is not None:
             values[:, k] = table[name]
     return values.tolist()
-
-
-def _whole(owner: str, table: pd.DataFrame, name: str, end: int) -> list[int | None]:
-    """Whole numbers of a column; none where it, or a number, is missing."""
-    if name not in table:
-        return [None] * len(table)
-    column = table[name].to_numpy()
-    wrong = ~np.isnan(column) & ~((column >= 0) & (column < end) & (column % 1 == 0))
-    if wrong.any():
-        row = int(np.flatnonzero(wrong)[0])
-        received = f"{column[row]:g} in line {table.index[row]}"
-        raise bad_input(name, owner, f"whole numbers from 0 to {end - 1}", received)
-    return [None if np.isnan(x) else int(x) for x in column]
 
 
 @dataclass(frozen=True)

@@ -122,6 +122,8 @@ class CsvParser(Parser):
         Values that every line must have, without a time; by default those of the first lines that agree.
     unit
         What lines must say if they say a unit; otherwise `feed` raises InputError. By default, and for ``raw``, any.
+    wrap
+        Times start again from 0 after this [µs]: as those of frames do, unless it is more.
 
     Attributes
     ----------
@@ -131,10 +133,10 @@ class CsvParser(Parser):
         The first line that was not accepted, and why; empty if there is none.
     """
 
-    def __init__(self, channels: int | None = None, unit: str | None = None) -> None:
+    def __init__(self, channels: int | None = None, unit: str | None = None, *, wrap: int = WRAP) -> None:
         super().__init__(b"\n", LONGEST_LINE)
         self.layout: Layout | None = None
-        self._channels, self._unit = channels, unit
+        self._channels, self._unit, self._wrap = channels, unit, wrap
         self._header: tuple[str, ...] = ()
         self._header_separator = ""
         self._other_header = False
@@ -209,7 +211,7 @@ class CsvParser(Parser):
         if not 0 <= line.values[k] <= _LATEST:
             self._drop(raw, f"a time must be from 0 to {_LATEST:g}")
             return []
-        device_us = round(line.values[k] * scale) % WRAP if scale else None
+        device_us = round(line.values[k] * scale) % self._wrap if scale else None
         return [Frame(0, None, device_us, line.values[:k] + line.values[k + 1 :])]
 
     def _named(self, text: str, *, cut: bool) -> bool:

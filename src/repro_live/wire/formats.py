@@ -1,4 +1,4 @@
-"""The five formats by name: a parser, and the bytes of a frame."""
+"""The five formats by name: a parser, the bytes of a frame, and the names of its values."""
 
 from __future__ import annotations
 
@@ -8,6 +8,11 @@ from repro_live.wire.binary import KINDS, BinaryParser, encode_frame
 from repro_live.wire.csv_text import MOST_VALUES, CsvParser, write_line
 from repro_live.wire.frame import Frame, Parser
 from repro_live.wire.text import HALL, QUATERNION, Line, TextParser, millivolts
+
+_NAMES = {
+    "hall": ["z_counts", "y_counts", "x_counts"],
+    "quaternions": ["x", "y", "z", "w"],
+}
 
 
 def parser(format: str, channels: int | None = None, unit: str | None = None) -> Parser:
@@ -82,3 +87,25 @@ def _line(format: str, channels: int | None) -> Line:
     line = HALL if format == "hall" else QUATERNION
     require(channels in (None, line.count), "channels", format, f"{line.count}, or none given", channels)
     return line
+
+
+def channel_names(format: str, n: int) -> list[str]:
+    """Return the names of the values of a frame, with the unit where the format has one.
+
+    Parameters
+    ----------
+    format
+        One of :data:`FORMATS`.
+    n
+        Number of values.
+
+    Examples
+    --------
+    >>> channel_names("millivolts", 3)
+    ['u1_mV', 'u2_mV', 'u3_mV']
+    """
+    names = _NAMES.get(format, [])
+    if len(names) == n:
+        return list(names)
+    unit = "_mV" if format == "millivolts" else ""
+    return [f"u{j + 1}{unit}" for j in range(n)]

@@ -35,8 +35,8 @@ from repro_companion.book.provenance import (
     read_record,
     record_path,
 )
-from repro_companion.book.runner import stop_on_termination
 from repro_companion.book.scorecard import ScorecardRow, compute_scorecard, scorecard_csv
+from repro_companion.book.termination import stop_on_termination
 
 
 def build(project: Project, jobs: int) -> int:

@@ -17,7 +17,8 @@ from repro_companion.book.after.build import jobs_from_environment, page_points,
 from repro_companion.book.points import Stopped, finished
 from repro_companion.book.project import Project, find_project
 from repro_companion.book.provenance import read_inputs
-from repro_companion.book.runner import changed_environment, stop_on_termination
+from repro_companion.book.runner import changed_environment
+from repro_companion.book.termination import stop_on_termination
 
 SHOWN = 100
 """Characters of a line that are shown where two tables differ."""

@@ -18,8 +18,9 @@ import torch
 from repro.estimation.base import Estimate
 from repro.kinematics.motion import tip_motion
 from repro.robot_file.robot_file import RobotFile
+from repro_companion.twins.played import PERIOD_S, Played, played, with_sensors
 from repro_companion.twins.recorded_run import play_and_record
-from repro_companion.twins.takes import PERIOD_S, Played, Take, played, with_sensors
+from repro_companion.twins.takes import Take
 from repro_live.emulate.board import passages
 from repro_live.emulate.emulator import Emulator
 from repro_live.emulate.faults import Faults

@@ -1,0 +1,125 @@
+"""The recorder alone: with nothing but the packages of its own lock it records, exports, imports and emulates.
+
+Each command runs in a process that refuses every other package that is installed here, as if it were not.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from mcap.reader import make_reader
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
+ROOT = Path(__file__).parents[2]
+ROBOT = str(ROOT / "data" / "robots" / "one_segment.toml")
+PROGRAM = """
+import sys
+from importlib.abc import MetaPathFinder
+
+class Refused(MetaPathFinder):
+    names = frozenset({names!r})
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in self.names:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Refused())
+from repro_companion.cli import main
+sys.exit(main())
+"""
+
+
+def names_of(lock: str) -> set[str]:
+    """Return the packages that a lock pins."""
+    return set(re.findall(r"^([a-z0-9][a-z0-9._-]*)==", (ROOT / lock).read_text(), re.MULTILINE))
+
+
+def refused() -> list[str]:
+    """Return the modules of all installed packages that are not in the lock of the recorder."""
+    allowed = names_of("requirements-recorder.lock") | {"repro", "python-dateutil", "six"}
+    found = packages_distributions()
+    names = [
+        m for m, owners in found.items() if not {re.sub(r"[._]", "-", o.lower()) for o in owners} & allowed
+    ]
+    assert {"torch", "scipy", "numba", "magpylib", "rosbags", "matplotlib"} <= set(names)
+    return sorted(names)
+
+
+@pytest.fixture(scope="module")
+def program() -> str:
+    """Return what runs `repro` with these packages alone."""
+    return PROGRAM.format(names=refused())
+
+
+def started(program: str, folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    """Start a command."""
+    command = [sys.executable, "-c", program, *arguments]
+    return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def called(program: str, folder: Path, *arguments: str) -> tuple[int, str, str]:
+    """Run a command to its end."""
+    process = started(program, folder, *arguments)
+    out, err = process.communicate(timeout=60)
+    return process.returncode, out, err
+
+
+def test_both_locks_pin_the_same_versions():
+    both = [
+        set(re.findall(r"^[a-z0-9._-]+==[^\\\n]*", (ROOT / name).read_text(), re.MULTILINE))
+        for name in ("requirements.lock", "requirements-recorder.lock")
+    ]
+    assert both[1] <= both[0]
+    assert "torch" not in names_of("requirements-recorder.lock")
+
+
+def test_from_an_emulated_board_to_files_and_back(program, tmp_path):
+    board = started(program, tmp_path, "emulate", "lemniscate", "--loop", "--port-file", "board")
+    try:
+        assert board.stdout.readline() == "lemniscate T3 of one segment [mT], SYNTHETIC, as frames\n"
+        assert board.stdout.readline() == f"Port: {tmp_path / 'board'}\n"
+        code, out, err = called(program, tmp_path, "record", "board", "-o", "a.rec", "--duration", "1")
+        assert (code, out) == (0, "a.rec\n"), err
+    finally:
+        board.send_signal(signal.SIGINT)
+        assert board.communicate(timeout=20) == ("", "\n")
+    for name in ("a.csv", "a.mcap"):
+        code, out, err = called(program, tmp_path, "export", "a.rec", "-o", name)
+        assert (code, err) == (0, ""), out
+    table = pd.read_csv(tmp_path / "a.csv")
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        readings = sum(1 for _ in make_reader(stream).iter_messages("/readings"))
+    assert readings == len(table) > 20
+    assert called(program, tmp_path, "import", "a.csv", "-o", "b.rec")[0] == 0
+    assert called(program, tmp_path, "export", "b.rec", "-o", "b.csv")[0] == 0
+    again = pd.read_csv(tmp_path / "b.csv")
+    pd.testing.assert_frame_equal(again.drop(columns="unix_s"), table.drop(columns=["unix_s", "stream"]))
+
+
+@pytest.mark.parametrize("source", ["flower", "twin:T2", "arm"])
+def test_built_in_courses(program, tmp_path, source):
+    board = started(program, tmp_path, "emulate", source, "--port-file", "board")
+    assert "SYNTHETIC" in board.stdout.readline()
+    board.send_signal(signal.SIGINT)
+    assert board.communicate(timeout=20)[1] == "\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("emulate", "--robot", ROBOT),
+        ("emulate", "twin:T2", "--seed", "3"),
+        ("live", "nothing", "--robot", ROBOT),
+        ("track", "nothing", "--robot", ROBOT, "-o", "a.csv"),
+    ],
+)
+def test_what_needs_torch_says_so_in_one_line(program, tmp_path, arguments):
+    said = "repro: This needs torch, which is not installed: pip install . without --no-deps brings it.\n"
+    assert called(program, tmp_path, *arguments) == (2, "", said)
