@@ -148,8 +148,8 @@ def test_frames_of_the_encoder_in_c(page, tmp_path):
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
         pytest.skip("no compiler for C")
-    library = tmp_path / "frame_encoder.so"
-    subprocess.run([compiler, "-shared", "-fPIC", "-O2", BOOK / "frame_encoder.c", "-o", library], check=True)
+    source, library = BOOK.parent / "src/firmware/frame_encoder.c", tmp_path / "frame_encoder.so"
+    subprocess.run([compiler, "-shared", "-fPIC", "-O2", source, "-o", library], check=True)
     encode_frame_c = ctypes.CDLL(str(library)).encode_frame
     encode_frame_c.restype = ctypes.c_size_t
     rng, packets, buffer = np.random.default_rng(4), [], (ctypes.c_uint8 * 255)()
