@@ -237,10 +237,15 @@ def test_live_with_a_broken_sensor(followed):
 
 
 def test_the_recording_is_taken_out_and_estimated(followed):
-    folder, exported = said(followed, "repro export")
+    of_first = "repro export first.rec --robot data/robots/one_segment.toml"
+    folder, exported = said(followed, f"{of_first} -o")
+    _, together = said(followed, f"{of_first} --estimates")
+    _, imported = said(followed, "repro import")
     _, tracked = said(followed, "repro track")
     n = len(read_recording(folder / "first.rec").frames)
     assert f"first.csv  ({n} frames)" in exported
+    assert f"first.mcap  ({n} frames)" in together
+    assert f"again.rec  ({n} frames)" in imported
     assert list(pd.read_csv(folder / "first.csv"))[-3:] == ["u1_mT", "u2_mT", "u3_mT"]
     assert f"estimates.csv  ({n} estimates)" in tracked
     page = (PROJECT / "book" / "own_robot.md").read_text()
