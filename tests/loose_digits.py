@@ -38,6 +38,8 @@ _VOUCHED = (
     r"<https?://[^>]*>",
     r"^(?:\([\w-]+\)=|:[\w-]+: .*)$",  # labels, options of a directive
 )
+_AS_COMPUTED = re.compile(r"\{(?:paper|setting)\}`(?:-\d|[^`]*\de[-+]?\d)[^`]*`")
+"""A number of a paper or a setting as a program writes it: with a hyphen for its minus, or with e."""
 _PLACES = (
     r"\bappendix [A-Z](?:\.\d+)?\b|"
     r"\b(?:[Ee]qs?\.?|[Ee]quations?|[Ss]ections?|sec\.|Figs?\.?|figures?|Tables?|steps?|parts?|chapters?|items?|pages?|appendix|seeds?)"
@@ -76,6 +78,7 @@ def loose_digits(text: str) -> list[str]:
     if re.match(r"---\n(?:.*\n)*?digits: (?:settings|of the sources it names)\n", text):
         return []
     text = "\n".join(prose_lines(text))
+    typed = _AS_COMPUTED.findall(text)
     for pattern in _VOUCHED:
         text = re.sub(pattern, " ", text, flags=re.DOTALL | re.MULTILINE)
     text = re.sub(r"\]\([^)]*\)", "]", text)
@@ -84,7 +87,7 @@ def loose_digits(text: str) -> list[str]:
     text = re.sub(r"(?m)^(#+) \d+\. ", r"\1 ", text)
     text = re.sub(r"\b[1-9]-D\b", " ", text)
     found = [*_DIGITS.finditer(text), *_WORDS.finditer(text)]
-    return [
+    return typed + [
         " ".join(text[max(0, m.start() - 30) : m.end() + 20].split())
         for m in sorted(found, key=lambda m: m.start())
     ]

@@ -1,6 +1,8 @@
 """The runner of mutants on a small project: what is killed, what survives, and what is refused."""
 
 import importlib.util
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -60,3 +62,15 @@ def test_tests_that_fail_without_a_change_are_told(runner, project, capsys):
     (project / "test_rule.py").write_text("def test_rule():\n    assert False\n")
     assert runner.run(project, [RULE | {"name": "sign"}], project / "work") == 1
     assert "The tests do not pass without a change." in capsys.readouterr().err
+
+
+def test_every_listed_change_can_still_be_made():
+    """Of each mutant the old expression stands once in its file, and its tests are where the list says."""
+    root = RUNNER.parents[2]
+    for mutant in tomllib.loads((RUNNER.parent / "mutants.toml").read_text(encoding="utf-8"))["mutant"]:
+        path = root / "src" / mutant["file"]
+        text = path.read_text(encoding="utf-8") if path.is_file() else ""
+        assert text.count(mutant["old"]) == 1, mutant["name"]
+        for test in mutant["tests"]:
+            file, *names = test.partition("[")[0].split("::")
+            assert all(re.search(rf"(def|class) {name}\b", (root / file).read_text()) for name in names), test

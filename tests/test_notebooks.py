@@ -44,6 +44,17 @@ def texts(page: str) -> str:
     return "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
 
 
+@pytest.mark.parametrize("page", sorted(NOTEBOOKS))
+def test_a_page_opens_with_question_answer_and_source(page):
+    """In this order, and what is folded comes after them."""
+    opening = "".join(NOTEBOOKS[page]["cells"][0]["source"])
+    heads = re.findall(
+        r"^(?:\*\*(Question|Answer|Source)\.\*\*|```\{dropdown\})", opening, flags=re.MULTILINE
+    )
+    assert heads[:3] == ["Question", "Answer", "Source"]
+    assert not any(heads[3:])
+
+
 @pytest.mark.parametrize(
     ("page", "told"), FIGURES, ids=lambda x: x if isinstance(x, str) else x["figure"]["name"]
 )

@@ -6,12 +6,17 @@ import hashlib
 import json
 import re
 import tomllib
+from collections.abc import Iterable
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 import yaml
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from pybtex.database import parse_string
 
+import repro
 from bench.size import LONGEST
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -107,13 +112,42 @@ def test_lock_has_everything_with_hashes():
 
 def test_package_asks_for_nothing_the_lock_lacks():
     """What the package needs is among the direct requirements, in the same range."""
-    direct = requirements_in()
-    for line in pyproject()["project"]["dependencies"]:
+    direct, project = requirements_in(), pyproject()["project"]
+    extras = project["optional-dependencies"]
+    asked = [*project["dependencies"], *extras["book"], *extras["cluster"]]
+    assert len(set(asked)) == len(asked), "what the package needs anyway is in no extra"
+    for line in asked:
         needed = Requirement(line)
         name = needed.name.lower()
         assert name in direct, f"{name} is in pyproject.toml but not in requirements.in"
         if name != "torch":
             assert direct[name].specifier == needed.specifier, name
+
+
+def needed_by(requirements: Iterable[Requirement]) -> set[str]:
+    """Return the names of what requirements lead to, by what the packages here say of themselves."""
+    todo, seen = list(requirements), {}
+    while todo:
+        asked = todo.pop()
+        if str(asked) not in seen:
+            seen[str(asked)] = canonicalize_name(asked.name)
+            lines = map(Requirement, metadata.requires(asked.name) or [])
+            extras = asked.extras or {""}
+            todo += [
+                line
+                for line in lines
+                if not line.marker or any(line.marker.evaluate({"extra": e}) for e in extras)
+            ]
+    return set(seen.values())
+
+
+def test_the_book_needs_none_of_the_checks():
+    """CHECKS in the Makefile, which `make book` leaves out, are all that only tests and tools lead to."""
+    (listed,) = re.findall(r"^CHECKS := ((?:.*\\\n)*.*)$", read("Makefile"), re.MULTILINE)
+    project = pyproject()["project"]
+    extras = project["optional-dependencies"]
+    book = map(Requirement, [*project["dependencies"], *extras["book"], *extras["cluster"]])
+    assert set(listed.replace("\\", " ").split()) == needed_by(requirements_in().values()) - needed_by(book)
 
 
 def test_vendored_files_are_the_ones_named():
@@ -209,11 +243,20 @@ def test_citation_matches_the_package():
     """The citation names this version, this licence and an entity as author."""
     citation = yaml.safe_load(read("CITATION.cff"))
     project = pyproject()["project"]
-    assert citation["version"] == project["version"]
+    assert citation["version"] == repro.__version__
     assert citation["license"] == project["license"]
     assert citation["authors"] == project["authors"]
     papers = {line.split(",")[0] for line in read("data/published/published.csv").splitlines()[1:]}
     assert len(citation["references"]) == len(papers)
+
+
+def test_two_works_are_never_cited_alike():
+    """By the last names of at most two authors, and the year: of works of one year it has a letter."""
+    cited = []
+    for work in parse_string(read("book/references.bib"), "bibtex").entries.values():
+        names = [" ".join(author.last_names) for author in work.persons.get("author", ())]
+        cited.append((*(names if len(names) <= 2 else [names[0], "et al."]), work.fields.get("year")))
+    assert len(set(cited)) == len(cited) > 30
 
 
 def test_citation_and_bibliography_agree():

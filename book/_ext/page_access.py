@@ -7,7 +7,8 @@ import re
 
 def accessible(text: str) -> str:
     """Return the HTML of a page with the names and tab stops that theme and extensions leave out."""
-    return named_by_their_text(named_summaries(one_name_for_search(text)))
+    named = named_by_their_text(named_summaries(one_name_for_search(text)))
+    return whole_options(with_headings(figures_in_full(named)))
 
 
 def one_name_for_search(text: str) -> str:
@@ -26,3 +27,73 @@ def named_summaries(text: str) -> str:
 def named_by_their_text(text: str) -> str:
     """Let what unfolds a cell be named by what is written on it: Show code cell source."""
     return text.replace('<summary aria-label="Toggle hidden content">', "<summary>")
+
+
+def figures_in_full(text: str) -> str:
+    """Let a figure that leads nowhere lead to its file: there it is as large as it is drawn, or as a reader likes."""
+    return re.sub(
+        r'(<a\b[^>]*>\s*)?(<img\b[^>]*\bsrc="((?:\.\./)*_images/[^"]+)"[^>]*>)',
+        lambda found: (
+            found[0] if found[1] else f'<a class="in-full" href="{found[3]}" title="In full">{found[2]}</a>'
+        ),
+        text,
+    )
+
+
+def with_headings(text: str) -> str:
+    """Give each cell of a table ``as-cards`` the heading of its column: narrow screens show no row of headings."""
+    return re.sub(
+        r'<table class="[^"]*\bas-cards\b.*?</table>', lambda found: _headed(found[0]), text, flags=re.S
+    )
+
+
+def _headed(table: str) -> str:
+    headings = [
+        re.sub(r"<[^>]*>", "", cell).strip().replace('"', "&quot;")
+        for cell in re.findall(r"<th\b.*?</th>", table, re.S)
+    ]
+    head, rows, rest = re.split(r"(<tbody>.*</tbody>)", table, flags=re.S)
+    cells = iter(headings * rows.count("<tr"))
+    return head + re.sub(r"<td\b(?! data-)", lambda _: f'<td data-heading="{next(cells)}"', rows) + rest
+
+
+def whole_options(text: str) -> str:
+    """Keep the hyphens of options beside their names, where a browser would break the line between them."""
+    text = re.sub(r'<span class="pre">(?=--?[a-z])', '<span class="pre whole">', text)
+    return re.sub(
+        r'<div class="highlight-(?:ba)?sh\b.*?</pre>',
+        lambda block: re.sub(r"(?<=[\s>])--?[A-Za-z][\w-]*", r'<span class="whole">\g<0></span>', block[0]),
+        text,
+        flags=re.S,
+    )
+
+
+def schematics_in_full(text: str, name: str, images: str) -> tuple[str, dict[str, str]]:
+    """Let each schematic, which is drawn within its page, lead to a file of its own, as other figures do.
+
+    Parameters
+    ----------
+    text
+        The page.
+    name
+        What the names of the files begin with.
+    images
+        Address of their folder, seen from the page.
+
+    Returns
+    -------
+    str
+        The page with links.
+    dict
+        The text of each file by its name.
+    """
+    files: dict[str, str] = {}
+
+    def linked(found: re.Match[str]) -> str:
+        file = f"{name}-{len(files) + 1}.svg"
+        head = '<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif"'
+        files[file] = re.sub(r' style="[^"]*"', "", found[2], count=1).replace("<svg", head, 1)
+        return f'{found[1]}<a class="in-full" href="{images}{file}" title="In full">{found[2]}</a>'
+
+    pattern = r'(<figure class="schematic">\s*)(<svg\b.*?</svg>)'
+    return re.sub(pattern, linked, text, flags=re.S), files

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 import textwrap
 from pathlib import Path
 
@@ -46,12 +47,13 @@ def modules_of(root: Path) -> dict[str, list[str]]:
 
 
 def first_line(root: Path, module: str) -> str:
-    """Return the first line of a module's docstring, without importing it."""
+    """Return the first line of a module's docstring as Markdown, without importing it."""
     parts = module.split(".")[1:]
     path = root.joinpath(*parts)
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-    return docstring.split("\n")[0]
+    line = re.sub(r":math:`([^`]*)`", r"$\1$", docstring.split("\n")[0])
+    return re.sub(r":[\w:]+:`~?([^`]*)`", r"`\1`", line)
 
 
 def page(package: str, modules: list[str]) -> str:

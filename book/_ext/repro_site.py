@@ -9,15 +9,18 @@ from pathlib import Path
 
 from docutils import nodes
 from fontTools import subset
-from page_access import accessible
+from page_access import accessible, schematics_in_full
 from repro_search import INDEX
 from sphinx.application import Sphinx
 
+from repro.files import write_whole
 from repro_companion.book.after.page_notes import with_notes, write_page_files
 from repro_companion.book.project import Project
 from repro_companion.book.values import filled
 
 VIEWER = "shape_viewer.js"
+OF_LIVE = (f"view/viewer/{VIEWER}", "follow/page/traces.js")
+"""Scripts that lie in a package, whose live view serves them too."""
 ICONS_OF_THEME = "vendor/fontawesome/webfonts/fa-solid-900.ttf"
 ICONS = {
     "magnifying-glass": 0xF002,
@@ -52,7 +55,15 @@ USED_BY = {
 """Scripts and styles by the beginning of their names, with what a page has that needs them."""
 LIVE_FIRST = ("model", "figure")
 """What every live figure is made of, in the order in which it is loaded; its own script comes last."""
-BOARD = ("live/model", "board/wire", "board/recording", "board/robot", "board/example", "board/board")
+BOARD = (
+    "live/model",
+    "board/wire",
+    "board/recording",
+    "board/robot",
+    "board/example",
+    "traces",
+    "board/board",
+)
 """What the page of the board is made of, in the order in which it is loaded."""
 OFFLINE_SEARCH = "offline_search.js"
 SCORECARD_FILES = ("scorecard.json", "scorecard.svg")
@@ -118,11 +129,12 @@ def add_downloads(app: Sphinx, exception: Exception | None) -> None:
                 )
 
 
-def add_viewer(app: Sphinx, exception: Exception | None) -> None:
-    """Put the script that shows shapes where pages find it; it lies in the package, whose live view serves it too."""
+def add_scripts_of_live(app: Sphinx, exception: Exception | None) -> None:
+    """Put the scripts that show shapes and traces where pages find them."""
     if exception is None and app.builder.format == "html":
-        source = Path(app.srcdir).parent / "src" / "repro_live" / "view" / "viewer" / VIEWER
-        shutil.copyfile(source, Path(app.outdir) / "_static" / VIEWER)
+        for path in map(Path, OF_LIVE):
+            source = Path(app.srcdir).parent / "src" / "repro_live" / path
+            shutil.copyfile(source, Path(app.outdir) / "_static" / path.name)
 
 
 def cut_icons(app: Sphinx, exception: Exception | None) -> None:
@@ -166,6 +178,11 @@ def tidy(app: Sphinx, exception: Exception | None) -> None:
         new = re.sub(r'(<div class="citation"[^>]*?) role="doc-biblioentry"', r"\1", new)
         # pandas leaves the corner cells of a table's head empty: not a header, then
         new = without_search_of_sphinx(accessible(re.sub(r"<th>\s*</th>", "<td></td>", new)))
+        page = path.relative_to(out)
+        images = "../" * (len(page.parts) - 1) + "_images/"
+        new, drawn = schematics_in_full(new, "-".join(page.with_suffix("").parts), images)
+        for name, picture in drawn.items():
+            write_whole(out / "_images" / name, picture)
         if new != text:
             path.write_text(new, encoding="utf-8")
     for pattern in ("**/*.map", "_static/scripts/fontawesome.js*", "_static/*webpack-macros.html"):
@@ -192,7 +209,7 @@ def setup(app: Sphinx) -> dict[str, object]:
     # a number of a paper, a setting: so that every other digit in prose is known to be loose
     for role in ("paper", "setting"):
         app.add_generic_role(role, nodes.inline)
-    app.connect("build-finished", add_viewer)
+    app.connect("build-finished", add_scripts_of_live)
     app.connect("build-finished", cut_icons)
     app.connect("build-finished", add_downloads)
     app.connect("build-finished", add_scorecard_files)

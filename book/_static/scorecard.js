@@ -1,4 +1,4 @@
-// Filter and order of the scorecard, and names for the dots of its picture. Without this script every row is shown.
+// Filter and order of the scorecard, and names for the dots of its picture. Without this script every row is there.
 document.addEventListener("DOMContentLoaded", () => {
   "use strict";
   const place = document.querySelector(".scorecard-filter");
@@ -13,6 +13,7 @@ document.addEventListener("DOMContentLoaded", () => {
   };
   const NEEDS = { low: "ratio", high: "ratio", band: "away" };
   const tables = [...document.querySelectorAll("table.cards[data-paper]")];
+  const fold = (table) => table.closest("details");
   const number = (text) => (text ? Number(text) : NaN);
   const rows = tables.flatMap((table) =>
     [...table.querySelectorAll("tbody")].map((row) => ({
@@ -42,7 +43,7 @@ document.addEventListener("DOMContentLoaded", () => {
   const text = field("Text", "input", { name: "text", type: "search", autocomplete: "off" });
   const order = field("Order", "select", { name: "order" });
   order.replaceChildren(...Object.entries(ORDERS).map(([key, [name]]) => new Option(name, key)));
-  add(form, "button", { type: "reset", textContent: "Show all" });
+  add(form, "button", { type: "reset", textContent: "Clear" });
   const controls = [paper, artefact, verdict, text, order];
   const count = add(place, "p", { className: "scorecard-count" });
   count.setAttribute("role", "status");
@@ -55,10 +56,10 @@ document.addEventListener("DOMContentLoaded", () => {
   const caption = add(ordered, "caption");
   ordered.append(tables[0].tHead.cloneNode(true));
   ordered.hidden = true;
-  tables[0].before(ordered);
+  fold(tables[0]).before(ordered);
   for (const { row, table } of rows) {
     const from = add(row.querySelector("th"), "span", { className: "from" });
-    from.textContent = table.caption.querySelector(".title").textContent;
+    from.textContent = `${table.dataset.paper}, ${table.dataset.artefact}`;
   }
 
   const fill = (select, names) => {
@@ -100,13 +101,16 @@ document.addEventListener("DOMContentLoaded", () => {
       entry.row.hidden = !show;
       return show;
     });
+    const filtered = Boolean(paper.value || artefact.value || verdict.value || asked.length);
     for (const table of tables) {
+      const whole = fold(table);
       const all = rows.filter((entry) => entry.table === table).length;
       const some = shown.filter((entry) => entry.table === table).length;
-      table.hidden = !some || Boolean(order.value);
-      // a caption speaks of the whole table only where the whole table is shown
-      table.querySelector(".whole").hidden = some < all;
-      const part = table.querySelector(".part") ?? add(table.querySelector(".title"), "span", { className: "part" });
+      whole.hidden = !some || Boolean(order.value);
+      whole.open = filtered;
+      // it speaks of the whole table only where the whole table is shown
+      whole.querySelector(".whole").hidden = some < all;
+      const part = whole.querySelector(".part") ?? add(whole.querySelector(".title"), "span", { className: "part" });
       part.textContent = some < all ? `: ${some} of its ${all} numbers.` : "";
     }
     const parts = VERDICTS.map((name) => [name, shown.filter((entry) => entry.verdict === name).length])
@@ -141,6 +145,7 @@ document.addEventListener("DOMContentLoaded", () => {
       update();
       keep();
     }
+    fold(found.table).open = true;
     found.row.scrollIntoView({ block: "center" });
   };
   open();

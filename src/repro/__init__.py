@@ -29,6 +29,7 @@ An estimator takes readings, one time step after the other, and says which q, ho
     ImuShape, rigid_body, pcc_extended Martin et al. 2022: positions from orientations
     LevenbergMarquardt                 least squares within bounds, with a covariance
     IteratedKalmanFilter               the same, with what the readings before say
+    SelfCalibratingFilter, Wander      the same, with errors of its sensors that wander and are found on the way
     RodFilter, RodSensor               a rod from poses, orientations, gyroscopes and models, at any time
     smooth                             a Kalman filter over a recording, and back
     calibrate                          a robot that is not as drawn, from poses and readings
@@ -42,6 +43,8 @@ from __future__ import annotations
 
 from importlib import import_module
 from typing import Any
+
+__version__ = "0.1.0"
 
 _HOMES = {
     "load_robot": "robot_file.load",
@@ -74,6 +77,8 @@ _HOMES = {
     "pcc_extended": "estimation.imu_models",
     "LevenbergMarquardt": "estimation.levenberg_marquardt",
     "IteratedKalmanFilter": "estimation.kalman_filter",
+    "SelfCalibratingFilter": "estimation.self_calibration",
+    "Wander": "estimation.wander",
     "RodFilter": "estimation.rod_filter",
     "RodSensor": "estimation.rod_sensors",
     "smooth": "estimation.smoothing",

@@ -40,6 +40,7 @@ def run(notebook: Path, /, *, parameters: Given = None, output: Output = None) -
     output
         The executed notebook; tables are written beside it. By default a folder below runs/.
     """
+    project = find_project()
     from repro_companion.book.parameters import convert_all, declared_parameters
     from repro_companion.book.provenance import notebook_key, read_inputs
     from repro_companion.book.runner import (
@@ -52,7 +53,6 @@ def run(notebook: Path, /, *, parameters: Given = None, output: Output = None) -
     from repro_companion.book.termination import stop_on_termination
 
     stop_on_termination()
-    project = find_project()
     declared = declared_parameters(read_notebook(notebook), notebook.name)
     values = convert_all(parameters or [], declared, notebook.name)
     if output is None:
@@ -84,6 +84,7 @@ def scorecard(*, require: Path | None = None, write_reference: Path | None = Non
     write_reference
         Write today's verdicts as a reference to this file.
     """
+    project = find_project()
     from repro.files import write_whole
     from repro_companion.book.scorecard import (
         REFERENCE_COLUMNS,
@@ -93,7 +94,6 @@ def scorecard(*, require: Path | None = None, write_reference: Path | None = Non
         summary,
     )
 
-    project = find_project()
     rows = compute_scorecard(project)
     path = project.results / "scorecard.csv"
     write_whole(path, scorecard_csv(rows))
@@ -120,6 +120,7 @@ def train(*, only: str = "", folder: Path | None = None, checkpoints: Path | Non
     checkpoints
         Folder of the state between runs, in place of .cache/book/networks/.
     """
+    project = find_project()
     import torch
 
     from repro_companion.twins.networks import specs
@@ -127,7 +128,6 @@ def train(*, only: str = "", folder: Path | None = None, checkpoints: Path | Non
     from repro_companion.twins.rig_networks import RigSpec, rig_specs, train_rig
 
     torch.set_num_threads(1)  # several of these run side by side faster than one with several threads
-    project = find_project()
     folder, checkpoints = folder or project.data / "networks", checkpoints or project.cache / "networks"
     wanted = [spec for spec in (*specs(), *rig_specs()) if spec.name.startswith(only)]
     require(wanted, "only", "repro train", "the start of a network's name", repr(only))
@@ -150,13 +150,13 @@ def studies(*, folder: Path | None = None) -> int:
     folder
         Where the tables are; data/studies when not given.
     """
+    folder = folder or find_project().data / "studies"
     import torch
 
     from repro_companion.book.studies import write_studies
     from repro_companion.pages import all_studies
 
     torch.set_num_threads(1)
-    folder = folder or find_project().data / "studies"
     progress = sys.stderr.isatty()
     for path in write_studies(all_studies(), folder, progress=progress):
         print(shown(path), flush=True)
@@ -182,6 +182,7 @@ def fetch(
     list_only
         Download nothing; print what there is, how much of it is here already, and where it comes from.
     """
+    listed = find_project().data / "sources.json"
     from repro_companion.book.termination import stop_on_termination
     from repro_companion.recordings.download import fetch as fetch_files
     from repro_companion.recordings.download import listing
@@ -189,7 +190,7 @@ def fetch(
 
     stop_on_termination()
     folder = data_dir()
-    files = read_sources(find_project().data / "sources.json", [paper] if paper else [])
+    files = read_sources(listed, [paper] if paper else [])
     if list_only:
         print(f"{listing(files, folder)}\nFolder: {shown(folder)}")
         return 0
@@ -210,12 +211,26 @@ def diff(place: Path, /) -> int:
     place
         The folder of a repro run, or its executed notebook.
     """
+    project = find_project()
     from repro_companion.book.after.diff_page import write_diff
 
-    page, summary = write_diff(place, find_project())
+    page, summary = write_diff(place, project)
     print(summary)
     print(f"The page: {shown(page)}")
     return 0
+
+
+@app.command
+def doctor() -> int:
+    """Print what this computer is, and what lies here: versions, cores, ports, recordings, tables and verdicts.
+
+    A line that begins with ! says what is not as the project has it; the exit status is then 1.
+    """
+    from repro_companion.book.after.doctor import TROUBLE, report
+
+    lines = report()
+    print("\n".join(lines))
+    return int(any(line.startswith(TROUBLE) for line in lines))
 
 
 for command in (
@@ -244,8 +259,10 @@ def main() -> int:
         package = str(missing.name).partition(".")[0]
         if package.startswith("repro"):
             raise
-        bring = "pip install pyarrow" if package == "pyarrow" else "pip install . without --no-deps"
-        print(f"repro: This needs {package}, which is not installed: {bring} brings it.", file=sys.stderr)
+        bring = "pip install pyarrow brings it"
+        if package != "pyarrow":
+            bring = "the package without --no-deps brings it, its extra [book] what notebooks need"
+        print(f"repro: This needs {package}, which is not installed: {bring}.", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -134,7 +134,7 @@ def export(
         unit = described.unit if described.channel and not described.imus else ""
     for remark in (*read.remarks, *export_to(read, output, schema, to=to, unit=unit, estimates=estimates)):
         print(f"Note: {remark}.", file=sys.stderr)
-    print(f"{shown(output)}  ({len(read.frames)} frames)")
+    print(f"{shown(output)}  ({len(read.rows)} frames)")
     return 0
 
 

@@ -6,6 +6,7 @@ import math
 import sys
 import threading
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -30,8 +31,12 @@ def calibrate(
     /,
     *,
     robot: Path,
-    poses: Path,
     output: Annotated[Path, Parameter(name=["-o", "--output"])],
+    poses: Path | None = None,
+    by_motion: Annotated[bool, Parameter(name="--self", negative="")] = False,
+    calibration: Path | None = None,
+    duration: float = 300.0,
+    elongation_mm: float | None = None,
     pose_noise_mm: float = 0.2,
     pose_noise_deg: float = 0.5,
     baud: int = 115200,
@@ -40,6 +45,7 @@ def calibrate(
 
     Leads through the poses at a port, or takes them from a recording. Fits the placement of magnets and sensors,
     gains, offsets, the moments of the magnets and the Earth field in the base frame; says what stays undetermined.
+    With --self no poses are measured: moments, gains and offsets are found while the robot moves.
 
     Parameters
     ----------
@@ -51,8 +57,16 @@ def calibrate(
     poses
         A CSV with a column per coordinate, such as delta_x_1_mm; for a recording also time_s, or start_s and end_s.
     output
-        The calibration, JSON; must not exist yet. At a port the readings of every pose are kept beside it as they
-        come, and the same command goes on after an interruption.
+        The calibration, JSON; must not exist yet. At a port the readings of every pose, or with --self of the motion,
+        are kept beside it as they come, and the same command goes on after an interruption.
+    by_motion
+        Without measured poses, while the robot bends every way.
+    calibration
+        With --self, an earlier calibration in poses, which knows the placement and the Earth field.
+    duration
+        With --self at a port, how many seconds of motion to record.
+    elongation_mm
+        With --self, the elongation that every segment keeps while it bends, known to the pose noise in mm.
     pose_noise_mm, pose_noise_deg
         How well the poses are known: standard deviation of coordinates in mm, and of those in rad and deg.
     baud
@@ -65,8 +79,21 @@ def calibrate(
     require(not output.exists(), "output", "repro calibrate", "a file that does not exist yet", output)
     described = load_described(robot)
     described.sensing()  # refuses robots without magnetic sensors before anybody is asked for poses
-    table = read_poses(poses, described)
     covariance = pose_covariance(described, pose_noise_mm * 1e-3, pose_noise_deg * math.pi / 180)
+    if by_motion:
+        require(poses is None, "poses", "repro calibrate --self", "left out", poses)
+        how = "and stretch it"
+        if elongation_mm is not None:
+            from repro_live.own.motion import at_elongation
+
+            how = "and do not stretch it"
+            described = at_elongation(described, elongation_mm * 1e-3, pose_noise_mm * 1e-3)
+        return _calibrate_by_motion(source, described, calibration, output, duration, baud, how)
+    require(elongation_mm is None, "elongation", "repro calibrate", "left out without --self", elongation_mm)
+    require(calibration is None, "calibration", "repro calibrate", "left out without --self", calibration)
+    if poses is None:
+        raise bad_input("poses", "repro calibrate", "given (--poses POSES.csv), or --self", "neither")
+    table = read_poses(poses, described)
     taken = _pose_readings(source, described, table, output, baud)
     for note in taken.notes:
         print(f"Warning: {note}")
@@ -91,6 +118,7 @@ def live(
     baud: int = 115200,
     duration: float = math.inf,
     estimates: Path | None = None,
+    grown: float = 1.0,
 ) -> int:
     """Estimate the shape from a port: repro live PORT --robot ROBOT.toml -o RECORDING; stop with Ctrl-C.
 
@@ -119,6 +147,8 @@ def live(
         Stop after this many seconds.
     estimates
         Store the estimates as they come, as repro track does; a new CSV.
+    grown
+        State every ± so many times as large as the estimator does: repro fit says how large it has to be to hold.
     """
     if Path(port).is_file():
         given = {"output": output is not None, "browser": browser, "duration": duration != math.inf}
@@ -131,7 +161,7 @@ def live(
             f"{file} is a file, not a port: it is estimated at full speed, not in its own time.",
             file=sys.stderr,
         )
-        return estimated(Path(port), robot, calibration, estimator, failed or [], estimates)
+        return estimated(Path(port), robot, calibration, estimator, failed or [], estimates, grown)
 
     from repro_live.follow import live_text
     from repro_live.follow.browser import BrowserView
@@ -144,6 +174,7 @@ def live(
         raise bad_input("browser_socket", "repro live", "left out without --browser", browser_socket)
     described = load_described(robot, calibration, to=sys.stderr)
     method, stop = robot_estimator(described, estimator, failed=failed or []), threading.Event()
+    method = replace(method, grown=grown)
     set_by_signals(stop)
     view = BrowserView(method, browser_socket or 0) if browser else None
     screen = Screen(lambda state: live_text.block(method, state), BLOCK_S)
@@ -174,6 +205,60 @@ def live(
         print(shown(state.recorded.path))
     if table is not None:
         print(f"{shown(table.path)}  ({table.written} estimates)")
+    return 0
+
+
+def _calibrate_by_motion(
+    source: str,
+    robot: RobotFile,
+    calibration: Path | None,
+    output: Path,
+    duration: float,
+    baud: int,
+    how: str,
+) -> int:
+    """Find moments, gains and offsets from a file of readings in motion, or from a port."""
+    from repro.robot_file.calibration_file import RobotCalibration
+    from repro_live.own.samples import timed_readings
+    from repro_live.own.self_calibration import report, self_calibrate
+    from repro_live.record.recorder import record
+    from repro_live.record.recording import read_recording
+    from repro_live.robot.readings_file import read_readings
+
+    earlier = None if calibration is None else RobotCalibration.read(calibration)
+    owner = "repro calibrate --self"
+    file = Path(source)
+    if not file.is_file():
+        file = output.with_suffix(".rec")
+        if file.exists():
+            earlier_motion = read_recording(file)
+            whole = earlier_motion.metadata.get("ended") == "stopped"
+            expected = (
+                f"recorded to its end (to record anew, move {file} away; to use it, give it as the port)"
+            )
+            received = f"one that was interrupted after {len(earlier_motion.frames)} frames"
+            require(whole, "earlier motion", owner, expected, received)
+            print(f"{file} holds an earlier motion, which is used; to record anew, move it away.")
+        else:
+            print(
+                f"Recording {duration:g} s to {file}: bend every segment every way, {how}.",
+                flush=True,
+            )
+            channels = robot.channels if robot.format == "csv" else None
+            options = {"baud": baud, "channels": channels, "duration_s": duration, "unit": robot.unit}
+            try:
+                record(source, robot.format, file, owner=owner, **options)
+            except BaseException:
+                if file.is_file():
+                    print(f"Interrupted: {file} keeps what came.")
+                raise
+            require(file.is_file(), "port", owner, "one at which frames arrive", f"none for {duration:g} s")
+    taken = timed_readings(read_readings(file, robot), robot, owner)
+    for note in taken.notes:
+        print(f"Warning: {note}")
+    found = self_calibrate(robot, taken, earlier=earlier, progress=sys.stderr.isatty())
+    found.calibration.write(output)
+    print(f"{report(found)}\nWritten: {output}")
     return 0
 
 

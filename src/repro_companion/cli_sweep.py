@@ -55,6 +55,7 @@ def sweep(
     output
         Folder of points and joined tables; by default runs/NAME-sweep.
     """
+    project = find_project()
     from repro_companion.book.parameters import declared_parameters
     from repro_companion.book.points import Stopped, finished, local_runner, run_points
     from repro_companion.book.runner import read_notebook
@@ -63,7 +64,6 @@ def sweep(
     from repro_companion.book.termination import stop_on_termination
 
     stop_on_termination()
-    project = find_project()
     declared = declared_parameters(read_notebook(notebook), notebook.name)
     values = read_grid(parameters or [], grid, declared, notebook.name)
     number, parts = read_part(part)

@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +26,7 @@ def track(
     calibration: Path | None = None,
     estimator: str = "",
     failed: Annotated[list[int] | None, Parameter(negative="", metavar="NUMBER")] = None,
+    grown: float = 1.0,
 ) -> int:
     """Estimate the shape from a recording: repro track FILE --robot ROBOT.toml -o ESTIMATES.csv.
 
@@ -42,8 +44,10 @@ def track(
         As for repro live.
     failed
         Number of a sensor not to use, from 1; may be repeated.
+    grown
+        As for repro live.
     """
-    return estimated(file, robot, calibration, estimator, failed or [], output)
+    return estimated(file, robot, calibration, estimator, failed or [], output, grown)
 
 
 def estimated(
@@ -53,6 +57,7 @@ def estimated(
     estimator: str,
     failed: Sequence[int],
     output: Path | None,
+    grown: float,
 ) -> int:
     """Estimate a file, write the estimates if there is an output, and say what came of it."""
     from repro_live.follow.estimate_table import EstimateFile
@@ -63,7 +68,7 @@ def estimated(
     from repro_live.robot.readings_file import read_readings
 
     described = load_described(robot, calibration, to=sys.stderr)
-    method = robot_estimator(described, estimator, failed=failed)
+    method = replace(robot_estimator(described, estimator, failed=failed), grown=grown)
     for never in limits(method):
         print(f"Note: {never}", file=sys.stderr)
     readings = read_readings(file, described)

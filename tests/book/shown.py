@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import re
+from html import unescape
 from html.parser import HTMLParser
 
 MACHINE_NAME = re.compile(r"(?<![\w./])(?![A-Za-z]_\w{1,2}\b)[A-Za-z]\w*_\w+(?!\w*\.\w)")
 """A name with underscores, other than a letter with its index and the name of a file."""
 NO_VALUE = re.compile(r"nan|NaN|[-−]?inf|<NA>|NaT|None")
-NUMBER = re.compile(r"[-−]?[\d.]+(?= × 10|$)")
+NUMBER = re.compile(r"[-−]?[\d.,]+(?= × 10|$)")
 MOST_DIGITS = 4
+OUTPUT = re.compile(r'class="output text_plain.*?<pre[^>]*>(.*?)</pre>', re.DOTALL)
+NO_PROSE = re.compile(r"<(script|style|pre|code|math|svg|form)\b.*?</\1>|\b[0-9a-f]{12}\b", re.DOTALL)
+"""A hash may read as a number with a power."""
+AS_COMPUTED = re.compile(
+    r"(?<![\w.])\d+(?:\.\d+)?e[-+]?\d{1,3}\b"  # 1e-05
+    r"|[{[(]'|\[-?\d[\d.]*, [^]]*\]|(?<=[:=,] )(?:True|False|None)\b|\b(?:array|tensor|dtype)[(=]"
+)
+"""Numbers and values as a program writes them, not a person."""
 TEXT = re.compile(r"<text\b([^>]*)>(.*?)</text>", re.DOTALL)
 SIZE = re.compile(r"(?<![\w-])(?:font-size: |font: [^;\"]*?)([\d.]+)px")
 WIDTH = re.compile(r'<svg[^>]* width="([\d.]+)pt"')
@@ -56,12 +65,22 @@ def cells_not_to_show(html: str) -> list[str]:
     ]
 
 
+def texts_of_a_program(html: str) -> list[str]:
+    """Return where a page says, outside of code and commands, what only a program would: 1e-05, lists, None."""
+    said = [*OUTPUT.findall(html), NO_PROSE.sub(" ", html)]
+    text = " | ".join(unescape(re.sub(r"<[^>]*>", " ", part)) for part in said)
+    return [
+        " ".join(text[max(0, found.start() - 40) : found.end() + 20].split())
+        for found in AS_COMPUTED.finditer(text)
+    ]
+
+
 def digits(text: str) -> int:
     """Return the significant digits of a cell that is a number, else 0; whole numbers end where they end."""
     found = NUMBER.match(text)
     if not found:
         return 0
-    number = found[0].lstrip("-−")
+    number = found[0].lstrip("-−").replace(",", "")
     return len(number.replace(".", "").lstrip("0") if "." in number else number.strip("0"))
 
 

@@ -21,8 +21,13 @@ from repro_live.wire.formats import parser
 
 ROOT = Path(__file__).resolve().parents[2]
 STATIC = ROOT / "book" / "_static"
-SCRIPTS = ("live/model", "board/wire", "board/recording", "board/robot", "board/example", "board/board")
-VIEWER = ROOT / "src" / "repro_live" / "view" / "viewer" / "shape_viewer.js"
+LIVE = ROOT / "src" / "repro_live"
+OWN = ("live/model", "board/wire", "board/recording", "board/robot", "board/example", "board/board")
+SCRIPTS = (
+    LIVE / "follow/page/traces.js",
+    *(STATIC / f"{name}.js" for name in OWN),
+    LIVE / "view/viewer/shape_viewer.js",
+)
 PAGE = """<!doctype html><html lang="en" data-theme="light"><meta charset="utf-8"><title>A board</title>
 <meta name="viewport" content="width=device-width"><link rel="stylesheet" href="{static}/board/board.css">
 <style>:root {{ --pst-color-background: #fff; --pst-color-text-base: #222; --pst-color-text-muted: #555; }}</style>
@@ -71,8 +76,7 @@ def board(browser, tmp_path):
     opened = []
 
     def show(before: str = PORT + NO_FILE, *, width: int = 900):
-        scripts = "".join(f'<script src="{(STATIC / f"{name}.js").as_uri()}"></script>' for name in SCRIPTS)
-        scripts += f'<script src="{VIEWER.as_uri()}"></script>'
+        scripts = "".join(f'<script src="{script.as_uri()}"></script>' for script in SCRIPTS)
         path = tmp_path / "board.html"
         text = PAGE.format(static=STATIC.as_uri(), before=before, scripts=scripts)
         path.write_text(text, encoding="utf-8")
@@ -326,7 +330,7 @@ def test_the_example(board, width):
     page.evaluate("BOARD.example.seconds = 4")
     page.get_by_role("button", name="Play an example").focus()
     page.keyboard.press("Enter")
-    wait_until(page, "() => document.querySelectorAll('.board-quantities li').length === 6")
+    wait_until(page, "() => document.querySelectorAll('.board-quantities li').length === 9")
     assert pixels(page.locator(".board > canvas")).std() > 5
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     wait_until(page, "() => document.querySelector('.board-mark').textContent.startsWith('wrong')")
@@ -342,10 +346,55 @@ def test_the_example(board, width):
     assert [one for one in page.evaluate(VIOLATIONS, None) if one["impact"] in SEVERE] == []
 
 
+def test_deviations_are_grown_as_asked(board):
+    """Those that are shown at once, also when all is over; a number that cannot be is refused, and the last stays."""
+    page = board()
+    numbers = "() => [...document.querySelectorAll('.board-quantities li')].map(x => x.textContent)"
+    page.evaluate("BOARD.example.seconds = 1")
+    page.get_by_role("button", name="Play an example").click()
+    wait_until(
+        page, "() => document.querySelector('.board-status').textContent.startsWith('The example is over')"
+    )
+    field = page.get_by_label("Deviations grown by (the factor that repro fit states)")
+    stated = page.evaluate(numbers)
+    field.fill("2.5")
+    field.press("Enter")
+    grown = page.evaluate(numbers)
+    assert grown.pop() == "Every ± is 2.5 times what the estimator states."
+    assert len(grown) == len(stated) == 9
+    for before, after in zip(stated, grown, strict=True):
+        (name, small), (same, large) = (text.removesuffix(" mm").split(" ± ") for text in (before, after))
+        assert name == same
+        assert float(large) == pytest.approx(2.5 * float(small), abs=1.8e-3)
+    for wrong in ("-1", "0", ""):
+        field.fill(wrong)
+        field.press("Enter")
+        said = f"must be a positive number; instead received {wrong or 'none'}."
+        assert page.locator(".board-notes").inner_text().endswith(said)
+        assert field.input_value() == "2.5"
+    assert page.evaluate(numbers)[:9] == grown
+    page.get_by_label("Robot file, calibration").set_input_files(ROBOT)
+    wait_until(page, "() => document.querySelector('.board').board.follower.q === null")
+    assert page.evaluate("document.querySelector('.board').board.follower.grown") == 2.5
+
+
 def test_without_web_serial_the_page_says_so(board):
     page = board("Object.defineProperty(navigator, 'serial', {value: undefined});")
     assert "Firefox and Safari have no Web Serial" in status(page)
     assert page.get_by_role("button", name="Connect a board").is_disabled()
+
+
+def test_what_a_robot_cannot_tell_is_remarked(board, tmp_path):
+    """As long as the robot is shown, whatever else is said."""
+    page, path = board(), tmp_path / "robot.toml"
+    text = ROBOT.read_text(encoding="utf-8")
+    path.write_text(text.replace("noise_mt = 7.1e-4", "noise_mt = 0.5"), encoding="utf-8")
+    page.get_by_label("Robot file, calibration").set_input_files(path)
+    remarks = page.locator(".board-remarks li")
+    wait_until(page, "() => document.querySelectorAll('.board-remarks li').length > 0")
+    assert tuple(remarks.all_inner_texts()) == load_robot(path).notes
+    page.get_by_label("Robot file, calibration").set_input_files(ROBOT)
+    wait_until(page, "() => document.querySelectorAll('.board-remarks li').length === 0")
 
 
 def test_what_is_wrong_with_a_file_is_said(board, tmp_path):

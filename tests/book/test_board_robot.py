@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from board_example import frames
@@ -18,6 +20,7 @@ from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 from repro.estimation.model_error import WithModelError
 from repro.kernels import compiled
 from repro.robot_file.load import load_robot
+from repro_live.follow.estimate_table import EstimateRows
 from repro_live.follow.follower import Follower
 from repro_live.follow.robot_estimator import robot_estimator
 from repro_live.follow.time_steps import TimeStep
@@ -92,6 +95,7 @@ def test_what_is_not_understood_is_refused_with_its_line(page, text):
 
 
 ONE = (ROOT / "data" / "robots" / "one_segment.toml").read_text(encoding="utf-8")
+TWO = (ROOT / "data" / "robots" / "two_segments.toml").read_text(encoding="utf-8")
 WRONG = [
     ("radius_mm = 22.0", "radius_m = 0.022"),
     ("radius_mm = 22.0", ""),
@@ -136,7 +140,6 @@ def test_what_the_library_refuses_is_refused_here(page, tmp_path, old, new):
 
 
 def test_what_the_page_cannot_model_is_refused_by_name(page):
-    two = (ROOT / "data" / "robots" / "two_segments.toml").read_text(encoding="utf-8")
     texts = {
         "cube": (ROOT / "data" / "robots" / "bend_sensor.toml").read_text(encoding="utf-8"),
         "IMUs": (ROOT / "data" / "robots" / "imu_arm.toml").read_text(encoding="utf-8"),
@@ -144,12 +147,35 @@ def test_what_the_page_cannot_model_is_refused_by_name(page):
         "affine_curvature": ONE.replace("constant_curvature", "affine_curvature", 1).replace(
             "One segment of affine", "One"
         ),
-        "equal ones": two.replace("length_mm = 70.0", "length_mm = 80.0", 1),
-        "magnets that are alike": two.replace("height_mm = 6.0", "height_mm = 5.0", 1),
+        "equal ones": TWO.replace("length_mm = 70.0", "length_mm = 80.0", 1),
+        "magnets that are alike": TWO.replace("height_mm = 6.0", "height_mm = 5.0", 1),
     }
     texts["affine_curvature"] = ONE.replace('kind = "constant_curvature"', 'kind = "affine_curvature"')
     for word, text in texts.items():
         assert word in page.evaluate(REFUSED, text)
+
+
+HEIGHTS = iter(("105.0", "90.0", "20.0"))
+ON_AXIS = re.sub("110.0(?=\nradial)", lambda _: next(HEIGHTS), ONE).replace(
+    "radial_mm = 13.0", "radial_mm = 0.0"
+)
+ACROSS = ON_AXIS.replace("azimuth_deg = 0.0", "direction = [1, 0, 0]")
+REMARKED = {
+    "out of range": TWO.replace("noise_mt = 7.1e-4", "noise_mt = 0.5"),
+    "two readings": ONE[: ONE.rindex("[[sensors]]")],
+    "one reading": ONE[: ONE.index("[[sensors]]", ONE.index("[[sensors]]") + 1)],
+    "on the axis": ON_AXIS,
+    "bent, they do": f"earth_mt = [0.05, 0.0, 0.02]\n{ACROSS}",
+    "nothing": TWO,
+}
+
+
+@pytest.mark.parametrize("name", REMARKED)
+def test_what_readings_cannot_say_is_remarked_as_by_the_library(page, tmp_path, name):
+    (tmp_path / "x.toml").write_text(REMARKED[name], encoding="utf-8")
+    expected = load_robot(tmp_path / "x.toml").notes
+    assert page.evaluate("text => BOARD.robotOf('x.toml', text).notes", REMARKED[name]) == list(expected)
+    assert bool(expected) == (name != "nothing")
 
 
 def variants(path: Path) -> str:
@@ -266,18 +292,21 @@ def test_the_chance_of_a_chi_square(page):
 
 
 def test_the_example_is_estimated_as_by_a_live_session(page):
-    """The same shapes while all is well, and an alarm in both once a sensor sticks."""
+    """The same shapes while all is well, and an alarm once a sensor sticks; grown deviations, also of the tip."""
     path = ROOT / "data" / "robots" / "two_segments.toml"
     sent = parser("frames").feed(frames())
     body = """() => {
-      const reader = BOARD.parser('frames'), f = new BOARD.Follower(BOARD.robotOf('x.toml', BOARD.example.robot));
+      const robot = BOARD.robotOf('x.toml', BOARD.example.robot);
+      const reader = BOARD.parser('frames'), f = new BOARD.Follower(robot, 2.5);
       return reader.feed(Uint8Array.from(atob(BOARD.example.frames), c => c.charCodeAt(0))).map(frame => {
-        f.step(frame.values); return [[...f.q], f.C.map((row, k) => row[k]), f.status]; }); }"""
+        f.step(frame.values); const {p, deviation} = f.tip();
+        return [[...f.q], f.C.map((row, k) => row[k] * f.grown ** 2), [...p, ...deviation], f.status]; }); }"""
     found = page.evaluate(body)
     robot = load_robot(path)
-    follower, alarms = Follower(robot_estimator(replace(robot, rate_hz=min(robot.rate_hz, 60.0)))), []
+    method = replace(robot_estimator(replace(robot, rate_hz=min(robot.rate_hz, 60.0))), grown=2.5)
+    follower, alarms, shown = Follower(method), [], []
     assert len(found) == len(sent)
-    for k, (frame, (q, variance, status)) in enumerate(zip(sent, found, strict=True)):
+    for k, (frame, (q, variance, tip, status)) in enumerate(zip(sent, found, strict=True)):
         _, estimate = follower.step(TimeStep(0.04 * k, k, k, (frame,)))
         assert estimate is not None
         alarms.append((int(follower.verdict.status), status))
@@ -285,6 +314,13 @@ def test_the_example_is_estimated_as_by_a_live_session(page):
             np.testing.assert_allclose(q, estimate.q, atol=1e-7)
             assert estimate.covariance is not None
             np.testing.assert_allclose(variance, estimate.covariance.diagonal(), rtol=1e-4)
+            shown.append((estimate, tip))
+    rows = EstimateRows(method, shown[0][0])
+    cells = rows.rows([0.0] * len(shown), [one for one, _ in shown])
+    table = pd.DataFrame(cells, columns=rows.header).apply(pd.to_numeric, errors="coerce")
+    position, deviation = np.split(1e3 * np.array([tip for _, tip in shown]), 2, axis=1)
+    np.testing.assert_allclose(position, table[["tip_x_mm", "tip_y_mm", "tip_z_mm"]], atol=1e-4)
+    np.testing.assert_allclose(deviation, table[["tip_x_sd_mm", "tip_y_sd_mm", "tip_z_sd_mm"]], rtol=1e-4)
     assert all(a == b for a, b in alarms)
     assert [a for a, _ in alarms[:250]] == [0] * 250
     assert all(a == 2 for a, _ in alarms[-50:])

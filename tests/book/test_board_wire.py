@@ -153,7 +153,7 @@ def test_frames_of_the_encoder_in_c(page, tmp_path):
     encode_frame_c = ctypes.CDLL(str(library)).encode_frame
     encode_frame_c.restype = ctypes.c_size_t
     rng, packets, buffer = np.random.default_rng(4), [], (ctypes.c_uint8 * 255)()
-    for sequence in range(FRAMES // 10):
+    for sequence in range(FRAMES):
         code, letter, most = ((1, "f", 59), (2, "h", 118))[int(rng.integers(2))]
         n = int(rng.integers(1, most + 1))
         values = rng.normal(size=n).tolist() if letter == "f" else rng.integers(-32768, 32768, n).tolist()

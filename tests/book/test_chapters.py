@@ -169,6 +169,7 @@ def test_a_typed_result_is_found():
     )
     vouched = "{setting}`5 mm`, {{bend_tests.far}} mm, eqs (3) to (7), Fig. 9, section 3.1, T2, $x^2$, `f(2)`"
     assert loose_digits(vouched) == []
+    assert loose_digits("{setting}`1e-6 m`, {setting}`-3 mV`") == ["{setting}`1e-6 m`", "{setting}`-3 mV`"]
     assert loose_digits("```{dropdown} More\n17 mm\n```\n```python\nx = 3\n```") != []
     assert loose_digits("```{include} a.md\n```\n```python\nx = 3\n```") == []
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -85,3 +86,41 @@ def test_scorecard_is_served_once_computed(extension, tmp_path):
     (source / "generated" / "scorecard.json").write_text("{}")
     site.add_scorecard_files(app, None)
     assert (out / "scorecard.json").read_text() == "{}"
+
+
+def test_cells_of_cards_have_their_headings(extension):
+    """Also in the second row; an empty heading stays one, other tables stay, and twice changes nothing."""
+    row = "<tr><td><p>a</p></td><td></td></tr>"
+    head = '<thead><tr><th class="head"><p>in "words"</p></th><th></th></tr></thead>'
+    page = f'<table class="as-cards table">{head}<tbody>{row}{row}</tbody></table><table class="table">{row}</table>'
+    headed = extension("page_access").with_headings(page)
+    assert headed.count('<td data-heading="in &quot;words&quot;"><p>a</p></td><td data-heading=""></td>') == 2
+    assert headed.endswith(f'<table class="table">{row}</table>')
+    assert extension("page_access").with_headings(headed) == headed
+
+
+def test_options_stay_whole(extension):
+    """In commands and within a line; a minus in a program or a name stays as it is."""
+    whole_options = extension("page_access").whole_options
+    command = (
+        '<div class="highlight-sh notranslate"><pre>live a-b -p x<span class="w"> </span>--lag 2</pre></div>'
+    )
+    assert whole_options(command) == command.replace("-p", '<span class="whole">-p</span>').replace(
+        "--lag", '<span class="whole">--lag</span>'
+    )
+    assert whole_options('<code><span class="pre">--lag</span></code>').count('class="pre whole"') == 1
+    program = '<div class="highlight-python"><pre>x -y</pre></div><span class="pre">-1.5</span>'
+    assert whole_options(program) == program
+
+
+def test_a_schematic_leads_to_a_file_of_its_own(extension):
+    """The file is a picture by itself, as large as its window; other drawings on the page stay as they are."""
+    svg = '<svg role="img" viewBox="0 0 2 1" width="100%" style="max-width: 2px"><path d="M0,0"/></svg>'
+    page = f'<figure class="schematic">\n{svg}\n<figcaption>c</figcaption></figure><p>{svg}</p>'
+    linked, files = extension("page_access").schematics_in_full(page, "chapters-imus", "../_images/")
+    assert list(files) == ["chapters-imus-1.svg"]
+    root = ET.fromstring(files["chapters-imus-1.svg"])
+    assert root.tag == "{http://www.w3.org/2000/svg}svg"
+    assert root.get("style") is None
+    link = f'<a class="in-full" href="../_images/chapters-imus-1.svg" title="In full">{svg}</a>'
+    assert linked == page.replace(svg, link, 1)

@@ -15,8 +15,8 @@ from built_site import SITE, links_of, no_site, url_of
 from chromium import MISSING, find, started
 from fontTools.ttLib import TTFont
 from page_on_screen import differing, pixels
-from page_visit import FACTS, Visit, open_page, visit
-from shown import MACHINE_NAME, cells_not_to_show, texts_of_picture
+from page_visit import AXE, FACTS, STILL, Visit, open_page, visit
+from shown import MACHINE_NAME, cells_not_to_show, texts_of_a_program, texts_of_picture
 
 # Pages that only list source code need no browser; their links are checked with the others.
 ALL_PAGES = sorted(path.relative_to(SITE).as_posix() for path in SITE.rglob("*.html"))
@@ -30,6 +30,16 @@ SMALLEST_LETTERS_PX = 5.5
 """On a telephone, without turning it or drawing the figure larger."""
 VIEWER = SITE / "_static" / "shape_viewer.js"
 NARROW = (390, 320)
+CONTRAST_OF_CODE = """async () => {
+  const rules = {'color-contrast-enhanced': {enabled: true}};
+  const options = {runOnly: {type: 'rule', values: ['color-contrast-enhanced']}, rules, preload: false};
+  const found = await axe.run({include: [['div.highlight']]}, options);
+  const nodes = kind => found[kind].flatMap(rule => rule.nodes);
+  return {
+    passed: nodes('passes').length,
+    failed: nodes('violations').slice(0, 5).map(node => `${node.html}: ${node.failureSummary}`),
+  };
+}"""
 LANDING_LIMIT_BYTES = 1_000_000
 CHAPTER_LIMIT_BYTES = 1_200_000
 PAGE_LIMIT_BYTES = 2_000_000
@@ -115,6 +125,18 @@ def test_landing_page_is_a_page(browser):
 
 
 @no_site
+def test_first_screen_of_the_landing_page(browser):
+    """On a desk it holds the doors, the robot, what was found, and how the book is built."""
+    page, _ = open_page(browser, url_of("index.html"), width=1400)
+    try:
+        for part in (".doors a >> nth=2", ".live-stage", ".sd-col li:has(a) >> nth=2", "main pre >> nth=0"):
+            box = page.locator(part).bounding_box()
+            assert box["y"] + box["height"] < 900, part
+    finally:
+        page.close()
+
+
+@no_site
 @pytest.mark.parametrize("name", [page for page in WRITTEN if page.startswith(("chapters/", "notation"))])
 def test_formulas_open_at_their_left_end(name, browser):
     """One that is wider than the screen begins where its box does."""
@@ -128,6 +150,32 @@ def test_formulas_open_at_their_left_end(name, browser):
         assert [start for start in starts if start < -1] == []
     finally:
         page.close()
+
+
+@no_site
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_first_column_stays_while_a_table_is_scrolled(scheme, browser):
+    """So that a number keeps the name of its row; nothing is seen through it."""
+    page, _ = open_page(browser, url_of("notebooks/one_robot.html"), width=390)
+    try:
+        page.emulate_media(color_scheme=scheme)
+        moved = page.evaluate(
+            """() => [...document.querySelectorAll('.formatted')]
+            .filter(e => e.scrollWidth > e.clientWidth).map(e => {
+            e.scrollLeft = 40;
+            const [first, second] = e.querySelectorAll('tbody tr td');
+            const left = e.getBoundingClientRect().left;
+            return [first.getBoundingClientRect().left - left, second.getBoundingClientRect().left - left,
+                first.getBoundingClientRect().width, getComputedStyle(first).backgroundColor];
+            })"""
+        )
+    finally:
+        page.close()
+    assert moved
+    for first, second, width, ground in moved:
+        assert abs(first) < 1
+        assert second < width
+        assert ground not in ("transparent", "rgba(0, 0, 0, 0)")
 
 
 @no_site
@@ -198,6 +246,60 @@ def test_strips_of_frames(name, browser):
 def test_tables_are_for_readers(name):
     """No name of a column, nothing missing that reads as a word, no digits that nobody knows."""
     assert cells_not_to_show((SITE / name).read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_pages_say_what_a_person_would(name):
+    """Outside of code no power of ten has an ``e``, and no list, dictionary or None of Python is shown."""
+    assert texts_of_a_program((SITE / name).read_text(encoding="utf-8")) == []
+
+
+@no_site
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("name", ["notebooks/fusion.html", "own_robot.html", "chapters/speed.html"])
+def test_code_has_contrast(name, scheme, browser):
+    """Seven to one, as for small text that is read for long."""
+    page, _ = open_page(browser, url_of(name))
+    try:
+        page.emulate_media(color_scheme=scheme)
+        page.add_style_tag(content=STILL)
+        page.evaluate(AXE.read_text(encoding="utf-8"))
+        page.wait_for_function("theme => document.documentElement.dataset.theme === theme", arg=scheme)
+        found = page.evaluate(CONTRAST_OF_CODE)
+    finally:
+        page.close()
+    assert found["passed"] > 0
+    assert found["failed"] == []
+
+
+@no_site
+@pytest.mark.parametrize("name", ["notebooks/fusion.html", "notebooks/table_1.html"])
+def test_a_figure_opens_its_file(name, browser):
+    """By keys alone, from disk; its alternative text stays."""
+    page, _ = open_page(browser, url_of(name), width=390)
+    try:
+        figures = page.locator("main figure a.in-full")
+        assert figures.count() == page.locator("main figure img[src*='_images/']").count() > 0
+        source = figures.first.locator("img").get_attribute("src")
+        assert figures.first.locator("img").get_attribute("alt")
+        figures.first.press("Enter")
+        page.wait_for_url(f"**/{Path(source).name}")
+    finally:
+        page.close()
+
+
+@no_site
+def test_a_schematic_opens_by_itself(browser):
+    """By keys alone, from disk, as wide as the window."""
+    page, _ = open_page(browser, url_of("chapters/imus.html"), width=390)
+    try:
+        schematic = page.locator("main figure.schematic a.in-full").first
+        assert schematic.locator("svg").get_attribute("aria-label")
+        schematic.press("Enter")
+        page.wait_for_url("**/chapters-imus-1.svg")
+        assert page.evaluate("document.documentElement.getBoundingClientRect().width") == 390
+    finally:
+        page.close()
 
 
 @pytest.mark.parametrize("path", EXECUTED, ids=lambda path: path.stem)

@@ -28,7 +28,7 @@ def test_scorecard_filter(browser):
         page.get_by_label("Text").fill("no such row anywhere")
         assert shown.count() == 0
         assert count.inner_text() == f"0 of {total} rows."
-        page.get_by_role("button", name="Show all").press("Enter")
+        page.get_by_role("button", name="Clear").press("Enter")
         page.wait_for_function("() => !document.querySelector('tbody[hidden]')")
         assert seen.console == []
     finally:
@@ -69,6 +69,20 @@ def test_scorecard_order(order, key, falling, browser):
         page.close()
 
 
+def test_rows_are_folded_table_by_table(browser):
+    """On a telephone the page is a few screens, not thirty; a table opens by keys."""
+    page, _ = open_page(browser, url_of("scorecard.html"), width=390)
+    try:
+        assert page.evaluate("document.documentElement.scrollHeight") < 8000
+        folds = page.locator(".published-table")
+        assert folds.count() == page.locator("table.cards[data-paper]").count()
+        assert page.locator(f"{ROWS}:visible").count() == 0
+        folds.last.locator("summary").press("Enter")
+        assert page.locator(f"{ROWS}:visible").count() == folds.last.locator("tbody").count() > 0
+    finally:
+        page.close()
+
+
 def test_link_to_a_row_opens_it(browser):
     """The row is on the screen and marked, even where the filter of the same address hides it."""
     page, _ = open_page(browser, url_of("scorecard.html"))
@@ -104,13 +118,13 @@ def test_dots_name_themselves(browser):
         said = page.locator(".scorecard-dot")
         dots.nth(5).hover(force=True)
         hovered = said.inner_text()
-        assert rows.nth(5).locator("td").nth(0).inner_text() in hovered
+        assert rows.nth(5).locator("td").nth(0).text_content() in hovered
         page.locator(".scorecard-picture a[tabindex='0']").focus()
         page.keyboard.press("ArrowRight")
         name = said.inner_text()
-        assert name.startswith(page.locator("table.cards .title").first.inner_text())
+        assert name.startswith(page.locator(".published-table .title").first.text_content())
         for cell in (0, 1, 3):
-            assert rows.nth(1).locator("td").nth(cell).inner_text() in name
+            assert rows.nth(1).locator("td").nth(cell).text_content() in name
         page.keyboard.press("Enter")
         page.wait_for_selector("tbody.opened")
         assert page.locator("tbody.opened").get_attribute("id") == rows.nth(1).get_attribute("id")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tools import missing
+from tools import ARDUINO, missing
 
 from repro.robot_file.load import load_robot
 from repro_live.emulate.robot_readings import course, readings_along
@@ -35,6 +35,16 @@ STRICT = [
     f"-I{FIRMWARE}",
 ]
 AVR = ["avr-gcc", "-mmcu=atmega328p", "-DF_CPU=16000000UL", *STRICT, "-Wl,--gc-sections"]
+CORE = ARDUINO / "cores" / "arduino"
+IDE = [
+    *("-mmcu=atmega328p", "-DF_CPU=16000000L", "-DARDUINO=10819", "-DARDUINO_AVR_UNO", "-DARDUINO_ARCH_AVR"),
+    *(f"-I{CORE}", f"-I{ARDUINO / 'variants' / 'standard'}", f"-I{FIRMWARE}"),
+    *("-Os", "-flto", "-ffat-lto-objects", "-ffunction-sections", "-fdata-sections"),
+]
+"""What platform.txt of the core says."""
+IDE_C = ["avr-gcc", "-std=gnu11", *IDE]
+IDE_CPP = ["avr-g++", "-std=gnu++11", "-fpermissive", "-fno-exceptions", "-fno-threadsafe-statics", *IDE]
+IDE_PERIOD_US = {"analogue_hall": 5500, "three_axis_hall": 5000, "eight_imus": 10000}
 STATUS = 255
 MV_PER_MT, REST_MV = 50.0, 2500.0  # DRV5055A2 at 5 V
 SLAVES = {"analogue_hall": slice(0, 12), "three_axis_hall": slice(12, 24), "eight_imus": slice(24, 56)}
@@ -62,17 +72,17 @@ def built(tmp_path_factory) -> Path:
     return folder
 
 
-def arguments(built: Path, sketch: str, time_us, rows, port: str, seconds: float, speed: float, *events: str):
+def arguments(built: Path, sketch: str, time_us, rows, port, seconds, speed, *events: str, build: str = ""):
     table = np.zeros((len(rows), 57))
     table[:, 0] = time_us
     table[:, 1:][:, SLAVES[sketch]] = rows
     np.savetxt(built / "readings.txt", table, fmt="%.6f")
-    program = [str(built / "simulate"), str(built / f"{sketch}.elf"), str(built / "readings.txt")]
+    program = [str(built / "simulate"), str(built / f"{build}{sketch}.elf"), str(built / "readings.txt")]
     return [*program, port, str(seconds), str(speed), *events]
 
 
-def frames_of(built: Path, sketch: str, time_us, rows, seconds: float, *events: str):
-    command = arguments(built, sketch, time_us, rows, "-", seconds, 0, *events)
+def frames_of(built: Path, sketch: str, time_us, rows, seconds: float, *events: str, build: str = ""):
+    command = arguments(built, sketch, time_us, rows, "-", seconds, 0, *events, build=build)
     done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, check=False)
     assert done.returncode == 0, done.stderr
     parser = BinaryParser()
@@ -305,6 +315,95 @@ def test_it_compiles_for_a_cortex_m4(sketch, tmp_path):
 
 
 @pytest.mark.parametrize("sketch", SKETCHES)
+def test_it_runs_as_the_arduino_ide_compiles_it(built, sketch, tmp_path):
+    """A sketch in C++, the library in C, the core in an archive, whose serial line must not be taken in."""
+    warn = ["-Wall", "-Wextra", "-Werror", "-c"]
+    text = (FIRMWARE / "examples" / sketch / f"{sketch}.ino").read_text(encoding="utf-8")
+    text = text.replace("PERIOD_US = 5000;", f"PERIOD_US = {IDE_PERIOD_US[sketch]};")
+    assert f"PERIOD_US = {IDE_PERIOD_US[sketch]};" in text
+    (tmp_path / "sketch.cpp").write_text(f"#include <Arduino.h>\n{text}", encoding="utf-8")
+    build([*IDE_CPP, *warn, str(tmp_path / "sketch.cpp"), "-o", str(tmp_path / "sketch.o")])
+    for path in FIRMWARE.glob("*.c"):
+        build([*IDE_C, *warn, str(path), "-o", str(tmp_path / f"library_{path.stem}.o")])
+    for name in ("wiring.c", "hooks.c", "main.cpp", "HardwareSerial.cpp", "HardwareSerial0.cpp"):
+        command = IDE_CPP if name.endswith("cpp") else IDE_C
+        build([*command, "-w", "-c", str(CORE / name), "-o", str(tmp_path / f"core_{name}.o")])
+    core = [str(path) for path in sorted(tmp_path.glob("core_*.o"))]
+    build(["avr-gcc-ar", "rcs", str(tmp_path / "core.a"), *core])
+    objects = [
+        str(path) for path in (tmp_path / "sketch.o", *tmp_path.glob("library_*.o"), tmp_path / "core.a")
+    ]
+    linker = ["avr-gcc", "-Os", "-flto", "-fuse-linker-plugin", "-Wl,--gc-sections", "-mmcu=atmega328p"]
+    build([*linker, *objects, "-lm", "-o", str(built / f"ide_{sketch}.elf")])
+    rows = np.ones((1, SLAVES[sketch].stop - SLAVES[sketch].start)) * 3000.0
+    if sketch == "eight_imus":
+        rows = np.tile([1.0, 0, 0, 0], (1, 8))
+    frames, counters = frames_of(built, sketch, [0.0], rows, 4.0, build="ide_")
+    sequence, device_us, values = stream(frames, 0)
+    steady(sequence, device_us, IDE_PERIOD_US[sketch], 2000.0)
+    assert not np.isnan(values[1:]).any()
+    assert counters.gaps == counters.checksum_errors == 0
+    _, _, status = stream(frames, STATUS)
+    assert status[-1][2:5].tolist() == [0, 0, 0]  # left out, late, bus freed
+
+
+CLOCK = """
+#include <board.h>
+#include <frame_encoder.h>
+#include <rounds.h>
+static uint8_t out[LONGEST_FRAME];
+static const uint8_t floats[3] = { 9, 12, 4 };
+void setup(void) { rounds_begin(500000, 20000, 0); }
+void loop(void)
+{
+    static float values[12] = { 1.5f, -2.5f, 2517.25f, 3.1f, 0.0f, 4.7f, 5.9f, 8.8f, 1e-3f, 7.7f, 6.6f, 5.5f };
+    float took_us[3];
+    const round_t now = next_round();
+    for (uint8_t k = 0; k < 3; k++) {
+        const uint32_t before = board_micros();
+        encode_frame(out, 0, FLOAT32, values, floats[k], now.number, now.time_us);
+        took_us[k] = (float)(board_micros() - before);
+    }
+    send_readings(0, took_us, 3, now);
+}
+"""
+
+
+def table_row(sketch: str) -> tuple[str, ...]:
+    lines = (ROOT / "data" / "firmware.csv").read_text(encoding="utf-8").splitlines()[1:]
+    rows = {re.sub("[ -]", "_", line.partition(",")[0].lower()): line.split(",") for line in lines}
+    return tuple(rows[sketch][1:])
+
+
+def test_the_table_says_how_long_a_frame_takes_to_encode(built):
+    (built / "clock.c").write_text(CLOCK, encoding="utf-8")
+    sources = [str(path) for path in FIRMWARE.glob("*.c")]
+    build([*AVR, *sources, str(built / "clock.c"), "-lm", "-o", str(built / "clock.elf")])
+    done = subprocess.run(
+        [str(built / "simulate"), str(built / "clock.elf"), "/dev/null", "-", "1", "0"],
+        capture_output=True,
+        stdin=subprocess.DEVNULL,
+        check=True,
+    )
+    _, _, took_us = stream(BinaryParser().feed(done.stdout), 0)
+    assert len(took_us) >= 45
+    assert np.ptp(took_us, axis=0).max() < 50
+    said_ms = [float(table_row(sketch)[3]) for sketch in SKETCHES]
+    np.testing.assert_allclose(np.median(took_us, axis=0) / 1000, said_ms, rtol=0.1)
+
+
+def test_the_library_says_what_arduino_asks_for():
+    """OWNER in the address is for the owner of the repository to fill in."""
+    lines = (FIRMWARE / "library.properties").read_text(encoding="utf-8").splitlines()
+    fields = dict(line.split("=", 1) for line in lines)
+    asked = ("name", "version", "author", "maintainer", "sentence", "paragraph", "category", "url")
+    assert all(fields[name] for name in (*asked, "architectures"))
+    assert re.fullmatch(r"https://github\.com/[\w-]+/repro", fields["url"])
+    for name in fields["includes"].split(","):
+        assert (FIRMWARE / name).is_file()
+
+
+@pytest.mark.parametrize("sketch", SKETCHES)
 def test_it_fits_the_chip_with_room_for_the_stack(built, sketch):
     done = subprocess.run(
         ["avr-size", str(built / f"{sketch}.elf")], capture_output=True, text=True, check=True
@@ -312,8 +411,5 @@ def test_it_fits_the_chip_with_room_for_the_stack(built, sketch):
     text, data, bss = map(int, done.stdout.splitlines()[1].split()[:3])
     assert text + data <= 32256  # less a bootloader of 512 B
     assert data + bss <= 2048 - 512
-    rows = np.genfromtxt(
-        ROOT / "data" / "firmware.csv", delimiter=",", dtype=None, encoding="utf-8", skip_header=1
-    )
-    row = next(row for row in rows.tolist() if re.sub("[ -]", "_", row[0].lower()) == sketch)
-    assert row[1:3] == pytest.approx((text + data, data + bss), rel=0.1)  # other compilers differ a little
+    said = tuple(map(float, table_row(sketch)[:2]))
+    assert said == pytest.approx((text + data, data + bss), rel=0.1)  # other compilers differ a little

@@ -13,18 +13,21 @@ PACKAGES = [
     "libc6-dev",
     "gcc-avr",
     "avr-libc",
+    "arduino-core-avr",
     "libsimavr-dev",
     "libelf-dev",
     "gcc-arm-none-eabi",
     "libnewlib-arm-none-eabi",
 ]
 HEADER = Path("/usr/include/simavr/sim_avr.h")
+ARDUINO = Path("/usr/share/arduino/hardware/arduino/avr")
 
 
 def missing() -> list[str]:
     """Return what is not there."""
     programs = [name for name in ("gcc", "avr-gcc", "arm-none-eabi-gcc") if shutil.which(name) is None]
-    return programs + ([] if HEADER.exists() else ["libsimavr"])
+    files = {"libsimavr": HEADER, "the Arduino core": ARDUINO}
+    return programs + [name for name, path in files.items() if not path.exists()]
 
 
 def main() -> int:

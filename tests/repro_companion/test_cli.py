@@ -40,7 +40,7 @@ def repro(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a project with one notebook; it is the current folder."""
-    (tmp_path / "pyproject.toml").write_text('[project]\nname = "repro"\n')
+    (tmp_path / "pyproject.toml").write_text("[tool.repro]\n")
     kernel = {"name": "python3", "language": "python", "display_name": "Python 3"}
     notebook = nbformat.v4.new_notebook(metadata={"kernelspec": kernel})
     notebook.cells = [

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from pty_board import Board
 
+from repro_live.follow import session
+
 collect_ignore = ["conftest.py"]  # it has no examples to run, and other folders have a module of this name
 
 
@@ -19,3 +21,9 @@ def board(tmp_path: Path) -> Iterator[Board]:
     yield board
     if board.master >= 0:
         board.unplug()
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A queue that no pause of the computer fills."""
+    monkeypatch.setattr(session, "SHORTEST_QUEUE", 1000)

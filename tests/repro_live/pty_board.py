@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 
 
@@ -14,12 +15,23 @@ class Board:
         self.master = -1
 
     def plug_in(self) -> None:
+        import termios
         import tty
 
         self.master, slave = os.openpty()
         tty.setraw(slave)
         self.slave = slave
+        self.speed = lambda: termios.tcgetattr(slave)[4]
+        self.unopened = self.speed()
         self.port.symlink_to(os.ttyname(slave))
+
+    def opened(self) -> None:
+        """Wait until a program has opened the port, which empties it: it has set its rate just before."""
+        deadline = time.monotonic() + 60
+        while self.speed() == self.unopened:
+            assert time.monotonic() < deadline, "nobody opens the port"
+            time.sleep(0.01)
+        time.sleep(0.2)
 
     def unplug(self) -> None:
         self.port.unlink()

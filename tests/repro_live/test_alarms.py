@@ -95,18 +95,18 @@ def test_the_committed_table_belongs_to_the_settings_of_today():
 
 
 @pytest.mark.skipif(not HAS_PTY, reason="no pseudo-terminals on this system")
-def test_a_session_names_the_sensor_marks_the_shape_and_notes_it_in_the_recording(board, tmp_path):
+def test_a_session_names_the_sensor_marks_the_shape_and_notes_it_in_the_recording(board, patient, tmp_path):
     slow = replace(TWO, rate_hz=50.0)
     sound = robot_readings(slow, duration_s=3.0, seed=1)
     sent = with_sensor_faults(sound, SensorFaults(unplug=3), from_s=1.0)
     estimator, states, stop = robot_estimator(slow), [], threading.Event()
     path = tmp_path / "run.rec"
     options = {"output": path, "stop": stop, "show": states.append}
+    estimator.prepared()  # what is compiled meanwhile is an overload
     session = threading.Thread(target=lambda: follow(str(board.port), estimator, **options), daemon=True)
     session.start()
     deadline = time.monotonic() + 120
-    while not states and time.monotonic() < deadline:
-        time.sleep(0.05)
+    board.opened()
     for k, values in enumerate(sent.values.tolist()):
         board.send(encode("frames", Frame(0, k, 20_000 * k, tuple(values))))
         time.sleep(0.02)

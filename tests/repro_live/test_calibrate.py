@@ -20,7 +20,7 @@ from repro.estimation.calibration import calibrate as calibrate_geometry
 from repro.robot_file.calibration_file import RobotCalibration
 from repro.robot_file.load import load_robot
 from repro.sensing.placement import Tolerances, placed
-from repro_live.record.recording import Recording, read_recording
+from repro_live.record.recording import read_recording
 from repro_live.robot.calibrate import Priors, calibrate, pose_covariance, report
 from repro_live.robot.calibration_port import guide, port_frames
 from repro_live.robot.calibration_poses import read_poses, recorded_readings
@@ -412,9 +412,7 @@ def test_recordings_and_tables_that_do_not_fit(tmp_path):
         match="of three_segments.toml must be one with frames of 9 values .* 150 frames of 3 values",
     ):
         recorded_readings(recording, three, late)
-    other = Recording(
-        recording.frames, {**recording.metadata, "format": "hall"}, *list(vars(recording).values())[2:]
-    )
+    other = replace(recording, metadata=recording.metadata | {"format": "hall"})
     with pytest.raises(InputError, match="must be of the format frames; instead received hall"):
         recorded_readings(other, ROBOT, late)
     path = tmp_path / "poses.csv"

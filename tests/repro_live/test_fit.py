@@ -15,13 +15,14 @@ import pytest
 import torch
 from own_rig import ROBOTS, Rig, write
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from repro.errors import InputError
 from repro.robot_file.load import load_robot
 from repro.robot_file.robot_file import RobotFile
 from repro_live.own import models
 from repro_live.own.fit import find_clock_lag, fit
-from repro_live.own.judge import Tracked, Truth, errors_of_estimates, tip_positions
+from repro_live.own.judge import Tracked, Truth, errors_of_estimates, tip_band, tip_positions
 from repro_live.own.poses import read_measured_poses
 from repro_live.own.results import write_results
 from repro_live.own.samples import TimedReadings, timed_readings
@@ -86,6 +87,8 @@ def test_a_recording_and_poses_with_gaps(tmp_path, rig):
     assert sorted(os.listdir(tmp_path)) == ["found", "poses.csv", "readings.rec"]
     assert done.stdout.startswith((tmp_path / "found" / "report.txt").read_text())
     assert "gaps of over 0.0417 s: 2, not interpolated over." in done.stdout
+    short = "Band of calibrated, kalman: the halves of the judged part must have 18 s of poses each"
+    assert short in done.stdout
     tip = tip_means(tmp_path / "found")
     for name in ("levenberg_marquardt", "kalman"):
         assert tip["calibrated", name] < 0.1 * tip["described", name]
@@ -201,6 +204,26 @@ def test_errors_of_known_size():
     size = torch.linalg.vector_norm(away, dim=-1)[truth.known]
     assert table["mean"]["tip"] == pytest.approx(1e3 * float(size.mean()))
     assert table["percent_of_length"]["tip"] == pytest.approx(float(100 * size.mean() / 0.11))
+
+
+def test_a_band_grows_by_what_the_covariance_lacks():
+    """Errors twice as large as stated: the factor is that of the quantile of conformal prediction, and it holds."""
+    robot = load_robot(ROBOTS / "one_segment.toml")
+    generator, n = torch.Generator().manual_seed(0), 8000
+    q = torch.tensor([5e-3, -3e-3, 2e-3]).double().expand(n, 3)
+    P = 1e-10 * torch.eye(3, dtype=torch.float64).expand(n, 3, 3)
+    estimate = q + 2e-5 * torch.randn(n, 3, generator=generator, dtype=torch.float64)
+    truth = Truth(q, P, *tip_positions(robot, q, P))
+    track = Tracked("made up", "by hand", estimate, P, np.zeros(n))
+    band = tip_band(robot, truth, track, np.linspace(0.0, 79.99, n))
+    blocks = 20  # of two seconds, in each half
+    reached = 0.9 * (blocks + 1) / blocks
+    assert band.grown == pytest.approx(2 * np.sqrt(chi2.ppf(reached, 3) / chi2.ppf(0.9, 3)), rel=0.03)
+    assert band.held == pytest.approx(reached, abs=0.015)
+    assert band.held_as_stated == pytest.approx(chi2.cdf(chi2.ppf(0.9, 3) / 4, 3), abs=0.03)
+    assert band.least_s == pytest.approx(18.0)
+    assert tip_band(robot, truth, track, np.linspace(0.0, 30.0, n)).grown == np.inf
+    assert tip_band(robot, replace(truth, q=truth.q * np.nan), track, np.arange(8000.0)).grown == np.inf
 
 
 def test_bodies_of_motive(rig, tmp_path):

@@ -53,7 +53,8 @@ class Session(threading.Thread):
         self.sent, self.values = 0, tuple(estimator.robot.values(estimator.robot.start).tolist())
         self.end: LiveState | Exception | None = None
         self.start()
-        self.until(lambda state: state.seconds > 0.3)  # opening a port empties it
+        board.opened()
+        self.until(lambda state: True)
 
     def run(self) -> None:
         options = {"stop": self.stop, "show": self.states.append, "warn": self.said.append} | self.options
@@ -203,7 +204,7 @@ def test_a_port_that_goes_and_comes_back_is_told_and_the_recording_goes_on(board
     assert len(live_text.troubles(estimator, state)) == 1
     board.plug_in()
     live.until(lambda state: state.arriving == "nothing")
-    time.sleep(0.3)  # opening a port empties it
+    board.opened()
     live.send(10)
     state = live.until(lambda state: state.estimated == 20)
     assert alerts(live, state) == []
@@ -346,6 +347,7 @@ def on_a_terminal(arguments: list[str]) -> tuple[subprocess.Popen, int, list[byt
     def lead() -> None:
         os.setsid()
         fcntl.ioctl(slave, termios.TIOCSCTTY, 0)
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where these tests are started by nohup
 
     process = subprocess.Popen(arguments, stdin=slave, stdout=slave, stderr=slave, preexec_fn=lead)
     os.close(slave)

@@ -218,12 +218,6 @@ def test_what_does_not_fit_the_robot_is_refused(file, options, message):
 # -- sessions
 
 
-@pytest.fixture
-def patient(monkeypatch):
-    """A queue that no pause of the computer fills."""
-    monkeypatch.setattr(session, "SHORTEST_QUEUE", 1000)
-
-
 def test_everything_is_estimated_and_recorded_in_order(robot, patient, tmp_path):
     sent = played(robot, rate_hz=100.0, seconds=1.0, seed=0)
     states = []

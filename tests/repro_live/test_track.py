@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +30,7 @@ from repro_live.emulate.emulator import Emulator
 from repro_live.emulate.links import SocketLink
 from repro_live.follow.estimate_table import EstimateFile, EstimateRows
 from repro_live.follow.follower import Follower, track_readings
+from repro_live.follow.live_text import limits
 from repro_live.follow.robot_estimator import ESTIMATORS, robot_estimator
 from repro_live.follow.time_steps import TimeStep
 from repro_live.record.export import export
@@ -125,6 +129,20 @@ def test_uncertainties_are_those_of_the_covariance(tmp_path, estimator, sent):
     )
     expected = tip_C[0, 2] / np.sqrt(tip_C[0, 0] * tip_C[2, 2])
     assert row["tip_x__tip_z_correlation"] == pytest.approx(expected, abs=1e-5)
+
+
+def test_deviations_are_grown_as_asked(tmp_path, estimator, sent):
+    path, wide = recording(tmp_path / "a.rec", frames_of(sent)[:20]), replace(estimator, grown=2.5)
+    *_, stated = tracked(path, estimator, tmp_path / "stated.csv")
+    *_, grown = tracked(path, wide, tmp_path / "grown.csv")
+    deviations = [name for name in stated if "_sd_" in name]
+    np.testing.assert_allclose(grown[deviations], 2.5 * stated[deviations], rtol=1e-8)
+    pd.testing.assert_frame_equal(grown.drop(columns=deviations), stated.drop(columns=deviations))
+    assert limits(wide) == ["Every ± is 2.5 times what the estimator states.", *limits(estimator)]
+    for wrong in (0.0, -1.0, math.inf, math.nan):
+        message = f"Input grown of repro live must be a positive number; instead received {wrong}."
+        with pytest.raises(InputError, match=re.escape(message)):
+            replace(estimator, grown=wrong)
 
 
 def test_columns_of_every_kind_of_estimate(estimator):

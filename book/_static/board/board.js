@@ -3,9 +3,8 @@
 (function () {
 "use strict";
 
-const SHOWN_S = 20, BINS = 800, MOST_TRACES = 12; // of the traces
+const BINS = 800, BIN_S = reproTraces.SECONDS / BINS, MOST_TRACES = 12; // of the traces
 const DETECT_BYTES = 600, DETECT_MS = 1500, SILENT_MS = 1000, GAP_MS = 250, SAVE_MS = 30000, SHAPE_REST = 20;
-const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"], DASHES = [[], [6, 3]];
 const BAUDS = [9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600, 1000000, 2000000];
 const nanoseconds = (ms) => BigInt(Math.round(ms * 1e6));
 
@@ -20,7 +19,7 @@ class Traces {
   }
 
   add(ms, { stream, values }, label) {
-    const number = Math.floor(ms / (1e3 * SHOWN_S / BINS));
+    const number = Math.floor(ms / (1e3 * BIN_S));
     let bin = this.bins[this.bins.length - 1]; // a time before it counts as its own
     if (!bin || number > bin[0]) this.bins.push(bin = [number, []]);
     while (this.bins[0][0] < bin[0] - BINS) this.bins.shift();
@@ -182,7 +181,7 @@ const SHOWN_COUNTERS = {
 
 class Board {
   constructor(box) {
-    Object.assign(this, { box, session: null, port: null, robot: null, follower: null, handle: null, paused: false, kept: "", drawMs: [] });
+    Object.assign(this, { box, session: null, port: null, robot: null, follower: null, handle: null, paused: false, kept: "", drawMs: [], factor: 1 });
     const button = (text, act, more = {}) => make("button", { type: "button", text, onclick: act, ...more });
     const option = ([value, text]) => make("option", { value, text });
     this.connecting = button("Connect a board …", () => (this.port ? this.disconnect() : this.connect()));
@@ -194,18 +193,20 @@ class Board {
     this.baud.value = 115200;
     this.format = make("select", {}, ...[["", "found out"], ...BOARD.FORMATS.map((name) => [name, name])].map(option));
     this.file = make("input", { type: "file", multiple: "", accept: ".toml,.json", onchange: () => this.files(this.file.files) });
+    this.grown = make("input", { type: "number", min: "0", step: "any", value: "1", onchange: () => this.grow() });
     const field = (text, input) => make("label", {}, text + " ", input);
     this.status = make("p", { class: "board-status", role: "status", "aria-live": "polite" });
     this.notes = make("p", { class: "board-notes", role: "status", "aria-live": "polite" });
     this.numbers = Object.fromEntries(Object.keys(SHOWN_COUNTERS).map((name) => [name, make("dd", { text: "0" })]));
     const counters = make("dl", {}, ...Object.entries(SHOWN_COUNTERS).map(([name, text]) => make("div", {}, make("dt", { text }), this.numbers[name])));
-    this.canvas = make("canvas", { role: "img", "aria-label": `Readings of the last ${SHOWN_S} seconds; the last values stand below.` });
+    this.canvas = make("canvas", { role: "img", "aria-label": `Readings of the last ${reproTraces.SECONDS} seconds; the last values stand below.` });
     this.values = make("ul", { class: "board-values" });
     this.shape = make("div", { class: "board-shape" });
     this.quantities = make("ul", { class: "board-quantities" });
     this.troubles = make("ul", { class: "board-troubles" });
     this.title = make("h3", { text: "Shape" });
-    this.about = make("p", { text: "Drop a robot file here, or choose it below; a calibration of repro calibrate likewise." });
+    this.about = make("p", { text: "Drop a robot file here or choose it below, and its calibration if there is one." });
+    this.remarks = make("ul", { class: "board-remarks" });
     this.mark = make("span", { class: "board-mark" });
     box.replaceChildren(
       make("div", { class: "board-bar" }, this.connecting, field("Rate", this.baud), field("Format", this.format), this.example),
@@ -213,8 +214,8 @@ class Board {
       make("div", { class: "board-bar" }, this.pausing, this.saving, this.counting),
       make("h3", { text: "Frames or lines" }), counters, this.troubles,
       make("h3", { text: "Readings" }), this.canvas, this.values,
-      this.title, this.about, this.mark, this.shape, this.quantities,
-      make("div", { class: "board-bar" }, field("Robot file, calibration", this.file)),
+      this.title, this.about, this.remarks, this.mark, this.shape, this.quantities,
+      make("div", { class: "board-bar" }, field("Robot file, calibration", this.file), field("Deviations grown by (the factor that repro fit states)", this.grown)),
     );
     if (!navigator.serial) {
       this.connecting.disabled = true;
@@ -226,7 +227,7 @@ class Board {
     for (const kind of ["dragover", "drop"]) box.addEventListener(kind, (event) => event.preventDefault());
     box.addEventListener("drop", (event) => this.files(event.dataTransfer.files));
     addEventListener("beforeunload", (event) => { if (this.unsaved()) event.preventDefault(); });
-    new ResizeObserver(() => this.fit()).observe(this.canvas);
+    new ResizeObserver(() => { if (this.session) this.lines(performance.now()); }).observe(this.canvas);
     setInterval(() => this.autosave(), SAVE_MS);
     box.board = this;
     const loop = () => {
@@ -251,7 +252,6 @@ class Board {
     if (this.unsaved() && !confirm("The recording of the last session is not saved. Discard it?")) return false;
     const about = { port, baud, start_ms: performance.now(), start_unix_s: Date.now() / 1000, system: navigator.userAgent, example };
     this.session = new Session(format, about, this.robot, (text) => this.note(text));
-    this.limits = null;
     this.note("");
     if (this.robot) this.follow();
     for (const one of [this.pausing, this.saving, this.counting]) one.disabled = false;
@@ -400,55 +400,26 @@ class Board {
     if (this.drawMs.length > 600) this.drawMs.shift();
   }
 
-  fit() {
-    const ratio = devicePixelRatio || 1, { clientWidth, clientHeight } = this.canvas;
-    [this.canvas.width, this.canvas.height] = [Math.round(clientWidth * ratio), Math.round(clientHeight * ratio)];
-    if (this.session) this.lines(performance.now());
-  }
-
   /** Traces: a line through the lowest and highest values of each interval; nothing where nothing came. */
   lines(now) {
-    const { canvas, session: { traces } } = this, pen = canvas.getContext("2d"), ratio = devicePixelRatio || 1;
-    const [width, height] = [canvas.width / ratio, canvas.height / ratio], { bins } = traces;
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, width, height);
-    if (!bins.length) return;
+    const { names, bins } = this.session.traces, last = now / (1e3 * BIN_S);
     let low = Infinity, high = -Infinity;
     for (const [, all] of bins) for (const seen of all) if (seen) [low, high] = [Math.min(low, seen[0]), Math.max(high, seen[1])];
-    if (low > high) return;
-    const room = 0.05 * (high - low) || Math.max(1e-3, 0.05 * Math.abs(high));
-    [low, high] = [low - room, high + room];
-    const last = now / (1e3 * SHOWN_S / BINS), left = 64, bottom = height - 20;
-    const x = (number) => width - 8 - (last - number) / BINS * (width - left - 8), y = (value) => 6 + (high - value) / (high - low) * (bottom - 6);
-    Object.assign(pen, { font: "12px system-ui, sans-serif", fillStyle: getComputedStyle(canvas).color, strokeStyle: "#88888866", lineWidth: 1, textAlign: "right", textBaseline: "middle" });
-    pen.setLineDash([]);
-    for (let k = 0; k <= 4; k++) {
-      const value = low + k / 4 * (high - low);
-      pen.beginPath(); pen.moveTo(left, y(value)); pen.lineTo(width, y(value)); pen.stroke();
-      pen.fillText(value.toPrecision(4), left - 6, Math.min(Math.max(y(value), 7), bottom));
-    }
-    pen.fillText("now", width - 4, height - 8);
-    pen.textAlign = "left";
-    pen.fillText(`−${SHOWN_S} s`, left, height - 8);
-    pen.lineWidth = 1.8;
-    const typical = Math.max(GAP_MS / (1e3 * SHOWN_S / BINS), 3 * (bins[bins.length - 1][0] - bins[0][0]) / bins.length); // longer is a gap
-    traces.names.forEach((_, k) => {
-      pen.strokeStyle = COLOURS[k % COLOURS.length];
-      pen.setLineDash(DASHES[Math.floor(k / COLOURS.length) % DASHES.length]);
-      pen.beginPath();
+    const typical = bins.length && Math.max(GAP_MS / (1e3 * BIN_S), 3 * (bins[bins.length - 1][0] - bins[0][0]) / bins.length); // longer is a gap
+    reproTraces.draw(this.canvas, low <= high ? reproTraces.roomy(low, high) : null, names.length, (k, to) => {
       let before = -Infinity;
       for (const [number, all] of bins) {
-        if (!all[k] || x(number) < left) continue;
-        if (number - before > typical) pen.moveTo(x(number), y(all[k][0]));
-        else pen.lineTo(x(number), y(all[k][0]));
-        if (all[k][1] > all[k][0]) pen.lineTo(x(number), y(all[k][1]));
+        const age = (last - number) * BIN_S;
+        if (!all[k] || age > reproTraces.SECONDS) continue;
+        to(age, all[k][0], number - before <= typical);
+        if (all[k][1] > all[k][0]) to(age, all[k][1], true);
         before = number;
       }
-      pen.stroke();
     });
+    if (low > high) return;
     const newest = bins[bins.length - 1][1];
-    fill(this.values, traces.names.map((name, k) => `${name} ${newest[k] ? newest[k][2].toPrecision(4) : "—"}`));
-    [...this.values.children].forEach((entry, k) => entry.style.setProperty("--trace", COLOURS[k % COLOURS.length]));
+    fill(this.values, names.map((name, k) => `${name} ${newest[k] ? newest[k][2].toPrecision(4) : "—"}`));
+    [...this.values.children].forEach((entry, k) => entry.style.setProperty("--trace", reproTraces.colour(k)));
   }
 
   // ---- The robot ---------------------------------------------------------------------------------------------------
@@ -495,11 +466,28 @@ class Board {
 
   follow() {
     this.handle?.dispose();
-    Object.assign(this, { follower: new BOARD.Follower(this.robot), stale: false, shapeDue: 0 });
+    Object.assign(this, { follower: new BOARD.Follower(this.robot, this.factor), stale: false, shapeDue: 0 });
     put(this.title, `Shape of ${this.robot.name}`);
     put(this.about, "");
+    fill(this.remarks, this.robot.notes);
     this.handle = window.reproViewer?.mount(this.shape, this.follower.scene()) ?? null;
     if (!this.handle) put(this.about, "This browser has no WebGL: the shape is not drawn. Its numbers are below.");
+  }
+
+  /** State deviations so many times larger, also those that are shown at the moment. */
+  grow() {
+    const given = Number(this.grown.value), { follower } = this;
+    if (!(given > 0 && given < Infinity)) {
+      this.note(`Input deviations grown by must be a positive number; instead received ${this.grown.value || "none"}.`);
+      this.grown.value = this.factor;
+      return;
+    }
+    this.factor = given;
+    if (!follower) return;
+    follower.grown = given;
+    if (!follower.q) return;
+    fill(this.quantities, follower.quantities());
+    this.handle?.update(follower.frame());
   }
 
   /** Estimate from the newest frame; {alerts, troubles} in sentences. */

@@ -5,6 +5,8 @@
 
 const { algebra: { dot, cross, times, eigen, solve, zeros }, robot, frames, placed, magneticSensing, levenbergMarquardt, covariance } = REPRO;
 const FALSE_ALARMS_PER_HOUR = 0.1, WRONG_SHARE = 0.01, WINDOW = 10, SHOWN_HZ = 60, EXPLAINED = 1e-3, MUCH_BETTER = 25;
+const IN_RANGE = 10, UNLEARNT = 0.9;
+const coordinate = (c) => `delta_${"xyL"[c % 3]}_${Math.floor(c / 3) + 1}`;
 const UNITS = ["mT", "mV", "raw"], RADIANS = Math.PI / 180;
 
 // ---- The subset of TOML that robot files use -----------------------------------------------------------------------
@@ -229,7 +231,7 @@ function robotOf(name, text, bytes = new TextEncoder().encode(text)) {
     const distance = Math.hypot(...s.position.map((x, c) => x - m.position[c]));
     if (!(distance > reach)) fail(tables.sensors[j], `, [[sensors]] ${j + 1}`, "at_mm", `farther than ${(reach * 1e3).toFixed(1)} mm from the centre of magnet ${k + 1}`, `${(distance * 1e3).toFixed(1)} mm from it`);
   }));
-  return { ...made, body };
+  return { ...made, body, notes: [...outOfRange(made, body, tables.sensors.map((table) => file.lines.get(table)[""])), ...unobserved(made, body)] };
 }
 
 function bodyOf(made) {
@@ -252,6 +254,45 @@ function sensingOf(made, body = bodyOf(made)) {
     });
     return { u, J };
   };
+}
+
+// ---- What the readings cannot say, in the words of repro.load_robot --------------------------------------------------
+
+const brief = (x) => String(Number(x.toPrecision(2)));
+
+/** Notes on sensors that no magnet reaches where the estimates start. */
+function outOfRange({ name, start, gain, moments, noise, unit }, body, lines) {
+  const chain = frames(body, start), magnets = placed(body, start, chain, body.magnets);
+  return placed(body, start, chain, body.sensors).flatMap((sensor, j) => {
+    const away = magnets.map(({ position }) => Math.hypot(...position.map((x, c) => x - sensor.position[c])));
+    const signal = Math.abs(2 * moments[0] * gain[j]) / Math.min(...away) ** 3;
+    if (signal >= IN_RANGE * noise) return [];
+    const distances = away.map((d, k) => `magnet ${k + 1} at ${(1e3 * d).toFixed(0)} mm`).join(", ");
+    return [`${name}, line ${lines[j]}: no magnet is in range of sensor ${j + 1} (${distances}): the nearest gives it ${brief(signal)} ${unit} at most, with a noise of ${brief(noise)}.`];
+  });
+}
+
+/** Notes on fewer readings than unknowns, and on what readings leave open at the start. */
+function unobserved(made, body) {
+  const { name, high, start, sensors } = made, notes = [], n = start.length;
+  if (sensors.length < n) notes.push(`${name}: ${sensors.length} readings for ${n} unknowns. Those of one moment do not determine the configuration; only an estimator that knows how the robot moves, such as kalman, can follow it.`);
+  const open = openAt(made, body, start), bent = start.map((x, c) => x + (0.2 + 0.5 * (0.618 * (c + 1) % 1)) * (high[c] - x));
+  if (open.length) notes.push(`${name}: at the start the readings do not determine, in units of the bounds: ${open.join("; ")}.${openAt(made, body, bent).length ? "" : " Bent, they do."}`);
+  return notes;
+}
+
+/** Combinations that readings do not make more certain than the bounds do, as close to single coordinates as can be. */
+function openAt(made, body, q) {
+  const { J } = sensingOf(made, body)(q), half = made.low.map((x, c) => (made.high[c] - x) / (2 * made.noise));
+  const A = half.map((a, i) => half.map((b, k) => J.reduce((sum, row) => sum + row[i] * a * row[k] * b, i === k ? 1 : 0)));
+  const { values, vectors } = eigen(A), free = vectors.filter((_, k) => values[k] < UNLEARNT ** -2);
+  let P = half.map((_, i) => half.map((__, k) => free.reduce((sum, v) => sum + v[i] * v[k], 0)));
+  return free.map(() => {
+    const most = P.map((row, i) => row[i]), pivot = most.indexOf(Math.max(...most)), d = P.map((row) => row[pivot] / Math.sqrt(most[pivot]));
+    P = P.map((row, i) => row.map((x, k) => x - d[i] * d[k]));
+    const size = d.map(Math.abs), rounded = size.map((x) => Math.round(1e9 * x)), order = d.map((_, k) => k).sort((a, b) => rounded[b] - rounded[a]);
+    return order.filter((k) => size[k] > Math.max(...size) / 2).map((k) => `${d[k] < 0 ? "" : "+"}${d[k].toFixed(2)} ${coordinate(k)}`).join(" ");
+  });
 }
 
 // ---- A calibration -------------------------------------------------------------------------------------------------
@@ -368,12 +409,16 @@ function tested(made, { q, u, J }, readings, use, E) {
   };
 }
 
+/** Covariance of two quantities that change by these rows when the configuration does. */
+const covaried = (C, a, b) => C.reduce((sum, row, i) => sum + a[i] * row.reduce((inner, x, j) => inner + x * b[j], 0), 0);
+
 // ---- The estimate --------------------------------------------------------------------------------------------------
 
-/** Follows the frames of a robot by least squares from the last estimate, and says whether the shape explains them. */
+/** Follows the frames of a robot by least squares from the last estimate, and says whether the shape explains them.
+    `grown` is how many times the deviations of the estimator it states: the band that holds, as `repro fit` finds it. */
 class Follower {
-  constructor(made) {
-    Object.assign(this, { made, sensing: sensingOf(made, made.body), q: null, C: null, window: [], status: 0, excess: 0, cause: "", anew: -Infinity, steps: 0, looked: -Infinity, refusal: "", error: null });
+  constructor(made, grown = 1) {
+    Object.assign(this, { made, grown, sensing: sensingOf(made, made.body), q: null, C: null, window: [], status: 0, excess: 0, cause: "", anew: -Infinity, steps: 0, looked: -Infinity, refusal: "", error: null });
     Object.assign(this, { missing: made.channel.map(() => 0), missingNow: made.channel.map(() => false), refused: 0, refusedNow: false, doubted: 0 });
     let seed = 1;
     const share = () => (seed = (seed * 16807) % 2147483647) / 2147483647; // always the same
@@ -435,11 +480,19 @@ class Follower {
 
   // ---- In words ----------------------------------------------------------------------------------------------------
 
+  /** Position of the tip and its standard deviations, as stated [m]. */
+  tip() {
+    const { p, J } = REPRO.tip(this.made.body, this.q);
+    return { p, deviation: J.map((row) => this.grown * Math.sqrt(Math.max(covaried(this.C, row, row), 0))) };
+  }
+
   quantities() {
-    return this.q.map((x, c) => {
-      const deviation = Math.sqrt(Math.max(this.C[c][c], 0)), name = `delta_${"xyL"[c % 3]}_${Math.floor(c / 3) + 1} ${(1e3 * x).toFixed(2)}`;
+    const { p, deviation: ofTip } = this.tip(), tip = p.map((x, k) => `tip ${"xyz"[k]} ${(1e3 * x).toFixed(2)} ± ${(1e3 * ofTip[k]).toFixed(3)} mm`);
+    const own = this.q.map((x, c) => {
+      const deviation = this.grown * Math.sqrt(Math.max(this.C[c][c], 0)), name = `${coordinate(c)} ${(1e3 * x).toFixed(2)}`;
       return deviation > this.made.high[c] - this.made.low[c] ? `${name} mm (undetermined)` : `${name} ± ${(1e3 * deviation).toFixed(3)} mm`;
     });
+    return [...own, ...tip, ...(this.grown === 1 ? [] : [`Every ± is ${this.grown} times what the estimator states.`])];
   }
 
   mark() {
@@ -488,8 +541,8 @@ class Follower {
       return up.map((p, k) => p.map((x, i) => (x - down[k][i]) / (2e-4 * (high[c] - low[c]))));
     });
     const deviation = here.map((_, k) => {
-      const spread = [0, 1, 2].map((a) => [0, 1, 2].map((b) => this.C.reduce((sum, row, i) => sum + slopes[i][k][a] * row.reduce((inner, x, j) => inner + x * slopes[j][k][b], 0), 0)));
-      return 1e3 * Math.min(Math.sqrt(Math.max(eigen(spread).values[2], 0)), this.made.length * this.made.segments);
+      const spread = [0, 1, 2].map((a) => [0, 1, 2].map((b) => covaried(this.C, slopes.map((one) => one[k][a]), slopes.map((one) => one[k][b]))));
+      return 1e3 * Math.min(this.grown * Math.sqrt(Math.max(eigen(spread).values[2], 0)), this.made.length * this.made.segments);
     });
     const markers = (mounts) => {
       const all = placed(body, this.q, chain, mounts);

@@ -7,8 +7,10 @@ const LENGTH = 0.64, STEPS = 160, MARKERS = [0.36, 0.6], DEGREE = Math.PI / 180;
 const DEFAULTS = { imus: 4, model: "interpolated", mounting: 3, heading: 6, seed: 1, view: 300, shape: "70;30;-60;50" };
 const COLOURS = { rigid: "descent", interpolated: "estimate", spline: "sensor" };
 const NAMES = { rigid: "rigid links", interpolated: "interpolated links", spline: "smooth curve" };
-const USED = { rigid: { 2: [2, 6], 4: [2, 4, 6, 8] }, other: { 2: [4, 8], 4: [2, 4, 6, 8] } }; // Table I
+const MODELS = Object.keys(NAMES);
 const ALL = [1, 2, 3, 4, 5, 6, 7, 8];
+const usedBy = (name, { imus }) => ({ 2: name === "rigid" ? [2, 6] : [4, 8], 4: [2, 4, 6, 8], 8: ALL })[imus]; // Table I
+const AT = MARKERS.map((s) => Math.round(s / LENGTH * STEPS));
 
 const parsed = (text) => {
   const angles = text.split(";").map(Number);
@@ -38,7 +40,7 @@ function read(state, turns) {
 }
 
 function estimate(state, name, readings, points) {
-  const used = state.imus === 8 ? ALL : USED[name === "rigid" ? "rigid" : "other"][state.imus], lengths = used.map(() => LENGTH / state.imus);
+  const used = usedBy(name, state), lengths = used.map(() => LENGTH / state.imus);
   const turns = used.map((k) => readings[k - 1]);
   if (name === "rigid") return REPRO.rigidLinks(turns, lengths, points);
   if (name === "spline") return REPRO.tangentSpline([[0, 0, 0, 1], ...turns], lengths, points);
@@ -56,23 +58,24 @@ function draw(figure) {
   for (const name of ["rigid", "spline", "interpolated"].sort((a) => (a === state.model ? 1 : -1))) {
     const chosen = name === state.model, shape = estimate(state, name, readings, arcs), marked = estimate(state, name, readings, MARKERS);
     figure.line(shape, COLOURS[name], chosen ? 3 : 2, { dash: chosen ? [10, 7] : [2, 6], alpha: chosen ? 1 : 0.8 });
-    figure.errors[name] = marked.map((p, k) => 1e3 * Math.hypot(...plus(p, points[Math.round(MARKERS[k] / LENGTH * STEPS)], -1)));
+    figure.errors[name] = marked.map((p, k) => 1e3 * Math.hypot(...plus(p, points[AT[k]], -1)));
     if (chosen) marked.forEach((p) => figure.dot(p, COLOURS[name], 5));
   }
-  const used = state.imus === 8 ? ALL : USED[state.model === "rigid" ? "rigid" : "other"][state.imus];
-  for (const k of used) {
+  for (const k of usedBy(state.model, state)) {
     const p = points[k * STEPS / 8];
     figure.line([p, plus(p, REPRO.tangent(readings[k - 1]), 0.045)], "magnet", 2);
     figure.dot(p, "magnet", 5);
   }
-  MARKERS.forEach((s, k) => {
-    const p = points[Math.round(s / LENGTH * STEPS)], [x, y] = figure.at(p);
-    figure.dot(p, "truth", 6, { hollow: true });
-    figure.words("M" + (k + 1), x + 12, y - 12);
+  AT.forEach((at, k) => {
+    const [[u, v], [x, y], tip] = [at - 3, at, STEPS].map((i) => figure.at(points[i]));
+    figure.dot(points[at], "truth", 6, { hollow: true });
+    // beside the arm, where no line of a model runs
+    const [a, b] = [x - u, y - v], beside = (a * (tip[1] - y) > b * (tip[0] - x) ? -26 : 26) / Math.hypot(a, b);
+    figure.words("M" + (k + 1), x - beside * b, y + beside * a, { align: "center" });
   });
   figure.tipHandle.place(figure.at(points[STEPS]));
-  figure.legend([["truth", "true shape"], ["magnet", "IMUs: where each points"], ...Object.keys(NAMES).map((name) => [COLOURS[name], NAMES[name]])]);
-  for (const name of Object.keys(NAMES)) figure.errors[name].forEach((mm, k) => { figure.cells[name][k].textContent = mm.toFixed(1) + " mm"; });
+  figure.legend([["truth", "true shape"], ["magnet", "IMUs: where each points"], ...MODELS.map((name) => [COLOURS[name], NAMES[name]])]);
+  for (const name of MODELS) figure.errors[name].forEach((mm, k) => { figure.cells[name][k].textContent = mm.toFixed(1) + " mm"; });
 }
 
 function drag(figure, dx, dy) {
@@ -102,9 +105,9 @@ REPRO.views.imus = function (box) {
   });
   const { state } = figure, degrees = (x) => x + "°";
   const row = (name) => element("tr", {}, element("th", { scope: "row", text: NAMES[name] }), ...figure.cells[name]);
-  figure.cells = Object.fromEntries(Object.keys(NAMES).map((name) => [name, [element("td"), element("td")]]));
+  figure.cells = Object.fromEntries(MODELS.map((name) => [name, [element("td"), element("td")]]));
   figure.below.append(element("table", {}, element("thead", {}, element("tr", {}, ...["Error of the markers", "M1", "M2"].map((text) => element("th", { scope: "col", text })))),
-    element("tbody", {}, ...Object.keys(NAMES).map(row))));
+    element("tbody", {}, ...MODELS.map(row))));
   figure.tipHandle = figure.handle("End of the arm: drag it, or move it with the arrow keys", (dx, dy) => drag(figure, dx, dy));
   const keys = ["bend_x", "bend_y", "s_x", "s_y"], labels = ["Bend in x", "Bend in y", "As an S in x", "As an S in y"];
   const showShape = (one) => parsed(state.shape).forEach((x, k) => one.controls[keys[k]]?.show(Math.round(x)));

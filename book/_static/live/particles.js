@@ -79,9 +79,8 @@ function draw(figure) {
 }
 
 function drawErrors(figure, place) {
-  const y = figure.plot(place, [-3, 1], 300, { estimate: figure.errors }, "error [mm], the last 300 steps"), limit = y(law(figure.state));
+  const y = figure.plot(place, [-3, 1], 300, { estimate: figure.errors }, "error [mm] of 300 steps; dashed: the spread alone"), limit = y(law(figure.state));
   figure.line([[place[0], limit], [place[2], limit]], "text", 1.5, { flat: true, dash: [6, 5] });
-  figure.words("law: the spread alone", place[2], limit - 10, { align: "right", size: 12 });
 }
 
 function summary(figure) {
@@ -120,7 +119,7 @@ REPRO.views.particles = function (box) {
     }),
     figure.button("Start again, straight", () => figure.set({ seed: state.seed % 99 + 1 }))),
     figure.choice("curve", "Curve", [["flower", "Flower"], ["spiral", "Spiral"], ["seagull", "Seagull"]]),
-    figure.choice("estimate", "Estimate", [["bestTenth", "best tenth, the paper's"], ["mean", "mean by weight"]]));
+    figure.choice("estimate", "Estimate", [["bestTenth", "best tenth (paper)"], ["mean", "mean by weight"]]));
   figure.group("Filter and sensor",
     figure.slider("particles", "Particles", { values: [20, 50, 100, 300, 1000, 2000] }),
     figure.slider("walk", "Process noise", { values: [0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05], show: (x) => x + "π rad" }),

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro import se3
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.kinematics.robot import Robot
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.moments import check_readings
@@ -161,16 +161,13 @@ def calibrate(
     [1.02, 1.02, 1.02]
     """
     check_readings("calibrate", robot, q, u)
-    if not q.shape[-2]:
-        raise bad_input("q", "calibrate", "at least one pose", "none")
+    require(q.shape[-2], "q", "calibrate", "at least one pose", "none")
     if q_covariance.shape[-2:] != (robot.n_q, robot.n_q):
         expected = f"of last dimensions ({robot.n_q}, {robot.n_q})"
         raise bad_input("q_covariance", "calibrate", expected, f"shape {tuple(q_covariance.shape)}")
     se3.require_finite(q_covariance, "q_covariance", "calibrate")
-    if not noise_mt > 0:
-        raise bad_input("noise_mt", "calibrate", "positive [mT]", noise_mt)
-    if iterations < 1:
-        raise bad_input("iterations", "calibrate", "at least 1", iterations)
+    require(noise_mt > 0, "noise_mt", "calibrate", "positive [mT]", noise_mt)
+    require(iterations >= 1, "iterations", "calibrate", "at least 1", iterations)
     terms = moments.shape[-1]
     model = PlacedReadings(robot, q, moments, earth_mt)
     scale = (tolerances or Tolerances()).of_parameters(robot, terms).to(q)

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation._step import driven
 from repro.estimation.base import Estimate, check_start
 from repro.estimation.kalman_filter import IteratedKalmanFilter, KalmanState
@@ -163,8 +163,7 @@ class DriftFilter:
         InputError
             If ``t`` is not after the last step, a mask does not fit, a reading is infinite, or no sensor is left.
         """
-        if state.t is not None and not t > state.t:
-            raise bad_input("t", "DriftFilter", f"after the last step, {state.t} s", t)
+        require(state.t is None or t > state.t, "t", "DriftFilter", f"after the last step, {state.t} s", t)
         n = len(self.lower)
         if known is not None:
             free = torch.full((len(self.drift.std),), torch.nan).to(known).expand(*known.shape[:-1], -1)

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation._quaternions import unit_quaternions
 from repro.estimation.imu_models import ShapeModel
 from repro.estimation.imu_selection import Selection
@@ -60,8 +60,7 @@ class ImuTolerances:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not (math.isfinite(value) and value > 0):
-                raise bad_input(name, "ImuTolerances", "positive", value)
+            require(math.isfinite(value) and value > 0, name, "ImuTolerances", "positive", value)
 
 
 @dataclass(frozen=True)
@@ -162,8 +161,7 @@ def calibrate_imus(
     if q.ndim != 3 or np.shape(markers) != (len(q), points, 3):
         expected = f"of shape ({len(q)}, {points}, 3), as there are orientations and markers"
         raise bad_input("markers", "calibrate_imus", expected, f"shape {np.shape(markers)}")
-    if not noise_m > 0:
-        raise bad_input("noise_m", "calibrate_imus", "positive [m]", noise_m)
+    require(noise_m > 0, "noise_m", "calibrate_imus", "positive [m]", noise_m)
     if np.isinf(markers).any():
         raise bad_input("markers", "calibrate_imus", "finite, or NaN where not seen", "infinite positions")
     seen = ~np.isnan(markers).any(axis=-1)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation._imu_arcs import Points
 from repro.estimation._quaternions import turn_between, unit_quaternions
 from repro.estimation.orientations import product, tangents
@@ -192,8 +192,7 @@ def adjacent_angles(
 
 def _mounting(along_arm: str, owner: str) -> np.ndarray:
     """Return R_imu_link of sensors with the named axis along the arm."""
-    if along_arm not in _R_IMU_LINK:
-        raise bad_input("along_arm", owner, 'one of "x", "y" and "z"', along_arm)
+    require(along_arm in _R_IMU_LINK, "along_arm", owner, 'one of "x", "y" and "z"', along_arm)
     return _R_IMU_LINK[along_arm]
 
 

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation._quaternions import filled, neighbours
 from repro.estimation.base import Estimate, check_start, usable
 from repro.estimation.imu_models import ShapeModel
@@ -85,12 +85,9 @@ class ImuShape:
     roughness: float = _ROUGHNESS
 
     def __post_init__(self) -> None:
-        if not self.arc_lengths:
-            raise bad_input("arc_lengths", "ImuShape", "at least one point", self.arc_lengths)
-        if not self.noise_rad > 0:
-            raise bad_input("noise_rad", "ImuShape", "positive [rad]", self.noise_rad)
-        if not self.roughness > 0:
-            raise bad_input("roughness", "ImuShape", "positive [rad/sqrt(m)]", self.roughness)
+        require(self.arc_lengths, "arc_lengths", "ImuShape", "at least one point", self.arc_lengths)
+        require(self.noise_rad > 0, "noise_rad", "ImuShape", "positive [rad]", self.noise_rad)
+        require(self.roughness > 0, "roughness", "ImuShape", "positive [rad/sqrt(m)]", self.roughness)
 
     def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> _ShapeState:
         """State at ``q0``; neither it nor the seed has an effect on the estimates."""

@@ -28,7 +28,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation._step import TOLERANCE, driven
 from repro.estimation.base import Estimate, check_start, held, kernel, redundancy, usable
 from repro.estimation.levenberg_marquardt import LeastSquaresState, LevenbergMarquardt, covariance
@@ -214,6 +214,5 @@ class IteratedKalmanFilter:
 
     def _update(self, sensing: Callable[[Tensor], Tensor]) -> LevenbergMarquardt:
         """Least squares on readings in units of their noise, and the prior."""
-        if not self.noise_mt > 0:
-            raise bad_input("noise_mt", "IteratedKalmanFilter", "positive", self.noise_mt)
+        require(self.noise_mt > 0, "noise_mt", "IteratedKalmanFilter", "positive", self.noise_mt)
         return LevenbergMarquardt(sensing, self.lower, self.upper, noise_mt=1.0, iterations=self.iterations)

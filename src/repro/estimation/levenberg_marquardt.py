@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation._step import TOLERANCE
 from repro.estimation.base import Estimate, check_start, held, kernel, redundancy, usable
 
@@ -68,10 +68,8 @@ class LevenbergMarquardt:
         if self.lower.shape != self.upper.shape or bool((self.lower >= self.upper).any()):
             bounds = (self.lower.tolist(), self.upper.tolist())
             raise bad_input("lower, upper", "LevenbergMarquardt", "ordered bounds", bounds)
-        if not self.noise_mt > 0:
-            raise bad_input("noise_mt", "LevenbergMarquardt", "positive", self.noise_mt)
-        if self.iterations < 1:
-            raise bad_input("iterations", "LevenbergMarquardt", "at least 1", self.iterations)
+        require(self.noise_mt > 0, "noise_mt", "LevenbergMarquardt", "positive", self.noise_mt)
+        require(self.iterations >= 1, "iterations", "LevenbergMarquardt", "at least 1", self.iterations)
 
     @cached_property
     def _kernel(self) -> Any:

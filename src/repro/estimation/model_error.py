@@ -31,7 +31,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.base import Estimate, Estimator, held, kernel, usable
 from repro.estimation.levenberg_marquardt import jacobian
 
@@ -92,8 +92,7 @@ class WithModelError:
     bounds: tuple[Tensor, Tensor] | None = None
 
     def __post_init__(self) -> None:
-        if not self.noise > 0:
-            raise bad_input("noise", "WithModelError", "positive", self.noise)
+        require(self.noise > 0, "noise", "WithModelError", "positive", self.noise)
 
     @cached_property
     def _kernel(self) -> Any:

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.estimation._leave_one_out import EXPLAINED, MUCH_BETTER, LeftOut, begun, followed, recovered
 from repro.estimation._window import Seen, frozen, limit, seen_by, verdict_on
 from repro.estimation.base import Estimate, Estimator
@@ -112,11 +112,9 @@ class Monitored(Generic[_S]):
     sensors: Bool[Tensor, "sensors s"] | None = None
 
     def __post_init__(self) -> None:
-        if not len(self.starts):
-            raise bad_input("starts", "Monitored", "at least one configuration", "none")
+        require(len(self.starts), "starts", "Monitored", "at least one configuration", "none")
         for name in ("rate_hz", "false_alarms_per_hour", "look_s"):
-            if not getattr(self, name) > 0:
-                raise bad_input(name, "Monitored", "positive", getattr(self, name))
+            require(getattr(self, name) > 0, name, "Monitored", "positive", getattr(self, name))
 
     def init(self, q0: Float[Tensor, "*batch n_q"], *, seed: int = 0) -> _MonitorState[_S]:
         """State of the estimator at ``q0``; nothing is held against it.
@@ -126,8 +124,7 @@ class Monitored(Generic[_S]):
         InputError
             For a batch, or as the estimator.
         """
-        if q0.ndim != 1:
-            raise bad_input("q0", "Monitored", "one configuration, no batch", f"shape {tuple(q0.shape)}")
+        require(q0.ndim == 1, "q0", "Monitored", "one configuration, no batch", f"shape {tuple(q0.shape)}")
         return _MonitorState(self.estimator.init(q0, seed=seed), q0, seed)
 
     def step(

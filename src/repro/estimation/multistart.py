@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
 
 _CHI2_MARGIN = 9.0
@@ -94,8 +94,7 @@ def search(
     >>> int(found.count), sorted(found.q[found.candidate].flatten().round(decimals=3).tolist())
     (2, [-1.0, 1.0])
     """
-    if not len(starts):
-        raise bad_input("starts", "search", "at least one configuration", "none")
+    require(len(starts), "starts", "search", "at least one configuration", "none")
     batch = u.shape[:-1]
     each = u.unsqueeze(-2).expand(*batch, len(starts), -1)
     use = None if mask is None else mask.unsqueeze(-2)
@@ -137,8 +136,7 @@ def starts_within(
     InputError
         If there is no start.
     """
-    if count < 1:
-        raise bad_input("count", "starts_within", "at least 1", count)
+    require(count >= 1, "count", "starts_within", "at least 1", count)
     sobol = torch.quasirandom.SobolEngine(len(lower), scramble=True, seed=seed)
     middle = torch.full((1, len(lower)), 0.5, dtype=lower.dtype)
     shares = torch.cat([middle, sobol.draw(count - 1, dtype=lower.dtype)])

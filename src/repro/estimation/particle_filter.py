@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation._particle_cloud import Weighed, weighed
 from repro.estimation._particle_restart import contracted
 from repro.estimation._resampling import SCHEMES, resample, stream
@@ -118,8 +118,7 @@ class ParticleFilter:
         if not bool((self.process_noise > 0).all()):
             raise bad_input("process_noise", owner, "positive", self.process_noise.tolist())
         for name in ("noise_mt", "particles", "lost_at"):
-            if not getattr(self, name) > 0:
-                raise bad_input(name, owner, "positive", getattr(self, name))
+            require(getattr(self, name) > 0, name, owner, "positive", getattr(self, name))
         choices = {"estimate": _ESTIMATES, "resampling": SCHEMES, "motion": _MOTIONS}
         for name, known in choices.items():
             if getattr(self, name) not in known:
@@ -159,8 +158,7 @@ class ParticleFilter:
         check_start(q0, None, owner, n_q=self._n_q)
         if self.region is not None and not bool(self.region.contains(q0).all()):
             raise bad_input("q0", owner, f"within {self.region}", q0.tolist())
-        if seed < 0:
-            raise bad_input("seed", owner, "not negative", seed)
+        require(seed >= 0, "seed", owner, "not negative", seed)
         q = q0.unsqueeze(-2).expand(*q0.shape[:-1], self.particles, -1)
         q, velocity = self._moved(q, torch.zeros_like(q), stream(seed, 0))
         return ParticleState(q, torch.zeros_like(velocity), seed, 1)

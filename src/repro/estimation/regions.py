@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 
 @runtime_checkable
@@ -45,8 +45,7 @@ class Disc:
     radius: float
 
     def __post_init__(self) -> None:
-        if not self.radius > 0:
-            raise bad_input("radius", "Disc", "positive [rad]", self.radius)
+        require(self.radius > 0, "radius", "Disc", "positive [rad]", self.radius)
 
     def contains(self, q: Float[Tensor, "*batch 2"]) -> Bool[Tensor, "*batch"]:
         """Whether the bend angle is at most the radius."""

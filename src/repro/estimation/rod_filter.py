@@ -25,7 +25,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation._step import conditioned, matern
 from repro.estimation.base import Estimate, check_start, usable
 from repro.estimation.kalman_filter import KalmanState
@@ -100,10 +100,8 @@ class RodFilter:
             ("base_rate", (self.base_rate,)),
             ("iterations", (self.iterations,)),
         ):
-            if not min(values) > 0:
-                raise bad_input(name, "RodFilter", "positive", getattr(self, name))
-        if not self.sensors:
-            raise bad_input("sensors", "RodFilter", "at least one", "none")
+            require(min(values) > 0, name, "RodFilter", "positive", getattr(self, name))
+        require(self.sensors, "sensors", "RodFilter", "at least one", "none")
         for sensor in self.sensors:
             if not 0 <= sensor.arc_m <= self.rod.length * (1 + 1e-12):
                 expected = f"between 0 and the length {self.rod.length} m"
@@ -161,8 +159,7 @@ class RodFilter:
         """
         if state.t is None:
             return KalmanState(state.q, state.velocity, state.covariance, t)
-        if not t >= state.t:
-            raise bad_input("t", "RodFilter", f"not before the last step, {state.t} s", t)
+        require(t >= state.t, "t", "RodFilter", f"not before the last step, {state.t} s", t)
         move, noise = self.motion(t - state.t)
         x = torch.cat([state.q, state.velocity], -1).double() @ move.mT
         m = state.q.shape[-1]
@@ -188,11 +185,9 @@ class RodFilter:
             If ``t`` is not after the last step, ``u`` has another width than the sensors, a mask does not fit, a
             reading is infinite, or no sensor is left.
         """
-        if state.t is not None and not t > state.t:
-            raise bad_input("t", "RodFilter", f"after the last step, {state.t} s", t)
+        require(state.t is None or t > state.t, "t", "RodFilter", f"after the last step, {state.t} s", t)
         s = int(self._layout.row[-1])
-        if u.shape[-1] != s:
-            raise bad_input("u", "RodFilter", f"of last dimension {s}", f"shape {tuple(u.shape)}")
+        require(u.shape[-1] == s, "u", "RodFilter", f"of last dimension {s}", f"shape {tuple(u.shape)}")
         use = usable(u, mask, "RodFilter")
         n, m = self.n_q, state.q.shape[-1]
         batch = np.broadcast_shapes(state.q.shape[:-1], u.shape[:-1])

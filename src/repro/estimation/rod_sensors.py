@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.kernels._rod_filter import GYROSCOPE, MODEL, ORIENTATION, POSE, Layout
 from repro.kinematics.strain_series import StrainSeries
 
@@ -84,8 +84,7 @@ class RodSensor:
                 "lasting_std", "RodSensor", f"empty, or {count} positive numbers", self.lasting_std
             )
         for name in ("lasting_time_s", "outliers"):
-            if not getattr(self, name) > 0:
-                raise bad_input(name, "RodSensor", "positive", getattr(self, name))
+            require(getattr(self, name) > 0, name, "RodSensor", "positive", getattr(self, name))
 
 
 def layout(rod: StrainSeries, sensors: Sequence[RodSensor], *, base: bool) -> Layout:

@@ -22,7 +22,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.base import Estimate, Trajectory, stacked
 from repro.estimation.kalman_filter import KalmanState
 
@@ -72,8 +72,7 @@ def smoothed(
     """
     if not states or any(state.t is None for state in states):
         raise bad_input("states", "smoothed", "at least one, each after a step", f"{len(states)} states")
-    if not lag_s >= 0:
-        raise bad_input("lag_s", "smoothed", "not negative [s]", lag_s)
+    require(lag_s >= 0, "lag_s", "smoothed", "not negative [s]", lag_s)
     t = np.array([state.t for state in states])
     if (np.diff(t) < 0).any():
         k = int((np.diff(t) < 0).argmax())

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.kernels.compilation import machine_code
 from repro.sensing.magnets import B444B, Cube
 
@@ -98,8 +98,7 @@ class CompiledBendSensor:
     is_compiled: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if not self.length > 0:
-            raise bad_input("length", "CompiledBendSensor", "positive [m]", self.length)
+        require(self.length > 0, "length", "CompiledBendSensor", "positive [m]", self.length)
 
     def __call__(self, q: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 3"]:
         """Return the flux density [mT] in the frame of the sensor, z along the straight arc; bend ``q`` below pi."""

@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.kernels._bend import bend_field
 from repro.kernels.compilation import machine_code
 from repro.sensing.magnets import B444B, Cube
@@ -101,10 +101,8 @@ class BendSeries:
     cube: Cube = B444B
 
     def __post_init__(self) -> None:
-        if not self.length > 0:
-            raise bad_input("length", "BendSeries", "positive [m]", self.length)
-        if not 0 < self.reach < math.pi:
-            raise bad_input("reach", "BendSeries", "between 0 and pi [rad]", self.reach)
+        require(self.length > 0, "length", "BendSeries", "positive [m]", self.length)
+        require(0 < self.reach < math.pi, "reach", "BendSeries", "between 0 and pi [rad]", self.reach)
         if not self.error_mt <= _LARGEST_ERROR_MT:
             expected = f"such that the series is within {_LARGEST_ERROR_MT:g} mT of the closed form"
             received = f"{self.length:g} m and {self.reach:g} rad, {self.error_mt:.2g} mT off"

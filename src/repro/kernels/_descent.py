@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.kernels._motion import array
 from repro.kernels._sensing import CompiledSensing, evaluate, room, rows
 from repro.kernels.compilation import machine_code
@@ -57,8 +57,7 @@ def descend(
     u_hat, loss, at = np.empty_like(u_), np.empty(len(q)), np.empty(len(q))
     model, options = (sensing.tables, sensing.which(batch)), (array(step_size), float(momentum), iterations)
     lost = _descend(*model, q, b, u_, use_, free_, *options, u_hat, loss, at)
-    if lost:
-        raise bad_input("q", "Robot", "finite", f"{lost} values that are NaN or infinite")
+    require(not lost, "q", "Robot", "finite", f"{lost} values that are NaN or infinite")
     found = (torch.from_numpy(x).reshape((*batch, *x.shape[1:])) for x in (q, b, u_hat, loss, at))
     best_q, last_b, best_u, best_loss, best_at = (x.to(start[0]) for x in found)
     return best_q, last_b, best_u, best_loss, best_at

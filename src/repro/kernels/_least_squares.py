@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.kernels._motion import array
 from repro.kernels._sensing import CompiledSensing, evaluate, room, rows
 from repro.kernels.compilation import machine_code
@@ -81,8 +81,7 @@ def fit(
     options = (*(array(x) for x in bounds), float(noise_mt), iterations, tolerance)
     data, found = (u_, use_, free_, mean_, W_), (u_hat, rmse, count, J, C, determined)
     lost = _fit(sensing.tables, sensing.which(batch), q, data, options, found)
-    if lost:
-        raise bad_input("q", "Robot", "finite", f"{lost} values that are NaN or infinite")
+    require(not lost, "q", "Robot", "finite", f"{lost} values that are NaN or infinite")
     arrays = (q, u_hat[:, :n_s], rmse, count, C, J, determined)
     *estimate, slopes, good = (torch.from_numpy(x).reshape((*batch, *x.shape[1:])) for x in arrays)
     best_q, best_u, error, turns, covariance = (x.to(start) for x in estimate)

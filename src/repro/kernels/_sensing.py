@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro.kernels._motion import Chain, array, chain, move, scratch
 from repro.kernels._multipole import ORDERS, multipole
 from repro.kernels._network import NO_NETWORK, Layers, layers, nodes, predict
@@ -161,8 +161,7 @@ class CompiledSensing:
             If configurations or readings are not those of the robot.
         """
         for name, x, n in (("q", q, self.n_q), ("u", u, self.n_sensors)):
-            if x.shape[-1:] != (n,):
-                raise bad_input(name, owner, f"of last dimension {n}", f"shape {tuple(x.shape)}")
+            require(x.shape[-1:] == (n,), name, owner, f"of last dimension {n}", f"shape {tuple(x.shape)}")
         return self.batch(*(x.shape[:-1] for x in (q, u, *others)))
 
     def linearise(

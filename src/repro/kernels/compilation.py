@@ -2,7 +2,8 @@
 
 Numba notices that the file of a cached function has changed, but not that a function which it calls has. Here the
 folder of the cache is named after the content of all of `repro.kernels`, so that any edit there compiles all anew. A
-kernel uses functions and constants of that package and of its own module only; the rest comes as arguments.
+kernel uses functions and constants of that package and of its own module only; the rest comes as arguments. Within
+that folder numba names one after the place of each file; here it is the file's content, which copies share.
 """
 
 from __future__ import annotations
@@ -16,9 +17,21 @@ from typing import Any
 
 import numba
 import platformdirs
+from numba.core.caching import UserProvidedCacheLocator
 
+_CONFIG: Any = numba.config  # type: ignore[attr-defined]
 _REORDER = {"reassoc", "contract", "nsz"}
 """Freedom to sum in any order, which lets the processor add several numbers at once; NaN and infinity stay exact."""
+
+
+class ByContent(UserProvidedCacheLocator):
+    """Where numba keeps the machine code of a file: a folder that a copy of the file has too."""
+
+    def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
+        super().__init__(py_func, py_file)
+        path = Path(py_file)
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        self._cache_path = str(Path(_CONFIG.CACHE_DIR, f"{path.stem}-{digest[:16]}"))
 
 
 def machine_code(*, reorder: bool = False) -> Callable[[Callable[..., Any]], Any]:
@@ -31,10 +44,13 @@ def machine_code(*, reorder: bool = False) -> Callable[[Callable[..., Any]], Any
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-        folder = _CACHE if not before else Path(before) / _CACHE.name
+        before = (
+            _CONFIG.CACHE_DIR,
+            getattr(_CONFIG, "CACHE_LOCATOR_CLASSES", ""),
+        )  # numba 0.60 has only the first
+        folder = _CACHE if not before[0] else Path(before[0]) / _CACHE.name
         # Set for this decoration only, which is when numba looks: other users of numba keep their own place.
-        numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+        _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(folder), f"{__name__}.{ByContent.__name__}"
         try:
             return numba.njit(
                 inspect.unwrap(function),
@@ -43,27 +59,17 @@ def machine_code(*, reorder: bool = False) -> Callable[[Callable[..., Any]], Any
                 fastmath=_REORDER if reorder else False,
             )
         finally:
-            numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+            _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = before
 
     return decorate
 
 
-def _cache_folder(package: Path) -> Path:
-    """Folder for the machine code of kernels: below ``.cache`` of the project, or in the user's cache.
-
-    Parameters
-    ----------
-    package
-        Folder of kernels. It belongs to a project if its package lies in ``src`` beside a ``pyproject.toml``.
-    """
+def _digest(package: Path) -> str:
     digest = hashlib.sha256()
     for file in sorted(package.rglob("*.py")):
         content = file.read_bytes()
         digest.update(f"{file.relative_to(package).as_posix()} {len(content)}\n".encode() + content)
-    root = package.parents[2]
-    project = package.parents[1].name == "src" and (root / "pyproject.toml").is_file()
-    place = root / ".cache" if project else Path(platformdirs.user_cache_dir("repro"))
-    return place / "numba" / digest.hexdigest()[:16]
+    return digest.hexdigest()[:16]
 
 
 def _writable(folder: Path) -> bool:
@@ -74,5 +80,5 @@ def _writable(folder: Path) -> bool:
     return os.access(folder, os.W_OK)
 
 
-_CACHE = _cache_folder(Path(__file__).resolve().parent)
-"""Folder for the machine code; below ``NUMBA_CACHE_DIR`` where that is set."""
+_CACHE = platformdirs.user_cache_path("repro") / "numba" / _digest(Path(__file__).resolve().parent)
+"""Folder for the machine code, for all copies of the package; below ``NUMBA_CACHE_DIR`` where that is set."""

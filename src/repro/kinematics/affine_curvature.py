@@ -17,7 +17,7 @@ from numpy.polynomial.legendre import leggauss
 from torch import Tensor
 
 from repro import se3
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 _NODES = 24
 
@@ -53,8 +53,7 @@ class AffineCurvature:
     length: float
 
     def __post_init__(self) -> None:
-        if not self.length > 0:
-            raise bad_input("length", "AffineCurvature", "positive [m]", self.length)
+        require(self.length > 0, "length", "AffineCurvature", "positive [m]", self.length)
 
     @property
     def coordinates(self) -> tuple[str, ...]:

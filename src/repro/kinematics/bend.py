@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.kinematics.constant_curvature import ConstantCurvature
 
 MAX_BEND = torch.pi / 2
@@ -50,8 +50,7 @@ class Bend:
     length: float
 
     def __post_init__(self) -> None:
-        if not self.length > 0:
-            raise bad_input("length", "Bend", "positive [m]", self.length)
+        require(self.length > 0, "length", "Bend", "positive [m]", self.length)
 
     @property
     def coordinates(self) -> tuple[str, ...]:

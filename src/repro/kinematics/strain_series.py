@@ -20,7 +20,7 @@ from numpy.polynomial.legendre import legval
 from torch import Tensor
 
 from repro import se3
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,7 @@ class StrainSeries:
     parts: int = 8
 
     def __post_init__(self) -> None:
-        if not self.length > 0:
-            raise bad_input("length", "StrainSeries", "positive [m]", self.length)
+        require(self.length > 0, "length", "StrainSeries", "positive [m]", self.length)
         if self.bending < 0 or self.torsion < 0 or not self.n_q:
             raise bad_input(
                 "bending, torsion", "StrainSeries", "numbers of terms", (self.bending, self.torsion)

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.files import write_whole
 
 _SCHEMA = 2
@@ -122,8 +122,7 @@ class RobotCalibration:
             values[name] = tuple(content[name])
         found = cls(**values)
         n = len(found.parameters) + len(found.offset) + len(found.earth_mt)
-        if len(found.names) != n:
-            raise bad_input("names", owner, f"those of {n} numbers", f"{len(found.names)}")
+        require(len(found.names) == n, "names", owner, f"those of {n} numbers", f"{len(found.names)}")
         C = found.covariance
         if C.shape != (n, n) or not torch.equal(C, C.mT):
             raise bad_input("covariance", owner, f"symmetric, {n} x {n}", f"shape {tuple(C.shape)}")

@@ -145,10 +145,14 @@ def _directions(robot: Robot, imus: Sequence[Imu], base_orientation: Sequence[fl
         seen = to_world[2:] if imu.free_heading else np.eye(3)
         seen_by += [k] * len(seen)
         rows.append(seen)
+    return SeenDirections(robot, imu_mounts(imus), tuple(seen_by), torch.from_numpy(np.concatenate(rows)))
+
+
+def imu_mounts(imus: Sequence[Imu]) -> Mounts:
+    """Where IMUs sit, in frames of their own."""
     mounted = torch.from_numpy(Rotation.from_quat([imu.mounted for imu in imus]).as_matrix())
     at = torch.tensor([imu.at_m for imu in imus], dtype=torch.float64)
-    mounts = Mounts(tuple(imu.segment for imu in imus), at, se3.pose(mounted, mounted.new_zeros(3)))
-    return SeenDirections(robot, mounts, tuple(seen_by), torch.from_numpy(np.concatenate(rows)))
+    return Mounts(tuple(imu.segment for imu in imus), at, se3.pose(mounted, mounted.new_zeros(3)))
 
 
 def _is_unit(values: Sequence[float]) -> bool:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.kinematics.robot import Robot
 from repro.robot_file import _checks as robot_checks
 from repro.robot_file._document import Document
@@ -36,8 +36,7 @@ def load_robot(path: Path | str, calibration: Path | str | None = None) -> Robot
     tensor([0.0000, 0.0000, 0.1100], dtype=torch.float64)
     """
     path = Path(path)
-    if not path.is_file():
-        raise bad_input("path", "load_robot", "a robot file", path)
+    require(path.is_file(), "path", "load_robot", "a robot file", path)
     content = path.read_bytes()
     try:
         text = content.decode("utf-8-sig")  # some editors of Windows begin with a byte-order mark

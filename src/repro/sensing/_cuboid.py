@@ -20,7 +20,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import require
 
 _CORNERS = ((2, 1, 1), (1, 2, 1), (1, 1, 2))
 
@@ -53,8 +53,7 @@ def cuboid_field(
     >>> float(field[1]) / (2 * 1000 / (4 * math.pi * 100**3))  # doctest: +ELLIPSIS
     0.99999...
     """
-    if not min(dimensions) > 0:
-        raise bad_input("dimensions", "cuboid_field", "positive [m]", dimensions)
+    require(min(dimensions) > 0, "dimensions", "cuboid_field", "positive [m]", dimensions)
     x, y, z = positions.unbind(-1)
     return torch.stack(cuboid_components(x, y, z, dimensions, polarisation_mt), dim=-1)
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro import se3
-from repro.errors import bad_input
+from repro.errors import require
 from repro.sensing._cuboid import cuboid_components
 from repro.sensing.magnets import B444B, Cube
 
@@ -47,8 +47,7 @@ class BendSensor:
     cube: Cube = B444B
 
     def __post_init__(self) -> None:
-        if not self.length > 0:
-            raise bad_input("length", "BendSensor", "positive [m]", self.length)
+        require(self.length > 0, "length", "BendSensor", "positive [m]", self.length)
 
     def __call__(self, q: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 3"]:
         """Return the flux density [mT] in the frame of the sensor, z along the straight arc; bend ``q`` below pi."""

@@ -14,7 +14,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.sensing.network import paper_network
 from repro.sensing.weights import save_weights
 
@@ -82,8 +82,7 @@ def import_network(source: Path | str, target: Path | str, *, exponential_head: 
 
 def _state_dict(path: Path) -> dict[str, Tensor]:
     expected = "a state dict: a file of torch.save, or safetensors"
-    if not path.is_file():
-        raise bad_input("source", "import_network", expected, f"{path}, which is not there")
+    require(path.is_file(), "source", "import_network", expected, f"{path}, which is not there")
     try:
         if path.suffix == ".safetensors":
             # the file keeps no order

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy.polynomial import Legendre
 from numpy.polynomial.legendre import leggauss
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 _MT_PER_T = 1e3
 
@@ -115,8 +115,7 @@ class Cube:
     polarisation_mt: float
 
     def __post_init__(self) -> None:
-        if not self.edge > 0:
-            raise bad_input("edge", "Cube", "positive [m]", self.edge)
+        require(self.edge > 0, "edge", "Cube", "positive [m]", self.edge)
 
     def field(self, positions: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
         """Flux density [mT] at positions [m], both in the frame of the magnet, by magpylib."""
@@ -144,8 +143,7 @@ def ring(name: str) -> Ring:
     InputError
         If there is no ring of this name.
     """
-    if name not in _RINGS:
-        raise bad_input("name", "ring", f"one of {', '.join(map(repr, _RINGS))}", repr(name))
+    require(name in _RINGS, "name", "ring", f"one of {', '.join(map(repr, _RINGS))}", repr(name))
     return _RINGS[name]
 
 
@@ -163,8 +161,7 @@ def _flux(
     n = len(points)
     if n == 0:
         return np.zeros(np.shape(positions))
-    if not math.isfinite(points.sum()):
-        raise bad_input("positions", "field", "finite [m]", "NaN or infinity")
+    require(math.isfinite(points.sum()), "positions", "field", "finite [m]", "NaN or infinity")
     polarisation = np.array([0.0, 0.0, polarisation_mt / _MT_PER_T])
     flux = field(
         "B",

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro import se3
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.kinematics.robot import Robot
 from repro.sensing._multipoles import multipole_factors
 from repro.sensing.relations import relations
@@ -123,8 +123,7 @@ def check_readings(owner: str, robot: Robot, q: Tensor, u: Tensor) -> None:
     InputError
         As said.
     """
-    if q.shape[-1] != robot.n_q:
-        raise bad_input("q", owner, f"of last dimension {robot.n_q}", f"shape {tuple(q.shape)}")
+    require(q.shape[-1] == robot.n_q, "q", owner, f"of last dimension {robot.n_q}", f"shape {tuple(q.shape)}")
     expected = (*q.shape[:-1], len(robot.sensors))
     if q.ndim < 2 or u.shape != expected:
         words = f"one reading for each of {len(robot.sensors)} sensors in each pose, shape {expected}"

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro.sensing._slopes import with_jacobian
 
 _OWNER = "a sensor model of your own"
@@ -158,8 +158,7 @@ def _script(path: Path) -> nn.Module:
         "a TorchScript file (as torch.jit.save writes it; weights alone are made one of the project's by "
         "repro.sensing.import_network)"
     )
-    if not path.is_file():
-        raise bad_input("model", _OWNER, expected, f"{path}, which is not there")
+    require(path.is_file(), "model", _OWNER, expected, f"{path}, which is not there")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro import se3
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.kinematics.motion import backbone_motion
 from repro.kinematics.mounts import Mounts
 from repro.kinematics.robot import Robot
@@ -60,8 +60,7 @@ class Tolerances:
     moments: float = 0.02
 
     def __post_init__(self) -> None:
-        if not all(x > 0 for x in astuple(self)):
-            raise bad_input("tolerances", "Tolerances", "positive", self)
+        require(all(x > 0 for x in astuple(self)), "tolerances", "Tolerances", "positive", self)
 
     def of_parameters(self, robot: Robot, terms: int | torch.Size) -> Float[Tensor, " k"]:
         """Tolerance of every parameter of a robot, in the order of :func:`parameter_names`."""

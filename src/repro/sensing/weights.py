@@ -15,7 +15,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.sensing.network import paper_network
 
 
@@ -61,8 +61,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
         manifest = json.loads(beside.read_text())
     except json.JSONDecodeError as error:
         raise bad_input("manifest", str(beside), "JSON", error) from error
-    if not isinstance(manifest, dict):
-        raise bad_input("manifest", str(beside), "a JSON object", manifest)
+    require(isinstance(manifest, dict), "manifest", str(beside), "a JSON object", manifest)
     return manifest
 
 
@@ -93,8 +92,7 @@ def load_paper_network(path: Path) -> nn.Sequential:
         As :func:`_load_weights`, or if the weights are of another recipe.
     """
     manifest = read_manifest(path)
-    if manifest.get("recipe") != "paper":
-        raise bad_input("recipe", str(path), "'paper'", repr(manifest.get("recipe")))
+    require(manifest.get("recipe") == "paper", "recipe", str(path), "'paper'", repr(manifest.get("recipe")))
     first = _read(path, manifest).get("0.weight")
     network = paper_network(
         1 if first is None else first.numel(),

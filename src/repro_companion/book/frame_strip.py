@@ -21,7 +21,7 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
 from repro.errors import require
-from repro_live.view.shape_view import small_png
+from repro_live.view.still import small_png
 from repro_live.view.style import STYLE
 
 P = ParamSpec("P")

@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 
 import pandas as pd
 
+from repro_companion.book.points import BESIDE_OTHERS
+
 T = TypeVar("T")
 
 
@@ -21,9 +23,12 @@ def in_processes(tasks: Sequence[Callable[[], T]], jobs: int | None = None) -> l
     tasks
         Functions of modules, or ``functools.partial`` of such: they are pickled.
     jobs
-        Processes at a time; all cores when not given. With one job nothing is started: results are the same.
+        Processes at a time; when not given one beside other notebooks
+        (:data:`~repro_companion.book.points.BESIDE_OTHERS`), else one per core. With one nothing is started: results
+        are the same.
     """
-    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
+    ((beside, _),) = BESIDE_OTHERS.items()
+    jobs = min(jobs or int(os.environ.get(beside, 0)) or os.cpu_count() or 1, len(tasks))
     if jobs <= 1:
         return [task() for task in tasks]
     # spawn: a forked copy of a process that runs threads (a notebook's kernel) may hang

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro_companion.book.allowed import Rule, rule_of
 
 if TYPE_CHECKING:
@@ -74,8 +74,7 @@ def declared_parameters(notebook: NotebookNode, owner: str) -> dict[str, Paramet
     from papermill.translators import PythonTranslator
 
     cells = [cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", [])]
-    if not cells:
-        raise bad_input("notebook", "repro run", "a notebook with a cell tagged parameters", owner)
+    require(cells, "notebook", "repro run", "a notebook with a cell tagged parameters", owner)
     form = "written as name: type = value  # meaning, with one of the types " + ", ".join(KINDS)
     found = {}
     for item in PythonTranslator.inspect(cells[0]):
@@ -90,8 +89,7 @@ def declared_parameters(notebook: NotebookNode, owner: str) -> dict[str, Paramet
         found[item.name] = Parameter(item.name, kind, item.default, meaning)
     # papermill skips a line it cannot read (one with a second "=", for instance) with no more than a warning
     for name in _assigned_names(cells[0].source, owner):
-        if name not in found:
-            raise bad_input(f"parameter {name}", owner, form, "a line that papermill does not read")
+        require(name in found, f"parameter {name}", owner, form, "a line that papermill does not read")
     return found
 
 
@@ -132,8 +130,7 @@ def convert_all(
                 raise bad_input(
                     f"parameter {name}", owner, "one of the parameters listed below", f"{name} = {text}"
                 )
-            if name in values:
-                raise bad_input(f"parameter {name}", owner, "given once", f"{name} = {text} as well")
+            require(name not in values, f"parameter {name}", owner, "given once", f"{name} = {text} as well")
             values[name] = convert(declared[name], text, owner)
     except InputError as error:
         raise InputError(f"{error}\n{listing(declared, owner)}") from error

@@ -27,6 +27,8 @@ from repro_companion.book.sweep_grid import value_text
 from repro_companion.recordings.sources import data_dir
 
 QUIET = "ignore:resource_tracker:UserWarning"
+BESIDE_OTHERS = {"REPRO_PROCESSES": "1"}
+"""Environment of a notebook that runs beside others: the cores are taken, and more processes only load libraries."""
 _ONE_THREAD = ("OMP", "MKL", "OPENBLAS", "NUMEXPR", "VECLIB_MAXIMUM", "NUMBA")
 
 
@@ -138,43 +140,53 @@ def run_point(point: Point, environment: Mapping[str, str] | None = None) -> Out
         Of that process, that of this one when not given. A worker may be older than the environment of who calls.
     """
     try:
-        return Outcome(point.index, _run(point, environment or os.environ))
+        return once(point, lambda lock: _run(point, environment or os.environ, lock))
     except Exception as error:  # a point that cannot be run must not end the others
         return Outcome(point.index, f"{type(error).__name__}: {error}")
 
 
-def _run(point: Point, environment: Mapping[str, str]) -> str:
-    folder, stem = point.results, point.output.stem
-    folder.mkdir(parents=True, exist_ok=True)
+def once(point: Point, run: Callable[[int], str]) -> Outcome:
+    """Run a point unless it is finished; wait if another process runs it already.
+
+    Parameters
+    ----------
+    point
+        Whose lock is held meanwhile.
+    run
+        Runs it, given the open file of the lock, and returns why it has no result, or nothing.
+    """
+    point.results.mkdir(parents=True, exist_ok=True)
     point.lock.parent.mkdir(parents=True, exist_ok=True)
     with point.lock.open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if finished(point):
-            return ""
-        for path in folder.glob(f".{stem}-*"):  # left by a run that was killed
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-        started = time.monotonic()
-        _announce(point, "started")
-        done = subprocess.run(
-            point.command(),
-            cwd=point.here,
-            env={**environment, **point.environment},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            check=False,
-            # the lock belongs to whoever has the file open: it outlives this process, not that one
-            pass_fds=[lock.fileno()],
-        )
-        ended = "failed after" if done.returncode else "done in"
-        _announce(point, f"{ended} {time.monotonic() - started:.1f} s")
-        if done.returncode:
-            code = done.returncode
-            ended = f"ended by signal {-code}" if code < 0 else f"exit {code}"
-            return done.stdout.strip() or done.stderr.strip() or ended
-        if not finished(point):
-            return "it ran with another package, data, lock or libraries than it was planned with"
+        return Outcome(point.index, "" if finished(point) else run(lock.fileno()))
+
+
+def _run(point: Point, environment: Mapping[str, str], lock: int) -> str:
+    for path in point.results.glob(f".{point.output.stem}-*"):  # left by a run that was killed
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    started = time.monotonic()
+    _announce(point, "started")
+    done = subprocess.run(
+        point.command(),
+        cwd=point.here,
+        env={**environment, **point.environment},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        errors="replace",
+        check=False,
+        # the lock belongs to whoever has the file open: it outlives this process, not that one
+        pass_fds=[lock],
+    )
+    ended = "failed after" if done.returncode else "done in"
+    _announce(point, f"{ended} {time.monotonic() - started:.1f} s")
+    if done.returncode:
+        code = done.returncode
+        ended = f"ended by signal {-code}" if code < 0 else f"exit {code}"
+        return done.stdout.strip() or done.stderr.strip() or ended
+    if not finished(point):
+        return "it ran with another package, data, lock or libraries than it was planned with"
     return ""
 
 

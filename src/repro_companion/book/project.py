@@ -6,10 +6,12 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
+from repro.errors import bad_input
+
 
 @dataclass(frozen=True)
 class Project:
-    """A folder with a ``pyproject.toml`` of the name ``repro``, and the places in it."""
+    """A folder with a ``pyproject.toml`` that has a table ``tool.repro``, and the places in it."""
 
     root: Path
     """The folder itself, absolute."""
@@ -70,14 +72,19 @@ def find_project(start: Path | None = None) -> Project:
     ----------
     start
         Where to start; the current folder by default. The nearest folder at or above it whose
-        ``pyproject.toml`` names ``repro`` is the project; without one, the project is the folder that the
-        package was installed from.
+        ``pyproject.toml`` has a table ``tool.repro`` is the project; without one, the project is the checkout
+        that the package runs from.
+
+    Raises
+    ------
+    InputError
+        If there is neither: the package came as a wheel, which has no notebooks, book, data or results.
     """
     here = (start or Path.cwd()).absolute()
-    for folder in (here, *here.parents):
+    for folder in (here, *here.parents, Path(__file__).resolve().parents[3]):
         if _is_project(folder):
             return Project(folder)
-    return Project(Path(__file__).resolve().parents[3])
+    raise bad_input("current folder", "repro", "inside a checkout of the project, for it needs one", here)
 
 
 def _is_project(folder: Path) -> bool:
@@ -85,7 +92,7 @@ def _is_project(folder: Path) -> bool:
     if not file.is_file():
         return False
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8")).get("project", {}).get("name") == "repro"
+        return "repro" in tomllib.loads(file.read_text(encoding="utf-8")).get("tool", {})
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
         return False
 

@@ -11,6 +11,7 @@ import importlib.metadata
 import json
 import os
 import platform
+import re
 import shutil
 import subprocess
 from collections.abc import Mapping
@@ -28,6 +29,8 @@ LIBRARIES = ("torch", "numpy", "numba", "scipy", "magpylib", "matplotlib", "pand
 
 PACKAGES = ("repro", "repro_live", "repro_companion")
 """What the project's code lies in."""
+COMPILED_KERNELS = "numba"
+"""Folder in the user's cache beside the recordings, which a run may fill: see :mod:`repro.kernels.compilation`."""
 PAGES, AFTER = "repro_companion/pages/", "repro_companion/book/after/"
 RECORD_SUFFIX = ".provenance.json"
 
@@ -62,7 +65,7 @@ def read_inputs(project: Project) -> Inputs:
             for name, digest in tree_digests(sources / package).items()
         },
         data=tree_digests(project.data),
-        recordings=tree_digests(data_dir()),
+        recordings=tree_digests(data_dir(), leave_out=[COMPILED_KERNELS]),
         lock=file_digest(lock) if lock.is_file() else "",
         python=platform.python_version(),
         libraries={name: _version(name) for name in LIBRARIES},
@@ -74,6 +77,13 @@ def _version(library: str) -> str:
         return importlib.metadata.version(library)
     except importlib.metadata.PackageNotFoundError:
         return "not installed"
+
+
+def processor() -> str:
+    """Name of the processor's model: with the number of threads it decides the last digits of a training."""
+    info = Path("/proc/cpuinfo")  # of Linux
+    found = re.search(r"^model name\s*: (.*)$", info.read_text(), re.MULTILINE) if info.is_file() else None
+    return found[1] if found else platform.processor() or platform.machine()
 
 
 def notebook_key(notebook: Path, parameters: Mapping[str, Any], inputs: Inputs, project: Project) -> str:

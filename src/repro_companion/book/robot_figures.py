@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -9,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Polygon
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
@@ -56,6 +59,49 @@ def equal_axes(axes: Axes3D, points: np.ndarray) -> None:
         getattr(axes, f"set_{name}label")(f"{name} [mm]", labelpad=8)
         getattr(axes, f"{name}axis").set_major_locator(MaxNLocator(4))
     axes.set_box_aspect(tuple(span), zoom=0.88)
+
+
+def stills(
+    shapes: pd.DataFrame, parts: pd.DataFrame, colour: str, place: Callable[[Axes3D], None], tall_in: float
+) -> Figure:
+    """Backbones at several times, true and estimated, with magnets and sensors, two panels a row.
+
+    Parameters
+    ----------
+    shapes, parts
+        Columns of :func:`repro_companion.twins.robot_tables.stills`.
+    colour
+        Of the estimates.
+    place
+        Gives a panel its limits and its view.
+    tall_in
+        Height of a row of panels [in].
+    """
+    times = np.unique(shapes["time_s"])
+    lines = -(-len(times) // 2)
+    figure = plt.figure(figsize=(WIDTH_IN, tall_in * lines))
+    for k, time_s in enumerate(times):
+        panel = figure.add_subplot(lines, 2, k + 1, projection="3d")
+        assert isinstance(panel, Axes3D)
+        for seed, part in shapes[shapes["time_s"] == time_s].groupby("seed"):
+            style = (
+                {"color": "black", "lw": 4.5} if seed == -1 else {"color": colour, "lw": 1.6, "alpha": 0.7}
+            )
+            panel.plot(part["x_mm"], part["y_mm"], part["z_mm"], **style)
+        for name, ink, marker, size in (("magnet", MAGNET, "s", 5), ("sensor", SENSOR, "o", 4)):
+            part = parts[(parts["time_s"] == time_s) & (parts["part"] == name)]
+            panel.plot(part["x_mm"], part["y_mm"], part["z_mm"], color=ink, marker=marker, ls="", ms=size)
+        panel.set_title(f"t = {time_s:.1f} s", y=0.96)
+        panel.tick_params(labelsize=8, pad=-2)
+        place(panel)
+    handles = [
+        Line2D([], [], color="black", lw=4, label="true shape"),
+        Line2D([], [], color=colour, lw=1.6, label="estimated, one per seed"),
+        Line2D([], [], color=MAGNET, marker="s", ls="", label="magnet"),
+        Line2D([], [], color=SENSOR, marker="o", ls="", ms=4, label="sensor"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
+    return figure
 
 
 @page_figure

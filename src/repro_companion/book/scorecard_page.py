@@ -48,6 +48,8 @@ _WORDS = (
     (r"\bdelta_([xy])_(\d)\b", r"Δ<i>\1</i><sub>\2</sub>"),
     (r"\bkappa_(\d)\b", r"κ<sub>\1</sub>"),
     (r"\bphi\b", "φ"),
+    (r"(?<=\d) pi\b|\bpi\b", "π"),
+    (r"\bsigma\b", "σ"),
     (r"\bq3\b", "third quartile"),
     (r"\brmse_position\b", "RMSE of the position"),
     (r"\bupdate_rate\b", "update rate"),
@@ -57,6 +59,7 @@ _WORDS = (
     ("-&gt;", " → "),
     (r"\^2", "²"),
     (r"\b(\d[\d.]*)e-0?(\d+)\b", r"\1 × 10<sup>−\2</sup>"),
+    (r"(?<![\w)-])-(?=\d)", "−"),
 )
 """Names of rows, quantities and units, and small numbers, in files, and how a page writes them."""
 
@@ -160,7 +163,9 @@ def band_words(row: ScorecardRow) -> Markup:
 def with_unit(number: str, std: str, unit: str) -> Markup:
     """Return a number, its standard deviation where it has one, and its unit on the same line."""
     return (
-        Markup(f"{number} ±\N{NO-BREAK SPACE}{std}" if std else number) + "\N{NO-BREAK SPACE}" + words(unit)
+        Markup(f"{number} ±\N{NO-BREAK SPACE}{std}" if std else number).replace("-", "−")
+        + "\N{NO-BREAK SPACE}"
+        + words(unit)
     )
 
 

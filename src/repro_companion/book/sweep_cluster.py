@@ -5,7 +5,6 @@ Needs the optional extra ``cluster`` (``dask[distributed]``).
 
 from __future__ import annotations
 
-import importlib.metadata
 import logging
 import platform
 import re
@@ -16,6 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from repro import __version__
 from repro.errors import InputError, bad_input
 from repro_companion.book.digests import combined_digest, tree_digests
 from repro_companion.book.points import Outcome, Point, Runner, RunnerGone, run_point
@@ -29,14 +29,10 @@ TIMEOUT_S = 10
 @lru_cache(maxsize=1)
 def identity() -> dict[str, str]:
     """Return what must be the same on every worker: version and source (a hash) of repro, version of Python."""
-    try:
-        version = importlib.metadata.version("repro")
-    except importlib.metadata.PackageNotFoundError:
-        version = "not installed"
     folders = [Path(str(import_module(name).__file__)).parent for name in PACKAGES]
     source = combined_digest([tree_digests(folder) for folder in folders])[:16]
     return {
-        "version of repro": version,
+        "version of repro": __version__,
         "source of repro": source,
         "version of Python": platform.python_version(),
     }
@@ -92,7 +88,7 @@ def connect(address: str) -> Any:
     try:
         from distributed import Client
     except ImportError as error:
-        must_be = "left out, or Dask be installed (pip install 'repro[cluster]')"
+        must_be = "left out, or Dask be installed (pip install 'repro-soft-robots[cluster]')"
         raise bad_input("scheduler", OWNER, must_be, address) from error
     try:
         client = Client(address, timeout=TIMEOUT_S, set_as_default=False)

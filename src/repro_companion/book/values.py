@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from repro.errors import bad_input, require
+from repro_companion.book.formatted import as_read
 
 if TYPE_CHECKING:
     from nbformat import NotebookNode
@@ -28,14 +29,14 @@ def give(**values: str) -> None:
 
     for name, value in values.items():
         require(isinstance(value, str), name, "give", "a text, with the digits that are to be read", value)
-    display({KIND: values, "text/plain": ""}, raw=True)
+    display({KIND: {name: as_read(value) for name, value in values.items()}, "text/plain": ""}, raw=True)
 
 
 def say(*sentences: str) -> None:
     """Show sentences in place, each an f-string of results, as a paragraph of Markdown."""
     from IPython.display import Markdown, display
 
-    display(Markdown(" ".join(sentences)))
+    display(Markdown(as_read(" ".join(sentences))))
 
 
 def filled(text: str, values: Mapping[str, str], place: str) -> str:

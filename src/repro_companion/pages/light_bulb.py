@@ -24,15 +24,14 @@ from matplotlib.lines import Line2D
 from scipy.ndimage import median_filter
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.kinematics.bend import MAX_BEND
 from repro.sensing.bend_sensor import BendSensor
 from repro_companion.recordings.mitchell2021 import FIELD, HallTake, read_hall, takes
 from repro_companion.recordings.mitchell2021_conventions import model_axes
 from repro_companion.twins.bend_curves import SENSOR_NOISE_MT
 from repro_companion.twins.bend_takes import write_light_tests
-from repro_companion.twins.field_ratios import FieldRatios, transverse_to_axial
-from repro_companion.twins.ratio_inversion import invert
+from repro_companion.twins.field_ratios import FieldRatios, invert, transverse_to_axial
 from repro_live.view.style import WIDTH_IN, page_figure
 
 FIRST = "light_-1"
@@ -205,8 +204,7 @@ def all_events(tests: dict[str, HallTake], model: FieldRatios) -> tuple[Detector
     InputError
         If file -1 is not there.
     """
-    if FIRST not in tests:
-        raise bad_input("files", "all_events", f"with {FIRST} among them", sorted(tests))
+    require(FIRST in tests, "files", "all_events", f"with {FIRST} among them", sorted(tests))
     found = detector(tests[FIRST])
     curves, marks = [], []
     for name, hall in tests.items():
@@ -246,6 +244,11 @@ def _ratios(hall: HallTake) -> Tensor:
     return transverse_to_axial(model_axes(torch.from_numpy(hall.readings[FIELD].to_numpy(copy=True))))
 
 
+def in_words(file: str) -> str:
+    """The name of a file as pages have it."""
+    return "trial run" if file == FIRST else f"file {file.removeprefix('light_')}"
+
+
 def as_drawn(length_mm: float) -> FieldRatios:
     """Model of the ratios without calibration, for an arc length [mm]."""
     return FieldRatios(BendSensor(1e-3 * length_mm), torch.eye(2, dtype=torch.float64))
@@ -253,19 +256,7 @@ def as_drawn(length_mm: float) -> FieldRatios:
 
 @page_figure
 def events_over_time(curves: pd.DataFrame, events: pd.DataFrame, threshold: float, source: str) -> Figure:
-    """Bend angle and ratios over time with the events that were detected, one row per file (Fig. 8).
-
-    Parameters
-    ----------
-    curves
-        Columns ``file, time_s, ratio, baseline, bend_deg, deviation_deg``.
-    events
-        Columns ``file, start_s, end_s``.
-    threshold
-        Rise over the baseline that counts.
-    source
-        Where the files come from; stands in the title.
-    """
+    """Bend angle and ratios over time, one row per file (Fig. 8); events, which rise above the threshold, shaded."""
     files = list(dict.fromkeys(curves["file"]))
     figure, panels = plt.subplots(
         len(files), 2, figsize=(WIDTH_IN, 1.9 * len(files) + 0.7), sharex=True, sharey="col", squeeze=False
@@ -285,7 +276,7 @@ def events_over_time(curves: pd.DataFrame, events: pd.DataFrame, threshold: floa
         for _, event in events[events["file"] == file].iterrows():
             for panel in (left, right):
                 panel.axvspan(event["start_s"], event["end_s"], color=EVENT, alpha=0.25, lw=0)
-        left.set_title(f"file {file.removeprefix('light_')}, {source}", loc="left")
+        left.set_title(f"{in_words(file)}, {source}", loc="left")
         left.set_ylabel("bend [deg]")
         right.set_ylabel("transverse / axial")
     for panel in panels[-1]:

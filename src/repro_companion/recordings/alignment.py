@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import correlate
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 LONGEST_INTERVAL = 3.0
 """Longest interval that is interpolated over, in median intervals of its recording."""
@@ -98,8 +98,7 @@ def find_lag(
     if common.max() < max(3.0, least):
         seen = f"at most {common.max() * step_s:.1f} s in common, of {2 * least * step_s:.1f} s"
         raise bad_input("recordings", "find_lag", "of one time, with half of the shorter in common", seen)
-    if not np.isfinite(r).any():
-        raise bad_input("signals", "find_lag", "varying", "a constant")
+    require(np.isfinite(r).any(), "signals", "find_lag", "varying", "a constant")
     known = np.flatnonzero(np.isfinite(r))
     r = np.where(np.isfinite(r), r, -1.0)
     best = int(np.argmax(r))

@@ -15,7 +15,7 @@ import pandas as pd
 import torch
 from jaxtyping import Float
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro.sensing.relations import relations
 from repro_companion.recordings.rig_alignment import (
     RULES,
@@ -125,10 +125,8 @@ def read_readings(path: Path) -> tuple[Float[np.ndarray, "frames 3"], int]:
         raise bad_input("readings", path.name, "numbers [mV]", error) from error
     incomplete = np.asarray(~np.isfinite(u).all(axis=1))
     kept = int(np.argmax(incomplete)) if incomplete.any() else len(u)
-    if kept == 0:
-        raise bad_input("readings", path.name, "rows of three numbers", "none in the first row")
-    if not incomplete[kept:].all():
-        raise bad_input("readings", path.name, "complete up to the end", f"a gap in row {kept}")
+    require(kept != 0, "readings", path.name, "rows of three numbers", "none in the first row")
+    require(incomplete[kept:].all(), "readings", path.name, "complete up to the end", f"a gap in row {kept}")
     u = u[:kept]
     clipped = (u <= CLIPPED_MV[0]) | (u >= CLIPPED_MV[1])
     if clipped.any():
@@ -252,8 +250,7 @@ def split(recording: Recording, test_share: float = 0.3) -> tuple[Recording, Rec
     InputError
         If the share is not between 0 and 1, or a part would be empty.
     """
-    if not 0 < test_share < 1:
-        raise bad_input("test_share", "split", "between 0 and 1", test_share)
+    require(0 < test_share < 1, "test_share", "split", "between 0 and 1", test_share)
     last = np.ptp(recording.frame) * (1.0 - test_share) + recording.frame[0]
     test = recording.frame >= last
     if test.all() or not test.any():

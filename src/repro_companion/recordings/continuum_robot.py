@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.se3 import exponential
 from repro_companion.recordings.sources import data_dir
 
@@ -129,8 +129,7 @@ def read_readings(path: Path) -> Readings:
         If the file does not exist, names another kind of sensor, or a row has too few or too many numbers, one that
         is not finite, another arc length than the first, or a time that is not after the row before.
     """
-    if not path.is_file():
-        raise bad_input("recording", "the continuum robot", "an existing file", path)
+    require(path.is_file(), "recording", "the continuum robot", "an existing file", path)
     head, *lines = path.read_text(encoding="utf-8", errors="replace").splitlines() or [""]
     kind = head.removeprefix("sensor type:,").strip()
     if kind not in KINDS or not head.startswith("sensor type:,"):
@@ -139,8 +138,7 @@ def read_readings(path: Path) -> Readings:
     rows = [
         _numbers(line, KINDS[kind] + 2, f"line {n} of {path.name}") for n, line in enumerate(lines[1:], 3)
     ]
-    if not rows:
-        raise bad_input(path.name, "the continuum robot", "at least one reading behind two lines", len(lines))
+    require(rows, path.name, "the continuum robot", "at least one reading behind two lines", len(lines))
     table = np.array(rows)
     late, apart = np.diff(table[:, 0]) <= 0, table[1:, 1] != table[0, 1]
     for wrong, expected, column in ((late, "a later time than before", 0), (apart, f"at {rows[0][1]} m", 1)):

@@ -11,7 +11,7 @@ import pandas as pd
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
 
-from repro.errors import bad_input
+from repro.errors import require
 
 GAP_FACTOR = 2.0
 
@@ -72,14 +72,11 @@ def on_clock_of_last(
     InputError
         If there is no common time, a sensor has less than two readings, or an option cannot be used.
     """
-    if between not in ("interpolate", "hold"):
-        raise bad_input("between", "one_clock", '"interpolate" or "hold"', between)
-    if not jump_deg > 0:
-        raise bad_input("jump_deg", "one_clock", "an angle above zero [deg]", jump_deg)
+    require(between in ("interpolate", "hold"), "between", "one_clock", '"interpolate" or "hold"', between)
+    require(jump_deg > 0, "jump_deg", "one_clock", "an angle above zero [deg]", jump_deg)
     last = times[-1]
     ticks = last[(last >= max(t[0] for t in times)) & (last <= min(t[-1] for t in times))]
-    if ticks.size == 0:
-        raise bad_input("readings", "one_clock", "of all IMUs over some common time", "none")
+    require(ticks.size != 0, "readings", "one_clock", "of all IMUs over some common time", "none")
     parts = [
         _track(imu, time_s, raw, ticks, between, jump_deg)
         for imu, (time_s, raw) in enumerate(zip(times, quaternions, strict=True))
@@ -98,8 +95,7 @@ def _track(
     imu: int, time_s: np.ndarray, raw: np.ndarray, ticks: np.ndarray, between: str, jump_deg: float
 ) -> tuple[np.ndarray, dict[str, Any], pd.DataFrame]:
     """Return one IMU's orientations at the ticks, its facts, and its jumps."""
-    if len(time_s) < 2:
-        raise bad_input("readings", "one_clock", "at least two per IMU", f"{len(time_s)} of IMU {imu}")
+    require(len(time_s) >= 2, "readings", "one_clock", "at least two per IMU", f"{len(time_s)} of IMU {imu}")
     norms = np.linalg.norm(raw, axis=1, keepdims=True)
     unit, norm_error = raw / norms, np.abs(norms - 1.0)
     rotations = Rotation.from_quat(unit)

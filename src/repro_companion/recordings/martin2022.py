@@ -17,7 +17,7 @@ import pandas as pd
 from rosbags.rosbag1 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.orientations import UNIT_TOLERANCE
 from repro_companion.recordings.imu_clock import ImuStream, on_clock_of_last
 from repro_companion.recordings.released import verified
@@ -40,8 +40,7 @@ def find_bag(name: str) -> Path | None:
     InputError
         If ``name`` is none of the released bags, or the file found is not the released one (by its sha256).
     """
-    if name not in BAGS:
-        raise bad_input("name", "find_bag", f"one of {', '.join(BAGS)}", name)
+    require(name in BAGS, "name", "find_bag", f"one of {', '.join(BAGS)}", name)
     return verified(data_dir() / BAG_FOLDER / name, name, BAG_FOLDER, sha256=BAGS[name])
 
 
@@ -76,8 +75,7 @@ def read_messages(path: Path, topic: str) -> pd.DataFrame:
         raise bad_input(
             "file", path.name, "a complete ROS 1 bag", f"{type(error).__name__}: {error}"
         ) from error
-    if not rows:
-        raise bad_input("topic", path.name, f"one with messages (the bag has {topics or 'none'})", topic)
+    require(rows, "topic", path.name, f"one with messages (the bag has {topics or 'none'})", topic)
     return pd.DataFrame(rows)
 
 

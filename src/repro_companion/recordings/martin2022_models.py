@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.imu_selection import Selection
 
 IMU_ARCS = (0.0, 0.08, 0.16, 0.24, 0.32, 0.4, 0.48, 0.56, 0.64)
@@ -89,16 +89,12 @@ def selection(model: str, n_imus: int, reading: str = "table", *, segments: int 
     >>> selection("rigid", 4, "text").imus, selection("pcc", 4).sub_links
     ((1, 3, 5, 7), 4)
     """
-    if model not in ("rigid", "pcc"):
-        raise bad_input("model", "selection", '"rigid" or "pcc"', model)
-    if n_imus not in _PCC_IMUS:
-        raise bad_input("n_imus", "selection", "2, 4 or 8", n_imus)
-    if reading not in READINGS:
-        raise bad_input("reading", "selection", 'one of "table", "text" and "files"', reading)
+    require(model in ("rigid", "pcc"), "model", "selection", '"rigid" or "pcc"', model)
+    require(n_imus in _PCC_IMUS, "n_imus", "selection", "2, 4 or 8", n_imus)
+    require(reading in READINGS, "reading", "selection", 'one of "table", "text" and "files"', reading)
     if model == "pcc":
         return _pcc(n_imus, reading, 16 if segments is None else segments)
-    if segments is not None:
-        raise bad_input("segments", "selection", "left out for the rigid-body model", segments)
+    require(segments is None, "segments", "selection", "left out for the rigid-body model", segments)
     imus = _RIGID_IMUS.get((reading, n_imus), tuple(range(1, 9)))
     if reading != "files":
         return _made(imus, (0.64 / n_imus,) * n_imus)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_companion.recordings.mitchell2021 import FIELD, FOLDER, MT_PER_UNIT
 from repro_companion.recordings.sources import data_dir
 from repro_live.own.optitrack import read_text
@@ -153,6 +153,5 @@ def _three_numbers(path: Path) -> np.ndarray:
         if len(row) != 3 or not np.isfinite(row).all():
             raise bad_input("rows", owner, "three numbers each", f"{line!r} in line {k}")
         rows.append(row)
-    if not rows:
-        raise bad_input("rows", owner, "three numbers each", "no row")
+    require(rows, "rows", owner, "three numbers each", "no row")
     return np.array(rows)

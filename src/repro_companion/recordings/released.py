@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro_companion.recordings.sources import RecordedFile, data_dir, read_sources
 
 
@@ -85,8 +85,7 @@ def verified(path: Path, name: str, folder: str, *, sha256: str = "", git_blob: 
     if not path.is_file():
         return None
     kind, expected, found = _hashes(path, sha256, git_blob)
-    if found != expected:
-        raise bad_input(name, folder, f"the released file, {kind} {expected}", f"{kind} {found}")
+    require(found == expected, name, folder, f"the released file, {kind} {expected}", f"{kind} {found}")
     return path
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_companion.recordings.rig_robot import RIG_RATE_HZ
 
 START_M, START_MV = 0.2e-3, 1.0
@@ -85,8 +85,7 @@ def start_of_readings(u: Float[np.ndarray, "rows 3"], owner: str, *, rule: str =
     """
     if rule == "released":
         return _first(_rms(u - u[0]) > START_MV, owner, f"readings that change by {START_MV:g} mV")
-    if rule != "noise":
-        raise bad_input("rule", "start_of_readings", f"one of {', '.join(map(repr, RULES))}", repr(rule))
+    require(rule == "noise", "rule", "start_of_readings", f"one of {', '.join(map(repr, RULES))}", repr(rule))
     limit = max(START_MV, NOISE_TIMES * noise_at_rest(u))
     rest, half = np.median(u[:REST_ROWS], axis=0), REST_ROWS // 2
     moved = _rms(np.median(u[half:REST_ROWS], axis=0) - np.median(u[:half], axis=0))
@@ -109,8 +108,7 @@ def _rms(x: np.ndarray) -> np.ndarray:
 
 
 def _first(found: np.ndarray, owner: str, what: str) -> int:
-    if not found.any():
-        raise bad_input("start", owner, what, "none that does")
+    require(found.any(), "start", owner, what, "none that does")
     return int(np.argmax(found))
 
 

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from repro import se3
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_companion.recordings.rig_robot import RIG_LENGTH_M, RIG_MARKERS_M, RIG_RADIUS_M, RIG_RATE_HZ
 from repro_live.own.optitrack import HEADER_LINES, read_header
 
@@ -148,8 +148,7 @@ def read_ring_motion(path: Path) -> RingMotion:
     base, ring = (
         table[[f"{body}_{kind}" for kind in (*"XYZW", "TX", "TY", "TZ")]].to_numpy() for body in "br"
     )
-    if not np.isfinite(base[0]).all():
-        raise bad_input("base", path.name, "seen in the first frame", "empty cells")
+    require(np.isfinite(base[0]).all(), "base", path.name, "seen in the first frame", "empty cells")
     whole, filled, gaps = _filled(ring, path.name)
     q = _configurations(base[0, 4:], whole, path.name)
     return RingMotion(time_s, q, filled, gaps)

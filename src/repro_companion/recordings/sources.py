@@ -20,7 +20,7 @@ from typing import Any
 
 import platformdirs
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 REPOSITORY = re.compile(r"https://github\.com/([\w.-]+/[\w.-]+)")
 
@@ -85,12 +85,10 @@ def read_sources(manifest: Path, papers: Sequence[str] = ()) -> list[RecordedFil
         If there is no list, a paper is not in it, or an entry cannot be used: a repository that is not at GitHub, a
         commit that is not one, a path that is absolute or leads out of the paper's folder, or no hash.
     """
-    if not manifest.is_file():
-        raise bad_input("list", "the recordings", "an existing file", manifest)
+    require(manifest.is_file(), "list", "the recordings", "an existing file", manifest)
     listed: dict[str, Any] = json.loads(manifest.read_text(encoding="utf-8"))
     for paper in papers:
-        if paper not in listed:
-            raise bad_input("paper", "the recordings", f"one of {', '.join(sorted(listed))}", paper)
+        require(paper in listed, "paper", "the recordings", f"one of {', '.join(sorted(listed))}", paper)
     return [
         _checked(paper, listed[paper], entry, manifest.name)
         for paper in papers or sorted(listed)
@@ -99,8 +97,7 @@ def read_sources(manifest: Path, papers: Sequence[str] = ()) -> list[RecordedFil
 
 
 def _checked(paper: str, source: dict[str, Any], entry: dict[str, Any], owner: str) -> RecordedFile:
-    if not re.fullmatch(r"\w+", paper):
-        raise bad_input("paper", owner, "letters and digits", paper)
+    require(re.fullmatch(r"\w+", paper), "paper", owner, "letters and digits", paper)
     if not (repository := REPOSITORY.fullmatch(source["repository"])):
         raise bad_input("repository", owner, "https://github.com/OWNER/NAME", source["repository"])
     if not re.fullmatch(r"[0-9a-f]{40}", source["commit"]):

@@ -16,9 +16,8 @@ import pandas as pd
 from repro.estimation.imu_models import chain
 from repro.estimation.imu_selection import Selection
 from repro_companion.recordings.martin2022_models import IMU_ARCS, MARKERS, selection
-from repro_companion.twins.arm_draws import CHOSEN_ORIGIN_M, Draw, drawn
 from repro_companion.twins.arm_recording import MotionCapture
-from repro_companion.twins.arm_trial import ArmTrial
+from repro_companion.twins.arm_trial import CHOSEN_ORIGIN_M, ArmTrial, Draw, drawn
 from repro_companion.twins.imu_errors import PERFECT, ImuErrors
 from repro_companion.twins.soft_arm import SoftArm
 

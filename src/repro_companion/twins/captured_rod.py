@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.levenberg_marquardt import jacobian
 from repro_companion.recordings.continuum_robot import (
     LENGTH_M,
@@ -49,8 +49,7 @@ def captured(
     shared = bodies[0].time_s
     for body in bodies[1:]:
         shared = np.intersect1d(shared, body.time_s)
-    if not shared.size:
-        raise bad_input("recording", "captured", "at least one frame with all five bodies", trial.name)
+    require(shared.size, "recording", "captured", "at least one frame with all five bodies", trial.name)
     return shared, np.stack([poses(body)[np.isin(body.time_s, shared)] for body in bodies], axis=1)
 
 

@@ -118,12 +118,6 @@ class RodMotion:
         spline = CubicSpline(np.append(0.0, centres), continuous_signs(frames, axis=1), axis=1)(arcs_m)
         return spline / np.linalg.norm(spline, axis=-1, keepdims=True)
 
-    @property
-    def axial_strain(self) -> Float[np.ndarray, "samples elements"]:
-        """Change of length of each element over its length at rest."""
-        lengths = np.linalg.norm(np.diff(self.nodes, axis=1), axis=-1)
-        return lengths * self.rod.elements / self.rod.length_m - 1.0
-
 
 def simulate_rod(
     rod: Rod, stick: Stick, *, duration_s: float, rate_hz: float, dt_s: float = 2.5e-4, progress: bool = False

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,7 @@ class ImuErrors:
 
     def __post_init__(self) -> None:
         for name in ("rate_hz", "heading_time_s", "tilt_time_s"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise bad_input(name, "ImuErrors", "above zero", getattr(self, name))
+            require(0 < getattr(self, name) < np.inf, name, "ImuErrors", "above zero", getattr(self, name))
         for name in vars(self):
             if not 0 <= getattr(self, name) < np.inf:
                 raise bad_input(name, "ImuErrors", "finite and not negative", getattr(self, name))
@@ -142,8 +141,7 @@ def read_imus(
     """
     imus = np.shape(orientations_at(np.array([start_s])))[1]
     duration = stop_s - start_s - (imus - 1) * errors.skew_s
-    if not duration >= 0:
-        raise bad_input("stop_s", "read_imus", f"at least one round after {start_s:g} s", f"{stop_s:g} s")
+    require(duration >= 0, "stop_s", "read_imus", f"at least one round after {start_s:g} s", f"{stop_s:g} s")
     rounds = int(duration * errors.rate_hz * (1 + 1e-12)) + 1
     seen_s = start_s + np.arange(rounds)[:, None] / errors.rate_hz + np.arange(imus) * errors.skew_s
     every = orientations_at(np.minimum(seen_s, stop_s).ravel()).reshape(rounds, imus, imus, 4)

@@ -7,7 +7,7 @@ import pandas as pd
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.imu_chain import sensor_orientations
 
 # Median angles between neighbours [deg], base to tip, of the order recorded by Martin et al.; the first is
@@ -59,8 +59,7 @@ def synthetic_stream(
     >>> synthetic_stream(seed=0, duration_s=2.0)["imu"].head(9).tolist()
     [0, 1, 2, 3, 4, 5, 6, 7, 0]
     """
-    if not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise bad_input("rate_hz", "synthetic_stream", "above zero [Hz]", rate_hz)
+    require(np.isfinite(rate_hz) and rate_hz > 0, "rate_hz", "synthetic_stream", "above zero [Hz]", rate_hz)
     if not (np.isfinite(duration_s) and duration_s * rate_hz >= 2):
         raise bad_input(
             "duration_s", "synthetic_stream", "long enough for two rounds of readings [s]", duration_s

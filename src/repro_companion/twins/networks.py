@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import platform
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from repro.sensing.fast_training import train_dipole_residual, train_fast
 from repro.sensing.relations import relations
 from repro.sensing.training import SPLIT, train_paper
 from repro.sensing.weights import save_weights
+from repro_companion.book.provenance import processor
 from repro_companion.twins.training_set import TrainingSet, affine_training_set, training_set
 
 DATA_SEED = 1
@@ -227,15 +227,5 @@ def training_record(
         **losses,
         "split": SPLIT,
         "threads": torch.get_num_threads(),
-        "processor": _processor(),
+        "processor": processor(),
     }
-
-
-def _processor() -> str:
-    """Name of the processor's model: with the number of threads it decides the last digits of a training."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:  # not Linux
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()

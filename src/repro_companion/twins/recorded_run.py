@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro_companion.twins.takes import Take
 from repro_live.emulate.board import Passage, passages
 from repro_live.emulate.emulator import Emulator
@@ -110,6 +110,5 @@ def play_and_record(
 
         path = Path(folder) / "recording"
         record(emulator.address, take.format, path, stop=ended, warn=told)
-        if not path.is_file():
-            raise bad_input("faults", "play_and_record", "such that a reading arrives", faults)
+        require(path.is_file(), "faults", "play_and_record", "such that a reading arrives", faults)
         return Run(sent, read_recording(path))

@@ -51,11 +51,6 @@ class RigData:
     own_files: tuple[str, ...] = ()
 
     @property
-    def comparable(self) -> bool:
-        """Whether the authors recorded all of it, so that it can be compared with what they printed."""
-        return self.twin_sha256 is None and not self.own_files
-
-    @property
     def label(self) -> str:
         """Who recorded it, for titles."""
         if self.twin_sha256 is not None:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 from tqdm import tqdm
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.base import Trajectory, track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.kernels import compiled
@@ -153,8 +153,7 @@ def paper_method(
     InputError
         If the solver is unknown.
     """
-    if solver not in SOLVERS:
-        raise bad_input("solver", "paper_method", f"one of {', '.join(SOLVERS)}", solver)
+    require(solver in SOLVERS, "solver", "paper_method", f"one of {', '.join(SOLVERS)}", solver)
     sensing, shape = rig_sensing(model), (len(seeds), len(elongations))
     descent = paper_descent(compiled(sensing) if solver == "compiled" else sensing, shorter)
     predicted, estimates = {}, {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -10,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.kinematics.constant_curvature import ConstantCurvature
 from repro.kinematics.paper_robots import Dimensions, pcc_robot
 from repro.kinematics.robot import Robot
@@ -33,6 +34,35 @@ def backbones(robot: Robot, q: Tensor, n_points: int = 25) -> pd.DataFrame:
     table.insert(0, "shape", [k for k in range(len(q)) for _ in range(n * n_points)])
     table.insert(1, "segment", [i + 1 for _ in range(len(q)) for i in range(n) for _ in range(n_points)])
     return table
+
+
+def stills(
+    robot: Robot,
+    times_s: Sequence[float],
+    truth: Float[Tensor, "stills n_q"],
+    estimates: Float[Tensor, "stills seeds n_q"],
+    seeds: Sequence[int],
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Backbone at some times, true and estimated, and the parts in the true shape.
+
+    Returns
+    -------
+    DataFrame, DataFrame
+        ``time_s``, ``kind`` (``truth``, or ``estimate`` with its ``seed``), ``x_mm``, ``y_mm``, ``z_mm``; and
+        ``time_s``, ``part`` (``magnet`` or ``sensor``), ``x_mm``, ``y_mm``, ``z_mm``.
+    """
+    shapes, parts = [], []
+    for time_s, true, found in zip(times_s, truth, estimates, strict=True):
+        curves = [("truth", -1, true), *(("estimate", s, q) for s, q in zip(seeds, found, strict=True))]
+        for kind, seed, q in curves:
+            shapes.append(_points(robot.backbone(q)).assign(time_s=time_s, kind=kind, seed=seed))
+        for part, T in (("magnet", robot.magnet_poses(true)), ("sensor", robot.sensor_poses(true))):
+            parts.append(_points(T[:, :3, 3]).assign(time_s=time_s, part=part))
+    return pd.concat(shapes, ignore_index=True), pd.concat(parts, ignore_index=True)
+
+
+def _points(positions: Float[Tensor, "n 3"]) -> pd.DataFrame:
+    return pd.DataFrame(MM * positions.numpy(), columns=["x_mm", "y_mm", "z_mm"])
 
 
 def misprint(delta_mm: float, n_points: int = 41) -> pd.DataFrame:
@@ -97,8 +127,7 @@ def relations_along_lemniscate(n_segments: int, sensors_per_segment: int, sensor
         If the robot has no such sensor.
     """
     robot, q = pcc_robot(n_segments, sensors_per_segment), lemniscate(n_segments)
-    if not 0 <= sensor < len(robot.sensors):
-        raise bad_input("sensor", "the robot", f"0 to {len(robot.sensors) - 1}", sensor)
+    require(0 <= sensor < len(robot.sensors), "sensor", "the robot", f"0 to {len(robot.sensors) - 1}", sensor)
     magnet = robot.sensors.segment[sensor]
     xi = relations(robot, q).angles()[:, sensor, 1:].unflatten(-1, (-1, 4))[:, magnet]
     table = pd.DataFrame({"time_s": torch.arange(len(q)).numpy() / RATE_HZ, "d_mm": MM * xi[:, 0].numpy()})

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from repro import se3
-from repro.errors import bad_input
+from repro.errors import require
 from repro.kinematics.paper_robots import Dimensions
 from repro.sensing.magnets import B444B, Cube, Ring, ring
 from repro.sensing.placement import Tolerances, placed
@@ -86,8 +86,7 @@ def draw_parts(draws: int, *, seed: int = 0, as_drawn: bool = False) -> Parts:
     InputError
         If there is no draw.
     """
-    if draws < 1:
-        raise bad_input("draws", "draw_parts", "at least 1", draws)
+    require(draws >= 1, "draws", "draw_parts", "at least 1", draws)
     size = 0.0 if as_drawn else 1.0
     normal = np.stack([_generator(seed, draw, 0).standard_normal(60) for draw in range(draws)])
     x = torch.from_numpy(size * normal)
@@ -193,8 +192,7 @@ def calibration_session(
     InputError
         If there are fewer than three poses.
     """
-    if poses < 3:
-        raise bad_input("poses", "calibration_session", "at least 3", poses)
+    require(poses >= 3, "poses", "calibration_session", "at least 3", poses)
     draws = len(parts.ring)
     rngs = [_generator(seed, draw, 3) for draw in range(draws)]
     uniform = torch.from_numpy(np.stack([rng.random((poses, 3)) for rng in rngs], axis=1))

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_companion.twins.cosserat_rod import Rod, RodMotion, Stick, simulate_rod
 from repro_companion.twins.imu_errors import continuous_signs
 from repro_companion.twins.stick_motion import (
@@ -189,8 +189,7 @@ def load_soft_arm(path: Path) -> SoftArm:
     InputError
         If the file is not there, or not such a file.
     """
-    if not path.is_file():
-        raise bad_input("path", "load_soft_arm", "a file that write_soft_arm made", path)
+    require(path.is_file(), "path", "load_soft_arm", "a file that write_soft_arm made", path)
     try:
         # From memory: of a damaged file NumPy leaves the handle open.
         with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as file:

@@ -90,8 +90,7 @@ def open_take(source: str, format: str = "", *, rate_hz: float | None = None, se
     """
     if format and format not in FORMATS:
         raise bad_input("format", "open_take", f"one of {', '.join(FORMATS)}", format)
-    if rate_hz is not None and not 0 < rate_hz < math.inf:
-        raise bad_input("rate_hz", "open_take", "above zero [Hz]", rate_hz)
+    require(rate_hz is None or 0 < rate_hz < math.inf, "rate_hz", "open_take", "above zero [Hz]", rate_hz)
     if source == "lemniscate":
         take = _lemniscate(rate_hz or RATE_HZ)
     elif source in CURVES:
@@ -186,18 +185,16 @@ def _kept(name: str) -> np.ndarray:
 
 
 def _recorded(path: Path, rate_hz: float | None) -> Take:
-    from repro_live.record.recording import read_recording  # brings pandas
+    from repro_live.record.recording import read_recording
 
     recording = read_recording(path)
-    table = recording.frames
-    require(len(table) >= 2, "source", "open_take", "a recording of at least two frames", len(table))
-    stream = table["stream"].to_numpy(np.int64)
+    stream = recording.stream
+    n = len(stream)
+    require(n >= 2, "source", "open_take", "a recording of at least two frames", n)
     if rate_hz is None:
-        time_s = table["time_s"].to_numpy(float)
-        time_s = np.maximum.accumulate(time_s - time_s[0])
+        time_s = np.maximum.accumulate(recording.time_s - recording.time_s[0])
     else:
-        time_s = np.arange(len(table)) / (rate_hz * len(np.unique(stream)))
-    values = table[recording.channels].to_numpy(float)
-    period_s = time_s[-1] * len(table) / (len(table) - 1)
+        time_s = np.arange(n) / (rate_hz * len(np.unique(stream)))
+    period_s = time_s[-1] * n / (n - 1)
     label = "; ".join([path.name, *recording.remarks])
-    return Take(label, recording.format, time_s, stream, values, period_s)
+    return Take(label, recording.format, time_s, stream, recording.values, period_s)

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.kinematics.paper_robots import Dimensions, affine_robot, pcc_robot
 from repro.kinematics.robot import Robot
 from repro.sensing.magnetic import EARTH_MT, readings
@@ -131,8 +131,7 @@ def training_set(
     InputError
         If ``samples`` is not positive.
     """
-    if samples < 1:
-        raise bad_input("samples", "training_set", "positive", samples)
+    require(samples >= 1, "samples", "training_set", "positive", samples)
     drawn = draw(seed, samples, n_segments, sensors_per_segment, earth=earth, elongation_m=elongation_m)
     placed = {"tilt": drawn.tilt, "radial": drawn.radial, "azimuth_offset": drawn.azimuth}
     robot = pcc_robot(n_segments, sensors_per_segment, **placed)
@@ -163,8 +162,7 @@ def affine_training_set(
     InputError
         If ``samples`` is not positive.
     """
-    if samples < 1:
-        raise bad_input("samples", "affine_training_set", "positive", samples)
+    require(samples >= 1, "samples", "affine_training_set", "positive", samples)
     uniform = _uniform(seed)
     kappa = [uniform(-bound, bound, samples) for bound in CURVATURE_RAD]
     phi = uniform(0.0, 2 * math.pi, samples)

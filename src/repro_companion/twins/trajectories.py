@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 STEPS = 400
 RATE_HZ = 40.0
@@ -99,8 +99,7 @@ def flower(*, steps: int = STEPS) -> Float[Tensor, "steps 4"]:
     >>> flower(steps=7)[1, :2] / torch.pi  # the outermost point of the first petal
     tensor([0.2500, 1.0000], dtype=torch.float64)
     """
-    if steps < 1:
-        raise bad_input("steps", "flower", "at least 1", steps)
+    require(steps >= 1, "steps", "flower", "at least 1", steps)
     s = torch.linspace(0, 1, steps, dtype=torch.float64)
     petal = (1 - torch.cos(6 * math.pi * s)) / 2
     dL = ELONGATION_M * (1 + torch.sin(2 * math.pi * s))

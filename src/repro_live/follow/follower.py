@@ -81,7 +81,7 @@ class Follower:
             return u, None
         self.estimated += 1
         self.consistency[self.verdict.status] += 1
-        return u, estimate
+        return u, self.estimator.stated(estimate)
 
     def _told(self, step: TimeStep, missing: list[bool]) -> list[bool]:
         """Which of the sensors that gave no number are to be told of: streams that are only slower are not."""

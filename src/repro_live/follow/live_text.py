@@ -222,12 +222,14 @@ def troubles(estimator: RobotEstimator, state: LiveState) -> list[str]:
 
 
 def limits(estimator: RobotEstimator) -> list[str]:
-    """What can never be told of this robot, if there is no more than one reading for each unknown."""
+    """What can never be told of this robot, with one reading for each unknown; and whether deviations are grown."""
+    grown = f"Every ± is {estimator.grown:g} times what the estimator states."
+    said = [grown] * (estimator.grown != 1.0)
     readings, unknowns = estimator.redundancy
     if readings > unknowns:
-        return []
+        return said
     counts = f"{readings} readings for {unknowns} unknowns"
-    return [f"No redundancy, {counts}: a wrong sensor looks like another shape and cannot be told."]
+    return [*said, f"No redundancy, {counts}: a wrong sensor looks like another shape and cannot be told."]
 
 
 def alerts(estimator: RobotEstimator, state: LiveState) -> list[str]:

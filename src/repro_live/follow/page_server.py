@@ -24,11 +24,13 @@ if TYPE_CHECKING:
     from repro_live.follow.browser import BrowserView
 
 _PAGE = Path(__file__).with_name("page")
+_SCRIPT = "text/javascript; charset=utf-8"
 FILES = {
     "/": (_PAGE / "index.html", "text/html; charset=utf-8"),
     "/page.css": (_PAGE / "page.css", "text/css; charset=utf-8"),
-    "/page.js": (_PAGE / "page.js", "text/javascript; charset=utf-8"),
-    "/viewer.js": (VIEWER, "text/javascript; charset=utf-8"),
+    "/page.js": (_PAGE / "page.js", _SCRIPT),
+    "/traces.js": (_PAGE / "traces.js", _SCRIPT),
+    "/viewer.js": (VIEWER, _SCRIPT),
 }
 """All files that are served."""
 _HEADERS = {

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -11,7 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from repro.errors import bad_input, require
-from repro.estimation.base import Estimator, kernel
+from repro.estimation.base import Estimate, Estimator, kernel
 from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian
@@ -32,7 +33,7 @@ from repro_live.follow.time_steps import TimeStep
 
 ESTIMATORS = ("levenberg_marquardt", "kalman", "gradient_descent", "particle_filter", "imu_chain")
 """The first is that of magnetic sensors, the last that of IMUs."""
-_ACCELERATION_SHARE, _VELOCITY_SHARE = 0.2, 0.5
+ACCELERATION_SHARE, VELOCITY_SHARE = 0.2, 0.5
 """Of the Kalman filter, in widths of the bounds: as chosen on T2 for the robots of Baaij et al."""
 _MOST_PARTICLE_COORDINATES = 4
 _PARTICLES = 500
@@ -66,6 +67,9 @@ class RobotEstimator:
     stacked
         Sensor model of magnetic sensors and IMUs together, whose readings are in units of their noise; none where
         there are only the ones or the others.
+    grown
+        How many times the deviations that it states are stated here: the band that holds, see
+        :mod:`repro.estimation.conformal`.
     """
 
     robot: RobotFile
@@ -75,6 +79,16 @@ class RobotEstimator:
     streams: tuple[int, ...]
     use: Bool[Tensor, " readings"]
     stacked: StackedSensing | None = None
+    grown: float = 1.0
+
+    def __post_init__(self) -> None:
+        require(0 < self.grown < math.inf, "grown", "repro live", "a positive number", self.grown)
+
+    def stated(self, estimate: Estimate) -> Estimate:
+        """Return an estimate with the covariance that is stated of it."""
+        if estimate.covariance is None or self.grown == 1.0:
+            return estimate
+        return replace(estimate, covariance=self.grown**2 * estimate.covariance)
 
     @property
     def positions(self) -> bool:
@@ -256,7 +270,7 @@ def _magnetic(robot: RobotFile, name: str, solver: LevenbergMarquardt) -> Estima
     if name == "levenberg_marquardt":
         return solver
     if name == "kalman":
-        acceleration, velocity = _ACCELERATION_SHARE * width, _VELOCITY_SHARE * width
+        acceleration, velocity = ACCELERATION_SHARE * width, VELOCITY_SHARE * width
         return IteratedKalmanFilter(sensing, low, high, acceleration, velocity, noise_mt=noise)
     if name == "gradient_descent":
         return GradientDescent(sensing, _step_size(robot, sensing), noise_mt=noise)

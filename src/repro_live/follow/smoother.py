@@ -8,7 +8,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro.estimation.base import Estimate, Estimator
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.smoothing import smoothed
@@ -64,8 +64,7 @@ def smooth_readings(
                 times.append(readings.start_s + step.time_s)
             bar.update(sum(frame is not None for step in complete for frame in step.frames))
         bar.update(len(readings.frames) - bar.n)
-    if not states:
-        raise bad_input("readings", "repro smooth", "a time step that can be used", refusal or "none")
+    require(states, "readings", "repro smooth", "a time step that can be used", refusal or "none")
     n, estimates = len(estimator.start), []
     for before, after, estimate in zip(states, smoothed(plain, states, lag_s=lag_s), found, strict=True):
         beyond = estimate.covariance - before.covariance[:n, :n]

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from repro.estimation.base import Estimate
+from repro.estimation.conformal import block_weights, conformal_factor
 from repro.kinematics.motion import tip_motion
 from repro.robot_file.robot_file import RobotFile
 from repro_live.follow.follower import Follower
@@ -21,6 +22,9 @@ from repro_live.own.samples import TimedReadings
 from repro_live.robot.calibration_poses import coordinate_columns
 
 _COVERED = 0.95
+_HELD = 0.9
+_BLOCK_S = 2.0
+"""Frames within this time count as one: their errors are alike."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +142,45 @@ def _rows(robot: RobotFile, truth: Truth, track: Tracked) -> Iterator[dict[str, 
     )
 
 
+@dataclass(frozen=True)
+class TipBand:
+    """By how much the ellipsoid that an estimator states of the tip has to grow to hold.
+
+    Parameters
+    ----------
+    level
+        How often it is to hold.
+    grown
+        Times its semi-axes, from the first half of the judged frames; infinite where that is too short.
+    held, held_as_stated
+        Shares of the second half that the grown and the stated ellipsoid hold.
+    """
+
+    level: float
+    grown: float
+    held: float
+    held_as_stated: float
+
+    @property
+    def least_s(self) -> float:
+        """How long each half must be to say [s]."""
+        return _BLOCK_S * self.level / (1 - self.level)
+
+
+def tip_band(robot: RobotFile, truth: Truth, track: Tracked, time_s: Float[np.ndarray, " frames"]) -> TipBand:
+    """Return the conformal band of the tip: grown by the first half of the frames, judged on the second."""
+    use = truth.known & torch.isfinite(track.q).all(-1)
+    if not use.any():
+        return TipBand(_HELD, np.inf, np.nan, np.nan)
+    tip, covariance = tip_positions(robot, track.q, track.covariance)
+    scores = (_normalised((tip - truth.tip)[use], covariance[use]) / chi2.ppf(_HELD, 3)).sqrt().numpy()
+    times = time_s[use.numpy()]
+    early = times < (times[0] + times[-1]) / 2
+    grown = conformal_factor(scores[early], _HELD, block_weights(times[early], _BLOCK_S))
+    late = scores[~early]
+    return TipBand(_HELD, grown, float((late <= grown).mean()), float((late <= 1.0).mean()))
+
+
 def _distances(distance: np.ndarray, factor: float, to_percent: float | None) -> dict[str, float]:
     x = distance / factor
     found = {
@@ -152,15 +195,15 @@ def _distances(distance: np.ndarray, factor: float, to_percent: float | None) ->
 
 def _consistency(difference: Tensor, P: Tensor, R: Tensor) -> dict[str, float]:
     n, limit = difference.shape[-1], float(chi2.ppf(_COVERED, difference.shape[-1]))
-
-    def normalised(C: Tensor) -> Tensor:
-        # A pseudo-inverse: a robot may have more coordinates than its tip shows.
-        return torch.einsum("fi,fij,fj->f", difference, torch.linalg.pinv(C, hermitian=True), difference)
-
-    both, alone = normalised(P + R), normalised(P)
+    both, alone = _normalised(difference, P + R), _normalised(difference, P)
     return {
         "coverage": float((both <= limit).double().mean()),
         "coverage_alone": float((alone <= limit).double().mean()),
         "nees": float(both.mean()) / n,
         "frames": len(difference),
     }
+
+
+def _normalised(difference: Tensor, C: Tensor) -> Tensor:
+    """Squared errors in units of a covariance, which is singular where a robot has fewer coordinates than its tip."""
+    return torch.einsum("fi,fij,fj->f", difference, torch.linalg.pinv(C, hermitian=True), difference)

@@ -146,21 +146,21 @@ def _rows(path: Path, robot: RobotFile, bodies: Sequence[str]) -> tuple[np.ndarr
     require(not bodies, "body", "repro fit", "for files of Motive only", path.name)
     table = read_numbers(path)
     time_column, time_s = times_of(path.name, table, apart=True)
-    table = table.drop(columns=time_column)
+    found = [name for name in table.columns if name != time_column]
     columns = coordinate_columns(robot)
-    if any(name in table for name in columns):
-        check_columns(path.name, list(columns), list(table), "a time")
-        return time_s, table[list(columns)].to_numpy() * np.array(list(columns.values()))
-    first = int("qx_0" not in table.columns)
+    if any(name in found for name in columns):
+        check_columns(path.name, list(columns), found, "a time")
+        return time_s, table.rows(columns) * np.array(list(columns.values()))
+    first = int("qx_0" not in found)
     numbers = range(first, len(robot.robot.segments) + 1)
-    unit = "_m" if f"x_{first}_m" in table.columns else "_mm"
+    unit = "_m" if f"x_{first}_m" in found else "_mm"
     wanted = [[f"{axis}_{k}{unit}" for axis in "xyz"] + [f"q{axis}_{k}" for axis in "xyzw"] for k in numbers]
     names = [name for names in wanted for name in names]
-    if not any(name in table for name in names):
+    if not any(name in found for name in names):
         expected = f"{', '.join(columns)}, or for the end of every segment {', '.join(wanted[-1])}"
-        raise bad_input("columns", path.name, expected, ", ".join(table.columns))
-    check_columns(path.name, names, list(table), "a time")
-    values = table[names].to_numpy(copy=True).reshape(len(table), len(wanted), 7)
+        raise bad_input("columns", path.name, expected, ", ".join(found))
+    check_columns(path.name, names, found, "a time")
+    values = table.rows(names).reshape(-1, len(wanted), 7)
     values[..., :3] *= 1.0 if unit == "_m" else 1e-3
     return time_s, values
 

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from repro.errors import bad_input
 from repro.sensing.weights import save_weights
 from repro_live.own.fit import Fit
-from repro_live.own.judge import Tracked, errors_of_estimates, tip_positions
+from repro_live.own.judge import Tracked, errors_of_estimates, tip_band, tip_positions
 from repro_live.own.models import LEAST_S
 from repro_live.own.poses import MeasuredPoses
 from repro_live.robot.calibrate import report as calibration_report
@@ -194,10 +194,27 @@ def report(found: Fit, poses: MeasuredPoses, table: pd.DataFrame) -> str:
         lines.append(
             f"Networks: error on readings of the first part they were not trained on {text} {robot.unit}."
         )
-    lines += ["", _table(table)]
+    lines += [
+        "",
+        _table(table),
+        *(_band(found, track) for track in found.tracks if track.model != "described"),
+    ]
     if parts.first_s[1] - parts.first_s[0] < 4 * LEAST_S:
         lines.append(f"Doubt: {parts.first_s[1] - parts.first_s[0]:.0f} s for the first part are few.")
     return "\n".join(lines)
+
+
+def _band(found: Fit, track: Tracked) -> str:
+    """Say by how much deviations have to grow to hold, or why that cannot be said."""
+    band = tip_band(found.robot, found.truth, track, found.time_s)
+    head = f"Band of {track.model}, {track.estimator}: "
+    if not np.isfinite(band.grown):
+        return f"{head}the halves of the judged part must have {band.least_s:.0f} s of poses each to tell what holds."
+    return (
+        f"{head}grown {band.grown:.2f}-fold by the first half of the judged part, the ellipsoid for {band.level:.0%} "
+        f"holds {band.held:.0%} of the tips of the second, as stated {band.held_as_stated:.0%} "
+        f"(repro live --grown {band.grown:.2f})."
+    )
 
 
 def _table(table: pd.DataFrame) -> str:

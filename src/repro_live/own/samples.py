@@ -106,7 +106,7 @@ class TimedReadings:
         return replace(self, steps=tuple(s._replace(time_s=s.time_s - start_s) for s in self.steps))
 
 
-def timed_readings(readings: Readings, robot: RobotFile) -> TimedReadings:
+def timed_readings(readings: Readings, robot: RobotFile, owner: str = "repro fit") -> TimedReadings:
     """Return the time steps of a robot with magnetic sensors, in the time of the file, and their signals.
 
     Raises
@@ -118,7 +118,7 @@ def timed_readings(readings: Readings, robot: RobotFile) -> TimedReadings:
         step._replace(time_s=readings.start_s + step.time_s)
         for step in chain.from_iterable(time_steps(readings, robot))
     )
-    require(len(steps) >= 3, "readings", "repro fit", "of at least three time steps", len(steps))
+    require(len(steps) >= 3, "readings", owner, "of at least three time steps", len(steps))
     signal = np.full((len(steps), len(robot.channel)), np.nan)
     for k, step in enumerate(steps):
         if (frame := step.frames[0]) is not None:

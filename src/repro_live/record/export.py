@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Int
 
 from repro.errors import bad_input, require
@@ -21,6 +22,8 @@ _TIE_NS = 1000
 """Readings that arrived together are written this much apart, since times in these files must increase [ns]."""
 _MILLIVOLTS_HZ = 40.0
 """Rate that the loader of the files of Baaij et al. takes."""
+_ROWS = 4096
+"""Rows of a table that are in memory as text."""
 _COUNTS_PER_UNIT = 1000.0
 """Counts of the Hall sensor per unit of the files of Mitchell et al."""
 _TYPE = "estimator/msg/quat"
@@ -84,16 +87,16 @@ def export(
     require(estimates is None or form == "mcap", "estimates", "export", "left out, but for mcap", form)
     if not schema:
         require(path.suffix != ".bag", "output", "export", "a CSV (--as quaternions writes a bag)", path)
-        require(len(recording.frames), "recording", "export", "one with frames", "no frame")
+        require(len(recording.rows), "recording", "export", "one with frames", "no frame")
         if form == "mcap":
             return write_mcap(recording, path, _named_with_unit(recording, unit), estimates)
         return _write_table(recording, path, unit, form)
-    if not len(recording.frames) or (recording.widths != SCHEMAS[schema]).any():
+    if not len(recording.rows) or (recording.widths != SCHEMAS[schema]).any():
         must = f"frames of {SCHEMAS[schema]} values each"
         found = sorted(set(recording.widths.tolist())) or "no frame"
         raise bad_input("recording", f"export as {schema}", must, found)
-    if schema != "quaternions" and (streams := recording.frames["stream"].unique()).size > 1:
-        raise bad_input("recording", f"export as {schema}", "of one stream", sorted(streams.tolist()))
+    if schema != "quaternions" and (streams := np.unique(recording.stream)).size > 1:
+        raise bad_input("recording", f"export as {schema}", "of one stream", streams.tolist())
     write = {"hall": _write_hall, "millivolts": _write_millivolts, "quaternions": _write_bag}[schema]
     return write(recording, path)
 
@@ -110,42 +113,54 @@ def _named_with_unit(recording: Recording, unit: str) -> list[str]:
 
 
 def _write_table(recording: Recording, path: Path, unit: str, form: str) -> list[str]:
-    frames = recording.frames
-    columns = {"time_s": frames["time_s"]}
+    columns = {"time_s": recording.time_s}
     if "start_unix_s" in recording.metadata:
         start_ns = round(1e9 * recording.metadata["start_unix_s"]) - recording.metadata["start_host_ns"]
-        columns["unix_s"] = (frames["host_ns"] + start_ns) / 1e9
+        columns["unix_s"] = (recording.host_ns + start_ns) / 1e9
     if recording.format in ("frames", "quaternions"):
-        columns["stream"] = frames["stream"]
-    columns |= {name: frames[name] for name in ("sequence", "device_us") if bool(frames[name].notna().any())}
-    values = zip(_named_with_unit(recording, unit), recording.channels, strict=True)
-    columns |= {name: frames[channel] for name, channel in values}
-    table = pd.DataFrame(columns)
+        columns["stream"] = recording.stream
+    sent = {name: recording.sent(name) for name in ("sequence", "device_us")}
+    columns |= {name: numbers for name, numbers in sent.items() if numbers.count()}
+    columns |= dict(zip(_named_with_unit(recording, unit), _or_masked(recording.values).T, strict=True))
     if form == "parquet":
-        from pyarrow import Table, parquet  # pyright: ignore[reportMissingImports]
+        from pyarrow import parquet, table  # pyright: ignore[reportMissingImports]
 
         with whole_file(path) as temporary:
-            parquet.write_table(Table.from_pandas(table, preserve_index=False), temporary)
+            parquet.write_table(table(columns), temporary)
     else:
-        write_whole(path, table.to_csv(index=False, lineterminator="\n"))
+        _write_csv(path, columns)
     widths = sorted(set(recording.widths.tolist()))
     return [f"frames have {widths[0]} to {widths[-1]} values; missing ones are empty"] if widths[1:] else []
+
+
+def _or_masked(values: np.ndarray) -> np.ma.MaskedArray:
+    return np.ma.array(values, mask=np.isnan(values))
+
+
+def _write_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns, a part of the rows at a time; what is masked is empty."""
+    rows = len(next(iter(columns.values())))
+    with whole_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
+        write = csv.writer(stream, lineterminator="\n")
+        write.writerow(columns)
+        for first in range(0, rows, _ROWS):
+            part = (column[first : first + _ROWS].tolist() for column in columns.values())
+            write.writerows(zip(*part, strict=True))
 
 
 def _write_hall(recording: Recording, path: Path) -> list[str]:
     unix_ns, remarks = _times(recording)
     # The last field of a line is the component along the body, column 0 of the files.
-    values = recording.frames[recording.channels].to_numpy()[:, ::-1] / _COUNTS_PER_UNIT
+    values = recording.values[:, ::-1] / _COUNTS_PER_UNIT
     rows = zip(values.tolist(), (1e-9 * unix_ns).tolist(), strict=True)
     write_whole(path, "".join(f"[{x!r} {y!r} {z!r}],{t!r}\n" for (x, y, z), t in rows))
     return [*remarks, "the loader drops the first reading, and all that follow it within 1 ms"]
 
 
 def _write_millivolts(recording: Recording, path: Path) -> list[str]:
-    table = recording.frames[recording.channels].set_axis(["u1", "u2", "u3"], axis=1)
-    table = table.assign(time_s=recording.frames["time_s"])  # the loader takes columns by their names
-    write_whole(path, table.to_csv(index=False, lineterminator="\n"))
-    time_s = recording.frames["time_s"].to_numpy()
+    time_s = recording.time_s
+    values = zip(("u1", "u2", "u3"), _or_masked(recording.values).T, strict=True)
+    _write_csv(path, dict(values) | {"time_s": time_s})  # the loader takes columns by their names
     if len(time_s) < 2:
         return []
     rate_hz = (len(time_s) - 1) / (time_s[-1] - time_s[0]) if time_s[-1] > time_s[0] else np.inf
@@ -169,8 +184,8 @@ def _write_bag(recording: Recording, path: Path) -> list[str]:
     store.register(get_types_from_msg(_MESSAGE, _TYPE))
     message, head = store.types[_TYPE], store.types["std_msgs/msg/Header"]
     zero = store.types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-    quaternions = recording.frames[recording.channels].to_numpy().astype(np.float32)
-    rows = zip(recording.frames["stream"].tolist(), quaternions, unix_ns.tolist(), strict=True)
+    quaternions = recording.values.astype(np.float32)
+    rows = zip(recording.stream.tolist(), quaternions, unix_ns.tolist(), strict=True)
     with whole_file(path) as temporary, Writer(temporary) as bag:
         connection = bag.add_connection("/quat_meas", _TYPE, typestore=store)
         for number, (imu, (x, y, z, w), time_ns) in enumerate(rows):
@@ -184,7 +199,7 @@ def _times(recording: Recording) -> tuple[Int[np.ndarray, " frames"], list[str]]
     if "start_unix_s" not in recording.metadata:
         expected = "one that says when it started (its first block, or the file beside it)"
         raise bad_input("recording", "export", expected, "one whose start is not known")
-    host_ns = recording.frames["host_ns"].to_numpy() - recording.metadata["start_host_ns"]
+    host_ns = recording.host_ns - recording.metadata["start_host_ns"]
     steps = np.arange(len(host_ns), dtype=np.int64) * _TIE_NS
     apart = np.maximum.accumulate(host_ns - steps) + steps
     moved = int((apart != host_ns).sum())

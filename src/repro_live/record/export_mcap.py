@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.files import whole_file
 from repro_live.record.recording import Recording
 from repro_live.robot.number_table import read_rows
@@ -64,14 +64,15 @@ def write_mcap(recording: Recording, path: Path, names: Sequence[str], estimates
         start_ns = round(1e9 * recording.metadata["start_unix_s"])
     else:
         remarks.append("when it started is not known: times count from its start, as if that were 1970")
-    infinite = int(np.isinf(recording.frames[recording.channels].to_numpy(float)).sum())
+    infinite = int(np.isinf(recording.values).sum())
     if infinite:
         remarks.append(f"{infinite} infinite values are left out")
     messages = [*_readings(recording, names), *_health(recording)]
     if estimates is not None:
         messages += _estimates(recording, estimates)
     messages.sort(key=lambda message: message[0])
-    schemas = {topic: _schema(topic, (c for _, t, c in messages if t == topic)) for _, topic, _ in messages}
+    topics = dict.fromkeys(topic for _, topic, _ in messages)
+    schemas = {topic: _schema(topic, (c for _, t, c in messages if t == topic)) for topic in topics}
     with whole_file(path) as temporary, temporary.open("wb") as stream:
         writer = Writer(stream)
         writer.start(library="repro")
@@ -88,22 +89,26 @@ def write_mcap(recording: Recording, path: Path, names: Sequence[str], estimates
 
 
 def _readings(recording: Recording, names: Sequence[str]) -> Iterator[Message]:
-    frames, start_ns = recording.frames, recording.metadata["start_host_ns"]
-    several = len(set(frames["stream"])) > 1
-    numbers = [frames[name].to_numpy(float, na_value=math.nan) for name in ("sequence", "device_us")]
-    heads = zip(frames["host_ns"].tolist(), frames["stream"].tolist(), frames["time_s"].tolist(), strict=True)
-    rows = np.column_stack([*numbers, frames[recording.channels].to_numpy(float)]).tolist()
-    for (host_ns, stream, time_s), row in zip(heads, rows, strict=True):
+    start_ns, streams = recording.metadata["start_host_ns"], recording.stream.tolist()
+    several = len(set(streams)) > 1
+    sent = [recording.sent(name).tolist() for name in _WHOLE]
+    columns = (
+        recording.host_ns.tolist(),
+        streams,
+        recording.time_s.tolist(),
+        *sent,
+        recording.values.tolist(),
+    )
+    for host_ns, stream, time_s, *whole, row in zip(*columns, strict=True):
         content: dict[str, Any] = {"time_s": time_s}
-        content |= {name: int(x) for name, x in zip(_WHOLE, row, strict=False) if math.isfinite(x)}
-        content |= {name: x for name, x in zip(names, row[2:], strict=True) if math.isfinite(x)}
+        content |= {name: x for name, x in zip(_WHOLE, whole, strict=True) if x is not None}
+        content |= {name: x for name, x in zip(names, row, strict=True) if math.isfinite(x)}
         yield host_ns - start_ns, f"/readings/{stream}" if several else "/readings", content
 
 
 def _health(recording: Recording) -> Iterator[Message]:
     metadata, start_ns = recording.metadata, recording.metadata["start_host_ns"]
-    host_ns = recording.frames["host_ns"]
-    end_ns = int(host_ns.max()) - start_ns
+    end_ns = int(recording.host_ns.max()) - start_ns
     for note in recording.notes:
         at_ns = note.get("host_ns")
         ns = at_ns - start_ns if isinstance(at_ns, int) else end_ns
@@ -118,7 +123,7 @@ def _estimates(recording: Recording, path: Path) -> Iterator[Message]:
     head = rows[0][1] if rows else []
     if "time_s" not in head or len(rows) < 2:
         raise bad_input("estimates", path.name, "a table of repro track, smooth or live", ", ".join(head))
-    last_s = float(recording.frames["time_s"].max())
+    last_s = float(recording.time_s.max())
     spare_s = _LATE_S + _LATE_SHARE * last_s
     for line, cells in rows[1:]:
         if len(cells) != len(head):
@@ -139,8 +144,7 @@ def _number(path: Path, line: int, name: str, cell: str) -> float:
         value = float(cell)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
-        raise bad_input(f"{name} in line {line}", path.name, "a number", repr(cell))
+    require(math.isfinite(value), f"{name} in line {line}", path.name, "a number", repr(cell))
     return value
 
 

@@ -19,7 +19,7 @@ from repro.errors import bad_input, require
 from repro.files import whole_file
 from repro_live.record.recording_file import RecordingFile, check_new, write_sidecar
 from repro_live.record.summary import Summary
-from repro_live.robot.number_table import read_numbers, times_of, whole_numbers
+from repro_live.robot.number_table import numbers_of, times_of, whole_numbers
 from repro_live.wire.csv_fields import read_header, separator_of, time_scale
 from repro_live.wire.csv_text import MOST_VALUES, CsvParser, Layout, name_and_unit
 from repro_live.wire.formats import channel_names, parser
@@ -78,7 +78,7 @@ def import_text(
     except UnicodeDecodeError as error:
         raise bad_input("file", path.name, "text in UTF-8", error) from error
     separator = _table_separator(text)
-    read = _table(path, separator) if separator else _lines(path, text)
+    read = _table(path.name, text, separator) if separator else _lines(path.name, text)
     if (read.time_s is None) != (rate_hz is not None):
         expected = "left out: the file has times" if rate_hz else "given: the file has no column of times"
         raise bad_input("rate", "repro import", expected, rate_hz or "none")
@@ -123,40 +123,40 @@ def _table_separator(text: str) -> str:
     return separator if separator != " " and cells[0] == cells[1] else ""
 
 
-def _table(path: Path, separator: str) -> _Read:
-    table = read_numbers(path, separator)
+def _table(owner: str, text: str, separator: str) -> _Read:
+    table = numbers_of(owner, text, separator)
     known = ("unix_s", "host_ns", "stream", "sequence", "device_us")
-    timed = any(time_scale(*name_and_unit(name)) is not None for name in table)
-    time_column, time_s = times_of(path.name, table, apart=False) if timed else ("", None)
-    values = [name for name in table if name not in (time_column, *known)]
+    timed = any(time_scale(*name_and_unit(name)) is not None for name in table.columns)
+    time_column, time_s = times_of(owner, table, apart=False) if timed else ("", None)
+    values = [name for name in table.columns if name not in (time_column, *known)]
     count = f"1 to {MOST_VALUES} columns of values"
-    require(1 <= len(values) <= MOST_VALUES, "table", path.name, count, ", ".join(table))
-    require(len(table), "table", path.name, "at least one row", 0)
+    require(1 <= len(values) <= MOST_VALUES, "table", owner, count, ", ".join(table.columns))
+    require(table.lines, "table", owner, "at least one row", 0)
     numbers = zip(
-        whole_numbers(path.name, table, "stream", 1 << 16),
-        whole_numbers(path.name, table, "sequence", WRAP),
-        whole_numbers(path.name, table, "device_us", WRAP),
+        whole_numbers(owner, table, "stream", 1 << 16),
+        whole_numbers(owner, table, "sequence", WRAP),
+        whole_numbers(owner, table, "device_us", WRAP),
         strict=True,
     )
-    rows = zip(numbers, table[values].to_numpy().tolist(), strict=True)
+    rows = zip(numbers, table.rows(values).tolist(), strict=True)
     frames = [Frame(stream or 0, sequence, us, tuple(row)) for (stream, sequence, us), row in rows]
     layout = Layout(separator, ("",) * len(values), ("",) * len(values), False, tuple(values))
     seconds = 0.0 if time_s is None else float(time_s[-1] - time_s[0])
     start = None
-    if "unix_s" in table and time_s is not None and math.isfinite(table["unix_s"].iloc[0]):
-        start = float(table["unix_s"].iloc[0] - time_s[0])
+    if "unix_s" in table.columns and time_s is not None and math.isfinite(table.columns["unix_s"][0]):
+        start = float(table.columns["unix_s"][0] - time_s[0])
     summary = Summary(None, {"frames": len(frames)}, seconds)
     return _Read(time_s, frames, layout.names, layout.value_units, summary, start)
 
 
-def _lines(path: Path, text: str) -> _Read:
+def _lines(owner: str, text: str) -> _Read:
     lines = CsvParser(wrap=1 << 62)
     frames = lines.feed(b"\n")  # a file begins with a whole line, so that nothing is dropped
     frames += lines.feed(text.replace("\r\n", "\n").replace("\r", "\n").encode() + b"\n")
     lines.counters.first_partial = 0
     if lines.layout is None:
         expected = "a table of numbers with a header, or lines of numbers of one form, three at least"
-        raise bad_input("file", path.name, expected, lines.refused or "no such line")
+        raise bad_input("file", owner, expected, lines.refused or "no such line")
     time_s = None
     if frames[0].device_us is not None:
         sent_us = np.array([frame.device_us for frame in frames])
@@ -164,7 +164,7 @@ def _lines(path: Path, text: str) -> _Read:
             k = int(back[0])
             expected = "not before the time before (cut the file where the board began anew)"
             received = f"one {1e-6 * (sent_us[k] - sent_us[k + 1]):g} s before that"
-            raise bad_input(f"time of the line of numbers {k + 2}", path.name, expected, received)
+            raise bad_input(f"time of the line of numbers {k + 2}", owner, expected, received)
         time_s = sent_us / 1e6
         frames = [frame._replace(device_us=int(us) % WRAP) for frame, us in zip(frames, sent_us, strict=True)]
     seconds = 0.0 if time_s is None else float(time_s[-1] - time_s[0])

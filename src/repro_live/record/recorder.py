@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from repro import __version__
 from repro.errors import require
 from repro_live.record.clock import DeviceClock
 from repro_live.record.ports import LastingPort
@@ -138,7 +139,7 @@ class _Session:
         if output is not None:
             check_new(output, owner)
         # before the port is open: it takes longer than a buffer may hold frames
-        self.versions = {name: version(name) for name in ("repro", "pyserial", "numpy")}
+        self.versions = {"repro": __version__} | {name: version(name) for name in ("pyserial", "numpy")}
         self.versions |= {"python": platform.python_version(), "system": platform.system()}
         self.port = LastingPort(port, baud, owner)
         self.start_ns, self.start_unix_s = time.monotonic_ns(), time.time()

@@ -5,12 +5,12 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pandas as pd
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from repro.errors import bad_input
 from repro_live.record.recording_file import (
@@ -27,6 +27,9 @@ from repro_live.record.recording_metadata import metadata_of, parsed
 from repro_live.wire.csv_text import RESERVED
 from repro_live.wire.formats import channel_names
 from repro_live.wire.frame import Frame
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _HEADER_BYTES = BLOCK.size + CRC.size
 """Bytes of a block before its frames or text."""
@@ -47,15 +50,10 @@ class Recording:
 
     Attributes
     ----------
-    frames
-        One row per frame in order of arrival: ``time_s``, arrival after the start of the recording; ``host_ns``,
-        arrival by the host's monotonic clock; ``stream``; ``sequence`` and ``device_us``, as sent, missing where the
-        format has none; then the values under the names of
-        :func:`~repro_live.wire.formats.channel_names` or, of ``csv``, of the lines; NaN where a frame has fewer.
+    rows
+        One row per frame in order of arrival, as :func:`~repro_live.record.recording_file.row_type` has it.
     metadata
         The first block and the sidecar, or what there is of them; ``format`` and ``start_host_ns`` in any case.
-    widths
-        Number of values of each frame.
     notes
         What happened to the port, in order.
     torn_bytes
@@ -66,9 +64,8 @@ class Recording:
         What is damaged or not known, in words; empty if nothing.
     """
 
-    frames: pd.DataFrame
+    rows: np.ndarray
     metadata: dict[str, Any]
-    widths: Int[np.ndarray, " frames"]
     notes: list[dict[str, Any]]
     torn_bytes: int
     damaged_bytes: int
@@ -79,21 +76,62 @@ class Recording:
         """Wire format that the frames came in."""
         return self.metadata["format"]
 
-    @property
+    @cached_property
     def channels(self) -> list[str]:
-        """Names of the columns that hold values."""
-        return list(self.frames.columns[5:])
+        """Names of the values: those that the format gives them or, of ``csv``, those of the lines."""
+        # Killed at once it has no frames yet, but the head tells their columns.
+        return _columns(self.metadata, self.rows["values"].shape[1] or len(self.metadata.get("channels", ())))
+
+    @property
+    def widths(self) -> Int[np.ndarray, " frames"]:
+        """Number of values of each frame."""
+        return self.rows["width"].astype(np.int64)
+
+    @property
+    def host_ns(self) -> Int[np.ndarray, " frames"]:
+        """Arrivals by the host's monotonic clock [ns]."""
+        return self.rows["host_ns"].astype(np.int64)
+
+    @property
+    def time_s(self) -> Float[np.ndarray, " frames"]:
+        """Arrivals after the start of the recording [s]."""
+        return (self.host_ns - self.metadata["start_host_ns"]) / 1e9
+
+    @property
+    def stream(self) -> Int[np.ndarray, " frames"]:
+        """Stream of each frame."""
+        return self.rows["stream"].astype(np.int64)
+
+    @property
+    def values(self) -> Float[np.ndarray, "frames channels"]:
+        """Values; NaN where a frame has fewer."""
+        most = len(self.channels)
+        values = self.rows["values"] if len(self.rows) else np.zeros((0, most))
+        return np.where(np.arange(most) < self.rows["width"][:, None], values, np.nan)
+
+    def sent(self, name: str) -> np.ma.MaskedArray:
+        """Return ``sequence`` or ``device_us`` of each frame, as sent; masked where its format has none."""
+        bit = {"sequence": SEQUENCE, "device_us": DEVICE}[name]
+        return np.ma.array(self.rows[name].astype(np.int64), mask=(self.rows["known"] & bit) == 0)
+
+    @cached_property
+    def frames(self) -> pd.DataFrame:
+        """A table of pandas: ``time_s``, ``host_ns``, ``stream``, ``sequence``, ``device_us``, then the values."""
+        import pandas as pd
+
+        numbers = {name: self.sent(name) for name in ("sequence", "device_us")}
+        whole = {name: pd.arrays.IntegerArray(x.data, np.ma.getmaskarray(x)) for name, x in numbers.items()}
+        heads = {"time_s": self.time_s, "host_ns": self.host_ns, "stream": self.stream}
+        return pd.concat(
+            [pd.DataFrame(heads | whole), pd.DataFrame(self.values, columns=self.channels)], axis=1
+        )
 
     def as_frames(self) -> Iterator[tuple[int, Frame]]:
         """Yield arrival [ns] and frame, as they were given to `RecordingFile.append`."""
-        numbers = [
-            [None if missing else int(number) for number, missing in zip(column, column.isna(), strict=True)]
-            for column in (self.frames["sequence"], self.frames["device_us"])
-        ]
-        values = self.frames[self.channels].to_numpy(dtype=float)
-        heads = zip(self.frames["host_ns"], self.frames["stream"], *numbers, values, self.widths, strict=True)
-        for host_ns, stream, sequence, device_us, row, width in heads:
-            yield int(host_ns), Frame(int(stream), sequence, device_us, tuple(row[:width].tolist()))
+        numbers = [self.sent(name).tolist() for name in ("sequence", "device_us")]
+        columns = (self.host_ns.tolist(), self.stream.tolist(), *numbers, self.rows["values"], self.widths)
+        for host_ns, stream, sequence, device_us, row, width in zip(*columns, strict=True):
+            yield host_ns, Frame(stream, sequence, device_us, tuple(row[:width].tolist()))
 
 
 def read_recording(path: Path) -> Recording:
@@ -127,8 +165,7 @@ def read_recording(path: Path) -> Recording:
     damaged = blocks[-1].end - sum(block.end - block.start for block in blocks)
     if torn + damaged:
         remarks.insert(0, f"{torn + damaged} bytes of the recording are not whole and were left out")
-    widths = rows["width"].astype(np.int64)
-    return Recording(_table(rows, metadata), metadata, widths, notes, torn, damaged, tuple(remarks))
+    return Recording(rows, metadata, notes, torn, damaged, tuple(remarks))
 
 
 class _Block(NamedTuple):
@@ -174,20 +211,3 @@ def _rows(blocks: list[_Block]) -> np.ndarray:
             rows[name][here] = part[name]
         rows["values"][here, :width] = part["values"]
     return rows
-
-
-def _table(rows: np.ndarray, head: dict[str, Any]) -> pd.DataFrame:
-    # Killed at once it has no frames yet, but the head tells their columns.
-    most = rows["values"].shape[1] or len(head.get("channels", ()))
-    values = rows["values"] if len(rows) else np.zeros((0, most))
-    values = np.where(np.arange(most) < rows["width"][:, None], values, np.nan)
-    host_ns = rows["host_ns"].astype(np.int64)
-    numbers = {
-        name: pd.arrays.IntegerArray(rows[name].astype(np.int64), (rows["known"] & bit) == 0)
-        for name, bit in (("sequence", SEQUENCE), ("device_us", DEVICE))
-    }
-    stream = rows["stream"].astype(np.int64)
-    table = pd.DataFrame(
-        {"time_s": (host_ns - head["start_host_ns"]) / 1e9, "host_ns": host_ns, "stream": stream} | numbers
-    )
-    return pd.concat([table, pd.DataFrame(values, columns=_columns(head, most))], axis=1)

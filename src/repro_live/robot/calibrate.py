@@ -26,8 +26,8 @@ from repro.sensing.placement import PlacedReadings, Tolerances, parameter_names,
 _ITERATIONS = 12
 _HOLD_OUT_EVERY = 4
 """Of the poses every fourth is held out, if there are at least eight."""
-_DOUBTFUL_CHI2 = 4.0
-_MOST_CHI2 = 16.0
+DOUBTFUL_CHI2 = 4.0
+MOST_CHI2 = 16.0
 """Residuals twice, and four times, as large as stated: doubtful, and refused. In simulation, poses that are as good
 as stated give 0.3 to 1.2, three times worse ones 9 at most; exchanged axes, another unit, order or sign give 26 and
 more, as a rule above 1000."""
@@ -193,12 +193,7 @@ class _Problem:
         r, _, hessian = self.whitened(z)
         covariance = torch.linalg.inv(hessian)
         p, offset, earth = self.split(z)
-        sensors = range(1, len(offset) + 1)
-        names = (
-            *parameter_names(self.file.robot, self.moments.shape),
-            *(f"sensor {j} offset" for j in sensors),
-            *(f"Earth field along {axis}" for axis in "xyz"),
-        )
+        names = calibration_names(self.file)
         units = self.scale.clone()
         n, s = self.sizes[0], self.sizes[1]
         units[n : n + s] *= self.file.gain
@@ -220,6 +215,16 @@ class _Problem:
         )
 
 
+def calibration_names(robot: RobotFile) -> tuple[str, ...]:
+    """Names of what a calibration says: geometry, gains and moments, then offsets and the Earth field."""
+    moments = robot.moments.shape if robot.moments is not None else 0
+    return (
+        *parameter_names(robot.robot, moments),
+        *(f"sensor {j + 1} offset" for j in range(len(robot.channel))),
+        *(f"Earth field along {axis}" for axis in "xyz"),
+    )
+
+
 def _rms(robot: RobotFile, q: Tensor, values: Tensor, calibration: RobotCalibration | None) -> float:
     """Root mean square residual of the readings [unit]."""
     model = robot if calibration is None else robot.calibrated(calibration)
@@ -236,7 +241,7 @@ def check_plausible(calibration: RobotCalibration, robot: RobotFile) -> None:
         If the residuals are more than four times as large as stated, or poses that the fit has not seen are
         predicted worse than by the robot as described while the fit does not explain its own poses either.
     """
-    if calibration.chi2 > _MOST_CHI2:
+    if calibration.chi2 > MOST_CHI2:
         received = (
             f"chi2 {calibration.chi2:.3g}, residuals {calibration.chi2**0.5:.3g} times as large as stated"
         )
@@ -244,7 +249,7 @@ def check_plausible(calibration: RobotCalibration, robot: RobotFile) -> None:
         calibration.before is not None
         and calibration.after is not None
         and calibration.after > calibration.before
-        and calibration.chi2 > _DOUBTFUL_CHI2
+        and calibration.chi2 > DOUBTFUL_CHI2
     ):
         received = (
             f"a residual of {calibration.after:.3g} {robot.unit} in poses held out of the fit, above the "
@@ -266,7 +271,7 @@ def report(calibration: RobotCalibration, unit: str) -> str:
         )
     else:
         lines.append(f"No residual of poses held out of the fit: that takes {2 * _HOLD_OUT_EVERY} poses.")
-    if calibration.chi2 > _DOUBTFUL_CHI2:
+    if calibration.chi2 > DOUBTFUL_CHI2:
         lines.append("chi2 should be near 1: noise, poses or parts are farther off than stated.")
     if calibration.undetermined:
         lines.append("Not determined by these poses, kept near the robot file within the tolerance:")

@@ -23,7 +23,7 @@ WINDOW_S = 0.5
 """Readings are averaged over this time [s]: around ``time_s`` of a table, or after a key was pressed."""
 _RATE_FACTOR = 1.25
 """A rate that differs from the stated one by more than this factor is told."""
-_STILL = 5.0
+STILL = 5.0
 """A reading that scatters by more than this many standard deviations of its noise was not still."""
 
 
@@ -90,27 +90,29 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
     columns = coordinate_columns(robot)
     require(path.is_file(), "path", "read_poses", f"a CSV with the columns {', '.join(columns)}", path)
     table = read_numbers(path)
-    times = [name for name in ("time_s", "start_s", "end_s") if name in table]
-    check_columns(path.name, list(columns), list(table.drop(columns=times)), "times")
+    times = [name for name in ("time_s", "start_s", "end_s") if name in table.columns]
+    check_columns(path.name, list(columns), [name for name in table.columns if name not in times], "times")
     if times not in ([], ["time_s"], ["start_s", "end_s"]):
         raise bad_input("times", path.name, "time_s, or start_s and end_s", ", ".join(times))
-    require(len(table), "table", path.name, "at least one pose", "none")
-    if not np.isfinite(table.to_numpy()).all():
-        row = int(np.flatnonzero(~np.isfinite(table.to_numpy()).all(axis=1))[0])
+    require(table.lines, "table", path.name, "at least one pose", "none")
+    complete = np.isfinite(table.rows(table.columns)).all(axis=1)
+    if not complete.all():
+        row = int(np.flatnonzero(~complete)[0])
         raise bad_input("table", path.name, "complete", f"a number missing in pose {row + 1}")
     window = None
     if times == ["time_s"]:
-        window = table["time_s"].to_numpy()[:, None] + np.array([-WINDOW_S / 2, WINDOW_S / 2])
+        window = table.columns["time_s"][:, None] + np.array([-WINDOW_S / 2, WINDOW_S / 2])
     elif times:
-        window = table[times].to_numpy()
+        window = table.rows(times)
         if not (window[:, 1] > window[:, 0]).all():
             row = int(np.flatnonzero(~(window[:, 1] > window[:, 0]))[0])
             raise bad_input("end_s", path.name, "after start_s", f"{window[row, 1]:g} in pose {row + 1}")
-    q = torch.from_numpy(table[list(columns)].to_numpy() * np.array(list(columns.values())))
+    as_written = table.rows(columns)
+    q = torch.from_numpy(as_written * np.array(list(columns.values())))
     named = [name.rsplit("_", 1) for name in columns]
     words = (
         ", ".join(f"{name} {x:g} {unit}" for x, (name, unit) in zip(row, named, strict=True))
-        for row in table[list(columns)].itertuples(index=False)
+        for row in as_written
     )
     return Poses(q, window, tuple(words))
 
@@ -147,9 +149,8 @@ def recorded_readings(recording: Recording, robot: RobotFile, poses: Poses) -> P
     fits, notes = frames_of(recording, robot)
     if poses.window_s is None:
         raise bad_input("poses", "a recording", "given with time_s, or start_s and end_s", "no times")
-    frames = recording.frames[fits & (recording.frames["stream"] == MAGNETIC_STREAM)]
-    time_s = frames["time_s"].to_numpy()
-    values = frames[recording.channels[: robot.channels]].to_numpy(dtype=float)
+    own = fits & (recording.stream == MAGNETIC_STREAM)
+    time_s, values = recording.time_s[own], recording.values[own, : robot.channels]
     complete = np.isfinite(values).all(axis=1)
     parts = []
     for k, (start, end) in enumerate(poses.window_s):
@@ -184,13 +185,13 @@ def read_kept_readings(path: Path, robot: RobotFile, poses: Poses) -> PoseReadin
 
 def moved(part: Part, robot: RobotFile) -> bool:
     """Whether readings scatter more than they would if the robot were still."""
-    return bool((part.deviation[list(robot.channel)] > _STILL * robot.noise).any())
+    return bool((part.deviation[list(robot.channel)] > STILL * robot.noise).any())
 
 
 def pose_readings(parts: list[Part], robot: RobotFile) -> PoseReadings:
     """Put poses together, with notes on those that were not still, and on another rate than the file says."""
     notes = [
-        f"Pose {k + 1} was not still: its readings scatter by more than {_STILL:g} times the noise of {robot.name}."
+        f"Pose {k + 1} was not still: its readings scatter by more than {STILL:g} times the noise of {robot.name}."
         for k, part in enumerate(parts)
         if moved(part, robot)
     ]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float
 
 from repro.errors import bad_input, require
@@ -17,7 +18,19 @@ from repro_live.wire.csv_fields import SEPARATORS, time_scale
 _LONGEST_S = 1e9
 
 
-def read_rows(path: Path, separator: str = ",") -> list[tuple[int, list[str]]]:
+@dataclass(frozen=True)
+class NumberTable:
+    """Columns of numbers by their names, NaN for an empty cell, and the line of the file that each row stands in."""
+
+    lines: list[int]
+    columns: dict[str, Float[np.ndarray, " rows"]]
+
+    def rows(self, names: Iterable[str]) -> Float[np.ndarray, "rows columns"]:
+        """Return some of the columns, beside each other."""
+        return np.column_stack([self.columns[name] for name in names])
+
+
+def read_rows(path: Path) -> list[tuple[int, list[str]]]:
     """Read a CSV file as (number of the line, cells); without empty lines and comments (``#``).
 
     Raises
@@ -25,49 +38,62 @@ def read_rows(path: Path, separator: str = ",") -> list[tuple[int, list[str]]]:
     InputError
         If there is no such file, or it is no text in UTF-8.
     """
+    return _rows_of(path.name, _text_of(path), ",")
+
+
+def _text_of(path: Path) -> str:
     require(path.is_file(), "path", path.name, "a CSV that is there", path)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = csv.reader(stream, delimiter=separator)
-            return [
-                (rows.line_num, row)
-                for row in rows
-                if any(map(str.strip, row)) and not row[0].startswith("#")
-            ]
-    except (UnicodeDecodeError, csv.Error) as error:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
         raise bad_input("file", path.name, "a CSV in UTF-8", error) from error
 
 
-def read_numbers(path: Path, separator: str = ",") -> pd.DataFrame:
-    """Read a CSV of numbers with a header; the index is the number of the line, an empty cell is NaN.
+def _rows_of(owner: str, text: str, separator: str) -> list[tuple[int, list[str]]]:
+    rows = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    try:
+        return [
+            (rows.line_num, row) for row in rows if any(map(str.strip, row)) and not row[0].startswith("#")
+        ]
+    except csv.Error as error:
+        raise bad_input("file", owner, "a CSV in UTF-8", error) from error
+
+
+def read_numbers(path: Path) -> NumberTable:
+    """Read a CSV of numbers with a header.
 
     Raises
     ------
     InputError
         If the file is no such table; the message names line and column.
     """
-    rows = read_rows(path, separator)
+    return numbers_of(path.name, _text_of(path), ",")
+
+
+def numbers_of(owner: str, text: str, separator: str) -> NumberTable:
+    """Take a text as :func:`read_numbers` takes a file; the cells are apart by one of the known separators."""
+    rows = _rows_of(owner, text, separator)
     head = [name.strip() for name in rows[0][1]] if rows else []
     require(
         head,
         "table",
-        path.name,
+        owner,
         f"a CSV of numbers with a header, separated by {SEPARATORS[separator]}",
         "nothing",
     )
     if twice := sorted({name for name in head if head.count(name) > 1}):
-        raise bad_input("columns", path.name, "of different names", f"{', '.join(twice)} twice")
+        raise bad_input("columns", owner, "of different names", f"{', '.join(twice)} twice")
     numbers = np.full((len(rows) - 1, len(head)), np.nan)
     for k, (line, row) in enumerate(rows[1:]):
         if len(row) != len(head):
-            raise bad_input(f"line {line}", path.name, f"of {len(head)} cells, as the header", len(row))
+            raise bad_input(f"line {line}", owner, f"of {len(head)} cells, as the header", len(row))
         for j, cell in enumerate(row):
             try:
                 numbers[k, j] = float(cell) if cell.strip() else np.nan
             except ValueError:
                 expected = f"a number (cells are separated by {SEPARATORS[separator]})"
-                raise bad_input(f"{head[j]} in line {line}", path.name, expected, repr(cell)) from None
-    return pd.DataFrame(numbers, index=[line for line, _ in rows[1:]], columns=head)
+                raise bad_input(f"{head[j]} in line {line}", owner, expected, repr(cell)) from None
+    return NumberTable([line for line, _ in rows[1:]], dict(zip(head, numbers.T.copy(), strict=True)))
 
 
 def check_columns(owner: str, wanted: Sequence[str], found: Sequence[str], times: str) -> None:
@@ -85,7 +111,7 @@ def check_columns(owner: str, wanted: Sequence[str], found: Sequence[str], times
         raise bad_input("columns", owner, f"{names} and {times}", f"also {', '.join(unknown)}")
 
 
-def times_of(owner: str, table: pd.DataFrame, *, apart: bool) -> tuple[str, Float[np.ndarray, " rows"]]:
+def times_of(owner: str, table: NumberTable, *, apart: bool) -> tuple[str, Float[np.ndarray, " rows"]]:
     """Return the name of the column of times, such as ``time_s`` or ``time_ms``, and the times [s].
 
     Raises
@@ -93,15 +119,15 @@ def times_of(owner: str, table: pd.DataFrame, *, apart: bool) -> tuple[str, Floa
     InputError
         If there is not one such column, or as :func:`check_times`.
     """
-    scales = {name: time_scale(*name_and_unit(name)) for name in table}
+    scales = {name: time_scale(*name_and_unit(name)) for name in table.columns}
     found = {name: scale for name, scale in scales.items() if scale is not None}
     if len(found) != 1:
-        received = f"{len(found)}: {', '.join(found)}" if found else f"none among {', '.join(table)}"
+        received = f"{len(found)}: {', '.join(found)}" if found else f"none among {', '.join(table.columns)}"
         raise bad_input("times", owner, "one column, such as time_s", received)
     ((name, scale),) = found.items()
     require(scale, "times", owner, f"named with their unit, such as {name}_s or {name}_ms", name)
-    time_s = table[name].to_numpy() * (1e-6 * scale)
-    check_times(owner, name, time_s, table.index.tolist(), apart=apart)
+    time_s = table.columns[name] * (1e-6 * scale)
+    check_times(owner, name, time_s, table.lines, apart=apart)
     return name, time_s
 
 
@@ -130,14 +156,14 @@ def check_times(
         raise bad_input(column, owner, expected, f"{time_s[0]:g} to {time_s[-1]:g} s")
 
 
-def whole_numbers(owner: str, table: pd.DataFrame, name: str, end: int) -> list[int | None]:
+def whole_numbers(owner: str, table: NumberTable, name: str, end: int) -> list[int | None]:
     """Whole numbers of a column; none where it, or a number, is missing."""
-    if name not in table:
-        return [None] * len(table)
-    column = table[name].to_numpy()
+    if name not in table.columns:
+        return [None] * len(table.lines)
+    column = table.columns[name]
     wrong = ~np.isnan(column) & ~((column >= 0) & (column < end) & (column % 1 == 0))
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
-        received = f"{column[row]:g} in line {table.index[row]}"
+        received = f"{column[row]:g} in line {table.lines[row]}"
         raise bad_input(name, owner, f"whole numbers from 0 to {end - 1}", received)
     return [None if np.isnan(x) else int(x) for x in column]

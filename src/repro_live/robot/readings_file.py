@@ -9,7 +9,6 @@ from itertools import compress
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Bool
 
 from repro.errors import bad_input
@@ -18,7 +17,7 @@ from repro.robot_file.columns import MAGNETIC_STREAM, channel_columns, is_number
 from repro.robot_file.robot_file import RobotFile
 from repro_live.record.recording import Recording, read_recording
 from repro_live.record.recording_file import MAGIC, sidecar_path
-from repro_live.robot.number_table import read_numbers, times_of, whole_numbers
+from repro_live.robot.number_table import NumberTable, read_numbers, times_of, whole_numbers
 from repro_live.wire.csv_text import check_units
 from repro_live.wire.formats import channel_names
 from repro_live.wire.frame import WRAP, Frame
@@ -50,7 +49,7 @@ def frames_of(recording: Recording, robot: RobotFile) -> tuple[Bool[np.ndarray, 
     units = recording.metadata.get("units")
     if recording.format == "csv" and isinstance(units, list) and len(units) == len(recording.channels):
         check_units(recording.channels, units, robot.unit if robot.channel else None)
-    widths, streams = stream_widths(robot), recording.frames["stream"].to_numpy()
+    widths, streams = stream_widths(robot), recording.stream
     fits, notes = np.zeros(len(streams), dtype=bool), [f"Recording: {text}." for text in recording.remarks]
     for stream, width in widths.items():
         own = streams == stream
@@ -105,7 +104,7 @@ def read_table(path: Path, robot: RobotFile) -> tuple[list[tuple[int, Frame]], f
         If a column is missing, ambiguous or of another unit, or a time is missing or decreases.
     """
     table = read_numbers(path)
-    names = list(table)
+    names = list(table.columns)
     time_column, time_s = times_of(path.name, table, apart=False)
     chosen: list[str | None] = []
     quaternion: list[str] = []
@@ -140,12 +139,12 @@ def read_table(path: Path, robot: RobotFile) -> tuple[list[tuple[int, Frame]], f
     return frames, start_s, notes + _other_streams(robot, streams)
 
 
-def _rows(table: pd.DataFrame, columns: Sequence[str | None]) -> list[list[float]]:
+def _rows(table: NumberTable, columns: Sequence[str | None]) -> list[list[float]]:
     """Values of chosen columns; NaN where none is chosen."""
-    values = np.full((len(table), len(columns)), np.nan)
+    values = np.full((len(table.lines), len(columns)), np.nan)
     for k, name in enumerate(columns):
         if name is not None:
-            values[:, k] = table[name]
+            values[:, k] = table.columns[name]
     return values.tolist()
 
 

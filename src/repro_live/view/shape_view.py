@@ -9,22 +9,21 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from jaxtyping import Float
-from matplotlib.figure import Figure
-from PIL import Image
 
 from repro.errors import bad_input, require
-from repro_live.view.style import MAGNET, SENSOR, page_figure, plain_symbol
+from repro_live.view.symbols import plain_symbol
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ROLES = {"truth": "#000000", "estimate": "#D55E00"}
 """What a shape may be, and its colour on white."""
@@ -95,7 +94,7 @@ _MOST_FRAMES = 300
 _LENGTH_QUANTUM_M = 1e-4
 _DEVIATION_QUANTUM_M = 1e-5
 _DIRECTION_QUANTUM = 1e-4
-_POSES_OF_THE_PICTURE, _DIGITS_OF_A_TRACE = 5, 4
+_DIGITS_OF_A_TRACE = 4
 
 
 @dataclass(frozen=True, repr=False)
@@ -214,10 +213,15 @@ class ShapeView:
 
     def figure(self) -> Figure:
         """Draw up to five of the shapes, the later the darker, with magnets and sensors of the last."""
-        return _picture(self)
+        # Matplotlib takes long to load, and a live view draws nothing
+        from repro_live.view.still import still_picture
+
+        return still_picture(self)
 
     def to_html(self) -> str:
         """Return a picture with the data beside it; the viewer puts itself in the place of the picture."""
+        from repro_live.view.still import small_png
+
         picture = base64.b64encode(small_png(self.figure())).decode("ascii")
         # "</script>" within a name must not end the element
         data = json.dumps(self.data(), separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
@@ -233,16 +237,6 @@ class ShapeView:
     def __repr__(self) -> str:
         n, first, last = len(self.time_s), self.time_s[0], self.time_s[-1]
         return f"ShapeView of {n} frame{'s' * (n > 1)}, {first:g} to {last:g} s: {self.label}"
-
-
-def small_png(figure: Figure) -> bytes:
-    """Draw a figure small, with 64 colours: a third of the size."""
-    drawn, small = io.BytesIO(), io.BytesIO()
-    figure.savefig(drawn, format="png", dpi=80, facecolor="white")
-    # this method keeps rare colours, such as those of the few sensors
-    colours = Image.open(drawn).convert("RGB").quantize(64, method=Image.Quantize.MAXCOVERAGE)
-    colours.save(small, format="png", optimize=True)
-    return small.getvalue()
 
 
 def _packed(values: np.ndarray, quantum: float) -> str:
@@ -262,39 +256,3 @@ def _panel(panel: Traces) -> dict[str, Any]:
 
 def _rounded(values: np.ndarray) -> list[float | None]:
     return [float(f"{x:.{_DIGITS_OF_A_TRACE}g}") if math.isfinite(x) else None for x in values.tolist()]
-
-
-@page_figure
-def _picture(view: ShapeView) -> Figure:
-    figure = plt.figure(figsize=(6.4, 4.6))
-    axes = figure.add_subplot(projection="3d")
-    chosen = np.unique(np.linspace(0, len(view.time_s) - 1, _POSES_OF_THE_PICTURE).round().astype(int))
-    for shape in view.shapes:
-        style = {"color": ROLES[shape.role], "linestyle": "-" if shape.role == "truth" else "--"}
-        for depth, k in enumerate(chosen, start=1):
-            last = k == chosen[-1]
-            alpha = 0.25 + 0.75 * depth / len(chosen)
-            label = shape.name if last else None
-            axes.plot(*(1e3 * shape.points_m[k].T), linewidth=2.2, alpha=alpha, label=label, **style)
-    for name, markers, colour, mark in (
-        ("magnets", view.magnets, MAGNET, "o"),
-        ("sensors", view.sensors, SENSOR, "^"),
-    ):
-        if markers is not None and markers.points_m.size:
-            points = 1e3 * markers.points_m[chosen[-1]]
-            label = markers.name or name
-            axes.plot(*points.T, linestyle="none", marker=mark, color=colour, markersize=5, label=label)
-    axes.plot(0, 0, 0, color="black", marker="s", markersize=6, linestyle="none", label="base")
-    low, high = (1e3 * corner for corner in view._box_m())
-    reach = max(np.abs(np.concatenate([low[:2], high[:2]])))
-    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(min(low[2], 0.0), high[2]))
-    axes.set_aspect("equal")
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
-    axes.locator_params(nbins=5)
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.pane.fill = False  # its pale greys would become other colours where the picture is made small
-    axes.view_init(elev=18, azim=-60)
-    times = " to ".join(dict.fromkeys(f"{t:.4g}" for t in view.time_s[[0, -1]])) + " s"
-    axes.set_title(f"Shape at {times}" + (", the later the darker" if len(chosen) > 1 else ""))
-    figure.legend(loc="outside lower center", ncols=5)
-    return figure

@@ -23,6 +23,7 @@ from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Box
 from repro.estimation.rod_filter import RodFilter
 from repro.estimation.rod_sensors import RodSensor
+from repro.estimation.self_calibration import SelfCalibratingFilter
 from repro.kernels import compiled
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.strain_series import StrainSeries
@@ -58,6 +59,15 @@ ESTIMATORS = {
         HIGH,
         torch.tensor([0.5, 0.5, 0.1]).double(),
         torch.tensor([0.1, 0.1, 0.02]).double(),
+        noise_mt=1e-4,
+    ),
+    "self-calibrating filter, nothing wanders": SelfCalibratingFilter(
+        ROBOT,
+        LOW,
+        HIGH,
+        torch.tensor([0.5, 0.5, 0.1]).double(),
+        torch.tensor([0.1, 0.1, 0.02]).double(),
+        moments=SENSING.model.moments,
         noise_mt=1e-4,
     ),
     "particle filter": ParticleFilter(**CLOUD),

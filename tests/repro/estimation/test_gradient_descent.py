@@ -6,6 +6,7 @@ import torch
 from repro.errors import InputError
 from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
+from repro.kernels import compiled
 from repro.kinematics.paper_robots import pcc_robot
 from repro.sensing.magnetic import MagneticSensing, readings
 from repro.sensing.magnets import ring
@@ -74,7 +75,7 @@ def test_on_exact_physics_twenty_evaluations_nearly_suffice():
     """0.065 % mean relative error on the full lemniscate of one segment, against percents with a network."""
     robot, q = pcc_robot(1), lemniscate(1)
     u = readings(robot, q, ring("released"))
-    sensing = MagneticSensing(robot, MultipoleField.of(ring("released")))
+    sensing = compiled(MagneticSensing(robot, MultipoleField.of(ring("released"))))
     estimate = track(GradientDescent(sensing, torch.full((3,), 3.5e-4)), u, q[0])
     error = ((estimate.q - q) ** 2).mean(0).sqrt() / (q.amax(0) - q.amin(0))
     assert 100 * float(error.mean()) == pytest.approx(0.065, abs=0.002)

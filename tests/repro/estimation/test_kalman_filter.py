@@ -99,7 +99,7 @@ def test_covariance_is_calibrated():
 def test_prediction_halves_the_error_of_single_time_steps():
     """A slow lemniscate with much noise; the process noise is that of its accelerations, not fitted."""
     robot, q = pcc_robot(1), lemniscate(1, half=True)[:120]
-    sensing = LinearisedSensing(robot, torch.from_numpy(ring("released").multipoles(9)))
+    sensing = compiled(LinearisedSensing(robot, torch.from_numpy(ring("released").multipoles(9))))
     g = torch.Generator().manual_seed(0)
     clean = readings(robot, q, ring("released"))
     u = clean + 0.005 * torch.randn(clean.shape, generator=g, dtype=torch.float64)

@@ -36,21 +36,21 @@ def drawn(method, steps, rng, dt=0.02):
     n, x = method.n_q, torch.from_numpy(rng.multivariate_normal(np.zeros(10), state.covariance.numpy()))
     move, noise = method.motion(dt)
     root = torch.linalg.cholesky(noise)
-    q, u = [], []
+    motion, errors = [], []
     for _ in range(steps):
-        q.append(x[:n])
-        T = ROD.pose(x[:n], torch.tensor([0.5, 1.0]).double())
-        J = torch.autograd.functional.jacobian(
-            lambda d, T=T, x=x: se3.logarithm(
-                se3.inverse(T[0]) @ ROD.pose(x[:n] + d, torch.tensor(0.5).double())
-            ),
-            torch.zeros(n).double(),
-        )
-        errors = torch.from_numpy(rng.normal(size=9)) * torch.tensor(POSE.std + GYRO.std)
-        tip = T[1] @ se3.exponential(errors[:6])
-        u.append(torch.cat([se3.logarithm(tip), J[3:] @ x[n:] + errors[6:]]))
+        motion.append(x)
+        errors.append(torch.from_numpy(rng.normal(size=9)) * torch.tensor(POSE.std + GYRO.std))
         x = move @ x + root @ torch.from_numpy(rng.normal(size=10))
-    return torch.stack(q), torch.stack(u)
+    x, errors = torch.stack(motion), torch.stack(errors)
+    q, half = x[:, :n], torch.tensor(0.5).double()
+    T = ROD.pose(q[:, None], torch.tensor([0.5, 1.0]).double())
+    J = torch.autograd.functional.jacobian(  # of all steps at once: each depends on its own only
+        lambda d: se3.logarithm(se3.inverse(T[:, 0]) @ ROD.pose(q + d, half))[:, 3:].sum(0),
+        torch.zeros_like(q),
+    )
+    turning = torch.einsum("isj,sj->si", J, x[:, n:])
+    tip = T[:, 1] @ se3.exponential(errors[:, :6])
+    return q, torch.cat([se3.logarithm(tip), turning + errors[:, 6:]], dim=-1)
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import ast
 import importlib
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,7 @@ import numba
 import pytest
 
 from repro import kernels
-from repro.kernels.compilation import _CACHE, _cache_folder, machine_code
+from repro.kernels.compilation import _CACHE, _digest, machine_code
 
 PACKAGE = Path(kernels.__file__).parent
 ROOT = PACKAGE.parents[2]
@@ -44,51 +45,54 @@ if __name__ == "__main__":
 """
 
 
-def run(root):
+def run(root, cache):
     # Without byte code: Python tells an edited file by its size and the second of its change.
-    environment = os.environ | {"PYTHONPATH": str(root / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
+    changes = {"PYTHONPATH": str(root), "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_CACHE_DIR": str(cache)}
+    environment = os.environ | changes
     command = [sys.executable, "-m", "repro.kernels.caller"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     return done.stdout.split()
 
 
 def test_an_edited_callee_is_noticed_and_an_unchanged_one_is_not_compiled_again(tmp_path):
+    """Wherever the package lies: copies share what is compiled."""
+    cache, copy = tmp_path / "cache", tmp_path / "copy"
     package = tmp_path / "src" / "repro" / "kernels"
     package.mkdir(parents=True)
-    (tmp_path / "pyproject.toml").touch()
     (package.parent / "__init__.py").touch()
     (package / "__init__.py").touch()
     (package / "compilation.py").write_bytes((PACKAGE / "compilation.py").read_bytes())
     (package / "caller.py").write_text(CALLER)
     for factor, expected in ((2.0, ["2.0", "0"]), (2.0, ["2.0", "1"]), (3.0, ["3.0", "0"])):
         (package / "callee.py").write_text(CALLEE.format(factor))
-        assert run(tmp_path) == expected
-    assert len(list((tmp_path / ".cache" / "numba").iterdir())) == 2
+        assert run(tmp_path / "src", cache) == expected
+    shutil.copytree(tmp_path / "src", copy)
+    assert run(copy, cache) == ["3.0", "1"]
+    assert len(list(cache.iterdir())) == 2
 
 
 def test_folder_depends_on_every_kernel_and_on_nothing_else(tmp_path):
-    package = tmp_path / "site-packages" / "repro" / "kernels"
+    package = tmp_path / "repro" / "kernels"
     package.mkdir(parents=True)
     (package / "compilation.py").touch()
-    first = _cache_folder(package)
+    first = _digest(package)
     (package.parent / "other.py").write_text("a")
-    assert _cache_folder(package) == first
+    assert _digest(package) == first
     (package / "a.py").write_text("a")
-    second = _cache_folder(package)
+    second = _digest(package)
     (package / "a.py").rename(package / "b.py")
-    assert len({first, second, _cache_folder(package)}) == 3
-    assert not first.is_relative_to(tmp_path)  # not in a project: the user's cache
+    assert len({first, second, _digest(package)}) == 3
 
 
 def test_other_users_of_numba_keep_their_place():
-    before = numba.config.CACHE_DIR
+    before = numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES
     machine_code()(lambda x: x)
-    assert before == numba.config.CACHE_DIR
+    assert before == (numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES)
 
 
 def test_this_package_has_a_folder():
     assert _CACHE.is_dir()
-    assert _CACHE.name == _cache_folder(PACKAGE).name
+    assert _CACHE.name == _digest(PACKAGE)
 
 
 @pytest.mark.parametrize("name", MODULES)

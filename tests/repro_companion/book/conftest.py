@@ -47,7 +47,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a project without notebooks and without a site; it is the current folder."""
     project = tmp_path / "project"
     texts = {
-        "pyproject.toml": '[project]\nname = "repro"\n',
+        "pyproject.toml": "[tool.repro]\n",
         "requirements.lock": "numpy==2.0\n",
         "src/repro/module.py": '"""A module."""\n',
         "data/published/published.csv": PUBLISHED,

@@ -46,7 +46,7 @@ def made(tmp_path_factory) -> Path:
     """Return a project whose book has run one notebook, and a run of it with other parameters in ``runs/a``."""
     root = tmp_path_factory.mktemp("made") / "project"
     (root / "notebooks").mkdir(parents=True)
-    (root / "pyproject.toml").write_text('[project]\nname = "repro"\n')
+    (root / "pyproject.toml").write_text("[tool.repro]\n")
     parameters = 'n: int = 2  # rows\ngain: float = 1.0  # gain\nname: str = "<b>"  # a name'
     kernel = {"name": "python3", "language": "python", "display_name": "Python 3"}
     notebook = nbformat.v4.new_notebook(metadata={"kernelspec": kernel})

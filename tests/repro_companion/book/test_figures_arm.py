@@ -58,7 +58,10 @@ def test_jumps_are_marked_in_the_panels_of_their_pairs(angles):
 
 
 def test_no_jumps(angles):
-    assert png(neighbour_angles(angles, JUMPS.head(0), "recorded bag")).startswith(b"\x89PNG")
+    """Then nothing explains marks that are not there."""
+    figure = neighbour_angles(angles, JUMPS.head(0), "recorded bag")
+    assert not figure.legends
+    assert png(figure).startswith(b"\x89PNG")
 
 
 def test_same_table_same_bytes(angles):

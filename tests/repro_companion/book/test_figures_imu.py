@@ -122,6 +122,7 @@ def test_differences_of_files_name_their_source():
     )
     (panel,) = differences_of_files(files, "recorded").axes
     assert panel.get_title() == "Released tables, recorded"
+    assert differences_of_files(files, "synthetic").axes[0].get_title() == "Tables of the trial, synthetic"
     assert [label.get_text() for label in panel.get_yticklabels()] == ["one.csv", "two.csv"]
     np.testing.assert_array_equal(panel.lines[0].get_xdata(), [0.01, 0.02])
     np.testing.assert_array_equal(panel.lines[1].get_xdata(), [0.1, 3.0])

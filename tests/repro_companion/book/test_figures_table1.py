@@ -105,8 +105,8 @@ def test_paths_grow_update_by_update():
     strip = descents(sides, np.add.outer(sides**2, sides**2), paths, off_mt, truth)
     assert [len(frame.artists) for frame in strip.frames] == [0, 2, 4]
     assert strip.frames[1].says == (
-        "After 1 of 2 updates: gradient descent 5.0 mm off, readings 0.200 mT; "
-        "Levenberg-Marquardt 0.0 mm off, readings 0.200 mT."
+        "After 1 of 2 updates: gradient descent 5.0 mm off, readings 0.20 mT; "
+        "Levenberg-Marquardt 0.0 mm off, readings 0.20 mT."
     )
     first = strip.frames[1].artists[0].get_xydata()
     np.testing.assert_allclose(first, 1e3 * paths["gradient descent"][:2, :2])

@@ -128,6 +128,11 @@ def test_everything_that_a_page_offers_is_there(root, page):
         assert {**cell, "outputs": None} == {**own, "outputs": None}
     assert shown["cells"][0]["source"].startswith('# Title\n\n<p class="page-summary"><a href="#run-it-')
     assert shown["cells"][0]["source"].endswith("</p>\n\n\nText.")
+    executed = nbformat.read(page, as_version=4)
+    for source, title in (("synthetic", "# Title (synthetic)\n"), ("recorded", "# Title\n")):
+        executed.metadata["repro"]["values"] = {"source": source}
+        nbformat.write(executed, page)
+        assert with_notes(before, project, "a")["cells"][0]["source"].startswith(title)
     form, downloads = (cell["source"] for cell in shown["cells"][-2:])
     assert "repro run notebooks/a.ipynb</pre>" in form
     for name in files:

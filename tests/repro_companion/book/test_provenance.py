@@ -92,6 +92,20 @@ def test_a_linked_recording_counts(notebook, root, tmp_path):
     assert key(notebook) != before
 
 
+def test_kernels_compiled_in_between_do_not_change_the_key(notebook, monkeypatch, tmp_path):
+    """They lie in the user's cache, where recordings lie as well if nothing else is said."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.delenv("REPRO_DATA_DIR")
+    before = key(notebook)
+    command = [sys.executable, "-c", "from repro.kernels import compilation; print(compilation._CACHE)"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    cache = Path(done.stdout.strip())
+    assert cache.is_relative_to(data_dir())
+    append(cache / "module" / "function.nbc")
+    assert key(notebook) == before
+
+
 def test_parameters_change_the_key(notebook):
     assert len({key(notebook), key(notebook, n=3), key(notebook, n=4), key(notebook, n=4.0)}) == 4
     assert key(notebook, a=1, b=2) == key(notebook, b=2, a=1)
@@ -187,7 +201,7 @@ def test_record_round_trip(notebook, tmp_path):
 
 def test_the_project_is_found_from_below_and_from_elsewhere(root, tmp_path, monkeypatch):
     assert find_project(root / "src" / "repro").root == root
-    (tmp_path / "pyproject.toml").write_text('[project]\nname = "another"\n')
+    (tmp_path / "pyproject.toml").write_text('[project]\nname = "repro"\n')
     assert find_project(tmp_path).root == Path(__file__).parents[3]
     assert shown(root / "a") == "a"
     assert shown(tmp_path / "a") == str(tmp_path / "a")

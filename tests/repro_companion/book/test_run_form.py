@@ -61,7 +61,7 @@ def tab(browser) -> Iterator[Any]:
 @pytest.fixture
 def page(tab, tmp_path, monkeypatch) -> Iterator[Any]:
     """Return the form of a notebook, open from a file; the notebook is there too, and its project current."""
-    (tmp_path / "pyproject.toml").write_text('[project]\nname = "repro"\n')
+    (tmp_path / "pyproject.toml").write_text("[tool.repro]\n")
     kernel = {"name": "python3", "language": "python", "display_name": "Python 3"}
     notebook = nbformat.v4.new_notebook(metadata={"kernelspec": kernel})
     notebook.cells = [nbformat.v4.new_code_cell(CELLS, metadata={"tags": ["parameters"]})]

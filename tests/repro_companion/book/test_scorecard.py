@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from repro.errors import InputError
-from repro_companion.book.after.figures_scorecard import picture_alt
-from repro_companion.book.after.scorecard_files import badge_text, scorecard_json
+from repro_companion.book.after.scorecard_files import badge_text, picture_alt, scorecard_json
 from repro_companion.book.project import Project, find_project
 from repro_companion.book.published import read_csv, read_published, row_key
 from repro_companion.book.results import write_scorecard_rows
@@ -230,7 +229,9 @@ def test_pages(project):
     # a blank line inside a table would end the block of HTML
     blocks = page.strip().split("\n\n")
     assert blocks[0] == '<div class="scorecard-filter"></div>'
-    assert all(block.startswith("<table") and block.endswith("</table>") for block in blocks[1:])
+    assert all(
+        block.startswith("<details") and block.endswith("</table>\n</details>") for block in blocks[1:]
+    )
     sentence, _, bias, _, header = counts_page(rows).splitlines()[:5]
     assert sentence == (
         "Of the 3 numbers that the papers print, 2 can be compared. 0 of these are weak, since zero would pass too,"

@@ -10,10 +10,13 @@ from fractions import Fraction
 import pytest
 
 from repro.errors import InputError
-from repro_companion.book.after.figures_scorecard import HIGHEST, height_of, picture_alt, picture_page
 from repro_companion.book.after.scorecard_files import (
+    HIGHEST,
     badge,
     badge_text,
+    height_of,
+    picture_alt,
+    picture_page,
     scorecard_json,
     write_scorecard_files,
 )
@@ -64,12 +67,15 @@ def test_json():
 
 
 def test_badge():
-    """The badge is a picture with a name, wide enough for its text."""
+    """The badge shows the rows that count and is named by all; text and telephone are wide enough."""
     assert badge_text(ROWS) == "1 reproduced, 1 better, 1 differs, 1 not comparable, 1 missing"
     assert badge_text(ROWS[:2]) == "1 reproduced, 1 better"
     root = ET.fromstring(badge(ROWS))
     assert root.get("aria-label") == f"5 published numbers: {badge_text(ROWS)}"
-    assert float(root.get("width") or 0) > 6 * len("published numbers" + badge_text(ROWS))
+    drawn = [text.text or "" for text in root.findall(f".//{SVG}text")]
+    assert drawn == ["3 compared", "1 reproduced, 1 better, 1 differs"]
+    assert 6 * len("".join(drawn)) < float(root.get("width") or 0) < 360
+    assert [text.text for text in ET.fromstring(badge([])).findall(f".//{SVG}text")] == ["0 compared", "none"]
 
 
 def test_band_is_the_one_of_the_verdict():
@@ -110,7 +116,7 @@ def test_picture_shows_every_row():
 
 def test_every_row_leads_to_its_page():
     page = scorecard_page(ROWS, {("baaij2023", "Table 1"): "notebooks/table_1.html#fig-table-1"})
-    assert page.startswith('<div class="scorecard-filter"></div>\n\n<table class="scorecard cards"')
+    assert page.startswith('<div class="scorecard-filter"></div>\n\n<details class="published-table">')
     assert page.count('<a href="notebooks/table_1.html#fig-table-1">') == 4  # three rows and the caption
     assert page.count("data-verdict=") == len(ROWS)
     assert '<th scope="row">M2, <i>e</i><sub>u</sub></th>' in page

@@ -16,16 +16,8 @@ from matplotlib.figure import Figure
 
 import repro_companion
 from repro_companion.pages.affine_curvature.figures import stills
-from repro_live.view.style import (
-    MAGNET,
-    SENSOR,
-    STYLE,
-    WIDTH_IN,
-    coordinate_symbol,
-    in_symbols,
-    page_figure,
-    wrapped_panels,
-)
+from repro_live.view.style import MAGNET, SENSOR, STYLE, WIDTH_IN, page_figure, wrapped_panels
+from repro_live.view.symbols import coordinate_symbol, in_symbols
 
 CYCLE = mpl.rc_params_from_file(STYLE, use_default_template=False)["axes.prop_cycle"]
 PALETTE = [to_hex(colour).upper() for colour in CYCLE.by_key()["color"]]

@@ -11,7 +11,7 @@ from repro.errors import InputError
 from repro_companion.book.project import find_project
 from repro_companion.book.views_arm import RADIUS_M, chain_view
 from repro_companion.pages.imu_markers.views import trial_view
-from repro_companion.twins.arm_draws import draw
+from repro_companion.twins.arm_trial import draw
 from repro_companion.twins.cosserat_rod import Rod
 from repro_companion.twins.imu_errors import PERFECT, ImuErrors
 from repro_companion.twins.soft_arm import load_soft_arm

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from repro_companion.pages.noise_and_tolerances.data_size import COLUMNS, PAPER, data_size_errors
-from repro_companion.twins.table_1_solvers import DIPOLE
+from repro_companion.twins.table_1_method import DIPOLE
 
 NETWORKS = Path(__file__).parents[3] / "data" / "networks"
 FIVE = "5 moments"

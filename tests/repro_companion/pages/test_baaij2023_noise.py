@@ -18,7 +18,7 @@ from repro_companion.pages.noise_and_tolerances.noise import (
 )
 from repro_companion.pages.table_1.limits import model_by_solver
 from repro_companion.twins.networks import train_own
-from repro_companion.twins.table_1_solvers import DIPOLE, SOLVERS, _dipoles
+from repro_companion.twins.table_1_method import DIPOLE, SOLVERS, _dipoles
 from repro_companion.twins.training_set import training_set
 from repro_companion.twins.trajectories import lemniscate
 

@@ -289,7 +289,6 @@ class TestFilesUnderTheAuthorsNames:
         data = load_recordings(trajectories=self.TRAJECTORIES, sources=find_project().data / "sources.json")
         assert data.label == "recordings of your own under these names"
         assert data.twin_sha256 is None
-        assert not data.comparable
         assert len(data.own_files) == 4
         assert data.remarks[0].startswith(
             "Not the authors' files, so nothing is compared with print: 2022-05-02_T3"
@@ -304,18 +303,18 @@ class TestFilesUnderTheAuthorsNames:
         assert not any("best" in row for row in rows)
 
     def test_without_a_list_none_are_theirs(self, found):
-        assert not load_recordings(trajectories=self.TRAJECTORIES).comparable
+        assert load_recordings(trajectories=self.TRAJECTORIES).own_files
 
     def test_with_their_hashes_are_compared_and_one_other_byte_is_not(self, found):
         theirs = load_recordings("recorded", trajectories=self.TRAJECTORIES, sources=found)
-        assert theirs.comparable
+        assert theirs.twin_sha256 is None
+        assert theirs.own_files == ()
         assert theirs.label == "recorded by the authors"
         assert theirs.remarks == []
         path = raw_paths(NAMES["T3"])[1]
         path.write_bytes(path.read_bytes()[:-2] + b"1\n")
         data = load_recordings("recorded", trajectories=self.TRAJECTORIES, sources=found)
         assert data.own_files == (path.name,)
-        assert not data.comparable
 
 
 class TestNetworks:

@@ -188,7 +188,7 @@ def test_missed_targets_and_what_bounds_them():
 
 def test_command_writes_all_tables_and_succeeds_when_a_target_is_missed(tmp_path, monkeypatch, capsys):
     """What is measured takes minutes and is replaced; what is written and returned is the command's own."""
-    (tmp_path / "pyproject.toml").write_text('[project]\nname = "repro"\n')
+    (tmp_path / "pyproject.toml").write_text("[tool.repro]\n")
     monkeypatch.chdir(tmp_path)
     points = pd.DataFrame({"capability": ["c"], "against": ["samples"], "size": [1], "seconds": [0.1]})
     monkeypatch.setattr(bench_command, "benchmark", lambda networks: (a_table(), points))

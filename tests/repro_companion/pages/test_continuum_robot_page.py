@@ -10,8 +10,9 @@ import pytest
 import torch
 
 from repro import se3
-from repro_companion.pages.continuum_robot import judged, tables
+from repro_companion.pages.continuum_robot import figures, judged, tables
 from repro_companion.recordings.continuum_robot import STATIONS_M, find_trials
+from repro_companion.twins import followed_rod
 
 ROOT = Path(__file__).parents[3]
 RECORDINGS = ROOT / "data" / "recordings" / "continuum_robot"
@@ -30,10 +31,18 @@ def method():
     return names["rod_filter"]()
 
 
+def test_other_pages_have_the_filter_of_this_one(method, capture):
+    """The settings, and with them what it says of a recording."""
+    other = followed_rod.chosen_filter()
+    assert (other.sensors, other.strain_std, other.rate) == (method.sensors, method.strain_std, method.rate)
+    plain, same = (followed_rod.estimates(m, capture)["filter"] for m in (method, other))
+    assert all(np.array_equal(a, b) for a, b in zip(plain, same, strict=True))
+
+
 @pytest.fixture(scope="module")
 def capture():
     """Two seconds of a trial with a blow."""
-    return judged.load(replace(TRIALS["impulse_1"], window_s=(25.0, 27.0)))
+    return followed_rod.load(replace(TRIALS["impulse_1"], window_s=(25.0, 27.0)))
 
 
 @pytest.mark.parametrize(
@@ -46,7 +55,7 @@ def capture():
 )
 def test_released_estimates_give_the_errors_that_their_program_prints(trial, ending, printed_mm):
     parts = judged.released(
-        judged.load(TRIALS[trial]), RECORDINGS / "released_estimates", ending, np.zeros(18)
+        followed_rod.load(TRIALS[trial]), RECORDINGS / "released_estimates", ending, np.zeros(18)
     )
     assert [round(value, 1) for value in judged.rmse_mm(parts)] == printed_mm
 
@@ -57,9 +66,9 @@ def test_a_trial_without_released_estimates_has_none(capture):
 
 
 def test_every_frame_of_every_station_is_judged_at_its_own_time(method, capture):
-    found = judged.estimates(method, capture)
+    found = followed_rod.estimates(method, capture)
     for values in found.values():
-        parts = judged.errors(capture, values)
+        parts = followed_rod.errors(capture, values)
         assert [len(error) for error, _ in parts] == [len(time_s) for time_s, _ in capture.truth]
 
 
@@ -69,16 +78,18 @@ def test_the_filter_is_causal_and_the_smoother_is_not(method, capture):
     late = capture.time_s > 26.0
     u[torch.from_numpy(late)] += 0.05
     before = capture.asked_s <= 26.0
-    plain, other = (judged.estimates(method, c) for c in (capture, replace(capture, u=u)))
+    plain, other = (followed_rod.estimates(method, c) for c in (capture, replace(capture, u=u)))
     assert np.array_equal(plain["filter"][0][before], other["filter"][0][before])
     assert not np.allclose(plain["smoother"][0][before], other["smoother"][0][before], atol=1e-4)
 
 
 def test_drop_outs_take_a_third_of_the_time_in_runs(capture):
     gone = judged.without_tracker(capture, 3, run_s=0.3, share=1 / 3)
-    left = {t for t, u in zip(gone.time_s, gone.u, strict=True) if not torch.isnan(u[judged.TIP]).any()}
+    left = {t for t, u in zip(gone.time_s, gone.u, strict=True) if not torch.isnan(u[followed_rod.TIP]).any()}
     every = [
-        t for t, u in zip(capture.time_s, capture.u, strict=True) if not torch.isnan(u[judged.TIP]).any()
+        t
+        for t, u in zip(capture.time_s, capture.u, strict=True)
+        if not torch.isnan(u[followed_rod.TIP]).any()
     ]
     runs = {int((t - capture.time_s[0]) / 0.3): t in left for t in every}
     assert sum(not kept for kept in runs.values()) == round(len(runs) / 3)
@@ -100,12 +111,12 @@ def test_constants_are_found_from_trackers_that_are_off_by_them():
 def test_constants_bring_the_trackers_nearer_to_the_motion_capture():
     trial = TRIALS["slow_free_space"]
     constants = judged.fitted_constants(trial, rotation_m=0.1)
-    plain = judged.load(trial)
+    plain = followed_rod.load(trial)
     moved = judged.calibrated(plain, constants)
 
     def off(capture):
         read = ~torch.isnan(capture.u[:, 6])
-        T = judged.exponential(capture.u[read][:, judged.TIP].numpy())
+        T = judged.exponential(capture.u[read][:, followed_rod.TIP].numpy())
         time_s, truth = capture.truth[3]
         near = np.abs(time_s[:, None] - capture.time_s[read.numpy()]).argmin(1)
         return np.linalg.norm(T[near, :3, 3] - truth[:, :3, 3], axis=-1)
@@ -136,14 +147,14 @@ def test_a_further_folder_is_judged_with_the_others(tmp_path):
         path.write_text("\n".join(path.read_text().splitlines()[:200]), encoding="utf-8")
     whole = [trial for trial in find_trials(folder) if trial.name == "again"]
     assert [trial.window_s for trial in whole] == [None]
-    assert len(judged.load(whole[0]).truth) == len(STATIONS_M)
+    assert len(followed_rod.load(whole[0]).truth) == len(STATIONS_M)
 
 
 def test_tables_have_the_columns_that_others_read(method, capture):
     parts = {
-        ("raw", name, estimator): judged.errors(capture, values)
+        ("raw", name, estimator): followed_rod.errors(capture, values)
         for name in ("slow_free_space", "impulse_1")
-        for estimator, values in judged.estimates(method, capture).items()
+        for estimator, values in followed_rod.estimates(method, capture).items()
     }
     table = tables.error_table(parts, {})
     assert list(table) == ["trial", "setting", "estimator", "station_mm", "rmse_mm"]
@@ -151,3 +162,9 @@ def test_tables_have_the_columns_that_others_read(method, capture):
     coverage = tables.coverage_table({key[1:]: values for key, values in parts.items()})
     assert list(coverage)[:3] == ["trial", "estimator", "coverage_percent"]
     assert set(coverage["trial"]) == {"slow_free_space", "impulse_1", "judged"}
+
+
+def test_a_line_over_time_is_broken_where_frames_are_missing():
+    time_s, values = figures.broken_at_gaps(np.array([0.0, 0.1, 0.2, 0.6, 0.7]), np.arange(5.0))
+    assert (np.diff(time_s) >= 0).all()
+    assert np.array_equal(values, [0.0, 1.0, 2.0, np.nan, 3.0, 4.0], equal_nan=True)

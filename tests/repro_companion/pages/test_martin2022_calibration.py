@@ -17,8 +17,8 @@ from repro_companion.pages.imu_markers.calibration import (
     over_sensors,
     ratio_to_uncalibrated,
 )
-from repro_companion.twins.arm_draws import draw, drawn
 from repro_companion.twins.arm_recording import MotionCapture
+from repro_companion.twins.arm_trial import draw, drawn
 from repro_companion.twins.imu_errors import PERFECT
 from repro_companion.twins.stick_motion import SCHEDULE
 

@@ -7,7 +7,6 @@ from short_arm import short_arm
 from repro.errors import InputError
 from repro.estimation.imu_models import pcc_extended
 from repro_companion.recordings.martin2022_models import MARKERS, selection
-from repro_companion.twins.arm_draws import draw, drawn, errors_with
 from repro_companion.twins.arm_markers import (
     DESCRIBED,
     EVALUATIONS,
@@ -26,6 +25,7 @@ from repro_companion.twins.arm_markers import (
     over_draws,
 )
 from repro_companion.twins.arm_recording import MotionCapture
+from repro_companion.twins.arm_trial import draw, drawn, errors_with
 from repro_companion.twins.imu_errors import PERFECT, ImuErrors
 
 

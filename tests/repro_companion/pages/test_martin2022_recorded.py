@@ -37,20 +37,20 @@ from repro_companion.pages.recorded_trial.released import (
     released_chains,
     trial_orientations,
 )
-from repro_companion.recordings import martin2022_capture
-from repro_companion.recordings.martin2022_capture import MarkerCapture
-from repro_companion.recordings.martin2022_outputs import (
+from repro_companion.recordings import martin2022_trial
+from repro_companion.recordings.martin2022_trial import (
     MARKER_POINTS,
     ORIGIN_M,
     OUTPUT_FOLDER,
     OUTPUTS,
     SCORED_ROWS,
+    MarkerCapture,
     ModelOutput,
     find_output,
     read_output,
 )
-from repro_companion.twins.arm_draws import draw, drawn
 from repro_companion.twins.arm_recording import MotionCapture
+from repro_companion.twins.arm_trial import draw, drawn
 from repro_companion.twins.imu_errors import PERFECT
 
 PUBLISHED = pd.read_csv(Path(__file__).parents[3] / "data" / "published" / "published.csv")
@@ -315,12 +315,12 @@ class TestRealErrors:
             [capture.time_s, np.zeros((len(capture.time_s), 3)), capture.markers.reshape(-1, 6)]
         )
         names = ["t", "bx", "by", "bz", "x1", "y1", "z1", "x2", "y2", "z2"]
-        path = nothing_found / OUTPUT_FOLDER / martin2022_capture.CAPTURE
+        path = nothing_found / OUTPUT_FOLDER / martin2022_trial.CAPTURE
         path.parent.mkdir(parents=True)
         pd.DataFrame(numbers, columns=names).to_csv(path, index=False)
         content = path.read_bytes()
         blob = hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
-        monkeypatch.setattr(martin2022_capture, "CAPTURE_BLOB", blob)
+        monkeypatch.setattr(martin2022_trial, "CAPTURE_BLOB", blob)
         table, said = captured.real_errors(*models, 6, {})
         assert table.empty
         assert said.startswith(

@@ -12,11 +12,11 @@ from scipy.stats import norm
 from repro.sensing.placement import Tolerances
 from repro_companion.book.bootstrap import interval
 from repro_companion.pages.bend_tests import errors as bend_errors
-from repro_companion.pages.bend_tests.takes import BendTake
 from repro_companion.pages.closed_loop import tables as loops
 from repro_companion.pages.closed_loop.loop import LoopTrace, judged_rms_mm, reference_mm, rms_mm
 from repro_companion.pages.filter_on_segments import tables as segments_tables
 from repro_companion.pages.fusion import study as fusion
+from repro_companion.twins.bend_tests import BendTake
 from repro_companion.twins.segment_motion import TRAJECTORIES, motion
 
 

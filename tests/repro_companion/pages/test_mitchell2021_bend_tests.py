@@ -1,8 +1,10 @@
 """The bend tests: on synthetic takes, whose truth is known, and on the released ones where found."""
 
+import json
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -14,7 +16,12 @@ from repro.kinematics.bend import bend_vector
 from repro.sensing.bend_sensor import BendSensor
 from repro_companion.pages.bend_tests import errors
 from repro_companion.pages.bend_tests import statements as say
-from repro_companion.pages.bend_tests.filters import (
+from repro_companion.recordings.mitchell2021 import takes as files_of_takes
+from repro_companion.recordings.mitchell2021_conventions import file_axes
+from repro_companion.recordings.mitchell2021_tables import read_calibration
+from repro_companion.recordings.released import said_of_files
+from repro_companion.twins.bend_curves import bend_readings
+from repro_companion.twins.bend_filters import (
     IDENTITY,
     NONE,
     PAPER_SETTINGS,
@@ -25,7 +32,8 @@ from repro_companion.pages.bend_tests.filters import (
     ours,
     paper_filters,
 )
-from repro_companion.pages.bend_tests.takes import (
+from repro_companion.twins.bend_takes import BendRecorder, write_bend_takes
+from repro_companion.twins.bend_tests import (
     against_displacement,
     axial_field,
     bend_takes,
@@ -34,17 +42,12 @@ from repro_companion.pages.bend_tests.takes import (
     log_states,
     recorded_or_synthetic,
 )
-from repro_companion.recordings.mitchell2021 import takes as files_of_takes
-from repro_companion.recordings.mitchell2021_conventions import file_axes
-from repro_companion.recordings.mitchell2021_tables import read_calibration
-from repro_companion.recordings.released import said_of_files
-from repro_companion.twins.bend_curves import bend_readings
-from repro_companion.twins.bend_takes import BendRecorder, write_bend_takes
 from repro_companion.twins.field_ratios import FieldRatios
 from repro_live.own.optitrack import read_capture
 
 SENSOR = BendSensor(13e-3)
 NO_READINGS = pd.DataFrame()
+NOTEBOOK = Path(__file__).parents[3] / "notebooks" / "bend_tests.ipynb"
 
 
 def made(folder, **recorder):
@@ -190,6 +193,12 @@ def test_without_recordings_takes_are_synthetic_and_say_so(monkeypatch, tmp_path
     assert facts(found)["peak_tilt_y_deg"].item() == pytest.approx(50, abs=0.1)
     axial = axial_field(found[0])
     np.testing.assert_array_equal(axial["sent_mt"], axial["over_gain_mt"])
+    compared = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["metadata"]["repro"]["alternatives"]
+    assert {n for one in compared for n in one["parameters"]["tests"]} <= {
+        0,
+        2,
+        4,
+    }  # there with recordings, too
     with pytest.raises(InputError, match=r"tests of the synthetic takes must be among \[0, 2, 4\]; .* \[7\]"):
         recorded_or_synthetic(tests=[7], duration_s=6.0)
 
@@ -275,10 +284,11 @@ def test_facts_tell_what_was_dropped_and_doubtful_lags(real, tmp_path):
     said = say.of_lags(facts([real[0], late, *real[2:]]))
     assert "**Doubtful, far from the median of the other takes: test 0, try 2 (+1.3" in said
     assert "0 unreadable rows and 60 from a buffer were dropped (15 per take)" in say.of_hall(table)
-    assert (
-        "undone in 0.0 % of the frames of a take, and in up to 0 % of those above 40 deg"
-        in say.of_capture(table)
+    assert "Motion capture: no markers are exchanged, and no frame is masked. The tilt" in say.of_capture(
+        table
     )
+    exchanged = table.assign(undone_percent=2.0, masked_if_not_undone_percent=2.0)
+    assert "undone in 2.0 % of the frames of a take" in say.of_capture(exchanged)
 
 
 def test_statements_have_the_numbers_of_the_tables(real):

@@ -16,11 +16,11 @@ from repro.sensing.bend_sensor import BendSensor
 from repro.sensing.magnetic import EARTH_MT
 from repro_companion.book.project import find_project
 from repro_companion.book.published import read_published
-from repro_companion.pages.bend_tests.filters import PAPER_SETTINGS
 from repro_companion.pages.probabilistic_curvature import simulation
 from repro_companion.pages.table_1.scorecard import scorecard_rows
 from repro_companion.twins import rig_descent as table2
 from repro_companion.twins import table_1_method as table1
+from repro_companion.twins.bend_filters import PAPER_SETTINGS
 from repro_companion.twins.table_1_rows import ROWS, rows_named, simulate
 
 BY_NAME = {row.name: row for row in ROWS}

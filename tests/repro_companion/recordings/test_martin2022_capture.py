@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from repro.errors import InputError
-from repro_companion.recordings.martin2022_capture import CAPTURE, find_capture, read_capture
-from repro_companion.recordings.martin2022_outputs import OUTPUT_FOLDER
+from repro_companion.recordings.martin2022_trial import CAPTURE, OUTPUT_FOLDER, find_capture, read_capture
 
 LAYOUT = {
     "header_row": 1,

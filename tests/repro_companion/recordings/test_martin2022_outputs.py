@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from repro.errors import InputError
-from repro_companion.recordings.martin2022_outputs import (
+from repro_companion.recordings.martin2022_trial import (
     OUTPUT_FOLDER,
     OUTPUTS,
     POINTS,

@@ -7,8 +7,7 @@ import torch
 
 from repro.kinematics.bend import MAX_BEND, bend_vector
 from repro.sensing.bend_sensor import BendSensor
-from repro_companion.twins.field_ratios import FieldRatios
-from repro_companion.twins.ratio_inversion import _dipole_bend, invert
+from repro_companion.twins.field_ratios import FieldRatios, _dipole_bend, invert
 
 MATRIX = torch.tensor([[0.6, 0.25], [-0.3, 0.55]], dtype=torch.float64)
 DIRECTIONS = torch.linspace(0, 2 * math.pi, 17, dtype=torch.float64)

@@ -31,7 +31,7 @@ static uint8_t read_quaternion(uint8_t imu, float xyzw[4])
     if (!zero) return TWI_OK;
     result = twi_transfer(IMU, &mode, 1, &current, 1);
     if (result == TWI_OK && current == 0) result = twi_transfer(IMU, fuse, 2, 0, 0);
-    return result == TWI_OK ? TWI_NO_ANSWER : result;
+    return result == TWI_OK ? (uint8_t)TWI_NO_ANSWER : result;
 }
 
 void setup(void) { rounds_begin(BAUD, PERIOD_US, IMUS); }

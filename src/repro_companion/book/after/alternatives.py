@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import fcntl
 import io
 import os
 import shutil
@@ -28,7 +27,7 @@ from repro_companion.book.points import (
     Point,
     Runner,
     environment_of_runs,
-    finished,
+    once,
     one_thread,
 )
 from repro_companion.book.project import Project, find_project, shown
@@ -150,33 +149,31 @@ def warm_runner(jobs: int, inputs: Inputs) -> Runner:
 
 
 def _run(point: Point, inputs: Inputs) -> Outcome:
-    point.results.mkdir(parents=True, exist_ok=True)
-    point.lock.parent.mkdir(parents=True, exist_ok=True)
-    with point.lock.open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if finished(point):
-            return Outcome(point.index)
-        shutil.rmtree(point.results)
-        point.results.mkdir()
-        os.chdir(point.here)
-        os.environ |= {**point.environment, "REPRO_RESULTS_DIR": str(point.results), "MPLBACKEND": "Agg"}
-        started, clock = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
-        try:
-            run_until_written(read_notebook(point.notebook), point.parameters, point.output)
-        except NotebookStopped as stop:
-            return Outcome(point.index, f"{shown(point.notebook)} with {point.label()} {stop}")
-        record = make_record(
-            find_project(),
-            point.notebook,
-            point.parameters,
-            inputs,
-            started=started,
-            seconds=time.monotonic() - clock,
-            results=tree_digests(point.results),
-            executed=file_digest(point.output),
-        )
-        write_record(record, record_path(point.results, point.output.stem))
-    return Outcome(point.index)
+    return once(point, lambda _: _run_here(point, inputs))
+
+
+def _run_here(point: Point, inputs: Inputs) -> str:
+    shutil.rmtree(point.results)
+    point.results.mkdir()
+    os.chdir(point.here)
+    os.environ |= {**point.environment, "REPRO_RESULTS_DIR": str(point.results), "MPLBACKEND": "Agg"}
+    started, clock = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
+    try:
+        run_until_written(read_notebook(point.notebook), point.parameters, point.output)
+    except NotebookStopped as stop:
+        return f"{shown(point.notebook)} with {point.label()} {stop}"
+    record = make_record(
+        find_project(),
+        point.notebook,
+        point.parameters,
+        inputs,
+        started=started,
+        seconds=time.monotonic() - clock,
+        results=tree_digests(point.results),
+        executed=file_digest(point.output),
+    )
+    write_record(record, record_path(point.results, point.output.stem))
+    return ""
 
 
 class NotebookStopped(Exception):

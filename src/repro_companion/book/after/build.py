@@ -10,6 +10,7 @@ import json
 import os
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from repro.errors import InputError, bad_input
@@ -19,6 +20,7 @@ from repro_companion.book.after.paper_index import index_path, page_titles, read
 from repro_companion.book.after.site import SiteFailed, build_site
 from repro_companion.book.digests import combined_digest, write_if_changed
 from repro_companion.book.points import (
+    BESIDE_OTHERS,
     Point,
     Stopped,
     environment_of_runs,
@@ -174,6 +176,8 @@ def run_pages(pages: Sequence[Point], jobs: int) -> bool:
     bool
         Whether all succeeded.
     """
+    if min(jobs, len(pages)) > 1:
+        pages = [replace(page, environment=page.environment | BESIDE_OTHERS) for page in pages]
     failures = run_points(pages, local_runner(jobs)) if pages else {}
     for message in failures.values():
         print(message, file=sys.stderr)

@@ -1,13 +1,22 @@
-"""A table of a run beside the same table of the book: rows that belong together, and how far numbers differ."""
+"""A table of a run beside the same table of the book: rows that belong together, and how far numbers differ.
+
+Tables of two machines may differ within tolerances. On one machine a table is the same byte for byte. Another
+processor, BLAS or release of Python adds numbers in another order, and last digits move; where a descent is chaotic
+or an arg-min is nearly a tie, more than those. Which columns move, how far and why stands in
+``data/tolerances.csv``: measured, not guessed.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from pandas.api import types
+
+from repro.errors import require
 
 OCCURRENCE = " row"
 """Column that tells rows with the same labels apart, by their order; no table of results has a name with a space."""
@@ -131,3 +140,83 @@ def read_csv(path: Path) -> pd.DataFrame:
         return pd.read_csv(path, keep_default_na=False, na_values=[""])
     except pd.errors.EmptyDataError:
         return pd.DataFrame()
+
+
+COLUMNS = ("table", "column", "tolerance", "reason")
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How far columns may move."""
+
+    table: str
+    """Name of a table without its ending, or a pattern with ``*``."""
+    column: str
+    """Name of a column, or a pattern with ``*``."""
+    tolerance: float
+    """Largest difference, in parts of the largest magnitude in that column; 1 lets words differ."""
+    reason: str
+    """Why it moves."""
+
+    def holds_for(self, table: str, column: str) -> bool:
+        """Return whether this is about a column."""
+        return fnmatchcase(table, self.table) and fnmatchcase(column, self.column)
+
+
+def read_tolerances(path: Path) -> list[Tolerance]:
+    """Read ``data/tolerances.csv``; the last line that fits a column counts.
+
+    Raises
+    ------
+    InputError
+        If a column is missing, a tolerance is not a positive number, or a reason is empty.
+    """
+    table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    require(tuple(table) == COLUMNS, "header", path.name, ",".join(COLUMNS), ",".join(map(str, table)))
+    tolerances = [
+        Tolerance(name, column, float(pd.to_numeric(value, errors="coerce")), reason)
+        for name, column, value, reason in table.itertuples(index=False)
+    ]
+    for line, (one, given) in enumerate(zip(tolerances, table["tolerance"], strict=True), 2):
+        require(one.tolerance > 0, f"tolerance of line {line}", path.name, "a positive number", given)
+        require(one.reason, f"reason of line {line}", path.name, "why the column moves", "nothing")
+    return tolerances
+
+
+def moved(difference: TableDifference, column: str) -> float:
+    """Return how far a column of numbers moved, in parts of its largest magnitude; inf where a cell came or went."""
+    book, run = (table[column].astype(float) for table in (difference.book, difference.run))
+    if (book.isna() != run.isna()).any():
+        return float("inf")
+    off = difference.difference(column).abs().max()  # equal infinities differ by nothing
+    largest = max(table.abs().where(np.isfinite(table), 0.0).max() for table in (book, run))
+    return off and float(off / largest)
+
+
+def beyond(first: Path, second: Path, tolerances: list[Tolerance]) -> list[str]:
+    """Return one line for each column of a table that differs by more than it may.
+
+    Parameters
+    ----------
+    first, second
+        The table on the two machines.
+    tolerances
+        From :func:`read_tolerances`. Numbers of rows and names of columns must be the same.
+    """
+    difference = compare_tables(first.stem, read_csv(first), read_csv(second))
+    rows = len(difference.only_book) + len(difference.only_run)
+    found = [f"{first.name} has {rows} rows that only one of the two has"] if rows else []
+    found += [f"{first.name}: only one of the two has {column}" for column in difference.other_columns]
+    for column in difference.changed:
+        allowed = [t.tolerance for t in tolerances if t.holds_for(first.stem, column)]
+        if not difference.is_number(column):
+            if not allowed or allowed[-1] < 1:
+                found.append(f"{first.name}: {column} says something else")
+            continue
+        off = moved(difference, column)
+        if off > (allowed[-1] if allowed else 0.0):
+            found.append(
+                f"{first.name}: {column} moved by {off:.1e} of its largest value; "
+                + (f"{allowed[-1]:.0e} is allowed" if allowed else "none is allowed")
+            )
+    return found

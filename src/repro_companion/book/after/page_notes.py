@@ -44,8 +44,6 @@ class FigureFiles:
     alt: str
     files: dict[str, bytes]
     """Content by ending: ``png`` and ``svg`` or ``pdf``."""
-    cell: str
-    """Id of the cell that drew it."""
 
 
 def figures_of(executed: NotebookNode) -> list[FigureFiles]:
@@ -62,7 +60,7 @@ def figures_of(executed: NotebookNode) -> list[FigureFiles]:
             # name and caption belong to the first picture of their cell
             caption = figure.get("caption", "") if number == 1 else ""
             name = name if number == 1 else f"{name}-{number}"
-            found.append(FigureFiles(name, caption, alt, files, cell.get("id", "")))
+            found.append(FigureFiles(name, caption, alt, files))
     return found
 
 
@@ -146,7 +144,9 @@ def with_notes(page: dict[str, Any], project: Project, stem: str) -> dict[str, A
         exercise = next(cell for cell in cells if "".join(cell["source"]).startswith("## Exercise\n"))
         exercise["source"] = "".join(exercise["source"]) + check(alternatives[0])
     if cells and cells[0]["cell_type"] == "markdown":
-        cells[0]["source"] = _below_title("".join(cells[0]["source"]), _summary(bool(declared)))
+        cells[0]["source"] = _below_title(
+            "".join(cells[0]["source"]), _summary(bool(declared)), _data(executed)
+        )
     return {**page, "cells": cells + added}
 
 
@@ -179,9 +179,15 @@ Only changed values are named. `repro run` refuses what the form refuses; the bo
 `make diff RUN=runs/…` shows a run beside them."""
 
 
-def _below_title(source: str, line: str) -> str:
+def _data(executed: NotebookNode) -> str:
+    """Return what a title says of data that stand in for recordings which this build has not found."""
+    values = executed.metadata.get("repro", {}).get("values", {})
+    return " (synthetic)" if values.get("source") == "synthetic" else ""
+
+
+def _below_title(source: str, line: str, data: str) -> str:
     title, newline, rest = source.partition("\n")
-    return f"{title}\n\n{line}\n{newline}{rest}" if title.startswith("# ") else source
+    return f"{title}{data}\n\n{line}\n{newline}{rest}" if title.startswith("# ") else source
 
 
 def _summary(has_form: bool) -> str:
@@ -203,7 +209,9 @@ def provenance_line(record: Record, declared: Mapping[str, Parameter]) -> str:
     values = {name: parameter.default for name, parameter in declared.items()}
     values |= {name: str(value) for name, value in record.parameters.items()}
     changed = ", ".join(f"{name} = {values[name]}" for name in record.parameters)
-    seeds = ", ".join(f"{name} = {value}" for name, value in values.items() if "seed" in name)
+    seeds = ", ".join(
+        f"{name} = {str(value).strip('[]')}" for name, value in values.items() if "seed" in name
+    )
     recordings = record.data.get("recordings", {})
     source = str(record.data.get("source", "unknown"))
     if recordings:
@@ -242,7 +250,7 @@ def _downloads(
 
     def link(name: str, text: str) -> str:
         place = f"../{FOLDER}/{stem}/{name}"
-        return f'<a href="{escape(place)}" download>{escape(text)}</a>\xa0({_size(len(files[name]))})'
+        return f'<a href="{escape(place)}" download>{escape(text)}</a> ({_size(len(files[name]))})'
 
     own = [
         (f"{stem}.ipynb", "source"),

@@ -1,7 +1,8 @@
 """Whether results follow from the sources alone: all notebooks run again in a clean copy, and tables are compared.
 
 ``make reproduce`` runs this after ``make book``. With a folder, the tables of the book are compared with those in it,
-such as ``results/`` of another commit, and nothing is run again; with two, these two.
+such as ``results/`` of another commit, and nothing is run again; with two, these two. With
+``--other-machine`` columns may differ by their tolerance: see :mod:`repro_companion.book.after.diff_tables`.
 """
 
 from __future__ import annotations
@@ -12,20 +13,24 @@ import sys
 from itertools import zip_longest
 from pathlib import Path
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro_companion.book.after.build import jobs_from_environment, page_points, run_pages
+from repro_companion.book.after.diff_tables import Tolerance, beyond, read_tolerances
 from repro_companion.book.points import Stopped, finished
 from repro_companion.book.project import Project, find_project
 from repro_companion.book.provenance import read_inputs
 from repro_companion.book.runner import changed_environment
 from repro_companion.book.termination import stop_on_termination
 
+OTHER_MACHINE = "--other-machine"
 SHOWN = 100
 """Characters of a line that are shown where two tables differ."""
 
 
-def against(folder: Path, project: Project) -> list[str]:
+def against(folder: Path, project: Project, tolerances: list[Tolerance] | None = None) -> list[str]:
     """Compare the tables of the book with those of a folder: one line for each that is not the same.
+
+    With tolerances, one line for each column that differs by more than it may.
 
     Raises
     ------
@@ -35,7 +40,7 @@ def against(folder: Path, project: Project) -> list[str]:
     check_up_to_date(project)
     if not any(folder.glob("*.csv")):
         raise bad_input("AGAINST", "make reproduce", "a folder with tables of another build", folder)
-    return differences(project.results, folder)
+    return differences(project.results, folder, tolerances)
 
 
 def check_up_to_date(project: Project) -> None:
@@ -106,10 +111,11 @@ def copy_sources(root: Path, copy: Path) -> None:
             shutil.copy2(root / name, copy / name)
 
 
-def differences(first: Path, second: Path) -> list[str]:
+def differences(first: Path, second: Path, tolerances: list[Tolerance] | None = None) -> list[str]:
     """Return one line for each ``.csv`` of two folders that is not the same in both, byte for byte.
 
-    ``scorecard.csv`` is left out: the build makes it from the others.
+    With tolerances, one for each of their columns that differs by more than it may. ``scorecard.csv`` is left out:
+    the build makes it from the others.
     """
     names = {path.name for folder in (first, second) for path in folder.glob("*.csv")} - {"scorecard.csv"}
     found = []
@@ -121,6 +127,9 @@ def differences(first: Path, second: Path) -> list[str]:
         pair = [(folder / name).read_bytes() for folder in (first, second)]
         if pair[0] == pair[1]:
             continue
+        if tolerances is not None:
+            found += beyond(first / name, second / name, tolerances)
+            continue
         lines = zip_longest(
             *(text.decode("utf-8", "replace").split("\n") for text in pair), fillvalue="(no line)"
         )
@@ -129,15 +138,23 @@ def differences(first: Path, second: Path) -> list[str]:
     return found
 
 
-def main(*folders: str) -> int:
+def main(*arguments: str) -> int:
     """Compare; return 0, 1 where a table differs, or 2 for wrong input."""
     stop_on_termination()
+    given = [Path(folder) for folder in arguments if folder != OTHER_MACHINE]
+    other = OTHER_MACHINE in arguments
     try:
-        project, given = find_project(), [Path(folder) for folder in folders]
+        require(
+            given or not other, "OTHER_MACHINE", "make reproduce", "given with AGAINST or STUDIES", "alone"
+        )
+        project = find_project()
+        tolerances = read_tolerances(project.root / "data/tolerances.csv") if other else None
         if len(given) == 2:
-            found = differences(*given)
+            found = differences(given[0], given[1], tolerances)
+        elif given:
+            found = against(given[0], project, tolerances)
         else:
-            found = against(given[0], project) if given else rebuild(project, jobs_from_environment())
+            found = rebuild(project, jobs_from_environment())
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
@@ -147,7 +164,8 @@ def main(*folders: str) -> int:
         print(line, file=sys.stderr)
     if not found:
         count = len({path.name for path in (given or [project.results])[0].glob("*.csv")} - {"scorecard.csv"})
-        print(f"All {count} tables are the same, byte for byte.")
+        how = "within the tolerances of data/tolerances.csv" if other else "byte for byte"
+        print(f"All {count} tables are the same, {how}.")
     return 1 if found else 0
 
 

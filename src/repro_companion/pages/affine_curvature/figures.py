@@ -9,18 +9,18 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from repro_companion.book import robot_figures
 from repro_live.view.style import (
     ESTIMATE,
-    MAGNET,
-    SENSOR,
     TRUTH,
     WIDTH_IN,
-    coordinate_symbol,
     label_in_mm,
     page_figure,
     plain_ticks,
 )
+from repro_live.view.symbols import coordinate_symbol
 
 PUBLISHED, OURS, BEST = "0.45", "#0072B2", "#D55E00"
 UNITS = {"kappa_0": "rad", "kappa_1": "rad", "phi": "rad", "delta_L": "mm"}
@@ -74,44 +74,18 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
 
     Parameters
     ----------
-    shapes
-        Columns ``time_s, kind, seed, x_mm, y_mm, z_mm``.
-    parts
-        Columns ``time_s, part, x_mm, y_mm, z_mm``: magnets and sensors in the true shape.
+    shapes, parts
+        Columns of :func:`repro_companion.twins.robot_tables.stills`.
     """
-    times = np.unique(shapes["time_s"])
-    columns = 2
-    figure = plt.figure(figsize=(WIDTH_IN, 2.9 * -(-len(times) // columns)))
-    for k, time_s in enumerate(times):
-        panel = figure.add_subplot(-(-len(times) // columns), columns, k + 1, projection="3d")
-        here = shapes[shapes["time_s"] == time_s]
-        for seed in np.unique(here["seed"]):
-            part = here[here["seed"] == seed]
-            xyz = part[["x_mm", "y_mm", "z_mm"]].to_numpy()
-            truth = part["kind"].iloc[0] == "truth"
-            panel.plot(
-                *xyz.T, color="black" if truth else OURS, lw=4 if truth else 1.6, alpha=1 if truth else 0.7
-            )
-        for name, colour, marker in (("magnet", MAGNET, "s"), ("sensor", SENSOR, "o")):
-            xyz = parts.loc[
-                (parts["time_s"] == time_s) & (parts["part"] == name), ["x_mm", "y_mm", "z_mm"]
-            ].to_numpy()
-            panel.plot(*xyz.T, color=colour, marker=marker, ls="", ms=5 if name == "magnet" else 3)
-        panel.set(xlim=(-130, 130), ylim=(-130, 130), zlim=(0, 210))
-        panel.set_aspect("equal")
-        panel.set_title(f"t = {time_s:.1f} s", y=0.94)
-        panel.view_init(elev=20, azim=-55)
-        panel.set(xticks=(-100, 0, 100), yticks=(-100, 0, 100), zticks=(0, 100, 200))
-        panel.tick_params(labelsize=8, pad=-2)
-        label_in_mm(panel, fontsize=9.0, labelpad=-5.0)
-    handles = [
-        Line2D([], [], color="black", lw=4, label="true shape"),
-        Line2D([], [], color=OURS, lw=1.6, label="estimated, one per seed"),
-        Line2D([], [], color=MAGNET, marker="s", ls="", label="magnets"),
-        Line2D([], [], color=SENSOR, marker="o", ls="", ms=4, label="sensors"),
-    ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=2)
-    return figure
+    return robot_figures.stills(shapes, parts, OURS, _in_space, 2.9)
+
+
+def _in_space(panel: Axes3D) -> None:
+    panel.set(xlim=(-130, 130), ylim=(-130, 130), zlim=(0, 210))
+    panel.set_aspect("equal")
+    panel.view_init(elev=20, azim=-55)
+    panel.set(xticks=(-100, 0, 100), yticks=(-100, 0, 100), zticks=(0, 100, 200))
+    label_in_mm(panel, fontsize=9.0, labelpad=-5.0)
 
 
 @page_figure

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.estimation.base import Trajectory, track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.kernels import compiled
@@ -25,6 +25,7 @@ from repro_companion.book.views_frames import every_nth
 from repro_companion.book.views_frames import readings as trace
 from repro_companion.book.views_simulated import FRAMES, times
 from repro_companion.twins.networks import AffineSpec
+from repro_companion.twins.robot_tables import stills as stills_of
 from repro_companion.twins.table_1_method import ITERATIONS, MOMENTUM
 from repro_companion.twins.trajectories import RATE_HZ, flower
 from repro_live.view.robot_view import shape_view
@@ -101,8 +102,7 @@ def paper_method(
     InputError
         If there are not four step sizes.
     """
-    if len(step_size) != len(STEP_SIZE):
-        raise bad_input("step_size", "paper_method", "four numbers", step_size)
+    require(len(step_size) == len(STEP_SIZE), "step_size", "paper_method", "four numbers", step_size)
     # The networks were trained on relations to magnets that are not shifted.
     sensing = MagneticSensing(affine_robot(magnet_shift_m=0.0), model, "angles")
     u = data.u.unsqueeze(1).expand(-1, len(seeds), -1)
@@ -184,28 +184,10 @@ def series(run: PaperRun) -> pd.DataFrame:
 def stills(
     run: PaperRun, times_s: Sequence[float] = (0.0, 1.6, 3.3, 5.0, 6.7, 8.3)
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Fig. 7 as tables: the backbone at these times, true and estimated, and the parts in the true shape.
-
-    Returns
-    -------
-    DataFrame, DataFrame
-        ``time_s``, ``kind`` (``truth``, or ``estimate`` with its ``seed``), ``x_mm``, ``y_mm``, ``z_mm``; and
-        ``time_s``, ``part`` (``magnet`` or ``sensor``), ``x_mm``, ``y_mm``, ``z_mm``.
-    """
-    robot, shapes, parts = affine_robot(), [], []
-    for step in sorted({min(round(t * RATE_HZ), len(run.flower.q) - 1) for t in times_s}):
-        truth, time_s = run.flower.q[step], step / RATE_HZ
-        curves = [("truth", -1, truth)]
-        curves += [("estimate", seed, run.estimates.q[step, i]) for i, seed in enumerate(run.seeds)]
-        for kind, seed, q in curves:
-            shapes.append(_points(robot.backbone(q)).assign(time_s=time_s, kind=kind, seed=seed))
-        for part, T in (("magnet", robot.magnet_poses(truth)), ("sensor", robot.sensor_poses(truth))):
-            parts.append(_points(T[:, :3, 3]).assign(time_s=time_s, part=part))
-    return pd.concat(shapes, ignore_index=True), pd.concat(parts, ignore_index=True)
-
-
-def _points(positions: Float[Tensor, "n 3"]) -> pd.DataFrame:
-    return pd.DataFrame(1e3 * positions.numpy(), columns=["x_mm", "y_mm", "z_mm"])
+    """Fig. 7 as tables: the backbone at these times, true and estimated, and the parts in the true shape."""
+    steps = sorted({min(round(t * RATE_HZ), len(run.flower.q) - 1) for t in times_s})
+    at = [step / RATE_HZ for step in steps]
+    return stills_of(affine_robot(), at, run.flower.q[steps], run.estimates.q[steps], run.seeds)
 
 
 def flower_view(run: PaperRun) -> ShapeView:

@@ -12,7 +12,7 @@ import torch
 
 from repro.errors import bad_input
 from repro.sensing.bend_sensor import BendSensor
-from repro_companion.pages.bend_tests.filters import (
+from repro_companion.twins.bend_filters import (
     LEAST_BEND_DEG,
     NONE,
     OUR_LENGTH_MM,
@@ -22,7 +22,7 @@ from repro_companion.pages.bend_tests.filters import (
     ours,
     paper_filters,
 )
-from repro_companion.pages.bend_tests.takes import BendTake, facts
+from repro_companion.twins.bend_tests import BendTake, facts
 
 SETTING = ["method", "calibration", "length_mm"]
 BEND_BINS_DEG = (0.0, 20.0, 40.0, 180.0)
@@ -164,7 +164,7 @@ def evidence(takes: Sequence[BendTake], runs: Sequence[Run]) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns of :func:`repro_companion.pages.bend_tests.takes.facts`, and by ours without calibration
+        Columns of :func:`repro_companion.twins.bend_tests.facts`, and by ours without calibration
         ``peak_hall_deg``, the largest bend, and ``turned_deg``, the mean of its direction less the azimuth of the y
         axis.
     """

@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from repro_companion.pages.bend_tests.takes import take_in_words
+from repro_companion.twins.bend_tests import take_in_words
 from repro_live.view.style import WIDTH_IN, page_figure
 
 OURS, PRINTED, RELEASED, LOGGED = "#0072B2", "#CC79A7", "#D55E00", "#009E73"

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pandas as pd
 
+from repro_companion.book.formatted import as_read
 from repro_companion.pages.bend_tests.errors import TARGET_DEG
-from repro_companion.pages.bend_tests.filters import OUR_LENGTH_MM
-from repro_companion.pages.bend_tests.takes import LARGEST_LAG_OFF_S, take_in_words
+from repro_companion.twins.bend_filters import OUR_LENGTH_MM
+from repro_companion.twins.bend_tests import LARGEST_LAG_OFF_S, take_in_words
 
 SAME_OUTPUT_DEG = 0.5
 """Largest difference at which our run of the filter and the authors' output count as the same [deg]."""
@@ -39,11 +40,16 @@ def of_capture(takes: pd.DataFrame) -> str:
     undone, high = span(takes["undone_percent"]), takes["undone_above_40_percent"].max()
     masked, before = span(takes["masked_percent"]), span(takes["masked_if_not_undone_percent"])
     off, azimuth = span(takes["off_displacement_deg"], 2), span(takes["azimuth_off_deg"].abs())
+    if takes["masked_if_not_undone_percent"].any():
+        repaired = (
+            f"exchanged markers were undone in {undone} % of the frames of a take, and in up to {high:.0f} % of "
+            f"those above 40 deg; {masked} % are masked. If nothing were undone, {before} % would be masked."
+        )
+    else:
+        repaired = "no markers are exchanged, and no frame is masked."
     return (
-        f"Motion capture: exchanged markers were undone in {undone} % of the frames of a take, and in up to "
-        f"{high:.0f} % of those above 40 deg; {masked} % are masked. If nothing were undone, {before} % would be "
-        f"masked. The tilt of the y axis follows the displacement of the body within {off} deg (root mean square "
-        f"about a smooth curve), and their azimuths differ by {azimuth} deg."
+        f"Motion capture: {repaired} The tilt of the y axis follows the displacement of the body within {off} deg "
+        f"(root mean square about a smooth curve), and their azimuths differ by {azimuth} deg."
     )
 
 
@@ -63,7 +69,7 @@ def of_lags(takes: pd.DataFrame) -> str:
 def of_peaks(takes: pd.DataFrame) -> str:
     """Largest bends by both readings of motion capture and by the sensor, and the sensor's direction."""
     share = takes["peak_hall_deg"] / takes["peak_tilt_y_deg"]
-    return (
+    return as_read(
         f"The sensor as drawn ends at {span(takes['peak_hall_deg'], 0)} deg, {span(share, 2)} of the tilt of the y "
         f"axis, which peaks at {span(takes['peak_tilt_y_deg'], 0)} deg; the tilt of the z axis peaks at "
         f"{span(takes['peak_tilt_z_deg'], 0)} deg. The direction of the sensor less the azimuth of the y axis is "

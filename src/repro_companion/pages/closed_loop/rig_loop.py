@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS
 from repro_companion.twins.pneumatic_actuation import TRAJECTORIES
 from repro_companion.twins.pneumatic_rig import REGULATOR_HZ, TwinConfig
@@ -178,8 +178,7 @@ def sessions(config: TwinConfig, kinds: Sequence[str], seeds: Sequence[int], tic
     InputError
         If there is no such kind.
     """
-    if not set(kinds) <= set(SESSIONS):
-        raise bad_input("kinds", "sessions", f"among {', '.join(SESSIONS)}", kinds)
+    require(set(kinds) <= set(SESSIONS), "kinds", "sessions", f"among {', '.join(SESSIONS)}", kinds)
     clock, inflated = np.arange(ticks) / RIG_RATE_HZ, np.ones(ticks)
     runs = len(kinds)
     bias, gain, noise = (np.zeros((*shape, RIG_SENSORS)) for shape in ((runs,), (runs,), (ticks, runs)))

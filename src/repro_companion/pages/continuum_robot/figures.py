@@ -47,6 +47,13 @@ def errors_by_estimator(table: pd.DataFrame) -> Figure:
     return figure
 
 
+def broken_at_gaps(time_s: Float[np.ndarray, "t"], values: Float[np.ndarray, "t"]) -> list[np.ndarray]:
+    """Points of a line that is broken where there is none for more than three of the usual steps."""
+    steps = np.diff(time_s)
+    after = np.flatnonzero(steps > 3 * np.median(steps)) + 1
+    return [np.insert(time_s, after, time_s[after]), np.insert(values, after, np.nan)]
+
+
 @page_figure
 def errors_over_time(table: pd.DataFrame) -> Figure:
     """Error at the middle and at the tip over time, a panel for each trial.
@@ -68,8 +75,7 @@ def errors_over_time(table: pd.DataFrame) -> Figure:
                 ]
                 at = "middle" if station == 233.0 else "tip"
                 panel.plot(
-                    part["time_s"],
-                    part["error_mm"],
+                    *broken_at_gaps(part["time_s"].to_numpy(), part["error_mm"].to_numpy()),
                     style,
                     color=COLOURS[name],
                     lw=1.2,

@@ -11,8 +11,9 @@ import torch
 from repro.estimation.rod_filter import RodFilter
 from repro_companion.pages.continuum_robot import judged
 from repro_companion.pages.continuum_robot.figures import robot_view
-from repro_companion.pages.continuum_robot.judged import Parts
 from repro_companion.recordings.continuum_robot import LENGTH_M, STATIONS_M
+from repro_companion.twins import followed_rod
+from repro_companion.twins.followed_rod import Parts
 from repro_live.view.shape_view import ShapeView
 
 SEEN = "slow_free_space"
@@ -64,7 +65,7 @@ def coverage_table(parts: Mapping[tuple[str, str], Parts]) -> pd.DataFrame:
 
 
 def time_table(
-    parts: Mapping[tuple[str, str], Parts], captures: Mapping[str, judged.Capture]
+    parts: Mapping[tuple[str, str], Parts], captures: Mapping[str, followed_rod.Capture]
 ) -> pd.DataFrame:
     """Error at the middle and the tip at every frame."""
     tables = []
@@ -81,8 +82,8 @@ def time_table(
 
 
 def dropout_table(
-    captures: Mapping[str, judged.Capture],
-    dropped: Mapping[tuple[str, int], judged.Estimates],
+    captures: Mapping[str, followed_rod.Capture],
+    dropped: Mapping[tuple[str, int], followed_rod.Estimates],
     means: pd.DataFrame,
 ) -> pd.DataFrame:
     """Mean error without the tracker at times, and its ratio to that with it."""
@@ -90,18 +91,18 @@ def dropout_table(
     rows = []
     for (trial, seed), estimates in dropped.items():
         for name, found in estimates.items():
-            errors = [error for error, _ in judged.errors(captures[trial], found)]
+            errors = [error for error, _ in followed_rod.errors(captures[trial], found)]
             value = float(np.mean(judged.rmse_mm(errors)))
             rows.append((trial, seed, name, value, value / float(whole.loc[trial, name])))
     return pd.DataFrame(rows, columns=["trial", "seed", "estimator", "rmse_mm", "ratio"])
 
 
-def view(trial: str, capture: judged.Capture, method: RodFilter, stations: Parts) -> ShapeView:
+def view(trial: str, capture: followed_rod.Capture, method: RodFilter, stations: Parts) -> ShapeView:
     """The filter's shape at the frames that show all bodies."""
     shared = capture.asked_s
     for time_s, _ in capture.truth:
         shared = np.intersect1d(shared, time_s)
-    states, frames = judged.filtered(method, capture)
+    states, frames = followed_rod.filtered(method, capture)
     kept = [states[k] for k in frames if states[k].t in set(shared.tolist())]
     n = method.n_q
     q, P = torch.stack([s.q[:n] for s in kept]), torch.stack([s.covariance[:n, :n] for s in kept])

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.base import Trajectory, stacked, track
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
@@ -117,8 +117,7 @@ class Course:
     failure: int = 0
 
     def __post_init__(self) -> None:
-        if self.draws < 1:
-            raise bad_input("draws", "Course", "at least 1", self.draws)
+        require(self.draws >= 1, "draws", "Course", "at least 1", self.draws)
         if self.first < 0 or self.steps <= BEGUN or self.first + self.steps > 400:
             part = (self.first, self.steps)
             raise bad_input("first, steps", "Course", f"more than {BEGUN} of the 400 steps", part)

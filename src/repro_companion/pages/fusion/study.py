@@ -21,7 +21,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.estimation.drift_filter import Drift, DriftFilter
 from repro.estimation.kalman_filter import IteratedKalmanFilter
 from repro.kinematics.mounts import magnet_mounts
@@ -100,8 +100,7 @@ def record(motions: Sequence[Motion], seeds: Sequence[int], setting: Surrounding
     InputError
         If there is no seed.
     """
-    if not seeds:
-        raise bad_input("draws", "record", "at least 1", 0)
+    require(seeds, "draws", "record", "at least 1", 0)
     magnets, turns = [], []
     for place, motion in enumerate(motions):
         field, axes, tip = _clean(motion)

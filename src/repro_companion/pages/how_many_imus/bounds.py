@@ -57,7 +57,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.imu_selection import Selection
 
 Bound = Float[np.ndarray, " points"]
@@ -243,8 +243,7 @@ def _checked(
     """Check the input; return points, starts of links and their lengths [m]."""
     if not (math.isfinite(curvature) and curvature >= 0):
         raise bad_input("curvature", owner, "finite and not negative [rad/m]", curvature)
-    if not slope >= 0:
-        raise bad_input("slope", owner, "not negative [rad/m^2]", slope)
+    require(slope >= 0, "slope", owner, "not negative [rad/m^2]", slope)
     lengths = np.array(selection.link_lengths)
     ends = np.cumsum(lengths)
     if between and not (selection.sub_links and np.allclose(selection.arcs, [0.0, *ends], atol=1e-9)):

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.orientations import exponential, product, tangents
 from repro_companion.twins.soft_arm import SoftArm
 
@@ -62,8 +62,7 @@ def random_curves(count: int, *, length_m: float, curvature: float, slope: float
     """
     given = {"count": count, "length_m": length_m, "curvature": curvature, "slope": slope}
     for name, value in given.items():
-        if not value > 0:
-            raise bad_input(name, "random_curves", "above zero", value)
+        require(value > 0, name, "random_curves", "above zero", value)
     waves = np.pi * np.arange(4)
     amplitudes = np.random.default_rng(seed).normal(size=(count, 2, 4)) / (1 + np.arange(4))
     s = (np.arange(STEPS) + 0.5) / STEPS
@@ -107,8 +106,7 @@ def arm_curves(arm: SoftArm, *, length_m: float = 0.64, count: int = 200) -> Cur
     """
     if not 0 < length_m <= arm.point_arcs_m[-1]:
         raise bad_input("length_m", "arm_curves", f"above 0 and up to {arm.point_arcs_m[-1]:g} m", length_m)
-    if not 0 < count <= len(arm.time_s):
-        raise bad_input("count", "arm_curves", f"between 1 and {len(arm.time_s)}", count)
+    require(0 < count <= len(arm.time_s), "count", "arm_curves", f"between 1 and {len(arm.time_s)}", count)
     rows = np.linspace(0, len(arm.time_s) - 1, count).round().astype(int)
     base = np.zeros((count, 1, 3))
     s = np.linspace(0.0, length_m, STEPS + 1)

@@ -39,9 +39,9 @@ from repro_companion.pages.how_many_imus.bounds import arcs_bound, pcc_bound, ri
 from repro_companion.pages.how_many_imus.curves import STEPS, Curves
 from repro_companion.pages.how_many_imus.needed import imus_needed
 from repro_companion.recordings.martin2022_models import MARKERS, selection
-from repro_companion.twins.arm_draws import drawn
 from repro_companion.twins.arm_markers import mid_section
 from repro_companion.twins.arm_recording import MotionCapture
+from repro_companion.twins.arm_trial import drawn
 from repro_companion.twins.imu_errors import PERFECT
 from repro_companion.twins.soft_arm import SoftArm
 

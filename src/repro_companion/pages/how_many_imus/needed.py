@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.imu_selection import Selection
 from repro_companion.pages.how_many_imus.bounds import rigid_bound
 
@@ -54,8 +54,7 @@ def imus_needed(
     8
     """
     for name, value in (("length_m", length_m), ("tolerance_m", tolerance_m), ("sub_links", sub_links)):
-        if not value > 0:
-            raise bad_input(name, "imus_needed", "positive", value)
+        require(value > 0, name, "imus_needed", "positive", value)
     for n in range(1, MOST_IMUS + 1):
         h, numbers = length_m / n, tuple(range(n + 1))
         if bound is rigid_bound:

@@ -15,13 +15,12 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.estimation.imu_calibration import calibrate_imus, calibrated
 from repro.estimation.imu_models import pcc_extended, tangent_spline
 from repro_companion.book.bootstrap import ratio_interval, resampled
 from repro_companion.recordings.martin2022_models import MARKERS, selection
-from repro_companion.twins.arm_draws import draw
-from repro_companion.twins.arm_trial import ArmTrial
+from repro_companion.twins.arm_trial import ArmTrial, draw
 from repro_companion.twins.soft_arm import load_soft_arm
 
 FIRST_S = 60.0
@@ -63,8 +62,7 @@ def calibration_errors(trial: ArmTrial, *, first_s: float = FIRST_S, every: int 
     """
     used = np.flatnonzero(trial.time_s < trial.time_s[0] + first_s)[::every]
     rest = trial.time_s >= trial.time_s[0] + first_s
-    if not (used.size and rest.any()):
-        raise bad_input("first_s", "calibration_errors", "within the trial, above 0 s", first_s)
+    require(used.size and rest.any(), "first_s", "calibration_errors", "within the trial, above 0 s", first_s)
     arm = selection("pcc", 8)
     q, markers = arm.of(trial.orientations), trial.points[:, : len(MARKERS)]
     mode, seen = trial.mode[rest], trial.points[rest]

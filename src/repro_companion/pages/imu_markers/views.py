@@ -12,8 +12,8 @@ from repro.estimation.orientations import tangents
 from repro_companion.book.views_arm import RADIUS_M, inclinations
 from repro_companion.book.views_frames import every_nth
 from repro_companion.recordings.martin2022_models import IMU_ARCS, MARKERS, selection
-from repro_companion.twins.arm_draws import Draw
 from repro_companion.twins.arm_markers import MARKER_NAMES, distances_mm
+from repro_companion.twins.arm_trial import Draw
 from repro_companion.twins.imu_errors import ImuErrors
 from repro_companion.twins.soft_arm import SoftArm
 from repro_live.view.shape_view import Markers, Shape, ShapeView, Traces

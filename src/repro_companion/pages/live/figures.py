@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from repro_live.view.style import WIDTH_IN, coordinate_symbol, page_figure, plain_ticks
+from repro_live.view.style import WIDTH_IN, page_figure, plain_ticks
+from repro_live.view.symbols import coordinate_symbol
 
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
 TRUTH, ESTIMATE = "black", "#D55E00"
@@ -118,6 +119,9 @@ def failures(table: pd.DataFrame, at_s: float) -> Figure:
     for panel, label in zip(panels[:, 0], columns.values(), strict=True):
         panel.set_ylabel(label)
     figure.legend(
-        *panels[0, 0].get_legend_handles_labels(), loc="outside lower center", title="sensor 1", ncols=4
+        *panels[0, 0].get_legend_handles_labels(),
+        loc="outside lower center",
+        title="failure of sensor 1",
+        ncols=4,
     )
     return figure

@@ -26,10 +26,9 @@ from repro_companion.pages.noise_and_tolerances.noise import LM_ITERATIONS
 from repro_companion.twins.calibrated_robots import least_squares, relative_error
 from repro_companion.twins.calibration_session import SENSOR_NOISE_MT
 from repro_companion.twins.networks import segment_rows
-from repro_companion.twins.table_1_method import available, networks
+from repro_companion.twins.table_1_method import DIPOLE, available, networks
+from repro_companion.twins.table_1_method import MODELS as TABLE_MODELS
 from repro_companion.twins.table_1_rows import Row
-from repro_companion.twins.table_1_solvers import DIPOLE
-from repro_companion.twins.table_1_solvers import MODELS as TABLE_MODELS
 from repro_companion.twins.training_set import TrainingSet, training_set
 from repro_companion.twins.trajectories import lemniscate
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from tqdm import tqdm
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.information import cramer_rao, fisher_information
@@ -24,9 +24,15 @@ from repro.sensing.magnets import ring
 from repro.sensing.relations import relations
 from repro_companion.twins.calibrated_robots import least_squares, relative_error, standard_normal
 from repro_companion.twins.calibration_session import L_MAX
-from repro_companion.twins.table_1_method import ITERATIONS, MOMENTUM, step_sizes
-from repro_companion.twins.table_1_solvers import DIPOLE, SOLVERS, sensor_models
-from repro_companion.twins.table_1_solvers import MODELS as TABLE_MODELS
+from repro_companion.twins.table_1_method import (
+    DIPOLE,
+    ITERATIONS,
+    MOMENTUM,
+    SOLVERS,
+    sensor_models,
+    step_sizes,
+)
+from repro_companion.twins.table_1_method import MODELS as TABLE_MODELS
 from repro_companion.twins.trajectories import lemniscate
 
 REAL_MT = (4.8e-5, 7.1e-4)
@@ -96,8 +102,7 @@ def noise_errors(
     for name, given, known in (("models", models, MODELS), ("solvers", solvers, SOLVERS)):
         if unknown := [x for x in given if x not in known]:
             raise bad_input(name, "noise_errors", f"among {', '.join(map(repr, known))}", unknown)
-    if not all(noise > 0 for noise in noise_mt):
-        raise bad_input("noise_mt", "noise_errors", "positive", list(noise_mt))
+    require(all(noise > 0 for noise in noise_mt), "noise_mt", "noise_errors", "positive", list(noise_mt))
     robot, q = pcc_robot(n_segments), lemniscate(n_segments, steps=steps)
     clean = readings(robot, q, ring(ring_name))
     u = clean + torch.tensor(list(noise_mt), dtype=q.dtype)[:, None, None, None] * standard_normal(

@@ -10,7 +10,7 @@ from repro_companion.pages.noise_and_tolerances.data_size import PAPER, SIZES, d
 from repro_companion.pages.noise_and_tolerances.noise import MODELS, NOISE_MT, noise_errors
 from repro_companion.pages.noise_and_tolerances.tolerances import FACTORS, KINDS, tolerance_errors
 from repro_companion.twins.calibration_session import SENSOR_NOISE_MT
-from repro_companion.twins.table_1_solvers import SOLVERS
+from repro_companion.twins.table_1_method import SOLVERS
 
 DESCENT, SQUARES = SOLVERS
 DESCENTS = {1: MODELS, 2: MODELS[:1], 3: MODELS[:1]}

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.kinematics.paper_robots import pcc_robot
 from repro.kinematics.robot import Robot
 from repro.sensing.linearised import LinearisedSensing
@@ -128,8 +128,7 @@ def tolerance_errors(
         raise bad_input("kinds", "tolerance_errors", f"among {', '.join(map(repr, KINDS))}", unknown)
     if not all(factor >= 0 for factor in factors):
         raise bad_input("factors", "tolerance_errors", "not negative", list(factors))
-    if draws < 1:
-        raise bad_input("draws", "tolerance_errors", "at least 1", draws)
+    require(draws >= 1, "draws", "tolerance_errors", "at least 1", draws)
     robot, q, magnet = pcc_robot(n_segments), lemniscate(n_segments, steps=steps), ring(ring_name)
     moments = torch.from_numpy(magnet.multipoles(L_MAX))
     sensing = LinearisedSensing(robot, moments)

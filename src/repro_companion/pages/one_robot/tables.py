@@ -294,4 +294,4 @@ def _cell(cells: pd.DataFrame, trajectory: str, condition: str, quantity: str) -
         return ""
     name, unit = quantity.rsplit("_", 1)
     row = cells.loc[(trajectory, condition)]
-    return f"{row[quantity]:.2g} ({row[f'{name}_low_{unit}']:.2g}-{row[f'{name}_high_{unit}']:.2g})"
+    return f"{row[quantity]:.2g} ({row[f'{name}_low_{unit}']:.2g} to {row[f'{name}_high_{unit}']:.2g})"

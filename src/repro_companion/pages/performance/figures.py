@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from repro_companion.pages.performance.tables import LIVE, exponents, with_targets
-from repro_live.view.style import WIDTH_IN, in_symbols, page_figure, plain_ticks, wrapped_panels
+from repro_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
+from repro_live.view.symbols import in_symbols
 
 OURS, REFERENCE, TARGET = "#0072B2", "#D55E00", "0.25"
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
@@ -93,7 +94,9 @@ def scaling_curves(points: pd.DataFrame) -> Figure:
         panel.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         panel.margins(x=0.2, y=0.1)
         panel.set(xscale="log", yscale="log", xlabel=against)
-        plain_ticks(panel.xaxis, subs=(1,))
+        sizes = points.loc[points["against"] == against, "size"]
+        if sizes.max() < 1e3 * sizes.min():  # numbers of more decades would touch
+            plain_ticks(panel.xaxis, subs=(1,))
         plain_ticks(panel.yaxis, subs=(1, 3))
     for panel in panels[::2]:
         panel.set_ylabel("processor time of a call [ms]")

@@ -112,14 +112,15 @@ def neighbour_angles(angles: pd.DataFrame, jumps: pd.DataFrame, source: str) -> 
         panel.set_ylabel(f"{first} to {second}")
         panel.grid(axis="y", linewidth=0.4, alpha=0.6)
     panels[0].set(ylim=(0, 1.08 * top), title=f"Angle between neighbours, {source}")
-    figure.legend(
-        handles=[
-            Line2D([], [], color=HEADING, label="an IMU of the pair jumps about the vertical"),
-            Line2D([], [], color=OTHER, label="about another axis"),
-        ],
-        loc="outside lower center",
-        ncols=2,
-    )
+    if len(jumps):
+        figure.legend(
+            handles=[
+                Line2D([], [], color=HEADING, label="an IMU of the pair jumps about the vertical"),
+                Line2D([], [], color=OTHER, label="about another axis"),
+            ],
+            loc="outside lower center",
+            ncols=2,
+        )
     panels[-1].set_xlabel("time [s]")
     figure.supylabel("angle between IMUs [deg]")
     return figure

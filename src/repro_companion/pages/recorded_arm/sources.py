@@ -86,7 +86,7 @@ def load_arm(
     if path is not None:
         readings, axis = read_bag(path), "y" if along == "of the recording" else along
         stream = one_clock(readings[readings["time_s"] < SHORT_S] if fast else readings, **options)
-        return Arm(BAG, stream, axis, eight, ends, f"{bag}, sha256 {BAGS[bag]}")
+        return Arm(BAG, stream, axis, eight, ends, f"{bag}, sha256 {BAGS[bag][:12]}…")
     if recording == SYNTHETIC:
         axis = "y" if along == "of the recording" else along
         stream = one_clock(synthetic_stream(seed=seed, along_arm=axis), **options)

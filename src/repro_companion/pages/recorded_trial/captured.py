@@ -10,8 +10,15 @@ import pandas as pd
 
 from repro.errors import InputError
 from repro_companion.recordings.alignment import find_lag
-from repro_companion.recordings.martin2022_capture import MarkerCapture, find_capture, read_capture
-from repro_companion.recordings.martin2022_outputs import MARKER_POINTS, ORIGIN_M, SCORED_ROWS, ModelOutput
+from repro_companion.recordings.martin2022_trial import (
+    MARKER_POINTS,
+    ORIGIN_M,
+    SCORED_ROWS,
+    MarkerCapture,
+    ModelOutput,
+    find_capture,
+    read_capture,
+)
 
 COLUMNS = ["output", "frame", "marker", "samples", "median_mm", "q75_mm"]
 
@@ -26,7 +33,7 @@ def real_errors(
     rigid, pcc, shift
         The released outputs, and the rows by which the second is later.
     layout
-        Of the file, as `repro_companion.recordings.martin2022_capture.read_capture` asks for it.
+        Of the file, as `repro_companion.recordings.martin2022_trial.read_capture` asks for it.
 
     Returns
     -------

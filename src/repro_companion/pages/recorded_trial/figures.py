@@ -48,7 +48,7 @@ def differences_of_files(files: pd.DataFrame, source: str) -> Figure:
     panel.set(
         xscale="log",
         xlabel="distance from the chain of this library [µm]",
-        title=f"Released tables, {source}",
+        title=f"{'Released tables' if source == 'recorded' else 'Tables of the trial'}, {source}",
     )
     panel.set(ylim=(len(files) - 0.5, -0.5), xlim=(1e-3, None))
     plain_ticks(panel.xaxis, subs=(1,))

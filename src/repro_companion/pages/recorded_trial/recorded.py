@@ -22,7 +22,7 @@ from repro_companion.pages.recorded_trial.released import (
 )
 from repro_companion.recordings.martin2022 import find_bag, one_clock, read_readings
 from repro_companion.recordings.martin2022_models import IMU_ARCS, MARKERS, selection
-from repro_companion.recordings.martin2022_outputs import (
+from repro_companion.recordings.martin2022_trial import (
     OUTPUTS,
     POINTS,
     RIGID_LINKS_M,
@@ -31,9 +31,8 @@ from repro_companion.recordings.martin2022_outputs import (
     find_output,
     read_output,
 )
-from repro_companion.twins.arm_draws import draw
 from repro_companion.twins.arm_markers import DESCRIBED, FILES, MARKER_NAMES, SAME_POINT, Case
-from repro_companion.twins.arm_trial import ArmTrial
+from repro_companion.twins.arm_trial import ArmTrial, draw
 from repro_companion.twins.soft_arm import SoftArm
 
 BAG_AXIS = "y"
@@ -47,7 +46,7 @@ class Trial:
     Attributes
     ----------
     outputs
-        Tables by their names in `repro_companion.recordings.martin2022_outputs.OUTPUTS`.
+        Tables by their names in `repro_companion.recordings.martin2022_trial.OUTPUTS`.
     found
         Orientations that follow from them.
     source

@@ -18,7 +18,7 @@ from repro_companion.pages.recorded_trial.orientations import (
     unevenness_deg,
 )
 from repro_companion.recordings.martin2022_models import FILES_BASE_TURN, FILES_ORIGIN_M, IMU_ARCS, selection
-from repro_companion.recordings.martin2022_outputs import RIGID_LINKS_M, ModelOutput
+from repro_companion.recordings.martin2022_trial import RIGID_LINKS_M, ModelOutput
 
 RIGID, PCC_1, PCC_2 = "elephant/rigid/rigid.csv", "elephant/pcc/pcc1.csv", "elephant/pcc/pcc2.csv"
 PCC_16_2 = "fly/pcc16/pcc16_2.csv"
@@ -57,7 +57,7 @@ class ReleasedChain:
 
 
 def released_chains() -> dict[str, ReleasedChain]:
-    """Chain and points of every table of `repro_companion.recordings.martin2022_outputs.OUTPUTS`, by its name."""
+    """Chain and points of every table of `repro_companion.recordings.martin2022_trial.OUTPUTS`, by its name."""
 
     def joints(first: float) -> dict[int, float]:
         return {0: 0.0} | {k: first + 0.08 * (k - 1) for k in range(1, 8)}

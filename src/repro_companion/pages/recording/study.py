@@ -156,9 +156,8 @@ def clock_estimate(*, drift_ppm: float = 500.0, seconds: float = 12.0, rate_hz: 
     told = "no drift estimated"
     if fit and fit["drift_ppm"] is not None:
         told = f"estimated {fit['drift_ppm']:.0f} ppm, standard deviation {fit['drift_error_ppm']:.0f} ppm"
-    return (
-        f"clock fast by {drift_ppm:.0f} ppm: {told}, from {run.counters['frames']} frames in {seconds:.0f} s"
-    )
+    frames = run.counters["frames"]
+    return f"The clock is fast by {drift_ppm:.0f} ppm: {told}, from {frames} frames in {seconds:.0f} s."
 
 
 def _compared(run: Run) -> dict[str, int]:

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.estimation.base import track
 from repro.estimation.gradient_descent import GradientDescent
 from repro.estimation.levenberg_marquardt import LevenbergMarquardt
@@ -60,8 +60,7 @@ class Failure:
         given = list(self.sensors)
         if not set(given) <= set(range(1, n + 1)) or len(set(given)) < len(given):
             raise bad_input("sensors", "Failure", f"numbers from 1 to {n}, each once", given)
-        if len(given) == n:
-            raise bad_input("sensors", "Failure", f"fewer than all {n} sensors", given)
+        require(len(given) != n, "sensors", "Failure", f"fewer than all {n} sensors", given)
         if not 0 < self.time_s < DURATION_S:
             raise bad_input(
                 "time_s", "Failure", f"within the {DURATION_S:g} s of the trajectory", self.time_s

@@ -12,16 +12,8 @@ from matplotlib.ticker import MultipleLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from repro_companion.book.robot_figures import segment_colours
-from repro_live.view.style import (
-    ESTIMATE,
-    MAGNET,
-    SENSOR,
-    TRUTH,
-    WIDTH_IN,
-    coordinate_symbol,
-    label_in_mm,
-    page_figure,
-)
+from repro_live.view.style import ESTIMATE, MAGNET, SENSOR, TRUTH, WIDTH_IN, label_in_mm, page_figure
+from repro_live.view.symbols import coordinate_symbol
 
 COLOURS = ("#0072B2", "#009E73", "#CC79A7", "#D55E00")
 FAILED = "#D55E00"

@@ -12,7 +12,8 @@ from matplotlib.patches import Circle, Rectangle
 
 from repro.kinematics.paper_robots import Dimensions
 from repro.sensing.magnets import ring
-from repro_live.view.style import MAGNET, WIDTH_IN, in_symbols, page_figure, plain_ticks
+from repro_live.view.style import MAGNET, WIDTH_IN, page_figure, plain_ticks
+from repro_live.view.symbols import in_symbols
 
 MM = 1e3
 ARROW_MM = 14.0

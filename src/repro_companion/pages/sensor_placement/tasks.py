@@ -23,7 +23,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.estimation.information import cramer_rao, fisher_information
 from repro.kinematics.paper_robots import Dimensions, affine_robot, pcc_robot
 from repro.kinematics.robot import Robot
@@ -31,7 +31,8 @@ from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.magnets import ring
 from repro.sensing.placement import PlacedReadings, Tolerances
 from repro_companion.pages.sensor_placement.layouts import Layout, layout_of
-from repro_companion.twins.training_set import BENDING_M, CURVATURE_RAD, ELONGATION_M
+from repro_companion.twins.calibrated_robots import box, start
+from repro_companion.twins.training_set import CURVATURE_RAD, ELONGATION_M
 from repro_companion.twins.trajectories import flower, lemniscate
 
 TEST_SEED = 2_000_000
@@ -112,11 +113,9 @@ def pcc_task(
     steps
         Number of shapes in each test.
     """
-    if steps < 2:
-        raise bad_input("steps", "pcc_task", "at least 2", steps)
+    require(steps >= 2, "steps", "pcc_task", "at least 2", steps)
     n_q = 3 * n_segments
-    high = torch.tensor([BENDING_M, BENDING_M, ELONGATION_M["released"]] * n_segments, dtype=torch.float64)
-    low = torch.tensor([-BENDING_M, -BENDING_M, 0.0] * n_segments, dtype=torch.float64)
+    low, high = box(n_segments)
     fresh = _uniform(low, high, steps, seed + TEST_SEED)
     name = f"n_b={n_segments}, n_s={n_segments * sensors_per_segment}"
     return Task(
@@ -127,7 +126,7 @@ def pcc_task(
         width=high - low,
         shapes=_uniform(low, high, shapes, seed),
         tests={"lemniscate T3": lemniscate(n_segments, steps=steps), "random shapes": fresh},
-        starts=torch.tensor([[0.0, 0.0, 2.75e-3] * n_segments], dtype=torch.float64),
+        starts=start(n_segments)[None],
         known=tuple(range(2, n_q, 3)) if known_elongation else (),
     )
 

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
+from repro_companion.book.formatted import all_digits
 from repro_live.view.style import WIDTH_IN, page_figure
 
 COLOURS = ("#0072B2", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#56B4E9")
@@ -57,7 +58,7 @@ def sensors_noise_segments(table: pd.DataFrame) -> Figure:
         panel.set_xlabel("sensors on\neach segment")
     panels[0, 0].set_ylabel("mean relative error [%]")
     handles = [
-        Line2D([], [], color=c, marker=m, ms=4, lw=1.2, label=f"noise {x:g} mT")
+        Line2D([], [], color=c, marker=m, ms=4, lw=1.2, label=f"noise {all_digits(x)} mT")
         for x, (c, m) in styles.items()
     ]
     handles.append(Line2D([], [], color="black", ls="--", lw=1.0, label="Cramér-Rao bound"))

@@ -11,15 +11,10 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from repro_companion.book.formatted import shown_number
 from repro_companion.book.frame_strip import Frame, FrameStrip, page_strip
-from repro_live.view.style import (
-    WIDTH_IN,
-    coordinate_symbol,
-    in_symbols,
-    page_figure,
-    plain_ticks,
-    wrapped_panels,
-)
+from repro_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
+from repro_live.view.symbols import coordinate_symbol, in_symbols
 
 PUBLISHED, OURS, BEST = "0.45", "#0072B2", "#D55E00"
 MODELS = {"network of the paper": "o", "fast network": "s", "multipole": "D"}
@@ -68,7 +63,10 @@ def descents(
     bend_off = {n: 1e3 * np.linalg.norm((p - truth_m)[:, :2], axis=1) for n, p in paths_m.items()}
 
     def told(k: int) -> str:
-        each = (f"{n} {bend_off[n][k]:.1f} mm off, readings {path_off_mt[n][k]:.3f} mT" for n in paths_m)
+        each = (
+            f"{n} {bend_off[n][k]:.1f} mm off, readings {shown_number(path_off_mt[n][k], 2)} mT"
+            for n in paths_m
+        )
         return f"After {k} of {len(seen) - 1} updates: {'; '.join(each)}."
 
     alt = f"Level lines of the readings' error over the bend, a bowl around the truth. {told(len(seen) - 1)}"

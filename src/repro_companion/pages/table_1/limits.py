@@ -31,9 +31,15 @@ from repro_companion.twins.calibrated_robots import (
     table_of_draws,
 )
 from repro_companion.twins.calibration_session import SENSOR_NOISE_MT, Config, released_moments
-from repro_companion.twins.table_1_method import ITERATIONS, MOMENTUM, step_sizes
+from repro_companion.twins.table_1_method import (
+    ITERATIONS,
+    MODELS,
+    MOMENTUM,
+    SOLVERS,
+    sensor_models,
+    step_sizes,
+)
 from repro_companion.twins.table_1_rows import Row, simulate
-from repro_companion.twins.table_1_solvers import MODELS, SOLVERS, sensor_models
 from repro_companion.twins.trajectories import lemniscate
 
 CONVERGED = {"noise_mt": SENSOR_NOISE_MT, "iterations": 60}

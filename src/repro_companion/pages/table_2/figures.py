@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import matplotlib.pyplot as plt
-import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from repro_live.view.style import INK_OF_MAPS, MAGNET, SENSOR, TRUTH, WIDTH_IN, label_in_mm, page_figure
+from repro_companion.book import robot_figures
+from repro_live.view.style import INK_OF_MAPS, TRUTH, WIDTH_IN, label_in_mm, page_figure
 
 PAPER, OURS = "#0072B2", "#D55E00"
 SHAPE, TIP = "#56B4E9", "#0072B2"
@@ -118,7 +120,7 @@ def estimates(series: pd.DataFrame, title: str, *, longest_s: float = 20.0) -> F
         panels[0, k].set_title(name)
         panels[1, k].set_xlabel("time [s]")
     handles = [
-        Line2D([], [], color="black", **TRUTH, label="motion capture"),
+        Line2D([], [], color="black", **TRUTH, label="truth"),
         Line2D([], [], color=PAPER, ls="--", label="the paper's method: mean, std over seeds"),
         Line2D([], [], color=OURS, label="filter with a map, with its own std"),
     ]
@@ -133,35 +135,12 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, title: str) -> Figure:
 
     Parameters
     ----------
-    shapes
-        Columns ``time_s, kind, seed, x_mm, y_mm, z_mm``.
-    parts
-        Columns ``time_s, part, x_mm, y_mm, z_mm``.
+    shapes, parts
+        Columns of :func:`repro_companion.twins.robot_tables.stills`.
     title
         Above all panels.
     """
-    times = np.unique(shapes["time_s"])
-    columns, lines = 2, -(-len(times) // 2)
-    figure = plt.figure(figsize=(WIDTH_IN, 3.3 * lines + 0.7))
-    for k, time_s in enumerate(times):
-        panel = figure.add_subplot(lines, columns, k + 1, projection="3d")
-        here = shapes[shapes["time_s"] == time_s]
-        for seed, part in here.groupby("seed"):
-            truth = seed == -1
-            style = {"color": "black", "lw": 5} if truth else {"color": PAPER, "lw": 1.6, "alpha": 0.7}
-            panel.plot(part["x_mm"], part["y_mm"], part["z_mm"], **style)
-        for name, colour, marker in (("magnet", MAGNET, "s"), ("sensor", SENSOR, "o")):
-            part = parts[(parts["time_s"] == time_s) & (parts["part"] == name)]
-            panel.plot(part["x_mm"], part["y_mm"], part["z_mm"], color=colour, marker=marker, ls="", ms=5)
-        _in_space(panel, elevation=15)
-        panel.set_title(f"t = {time_s:.1f} s", y=0.98)
-    handles = [
-        Line2D([], [], color="black", lw=4, label="true shape"),
-        Line2D([], [], color=PAPER, lw=1.6, label="estimated, one per seed"),
-        Line2D([], [], color=MAGNET, marker="s", ls="", label="magnet"),
-        Line2D([], [], color=SENSOR, marker="o", ls="", label="sensors"),
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=2)
+    figure = robot_figures.stills(shapes, parts, PAPER, partial(_in_space, elevation=15), 3.5)
     figure.suptitle(title)
     return figure
 

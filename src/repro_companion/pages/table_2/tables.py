@@ -28,6 +28,7 @@ from repro_companion.twins.rig_descent import (
 )
 from repro_companion.twins.rig_filter import filtered
 from repro_companion.twins.rig_map import BendMap
+from repro_companion.twins.robot_tables import stills as stills_of
 
 LANDSCAPE_S = 3.0
 """Time in T5's test part of Fig. 10(a), as in the released code [s]."""
@@ -159,31 +160,11 @@ def series_table(
 
 
 def stills(run: PaperRun, *, name: str = "T3") -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Fig. 11: backbone along T3, true and estimated with known elongation, and the parts in the true shape.
-
-    Returns
-    -------
-    DataFrame, DataFrame
-        ``time_s, kind`` (``truth``, or ``estimate`` with its ``seed``) ``, x_mm, y_mm, z_mm``; and ``time_s, part``
-        (``magnet`` or ``sensor``) ``, x_mm, y_mm, z_mm``.
-    """
-    robot, part, shapes, parts = rig_robot(), run.parts[name], [], []
-    for step in sorted({min(round(t * RIG_RATE_HZ), len(part) - 1) for t in (0.0, 2.0, 4.0, 6.0, 8.0)}):
-        truth, time_s = torch.from_numpy(part.q[step]), part.time_s[step]
-        curves = [("truth", -1, truth)]
-        curves += [
-            ("estimate", s, torch.from_numpy(run.estimates["known", name][step, i]))
-            for i, s in enumerate(run.seeds)
-        ]
-        for kind, seed, q in curves:
-            shapes.append(_points(robot.backbone(q)).assign(time_s=time_s, kind=kind, seed=seed))
-        for label, T in (("magnet", robot.magnet_poses(truth)), ("sensor", robot.sensor_poses(truth))):
-            parts.append(_points(T[:, :3, 3]).assign(time_s=time_s, part=label))
-    return pd.concat(shapes, ignore_index=True), pd.concat(parts, ignore_index=True)
-
-
-def _points(positions: torch.Tensor) -> pd.DataFrame:
-    return pd.DataFrame(1e3 * positions.numpy(), columns=["x_mm", "y_mm", "z_mm"])
+    """Fig. 11: backbone along T3, true and estimated with known elongation, and the parts in the true shape."""
+    part, found = run.parts[name], run.estimates["known", name]
+    steps = sorted({min(round(t * RIG_RATE_HZ), len(part) - 1) for t in (0.0, 2.0, 4.0, 6.0, 8.0)})
+    truth, estimates = torch.from_numpy(part.q[steps]), torch.from_numpy(found[steps])
+    return stills_of(rig_robot(), part.time_s[steps].tolist(), truth, estimates, run.seeds)
 
 
 def published_table_2() -> pd.DataFrame:

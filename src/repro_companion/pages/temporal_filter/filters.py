@@ -33,10 +33,9 @@ from repro_companion.twins.trajectories import RATE_HZ, STEPS, TRAJECTORIES, flo
 NOISE_MT = 5e-3
 """Noise of a reading [mT]: seven times the larger one of the real sensors, where the prior matters most."""
 METHODS = ("Levenberg-Marquardt", "Kalman filter")
-SHARES = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Candidates for the process noise, in widths of the box per s^1.5."""
 SHARE = {1: 0.1, 3: 0.1}
-"""Process noise by number of segments: those with the best score on T2 (:func:`scores_by_process_noise`)."""
+"""Process noise by number of segments, in widths of the box per s^1.5: of 0.02, 0.05, 0.1, 0.2, 0.5 and 1 those with
+the best score on T2, as a test finds again."""
 ITERATIONS = 8
 STARTS = 40
 """Of the search for configurations that explain the same readings."""
@@ -135,31 +134,6 @@ def errors_by_draw(
                         "score": float((distance + size)[:, k].mean()) / 2,
                     }
                 )
-    return pd.DataFrame(lines)
-
-
-def scores_by_process_noise(
-    n_segments: int,
-    seeds: Sequence[int] = tuple(range(10)),
-    *,
-    shares: Sequence[float] = SHARES,
-    noise_mt: float = NOISE_MT,
-    steps: int = STEPS,
-) -> pd.DataFrame:
-    """Score of every process noise on T2: columns ``n_b, share, score, error_percent, covered_percent``, means.
-
-    Parameters
-    ----------
-    n_segments, seeds, noise_mt, steps
-        As for :func:`errors_by_draw`.
-    shares
-        Candidates.
-    """
-    lines = []
-    for share in shares:
-        table = errors_by_draw(n_segments, ["T2"], seeds, noise_mt=noise_mt, share=share, steps=steps)
-        means = table[table["method"] == METHODS[1]][["score", "error_percent", "covered_percent"]].mean()
-        lines.append({"n_b": n_segments, "share": share, **means})
     return pd.DataFrame(lines)
 
 

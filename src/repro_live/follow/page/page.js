@@ -1,10 +1,7 @@
 // The page of a live session: asks for the scene once, then draws what the stream of events brings.
 "use strict";
 
-const SHOWN_S = 20; // of the traces
 const LATE_S = 0.25; // readings older than this are not drawn at "now"
-const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
-const DASHES = [[], [6, 3], [2, 2]]; // lines with the same colour differ in their dashes
 const byId = (id) => document.getElementById(id);
 
 /** Put texts into a list, reusing its entries: they stay selectable while numbers change. */
@@ -43,57 +40,23 @@ class Traces {
   add(time, values, since, age) {
     this.end = time + (age > LATE_S ? age : 0);
     if (!this.rows.length || time > this.rows.at(-1)[0]) this.rows.push([time, values, since]);
-    while (this.rows.length && this.rows[0][0] < this.end - SHOWN_S) this.rows.shift();
+    while (this.rows.length && this.rows[0][0] < this.end - reproTraces.SECONDS) this.rows.shift();
   }
 
   draw() {
-    const { canvas, rows, end } = this;
-    const scale = window.devicePixelRatio || 1;
-    const [width, height] = [Math.round(canvas.clientWidth * scale), Math.round(canvas.clientHeight * scale)];
-    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
-    const pen = canvas.getContext("2d");
-    pen.clearRect(0, 0, width, height);
-    const numbers = rows.flatMap(([, values]) => values.filter((x) => x !== null));
-    if (numbers.length) {
-      let low = Infinity, high = -Infinity;
-      for (const x of numbers) { low = Math.min(low, x); high = Math.max(high, x); }
-      const room = 0.05 * (high - low) || Math.max(1e-3, 0.05 * Math.abs(high));
-      this.limits = [low - room, high + room];
-    }
-    if (!this.limits) return;
-    const [low, high] = this.limits; // those of before, while nothing is shown
-    const [left, bottom] = [64 * scale, 22 * scale];
-    const x = (time) => left + (1 - (end - time) / SHOWN_S) * (width - left - 8 * scale);
-    const y = (value) => 6 * scale + (high - value) / (high - low) * (height - bottom - 6 * scale);
-    pen.font = `${12 * scale}px system-ui, sans-serif`;
-    pen.fillStyle = getComputedStyle(canvas).color;
-    pen.strokeStyle = "#88888866";
-    pen.lineWidth = scale;
-    for (let k = 0; k <= 4; k++) {
-      const value = low + k / 4 * (high - low);
-      pen.beginPath(); pen.moveTo(left, y(value)); pen.lineTo(width, y(value)); pen.stroke();
-      pen.textAlign = "right"; pen.textBaseline = "middle";
-      pen.fillText(value.toPrecision(4), left - 6 * scale, Math.min(Math.max(y(value), 7 * scale), height - bottom));
-    }
-    pen.textBaseline = "bottom";
-    pen.textAlign = "left"; pen.fillText(`${-SHOWN_S} s`, left, height);
-    pen.textAlign = "right"; pen.fillText("now", width - 4 * scale, height);
-    this.names.forEach((_, k) => {
-      pen.strokeStyle = COLOURS[k % COLOURS.length];
-      pen.setLineDash(DASHES[Math.floor(k / COLOURS.length) % DASHES.length].map((d) => d * scale));
-      pen.lineWidth = 1.8 * scale;
-      pen.beginPath();
+    const { rows, end } = this;
+    let low = Infinity, high = -Infinity;
+    for (const [, values] of rows) for (const x of values) if (x !== null) [low, high] = [Math.min(low, x), Math.max(high, x)];
+    if (low <= high) this.limits = reproTraces.roomy(low, high); // else those of before, while nothing is shown
+    reproTraces.draw(this.canvas, this.limits, this.names.length, (k, to) => {
       let last = -Infinity; // time of the reading that a line may be drawn from
       for (const [time, values, since] of rows) {
         const value = values[k];
         if (value === null) { last = -Infinity; continue; }
-        if (last >= since) pen.lineTo(x(time), y(value));
-        else pen.moveTo(x(time), y(value));
+        to(end - time, value, last >= since);
         last = time;
       }
-      pen.stroke();
     });
-    pen.setLineDash([]);
   }
 }
 
@@ -107,7 +70,7 @@ function begin(scene) {
   fill(byId("values"), scene.traces);
   [...byId("values").children].forEach((entry, k) => {
     const mark = document.createElement("i");
-    mark.style.backgroundColor = COLOURS[k % COLOURS.length];
+    mark.style.backgroundColor = reproTraces.colour(k);
     entry.prepend(mark);
   });
   let latest = null;

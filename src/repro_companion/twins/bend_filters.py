@@ -23,17 +23,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import require
 from repro.estimation.base import track
 from repro.estimation.particle_filter import ParticleFilter
 from repro.estimation.regions import Disc
 from repro.kinematics.bend import MAX_BEND, bend_angle_and_direction, bend_vector
 from repro.sensing.bend_sensor import BendSensor
-from repro_companion.pages.bend_tests.takes import BendTake
 from repro_companion.recordings.mitchell2021_conventions import model_axes, noise_of_sigma
 from repro_companion.twins.bend_curves import SENSOR_NOISE_MT
-from repro_companion.twins.field_ratios import FieldRatios, transverse_to_axial
-from repro_companion.twins.ratio_inversion import invert
+from repro_companion.twins.bend_tests import BendTake
+from repro_companion.twins.field_ratios import FieldRatios, invert, transverse_to_axial
 
 OUR_LENGTH_MM = 13.0
 """Arc length of ours, that of the released code for the recorded data [mm]."""
@@ -109,11 +108,12 @@ def fit(
     InputError
         If no bend is known.
     """
-    if not len(q):
-        raise bad_input("bends", f"calibration {name!r}", "known at one reading or more", "none")
+    require(len(q), "bends", f"calibration {name!r}", "known at one reading or more", "none")
     h = transverse_to_axial(sensor(q))
     if per_axis:
-        matrix = torch.linalg.lstsq(h, measured).solution.T
+        # by sums, as below: the last digits of LAPACK's least squares change from run to run
+        gram, right = ((h.unsqueeze(-1) * x.unsqueeze(-2)).sum(0) for x in (h, measured))
+        matrix = torch.linalg.solve(gram, right).T
     else:
         h_c, m_c = torch.view_as_complex(h.contiguous()), torch.view_as_complex(measured.contiguous())
         factor = (m_c * h_c.conj()).sum() / (h_c * h_c.conj()).sum()
@@ -233,10 +233,14 @@ def paper_filters(
         fields.append(torch.stack(padded, dim=1))
         masks.append(torch.tensor([True, True, setting["axial"]]).expand(steps, 1, 3))
     walk = torch.tensor([setting["process_noise_pi"] for setting in PAPER_SETTINGS.values()]) * math.pi
-    sensors = [BendSensor(1e-3 * length_mm) for _, length_mm in runs]
+    lengths_mm = torch.tensor([length_mm for _, length_mm in runs])
+    of_length = [(BendSensor(1e-3 * x), lengths_mm == x) for x in lengths_mm.unique().tolist()]
 
     def sensing(q: Tensor) -> Tensor:
-        return torch.stack([sensor(q[:, k]) for k, sensor in enumerate(sensors)], dim=1)
+        u = q.new_empty(*q.shape[:-1], 3)
+        for sensor, mine in of_length:
+            u[:, mine] = sensor(q[:, mine])
+        return u
 
     cloud = ParticleFilter(
         sensing,

@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import InputError, bad_input
+from repro.errors import InputError, bad_input, require
 from repro_companion.recordings.mitchell2021 import FIELD, REST_S, HallTake, align, read_hall, takes
 from repro_companion.recordings.mitchell2021_conventions import model_axes
 from repro_companion.recordings.mitchell2021_tables import on_readings, read_calibration, read_filtered
@@ -136,10 +136,7 @@ def recorded_or_synthetic(
             write_bend_takes(Path(folder), seed=seed, duration_s=duration_s)
             found, source = bend_takes(Path(folder)), "synthetic"
     chosen = [take for take in found if not tests or take.test in tests]
-    if not chosen:
-        raise bad_input(
-            "tests", f"the {source} takes", f"among {sorted({t.test for t in found})}", list(tests)
-        )
+    require(chosen, "tests", f"the {source} takes", f"among {sorted({t.test for t in found})}", list(tests))
     return chosen, source
 
 

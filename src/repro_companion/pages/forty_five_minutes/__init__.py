@@ -1,0 +1,1 @@
+"""The page `notebooks/forty_five_minutes.ipynb`."""

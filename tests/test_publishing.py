@@ -1,0 +1,89 @@
+"""What others read of the project: workflows, metadata, the paper, and what its owner has still to fill in."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+import repro
+from repro_companion.book.after.archive_metadata import metadata, text
+from repro_companion.book.project import Project
+
+ROOT = Path(__file__).resolve().parents[1]
+TO_FILL_IN = ("pyproject.toml", "codemeta.json", "paper/paper.md", "src/firmware/library.properties")
+"""Where the word OWNER stands for who publishes this."""
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+FORMS = sorted(path for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if path.stem != "config")
+
+
+def test_the_owner_is_named_everywhere_or_nowhere():
+    open_places = [name for name in TO_FILL_IN if re.search(r"\bOWNER\b", (ROOT / name).read_text())]
+    assert open_places in ([], list(TO_FILL_IN)), "some places name the owner, these do not yet"
+    urls = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["urls"]
+    assert all(re.fullmatch(r"https://[\w./-]+", url) for url in urls.values())
+    if open_places:
+        pytest.skip(f"for the owner to fill in before a release: OWNER in {', '.join(open_places)}")
+
+
+def test_metadata_of_archives_follow_from_the_citation():
+    files = metadata(Project(ROOT))
+    assert len(files) == 2
+    for name, content in files.items():
+        told = (ROOT / name).read_text(encoding="utf-8")
+        assert told == text(content), f"{name}: python -m repro_companion.book.after.archive_metadata"
+        assert json.loads(told)["version"] == repro.__version__
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
+def test_a_workflow_has_what_it_needs_and_calls_the_front_door(path):
+    workflow = yaml.safe_load(path.read_text())
+    assert workflow[True], "when it runs; YAML reads the word on as true"
+    assert workflow["permissions"]["contents"] == "read"
+    commands = [step["run"] for job in workflow["jobs"].values() for step in job["steps"] if "run" in step]
+    makes = {word for command in commands for word in re.findall(r"make ([a-z-]+)", command)}
+    assert makes or "bash .ci/run" in commands
+    assert makes <= set(re.findall(r"^([a-z-]+):(?!=)", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    for job in workflow["jobs"].values():
+        assert "needs" not in job or job["needs"] in workflow["jobs"]
+        for step in job["steps"]:
+            assert ("run" in step) != ("uses" in step)
+            assert re.fullmatch(r"actions/[a-z-]+@v\d+", step.get("uses", "actions/a@v1"))
+
+
+def test_there_are_workflows_and_forms():
+    assert [path.stem for path in WORKFLOWS] == ["ci", "pages"]
+    assert [path.stem for path in FORMS] == ["add_a_paper", "number_differs"]
+
+
+@pytest.mark.parametrize("path", FORMS, ids=lambda path: path.stem)
+def test_a_form_can_be_filled_in(path):
+    form = yaml.safe_load(path.read_text())
+    assert form["name"]
+    assert form["description"]
+    ids = [field["id"] for field in form["body"]]
+    assert len(set(ids)) == len(ids)
+    for field in form["body"]:
+        assert field["type"] in ("input", "textarea", "checkboxes")
+        assert field["attributes"]["label"]
+    for named in re.findall(r"`(book/[\w./]+)`", path.read_text()):
+        assert (ROOT / named).is_file()
+
+
+def test_the_paper_cites_what_its_bibliography_has():
+    paper = (ROOT / "paper" / "paper.md").read_text()
+    cited = set(re.findall(r"@(\w+)\]", paper))
+    there = set(re.findall(r"^@\w+\{(\w+),", (ROOT / "paper" / "paper.bib").read_text(), re.MULTILINE))
+    assert cited == there
+    book = (ROOT / "book" / "references.bib").read_text()
+    for entry in (ROOT / "paper" / "paper.bib").read_text().split("\n\n"):
+        assert entry.strip() in book, "one text of each entry"
+    head = yaml.safe_load(paper.split("---")[1])
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert [author["name"] for author in head["authors"]] == [a["name"] for a in citation["authors"]]
+    for section in ("Summary", "Statement of need", "Comparison with other software", "References"):
+        assert f"\n# {section}\n" in paper
