@@ -1,9 +1,10 @@
-"""Damage to one frame or line, exhaustively, and what comes of it."""
+"""Damage to one frame or line, exhaustively, what comes of it, and the memory that a parser takes."""
 
+import tracemalloc
 from collections.abc import Iterator
 
 from repro_live.wire.formats import encode, parser
-from repro_live.wire.frame import Frame
+from repro_live.wire.frame import Frame, Parser
 
 TURN = (0.0625, -0.25, 0.5, (1 - 0.0625**2 - 0.25**2 - 0.5**2) ** 0.5)
 EXAMPLES = {
@@ -56,3 +57,24 @@ def false_readings(format: str, damage: str) -> tuple[int, int]:
     sent = received(format, encode(format, EXAMPLES[format]))
     outcomes = [received(format, damaged) for damaged in DAMAGES[damage](encode(format, EXAMPLES[format]))]
     return len(outcomes), sum(any(frame not in sent for frame in outcome) for outcome in outcomes)
+
+
+def memory_of(reader: Parser, chunk: bytes, times: int) -> tuple[int, int]:
+    """Bytes that the modules of the wire hold after ``times`` chunks, and the peak of one of the last twenty feeds.
+
+    Other threads of the process allocate meanwhile, as those of a test runner do: what they hold is not counted, and
+    the smallest of twenty peaks is free of what they take for a moment.
+    """
+    peaks = []
+    tracemalloc.start()
+    try:
+        for _ in range(times):
+            tracemalloc.reset_peak()
+            before = tracemalloc.get_traced_memory()[0]
+            reader.feed(chunk)
+            peaks.append(tracemalloc.get_traced_memory()[1] - before)
+        wire = tracemalloc.Filter(True, "*/repro_live/wire/*")
+        held = tracemalloc.take_snapshot().filter_traces([wire])
+    finally:
+        tracemalloc.stop()
+    return sum(trace.size for trace in held.traces), min(peaks[-20:])

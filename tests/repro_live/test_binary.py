@@ -8,11 +8,10 @@ import shutil
 import struct
 import subprocess
 import sys
-import tracemalloc
 from pathlib import Path
 
 import pytest
-from damaged import DAMAGES, EXAMPLES, false_readings, neighbours, received
+from damaged import DAMAGES, EXAMPLES, false_readings, memory_of, neighbours, received
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -471,14 +470,8 @@ def test_what_does_not_fit_is_refused(frame, kind, message):
 def test_memory_stays_bounded_without_delimiters(channels):
     reader, chunk = BinaryParser(channels), bytes(range(1, 256)) * 16
     reader.feed(chunk)
-    tracemalloc.start()
-    try:
-        for _ in range(2000):
-            reader.feed(chunk)
-        kept, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert kept < 10_000
+    held, peak = memory_of(reader, chunk, 2000)
+    assert held < 10_000
     assert peak < 10 * len(chunk)
     counters = reader.counters
     assert counters == Counters(oversized=1, discarded_bytes=2001 * len(chunk))

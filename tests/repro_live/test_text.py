@@ -3,11 +3,10 @@
 import math
 import random
 import re
-import tracemalloc
 from pathlib import Path
 
 import pytest
-from damaged import DAMAGES, EXAMPLES, false_readings, received
+from damaged import DAMAGES, EXAMPLES, false_readings, memory_of, received
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -326,14 +325,8 @@ def test_damage_to_a_line_costs_one_line_or_two(format):
 @pytest.mark.parametrize("format", LINES)
 def test_memory_stays_bounded_without_line_ends(format):
     reader, chunk = opened(format), b"1" * 4096
-    tracemalloc.start()
-    try:
-        for _ in range(2000):
-            reader.feed(chunk)
-        kept, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert kept < 10_000
+    held, peak = memory_of(reader, chunk, 2000)
+    assert held < 10_000
     assert peak < 10 * len(chunk)
     assert reader.counters == Counters(oversized=1, discarded_bytes=2000 * 4096)
     assert len(reader.feed(b"\n" + encode(format, EXAMPLES[format]))) == 1
