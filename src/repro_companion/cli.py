@@ -12,7 +12,7 @@ from typing import Annotated
 from cyclopts import App, CycloptsError, Parameter
 
 from repro.errors import InputError, require
-from repro_companion import cli_live, cli_robot, cli_sweep, cli_track
+from repro_companion import cli_calibrate, cli_live, cli_robot, cli_sweep, cli_track
 from repro_companion.book.project import find_project, shown
 from repro_companion.cli_terminal import pairs
 
@@ -238,7 +238,7 @@ for command in (
     cli_live.export,
     cli_live.import_,
     cli_live.emulate,
-    cli_robot.calibrate,
+    cli_calibrate.calibrate,
     cli_robot.live,
     cli_track.track,
     cli_track.smooth,

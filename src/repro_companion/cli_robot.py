@@ -1,4 +1,4 @@
-"""Commands for a robot of one's own; thin, each imports what it needs when it runs."""
+"""The command that estimates from a port; thin, it imports what it needs when it runs."""
 
 from __future__ import annotations
 
@@ -18,90 +18,10 @@ from repro_companion.cli_terminal import Screen, load_described, set_by_signals
 from repro_companion.cli_track import estimated
 
 if TYPE_CHECKING:
-    from repro.robot_file.robot_file import RobotFile
     from repro_live.follow.live_state import LiveState
-    from repro_live.robot.calibration_poses import PoseReadings, Poses
 
 BLOCK_S = 0.25
 """Time between two states on a terminal, which shows them in one place [s]."""
-
-
-def calibrate(
-    source: str,
-    /,
-    *,
-    robot: Path,
-    output: Annotated[Path, Parameter(name=["-o", "--output"])],
-    poses: Path | None = None,
-    by_motion: Annotated[bool, Parameter(name="--self", negative="")] = False,
-    calibration: Path | None = None,
-    duration: float = 300.0,
-    elongation_mm: float | None = None,
-    pose_noise_mm: float = 0.2,
-    pose_noise_deg: float = 0.5,
-    baud: int = 115200,
-) -> int:
-    """Calibrate a robot: repro calibrate PORT --robot ROBOT.toml --poses POSES.csv -o CALIBRATION.json.
-
-    Leads through the poses at a port, or takes them from a recording. Fits the placement of magnets and sensors,
-    gains, offsets, the moments of the magnets and the Earth field in the base frame; says what stays undetermined.
-    With --self no poses are measured: moments, gains and offsets are found while the robot moves.
-
-    Parameters
-    ----------
-    source
-        A port, such as /dev/ttyACM0; or a file that repro record wrote; or the readings that an earlier session at a
-        port has left beside its output, such as calibration.readings.csv.
-    robot
-        The robot as described.
-    poses
-        A CSV with a column per coordinate, such as delta_x_1_mm; for a recording also time_s, or start_s and end_s.
-    output
-        The calibration, JSON; must not exist yet. At a port the readings of every pose, or with --self of the motion,
-        are kept beside it as they come, and the same command goes on after an interruption.
-    by_motion
-        Without measured poses, while the robot bends every way.
-    calibration
-        With --self, an earlier calibration in poses, which knows the placement and the Earth field.
-    duration
-        With --self at a port, how many seconds of motion to record.
-    elongation_mm
-        With --self, the elongation that every segment keeps while it bends, known to the pose noise in mm.
-    pose_noise_mm, pose_noise_deg
-        How well the poses are known: standard deviation of coordinates in mm, and of those in rad and deg.
-    baud
-        Bits per second of the port.
-    """
-    from repro_live.robot.calibrate import calibrate as fit
-    from repro_live.robot.calibrate import check_plausible, pose_covariance, report
-    from repro_live.robot.calibration_poses import read_poses
-
-    require(not output.exists(), "output", "repro calibrate", "a file that does not exist yet", output)
-    described = load_described(robot)
-    described.sensing()  # refuses robots without magnetic sensors before anybody is asked for poses
-    covariance = pose_covariance(described, pose_noise_mm * 1e-3, pose_noise_deg * math.pi / 180)
-    if by_motion:
-        require(poses is None, "poses", "repro calibrate --self", "left out", poses)
-        how = "and stretch it"
-        if elongation_mm is not None:
-            from repro_live.own.motion import at_elongation
-
-            how = "and do not stretch it"
-            described = at_elongation(described, elongation_mm * 1e-3, pose_noise_mm * 1e-3)
-        return _calibrate_by_motion(source, described, calibration, output, duration, baud, how)
-    require(elongation_mm is None, "elongation", "repro calibrate", "left out without --self", elongation_mm)
-    require(calibration is None, "calibration", "repro calibrate", "left out without --self", calibration)
-    if poses is None:
-        raise bad_input("poses", "repro calibrate", "given (--poses POSES.csv), or --self", "neither")
-    table = read_poses(poses, described)
-    taken = _pose_readings(source, described, table, output, baud)
-    for note in taken.notes:
-        print(f"Warning: {note}")
-    found = fit(described, taken.values, table.q, covariance)
-    check_plausible(found, described)
-    found.write(output)
-    print(f"{report(found, described.unit)}\nWritten: {output}")
-    return 0
 
 
 def live(
@@ -206,84 +126,3 @@ def live(
     if table is not None:
         print(f"{shown(table.path)}  ({table.written} estimates)")
     return 0
-
-
-def _calibrate_by_motion(
-    source: str,
-    robot: RobotFile,
-    calibration: Path | None,
-    output: Path,
-    duration: float,
-    baud: int,
-    how: str,
-) -> int:
-    """Find moments, gains and offsets from a file of readings in motion, or from a port."""
-    from repro.robot_file.calibration_file import RobotCalibration
-    from repro_live.own.samples import timed_readings
-    from repro_live.own.self_calibration import report, self_calibrate
-    from repro_live.record.recorder import record
-    from repro_live.record.recording import read_recording
-    from repro_live.robot.readings_file import read_readings
-
-    earlier = None if calibration is None else RobotCalibration.read(calibration)
-    owner = "repro calibrate --self"
-    file = Path(source)
-    if not file.is_file():
-        file = output.with_suffix(".rec")
-        if file.exists():
-            earlier_motion = read_recording(file)
-            whole = earlier_motion.metadata.get("ended") == "stopped"
-            expected = (
-                f"recorded to its end (to record anew, move {file} away; to use it, give it as the port)"
-            )
-            received = f"one that was interrupted after {len(earlier_motion.frames)} frames"
-            require(whole, "earlier motion", owner, expected, received)
-            print(f"{file} holds an earlier motion, which is used; to record anew, move it away.")
-        else:
-            print(
-                f"Recording {duration:g} s to {file}: bend every segment every way, {how}.",
-                flush=True,
-            )
-            channels = robot.channels if robot.format == "csv" else None
-            options = {"baud": baud, "channels": channels, "duration_s": duration, "unit": robot.unit}
-            try:
-                record(source, robot.format, file, owner=owner, **options)
-            except BaseException:
-                if file.is_file():
-                    print(f"Interrupted: {file} keeps what came.")
-                raise
-            require(file.is_file(), "port", owner, "one at which frames arrive", f"none for {duration:g} s")
-    taken = timed_readings(read_readings(file, robot), robot, owner)
-    for note in taken.notes:
-        print(f"Warning: {note}")
-    found = self_calibrate(robot, taken, earlier=earlier, progress=sys.stderr.isatty())
-    found.calibration.write(output)
-    print(f"{report(found)}\nWritten: {output}")
-    return 0
-
-
-def _pose_readings(source: str, robot: RobotFile, poses: Poses, output: Path, baud: int) -> PoseReadings:
-    """Readings in poses from a recording, from a file of readings, or from a person at a port."""
-    from repro_live.record.recording import read_recording
-    from repro_live.robot.calibration_port import guide, port_frames
-    from repro_live.robot.calibration_poses import coordinate_columns, read_kept_readings, recorded_readings
-    from repro_live.robot.kept_readings import KeptReadings, is_kept
-
-    if is_kept(Path(source)):
-        return read_kept_readings(Path(source), robot, poses)
-    if Path(source).is_file():
-        return recorded_readings(read_recording(Path(source)), robot, poses)
-    frames = port_frames(source, baud, robot, print)
-    beside = output.with_name(f"{output.stem}.readings.csv")
-    kept = KeptReadings(beside, robot.channels, tuple(coordinate_columns(robot)))
-    try:
-        return guide(robot, poses, frames, say=print, ask=_ask, kept=kept)
-    finally:
-        print(f"Readings of {len(kept.parts)} of {len(poses.words)} poses are in {beside}.")
-
-
-def _ask(question: str) -> None:
-    try:
-        input(question)
-    except EOFError as error:
-        raise bad_input("answer", "repro calibrate", "the Enter key", "the end of the input") from error

@@ -493,10 +493,10 @@ def test_a_person_at_a_port(tmp_path, bench):
     """The command in a process of its own, asked and answered through pipes, at a real pseudo-terminal."""
     q = random_poses(ROBOT, 10)
     output = tmp_path / "calibration.json"
-    program = (
-        "import sys; from cyclopts import App; from repro_companion.cli_robot import calibrate; app = App(); "
+    program = "import sys; from cyclopts import App; from repro_companion.cli_calibrate import calibrate; "
+    program += (
+        "app = App(); app.command(calibrate); sys.exit(app(sys.argv[1:], result_action='return_value'))"
     )
-    program += "app.command(calibrate); sys.exit(app(sys.argv[1:], result_action='return_value'))"
     options = ["--robot", ROBOTS / "one_segment.toml", "--poses", table(tmp_path, q), "-o", output]
     options += ["--pose-noise-mm", "0.01"]
     command = [sys.executable, "-u", "-c", program, "calibrate", bench.port, *map(str, options)]

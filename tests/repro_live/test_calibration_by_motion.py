@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -18,14 +19,15 @@ from scipy.spatial.transform import Rotation
 from test_calibrate import built, noisy, random_poses
 
 from repro.errors import InputError
+from repro.estimation.levenberg_marquardt import jacobian
 from repro.estimation.wander import Wander
 from repro.robot_file.calibration_file import RobotCalibration
 from repro.robot_file.load import load_robot
 from repro.sensing.placement import Tolerances
-from repro_companion.cli_robot import calibrate as command
+from repro_companion.cli_calibrate import calibrate as command
 from repro_companion.pages.forty_five_minutes.twin import FAST_TILT, MINUTES, Sizes
 from repro_live.emulate.robot_readings import course, readings_along, true_robot
-from repro_live.own.motion import at_elongation, filter_of
+from repro_live.own.motion import Beginning, at_elongation, filter_of
 from repro_live.own.samples import timed_readings
 from repro_live.own.self_calibration import PRIORS, report, self_calibrate
 from repro_live.record.recording import read_recording
@@ -227,6 +229,49 @@ def test_a_length_that_is_known_tells_the_moment_from_it(tmp_path):
         at_elongation(robot, -0.1e-3, 0.2e-3)
 
 
+def test_what_a_straight_robot_reads_is_known_from_then_on(tmp_path):
+    """By one reading in a pose that is known, in closed form; magnets alone learn no more of it from the motion."""
+    robot, z = described(tmp_path, TEXT), []
+    C = pose_covariance(robot, 0.2e-3, 0.01)
+    begins = Beginning.straight(robot, float(robot.start[2]), C)
+    read, by_q = robot.sensing()(robot.start)[0], jacobian(robot.sensing(), robot.start)[1][0]
+    sizes = PRIORS.placement.moments * read, PRIORS.placement.sensor_gain * read, PRIORS.offset_mt
+    prior = float(torch.tensor(sizes).square().sum())
+    reading = float(by_q @ C @ by_q) + robot.noise**2
+    closed_form = (1 / (1 / prior + 1 / reading)) ** 0.5
+    assert closed_form < 0.05 * prior**0.5
+    for seed in range(3):
+        rng = np.random.default_rng([10, seed])
+        truth, true = drifted(robot, rng)
+        moving = in_motion(robot, truth, rng, seed=seed)
+        found = self_calibrate(robot, moving, priors=TIGHT, begins=begins)
+        _, value, std, _ = map(np.array, zip(*found.parameters, strict=True))
+        z.append((value - true) / std)
+        slope = torch.zeros(len(found.calibration.names), dtype=torch.float64)
+        for name, value in (("moment A1", read), ("sensor 1 gain", read), ("sensor 1 offset", 1.0)):
+            slope[found.calibration.names.index(name)] = value
+        left = float((slope @ found.calibration.covariance @ slope).sqrt())
+        assert closed_form < left < 1.3 * closed_form  # the filter takes a share of a reading for noise, too
+    assert 0.3 < np.sqrt(np.square(z).mean()) < 1.7
+    assert np.abs(z).max() < 4
+
+
+def test_straight_is_without_bend_at_an_elongation_and_of_no_azimuth(tmp_path):
+    robot = described(tmp_path, TEXT)
+    bounds = "kappa_0_rad = [-1.0, 1.0]\nkappa_1_rad = [-1.0, 1.0]\nphi_deg = [0.0, 360.0]\n"
+    text = re.sub(r"(delta_[xy]|radius)_mm = .*\n", "", TEXT).replace("delta_L_mm", f"{bounds}delta_L_mm")
+    affine = described(tmp_path, text.replace("constant_curvature", "affine_curvature"))
+    begins = Beginning.straight(robot, 1e-3, pose_covariance(robot, 0.2e-3, 0.01))
+    assert begins.q.tolist() == [0.0, 0.0, 1e-3]
+    assert begins.covariance.diagonal().sqrt().tolist() == pytest.approx([0.2e-3] * 3)
+    assert affine.robot.coordinates == ("kappa_0_1", "kappa_1_1", "phi_1", "delta_L_1")
+    begins = Beginning.straight(affine, 1e-3, pose_covariance(affine, 0.2e-3, 0.01))
+    assert begins.q.tolist() == [0.0, 0.0, float(affine.start[2]), 1e-3]
+    assert float(begins.covariance[2, 2].sqrt()) == pytest.approx(
+        float(affine.upper[2] - affine.lower[2]) / 12**0.5
+    )
+
+
 def shared_factor_std(found):
     """Uncertainty of the mean of moment times gains, which alone the readings have."""
     names = found.calibration.names
@@ -295,6 +340,15 @@ def test_options_that_do_not_fit_are_refused(tmp_path):
         "Input elongation of repro calibrate --self must be within the bounds of delta_L_mm in robot.toml; "
         "instead received 7 mm."
     )
+    assert refused(lambda: command("port", **options, by_motion=True, straight_mm=7.0)) == (
+        "Input straight of repro calibrate --self must be no bend and an elongation within the bounds in robot.toml; "
+        "instead received 7 mm."
+    )
+    held = {"elongation_mm": 1.0, "straight_mm": 3.0}
+    assert refused(lambda: command("port", **options, by_motion=True, **held)).endswith("received 3 mm.")
+    assert refused(lambda: command("port", **options, poses=poses, straight_mm=0.0)) == (
+        "Input straight of repro calibrate must be left out without --self; instead received 0.0."
+    )
     assert refused(lambda: command("port", **options, poses=poses, calibration=poses)) == (
         f"Input calibration of repro calibrate must be left out without --self; instead received {poses}."
     )
@@ -319,9 +373,10 @@ def moving(tmp_path):
                 os.write(master, encode("frames", Frame(0, k, round(1e6 * t[0]), tuple(values))))
             k += 1
 
-    def start(source):
+    def start(source, *options):
         line = [sys.executable, "-m", "repro_companion.cli", "calibrate", source, "--self", "--duration", "7"]
         line += ["--robot", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "found.json")]
+        line += options
         return subprocess.Popen(line, stdout=-1, stderr=-1, text=True)
 
     sender = threading.Thread(target=send)
@@ -354,7 +409,7 @@ def test_a_robot_moves_at_a_port(moving, tmp_path):
 def test_a_motion_that_was_interrupted_is_kept_and_not_used_silently(moving, tmp_path, name):
     """Neither by the same command, nor from the file, where it is too short."""
     (port, start), file = moving, tmp_path / "found.rec"
-    process, deadline = start(port), time.monotonic() + 60
+    process, deadline = start(port, "--straight-mm", "3.3"), time.monotonic() + 60
     while not file.exists():
         assert time.monotonic() < deadline
         time.sleep(0.05)
@@ -362,6 +417,7 @@ def test_a_motion_that_was_interrupted_is_kept_and_not_used_silently(moving, tmp
     process.send_signal(number := getattr(signal, name))
     said, _ = process.communicate(timeout=60)
     assert process.returncode == (130 if number == signal.SIGINT else -number)
+    assert "begin straight, bend every segment every way, and stretch it" in said
     assert (f"Interrupted: {file} keeps what came." in said) == (number == signal.SIGINT)
     kept = file.read_bytes()
     again = start(port)

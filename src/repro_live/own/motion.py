@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -94,6 +94,29 @@ def _check_moves(robot: RobotFile, signal: Float[np.ndarray, "steps s"]) -> None
     raise bad_input("readings", "repro calibrate --self", expected, received)
 
 
+@dataclass(frozen=True)
+class Beginning:
+    """Configuration of a robot at its first reading, and the covariance to which it is known."""
+
+    q: Float[Tensor, " n_q"]
+    covariance: Float[Tensor, "n_q n_q"]
+
+    @classmethod
+    def straight(
+        cls, robot: RobotFile, elongation_m: float, covariance: Float[Tensor, "n_q n_q"]
+    ) -> Beginning:
+        """Without bend, every segment at an elongation [m]; nothing is known of the azimuth of no bend."""
+        q, names = torch.zeros_like(robot.start), robot.robot.coordinates
+        q[[name.startswith("delta_L") for name in names]] = elongation_m
+        azimuth = torch.tensor([name.startswith("phi") for name in names])
+        q[azimuth] = robot.start[azimuth]
+        if not ((robot.lower <= q) & (q <= robot.upper)).all():
+            expected = f"no bend and an elongation within the bounds in {robot.name}"
+            raise bad_input("straight", "repro calibrate --self", expected, f"{1e3 * elongation_m:g} mm")
+        anywhere = (robot.upper - robot.lower).square() / 12
+        return cls(q, torch.where(torch.diag(azimuth), torch.diag(anywhere), covariance))
+
+
 def at_elongation(robot: RobotFile, elongation_m: float, within_m: float) -> RobotFile:
     """The robot with segments that bend but keep an elongation [m], which is known to within a length [m]."""
     kept = torch.tensor([name.startswith("delta_L") for name in robot.robot.coordinates])
@@ -138,7 +161,13 @@ def filter_of(robot: RobotFile, priors: Priors, noise_mt: float) -> SelfCalibrat
 
 
 def filtered(
-    method: SelfCalibratingFilter, times: list[float], u: Tensor, start: Tensor | None, bar: tqdm
+    method: SelfCalibratingFilter,
+    times: list[float],
+    u: Tensor,
+    bar: tqdm,
+    *,
+    start: Tensor | None = None,
+    begins: Beginning | None = None,
 ) -> tuple[Tensor, Tensor, float]:
     """Moments, gains and offsets at the end, their covariance, and chi-square per reading.
 
@@ -146,6 +175,10 @@ def filtered(
     """
     n, k = method.robot.n_q, sum(name.startswith(OWN) for name in method.errors.names)
     state, chi2, dof = method.init((method.lower + method.upper) / 2), 0.0, 0
+    if begins is not None:
+        covariance = state.covariance.clone()
+        covariance[:n, :n] = begins.covariance
+        state = replace(state, q=torch.cat([begins.q, state.q[n:]]), covariance=covariance)
     if start is not None:
         state = replace(state, q=torch.cat([state.q[:n], start, state.q[n + k :]]))
     for t, row in zip(times, u, strict=True):

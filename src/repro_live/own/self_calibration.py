@@ -25,7 +25,7 @@ from repro.estimation.undetermined import not_determined
 from repro.robot_file.calibration_file import RobotCalibration
 from repro.robot_file.robot_file import RobotFile
 from repro.sensing.placement import Tolerances
-from repro_live.own.motion import OWN, filter_of, filtered, motion
+from repro_live.own.motion import OWN, Beginning, filter_of, filtered, motion
 from repro_live.own.samples import TimedReadings
 from repro_live.robot.calibrate import DOUBTFUL_CHI2, MOST_CHI2, Priors, calibration_names
 
@@ -71,6 +71,7 @@ def self_calibrate(
     readings: TimedReadings,
     *,
     earlier: RobotCalibration | None = None,
+    begins: Beginning | None = None,
     priors: Priors = PRIORS,
     progress: bool = False,
 ) -> SelfCalibration:
@@ -85,6 +86,8 @@ def self_calibrate(
     earlier
         A calibration that knows the place of the parts and the Earth field; without it they are as described, within
         the tolerances. Moments, gains and offsets start from it, and may have changed by as much as without it.
+    begins
+        Where the robot is at its first reading, if that is known.
     priors
         How far the robot may be from what is known before.
     progress
@@ -103,13 +106,14 @@ def self_calibrate(
     root = root[:, root.any(dim=0)]  # what is known exactly adds nothing
     method, changes = filter_of(known, priors, noise_mt), []
     with tqdm(total=len(times) * (2 + root.shape[1]), unit="steps", disable=not progress) as bar:
-        first = filtered(replace(method, noise_mt=_ROUGHLY * noise_mt), times, u, None, bar)[0]
-        theta, F, chi2 = filtered(method, times, u, first, bar)
+        first = filtered(replace(method, noise_mt=_ROUGHLY * noise_mt), times, u, bar, begins=begins)[0]
+        at = {"start": first, "begins": begins}
+        theta, F, chi2 = filtered(method, times, u, bar, **at)
         prior = torch.from_numpy(method.errors.start[: len(theta)])
         _check_plausible(robot, chi2, float((theta / prior).abs().max()))
         for column in root.T:
             moved = robot.calibrated(_with(before, values.index_add(0, torch.nonzero(~own)[:, 0], column)))
-            changes.append(filtered(filter_of(moved, priors, noise_mt), times, u, first, bar)[0] - theta)
+            changes.append(filtered(filter_of(moved, priors, noise_mt), times, u, bar, **at)[0] - theta)
     delta = torch.stack(changes, dim=-1) if changes else theta.new_zeros(len(theta), 0)
     total = F + delta @ delta.T
     std, errors = total.diagonal().sqrt(), method.errors.names[: len(theta)]

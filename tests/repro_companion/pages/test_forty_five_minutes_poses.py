@@ -19,13 +19,14 @@ from repro_companion.pages.forty_five_minutes.poses import (
     POSE_M,
     RATE_HZ,
     SENSORS,
+    STRAIGHT,
     becomes_known,
     drawn,
     equipments,
     in_motion,
     one,
 )
-from repro_companion.pages.forty_five_minutes.studies import DRAWS, KNOWN, POSES
+from repro_companion.pages.forty_five_minutes.studies import DRAWS, KNOWN, POSES, STRAIGHT_AT_FIRST
 from repro_companion.pages.forty_five_minutes.twin import FAST_TILT
 from repro_live.emulate.robot_readings import course
 
@@ -40,7 +41,7 @@ def robot():
 
 @pytest.fixture(scope="module")
 def table():
-    return committed(POSES)
+    return committed([*POSES, STRAIGHT_AT_FIRST])
 
 
 @pytest.fixture(scope="module")
@@ -49,9 +50,11 @@ def against(table):
 
 
 def test_a_robot_of_the_table_again(table):
-    again = one("one_segment", DRIFT, 3, [1.0]).set_index(KEYS)
+    again = pd.concat(
+        [one("one_segment", DRIFT, 3, [1.0], straight) for straight in (False, True)]
+    ).set_index(KEYS)
     rows = table.set_index(KEYS).loc[again.index]
-    assert len(rows) == 3 + len(SENSORS)
+    assert len(rows) == 3 + len(SENSORS) + len(STRAIGHT)
     np.testing.assert_allclose(again, rows, rtol=0.02)
 
 
@@ -61,7 +64,8 @@ def test_the_committed_table_is_whole(table):
     ways = {("none", 0.0), ("poses", 0.0), ("true", 0.0)}
     for study in POSES:
         (name,), (off,) = study.settings["robots"], study.settings["off"]
-        motion = {(sensors, minutes) for sensors in SENSORS for minutes in study.settings["minutes"]}
+        sets = SENSORS if off == PLACES else SENSORS + STRAIGHT
+        motion = {(sensors, minutes) for sensors in sets for minutes in study.settings["minutes"]}
         assert set(counts[name, off].index) == ways | motion
     some_refused = set(counts.pop(("one_segment", PLACES, SENSORS[-1], 5.0)))
     assert some_refused < set(DRAWS)
@@ -77,10 +81,16 @@ def test_poses_err_as_their_own_noise_lets_them_and_true_parameters_less(against
 
 
 def test_self_calibration_is_within_its_target_where_all_is_determined(against):
-    """On two segments with IMUs, and on both robots where the length is held."""
+    """On two segments with IMUs, and on both robots where the length is held or they begin straight."""
     imus, length = SENSORS[1:]
     for case in (("two_segments", imus), ("two_segments", length), ("one_segment", length)):
         assert against.loc[(case[0], DRIFT, case[1], 5.0), "ratio_median"] <= 1.5
+    for robot in ("one_segment", "two_segments"):
+        assert against.loc[(robot, DRIFT, STRAIGHT[1], 5.0), "ratio_median"] <= 1.5
+        alone, straight = (
+            against.loc[(robot, DRIFT, way, 5.0), "median_percent"] for way in (SENSORS[0], STRAIGHT[0])
+        )
+        assert straight < 0.4 * alone
     free, held, misplaced = (
         against.loc[("one_segment", off, way, 5.0), "ratio_median"]
         for off, way in ((DRIFT, imus), (DRIFT, length), (PLACES, imus))

@@ -35,7 +35,7 @@ from repro_companion.book.project import find_project
 from repro_companion.pages.forty_five_minutes.twin import FAST_TILT, Sizes
 from repro_companion.twins.imu_errors import ornstein_uhlenbeck
 from repro_live.emulate.robot_readings import course, readings_along, true_robot
-from repro_live.own.motion import at_elongation
+from repro_live.own.motion import Beginning, at_elongation
 from repro_live.own.samples import TimedReadings, timed_readings
 from repro_live.own.self_calibration import PRIORS, SelfCalibration, self_calibrate
 from repro_live.robot.calibrate import Priors, calibrate, pose_covariance
@@ -52,6 +52,8 @@ IMU_NOISE_RAD, HEADING_RAD = float(np.radians(0.2)), float(np.radians(10.0))
 DRIFT, PLACES = "drift", "drift and places"
 SENSORS = ("magnets", "magnets and IMUs", "magnets, IMUs and length")
 """What motion teaches from; with the length, every segment stays as long as poses would know it to be."""
+STRAIGHT = ("magnets, straight at first", "magnets and IMUs, straight at first")
+"""The same motion, of which it is known that it begins straight, in the middle of the elongation."""
 EXACT = Priors(
     Tolerances(1e-6, 1e-5, 1e-5, 1e-5, 1e-5, PRIORS.placement.sensor_gain, PRIORS.placement.moments),
     earth_mt=1e-5,
@@ -60,27 +62,41 @@ EXACT = Priors(
 
 
 def compared(
-    draws: Sequence[int], robots: Sequence[str], off: Sequence[str], minutes: Sequence[float]
+    draws: Sequence[int],
+    robots: Sequence[str],
+    off: Sequence[str],
+    minutes: Sequence[float],
+    straight: bool = False,
 ) -> pd.DataFrame:
     """Error of the tip on robots drawn at random, by the way they are calibrated.
 
     Columns ``robot, off, draw, calibration, minutes, tip_rmse_percent, stated_percent``: the root mean square over
     the motion of the test, in percent of the length, and what it should be by the covariance of the calibration and
-    the noise, if the sensor model were linear and exact. What ``repro calibrate --self`` refuses has no row.
+    the noise, if the sensor model were linear and exact. What ``repro calibrate --self`` refuses has no row. With
+    ``straight`` the rows are those of `STRAIGHT` alone.
     """
     return table_in_processes(
-        [partial(one, robot, case, draw, minutes) for robot in robots for case in off for draw in draws]
+        [
+            partial(one, robot, case, draw, minutes, straight)
+            for robot in robots
+            for case in off
+            for draw in draws
+        ]
     )
 
 
-def one(name: str, off: str, draw: int, minutes: Sequence[float]) -> pd.DataFrame:
+def one(name: str, off: str, draw: int, minutes: Sequence[float], straight: bool = False) -> pd.DataFrame:
     """Rows of one robot: not calibrated, by motion, with poses, and with its true parameters."""
-    robot = _described(name)
+    robot = described(name)
     truth = drawn(robot, off, draw)
     posed = _in_poses(robot, truth, off, draw)
-    before = _as_described(robot, posed) if off == DRIFT else None
-    rows = [("none", 0.0, robot), ("poses", 0.0, robot.calibrated(posed)), ("true", 0.0, truth)]
-    for sensors, time, found in by_motion(robot, truth, before, draw, minutes):
+    before = _asdescribed(robot, posed) if off == DRIFT else None
+    rows = (
+        []
+        if straight
+        else [("none", 0.0, robot), ("poses", 0.0, robot.calibrated(posed)), ("true", 0.0, truth)]
+    )
+    for sensors, time, found in by_motion(robot, truth, before, draw, minutes, straight):
         rows.append((sensors, time, robot.calibrated(found.calibration)))
     test = _test(robot, truth, draw)
     errors = [(name, off, draw, way, time, *tip_percent(found, *test)) for way, time, found in rows]
@@ -89,14 +105,25 @@ def one(name: str, off: str, draw: int, minutes: Sequence[float]) -> pd.DataFram
 
 
 def by_motion(
-    robot: RobotFile, truth: RobotFile, before: RobotCalibration | None, draw: int, minutes: Sequence[float]
+    robot: RobotFile,
+    truth: RobotFile,
+    before: RobotCalibration | None,
+    draw: int,
+    minutes: Sequence[float],
+    straight: bool = False,
 ) -> Iterator[tuple[str, float, SelfCalibration]]:
     """What motions of so many minutes say to every set of sensors, but for what is refused."""
-    for sensors, equipped in equipments(robot).items():
+    sets, begins = equipments(robot), None
+    if straight:
+        C, rng = pose_covariance(robot, POSE_M, POSE_RAD), np.random.default_rng([25, draw, 4])
+        off = torch.from_numpy(rng.standard_normal(robot.start.shape)) @ C.sqrt()
+        begins = Beginning(robot.start + off, C)  # the motion begins at the start, which is not known better
+        sets = {name: sets[sensors] for name, sensors in zip(STRAIGHT, SENSORS, strict=False)}
+    for sensors, equipped in sets.items():
         for time in minutes:
             moving = in_motion(equipped, truth, 60 * time, draw)
             with suppress(InputError):  # as no motion of this robot
-                yield sensors, time, self_calibrate(equipped, moving, earlier=before)
+                yield sensors, time, self_calibrate(equipped, moving, earlier=before, begins=begins)
 
 
 def becomes_known(draws: Sequence[int], robots: Sequence[str], minutes: Sequence[float]) -> pd.DataFrame:
@@ -106,10 +133,10 @@ def becomes_known(draws: Sequence[int], robots: Sequence[str], minutes: Sequence
     """
     rows = []
     for name in robots:
-        robot = _described(name)
+        robot = described(name)
         for draw in draws:
             truth = drawn(robot, DRIFT, draw)
-            before = _as_described(robot, _in_poses(robot, truth, DRIFT, draw))
+            before = _asdescribed(robot, _in_poses(robot, truth, DRIFT, draw))
             for sensors, time, found in by_motion(robot, truth, before, draw, minutes):
                 shares = pd.DataFrame(found.parameters, columns=["name", "value", "std", "prior"])
                 mean = (shares["std"] / shares["prior"]).groupby(shares["name"].str.split().str[0]).mean()
@@ -170,17 +197,20 @@ def tip_percent(
     method = LevenbergMarquardt(compiled(robot.sensing()), robot.lower, robot.upper, noise_mt=robot.noise)
     found = track(method, values[:, list(robot.channel)] - robot.offset, robot.start, times_s=time_s)
     off = (robot.tip(found.q) - robot.tip(q))[:, :3, 3]
-    percent = 100 / robot.robot.length
-    error = percent * float(off.square().sum(-1).mean().sqrt())
-    if robot.error is None:
-        return error, np.nan
+    error = 100 / robot.robot.length * float(off.square().sum(-1).mean().sqrt())
+    return error, np.nan if robot.error is None else stated_percent(robot, q, robot.error(q))
+
+
+def stated_percent(robot: RobotFile, q: Float[Tensor, "t n_q"], error: Float[Tensor, "t s s"]) -> float:
+    """Root mean square error of the tip in percent of the length, by noise and a covariance of readings' errors."""
     _, by_q = jacobian(robot.sensing(), q)
     to_tip = tip_motion(robot.robot, q)[1] @ torch.linalg.pinv(by_q)
-    C = to_tip @ (robot.error(q) + robot.noise**2 * torch.eye(by_q.shape[-2]).double()) @ to_tip.mT
-    return error, percent * float(C.diagonal(dim1=-2, dim2=-1).sum(-1).mean().sqrt())
+    C = to_tip @ (error + robot.noise**2 * torch.eye(by_q.shape[-2]).double()) @ to_tip.mT
+    return 100 / robot.robot.length * float(C.diagonal(dim1=-2, dim2=-1).sum(-1).mean().sqrt())
 
 
-def _described(name: str) -> RobotFile:
+def described(name: str) -> RobotFile:
+    """The robot of a file in ``data/robots``, read at `RATE_HZ`."""
     return replace(load_robot(find_project().data / "robots" / f"{name}.toml"), rate_hz=RATE_HZ)
 
 
@@ -202,7 +232,7 @@ def _in_poses(robot: RobotFile, truth: RobotFile, off: str, draw: int) -> RobotC
     return calibrate(robot, values, measured, covariance, priors=EXACT if off == DRIFT else PRIORS)
 
 
-def _as_described(robot: RobotFile, like: RobotCalibration) -> RobotCalibration:
+def _asdescribed(robot: RobotFile, like: RobotCalibration) -> RobotCalibration:
     """Calibration that knows: the robot is as described."""
     same = {"parameters": 0 * like.parameters, "offset": 0 * like.offset, "earth_mt": robot.earth_mt}
     return replace(like, **same, covariance=0 * like.covariance)

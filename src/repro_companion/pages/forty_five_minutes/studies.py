@@ -21,6 +21,18 @@ POSES = (
     _by_motion("poses_2", "two_segments", DRIFT, [1.0, 5.0]),
     _by_motion("poses_places", "one_segment", PLACES, [5.0]),
 )
+STRAIGHT_AT_FIRST = Study(
+    "forty_five_minutes_poses_straight",
+    compared,
+    {
+        "draws": list(DRAWS),
+        "robots": ["one_segment", "two_segments"],
+        "off": [DRIFT],
+        "minutes": [1.0, 5.0],
+        "straight": True,
+    },
+    digits=4,
+)
 KNOWN = Study(
     "forty_five_minutes_known",
     becomes_known,
@@ -35,5 +47,6 @@ STUDIES = (
         digits=4,
     ),
     *POSES,
+    STRAIGHT_AT_FIRST,
     KNOWN,
 )
