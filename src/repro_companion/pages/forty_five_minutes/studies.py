@@ -9,6 +9,7 @@ from repro_companion.pages.forty_five_minutes.twin import JUDGED, MINUTES
 
 DRAWS = tuple(range(10))
 """Seeds of the robots that are judged; ``repro calibrate --self`` was mended on those from 1000 to 1003."""
+ROBOTS = ("one_segment", "two_segments", "three_segments")
 
 
 def _by_motion(name: str, robot: str, off: str, minutes: list[float]) -> Study:
@@ -19,14 +20,16 @@ def _by_motion(name: str, robot: str, off: str, minutes: list[float]) -> Study:
 POSES = (
     _by_motion("poses_1", "one_segment", DRIFT, [1.0, 5.0]),
     _by_motion("poses_2", "two_segments", DRIFT, [1.0, 5.0]),
+    _by_motion("poses_3", "three_segments", DRIFT, [1.0, 5.0]),
     _by_motion("poses_places", "one_segment", PLACES, [5.0]),
+    _by_motion("poses_places_2", "two_segments", PLACES, [5.0]),
 )
 STRAIGHT_AT_FIRST = Study(
     "forty_five_minutes_poses_straight",
     compared,
     {
         "draws": list(DRAWS),
-        "robots": ["one_segment", "two_segments"],
+        "robots": list(ROBOTS),
         "off": [DRIFT],
         "minutes": [1.0, 5.0],
         "straight": True,
@@ -36,7 +39,7 @@ STRAIGHT_AT_FIRST = Study(
 KNOWN = Study(
     "forty_five_minutes_known",
     becomes_known,
-    {"draws": list(DRAWS[:3]), "robots": ["one_segment", "two_segments"], "minutes": [0.5, 1.0, 5.0]},
+    {"draws": list(DRAWS[:3]), "robots": list(ROBOTS), "minutes": [0.5, 1.0, 5.0]},
     digits=4,
 )
 STUDIES = (
