@@ -90,7 +90,7 @@ def one(name: str, off: str, draw: int, minutes: Sequence[float], straight: bool
     robot = described(name)
     truth = drawn(robot, off, draw)
     posed = _in_poses(robot, truth, off, draw)
-    before = _asdescribed(robot, posed) if off == DRIFT else None
+    before = _as_described(robot, posed) if off == DRIFT else None
     rows = (
         []
         if straight
@@ -136,7 +136,7 @@ def becomes_known(draws: Sequence[int], robots: Sequence[str], minutes: Sequence
         robot = described(name)
         for draw in draws:
             truth = drawn(robot, DRIFT, draw)
-            before = _asdescribed(robot, _in_poses(robot, truth, DRIFT, draw))
+            before = _as_described(robot, _in_poses(robot, truth, DRIFT, draw))
             for sensors, time, found in by_motion(robot, truth, before, draw, minutes):
                 shares = pd.DataFrame(found.parameters, columns=["name", "value", "std", "prior"])
                 mean = (shares["std"] / shares["prior"]).groupby(shares["name"].str.split().str[0]).mean()
@@ -232,7 +232,7 @@ def _in_poses(robot: RobotFile, truth: RobotFile, off: str, draw: int) -> RobotC
     return calibrate(robot, values, measured, covariance, priors=EXACT if off == DRIFT else PRIORS)
 
 
-def _asdescribed(robot: RobotFile, like: RobotCalibration) -> RobotCalibration:
+def _as_described(robot: RobotFile, like: RobotCalibration) -> RobotCalibration:
     """Calibration that knows: the robot is as described."""
     same = {"parameters": 0 * like.parameters, "offset": 0 * like.offset, "earth_mt": robot.earth_mt}
     return replace(like, **same, covariance=0 * like.covariance)
