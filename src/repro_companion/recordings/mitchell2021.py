@@ -17,8 +17,8 @@ from jaxtyping import Float
 
 from repro.errors import InputError, bad_input
 from repro_companion.recordings.alignment import Lag, find_lag
+from repro_companion.recordings.mitchell2021_capture import Capture, read_text
 from repro_companion.recordings.sources import data_dir
-from repro_live.own.optitrack import Capture, read_text
 
 FOLDER = "mitchell2021"
 MT_PER_UNIT = 10.0
@@ -201,8 +201,8 @@ def align(hall: HallTake, capture: Capture) -> tuple[pd.DataFrame, Lag]:
     -------
     table, lag
         The readings that have a frame within half a frame's time, with ``bend_rad``, ``direction_rad`` and
-        ``tilt_z_rad`` of `repro_live.own.optitrack.Capture.motion` (NaN where masked), and the lag: seconds to add
-        to the clock times of the capture.
+        ``tilt_z_rad`` of `repro_companion.recordings.mitchell2021_capture.Capture.motion` (NaN where masked), and the
+        lag: seconds to add to the clock times of the capture.
 
     Raises
     ------

@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from repro.errors import bad_input, require
 from repro_companion.recordings.mitchell2021 import FIELD, FOLDER, MT_PER_UNIT
+from repro_companion.recordings.mitchell2021_capture import read_text
 from repro_companion.recordings.sources import data_dir
-from repro_live.own.optitrack import read_text
 
 LARGEST_SPIKE = 1.0
 """Distance from the median of its file that makes a calibration reading a spike, in the files' unit."""

@@ -20,11 +20,11 @@ from torch import Tensor
 
 from repro.errors import InputError, bad_input, require
 from repro_companion.recordings.mitchell2021 import FIELD, REST_S, HallTake, align, read_hall, takes
+from repro_companion.recordings.mitchell2021_capture import Capture, read_capture
 from repro_companion.recordings.mitchell2021_conventions import model_axes
 from repro_companion.recordings.mitchell2021_tables import on_readings, read_calibration, read_filtered
 from repro_companion.twins.bend_takes import write_bend_takes
 from repro_companion.twins.field_ratios import transverse_to_axial
-from repro_live.own.optitrack import Capture, read_capture
 
 LEAST_LOGGED = 0.9
 """Share of the readings that the authors' output must cover to be scored."""

@@ -17,6 +17,7 @@ from repro.sensing.bend_sensor import BendSensor
 from repro_companion.pages.bend_tests import errors
 from repro_companion.pages.bend_tests import statements as say
 from repro_companion.recordings.mitchell2021 import takes as files_of_takes
+from repro_companion.recordings.mitchell2021_capture import read_capture
 from repro_companion.recordings.mitchell2021_conventions import file_axes
 from repro_companion.recordings.mitchell2021_tables import read_calibration
 from repro_companion.recordings.released import said_of_files
@@ -43,7 +44,6 @@ from repro_companion.twins.bend_tests import (
     recorded_or_synthetic,
 )
 from repro_companion.twins.field_ratios import FieldRatios
-from repro_live.own.optitrack import read_capture
 
 SENSOR = BendSensor(13e-3)
 NO_READINGS = pd.DataFrame()

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from test_optitrack import START_UNIX_S, UP_AND_DOWN, bending, write_capture
+from test_mitchell2021_capture import START_UNIX_S, UP_AND_DOWN, bending, write_capture
 
 from repro.errors import InputError
 from repro_companion.recordings.mitchell2021 import (
@@ -16,8 +16,8 @@ from repro_companion.recordings.mitchell2021 import (
     read_hall,
     takes,
 )
+from repro_companion.recordings.mitchell2021_capture import read_capture
 from repro_companion.recordings.mitchell2021_tables import on_readings, read_calibration, read_filtered
-from repro_live.own.optitrack import read_capture
 
 DRAINED = 15
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from repro_companion.recordings.mitchell2021 import FIELD, align, read_hall, takes
+from repro_companion.recordings.mitchell2021_capture import read_capture
 from repro_companion.twins.bend_takes import (
     DRAINED,
     BendRecorder,
@@ -12,7 +13,6 @@ from repro_companion.twins.bend_takes import (
     write_bend_takes,
     write_light_tests,
 )
-from repro_live.own.optitrack import read_capture
 
 AS_DRAWN = BendRecorder(noise_mt=0.0, transverse_gain=1.0, rest_mt=(0.0, 0.0))
 

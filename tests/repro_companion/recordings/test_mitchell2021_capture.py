@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from repro.errors import InputError
-from repro_live.own.optitrack import GUARD_FRAMES, read_capture
+from repro_companion.recordings.mitchell2021_capture import GUARD_FRAMES, read_capture
 
 HEADER = (
     "Format Version,1.21,Take Name,{name},Capture Frame Rate,120,Export Frame Rate,120,Capture Start Time,"
