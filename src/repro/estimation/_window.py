@@ -9,6 +9,7 @@ import torch
 from scipy.special import chdtri  # scipy.stats gives the same and takes longer to load than all else here
 from torch import Tensor
 
+from repro.errors import bad_input
 from repro.estimation.base import Estimate
 from repro.estimation.consistency import WINDOW, Verdict
 
@@ -74,8 +75,16 @@ def frozen(window: tuple[Seen, ...]) -> Tensor:
 
 
 def seen_by(u: Tensor, use: Tensor, estimate: Estimate) -> Seen:
-    """Return a reading with what its estimate reports."""
+    """Return a reading with what its estimate reports.
+
+    Raises
+    ------
+    InputError
+        If it does not say how well it explains the reading.
+    """
     said = estimate.diagnostics
+    if bool(torch.isnan(said["chi2"]).any()):
+        raise bad_input("estimator", "Monitored", "one that knows its noise", "a chi2 that is not a number")
     systematic = said.get("systematic")
     share = 0.0 if systematic is None else float(systematic)
     return Seen(u, use, float(said["chi2"]), int(said["dof"]), share)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from tqdm import tqdm
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 
 _S = TypeVar("_S")
 
@@ -147,7 +147,7 @@ def track(
     Raises
     ------
     InputError
-        If there are no readings, or not one time for each row.
+        If there are no readings, not one time, mask or known configuration for each row, or the rate is not positive.
 
     Examples
     --------
@@ -160,6 +160,10 @@ def track(
     """
     if not len(readings):
         raise bad_input("readings", "track", "at least one time step", f"shape {tuple(readings.shape)}")
+    require(rate_hz > 0, "rate_hz", "track", "positive", rate_hz)
+    for name, rows in (("mask", mask), ("known", known)):
+        if rows is not None and len(rows) != len(readings):
+            raise bad_input(name, "track", f"one row for each of {len(readings)} time steps", len(rows))
     times = [k / rate_hz for k in range(len(readings))] if times_s is None else [float(t) for t in times_s]
     if len(times) != len(readings):
         raise bad_input("times_s", "track", f"one for each of {len(readings)} rows", len(times))
@@ -233,8 +237,19 @@ def held(q: Tensor, known: Tensor | None) -> tuple[Tensor, Tensor]:
 
 
 def kernel(sensing: Callable[[Tensor], Tensor]) -> Any:
-    """The sensor model, if its kernel can be used: it is one of :func:`repro.kernels.compiled`; else none."""
-    return sensing if getattr(sensing, "is_compiled", False) else None
+    """The sensor model, if its kernel can be used: it is one of :func:`repro.kernels.compiled`; else none.
+
+    Raises
+    ------
+    InputError
+        If the kernel has no derivatives.
+    """
+    if not getattr(sensing, "is_compiled", False):
+        return None
+    if not hasattr(sensing, "linearise"):
+        expected = "one with derivatives, such as the model that was compiled"
+        raise bad_input("sensing", "an estimator that follows slopes", expected, type(sensing).__name__)
+    return sensing
 
 
 def check_start(

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from repro import se3
 from repro.errors import bad_input, require
+from repro.estimation.undetermined import undetermined
 from repro.kinematics.robot import Robot
 from repro.sensing.linearised import LinearisedSensing
 from repro.sensing.moments import check_readings
@@ -69,16 +70,12 @@ class Calibration:
     def undetermined(self, threshold: float = 0.9) -> list[str]:
         """Combinations of parameters that stay as uncertain as their tolerances, in words.
 
+        As :func:`repro.estimation.undetermined.undetermined` says them; the priors are the tolerances.
+
         Parameters
         ----------
         threshold
             Ratio of posterior to prior standard deviation from which a combination counts as undetermined.
-
-        Returns
-        -------
-        list of str
-            One text per combination, parameters in units of their tolerances, the largest first, those below
-            half of it left out. Combinations are orthogonal and as close to single parameters as they can be.
 
         Raises
         ------
@@ -88,22 +85,7 @@ class Calibration:
         if self.covariance.ndim != 2:
             shape = f"covariance of shape {tuple(self.covariance.shape)}"
             raise bad_input("calibration", "undetermined", "that of one robot", shape)
-        variances, vectors = torch.linalg.eigh(self.covariance)
-        vectors = vectors[:, variances.sqrt() > threshold]
-        projector = vectors @ vectors.T
-        texts = []
-        for _ in range(vectors.shape[1]):  # Cholesky with pivots: the parameter least determined comes next
-            pivot = int(projector.diagonal().argmax())
-            direction = projector[:, pivot] / projector[pivot, pivot].sqrt()
-            projector = projector - torch.outer(direction, direction)
-            order = direction.abs().argsort(descending=True).tolist()
-            least = float(direction.abs().max()) / 2
-            ratio = float((direction @ self.covariance @ direction).sqrt())
-            parts = [
-                f"{direction[k]:+.2f} {self.names[k]}" for k in order if abs(float(direction[k])) > least
-            ]
-            texts.append(f"{' '.join(parts)} (uncertainty {ratio:.2f} of the tolerance)")
-        return texts
+        return undetermined(self.names, self.covariance.numpy(), threshold)
 
 
 def calibrate(
@@ -144,7 +126,7 @@ def calibrate(
     Raises
     ------
     InputError
-        If readings and poses do not fit or are not finite, there is no pose, or the noise is not positive.
+        If readings, poses and moments do not fit or are not finite, there is no pose, or the noise is not positive.
 
     Examples
     --------
@@ -166,6 +148,10 @@ def calibrate(
         expected = f"of last dimensions ({robot.n_q}, {robot.n_q})"
         raise bad_input("q_covariance", "calibrate", expected, f"shape {tuple(q_covariance.shape)}")
     se3.require_finite(q_covariance, "q_covariance", "calibrate")
+    if moments.ndim != 1:
+        expected = "those that all magnets share, of one dimension"
+        raise bad_input("moments", "calibrate", expected, f"shape {tuple(moments.shape)}")
+    se3.require_finite(moments, "moments", "calibrate")
     require(noise_mt > 0, "noise_mt", "calibrate", "positive [mT]", noise_mt)
     require(iterations >= 1, "iterations", "calibrate", "at least 1", iterations)
     terms = moments.shape[-1]

@@ -142,7 +142,7 @@ def adaptive_factors(
 
     With :math:`m_j = 1` where score :math:`j` was above its factor, else 0,
 
-    .. math:: c_{j+1} = \max(0,\; c_j + \gamma\,(m_{j-d} - \alpha)) .
+    .. math:: c_{j+1} = \max(0,\; c_j + \gamma\,(m_{j+1-d} - \alpha)) .
 
     It misses a share :math:`\alpha` in the long run, whatever the scores are.
 

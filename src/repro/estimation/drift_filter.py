@@ -187,9 +187,16 @@ class DriftFilter:
         return move, noise
 
     def predicted(self, state: KalmanState, t: float) -> KalmanState:
-        """State carried to a time ``t`` [s] without a reading."""
+        """State carried to a time ``t`` [s] without a reading.
+
+        Raises
+        ------
+        InputError
+            If ``t`` is before that of the state.
+        """
         if state.t is None:
             return KalmanState(state.q, state.velocity, state.covariance, t)
+        require(t >= state.t, "t", "DriftFilter", f"not before the last step, {state.t} s", t)
         tau, x = t - state.t, state.q
         move, noise = (y.to(x) for y in self.motion(tau))
         P = move @ state.covariance @ move.mT + noise

@@ -205,9 +205,16 @@ class IteratedKalmanFilter:
         return driven(tau, self.acceleration)
 
     def predicted(self, state: KalmanState, t: float) -> KalmanState:
-        """State carried to a time ``t`` [s] without a reading."""
+        """State carried to a time ``t`` [s] without a reading.
+
+        Raises
+        ------
+        InputError
+            If ``t`` is before that of the state.
+        """
         if state.t is None:
             return KalmanState(state.q, state.velocity, state.covariance, t)
+        require(t >= state.t, "t", "IteratedKalmanFilter", f"not before the last step, {state.t} s", t)
         tau, P = t - state.t, state.covariance
         move, noise = (x.to(state.q) for x in self.motion(tau))
         return KalmanState(state.q + tau * state.velocity, state.velocity, move @ P @ move.mT + noise, t)

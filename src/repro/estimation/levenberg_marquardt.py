@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from repro import se3
 from repro.errors import bad_input, require
 from repro.estimation._step import TOLERANCE
 from repro.estimation.base import Estimate, check_start, held, kernel, redundancy, usable
@@ -47,7 +48,7 @@ class LevenbergMarquardt:
     Raises
     ------
     InputError
-        If the bounds are not ordered, the noise is not positive, or there is no iteration.
+        If the bounds are not finite and ordered, the noise is not positive, or there is no iteration.
 
     Examples
     --------
@@ -65,9 +66,12 @@ class LevenbergMarquardt:
     iterations: int = 30
 
     def __post_init__(self) -> None:
-        if self.lower.shape != self.upper.shape or bool((self.lower >= self.upper).any()):
+        if self.lower.shape != self.upper.shape or not bool((self.lower < self.upper).all()):
             bounds = (self.lower.tolist(), self.upper.tolist())
             raise bad_input("lower, upper", "LevenbergMarquardt", "ordered bounds", bounds)
+        # steps are told small by the width of the bounds
+        se3.require_finite(self.lower, "lower", "LevenbergMarquardt")
+        se3.require_finite(self.upper, "upper", "LevenbergMarquardt")
         require(self.noise_mt > 0, "noise_mt", "LevenbergMarquardt", "positive", self.noise_mt)
         require(self.iterations >= 1, "iterations", "LevenbergMarquardt", "at least 1", self.iterations)
 

@@ -110,6 +110,9 @@ class WithModelError:
         q, batch, n_s = found.q, found.q.shape[:-1], u.shape[-1]
         use, (_, unknown) = usable(u, mask, "WithModelError"), held(q, known)
         E = self.error(q)
+        if E.shape[-2:] != (n_s, n_s):
+            expected = f"a covariance of {n_s} readings"
+            raise bad_input("error", "WithModelError", expected, f"shape {tuple(E.shape)}")
         J = jacobian(self.sensing, q)[1] if self._kernel is None else self._kernel.linearise(q)[1]
         residual = torch.where(use, u - found.u_hat, 0.0)
         data = (q, E.expand(*batch, n_s, n_s), J.expand(*batch, *J.shape[-2:]), residual, use, unknown)

@@ -112,7 +112,14 @@ class Monitored(Generic[_S]):
     sensors: Bool[Tensor, "sensors s"] | None = None
 
     def __post_init__(self) -> None:
-        require(len(self.starts), "starts", "Monitored", "at least one configuration", "none")
+        shape = f"shape {tuple(self.starts.shape)}"
+        require(
+            self.starts.ndim == 2 and len(self.starts),
+            "starts",
+            "Monitored",
+            "at least one configuration, [k, n_q]",
+            shape,
+        )
         for name in ("rate_hz", "false_alarms_per_hour", "look_s"):
             require(getattr(self, name) > 0, name, "Monitored", "positive", getattr(self, name))
 

@@ -16,7 +16,7 @@ from repro.errors import bad_input, require
 from repro.estimation._particle_cloud import Weighed, weighed
 from repro.estimation._particle_restart import contracted
 from repro.estimation._resampling import SCHEMES, resample, stream
-from repro.estimation.base import Estimate, check_start, kernel, redundancy, usable
+from repro.estimation.base import Estimate, check_start, redundancy, usable
 from repro.estimation.levenberg_marquardt import covariance
 from repro.estimation.regions import Region
 
@@ -133,7 +133,7 @@ class ParticleFilter:
 
     @cached_property
     def _compiled(self) -> Any:
-        if kernel(self.sensing) is None:
+        if not getattr(self.sensing, "is_compiled", False):
             return None
         from repro.kernels._bend import CompiledBendSensor
         from repro.kernels._cloud import CompiledCloud  # here: numba takes a second to import

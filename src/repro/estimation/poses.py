@@ -78,7 +78,10 @@ def configurations(
         r = ((T_0_tip - T)[..., :3, :] * weight).flatten(-3)
         J = (dT[..., :3, :] * weight).movedim(-3, -1).flatten(-4, -2)
         information = J.mT @ J
-        step = torch.linalg.solve(information, (J.mT @ r.unsqueeze(-1)).squeeze(-1))
+        step, singular = torch.linalg.solve_ex(information, (J.mT @ r.unsqueeze(-1)).squeeze(-1))
+        if bool(singular.any()):
+            expected = "near the configuration, where the poses determine it"
+            raise bad_input("start", "configurations", expected, "a configuration where they do not")
         q = q + step
         if float(step.abs().max()) < 1e-10:
             return q, torch.linalg.inv(information)

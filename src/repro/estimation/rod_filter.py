@@ -17,6 +17,7 @@ what was not read at a step is NaN. Errors of a sensor that last are states too,
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -100,7 +101,7 @@ class RodFilter:
             ("base_rate", (self.base_rate,)),
             ("iterations", (self.iterations,)),
         ):
-            require(min(values) > 0, name, "RodFilter", "positive", getattr(self, name))
+            require(all(x > 0 for x in values), name, "RodFilter", "positive", getattr(self, name))
         require(self.sensors, "sensors", "RodFilter", "at least one", "none")
         for sensor in self.sensors:
             if not 0 <= sensor.arc_m <= self.rod.length * (1 + 1e-12):
@@ -191,14 +192,8 @@ class RodFilter:
         use = usable(u, mask, "RodFilter")
         n, m = self.n_q, state.q.shape[-1]
         batch = np.broadcast_shapes(state.q.shape[:-1], u.shape[:-1])
-        x = (
-            torch.cat([state.q, state.velocity], -1)
-            .double()
-            .expand(*batch, -1)
-            .reshape(-1, n + m)
-            .numpy()
-            .copy()
-        )
+        x = torch.cat([state.q, state.velocity], -1).double()
+        x = x.expand(*batch, -1).reshape(-1, n + m).numpy().copy()
         P = state.covariance.double().expand(*batch, -1, -1).reshape(-1, n + m, n + m).numpy().copy()
         rows, used = (y.expand(*batch, -1).reshape(-1, s).numpy().copy() for y in (u.detach().double(), use))
         held = None if known is None else known.double().expand(*batch, -1).reshape(-1, n).numpy()
@@ -238,21 +233,29 @@ class RodFilter:
             Of an estimate.
         arcs_m
             Places [m] along the rod, from base to tip.
+
+        Raises
+        ------
+        InputError
+            If the places are not on the rod, or not in this order.
         """
+        rod = self.rod
+        ends = (0.0, *arcs_m, rod.length * (1 + 1e-12))
+        if not all(a <= b for a, b in itertools.pairwise(ends)):
+            expected = f"places from base to tip, between 0 and the length {rod.length} m"
+            raise bad_input("arcs_m", "RodFilter.positions", expected, arcs_m)
         where, spread = [], []
         P = covariance.double().reshape(-1, self.n_q, self.n_q).numpy()
         for x, C in zip(q.double().reshape(-1, self.n_q).numpy(), P, strict=True):
-            T, J = self._motion_of(x, np.array(arcs_m))
+            T, J = rod_motion(
+                x, rod.basis, rod.length / rod.parts, self.base_std is not None, np.array(arcs_m)
+            )
             slope = T[:, :3, :3] @ J[:, :3]
             where.append(T[:, :3, 3])
             spread.append(slope @ C @ slope.swapaxes(-1, -2))
         shape = (*q.shape[:-1], len(arcs_m), 3)
         position, cov = (torch.from_numpy(np.stack(values)).to(q) for values in (where, spread))
         return position.reshape(shape), cov.reshape(*shape, 3)
-
-    def _motion_of(self, q: np.ndarray, arcs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        rod = self.rod
-        return rod_motion(q, rod.basis, rod.length / rod.parts, self.base_std is not None, arcs)
 
     def _take_in(self, x: np.ndarray, P: np.ndarray, u: np.ndarray, use: np.ndarray) -> float:
         """Update one member in place, and clear ``use`` of poses that are not whole; chi-square of its surprise."""

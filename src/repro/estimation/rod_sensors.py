@@ -77,9 +77,9 @@ class RodSensor:
         if (self.sensing is None) == (self.kind == "model"):
             raise bad_input("sensing", "RodSensor", "given for a model, and for a model only", self.sensing)
         count = _READINGS.get(self.kind, len(self.std))
-        if len(self.std) != count or not count or min(self.std) <= 0:
+        if len(self.std) != count or not count or not all(x > 0 for x in self.std):
             raise bad_input("std", "RodSensor", f"positive, one for each of {count} readings", self.std)
-        if self.lasting_std and (len(self.lasting_std) != count or min(self.lasting_std) <= 0):
+        if self.lasting_std and (len(self.lasting_std) != count or not all(x > 0 for x in self.lasting_std)):
             raise bad_input(
                 "lasting_std", "RodSensor", f"empty, or {count} positive numbers", self.lasting_std
             )

@@ -25,6 +25,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from repro import se3
 from repro.errors import bad_input
 from repro.estimation._step import conditioned
 from repro.estimation._window import limit
@@ -126,6 +127,15 @@ class SelfCalibratingFilter:
             raise bad_input("gate", owner, "between 0 and 1, or none", self.gate)
         if self.n_hall and (not len(self.robot.magnets) or self.moments is None):
             raise bad_input("moments", owner, "those of some magnets that the Hall sensors see", "none")
+        n_m = len(self.robot.magnets)
+        if self.moments is not None and self.moments.shape[:-1] not in ((), (1,), (n_m,)):
+            shape = f"shape {tuple(self.moments.shape)}"
+            raise bad_input("moments", owner, f"one row, or one for each of {n_m} magnets", shape)
+        if self.earth_mt is not None and self.earth_mt.shape != (3,):
+            raise bad_input("earth_mt", owner, "one vector", f"shape {tuple(self.earth_mt.shape)}")
+        for name in ("moments", "earth_mt"):
+            if (values := getattr(self, name)) is not None:
+                se3.require_finite(values, name, owner)
         if not self.n_hall and not self.imus:
             raise bad_input("imus", owner, "some, or Hall sensors on the robot", "neither")
 

@@ -153,7 +153,7 @@ def smooth(
     Raises
     ------
     InputError
-        If there is not one time for each row, or as the filter's ``step``.
+        If there is not one time for each row, the filter has no ``motion``, or as its ``step``.
 
     Examples
     --------
@@ -172,6 +172,8 @@ def smooth(
         raise bad_input(
             "times_s", "smooth", f"one for each of {len(readings)} rows, at least one", len(times_s)
         )
+    if not isinstance(method, KalmanType):
+        raise bad_input("method", "smooth", "a filter that says how its state moves", type(method).__name__)
     state, states, estimates = method.init(q0), [], []
     for u, t in zip(readings, times_s, strict=True):
         state, estimate = method.step(state, u, float(t))

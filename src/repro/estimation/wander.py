@@ -63,6 +63,7 @@ class Wander:
     @classmethod
     def fading(cls, kind: str, std: float, time_s: float) -> Wander:
         """Errors that have the same standard deviation at all times, and fade within ``time_s`` [s]."""
+        require(time_s > 0, "time_s", "Wander", "positive", time_s)
         return cls(kind, std, std * math.sqrt(2 / time_s), time_s)
 
 

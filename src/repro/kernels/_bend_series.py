@@ -27,7 +27,7 @@ from repro.kernels.compilation import machine_code
 from repro.sensing.magnets import B444B, Cube
 
 _A_TERMS, _B_TERMS = 8, 4
-"""Powers of ``a`` and of ``b``, from zero: 3 nT and less left for the cube and the arc of Mitchell et al. 2021."""
+"""Powers of ``a`` and of ``b``, from zero: 3 pT and less left for the cube and the arc of Mitchell et al. 2021."""
 _LARGEST_ERROR_MT = 1e-4
 """A series further than this from the closed form is refused [mT]."""
 

@@ -53,8 +53,8 @@ class Tables(NamedTuple):
 class CompiledSensing:
     """A sensor model whose readings and slopes come from one compiled kernel; made by :func:`repro.kernels.compiled`.
 
-    Weights and mounts are copied: later changes to the model have no effect. Networks are evaluated in the precision
-    of their weights.
+    Weights and mounts are copied: later changes to the model have no effect on the kernel. Networks are evaluated in
+    the precision of their weights.
 
     Parameters
     ----------

@@ -80,7 +80,7 @@ class AffineCurvature:
         InputError
             If the last dimension of ``q`` is not 4, or ``q`` is not finite.
         """
-        if q.shape[-1] != self.n_q:
+        if q.shape[-1:] != (self.n_q,):
             raise bad_input("q", "AffineCurvature.pose", "of last dimension 4", f"shape {tuple(q.shape)}")
         se3.require_finite(q, "q", "AffineCurvature.pose")
         v = v.to(q)

@@ -87,7 +87,7 @@ class ConstantCurvature:
         InputError
             If the last dimension of ``q`` is not 3, or ``q`` is not finite.
         """
-        if q.shape[-1] != self.n_q:
+        if q.shape[-1:] != (self.n_q,):
             raise bad_input("q", "ConstantCurvature.pose", "of last dimension 3", f"shape {tuple(q.shape)}")
         se3.require_finite(q, "q", "ConstantCurvature.pose")
         v = v.to(q)
@@ -127,6 +127,8 @@ class ConstantCurvature:
         se3.require_finite(T_base_tip, "T_base_tip", owner)
         R, p = T_base_tip[..., :3, :3], T_base_tip[..., :3, 3]
         defect = (R.transpose(-1, -2) @ R - torch.eye(3).to(R)).detach().abs()
+        if bool((torch.linalg.det(R.detach()) < 0).any()):
+            raise bad_input("T_base_tip", owner, "a rigid motion", "a reflection")
         if bool((defect > (1e-3 if R.dtype == torch.float32 else 1e-6)).any()):
             raise bad_input("T_base_tip", owner, "a rigid motion", f"R^T R - 1 of {float(defect.max()):.1e}")
         cos = R[..., 2, 2]

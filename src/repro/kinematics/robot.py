@@ -83,7 +83,7 @@ class Robot:
                 raise bad_input(f"{name}.segment", "Robot", f"between 0 and {n - 1}", f"{i} for mount {k}")
             axial, length = mounts.axial[..., k], self.segments[i].length
             if bool((axial < 0).any()) or bool((axial > length * (1 + 1e-12)).any()):
-                worst = float(axial[(axial - length / 2).abs().argmax()] if axial.ndim else axial)
+                worst = float(axial.flatten()[(axial - length / 2).abs().argmax()])
                 raise bad_input(
                     f"{name}.axial",
                     "Robot",

@@ -103,7 +103,7 @@ class StrainSeries:
         InputError
             If the last dimension of ``q`` is not the number of terms, or ``q`` is not finite.
         """
-        if q.shape[-1] != self.n_q:
+        if q.shape[-1:] != (self.n_q,):
             raise bad_input(
                 "q", "StrainSeries.pose", f"of last dimension {self.n_q}", f"shape {tuple(q.shape)}"
             )

@@ -83,7 +83,7 @@ def _rmse(path: Path, unit: str) -> float | None:
     if metrics is None:
         return None
     value = metrics.get("rmse_validation") if isinstance(metrics, dict) else None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < float("inf"):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < 1e300:
         expected = f"with the validation error rmse_validation [{unit}] in {key}"
         raise bad_input("manifest", path.with_suffix(".json").name, expected, metrics)
     return float(value)

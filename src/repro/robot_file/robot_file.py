@@ -192,7 +192,8 @@ class RobotFile:
         Raises
         ------
         InputError
-            If a column is missing, ambiguous, of another unit, or holds something else than numbers.
+            If a column is missing, ambiguous, of another unit, or holds something else than numbers, or the robot has
+            no magnetic sensors.
 
         Examples
         --------
@@ -201,6 +202,9 @@ class RobotFile:
         >>> robot.readings(pd.DataFrame({"u1_mT": [1.0], "u2_mT": [2.0], "u3_mT": [3.0], "room [C]": [20.0]}))
         tensor([[1., 2., 3.]], dtype=torch.float64)
         """
+        if not self.channel:
+            expected = "a robot with magnetic sensors"
+            raise bad_input("robot", self.name, expected, f"one with {len(self.imus)} IMUs")
         columns = channel_columns("the table", list(table), self.unit, self.name, self.channels, self.channel)
         return torch.stack(
             [_numbers(table, columns[k]) - self.offset[sensor] for sensor, k in enumerate(self.channel)], -1

@@ -34,7 +34,7 @@ def first_draws(
     -------
     nn.Sequential, torch.Generator, Tensor, Tensor
         The network, the stream that its dropout goes on with, and the rows that train and that validate: see
-        :data:`SPLIT`.
+        :data:`repro.sensing.training.SPLIT`.
     """
     generator = torch.Generator().manual_seed(seed)
     order = torch.randperm(rows, generator=generator)

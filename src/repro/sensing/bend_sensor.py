@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from repro import se3
-from repro.errors import require
+from repro.errors import bad_input, require
 from repro.sensing._cuboid import cuboid_components
 from repro.sensing.magnets import B444B, Cube
 
@@ -51,6 +51,8 @@ class BendSensor:
 
     def __call__(self, q: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 3"]:
         """Return the flux density [mT] in the frame of the sensor, z along the straight arc; bend ``q`` below pi."""
+        if q.shape[-1:] != (2,):
+            raise bad_input("q", "BendSensor", "of last dimension 2", f"shape {tuple(q.shape)}")
         x, y = q.unbind(-1)
         z = x * x + y * y
         half = se3.sinc(z / 4)  # sin(phi/2)/(phi/2): both functions of the angle by one series

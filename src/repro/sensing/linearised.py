@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from repro import se3
 from repro.errors import bad_input
 from repro.kinematics.motion import backbone_motion
 from repro.kinematics.robot import Robot
@@ -44,7 +45,7 @@ class LinearisedSensing:
     Raises
     ------
     InputError
-        If the robot has no magnets or no sensors, or the moments or gains do not fit or are not finite.
+        If the robot has no magnets or no sensors, or moments, gains or the Earth field do not fit or are not finite.
 
     Examples
     --------
@@ -77,6 +78,13 @@ class LinearisedSensing:
             raise bad_input(
                 "gain", owner, f"one for each of {n_s} sensors", f"shape {tuple(self.gain.shape)}"
             )
+        if self.earth_mt is not None and self.earth_mt.shape[-1:] != (3,):
+            raise bad_input(
+                "earth_mt", owner, "a vector in the base frame", f"shape {tuple(self.earth_mt.shape)}"
+            )
+        for name in ("gain", "earth_mt"):
+            if (values := getattr(self, name)) is not None:
+                se3.require_finite(values, name, owner)
 
     @property
     def moment_rows(self) -> Float[Tensor, "*moments m terms"]:

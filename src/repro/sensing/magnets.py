@@ -48,6 +48,9 @@ class Ring:
         if not 0 <= self.inner_diameter < self.outer_diameter or not self.height > 0:
             expected = "0 <= inner < outer and a positive height [m]"
             raise bad_input("dimensions", "Ring", expected, self)
+        require(
+            math.isfinite(self.polarisation_mt), "polarisation_mt", "Ring", "finite", self.polarisation_mt
+        )
 
     def field(self, positions: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
         """Flux density [mT] at positions [m], both in the frame of the magnet, by magpylib: the oracle.
@@ -103,7 +106,7 @@ class Cube:
     Raises
     ------
     InputError
-        If the edge is not positive.
+        If the edge is not positive, or the polarisation not finite.
 
     Examples
     --------
@@ -116,6 +119,9 @@ class Cube:
 
     def __post_init__(self) -> None:
         require(self.edge > 0, "edge", "Cube", "positive [m]", self.edge)
+        require(
+            math.isfinite(self.polarisation_mt), "polarisation_mt", "Cube", "finite", self.polarisation_mt
+        )
 
     def field(self, positions: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
         """Flux density [mT] at positions [m], both in the frame of the magnet, by magpylib."""
@@ -157,6 +163,8 @@ def _flux(
     polarisation_mt: float,
     positions: np.ndarray,
 ) -> np.ndarray:
+    if np.shape(positions)[-1:] != (3,):
+        raise bad_input("positions", "field", "of last dimension 3", f"shape {np.shape(positions)}")
     points = np.asarray(positions, dtype=float).reshape(-1, 3)
     n = len(points)
     if n == 0:

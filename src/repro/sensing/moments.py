@@ -99,7 +99,7 @@ def fit_moments(
     check_readings("fit_moments", robot, q, u)
     if terms < 1 or u.numel() < terms:
         raise bad_input("u", "fit_moments", f"at least {max(terms, 1)} readings", f"{u.numel()} readings")
-    related = relations(robot, q, earth_mt)
+    related = relations(robot, q)
     cosines = related.cosines()
     d, cos_alpha, cos_beta, cos_theta = cosines[..., 1:].unflatten(-1, (-1, 4)).unbind(-1)
     columns = _moment_columns(terms, d, (cos_alpha, cos_beta, cos_theta)).reshape(-1, terms)

@@ -25,7 +25,7 @@ Given = Callable[[Tensor], Any] | str | Path
 class OwnModel:
     """Readings from the relations of all sensors, float64 to float64, by the networks of a user.
 
-    Made by :func:`own_model`.
+    Made by :meth:`OwnModel.of`.
 
     Parameters
     ----------

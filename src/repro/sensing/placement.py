@@ -72,7 +72,7 @@ class Tolerances:
 
 
 def parameter_names(robot: Robot, terms: int | torch.Size) -> tuple[str, ...]:
-    """Names of the parameters: magnets, then sensors, both from base to tip and counted from 1, then moments.
+    """Names of the parameters: magnets, then sensors, in the order of their mounts and counted from 1, then moments.
 
     Parameters
     ----------

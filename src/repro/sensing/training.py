@@ -14,11 +14,13 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from repro.errors import bad_input
+from repro import se3
+from repro.errors import bad_input, require
 from repro.sensing._paper_training import (
     BATCH,
     EPOCHS,
     SWA_START,
+    VALIDATION_SHARE,
     averaging_share,
     batches,
     begin_pass,
@@ -89,6 +91,14 @@ def train_paper(
         [unit of ``u`` ]; and the mean squared errors of every epoch on the training rows (with dropout, while the
         weights move) and on the validation rows (at its end).
 
+    Raises
+    ------
+    InputError
+        If relations and readings are not finite float32 numbers of as many rows, at least 4, or a batch would have
+        one row only; if the checkpoint is of another training, or of more epochs.
+    FloatingPointError
+        If the loss does not stay finite.
+
     Examples
     --------
     >>> from tempfile import mkdtemp
@@ -98,6 +108,7 @@ def train_paper(
     >>> losses.shape
     torch.Size([2, 2])
     """
+    _check_rows(xi, u)
     network, generator, train, validation = first_draws(
         len(xi), xi.shape[-1], seed, exponential_head=exponential_head
     )
@@ -111,6 +122,7 @@ def train_paper(
     run = content.hexdigest()
     curve = _resume(checkpoint, network, average, generator, run)
     start = len(curve)
+    require(start <= epochs, "epochs", "train_paper", f"at least {start}, which the checkpoint has", epochs)
     bar = tqdm(range(start, epochs), initial=start, total=epochs, disable=not progress, mininterval=5)
     for epoch in bar:
         if (share := averaging_share(epoch, swa_start)) is not None:
@@ -135,6 +147,24 @@ def train_paper(
     network.eval()
     metrics = {"rmse_train": rmse(network, x, y), "rmse_validation": rmse(network, x_val, y_val)}
     return network, metrics, curve
+
+
+def _check_rows(xi: Tensor, u: Tensor) -> None:
+    """Refuse rows that cannot be trained on."""
+    owner, dtype = "train_paper", torch.float32
+    if xi.ndim != 2 or u.shape != xi.shape[:1] or xi.dtype != dtype or u.dtype != dtype:
+        received = f"{xi.dtype} of shape {tuple(xi.shape)}, {u.dtype} of shape {tuple(u.shape)}"
+        raise bad_input("xi, u", owner, "float32 of shapes [rows, k] and [rows]", received)
+    se3.require_finite(xi, "xi", owner)
+    se3.require_finite(u, "u", owner)
+    rows = len(xi)
+    n_train = rows - int(VALIDATION_SHARE * rows)
+    # batch norm takes no single row; fewer than four leave none to validate
+    if rows < 4 or n_train % BATCH == 1:
+        expected = (
+            f"at least 4, of which those that train fill batches of {BATCH} with more than one left over"
+        )
+        raise bad_input("rows of xi", owner, expected, rows)
 
 
 def _epoch(network: nn.Module, optimiser: torch.optim.Optimizer, x: Tensor, y: Tensor) -> float:

@@ -58,8 +58,8 @@ def read_manifest(path: Path) -> dict[str, Any]:
         expected = f"weights with their manifest {beside.name} beside them"
         raise bad_input("path", "read_manifest", expected, f"{path} alone")
     try:
-        manifest = json.loads(beside.read_text())
-    except json.JSONDecodeError as error:
+        manifest = json.loads(beside.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:  # no text, no JSON, or nested without end
         raise bad_input("manifest", str(beside), "JSON", error) from error
     require(isinstance(manifest, dict), "manifest", str(beside), "a JSON object", manifest)
     return manifest

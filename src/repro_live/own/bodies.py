@@ -160,7 +160,7 @@ def configurations_of(
     def fitted(first: int, last: int) -> tuple[Tensor, Tensor] | None:
         try:
             return configurations(robot.robot, T[first:last], position_m=noise_m, rotation_rad=noise_rad)
-        except (InputError, RuntimeError):  # the latter from singular matrices
+        except InputError:
             return None
 
     # A few tell at once whether these are poses of the robot: in other axes most have a fit, a bad one.

@@ -155,7 +155,7 @@ def test_report_names_the_common_gain():
     assert len(report) == 1
     for name in ("sensor 1 gain", "sensor 2 gain", "sensor 3 gain", "moment A1"):
         assert name in report[0]
-    assert report[0].endswith("(uncertainty 1.00 of the tolerance)")
+    assert report[0].endswith("(uncertainty 1.00 of the prior)")
 
 
 def test_batch_is_its_members_and_the_same_bits_twice():

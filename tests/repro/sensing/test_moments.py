@@ -55,6 +55,13 @@ def test_earth_field_is_taken_off():
     torch.testing.assert_close(fit.moments, exact("released", 2), rtol=1e-8, atol=0)
 
 
+def test_no_earth_field_is_a_field_too():
+    robot, q = pcc_robot(1), poses(30)
+    u = readings(robot, q, ring("released"), route="multipole", l_max=3)
+    none, zero = (fit_moments(robot, q, u, terms=2, earth_mt=e) for e in (None, torch.zeros(3).double()))
+    torch.testing.assert_close(zero.moments, none.moments, rtol=1e-12, atol=0)
+
+
 def test_condition_grows_with_every_term():
     robot, q = pcc_robot(1), poses(40)
     u = readings(robot, q, ring("released"))
