@@ -266,6 +266,14 @@ def main() -> int:
         return 2
     except KeyboardInterrupt:
         return 130
+    except Exception as error:
+        from repro_live.record.recording_file import WriteFailed
+
+        if not isinstance(error, (OSError, WriteFailed)):
+            raise
+        what = f"{error.filename}: {error.strerror}" if getattr(error, "filename", None) else error
+        print(f"repro: A file cannot be read or written: {what}.", file=sys.stderr)
+        return 1
 
 
 if __name__ == "__main__":

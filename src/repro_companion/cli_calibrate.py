@@ -51,7 +51,8 @@ def calibrate(
         A CSV with a column per coordinate, such as delta_x_1_mm; for a recording also time_s, or start_s and end_s.
     output
         The calibration, JSON; must not exist yet. At a port the readings of every pose, or with --self of the motion,
-        are kept beside it as they come, and the same command goes on after an interruption.
+        are kept beside it as they come. With poses the same command goes on after an interruption; a motion that was
+        interrupted is kept, to be given in place of the port or moved away.
     by_motion
         Without measured poses, while the robot bends every way.
     calibration
@@ -73,6 +74,8 @@ def calibrate(
     from repro_live.robot.calibration_poses import read_poses
 
     require(not output.exists(), "output", "repro calibrate", "a file that does not exist yet", output)
+    place = next(folder for folder in output.absolute().parents if folder.exists())
+    require(place.is_dir(), "output", "repro calibrate", "in a folder", f"{output}: {place} is none")
     described = load_described(robot)
     described.sensing()  # refuses robots without magnetic sensors before anybody is asked for poses
     covariance = pose_covariance(described, pose_noise_mm * 1e-3, pose_noise_deg * math.pi / 180)
@@ -80,6 +83,8 @@ def calibrate(
         from repro_live.own.motion import Beginning, at_elongation
 
         require(poses is None, "poses", "repro calibrate --self", "left out", poses)
+        expected = "a name such as today.json: the motion is recorded to the same with .rec"
+        require(output.suffix != ".rec", "output", "repro calibrate --self", expected, output)
         asked = "bend every segment every way, and stretch it"
         begins = None
         if elongation_mm is not None:

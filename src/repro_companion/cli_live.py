@@ -239,6 +239,7 @@ def emulate(
     from repro_live.emulate.links import HAS_PTY, PtyLink, SocketLink
 
     require(fault_from >= 0, "fault_from", "repro emulate", "0 or more [s]", fault_from)
+    require(seed >= 0, "seed", "repro emulate", "0 or more", seed)
     if not source and robot is None:
         expected = f"one of {', '.join(SOURCES)}, or a recording; or --robot ROBOT.toml"
         raise bad_input("source", "repro emulate", expected, "none")

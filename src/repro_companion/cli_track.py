@@ -12,7 +12,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro_companion.book.project import shown
 from repro_companion.cli_terminal import load_described
 
@@ -132,6 +132,8 @@ def smooth(
     from repro_live.robot.readings_file import read_readings
 
     described = load_described(robot, calibration, to=sys.stderr)
+    expected = "one with magnetic sensors (repro track takes IMUs)"
+    require(described.channel, "robot", "repro smooth", expected, described.name)
     method = robot_estimator(described, "kalman", failed=failed or [])
     readings = read_readings(file, described)
     table = EstimateFile(output, method)

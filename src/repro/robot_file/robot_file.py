@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from repro.errors import bad_input
+from repro.errors import bad_input, require
 from repro.kinematics.robot import Robot
 from repro.robot_file._reading_errors import CalibrationError, are_scripts, network_of_sensor
 from repro.robot_file.calibration_file import RobotCalibration
@@ -206,6 +206,10 @@ class RobotFile:
             expected = "a robot with magnetic sensors"
             raise bad_input("robot", self.name, expected, f"one with {len(self.imus)} IMUs")
         columns = channel_columns("the table", list(table), self.unit, self.name, self.channels, self.channel)
+        for name in (columns[k] for k in self.channel):
+            # pandas calls the second column of a name "u1.1"
+            once = list(table).count(name) == 1 and f"{name}.1" not in list(table)
+            require(once, f"column {name}", "the table", "there once", "two of them")
         return torch.stack(
             [_numbers(table, columns[k]) - self.offset[sensor] for sensor, k in enumerate(self.channel)], -1
         )
@@ -262,6 +266,8 @@ def _numbers(table: Any, column: str | None) -> Float[Tensor, " t"]:
         If one is not a number; NaN, where a reading is missing, is one.
     """
     values = table[column].to_numpy()
+    if values.dtype.kind in "cMm":  # complex numbers, dates and spans of time would be taken for numbers
+        raise bad_input(f"column {column}", "the table", "numbers", values.dtype)
     try:
         return torch.from_numpy(np.array(values, dtype=float))
     except (TypeError, ValueError) as error:

@@ -50,7 +50,8 @@ class PtyLink:
             self._folder = Path(tempfile.mkdtemp(prefix="repro-"))
         self._path = (port_file or Path(f"{self._folder}/port")).absolute()
         self.address = str(self._path)
-        if not self._path.is_symlink() and self._path.exists():
+        of_a_port = self._path.is_symlink() and os.readlink(self._path).startswith("/dev/")
+        if self._path.exists() and not of_a_port:
             raise bad_input("port_file", "PtyLink", "a new name, or that of an earlier port", port_file)
         self._master: int | None = None
         self._name = ""

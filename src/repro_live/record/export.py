@@ -80,7 +80,9 @@ def export(
         )
     if path.exists():
         raise bad_input("output", "export", "a new file (give another name, or move the old one)", path)
-    named = path.suffix.removeprefix(".")
+    named = path.suffix.removeprefix(".").lower()
+    if not to and not schema and named not in ("", "txt", "bag", *FORMS):
+        raise bad_input("output", "export", f"named .{', .'.join(FORMS)}, or with --to", path)
     form = to or (named if named in FORMS and not schema else "csv")
     require(form in FORMS, "to", "export", f"one of {', '.join(FORMS)}", form)
     require(not (schema and to), "to", "export", f"left out with --as {schema}", to)

@@ -121,7 +121,7 @@ def _health(recording: Recording) -> Iterator[Message]:
 def _estimates(recording: Recording, path: Path) -> Iterator[Message]:
     rows = read_rows(path)
     head = rows[0][1] if rows else []
-    if "time_s" not in head or len(rows) < 2:
+    if not {"time_s", "tip_x_mm"} <= set(head) or len(rows) < 2:
         raise bad_input("estimates", path.name, "a table of repro track, smooth or live", ", ".join(head))
     last_s = float(recording.time_s.max())
     spare_s = _LATE_S + _LATE_SHARE * last_s

@@ -8,6 +8,7 @@ have the form of the others is left out, counted and said.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,6 +89,9 @@ def import_text(
     width = len(read.names)
     parser(format, width)  # refuses an unknown format, and one of another number of values
     require(not (several and format not in ("frames", "quaternions")), "format", path.name, "frames", format)
+    numbers = [int(found[1]) for name in read.names if (found := re.match(r"\D*(\d+)", name))]
+    if len(numbers) == width and numbers != sorted(numbers):
+        raise bad_input("columns", path.name, "in the order of their numbers", ", ".join(read.names))
     names = [name if said else f"{name}_{unit}" * bool(unit) or name for name, said in _both(read)]
     notes = []
     if format != "csv" and names != (own := channel_names(format, width)):
@@ -98,7 +102,11 @@ def import_text(
     if first_s:
         notes.append(f"times are counted from the first one, {first_s:.6f} s")
     head: dict[str, Any] = {"format": format, "channels": names, "start_host_ns": 0, "source": path.name}
-    head |= {"units": [said or unit for said in read.units]} if format == "csv" else {}
+    head |= (
+        {"units": [said or unit for said in read.units]}
+        if format in ("csv", "frames") and not several
+        else {}
+    )
     head |= {} if read.start_unix_s is None else {"start_unix_s": read.start_unix_s}
     arrivals_ns = np.round((time_s - first_s) * 1e9).astype(np.int64).tolist()
     with whole_file(output) as temporary, RecordingFile(temporary, head) as file:

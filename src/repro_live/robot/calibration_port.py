@@ -149,7 +149,7 @@ def port_frames(
                     parse.reopened()
                     say(f"{port} is back.")
                     continue
-                yield from (x for x in arrived if not robot.imus or x.stream == MAGNETIC_STREAM)
+                yield from (x for x in arrived if x.stream == MAGNETIC_STREAM)
                 yield None
         finally:
             board.close()

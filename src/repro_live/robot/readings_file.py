@@ -47,7 +47,7 @@ def frames_of(recording: Recording, robot: RobotFile) -> tuple[Bool[np.ndarray, 
     if recording.format != robot.format:
         raise bad_input("recording", robot.name, f"of the format {robot.format}", recording.format)
     units = recording.metadata.get("units")
-    if recording.format == "csv" and isinstance(units, list) and len(units) == len(recording.channels):
+    if isinstance(units, list) and len(units) == len(recording.channels):
         check_units(recording.channels, units, robot.unit if robot.channel else None)
     widths, streams = stream_widths(robot), recording.stream
     fits, notes = np.zeros(len(streams), dtype=bool), [f"Recording: {text}." for text in recording.remarks]
