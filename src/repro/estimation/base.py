@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from tqdm import tqdm
 
-from repro.errors import bad_input, require
+from repro.errors import bad_input
 
 _S = TypeVar("_S")
 
@@ -160,7 +160,8 @@ def track(
     """
     if not len(readings):
         raise bad_input("readings", "track", "at least one time step", f"shape {tuple(readings.shape)}")
-    require(rate_hz > 0, "rate_hz", "track", "positive", rate_hz)
+    if not rate_hz > 0:
+        raise bad_input("rate_hz", "track", "positive", rate_hz)
     for name, rows in (("mask", mask), ("known", known)):
         if rows is not None and len(rows) != len(readings):
             raise bad_input(name, "track", f"one row for each of {len(readings)} time steps", len(rows))
