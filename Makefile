@@ -42,7 +42,7 @@ help:
 	@echo 'make size        count statements, public names and long modules'
 	@echo 'make train       train the networks of the paper that data/networks/ does not have yet (hours, resumable)'
 	@echo 'make studies     compute the tables in data/studies/ that are missing (minutes each, resumable)'
-	@echo 'make bench       measure what costs how much: results/bench.csv, data/benchmark*.csv'
+	@echo 'make bench       measure what costs how much: results/bench*.csv, data/benchmark*.csv'
 	@echo 'make diff RUN=…  show a run of your own (runs/NAME-…) beside the results of the book'
 	@echo 'make soak        ten million frames through a faulty port, a hundred killed recorders, ten minutes live (half an hour)'
 	@echo 'make fuzz        a million inputs made to break the parsers (minutes)'

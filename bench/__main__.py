@@ -1,9 +1,10 @@
-"""Measure what costs how much on this computer: results/bench.csv, and all rows in data/benchmark*.csv (minutes).
+"""Measure what costs how much on this computer: results/bench*.csv, and all rows in data/benchmark*.csv (minutes).
 
 A target that is missed is a result like any other: the exit status is 0.
 """
 
 from bench.capabilities import benchmark
+from bench.recorder import recorder_table
 from repro.files import write_whole
 from repro_companion.book.project import find_project, shown
 from repro_companion.pages.performance.tables import with_targets
@@ -13,8 +14,10 @@ def main() -> int:
     """Measure, write and print."""
     project = find_project()
     table, points = benchmark(project.data / "networks")
+    recorder = recorder_table()
     for path, part in (
         (project.results / "bench.csv", with_targets(table)),
+        (project.results / "bench_recorder.csv", recorder),
         (project.data / "benchmark.csv", table),
         (project.data / "benchmark_scaling.csv", points),
     ):
@@ -22,6 +25,7 @@ def main() -> int:
         write_whole(path, part.to_csv(index=False, float_format="%.4g", lineterminator="\n"))
         print(shown(path))
     print(with_targets(table).drop(columns=["error", "note"]).to_string(index=False))
+    print(recorder.drop(columns="note").to_string(index=False))
     return 0
 
 

@@ -7,7 +7,6 @@ import re
 import shutil
 import struct
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -487,27 +486,6 @@ def test_garbage_shows_at_once():
     assert counters.frames == 0
     assert counters.discarded_bytes > 1000
     assert counters.checksum_errors + counters.first_partial + counters.oversized > 3
-
-
-SPEED = """
-import time
-from repro_live.wire.binary import BinaryParser, encode_frame
-from repro_live.wire.frame import Frame
-data = b"".join(encode_frame(Frame(0, i, 1000 * i, (i + 0.25, i + 0.5, i + 0.75))) for i in range(50_000))
-best = 0.0
-for _ in range(5):
-    reader, start = BinaryParser(), time.process_time()
-    count = sum(len(reader.feed(data[at : at + 4096])) for at in range(0, len(data), 4096))
-    best = max(best, count / (time.process_time() - start))
-assert count == 50_000
-print(best)
-"""
-
-
-def test_a_core_parses_200000_frames_per_second():
-    """In a process of its own: here types are checked at every call. Best of five, in time of the processor."""
-    result = subprocess.run([sys.executable, "-c", SPEED], capture_output=True, text=True, check=True)
-    assert float(result.stdout) >= 200_000
 
 
 # ---- the encoder in C ----

@@ -1,6 +1,5 @@
 """Shapes between IMUs: closed forms, laws, the printed equations, and orders of convergence on smooth curves."""
 
-import time
 import tracemalloc
 from dataclasses import replace
 
@@ -307,15 +306,10 @@ def test_sub_segments_tend_to_the_arcs_at_second_order():
 
 
 @pytest.mark.parametrize("model", BETWEEN)
-def test_eight_thousand_samples_in_little_time_and_memory(model):
+def test_eight_thousand_samples_in_little_memory(model):
     q, arm = mild_orientations(8, 8000, 9), selection("pcc", 8)
     plain = getattr(model, "__wrapped__", model)  # without the checks of annotations
-    seconds = []
-    for _ in range(3):
-        start = time.process_time()
-        plain(q, arm, arm.markers)
-        seconds.append(time.process_time() - start)
-    assert min(seconds) < 0.2  # 0.01 to 0.04 s when written
+    plain(q, arm, arm.markers)  # what is kept from a first call is not its memory
     tracemalloc.start()
     plain(q, arm, arm.markers)
     peak = tracemalloc.get_traced_memory()[1]

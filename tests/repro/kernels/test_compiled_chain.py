@@ -1,7 +1,5 @@
 """The compiled chain against the vectorised one, the straight pose included."""
 
-import time
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,7 +7,6 @@ from scipy.spatial.transform import Rotation
 from repro.errors import InputError
 from repro.estimation.imu_models import pcc_extended
 from repro.estimation.imu_selection import Selection
-from repro.estimation.orientations import exponential
 from repro.kernels import _chain as compiled_chain
 from repro_companion.recordings.martin2022_models import MARKERS, selection
 
@@ -94,20 +91,3 @@ def test_other_bad_input():
         compiled_chain.pcc_extended(walk(0.2), arm(2), [0.7])
     with pytest.raises(InputError, match="must be one with links between IMUs"):
         compiled_chain.pcc_extended(walk(0.2)[:, :8], selection("rigid", 8), MARKERS)
-
-
-def test_several_times_as_fast_and_linear():
-    turns = 0.2 * np.random.default_rng(0).standard_normal((16_000, 9, 3))
-    q = exponential(np.cumsum(turns, axis=1))
-
-    def seconds(samples, chain):
-        found = []
-        for _ in range(5):
-            start = time.process_time()
-            chain(q[:samples], arm(2), MARKERS)
-            found.append(time.process_time() - start)
-        return min(found)
-
-    seconds(100, compiled_chain.pcc_extended)
-    assert seconds(8000, pcc_extended) > 3 * seconds(8000, compiled_chain.pcc_extended)
-    assert seconds(16_000, compiled_chain.pcc_extended) < 8**1.3 * seconds(2000, compiled_chain.pcc_extended)

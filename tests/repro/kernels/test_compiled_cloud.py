@@ -1,14 +1,12 @@
 """The particle filter compiled: the same draws give the same particles as in torch, and readings the same cloud."""
 
 import math
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from bench.scaling import follow_flower
 from repro.errors import InputError
 from repro.estimation.base import Estimator, track
 from repro.estimation.particle_filter import ParticleFilter
@@ -151,17 +149,3 @@ def test_far_readings_do_not_underflow():
 def test_supported_models(options, message):
     with pytest.raises(InputError, match=message):
         bend_filter(sensing=FAST, **options)
-
-
-def test_linear_in_particles():
-    def seconds(particles):
-        work = follow_flower(FAST, 10, particles=particles)
-        found = []
-        for _ in range(5):
-            start = time.process_time()
-            assert work() == 10
-            found.append(time.process_time() - start)
-        return min(found)
-
-    seconds(100)
-    assert seconds(64_000) < 8**1.3 * seconds(8000)

@@ -1,7 +1,6 @@
 """Sensor failure: what masks do and do not change, what the covariance says, and how the errors are taken."""
 
 import math
-import time
 from pathlib import Path
 
 import pandas as pd
@@ -231,12 +230,6 @@ def test_stills_hold_both_shapes(descent):
     tip = shapes[(shapes["time_s"] == 5.0) & ~shapes["estimated"]].iloc[-1]
     expected = 1e3 * experiment.ROW.robot().tip(descent.q[10])[:3, 3]
     assert [tip["x_mm"], tip["y_mm"], tip["z_mm"]] == pytest.approx(expected.tolist())
-
-
-def test_time():
-    began = time.process_time()
-    experiment.calibrated_method(Failure(), draws=2, steps=100)
-    assert time.process_time() - began < 10
 
 
 @pytest.mark.parametrize(

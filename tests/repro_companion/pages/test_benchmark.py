@@ -15,6 +15,7 @@ from bench.capabilities import (
     imu_orientations,
     particle_rows,
 )
+from bench.recorder import COMMANDS, decoded, parser_row, start_rows
 from bench.references import (
     chain_by_equations,
     chain_vectorised,
@@ -49,6 +50,8 @@ from repro_companion.pages.performance.tables import (
 )
 from repro_companion.recordings.martin2022_models import selection
 from repro_companion.twins.bend_curves import bend_curve, bend_readings
+from repro_live.wire.binary import BinaryParser, encode_frame
+from repro_live.wire.frame import Frame
 
 DATA = Path(__file__).parents[3] / "data"
 FIELD = MultipoleField.of(ring("released"))
@@ -192,13 +195,29 @@ def test_command_writes_all_tables_and_succeeds_when_a_target_is_missed(tmp_path
     monkeypatch.chdir(tmp_path)
     points = pd.DataFrame({"capability": ["c"], "against": ["samples"], "size": [1], "seconds": [0.1]})
     monkeypatch.setattr(bench_command, "benchmark", lambda networks: (a_table(), points))
+    monkeypatch.setattr(bench_command, "recorder_table", lambda: pd.DataFrame([parser_row(100)]))
     assert bench_command.main() == 0
     lines = pd.read_csv(tmp_path / "results" / "bench.csv")
     assert list(lines) == list(COLUMNS)
     assert lines["met"].tolist() == [True, False]
     assert len(pd.read_csv(tmp_path / "data" / "benchmark.csv")) == 4
     assert len(pd.read_csv(tmp_path / "data" / "benchmark_scaling.csv")) == 1
-    assert "training set" in capsys.readouterr().out
+    assert len(pd.read_csv(tmp_path / "results" / "bench_recorder.csv")) == 1
+    assert "training set" in (said := capsys.readouterr().out)
+    assert "frames per CPU second" in said
+
+
+def test_a_parser_and_its_reference_read_the_same():
+    frames = [Frame(0, k, 1000 * k, (k + 0.25, -k / 8, 3.0)) for k in range(300)]
+    data = b"".join(map(encode_frame, frames))
+    found = [(frame.sequence, frame.device_us, *frame.values) for frame in BinaryParser().feed(data)]
+    assert decoded(data) == found == [(f.sequence, f.device_us, *f.values) for f in frames]
+
+
+def test_commands_of_the_recorder_are_measured():
+    rows = list(start_rows(repeats=1))
+    assert [row["what"] for row in rows] == [f"repro {command}" for command in COMMANDS]
+    assert all(row["ratio"] > 0 and row["memory_mb"] > 10 for row in rows)
 
 
 def test_committed_table():
