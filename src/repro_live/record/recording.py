@@ -134,7 +134,7 @@ class Recording:
             yield host_ns, Frame(stream, sequence, device_us, tuple(row[:width].tolist()))
 
 
-def read_recording(path: Path) -> Recording:
+def read_recording(path: Path | str) -> Recording:
     """Read a recording, finished or not, whole or damaged: a damaged block costs what it held.
 
     Where the first block is damaged, the file beside the recording says what it said; without that file, format and
@@ -147,6 +147,7 @@ def read_recording(path: Path) -> Recording:
     InputError
         If it has no whole block of a recording.
     """
+    path = Path(path)
     data = path.read_bytes()
     blocks = list(_blocks(data))
     if not blocks:
