@@ -17,7 +17,7 @@ from cobs import cobs
 
 from repro_companion.pages.performance.rows import rate
 from repro_live.record.recording_file import RecordingFile
-from repro_live.wire.binary import BinaryParser, encode_frame
+from repro_live.wire.binary import RESIDUE, BinaryParser, encode_frame
 from repro_live.wire.frame import Frame
 
 USED = """
@@ -29,13 +29,15 @@ sys.exit(done.returncode)
 """
 """A small process that starts a command: the memory of a process that starts one counts as its own until then."""
 NUMPY = [sys.executable, "-c", "import numpy"]
-"""The reference: a rate depends on the computer, and on how long its disk takes for a module, as this does."""
+"""The reference: a start depends on the computer, and on how long its disk takes for a module, as this does."""
 REPRO = [sys.executable, "-m", "repro_companion.cli"]
 COMMANDS = (
     "--help",
     "record --help",
-    "record --list",
+    "export --help",
+    "import --help",
     "emulate --help",
+    "record --list",
     "export a.rec -o b.csv",
     "export a.rec -o b.mcap",
     "import a.csv -o b.rec",
@@ -57,14 +59,18 @@ def used(folder: Path, *command: str) -> tuple[float, float]:
     return seconds, megabytes
 
 
+def write_recording(path: Path) -> None:
+    """Write a recording of a thousand frames, which the commands read."""
+    with RecordingFile(path, {"format": "frames", "start_unix_s": 0.0, "start_host_ns": 0}) as file:
+        for k in range(1000):
+            file.append(k * 10**7, [Frame(0, k, 1000 * k, (1.5, -2.5, 3.5))])
+
+
 def start_rows(repeats: int = 5) -> Iterator[dict[str, Any]]:
     """Commands of the recorder, each alternated with the import of NumPy: medians."""
     with TemporaryDirectory() as name:
         folder = Path(name)
-        metadata = {"format": "frames", "start_unix_s": 0.0, "start_host_ns": 0}
-        with RecordingFile(folder / "a.rec", metadata) as file:
-            for k in range(1000):
-                file.append(k * 10**7, [Frame(0, k, 1000 * k, (1.5, -2.5, 3.5))])
+        write_recording(folder / "a.rec")
         used(folder, *REPRO, "export", "a.rec", "-o", "a.csv")
         for command in COMMANDS:
             pairs = []
@@ -106,11 +112,7 @@ def parser_row(frames: int = 50_000) -> dict[str, Any]:
 def decoded(data: bytes) -> list[tuple[float, ...]]:
     """Values of frames of three ``float32`` that follow each other without a fault."""
     bodies = [cobs.decode(packet) for packet in data.split(b"\0") if packet]
-    return [struct.unpack("<4xII3f", body[:-4]) for body in bodies if _checked(body)]
-
-
-def _checked(body: bytes) -> bool:
-    return crc32(body[:-4]) == int.from_bytes(body[-4:], "little")
+    return [struct.unpack("<4xII3f4x", body) for body in bodies if crc32(body) == RESIDUE]
 
 
 def recorder_table() -> pd.DataFrame:

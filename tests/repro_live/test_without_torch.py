@@ -18,8 +18,7 @@ import pandas as pd
 import pytest
 from mcap.reader import make_reader
 
-from repro_live.record.recording_file import RecordingFile
-from repro_live.wire.frame import Frame
+from bench.recorder import COMMANDS, USED, write_recording
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
 ROOT = Path(__file__).parents[2]
@@ -39,14 +38,6 @@ from repro_companion.cli import main
 sys.exit(main())
 """
 
-USED = """
-import resource, subprocess, sys
-done = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL)
-used = resource.getrusage(resource.RUSAGE_CHILDREN)
-print(used.ru_maxrss)
-sys.exit(done.returncode)
-"""
-"""A small process that starts a command: the memory of a process that starts one counts as its own until then."""
 MODULES, MODULES_WITH_NUMPY = 300, 480
 """Most modules of a command that explains itself, and of one that reads a recording: 256 and 431 when written."""
 
@@ -128,23 +119,16 @@ def test_starts_with_few_modules_and_80_mb(program, tmp_path):
 
     A time would be that of the computer; `make bench` has it, beside that of a known start.
     """
-    with RecordingFile(
-        tmp_path / "a.rec", {"format": "frames", "start_unix_s": 0.0, "start_host_ns": 0}
-    ) as file:
-        for k in range(1000):
-            file.append(k * 10**7, [Frame(0, k, 1000 * k, (1.5, -2.5, 3.5))])
-    commands = [[name, "--help"] for name in ("record", "export", "import", "emulate")]
+    write_recording(tmp_path / "a.rec")
     assert called(program, tmp_path, "export", "a.rec", "-o", "a.csv")[0] == 0
-    commands += [["export", "a.rec", "-o", "b.csv"], ["export", "a.rec", "-o", "b.mcap"]]
-    commands += [["import", "a.csv", "-o", "b.rec"], ["record", "--list"]]
-    for command in commands:
+    for command in COMMANDS:
         for written in tmp_path.glob("b.*"):
             written.unlink()
         counted = ["env", "PYTHONPROFILEIMPORTTIME=1", *program]
-        code, out, err = called([sys.executable, "-c", USED, *counted], tmp_path, *command)
+        code, out, err = called([sys.executable, "-c", USED, *counted], tmp_path, *command.split())
         assert code == 0, err
-        megabytes, modules = float(out) / 1024, err.count("import time:")
-        print(f"{' '.join(command):24} {modules} modules {megabytes:.0f} MB")
+        megabytes, modules = float(out.split()[1]), err.count("import time:")
+        print(f"{command:24} {modules} modules {megabytes:.0f} MB")
         assert modules <= (MODULES if "--help" in command else MODULES_WITH_NUMPY), command
         assert megabytes <= 80, command
 
