@@ -38,9 +38,6 @@ from repro_companion.recordings.sources import data_dir
 if TYPE_CHECKING:
     from nbformat import NotebookNode
 
-# The kernel calls its own orderly end an error; what a cell raises is reported in any case.
-_QUIET_KERNEL = ("--IPKernelApp.log_level=50",)
-
 
 class NotebookFailed(Exception):
     """A notebook stopped before its end. The message names the failing cell and the partial notebook."""
@@ -160,7 +157,9 @@ def run_notebook(
                     kernel_name="python3",
                     language="python",
                     progress_bar=progress,
-                    extra_arguments=list(_QUIET_KERNEL),
+                    # All is written by then, and a kernel that ends itself closes sockets its threads still use:
+                    # now and then it prints the errors of that.
+                    shutdown_kernel="immediate",
                     config=Config(KernelManager={"transport": "ipc", "ip": f"{sockets}/kernel"}),
                 )
             except BaseException as error:
