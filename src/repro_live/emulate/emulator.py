@@ -68,6 +68,7 @@ class Emulator:
         self._zero = math.nan  # when the board was switched on, by the monotonic clock [s]
         self._stopped = threading.Event()
         self._ready = threading.Event()
+        self._ended = threading.Event()
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
         self.finished = threading.Event()
@@ -81,8 +82,9 @@ class Emulator:
         """Wait until it has ended; within the ``with`` statement.
 
         In short sleeps: an interruption may come at any time, and in the wait for a lock it may leave that locked.
+        Interrupted in ``is_alive``, Python 3.11 takes a thread that runs for one that has ended.
         """
-        while self._thread.is_alive():
+        while not self._ended.is_set():
             time.sleep(_POLL_S)
 
     def _run(self) -> None:
@@ -102,6 +104,7 @@ class Emulator:
             link.remove()
             self.finished.set()
             self._ready.set()
+            self._ended.set()
 
     def stop(self) -> None:
         """Let it end, soon."""
