@@ -27,7 +27,7 @@ def checked_once(fn: Any = None, *, typechecker: Any) -> Any:
     """Check what a call takes and gives in one pass, with one size for each letter.
 
     jaxtyping's own decorator, whose place this takes, checks twice what a call takes and binds its signature first:
-    with it, tests took twice as long.
+    the fit of a recording takes 7 s unchecked, 9 s with this, and took 16 s.
     """
     if fn is None:
         return functools.partial(checked_once, typechecker=typechecker)
