@@ -55,17 +55,17 @@ help:
 	@echo 'Variables: PYTHON=$(PYTHON)  JOBS=$(JOBS)  TORCH_FLAGS=$(TORCH_FLAGS)  (see README.md)'
 
 book: .env-book
-	@$(PY) -m repro_companion.book.after.build
+	@$(PY) -m edition1_companion.book.after.build
 	@echo 'The site: book/_build/html/index.html'
 
 pdf: env
-	@chromium=$$($(PY) tests/chromium.py) && $(PY) -m repro_companion.book.after.pdf "$$chromium"
+	@chromium=$$($(PY) tests/chromium.py) && $(PY) -m edition1_companion.book.after.pdf "$$chromium"
 
 # Modules stay whole: what a module prepares is prepared once. Those that mostly wait, for ports and clocks, come first,
 # and one process more than there are cores uses what their waiting leaves.
 test: env
 	$(PY) -m pytest -n $$(($(JOBS) + 1)) --dist loadscope --no-loadscope-reorder --ignore-glob='tests/book/test_site*.py' \
-	  tests/repro_live/test_own_robot_page.py tests/repro_live tests src
+	  tests/edition1/live/test_own_robot_page.py tests/edition1_live tests src
 
 # A list that anybody may add to: bench/mutants/mutants.toml
 mutants: env
@@ -88,10 +88,10 @@ reproduce: OTHER = $(if $(OTHER_MACHINE),--other-machine)
 reproduce: env
 	@test -z '$(OTHER_MACHINE)' || test -n '$(AGAINST)$(STUDIES)' || { \
 	  echo 'OTHER_MACHINE is for tables of another computer: give AGAINST=FOLDER or STUDIES=1 with it.' >&2; exit 2; }
-	@$(PY) -m repro_companion.book.after.rebuild $(AGAINST) $(if $(AGAINST),$(OTHER))
+	@$(PY) -m edition1_companion.book.after.rebuild $(AGAINST) $(if $(AGAINST),$(OTHER))
 ifdef STUDIES
 	$(BIN)/repro studies --folder .cache/studies
-	@$(PY) -m repro_companion.book.after.rebuild data/studies .cache/studies $(OTHER)
+	@$(PY) -m edition1_companion.book.after.rebuild data/studies .cache/studies $(OTHER)
 	@rm -rf .cache/studies
 endif
 
@@ -108,9 +108,9 @@ bench: env
 	$(PY) -m bench
 
 soak: env
-	$(PY) -m soak.parsers 10000000
-	$(PY) -m soak.kills 100
-	$(PY) -m soak.live 10 1000
+	$(PY) -m bench.soak.parsers 10000000
+	$(PY) -m bench.soak.kills 100
+	$(PY) -m bench.soak.live 10 1000
 
 diff: env
 	@test -n '$(RUN)' || { echo 'Name the run: make diff RUN=runs/NAME-12345678' >&2; exit 2; }
@@ -120,16 +120,16 @@ diff: env
 fuzz: env
 	@mkdir -p .cache
 	@$(PY) -m pip install --quiet --no-deps --require-hashes --upgrade --target .cache/fuzz -r requirements-fuzz.lock
-	PYTHONPATH=.cache/fuzz $(PY) tests/repro_live/fuzz_parsers.py -runs=1000000 -verbosity=1 -print_final_stats=1 \
+	PYTHONPATH=.cache/fuzz $(PY) tests/edition1/live/fuzz_parsers.py -runs=1000000 -verbosity=1 -print_final_stats=1 \
 	  -artifact_prefix=.cache/fuzz-
 
 firmware: env
-	@$(PY) tests/firmware/tools.py
-	$(PY) -m pytest -q -n $(JOBS) tests/firmware
+	@$(PY) tests/edition1/firmware/tools.py
+	$(PY) -m pytest -q -n $(JOBS) tests/edition1/firmware
 
 vendor: env
 	$(PY) book/_ext/formula_font.py .cache/font
-	node src/repro_live/view/viewer/bundle.mjs .cache/viewer
+	node src/edition1/edition1_live/view/viewer/bundle.mjs .cache/viewer
 
 # ---------------------------------------------------------------------------------------------------------------------
 # The environment. $(STAMP) holds the content it was made from, so that neither a checkout's new modification times nor

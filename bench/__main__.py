@@ -3,11 +3,12 @@
 A target that is missed is a result like any other: the exit status is 0.
 """
 
+from edition1.files import write_whole
+from edition1_companion.book.project import find_project, shown
+from edition1_companion.pages.performance.tables import with_targets
+
 from bench.capabilities import benchmark
 from bench.recorder import recorder_table
-from repro.files import write_whole
-from repro_companion.book.project import find_project, shown
-from repro_companion.pages.performance.tables import with_targets
 
 
 def main() -> int:

@@ -14,6 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from edition1.kernels import _bend_series as compiled_bend_series
+from edition1.kernels import _descent as compiled_descent
+from edition1.kernels import _least_squares as compiled_least_squares
+from edition1.kinematics.bend import MAX_BEND
+from edition1.sensing.magnetic import MagneticSensing
+from edition1_companion.pages.performance.rows import ARITHMETIC, rate, row
+from edition1_companion.twins.bend_curves import LENGTH_M, bend_curve
 
 from bench import compiled_arithmetic as one_operation
 from bench import compiled_training_set
@@ -27,13 +34,6 @@ from bench.trackers import (
     multipole,
     network_of_the_paper,
 )
-from repro.kernels import _bend_series as compiled_bend_series
-from repro.kernels import _descent as compiled_descent
-from repro.kernels import _least_squares as compiled_least_squares
-from repro.kinematics.bend import MAX_BEND
-from repro.sensing.magnetic import MagneticSensing
-from repro_companion.pages.performance.rows import ARITHMETIC, rate, row
-from repro_companion.twins.bend_curves import LENGTH_M, bend_curve
 
 _SINGLE, _DOUBLE, _SCALAR = "single", "double", "scalar"
 

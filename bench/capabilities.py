@@ -13,6 +13,32 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
+from edition1.estimation.imu_models import pcc_extended
+from edition1.estimation.orientations import exponential
+from edition1.kernels import _chain as compiled_chain
+from edition1.kernels import compiled
+from edition1.kernels._bend import CompiledBendSensor
+from edition1.kernels._bend_series import BendSeries
+from edition1.kernels._sensing import CompiledSensing
+from edition1.kinematics.bend import MAX_BEND
+from edition1.kinematics.paper_robots import pcc_robot
+from edition1.sensing.bend_sensor import BendSensor
+from edition1.sensing.magnetic import MagneticSensing, readings
+from edition1.sensing.magnets import B444B, ring
+from edition1_companion.pages.imu_markers.scorecard import CAPABILITY as CHAIN
+from edition1_companion.pages.performance.rows import (
+    COLUMNS,
+    RELEASED_FILTER,
+    RELEASED_GENERATOR,
+    Goal,
+    rate,
+    row,
+)
+from edition1_companion.pages.probabilistic_curvature.scorecard import CAPABILITY as PARTICLES
+from edition1_companion.recordings.martin2022_models import MARKERS, selection
+from edition1_companion.twins.bend_curves import LENGTH_M, bend_curve, bend_readings
+from edition1_companion.twins.table_1_method import sensor_models
+from edition1_companion.twins.training_set import training_set
 
 from bench.arithmetic import arithmetic_rows
 from bench.compiled_training_set import training_rows
@@ -24,32 +50,6 @@ from bench.references import (
 )
 from bench.scaling import exponent_rows, follow_flower, scaling
 from bench.trackers import multipole, tracker_rows
-from repro.estimation.imu_models import pcc_extended
-from repro.estimation.orientations import exponential
-from repro.kernels import _chain as compiled_chain
-from repro.kernels import compiled
-from repro.kernels._bend import CompiledBendSensor
-from repro.kernels._bend_series import BendSeries
-from repro.kernels._sensing import CompiledSensing
-from repro.kinematics.bend import MAX_BEND
-from repro.kinematics.paper_robots import pcc_robot
-from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.magnetic import MagneticSensing, readings
-from repro.sensing.magnets import B444B, ring
-from repro_companion.pages.imu_markers.scorecard import CAPABILITY as CHAIN
-from repro_companion.pages.performance.rows import (
-    COLUMNS,
-    RELEASED_FILTER,
-    RELEASED_GENERATOR,
-    Goal,
-    rate,
-    row,
-)
-from repro_companion.pages.probabilistic_curvature.scorecard import CAPABILITY as PARTICLES
-from repro_companion.recordings.martin2022_models import MARKERS, selection
-from repro_companion.twins.bend_curves import LENGTH_M, bend_curve, bend_readings
-from repro_companion.twins.table_1_method import sensor_models
-from repro_companion.twins.training_set import training_set
 
 FIELD_ERROR_MT = 1e-4
 """Largest error of the field that the particle filter may make in order to meet its target [mT]."""
@@ -71,7 +71,7 @@ def benchmark(networks: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
     -------
     DataFrame, DataFrame
         A line for every ratio, exponent and arithmetic limit, with the columns of
-        :data:`~repro_companion.pages.performance.rows.COLUMNS`; and the points of the scaling curves.
+        :data:`~edition1_companion.pages.performance.rows.COLUMNS`; and the points of the scaling curves.
     """
     torch.set_num_threads(1)
     ((model, inputs),) = sensor_models(["fast network"], 3, (0,), networks, "released").values()

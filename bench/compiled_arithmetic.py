@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from repro.kernels.compilation import machine_code
+from edition1.kernels.compilation import machine_code
 
 CHAINS = 8
 """Sums that ``multiply_add`` keeps at once: enough for a processor to start two every cycle."""

@@ -7,18 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from edition1.errors import bad_input
+from edition1.kernels._motion import chain, move, scratch
+from edition1.kernels._multipole import multipole
+from edition1.kernels._relations import pairs, relate
+from edition1.kernels.compilation import machine_code
+from edition1.kinematics.paper_robots import pcc_robot
+from edition1.sensing.magnetic import EARTH_MT
+from edition1.sensing.magnets import Ring, ring
+from edition1_companion.twins.training_set import ELONGATION_M, draw
 from jaxtyping import Float
 from torch import Tensor
-
-from repro.errors import bad_input
-from repro.kernels._motion import chain, move, scratch
-from repro.kernels._multipole import multipole
-from repro.kernels._relations import pairs, relate
-from repro.kernels.compilation import machine_code
-from repro.kinematics.paper_robots import pcc_robot
-from repro.sensing.magnetic import EARTH_MT
-from repro.sensing.magnets import Ring, ring
-from repro_companion.twins.training_set import ELONGATION_M, draw
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class TrainingRows:
     q
         Configurations [m].
     cosines
-        Relations as cosines, as :meth:`repro.sensing.relations.Relations.cosines` gives them.
+        Relations as cosines, as :meth:`edition1.sensing.relations.Relations.cosines` gives them.
     u
         Readings [mT].
     """
@@ -53,7 +52,7 @@ def training_rows(
 ) -> TrainingRows:
     """Rows of the training set of section 3.2, by one compiled kernel.
 
-    The same draws, to the bit, as :func:`repro_companion.twins.training_set.training_set` makes for the same seed,
+    The same draws, to the bit, as :func:`edition1_companion.twins.training_set.training_set` makes for the same seed,
     without the robots. The readings are those of the multipole series in place of magpylib: for the ring
     ``"released"`` and ``l_max = 9`` they differ by less than 1e-6 mT. Parameters that are not listed are those of
     that function.

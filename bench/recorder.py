@@ -14,11 +14,10 @@ from zlib import crc32
 
 import pandas as pd
 from cobs import cobs
-
-from repro_companion.pages.performance.rows import rate
-from repro_live.record.recording_file import RecordingFile
-from repro_live.wire.binary import RESIDUE, BinaryParser, encode_frame
-from repro_live.wire.frame import Frame
+from edition1_companion.pages.performance.rows import rate
+from edition1_live.record.recording_file import RecordingFile
+from edition1_live.wire.binary import RESIDUE, BinaryParser, encode_frame
+from edition1_live.wire.frame import Frame
 
 USED = """
 import resource, subprocess, sys
@@ -30,7 +29,7 @@ sys.exit(done.returncode)
 """A small process that starts a command: the memory of a process that starts one counts as its own until then."""
 NUMPY = [sys.executable, "-c", "import numpy"]
 """The reference: a start depends on the computer, and on how long its disk takes for a module, as this does."""
-REPRO = [sys.executable, "-m", "repro_companion.cli"]
+REPRO = [sys.executable, "-m", "edition1_companion.cli"]
 COMMANDS = (
     "--help",
     "record --help",

@@ -8,14 +8,13 @@ from collections.abc import Callable, Sequence
 import magpylib as magpy
 import numpy as np
 import torch
+from edition1.estimation.imu_selection import Selection
+from edition1.kinematics.paper_robots import Dimensions
+from edition1.kinematics.robot import Robot
+from edition1.sensing.magnets import _MT_PER_T, Cube, Ring
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
 from torch import Tensor
-
-from repro.estimation.imu_selection import Selection
-from repro.kinematics.paper_robots import Dimensions
-from repro.kinematics.robot import Robot
-from repro.sensing.magnets import _MT_PER_T, Cube, Ring
 
 Model = Callable[[Tensor], Tensor]
 
@@ -28,7 +27,7 @@ def objects_per_configuration(
     Parameters
     ----------
     robot, q, magnet
-        As in :func:`repro.sensing.magnetic.readings`.
+        As in :func:`edition1.sensing.magnetic.readings`.
     together
         One ``getB`` for all sensors of a configuration; else one for every sensor.
     """

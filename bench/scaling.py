@@ -9,27 +9,27 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
+from edition1.estimation.base import track
+from edition1.estimation.levenberg_marquardt import LevenbergMarquardt
+from edition1.estimation.orientations import exponential
+from edition1.kernels import _chain as compiled_chain
+from edition1.kernels import compiled
+from edition1.kinematics.paper_robots import pcc_robot
+from edition1.sensing.bend_sensor import BendSensor
+from edition1.sensing.magnetic import MagneticSensing
+from edition1.sensing.magnets import ring
+from edition1.sensing.multipole import MultipoleField
+from edition1_companion.pages.performance.rows import COLUMNS, SCALING, rate
+from edition1_companion.pages.performance.tables import exponents
+from edition1_companion.pages.probabilistic_curvature.simulation import PAPER
+from edition1_companion.recordings.martin2022_models import MARKERS, selection
+from edition1_companion.twins.bend_curves import LENGTH_M, bend_curve, bend_readings
+from edition1_companion.twins.calibrated_robots import box
+from edition1_companion.twins.calibration_session import SENSOR_NOISE_MT
+from edition1_companion.twins.trajectories import lemniscate
 from torch import Tensor
 
 from bench.compiled_training_set import training_rows
-from repro.estimation.base import track
-from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.estimation.orientations import exponential
-from repro.kernels import _chain as compiled_chain
-from repro.kernels import compiled
-from repro.kinematics.paper_robots import pcc_robot
-from repro.sensing.bend_sensor import BendSensor
-from repro.sensing.magnetic import MagneticSensing
-from repro.sensing.magnets import ring
-from repro.sensing.multipole import MultipoleField
-from repro_companion.pages.performance.rows import COLUMNS, SCALING, rate
-from repro_companion.pages.performance.tables import exponents
-from repro_companion.pages.probabilistic_curvature.simulation import PAPER
-from repro_companion.recordings.martin2022_models import MARKERS, selection
-from repro_companion.twins.bend_curves import LENGTH_M, bend_curve, bend_readings
-from repro_companion.twins.calibrated_robots import box
-from repro_companion.twins.calibration_session import SENSOR_NOISE_MT
-from repro_companion.twins.trajectories import lemniscate
 
 EXPONENT = 1.1
 """Largest exponent of cost that meets the target."""
@@ -136,7 +136,7 @@ def follow_flower(
     Parameters
     ----------
     sensing, particles
-        As for :class:`~repro.estimation.particle_filter.ParticleFilter`.
+        As for :class:`~edition1.estimation.particle_filter.ParticleFilter`.
     steps
         Number of steps.
     """

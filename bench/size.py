@@ -1,65 +1,110 @@
-"""How large the code is: ``make size``. Documentation, blank lines and comments are free."""
+"""How large the code is, and what of the first edition nothing reaches any more: ``make size``."""
 
 from __future__ import annotations
 
 import ast
+import json
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-LONGEST = 300
-"""Lines of a module."""
+EDITION1 = ROOT / "src" / "edition1"
+PACKAGES = (
+    "src/repro",
+    "src/repro_board",
+    "src/repro_companion",
+    "src/edition1/edition1",
+    "src/edition1/edition1_live",
+    "src/edition1/edition1_companion",
+    "tests",
+    "bench",
+)
+ENTRIES = ("notebooks/*.ipynb", "book/_ext/*.py", "src/repro*/**/*.py", "bench/**/*.py", "Makefile")
+"""Who may use the first edition; its own tests do not count."""
 
 
-def statements(tree: ast.AST) -> int:
-    """Statements of a module, without docstrings."""
-    text = (
+def statements(path: Path) -> int:
+    """Return the number of statements of a module, without docstrings."""
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    docstrings = [
         node
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.Expr)
         and isinstance(node.value, ast.Constant)
         and isinstance(node.value.value, str)
-    )
-    return sum(isinstance(node, ast.stmt) for node in ast.walk(tree)) - sum(1 for _ in text)
+    ]
+    return sum(isinstance(node, ast.stmt) for node in nodes) - len(docstrings)
 
 
-def public_names(tree: ast.Module) -> list[str]:
-    """Functions, classes and constants of a module whose names do not begin with an underscore."""
-    names = []
-    for node in tree.body:
-        if isinstance(node, ast.FunctionDef | ast.ClassDef):
-            names.append(node.name)
-        elif isinstance(node, ast.Assign | ast.AnnAssign):
-            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            names += [name.id for t in targets for name in ast.walk(t) if isinstance(name, ast.Name)]
-    return [name for name in names if not name.startswith("_")]
+def javascript_lines() -> int:
+    """Return the number of lines of our own JavaScript, without bundles of others."""
+    bundles = {"shape_viewer.js"}
+    paths = [path for folder in ("src", "book") for path in (ROOT / folder).rglob("*.*js")]
+    own = [path for path in paths if not {"vendor", "_build"} & set(path.parts) and path.name not in bundles]
+    return sum(len(path.read_text(encoding="utf-8").splitlines()) for path in own)
 
 
-def is_private(path: Path) -> bool:
-    """Whether a module is of no concern to who imports the package: a part of its path begins with one underscore."""
-    return any(part.startswith("_") and not part.startswith("__") for part in path.relative_to(ROOT).parts)
+def names_used(path: Path) -> Iterator[str]:
+    """Yield the dotted names that a file imports or has as a text; each may be a module or a name in one."""
+    text = path.read_text(encoding="utf-8")
+    if path.name == "Makefile":
+        yield from text.split()
+        return
+    if path.suffix == ".ipynb":
+        cells = json.loads(text)["cells"]
+        text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+            if path.name == "__init__.py":  # a package that imports its names when they are first used
+                yield f"{path.parent.name}.{node.value}"
+
+
+def unreached(root: Path = ROOT) -> list[str]:
+    """Return the modules of the first edition that no notebook, command, page or benchmark leads to."""
+    sources = root / "src" / "edition1"
+    modules = {
+        ".".join(path.relative_to(sources).with_suffix("").parts).removesuffix(".__init__"): path
+        for path in sorted(sources.rglob("*.py"))
+    }
+    found: set[str] = set()
+    todo = [path for pattern in ENTRIES for path in root.glob(pattern)]
+    while todo:
+        for name in names_used(todo.pop()):
+            parts = name.split(".")
+            for end in range(1, len(parts) + 1):  # a module brings the packages that it lies in
+                module = ".".join(parts[:end])
+                if module in modules and module not in found:
+                    found.add(module)
+                    todo.append(modules[module])
+        if not todo:  # the studies of a page are found by the name of their file
+            for module in sorted(modules.keys() - found):
+                page, _, last = module.rpartition(".")
+                if last == "studies" and any(name.startswith(f"{page}.") for name in found):
+                    found.add(module)
+                    todo.append(modules[module])
+    return sorted(name for name in modules.keys() - found if statements(modules[name]))
 
 
 def main() -> None:
-    """Print a line for each package, and the modules that are too long."""
-    total, long = 0, []
-    for package in ("src/repro", "src/repro_live", "src/repro_companion", "bench", "soak"):
+    """Print a line for each package, and what nothing reaches."""
+    total = 0
+    for package in PACKAGES:
         files = sorted((ROOT / package).rglob("*.py"))
-        trees = [ast.parse(path.read_text(encoding="utf-8")) for path in files]
-        count = sum(map(statements, trees))
-        public = [tree for path, tree in zip(files, trees, strict=True) if not is_private(path)]
-        names = sum(len(public_names(tree)) for tree in public)
-        lines = [len(path.read_text(encoding="utf-8").splitlines()) for path in files]
+        count = sum(map(statements, files))
         total += count * package.startswith("src")
-        long += [
-            f"{path.relative_to(ROOT)}: {n} lines"
-            for path, n in zip(files, lines, strict=True)
-            if n > LONGEST
-        ]
-        print(
-            f"{package:22} {len(files):4} modules {sum(lines):7} lines {count:7} statements {names:6} public names"
-        )
-    print(f"{'src':22} {total:36} statements")
-    print("\n".join(long) or f"No module is longer than {LONGEST} lines.")
+        print(f"{package:32} {len(files):4} modules {count:7} statements")
+    print(f"{'src':32} {total:20} statements")
+    print(f"{'JavaScript':32} {javascript_lines():20} lines")
+    lost = unreached()
+    print(
+        "Nothing reaches these modules of the first edition:" if lost else "Every module is reached.", *lost
+    )
 
 
 if __name__ == "__main__":

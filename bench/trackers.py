@@ -14,25 +14,25 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from edition1.estimation.base import Estimator, track
+from edition1.estimation.gradient_descent import GradientDescent
+from edition1.estimation.levenberg_marquardt import LevenbergMarquardt
+from edition1.kernels import compiled
+from edition1.kinematics.paper_robots import pcc_robot
+from edition1.sensing.magnetic import MagneticSensing, readings
+from edition1.sensing.magnets import ring
+from edition1.sensing.multipole import MultipoleField
+from edition1.sensing.weights import load_paper_network
+from edition1_companion.pages.performance.rows import NO_GOAL, RELEASED_TRACKER, Goal, rate, row
+from edition1_companion.twins.calibrated_robots import box, start
+from edition1_companion.twins.calibration_session import SENSOR_NOISE_MT
+from edition1_companion.twins.networks import NetworkSpec
+from edition1_companion.twins.table_1_method import ITERATIONS, MOMENTUM, networks, step_sizes
+from edition1_companion.twins.table_1_rows import Row
+from edition1_companion.twins.trajectories import lemniscate
 from torch import Tensor
 
 from bench.references import Model, cosines_of, readings_by_equations
-from repro.estimation.base import Estimator, track
-from repro.estimation.gradient_descent import GradientDescent
-from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.kernels import compiled
-from repro.kinematics.paper_robots import pcc_robot
-from repro.sensing.magnetic import MagneticSensing, readings
-from repro.sensing.magnets import ring
-from repro.sensing.multipole import MultipoleField
-from repro.sensing.weights import load_paper_network
-from repro_companion.pages.performance.rows import NO_GOAL, RELEASED_TRACKER, Goal, rate, row
-from repro_companion.twins.calibrated_robots import box, start
-from repro_companion.twins.calibration_session import SENSOR_NOISE_MT
-from repro_companion.twins.networks import NetworkSpec
-from repro_companion.twins.table_1_method import ITERATIONS, MOMENTUM, networks, step_sizes
-from repro_companion.twins.table_1_rows import Row
-from repro_companion.twins.trajectories import lemniscate
 
 UNIT = "time steps per CPU second"
 SETTLED = 200

@@ -3,9 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-
-from repro_companion.pages.closed_loop.identification import Segment
-from repro_companion.twins.rig_map import SCALE_MM, BendMap
+from edition1_companion.pages.closed_loop.identification import Segment
+from edition1_companion.twins.rig_map import SCALE_MM, BendMap
 
 SLOPES = np.array([[-5.0, 1.0, -4.0], [-3.0, -3.0, 1.5]])  # mV/mm
 ACROSS = np.array([[2.0, 0.5, 1.4], [1.5, 1.8, 1.0]])  # mV s/mm

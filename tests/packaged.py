@@ -18,8 +18,8 @@ from contextlib import suppress
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("repro", "repro_live", "repro_companion")
-WITH_THE_SOURCES_ONLY = "repro_live/view/viewer/"
+PACKAGES = ("repro", "edition1_live", "edition1_companion")
+WITH_THE_SOURCES_ONLY = "edition1_live/view/viewer/"
 """From its other files `make vendor` bundles the script of the viewer."""
 BUNDLED = {"shape_viewer.js", "LICENSE.three"}
 NEED_A_CHECKOUT = ("run a.ipynb", "sweep a.ipynb", "scorecard", "fetch", "train", "studies", "diff a")
@@ -27,7 +27,7 @@ NEWER = ("3.13", "3.12")
 """Newest first: the lock has wheels for them."""
 LONG_S = 600.0
 BUILD = "import sys; from setuptools.build_meta import build_sdist; build_sdist(sys.argv[1])"
-SHOW = "import repro as r; print(r.__version__, tuple(shape.q.shape), tuple(shape.tip(robot).shape))"
+SHOW = "import edition1 as r; print(r.__version__, tuple(shape.q.shape), tuple(shape.tip(robot).shape))"
 
 
 def build(folder: Path) -> tuple[Path, Path]:

@@ -13,10 +13,10 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from edition1_companion.book.after.paper_index import index_path, read_index
+from edition1_companion.book.project import Project
 
-import repro
-from repro_companion.book.after.paper_index import index_path, read_index
-from repro_companion.book.project import Project
+import edition1 as repro
 
 PROJECT = Project(Path(__file__).resolve().parents[1])
 NOTEBOOKS = {
@@ -29,7 +29,7 @@ FIGURES = [
     if "figure" in cell["metadata"].get("mystnb", {})
 ]
 ENTRIES = [entry for entry in read_index(index_path(PROJECT)) if entry.status in ("regenerated", "redrawn")]
-PACKAGES = ("repro", "repro_live", "repro_companion")
+PACKAGES = ("edition1", "edition1_live", "edition1_companion")
 THREE_LINES = 320
 """Characters."""
 FOLDED = {"parameters", "hide-input", "remove-input", "hide-cell", "remove-cell"}
@@ -118,8 +118,8 @@ def test_a_page_takes_names_from_where_they_are_defined(page):
 def test_a_page_takes_no_code_of_another_page(page):
     """Its key would not notice when that code changes."""
     modules = {module.__name__ for module, _ in taken_from_repro(page).values()}
-    assert not {name for name in modules if name.startswith("repro_companion.book.after")}
-    of_pages = {name.split(".")[2] for name in modules if name.startswith("repro_companion.pages.")}
+    assert not {name for name in modules if name.startswith("edition1_companion.book.after")}
+    of_pages = {name.split(".")[2] for name in modules if name.startswith("edition1_companion.pages.")}
     assert of_pages <= {page}
 
 
@@ -150,7 +150,8 @@ def test_a_page_calls_the_library_in_sight(page):
     taken = {
         alias.asname or alias.name
         for node in nodes
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in ("repro", "repro_live")
+        if isinstance(node, ast.ImportFrom)
+        and (node.module or "").split(".")[0] in ("edition1", "edition1_live")
         for alias in node.names
     }
     called = called_names(visible_code(page)) & taken

@@ -17,7 +17,7 @@ from packaging.utils import canonicalize_name
 from pybtex.database import parse_string
 
 import repro
-from bench.size import LONGEST
+from bench.size import unreached
 
 ROOT = Path(__file__).resolve().parents[1]
 VENDOR = ROOT / "book" / "_static" / "vendor"
@@ -50,15 +50,9 @@ def locked() -> dict[str, list[Requirement]]:
     return found
 
 
-def test_no_module_is_too_long():
-    """A module of the packages, benchmarks and soaks can be read at one sitting."""
-    modules = [path for name in ("src", "bench", "soak") for path in sorted((ROOT / name).rglob("*.py"))]
-    lines = {
-        path.relative_to(ROOT).as_posix(): len(path.read_text(encoding="utf-8").splitlines())
-        for path in modules
-    }
-    assert len(lines) > 300
-    assert {path: count for path, count in lines.items() if count > LONGEST} == {}
+def test_every_module_of_the_first_edition_is_used():
+    """A module goes with the last page or command that needs it."""
+    assert unreached() == []
 
 
 def test_python_versions_agree():
@@ -228,7 +222,7 @@ def test_named_paths_and_links_exist(name):
 def test_dead_paths_are_found():
     """In links, in code and in commands; what is made, patterns and other hosts are left alone."""
     text = """[a](book/none.md#x) [b](README.md#x) [c](#x) [d](https://example.org/x.md)
-    `data/none.csv`, `src/repro/*.py`, `data/*.none`, `none.toml`, `pyproject.toml`, `results/none.csv`
+    `data/none.csv`, `src/edition1/edition1/*.py`, `data/*.none`, `none.toml`, `pyproject.toml`, `results/none.csv`
     ```bash
     .venv/bin/repro run notebooks/none.ipynb -p n 3
     .venv/bin/repro run notebooks/kinematics.ipynb -o out/none.ipynb

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 import yaml
+from edition1_companion.book.after.archive_metadata import metadata, text
+from edition1_companion.book.project import Project
 
 import repro
-from repro_companion.book.after.archive_metadata import metadata, text
-from repro_companion.book.project import Project
 
 ROOT = Path(__file__).resolve().parents[1]
-TO_FILL_IN = ("pyproject.toml", "codemeta.json", "paper/paper.md", "src/firmware/library.properties")
+TO_FILL_IN = ("pyproject.toml", "codemeta.json", "paper/paper.md", "firmware/library.properties")
 """Where the word OWNER stands for who publishes this."""
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 FORMS = sorted(path for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if path.stem != "config")
@@ -35,7 +35,7 @@ def test_metadata_of_archives_follow_from_the_citation():
     assert len(files) == 2
     for name, content in files.items():
         told = (ROOT / name).read_text(encoding="utf-8")
-        assert told == text(content), f"{name}: python -m repro_companion.book.after.archive_metadata"
+        assert told == text(content), f"{name}: python -m edition1_companion.book.after.archive_metadata"
         assert json.loads(told)["version"] == repro.__version__
 
 

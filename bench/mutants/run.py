@@ -34,7 +34,11 @@ def outcome(root: Path, work: Path, tests: list[str], change: dict[str, Any] | N
         if (count := text.count(change["old"])) != 1 or change["old"] == change["new"]:
             return f"refused: the old expression is there {count} times"
         path.write_text(text.replace(change["old"], change["new"]), encoding="utf-8")
-    places = {"PYTHONPATH": str(work / "src"), "NUMBA_CACHE_DIR": str(work / "kernels")}
+    places = {
+        "PYTHONPATH": f"{work / 'src'}:{work / 'src' / 'edition1'}",
+        "NUMBA_CACHE_DIR": str(work / "kernels"),
+        "SHAPES": "1",
+    }
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
     try:
         done = subprocess.run(

@@ -17,8 +17,8 @@ from sphinx.application import Sphinx
 
 # In the order in which one reads them. The book's own code is private.
 PACKAGES = {
-    "repro": ("se3", "kinematics", "sensing", "estimation", "kernels", "robot_file"),
-    "repro_live": ("wire", "record", "follow", "robot", "own", "emulate", "view"),
+    "edition1": ("se3", "kinematics", "sensing", "estimation", "kernels", "robot_file"),
+    "edition1_live": ("wire", "record", "follow", "robot", "own", "emulate", "view"),
 }
 """Public packages and their folders; a folder that is not named here comes last."""
 OURS = tuple(f"{package}." for package in PACKAGES)
@@ -87,7 +87,7 @@ def write_pages(book: Path) -> None:
     names = {}
     lines = []
     for package in PACKAGES:
-        root = book.parent / "src" / package
+        root = book.parent / "src" / "edition1" / package
         for group, modules in modules_of(root).items():
             name = f"{package}.{group}"
             names[f"{name}.md"] = page(name, modules)

@@ -9,17 +9,17 @@ from pathlib import Path
 from sphinx.application import Sphinx
 
 ROOMS = (
-    ("repro_companion.cli",),
-    ("repro_companion.pages",),
-    ("repro_companion.book.after",),
-    ("repro_companion.book", "repro_companion.twins"),
-    ("repro_companion.recordings",),
-    ("repro_live",),
-    ("repro.robot_file",),
-    ("repro.estimation", "repro.kernels"),
-    ("repro.sensing",),
-    ("repro.kinematics",),
-    ("repro.se3",),
+    ("edition1_companion.cli",),
+    ("edition1_companion.pages",),
+    ("edition1_companion.book.after",),
+    ("edition1_companion.book", "edition1_companion.twins"),
+    ("edition1_companion.recordings",),
+    ("edition1_live",),
+    ("edition1.robot_file",),
+    ("edition1.estimation", "edition1.kernels"),
+    ("edition1.sensing",),
+    ("edition1.kinematics",),
+    ("edition1.se3",),
 )
 """From those that use to those that are used; folders in one room use each other."""
 STEP, LEFT, WIDTH = 30, 250, 500
@@ -85,7 +85,7 @@ def picture(counts: Counter[tuple[int, int]]) -> str:
 def setup(app: Sphinx) -> dict[str, object]:
     """Register the extension; the picture is written here, before pages include it."""
     book = Path(app.srcdir)
-    path, text = book / "generated" / "imports.html", picture(imports(book.parent / "src"))
+    path, text = book / "generated" / "imports.html", picture(imports(book.parent / "src" / "edition1"))
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")

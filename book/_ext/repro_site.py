@@ -8,15 +8,14 @@ import shutil
 from pathlib import Path
 
 from docutils import nodes
+from edition1.files import write_whole
+from edition1_companion.book.after.page_notes import with_notes, write_page_files
+from edition1_companion.book.project import Project
+from edition1_companion.book.values import filled
 from fontTools import subset
 from page_access import accessible, schematics_in_full
 from repro_search import INDEX
 from sphinx.application import Sphinx
-
-from repro.files import write_whole
-from repro_companion.book.after.page_notes import with_notes, write_page_files
-from repro_companion.book.project import Project
-from repro_companion.book.values import filled
 
 VIEWER = "shape_viewer.js"
 OF_LIVE = (f"view/viewer/{VIEWER}", "follow/page/traces.js")
@@ -133,7 +132,7 @@ def add_scripts_of_live(app: Sphinx, exception: Exception | None) -> None:
     """Put the scripts that show shapes and traces where pages find them."""
     if exception is None and app.builder.format == "html":
         for path in map(Path, OF_LIVE):
-            source = Path(app.srcdir).parent / "src" / "repro_live" / path
+            source = Path(app.srcdir).parent / "src" / "edition1" / "edition1_live" / path
             shutil.copyfile(source, Path(app.outdir) / "_static" / path.name)
 
 

@@ -1,4 +1,4 @@
-// A figure in frames with a slider, in the place of its still. `repro_companion.book.frame_strip` writes what it takes:
+// A figure in frames with a slider, in the place of its still. `edition1_companion.book.frame_strip` writes what it takes:
 //   frames   what happens in each frame, in a line
 //   still    number of the frame that is shown first
 //   svg      one drawing of all frames; the id of what is not in all of them begins with "f-" and names its frames, "f-2-3--7"

@@ -1,1 +1,1 @@
-"""The book's own code: its pages, the papers' recordings, twins of their rigs, and the command `repro`."""
+"""The book's own code: it runs the notebooks, compares their tables and builds the site."""

@@ -7,11 +7,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-
-from repro.robot_file.load import load_robot
-from repro_live.emulate.board import passages
-from repro_live.emulate.faults import Faults
-from repro_live.emulate.robot_readings import course, readings_along
+from edition1.robot_file.load import load_robot
+from edition1_live.emulate.board import passages
+from edition1_live.emulate.faults import Faults
+from edition1_live.emulate.robot_readings import course, readings_along
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = ROOT / "data" / "robots" / "two_segments.toml"

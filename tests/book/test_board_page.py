@@ -9,19 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from board_example import FAULTS, ROBOT, frames
+from edition1.robot_file.load import load_robot
+from edition1_live.emulate.board import Reading, passages
+from edition1_live.emulate.faults import Faults
+from edition1_live.record.export import export
+from edition1_live.record.recording import read_recording
+from edition1_live.wire.formats import parser
 from page_on_screen import pixels, wait_until
 from page_visit import AXE, SEVERE, VIOLATIONS, open_page
 
-from repro.robot_file.load import load_robot
-from repro_live.emulate.board import Reading, passages
-from repro_live.emulate.faults import Faults
-from repro_live.record.export import export
-from repro_live.record.recording import read_recording
-from repro_live.wire.formats import parser
-
 ROOT = Path(__file__).resolve().parents[2]
 STATIC = ROOT / "book" / "_static"
-LIVE = ROOT / "src" / "repro_live"
+LIVE = ROOT / "src" / "edition1" / "edition1_live"
 OWN = ("live/model", "board/wire", "board/recording", "board/robot", "board/example", "board/board")
 SCRIPTS = (
     LIVE / "follow/page/traces.js",

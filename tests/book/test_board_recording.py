@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from edition1_live.record.export import export
+from edition1_live.record.recording import channel_names, read_recording
+from edition1_live.record.recording_file import RecordingFile
+from edition1_live.wire.formats import parser
 from test_board_wire import BOARD, FRAMES, damaged, random_line, random_packets
-
-from repro_live.record.export import export
-from repro_live.record.recording import channel_names, read_recording
-from repro_live.record.recording_file import RecordingFile
-from repro_live.wire.formats import parser
 
 WRITE = """({format, data, cuts, times, reopened, metadata}) => {
   const bytes = Uint8Array.from(atob(data), c => c.charCodeAt(0)), reader = BOARD.parser(format);

@@ -13,19 +13,18 @@ import pandas as pd
 import pytest
 import torch
 from board_example import frames
+from edition1.errors import InputError
+from edition1.estimation.levenberg_marquardt import LevenbergMarquardt
+from edition1.estimation.model_error import WithModelError
+from edition1.kernels import compiled
+from edition1.robot_file.load import load_robot
+from edition1_live.follow.estimate_table import EstimateRows
+from edition1_live.follow.follower import Follower
+from edition1_live.follow.robot_estimator import robot_estimator
+from edition1_live.follow.time_steps import TimeStep
+from edition1_live.robot.calibrate import Priors, calibrate, pose_covariance
+from edition1_live.wire.formats import parser
 from scipy import stats
-
-from repro.errors import InputError
-from repro.estimation.levenberg_marquardt import LevenbergMarquardt
-from repro.estimation.model_error import WithModelError
-from repro.kernels import compiled
-from repro.robot_file.load import load_robot
-from repro_live.follow.estimate_table import EstimateRows
-from repro_live.follow.follower import Follower
-from repro_live.follow.robot_estimator import robot_estimator
-from repro_live.follow.time_steps import TimeStep
-from repro_live.robot.calibrate import Priors, calibrate, pose_covariance
-from repro_live.wire.formats import parser
 
 ROOT = Path(__file__).resolve().parents[2]
 STATIC = ROOT / "book" / "_static"

@@ -18,14 +18,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cobs import cobs
-
-from repro_live.emulate.faults import Faults, damage
-from repro_live.record.recording import channel_names
-from repro_live.record.summary import Suspect, channels_of
-from repro_live.wire.binary import encode_frame
-from repro_live.wire.csv_text import CsvParser
-from repro_live.wire.formats import encode, parser
-from repro_live.wire.frame import Frame
+from edition1_live.emulate.faults import Faults, damage
+from edition1_live.record.recording import channel_names
+from edition1_live.record.summary import Suspect, channels_of
+from edition1_live.wire.binary import encode_frame
+from edition1_live.wire.csv_text import CsvParser
+from edition1_live.wire.formats import encode, parser
+from edition1_live.wire.frame import Frame
 
 BOOK = Path(__file__).resolve().parents[2] / "book"
 BOARD = BOOK / "_static" / "board"
@@ -148,7 +147,7 @@ def test_frames_of_the_encoder_in_c(page, tmp_path):
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
         pytest.skip("no compiler for C")
-    source, library = BOOK.parent / "src/firmware/frame_encoder.c", tmp_path / "frame_encoder.so"
+    source, library = BOOK.parent / "firmware/frame_encoder.c", tmp_path / "frame_encoder.so"
     subprocess.run([compiler, "-shared", "-fPIC", "-O2", source, "-o", library], check=True)
     encode_frame_c = ctypes.CDLL(str(library)).encode_frame
     encode_frame_c.restype = ctypes.c_size_t

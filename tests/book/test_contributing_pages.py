@@ -94,7 +94,10 @@ def folder(tmp_path: Path) -> Path:
 def run(folder: Path, module: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run a program on a copy of the project."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
-    environment |= {"PYTHONPATH": str(folder / "src"), "REPRO_DATA_DIR": str(folder / "recordings")}
+    environment |= {
+        "PYTHONPATH": f"{folder / 'src'}:{folder / 'src' / 'edition1'}",
+        "REPRO_DATA_DIR": str(folder / "recordings"),
+    }
     whole = [sys.executable, "-m", module, *arguments]
     return subprocess.run(whole, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
@@ -126,11 +129,14 @@ def test_the_commands_at_the_end_of_the_pages_pass(folder):
     assert set(outcomes.values()) == {"PASSED"}
     for file in files:
         assert any(name.startswith(file + "::") for name in outcomes), file
-    contract = [name for name in outcomes if name.startswith("tests/repro/estimation/test_contract.py")]
+    contract = [
+        name for name in outcomes if name.startswith("tests/edition1/library/estimation/test_contract.py")
+    ]
     assert len(contract) >= 17, "the whole suite, of which each test ran with the new estimator"
     assert all("[alpha-beta" in name for name in contract)
     assert (
-        "tests/repro_companion/book/test_paper_index.py::test_places_exist[baaij2023-Section 3.2]" in outcomes
+        "tests/edition1/companion/book/test_paper_index.py::test_places_exist[baaij2023-Section 3.2]"
+        in outcomes
     )
 
 
@@ -142,7 +148,7 @@ def test_a_broken_example_fails(folder):
         assert text.count(old) == 1, f"{name}: no single place for {old}"
         (folder / name).write_text(text.replace(old, new), encoding="utf-8")
         tests += [path for path, *_ in PART.findall(page) if Path(path).name.startswith("test_")]
-    tests.remove("tests/repro/estimation/test_contract.py")  # which a lag does not concern
+    tests.remove("tests/edition1/library/estimation/test_contract.py")  # which a lag does not concern
     status, printed, outcomes = run_pytest(folder, *tests)
     assert status == 1, printed
     for file in tests:
@@ -153,11 +159,13 @@ def test_a_broken_example_fails(folder):
 
 def test_the_number_of_the_paper_gets_its_verdict(folder):
     arguments = command(PAGES[2], ".venv/bin/repro run ")
-    done = run(folder, "repro_companion.cli", "run", *arguments, "-o", "runs/range.ipynb")
+    done = run(folder, "edition1_companion.cli", "run", *arguments, "-o", "runs/range.ipynb")
     assert done.returncode == 0, done.stderr
     (folder / "results").mkdir()
     shutil.copy(folder / "runs" / "training_range.rows.csv", folder / "results")  # as `make book` does
-    done = run(folder, "repro_companion.cli", "scorecard", *command(PAGES[2], ".venv/bin/repro scorecard "))
+    done = run(
+        folder, "edition1_companion.cli", "scorecard", *command(PAGES[2], ".venv/bin/repro scorecard ")
+    )
     assert done.returncode == 0, done.stderr
     reference = (folder / "data" / "scorecard_reference.csv").read_text(encoding="utf-8")
     assert "\nbaaij2023,Section 3.2,training set,tip_angle,deg,reproduced\n" in reference

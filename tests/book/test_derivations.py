@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 import sympy as sp
 import torch
+from edition1.estimation.imu_models import exact_arcs, rigid_links
+from edition1.estimation.imu_selection import Selection
+from edition1.estimation.information import fisher_information
+from edition1.kinematics.bend import Bend
+from edition1.kinematics.paper_robots import pcc_robot
+from edition1.sensing.magnets import ring
+from edition1.sensing.multipole import MultipoleField
+from edition1_companion.pages.how_many_imus import curves as imu_curves
+from edition1_companion.twins.calibrated_robots import box
+from edition1_companion.twins.robot_tables import misprint
 from numpy.testing import assert_allclose
 
-from repro import BendSensor, ConstantCurvature, LinearisedSensing, pcc_extended
-from repro.estimation.imu_models import exact_arcs, rigid_links
-from repro.estimation.imu_selection import Selection
-from repro.estimation.information import fisher_information
-from repro.kinematics.bend import Bend
-from repro.kinematics.paper_robots import pcc_robot
-from repro.sensing.magnets import ring
-from repro.sensing.multipole import MultipoleField
-from repro_companion.pages.how_many_imus import curves as imu_curves
-from repro_companion.twins.calibrated_robots import box
-from repro_companion.twins.robot_tables import misprint
+from edition1 import BendSensor, ConstantCurvature, LinearisedSensing, pcc_extended
 
 QUARTER_MM = 34.56
 """Bending in the exercise of the first chapter: a right angle on the radius of 22 mm."""

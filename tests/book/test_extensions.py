@@ -27,7 +27,7 @@ def extension_path(monkeypatch):
 def test_pages_follow_the_source_tree(tmp_path):
     """A new module gets its page, a removed one loses it, an unchanged page is not written again."""
     api = importlib.import_module("repro_api")
-    package = tmp_path / "src" / "repro"
+    package = tmp_path / "src" / "edition1" / "edition1"
     (package / "sensing").mkdir(parents=True)
     (package / "__init__.py").write_text('"""The package."""\n')
     (package / "se3.py").write_text('"""Rigid motions."""\n')
@@ -40,27 +40,27 @@ def test_pages_follow_the_source_tree(tmp_path):
     book = tmp_path / "book"
     api.write_pages(book)
     pages = sorted(path.name for path in (book / "api").iterdir())
-    assert pages == ["repro.se3.md", "repro.sensing.hall.md", "repro.sensing.md"]
+    assert pages == ["edition1.se3.md", "edition1.sensing.hall.md", "edition1.sensing.md"]
     modules = (book / "generated" / "modules.md").read_text().splitlines()
     assert [line for line in modules if line.startswith("###")] == [
-        "### repro.se3",
-        "### repro.sensing",
-        "### repro.sensing.hall",
+        "### edition1.se3",
+        "### edition1.sensing",
+        "### edition1.sensing.hall",
     ]
-    hall = (book / "api" / "repro.sensing.hall.md").read_text()
+    hall = (book / "api" / "edition1.sensing.hall.md").read_text()
     assert hall.index("# sensing.hall\n") < hall.index("## cube\n")
-    assert ".. automodule:: repro.sensing.magnets" in (book / "api" / "repro.sensing.md").read_text()
+    assert ".. automodule:: edition1.sensing.magnets" in (book / "api" / "edition1.sensing.md").read_text()
     assert (
-        "- [`repro.se3`](/api/repro.se3.md): Rigid motions."
+        "- [`edition1.se3`](/api/edition1.se3.md): Rigid motions."
         in (book / "generated" / "modules.md").read_text()
     )
 
-    before = (book / "api" / "repro.se3.md").stat().st_mtime_ns
+    before = (book / "api" / "edition1.se3.md").stat().st_mtime_ns
     (package / "sensing" / "magnets.py").unlink()
     shutil.rmtree(package / "sensing" / "hall")
     api.write_pages(book)
-    assert [path.name for path in (book / "api").iterdir()] == ["repro.se3.md"]
-    assert (book / "api" / "repro.se3.md").stat().st_mtime_ns == before
+    assert [path.name for path in (book / "api").iterdir()] == ["edition1.se3.md"]
+    assert (book / "api" / "edition1.se3.md").stat().st_mtime_ns == before
 
 
 def test_placeholders_never_replace_computed_fragments(tmp_path):
@@ -83,9 +83,9 @@ def test_placeholders_never_replace_computed_fragments(tmp_path):
 def test_names_resolve_where_they_are_defined():
     """A name under another path of this package is found; one that does not exist is not."""
     api = importlib.import_module("repro_api")
-    assert api.home_of("repro.errors.InputError", None) == "repro.errors.InputError"
-    assert api.home_of("InputError", "repro.errors") == "repro.errors.InputError"
-    assert api.home_of("repro.errors.NoSuchError", None) is None
+    assert api.home_of("edition1.errors.InputError", None) == "edition1.errors.InputError"
+    assert api.home_of("InputError", "edition1.errors") == "edition1.errors.InputError"
+    assert api.home_of("edition1.errors.NoSuchError", None) is None
 
 
 def script(name="", body="", **attributes):
@@ -162,15 +162,15 @@ def test_names_in_cells_lead_to_the_reference():
     cells = [
         {
             "cell_type": "code",
-            "source": ["from repro import GradientDescent, track as follow\n", "import numpy as np"],
+            "source": ["from edition1 import GradientDescent, track as follow\n", "import numpy as np"],
         },
-        {"cell_type": "code", "source": ["from repro_companion.pages.table_1 import figures\n"]},
+        {"cell_type": "code", "source": ["from edition1_companion.pages.table_1 import figures\n"]},
         {"cell_type": "markdown", "source": ["from nowhere"]},
     ]
     homes = links.imported_names(cells)
     assert homes == {
-        "GradientDescent": "repro.estimation.gradient_descent.GradientDescent",
-        "follow": "repro.estimation.base.track",
+        "GradientDescent": "edition1.estimation.gradient_descent.GradientDescent",
+        "follow": "edition1.estimation.base.track",
     }
     html = '<span class="n">follow</span><span class="p">(</span><span class="n">followed</span>'
     linked = links.linked_code(html, {"follow": "../api/x.html#track"})

@@ -13,8 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from edition1.estimation import imu_models
+from edition1.estimation._resampling import draws, stream
+from edition1.estimation.imu_selection import Selection
+from edition1.estimation.levenberg_marquardt import covariance
+from edition1.estimation.orientations import exponential, product
+from edition1.estimation.particle_filter import ParticleFilter, ParticleState
+from edition1.estimation.regions import Disc
+from edition1.sensing.linearised import LinearisedSensing
+from edition1.sensing.magnets import B444B, ring
 
-from repro import (
+from edition1 import (
     BendSensor,
     ConstantCurvature,
     GradientDescent,
@@ -24,15 +33,6 @@ from repro import (
     magnet_mounts,
     sensor_mounts,
 )
-from repro.estimation import imu_models
-from repro.estimation._resampling import draws, stream
-from repro.estimation.imu_selection import Selection
-from repro.estimation.levenberg_marquardt import covariance
-from repro.estimation.orientations import exponential, product
-from repro.estimation.particle_filter import ParticleFilter, ParticleState
-from repro.estimation.regions import Disc
-from repro.sensing.linearised import LinearisedSensing
-from repro.sensing.magnets import B444B, ring
 
 LIVE = Path(__file__).resolve().parents[2] / "book" / "_static" / "live"
 CONFIGURATIONS = 10_000

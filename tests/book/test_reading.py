@@ -8,10 +8,9 @@ import shlex
 from pathlib import Path
 
 import pytest
-
-from repro_companion.book.parameters import convert, convert_all, declared_parameters
-from repro_companion.book.runner import read_notebook
-from repro_companion.cli import app
+from edition1_companion.book.parameters import convert, convert_all, declared_parameters
+from edition1_companion.book.runner import read_notebook
+from edition1_companion.cli import app
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "book" / "reading.md").read_text(encoding="utf-8")

@@ -1,5 +1,5 @@
 /* The recording in the browser: byte for byte the file that `repro record` writes of the same frames and times, so that
-   `repro export` reads it. What is durable and what the blocks hold stands in repro_live/record/recording_file.py. */
+   `repro export` reads it. What is durable and what the blocks hold stands in edition1_live/record/recording_file.py. */
 (function () {
 "use strict";
 

@@ -297,7 +297,7 @@ function openAt(made, body, q) {
 
 // ---- A calibration -------------------------------------------------------------------------------------------------
 
-/** The robot with parameters in the order of repro.sensing.placement: magnets, sensors, moments; and an Earth field. */
+/** The robot with parameters in the order of edition1.sensing.placement: magnets, sensors, moments; and an Earth field. */
 function moved(made, z, earth) {
   const m = made.magnets.length, s = made.sensors.length;
   const magnets = made.magnets.map((one, k) => {

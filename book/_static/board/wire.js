@@ -1,4 +1,4 @@
-/* The wire formats in the browser: what the parsers of `repro_live.wire` do, under the same names and with the same
+/* The wire formats in the browser: what the parsers of `edition1_live.wire` do, under the same names and with the same
    counters. No dependency, no page needed. A test compares both on a hundred thousand damaged frames and lines. */
 (function () {
 "use strict";

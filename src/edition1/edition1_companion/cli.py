@@ -1,0 +1,281 @@
+"""The command ``repro``: a thin list of commands.
+
+Each imports what it needs when it runs, so that help is instant.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, CycloptsError, Parameter
+from edition1.errors import InputError, require
+
+from edition1_companion import cli_calibrate, cli_live, cli_robot, cli_sweep, cli_track
+from edition1_companion.book.project import find_project, shown
+from edition1_companion.cli_terminal import pairs
+
+app = App(
+    name="repro",
+    help="Run notebooks of the companion with parameters of your own, and compare results with the papers.",
+    version_flags=[],
+    help_format="plaintext",
+)
+
+Given = Annotated[list[tuple[str, str]] | None, pairs(["-p", "--parameter"], "NAME VALUE")]
+Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
+
+
+@app.command
+def run(notebook: Path, /, *, parameters: Given = None, output: Output = None) -> int:
+    """Run a notebook: repro run NOTEBOOK [-p NAME VALUE ...] [-o OUT.ipynb].
+
+    Parameters
+    ----------
+    notebook
+        The notebook to run; it is not changed.
+    parameters
+        A parameter and its value, such as -p n_segments 3; may be repeated. Lists and dictionaries are YAML.
+    output
+        The executed notebook; tables are written beside it. By default a folder below runs/.
+    """
+    project = find_project()
+    from edition1_companion.book.parameters import convert_all, declared_parameters
+    from edition1_companion.book.provenance import notebook_key, read_inputs
+    from edition1_companion.book.runner import (
+        NotebookFailed,
+        check_output,
+        default_output,
+        read_notebook,
+        run_notebook,
+    )
+    from edition1_companion.book.termination import stop_on_termination
+
+    stop_on_termination()
+    declared = declared_parameters(read_notebook(notebook), notebook.name)
+    values = convert_all(parameters or [], declared, notebook.name)
+    if output is None:
+        output = default_output(
+            notebook, notebook_key(notebook, values, read_inputs(project), project), project
+        )
+    check_output(notebook, output, project)
+    try:
+        record = run_notebook(
+            notebook, values, output, output.parent, project=project, progress=sys.stderr.isatty()
+        )
+    except NotebookFailed as failure:
+        print(failure, file=sys.stderr)
+        return 1
+    print(f"{shown(output)}  ({record.seconds:.1f} s)")
+    for table in record.results:
+        print(f"{shown(output.parent / table)}")
+    return 0
+
+
+@app.command
+def scorecard(*, require: Path | None = None, write_reference: Path | None = None) -> int:
+    """Compare the book's results with every number of the papers; write results/scorecard.csv.
+
+    Parameters
+    ----------
+    require
+        A reference; exit with 1 if any verdict is not the one that it has, for the better or for the worse.
+    write_reference
+        Write today's verdicts as a reference to this file.
+    """
+    project = find_project()
+    from edition1.files import write_whole
+
+    from edition1_companion.book.scorecard import (
+        REFERENCE_COLUMNS,
+        changed_verdicts,
+        compute_scorecard,
+        scorecard_csv,
+        summary,
+    )
+
+    rows = compute_scorecard(project)
+    path = project.results / "scorecard.csv"
+    write_whole(path, scorecard_csv(rows))
+    print(f"{summary(rows)}\n\nAll rows: {shown(path)}")
+    changed = changed_verdicts(rows, require) if require else []
+    if changed:
+        print(f"Verdicts other than in {require}:", *changed, sep="\n  ", file=sys.stderr)
+        return 1
+    if write_reference:
+        write_whole(write_reference, scorecard_csv(rows, REFERENCE_COLUMNS))
+    return 0
+
+
+@app.command
+def train(*, only: str = "", folder: Path | None = None, checkpoints: Path | None = None) -> int:
+    """Train the networks of the paper's recipe that data/networks/ does not have yet; go on where it stopped.
+
+    Parameters
+    ----------
+    only
+        Train only those whose name starts with this, such as pcc_nb1.
+    folder
+        Folder of the networks, in place of data/networks/.
+    checkpoints
+        Folder of the state between runs, in place of .cache/book/networks/.
+    """
+    project = find_project()
+    import torch
+
+    from edition1_companion.twins.networks import specs
+    from edition1_companion.twins.networks import train as train_network
+    from edition1_companion.twins.rig_networks import RigSpec, rig_specs, train_rig
+
+    torch.set_num_threads(1)  # several of these run side by side faster than one with several threads
+    folder, checkpoints = folder or project.data / "networks", checkpoints or project.cache / "networks"
+    wanted = [spec for spec in (*specs(), *rig_specs()) if spec.name.startswith(only)]
+    require(wanted, "only", "repro train", "the start of a network's name", repr(only))
+    missing = [spec for spec in wanted if not (folder / f"{spec.name}.safetensors").exists()]
+    print(f"{len(wanted) - len(missing)} of {len(wanted)} networks are there.")
+    for spec in missing:
+        print(spec.name, flush=True)
+        train_one = train_rig if isinstance(spec, RigSpec) else train_network
+        path = train_one(spec, folder, checkpoints, progress=sys.stderr.isatty())
+        print(f"  {shown(path)}", flush=True)
+    return 0
+
+
+@app.command
+def studies(*, folder: Path | None = None) -> int:
+    """Compute the studies whose tables are missing or belong to other settings (minutes each, resumable).
+
+    Parameters
+    ----------
+    folder
+        Where the tables are; data/studies when not given.
+    """
+    folder = folder or find_project().data / "studies"
+    import torch
+
+    from edition1_companion.book.studies import write_studies
+    from edition1_companion.pages import all_studies
+
+    torch.set_num_threads(1)
+    progress = sys.stderr.isatty()
+    for path in write_studies(all_studies(), folder, progress=progress):
+        print(shown(path), flush=True)
+    return 0
+
+
+@app.command
+def fetch(
+    paper: str = "",
+    /,
+    *,
+    mirror: Annotated[str, Parameter(env_var="REPRO_MIRROR")] = "",
+    list_only: Annotated[bool, Parameter(name="--list", negative="")] = False,
+) -> int:
+    """Download the authors' public recordings that are not below REPRO_DATA_DIR yet; go on where it stopped.
+
+    Parameters
+    ----------
+    paper
+        One paper, such as mitchell2021; all by default.
+    mirror
+        Download from MIRROR/PAPER/PATH, such as a folder of recordings served over HTTP, instead of GitHub.
+    list_only
+        Download nothing; print what there is, how much of it is here already, and where it comes from.
+    """
+    listed = find_project().data / "sources.json"
+    from edition1_companion.book.termination import stop_on_termination
+    from edition1_companion.recordings.download import fetch as fetch_files
+    from edition1_companion.recordings.download import listing
+    from edition1_companion.recordings.sources import data_dir, read_sources
+
+    stop_on_termination()
+    folder = data_dir()
+    files = read_sources(listed, [paper] if paper else [])
+    if list_only:
+        print(f"{listing(files, folder)}\nFolder: {shown(folder)}")
+        return 0
+    report = fetch_files(files, folder, mirror=mirror or None, progress=sys.stderr.isatty())
+    print(report, file=sys.stderr if report.failed else sys.stdout)
+    return 1 if report.failed else 0
+
+
+@app.command
+def diff(place: Path, /) -> int:
+    """Compare a run with the book: repro diff runs/NAME-12345678. Writes NAME.diff.html beside the run.
+
+    The page shows which parameters differ, tables side by side with absolute and relative differences, and figures
+    side by side. A difference is no failure: the exit status is 0.
+
+    Parameters
+    ----------
+    place
+        The folder of a repro run, or its executed notebook.
+    """
+    project = find_project()
+    from edition1_companion.book.after.diff_page import write_diff
+
+    page, summary = write_diff(place, project)
+    print(summary)
+    print(f"The page: {shown(page)}")
+    return 0
+
+
+@app.command
+def doctor() -> int:
+    """Print what this computer is, and what lies here: versions, cores, ports, recordings, tables and verdicts.
+
+    A line that begins with ! says what is not as the project has it; the exit status is then 1.
+    """
+    from edition1_companion.book.after.doctor import TROUBLE, report
+
+    lines = report()
+    print("\n".join(lines))
+    return int(any(line.startswith(TROUBLE) for line in lines))
+
+
+for command in (
+    cli_live.record,
+    cli_live.export,
+    cli_live.import_,
+    cli_live.emulate,
+    cli_calibrate.calibrate,
+    cli_robot.live,
+    cli_track.track,
+    cli_track.smooth,
+    cli_track.fit,
+    cli_sweep.sweep,
+):
+    app.command(command)
+
+
+def main() -> int:
+    """Run the command line; return 0, 1 where a notebook or a comparison failed, or 2 for wrong input."""
+    try:
+        return app(exit_on_error=False, print_error=False, result_action="return_value") or 0
+    except (InputError, CycloptsError) as error:
+        print(f"repro: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as missing:
+        package = str(missing.name).partition(".")[0]
+        if package.startswith(("repro", "edition1")):
+            raise
+        bring = "pip install pyarrow brings it"
+        if package != "pyarrow":
+            bring = "the package without --no-deps brings it, its extra [book] what notebooks need"
+        print(f"repro: This needs {package}, which is not installed: {bring}.", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    except Exception as error:
+        from edition1_live.record.recording_file import WriteFailed
+
+        if not isinstance(error, (OSError, WriteFailed)):
+            raise
+        what = f"{error.filename}: {error.strerror}" if getattr(error, "filename", None) else error
+        print(f"repro: A file cannot be read or written: {what}.", file=sys.stderr)
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,75 @@
+"""Allowed values at the end of a parameter's comment: what keeps to them, and that every notebook has them."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from edition1.errors import InputError
+from edition1_companion.book.parameters import Parameter, convert, declared_parameters
+from edition1_companion.book.run_form import default_value
+from edition1_companion.book.runner import read_notebook
+from rule_cases import CASES, OF_CHOICES
+
+PROJECT = Path(__file__).resolve().parents[4]
+PAGES = sorted((PROJECT / "notebooks").glob("*.ipynb"))
+FREE = {("bend_tests", "shown"), ("performance", "capability"), ("recorded_trial", "capture_layout")}
+"""Texts and dictionaries of which there is no fixed set: takes, a part of a name, columns of a file of one's own."""
+
+
+@pytest.mark.parametrize("case", CASES + OF_CHOICES, ids=lambda case: case.meaning)
+def test_values_keep_to_the_rule_in_the_comment(case):
+    parameter = Parameter("x", case.kind, case.default, case.meaning)
+    for text in case.allowed:
+        convert(parameter, text, "page.ipynb")
+    for text in case.refused:
+        with pytest.raises(InputError) as error:
+            convert(parameter, text, "page.ipynb")
+        assert str(error.value) == (
+            f"Input parameter x of page.ipynb must be {case.must_be}; instead received {text}."
+        )
+
+
+def test_words_within_a_comment_are_no_rule():
+    parameter = Parameter("x", "float", "1.0", "compared for at least 10 for an estimate [s]")
+    assert parameter.rule is None
+    assert convert(parameter, "-1", "page.ipynb") == -1
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
+def test_every_parameter_says_what_is_allowed(path):
+    """Its default keeps to it, and a list of choices is in their order: the form gives it in no other."""
+    for name, parameter in declared_parameters(read_notebook(path), path.name).items():
+        if parameter.type != "bool":
+            assert (parameter.rule is None) == ((path.stem, name) in FREE), name
+        if parameter.rule:
+            value = default_value(parameter, path.name)
+            assert parameter.rule.allows(value), name
+            if parameter.type == "list" and parameter.rule.choices:
+                assert value == [choice for choice in parameter.rule.choices if choice in value], name
+
+
+def test_a_run_beyond_the_range_is_refused():
+    command = [
+        sys.executable,
+        "-m",
+        "edition1_companion.cli",
+        "run",
+        "notebooks/kinematics.ipynb",
+        "-p",
+        "n_segments",
+        "-4",
+    ]
+    done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    said = "Input parameter n_segments of kinematics.ipynb must be at least 1; instead received -4."
+    assert done.stderr.startswith(f"repro: {said}\n")
+
+
+def test_choices_in_a_line_of_their_own():
+    """The names of the rows hold what papermill does not read in a line that assigns."""
+    notebook = read_notebook(PROJECT / "notebooks" / "table_1.ipynb")
+    rows = declared_parameters(notebook, "table_1.ipynb")["rows"]
+    assert convert(rows, "[n_b=1, 'n_e=(1,0,0)']", "table_1.ipynb") == ["n_b=1", "n_e=(1,0,0)"]
+    with pytest.raises(InputError, match="must be a list of any of: n_b=1, n_b=2"):
+        convert(rows, "[n_b=7]", "table_1.ipynb")

@@ -1,0 +1,113 @@
+"""Figures of the page on probabilistic curvature: what is drawn is what the tables hold."""
+
+import numpy as np
+import pandas as pd
+from edition1_companion.pages.probabilistic_curvature import figures
+from edition1_companion.pages.probabilistic_curvature.bend_space import curves_table, field_map
+from matplotlib.patches import PathPatch
+
+
+def test_bend_space_draws_curves_in_degrees_and_the_cloud():
+    points = pd.DataFrame({"bend_x_rad": [0.1, 0.2, 0.15], "bend_y_rad": [0.0, 0.1, 0.05]})
+    panels = figures.bend_space(curves_table(every=50), points.assign(is_truth=[False, False, True])).axes
+    assert [panel.get_title() for panel in panels] == [
+        "Particles, truth (star), enlarged",
+        "Spiral",
+        "Flower",
+        "Seagull",
+    ]
+    particles, truth = panels[0].get_lines()
+    np.testing.assert_allclose(particles.get_xdata(), np.rad2deg([0.1, 0.2]))
+    np.testing.assert_allclose(truth.get_ydata(), np.rad2deg([0.05]))
+    x, y = panels[1].get_lines()[0].get_data()
+    assert np.hypot(x, y).max() == np.rad2deg(0.03 * 31.0)
+
+
+def test_a_cloud_is_weighed_drawn_and_moved():
+    """Three frames a reading; what a cloud was moved to is what is weighed next."""
+    truth, weights = np.deg2rad([[10.0, 0.0], [11.0, 0.0]]), np.array([0.7, 0.2995, 0.0005])
+    q = truth[0] + np.deg2rad([[0.0, 0.0], [0.5, 0.5], [1.0, 5.0]])
+    clouds = [
+        (q, weights, np.array([0, 0, 1])),
+        (q + 0.01, weights, np.array([0, 0, 0])),
+        (q + 0.02, weights, np.array([0])),
+    ]
+    strip = figures.filter_steps(clouds, truth, truth + np.deg2rad([0.3, 0.4]), first=7)
+    assert len(strip.frames) == 6
+    assert strip.frames[0].says == (
+        "Reading 7, weighed: 2 of 3 particles have more than a thousandth of the weight each. "
+        "The estimate is 0.50° off."
+    )
+    assert "1 different particles are left, one of them 3 times" in strip.frames[4].says
+    seen = [
+        {a for a in frame.artists if isinstance(a, PathPatch) and a.get_alpha() is None}
+        for frame in strip.frames
+    ]
+    assert seen[2] == seen[3] != seen[0]
+    assert seen[1] == seen[4] == set()
+    (whole, *_) = sorted(seen[5], key=lambda dots: -len(dots.get_path().vertices))
+    np.testing.assert_allclose(whole.get_path().vertices[::2], np.rad2deg(q + 0.02))
+
+
+def test_errors_over_time_have_a_panel_for_every_curve_and_process_noise():
+    rows = [
+        {"process_noise_pi": walk, "particles": n, "curve": curve, "t": t, "error_mm": walk * n + t}
+        for walk in (0.02, 0.005)
+        for n in (100, 1000)
+        for curve in ("spiral", "flower")
+        for t in (0.0, 0.01)
+    ]
+    figure = figures.error_over_time(pd.DataFrame(rows))
+    titles = [panel.get_title() for panel in figure.axes]
+    assert titles[:2] == ["Spiral,\nprocess noise 0.02π rad", "Spiral,\nprocess noise 0.005π rad"]
+    few, many = (line.get_ydata() for line in figure.axes[1].lines)
+    np.testing.assert_allclose(
+        few, np.sqrt(np.mean(np.square([0.5, 0.51])))
+    )  # both lie within the running mean
+    np.testing.assert_allclose(many, np.sqrt(np.mean(np.square([5.0, 5.01]))))
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["100 particles", "1000 particles"]
+
+
+def test_process_noise_draws_points_law_and_the_published_band():
+    sweep = pd.DataFrame(
+        {"curve": "spiral", "process_noise_pi": [0.005, 0.02], "particles": 1000, "rmse_mm": [0.005, 0.021]}
+    )
+    count = pd.DataFrame(
+        {"curve": "flower", "process_noise_pi": 0.02, "particles": [100, 1000], "rmse_mm": [0.06, 0.02]}
+    )
+    law = pd.DataFrame(
+        {
+            "process_noise_pi": [0.02, 0.005, 0.02],
+            "particles": [1000, 1000, 100],
+            "law_mm": [0.015, 0.004, 0.05],
+        }
+    )
+    left, right = figures.process_noise(sweep, law, count).axes
+    drawn = [line.get_ydata() for line in left.lines if len(line.get_ydata()) == 2]
+    assert any(np.array_equal(y, [0.005, 0.021]) for y in drawn)
+    assert any(np.array_equal(y, [0.004, 0.015]) for y in drawn)
+    assert [line.get_ydata().tolist() for line in right.lines] == [[0.06, 0.02], [0.05, 0.015]]
+    (band,) = left.patches
+    np.testing.assert_allclose([band.get_y(), band.get_y() + band.get_height()], [0.0044, 0.0046])
+
+
+def test_sensor_noise_has_a_panel_for_each_motion():
+    sweep = pd.DataFrame(
+        {
+            "motion": ["random walk", "random walk", "constant velocity"],
+            "curve": ["spiral", "spiral", "flower"],
+            "process_noise_pi": [0.005, 0.02, 0.001],
+            "rmse_mm": [0.06, 0.1, 0.05],
+        }
+    )
+    first, second = figures.sensor_noise(sweep, 0.066).axes
+    assert first.get_title() == "Random walk"
+    assert first.lines[0].get_ydata() == [0.066, 0.066]
+    assert first.lines[1].get_ydata().tolist() == [0.06, 0.1]
+    assert second.lines[1].get_ydata().tolist() == [0.05]
+
+
+def test_field_has_three_maps_with_scales():
+    figure = figures.field_over_bend(field_map(rings=4, spokes=12))
+    labels = [axis.get_xlabel() for axis in figure.axes[3:]]
+    assert labels == ["flux density [mT]", "condition of its derivative", "error gain [mm/mT]"]

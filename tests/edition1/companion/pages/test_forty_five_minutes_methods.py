@@ -1,0 +1,156 @@
+"""Methods and tables of the page on the twin that drifts: against the plain fusion, and against made-up errors."""
+
+from dataclasses import replace
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from edition1_companion.book.studies import read_study
+from edition1_companion.pages.forty_five_minutes import figures, tables
+from edition1_companion.pages.forty_five_minutes.methods import (
+    METHODS,
+    Run,
+    by_minute,
+    errors_by_minute,
+    estimator,
+    followed,
+    lasting_errors,
+)
+from edition1_companion.pages.forty_five_minutes.plain import fused_tip_percent
+from edition1_companion.pages.forty_five_minutes.twin import JUDGED, MINUTES, RATE_HZ, ROBOT, Sizes, draw_twin
+
+HARD = replace(Sizes(), offset_mt=0.03, iron_a_m2=0.0)
+"""Three times the wander of the offsets, so that six minutes show it."""
+
+
+@pytest.fixture(scope="module")
+def drifting():
+    return draw_twin(101, minutes=6.0, sizes=HARD)
+
+
+def last_percent(run: Run, minutes: float = 2.0) -> float:
+    off = run.tip_error_m[-round(60 * minutes * RATE_HZ) :]
+    return 100 / ROBOT.length * float(off.square().mean().sqrt())
+
+
+def test_the_fusion_is_the_plain_one_with_which_the_sizes_were_set(drifting):
+    ours = last_percent(followed("fused", [drifting]))
+    assert ours == pytest.approx(float(fused_tip_percent([drifting], last_minutes=2.0)[0]), rel=0.05)
+
+
+def test_self_calibration_takes_most_of_the_drift_and_the_oracle_all_of_it(drifting):
+    error = {m: last_percent(followed(m, [drifting], 3.0)) for m in ("fused", "self-calibrating", "oracle")}
+    assert error["oracle"] < error["self-calibrating"] < 0.5 * error["fused"]
+
+
+def test_what_knows_the_drift_is_as_sure_as_it_should_be_until_iron_comes(drifting):
+    """Motion, field and noise of the filter are those of the twin: iron alone makes it too sure."""
+    disturbed = draw_twin(101, minutes=6.0, sizes=replace(HARD, iron_a_m2=Sizes().iron_a_m2))
+    calm, near = followed("oracle", [drifting, disturbed]).nees.mean(0).tolist()
+    assert calm == pytest.approx(1.0, abs=0.1)
+    assert near > calm + 0.1
+
+
+def test_errors_are_in_the_order_of_the_filter(drifting):
+    """The oracle is told errors by their places."""
+    method = estimator("self-calibrating")
+    truth = lasting_errors(drifting)
+    assert truth.shape[1] == len(method.errors.names) - 6
+    place = {name: k for k, name in enumerate(method.errors.names)}
+    assert torch.equal(truth[:, place["offset 4"]], torch.from_numpy(drifting.errors["offset"][:, 3]))
+    assert torch.equal(truth[:, place["heading 2"]], torch.from_numpy(drifting.errors["heading"][:, 1]))
+    tilt = truth[:, place["tilt 3 about y, fading in 2400 s"]]
+    assert torch.equal(tilt, torch.from_numpy(drifting.errors["tilt"][:, 2, 1]))
+
+
+def test_twins_together_are_twins_alone():
+    both = errors_by_minute([101, 102], 6.0, ["self-calibrating"])
+    alone = errors_by_minute([102], 6.0, ["self-calibrating"])
+    pd.testing.assert_frame_equal(both[both["twin"] == 102].reset_index(drop=True), alone, rtol=1e-6)
+
+
+def made_up(twin):
+    """Tip errors of 1 and 2 % in turn, normalised errors that count up, a flag for ever."""
+    n = len(twin.time_s)
+    percent = torch.from_numpy(np.where(np.arange(n) % 2, 1.0, 2.0)).unsqueeze(-1)
+    nees = torch.arange(n).double().unsqueeze(-1)
+    return Run(percent / 100 * ROBOT.length, nees, torch.ones(n, 1, dtype=torch.bool))
+
+
+def test_a_minute_is_a_root_of_a_mean_of_squares(drifting):
+    table = by_minute(made_up(drifting), drifting, 0)
+    assert table["minute"].tolist() == [1, 2, 3, 4, 5, 6]
+    np.testing.assert_allclose(table["tip_rmse_percent"], 2.5**0.5)
+    per_minute = 60 * RATE_HZ
+    np.testing.assert_allclose(table["nees"], (per_minute - 1) / 2 + per_minute * np.arange(6))
+    assert table["flag_iron_s"].sum() == table["iron_s"].sum() == Sizes().iron_s
+    assert table["flag_else_s"].sum() == 6 * 60 - Sizes().iron_s - 15
+
+
+def made_up_minutes():
+    size = dict(zip(METHODS, (5.0, 4.0, 3.0, 1.2, 1.0), strict=True))
+    rows = [
+        (twin, m, minute, size[m] * (1 + twin) * (minute > 1), 0.5 + twin, 60.0 * (minute == 2), 6.0, 1.0)
+        for twin in (0, 1)
+        for m in METHODS
+        for minute in (1, 2, 3)
+    ]
+    columns = ["twin", "method", "minute", "tip_rmse_percent", "nees", "iron_s", "flag_iron_s", "flag_else_s"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def test_tables_of_made_up_errors():
+    minutes = made_up_minutes()
+    twins = tables.by_twin(minutes, last=2)
+    assert twins.columns.tolist() == ["twin", "method", "tip_rmse_percent", "nees"]
+    np.testing.assert_allclose(twins.loc[twins["method"] == "fused", "tip_rmse_percent"], [3.0, 6.0])
+    whole = tables.by_twin(minutes, last=3)
+    np.testing.assert_allclose(whole["tip_rmse_percent"], twins["tip_rmse_percent"] * (2 / 3) ** 0.5)
+    np.testing.assert_allclose(tables.drift_left(twins), 0.1)
+    summary = tables.summary(twins).set_index("method").loc["oracle"]
+    assert summary[["median_percent", "least_percent", "most_percent", "nees"]].tolist() == [
+        1.5,
+        1.0,
+        2.0,
+        1.0,
+    ]
+    assert (summary["nees_low"], summary["nees_high"]) == (0.5, 1.5)
+    iron = tables.iron(minutes)
+    np.testing.assert_allclose(iron["self_percent"], [1.2, 2.4])
+    np.testing.assert_allclose(iron[["flag_s", "false_s"]], [[18.0, 3.0]] * 2)
+
+
+def test_figures_show_every_method_and_every_kind():
+    learnt = pd.DataFrame([(k, kind, 1 / k) for k in (1, 2) for kind in figures.KINDS])
+    learnt.columns = ["minute", "kind", "share"]
+    over = tables.over_time(made_up_minutes().query("minute > 1"))
+    shown = figures.errors_over_time(over)
+    assert [text.get_text() for text in shown.legends[0].get_texts()] == [
+        figures.IN_WORDS.get(method, method) for method in METHODS
+    ]
+    iron = tables.iron(made_up_minutes())
+    shown = figures.learnt_and_iron(learnt, iron)
+    right = shown.axes[1]
+    assert [text.get_text() for text in shown.legends[0].get_texts()] == list(figures.KINDS)
+    np.testing.assert_allclose(right.collections[0].get_offsets(), iron[["fused_percent", "self_percent"]])
+    plt.close("all")
+
+
+def test_the_committed_twins_are_all_and_whole():
+    table, _ = read_study("forty_five_minutes")
+    counts = table.groupby(["twin", "method"]).size()
+    assert set(counts.index) == {(twin, method) for twin in JUDGED for method in METHODS}
+    assert set(counts) == {int(MINUTES)}
+    near = table[table["method"] == "oracle"].groupby("twin")["iron_s"].sum()
+    np.testing.assert_allclose(near, Sizes().iron_s)
+
+
+def test_without_the_minutes_of_iron_the_committed_twins_err_as_they_should():
+    table, _ = read_study("forty_five_minutes")
+    calm = tables.summary(tables.by_twin(table[table["iron_s"] == 0])).set_index("method")
+    for method in ("self-calibrating", "oracle"):
+        assert calm.loc[method, "nees_low"] < 1 < calm.loc[method, "nees_high"]
+    near = tables.summary(tables.by_twin(table[table["iron_s"] > 0], last=45)).set_index("method")
+    assert near.loc["oracle", "nees_low"] > calm.loc["oracle", "nees_high"]

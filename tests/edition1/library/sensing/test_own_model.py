@@ -1,0 +1,347 @@
+"""Models of a user's own: any dtype and form that torch has, and messages where they do not fit."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import warnings
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+import torch
+from edition1.errors import InputError
+from edition1.estimation.base import track
+from edition1.estimation.levenberg_marquardt import jacobian
+from edition1.robot_file.load import load_robot
+from edition1.sensing.import_network import import_network
+from edition1.sensing.magnetic import MagneticSensing
+from edition1.sensing.network import Dropout, PerSensor, paper_network
+from edition1.sensing.own_model import OwnModel
+from edition1.sensing.weights import load_paper_network
+from edition1_companion.twins.trajectories import lemniscate
+from edition1_live.follow.robot_estimator import robot_estimator
+from safetensors.torch import save_file
+from torch import nn
+
+DATA = Path(__file__).parents[4] / "data"
+ROBOTS = DATA / "robots"
+TRAINED = min((DATA / "networks").glob("pcc_nb1_*.safetensors"))
+ONE = load_robot(ROBOTS / "one_segment.toml")
+assert ONE.moments is not None
+MOMENT = ONE.moments[:1]
+ONE_TEXT = (ROBOTS / "one_segment.toml").read_text()
+
+
+def trained(dtype: torch.dtype = torch.float32) -> nn.Sequential:
+    """Return a network with batch norms, trained on angles."""
+    return load_paper_network(TRAINED).to(dtype)
+
+
+class ArcCosine(nn.Module):
+    """The dipole field by angles that the model takes itself, with a weight of a dtype."""
+
+    def __init__(self, dtype: torch.dtype = torch.float64) -> None:
+        super().__init__()
+        self.moment = nn.Parameter(MOMENT.to(dtype))
+
+    def forward(self, cosines: torch.Tensor) -> torch.Tensor:
+        d = cosines[..., 1]
+        alpha, beta, theta = torch.acos(cosines[..., 2:]).unbind(-1)
+        return self.moment * (3 * theta.cos() * beta.cos() - alpha.cos()) / d**3
+
+
+def dipole(cosines):
+    d, alpha, beta, theta = cosines[..., 1:].unbind(-1)
+    return MOMENT.to(cosines) * (3 * theta * beta - alpha) / d**3
+
+
+FORMS = {
+    "module": lambda m: m,
+    "script": torch.jit.script,
+    "trace": lambda m: torch.jit.trace(m, torch.rand(6, 5, dtype=next(m.parameters()).dtype)),
+    "freeze": lambda m: torch.jit.freeze(torch.jit.script(m)),
+    "callable": lambda m: lambda rows: m(rows),
+}
+
+
+def quiet(form: str, module: nn.Module):
+    """Return a form of a module; torch calls most of them deprecated."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return FORMS[form](module)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("form", FORMS)
+def test_a_network_in_every_form_and_dtype_reads_as_it_does_by_itself(form, dtype):
+    plain = nn.Sequential(*[layer for layer in trained(dtype) if not isinstance(layer, Dropout)])
+    plain.eval()
+    sensing = ONE.sensing(quiet(form, plain), inputs="angles")
+    reference = ONE.sensing(trained(torch.float64), inputs="angles")
+    q = lemniscate(1, steps=5)
+    u, J = jacobian(sensing, q)
+    u_64, J_64 = jacobian(reference, q)
+    assert u.dtype == J.dtype == torch.float64
+    torch.testing.assert_close(u, u_64, rtol=0, atol=2e-5)
+    torch.testing.assert_close(J, J_64, rtol=2e-3, atol=1e-2 * float(J_64.abs().max()) * 1e-2)
+    assert sensing(q[0]).shape == (3,)
+    torch.testing.assert_close(sensing(q[2]), u[2])
+
+
+def test_the_jacobian_is_that_of_differences():
+    sensing = ONE.sensing(trained(), inputs="angles")
+    q = lemniscate(1, steps=4)[1]
+    _, J = jacobian(sensing, q)
+    h = 1e-7
+    steps = torch.stack(
+        [(sensing(q + h * e) - sensing(q - h * e)) / (2 * h) for e in torch.eye(3).double()], -1
+    )
+    torch.testing.assert_close(J, steps, rtol=1e-4, atol=1e-3)
+
+
+def test_a_batch_norm_is_evaluated_and_the_module_of_the_user_stays_as_it_was():
+    mine = trained().train()
+    before = {name: value.clone() for name, value in mine.state_dict().items()}
+    sensing = ONE.sensing(mine, inputs="angles")
+    q = lemniscate(1, steps=6)
+    torch.testing.assert_close(sensing(q)[3], sensing(q[3]))  # a row does not depend on its batch
+    assert mine.training
+    assert next(mine.parameters()).requires_grad
+    assert all(torch.equal(value, before[name]) for name, value in mine.state_dict().items())
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_straight_pose_has_finite_derivatives_though_the_model_takes_arc_cosines(dtype):
+    for model in (
+        ArcCosine(dtype),
+        quiet("script", ArcCosine(dtype)),
+        lambda c: ArcCosine(dtype)(c.to(dtype)),
+    ):
+        u, J = jacobian(ONE.sensing(model), ONE.start)
+        exact, exact_J = jacobian(ONE.sensing(dipole), ONE.start)
+        assert torch.isfinite(J).all()
+        torch.testing.assert_close(u, exact, rtol=1e-5, atol=0)
+        # the derivatives by an angle at its kink are zero, as those of angles of the project
+        torch.testing.assert_close(J[:, 2], exact_J[:, 2], rtol=1e-2, atol=0)
+
+
+@pytest.mark.parametrize("name", ["levenberg_marquardt", "kalman", "gradient_descent", "particle_filter"])
+def test_every_estimator_follows_with_a_network_in_float32(name):
+    estimator = robot_estimator(ONE, name, model=trained(), inputs="angles")
+    q = lemniscate(1, steps=400)[:12]
+    found = track(estimator.method, ONE.sensing()(q), estimator.start).q
+    assert found.dtype == torch.float64
+    assert torch.isfinite(found).all()
+    if name in ("levenberg_marquardt", "kalman"):
+        assert float((found - q).abs().max()) < 3e-3  # the network's own error
+
+
+def three() -> tuple:
+    robot = load_robot(ROBOTS / "three_segments.toml")
+    return robot, 1 + 4 * len(robot.robot.magnets), len(robot.robot.sensors), robot.robot.sensors.segment
+
+
+def test_one_network_per_sensor_and_one_per_segment():
+    robot, width, n, segment = three()
+    networks = [paper_network(width, torch.Generator().manual_seed(k)).eval() for k in range(n)]
+    alone = torch.stack([robot.sensing(one, inputs="angles")(robot.start) for one in networks])
+    per_sensor = robot.sensing(networks, inputs="angles")(robot.start)
+    torch.testing.assert_close(per_sensor, alone[range(n), range(n)])
+    per_segment = robot.sensing(networks[:3], inputs="angles")(robot.start)
+    torch.testing.assert_close(per_segment, alone[segment, range(n)])
+    same = robot.sensing(nn.ModuleList(networks), inputs="angles")(robot.start)
+    torch.testing.assert_close(same, per_sensor)
+    whole = PerSensor(networks, range(n))  # a module on the relations of all sensors at once
+    torch.testing.assert_close(robot.sensing(whole, inputs="angles")(robot.start), per_sensor)
+    with pytest.raises(
+        InputError, match=rf"must be one, or 3 \(one per segment\), or {n} \(one per sensor\)"
+    ):
+        robot.sensing(networks[:2])
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (paper_network(9, torch.Generator()), r"rows of 5 relations, .* for \(6, 5\) of float64: .*9"),
+        (nn.Linear(5, 2), r"a reading each; instead received for \(6, 5\) of float64: shape \(6, 2\)"),
+        (lambda xi: "u", r"instead received for \(2, 3, 5\) of float64: str"),
+        (lambda xi: 1 / 0, "division by zero"),
+        (lambda xi: xi[..., 0] * torch.nan, "finite readings where estimators start; instead received"),
+        (lambda xi: xi[..., 0].detach(), "readings change with the relations"),
+        (
+            lambda xi: (xi[..., 2].abs() - 1 + 1e-8).clamp_min(0).sqrt() * 0 + (xi[..., 0] * 0).sqrt(),
+            "finite deriv",
+        ),
+        ("none.pt", "none.pt, which is not there"),
+        ([], "must be one, or 1 .one per segment., or 3 .one per sensor.; instead received 0 of them"),
+    ],
+)
+def test_models_that_do_not_fit_are_refused_with_dtype_and_shape(model, message):
+    with pytest.raises(InputError, match=message):
+        ONE.sensing(model)
+
+
+def test_inputs_are_angles_or_cosines():
+    with pytest.raises(
+        InputError, match="inputs of sensing must be 'angles' or 'cosines'; instead received 'deg'"
+    ):
+        ONE.sensing(dipole, inputs="deg")
+    sensing = ONE.sensing(dipole)
+    assert isinstance(sensing, MagneticSensing)
+    assert isinstance(sensing.model, OwnModel)
+
+
+def with_networks(folder: Path, names: str, more: str = "") -> Path:
+    path = folder / "robot.toml"
+    path.write_text(f"{ONE_TEXT}\n[model]\nnetworks = [{names}]\n{more}")
+    return path
+
+
+UNKNOWN_ERROR = "robot.toml: no error of the networks is known; what estimates state holds the noise alone."
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_torchscript_in_a_robot_file(tmp_path, dtype):
+    quiet("trace", trained(dtype)).save(tmp_path / "net.pt")
+    robot = load_robot(with_networks(tmp_path, '"net.pt"'))
+    q = lemniscate(1, steps=5)
+    torch.testing.assert_close(
+        robot.sensing()(q), ONE.sensing(trained(), inputs="angles")(q), rtol=0, atol=2e-5
+    )
+    note, unknown = robot.notes
+    assert unknown == UNKNOWN_ERROR
+    assert "networks in TorchScript are not compiled but run in torch: some 50 ms for an estimate" in note
+    estimator = robot_estimator(robot)
+    estimator.prepared()
+    method = estimator.method
+    assert float((track(method, robot.sensing()(q), robot.start).q - q).abs().max()) < 1e-4
+    quiet("script", ArcCosine(dtype)).save(tmp_path / "arc.pt")
+    robot = load_robot(with_networks(tmp_path, '"arc.pt"', 'inputs = "cosines"\n'))
+    torch.testing.assert_close(robot.sensing()(q), ONE.sensing(dipole)(q), rtol=1e-3, atol=1e-4)
+
+
+def test_networks_of_a_robot_file_are_refused_when_it_is_read(tmp_path):
+    torch.save(trained().state_dict(), tmp_path / "weights.pt")
+    with pytest.raises(InputError) as refused:
+        load_robot(with_networks(tmp_path, '"weights.pt"'))
+    assert "robot.toml, line " in str(refused.value)
+    assert "must be a TorchScript file (as torch.jit.save writes it; weights alone are" in str(refused.value)
+    (tmp_path / "alone.safetensors").write_bytes(TRAINED.read_bytes())
+    with pytest.raises(
+        InputError, match=r"robot.toml, line \d+, \[model\]: .*their manifest alone.json beside them"
+    ):
+        load_robot(with_networks(tmp_path, '"alone.safetensors"'))
+    import_network(saved(trained(), tmp_path / "a.pth"), tmp_path / "a.safetensors")
+    with pytest.raises(
+        InputError, match="inputs of robot.toml, line .* must be 'angles', which networks of the"
+    ):
+        load_robot(with_networks(tmp_path, '"a.safetensors"', 'inputs = "cosines"\n'))
+
+
+def test_a_robot_with_networks_is_not_warned_of_ranges_in_its_unit(tmp_path):
+    import_network(saved(trained(), tmp_path / "a.pth"), tmp_path / "a.safetensors")
+    text = re.sub("noise_mt = .*", "noise_mv = 0.24", ONE_TEXT.replace('unit = "mT"', 'unit = "mV"'))
+    path = tmp_path / "robot.toml"
+    path.write_text(f'{text}\n[model]\nnetworks = ["a.safetensors"]\n')
+    assert load_robot(path).notes == (UNKNOWN_ERROR,)
+
+
+def saved(network: nn.Module, path: Path) -> Path:
+    torch.save(network.state_dict(), path)
+    return path
+
+
+class Named(nn.Module):
+    """The paper's architecture under other names, without dropout."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.normalise = nn.BatchNorm1d(5)
+        widths = (5, 96, 256, 64, 24)
+        self.hidden = nn.ModuleList(
+            nn.Sequential(nn.Linear(a, b), nn.ReLU(), nn.BatchNorm1d(b)) for a, b in pairwise(widths)
+        )
+        self.output = nn.Linear(24, 1)
+
+    def forward(self, x):
+        x = self.normalise(x)
+        for layer in self.hidden:
+            x = layer(x)
+        return self.output(x).squeeze(-1)
+
+
+def test_a_state_dict_goes_round(tmp_path):
+    mine, q = trained(), lemniscate(1, steps=5)
+    expected = ONE.sensing(mine, inputs="angles")(q)
+    same = Named().eval()
+    same.load_state_dict(dict(zip(same.state_dict(), mine.state_dict().values(), strict=True)))
+    torch.save({"epoch": 3, "state_dict": mine.state_dict()}, tmp_path / "nested.pt")
+    averaged = torch.optim.swa_utils.AveragedModel(mine)
+    save_file({f"net.{k}": v for k, v in mine.state_dict().items()}, tmp_path / "prefixed.safetensors")
+    for source in (
+        saved(mine, tmp_path / "plain.pth"),
+        saved(mine.double(), tmp_path / "double.pth"),
+        saved(same, tmp_path / "named.pt"),
+        saved(averaged, tmp_path / "averaged.pt"),
+        tmp_path / "nested.pt",
+        tmp_path / "prefixed.safetensors",
+    ):
+        target = import_network(source, tmp_path / "out" / f"{source.stem}.safetensors")
+        read = load_paper_network(target)
+        torch.testing.assert_close(ONE.sensing(read, inputs="angles")(q), expected, rtol=0, atol=1e-6)
+        robot = load_robot(with_networks(tmp_path, f'"out/{target.name}"'))
+        torch.testing.assert_close(robot.sensing()(q), expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda w: w | {"2.weight": torch.zeros(96, 6)}, r"2.weight of shape \(96, 5\); .* shape \(96, 6\)"),
+        (
+            lambda w: {k: v for k, v in w.items() if k != "4.bias"},
+            r"with 4.bias of shape \(96,\); .* 34 weights",
+        ),
+        (
+            lambda w: w | {"20.weight": torch.zeros(3)},
+            "the 35 of the paper's network; instead received also 20.weight",
+        ),
+        (
+            lambda w: w | {"2.bias": torch.full((96,), torch.nan)},
+            "finite; instead received 2.bias with numbers",
+        ),
+        (lambda w: {"a": 3}, "must be a state dict: a file of torch.save, or safetensors; .* with dict"),
+        (lambda w: [1], "must be a state dict: a file of torch.save, or safetensors; .* with list"),
+    ],
+)
+def test_other_weights_are_refused_by_name(tmp_path, change, message):
+    weights = dict(trained().state_dict())
+    torch.save(change(weights), tmp_path / "w.pt")
+    with pytest.raises(InputError, match=message):
+        import_network(tmp_path / "w.pt", tmp_path / "w.safetensors")
+    assert not (tmp_path / "w.safetensors").exists()
+
+
+def test_files_that_are_no_state_dict(tmp_path):
+    (tmp_path / "a.pt").write_bytes(b"none")
+    torch.save(trained(), tmp_path / "pickled.pt")
+    for name in ("a.pt", "pickled.pt", "missing.pt"):
+        with pytest.raises(InputError, match="source of import_network must be a state dict"):
+            import_network(tmp_path / name, tmp_path / "w.safetensors")
+    with pytest.raises(
+        InputError, match="target of import_network must be a new file that ends in .safetensors"
+    ):
+        import_network(saved(trained(), tmp_path / "b.pt"), tmp_path / "b.pt")
+
+
+def test_the_page_runs(tmp_path, monkeypatch):
+    page = (DATA.parent / "book" / "own_robot.md").read_text()
+    section = page[page.index("(own-model)=") :]
+    shutil.copytree(ROBOTS, tmp_path / "data" / "robots")
+    saved(trained(), tmp_path / "weights.pth")
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", section, re.S)
+    assert len(blocks) == 2
+    for block in blocks:
+        exec(block, {})
+    assert load_robot(with_networks(tmp_path, '"segment1.safetensors"')).notes == (UNKNOWN_ERROR,)
