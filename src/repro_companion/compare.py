@@ -1,0 +1,194 @@
+"""Compare tables of results: two folders, or ``results/`` with what is committed.
+
+On one kind of processor the same sources give the same bytes. Another kind adds numbers in another order, so last
+digits move, and more than these where a descent is chaotic. ``data/tolerances.csv`` says which cells move, how far
+and why; ``data/thinned.csv`` lists tables of which ``results/`` keeps only some rows.
+"""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import tarfile
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from pandas.api.types import is_bool_dtype, is_float_dtype, is_numeric_dtype
+
+REFERENCE = "# reference processor: "
+"""How the first line of ``data/tolerances.csv`` begins; the name is LLVM's, which chooses the instructions."""
+
+
+@dataclass
+class Comparison:
+    """What a comparison of two folders of tables found."""
+
+    same: int = 0
+    """Number of tables that are the same byte for byte."""
+    close: int = 0
+    """Number of tables whose cells differ, none by more than it may."""
+    found: list[str] = field(default_factory=list)
+    """One line for each table or column that differs by more than it may."""
+
+    def summary(self) -> str:
+        """Return the counts in one line."""
+        counts = [f"{self.same} the same byte for byte"]
+        counts += [f"{self.close} within the tolerances of data/tolerances.csv"] if self.close else []
+        counts += [f"{len(self.found)} differences"] if self.found else []
+        return ", ".join(counts)
+
+
+def compare_folders(old: Path, new: Path, root: Path, *, exact: bool = False) -> Comparison:
+    """Compare all tables of two folders.
+
+    Parameters
+    ----------
+    old, new
+        Folders with tables (``*.csv``).
+    root
+        The project, with ``data/tolerances.csv`` and ``data/thinned.csv``.
+    exact
+        Whether every table must be the same byte for byte.
+
+    Returns
+    -------
+    Comparison
+        Counts, and what differs. ``scorecard.csv`` follows from the other tables: it is compared byte for byte or
+        not at all.
+    """
+    tolerances = pd.read_csv(root / "data" / "tolerances.csv", comment="#", dtype={"tolerance": float})
+    thinned = pd.read_csv(root / "data" / "thinned.csv").set_index("table")
+    result = Comparison()
+    for name in sorted({path.name for folder in (old, new) for path in folder.glob("*.csv")}):
+        missing = [folder for folder in (old, new) if not (folder / name).is_file()]
+        if missing:
+            result.found.append(f"{name} is missing in {missing[0]}")
+        elif (old / name).read_bytes() == (new / name).read_bytes():
+            result.same += 1
+        elif exact:
+            result.found.append(f"{name} is not the same byte for byte")
+        elif name != "scorecard.csv":
+            keys, every = thinned.loc[name[:-4]] if name[:-4] in thinned.index else ("", 1)
+            found = compare_tables(old / name, new / name, tolerances, keys.split(), int(every))
+            result.close += not found
+            result.found += found
+    return result
+
+
+def compare_tables(
+    old: Path, new: Path, tolerances: pd.DataFrame, thinned_by: Sequence[str] = (), every: int = 1
+) -> list[str]:
+    """Return one line for each column of a table that differs by more than it may.
+
+    Parameters
+    ----------
+    old, new
+        The files.
+    tolerances
+        Columns ``table, row, column, tolerance, reason``; the last line whose patterns fit a cell counts. ``row`` is
+        a pattern for the texts and whole numbers of a row, with blanks between them. A tolerance is in parts of the
+        largest number of the column; 1 and more also lets words differ.
+    thinned_by, every
+        Columns that tell rows apart, and which share of the rows one of the two files has at least, for a table of
+        which ``results/`` keeps every k-th row.
+    """
+    first, second = _read(old), _read(new)
+    if set(first) != set(second):
+        return [f"{old.name}: only one of the two has {', '.join(sorted(set(first) ^ set(second)))}"]
+    keys = list(thinned_by) or _keys(first, second)
+    first, second = (_by_keys(table, keys) for table in (first, second))
+    common = first.index.intersection(second.index, sort=False)
+    few, many = sorted((len(first), len(second)))
+    lost = (few if thinned_by else many) - len(common)
+    if lost or few * (every + 1) < many:
+        return [f"{old.name} has {lost or many - few} rows that only one of the two has"]
+    first, second = first.loc[common], second.loc[common]
+    texts = first.columns[[not is_float_dtype(first[column]) for column in first]]
+    rows = [" ".join(map(str, row)) for row in first[texts].itertuples(index=False)]
+    fits = [fnmatchcase(old.stem, table) for table in tolerances["table"]]
+    fitting = tolerances.loc[fits, ["row", "column", "tolerance"]]
+    found = []
+    for column in first:
+        allowed = np.zeros(len(rows))
+        for row_pattern, column_pattern, tolerance in fitting.itertuples(index=False):
+            if fnmatchcase(str(column), column_pattern):
+                allowed[[fnmatchcase(row, row_pattern) for row in rows]] = tolerance
+        moved = _moved(first[column], second[column])
+        if (moved > allowed).any():
+            worst = int(np.argmax(moved - allowed))
+            found.append(
+                f"{old.name}: {column} differs in {(moved > allowed).sum()} rows, most where the row is"
+                f" '{rows[worst]}': by {moved[worst]:.1e} of the column's largest; {allowed[worst]:.0e} is allowed"
+            )
+    return found
+
+
+def compare_with_head(root: Path) -> Comparison:
+    """Compare ``results/`` of a project with the tables that are committed.
+
+    On the reference processor every byte must be the same, elsewhere the tolerances hold.
+
+    Raises
+    ------
+    ValueError
+        If the project is no checkout of git.
+    """
+    done = subprocess.run(["git", "-C", root, "archive", "HEAD", "results"], capture_output=True, check=False)
+    if done.returncode:
+        raise ValueError(f"The committed tables cannot be read: {done.stderr.decode().strip()}")
+    with tempfile.TemporaryDirectory() as folder:
+        with tarfile.open(fileobj=io.BytesIO(done.stdout)) as archive:
+            archive.extractall(folder, filter="data")
+        committed = Path(folder) / "results"
+        return compare_folders(committed, root / "results", root, exact=on_reference_processor(root))
+
+
+def on_reference_processor(root: Path) -> bool:
+    """Return whether this computer has the kind of processor on which the committed tables were computed."""
+    from llvmlite.binding import get_host_cpu_name
+
+    first = (root / "data" / "tolerances.csv").read_text(encoding="utf-8").partition("\n")[0]
+    return first == f"{REFERENCE}{get_host_cpu_name()}"
+
+
+def _read(path: Path) -> pd.DataFrame:
+    try:
+        return pd.read_csv(path, keep_default_na=False, na_values=[""])  # a label "None" is a label
+    except pd.errors.EmptyDataError:
+        return pd.DataFrame()
+
+
+def _keys(first: pd.DataFrame, second: pd.DataFrame) -> list[str]:
+    """Return the first columns without fractions, as many as tell rows apart."""
+    keys: list[str] = []
+    for column in first:
+        if is_float_dtype(first[column]) or is_float_dtype(second[column]):
+            break
+        keys.append(str(column))
+        if not (first.duplicated(keys).any() or second.duplicated(keys).any()):
+            break
+    return keys
+
+
+def _by_keys(table: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
+    """Return a table whose index is its keys and the place among rows of the same keys."""
+    place = table.groupby(keys, dropna=False).cumcount() if keys else pd.Series(range(len(table)))
+    return table.set_index(pd.MultiIndex.from_arrays([*(table[key] for key in keys), place]))
+
+
+def _moved(first: pd.Series, second: pd.Series) -> np.ndarray:
+    """Return how far each cell moved, in parts of the column's largest; 1 for a word, infinity for a lost number."""
+    numbers = all(is_numeric_dtype(column) and not is_bool_dtype(column) for column in (first, second))
+    if not numbers:
+        return ((first != second) & ~(first.isna() & second.isna())).to_numpy(float)
+    a, b = first.to_numpy(float), second.to_numpy(float)
+    both = np.concatenate([a, b])
+    largest = np.abs(both[np.isfinite(both)]).max(initial=0.0) or 1.0
+    with np.errstate(invalid="ignore"):
+        moved = np.where((a == b) | (np.isnan(a) & np.isnan(b)), 0.0, np.abs(a - b) / largest)
+    return np.nan_to_num(moved, nan=np.inf)

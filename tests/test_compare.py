@@ -1,0 +1,139 @@
+"""What `repro compare` lets pass and what it names."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from llvmlite.binding import get_host_cpu_name
+
+from repro_companion.compare import REFERENCE, compare_folders, on_reference_processor
+
+TOLERANCES = """table,row,column,tolerance,reason
+*,*,*,1e-6,last digits
+table_2,*chaotic*,error_*,2,a chaotic step
+table_2,*chaotic*,note,1,words with digits
+"""
+TABLE = "trajectory,descent,error_mm,note\nT0,chaotic,1.0,one\nT4,steady,4.0,four\n"
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """Return a project with tolerances, and folders with one table each."""
+    for name in ("data", "results", "old"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "data/tolerances.csv").write_text(f"{REFERENCE}another\n{TOLERANCES}")
+    (tmp_path / "data/thinned.csv").write_text("table,keys,every\nseries,name time_s,2\n")
+    for folder in ("results", "old"):
+        (tmp_path / folder / "table_2.csv").write_text(TABLE)
+    return tmp_path
+
+
+def found(root: Path, text: str, name: str = "table_2.csv", **options: bool) -> list[str]:
+    """Write a table and return what is found."""
+    (root / "results" / name).write_text(text)
+    return compare_folders(root / "old", root / "results", root, **options).found
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("4.0", "4.000003", []),  # within 1e-6 of the largest
+        (
+            "4.0",
+            "4.00001",
+            ["error_mm differs in 1 rows, most where the row is 'T4 steady four': by 2.5e-06"],
+        ),
+        ("chaotic,1.0", "chaotic,7.0", []),  # by 6 of 7
+        ("4.0", "", ["by inf of the column's largest"]),
+        ("one", "two", []),
+        ("four", "five", ["note differs in 1 rows"]),
+        ("T4", "T5", ["table_2.csv has 1 rows that only one of the two has"]),
+        ("error_mm", "error_m", ["only one of the two has error_m, error_mm"]),
+        ("T0,chaotic,1.0,one\n", "", ["table_2.csv has 1 rows that only one of the two has"]),
+    ],
+)
+def test_cells_may_move_as_far_as_their_tolerance(root, before, after, said):
+    lines = found(root, TABLE.replace(before, after))
+    assert len(lines) == len(said)
+    for line, words in zip(lines, said, strict=True):
+        assert words in line
+
+
+def test_rows_are_matched_by_what_tells_them_apart_not_by_their_place(root):
+    head, *rows = TABLE.splitlines(keepends=True)
+    assert found(root, "".join([head, *reversed(rows)])) == []
+
+
+def test_exact_means_every_byte(root):
+    assert found(root, TABLE.replace("4.0", "4.000003"), exact=True) == [
+        "table_2.csv is not the same byte for byte"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("kept", "said"),
+    [
+        (lambda t: t["time_s"] % 2 == 0, []),
+        (lambda t: t["time_s"] >= 0, []),
+        (lambda t: t["time_s"] < 1, ["series.csv has 9 rows that only one of the two has"]),
+    ],
+)
+def test_a_thinned_table_is_compared_on_the_rows_it_has_left(root, kept, said):
+    table = pd.DataFrame({"name": "u", "time_s": range(10), "u_mT": 0.1})
+    table.to_csv(root / "old/series.csv", index=False)
+    assert found(root, table[kept(table)].to_csv(index=False), "series.csv") == said
+    other = table[kept(table)].assign(u_mT=0.2)
+    assert len(found(root, other.to_csv(index=False), "series.csv")) == 1
+
+
+def test_a_table_that_is_not_in_both_folders_is_named(root):
+    assert found(root, TABLE, "new.csv") == [f"new.csv is missing in {root / 'old'}"]
+
+
+def compare(root: Path, *folders: str) -> subprocess.CompletedProcess[str]:
+    """Run the command."""
+    command = [sys.executable, "-m", "repro_companion.cli", "compare", *folders]
+    return subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
+
+
+def test_results_are_compared_with_what_is_committed(root):
+    """Byte for byte on the processor that made them, elsewhere within the tolerances."""
+    git = ["git", "-C", str(root), "-c", "user.name=a", "-c", "user.email=a@example.org"]
+    for arguments in (["init", "-q"], ["add", "."], ["commit", "-qm", "Add tables"]):
+        subprocess.run([*git, *arguments], check=True)
+    done = compare(root)
+    assert (done.returncode, done.stdout) == (0, "Tables: 1 the same byte for byte.\n")
+    (root / "results/table_2.csv").write_text(TABLE.replace("4.0", "4.000003"))
+    done = compare(root)
+    assert (done.returncode, done.stdout[:12]) == (0, "Tables: 0 th")
+    (root / "data/tolerances.csv").write_text(f"{REFERENCE}{get_host_cpu_name()}\n{TOLERANCES}")
+    assert on_reference_processor(root)
+    done = compare(root)
+    assert (done.returncode, done.stderr) == (1, "table_2.csv is not the same byte for byte\n")
+
+
+def test_wrong_folders_are_refused_in_one_line(root, tmp_path_factory):
+    empty = tmp_path_factory.mktemp("empty")
+    for folder, arguments, said in (
+        (root, ["old"], "give two folders, or none"),
+        (root, ["old", "data/none"], "there are no tables (*.csv) in data/none"),
+        (root, [], "The committed tables cannot be read"),
+        (empty, [], "its data/tolerances.csv is needed"),
+    ):
+        done = compare(folder, *arguments)
+        assert done.returncode == 2
+        assert said in done.stderr
+        assert "Traceback" not in done.stderr
+
+
+def test_the_tolerances_of_the_project_say_why():
+    """Every line has a tolerance above zero and a reason; no line lets all of Table 2 move."""
+    lines = pd.read_csv(Path(__file__).parents[1] / "data/tolerances.csv", comment="#")
+    assert (lines["tolerance"] > 0).all()
+    assert lines.notna().all(axis=None)
+    table_2 = lines[lines["table"].str.startswith("table_2") & (lines["tolerance"] >= 0.1)]
+    assert not (table_2["row"] == "*").any()
