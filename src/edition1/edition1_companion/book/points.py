@@ -121,7 +121,7 @@ Runner = Callable[[Sequence[Point]], Iterable[Outcome]]
 
 def finished(point: Point) -> Record | None:
     """Return the record of a finished point; None if there is none of this key, or what it made has changed."""
-    record = read_record(record_path(point.results, point.output.stem))
+    record = read_record(record_path(point.output))
     if record is None or record.key != point.key:
         return None
     made = {point.results / name: digest for name, digest in record.results.items()}
@@ -163,7 +163,7 @@ def once(point: Point, run: Callable[[int], str]) -> Outcome:
 
 
 def _run(point: Point, environment: Mapping[str, str], lock: int) -> str:
-    for path in point.results.glob(f".{point.output.stem}-*"):  # left by a run that was killed
+    for path in point.output.parent.glob(f".{point.output.stem}-*"):  # left by a run that was killed
         shutil.rmtree(path) if path.is_dir() else path.unlink()
     started = time.monotonic()
     _announce(point, "started")

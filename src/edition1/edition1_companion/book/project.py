@@ -8,6 +8,8 @@ from pathlib import Path
 
 from edition1.errors import bad_input
 
+from edition1_companion.recordings.sources import recordings_are_here
+
 
 @dataclass(frozen=True)
 class Project:
@@ -33,8 +35,9 @@ class Project:
 
     @property
     def results(self) -> Path:
-        """The tables that the book's notebooks wrote."""
-        return self.root / "results"
+        """The tables that the book's notebooks wrote: those without recordings are committed, the others ignored."""
+        folder = self.root / "results"
+        return folder / "with_recordings" if recordings_are_here() else folder
 
     @property
     def data(self) -> Path:
@@ -59,7 +62,7 @@ class Project:
     def owner_of(self, path: Path) -> str | None:
         """Return which of ``book``, ``notebooks`` and ``results`` a path lies in, or None."""
         resolved = path.resolve()
-        for folder in (self.book, self.notebooks, self.results):
+        for folder in (self.book, self.notebooks, self.root / "results"):
             if resolved.is_relative_to(folder.resolve()):
                 return folder.name
         return None

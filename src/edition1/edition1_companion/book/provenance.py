@@ -23,15 +23,13 @@ from edition1.files import write_whole
 
 from edition1_companion.book.digests import combined_digest, file_digest, tree_digests
 from edition1_companion.book.project import Project
-from edition1_companion.recordings.sources import data_dir
+from edition1_companion.recordings.sources import COMPILED_KERNELS, data_dir
 
 LIBRARIES = ("torch", "numpy", "numba", "scipy", "magpylib", "matplotlib", "pandas", "papermill")
 """Libraries whose versions stand in every record."""
 
 PACKAGES = ("edition1", "edition1_live", "edition1_companion")
 """What the project's code lies in."""
-COMPILED_KERNELS = "numba"
-"""Folder in the user's cache beside the recordings, which a run may fill: see :mod:`edition1.kernels.compilation`."""
 PAGES, AFTER = "edition1_companion/pages/", "edition1_companion/book/after/"
 RECORD_SUFFIX = ".provenance.json"
 
@@ -187,9 +185,9 @@ def _git(project: Project, *arguments: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 
 
-def record_path(results: Path, stem: str) -> Path:
-    """Return where the record of the notebook ``stem`` lies in a folder of results."""
-    return results / f"{stem}{RECORD_SUFFIX}"
+def record_path(executed: Path) -> Path:
+    """Return where the record of an executed notebook lies: beside it."""
+    return executed.with_name(f"{executed.stem}{RECORD_SUFFIX}")
 
 
 def write_record(record: Record, path: Path) -> None:

@@ -113,7 +113,7 @@ def run_notebook(
     output
         The executed notebook.
     results
-        Folder of the tables and of the record ``<name of output>.provenance.json``.
+        Folder of the tables. The record ``<name of output>.provenance.json`` lies beside the output.
     project
         Whose package, data and lock the record names.
     failed
@@ -140,8 +140,8 @@ def run_notebook(
     failed = failed or output.with_name(f"{output.stem}.failed.ipynb")
     inputs = read_inputs(project)
     started, clock = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
-    results.mkdir(parents=True, exist_ok=True)
-    staging = Path(tempfile.mkdtemp(prefix=f".{output.stem}-", dir=results))
+    output.parent.mkdir(parents=True, exist_ok=True)
+    staging = Path(tempfile.mkdtemp(prefix=f".{output.stem}-", dir=output.parent))
     try:
         partial, tables = staging / output.name, staging / "tables"
         # A kernel on TCP ports dies where another program takes one of them first. Paths of sockets must be
@@ -171,6 +171,10 @@ def run_notebook(
                     raise
                 raise NotebookFailed(message) from error
         _finish(partial, notebook, output)
+        if results == project.results:
+            from edition1_companion.book.thinning import thin  # its import of pandas takes a second
+
+            thin(tables, project.data / "thinned.csv")
         record = make_record(
             project,
             notebook,
@@ -255,7 +259,7 @@ def _finish(path: Path, notebook: Path, output: Path, *, complete: bool = True) 
 
 def _publish(record: Record, tables: Path, results: Path, partial: Path, output: Path) -> None:
     """Move tables and executed notebook to their places, and drop tables that only the earlier run wrote."""
-    place = record_path(results, output.stem)
+    place = record_path(output)
     earlier = read_record(place)
     # Without a record nothing counts as finished: an interruption between here and its writing is noticed.
     place.unlink(missing_ok=True)
@@ -264,8 +268,7 @@ def _publish(record: Record, tables: Path, results: Path, partial: Path, output:
     for name in record.results:
         (results / name).parent.mkdir(parents=True, exist_ok=True)
         (tables / name).replace(results / name)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    shutil.move(partial, output)
+    partial.replace(output)
     write_record(record, place)
 
 

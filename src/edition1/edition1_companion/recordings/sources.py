@@ -42,6 +42,17 @@ def data_dir() -> Path:
     return folder.absolute()
 
 
+COMPILED_KERNELS = "numba"
+"""Folder in the user's cache beside the recordings, which a run may fill: see :mod:`edition1.kernels.compilation`."""
+
+
+def recordings_are_here() -> bool:
+    """Return whether there is any recording below `data_dir`."""
+    folder = data_dir()
+    papers = [path for path in folder.iterdir() if path.name != COMPILED_KERNELS] if folder.is_dir() else []
+    return any(path.is_file() for paper in papers for path in (paper, *paper.rglob("*")))
+
+
 @dataclass(frozen=True)
 class RecordedFile:
     """One file of a public repository, at one commit."""

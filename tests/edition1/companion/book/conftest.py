@@ -51,6 +51,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "requirements.lock": "numpy==2.0\n",
         "src/edition1/edition1/module.py": '"""A module."""\n',
         "data/published/published.csv": PUBLISHED,
+        "data/thinned.csv": "table,keys,every\nthinned,n,2\n",
         "data/published/index.csv": "paper,kind,artefact,shows,status,page,anchor,code,note\n",
     }
     for name, text in texts.items():

@@ -57,8 +57,6 @@ def test_a_book_from_nothing_and_what_makes_it_run_again(book, build, tmp_path):
     )
     assert (site / "notebooks/a.html").is_file()
     assert sorted(os.listdir(book / "results")) == [
-        "a.provenance.json",
-        "b.provenance.json",
         "scorecard.csv",
         "table_a.csv",
         "table_b.csv",
@@ -97,7 +95,12 @@ def test_what_makes_notebooks_run_again(without_site, build, tmp_path):
     assert executed(build().stdout) == {"a", "b"}
     (tmp_path / "recordings" / "new.csv").write_text("1\n")
     assert executed(build().stdout) == {"a", "b"}
+    # in a folder of their own: the tables without recordings are committed
+    with_recordings = root / "results" / "with_recordings"
     assert {path: path.read_bytes() for path in (root / "results").glob("*.csv")} == results
+    assert {path.name for path in with_recordings.iterdir()} == {path.name for path in results}
+    (tmp_path / "recordings" / "new.csv").unlink()
+    assert executed(build().stdout) == {"a", "b"}
 
     notebook = root / "notebooks" / "a.ipynb"
     notebook.write_text(notebook.read_text().replace("n: int = 3", "n: int = 6"))
@@ -111,8 +114,38 @@ def test_what_makes_notebooks_run_again(without_site, build, tmp_path):
 
     notebook.unlink()
     assert executed(build().stdout) == set()
-    assert sorted(os.listdir(root / "results")) == ["b.provenance.json", "table_b.csv"]
-    assert os.listdir(root / "book/notebooks") == ["b.ipynb"]
+    assert {path.name for path in (root / "results").glob("*.csv")} == {"table_b.csv"}
+    assert sorted(os.listdir(root / "book/notebooks")) == ["b.ipynb", "b.provenance.json"]
+
+
+def test_only_tables_that_a_notebook_wrote_stay(without_site, build):
+    """A committed table does not outlive its notebook."""
+    results = without_site / "results"
+    results.mkdir()
+    (results / "of_no_notebook.csv").write_text("n\n1\n")
+    build()
+    assert sorted(os.listdir(results)) == ["table_a.csv", "table_b.csv"]
+
+
+def test_listed_tables_are_thinned_in_the_results_of_the_book_only(without_site, build, notebook_at):
+    """Rows stay as they were written, and runs of one's own have them all."""
+    root = without_site
+    text = "n,x\n" + "".join(f"{n},0.10\n" for n in (3, 1, 1, 2, 5))
+    cell = f"from edition1_companion.book.results import results_dir\n(results_dir() / 'thinned.csv').write_text({text!r})"
+    notebook_at(root / "notebooks" / "a.ipynb", cell)
+    build()
+    assert (root / "results/thinned.csv").read_text() == "n,x\n3,0.10\n1,0.10\n1,0.10\n"
+    command = [
+        sys.executable,
+        "-m",
+        "edition1_companion.cli",
+        "run",
+        "notebooks/a.ipynb",
+        "-o",
+        "runs/a.ipynb",
+    ]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    assert (root / "runs/thinned.csv").read_text() == text
 
 
 def test_a_failing_notebook_does_not_stop_the_others(without_site, build, notebook_at):
@@ -164,7 +197,7 @@ def test_an_interrupted_build_is_not_taken_for_finished(without_site, notebook_a
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=20)
     assert process.returncode == 143
-    assert not (root / "results/a.provenance.json").exists()
+    assert not (root / "book/notebooks/a.provenance.json").exists()
     assert not (root / "book/notebooks/a.ipynb").exists()
 
 

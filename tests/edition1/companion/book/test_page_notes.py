@@ -140,7 +140,7 @@ def test_everything_that_a_page_offers_is_there(root, page):
     # every addition is a notebook that myst-nb reads
     nbformat.validate(nbformat.from_dict(shown))
 
-    record = read_record(record_path(project.results, "a"))
+    record = read_record(record_path(project.executed / "a.ipynb"))
     assert record is not None
     line = provenance_line(record, declared_parameters(read_notebook(page), "a.ipynb"))
     assert line in downloads
@@ -160,7 +160,7 @@ def test_everything_that_a_page_offers_is_there(root, page):
 def test_recordings_commit_and_changed_parameters_stand_in_the_line(page):
     from dataclasses import replace
 
-    record = read_record(record_path(find_project().results, "a"))
+    record = read_record(record_path(find_project().executed / "a.ipynb"))
     assert record is not None
     recordings = {"x/1.csv": "ab" * 32, "x/2.csv": "cd" * 32}
     record = replace(

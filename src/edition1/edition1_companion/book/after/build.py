@@ -64,8 +64,9 @@ def build(project: Project, jobs: int) -> int:
     due = [page for page in pages if not finished(page)]
     if not run_pages(due, jobs) or not _tables_are_told_apart(project, notebooks):
         return 1
-    if not _pages_are_quiet(project, due):
+    if not _pages_are_quiet(due):
         return 1
+    _remove_other_tables(project, pages)
     try:
         if not run_alternatives(project, inputs, jobs):
             return 1
@@ -120,35 +121,38 @@ def page_points(project: Project, inputs: Inputs) -> list[Point]:
 
 
 def remove_leftovers(project: Project, notebooks: Iterable[Path]) -> None:
-    """Remove results and pages of notebooks that are no longer there."""
+    """Remove pages and records of notebooks that are no longer there."""
     stems = {notebook.stem for notebook in notebooks}
-    for place in project.results.glob(f"*{RECORD_SUFFIX}"):
-        if place.name.removesuffix(RECORD_SUFFIX) not in stems:
-            record = read_record(place)
-            for name in record.results if record else ():
-                (project.results / name).unlink(missing_ok=True)
-            place.unlink()
-    for page in project.executed.glob("*.ipynb"):
-        if page.stem not in stems:
+    for page in project.executed.glob("*"):
+        if page.name.removesuffix(RECORD_SUFFIX).removesuffix(".ipynb") not in stems:
             page.unlink()
+
+
+def _remove_other_tables(project: Project, pages: Iterable[Point]) -> None:
+    """Remove the tables that no page wrote: the committed ones would outlive their notebook."""
+    records = (read_record(record_path(page.output)) for page in pages)
+    written = {"scorecard.csv"}.union(*(record.results for record in records if record))
+    for table in project.results.glob("*.csv"):
+        if table.name not in written:
+            table.unlink()
 
 
 def _tables_are_told_apart(project: Project, notebooks: Iterable[Path]) -> bool:
     """Return whether no two notebooks wrote the same table; where two did, both count as not run."""
     writers: dict[str, list[str]] = {}
     for notebook in notebooks:
-        record = read_record(record_path(project.results, notebook.stem))
+        record = read_record(record_path(project.executed / notebook.name))
         for name in record.results if record else ():
             writers.setdefault(name, []).append(notebook.stem)
     shared = {name: stems for name, stems in writers.items() if len(stems) > 1}
     for name, stems in shared.items():
         print(f"The table {name} is written by more than one notebook: {', '.join(stems)}.", file=sys.stderr)
         for stem in stems:
-            record_path(project.results, stem).unlink(missing_ok=True)
+            record_path(project.executed / f"{stem}.ipynb").unlink(missing_ok=True)
     return not shared
 
 
-def _pages_are_quiet(project: Project, pages: Iterable[Point]) -> bool:
+def _pages_are_quiet(pages: Iterable[Point]) -> bool:
     """Return whether no page that was run shows a warning; one that does counts as not run."""
     quiet = True
     for page in pages:
@@ -157,7 +161,7 @@ def _pages_are_quiet(project: Project, pages: Iterable[Point]) -> bool:
         said = "".join("".join(output["text"]) for output in outputs if output.get("name") == "stderr")
         if said:
             print(f"{page.notebook.name} shows a warning: {said.strip()}", file=sys.stderr)
-            record_path(project.results, page.notebook.stem).unlink(missing_ok=True)
+            record_path(page.output).unlink(missing_ok=True)
             quiet = False
     return quiet
 

@@ -89,9 +89,9 @@ def page_files(project: Project, stem: str) -> dict[str, bytes]:
     places = {
         f"{stem}.ipynb": project.notebooks / f"{stem}.ipynb",
         f"{stem}.executed.ipynb": executed,
-        f"{stem}{RECORD_SUFFIX}": record_path(project.results, stem),
+        f"{stem}{RECORD_SUFFIX}": record_path(executed),
     }
-    record = read_record(record_path(project.results, stem))
+    record = read_record(record_path(executed))
     places |= {name: project.results / name for name in (record.results if record else ())}
     files = {name: path.read_bytes() for name, path in places.items() if path.is_file()}
     for figure in figures_of(read_notebook(executed)):
@@ -124,8 +124,8 @@ def with_notes(page: dict[str, Any], project: Project, stem: str) -> dict[str, A
     InputError
         If its parameters cannot be shown in a form.
     """
-    executed = read_notebook(project.executed / f"{stem}.ipynb")
-    record = read_record(record_path(project.results, stem))
+    place = project.executed / f"{stem}.ipynb"
+    executed, record = read_notebook(place), read_record(record_path(place))
     name = record.notebook if record else f"notebooks/{stem}.ipynb"
     tagged = any("parameters" in cell.metadata.get("tags", []) for cell in executed.cells)
     declared = declared_parameters(executed, name) if tagged else {}
