@@ -49,7 +49,7 @@ help:
 	@echo 'make firmware    build the sketches for boards and run them under simavr (needs avr-gcc and simavr)'
 	@echo 'make vendor      bundle the 3-D viewer and cut the font of formulas anew (needs node and npm)'
 	@echo 'make env         set up .venv only (every target above does this by itself; make book needs less)'
-	@echo 'make lock        write requirements.lock and requirements-recorder.lock anew'
+	@echo 'make lock        write requirements.lock anew'
 	@echo 'make clean       remove the built site, executed notebooks, results and caches; keeps .venv and runs/'
 	@echo
 	@echo 'Variables: PYTHON=$(PYTHON)  JOBS=$(JOBS)  TORCH_FLAGS=$(TORCH_FLAGS)  (see README.md)'
@@ -196,10 +196,8 @@ lock:
 	@.cache/uv-venv/bin/python -m pip install --quiet uv
 	@UV_FIND_LINKS="$$PIP_FIND_LINKS" .cache/uv-venv/bin/uv pip compile --quiet --universal --python-version 3.11 \
 	  --no-header --no-annotate --generate-hashes $(addprefix --no-emit-package ,$(NOT_LOCKED)) \
-	  --no-emit-index-url --no-emit-find-links requirements.in -o requirements.lock
-	@UV_FIND_LINKS="$$PIP_FIND_LINKS" .cache/uv-venv/bin/uv pip compile --quiet --universal --python-version 3.11 \
-	  --no-header --no-annotate --generate-hashes --no-emit-index-url --no-emit-find-links \
-	  -c requirements.lock requirements-recorder.in -o requirements-recorder.lock
+	  --no-emit-index-url --no-emit-find-links --extra book --extra cluster --group checks \
+	  pyproject.toml -o requirements.lock
 	@rm -rf .cache/uv-venv
 
 clean:

@@ -33,11 +33,12 @@ def pyproject() -> dict:
     return tomllib.loads(read("pyproject.toml"))
 
 
-def requirements_in() -> dict[str, Requirement]:
-    """Return the direct requirements by name."""
-    lines = [line.split("#")[0].strip() for line in read("requirements.in").splitlines()]
-    found = [Requirement(line) for line in lines if line]
-    return {requirement.name.lower(): requirement for requirement in found}
+def direct() -> dict[str, Requirement]:
+    """Return what pyproject.toml asks for by name: the package, its extras in the lock, and the checks."""
+    found = pyproject()
+    extras, groups = found["project"]["optional-dependencies"], found["dependency-groups"]
+    lines = [*found["project"]["dependencies"], *extras["book"], *extras["cluster"], *groups["checks"]]
+    return {requirement.name.lower(): requirement for requirement in map(Requirement, lines)}
 
 
 def locked() -> dict[str, list[Requirement]]:
@@ -81,7 +82,7 @@ def test_conda_brings_only_the_interpreter():
 
 def test_torch_is_pinned_once():
     """The Makefile installs the torch that the lock was compiled for."""
-    (specifier,) = requirements_in()["torch"].specifier
+    (specifier,) = direct()["torch"].specifier
     assert specifier.operator == "=="
     assert f"TORCH := torch=={specifier.version}\n" in read("Makefile")
 
@@ -90,7 +91,7 @@ def test_lock_has_everything_with_hashes():
     """Every direct requirement is pinned within its range; every pin has hashes; torch and CUDA are left out."""
     pins = locked()
     assert not [name for name in pins if re.match(r"torch$|triton|nvidia-|cuda-", name)]
-    for name, requirement in requirements_in().items():
+    for name, requirement in direct().items():
         if name == "torch":
             continue
         assert name in pins, f"{name} is not in requirements.lock: make lock"
@@ -102,20 +103,6 @@ def test_lock_has_everything_with_hashes():
         block.splitlines()[0] for block in blocks if block[:1] != "#" and "--hash=sha256:" not in block
     ]
     assert {"setuptools", "wheel"} <= set(pins), "the package is built without isolation"
-
-
-def test_package_asks_for_nothing_the_lock_lacks():
-    """What the package needs is among the direct requirements, in the same range."""
-    direct, project = requirements_in(), pyproject()["project"]
-    extras = project["optional-dependencies"]
-    asked = [*project["dependencies"], *extras["book"], *extras["cluster"]]
-    assert len(set(asked)) == len(asked), "what the package needs anyway is in no extra"
-    for line in asked:
-        needed = Requirement(line)
-        name = needed.name.lower()
-        assert name in direct, f"{name} is in pyproject.toml but not in requirements.in"
-        if name != "torch":
-            assert direct[name].specifier == needed.specifier, name
 
 
 def needed_by(requirements: Iterable[Requirement]) -> set[str]:
@@ -141,7 +128,7 @@ def test_the_book_needs_none_of_the_checks():
     project = pyproject()["project"]
     extras = project["optional-dependencies"]
     book = map(Requirement, [*project["dependencies"], *extras["book"], *extras["cluster"]])
-    assert set(listed.replace("\\", " ").split()) == needed_by(requirements_in().values()) - needed_by(book)
+    assert set(listed.replace("\\", " ").split()) == needed_by(direct().values()) - needed_by(book)
 
 
 def test_vendored_files_are_the_ones_named():
@@ -170,7 +157,7 @@ def test_help_lists_what_works_and_nothing_else():
 
 DOCUMENTS = [
     "README.md",
-    "CONTRIBUTING.md",
+    ".github/CONTRIBUTING.md",
     ".ci/run",
     *(
         p.relative_to(ROOT).as_posix()
@@ -212,7 +199,7 @@ def dead_paths(text: str, folder: Path = ROOT) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "name", ["README.md", "CONTRIBUTING.md", *(name for name in DOCUMENTS if "contributing/" in name)]
+    "name", ["README.md", ".github/CONTRIBUTING.md", *(name for name in DOCUMENTS if "contributing/" in name)]
 )
 def test_named_paths_and_links_exist(name):
     """No text for contributors leads to a file that is not there."""
