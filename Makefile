@@ -28,7 +28,7 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help book pdf test mutants lint check-site reproduce size train studies bench diff soak fuzz firmware vendor env clean lock
+.PHONY: help book pdf test mutants lint check-site reproduce size train studies diff soak fuzz firmware vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
@@ -42,7 +42,6 @@ help:
 	@echo 'make size        count statements, public names and long modules'
 	@echo 'make train       train the networks of the paper that data/networks/ does not have yet (hours, resumable)'
 	@echo 'make studies     compute the tables in data/studies/ that are missing (minutes each, resumable)'
-	@echo 'make bench       measure what costs how much: results/bench*.csv, data/benchmark*.csv'
 	@echo 'make diff RUN=…  show a run of your own (runs/NAME-…) beside the results of the book'
 	@echo 'make soak        ten million frames through a faulty port, a hundred killed recorders, ten minutes live (half an hour)'
 	@echo 'make fuzz        a million inputs made to break the parsers (minutes)'
@@ -103,9 +102,6 @@ train: env
 
 studies: env
 	$(BIN)/repro studies
-
-bench: env
-	$(PY) -m bench
 
 soak: env
 	$(PY) -m bench.soak.parsers 10000000

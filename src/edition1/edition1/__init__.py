@@ -12,7 +12,6 @@ A sensor model is any callable q -> readings u::
 
     Ring, Cube                         magnets, their fields and multipoles
     readings                           simulated readings, by magpylib
-    fit_moments                        the multipoles of the magnets from readings
     LinearisedSensing                  readings from multipoles, with their derivatives
     MagneticSensing                    relations between sensors and magnets, then a model: a network, a closed form
     relations                          these relations
@@ -58,7 +57,6 @@ _HOMES = {
     "Ring": "sensing.magnets",
     "Cube": "sensing.magnets",
     "readings": "sensing.magnetic",
-    "fit_moments": "sensing.moments",
     "LinearisedSensing": "sensing.linearised",
     "MagneticSensing": "sensing.magnetic",
     "relations": "sensing.relations",

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from edition1_live.record.recording_file import RecordingFile
+from edition1_live.wire.frame import Frame
 from mcap.reader import make_reader
-
-from bench.recorder import COMMANDS, USED, write_recording
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
 ROOT = Path(__file__).parents[3]
@@ -38,8 +38,35 @@ from edition1_companion.cli import main
 sys.exit(main())
 """
 
+USED = """
+import resource, subprocess, sys
+done = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL)
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+sys.exit(done.returncode)
+"""
+"""A small process that starts a command: the memory of a process that starts one counts as its own until then."""
+COMMANDS = (
+    "--help",
+    "record --help",
+    "export --help",
+    "import --help",
+    "emulate --help",
+    "record --list",
+    "export a.rec -o b.csv",
+    "export a.rec -o b.mcap",
+    "import a.csv -o b.rec",
+)
+"""In the order in which they run; what one leaves behind is removed before the next."""
 MODULES, MODULES_WITH_NUMPY = 300, 480
 """Most modules of a command that explains itself, and of one that reads a recording: 256 and 431 when written."""
+
+
+def write_recording(path: Path) -> None:
+    """Write a recording of a thousand frames, which the commands read."""
+    with RecordingFile(path, {"format": "frames", "start_unix_s": 0.0, "start_host_ns": 0}) as file:
+        for k in range(1000):
+            file.append(k * 10**7, [Frame(0, k, 1000 * k, (1.5, -2.5, 3.5))])
 
 
 def names_of(lock: str) -> set[str]:
@@ -116,10 +143,7 @@ def test_from_an_emulated_board_to_files_and_back(program, tmp_path):
 
 @pytest.mark.skipif("REPRO_RECORDER" not in os.environ, reason="for an environment of its own")
 def test_starts_with_few_modules_and_80_mb(program, tmp_path):
-    """What a start takes: modules and memory, also of a recording written as others read it, and back.
-
-    A time would be that of the computer; `make bench` has it, beside that of a known start.
-    """
+    """What a start takes: modules and memory, also of a recording written as others read it, and back."""
     write_recording(tmp_path / "a.rec")
     assert called(program, tmp_path, "export", "a.rec", "-o", "a.csv")[0] == 0
     for command in COMMANDS:

@@ -113,7 +113,7 @@ def calibrate(
     u
         Readings [mT].
     moments
-        Moments of the magnet as drawn, or from :func:`edition1.sensing.moments.fit_moments` [mT m^(l+2)].
+        Moments of the magnet as drawn [mT m^(l+2)].
     noise_mt
         Standard deviation of a reading [mT].
     tolerances

@@ -154,10 +154,7 @@ def _loaded(given: Any) -> Callable[[Tensor], Any]:
 
 
 def _script(path: Path) -> nn.Module:
-    expected = (
-        "a TorchScript file (as torch.jit.save writes it; weights alone are made one of the project's by "
-        "edition1.sensing.import_network)"
-    )
+    expected = "a TorchScript file (as torch.jit.save writes it; weights alone are none)"
     require(path.is_file(), "model", _OWNER, expected, f"{path}, which is not there")
     try:
         with warnings.catch_warnings():

@@ -119,30 +119,6 @@ def committed(studies: Sequence[Study], folder: Path | None = None) -> pd.DataFr
     return pd.concat([read_study(study.name, folder)[0] for study in studies], ignore_index=True)
 
 
-def settings_of_studies(studies: Sequence[Study], folder: Path | None = None) -> pd.DataFrame:
-    """Settings that tables in ``data/studies`` were made with, as they stand beside them.
-
-    Columns ``setting, value, studies``: the last names all studies that share the value.
-
-    Parameters
-    ----------
-    studies
-        Those to show.
-    folder
-        ``data/studies`` of the project when not given.
-    """
-    shared: dict[tuple[str, str], list[str]] = {}
-    for study in studies:
-        for key, value in read_study(study.name, folder)[1].items():
-            shared.setdefault((key, _in_words(value)), []).append(study.name)
-    lines = [(*key, ", ".join(names)) for key, names in sorted(shared.items())]
-    return pd.DataFrame(lines, columns=["setting", "value", "studies"])
-
-
 def _settings(path: Path) -> dict[str, Any] | None:
     sidecar = path.with_suffix(".json")
     return json.loads(sidecar.read_text(encoding="utf-8")) if sidecar.is_file() else None
-
-
-def _in_words(value: Any) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -111,12 +111,6 @@ def relative_error(
     return 100 * (found - truth).square().mean(0).sqrt() / width
 
 
-def standard_normal(shape: Sequence[int], seeds: Sequence[int]) -> Float[Tensor, "seeds *shape"]:
-    """Standard normal numbers, each seed with a generator of its own."""
-    generators = [torch.Generator().manual_seed(seed) for seed in seeds]
-    return torch.stack([torch.randn(*shape, generator=g, dtype=torch.float64) for g in generators])
-
-
 def table_of_draws(error: Float[Tensor, "draws n"], quantities: Sequence[str]) -> pd.DataFrame:
     """Errors in long form: columns ``draw, quantity, error_percent``."""
     table = pd.DataFrame(error.numpy(), columns=list(quantities)).rename_axis("draw").reset_index()

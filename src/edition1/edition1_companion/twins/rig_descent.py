@@ -208,7 +208,7 @@ def bend_errors(
 
 
 def method_errors(part: Recording, found: dict[str, np.ndarray], own: Trajectory) -> dict[str, float]:
-    """Errors of the bend of several methods and of ours, as in a row of the page on random twins.
+    """Errors of the bend of several methods and of ours.
 
     Parameters
     ----------

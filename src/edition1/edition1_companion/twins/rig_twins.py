@@ -1,7 +1,7 @@
 """Parameters of the digital twins of the rig: two calibrated ones, and random others; all recordings are SYNTHETIC.
 
-The nominal parameters were set so that the recordings show what is known of the authors' sensors
-(the page on the digital twin compares the two), before any estimator ran on them. Then they were frozen:
+The nominal parameters were set so that the recordings show what is known of the authors' sensors, before any estimator
+ran on them. Then they were frozen:
 :attr:`edition1_companion.twins.pneumatic_rig.TwinConfig.sha256` tells whether they still are.
 """
 
@@ -19,11 +19,6 @@ from edition1_companion.twins.pneumatic_rig import Differences, TwinConfig
 from edition1_companion.twins.rig_files import MarkerCapture
 from edition1_companion.twins.rig_motion import MODELS, Bending, InnerShape
 from edition1_companion.twins.sensor_board import DRIFTS, Board
-
-ELONGATION_MM = (5.85, 6.38, 5.73, 6.11, 5.76, 6.13)
-"""Mean elongation in T0 to T5, from the running means of networks trained on the authors' recordings."""
-ELONGATION_SPREAD_MM = 0.3
-"""Standard deviation of these means, rounded."""
 
 
 def nominal_twin() -> TwinConfig:
@@ -99,7 +94,7 @@ def second_twin() -> TwinConfig:
     return replace(nominal_twin(), differences=differences)
 
 
-def random_twin(seed: int, *, second: bool = False) -> TwinConfig:
+def random_twin(seed: int) -> TwinConfig:
     """Another twin, for studies of robustness: the nominal one with other errors and other kinds of errors.
 
     Random are the places of sensors and magnet (0.5 mm and 1.5 deg on each axis), the directions of the sensors
@@ -107,18 +102,12 @@ def random_twin(seed: int, *, second: bool = False) -> TwinConfig:
     hysteresis, shape and size (0.3 to 2 mV) of the drift, and the biases of the recordings. The facts do not hold for
     such a twin.
 
-    Members of the second family have the same random errors about the second twin, and in each recording another mean
-    elongation, with the known spread, and a change of elongation with bend of 0.84 to 1.2 times the second twin's,
-    the range that is known.
-
     Parameters
     ----------
     seed
         The same seed gives the same twin.
-    second
-        Whether it is of the second family.
     """
-    rng, twin = np.random.default_rng(seed), second_twin() if second else nominal_twin()
+    rng, twin = np.random.default_rng(seed), nominal_twin()
 
     def times(values: Any, low: float, high: float) -> Any:
         """Multiply by factors between two bounds, one for each number."""
@@ -126,7 +115,7 @@ def random_twin(seed: int, *, second: bool = False) -> TwinConfig:
 
     board, bending, inner = twin.board, twin.bending, twin.inner
     turned = Rotation.from_rotvec(np.radians(10.0) * rng.standard_normal((RIG_SENSORS, 3)))
-    found = replace(
+    return replace(
         twin,
         bending=replace(
             bending,
@@ -157,13 +146,6 @@ def random_twin(seed: int, *, second: bool = False) -> TwinConfig:
         hysteresis=MODELS[int(rng.integers(len(MODELS)))],
         bias_mv=(*_tuples(-3.0 + 0.7 * rng.standard_normal(len(TRAJECTORIES) - 1)), 0.0),
     )
-    if twin.differences is None:
-        return found
-    means = np.mean(ELONGATION_MM) + ELONGATION_SPREAD_MM * rng.standard_normal(len(TRAJECTORIES))
-    straight = np.array(twin.differences.elongation_mm) + means - np.array(ELONGATION_MM)
-    per_mm2 = times(twin.differences.elongation_per_mm2, 0.84, 1.2)
-    differences = replace(twin.differences, elongation_mm=_tuples(straight), elongation_per_mm2=per_mm2)
-    return replace(found, differences=differences)
 
 
 def _tuples(values: np.ndarray) -> Any:

@@ -6,7 +6,6 @@ Beside it the sensor models of the simulated robots by name: those that pages co
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,10 +20,8 @@ from edition1.sensing.ensemble import SeedEnsemble
 from edition1.sensing.magnetic import MagneticSensing
 from edition1.sensing.magnets import ring
 from edition1.sensing.multipole import MultipoleField
-from edition1.sensing.network import DipoleResidual
 from edition1.sensing.weights import load_paper_network
-from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from edition1_companion.book.parallel import table_in_processes
 from edition1_companion.twins.networks import DATA_SEED, SEEDS, NetworkSpec, train_own
@@ -178,9 +175,6 @@ def _run_group(
 
 
 MODELS = ("network of the paper", "fast network", "multipole")
-DIPOLE = "dipole and residual"
-RECIPES = {MODELS[1]: "fast", DIPOLE: "dipole"}
-"""Networks of ours, and how :func:`~edition1_companion.twins.networks.train_own` trains them."""
 SOLVERS = ("gradient descent", "Levenberg-Marquardt")
 
 
@@ -190,46 +184,20 @@ def sensor_models(
     seeds: Sequence[int],
     folder: Path,
     ring_name: str,
-    *,
-    samples: int = 120_000,
 ) -> dict[str, tuple[Callable[[Tensor], Tensor], str]]:
     """Sensor models by name, each with the form of its inputs, for all seeds in one batch.
 
     The paper's network only where its files are in ``folder``, for the ring ``"released"``; ours are trained here and
-    now, on ``samples`` configurations.
+    now.
     """
     row = Row(f"n_b={n_segments}", n_segments=n_segments)
     found: dict[str, tuple[Callable[[Tensor], Tensor], str]] = {}
     if MODELS[0] in wanted and available([row], folder, seeds) and ring_name == "released":
         found[MODELS[0]] = (networks([row], folder, seeds), "angles")
-    recipes = {name: recipe for name, recipe in RECIPES.items() if name in wanted}
-    if recipes:
-        data = training_set(n_segments, seed=DATA_SEED, samples=samples, magnet=ring(ring_name))
-        segments = list(data.robot.sensors.segment)
-        for name, recipe in recipes.items():
-            trained = [train_own(data, seed=seed, recipe=recipe)[0] for seed in seeds]
-            ensemble = _dipoles if name == DIPOLE else SeedEnsemble
-            found[name] = ensemble(trained, segments), "cosines"
+    if MODELS[1] in wanted:
+        data = training_set(n_segments, seed=DATA_SEED, magnet=ring(ring_name))
+        trained = [train_own(data, seed=seed)[0] for seed in seeds]
+        found[MODELS[1]] = SeedEnsemble(trained, list(data.robot.sensors.segment)), "cosines"
     if MODELS[2] in wanted:
         found[MODELS[2]] = (MultipoleField.of(ring(ring_name)), "cosines")
     return found
-
-
-@dataclass(frozen=True)
-class _Dipoles:
-    """Dipole and residual network of every seed, in one batch like :class:`SeedEnsemble`."""
-
-    coefficients: Float[Tensor, "seeds s terms"]
-    residual: SeedEnsemble
-
-    def __call__(self, xi: Tensor) -> Tensor:
-        own = self.coefficients[(slice(None), *[None] * (xi.ndim - 3))]
-        return (DipoleResidual.terms(xi) * own).sum(-1) + self.residual(xi)
-
-
-def _dipoles(trained: Sequence[Sequence[nn.Module]], segments: list[int]) -> _Dipoles:
-    coefficients = torch.stack(
-        [torch.stack([m.get_buffer("coefficients") for m in seed]) for seed in trained]
-    )
-    residual = SeedEnsemble([[m.get_submodule("residual") for m in seed] for seed in trained], segments)
-    return _Dipoles(coefficients[:, segments], residual.double())

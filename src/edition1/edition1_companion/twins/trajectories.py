@@ -16,10 +16,6 @@ _AMPLITUDE_M = 22e-3 * math.pi / 4
 ELONGATION_M = 2.75e-3
 
 
-TRAJECTORIES = ("T0", "T1", "T2", "T3")
-"""T0: random motion, synthetic; T1: bending; T2: half lemniscate; T3: lemniscate."""
-
-
 def lemniscate(
     n_segments: int, *, half: bool = False, steps: int = STEPS, amplitude_m: float = _AMPLITUDE_M
 ) -> Float[Tensor, "steps n_q"]:
@@ -103,44 +99,3 @@ def flower(*, steps: int = STEPS) -> Float[Tensor, "steps 4"]:
     petal = (1 - torch.cos(6 * math.pi * s)) / 2
     dL = ELONGATION_M * (1 + torch.sin(2 * math.pi * s))
     return torch.stack([math.pi / 4 * petal, math.pi * (0.1 + 0.9 * petal), 2 * math.pi * s, dL], dim=-1)
-
-
-def trajectory(name: str, n_segments: int, *, steps: int = STEPS) -> Float[Tensor, "t n_q"]:
-    r"""Trajectory of every segment, 400 steps at 40 Hz.
-
-    T0 is smooth random motion: each coordinate a sum of five sines of random phase, 0.1 to 0.5 Hz, scaled to three
-    quarters of the lemniscate's range. T1 bends in a plane, :math:`\Delta_x = D s`, at mid elongation.
-
-    Parameters
-    ----------
-    name
-        One of :data:`TRAJECTORIES`.
-    n_segments
-        Number of segments.
-    steps
-        Number of first steps of it.
-
-    Raises
-    ------
-    InputError
-        If there is no trajectory of that name.
-    """
-    if name not in TRAJECTORIES:
-        raise bad_input("name", "trajectory", f"one of {', '.join(map(repr, TRAJECTORIES))}", repr(name))
-    s = torch.linspace(0, 1, STEPS, dtype=torch.float64)
-    if name == "T0":
-        generator = torch.Generator().manual_seed(0)
-        periods = torch.arange(1, 6).double()  # in 10 s
-        phase = (
-            2 * math.pi * torch.rand(3 * n_segments, len(periods), generator=generator, dtype=torch.float64)
-        )
-        waves = torch.sin(2 * math.pi * periods * s[:, None, None] + phase).sum(-1)
-        unit = 0.75 * waves / waves.abs().amax(0)
-        middle = torch.tensor([0.0, 0.0, ELONGATION_M] * n_segments, dtype=torch.float64)
-        size = torch.tensor([_AMPLITUDE_M, _AMPLITUDE_M, ELONGATION_M] * n_segments, dtype=torch.float64)
-        q = middle + size * unit
-    elif name == "T1":
-        q = torch.stack([_AMPLITUDE_M * s, 0 * s, ELONGATION_M + 0 * s], dim=-1).repeat(1, n_segments)
-    else:
-        q = lemniscate(n_segments, half=name == "T2")
-    return q[:steps]

@@ -13,7 +13,7 @@ from rule_cases import CASES, OF_CHOICES
 
 PROJECT = Path(__file__).resolve().parents[4]
 PAGES = sorted((PROJECT / "notebooks").glob("*.ipynb"))
-FREE = {("bend_tests", "shown"), ("performance", "capability"), ("recorded_trial", "capture_layout")}
+FREE = {("bend_tests", "shown"), ("recorded_trial", "capture_layout")}
 """Texts and dictionaries of which there is no fixed set: takes, a part of a name, columns of a file of one's own."""
 
 

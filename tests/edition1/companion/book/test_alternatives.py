@@ -22,7 +22,7 @@ from test_build import CONFIG, TITLE, executed
 
 PROJECT = Project(Path(__file__).resolve().parents[4])
 PAGES = sorted(PROJECT.notebooks.glob("*.ipynb"))
-ONLY_SHOWN = {"performance", "robustness", "sweep"}
+ONLY_SHOWN = {"sweep"}
 """Pages on which a parameter only chooses what is shown of a committed table."""
 SIX = {"title": "six", "parameters": {"n": 6}, "table": "table_a", "rows": {}, "values": {"third": "n / 3"}}
 

@@ -12,7 +12,6 @@ from edition1_companion.book.bootstrap import interval
 from edition1_companion.pages.bend_tests import errors as bend_errors
 from edition1_companion.pages.closed_loop import tables as loops
 from edition1_companion.pages.closed_loop.loop import LoopTrace, judged_rms_mm, reference_mm, rms_mm
-from edition1_companion.pages.filter_on_segments import tables as segments_tables
 from edition1_companion.pages.fusion import study as fusion
 from edition1_companion.twins.bend_tests import BendTake
 from edition1_companion.twins.segment_motion import TRAJECTORIES, motion
@@ -137,57 +136,6 @@ class TestBendTests:
         assert own["bend_deg"].iloc[[0, 2, 3]].tolist() == pytest.approx([32.0] * 3)
         assert own["deviation_deg"].tolist() == pytest.approx([1.5] * 4)
         assert own["direction_deg"].dropna().tolist() == pytest.approx([0.0] * 3, abs=1e-9)
-
-
-class TestModes:
-    def test_what_is_kept_of_two_modes(self):
-        """Two draws, three late steps each; the truth bends by 6 mm. Steps before 5 s or of 4.9 mm do not count."""
-        rows = [
-            {"draw": d, "time_s": t, "true_mm": true, "found_mm": f, "tip_mm": tip, "covered": c, "share": s}
-            for d, t, true, f, tip, c, s in [
-                (0, 5.5, 6.0, 5.0, 3.0, 1.0, 0.96),
-                (0, 5.6, 6.0, 4.0, 4.0, 1.0, 0.94),
-                (0, 5.7, -6.0, -1.0, 0.0, 0.0, 0.50),
-                (1, 5.5, 6.0, -5.0, 5.0, 0.0, 0.04),
-                (1, 5.6, 6.0, 2.0, 0.0, 1.0, 0.06),
-                (1, 4.9, 6.0, -9.0, 99.0, 0.0, 0.0),
-                (1, 5.7, 4.9, -9.0, 99.0, 0.0, 0.0),
-            ]
-        ]
-        table = pd.DataFrame(rows).assign(noise_mt=0.01, method="cloud", failed=True, minima=np.nan)
-        search = table.assign(method="search", minima=[2.0, 1.0, 2.0, 1.0, 1.0, 9.0, 9.0])
-        found = segments_tables.kept_modes(pd.concat([table, search])).set_index("method")
-        line = found.loc["cloud"]
-        assert line["true_side_percent"] == pytest.approx(80.0)
-        assert line["always_percent"] == pytest.approx(50.0)
-        assert line["tip_mm"] == pytest.approx(math.sqrt((9 + 16 + 0 + 25 + 0) / 5))
-        assert line["covered_percent"] == pytest.approx(60.0)
-        assert line["true_share_percent"] == pytest.approx(50.0)
-        assert line["both_percent"] == pytest.approx(60.0)  # 0.94, 0.50 and 0.06 lie between 5 and 95 %
-        assert found.loc["search", "minima"] == pytest.approx(1.4)
-
-    def test_ratio_to_least_squares_is_one_of_means(self):
-        """Tips of 1 and 3 mm beside 2 and 2 mm: equal means, though the ratios are 0.5 and 1.5."""
-        rows = [
-            {
-                "n_b": 1,
-                "n_s": 4,
-                "noise_mt": 0.01,
-                "method": m,
-                "draw": d,
-                "tip_mm": tip,
-                "covered_percent": 90.0 + d,
-            }
-            for m, tips in (("cloud", (1.0, 3.0)), (segments_tables.REFERENCE, (4.0, 4.0)))
-            for d, tip in enumerate(tips)
-        ]
-        found = segments_tables.mean_errors(pd.DataFrame(rows)).set_index("method")
-        assert found["tip_mm"].tolist() == [2.0, 4.0]
-        assert found["ratio"].tolist() == [0.5, 1.0]
-        assert found["covered_percent"].tolist() == [90.5, 90.5]
-        # of two draws the bootstrap has the means 1, 2 and 3, each end with a chance of a quarter
-        assert found.loc["cloud", ["tip_mm_low", "tip_mm_high"]].tolist() == [1.0, 3.0]
-        assert found.loc["cloud", ["ratio_low", "ratio_high"]].tolist() == [0.25, 0.75]
 
 
 def test_interval_holds_ninety_five_per_cent():

@@ -6,7 +6,6 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from edition1.errors import InputError
-from edition1_companion.pages.noise_and_tolerances.noise import noise_bound
 from edition1_companion.twins.sensor_count import against_three, sensor_count_errors
 
 STUDY = Path(__file__).parents[4] / "data" / "studies" / "sensor_sweep.csv"
@@ -16,10 +15,19 @@ STUDY = Path(__file__).parents[4] / "data" / "studies" / "sensor_sweep.csv"
 def test_errors_lie_on_the_bound(n_segments):
     table = sensor_count_errors(n_segments, 3, 2e-4, draws=20, steps=60)
     (bound,) = set(table["bound_percent"])
-    # another route to the same bound
-    assert bound == pytest.approx(noise_bound(n_segments, [2e-4], steps=60)["mean_percent"].iloc[0])
     # 20 draws of 60 steps and at least 3 coordinates: the mean is known to 1/sqrt(2 * 3600) = 1.2 %
     assert table["mean_percent"].mean() == pytest.approx(bound, rel=0.04)
+
+
+@pytest.mark.parametrize(
+    ("n_segments", "percent"),
+    # mean relative bound at 4.8e-5, 7.1e-4 and 5e-3 mT from an independent prototype
+    [(1, (0.0083, 0.12, 0.87)), (2, (0.0099, 0.15, 1.03)), (3, (0.0112, 0.17, 1.17))],
+)
+def test_bound_at_known_levels(n_segments, percent):
+    for noise_mt, known in zip((4.8e-5, 7.1e-4, 5e-3), percent, strict=True):
+        bound = sensor_count_errors(n_segments, 3, noise_mt, draws=1, steps=400)["bound_percent"][0]
+        assert round(bound, len(str(known).partition(".")[2])) == known
 
 
 def test_sensors_average_the_noise():

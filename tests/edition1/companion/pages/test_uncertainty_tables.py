@@ -3,16 +3,10 @@
 import math
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
-from edition1.estimation.base import Trajectory
-from edition1_companion.pages.filter_on_segments import tables as segments_tables
-from edition1_companion.pages.filter_on_segments.methods import Course
 from edition1_companion.pages.fusion import study as fusion
 from edition1_companion.pages.fusion import tables as fusion_tables
-from edition1_companion.pages.robustness import studies as robustness
-from edition1_companion.pages.temporal_filter import filters as temporal
 from edition1_companion.recordings.baaij2023 import Recording
 from edition1_companion.twins import rig_descent
 from edition1_companion.twins.calibrated_robots import relative_error
@@ -36,66 +30,6 @@ D_M = 22e-3 * math.pi / 4
 """Bending amplitude of T3, 17.28 mm: 45 degrees at a radius of 22 mm (Baaij et al. 2023, section 3.4)."""
 SPREAD = np.array([[4.0, 1.0, 0.3], [1.0, 2.0, -0.5], [0.3, -0.5, 1.0]])
 """A covariance whose axes are not those of the coordinates."""
-
-
-@pytest.fixture(scope="module")
-def table():
-    return temporal.errors_by_draw(1, ["T3"], (0, 1, 2))
-
-
-@pytest.fixture(scope="module")
-def alone():
-    """T3, and estimates of least squares with one draw of the noise."""
-    q = temporal.trajectory("T3", 1)
-    u = temporal.noisy_readings(q, 1, (1,), 5e-3)
-    return q, temporal.estimates("Levenberg-Marquardt", u, 1, 5e-3)
-
-
-class TestTemporal:
-    """A robot of one segment on T3: errors by the table against those of the estimates themselves."""
-
-    def test_mean_squared_error_in_units_of_a_right_covariance_is_one(self, table):
-        """Least squares is Gaussian here: of 3 x 400 x 3 squares the mean is 1 with a deviation of 0.024."""
-        found = table[table["method"] == "Levenberg-Marquardt"]
-        assert found["nees"].mean() == pytest.approx(1.0, abs=0.1)
-        assert found["covered_percent"].mean() == pytest.approx(95, abs=2.0)
-        kalman = table[table["method"] == "Kalman filter"]
-        assert kalman["nees"].mean() == pytest.approx(1.0, abs=0.35)  # neighbours are not independent
-
-    def test_columns_of_one_draw_by_hand(self, table, alone):
-        """Error, share and score anew, coordinate by coordinate; the span is that of T3."""
-        q, found = alone
-        error = (found.q[:, 0] - q).numpy()
-        C = found.covariance[:, 0].numpy()
-        span = np.array([2 * D_M, 2 * D_M, 5.5e-3])  # twice D, and 2.75 mm (1 + sin)
-        # T3 has 400 steps, which miss its highest points by up to 0.02 %
-        line = table[(table["method"] == "Levenberg-Marquardt") & (table["seed"] == 1)].iloc[0]
-        rms = np.sqrt((error**2).mean(axis=0))
-        assert line["error_percent"] == pytest.approx((100 * rms / span).mean(), rel=1e-3)
-        squares = np.einsum("ti,tij,tj->t", error, np.linalg.inv(C), error)
-        assert line["nees"] == pytest.approx(squares.mean() / 3)
-        assert line["covered_percent"] == pytest.approx(100 * (squares <= chi2.ppf(0.95, 3)).mean())
-        density = -0.5 * squares - 0.5 * np.linalg.slogdet(2 * np.pi * C / np.outer(span, span))[1]
-        assert line["score"] == pytest.approx(-density.mean(), abs=1e-3)
-
-    def test_random_motion_has_three_quarters_of_the_range(self):
-        """The largest of each coordinate is three quarters of that of T3 from the middle."""
-        q = temporal.trajectory("T0", 2) - torch.tensor([0.0, 0.0, 2.75e-3] * 2, dtype=torch.float64)
-        size = torch.tensor([D_M, D_M, 2.75e-3] * 2, dtype=torch.float64)
-        torch.testing.assert_close(q.abs().amax(0), 0.75 * size)
-
-    def test_means_of_a_table_made_by_hand(self):
-        rows = [
-            {"n_b": 1, "trajectory": "T3", "method": m, "seed": s, "error_percent": e * (1 + s)}
-            | {"covered_percent": c, "nees": n + s}
-            for m, e, c, n in (("Levenberg-Marquardt", 2.0, 90.0, 1.0), ("Kalman filter", 1.0, 80.0, 3.0))
-            for s in (0, 1)
-        ]
-        line = temporal.filter_to_least_squares(pd.DataFrame(rows)).iloc[0]
-        assert (line["lm_percent"], line["filter_percent"], line["ratio"]) == (3.0, 1.5, 0.5)
-        assert (line["ratio_low"], line["ratio_high"]) == (0.5, 0.5)
-        assert (line["lm_nees"], line["filter_nees"]) == (1.5, 3.5)
-        assert (line["lm_covered_percent"], line["filter_covered_percent"]) == (90.0, 80.0)
 
 
 def test_relative_error_of_a_made_up_error():
@@ -161,27 +95,6 @@ class TestRobustness:
         found = rig_descent._own_uncertainty(error, np.stack([np.eye(3)] * 2))
         assert (found["covered"], found["covered_delta_L"]) == (0.5, 0.5)
 
-    @pytest.mark.parametrize(("ratio", "lost"), [(0.98, 0), (1.02, 1), (1.06, 1)])
-    def test_a_twin_or_cell_is_lost_above_one(self, ratio, lost):
-        """Ours is worse by 2 % or 6 %: lost, however little; and by nothing where it is better."""
-        cell = {f"{m}_delta_{a}_mm": 1.0 for m in robustness.METHODS for a in "xy"}
-        cell |= {"ours_delta_x_mm": ratio, "ours_delta_y_mm": ratio}
-        cell |= {
-            "family": "first",
-            "twin": 0,
-            "hysteresis": "none",
-            "drift": "none",
-            "drift_mV": 0.0,
-            "trajectory": "T0",
-        }
-        cell |= {"covered": 0.9, "nees": 1.0, "covered_delta_L": 1.0, "ours_delta_L_mm": 0.03}
-        table = pd.DataFrame([cell])
-        medians = robustness.median_ratios(table, draws=10)
-        assert set(medians["lost"]) == {lost}
-        assert medians["median"].tolist() == pytest.approx([ratio] * len(medians))
-        line = robustness.by_trajectory(table).iloc[0]
-        assert (line["lost_%"], line["lost_to_shorter_%"]) == (100 * lost, 100 * lost)
-
 
 class TestRig:
     def test_bend_of_recordings_of_another_shape_scatters_as_its_covariance_says(self):
@@ -213,41 +126,6 @@ class TestRig:
             squares.append(error @ np.linalg.solve(run.covariance[-1, :2, :2].numpy(), error))
         assert np.mean(squares) / 2 == pytest.approx(1.0, abs=0.25)
         assert np.mean(np.array(squares) < chi2.ppf(0.95, 2)) == pytest.approx(0.95, abs=0.05)
-
-
-class TestSegments:
-    def test_columns_of_made_up_estimates(self):
-        """Gaussian errors of known size about T3 of one segment: each column by its definition."""
-        course = Course(1, draws=2, steps=200)
-        C = 1e-10 * SPREAD
-        error = torch.from_numpy(np.stack([gaussian(C, 200, seed) for seed in (0, 1)], axis=1))
-        covariance = torch.from_numpy(C).expand(200, 2, 3, 3)
-        q = course.q.unsqueeze(1) + error
-        found = segments_tables.errors_by_draw(course, Trajectory(q, covariance, q, {}))
-        span = torch.tensor([2 * D_M, 2 * D_M, 5.5e-3])
-        expected = 100 * (error.square().mean(0).sqrt() / span).mean(-1)
-        torch.testing.assert_close(found["error_percent"], expected, rtol=1e-3, atol=0)
-        # the median of chi-square with three degrees of freedom, over three: 0.79
-        assert found["calibration"].tolist() == pytest.approx([chi2.ppf(0.5, 3) / 3] * 2, rel=0.2)
-        assert found["covered_percent"].tolist() == pytest.approx([95.0, 95.0], abs=4.0)
-        exact = Trajectory(course.q.unsqueeze(1).expand(-1, 2, -1), covariance, q, {})
-        assert segments_tables.errors_by_draw(course, exact)["covered_percent"].tolist() == [100.0, 100.0]
-
-    @pytest.mark.parametrize(("squared", "covered"), [(7.81, 100.0), (7.82, 0.0)])
-    def test_the_ellipsoid_is_that_of_three_coordinates(self, squared, covered):
-        """95 % of chi-square with three degrees of freedom are below 7.815, in any printed table."""
-        course = Course(1, draws=2, steps=5)
-        covariance = (1e-6 * torch.eye(3, dtype=torch.float64)).expand(5, 2, 3, 3)
-        q = course.q.unsqueeze(1) + torch.tensor([0.0, 1e-3 * math.sqrt(squared), 0.0], dtype=torch.float64)
-        q = q.expand(-1, 2, -1)
-        found = segments_tables.errors_by_draw(course, Trajectory(q, covariance, q, {}))
-        assert found["covered_percent"].tolist() == [covered] * 2
-
-    def test_squared_error_at_the_quantile(self):
-        q = torch.zeros(1, 3, dtype=torch.float64)
-        C = 1e-6 * torch.eye(3, dtype=torch.float64)
-        found = Trajectory(torch.tensor([[1e-3, -2e-3, 2e-3]], dtype=torch.float64), C[None], q, {})
-        assert float(segments_tables.calibration(q, found)) == pytest.approx(9.0, rel=1e-5)
 
 
 def test_lemniscate_has_the_range_that_the_tables_divide_by():

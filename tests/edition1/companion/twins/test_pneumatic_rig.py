@@ -7,12 +7,14 @@ import pytest
 from edition1_companion.twins.pneumatic_actuation import TRAJECTORIES
 from edition1_companion.twins.pneumatic_rig import record_rig, record_twin
 from edition1_companion.twins.rig_motion import MODELS
-from edition1_companion.twins.rig_twins import ELONGATION_MM, nominal_twin, random_twin, second_twin
-from edition1_companion.twins.sensor_board import DRIFTS, FULL_SCALE_MV, LSB_MV
+from edition1_companion.twins.rig_twins import nominal_twin, random_twin, second_twin
+from edition1_companion.twins.sensor_board import DRIFTS, FULL_SCALE_MV, LSB_MV, analogue_readings
 
 FROZEN = "0392762d3f26ffd65d4dea95776c16d5bd67c28be19db1cb1c4c85a380f9783d"
 SECOND = "fc31ef79729d3a655e3ca6efff240fa4ed0329b30a669f28b979824e8a6ce9f4"
 MEMBER = "acd4ba71cd938c8ca7b232baa2f875d0c791f05507a787609905fcdd9b0ede52"
+ELONGATION_MM = (5.85, 6.38, 5.73, 6.11, 5.76, 6.13)
+"""Mean elongation in T0 to T5, from the running means of networks trained on the authors' recordings."""
 
 
 def test_nominal_twin_is_frozen():
@@ -20,8 +22,7 @@ def test_nominal_twin_is_frozen():
     assert nominal_twin().sha256 == FROZEN
 
 
-def test_second_twin_and_the_first_family_are_frozen():
-    # The first family's networks are kept by these hashes: the second one may not change them.
+def test_second_twin_and_random_twins_are_frozen():
     assert second_twin().sha256 == SECOND
     assert random_twin(23).sha256 == MEMBER
 
@@ -99,16 +100,25 @@ def test_what_is_called_elongation_is_not_felt_by_the_sensors():
         assert np.abs(first.track.ring_m - other.track.ring_m).max() > 3e-4
 
 
-def test_second_family_varies_in_elongation_and_never_saturates():
-    twins = [random_twin(seed, second=True) for seed in range(24)]
-    assert len({twin.sha256 for twin in twins}) == 24
-    assert twins[5] == random_twin(5, second=True)
-    lengths = np.array([twin.differences.elongation_mm for twin in twins])
-    lengths += np.array(ELONGATION_MM) - second_twin().differences.elongation_mm
-    assert lengths.std(axis=1, ddof=1).mean() == pytest.approx(0.3, abs=0.06)
-    for twin in twins:
-        assert twin.bending == random_twin(twins.index(twin)).bending
-        for name in ("T1", "T2"):
-            u = record_rig(twin, name, seed=0, duration_s=10.0).readings_mv
-            assert u.min() > 0
-            assert u.max() < FULL_SCALE_MV - LSB_MV
+def test_without_noise_hysteresis_and_gaps_the_readings_are_those_of_the_board():
+    plain = nominal_twin()
+    board = replace(plain.board, noise_mv=0.0, inflated_noise_mv=0.0, drift_mv=0.0)
+    capture = replace(plain.capture, noise_mm=0.0, noise_deg=0.0, gaps_per_s=0.0, clock_ppm=0.0)
+    inner = replace(plain.inner, hysteresis_mm=0.0, across_s=0.0)
+    quiet = replace(
+        plain,
+        board=board,
+        capture=capture,
+        inner=inner,
+        bias_mv=(0.0,) * 6,
+        bias_scatter_mv=0.0,
+        gain_scatter=0.0,
+    )
+    twin = record_twin(quiet, trajectories=["T4"], longest_s=20.0, skip=0)
+    recording = twin.read["T4"]
+    slow = (
+        np.linalg.norm(np.gradient(recording.q[:, :2], axis=0), axis=1) * 40 < 2e-3
+    )  # where a frame late is little
+    error = recording.u - analogue_readings(board, recording.q, recording.q)
+    assert slow.mean() > 0.9
+    assert np.abs(error[slow]).max() < 1.0

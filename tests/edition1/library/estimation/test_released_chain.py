@@ -13,7 +13,6 @@ from edition1.estimation.imu_models import (
     tangent_spline,
 )
 from edition1.estimation.imu_selection import Selection
-from edition1.kernels import _chain as compiled_chain
 from edition1_companion.pages.how_many_imus.bounds import pcc_bound, tangents_bound
 from edition1_companion.recordings.martin2022_models import selection
 
@@ -99,8 +98,7 @@ def test_inner_points_of_an_arc():
     made = Selection((0, 1), (0.0, 2.0), (2.0,), sub_links=2, interpolation="inner points")
     side, up = 0.5, np.sqrt(0.75)
     expected = [[side, 0, up], [side + up, 0, side + up]]
-    for chain_between in (pcc_extended, compiled_chain.pcc_extended):
-        np.testing.assert_allclose(chain_between(quarter, made, [1.0, 2.0]), expected, atol=1e-15)
+    np.testing.assert_allclose(pcc_extended(quarter, made, [1.0, 2.0]), expected, atol=1e-15)
     linear = np.array([np.sqrt(0.2), 0, np.sqrt(0.8)])  # a third of the way along the chord
     np.testing.assert_allclose(tangent_interpolation(quarter, made, [1.0])[0], linear, atol=1e-15)
 
@@ -111,8 +109,6 @@ def test_origin_moves_every_model(arm, model):
     moved = replace(made, origin_m=(0.1, -0.2, 0.0178))
     difference = model(arm, moved, [0.0, 0.36]) - model(arm, made, [0.0, 0.36])
     np.testing.assert_allclose(difference, np.broadcast_to([0.1, -0.2, 0.0178], (5, 2, 3)), atol=1e-15)
-    found = compiled_chain.pcc_extended(arm, moved, [0.36])
-    np.testing.assert_allclose(found, pcc_extended(arm, moved, [0.36]), atol=1e-14)
 
 
 def test_bounds_hold_for_the_printed_rule_only():

@@ -15,11 +15,10 @@ from edition1.kernels.compilation import _CACHE, _digest, machine_code
 from edition1 import kernels
 
 PACKAGE = Path(kernels.__file__).parent
-ROOT = PACKAGE.parents[3]
+SOURCES = PACKAGE.parents[1]
 MODULES = {
-    ".".join(file.relative_to(folder).with_suffix("").parts): file
-    for folder, room in ((ROOT / "src" / "edition1", "."), (ROOT, "bench"))
-    for file in sorted((folder / room).rglob("*.py"))
+    ".".join(file.relative_to(SOURCES).with_suffix("").parts): file
+    for file in sorted(SOURCES.rglob("*.py"))
     if "kernels.compilation import machine_code\n" in file.read_text()
 }
 """Those with kernels."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 import warnings
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -14,14 +13,12 @@ from edition1.errors import InputError
 from edition1.estimation.base import track
 from edition1.estimation.levenberg_marquardt import jacobian
 from edition1.robot_file.load import load_robot
-from edition1.sensing.import_network import import_network
 from edition1.sensing.magnetic import MagneticSensing
 from edition1.sensing.network import Dropout, PerSensor, paper_network
 from edition1.sensing.own_model import OwnModel
-from edition1.sensing.weights import load_paper_network
+from edition1.sensing.weights import load_paper_network, save_weights
 from edition1_companion.twins.trajectories import lemniscate
 from edition1_live.follow.robot_estimator import robot_estimator
-from safetensors.torch import save_file
 from torch import nn
 
 DATA = Path(__file__).parents[4] / "data"
@@ -232,7 +229,7 @@ def test_networks_of_a_robot_file_are_refused_when_it_is_read(tmp_path):
         InputError, match=r"robot.toml, line \d+, \[model\]: .*their manifest alone.json beside them"
     ):
         load_robot(with_networks(tmp_path, '"alone.safetensors"'))
-    import_network(saved(trained(), tmp_path / "a.pth"), tmp_path / "a.safetensors")
+    save_weights(trained(), tmp_path / "a.safetensors", {"recipe": "paper"})
     with pytest.raises(
         InputError, match="inputs of robot.toml, line .* must be 'angles', which networks of the"
     ):
@@ -240,108 +237,17 @@ def test_networks_of_a_robot_file_are_refused_when_it_is_read(tmp_path):
 
 
 def test_a_robot_with_networks_is_not_warned_of_ranges_in_its_unit(tmp_path):
-    import_network(saved(trained(), tmp_path / "a.pth"), tmp_path / "a.safetensors")
+    save_weights(trained(), tmp_path / "a.safetensors", {"recipe": "paper"})
     text = re.sub("noise_mt = .*", "noise_mv = 0.24", ONE_TEXT.replace('unit = "mT"', 'unit = "mV"'))
     path = tmp_path / "robot.toml"
     path.write_text(f'{text}\n[model]\nnetworks = ["a.safetensors"]\n')
     assert load_robot(path).notes == (UNKNOWN_ERROR,)
 
 
-def saved(network: nn.Module, path: Path) -> Path:
-    torch.save(network.state_dict(), path)
-    return path
-
-
-class Named(nn.Module):
-    """The paper's architecture under other names, without dropout."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.normalise = nn.BatchNorm1d(5)
-        widths = (5, 96, 256, 64, 24)
-        self.hidden = nn.ModuleList(
-            nn.Sequential(nn.Linear(a, b), nn.ReLU(), nn.BatchNorm1d(b)) for a, b in pairwise(widths)
-        )
-        self.output = nn.Linear(24, 1)
-
-    def forward(self, x):
-        x = self.normalise(x)
-        for layer in self.hidden:
-            x = layer(x)
-        return self.output(x).squeeze(-1)
-
-
-def test_a_state_dict_goes_round(tmp_path):
-    mine, q = trained(), lemniscate(1, steps=5)
-    expected = ONE.sensing(mine, inputs="angles")(q)
-    same = Named().eval()
-    same.load_state_dict(dict(zip(same.state_dict(), mine.state_dict().values(), strict=True)))
-    torch.save({"epoch": 3, "state_dict": mine.state_dict()}, tmp_path / "nested.pt")
-    averaged = torch.optim.swa_utils.AveragedModel(mine)
-    save_file({f"net.{k}": v for k, v in mine.state_dict().items()}, tmp_path / "prefixed.safetensors")
-    for source in (
-        saved(mine, tmp_path / "plain.pth"),
-        saved(mine.double(), tmp_path / "double.pth"),
-        saved(same, tmp_path / "named.pt"),
-        saved(averaged, tmp_path / "averaged.pt"),
-        tmp_path / "nested.pt",
-        tmp_path / "prefixed.safetensors",
-    ):
-        target = import_network(source, tmp_path / "out" / f"{source.stem}.safetensors")
-        read = load_paper_network(target)
-        torch.testing.assert_close(ONE.sensing(read, inputs="angles")(q), expected, rtol=0, atol=1e-6)
-        robot = load_robot(with_networks(tmp_path, f'"out/{target.name}"'))
-        torch.testing.assert_close(robot.sensing()(q), expected, rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda w: w | {"2.weight": torch.zeros(96, 6)}, r"2.weight of shape \(96, 5\); .* shape \(96, 6\)"),
-        (
-            lambda w: {k: v for k, v in w.items() if k != "4.bias"},
-            r"with 4.bias of shape \(96,\); .* 34 weights",
-        ),
-        (
-            lambda w: w | {"20.weight": torch.zeros(3)},
-            "the 35 of the paper's network; instead received also 20.weight",
-        ),
-        (
-            lambda w: w | {"2.bias": torch.full((96,), torch.nan)},
-            "finite; instead received 2.bias with numbers",
-        ),
-        (lambda w: {"a": 3}, "must be a state dict: a file of torch.save, or safetensors; .* with dict"),
-        (lambda w: [1], "must be a state dict: a file of torch.save, or safetensors; .* with list"),
-    ],
-)
-def test_other_weights_are_refused_by_name(tmp_path, change, message):
-    weights = dict(trained().state_dict())
-    torch.save(change(weights), tmp_path / "w.pt")
-    with pytest.raises(InputError, match=message):
-        import_network(tmp_path / "w.pt", tmp_path / "w.safetensors")
-    assert not (tmp_path / "w.safetensors").exists()
-
-
-def test_files_that_are_no_state_dict(tmp_path):
-    (tmp_path / "a.pt").write_bytes(b"none")
-    torch.save(trained(), tmp_path / "pickled.pt")
-    for name in ("a.pt", "pickled.pt", "missing.pt"):
-        with pytest.raises(InputError, match="source of import_network must be a state dict"):
-            import_network(tmp_path / name, tmp_path / "w.safetensors")
-    with pytest.raises(
-        InputError, match="target of import_network must be a new file that ends in .safetensors"
-    ):
-        import_network(saved(trained(), tmp_path / "b.pt"), tmp_path / "b.pt")
-
-
 def test_the_page_runs(tmp_path, monkeypatch):
     page = (DATA.parent / "book" / "own_robot.md").read_text()
     section = page[page.index("(own-model)=") :]
     shutil.copytree(ROBOTS, tmp_path / "data" / "robots")
-    saved(trained(), tmp_path / "weights.pth")
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", section, re.S)
-    assert len(blocks) == 2
-    for block in blocks:
-        exec(block, {})
-    assert load_robot(with_networks(tmp_path, '"segment1.safetensors"')).notes == (UNKNOWN_ERROR,)
+    (block,) = re.findall(r"```python\n(.*?)```", section, re.S)
+    exec(block, {})

@@ -18,7 +18,7 @@ from edition1_companion.twins.rig_map import fit_map
 from edition1_companion.twins.rig_twins import random_twin
 
 TWINS = tuple(range(24))
-"""Seeds of the random twins, those of the page on robustness; methods were chosen on seeds 1000 to 1003."""
+"""Seeds of the random twins; methods were chosen on seeds 1000 to 1003."""
 AS_IT_IS, NO_LAG = "as it is", "no lag across the bend"
 
 

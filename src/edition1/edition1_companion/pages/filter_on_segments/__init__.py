@@ -1,1 +1,0 @@
-"""The page `notebooks/filter_on_segments.ipynb`."""

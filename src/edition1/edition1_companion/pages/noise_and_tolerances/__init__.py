@@ -1,1 +1,0 @@
-"""The page `notebooks/noise_and_tolerances.ipynb`."""
