@@ -18,8 +18,7 @@ from repro_search import INDEX
 from sphinx.application import Sphinx
 
 VIEWER = "shape_viewer.js"
-OF_LIVE = (f"view/viewer/{VIEWER}", "follow/page/traces.js")
-"""Scripts that lie in a package, whose live view serves them too."""
+VIEWER_IN_PACKAGE = f"src/edition1/edition1_live/view/viewer/{VIEWER}"
 ICONS_OF_THEME = "vendor/fontawesome/webfonts/fa-solid-900.ttf"
 ICONS = {
     "magnifying-glass": 0xF002,
@@ -45,7 +44,6 @@ USED_BY = {
     "scorecard.js": 'class="scorecard-filter"',
     "frame_strip.js": 'class="frame-strip"',
     "live/live.css": "data-live=",
-    "board/board.css": 'class="board"',
     "page_notes.css": 'class="run-form"',
     "mystnb.": 'class="cell',
     "sphinx-design.min.css": "sd-",
@@ -54,16 +52,6 @@ USED_BY = {
 """Scripts and styles by the beginning of their names, with what a page has that needs them."""
 LIVE_FIRST = ("model", "figure")
 """What every live figure is made of, in the order in which it is loaded; its own script comes last."""
-BOARD = (
-    "live/model",
-    "board/wire",
-    "board/recording",
-    "board/robot",
-    "board/example",
-    "traces",
-    "board/board",
-)
-"""What the page of the board is made of, in the order in which it is loaded."""
 OFFLINE_SEARCH = "offline_search.js"
 SCORECARD_FILES = ("scorecard.json", "scorecard.svg")
 NOTEBOOKS = "notebooks/"
@@ -82,19 +70,17 @@ def select_files(app: Sphinx, pagename: str, templatename: str, context: dict, d
         kept = {}
         for file in context.get(kind, []):
             name = str(getattr(file, "filename", file) or "").removeprefix("_static/")
-            later = name.startswith(("live/", "board/")) and name not in USED_BY  # in an order of their own
+            later = name.startswith("live/") and name not in USED_BY  # in an order of their own
             if is_used(name, page) and not later and (name != OFFLINE_SEARCH or pagename == "search"):
                 kept.setdefault((name, str(getattr(file, "attributes", {}).get("body") or "")), file)
         context[kind] = list(kept.values())
     kept = context["script_files"]
-    board = 'class="board"' in page
-    if 'class="shape-view"' in page or board:
+    if 'class="shape-view"' in page:
         kept.append(f"_static/{VIEWER}")
     if pagename == "search":
         kept.insert(0, f"_static/{INDEX}")
     live = sorted(set(LIVE.findall(page)))
     kept += [f"_static/live/{stem}.js" for stem in ((*LIVE_FIRST, *live) if live else ())]
-    kept += [f"_static/{stem}.js" for stem in (BOARD if board else ())]
 
 
 def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -128,12 +114,10 @@ def add_downloads(app: Sphinx, exception: Exception | None) -> None:
                 )
 
 
-def add_scripts_of_live(app: Sphinx, exception: Exception | None) -> None:
-    """Put the scripts that show shapes and traces where pages find them."""
+def add_viewer(app: Sphinx, exception: Exception | None) -> None:
+    """Put the script that shows shapes where pages find it."""
     if exception is None and app.builder.format == "html":
-        for path in map(Path, OF_LIVE):
-            source = Path(app.srcdir).parent / "src" / "edition1" / "edition1_live" / path
-            shutil.copyfile(source, Path(app.outdir) / "_static" / path.name)
+        shutil.copyfile(Path(app.srcdir).parent / VIEWER_IN_PACKAGE, Path(app.outdir) / "_static" / VIEWER)
 
 
 def cut_icons(app: Sphinx, exception: Exception | None) -> None:
@@ -208,7 +192,7 @@ def setup(app: Sphinx) -> dict[str, object]:
     # a number of a paper, a setting: so that every other digit in prose is known to be loose
     for role in ("paper", "setting"):
         app.add_generic_role(role, nodes.inline)
-    app.connect("build-finished", add_scripts_of_live)
+    app.connect("build-finished", add_viewer)
     app.connect("build-finished", cut_icons)
     app.connect("build-finished", add_downloads)
     app.connect("build-finished", add_scorecard_files)
