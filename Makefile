@@ -28,7 +28,7 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help book pdf test mutants lint check-site reproduce size train studies bench diff soak fuzz firmware vendor env clean lock
+.PHONY: help book pdf test mutants lint check-site reproduce size train studies bench diff soak fuzz vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
@@ -46,7 +46,6 @@ help:
 	@echo 'make diff RUN=…  show a run of your own (runs/NAME-…) beside the results of the book'
 	@echo 'make soak        ten million frames through a faulty port, a hundred killed recorders, ten minutes live (half an hour)'
 	@echo 'make fuzz        a million inputs made to break the parsers (minutes)'
-	@echo 'make firmware    build the sketches for boards and run them under simavr (needs avr-gcc and simavr)'
 	@echo 'make vendor      bundle the 3-D viewer and cut the font of formulas anew (needs node and npm)'
 	@echo 'make env         set up .venv only (every target above does this by itself; make book needs less)'
 	@echo 'make lock        write requirements.lock and requirements-recorder.lock anew'
@@ -122,10 +121,6 @@ fuzz: env
 	@$(PY) -m pip install --quiet --no-deps --require-hashes --upgrade --target .cache/fuzz -r requirements-fuzz.lock
 	PYTHONPATH=.cache/fuzz $(PY) tests/edition1/live/fuzz_parsers.py -runs=1000000 -verbosity=1 -print_final_stats=1 \
 	  -artifact_prefix=.cache/fuzz-
-
-firmware: env
-	@$(PY) tests/edition1/firmware/tools.py
-	$(PY) -m pytest -q -n $(JOBS) tests/edition1/firmware
 
 vendor: env
 	$(PY) book/_ext/formula_font.py .cache/font
