@@ -198,7 +198,7 @@ lock:
 	@rm -rf .cache/uv-venv
 
 clean:
-	rm -rf book/_build book/notebooks book/api book/generated build
+	rm -rf book/_build book/notebooks book/generated build
 	rm -rf .pytest_cache .ruff_cache .hypothesis .import_linter_cache .cache
 	find results -type f ! -name '.*' -exec rm -f {} + 2>/dev/null || true
 	find src tests book -type d -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true

@@ -173,12 +173,9 @@ def tidy(app: Sphinx, exception: Exception | None) -> None:
             path.unlink()
 
 
-def forget_modules_without_source(app: Sphinx) -> list[tuple[str, dict, str]]:
-    """Leave modules that have no source page (``builtins``) out of the index of sources, which would link to them."""
-    modules = getattr(app.env, "_viewcode_modules", {})
-    for name in [name for name, entry in modules.items() if not entry]:
-        del modules[name]
-    return []
+def skip_field(app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object) -> bool | None:
+    """Leave out the fields of named tuples: their docstring describes them, as attributes."""
+    return True if type(obj).__name__ == "_tuplegetter" else None
 
 
 def setup(app: Sphinx) -> dict[str, object]:
@@ -186,7 +183,7 @@ def setup(app: Sphinx) -> dict[str, object]:
     # Jupyter Book sets it, although sphinx_comments is left out
     app.add_config_value("comments_config", {}, "html")
     app.connect("html-page-context", select_files, priority=900)
-    app.connect("html-collect-pages", forget_modules_without_source, priority=100)
+    app.connect("autodoc-skip-member", skip_field)
     app.connect("source-read", add_notes)
     app.connect("source-read", fill_values)
     # a number of a paper, a setting: so that every other digit in prose is known to be loose
