@@ -123,7 +123,7 @@ def linked_code(html: str, uris: dict[str, str]) -> str:
 
 
 def name_as_text(app: Sphinx, env, node: pending_xref, contnode: nodes.Element) -> nodes.Element | None:
-    """Write a name of ours as text where the reference does not describe it; one that does not exist stays a warning."""
+    """Write a name of ours that the reference does not describe as text; one that does not exist stays broken."""
     if node.get("refdomain") == "py" and node["reftarget"].startswith(OURS):
         try:
             pkgutil.resolve_name(node["reftarget"])

@@ -173,17 +173,11 @@ def tidy(app: Sphinx, exception: Exception | None) -> None:
             path.unlink()
 
 
-def skip_field(app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object) -> bool | None:
-    """Leave out the fields of named tuples: their docstring describes them, as attributes."""
-    return True if type(obj).__name__ == "_tuplegetter" else None
-
-
 def setup(app: Sphinx) -> dict[str, object]:
     """Register the extension."""
     # Jupyter Book sets it, although sphinx_comments is left out
     app.add_config_value("comments_config", {}, "html")
     app.connect("html-page-context", select_files, priority=900)
-    app.connect("autodoc-skip-member", skip_field)
     app.connect("source-read", add_notes)
     app.connect("source-read", fill_values)
     # a number of a paper, a setting: so that every other digit in prose is known to be loose
