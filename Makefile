@@ -46,7 +46,7 @@ help:
 	@echo 'make diff RUN=…  show a run of your own (runs/NAME-…) beside the results of the book'
 	@echo 'make soak        ten million frames through a faulty port, a hundred killed recorders, ten minutes live (half an hour)'
 	@echo 'make fuzz        a million inputs made to break the parsers (minutes)'
-	@echo 'make vendor      bundle the 3-D viewer and cut the font of formulas anew (needs node and npm)'
+	@echo 'make vendor      bundle the 3-D viewer (needs node and npm)'
 	@echo 'make env         set up .venv only (every target above does this by itself; make book needs less)'
 	@echo 'make lock        write requirements.lock and requirements-recorder.lock anew'
 	@echo 'make clean       remove the built site, executed notebooks, results and caches; keeps .venv and runs/'
@@ -123,7 +123,6 @@ fuzz: env
 	  -artifact_prefix=.cache/fuzz-
 
 vendor: env
-	$(PY) book/_ext/formula_font.py .cache/font
 	node src/edition1/edition1_live/view/viewer/bundle.mjs .cache/viewer
 
 # ---------------------------------------------------------------------------------------------------------------------

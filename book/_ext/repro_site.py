@@ -14,7 +14,6 @@ from edition1_companion.book.project import Project
 from edition1_companion.book.values import filled
 from fontTools import subset
 from page_access import accessible, schematics_in_full
-from repro_search import INDEX
 from sphinx.application import Sphinx
 
 VIEWER = "shape_viewer.js"
@@ -50,9 +49,18 @@ USED_BY = {
     "design-tabs.js": "sd-tab",
 }
 """Scripts and styles by the beginning of their names, with what a page has that needs them."""
+NOT_SERVED = (
+    "**/*.map",
+    "_static/scripts/fontawesome.js*",
+    "_static/*webpack-macros.html",
+    "_static/mathjax/mml-*.js",
+    "_static/mathjax/tex-svg.js",
+    "_static/mathjax/tex-mml-*.js",
+    "_static/mathjax/tex-*-full*.js",
+)
+"""What the theme and MathJax bring along and no page loads; MathJax has its parts once more in other bundles."""
 LIVE_FIRST = ("model", "figure")
 """What every live figure is made of, in the order in which it is loaded; its own script comes last."""
-OFFLINE_SEARCH = "offline_search.js"
 SCORECARD_FILES = ("scorecard.json", "scorecard.svg")
 NOTEBOOKS = "notebooks/"
 LIVE = re.compile(r'data-live="(\w+)"')
@@ -71,14 +79,12 @@ def select_files(app: Sphinx, pagename: str, templatename: str, context: dict, d
         for file in context.get(kind, []):
             name = str(getattr(file, "filename", file) or "").removeprefix("_static/")
             later = name.startswith("live/") and name not in USED_BY  # in an order of their own
-            if is_used(name, page) and not later and (name != OFFLINE_SEARCH or pagename == "search"):
+            if is_used(name, page) and not later:
                 kept.setdefault((name, str(getattr(file, "attributes", {}).get("body") or "")), file)
         context[kind] = list(kept.values())
     kept = context["script_files"]
     if 'class="shape-view"' in page:
         kept.append(f"_static/{VIEWER}")
-    if pagename == "search":
-        kept.insert(0, f"_static/{INDEX}")
     live = sorted(set(LIVE.findall(page)))
     kept += [f"_static/live/{stem}.js" for stem in ((*LIVE_FIRST, *live) if live else ())]
 
@@ -141,15 +147,6 @@ def add_scorecard_files(app: Sphinx, exception: Exception | None) -> None:
                 shutil.copyfile(source, Path(app.outdir) / name)
 
 
-def without_search_of_sphinx(text: str) -> str:
-    """Leave out the search of Sphinx, which shows no excerpts from disk: ``offline_search.js`` takes its place."""
-    return re.sub(
-        r'\s*<script src="[./]*(_static/searchtools|_static/language_data|searchindex)\.js"></script>',
-        "",
-        text,
-    )
-
-
 def tidy(app: Sphinx, exception: Exception | None) -> None:
     """Correct the written pages where neither the theme nor an extension offers a setting."""
     if exception is not None or app.builder.format != "html":
@@ -160,7 +157,7 @@ def tidy(app: Sphinx, exception: Exception | None) -> None:
         new = text.replace('<div role="list" class="citation-list">', '<div class="citation-list">')
         new = re.sub(r'(<div class="citation"[^>]*?) role="doc-biblioentry"', r"\1", new)
         # pandas leaves the corner cells of a table's head empty: not a header, then
-        new = without_search_of_sphinx(accessible(re.sub(r"<th>\s*</th>", "<td></td>", new)))
+        new = accessible(re.sub(r"<th>\s*</th>", "<td></td>", new))
         page = path.relative_to(out)
         images = "../" * (len(page.parts) - 1) + "_images/"
         new, drawn = schematics_in_full(new, "-".join(page.with_suffix("").parts), images)
@@ -168,7 +165,7 @@ def tidy(app: Sphinx, exception: Exception | None) -> None:
             write_whole(out / "_images" / name, picture)
         if new != text:
             path.write_text(new, encoding="utf-8")
-    for pattern in ("**/*.map", "_static/scripts/fontawesome.js*", "_static/*webpack-macros.html"):
+    for pattern in NOT_SERVED:
         for path in out.glob(pattern):
             path.unlink()
 
