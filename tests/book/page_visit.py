@@ -16,6 +16,7 @@ OF_COLOUR = ("color-contrast", "link-in-text-block")
 """Rules whose outcome depends on the colours; all others are the same in light and dark."""
 
 FACTS = """async () => {
+  if (window.MathJax) await MathJax.startup.promise;
   await document.fonts.ready;
   const images = [...document.querySelectorAll('img')];
   images.forEach(image => { image.loading = 'eager'; });
@@ -27,14 +28,14 @@ FACTS = """async () => {
     return lines > 1.5 && lines > cell.textContent.trim().length / 10;
   });
   const prose = document.querySelector('main').cloneNode(true);
-  prose.querySelectorAll('pre, code, script, style, annotation').forEach(part => part.remove());
+  prose.querySelectorAll('pre, code, script, style, mjx-container').forEach(part => part.remove());
   return {
     squeezed: squeezed.map(cell => cell.textContent.trim()),
     text: document.body.innerText,
     images: images.map(i => ({src: i.getAttribute('src'), alt: i.alt, width: i.naturalWidth})),
     formulas: document.querySelectorAll('.math').length,
-    rendered: document.querySelectorAll('.math > math > semantics > annotation:not(:first-child)').length,
-    errors: document.querySelectorAll('merror').length,
+    rendered: document.querySelectorAll('.math > mjx-container').length,
+    errors: document.querySelectorAll('mjx-merror, [data-mjx-error]').length,
     tex: prose.textContent.match(/\\\\[a-z]{2,}|\\\\[()[\\]]|[_^]\\{/gi) || [],
     views: [...document.querySelectorAll('.shape-view')].map(view => new Blob([view.outerHTML]).size),
   };

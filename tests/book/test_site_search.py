@@ -35,7 +35,7 @@ def index_entries(page: str) -> set[str]:
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: f"{entry.paper}-{entry.artefact}")
 def test_every_table_and_figure_has_an_entry(entry):
-    """The search drops numbers from what is asked, but not from entries; of "Fig. 11, upper row" the figure counts."""
+    """The search drops numbers that stand in no entry. Of "Fig. 11, upper row" the figure is the entry."""
     name = entry.artefact.split(",")[0]
     assert f"{name}; {PAPERS[entry.paper]}" in index_entries(entry.page)
 
