@@ -43,6 +43,7 @@ USED_BY = {
     "scorecard.js": 'class="scorecard-filter"',
     "frame_strip.js": 'class="frame-strip"',
     "live/live.css": "data-live=",
+    "mathjax/": 'class="math ',
     "page_notes.css": 'class="run-form"',
     "mystnb.": 'class="cell',
     "sphinx-design.min.css": "sd-",

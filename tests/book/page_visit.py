@@ -79,10 +79,14 @@ class Visit:
         """Requests that left the site."""
         return [url for url in self.requests if urlsplit(url).scheme not in ("file", "data", "blob")]
 
+    def loaded(self, part: str = "") -> set[Path]:
+        """Files that the page loaded, by a part of their path."""
+        paths = (unquote(urlsplit(url).path) for url in self.requests if url.startswith("file:"))
+        return {Path(path) for path in paths if part in path}
+
     def weight(self) -> int:
         """Bytes of all files that the page loaded."""
-        paths = {Path(unquote(urlsplit(url).path)) for url in self.requests if url.startswith("file:")}
-        return sum(path.stat().st_size for path in paths)
+        return sum(path.stat().st_size for path in self.loaded())
 
 
 def open_page(browser, url: str, *, width: int = 1280):

@@ -38,7 +38,7 @@ CONTRAST_OF_CODE = """async () => {
 LANDING_LIMIT_BYTES = 1_000_000
 CHAPTER_LIMIT_BYTES = 1_200_000
 PAGE_LIMIT_BYTES = 2_000_000
-"""Without 3-D views; the theme included."""
+"""Without 3-D views and MathJax, which many pages share; the theme included."""
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,8 @@ def test_page(name, browser, record_property):
     record_property("page", name)
     record_property("page_bytes", total)
     record_property("shape_view_bytes", of_views)
-    assert total - of_views <= _limit(name), f"{total - of_views} bytes without 3-D views"
+    assert total - of_views <= _limit(name), f"{total - of_views} bytes without 3-D views and MathJax"
+    assert bool(seen.loaded("/_static/mathjax/")) == bool(seen.facts["formulas"])
 
 
 def _limit(name: str) -> int:
@@ -96,8 +97,8 @@ def _check_images_and_formulas(seen: Visit) -> None:
 
 
 def _weight(seen: Visit) -> tuple[int, int]:
-    """Return the bytes of a page, and how many of them are for 3-D views."""
-    total = seen.weight()
+    """Return the bytes of a page without MathJax, and how many of them are for 3-D views."""
+    total = seen.weight() - sum(path.stat().st_size for path in seen.loaded("/_static/mathjax/"))
     views = seen.facts["views"]
     return total, sum(views) + (VIEWER.stat().st_size if views else 0)
 
