@@ -28,7 +28,7 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help book pdf test mutants lint check-site reproduce size train studies diff soak fuzz firmware vendor env clean lock
+.PHONY: help book pdf test mutants lint check-site reproduce size train studies diff soak fuzz vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
@@ -45,8 +45,7 @@ help:
 	@echo 'make diff RUN=…  show a run of your own (runs/NAME-…) beside the results of the book'
 	@echo 'make soak        ten million frames through a faulty port, a hundred killed recorders, ten minutes live (half an hour)'
 	@echo 'make fuzz        a million inputs made to break the parsers (minutes)'
-	@echo 'make firmware    build the sketches for boards and run them under simavr (needs avr-gcc and simavr)'
-	@echo 'make vendor      bundle the 3-D viewer and cut the font of formulas anew (needs node and npm)'
+	@echo 'make vendor      bundle the 3-D viewer (needs node and npm)'
 	@echo 'make env         set up .venv only (every target above does this by itself; make book needs less)'
 	@echo 'make lock        write requirements.lock anew'
 	@echo 'make clean       remove the built site, executed notebooks, results and caches; keeps .venv and runs/'
@@ -119,12 +118,7 @@ fuzz: env
 	PYTHONPATH=.cache/fuzz $(PY) tests/edition1/live/fuzz_parsers.py -runs=1000000 -verbosity=1 -print_final_stats=1 \
 	  -artifact_prefix=.cache/fuzz-
 
-firmware: env
-	@$(PY) tests/edition1/firmware/tools.py
-	$(PY) -m pytest -q -n $(JOBS) tests/edition1/firmware
-
 vendor: env
-	$(PY) book/_ext/formula_font.py .cache/font
 	node src/edition1/edition1_live/view/viewer/bundle.mjs .cache/viewer
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -197,7 +191,7 @@ lock:
 	@rm -rf .cache/uv-venv
 
 clean:
-	rm -rf book/_build book/notebooks book/api book/generated build
+	rm -rf book/_build book/notebooks book/generated build
 	rm -rf .pytest_cache .ruff_cache .hypothesis .import_linter_cache .cache
 	find results -type f ! -name '.*' -exec rm -f {} + 2>/dev/null || true
 	find src tests book -type d -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true

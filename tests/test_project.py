@@ -1,9 +1,7 @@
-"""The project as a whole: versions agree, vendored files are what they say, documented commands exist."""
+"""The project as a whole: versions agree, documented commands exist."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 import tomllib
 from collections.abc import Iterable
@@ -20,7 +18,6 @@ import repro
 from bench.size import unreached
 
 ROOT = Path(__file__).resolve().parents[1]
-VENDOR = ROOT / "book" / "_static" / "vendor"
 
 
 def read(name: str) -> str:
@@ -129,18 +126,6 @@ def test_the_book_needs_none_of_the_checks():
     extras = project["optional-dependencies"]
     book = map(Requirement, [*project["dependencies"], *extras["book"], *extras["cluster"]])
     assert set(listed.replace("\\", " ").split()) == needed_by(direct().values()) - needed_by(book)
-
-
-def test_vendored_files_are_the_ones_named():
-    """Each browser file that is not ours has a source, a licence and the hash it was taken with."""
-    manifest = json.loads((VENDOR / "manifest.json").read_text(encoding="utf-8"))
-    files = {path.relative_to(VENDOR).as_posix() for path in VENDOR.rglob("*") if path.is_file()}
-    assert files - {"manifest.json"} == set(manifest)
-    for name, entry in manifest.items():
-        assert hashlib.sha256((VENDOR / name).read_bytes()).hexdigest() == entry["sha256"], name
-        assert entry["from"]
-        assert entry["licence"]
-        assert (VENDOR / name.split("/")[0] / "LICENSE").is_file(), f"{name}: its licence must lie beside it"
 
 
 def targets() -> set[str]:

@@ -15,7 +15,7 @@ from edition1_companion.book.project import Project
 import repro
 
 ROOT = Path(__file__).resolve().parents[1]
-TO_FILL_IN = ("pyproject.toml", "codemeta.json", "paper/paper.md", "firmware/library.properties")
+TO_FILL_IN = ("pyproject.toml", "codemeta.json", "paper/paper.md")
 """Where the word OWNER stands for who publishes this."""
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 FORMS = sorted(path for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if path.stem != "config")

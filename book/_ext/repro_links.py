@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import ast
 import json
+import pkgutil
 import re
 from pathlib import Path
 
 from docutils import nodes
-from repro_api import OURS, home_of
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 
+OURS = "edition1"
+"""What the names of our packages begin with."""
 GLOSSARY = "glossary"
 TRAJECTORIES = f"{GLOSSARY}.html#glossary-trajectories"
 TRAJECTORY = re.compile(r"\bT[0-5]\b")
@@ -73,16 +75,15 @@ def _link(word: str, uri: str) -> nodes.reference:
 
 
 def imported_names(cells: list[dict]) -> dict[str, str]:
-    """Return where the names of the public packages that cells import are defined, by the name used there."""
+    """Return the names that cells import from the library, by the names that are used for them there."""
     code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
-    found = {}
-    for node in ast.walk(ast.parse(code)):
-        if isinstance(node, ast.ImportFrom) and f"{node.module}.".startswith(OURS):
-            for name in node.names:
-                home = home_of(f"{node.module}.{name.name}", None)
-                if home:
-                    found[name.asname or name.name] = home
-    return found
+    imports = [node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.ImportFrom)]
+    return {
+        name.asname or name.name: name.name
+        for node in imports
+        if f"{node.module}.".startswith(f"{OURS}.")
+        for name in node.names
+    }
 
 
 def link_calls(app: Sphinx, exception: Exception | None) -> None:
@@ -90,12 +91,17 @@ def link_calls(app: Sphinx, exception: Exception | None) -> None:
     if exception is not None or app.builder.format != "html":
         return
     objects = app.env.get_domain("py").objects
+    public = {
+        name.rpartition(".")[2]: entry
+        for name, entry in objects.items()
+        if entry.objtype in ("class", "function", "exception")
+    }
     for docname in sorted(app.env.found_docs):
         source = Path(app.env.doc2path(docname))
         if not docname.startswith("notebooks/") or source.suffix != ".ipynb":
             continue
         names = imported_names(json.loads(source.read_text(encoding="utf-8"))["cells"])
-        known = {name: objects[home] for name, home in names.items() if home in objects}
+        known = {name: public[home] for name, home in names.items() if home in public}
         page = Path(app.outdir) / f"{docname}.html"
         if known and page.is_file():
             text = page.read_text(encoding="utf-8")
@@ -116,8 +122,20 @@ def linked_code(html: str, uris: dict[str, str]) -> str:
     )
 
 
+def name_as_text(app: Sphinx, env, node: pending_xref, contnode: nodes.Element) -> nodes.Element | None:
+    """Write a name of ours that the reference does not describe as text; one that does not exist stays broken."""
+    if node.get("refdomain") == "py" and node["reftarget"].startswith(OURS):
+        try:
+            pkgutil.resolve_name(node["reftarget"])
+        except (AttributeError, ImportError):
+            return None
+        return contnode
+    return None
+
+
 def setup(app: Sphinx) -> dict[str, object]:
     """Register the extension."""
+    app.connect("missing-reference", name_as_text)
     app.connect("doctree-resolved", link_words)
     app.connect("build-finished", link_calls)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

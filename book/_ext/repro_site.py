@@ -14,12 +14,10 @@ from edition1_companion.book.project import Project
 from edition1_companion.book.values import filled
 from fontTools import subset
 from page_access import accessible, schematics_in_full
-from repro_search import INDEX
 from sphinx.application import Sphinx
 
 VIEWER = "shape_viewer.js"
-OF_LIVE = (f"view/viewer/{VIEWER}", "follow/page/traces.js")
-"""Scripts that lie in a package, whose live view serves them too."""
+VIEWER_IN_PACKAGE = f"src/edition1/edition1_live/view/viewer/{VIEWER}"
 ICONS_OF_THEME = "vendor/fontawesome/webfonts/fa-solid-900.ttf"
 ICONS = {
     "magnifying-glass": 0xF002,
@@ -45,26 +43,25 @@ USED_BY = {
     "scorecard.js": 'class="scorecard-filter"',
     "frame_strip.js": 'class="frame-strip"',
     "live/live.css": "data-live=",
-    "board/board.css": 'class="board"',
+    "mathjax/": 'class="math ',
     "page_notes.css": 'class="run-form"',
     "mystnb.": 'class="cell',
     "sphinx-design.min.css": "sd-",
     "design-tabs.js": "sd-tab",
 }
 """Scripts and styles by the beginning of their names, with what a page has that needs them."""
+NOT_SERVED = (
+    "**/*.map",
+    "_static/scripts/fontawesome.js*",
+    "_static/*webpack-macros.html",
+    "_static/mathjax/mml-*.js",
+    "_static/mathjax/tex-svg.js",
+    "_static/mathjax/tex-mml-*.js",
+    "_static/mathjax/tex-*-full*.js",
+)
+"""What the theme and MathJax bring along and no page loads; MathJax has its parts once more in other bundles."""
 LIVE_FIRST = ("model", "figure")
 """What every live figure is made of, in the order in which it is loaded; its own script comes last."""
-BOARD = (
-    "live/model",
-    "board/wire",
-    "board/recording",
-    "board/robot",
-    "board/example",
-    "traces",
-    "board/board",
-)
-"""What the page of the board is made of, in the order in which it is loaded."""
-OFFLINE_SEARCH = "offline_search.js"
 SCORECARD_FILES = ("scorecard.json", "scorecard.svg")
 NOTEBOOKS = "notebooks/"
 LIVE = re.compile(r'data-live="(\w+)"')
@@ -82,19 +79,15 @@ def select_files(app: Sphinx, pagename: str, templatename: str, context: dict, d
         kept = {}
         for file in context.get(kind, []):
             name = str(getattr(file, "filename", file) or "").removeprefix("_static/")
-            later = name.startswith(("live/", "board/")) and name not in USED_BY  # in an order of their own
-            if is_used(name, page) and not later and (name != OFFLINE_SEARCH or pagename == "search"):
+            later = name.startswith("live/") and name not in USED_BY  # in an order of their own
+            if is_used(name, page) and not later:
                 kept.setdefault((name, str(getattr(file, "attributes", {}).get("body") or "")), file)
         context[kind] = list(kept.values())
     kept = context["script_files"]
-    board = 'class="board"' in page
-    if 'class="shape-view"' in page or board:
+    if 'class="shape-view"' in page:
         kept.append(f"_static/{VIEWER}")
-    if pagename == "search":
-        kept.insert(0, f"_static/{INDEX}")
     live = sorted(set(LIVE.findall(page)))
     kept += [f"_static/live/{stem}.js" for stem in ((*LIVE_FIRST, *live) if live else ())]
-    kept += [f"_static/{stem}.js" for stem in (BOARD if board else ())]
 
 
 def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -128,12 +121,10 @@ def add_downloads(app: Sphinx, exception: Exception | None) -> None:
                 )
 
 
-def add_scripts_of_live(app: Sphinx, exception: Exception | None) -> None:
-    """Put the scripts that show shapes and traces where pages find them."""
+def add_viewer(app: Sphinx, exception: Exception | None) -> None:
+    """Put the script that shows shapes where pages find it."""
     if exception is None and app.builder.format == "html":
-        for path in map(Path, OF_LIVE):
-            source = Path(app.srcdir).parent / "src" / "edition1" / "edition1_live" / path
-            shutil.copyfile(source, Path(app.outdir) / "_static" / path.name)
+        shutil.copyfile(Path(app.srcdir).parent / VIEWER_IN_PACKAGE, Path(app.outdir) / "_static" / VIEWER)
 
 
 def cut_icons(app: Sphinx, exception: Exception | None) -> None:
@@ -157,15 +148,6 @@ def add_scorecard_files(app: Sphinx, exception: Exception | None) -> None:
                 shutil.copyfile(source, Path(app.outdir) / name)
 
 
-def without_search_of_sphinx(text: str) -> str:
-    """Leave out the search of Sphinx, which shows no excerpts from disk: ``offline_search.js`` takes its place."""
-    return re.sub(
-        r'\s*<script src="[./]*(_static/searchtools|_static/language_data|searchindex)\.js"></script>',
-        "",
-        text,
-    )
-
-
 def tidy(app: Sphinx, exception: Exception | None) -> None:
     """Correct the written pages where neither the theme nor an extension offers a setting."""
     if exception is not None or app.builder.format != "html":
@@ -176,7 +158,7 @@ def tidy(app: Sphinx, exception: Exception | None) -> None:
         new = text.replace('<div role="list" class="citation-list">', '<div class="citation-list">')
         new = re.sub(r'(<div class="citation"[^>]*?) role="doc-biblioentry"', r"\1", new)
         # pandas leaves the corner cells of a table's head empty: not a header, then
-        new = without_search_of_sphinx(accessible(re.sub(r"<th>\s*</th>", "<td></td>", new)))
+        new = accessible(re.sub(r"<th>\s*</th>", "<td></td>", new))
         page = path.relative_to(out)
         images = "../" * (len(page.parts) - 1) + "_images/"
         new, drawn = schematics_in_full(new, "-".join(page.with_suffix("").parts), images)
@@ -184,17 +166,9 @@ def tidy(app: Sphinx, exception: Exception | None) -> None:
             write_whole(out / "_images" / name, picture)
         if new != text:
             path.write_text(new, encoding="utf-8")
-    for pattern in ("**/*.map", "_static/scripts/fontawesome.js*", "_static/*webpack-macros.html"):
+    for pattern in NOT_SERVED:
         for path in out.glob(pattern):
             path.unlink()
-
-
-def forget_modules_without_source(app: Sphinx) -> list[tuple[str, dict, str]]:
-    """Leave modules that have no source page (``builtins``) out of the index of sources, which would link to them."""
-    modules = getattr(app.env, "_viewcode_modules", {})
-    for name in [name for name, entry in modules.items() if not entry]:
-        del modules[name]
-    return []
 
 
 def setup(app: Sphinx) -> dict[str, object]:
@@ -202,13 +176,12 @@ def setup(app: Sphinx) -> dict[str, object]:
     # Jupyter Book sets it, although sphinx_comments is left out
     app.add_config_value("comments_config", {}, "html")
     app.connect("html-page-context", select_files, priority=900)
-    app.connect("html-collect-pages", forget_modules_without_source, priority=100)
     app.connect("source-read", add_notes)
     app.connect("source-read", fill_values)
     # a number of a paper, a setting: so that every other digit in prose is known to be loose
     for role in ("paper", "setting"):
         app.add_generic_role(role, nodes.inline)
-    app.connect("build-finished", add_scripts_of_live)
+    app.connect("build-finished", add_viewer)
     app.connect("build-finished", cut_icons)
     app.connect("build-finished", add_downloads)
     app.connect("build-finished", add_scorecard_files)

@@ -16,6 +16,7 @@ OF_COLOUR = ("color-contrast", "link-in-text-block")
 """Rules whose outcome depends on the colours; all others are the same in light and dark."""
 
 FACTS = """async () => {
+  if (window.MathJax) await MathJax.startup.promise;
   await document.fonts.ready;
   const images = [...document.querySelectorAll('img')];
   images.forEach(image => { image.loading = 'eager'; });
@@ -27,14 +28,14 @@ FACTS = """async () => {
     return lines > 1.5 && lines > cell.textContent.trim().length / 10;
   });
   const prose = document.querySelector('main').cloneNode(true);
-  prose.querySelectorAll('pre, code, script, style, annotation').forEach(part => part.remove());
+  prose.querySelectorAll('pre, code, script, style, mjx-container').forEach(part => part.remove());
   return {
     squeezed: squeezed.map(cell => cell.textContent.trim()),
     text: document.body.innerText,
     images: images.map(i => ({src: i.getAttribute('src'), alt: i.alt, width: i.naturalWidth})),
     formulas: document.querySelectorAll('.math').length,
-    rendered: document.querySelectorAll('.math > math > semantics > annotation:not(:first-child)').length,
-    errors: document.querySelectorAll('merror').length,
+    rendered: document.querySelectorAll('.math > mjx-container').length,
+    errors: document.querySelectorAll('mjx-merror, [data-mjx-error]').length,
     tex: prose.textContent.match(/\\\\[a-z]{2,}|\\\\[()[\\]]|[_^]\\{/gi) || [],
     views: [...document.querySelectorAll('.shape-view')].map(view => new Blob([view.outerHTML]).size),
   };
@@ -78,10 +79,14 @@ class Visit:
         """Requests that left the site."""
         return [url for url in self.requests if urlsplit(url).scheme not in ("file", "data", "blob")]
 
+    def loaded(self, part: str = "") -> set[Path]:
+        """Files that the page loaded, by a part of their path."""
+        paths = (unquote(urlsplit(url).path) for url in self.requests if url.startswith("file:"))
+        return {Path(path) for path in paths if part in path}
+
     def weight(self) -> int:
         """Bytes of all files that the page loaded."""
-        paths = {Path(unquote(urlsplit(url).path)) for url in self.requests if url.startswith("file:")}
-        return sum(path.stat().st_size for path in paths)
+        return sum(path.stat().st_size for path in self.loaded())
 
 
 def open_page(browser, url: str, *, width: int = 1280):

@@ -12,7 +12,8 @@ NO_VALUE = re.compile(r"nan|NaN|[-−]?inf|<NA>|NaT|None")
 NUMBER = re.compile(r"[-−]?[\d.,]+(?= × 10|$)")
 MOST_DIGITS = 4
 OUTPUT = re.compile(r'class="output text_plain.*?<pre[^>]*>(.*?)</pre>', re.DOTALL)
-NO_PROSE = re.compile(r"<(script|style|pre|code|math|svg|form)\b.*?</\1>|\b[0-9a-f]{12}\b", re.DOTALL)
+FORMULA = re.compile(r'<(span|div) class="math .*?</\1>', re.DOTALL)
+NO_PROSE = re.compile(r"<(script|style|pre|code|svg|form)\b.*?</\1>|\b[0-9a-f]{12}\b", re.DOTALL)
 """A hash may read as a number with a power."""
 AS_COMPUTED = re.compile(
     r"(?<![\w.])\d+(?:\.\d+)?e[-+]?\d{1,3}\b"  # 1e-05
@@ -25,7 +26,7 @@ WIDTH = re.compile(r'<svg[^>]* width="([\d.]+)pt"')
 
 
 class Cells(HTMLParser):
-    """The cells of the tables of a page: text without code and formulas, and whether all its digits are meant."""
+    """The cells of the tables of a page: text without code, and whether all its digits are meant."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -38,7 +39,7 @@ class Cells(HTMLParser):
         """Begin a cell."""
         if tag in ("td", "th", "caption"):
             self._text, self._exact = [], "exact" in (dict(attrs).get("class") or "").split()
-        self._code += tag in ("code", "math")
+        self._code += tag == "code"
 
     def handle_endtag(self, tag: str) -> None:
         """End a cell."""
@@ -46,7 +47,7 @@ class Cells(HTMLParser):
             text = "".join(self._text)
             self.cells.append((" ".join(text.split()), self._exact))
             self._text = None
-        self._code -= tag in ("code", "math")
+        self._code -= tag == "code"
 
     def handle_data(self, data: str) -> None:
         """Collect what is no code."""
@@ -57,7 +58,7 @@ class Cells(HTMLParser):
 def cells_not_to_show(html: str) -> list[str]:
     """Return the cells of a page's tables with a machine's name, no value, or more digits than are known."""
     parser = Cells()
-    parser.feed(html)
+    parser.feed(FORMULA.sub("", html))
     return [
         text
         for text, exact in parser.cells
@@ -67,7 +68,7 @@ def cells_not_to_show(html: str) -> list[str]:
 
 def texts_of_a_program(html: str) -> list[str]:
     """Return where a page says, outside of code and commands, what only a program would: 1e-05, lists, None."""
-    said = [*OUTPUT.findall(html), NO_PROSE.sub(" ", html)]
+    said = [*OUTPUT.findall(html), NO_PROSE.sub(" ", FORMULA.sub(" ", html))]
     text = " | ".join(unescape(re.sub(r"<[^>]*>", " ", part)) for part in said)
     return [
         " ".join(text[max(0, found.start() - 40) : found.end() + 20].split())

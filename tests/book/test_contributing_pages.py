@@ -31,9 +31,7 @@ COPIED = (
     "book",
     "data/published",
 )
-LEFT_OUT = shutil.ignore_patterns(
-    "__pycache__", "_build", "_static", "api", "generated", "vendor", "*.egg-info"
-)
+LEFT_OUT = shutil.ignore_patterns("__pycache__", "_build", "_static", "generated", "vendor", "*.egg-info")
 PART = re.compile(r"^`([^`\n]+)`([^\n]*):\n\n```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 """A path, which part of the file it is, language, and text."""
 BREAK = re.compile(r"^To see it fail, write `([^`]+)` instead of `([^`]+)` in\s`([^`]+)`\.$", re.MULTILINE)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import importlib
+import io
 import re
-import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import yaml
+from sphinx.testing.util import SphinxTestApp
+
+import edition1
 
 BOOK = Path(__file__).resolve().parents[2] / "book"
-pytest.importorskip("sphinx")
 
 
 @pytest.fixture(autouse=True)
@@ -20,72 +23,35 @@ def extension_path(monkeypatch):
     """Make the extensions importable."""
     monkeypatch.syspath_prepend(str(BOOK / "_ext"))
     yield
-    for name in ("repro_api", "repro_links", "repro_site"):
+    for name in ("repro_links", "repro_site"):
         sys.modules.pop(name, None)
 
 
-def test_pages_follow_the_source_tree(tmp_path):
-    """A new module gets its page, a removed one loses it, an unchanged page is not written again."""
-    api = importlib.import_module("repro_api")
-    package = tmp_path / "src" / "edition1" / "edition1"
-    (package / "sensing").mkdir(parents=True)
-    (package / "__init__.py").write_text('"""The package."""\n')
-    (package / "se3.py").write_text('"""Rigid motions."""\n')
-    (package / "sensing" / "__init__.py").write_text("")
-    (package / "sensing" / "magnets.py").write_text('"""Magnets."""\n')
-    (package / "sensing" / "_private.py").write_text('"""Not shown."""\n')
-    (package / "sensing" / "hall").mkdir()
-    (package / "sensing" / "hall" / "__init__.py").write_text('"""Hall sensors."""\n')
-    (package / "sensing" / "hall" / "cube.py").write_text('"""Their cube."""\n')
-    book = tmp_path / "book"
-    api.write_pages(book)
-    pages = sorted(path.name for path in (book / "api").iterdir())
-    assert pages == ["edition1.se3.md", "edition1.sensing.hall.md", "edition1.sensing.md"]
-    modules = (book / "generated" / "modules.md").read_text().splitlines()
-    assert [line for line in modules if line.startswith("###")] == [
-        "### edition1.se3",
-        "### edition1.sensing",
-        "### edition1.sensing.hall",
-    ]
-    hall = (book / "api" / "edition1.sensing.hall.md").read_text()
-    assert hall.index("# sensing.hall\n") < hall.index("## cube\n")
-    assert ".. automodule:: edition1.sensing.magnets" in (book / "api" / "edition1.sensing.md").read_text()
-    assert (
-        "- [`edition1.se3`](/api/edition1.se3.md): Rigid motions."
-        in (book / "generated" / "modules.md").read_text()
+def test_the_reference_lists_the_public_names():
+    """Each is in a table, and described below it."""
+    page = (BOOK / "api.md").read_text(encoding="utf-8")
+    public = [getattr(edition1, name) for name in edition1.__all__]
+    names = [f"{found.__module__}.{found.__qualname__}" for found in public]
+    assert sorted(re.findall(r"^\.\. auto(?:class|exception|function):: (\S+)$", page, re.M)) == sorted(names)
+    tables = re.findall(r"^   ~(\S+)$", page, re.M)
+    assert sorted([*tables, "edition1.errors.InputError"]) == sorted(names)
+
+
+def test_a_name_that_is_not_described_becomes_text(tmp_path):
+    """One of ours that exists, and one of another library; one of ours that does not exist stops the build."""
+    settings = yaml.safe_load((BOOK / "_config.yml").read_text(encoding="utf-8"))["sphinx"]["config"]
+    (tmp_path / "conf.py").write_text(
+        f"import sys\nsys.path.insert(0, {str(BOOK / '_ext')!r})\n"
+        f"extensions = ['sphinx.ext.autodoc', 'repro_links']\nnitpicky = {settings['nitpicky']}\n"
+        f"nitpick_ignore_regex = {settings['nitpick_ignore_regex']}\n"
     )
-
-    before = (book / "api" / "edition1.se3.md").stat().st_mtime_ns
-    (package / "sensing" / "magnets.py").unlink()
-    shutil.rmtree(package / "sensing" / "hall")
-    api.write_pages(book)
-    assert [path.name for path in (book / "api").iterdir()] == ["edition1.se3.md"]
-    assert (book / "api" / "edition1.se3.md").stat().st_mtime_ns == before
-
-
-def test_placeholders_never_replace_computed_fragments(tmp_path):
-    """The includes of a first build exist; later they are left alone."""
-    api = importlib.import_module("repro_api")
-    (tmp_path / "generated").mkdir()
-    (tmp_path / "generated" / "counts.md").write_text("7 reproduced")
-    api.write_placeholders(tmp_path)
-    assert (tmp_path / "generated" / "counts.md").read_text() == "7 reproduced"
-    assert "make book" in (tmp_path / "generated" / "scorecard.md").read_text()
-    included = [
-        name
-        for page in (*BOOK.glob("*.md"), *BOOK.glob("chapters/*.md"))
-        for name in re.findall(r"generated/(\w+\.md)", page.read_text())
-    ]
-    written = {path.name for path in (tmp_path / "generated").iterdir()}
-    assert set(included) - {"modules.md"} <= written
-
-
-def test_names_resolve_where_they_are_defined():
-    """A name under another path of this package is found; one that does not exist is not."""
-    api = importlib.import_module("repro_api")
-    assert api.home_of("edition1.errors.InputError", None) == "edition1.errors.InputError"
-    assert api.home_of("InputError", "edition1.errors") == "edition1.errors.InputError"
-    assert api.home_of("edition1.errors.NoSuchError", None) is None
+    names = ("edition1.se3.inverse", "edition1.se3.no_such_name", "numpy.array")
+    (tmp_path / "index.rst").write_text("T\n=\n\n" + "\n".join(f":py:func:`{name}`" for name in names))
+    warnings = io.StringIO()
+    app = SphinxTestApp("html", srcdir=tmp_path, confoverrides={"html_theme": "basic"}, warning=warnings)
+    app.build()
+    app.cleanup()
+    assert re.findall(r"py:func reference target not found: ([\w.]+)", warnings.getvalue()) == [names[1]]
 
 
 def script(name="", body="", **attributes):
@@ -157,7 +123,7 @@ def test_the_scripts_of_a_live_figure_come_with_it_and_in_order():
 
 
 def test_names_in_cells_lead_to_the_reference():
-    """What cells import from a public package is known by where it is defined, and linked once in code."""
+    """What cells import from the library is known by its name there, and linked once in code."""
     links = importlib.import_module("repro_links")
     cells = [
         {
@@ -167,24 +133,16 @@ def test_names_in_cells_lead_to_the_reference():
         {"cell_type": "code", "source": ["from edition1_companion.pages.table_1 import figures\n"]},
         {"cell_type": "markdown", "source": ["from nowhere"]},
     ]
-    homes = links.imported_names(cells)
-    assert homes == {
-        "GradientDescent": "edition1.estimation.gradient_descent.GradientDescent",
-        "follow": "edition1.estimation.base.track",
-    }
+    assert links.imported_names(cells) == {"GradientDescent": "GradientDescent", "follow": "track"}
     html = '<span class="n">follow</span><span class="p">(</span><span class="n">followed</span>'
-    linked = links.linked_code(html, {"follow": "../api/x.html#track"})
-    assert linked.startswith(
-        '<a class="api-link" href="../api/x.html#track"><span class="n">follow</span></a>'
-    )
+    linked = links.linked_code(html, {"follow": "../api.html#track"})
+    assert linked.startswith('<a class="api-link" href="../api.html#track"><span class="n">follow</span></a>')
     assert linked.count("<a ") == 1
-    assert links.linked_code(linked, {"follow": "../api/x.html#track"}) == linked
+    assert links.linked_code(linked, {"follow": "../api.html#track"}) == linked
 
 
 def test_words_lead_to_the_glossary_once(tmp_path):
     """The first of each on a page, not in titles, code or links."""
-    from sphinx.testing.util import SphinxTestApp
-
     source = tmp_path / "book"
     (source / "chapters").mkdir(parents=True)
     (source / "conf.py").write_text(

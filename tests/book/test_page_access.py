@@ -48,30 +48,14 @@ def test_what_unfolds_a_cell_is_named_by_its_text(extension):
     assert extension("page_access").accessible(folded).startswith("<details><summary>\nShow")
 
 
-def test_no_page_loads_the_search_of_sphinx(extension):
-    site = extension("repro_site")
-    kept = '<script src="../_static/doctools.js?v=1"></script>'
-    page = (
-        f'{kept}\n  <script src="../_static/searchtools.js"></script>\n<script src="searchindex.js"></script>'
-    )
-    assert site.without_search_of_sphinx(page) == kept
-
-
 @pytest.mark.parametrize(
-    ("pagename", "body", "expected"),
-    [
-        ("index", "<p>", set()),
-        ("scorecard", '<div class="scorecard-filter"></div>', {"scorecard.js"}),
-        ("search", "<p>", {"search_pages.js", "offline_search.js"}),
-    ],
+    ("body", "expected"), [("<p>", set()), ('<div class="scorecard-filter"></div>', {"scorecard.js"})]
 )
-def test_scripts_come_where_they_are_used(extension, pagename, body, expected):
-    names = ("scorecard.js", "offline_search.js")
-    scripts = [SimpleNamespace(filename=f"_static/{name}", attributes={"body": ""}) for name in names]
+def test_scripts_come_where_they_are_used(extension, body, expected):
+    scripts = [SimpleNamespace(filename="_static/scorecard.js", attributes={"body": ""})]
     context = {"body": body, "meta": {}, "script_files": scripts}
-    extension("repro_site").select_files(None, pagename, "page.html", context, None)
-    loaded = [str(getattr(script, "filename", script)) for script in context["script_files"]]
-    assert {name.removeprefix("_static/") for name in loaded} == expected
+    extension("repro_site").select_files(None, "page", "page.html", context, None)
+    assert {script.filename.removeprefix("_static/") for script in context["script_files"]} == expected
 
 
 def test_scorecard_is_served_once_computed(extension, tmp_path):

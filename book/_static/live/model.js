@@ -533,7 +533,7 @@ function splineSlopes(x, y) {
 }
 
 window.REPRO = {
-  algebra: { dot, cross, times, plus, clamp, solve, eigen, zeros },
+  algebra: { dot, cross, plus, clamp, solve, eigen, zeros },
   robot, frames, placed, backbone, tip, ringMoments, fieldAt, magneticSensing,
   levenbergMarquardt, gradientDescent, information, covariance,
   bendReading, weigh, cloudEstimates, resample, moveParticles,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import struct
 from pathlib import Path
 
@@ -151,21 +150,3 @@ def test_refused_forms(tmp_path):
         export(read, tmp_path / "a", "hall", to="csv")
     with pytest.raises(InputError, match="estimates of export must be left out, but for mcap; instead"):
         export(read, tmp_path / "a.csv", estimates=tmp_path / "e.csv")
-
-
-def test_the_layout_of_the_book_shows_what_is_there(tmp_path):
-    """Every path that a panel draws is in an export, and every panel is somewhere on the screen."""
-    layout = json.loads((Path(__file__).parents[3] / "book" / "foxglove_layout.json").read_text())
-    tip = {f"tip_{axis}_{kind}mm": 1.0 for axis in "xyz" for kind in ("", "sd_")}
-    read = recording(tmp_path / "a.rec", numbered(3))
-    table = estimates(tmp_path / "e.csv", np.eye(2), **tip)
-    export(read, tmp_path / "a.mcap", unit="mT", estimates=table)
-    found = messages(tmp_path / "a.mcap")
-    panels = layout["configById"].values()
-    drawn = [path["value"] for panel in panels for path in panel.get("paths", [])]
-    assert len(drawn) == 9
-    for path in drawn:
-        topic, name = path.split(".")
-        assert name in found[topic][0][1]
-    assert {panel["topicPath"] for panel in panels if "topicPath" in panel} <= set(found)
-    assert set(layout["configById"]) == set(re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"])))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from edition1.errors import require
 
+import edition1
 from edition1_companion.book.project import Project
 from edition1_companion.book.published import read_csv
 from edition1_companion.book.scorecard_page import PAPERS
@@ -59,14 +60,10 @@ class IndexEntry:
     @property
     def code_link(self) -> str:
         """The place in the API reference, from the root of the site; empty where no public code is named."""
-        if self.code.split(".")[0] not in PUBLIC:
-            return ""
-        package, *modules = [part for part in self.code.split(".")[:-1] if part.islower()]
-        return f"api/{'.'.join((package, *(modules[:-1] or modules)))}.html#{self.code}"
+        public = self.code.startswith("edition1.") and self.code_name in edition1.__all__
+        return f"api.html#{self.code}" if public else ""
 
 
-PUBLIC = ("edition1", "edition1_live")
-"""Packages that are in the API reference."""
 COLUMNS = tuple(IndexEntry.__dataclass_fields__)
 
 

@@ -17,7 +17,7 @@ from edition1_companion.book.digests import combined_digest, file_digest, tree_d
 from edition1_companion.book.project import Project, shown
 
 # Written among the sources while building, which would change their hash; all of it follows from the rest.
-_WRITTEN_BY_SPHINX = ("_build", "api", "generated")
+_WRITTEN_BY_SPHINX = ("_build", "generated")
 _PAGES_AT_THE_TOP = {".md", ".cff", ".toml", ".lock"}
 
 

@@ -1,4 +1,4 @@
-// Lines over the last seconds, drawn on a canvas: on the page of a live session, and on the book's page of a board.
+// Lines over the last seconds, drawn on a canvas of the page of a live session.
 (function () {
 "use strict";
 
