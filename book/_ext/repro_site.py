@@ -43,7 +43,6 @@ USED_BY = {
     "run_form.js": 'class="run-form"',
     "live/carry.js": 'class="run-form"',
     "scorecard.js": 'class="scorecard-filter"',
-    "frame_strip.js": 'class="frame-strip"',
     "live/live.css": "data-live=",
     "board/board.css": 'class="board"',
     "page_notes.css": 'class="run-form"',

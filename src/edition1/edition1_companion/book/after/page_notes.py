@@ -29,9 +29,7 @@ FOLDER = "downloads"
 """Folder of the site that holds the files of :func:`page_files`, one folder a notebook."""
 
 _ENDINGS = {"image/png": "png", "image/svg+xml": "svg", "application/pdf": "pdf"}
-_PICTURE_IN_HTML = re.compile(
-    r'<div class="(?:shape-view|frame-strip)"><img src="data:image/png;base64,([^"]+)"'
-)
+_PICTURE_IN_HTML = re.compile(r'<div class="shape-view"><img src="data:image/png;base64,([^"]+)"')
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,7 @@ class FigureFiles:
 
 
 def figures_of(executed: NotebookNode) -> list[FigureFiles]:
-    """Return the figures of an executed notebook; those of 3-D views and of frames by their stills."""
+    """Return the figures of an executed notebook; those of 3-D views by their stills."""
     found = []
     for cell in executed.cells:
         about = cell.metadata.get("mystnb", {})
@@ -65,7 +63,7 @@ def figures_of(executed: NotebookNode) -> list[FigureFiles]:
 
 
 def _pictures(data: Mapping[str, Any]) -> list[dict[str, bytes]]:
-    """Return the pictures of an output, each in all its forms: one, or one for each 3-D view or strip of frames."""
+    """Return the pictures of an output, each in all its forms: one, or one for each 3-D view."""
     files = {}
     for kind, ending in _ENDINGS.items():
         if kind in data:
@@ -276,7 +274,7 @@ def _downloads(
         if not {"svg", "pdf"} & set(figure.files):
             pixels_only[named] = None
     if pixels_only:
-        lines.append(f"- Without a vector version (too large, 3-D views or frames): {', '.join(pixels_only)}")
+        lines.append(f"- Without a vector version (too large, or 3-D views): {', '.join(pixels_only)}")
     return "\n".join(lines) + "\n"
 
 
