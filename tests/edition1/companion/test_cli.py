@@ -9,6 +9,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from edition1_companion.cli import app
 
 CELLS = """\
 n: int = 3  # how many
@@ -94,6 +95,31 @@ def test_a_named_output_and_a_failure(folder):
     )
     assert Path("out/mine.ipynb").read_bytes() == before
     assert sorted(os.listdir("out")) == ["mine.failed.ipynb", "mine.ipynb", "mine.provenance.json", "t.csv"]
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "",
+        " ",
+        "it's",
+        "-o",
+        "--helpful",
+        "-p",
+        "---",
+        "1",
+        "True",
+        "{a: 1}",
+        "größe 10 µm 🤖",
+        "a=b; x & | # %",
+        "\\",
+    ],
+)
+def test_a_text_arrives_as_typed(typed):
+    _, bound, _ = app.parse_args(
+        ["run", "a.ipynb", "-p", "name", typed], exit_on_error=False, print_error=False
+    )
+    assert bound.arguments["parameters"] == [("name", typed)]
 
 
 @pytest.mark.parametrize(
