@@ -22,7 +22,7 @@ PACKAGES = ("repro", "edition1_live", "edition1_companion")
 WITH_THE_SOURCES_ONLY = "edition1_live/view/viewer/"
 """From its other files `make vendor` bundles the script of the viewer."""
 BUNDLED = {"shape_viewer.js", "LICENSE.three"}
-NEED_A_CHECKOUT = ("run a.ipynb", "sweep a.ipynb", "scorecard", "fetch", "train", "studies", "diff a")
+NEED_A_CHECKOUT = ("run a.ipynb", "sweep a.ipynb", "scorecard", "fetch", "train", "studies")
 NEWER = ("3.13", "3.12")
 """Newest first: the lock has wheels for them."""
 LONG_S = 600.0
@@ -122,9 +122,8 @@ def use(programs: Path, folder: Path) -> None:
     done = called(programs / "python", "-c", lines + SHOW)
     assert re.fullmatch(r"\d+\.\d+\.\d+ \(200, 3\) \(200, 4, 4\)\n", done.stdout), done.stderr
     assert called(programs / "repro", "record", "--list").returncode == 0
-    doctor = called(programs / "repro", "doctor")
-    assert doctor.returncode == 0, doctor
-    assert "No checkout of the project here" in doctor.stdout, doctor.stdout
+    versions = called(programs / "repro", "run", "--versions")
+    assert versions.returncode == 0, versions
     for command in NEED_A_CHECKOUT:
         done = called(programs / "repro", *command.split())
         said = done.stderr.strip().splitlines()

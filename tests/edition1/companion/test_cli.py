@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
 from edition1_companion.cli import app
 
@@ -149,6 +151,16 @@ def test_wrong_input(folder, arguments, message):
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "repro: " + message
     assert not (folder / "runs").exists()
+
+
+def test_versions_of_what_computes(folder):
+    done = repro("run", "--versions")
+    assert (done.returncode, done.stderr) == (0, "")
+    first, *libraries, last = done.stdout.splitlines()
+    assert re.fullmatch(r"repro \d+\.\d+\.\d+, Python 3\.\d+\.\d+, .+", first)
+    assert f"numpy {np.__version__}" in libraries
+    assert last == f"Recordings: {folder / 'recordings'}"
+    assert "must be named; instead received none" in repro("run").stderr
 
 
 def test_notebooks_that_cannot_run(folder):

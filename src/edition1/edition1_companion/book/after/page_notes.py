@@ -36,7 +36,6 @@ class FigureFiles:
     name: str
     """Its name in the book, or ``figure-1`` where it has none."""
     caption: str
-    alt: str
     files: dict[str, bytes]
     """Content by ending: ``png`` and ``svg`` or ``pdf``."""
 
@@ -46,7 +45,7 @@ def figures_of(executed: NotebookNode) -> list[FigureFiles]:
     found = []
     for cell in executed.cells:
         about = cell.metadata.get("mystnb", {})
-        figure, alt = about.get("figure", {}), about.get("image", {}).get("alt", "")
+        figure = about.get("figure", {})
         pictures = [
             files for output in cell.get("outputs", []) for files in _pictures(output.get("data", {}))
         ]
@@ -55,7 +54,7 @@ def figures_of(executed: NotebookNode) -> list[FigureFiles]:
             # name and caption belong to the first picture of their cell
             caption = figure.get("caption", "") if number == 1 else ""
             name = name if number == 1 else f"{name}-{number}"
-            found.append(FigureFiles(name, caption, alt, files))
+            found.append(FigureFiles(name, caption, files))
     return found
 
 
