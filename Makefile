@@ -28,27 +28,22 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help book pdf test mutants lint check-site reproduce size train studies diff soak fuzz vendor env clean lock
+.PHONY: help book test mutants lint check-site size train studies soak vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
-	@echo 'make pdf         print the built site as one PDF: book/_build/repro.pdf'
-	@echo 'make test        run the tests'
+	@echo 'make test        run the tests; SHAPES=1 also checks the shapes that functions of the first edition take'
 	@echo 'make mutants     change one expression after the other and see whether the tests notice (minutes)'
 	@echo 'make lint        style, types and the direction of imports'
 	@echo 'make check-site  open every page of the built site in Chromium and check it'
-	@echo 'make reproduce   run all notebooks again in a clean copy and compare every table, byte by byte (minutes)'
-	@echo 'make reproduce AGAINST=FOLDER  compare the tables with those of another build; STUDIES=1 computes the studies again (hours)'
-	@echo 'make size        count statements, public names and long modules'
+	@echo 'make size        count statements, and list what nothing uses any more'
 	@echo 'make train       train the networks of the paper that data/networks/ does not have yet (hours, resumable)'
 	@echo 'make studies     compute the tables in data/studies/ that are missing (minutes each, resumable)'
-	@echo 'make diff RUN=…  show a run of your own (runs/NAME-…) beside the results of the book'
 	@echo 'make soak        ten million frames through a faulty port, a hundred killed recorders, ten minutes live (half an hour)'
-	@echo 'make fuzz        a million inputs made to break the parsers (minutes)'
 	@echo 'make vendor      bundle the 3-D viewer (needs node and npm)'
 	@echo 'make env         set up .venv only (every target above does this by itself; make book needs less)'
 	@echo 'make lock        write requirements.lock anew'
-	@echo 'make clean       remove the built site, executed notebooks, results and caches; keeps .venv and runs/'
+	@echo 'make clean       remove the built site, executed notebooks and caches; keeps .venv, results/ and runs/'
 	@echo
 	@echo 'Variables: PYTHON=$(PYTHON)  JOBS=$(JOBS)  TORCH_FLAGS=$(TORCH_FLAGS)  (see README.md)'
 
@@ -56,14 +51,11 @@ book: .env-book
 	@$(PY) -m edition1_companion.book.after.build
 	@echo 'The site: book/_build/html/index.html'
 
-pdf: env
-	@chromium=$$($(PY) tests/chromium.py) && $(PY) -m edition1_companion.book.after.pdf "$$chromium"
-
 # Modules stay whole: what a module prepares is prepared once. Those that mostly wait, for ports and clocks, come first,
 # and one process more than there are cores uses what their waiting leaves.
 test: env
 	$(PY) -m pytest -n $$(($(JOBS) + 1)) --dist loadscope --no-loadscope-reorder --ignore-glob='tests/book/test_site*.py' \
-	  tests/edition1/live/test_own_robot_page.py tests/edition1_live tests src
+	  tests/edition1/live/test_own_robot_page.py tests/edition1/live tests src
 
 # A list that anybody may add to: bench/mutants/mutants.toml
 mutants: env
@@ -80,19 +72,6 @@ check-site: env
 	@$(PY) tests/chromium.py >/dev/null
 	$(PY) -m pytest -n $(JOBS) tests/book/test_site*.py
 
-# STUDIES=1: the committed studies too, computed in a folder that is empty at first and kept until they are all there.
-# OTHER_MACHINE=1: where the other tables come from another processor, within the tolerances of data/tolerances.csv.
-reproduce: OTHER = $(if $(OTHER_MACHINE),--other-machine)
-reproduce: env
-	@test -z '$(OTHER_MACHINE)' || test -n '$(AGAINST)$(STUDIES)' || { \
-	  echo 'OTHER_MACHINE is for tables of another computer: give AGAINST=FOLDER or STUDIES=1 with it.' >&2; exit 2; }
-	@$(PY) -m edition1_companion.book.after.rebuild $(AGAINST) $(if $(AGAINST),$(OTHER))
-ifdef STUDIES
-	$(BIN)/repro studies --folder .cache/studies
-	@$(PY) -m edition1_companion.book.after.rebuild data/studies .cache/studies $(OTHER)
-	@rm -rf .cache/studies
-endif
-
 size: env
 	@$(PY) bench/size.py
 
@@ -106,17 +85,6 @@ soak: env
 	$(PY) -m bench.soak.parsers 10000000
 	$(PY) -m bench.soak.kills 100
 	$(PY) -m bench.soak.live 10 1000
-
-diff: env
-	@test -n '$(RUN)' || { echo 'Name the run: make diff RUN=runs/NAME-12345678' >&2; exit 2; }
-	@$(BIN)/repro diff '$(RUN)'
-
-# The fuzzer is not in the lock: its wheels are for Linux.
-fuzz: env
-	@mkdir -p .cache
-	@$(PY) -m pip install --quiet --no-deps --require-hashes --upgrade --target .cache/fuzz -r requirements-fuzz.lock
-	PYTHONPATH=.cache/fuzz $(PY) tests/edition1/live/fuzz_parsers.py -runs=1000000 -verbosity=1 -print_final_stats=1 \
-	  -artifact_prefix=.cache/fuzz-
 
 vendor: env
 	node src/edition1/edition1_live/view/viewer/bundle.mjs .cache/viewer
@@ -191,7 +159,6 @@ lock:
 	@rm -rf .cache/uv-venv
 
 clean:
-	rm -rf book/_build book/notebooks book/generated build
+	rm -rf book/_build book/notebooks book/api book/generated build
 	rm -rf .pytest_cache .ruff_cache .hypothesis .import_linter_cache .cache
-	find results -type f ! -name '.*' -exec rm -f {} + 2>/dev/null || true
 	find src tests book -type d -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true

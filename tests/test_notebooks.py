@@ -167,11 +167,11 @@ def test_code_in_sight_is_as_long_as_a_page():
 
 
 def draws(module: ModuleType, name: str) -> bool:
-    """Tell whether something is a function of a module of figures, and returns one, or one in frames."""
+    """Tell whether something is a function of a module of figures, and returns one."""
     function = getattr(module, name)
     if "figures" not in module.__name__.rsplit(".")[-1] or not inspect.isfunction(function):
         return False
-    return inspect.signature(function).return_annotation in ("Figure", "FrameStrip")
+    return inspect.signature(function).return_annotation == "Figure"
 
 
 @pytest.mark.parametrize("page", sorted(NOTEBOOKS))

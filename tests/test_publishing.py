@@ -1,21 +1,16 @@
-"""What others read of the project: workflows, metadata, the paper, and what its owner has still to fill in."""
+"""What others read of the project: workflows, forms, and what its owner has still to fill in."""
 
 from __future__ import annotations
 
-import json
 import re
 import tomllib
 from pathlib import Path
 
 import pytest
 import yaml
-from edition1_companion.book.after.archive_metadata import metadata, text
-from edition1_companion.book.project import Project
-
-import repro
 
 ROOT = Path(__file__).resolve().parents[1]
-TO_FILL_IN = ("pyproject.toml", "codemeta.json", "paper/paper.md")
+TO_FILL_IN = ("pyproject.toml",)
 """Where the word OWNER stands for who publishes this."""
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 FORMS = sorted(path for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if path.stem != "config")
@@ -28,15 +23,6 @@ def test_the_owner_is_named_everywhere_or_nowhere():
     assert all(re.fullmatch(r"https://[\w./-]+", url) for url in urls.values())
     if open_places:
         pytest.skip(f"for the owner to fill in before a release: OWNER in {', '.join(open_places)}")
-
-
-def test_metadata_of_archives_follow_from_the_citation():
-    files = metadata(Project(ROOT))
-    assert len(files) == 2
-    for name, content in files.items():
-        told = (ROOT / name).read_text(encoding="utf-8")
-        assert told == text(content), f"{name}: python -m edition1_companion.book.after.archive_metadata"
-        assert json.loads(told)["version"] == repro.__version__
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
@@ -72,18 +58,3 @@ def test_a_form_can_be_filled_in(path):
         assert field["attributes"]["label"]
     for named in re.findall(r"`(book/[\w./]+)`", path.read_text()):
         assert (ROOT / named).is_file()
-
-
-def test_the_paper_cites_what_its_bibliography_has():
-    paper = (ROOT / "paper" / "paper.md").read_text()
-    cited = set(re.findall(r"@(\w+)\]", paper))
-    there = set(re.findall(r"^@\w+\{(\w+),", (ROOT / "paper" / "paper.bib").read_text(), re.MULTILINE))
-    assert cited == there
-    book = (ROOT / "book" / "references.bib").read_text()
-    for entry in (ROOT / "paper" / "paper.bib").read_text().split("\n\n"):
-        assert entry.strip() in book, "one text of each entry"
-    head = yaml.safe_load(paper.split("---")[1])
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
-    assert [author["name"] for author in head["authors"]] == [a["name"] for a in citation["authors"]]
-    for section in ("Summary", "Statement of need", "Comparison with other software", "References"):
-        assert f"\n# {section}\n" in paper

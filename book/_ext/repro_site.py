@@ -38,13 +38,10 @@ ICONS = {
 }
 """What pages show of the icons; for one that is not here, a browser loads the whole font of the theme."""
 USED_BY = {
-    "run_form.js": 'class="run-form"',
-    "live/carry.js": 'class="run-form"',
     "scorecard.js": 'class="scorecard-filter"',
-    "frame_strip.js": 'class="frame-strip"',
     "live/live.css": "data-live=",
     "mathjax/": 'class="math ',
-    "page_notes.css": 'class="run-form"',
+    "page_notes.css": 'class="page-summary"',
     "mystnb.": 'class="cell',
     "sphinx-design.min.css": "sd-",
     "design-tabs.js": "sd-tab",
@@ -91,7 +88,7 @@ def select_files(app: Sphinx, pagename: str, templatename: str, context: dict, d
 
 
 def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Give the page of a notebook its provenance, its downloads and its form; the notebook itself stays as it is."""
+    """Give the page of a notebook provenance, parameters and downloads; the notebook itself stays as it is."""
     if docname.startswith(NOTEBOOKS) and app.env.doc2path(docname).endswith(".ipynb"):
         project = Project(Path(app.srcdir).parent)
         page = with_notes(json.loads(source[0]), project, docname.removeprefix(NOTEBOOKS))

@@ -97,22 +97,6 @@ def test_the_script_of_the_viewer_comes_with_a_view():
     assert str(context["script_files"][-1]) == "_static/shape_viewer.js"
 
 
-@pytest.mark.parametrize(
-    ("body", "names"),
-    [
-        ('<div class="run-form">', ["run_form.js", "live/carry.js"]),
-        ('<div class="frame-strip">', ["frame_strip.js"]),
-        ("<p>", []),
-    ],
-)
-def test_a_script_comes_with_what_it_brings_to_life(body, names):
-    site = importlib.import_module("repro_site")
-    scripts = [script(name) for name in ("run_form.js", "live/carry.js", "frame_strip.js")]
-    context = {"body": body, "script_files": scripts}
-    site.select_files(None, "page", "page.html", context, None)
-    assert [item.filename for item in context["script_files"]] == [f"_static/{name}" for name in names]
-
-
 def test_the_scripts_of_a_live_figure_come_with_it_and_in_order():
     site = importlib.import_module("repro_site")
     every = ["live/figure.js", "live/imus.js", "live/magnets.js", "live/model.js"]

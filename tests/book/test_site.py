@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from built_site import SITE, links_of, no_site, url_of
 from chromium import MISSING, find, started
-from page_on_screen import differing, pixels
+from page_on_screen import pixels
 from page_visit import AXE, FACTS, STILL, Visit, open_page, visit
 from shown import MACHINE_NAME, cells_not_to_show, texts_of_a_program, texts_of_picture
 
 PAGES = sorted(path.relative_to(SITE).as_posix() for path in SITE.rglob("*.html"))
 WRITTEN = [page for page in PAGES if not page.startswith(("api.", "genindex"))]
 """Notebooks and pages written by hand."""
-WITH_STRIPS = [page for page in WRITTEN if 'class="frame-strip"' in (SITE / page).read_text(encoding="utf-8")]
 WITH_VIEWS = [page for page in WRITTEN if 'class="shape-view"' in (SITE / page).read_text(encoding="utf-8")]
 EXECUTED = sorted((SITE.parents[1] / "notebooks").glob("*.ipynb"))
 SMALLEST_LETTERS_PX = 5.5
@@ -193,27 +192,6 @@ def test_shape_views(name, browser):
             slider.press("End" if slider.input_value() == "0" else "Home")
             page.wait_for_timeout(300)
             assert np.abs(pixels(canvas) - before).max() > 20, "the slider does not move the shape"
-        assert seen.console == []
-    finally:
-        page.close()
-
-
-@pytest.mark.parametrize("name", WITH_STRIPS)
-def test_strips_of_frames(name, browser):
-    """Each has its slider, which moves it, and says what happens."""
-    page, seen = open_page(browser, url_of(name))
-    try:
-        strips = page.locator(".frame-strip")
-        for k in range(strips.count()):
-            strip = strips.nth(k)
-            strip.scroll_into_view_if_needed()
-            slider, said = strip.get_by_role("slider"), strip.locator(".frame-strip-says").inner_text()
-            before = pixels(strip.locator("img"))
-            slider.focus()
-            slider.press("End" if slider.input_value() == "0" else "Home")
-            page.wait_for_timeout(300)
-            assert differing(pixels(strip.locator("img")), before) > 100, "the slider does not move it"
-            assert strip.locator(".frame-strip-says").inner_text() != said
         assert seen.console == []
     finally:
         page.close()

@@ -48,7 +48,7 @@ function stateOf(name, defaults) {
 
 class Figure {
   /** `view` = {name, alt, defaults, draw(figure), summary(figure), changed(figure, changes), record}; what a box held
-      without scripts is replaced. `record` = [notebook, title, state => its parameters]. */
+      without scripts is replaced. `record` = [notebook, title]. */
   constructor(box, view) {
     this.box = box;
     this.view = view;
@@ -62,9 +62,10 @@ class Figure {
     this.text = element("p", { class: "live-text", role: "status" });
     this.side = element("div", { class: "live-controls", role: "group", "aria-label": "Controls of the figure" });
     this.below = element("div", { class: "live-below" });
-    this.record = element("a", { text: view.record[1] });
+    const [stem, title] = view.record, root = document.documentElement.dataset.content_root || "./";
+    const record = element("a", { text: title, href: root + "notebooks/" + stem + ".html#run-it-with-your-parameters" });
     box.replaceChildren(element("div", { class: "live-frame" }, this.stage, this.text, this.below, this.side),
-      element("p", { class: "live-record" }, "For the record, with these settings: ", this.record));
+      element("p", { class: "live-record" }, "For the record: ", record));
     this.dirty = true;
     new ResizeObserver(() => this.resize()).observe(this.stage);
     new MutationObserver(() => this.recolour()).observe(document.documentElement, { attributeFilter: ["data-theme"] });
@@ -117,8 +118,6 @@ class Figure {
   }
 
   settle() {
-    const [stem, , values] = this.view.record, root = document.documentElement.dataset.content_root || "./";
-    this.record.href = root + "notebooks/" + stem + ".html?" + new URLSearchParams(values(this.state)) + "#run-it-with-your-parameters";
     this.speak();
     const differs = Object.keys(this.view.defaults).filter((key) => this.state[key] !== this.view.defaults[key]);
     const hash = "#" + this.view.name + "=" + differs.map((key) => key + ":" + this.state[key]).join(",");

@@ -100,7 +100,7 @@ REPRO.views.imus = function (box) {
   const figure = new Figure(box, {
     name: "imus", defaults: DEFAULTS, draw, summary,
     alt: "A soft arm with orientation sensors: its true shape, and the shapes that three models make of what the sensors read. The table and the text below say how far apart they are.",
-    record: ["imu_markers", "Markers from eight IMUs", (state) => ({ imus: `[${state.imus}]`, mounting_deg: state.mounting, heading_deg: state.heading, seeds: `[${state.seed}]` })],
+    record: ["imu_markers", "Markers from eight IMUs"],
     changed: (one) => showShape(one),
   });
   const { state } = figure, degrees = (x) => x + "°";

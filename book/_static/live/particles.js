@@ -96,7 +96,7 @@ REPRO.views.particles = function (box) {
   const figure = new Figure(box, {
     name: "particles", defaults: DEFAULTS, draw, summary,
     alt: "The disc of bends with a cloud of particles, the true bend and the estimate; beside it the error by step. The text below the figure says what the last step did.",
-    record: ["probabilistic_curvature", "A particle filter on one magnet", (state) => ({ process_noise_pi: state.walk, length_mm: state.length, particles: `[${state.particles}]`, seed: state.seed })],
+    record: ["probabilistic_curvature", "A particle filter on one magnet"],
     changed: (one, changes) => { if ("particles" in changes || "seed" in changes) restart(one); },
   });
   const { state } = figure;

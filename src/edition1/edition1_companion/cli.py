@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
-from edition1.errors import InputError, require
+from edition1.errors import InputError, bad_input, require
 
 from edition1_companion import cli_calibrate, cli_live, cli_robot, cli_sweep, cli_track
 from edition1_companion.book.project import find_project, shown
@@ -28,7 +28,14 @@ Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
 
 
 @app.command
-def run(notebook: Path, /, *, parameters: Given = None, output: Output = None) -> int:
+def run(
+    notebook: Path | None = None,
+    /,
+    *,
+    parameters: Given = None,
+    output: Output = None,
+    versions: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
     """Run a notebook: repro run NOTEBOOK [-p NAME VALUE ...] [-o OUT.ipynb].
 
     Parameters
@@ -39,7 +46,16 @@ def run(notebook: Path, /, *, parameters: Given = None, output: Output = None) -
         A parameter and its value, such as -p n_segments 3; may be repeated. Lists and dictionaries are YAML.
     output
         The executed notebook; tables are written beside it. By default a folder below runs/.
+    versions
+        Run nothing; print the versions of what computes, and where recordings are looked for.
     """
+    if versions:
+        from edition1_companion.book.provenance import version_lines
+
+        print("\n".join(version_lines()))
+        return 0
+    if notebook is None:
+        raise bad_input("notebook", "repro run", "named", "none")
     project = find_project()
     from edition1_companion.book.parameters import convert_all, declared_parameters
     from edition1_companion.book.provenance import notebook_key, read_inputs
@@ -198,40 +214,6 @@ def fetch(
     report = fetch_files(files, folder, mirror=mirror or None, progress=sys.stderr.isatty())
     print(report, file=sys.stderr if report.failed else sys.stdout)
     return 1 if report.failed else 0
-
-
-@app.command
-def diff(place: Path, /) -> int:
-    """Compare a run with the book: repro diff runs/NAME-12345678. Writes NAME.diff.html beside the run.
-
-    The page shows which parameters differ, tables side by side with absolute and relative differences, and figures
-    side by side. A difference is no failure: the exit status is 0.
-
-    Parameters
-    ----------
-    place
-        The folder of a repro run, or its executed notebook.
-    """
-    project = find_project()
-    from edition1_companion.book.after.diff_page import write_diff
-
-    page, summary = write_diff(place, project)
-    print(summary)
-    print(f"The page: {shown(page)}")
-    return 0
-
-
-@app.command
-def doctor() -> int:
-    """Print what this computer is, and what lies here: versions, cores, ports, recordings, tables and verdicts.
-
-    A line that begins with ! says what is not as the project has it; the exit status is then 1.
-    """
-    from edition1_companion.book.after.doctor import TROUBLE, report
-
-    lines = report()
-    print("\n".join(lines))
-    return int(any(line.startswith(TROUBLE) for line in lines))
 
 
 for command in (

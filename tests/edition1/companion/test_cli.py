@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
+from edition1_companion.cli import app
 
 CELLS = """\
 n: int = 3  # how many
@@ -97,6 +100,31 @@ def test_a_named_output_and_a_failure(folder):
 
 
 @pytest.mark.parametrize(
+    "typed",
+    [
+        "",
+        " ",
+        "it's",
+        "-o",
+        "--helpful",
+        "-p",
+        "---",
+        "1",
+        "True",
+        "{a: 1}",
+        "größe 10 µm 🤖",
+        "a=b; x & | # %",
+        "\\",
+    ],
+)
+def test_a_text_arrives_as_typed(typed):
+    _, bound, _ = app.parse_args(
+        ["run", "a.ipynb", "-p", "name", typed], exit_on_error=False, print_error=False
+    )
+    assert bound.arguments["parameters"] == [("name", typed)]
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (
@@ -123,6 +151,16 @@ def test_wrong_input(folder, arguments, message):
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "repro: " + message
     assert not (folder / "runs").exists()
+
+
+def test_versions_of_what_computes(folder):
+    done = repro("run", "--versions")
+    assert (done.returncode, done.stderr) == (0, "")
+    first, *libraries, last = done.stdout.splitlines()
+    assert re.fullmatch(r"repro \d+\.\d+\.\d+, Python 3\.\d+\.\d+, .+", first)
+    assert f"numpy {np.__version__}" in libraries
+    assert last == f"Recordings: {folder / 'recordings'}"
+    assert "must be named; instead received none" in repro("run").stderr
 
 
 def test_notebooks_that_cannot_run(folder):

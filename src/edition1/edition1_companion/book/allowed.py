@@ -1,4 +1,4 @@
-"""Values that a parameter may have, as the end of its comment says; checked by ``repro run`` and by the form alike.
+"""Values that a parameter may have, as the end of its comment says; checked by ``repro run``.
 
 ``, 1 to 6``, ``, at least 0``, ``, above 0``, ``, at most 10``, ``, below 10``, ``, above 0 and at most 10`` or
 ``, one of: released, published``, with the unit behind it. Commas between choices have a space behind them, and a
@@ -13,15 +13,11 @@ default are.
 from __future__ import annotations
 
 import ast
-import json
 import math
 import re
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
-EXACT = 2**53 - 1
-"""The largest whole number that a browser tells from the next."""
 _NUMBER = r"[-+]?[0-9]+(?:\.[0-9]+)?(?:e[-+]?[0-9]+)?"
 _BETWEEN = re.compile(r',\s+(?=(?:[^"]*"[^"]*")*[^"]*$)')
 """What divides choices: not within quotes."""
@@ -76,8 +72,6 @@ class Rule:
             return any(type(value) is type(choice) and value == choice for choice in self.choices)
         if type(value) is not int and (type(value) is not float or self.whole or not math.isfinite(value)):
             return False
-        if type(value) is int and abs(value) > EXACT:
-            return False
         return (value > self.low if self.above else value >= self.low) and (
             value < self.high if self.below else value <= self.high
         )
@@ -94,20 +88,6 @@ class Rule:
             return f"a list of {kind} of: {self.said.removeprefix('one of: ')}{among}, none of them twice"
         values = "whole numbers" if self.whole else "values"
         return f"a list of {number}{values}{among}, each {self.said}{', none of them twice' if self.once else ''}"
-
-    def attributes(self) -> str:
-        """Return the rule as attributes of HTML, from which the form's script checks it."""
-        flags = ("above", "below", "whole", "once", "filled")
-        known: dict[str, str] = {"must-be": self.must_be}
-        known |= {name: "true" for name in flags if getattr(self, name)}
-        known |= {"count": str(self.count)} if self.count else {}
-        known |= {"among": repr(self.among)} if self.among is not None else {}
-        if self.choices:
-            known["choices"] = json.dumps(self.choices, ensure_ascii=False)
-        else:
-            ends = {"low": self.low, "high": self.high}
-            known |= {name: repr(end) for name, end in ends.items() if math.isfinite(end)}
-        return "".join(f' data-{name}="{escape(text)}"' for name, text in known.items())
 
 
 def rule_of(kind: str, default: str, meaning: str) -> Rule | None:

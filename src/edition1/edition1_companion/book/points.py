@@ -140,26 +140,14 @@ def run_point(point: Point, environment: Mapping[str, str] | None = None) -> Out
         Of that process, that of this one when not given. A worker may be older than the environment of who calls.
     """
     try:
-        return once(point, lambda lock: _run(point, environment or os.environ, lock))
+        point.results.mkdir(parents=True, exist_ok=True)
+        point.lock.parent.mkdir(parents=True, exist_ok=True)
+        with point.lock.open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            done = finished(point)
+            return Outcome(point.index, "" if done else _run(point, environment or os.environ, lock.fileno()))
     except Exception as error:  # a point that cannot be run must not end the others
         return Outcome(point.index, f"{type(error).__name__}: {error}")
-
-
-def once(point: Point, run: Callable[[int], str]) -> Outcome:
-    """Run a point unless it is finished; wait if another process runs it already.
-
-    Parameters
-    ----------
-    point
-        Whose lock is held meanwhile.
-    run
-        Runs it, given the open file of the lock, and returns why it has no result, or nothing.
-    """
-    point.results.mkdir(parents=True, exist_ok=True)
-    point.lock.parent.mkdir(parents=True, exist_ok=True)
-    with point.lock.open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        return Outcome(point.index, "" if finished(point) else run(lock.fileno()))
 
 
 def _run(point: Point, environment: Mapping[str, str], lock: int) -> str:

@@ -21,6 +21,7 @@ from typing import Any
 
 from edition1.files import write_whole
 
+from edition1 import __version__
 from edition1_companion.book.digests import combined_digest, file_digest, tree_digests
 from edition1_companion.book.project import Project
 from edition1_companion.recordings.sources import COMPILED_KERNELS, data_dir
@@ -76,6 +77,15 @@ def _version(library: str) -> str:
         return importlib.metadata.version(library)
     except importlib.metadata.PackageNotFoundError:
         return "not installed"
+
+
+def version_lines() -> list[str]:
+    """Return the versions of repro, Python and the libraries that compute, and where recordings are looked for."""
+    return [
+        f"repro {__version__}, Python {platform.python_version()}, {platform.platform()}",
+        *(f"{name} {_version(name)}" for name in LIBRARIES),
+        f"Recordings: {data_dir()}",
+    ]
 
 
 def processor() -> str:

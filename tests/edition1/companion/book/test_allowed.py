@@ -1,15 +1,17 @@
 """Allowed values at the end of a parameter's comment: what keeps to them, and that every notebook has them."""
 
+import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from edition1.errors import InputError
-from edition1_companion.book.parameters import Parameter, convert, declared_parameters
-from edition1_companion.book.run_form import default_value
+from edition1_companion.book.parameters import Parameter, convert, convert_all, declared_parameters
 from edition1_companion.book.runner import read_notebook
-from rule_cases import CASES, OF_CHOICES
+from edition1_companion.cli import app
+from rule_cases import CASES
 
 PROJECT = Path(__file__).resolve().parents[4]
 PAGES = sorted((PROJECT / "notebooks").glob("*.ipynb"))
@@ -17,7 +19,7 @@ FREE = {("bend_tests", "shown"), ("recorded_trial", "capture_layout")}
 """Texts and dictionaries of which there is no fixed set: takes, a part of a name, columns of a file of one's own."""
 
 
-@pytest.mark.parametrize("case", CASES + OF_CHOICES, ids=lambda case: case.meaning)
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.meaning)
 def test_values_keep_to_the_rule_in_the_comment(case):
     parameter = Parameter("x", case.kind, case.default, case.meaning)
     for text in case.allowed:
@@ -38,15 +40,27 @@ def test_words_within_a_comment_are_no_rule():
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
 def test_every_parameter_says_what_is_allowed(path):
-    """Its default keeps to it, and a list of choices is in their order: the form gives it in no other."""
-    for name, parameter in declared_parameters(read_notebook(path), path.name).items():
+    """Its default keeps to it."""
+    notebook = read_notebook(path)
+    cell = next(cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", []))
+    defaults = {}
+    exec(cell.source, defaults)
+    for name, parameter in declared_parameters(notebook, path.name).items():
         if parameter.type != "bool":
             assert (parameter.rule is None) == ((path.stem, name) in FREE), name
         if parameter.rule:
-            value = default_value(parameter, path.name)
-            assert parameter.rule.allows(value), name
-            if parameter.type == "list" and parameter.rule.choices:
-                assert value == [choice for choice in parameter.rule.choices if choice in value], name
+            assert parameter.rule.allows(defaults[name]), name
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
+def test_commands_of_exercises_are_accepted(path):
+    notebook = read_notebook(path)
+    declared = declared_parameters(notebook, path.name)
+    texts = [cell.source for cell in notebook.cells if cell.source.startswith("## Exercise\n")]
+    for command in re.findall(r"^\.venv/bin/repro (run .+)$", "\n".join(texts), re.MULTILINE):
+        _, bound, _ = app.parse_args(shlex.split(command), exit_on_error=False, print_error=False)
+        assert bound.arguments["notebook"] == Path(f"notebooks/{path.name}")
+        assert convert_all(bound.arguments["parameters"], declared, path.name)
 
 
 def test_a_run_beyond_the_range_is_refused():

@@ -18,7 +18,6 @@ from edition1_companion.pages.recorded_trial.figures import (
     fewer_imus,
     settings_of_figure_5,
 )
-from matplotlib.lines import Line2D
 
 MODELS = ("rigid-body, 8 IMUs", "IMUs at mid-section", "PCC-extended, 8 IMUs, 16 segments")
 
@@ -171,17 +170,12 @@ def test_count_figures_draw_errors_and_bounds():
     np.testing.assert_allclose(rule[0], 640 * np.deg2rad(3) * np.sqrt(2 / np.array([4, 8])))
 
 
-def test_a_chain_is_laid_out_link_by_link():
-    """Each frame has one link more, and says how far its end is from its place on the arm."""
+def test_a_chain_is_drawn_link_by_link():
+    """Each panel has the links of a chain, and says how far its end is from its place on the arm."""
     arm = np.outer(np.arange(1, 5), [0.03, 0.04, 0.0]) + np.array([0.0, 0.0, 0.2])
     chains = {"rigid links": arm[1::2] + np.array([0.0, 0.0, 0.01]), "interpolated links": arm}
-    strip = link_by_link(chains, arm, links=2)
-    assert [frame.says for frame in strip.frames] == [
-        "The arm, and no link yet.",
-        "Link 1 of 2. The end is off by: rigid links 10 mm, interpolated links 0 mm.",
-        "Link 2 of 2. The end is off by: rigid links 10 mm, interpolated links 0 mm.",
-    ]
-    last = [artist for artist in strip.frames[2].artists if artist not in strip.frames[1].artists]
-    links = [artist.get_xydata() for artist in last if isinstance(artist, Line2D)][::2]
-    np.testing.assert_allclose(links[0], [[100.0, 210.0], [200.0, 210.0]])  # along the arm, and height
-    np.testing.assert_allclose(links[1], [[100.0, 200.0], [150.0, 200.0], [200.0, 200.0]])
+    panels = link_by_link(chains, arm, links=2).axes
+    assert [panel.texts[0].get_text() for panel in panels] == ["10 mm", "0 mm"]
+    rigid, interpolated = (panel.lines[3].get_xydata() for panel in panels)
+    np.testing.assert_allclose(rigid, [[100.0, 210.0], [200.0, 210.0]])  # along the arm, and height
+    np.testing.assert_allclose(interpolated, [[100.0, 200.0], [150.0, 200.0], [200.0, 200.0]])

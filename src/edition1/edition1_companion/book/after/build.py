@@ -16,7 +16,6 @@ from pathlib import Path
 from edition1.errors import InputError, bad_input
 from edition1.files import write_whole
 
-from edition1_companion.book.after.alternatives import alternative_points, remove_other_runs, warm_runner
 from edition1_companion.book.after.paper_index import index_path, page_titles, read_index
 from edition1_companion.book.after.site import SiteFailed, build_site
 from edition1_companion.book.digests import combined_digest, write_if_changed
@@ -68,8 +67,6 @@ def build(project: Project, jobs: int) -> int:
         return 1
     _remove_other_tables(project, pages)
     try:
-        if not run_alternatives(project, inputs, jobs):
-            return 1
         rows = compute_scorecard(project)
         write_if_changed(project.results / "scorecard.csv", scorecard_csv(rows))
         _write_scorecard_pages(project, rows, inputs)
@@ -184,19 +181,6 @@ def run_pages(pages: Sequence[Point], jobs: int) -> bool:
     if min(jobs, len(pages)) > 1:
         pages = [replace(page, environment=page.environment | BESIDE_OTHERS) for page in pages]
     failures = run_points(pages, local_runner(jobs)) if pages else {}
-    for message in failures.values():
-        print(message, file=sys.stderr)
-    return not failures
-
-
-def run_alternatives(project: Project, inputs: Inputs, jobs: int) -> bool:
-    """Compute what changed parameters give, for the pages to show; return whether all of it succeeded."""
-    points = alternative_points(project, inputs)
-    remove_other_runs(project, points)
-    due = [point for point in points if not finished(point)]
-    if due:
-        print(f"alternatives: {len(due)} short runs with other parameters", flush=True)
-    failures = run_points(due, warm_runner(jobs, inputs)) if due else {}
     for message in failures.values():
         print(message, file=sys.stderr)
     return not failures

@@ -1,4 +1,4 @@
-"""What the book adds to the page of a notebook: where it comes from, what can be downloaded, and the form.
+"""What the book adds to the page of a notebook: where it comes from, how it is run, and what can be downloaded.
 
 The additions are made when the site is built, from the record of the run; the executed notebook stays as it is.
 """
@@ -13,13 +13,10 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from edition1_companion.book.after.alternatives import alternatives_of
-from edition1_companion.book.after.before_after import check, section
 from edition1_companion.book.digests import combined_digest
 from edition1_companion.book.parameters import Parameter, declared_parameters
 from edition1_companion.book.project import Project
 from edition1_companion.book.provenance import RECORD_SUFFIX, Record, read_record, record_path
-from edition1_companion.book.run_form import form_html
 from edition1_companion.book.runner import read_notebook
 
 if TYPE_CHECKING:
@@ -29,9 +26,7 @@ FOLDER = "downloads"
 """Folder of the site that holds the files of :func:`page_files`, one folder a notebook."""
 
 _ENDINGS = {"image/png": "png", "image/svg+xml": "svg", "application/pdf": "pdf"}
-_PICTURE_IN_HTML = re.compile(
-    r'<div class="(?:shape-view|frame-strip)"><img src="data:image/png;base64,([^"]+)"'
-)
+_PICTURE_IN_HTML = re.compile(r'<div class="shape-view"><img src="data:image/png;base64,([^"]+)"')
 
 
 @dataclass(frozen=True)
@@ -41,17 +36,16 @@ class FigureFiles:
     name: str
     """Its name in the book, or ``figure-1`` where it has none."""
     caption: str
-    alt: str
     files: dict[str, bytes]
     """Content by ending: ``png`` and ``svg`` or ``pdf``."""
 
 
 def figures_of(executed: NotebookNode) -> list[FigureFiles]:
-    """Return the figures of an executed notebook; those of 3-D views and of frames by their stills."""
+    """Return the figures of an executed notebook; those of 3-D views by their stills."""
     found = []
     for cell in executed.cells:
         about = cell.metadata.get("mystnb", {})
-        figure, alt = about.get("figure", {}), about.get("image", {}).get("alt", "")
+        figure = about.get("figure", {})
         pictures = [
             files for output in cell.get("outputs", []) for files in _pictures(output.get("data", {}))
         ]
@@ -60,12 +54,12 @@ def figures_of(executed: NotebookNode) -> list[FigureFiles]:
             # name and caption belong to the first picture of their cell
             caption = figure.get("caption", "") if number == 1 else ""
             name = name if number == 1 else f"{name}-{number}"
-            found.append(FigureFiles(name, caption, alt, files))
+            found.append(FigureFiles(name, caption, files))
     return found
 
 
 def _pictures(data: Mapping[str, Any]) -> list[dict[str, bytes]]:
-    """Return the pictures of an output, each in all its forms: one, or one for each 3-D view or strip of frames."""
+    """Return the pictures of an output, each in all its forms: one, or one for each 3-D view."""
     files = {}
     for kind, ending in _ENDINGS.items():
         if kind in data:
@@ -108,7 +102,7 @@ def write_page_files(project: Project, stem: str, site: Path) -> None:
 
 
 def with_notes(page: dict[str, Any], project: Project, stem: str) -> dict[str, Any]:
-    """Return an executed notebook, as JSON, with a line below its title, the form, and the downloads at its end.
+    """Return an executed notebook, as JSON, with a line below its title, and its parameters and the downloads at its end.
 
     Parameters
     ----------
@@ -118,11 +112,6 @@ def with_notes(page: dict[str, Any], project: Project, stem: str) -> dict[str, A
         Where its source, its tables and its record lie.
     stem
         Its name without the ending.
-
-    Raises
-    ------
-    InputError
-        If its parameters cannot be shown in a form.
     """
     place = project.executed / f"{stem}.ipynb"
     executed, record = read_notebook(place), read_record(record_path(place))
@@ -131,18 +120,13 @@ def with_notes(page: dict[str, Any], project: Project, stem: str) -> dict[str, A
     declared = declared_parameters(executed, name) if tagged else {}
     sections = []
     if declared:
-        sections.append(("run", f"{_RUN}\n\n{form_html(name, declared)}"))
-    if alternatives := alternatives_of(executed, name):
-        sections.append(("alternatives", section(project, stem, name, alternatives)))
+        sections.append(("run", _run(name, declared)))
     sections.append(("downloads", _downloads(project, stem, executed, record, declared)))
     added = [
         {"cell_type": "markdown", "id": f"page-{key}", "metadata": {}, "source": text}
         for key, text in sections
     ]
     cells = [_without_bar(_with_light_pictures(cell)) for cell in page["cells"]]
-    if alternatives and alternatives[0].exercise:
-        exercise = next(cell for cell in cells if "".join(cell["source"]).startswith("## Exercise\n"))
-        exercise["source"] = "".join(exercise["source"]) + check(alternatives[0])
     if cells and cells[0]["cell_type"] == "markdown":
         cells[0]["source"] = _below_title(
             "".join(cells[0]["source"]), _summary(bool(declared)), _data(executed)
@@ -174,9 +158,27 @@ _GIVES = re.compile(r"^give\(", re.MULTILINE)
 _RUN = """\
 ## Run it with your parameters
 
-Change values and copy a command into a terminal, in the folder of the repository after `make env` (or `make book`).
-Only changed values are named. `repro run` refuses what the form refuses; the book's own results stay as they are, and
-`make diff RUN=runs/…` shows a run beside them."""
+Name the values that you change, each with `-p`, in the folder of the repository after `make env` (or `make book`):
+
+```bash
+.venv/bin/repro run {notebook} -p NAME VALUE
+```
+
+`repro run` refuses a value that a parameter cannot have. The run has a folder of its own, so the book's results stay as
+they are.
+
+<details class="parameters"><summary>Parameters and their values on this page</summary>
+<table><thead><tr><th>name</th><th>type</th><th>value</th><th>meaning</th></tr></thead><tbody>
+{rows}
+</tbody></table></details>
+"""
+
+
+def _run(notebook: str, declared: Mapping[str, Parameter]) -> str:
+    """Return how the page is run with other parameters; the table has no blank line, so that MyST keeps it whole."""
+    cells = [(p.name, p.type, p.default, p.meaning) for p in declared.values()]
+    rows = ["".join(f"<td>{escape(text)}</td>" for text in row) for row in cells]
+    return _RUN.format(notebook=notebook, rows="\n".join(f"<tr>{row}</tr>" for row in rows))
 
 
 def _data(executed: NotebookNode) -> str:
@@ -190,8 +192,9 @@ def _below_title(source: str, line: str, data: str) -> str:
     return f"{title}{data}\n\n{line}\n{newline}{rest}" if title.startswith("# ") else source
 
 
-def _summary(has_form: bool) -> str:
-    parts = ['<a href="#run-it-with-your-parameters">Run it with your parameters</a>'] if has_form else []
+def _summary(has_parameters: bool) -> str:
+    run = '<a href="#run-it-with-your-parameters">Run it with your parameters</a>'
+    parts = [run] if has_parameters else []
     parts.append('<a href="#provenance-and-downloads">Data, figures and notebook</a>')
     return f'<p class="page-summary">{" · ".join(parts)}</p>'
 
@@ -276,7 +279,7 @@ def _downloads(
         if not {"svg", "pdf"} & set(figure.files):
             pixels_only[named] = None
     if pixels_only:
-        lines.append(f"- Without a vector version (too large, 3-D views or frames): {', '.join(pixels_only)}")
+        lines.append(f"- Without a vector version (too large, or 3-D views): {', '.join(pixels_only)}")
     return "\n".join(lines) + "\n"
 
 

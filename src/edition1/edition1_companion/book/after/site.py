@@ -12,7 +12,6 @@ from pathlib import Path
 from edition1.errors import require
 from edition1.files import write_whole
 
-from edition1_companion.book.after.alternatives import alternatives_folder
 from edition1_companion.book.digests import combined_digest, file_digest, tree_digests
 from edition1_companion.book.project import Project, shown
 
@@ -35,7 +34,6 @@ def site_key(project: Project) -> str:
             {path.name: file_digest(path) for path in top},
             tree_digests(project.book, leave_out=_WRITTEN_BY_SPHINX),
             tree_digests(project.results),
-            tree_digests(alternatives_folder(project)),
             tree_digests(project.data),
             tree_digests(project.sources),
         ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
@@ -21,18 +20,14 @@ def _environment() -> jinja2.Environment:
     )
 
 
-def rendered(template: str, filters: Mapping[str, Callable[..., Any]] | None = None, **content: Any) -> str:
+def rendered(template: str, **content: Any) -> str:
     """Return a template of this folder with its content.
 
     Parameters
     ----------
     template
         Name of the file.
-    filters
-        Functions that the template applies, by the name that it has for them.
     content
         What it shows.
     """
-    environment = _environment().overlay()
-    environment.filters = environment.filters | dict(filters or {})
-    return environment.get_template(template).render(content)
+    return _environment().get_template(template).render(content)

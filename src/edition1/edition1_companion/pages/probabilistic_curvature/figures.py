@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from edition1_live.view.style import INK_OF_MAPS, WIDTH_IN, page_figure, plain_ticks, wrapped_panels
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, PathPatch, Rectangle
-from matplotlib.path import Path
+from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import MaxNLocator, NullFormatter
-
-from edition1_companion.book.frame_strip import Frame, FrameStrip, page_strip
 
 COLOURS = {"spiral": "#0072B2", "flower": "#D55E00", "seagull": "#009E73"}
 MARKERS = {"spiral": "o", "flower": "s", "seagull": "D"}
@@ -64,63 +58,40 @@ def _disc(panel: Axes) -> None:
     panel.grid(visible=False)
 
 
-@page_strip
+@page_figure
 def filter_steps(
-    clouds: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
-    truth_rad: np.ndarray,
-    estimates_rad: np.ndarray,
-    first: int,
-) -> FrameStrip:
-    """Clouds of particles that are weighed, drawn anew and moved, around the true bend.
+    cloud: tuple[np.ndarray, np.ndarray, np.ndarray], truth_rad: np.ndarray, estimate_rad: np.ndarray
+) -> Figure:
+    """A cloud of particles at one reading, as it is weighed, and what is drawn anew from it.
 
     Parameters
     ----------
-    clouds
-        For each reading the particles [rad], their weights, and the indices of those that are drawn; of one more
-        reading, what the last were moved to.
-    truth_rad, estimates_rad
-        Bend vectors for each reading [rad].
-    first
-        Number of the first of these readings.
+    cloud
+        The particles [rad], their weights, and the indices of those that are drawn.
+    truth_rad, estimate_rad
+        Bend vectors at the reading [rad].
     """
-    figure, panels = plt.subplots(1, 2, figsize=(7.4, 4.3))
-    centre = np.rad2deg(truth_rad.mean(axis=0))
-    for panel, reach in zip(panels, (11.0, 2.5), strict=True):
-        panel.set(aspect="equal", xlim=centre[0] + [-reach, reach], ylim=centre[1] + [-reach, reach])
-    panels[0].add_patch(Rectangle(centre - 2.5, 5.0, 5.0, fill=False, color="0.5", lw=0.8))
-    panels[0].set(title="Cloud", ylabel=r"$\varphi\,\sin\theta$ [deg]")
-    panels[1].set(title="Its middle, enlarged")
-    frames: list[list[Artist]] = [[] for _ in range(3 * len(truth_rad))]
-    says: list[str] = []
-    for k, (q, weights, drawn) in enumerate(clouds[:-1]):
-        heavy, (kept, copies) = weights > 1e-3, np.unique(drawn, return_counts=True)
-        truth, estimate = np.rad2deg(truth_rad[k]), np.rad2deg(estimates_rad[k])
-        for panel in panels:
-            marks = [
-                *panel.plot(*truth, "*", color="black", ms=11, zorder=4),
-                *panel.plot(*estimate, "X", color="#D55E00", mec="white", ms=9, zorder=5),
-            ]
-            for seen in frames[3 * k : 3 * k + 3]:
-                seen += marks
-            cloud = _dots(panel, np.rad2deg(q))
-            for seen in frames[max(3 * k - 1, 0) : 3 * k + 1]:
-                seen.append(cloud)
-            for seen, chosen, share, colour in (
-                (frames[3 * k], q[heavy], weights[heavy], "#E69F00"),
-                (frames[3 * k + 1], q[kept], copies / len(q), "#0072B2"),
-            ):
-                for bend, part in zip(np.rad2deg(chosen), share, strict=True):
-                    size = (8 + 600 * part) ** 0.5
-                    seen.append(_dots(panel, bend[None], width=size, colour=colour, alpha=0.7))
-        off = np.linalg.norm(estimate - truth)
-        says += [
-            f"Reading {first + k}, weighed: {heavy.sum()} of {len(q)} particles have more than a thousandth of the"
-            f" weight each. The estimate is {off:.2f}° off.",
-            f"Reading {first + k}, drawn anew: {len(kept)} different particles are left, one of them"
-            f" {copies.max()} times.",
-            f"Reading {first + k}, moved by the process noise: {len(q)} different particles again.",
-        ]
-    frames[-1] += [_dots(panel, np.rad2deg(clouds[-1][0])) for panel in panels]
+    q, weights, drawn = cloud
+    heavy, (kept, copies) = weights > 1e-3, np.unique(drawn, return_counts=True)
+    truth, estimate = np.rad2deg(truth_rad), np.rad2deg(estimate_rad)
+    figure, panels = plt.subplots(1, 3, figsize=(7.4, 3.3))
+    for panel, title, reach in zip(panels, ("Cloud", "Weighed", "Drawn anew"), (11.0, 2.5, 2.5), strict=True):
+        panel.set(
+            aspect="equal", xlim=truth[0] + [-reach, reach], ylim=truth[1] + [-reach, reach], title=title
+        )
+        panel.plot(*truth, "*", color="black", ms=11, zorder=4)
+        panel.plot(*estimate, "X", color="#D55E00", mec="white", ms=9, zorder=5)
+    panels[0].add_patch(Rectangle(truth - 2.5, 5.0, 5.0, fill=False, color="black", lw=1.2, zorder=3))
+    for panel in panels[:2]:
+        panel.scatter(*np.rad2deg(q).T, s=6, color="0.6", linewidths=0, zorder=1)
+    for panel, chosen, share, colour in (
+        (panels[1], q[heavy], weights[heavy], "#E69F00"),
+        (panels[2], q[kept], copies / len(q), "#0072B2"),
+    ):
+        panel.scatter(
+            *np.rad2deg(chosen).T, s=8 + 600 * share, color=colour, alpha=0.7, linewidths=0, zorder=1
+        )
+    panels[0].set_ylabel(r"$\varphi\,\sin\theta$ [deg]")
     figure.supxlabel(r"$\varphi\,\cos\theta$ [deg]", fontsize="medium")
     large = {"ls": "none", "ms": 8}
     handles = [
@@ -131,20 +102,7 @@ def filter_steps(
         Line2D([], [], marker="X", color="#D55E00", **large, label="estimate"),
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=5, columnspacing=1.2, handletextpad=0.2)
-    told = [Frame(text, artists) for text, artists in zip(says, frames, strict=True)]
-    return FrameStrip(figure, told, f"A cloud of particles around the true bend. {says[0]}", still=0)
-
-
-def _dots(
-    panel: Axes, points: np.ndarray, *, width: float = 2.4, colour: str = "0.6", alpha: float | None = None
-) -> PathPatch:
-    """One path for all: in a vector file a third of the size of as many markers."""
-    low, high = np.transpose([panel.get_xlim(), panel.get_ylim()])
-    points = points[((low < points) & (points < high)).all(axis=1)]
-    path = Path(np.repeat(points, 2, axis=0), np.tile([Path.MOVETO, Path.LINETO], len(points)))
-    path.should_simplify = False  # points without length would be left out
-    style = {"edgecolor": colour, "lw": width, "alpha": alpha, "capstyle": "round", "zorder": 1}
-    return panel.add_patch(PathPatch(path, fill=False, **style))
+    return figure
 
 
 @page_figure

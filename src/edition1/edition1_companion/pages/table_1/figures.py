@@ -9,34 +9,29 @@ import numpy as np
 import pandas as pd
 from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
 from edition1_live.view.symbols import coordinate_symbol, in_symbols
-from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-
-from edition1_companion.book.formatted import shown_number
-from edition1_companion.book.frame_strip import Frame, FrameStrip, page_strip
 
 PUBLISHED, OURS, BEST = "0.45", "#0072B2", "#D55E00"
 MODELS = {"network of the paper": "o", "fast network": "s", "multipole": "D"}
 SOLVERS = {"gradient descent": ("#0072B2", "o"), "Levenberg-Marquardt": ("#D55E00", "D")}
 
 
-@page_strip
+@page_figure
 def descents(
     sides_m: np.ndarray,
     off_mt: np.ndarray,
     paths_m: Mapping[str, np.ndarray],
-    path_off_mt: Mapping[str, np.ndarray],
     truth_m: np.ndarray,
-) -> FrameStrip:
-    """Paths of the solvers over the bend, update by update, on level lines of what the readings are off.
+) -> Figure:
+    """Paths of the solvers over the bend on level lines of what the readings are off.
 
     Parameters
     ----------
     sides_m, off_mt
         Bends along either axis [m], and root mean square of the readings' error over them, ``[y, x]``.
-    paths_m, path_off_mt
-        Configurations by solver, ``[updates + 1, 3]`` [m], and the same root mean square there.
+    paths_m
+        Configurations by solver, ``[updates + 1, 3]`` [m].
     truth_m
         True configuration [m].
     """
@@ -47,30 +42,21 @@ def descents(
     panel.plot(*1e3 * truth_m[:2], "*", color="black", ms=13, label="truth")
     first = next(iter(paths_m.values()))
     panel.plot(*1e3 * first[0, :2], "s", color="black", ms=6, label="start")
-    seen: list[list[Artist]] = [[] for _ in first]
     for name, path in paths_m.items():
         colour, marker = SOLVERS[name]
-        bend = 1e3 * path[:, :2]
-        style = {"color": colour, "marker": marker, "ms": 5, "lw": 1.4}
-        panel.plot([], [], **style, label=name)
-        for k in range(1, len(bend)):
-            (line,) = panel.plot(*bend[k - 1 : k + 1].T, **style, markevery=[1])
-            for later in seen[k:]:
-                later.append(line)
+        panel.plot(
+            *1e3 * path[:, :2].T,
+            color=colour,
+            marker=marker,
+            ms=5,
+            lw=1.4,
+            markevery=slice(1, None),
+            label=name,
+        )
     panel.set(xlabel=r"$\Delta_x$ [mm]", ylabel=r"$\Delta_y$ [mm]", aspect="equal")
     panel.grid(visible=False)
     figure.legend(loc="outside upper center", ncols=4)
-    bend_off = {n: 1e3 * np.linalg.norm((p - truth_m)[:, :2], axis=1) for n, p in paths_m.items()}
-
-    def told(k: int) -> str:
-        each = (
-            f"{n} {bend_off[n][k]:.1f} mm off, readings {shown_number(path_off_mt[n][k], 2)} mT"
-            for n in paths_m
-        )
-        return f"After {k} of {len(seen) - 1} updates: {'; '.join(each)}."
-
-    alt = f"Level lines of the readings' error over the bend, a bowl around the truth. {told(len(seen) - 1)}"
-    return FrameStrip(figure, [Frame(told(k), lines) for k, lines in enumerate(seen)], alt)
+    return figure
 
 
 @page_figure
