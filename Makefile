@@ -28,7 +28,7 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help book test mutants lint check-site size train studies soak vendor env clean lock
+.PHONY: help book test mutants lint check-site size train soak vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
@@ -38,7 +38,6 @@ help:
 	@echo 'make check-site  open every page of the built site in Chromium and check it'
 	@echo 'make size        count statements, and list what nothing uses any more'
 	@echo 'make train       train the networks of the paper that data/networks/ does not have yet (hours, resumable)'
-	@echo 'make studies     compute the tables in data/studies/ that are missing (minutes each, resumable)'
 	@echo 'make soak        ten million frames through a faulty port, a hundred killed recorders, ten minutes live (half an hour)'
 	@echo 'make vendor      bundle the 3-D viewer (needs node and npm)'
 	@echo 'make env         set up .venv only (every target above does this by itself; make book needs less)'
@@ -77,9 +76,6 @@ size: env
 
 train: env
 	nice -n 19 $(BIN)/repro train
-
-studies: env
-	$(BIN)/repro studies
 
 soak: env
 	$(PY) -m bench.soak.parsers 10000000
@@ -159,6 +155,6 @@ lock:
 	@rm -rf .cache/uv-venv
 
 clean:
-	rm -rf book/_build book/notebooks book/api book/generated build
+	rm -rf book/_build book/notebooks book/generated build
 	rm -rf .pytest_cache .ruff_cache .hypothesis .import_linter_cache .cache
 	find src tests book -type d -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true

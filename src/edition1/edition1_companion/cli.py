@@ -159,28 +159,6 @@ def train(*, only: str = "", folder: Path | None = None, checkpoints: Path | Non
 
 
 @app.command
-def studies(*, folder: Path | None = None) -> int:
-    """Compute the studies whose tables are missing or belong to other settings (minutes each, resumable).
-
-    Parameters
-    ----------
-    folder
-        Where the tables are; data/studies when not given.
-    """
-    folder = folder or find_project().data / "studies"
-    import torch
-
-    from edition1_companion.book.studies import write_studies
-    from edition1_companion.pages import all_studies
-
-    torch.set_num_threads(1)
-    progress = sys.stderr.isatty()
-    for path in write_studies(all_studies(), folder, progress=progress):
-        print(shown(path), flush=True)
-    return 0
-
-
-@app.command
 def fetch(
     paper: str = "",
     /,

@@ -8,7 +8,7 @@ paper does not say is assumed (see :class:`edition1_companion.twins.cosserat_rod
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -18,23 +18,10 @@ from edition1.errors import bad_input, require
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-from edition1_companion.twins.cosserat_rod import Rod, RodMotion, Stick, simulate_rod
-from edition1_companion.twins.imu_errors import continuous_signs
 from edition1_companion.twins.stick_motion import (
-    DURATION_S,
-    LEAD_IN_S,
-    SCHEDULE,
-    STICK_ARC_M,
-    hand_path,
     mode_at,
 )
 
-RATE_HZ = 50.0
-STEP_S = 2.5e-4
-POINT_ARCS_M = np.arange(1, 34) * 0.02
-"""Where the file has positions [m]: every 20 mm from the base to the tip, so also at every IMU and marker."""
-FRAME_ARCS_M = np.arange(9) * 0.08
-"""Where the file has orientations [m]: the base, and the eight IMUs."""
 POSITION_QUANTUM_M = 1e-5
 QUATERNION_QUANTUM = 2.0**-16
 
@@ -104,83 +91,6 @@ class SoftArm:
         return time_s
 
 
-def simulate_soft_arm(*, duration_s: float = DURATION_S, progress: bool = False) -> SoftArm:
-    """Simulate the arm and its stick: about a quarter of a second of computing per second of motion.
-
-    The hand leaves the upright arm some seconds before time 0; that part is left out.
-
-    Parameters
-    ----------
-    duration_s
-        How much of the motion [s].
-    progress
-        Show a progress bar.
-
-    Raises
-    ------
-    InputError
-        If the duration is not above zero, or longer than the motion.
-    """
-    if not 0 < duration_s <= DURATION_S:
-        raise bad_input("duration_s", "simulate_soft_arm", f"above 0 and up to {DURATION_S:g} s", duration_s)
-    rod, stick = Rod(), Stick(lambda time_s: hand_path(time_s - LEAD_IN_S), STICK_ARC_M)
-    motion = simulate_rod(
-        rod, stick, duration_s=duration_s + LEAD_IN_S, rate_hz=RATE_HZ, dt_s=STEP_S, progress=progress
-    )
-    parameters = {
-        "rod": asdict(rod),
-        "stick": {"arc_m": stick.arc_m, "stiffness": stick.stiffness, "damping": stick.damping},
-        "step_s": STEP_S,
-        "rate_hz": RATE_HZ,
-        "schedule": SCHEDULE,
-    }
-    return sampled(motion, first_s=LEAD_IN_S, parameters=json.loads(json.dumps(parameters)))
-
-
-def sampled(motion: RodMotion, *, first_s: float, parameters: dict[str, Any]) -> SoftArm:
-    """Take the arm's points and frames from a simulated rod, from the time ``first_s`` [s] on."""
-    kept = motion.time_s >= first_s - 1e-9
-    return SoftArm(
-        time_s=motion.time_s[kept] - first_s,
-        positions=motion.positions(POINT_ARCS_M)[kept],
-        point_arcs_m=POINT_ARCS_M,
-        orientations=continuous_signs(motion.orientations(FRAME_ARCS_M)[kept], axis=0),
-        frame_arcs_m=FRAME_ARCS_M,
-        parameters=parameters,
-    )
-
-
-def write_soft_arm(path: Path, *, progress: bool = True) -> SoftArm:
-    """Simulate the whole motion (about a minute) and write it to a file; return it as it was before rounding.
-
-    Positions are rounded to 0.01 mm and quaternion components to 2^-16 (about 0.002 deg), and written as second
-    differences in time, which take less room.
-
-    Parameters
-    ----------
-    path
-        The file, ``.npz``; its folder must exist.
-    progress
-        Show a progress bar.
-    """
-    arm = simulate_soft_arm(progress=progress)
-    save_soft_arm(arm, path)
-    return arm
-
-
-def save_soft_arm(arm: SoftArm, path: Path) -> None:
-    """Write an arm's motion to a file, rounded as :func:`write_soft_arm` says."""
-    np.savez_compressed(
-        path,
-        time_s=arm.time_s,
-        positions=_packed(arm.positions, POSITION_QUANTUM_M),
-        point_arcs_m=arm.point_arcs_m,
-        orientations=_packed(arm.orientations, QUATERNION_QUANTUM),
-        frame_arcs_m=arm.frame_arcs_m,
-        parameters=np.array(json.dumps(arm.parameters)),
-    )
-
-
 def load_soft_arm(path: Path) -> SoftArm:
     """Read what :func:`write_soft_arm` wrote.
 
@@ -209,12 +119,6 @@ def load_soft_arm(path: Path) -> SoftArm:
         raise bad_input(
             "file", path.name, "one that write_soft_arm made", f"{type(error).__name__}: {error}"
         ) from error
-
-
-def _packed(values: np.ndarray, quantum: float) -> np.ndarray:
-    """Round to a quantum; second differences in time, with time as the last axis."""
-    rounded = np.moveaxis(np.round(values / quantum), 0, -1)
-    return np.diff(rounded, n=2, prepend=np.zeros((*rounded.shape[:-1], 2))).astype(np.int32)
 
 
 def _unpacked(steps: np.ndarray, quantum: float) -> np.ndarray:

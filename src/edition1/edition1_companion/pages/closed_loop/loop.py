@@ -236,17 +236,6 @@ def _estimators(learned: Learned) -> dict[str, Any]:
     }
 
 
-def rms_mm(trace: LoopTrace) -> Float[np.ndarray, " runs"]:
-    """Tracking error of each run [mm]: root mean square over time of the distance from reference to true bend."""
-    return judged_rms_mm(trace, trace.reference_mm - trace.bend_mm)
-
-
-def judged_rms_mm(trace: LoopTrace, apart_mm: Float[np.ndarray, "t runs 2"]) -> Float[np.ndarray, " runs"]:
-    """Root mean square over the judged time of a distance [mm]."""
-    judged = apart_mm[trace.time_s >= SKIPPED_S]
-    return np.sqrt((judged**2).sum(axis=-1).mean(axis=0))
-
-
 CONTROLLERS = {
     "PI": Gains(0.5, 2.0, False),
     "PI and feed-forward": Gains(0.7, 0.5, True),

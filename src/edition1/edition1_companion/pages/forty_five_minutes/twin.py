@@ -36,8 +36,6 @@ RING = ring("released")
 EARTH = torch.tensor([EARTH_MT, 0.0, 0.0], dtype=torch.float64)
 """Field in the base frame [mT]; direction assumed."""
 RATE_HZ, MINUTES = 4.0, 45.0
-JUDGED, SETTING = tuple(range(20)), tuple(range(100, 105))
-"""Seeds of the twins that are judged, and of those on which sizes and settings were chosen."""
 NOISE_MT, IMU_NOISE_RAD = 7.1e-4, 1e-3
 """White noise of a Hall sensor (the larger of Baaij et al. 2023, section 5.2), and of an IMU (assumed)."""
 BENDING_M, ELONGATION_M = 0.015, 2.75e-3

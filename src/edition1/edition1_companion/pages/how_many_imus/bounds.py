@@ -155,33 +155,6 @@ def pcc_bound(
     return np.minimum(arcs + deviation, 2 * points)
 
 
-def tangents_bound(
-    selection: Selection, arc_lengths: _Points, *, curvature: float, slope: float = math.inf
-) -> Bound:
-    """Bound of the position error of `edition1.estimation.imu_models.tangent_interpolation` between perfect IMUs.
-
-    Parameters and errors as :func:`arcs_bound`. Where neighbours may differ by a right angle or more, there
-    is no bound but twice the arc length.
-    """
-    points, starts, h = _checked(selection, arc_lengths, curvature, slope, "tangents_bound", between=True)
-    k = curvature * h
-    if (k >= np.pi / 2).any():
-        return 2 * points
-    x = np.clip(points[:, None] - starts, 0.0, h)
-    near, far = np.minimum(x, h / 2), np.minimum(h - x, h / 2)
-    bounds = curvature * (near**2 + (h / 2) ** 2 - far**2)
-    if math.isfinite(slope):
-        S = (slope * h**2 / 8 + curvature**3 * h**3 / 48) / np.cos(k / 2)
-        widening = 1 / (np.cos(k / 2) * np.cos(np.arcsin(np.minimum(S, 1.0)) / 2))
-        u, u2 = h * x**2 / 2 - x**3 / 3, h**2 * x**3 / 3 - h * x**4 / 2 + x**5 / 5  # of x(h - x), its square
-        second = widening * (slope * u / 2 + curvature**3 * (h**2 * u - 2 * u2) / (6 * h))
-        bounds = np.where(S < 1, np.minimum(bounds, second), bounds)
-    rate, acceleration = 2 * np.tan(k / 2) / h, _acceleration(k) / h**2
-    joint, inside = _sub_joints(points, starts, h, selection.sub_links)
-    midpoint_rule = (h / selection.sub_links) ** 2 / 24 * np.hypot(rate**2, acceleration)
-    return _total(bounds + midpoint_rule * joint + rate * inside, points)
-
-
 def _chord_integral(y: np.ndarray, curvature: float) -> np.ndarray:
     """Integral from 0 to y of the chord 2 sin(curvature |y|/2), at most 2; odd in y."""
     if curvature == 0:
@@ -220,14 +193,6 @@ def _sub_joints(
     joint = np.round(x / w) * w
     y = np.abs(x - joint)
     return joint, y * (w - y) / 2
-
-
-def _acceleration(k: np.ndarray) -> np.ndarray:
-    """Largest second derivative of the angle of a linear interpolation between directions k < pi/2 apart."""
-    c = 1 - np.cos(k)
-    A, B = 1 - c / 2, np.maximum(c / 2, 1e-300)
-    p = np.minimum(1.0, np.sqrt(A / (3 * B)))
-    return 2 * np.sin(k) * c * p / (A + B * p**2) ** 2
 
 
 def _checked(

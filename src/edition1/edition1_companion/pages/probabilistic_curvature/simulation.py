@@ -33,9 +33,6 @@ from edition1_companion.twins.bend_curves import (
     curve_times,
 )
 
-PROCESS_NOISE_PI = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
-"""Candidates for the process noise [pi rad]: from the smallest of the released code to the paper's."""
-
 
 @dataclass(frozen=True)
 class Setting:
@@ -86,13 +83,6 @@ PAPER = Setting("as printed")
 """The paper's equations at the stated process noise; sigma is that of the released code, the paper gives none."""
 FITS = replace(PAPER, name="fits, not stated", process_noise_pi=0.005, length_m=14e-3)
 """The same with the process noise (0.01 pi/2) and the arc length of the released code's simulations."""
-WEIGHTED = replace(
-    PAPER, name="weighted mean", process_noise_pi=0.004, estimate="weighted", resampling="systematic"
-)
-GAUSS_NEWTON = replace(
-    PAPER, name="weighted mean + Gauss-Newton step", estimate="Gauss-Newton", resampling="systematic"
-)
-"""Noise-free readings of an exact model: a check of consistency, not a result."""
 NOISY = replace(
     PAPER,
     name="best tenth, sensor noise",
@@ -149,54 +139,6 @@ def follow(
     position = BendSensor(setting.length_m).position
     error = torch.linalg.vector_norm(position(found.q) - position(q).unsqueeze(1), dim=-1)
     return 1e3 * error, found.diagnostics["lost"]
-
-
-def errors_by_curve(
-    settings: Sequence[Setting],
-    seeds: Sequence[int] = (0,),
-    *,
-    process_noise_pi: Sequence[float] | None = None,
-    steps: int | None = None,
-    curves: Sequence[str] = CURVES,
-) -> pd.DataFrame:
-    """Errors of the magnet's position by setting, curve and seed.
-
-    Parameters
-    ----------
-    settings, seeds, process_noise_pi, steps, curves
-        As for :func:`follow`.
-
-    Returns
-    -------
-    DataFrame
-        Columns ``setting, estimate, motion, particles, process_noise_pi, length_mm, noise_mt, curve, seed, rmse_mm,
-        mean_mm, lost_percent``; ``noise_mt`` is that of the readings.
-    """
-    rows = []
-    for setting in settings:
-        for seed in seeds:
-            error, lost = follow(
-                setting, seed=seed, process_noise_pi=process_noise_pi, steps=steps, curves=curves
-            )
-            for k, walk in enumerate(process_noise_pi or [setting.process_noise_pi]):
-                rows += [
-                    {
-                        "setting": setting.name,
-                        "estimate": setting.estimate,
-                        "motion": setting.motion,
-                        "particles": setting.particles,
-                        "process_noise_pi": walk,
-                        "length_mm": 1e3 * setting.length_m,
-                        "noise_mt": setting.sensor_noise_mt,
-                        "curve": curve,
-                        "seed": seed,
-                        "rmse_mm": float((error[:, k, c] ** 2).mean().sqrt()),
-                        "mean_mm": float(error[:, k, c].mean()),
-                        "lost_percent": 100 * float(lost[:, k, c].double().mean()),
-                    }
-                    for c, curve in enumerate(curves)
-                ]
-    return pd.DataFrame(rows)
 
 
 def errors_over_time(

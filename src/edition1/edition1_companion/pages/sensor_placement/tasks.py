@@ -16,13 +16,12 @@ an estimate at either bound, whatever the truth.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from edition1.errors import require
 from edition1.estimation.information import cramer_rao, fisher_information
-from edition1.kinematics.paper_robots import Dimensions, affine_robot, pcc_robot
+from edition1.kinematics.paper_robots import pcc_robot
 from edition1.kinematics.robot import Robot
 from edition1.sensing.linearised import LinearisedSensing
 from edition1.sensing.magnets import ring
@@ -32,8 +31,7 @@ from torch import Tensor
 
 from edition1_companion.pages.sensor_placement.layouts import Layout, layout_of
 from edition1_companion.twins.calibrated_robots import box, start
-from edition1_companion.twins.training_set import CURVATURE_RAD, ELONGATION_M
-from edition1_companion.twins.trajectories import flower, lemniscate
+from edition1_companion.twins.trajectories import lemniscate
 
 TEST_SEED = 2_000_000
 """Added to the seed for the shapes and the noise that judge a layout."""
@@ -128,39 +126,6 @@ def pcc_task(
         tests={"lemniscate T3": lemniscate(n_segments, steps=steps), "random shapes": fresh},
         starts=start(n_segments)[None],
         known=tuple(range(2, n_q, 3)) if known_elongation else (),
-    )
-
-
-def affine_task(*, seed: int = 0, shapes: int = 64, steps: int = 400) -> Task:
-    r"""Robot of section 4.1: shapes as in section 4.2, judged on the flower and on fresh random shapes.
-
-    Each shape is drawn under the one of its two configurations that has :math:`\kappa_1 \ge 0`. The estimator starts
-    from six bent shapes around the backbone.
-
-    Parameters
-    ----------
-    seed, shapes, steps
-        As for :func:`pcc_task`.
-    """
-    (k0, k1), top = CURVATURE_RAD, ELONGATION_M["released"]
-    low = torch.tensor([-k0, 0.0, 0.0, 0.0], dtype=torch.float64)
-    high = torch.tensor([k0, k1, 2 * math.pi, top], dtype=torch.float64)
-    around = torch.arange(6, dtype=torch.float64) * (math.pi / 3)
-    bent = torch.tensor([0.0, k1 / 2, 0.0, 2.75e-3], dtype=torch.float64).repeat(6, 1)
-    bent[:, 2] = around
-    free = torch.tensor([0.0, k1, 2 * math.pi, 0.0], dtype=torch.float64)
-    robot = affine_robot(magnet_shift_m=0.0)
-    # A layout has its magnets on the backbone: where the shifted ones are when the robot is straight.
-    magnets = replace(robot.magnets, axial=robot.magnets.axial + Dimensions.MAGNET_SHIFT_M["released"])
-    return Task(
-        name="affine, n_s=9",
-        nominal=layout_of(replace(robot, magnets=magnets)),
-        low=low - free,
-        high=high + free,
-        width=high - low,
-        shapes=_uniform(low, high, shapes, seed),
-        tests={"flower": flower(steps=steps), "random shapes": _uniform(low, high, steps, seed + TEST_SEED)},
-        starts=bent,
     )
 
 
