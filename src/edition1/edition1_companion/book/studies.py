@@ -34,8 +34,8 @@ class Study:
     settings
         Its keyword arguments, as JSON can hold them.
     needs
-        Which of ``data`` (the folder), ``folder`` (of the trained networks), ``cache`` (of networks that are not
-        kept) and ``progress`` the function takes besides.
+        Which of ``data`` (the folder), ``cache`` (of networks that are not kept) and ``progress`` the function takes
+        besides.
     digits
         Significant digits of a number in the table.
     """
@@ -65,7 +65,6 @@ def write_studies(studies: Sequence[Study], folder: Path, *, progress: bool) -> 
     project = find_project()
     available = {
         "data": project.data,
-        "folder": project.data / "networks",
         "cache": project.cache / "networks",
         "progress": progress,
     }
