@@ -1,1 +1,1 @@
-"""TODO."""
+"""What is run by hand: sizes, mutants, and what takes long."""

@@ -41,7 +41,7 @@ HEADINGS = ["The question", "The idea", "The equations", "The result", "Exercise
 HEADINGS_WITH_DERIVATIONS = [*HEADINGS[:4], "Derivations", *HEADINGS[4:]]
 FRONT_MATTER = re.compile(r"\A---\n.*?\n---\n\n?", re.DOTALL)
 EQUATION = re.compile(r"^\(([a-z0-9-]+)\)=\n\$\$\n(.*?)\n\$\$$", re.MULTILINE | re.DOTALL)
-ROLE = re.compile(r"\{py:(\w+)\}`~(repro[\w.]+)`")
+ROLE = re.compile(r"\{py:(\w+)\}`~((?:repro|edition1)[\w.]+)`")
 PLACES = re.compile(r"\b(?:eqs?\.|sections?|Figs?\.|Table)\s+[(\d][\d.()]*(?:(?:,| and| to) [(\d][\d.()]*)*")
 
 
