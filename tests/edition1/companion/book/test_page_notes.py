@@ -134,7 +134,7 @@ def test_everything_that_a_page_offers_is_there(root, page):
         assert with_notes(before, project, "a")["cells"][0]["source"].startswith(title)
     form, downloads = (cell["source"] for cell in shown["cells"][-2:])
     assert "\n.venv/bin/repro run notebooks/a.ipynb -p NAME VALUE\n" in form
-    assert "<tr><td>n</td><td>int</td><td>3</td><td>how many</td></tr>" in form
+    assert "\nParameters of a.ipynb:\n  n: int = 3     how many\n  seed: int = 7  seed\n" in form
     for name in files:
         assert f'href="../downloads/a/{name}"' in downloads
     assert "- {numref}`fig-line`: " in downloads

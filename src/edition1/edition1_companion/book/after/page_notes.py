@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edition1_companion.book.digests import combined_digest
-from edition1_companion.book.parameters import Parameter, declared_parameters
+from edition1_companion.book.parameters import Parameter, declared_parameters, listing
 from edition1_companion.book.project import Project
 from edition1_companion.book.provenance import RECORD_SUFFIX, Record, read_record, record_path
 from edition1_companion.book.runner import read_notebook
@@ -120,7 +120,7 @@ def with_notes(page: dict[str, Any], project: Project, stem: str) -> dict[str, A
     declared = declared_parameters(executed, name) if tagged else {}
     sections = []
     if declared:
-        sections.append(("run", _run(name, declared)))
+        sections.append(("run", _RUN.format(notebook=name, listing=listing(declared, Path(name).name))))
     sections.append(("downloads", _downloads(project, stem, executed, record, declared)))
     added = [
         {"cell_type": "markdown", "id": f"page-{key}", "metadata": {}, "source": text}
@@ -167,18 +167,12 @@ Name the values that you change, each with `-p`, in the folder of the repository
 `repro run` refuses a value that a parameter cannot have. The run has a folder of its own, so the book's results stay as
 they are.
 
-<details class="parameters"><summary>Parameters and their values on this page</summary>
-<table><thead><tr><th>name</th><th>type</th><th>value</th><th>meaning</th></tr></thead><tbody>
-{rows}
-</tbody></table></details>
+````{{dropdown}} Parameters and their values on this page
+```text
+{listing}
+```
+````
 """
-
-
-def _run(notebook: str, declared: Mapping[str, Parameter]) -> str:
-    """Return how the page is run with other parameters; the table has no blank line, so that MyST keeps it whole."""
-    cells = [(p.name, p.type, p.default, p.meaning) for p in declared.values()]
-    rows = ["".join(f"<td>{escape(text)}</td>" for text in row) for row in cells]
-    return _RUN.format(notebook=notebook, rows="\n".join(f"<tr>{row}</tr>" for row in rows))
 
 
 def _data(executed: NotebookNode) -> str:
