@@ -20,7 +20,42 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edition1.errors import require
+
 _CORNERS = ((2, 1, 1), (1, 2, 1), (1, 1, 2))
+
+
+def cuboid_field(
+    positions: Float[Tensor, "*batch 3"], dimensions: tuple[float, float, float], polarisation_mt: float
+) -> Float[Tensor, "*batch 3"]:
+    r"""Flux density [mT] of a cuboid outside of it, at positions [m], both in the frame of the magnet.
+
+    Parameters
+    ----------
+    positions
+        Points outside the magnet, not on its edges. Derivatives exist off the planes of the pole faces.
+    dimensions
+        Lengths of the edges along x, y and z [m].
+    polarisation_mt
+        Magnetic polarisation along z [mT].
+
+    Raises
+    ------
+    InputError
+        If a dimension is not positive.
+
+    Examples
+    --------
+    On the axis of a cube, one edge from its face; far away it is the dipole :math:`2 J V/(4 \pi r^3)`:
+
+    >>> point = torch.tensor([[0.0, 0.0, 1.5], [0.0, 0.0, 100.0]], dtype=torch.float64)
+    >>> field = cuboid_field(point, (1.0, 1.0, 1.0), 1000.0)[:, 2]
+    >>> float(field[1]) / (2 * 1000 / (4 * math.pi * 100**3))  # doctest: +ELLIPSIS
+    0.99999...
+    """
+    require(min(dimensions) > 0, "dimensions", "cuboid_field", "positive [m]", dimensions)
+    x, y, z = positions.unbind(-1)
+    return torch.stack(cuboid_components(x, y, z, dimensions, polarisation_mt), dim=-1)
 
 
 def cuboid_components(

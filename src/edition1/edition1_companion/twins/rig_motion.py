@@ -25,6 +25,8 @@ from scipy.signal import lfilter
 
 from edition1_companion.twins.pneumatic_actuation import Chambers
 
+MODELS = ("bouc-wen", "prandtl-ishlinskii")
+"""Names of the models."""
 STOPS = 6
 """Number of stop operators."""
 

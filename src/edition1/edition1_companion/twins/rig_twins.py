@@ -8,12 +8,17 @@ ran on them. Then they were frozen:
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
-from edition1_companion.twins.pneumatic_actuation import Chambers
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from edition1_companion.recordings.rig_robot import RIG_SENSORS
+from edition1_companion.twins.pneumatic_actuation import TRAJECTORIES, Chambers
 from edition1_companion.twins.pneumatic_rig import Differences, TwinConfig
 from edition1_companion.twins.rig_files import MarkerCapture
-from edition1_companion.twins.rig_motion import Bending, InnerShape
-from edition1_companion.twins.sensor_board import Board
+from edition1_companion.twins.rig_motion import MODELS, Bending, InnerShape
+from edition1_companion.twins.sensor_board import DRIFTS, Board
 
 
 def nominal_twin() -> TwinConfig:
@@ -87,3 +92,65 @@ def second_twin() -> TwinConfig:
         elongation_per_mm2=(0.025, 0.025, -0.038, 0.025, 0.025, 0.025),
     )
     return replace(nominal_twin(), differences=differences)
+
+
+def random_twin(seed: int) -> TwinConfig:
+    """Another twin, for studies of robustness: the nominal one with other errors and other kinds of errors.
+
+    Random are the places of sensors and magnet (0.5 mm and 1.5 deg on each axis), the directions of the sensors
+    (10 deg), the asymmetry, stiffness and lag of the bending, what no field explains, model and size of the
+    hysteresis, shape and size (0.3 to 2 mV) of the drift, and the biases of the recordings. The facts do not hold for
+    such a twin.
+
+    Parameters
+    ----------
+    seed
+        The same seed gives the same twin.
+    """
+    rng, twin = np.random.default_rng(seed), nominal_twin()
+
+    def times(values: Any, low: float, high: float) -> Any:
+        """Multiply by factors between two bounds, one for each number."""
+        return _tuples(np.asarray(np.array(values) * rng.uniform(low, high, np.shape(values))))
+
+    board, bending, inner = twin.board, twin.bending, twin.inner
+    turned = Rotation.from_rotvec(np.radians(10.0) * rng.standard_normal((RIG_SENSORS, 3)))
+    return replace(
+        twin,
+        bending=replace(
+            bending,
+            neutral_mm=_tuples(np.array(bending.neutral_mm) + 0.3 * rng.standard_normal(2)),
+            linear_mm=times(bending.linear_mm, 0.9, 1.1),
+            lag_s=times(bending.lag_s, 0.7, 1.5),
+            hysteresis_mm=times(bending.hysteresis_mm, 0.5, 2.0),
+        ),
+        inner=replace(
+            inner,
+            hysteresis_mm=times(inner.hysteresis_mm, 0.5, 2.0),
+            stroke_mm=times(inner.stroke_mm, 0.5, 2.0),
+            across_s=times(inner.across_s, 0.5, 1.5),
+        ),
+        board=replace(
+            board,
+            sensitivity=_tuples(turned.apply(np.array(board.sensitivity))),
+            shift_mm=_tuples(0.5 * rng.standard_normal((RIG_SENSORS, 3))),
+            magnet_shift_mm=_tuples(0.5 * rng.standard_normal(3)),
+            magnet_tilt_deg=_tuples(1.5 * rng.standard_normal(2)),
+            curvature=times(board.curvature, 0.5, 1.5),
+            ripple_mv=times(board.ripple_mv, 0.5, 1.5),
+            ripple_period_mm=float(rng.uniform(7.0, 12.0)),
+            ripple_azimuth_deg=_tuples(rng.uniform(0.0, 180.0, RIG_SENSORS)),
+            drift_mv=float(rng.uniform(0.3, 2.0)),
+            drift=DRIFTS[int(rng.integers(len(DRIFTS)))],
+        ),
+        hysteresis=MODELS[int(rng.integers(len(MODELS)))],
+        bias_mv=(*_tuples(-3.0 + 0.7 * rng.standard_normal(len(TRAJECTORIES) - 1)), 0.0),
+    )
+
+
+def _tuples(values: np.ndarray) -> Any:
+    """Numbers of NumPy as nested tuples of Python's: a frozen dataclass of them can be compared and hashed."""
+    plain = values.tolist()
+    if not isinstance(plain, list):
+        return plain
+    return tuple(tuple(row) if isinstance(row, list) else row for row in plain)

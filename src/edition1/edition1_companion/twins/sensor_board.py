@@ -27,6 +27,8 @@ LSB_MV = 2.0 * 2048.0 / 2**16
 """Step of the converter [mV]: 0.0625."""
 FULL_SCALE_MV = 2048.0
 """End of the converter's range [mV]; the largest code is one step below."""
+DRIFTS = ("constant", "ramp", "random walk")
+"""Shapes of the drift."""
 DRIFT_TIME_S = 1500.0
 """Time after which a ramp, or one standard deviation of a random walk, has reached the size of the drift [s]."""
 
