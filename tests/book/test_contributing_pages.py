@@ -22,7 +22,6 @@ PAGES = [
     for name in ("sensor_model", "estimator", "paper")
 ]
 COPIED = (
-    "conftest.py",
     "pyproject.toml",
     "requirements.lock",
     "src",

@@ -24,7 +24,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 def test_every_name_has_an_example_that_runs_as_a_doctest(name):
     found = getattr(repro, name)
     assert found.__name__ == name
-    assert found.__module__.startswith("repro.")
+    assert found.__module__.startswith("edition1.")
     assert ">>> " in found.__doc__
     assert f"{name}" in repro.__doc__
 
