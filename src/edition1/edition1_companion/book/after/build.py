@@ -120,7 +120,7 @@ def page_points(project: Project, inputs: Inputs) -> list[Point]:
 def remove_leftovers(project: Project, notebooks: Iterable[Path]) -> None:
     """Remove pages and records of notebooks that are no longer there."""
     stems = {notebook.stem for notebook in notebooks}
-    for page in project.executed.glob("*"):
+    for page in project.executed.glob("[!.]*"):  # not those of a run that was killed: it will run again
         if page.name.removesuffix(RECORD_SUFFIX).removesuffix(".ipynb") not in stems:
             page.unlink()
 
