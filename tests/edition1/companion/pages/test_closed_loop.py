@@ -17,12 +17,13 @@ from edition1_companion.pages.closed_loop.identification import Commanded, ident
 from edition1_companion.pages.closed_loop.loop import (
     CONTROLLERS,
     REFERENCES,
+    SKIPPED_S,
     TRAINING,
     Learned,
+    LoopTrace,
     Run,
     learn,
     reference_mm,
-    rms_mm,
     run_loops,
 )
 from edition1_companion.pages.closed_loop.rig_loop import SESSIONS, SteppedRig, sessions
@@ -267,6 +268,12 @@ class TestLoop:
             run_loops(TWIN, learned(), [Run("step", PLAIN, "truth")], duration_s=5.0)
         with pytest.raises(InputError, match="Input controller of loops_over_time must be one of PI"):
             loops_over_time(controller="MPC", session="another", seed=0, duration_s=6.0)
+
+
+def rms_mm(trace: LoopTrace):
+    """Tracking error of each run [mm]: root mean square of the distance after the time that is not judged."""
+    apart = (trace.reference_mm - trace.bend_mm)[trace.time_s >= SKIPPED_S]
+    return np.sqrt((apart**2).sum(axis=-1).mean(axis=0))
 
 
 def tune(learned: Learned, *, feed_forward: bool, late: int = LATE) -> Gains:
