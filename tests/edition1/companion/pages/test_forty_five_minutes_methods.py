@@ -27,10 +27,10 @@ def drifting():
 
 
 def test_an_error_is_the_distance_of_the_tip_and_counts_in_its_deviations(drifting):
-    """A straight robot that is bent by a little: the tip is off by J dq, and the covariance is that of dq."""
+    """The tip of a straight robot moves along z by an elongation, whose variance the three segments share."""
     truth = replace(drifting, q=torch.zeros(5, ROBOT.n_q, dtype=torch.float64))
     q, C = truth.q.clone(), 4e-12 * torch.eye(ROBOT.n_q, dtype=torch.float64).expand(5, -1, -1)
-    q[:, 2] = 2e-6  # one segment is longer by one standard deviation; its length counts with two others'
+    q[:, 2] = 2e-6  # one segment is longer by one standard deviation
     flag = torch.zeros(5, 1, dtype=torch.bool)
     none = torch.empty(5, 1, 0, dtype=torch.float64)
     found = Trajectory(q=q[:, None], u_hat=none, covariance=C[:, None], diagnostics={"flag": flag})

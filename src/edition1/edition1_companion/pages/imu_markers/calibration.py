@@ -2,8 +2,9 @@
 
 The study ``martin_calibration`` did this; its code is that of the last commit of the first edition. Nothing was chosen
 by what is judged: noise, tolerances and solver are the defaults of `edition1.estimation.imu_calibration`, every tenth
-sample of the first 60 s was used (about three a second), and no fit saw the points at 200, 480 and 640 mm. In the synthetic motion the first 60 s hold one mode,
-oscillating. The delay between the clocks is found over the whole trial, as the paper does.
+sample of the first 60 s was used (about three a second), and no fit saw the points at 200, 480 and 640 mm. In the
+synthetic motion the first 60 s hold one mode, oscillating. The delay between the clocks is found over the whole trial,
+as the paper does.
 """
 
 from __future__ import annotations
