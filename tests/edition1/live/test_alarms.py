@@ -1,4 +1,4 @@
-"""Faults of sensors, seen by the session of a port and in trials of an emulated robot."""
+"""Faults of sensors, seen by the monitor of an emulated robot and by the session of a port."""
 
 import math
 import threading
@@ -7,19 +7,16 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
+import torch
 from edition1.estimation.consistency import Status
 from edition1.robot_file.load import load_robot
 from edition1_companion.book.studies import read_study
-from edition1_companion.pages.sensor_failure.studies import (
-    SCENARIOS,
-    STUDIES,
-    alarm_sums,
-    alarm_table,
-    alarm_trials,
-)
+from edition1_companion.pages.sensor_failure.studies import alarm_table
 from edition1_live.emulate.links import HAS_PTY
+from edition1_live.emulate.robot_readings import course, readings_along
 from edition1_live.emulate.sensor_faults import SensorFaults, with_sensor_faults
 from edition1_live.follow import live_text
 from edition1_live.follow.robot_estimator import robot_estimator
@@ -28,66 +25,67 @@ from edition1_live.record.recording import read_recording
 from edition1_live.wire.formats import encode
 from edition1_live.wire.frame import Frame
 from moving_robot import robot_readings
+from scipy import stats
 
 ROBOTS = Path(__file__).parents[3] / "data" / "robots"
 TWO = load_robot(ROBOTS / "two_segments.toml")
-SINGLE = ("unplugged", "stuck", "saturated", "gain +5 %")
+SINGLE = {"unplug": 8, "stick": 8, "saturate": 8, "gain": 8}
+ALL = {"magnet": 150.0, "noise": 5.0}
 
 
-@pytest.fixture(scope="module")
-def counts():
-    """One trial of every scenario, at 40 Hz."""
-    slow = replace(TWO, rate_hz=40.0)
-    return {name: alarm_trials(slow, "levenberg_marquardt", name, trials=1, seed=7) for name in SCENARIOS}
+def followed(fault=None, *, start_s=0.0, jump_s=0.0):
+    """Verdicts and estimates of six seconds at 40 Hz; fault and jump come after two; and the true configurations."""
+    slow, time_s = replace(TWO, rate_hz=40.0), np.arange(240) / 40
+    q = course(slow, time_s + start_s + np.where(time_s >= 2.0, jump_s, 0.0), seed=7)
+    sent = readings_along(slow, time_s, q, rng=np.random.default_rng([7, 1]))
+    if fault:
+        sent = with_sensor_faults(sent, SensorFaults(**fault), from_s=2.0, seed=7)
+    estimator = robot_estimator(slow, "levenberg_marquardt")
+    state, verdicts, estimates = estimator.method.init(estimator.start, seed=0), [], []
+    for t, values in zip(time_s.tolist(), sent.values.tolist(), strict=True):
+        state, found = estimator.method.step(state, slow.signal(values), t, mask=estimator.use)
+        verdicts.append(state.verdict)
+        estimates.append(found)
+    return verdicts, estimates, torch.from_numpy(q)
 
 
-def test_what_is_due_is_noticed(counts):
-    assert all(count["noticed"] == count["due"] for count in counts.values())
-    assert sum(count["due"] for count in counts.values()) > 100
-
-
-def test_nothing_is_said_of_consistent_readings(counts):
-    for name in ("none", "start bent", "no reading", "jump"):
-        assert counts[name]["alarms"] == 0, name
-    assert not any(count["alarms_before"] for count in counts.values())
+@pytest.mark.parametrize("case", [{}, {"start_s": 20.0}, {"jump_s": 40.0}, {"fault": {"nan": 8}}])
+def test_nothing_is_said_of_consistent_readings_whose_ellipsoids_hold_the_truth(case):
+    verdicts, estimates, q = followed(**case)
+    assert {verdict.status for verdict in verdicts} == {Status.CONSISTENT}
+    C, error = torch.stack([x.covariance for x in estimates]), q - torch.stack([x.q for x in estimates])
+    squared = (error * torch.linalg.solve(C, error)).sum(-1)[80:]
+    share = float((squared <= stats.chi2.isf(0.05, q.shape[1])).double().mean())
+    assert share == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / len(squared)))
 
 
 @pytest.mark.parametrize("name", SINGLE)
-def test_a_single_sensor_is_named_and_no_other(counts, name):
-    assert counts[name]["named"] == counts[name]["named_right"] == counts[name]["clear"] == 1
-    assert counts[name]["named_readings"] == counts[name]["named_readings_right"]
+def test_a_single_sensor_is_named_and_no_other(name):
+    verdicts = followed({name: SINGLE[name]})[0]
+    assert all(verdict.status == Status.CONSISTENT for verdict in verdicts[:80])
+    assert {verdict.suspects for verdict in verdicts if verdict.suspects} == {(7,)}
 
 
-@pytest.mark.parametrize("name", ["magnet near", "noise x 5"])
-def test_what_reaches_all_sensors_is_no_single_one(counts, name):
-    assert counts[name]["alarms"] > 20
-    assert counts[name]["named_readings"] == 0
+@pytest.mark.parametrize("name", ALL)
+def test_what_reaches_all_sensors_is_no_single_one(name):
+    verdicts = followed({name: ALL[name]})[0]
+    assert all(verdict.status == Status.CONSISTENT for verdict in verdicts[:80])
+    assert sum(verdict.status > Status.CONSISTENT for verdict in verdicts) > 20
+    assert not any(verdict.suspects for verdict in verdicts)
 
 
-def test_trusted_ellipsoids_hold_the_truth(counts):
-    calm = [counts[name] for name in ("none", "start bent", "jump", "no reading")]
-    share = sum(c["trusted_hold"] for c in calm) / sum(c["trusted"] for c in calm)
-    assert share == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / sum(c["trusted"] for c in calm)))
-
-
-def test_shares_are_those_of_the_counts(counts):
-    rows = [{"robot": "r", "estimator": "e", "scenario": name} | count for name, count in counts.items()]
-    table = alarm_table(pd.DataFrame(rows)).set_index("scenario")
-    assert table.loc["unplugged", "noticed_percent"] == table.loc["unplugged", "named_right_percent"] == 100
+def test_shares_are_those_of_the_counts():
+    counts = dict.fromkeys(read_study("alarms")[0].columns, 8)
+    table = alarm_table(pd.DataFrame([
+        counts | {"scenario": "unplugged", "noticed": 6, "due": 8},
+        counts | {"scenario": "none", "noticed": 0, "due": 0},
+    ])).set_index("scenario")  # fmt: skip
+    assert table.loc["unplugged", "noticed_percent"] == 75
     assert math.isnan(table.loc["none", "noticed_percent"])
 
 
-def test_the_table_has_a_row_for_every_case(counts):
-    options = {"estimators": ["levenberg_marquardt"], "scenarios": ["none", "stuck"], "trials": 1, "seed": 7}
-    table = alarm_sums({"two_segments": 40.0}, **options)
-    head = {"robot": "two_segments", "estimator": "levenberg_marquardt"}
-    assert table.to_dict("records") == [head | {"scenario": x} | counts[x] for x in ("none", "stuck")]
-
-
-def test_the_committed_table_belongs_to_the_settings_of_today():
-    (study,) = STUDIES
-    table, settings = read_study(study.name)
-    assert settings == study.settings
+def test_the_committed_table_has_a_row_for_every_case():
+    table, settings = read_study("alarms")
     cases = product(settings["rates_hz"], settings["estimators"], settings["scenarios"])
     assert list(table[["robot", "estimator", "scenario"]].itertuples(index=False, name=None)) == list(cases)
     assert (table["trials"] == settings["trials"]).all()

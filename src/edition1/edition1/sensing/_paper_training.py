@@ -1,4 +1,4 @@
-"""What the two trainings by the paper's recipe share: in torch, and with compiled steps."""
+"""The draws, averages and errors of a training by the paper's recipe."""
 
 from __future__ import annotations
 

@@ -112,10 +112,10 @@ def specs() -> Iterator[NetworkSpec | AffineSpec]:
 
 
 def training_rows(
-    n_segments: int, segment: int, earth: bool, *, samples: int = 120_000, data_seed: int = DATA_SEED
+    n_segments: int, segment: int, earth: bool, *, samples: int = 120_000
 ) -> tuple[Tensor, Tensor]:
     """Relations as angles and readings of the sensors of one segment, float32: 360,000 rows."""
-    data = training_set(n_segments, seed=data_seed, samples=samples, earth=earth)
+    data = training_set(n_segments, seed=DATA_SEED, samples=samples, earth=earth)
     return segment_rows(data, relations(data.robot, data.q, data.earth_axis).angles(), segment)
 
 

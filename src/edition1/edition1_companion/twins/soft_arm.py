@@ -1,8 +1,8 @@
-"""The SYNTHETIC motion behind the IMU experiments: a Cosserat rod moved by a stick, computed once and kept in a file.
+"""The SYNTHETIC motion behind the IMU experiments: a Cosserat rod moved by a stick, kept in a file.
 
-The arm, the place of its IMUs and markers, and the three modes of motion are those of Martin et al. (2022); what the
-paper does not say is assumed (see :class:`edition1_companion.twins.cosserat_rod.Rod` and
-:mod:`edition1_companion.twins.stick_motion`). Base frame: z up, origin at the clamp.
+The file was simulated with PyElastica by the code of the last commit of the first edition. The arm, the place of its
+IMUs and markers, and the three modes of motion are those of Martin et al. (2022). What the paper does not say is
+assumed, and the file holds it as its parameters. Base frame: z up, origin at the clamp.
 """
 
 from __future__ import annotations
@@ -18,9 +18,7 @@ from edition1.errors import bad_input, require
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-from edition1_companion.twins.stick_motion import (
-    mode_at,
-)
+from edition1_companion.twins.stick_motion import mode_at
 
 POSITION_QUANTUM_M = 1e-5
 QUATERNION_QUANTUM = 2.0**-16
@@ -92,14 +90,16 @@ class SoftArm:
 
 
 def load_soft_arm(path: Path) -> SoftArm:
-    """Read what :func:`write_soft_arm` wrote.
+    """Read a motion from a file.
+
+    Positions are in 0.01 mm and quaternion components in 2^-16, as second differences in time.
 
     Raises
     ------
     InputError
         If the file is not there, or not such a file.
     """
-    require(path.is_file(), "path", "load_soft_arm", "a file that write_soft_arm made", path)
+    require(path.is_file(), "path", "load_soft_arm", "a file of a motion", path)
     try:
         # From memory: of a damaged file NumPy leaves the handle open.
         with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as file:
@@ -116,12 +116,10 @@ def load_soft_arm(path: Path) -> SoftArm:
     except (
         Exception
     ) as error:  # a damaged file can fail anywhere in the readers, with whatever is raised there
-        raise bad_input(
-            "file", path.name, "one that write_soft_arm made", f"{type(error).__name__}: {error}"
-        ) from error
+        raise bad_input("file", path.name, "one of a motion", f"{type(error).__name__}: {error}") from error
 
 
 def _unpacked(steps: np.ndarray, quantum: float) -> np.ndarray:
-    """Undo `_packed`, but for the rounding."""
+    """Values from second differences in time, whose last axis is time, in units of a quantum."""
     rounded = np.cumsum(np.cumsum(steps, axis=-1, dtype=np.int64), axis=-1)
     return np.moveaxis(rounded * quantum, -1, 0).copy()

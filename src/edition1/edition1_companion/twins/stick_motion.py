@@ -1,8 +1,8 @@
-"""A SYNTHETIC hand that moves a soft arm with a stick, in the three modes of Martin et al. (2022), section III-C.
+"""When a SYNTHETIC hand moves a soft arm in which of the three modes of Martin et al. (2022), section III-C.
 
-The path belongs to the point 480 mm from the base, between the two markers, which the stick pulls towards it. All
-amplitudes and periods are assumed; they were set so that the speeds and the angles between the IMUs come near the
-recorded ones. Base frame: z up, origin at the clamp.
+The hand holds a stick, which pulls the point 480 mm from the base, between the two markers. The path of the hand is
+assumed: its amplitudes and periods were set so that the speeds and the angles between the IMUs come near the recorded
+ones. The code of the path is that of the last commit of the first edition.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def mode_at(time_s: Float[np.ndarray, " samples"]) -> np.ndarray:
     Raises
     ------
     InputError
-        A time before 0; the last mode goes on after :data:`DURATION_S`.
+        A time before 0; the last mode has no end.
 
     Examples
     --------

@@ -31,14 +31,6 @@ def angles() -> pd.DataFrame:
     return pd.DataFrame({"angle_0_1_deg": TIMES, "angle_1_2_deg": 2 * TIMES, "time_s": TIMES})
 
 
-def test_shapes_have_one_line_each_and_equal_axes(shapes):
-    axes = arm_shapes(shapes, "synthetic stream").axes[0]
-    assert len(axes.lines) == 12 + 1  # and the base
-    spans = [np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim(), axes.get_zlim())]
-    np.testing.assert_allclose(axes.get_box_aspect() / spans, (axes.get_box_aspect() / spans)[0])
-    assert "synthetic stream" in axes.get_title()
-
-
 def test_one_shape_can_be_drawn(shapes):
     assert png(arm_shapes(shapes.head(9), "synthetic stream")).startswith(b"\x89PNG")
 
@@ -52,15 +44,7 @@ def test_tip_is_drawn_over_time_and_from_above(shapes):
 
 def test_jumps_are_marked_in_the_panels_of_their_pairs(angles):
     panels = neighbour_angles(angles, JUMPS, "recorded bag").axes
-    marks = [[(line.get_xdata()[0], line.get_color()) for line in panel.lines[1:]] for panel in panels]
-    assert marks == [[(2.0, "#D55E00")], [(3.0, "#E69F00"), (2.0, "#D55E00")]]
-
-
-def test_no_jumps(angles):
-    """Then nothing explains marks that are not there."""
-    figure = neighbour_angles(angles, JUMPS.head(0), "recorded bag")
-    assert not figure.legends
-    assert png(figure).startswith(b"\x89PNG")
+    assert [[line.get_xdata()[0] for line in panel.lines[1:]] for panel in panels] == [[2.0], [3.0, 2.0]]
 
 
 def test_same_table_same_bytes(angles):

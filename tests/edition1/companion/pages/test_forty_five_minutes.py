@@ -1,4 +1,4 @@
-"""The twin that drifts for 45 minutes: what each drift does to its readings, and what the plain fusion errs."""
+"""The twin that drifts for 45 minutes: what each drift does to its readings."""
 
 from dataclasses import replace
 
@@ -7,19 +7,16 @@ import pytest
 import torch
 from edition1.errors import InputError
 from edition1.sensing.magnetic import readings
-from edition1_companion.pages.forty_five_minutes.plain import fused_tip_percent
 from edition1_companion.pages.forty_five_minutes.twin import (
     EARTH,
     ELONGATION_M,
     FAST_TILT,
     IMUS,
-    JUDGED,
     MINUTES,
     NOISE_MT,
     RATE_HZ,
     RING,
     ROBOT,
-    SETTING,
     Sizes,
     draw_twin,
 )
@@ -93,20 +90,10 @@ def test_iron_disturbs_its_minute_only(calm):
     assert iron.iron_s[1] - iron.iron_s[0] == pytest.approx(Sizes().iron_s)
 
 
-def test_a_seed_is_a_twin_and_none_is_both_judged_and_set(calm):
+def test_a_seed_is_a_twin(calm):
     torch.testing.assert_close(draw_twin(7, minutes=6.0, sizes=STILL).hall_mt, calm.hall_mt, rtol=0, atol=0)
     assert float((draw_twin(8, minutes=6.0, sizes=STILL).hall_mt - calm.hall_mt).abs().max()) > NOISE_MT
-    assert not set(JUDGED) & set(SETTING)
     with pytest.raises(
         InputError, match="Input minutes of draw_twin must be at least 6; instead received 5.0"
     ):
         draw_twin(0, minutes=5.0)
-
-
-def test_the_plain_fusion_is_good_until_there_is_drift(calm):
-    drifted = draw_twin(
-        7, minutes=6.0, sizes=replace(STILL, offset_mt=Sizes().offset_mt * (MINUTES / 6) ** 0.5)
-    )
-    good, bad = fused_tip_percent([calm, drifted], last_minutes=2.0)
-    assert good < 0.3
-    assert bad > 4 * good

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from edition1.estimation.conformal import adaptive_factors, block_weights, conformal_factor, ellipsoid_scores
-from edition1_companion.book.studies import committed
-from edition1_companion.pages.intervals import figures, scored, studies, tables
+from edition1_companion.book.studies import joined
+from edition1_companion.pages.intervals import figures, scored, tables
 from edition1_companion.recordings.continuum_robot import find_trials
 from edition1_companion.twins import followed_rod
 from edition1_companion.twins.bend_takes import write_bend_takes
@@ -19,7 +19,7 @@ from edition1_companion.twins.rig_data import load_recordings
 
 ROOT = Path(__file__).parents[4]
 RECORDINGS = ROOT / "data" / "recordings" / "continuum_robot"
-STUDY = committed(studies.STUDIES)
+STUDY = joined(["intervals_twins"])
 
 
 def methods_of_the_page():
@@ -165,16 +165,6 @@ def test_bands_hold_on_random_twins_as_often_as_they_say():
     t3 = "random twins T3 (synthetic)"
     assert by[t3, "gaussian"]["coverage_percent"] < 60
     assert by[t3, "conformal"]["coverage_percent"] == pytest.approx(90, abs=3)
-
-
-def test_the_study_is_what_its_code_gives():
-    """The first seconds of a twin: its filter looks back only."""
-    table = studies.distances(twins=[0], longest_s=3.0, every_s=1.0, unlagged=["T3"])
-    keys = ["twin", "changed", "trajectory", "time_s"]
-    both = table.merge(STUDY, on=keys, suffixes=("", "_kept"))
-    assert len(both) == len(table) == 7 * 3
-    np.testing.assert_allclose(both["distance"], both["distance_kept"], rtol=2e-3)
-    np.testing.assert_allclose(both["deviation_mm"], both["deviation_mm_kept"], rtol=2e-3)
 
 
 def test_bands_of_the_rig_come_from_the_same_trajectory():

@@ -11,7 +11,7 @@ from edition1.sensing.placement import Tolerances
 from edition1_companion.book.bootstrap import interval
 from edition1_companion.pages.bend_tests import errors as bend_errors
 from edition1_companion.pages.closed_loop import tables as loops
-from edition1_companion.pages.closed_loop.loop import LoopTrace, judged_rms_mm, reference_mm, rms_mm
+from edition1_companion.pages.closed_loop.loop import reference_mm
 from edition1_companion.pages.fusion import study as fusion
 from edition1_companion.twins.bend_tests import BendTake
 from edition1_companion.twins.segment_motion import TRAJECTORIES, motion
@@ -19,22 +19,6 @@ from scipy.stats import norm
 
 
 class TestLoops:
-    def trace(self):
-        """Ten seconds at 1 Hz; the first five do not count, in which everything is far off."""
-        time_s = np.arange(10.0)
-        bend = np.zeros((10, 1, 2))
-        bend[:5] = 100.0
-        reference, told = np.zeros_like(bend), bend.copy()
-        reference[5:, 0] = [[3.0, 4.0], [0.0, 0.0], [3.0, -4.0], [0.0, 0.0], [5.0, 0.0]]
-        told[5:, 0, 0] = 2.0
-        return LoopTrace(time_s, reference, bend, told, np.zeros((10, 1), dtype=bool))
-
-    def test_tracking_error_is_the_root_mean_square_of_the_distance(self):
-        """Distances 5, 0, 5, 0, 5 mm: sqrt(75/5). What was told is 2 mm off at every step."""
-        trace = self.trace()
-        assert rms_mm(trace).tolist() == pytest.approx([math.sqrt(15.0)])
-        assert judged_rms_mm(trace, trace.fed_back_mm - trace.bend_mm).tolist() == pytest.approx([2.0])
-
     def test_ratio_is_a_mean_of_ratios_and_the_target_belongs_to_it(self):
         """1.25/1 and 2.7/2: the mean of ratios is 1.3, the ratio of means would be 3.95/3 = 1.32."""
         rows = [

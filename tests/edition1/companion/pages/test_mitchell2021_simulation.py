@@ -21,10 +21,7 @@ from edition1_companion.pages.probabilistic_curvature.scorecard import (
 from edition1_companion.pages.probabilistic_curvature.simulation import (
     BEST,
     FITS,
-    GAUSS_NEWTON,
     PAPER,
-    WEIGHTED,
-    errors_by_curve,
     errors_by_setting,
     errors_over_time,
     follow,
@@ -33,9 +30,15 @@ from edition1_companion.pages.probabilistic_curvature.simulation import (
     memoryless,
     over_seeds,
 )
-from edition1_companion.pages.probabilistic_curvature.studies import STUDIES
 
 FEW = replace(PAPER, particles=100)
+WEIGHTED = replace(PAPER, process_noise_pi=0.004, estimate="weighted", resampling="systematic")
+GAUSS_NEWTON = replace(PAPER, estimate="Gauss-Newton", resampling="systematic")
+
+
+def rmse_mm(setting, **options):
+    """Root mean square error of a setting on one curve [mm]."""
+    return float(follow(setting, **options)[0].square().mean().sqrt())
 
 
 def test_batch_of_curves_and_process_noises_equals_each_alone():
@@ -47,13 +50,13 @@ def test_batch_of_curves_and_process_noises_equals_each_alone():
 
 def test_settings_differ_as_they_should_on_noise_free_readings():
     """The paper's at the stated noise, the same at 0.005 pi, ours, and one least-squares step: each is smaller."""
-    table = errors_by_curve([PAPER, FITS, WEIGHTED, GAUSS_NEWTON], steps=60, curves=["seagull"])
-    paper, fits, weighted, newton = table["rmse_mm"]
+    options = {"steps": 60, "curves": ["seagull"]}
+    paper, fits, weighted, newton = (rmse_mm(x, **options) for x in (PAPER, FITS, WEIGHTED, GAUSS_NEWTON))
     assert 0.01 < paper < 0.06  # the straight start weighs more here than along the whole curve
     assert fits < paper / 2
     assert weighted < fits
     assert newton < 1e-5
-    assert table["lost_percent"].max() == 0
+    assert not follow(PAPER, **options)[1].any()
 
 
 def test_error_of_the_stated_setting_agrees_with_its_law_where_the_arc_is_bent():
@@ -64,7 +67,7 @@ def test_error_of_the_stated_setting_agrees_with_its_law_where_the_arc_is_bent()
 
 
 def test_best_is_closer_than_least_squares_on_readings_with_noise():
-    ours = errors_by_curve([BEST], steps=200, curves=["flower"])["rmse_mm"].iloc[0]
+    ours = rmse_mm(BEST, steps=200, curves=["flower"])
     alone = memoryless(200).set_index("curve")["rmse_mm"]
     assert ours < 0.8 * alone["flower"]
     # Standard deviation of least squares at the straight pose: noise times gain for two components.
@@ -78,8 +81,7 @@ def test_summary_is_that_of_the_errors():
     part = table[table["curve"] == "flower"]["error_mm"].to_numpy()
     assert cells["rmse_mm"]["flower"] == pytest.approx(np.sqrt((part**2).mean()))
     assert cells["worst_mm"]["flower"] == part.max()
-    again = errors_by_curve([FEW], steps=30, curves=["spiral", "flower"]).set_index("curve")
-    assert again["rmse_mm"]["spiral"] == pytest.approx(cells["rmse_mm"]["spiral"])
+    assert cells["rmse_mm"]["spiral"] == pytest.approx(rmse_mm(FEW, steps=30, curves=["spiral"]))
 
 
 def test_same_seed_same_errors_and_another_seed_others():
@@ -104,10 +106,10 @@ def test_law_has_its_proportions():
 
 
 def test_over_seeds():
-    table = errors_by_curve([FEW], seeds=[0, 1], steps=10, curves=["flower"])
-    line = over_seeds(table).iloc[0]
-    assert line["rmse_mm"] == pytest.approx(table["rmse_mm"].mean())
-    assert line["rmse_std_mm"] == pytest.approx(table["rmse_mm"].std())
+    head = {"setting": "few", "process_noise_pi": 0.02, "noise_mt": 0.0, "curve": "flower"}
+    line = over_seeds(pd.DataFrame([head | {"rmse_mm": error} for error in (1.0, 3.0)])).iloc[0]
+    assert line["rmse_mm"] == 2.0
+    assert line["rmse_std_mm"] == pytest.approx(math.sqrt(2))
     assert line["seeds"] == 2
 
 
@@ -195,15 +197,3 @@ def test_update_rate_is_taken_from_the_benchmark(tmp_path):
     assert (line["row"], line["regenerated"], line["setting"]) == ("1000 particles", 1234, "benchmark")
     path.write_text("capability,kind,ours,unit\n")
     assert update_rate_rows(path) == []
-
-
-def test_studies_name_their_functions_and_settings():
-    names = [study.name for study in STUDIES]
-    assert names == ["particle_settings", "particle_process_noise", "particle_sensor_noise", "particle_count"]
-    for study in STUDIES:
-        smaller = study.settings | {"steps": 3}
-        for many in ("seeds", "particles", "process_noise_pi", "names"):
-            if many in smaller:
-                smaller[many] = smaller[many][:1]
-        table = study.compute(**smaller)
-        assert table["rmse_mm"].gt(0).all()

@@ -1,14 +1,12 @@
-"""The rod at rest against arcs, beam theory, the elastica in closed form, and the rod of PyElastica."""
+"""The rod at rest against arcs, beam theory and the elastica in closed form."""
 
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 from edition1.errors import InputError
 from edition1.kinematics.constant_curvature import ConstantCurvature
-from edition1_companion.twins.cosserat_rod import Rod, Stick, simulate_rod
 from edition1_companion.twins.segment_motion import SHEAR_FACTOR, StaticRod
 from scipy.optimize import brentq
 from scipy.special import ellipk, ellipkinc
@@ -65,21 +63,6 @@ def test_a_large_force_gives_the_elastica(load):
     push = load * rod.bending_stiffness / rod.length_m**2
     tip = rod.equilibrium(STRAIGHT, ONE, force(push, 0.0, 0.0))[-1]
     assert math.asin(tip[0, 2]) == pytest.approx(angle, rel=2e-4)
-
-
-def test_it_is_where_the_rod_of_pyelastica_comes_to_rest():
-    """A spring of known force at the tip, no gravity; there bending starts half an element above the base."""
-    hand = np.array([0.12, 0.04, 0.17])
-    moving = Rod(length_m=0.2, imu_arcs_m=(), elements=20, gravity=0.0)
-    stick = Stick(lambda time_s: np.tile(hand, (len(time_s), 1)), 0.2, 40.0)
-    motion = simulate_rod(moving, stick, duration_s=2.5, rate_hz=2.0, dt_s=2e-4)
-    nodes = motion.nodes[-1]
-    assert np.abs(nodes - motion.nodes[-2]).max() < 1e-5
-    pull = 40.0 * (hand - nodes[-1])
-    still = StaticRod(0.195, moving.radius_m, moving.youngs_modulus_pa, elements=39)
-    found = still.equilibrium(STRAIGHT, ONE, torch.from_numpy(pull))[..., :3, 3].numpy()
-    assert np.abs(nodes[-1, :2]).max() > 0.06
-    assert np.abs(found[-1] + [0.0, 0.0, 0.005] - nodes[-1]).max() < 1e-3
 
 
 def test_too_large_a_force_is_refused():

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 from edition1.errors import InputError
-from edition1.estimation.imu_models import exact_arcs, pcc_extended, rigid_links, tangent_interpolation
+from edition1.estimation.imu_models import exact_arcs, pcc_extended, rigid_links
 from edition1.estimation.imu_selection import Selection
-from edition1_companion.pages.how_many_imus.bounds import arcs_bound, pcc_bound, rigid_bound, tangents_bound
+from edition1_companion.pages.how_many_imus.bounds import arcs_bound, pcc_bound, rigid_bound
 from edition1_companion.pages.how_many_imus.needed import imus_needed
 from edition1_companion.recordings.martin2022_models import selection
 from scipy.integrate import quad
@@ -22,9 +22,6 @@ PAIRS = {
     "PCC-2": (pcc_extended, pcc_bound, 2, False, 2),
     "PCC-8": (pcc_extended, pcc_bound, 8, False, 2),
     "arcs": (exact_arcs, arcs_bound, 1, False, 2),
-    "tangents-1": (tangent_interpolation, tangents_bound, 1, False, 2),
-    "tangents-2": (tangent_interpolation, tangents_bound, 2, False, 2),
-    "tangents-8": (tangent_interpolation, tangents_bound, 8, False, 2),
 }
 AT = np.arange(0, STEPS + 1, 8)
 POINTS = LENGTH * AT / STEPS
@@ -78,7 +75,7 @@ def test_rigid_bound_is_attained_where_curvature_is_constant():
 def test_circles_and_straight_arms_leave_no_error_of_arcs():
     arm = selection("pcc", 8)
     np.testing.assert_array_equal(arcs_bound(arm, POINTS, curvature=5.0, slope=0.0), 0.0)
-    for bound in (pcc_bound, arcs_bound, tangents_bound):
+    for bound in (pcc_bound, arcs_bound):
         np.testing.assert_allclose(bound(arm, POINTS, curvature=0.0, slope=0.0), 0.0, atol=1e-15)
     np.testing.assert_array_equal(rigid_bound(selection("rigid", 8), POINTS, curvature=0.0, slope=0.0), 0.0)
 
@@ -151,7 +148,7 @@ def test_smallest_number_of_imus():
     assert imus_needed(arcs_bound, LENGTH, 1e-6, curvature=1.0, slope=0.0) == 1
 
 
-@pytest.mark.parametrize("bound", [rigid_bound, pcc_bound, arcs_bound, tangents_bound])
+@pytest.mark.parametrize("bound", [rigid_bound, pcc_bound, arcs_bound])
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -13,7 +13,7 @@ from edition1.estimation.imu_models import (
     tangent_spline,
 )
 from edition1.estimation.imu_selection import Selection
-from edition1_companion.pages.how_many_imus.bounds import pcc_bound, tangents_bound
+from edition1_companion.pages.how_many_imus.bounds import pcc_bound
 from edition1_companion.recordings.martin2022_models import selection
 
 FILES = [("rigid", 2, None), ("rigid", 4, None), ("pcc", 2, 16), ("pcc", 4, 16)]
@@ -113,6 +113,5 @@ def test_origin_moves_every_model(arm, model):
 
 def test_bounds_hold_for_the_printed_rule_only():
     made = replace(selection("pcc", 8), interpolation="inner points")
-    for bound in (pcc_bound, tangents_bound):
-        with pytest.raises(InputError, match='must be one with the interpolation "midpoints"'):
-            bound(made, 0.1, curvature=1.0)
+    with pytest.raises(InputError, match='must be one with the interpolation "midpoints"'):
+        pcc_bound(made, 0.1, curvature=1.0)

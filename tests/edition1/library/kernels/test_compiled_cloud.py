@@ -13,9 +13,13 @@ from edition1.estimation.regions import Box, Disc
 from edition1.kernels import compiled
 from edition1.kernels._weighing import _smallest
 from edition1.sensing.bend_sensor import BendSensor
-from edition1_companion.pages.probabilistic_curvature.simulation import BEST, GAUSS_NEWTON, PAPER, WEIGHTED
+from edition1_companion.pages.probabilistic_curvature.simulation import BEST, PAPER
 from edition1_companion.twins.bend_curves import bend_curve, bend_readings
 
+WEIGHTED = replace(
+    PAPER, name="weighted mean", process_noise_pi=0.004, estimate="weighted", resampling="systematic"
+)
+GAUSS_NEWTON = replace(PAPER, name="Gauss-Newton", estimate="Gauss-Newton", resampling="systematic")
 SENSOR = BendSensor(15e-3)
 FAST = compiled(SENSOR)
 START = torch.zeros(2, dtype=torch.float64)

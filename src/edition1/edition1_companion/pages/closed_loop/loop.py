@@ -129,8 +129,6 @@ class Run:
         One of :data:`ESTIMATORS`.
     late
         By how many readings the true bend is fed back late, for the tuning.
-    watched
-        The true bend is fed back, and ours only watches: what it finds stands in its place in the trace.
     """
 
     reference: str
@@ -139,7 +137,6 @@ class Run:
     seed: int = 0
     estimator: str = ESTIMATORS[0]
     late: int = 0
-    watched: bool = False
 
 
 @dataclass(frozen=True)
@@ -151,7 +148,7 @@ class LoopTrace:
     time_s
         Of the readings.
     reference_mm, bend_mm, fed_back_mm
-        Reference, true bend, and the bend that the controller was told; in a watched run, what ours found.
+        Reference, true bend, and the bend that the controller was told.
     bounded
         Whether the command was at the bound of the pressures.
     """
@@ -201,7 +198,6 @@ def run_loops(
     for _ in range(waited):
         state, *_ = rig.step(state, pressures)
 
-    watched = np.array([[run.watched] for run in runs])
     bends, fed_backs, bounded = [], [], []
     for tick in range(ticks):
         state, q, q_magnet = rig.step(state, pressures)
@@ -219,7 +215,7 @@ def run_loops(
                 filters[e], estimate = ours[e].step(state_of_filters, u[at], time_s[tick])
                 fed_back[own[at]] = estimate.diagnostics["bend_mm"].numpy()
         torque = following
-        control, pressures = controller.step(control, wanted[tick], np.where(watched, bends[-1], fed_back))
+        control, pressures = controller.step(control, wanted[tick], fed_back)
         fed_backs.append(fed_back)
         bounded.append(control.bounded)
     return LoopTrace(time_s, wanted, np.stack(bends), np.stack(fed_backs), np.stack(bounded))

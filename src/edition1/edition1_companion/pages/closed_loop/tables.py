@@ -71,7 +71,7 @@ def tracking_ratios(errors: pd.DataFrame, group: str, *, draws: int) -> pd.DataF
     Parameters
     ----------
     errors
-        From `edition1_companion.pages.closed_loop.studies.run_errors`, with the column ``group``.
+        Tracking errors of a study of the closed loop, with the column ``group``.
     group
         Column by which they stand besides controller, session and reference.
     draws
@@ -123,7 +123,7 @@ def ratio_ranges(changed: pd.DataFrame, twins: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     changed, twins
-        From ``changed_errors`` and ``twin_errors`` of `edition1_companion.pages.closed_loop.studies`.
+        The studies ``loop_changed`` and ``loop_twins``.
 
     Returns
     -------

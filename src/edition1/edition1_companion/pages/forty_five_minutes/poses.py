@@ -4,6 +4,7 @@ Moments, gains and offsets of a robot are off by what ``repro calibrate --self``
 place of its parts and the Earth field by their tolerances as well; both ways of calibration know which. The robot is
 calibrated from a motion, or with poses that are known as well as ``repro calibrate`` assumes. Then another motion is
 estimated from its Hall sensors by least squares. All fields come from magpylib, IMUs err as on the rest of the page.
+The code that did this is that of the last commit of the first edition.
 """
 
 from __future__ import annotations

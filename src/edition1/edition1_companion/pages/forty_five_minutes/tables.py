@@ -18,7 +18,7 @@ def by_twin(minutes: pd.DataFrame, last: int = LAST_MINUTES) -> pd.DataFrame:
     Parameters
     ----------
     minutes
-        Columns of :func:`edition1_companion.pages.forty_five_minutes.methods.errors_by_minute`.
+        Columns of the study ``forty_five_minutes``.
     last
         Minutes at the end that count.
     """
@@ -101,7 +101,7 @@ def against_poses(draws: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     draws
-        Columns of :func:`edition1_companion.pages.forty_five_minutes.poses.compared`.
+        Columns of the studies ``forty_five_minutes_poses_1`` and so on.
     """
     same = ["robot", "off", "draw"]
     posed = draws[draws["calibration"] == "poses"].set_index(same)["tip_rmse_percent"].rename("posed")

@@ -5,10 +5,10 @@ at its tip; an IMU sits at each tip as well. Its base is clamped upright, in a c
 is as calibrated; from then on it drifts. Fields come from magpylib at the true poses.
 
 All sizes were fixed before any estimator that calibrates itself saw a reading. Those with a source are as there. The
-wander of the Hall sensors' offsets has none that fits every sensor; it was set so that the plain fusion of
-:func:`edition1_companion.pages.forty_five_minutes.plain.fused_tip_percent`, which takes the calibration of the start for
-true, ends between 2 and 4 % of the length on twins that are not judged: it errs by 1.8, 4.8, 4.2, 2.5 and 3.0 % over
-the last 15 minutes of those of ``SETTING``, 3.0 % in the median. No other value was tried.
+wander of the Hall sensors' offsets has none that fits every sensor; it was set so that a plain
+fusion, which takes the calibration of the start for true, ends between 2 and 4 % of the length on twins that are not
+judged: it errs by 1.8, 4.8, 4.2, 2.5 and 3.0 % over the last 15 minutes of those of the seeds 100 to 104, 3.0 % in the
+median. No other value was tried.
 """
 
 from __future__ import annotations

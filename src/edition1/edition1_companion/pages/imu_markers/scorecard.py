@@ -88,7 +88,7 @@ def scorecard_rows(table: pd.DataFrame, best: pd.DataFrame | None = None) -> lis
     table
         Quantiles per draw, columns as from ``marker_errors``. Rows whose cases are not in it are left out.
     best
-        Errors of the calibrated models, columns as from ``over_sensors``: what ours reaches.
+        Errors of the calibrated models, columns of the study ``martin_calibration``: what ours reaches.
     """
     found = table.drop_duplicates(["case", "evaluation", "marker", "draw"])
     rows = []

@@ -196,7 +196,7 @@ def law_mm(process_noise_pi: float, particles: int = 1000, length_m: float = LEN
 
 
 def law_table(*tables: pd.DataFrame) -> pd.DataFrame:
-    """Error law at every process noise, number of particles and length of some tables of ``errors_by_curve``.
+    """Error law at every process noise, number of particles and length of some tables of studies.
 
     Returns
     -------
@@ -209,7 +209,7 @@ def law_table(*tables: pd.DataFrame) -> pd.DataFrame:
 
 
 def over_seeds(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean and standard deviation over the seeds of a table of ``errors_by_curve``, by setting and curve.
+    """Mean and standard deviation over the seeds of a table of errors, by setting and curve.
 
     Returns
     -------

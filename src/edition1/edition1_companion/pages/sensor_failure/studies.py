@@ -1,4 +1,4 @@
-"""Are faults of sensors noticed? The faults that an emulated robot can have, with the monitor watching; synthetic."""
+"""Are faults of sensors noticed? What the study ``alarms`` of an emulated robot with a monitor says; synthetic."""
 
 from __future__ import annotations
 

@@ -203,7 +203,7 @@ def choices(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table
-        Columns of :func:`~edition1_companion.pages.sensor_placement.studies.choices`.
+        Columns of the study ``placement_choices``.
     """
     figure, (left, right) = plt.subplots(2, 1, figsize=(WIDTH_IN, 6.6))
     nominal = table[table["study"] == "number"].iloc[0]

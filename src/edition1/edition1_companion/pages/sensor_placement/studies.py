@@ -1,4 +1,4 @@
-"""The studies of the placement page that take minutes: more robots, more starts, one freedom after the other."""
+"""Layouts that a search finds for a robot, and the errors that they let expect."""
 
 from __future__ import annotations
 

@@ -120,8 +120,7 @@ def bias_by_factor(errors: pd.DataFrame, changed: pd.DataFrame, published: pd.Da
     errors, published
         As in :func:`bias_table`, of the recipe as released.
     changed
-        As ``errors``, with a column ``factor``
-        (:func:`edition1_companion.pages.table_1.training.factor_errors`).
+        As ``errors``, with a column ``factor``: the study ``table_1_factors``.
 
     Returns
     -------
