@@ -34,7 +34,6 @@ ICONS = {
     "file": 0xF15B,
     "sun": 0xF185,
     "moon": 0xF186,
-    "file-pdf": 0xF1C1,
 }
 """What pages show of the icons; for one that is not here, a browser loads the whole font of the theme."""
 USED_BY = {
