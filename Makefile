@@ -53,7 +53,7 @@ book: .env-book
 # Modules stay whole: what a module prepares is prepared once. Those that mostly wait, for ports and clocks, come first,
 # and one process more than there are cores uses what their waiting leaves.
 test: env
-	$(PY) -m pytest -n $$(($(JOBS) + 1)) --dist loadscope --no-loadscope-reorder --ignore-glob='tests/book/test_site*.py' \
+	$(PY) -m pytest -n $$(($(JOBS) + 1)) --dist loadscope --no-loadscope-reorder --durations=40 --ignore-glob='tests/book/test_site*.py' \
 	  tests/edition1/live/test_own_robot_page.py tests/edition1/live tests src
 
 # A list that anybody may add to: bench/mutants/mutants.toml

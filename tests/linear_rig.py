@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+
 from edition1_companion.pages.closed_loop.identification import Segment
 from edition1_companion.twins.rig_map import SCALE_MM, BendMap
 

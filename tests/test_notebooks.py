@@ -13,10 +13,10 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from edition1_companion.book.after.paper_index import index_path, read_index
-from edition1_companion.book.project import Project
 
 import edition1 as repro
+from edition1_companion.book.after.paper_index import index_path, read_index
+from edition1_companion.book.project import Project
 
 PROJECT = Project(Path(__file__).resolve().parents[1])
 NOTEBOOKS = {

@@ -194,7 +194,7 @@ def test_named_paths_and_links_exist(name):
 def test_dead_paths_are_found():
     """In links, in code and in commands; what is made, patterns and other hosts are left alone."""
     text = """[a](book/none.md#x) [b](README.md#x) [c](#x) [d](https://example.org/x.md)
-    `data/none.csv`, `src/edition1/edition1/*.py`, `data/*.none`, `none.toml`, `pyproject.toml`, `results/none.csv`
+    `data/none.csv`, `src/edition1/edition1/*.py`, `data/*.none`, `none.toml`, `pyproject.toml`, `runs/none.csv`
     ```bash
     .venv/bin/repro run notebooks/none.ipynb -p n 3
     .venv/bin/repro run notebooks/kinematics.ipynb -o out/none.ipynb

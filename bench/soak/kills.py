@@ -12,6 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+
 from edition1.errors import bad_input
 from edition1_live.record.recording import read_recording
 from edition1_live.wire.formats import encode

@@ -13,9 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from edition1_live.record.recording import read_recording
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
+
+from edition1_live.record.recording import read_recording
 
 RATE_HZ = 40
 _MCAP = """

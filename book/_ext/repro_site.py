@@ -8,13 +8,14 @@ import shutil
 from pathlib import Path
 
 from docutils import nodes
+from fontTools import subset
+from page_access import accessible, schematics_in_full
+from sphinx.application import Sphinx
+
 from edition1.files import write_whole
 from edition1_companion.book.after.page_notes import with_notes, write_page_files
 from edition1_companion.book.project import Project
 from edition1_companion.book.values import filled
-from fontTools import subset
-from page_access import accessible, schematics_in_full
-from sphinx.application import Sphinx
 
 VIEWER = "shape_viewer.js"
 VIEWER_IN_PACKAGE = f"src/edition1/edition1_live/view/viewer/{VIEWER}"

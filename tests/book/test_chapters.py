@@ -11,10 +11,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from edition1_companion.book.after.paper_index import read_index
-from edition1_companion.book.values import PLACE
 from loose_digits import loose_digits, texts
 from papermill import inspect_notebook
+
+from edition1_companion.book.after.paper_index import read_index
+from edition1_companion.book.values import PLACE
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAPTERS = ROOT / "book" / "chapters"

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 import sympy as sp
 import torch
+from numpy.testing import assert_allclose
+
+from edition1 import BendSensor, ConstantCurvature, LinearisedSensing, pcc_extended
 from edition1.estimation.imu_models import exact_arcs, rigid_links
 from edition1.estimation.imu_selection import Selection
 from edition1.estimation.information import fisher_information
@@ -18,9 +21,6 @@ from edition1.sensing.multipole import MultipoleField
 from edition1_companion.pages.how_many_imus import curves as imu_curves
 from edition1_companion.twins.calibrated_robots import box
 from edition1_companion.twins.robot_tables import misprint
-from numpy.testing import assert_allclose
-
-from edition1 import BendSensor, ConstantCurvature, LinearisedSensing, pcc_extended
 
 QUARTER_MM = 34.56
 """Bending in the exercise of the first chapter: a right angle on the radius of 22 mm."""

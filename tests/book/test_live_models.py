@@ -13,15 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from edition1.estimation import imu_models
-from edition1.estimation._resampling import draws, stream
-from edition1.estimation.imu_selection import Selection
-from edition1.estimation.levenberg_marquardt import covariance
-from edition1.estimation.orientations import exponential, product
-from edition1.estimation.particle_filter import ParticleFilter, ParticleState
-from edition1.estimation.regions import Disc
-from edition1.sensing.linearised import LinearisedSensing
-from edition1.sensing.magnets import B444B, ring
 
 from edition1 import (
     BendSensor,
@@ -33,6 +24,15 @@ from edition1 import (
     magnet_mounts,
     sensor_mounts,
 )
+from edition1.estimation import imu_models
+from edition1.estimation._resampling import draws, stream
+from edition1.estimation.imu_selection import Selection
+from edition1.estimation.levenberg_marquardt import covariance
+from edition1.estimation.orientations import exponential, product
+from edition1.estimation.particle_filter import ParticleFilter, ParticleState
+from edition1.estimation.regions import Disc
+from edition1.sensing.linearised import LinearisedSensing
+from edition1.sensing.magnets import B444B, ring
 
 LIVE = Path(__file__).resolve().parents[2] / "book" / "_static" / "live"
 CONFIGURATIONS = 10_000

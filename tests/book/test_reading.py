@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 
 import pytest
+
 from edition1_companion.book.parameters import convert, convert_all, declared_parameters
 from edition1_companion.book.runner import read_notebook
 from edition1_companion.cli import app

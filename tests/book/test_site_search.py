@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 from built_site import no_site, url_of
+from page_visit import open_page
+
 from edition1_companion.book.after.paper_index import index_path, read_index
 from edition1_companion.book.project import Project
-from page_visit import open_page
 
 PROJECT = Project(Path(__file__).resolve().parents[2])
 PAPERS = {

@@ -5,9 +5,10 @@ import os
 import jaxtyping
 import pytest
 import torch
-from edition1.estimation._particle_cloud import best_tenth
 from jaxtyping import Float
 from torch import Tensor
+
+from edition1.estimation._particle_cloud import best_tenth
 
 pytestmark = pytest.mark.skipif(not os.environ.get("SHAPES"), reason="checks shapes only with SHAPES=1")
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
-from edition1.errors import InputError, bad_input, require
 
+from edition1.errors import InputError, bad_input, require
 from edition1_companion import cli_calibrate, cli_live, cli_robot, cli_sweep, cli_track
 from edition1_companion.book.project import find_project, shown
 from edition1_companion.cli_terminal import pairs
@@ -102,7 +102,6 @@ def scorecard(*, require: Path | None = None, write_reference: Path | None = Non
     """
     project = find_project()
     from edition1.files import write_whole
-
     from edition1_companion.book.scorecard import (
         REFERENCE_COLUMNS,
         changed_verdicts,

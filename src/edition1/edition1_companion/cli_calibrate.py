@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
-from edition1.errors import bad_input, require
 
+from edition1.errors import bad_input, require
 from edition1_companion.cli_terminal import load_described
 
 if TYPE_CHECKING:

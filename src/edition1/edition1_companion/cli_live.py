@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-from edition1.errors import bad_input, require
 
+from edition1.errors import bad_input, require
 from edition1_companion.book.project import shown
 from edition1_companion.cli_terminal import Screen, pairs, set_by_signals
 
@@ -231,13 +231,12 @@ def emulate(
     socket
         Number of a TCP port of this computer instead, 0 for a free one; the default on Windows.
     """
+    from edition1_companion.book.termination import stop_on_termination
+    from edition1_companion.twins.takes import SOURCES, open_take
     from edition1_live.emulate.board import BLOCK, passages
     from edition1_live.emulate.emulator import Emulator
     from edition1_live.emulate.faults import Faults, faults_named
     from edition1_live.emulate.links import HAS_PTY, PtyLink, SocketLink
-
-    from edition1_companion.book.termination import stop_on_termination
-    from edition1_companion.twins.takes import SOURCES, open_take
 
     require(fault_from >= 0, "fault_from", "repro emulate", "0 or more [s]", fault_from)
     require(seed >= 0, "seed", "repro emulate", "0 or more", seed)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
-from edition1.errors import bad_input, require
 
+from edition1.errors import bad_input, require
 from edition1_companion.book.project import shown
 from edition1_companion.cli_terminal import Screen, load_described, set_by_signals
 from edition1_companion.cli_track import estimated

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-from edition1.errors import bad_input
 
+from edition1.errors import bad_input
 from edition1_companion.book.project import find_project, runs_folder, shown
 from edition1_companion.cli_terminal import pairs
 

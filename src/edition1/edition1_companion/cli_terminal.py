@@ -118,6 +118,7 @@ class Screen:
 def load_described(robot: Path, calibration: Path | None = None, *, to: TextIO | None = None) -> RobotFile:
     """Load a robot, print what is to be noted (to standard output by default), and let torch use one thread."""
     import torch
+
     from edition1.robot_file.load import load_robot
 
     torch.set_num_threads(1)

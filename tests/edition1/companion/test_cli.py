@@ -11,6 +11,7 @@ from pathlib import Path
 import nbformat
 import numpy as np
 import pytest
+
 from edition1_companion.cli import app
 
 CELLS = """\

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
+
+import edition1 as repro
 from edition1.estimation.model_error import WithModelError
 from edition1.estimation.poses import configurations
 from edition1.kinematics.mounts import Mounts
 from edition1.kinematics.paper_robots import affine_robot, pcc_robot
 from edition1.sensing.weights import read_manifest
-
-import edition1 as repro
 
 ONE = torch.ones(1, dtype=torch.float64)
 ROBOT = pcc_robot(1)

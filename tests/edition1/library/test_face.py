@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 import torch
-from edition1_companion.twins.trajectories import lemniscate
 
 import edition1 as repro
+from edition1_companion.twins.trajectories import lemniscate
 
 ROOT = Path(__file__).resolve().parents[3]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -7,12 +7,12 @@ import pytest
 import roma
 import scipy.linalg
 import torch
-from edition1.errors import InputError
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from edition1 import se3
+from edition1.errors import InputError
 
 ANGLES = [0.0, 1e-12, 1e-8, 1e-4, 0.1, 1 - 1e-9, 1.0, 1 + 1e-9, 1.5, 3.0, 10.0]
 

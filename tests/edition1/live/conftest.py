@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from edition1_live.follow import session
 from pty_board import Board
+
+from edition1_live.follow import session
 
 collect_ignore = ["conftest.py"]  # it has no examples to run, and other folders have a module of this name
 

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+
 from edition1_live.emulate.robot_readings import RobotReadings, course, readings_along, true_robot
 
 

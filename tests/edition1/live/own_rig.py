@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
+
 from edition1.kinematics.robot import Robot
 from edition1.robot_file.load import load_robot
 from edition1.robot_file.robot_file import RobotFile
@@ -15,7 +17,6 @@ from edition1.sensing.placement import Tolerances, placed
 from edition1_live.record.recording_file import RecordingFile
 from edition1_live.robot.calibration_poses import coordinate_columns
 from edition1_live.wire.frame import Frame
-from scipy.spatial.transform import Rotation
 
 ROBOTS = Path(__file__).parents[3] / "data" / "robots"
 

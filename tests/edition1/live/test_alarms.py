@@ -11,6 +11,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from moving_robot import robot_readings
+from scipy import stats
+
 from edition1.estimation.consistency import Status
 from edition1.robot_file.load import load_robot
 from edition1_companion.book.studies import read_study
@@ -24,8 +27,6 @@ from edition1_live.follow.session import follow
 from edition1_live.record.recording import read_recording
 from edition1_live.wire.formats import encode
 from edition1_live.wire.frame import Frame
-from moving_robot import robot_readings
-from scipy import stats
 
 ROBOTS = Path(__file__).parents[3] / "data" / "robots"
 TWO = load_robot(ROBOTS / "two_segments.toml")

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import pytest
 from damaged import DAMAGES, EXAMPLES, false_readings, memory_of, neighbours, received
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from edition1.errors import InputError
 from edition1_live.wire.binary import KINDS, LONGEST_PACKET, RESIDUE, BinaryParser, encode_frame
 from edition1_live.wire.frame import Counters, Frame, Parser
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 BOOK = Path(__file__).parents[3] / "book"
 FIRMWARE = BOOK.parent / "firmware"

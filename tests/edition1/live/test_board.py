@@ -5,12 +5,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from edition1_live.emulate.board import Reading, passages
 from edition1_live.emulate.faults import Faults
 from edition1_live.wire.formats import FORMATS, encode, parser
 from edition1_live.wire.frame import Frame
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 RATE_HZ = 100.0
 VALUES = {

@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from page_on_screen import NO_GPU, differing, pixels, wait_until
+
 from edition1.errors import InputError
 from edition1.estimation.consistency import Verdict
 from edition1.robot_file.load import load_robot
@@ -29,7 +31,6 @@ from edition1_live.follow.time_steps import TimeStep
 from edition1_live.record.recorder import Summary
 from edition1_live.view.robot_view import backbone_deviation
 from edition1_live.wire.frame import Frame
-from page_on_screen import NO_GPU, differing, pixels, wait_until
 
 ROBOTS = Path(__file__).parents[3] / "data" / "robots"
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation.calibration import calibrate as calibrate_geometry
 from edition1.robot_file.calibration_file import RobotCalibration

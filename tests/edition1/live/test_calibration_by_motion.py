@@ -15,6 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
+from test_calibrate import built, noisy, random_poses
+
 from edition1.errors import InputError
 from edition1.estimation.levenberg_marquardt import jacobian
 from edition1.estimation.wander import Wander
@@ -32,8 +35,6 @@ from edition1_live.robot.calibrate import Priors, calibrate, pose_covariance
 from edition1_live.robot.readings_file import Readings
 from edition1_live.wire.formats import encode
 from edition1_live.wire.frame import Frame
-from scipy.spatial.transform import Rotation
-from test_calibrate import built, noisy, random_poses
 
 TEXT = (Path(__file__).parents[3] / "data" / "robots" / "one_segment.toml").read_text()
 TEXT = TEXT.replace("rate_hz = 1000.0", "rate_hz = 10.0")

@@ -11,6 +11,8 @@ from dataclasses import replace
 
 import pytest
 import torch
+from test_calibrate import ROBOT, ROBOTS, Bench, built, noisy, random_poses, table
+
 from edition1.errors import InputError
 from edition1_live.record.ports import close_port, open_port
 from edition1_live.robot.calibrate import calibrate, check_plausible, pose_covariance
@@ -24,7 +26,6 @@ from edition1_live.robot.calibration_poses import (
 from edition1_live.robot.kept_readings import KeptReadings, is_kept, part_of
 from edition1_live.wire.formats import encode
 from edition1_live.wire.frame import Frame
-from test_calibrate import ROBOT, ROBOTS, Bench, built, noisy, random_poses, table
 
 COORDINATES = tuple(coordinate_columns(ROBOT))
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")

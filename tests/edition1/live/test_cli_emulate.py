@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from cyclopts import App
+
 from edition1.errors import InputError
 from edition1_companion.cli_live import emulate
 from edition1_live.emulate.links import HAS_PTY

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from edition1.errors import InputError
 from edition1_live.record.clock import MOST_CORNERS, DeviceClock
 from edition1_live.wire.frame import WRAP

@@ -5,13 +5,14 @@ import re
 from itertools import pairwise
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from edition1.errors import InputError
 from edition1_live.wire.csv_fields import read_header, read_line
 from edition1_live.wire.csv_text import AGREEING, LONGEST_LINE, MOST_HELD, CsvParser, check_units
 from edition1_live.wire.formats import encode
 from edition1_live.wire.frame import Counters, Frame
-from hypothesis import given
-from hypothesis import strategies as st
 
 
 def read(*lines: str, channels=None, first=""):

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+
 from edition1.errors import InputError
 from edition1_live.emulate.board import Reading, passages
 from edition1_live.emulate.emulator import Emulator

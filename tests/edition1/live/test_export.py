@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from test_recorder import COMMANDS
+
 from edition1.errors import InputError
 from edition1_live.record.export import export
 from edition1_live.record.recording import read_recording
 from edition1_live.record.recording_file import RecordingFile, write_sidecar
 from edition1_live.wire.frame import Frame
-from test_recorder import COMMANDS
 
 ROBOTS = Path(__file__).parents[3] / "data" / "robots"
 HEAD = {"start_unix_s": 1_700_000_000.25, "start_host_ns": 5 * 10**9}

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from mcap.reader import make_reader
+from test_export import HEAD, numbered, recording
+
 from edition1.errors import InputError
 from edition1_live.record.export import export
 from edition1_live.wire.frame import Frame
-from mcap.reader import make_reader
-from test_export import HEAD, numbered, recording
 
 START_NS = round(1e9 * HEAD["start_unix_s"])
 

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from edition1.errors import InputError
 from edition1_live.emulate.faults import Faults, damage, faults_named
 from edition1_live.emulate.sensor_faults import SensorFaults
-from hypothesis import given
-from hypothesis import strategies as st
 
 PACKETS = [bytes([0, *range(1, 20), 0])] * 50_000
 BYTES = sum(map(len, PACKETS))

@@ -13,6 +13,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from own_rig import ROBOTS, Rig, write
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
 from edition1.errors import InputError
 from edition1.robot_file.load import load_robot
 from edition1.robot_file.robot_file import RobotFile
@@ -23,9 +27,6 @@ from edition1_live.own.poses import read_measured_poses
 from edition1_live.own.results import write_results
 from edition1_live.own.samples import TimedReadings, timed_readings
 from edition1_live.robot.readings_file import read_readings
-from own_rig import ROBOTS, Rig, write
-from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 LAG_S = 0.37
 NOISE = {"noise_m": 1e-4, "noise_rad": 0.01}

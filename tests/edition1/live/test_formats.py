@@ -11,6 +11,9 @@ import zlib
 import pytest
 from cobs import cobs
 from damaged import EXAMPLES
+from hypothesis import given
+from hypothesis import strategies as st
+
 from edition1.errors import InputError
 from edition1.estimation.orientations import UNIT_TOLERANCE
 from edition1.robot_file._tables import MOST_VALUES
@@ -19,8 +22,6 @@ from edition1_live.wire.binary import KINDS
 from edition1_live.wire.formats import encode, parser
 from edition1_live.wire.frame import Counters, Frame, Parser
 from edition1_live.wire.text import HALL, NORM_TOLERANCE
-from hypothesis import given
-from hypothesis import strategies as st
 
 CHECKED = len(FORMATS)
 """The mode after the formats: frames with a right checksum."""

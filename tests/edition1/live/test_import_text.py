@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_export import numbered, recording
+
 from edition1.errors import InputError
 from edition1_live.record.export import export
 from edition1_live.record.import_text import import_text
 from edition1_live.record.recording import Recording, read_recording
 from edition1_live.wire.frame import Frame
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from test_export import numbered, recording
 
 
 def imported(folder: Path, text: str, **options) -> Recording:

@@ -7,6 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1.kernels._sensing import CompiledSensing
 from edition1.kinematics.mounts import magnet_mounts
@@ -30,7 +32,6 @@ from edition1_live.record.recording_file import RecordingFile
 from edition1_live.robot.calibration_poses import Poses, coordinate_columns, recorded_readings
 from edition1_live.robot.readings_file import read_readings
 from edition1_live.wire.frame import Frame
-from scipy.spatial.transform import Rotation
 
 NOISE_RAD = math.radians(0.3)
 MOUNTED = Rotation.from_rotvec([[0.3, -1.2, 2.0], [2.0, 0.1, -0.4]])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from edition1.errors import InputError
 from edition1_live.own.lag import Correlations, check_peak, correlations, refined
 from edition1_live.own.samples import Samples

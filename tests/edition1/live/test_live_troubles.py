@@ -14,6 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from pty_board import Board
+
 from edition1.errors import InputError
 from edition1.estimation.consistency import Verdict
 from edition1.robot_file.load import load_robot
@@ -28,7 +30,6 @@ from edition1_live.follow.session import follow
 from edition1_live.record.recording import read_recording
 from edition1_live.wire.formats import encode
 from edition1_live.wire.frame import Frame
-from pty_board import Board
 
 ONE_SEGMENT = Path(__file__).parents[3] / "data" / "robots" / "one_segment.toml"
 

@@ -18,11 +18,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from moving_robot import robot_readings
+from own_rig import Rig
+
 from edition1.robot_file.load import load_robot
 from edition1_live.emulate.links import HAS_PTY
 from edition1_live.record.recording import read_recording
-from moving_robot import robot_readings
-from own_rig import Rig
 
 PROJECT = Path(__file__).parents[3]
 COMMANDS = [

@@ -10,6 +10,7 @@ import sys
 import time
 
 import pytest
+
 from edition1.errors import InputError
 from edition1_live.record.ports import close_port, listing, open_port, ports, read_available
 

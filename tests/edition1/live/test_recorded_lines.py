@@ -11,6 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_recorder import COMMANDS, Recorder, coded, frames, recorded
+
 from edition1.errors import InputError
 from edition1_companion.twins.played import played
 from edition1_companion.twins.takes import open_take
@@ -22,7 +24,6 @@ from edition1_live.record.recording_file import sidecar_path
 from edition1_live.record.summary import Suspect
 from edition1_live.robot.calibration_poses import Poses, recorded_readings
 from edition1_live.wire.csv_text import CsvParser
-from test_recorder import COMMANDS, Recorder, coded, frames, recorded
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals")
 

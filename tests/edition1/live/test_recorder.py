@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pty_board import Board
+
 from edition1.errors import InputError
 from edition1_companion.recordings.baaij2023 import read_readings as read_rig
 from edition1_companion.recordings.martin2022 import read_readings as read_imus
@@ -23,7 +25,6 @@ from edition1_live.record.recording import Recording, read_recording
 from edition1_live.record.recording_file import sidecar_path
 from edition1_live.wire.formats import encode
 from edition1_live.wire.frame import Frame
-from pty_board import Board
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
 COMMANDS = """

@@ -13,6 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.soak.kills import kill_soak
 from edition1.errors import InputError
 from edition1_live.record.export import export
 from edition1_live.record.recording import read_recording
@@ -25,10 +29,6 @@ from edition1_live.record.recording_file import (
 )
 from edition1_live.wire.formats import channel_names
 from edition1_live.wire.frame import Frame
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-from bench.soak.kills import kill_soak
 
 HEAD = {"format": "frames", "start_host_ns": 1000, "start_unix_s": 1.7e9}
 numbers_32 = st.none() | st.integers(0, 2**32 - 1)

@@ -5,6 +5,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
+
 from edition1_companion.pages.recording.study import CASES, TOGETHER, formats_table, trace_tables
 from edition1_companion.twins.recorded_run import matched, play_and_record
 from edition1_companion.twins.takes import open_take

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from moving_robot import robot_readings
+
 from edition1.errors import InputError
 from edition1.robot_file.load import load_robot
 from edition1_live.emulate.board import Reading, passages
@@ -25,7 +27,6 @@ from edition1_live.emulate.sensor_faults import SensorFaults
 from edition1_live.robot.calibrate import calibrate, pose_covariance
 from edition1_live.robot.calibration_poses import read_poses
 from edition1_live.wire.formats import parser
-from moving_robot import robot_readings
 
 ROBOTS = Path(__file__).parents[3] / "data" / "robots"
 NETWORKS = ROBOTS.parent / "networks"

@@ -5,6 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from moving_robot import robot_readings
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1.estimation.base import track
 from edition1.estimation.levenberg_marquardt import LevenbergMarquardt, jacobian
@@ -19,8 +22,6 @@ from edition1_live.emulate.robot_readings import (
 )
 from edition1_live.follow.robot_estimator import robot_estimator
 from edition1_live.robot.calibrate import Priors
-from moving_robot import robot_readings
-from scipy.spatial.transform import Rotation
 
 ROBOTS = Path(__file__).parents[3] / "data" / "robots"
 NAMES = ("one_segment", "two_segments", "three_segments", "bend_sensor", "imu_arm")

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from moving_robot import robot_readings
+
 from edition1.errors import InputError
 from edition1.robot_file._tables import IMU_NOISE_RAD
 from edition1.robot_file.load import load_robot
@@ -15,7 +17,6 @@ from edition1_live.emulate.sensor_faults import (
     saturation_level,
     with_sensor_faults,
 )
-from moving_robot import robot_readings
 
 ROBOTS = Path(__file__).parents[3] / "data" / "robots"
 FROM_S, SINCE = 4.0, 400

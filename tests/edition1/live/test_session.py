@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from edition1.errors import InputError
 from edition1.estimation.imu_models import exact_arcs
 from edition1.robot_file.load import load_robot

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.robot_file.load import load_robot
 from edition1_companion.twins.played import played

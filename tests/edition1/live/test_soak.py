@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
-from edition1.errors import InputError
-from edition1_live.emulate.board import Passage
-from edition1_live.emulate.links import HAS_PTY
 
 from bench.soak import parsers as module
 from bench.soak.parsers import soak
+from edition1.errors import InputError
+from edition1_live.emulate.board import Passage
+from edition1_live.emulate.links import HAS_PTY
 
 PORTS = ["socket", *(["pty"] if HAS_PTY else [])]
 FRAMES = 300_000

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1.errors import InputError
 from edition1.robot_file.load import load_robot
 from edition1_live.emulate.links import HAS_PTY, PtyLink

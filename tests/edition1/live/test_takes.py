@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.kinematics.paper_robots import pcc_robot
 from edition1.sensing.magnetic import readings

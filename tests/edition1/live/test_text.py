@@ -7,13 +7,14 @@ from pathlib import Path
 
 import pytest
 from damaged import DAMAGES, EXAMPLES, false_readings, memory_of, received
+from hypothesis import given
+from hypothesis import strategies as st
+
 from edition1.errors import InputError
 from edition1.estimation.orientations import UNIT_TOLERANCE
 from edition1_live.wire.formats import encode, parser
 from edition1_live.wire.frame import Counters, Frame
 from edition1_live.wire.text import HALL, NORM_TOLERANCE, QUATERNION, TextParser, millivolts
-from hypothesis import given
-from hypothesis import strategies as st
 
 PAGE = Path(__file__).parents[3] / "book/wire_formats.md"
 LINES = {"hall": HALL, "millivolts": millivolts(), "quaternions": QUATERNION}

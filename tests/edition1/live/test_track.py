@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation.base import Estimate
 from edition1.estimation.consistency import Status

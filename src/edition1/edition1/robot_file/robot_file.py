@@ -197,7 +197,7 @@ class RobotFile:
 
         Examples
         --------
-        >>> import pandas as pd, repro
+        >>> import pandas as pd, edition1 as repro
         >>> robot = repro.load_robot("data/robots/one_segment.toml")
         >>> robot.readings(pd.DataFrame({"u1_mT": [1.0], "u2_mT": [2.0], "u3_mT": [3.0], "room [C]": [20.0]}))
         tensor([[1., 2., 3.]], dtype=torch.float64)

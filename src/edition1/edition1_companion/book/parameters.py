@@ -17,8 +17,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import yaml
-from edition1.errors import InputError, bad_input, require
 
+from edition1.errors import InputError, bad_input, require
 from edition1_companion.book.allowed import Rule, rule_of
 
 if TYPE_CHECKING:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import torch
-from edition1.kinematics.robot import Robot
 from jaxtyping import Float
 from torch import Tensor
 
 from edition1 import se3
+from edition1.kinematics.robot import Robot
 
 
 def pose_errors(

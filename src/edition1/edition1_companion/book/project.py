@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from edition1.errors import bad_input
-
 from edition1_companion.recordings.sources import recordings_are_here
 
 

@@ -19,9 +19,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from edition1.files import write_whole
-
 from edition1 import __version__
+from edition1.files import write_whole
 from edition1_companion.book.digests import combined_digest, file_digest, tree_digests
 from edition1_companion.book.project import Project
 from edition1_companion.recordings.sources import COMPILED_KERNELS, data_dir

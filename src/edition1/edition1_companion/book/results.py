@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 from edition1.errors import bad_input, require
 from edition1.files import write_whole
-
 from edition1_companion.book.project import find_project, runs_folder
 from edition1_companion.book.published import (
     ROW_COLUMNS,

@@ -7,8 +7,6 @@ from collections.abc import Callable
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1.sensing.magnets import ring
-from edition1_live.view.style import INK_OF_MAPS, MAGNET, SENSOR, TIMES, WIDTH_IN, page_figure, plain_ticks
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.colors import LogNorm
@@ -17,6 +15,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Polygon
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from edition1.sensing.magnets import ring
+from edition1_live.view.style import INK_OF_MAPS, MAGNET, SENSOR, TIMES, WIDTH_IN, page_figure, plain_ticks
 
 MM = 1e3
 

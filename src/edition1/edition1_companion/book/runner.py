@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edition1.errors import InputError, bad_input, require
-
 from edition1_companion.book.digests import file_digest, tree_digests
 from edition1_companion.book.points import one_thread
 from edition1_companion.book.project import Project, find_project, runs_folder, shown

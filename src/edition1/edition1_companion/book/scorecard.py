@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from edition1.errors import bad_input, require
-
 from edition1_companion.book.project import Project
 from edition1_companion.book.published import (
     ROW_COLUMNS,

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from edition1.errors import bad_input
 
+from edition1.errors import bad_input
 from edition1_companion.book.project import find_project
 
 

@@ -12,7 +12,6 @@ from typing import Any
 
 from edition1.errors import bad_input, require
 from edition1.files import write_whole
-
 from edition1_companion.book.parameters import Parameter
 from edition1_companion.book.points import Point, environment_of_runs, finished
 from edition1_companion.book.project import Project, shown

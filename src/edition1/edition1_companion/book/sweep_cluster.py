@@ -15,9 +15,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from edition1.errors import InputError, bad_input
-
 from edition1 import __version__
+from edition1.errors import InputError, bad_input
 from edition1_companion.book.digests import combined_digest, tree_digests
 from edition1_companion.book.points import Outcome, Point, Runner, RunnerGone, run_point
 from edition1_companion.book.provenance import PACKAGES

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from edition1.errors import InputError, bad_input, require
 
+from edition1.errors import InputError, bad_input, require
 from edition1_companion.book.parameters import KINDS, Parameter, check_size, convert, listing
 
 OWNER = "repro sweep"

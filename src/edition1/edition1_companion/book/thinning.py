@@ -6,6 +6,7 @@ from itertools import compress
 from pathlib import Path
 
 import pandas as pd
+
 from edition1.files import write_whole
 
 

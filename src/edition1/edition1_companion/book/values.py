@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from edition1.errors import bad_input, require
-
 from edition1_companion.book.formatted import as_read
 
 if TYPE_CHECKING:

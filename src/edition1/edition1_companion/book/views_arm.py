@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from edition1.estimation.imu_chain import adjacent_angles, point_at, rigid_body
-from edition1.estimation.orientations import tangents
-from edition1_live.view.shape_view import Markers, Shape, ShapeView, Traces
 from jaxtyping import Float
 
+from edition1.estimation.imu_chain import adjacent_angles, point_at, rigid_body
+from edition1.estimation.orientations import tangents
 from edition1_companion.book.views_frames import every_nth
+from edition1_live.view.shape_view import Markers, Shape, ShapeView, Traces
 
 RADIUS_M = 0.0125
 """Radius of the body that is drawn [m]; assumed, as that of the simulated rod."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
+
 from edition1.errors import require
 from edition1_live.view.shape_view import Traces
-from jaxtyping import Float
 
 
 def every_nth(samples: int, most: int) -> slice:

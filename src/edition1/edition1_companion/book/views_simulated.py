@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from edition1.errors import require
-from edition1.kinematics.paper_robots import pcc_robot
-from edition1_live.view.robot_view import shape_view
-from edition1_live.view.shape_view import ShapeView
 from jaxtyping import Float
 
+from edition1.errors import require
+from edition1.kinematics.paper_robots import pcc_robot
 from edition1_companion.book.views_frames import every_nth, readings
 from edition1_companion.twins import table_1_method as table1
 from edition1_companion.twins.table_1_rows import Row, simulate
 from edition1_companion.twins.trajectories import RATE_HZ, lemniscate
+from edition1_live.view.robot_view import shape_view
+from edition1_live.view.shape_view import ShapeView
 
 FRAMES = 100
 """Most frames of these views."""

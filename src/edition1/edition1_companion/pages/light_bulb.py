@@ -18,21 +18,21 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import torch
-from edition1.errors import bad_input, require
-from edition1.kinematics.bend import MAX_BEND
-from edition1.sensing.bend_sensor import BendSensor
-from edition1_live.view.style import WIDTH_IN, page_figure
 from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy.ndimage import median_filter
 from torch import Tensor
 
+from edition1.errors import bad_input, require
+from edition1.kinematics.bend import MAX_BEND
+from edition1.sensing.bend_sensor import BendSensor
 from edition1_companion.recordings.mitchell2021 import FIELD, HallTake, read_hall, takes
 from edition1_companion.recordings.mitchell2021_conventions import model_axes
 from edition1_companion.twins.bend_curves import SENSOR_NOISE_MT
 from edition1_companion.twins.bend_takes import write_light_tests
 from edition1_companion.twins.field_ratios import FieldRatios, invert, transverse_to_axial
+from edition1_live.view.style import WIDTH_IN, page_figure
 
 FIRST = "light_-1"
 """The file that sets rest and threshold."""

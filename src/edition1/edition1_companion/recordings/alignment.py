@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from edition1.errors import bad_input, require
 from jaxtyping import Float
 from scipy.signal import correlate
+
+from edition1.errors import bad_input, require
 
 LONGEST_INTERVAL = 3.0
 """Longest interval that is interpolated over, in median intervals of its recording."""

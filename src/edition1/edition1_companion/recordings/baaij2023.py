@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
-from edition1.errors import InputError, bad_input, require
-from edition1.sensing.relations import relations
 from jaxtyping import Float
 
+from edition1.errors import InputError, bad_input, require
+from edition1.sensing.relations import relations
 from edition1_companion.recordings.rig_alignment import (
     RULES,
     check_lags,

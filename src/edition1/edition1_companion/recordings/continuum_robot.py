@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from edition1.errors import bad_input, require
-from edition1.se3 import exponential
 from jaxtyping import Float
 
+from edition1.errors import bad_input, require
+from edition1.se3 import exponential
 from edition1_companion.recordings.sources import data_dir
 
 KINDS = {"aurora": 6, "vicon": 6, "gyro": 3}

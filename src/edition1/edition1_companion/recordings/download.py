@@ -11,9 +11,9 @@ from pathlib import Path
 from urllib.parse import quote
 
 import pooch
-from edition1.errors import bad_input
 from tqdm import tqdm
 
+from edition1.errors import bad_input
 from edition1_companion.recordings.released import difference
 from edition1_companion.recordings.sources import RecordedFile
 

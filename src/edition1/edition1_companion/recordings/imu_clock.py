@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from edition1.errors import require
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
+
+from edition1.errors import require
 
 GAP_FACTOR = 2.0
 

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from edition1.errors import bad_input, require
-from edition1.estimation.orientations import UNIT_TOLERANCE
 from rosbags.rosbag1 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from edition1.errors import bad_input, require
+from edition1.estimation.orientations import UNIT_TOLERANCE
 from edition1_companion.recordings.imu_clock import ImuStream, on_clock_of_last
 from edition1_companion.recordings.released import verified
 from edition1_companion.recordings.sources import data_dir

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from edition1.errors import bad_input, require
 from jaxtyping import Float
 
+from edition1.errors import bad_input, require
 from edition1_companion.recordings.released import verified
 from edition1_companion.recordings.sources import data_dir
 

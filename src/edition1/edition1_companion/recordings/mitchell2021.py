@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from edition1.errors import InputError, bad_input
 from jaxtyping import Float
 
+from edition1.errors import InputError, bad_input
 from edition1_companion.recordings.alignment import Lag, find_lag
 from edition1_companion.recordings.mitchell2021_capture import Capture, read_text
 from edition1_companion.recordings.sources import data_dir

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from edition1.errors import bad_input, require
-from edition1_live.own.optitrack import HEADER_LINES, read_frames, read_header
 from scipy.spatial.transform import Rotation
 
+from edition1.errors import bad_input, require
 from edition1_companion.recordings.marker_exchanges import not_turned, undo_exchanges
+from edition1_live.own.optitrack import HEADER_LINES, read_frames, read_header
 
 BODY = "Module"
 """Name of the rigid body in the files."""

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from edition1.errors import bad_input, require
 from jaxtyping import Float
 
+from edition1.errors import bad_input, require
 from edition1_companion.recordings.mitchell2021 import FIELD, FOLDER, MT_PER_UNIT
 from edition1_companion.recordings.mitchell2021_capture import read_text
 from edition1_companion.recordings.sources import data_dir

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from edition1.errors import require
-
 from edition1_companion.recordings.sources import RecordedFile, data_dir, read_sources
 
 

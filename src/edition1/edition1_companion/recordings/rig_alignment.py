@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from edition1.errors import bad_input, require
 from jaxtyping import Float
 
+from edition1.errors import bad_input, require
 from edition1_companion.recordings.rig_robot import RIG_RATE_HZ
 
 START_M, START_MV = 0.2e-3, 1.0

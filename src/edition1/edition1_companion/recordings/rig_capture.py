@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
-from edition1.errors import bad_input, require
-from edition1_live.own.optitrack import HEADER_LINES, read_header
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from edition1 import se3
+from edition1.errors import bad_input, require
 from edition1_companion.recordings.rig_robot import RIG_LENGTH_M, RIG_MARKERS_M, RIG_RADIUS_M, RIG_RATE_HZ
+from edition1_live.own.optitrack import HEADER_LINES, read_header
 
 BASE_HEIGHT_M = 2.7e-3
 """Height of the base body above the origin of the base frame [m]."""

@@ -7,11 +7,12 @@ processed with the geometry of the released code, which is the one here: 106.05,
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.kinematics.constant_curvature import ConstantCurvature
 from edition1.kinematics.mounts import magnet_mounts, ring_azimuths, sensor_mounts
 from edition1.kinematics.robot import Robot
-from jaxtyping import Float
-from torch import Tensor
 
 RIG_LENGTH_M = 106.05e-3
 """Unextended length :math:`L_0` [m]."""

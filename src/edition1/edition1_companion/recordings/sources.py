@@ -19,6 +19,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import platformdirs
+
 from edition1.errors import bad_input, require
 
 REPOSITORY = re.compile(r"https://github\.com/([\w.-]+/[\w.-]+)")

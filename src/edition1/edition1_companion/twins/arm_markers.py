@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
+
 from edition1.estimation.imu_models import chain
 from edition1.estimation.imu_selection import Selection
-
 from edition1_companion.recordings.martin2022_models import IMU_ARCS, MARKERS, selection
 from edition1_companion.twins.arm_recording import MotionCapture
 from edition1_companion.twins.arm_trial import CHOSEN_ORIGIN_M, ArmTrial, Draw, drawn

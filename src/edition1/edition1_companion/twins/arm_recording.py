@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from edition1.errors import bad_input
 from jaxtyping import Float
 
+from edition1.errors import bad_input
 from edition1_companion.twins.imu_errors import ImuErrors, read_imus
 from edition1_companion.twins.soft_arm import SoftArm
 

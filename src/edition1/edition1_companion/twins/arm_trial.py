@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from edition1.errors import require
-from edition1.estimation.imu_models import pcc_extended
 from jaxtyping import Float
 
+from edition1.errors import require
+from edition1.estimation.imu_models import pcc_extended
 from edition1_companion.recordings.alignment import Lag, find_lag
 from edition1_companion.recordings.martin2022 import one_clock
 from edition1_companion.recordings.martin2022_models import selection

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.kinematics.bend import Bend, bend_vector
 from edition1.kinematics.mounts import Mounts, magnet_mounts
 from edition1.kinematics.robot import Robot
 from edition1.sensing.magnetic import field_at_sensors
 from edition1.sensing.magnets import B444B
-from jaxtyping import Float
-from torch import Tensor
 
 LENGTH_M = 15e-3
 """Distance of sensor and magnet along the arc, section III-A [m]."""

@@ -20,15 +20,15 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.errors import require
 from edition1.estimation.base import track
 from edition1.estimation.particle_filter import ParticleFilter
 from edition1.estimation.regions import Disc
 from edition1.kinematics.bend import MAX_BEND, bend_angle_and_direction, bend_vector
 from edition1.sensing.bend_sensor import BendSensor
-from jaxtyping import Float
-from torch import Tensor
-
 from edition1_companion.recordings.mitchell2021_conventions import model_axes, noise_of_sigma
 from edition1_companion.twins.bend_curves import SENSOR_NOISE_MT
 from edition1_companion.twins.bend_tests import BendTake

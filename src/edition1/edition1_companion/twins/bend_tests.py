@@ -15,10 +15,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 import torch
-from edition1.errors import InputError, bad_input, require
 from jaxtyping import Float
 from torch import Tensor
 
+from edition1.errors import InputError, bad_input, require
 from edition1_companion.recordings.mitchell2021 import FIELD, REST_S, HallTake, align, read_hall, takes
 from edition1_companion.recordings.mitchell2021_capture import Capture, read_capture
 from edition1_companion.recordings.mitchell2021_conventions import model_axes

@@ -11,13 +11,13 @@ from collections.abc import Callable, Sequence
 
 import pandas as pd
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.estimation.base import Estimate
 from edition1.estimation.calibration import Calibration, calibrate
 from edition1.estimation.levenberg_marquardt import LevenbergMarquardt
 from edition1.estimation.poses import configurations
-from jaxtyping import Float
-from torch import Tensor
-
 from edition1_companion.book.bootstrap import ratio_of_means, resampled
 from edition1_companion.twins.calibration_session import (
     SENSOR_NOISE_MT,

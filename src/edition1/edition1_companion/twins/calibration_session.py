@@ -6,15 +6,15 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edition1 import se3
 from edition1.errors import bad_input
 from edition1.kinematics.robot import Robot
 from edition1.sensing.magnetic import readings
 from edition1.sensing.magnets import ring
 from edition1.sensing.placement import Tolerances, placed
-from jaxtyping import Float
-from torch import Tensor
-
-from edition1 import se3
 
 SENSOR_NOISE_MT = 7.1e-4
 L_MAX = 9

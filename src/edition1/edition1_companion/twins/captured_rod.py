@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from edition1.errors import bad_input, require
-from edition1.estimation.levenberg_marquardt import jacobian
 from jaxtyping import Float
 from torch import Tensor
 
+from edition1.errors import bad_input, require
+from edition1.estimation.levenberg_marquardt import jacobian
 from edition1_companion.recordings.continuum_robot import (
     LENGTH_M,
     STATIONS_M,

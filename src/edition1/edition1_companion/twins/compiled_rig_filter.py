@@ -6,6 +6,7 @@ Millimetres, millivolts and seconds inside. The model is that of `edition1_compa
 from __future__ import annotations
 
 import numpy as np
+
 from edition1.kernels.compilation import machine_code
 
 STATES = 7

@@ -8,11 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
+
 from edition1.kinematics.paper_robots import pcc_robot
 from edition1.sensing.magnetic import readings as field_readings
 from edition1.sensing.magnets import ring
-from jaxtyping import Float
-
 from edition1_companion.twins.bend_curves import CURVES, bend_curve, bend_readings
 from edition1_companion.twins.imu_stream import synthetic_stream
 from edition1_companion.twins.pneumatic_actuation import TRAJECTORIES

@@ -15,11 +15,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.estimation.levenberg_marquardt import covariance, jacobian
 from edition1.kinematics.bend import MAX_BEND
 from edition1.sensing.bend_sensor import BendSensor
-from jaxtyping import Float
-from torch import Tensor
 
 
 def transverse_to_axial(u: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:

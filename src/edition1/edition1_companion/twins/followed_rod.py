@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.estimation.kalman_filter import KalmanState
 from edition1.estimation.rod_filter import RodFilter
 from edition1.estimation.rod_sensors import RodSensor
 from edition1.estimation.smoothing import smoothed
 from edition1.kinematics.strain_series import StrainSeries
-from jaxtyping import Float
-from torch import Tensor
-
 from edition1_companion.recordings.continuum_robot import LENGTH_M, SENSORS, STATIONS_M, TRUTH, Trial, poses
 
 WIDTHS = (6, 6, 3, 3)

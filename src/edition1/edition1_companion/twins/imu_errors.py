@@ -15,10 +15,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from edition1.errors import bad_input, require
 from jaxtyping import Float
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
+
+from edition1.errors import bad_input, require
 
 
 @dataclass(frozen=True)

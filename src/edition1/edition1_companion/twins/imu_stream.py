@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from edition1.errors import bad_input, require
-from edition1.estimation.imu_chain import sensor_orientations
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
+
+from edition1.errors import bad_input, require
+from edition1.estimation.imu_chain import sensor_orientations
 
 # Median angles between neighbours [deg], base to tip, of the order recorded by Martin et al.; the first is
 # the angle from the upright base to IMU 0 and, like the last, assumed.

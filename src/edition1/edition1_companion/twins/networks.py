@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
 from edition1.kinematics.paper_robots import affine_robot
 from edition1.sensing.fast_training import train_dipole_residual, train_fast
 from edition1.sensing.relations import relations
 from edition1.sensing.training import SPLIT, train_paper
 from edition1.sensing.weights import save_weights
-from jaxtyping import Float
-from torch import Tensor, nn
-
 from edition1_companion.book.provenance import processor
 from edition1_companion.twins.training_set import TrainingSet, affine_training_set, training_set
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.errors import bad_input, require
 from edition1.kinematics.paper_robots import pcc_robot
 from edition1.robot_file.robot_file import RobotFile
 from edition1.sensing.magnetic import readings as field_readings
-from jaxtyping import Float
-from torch import Tensor
-
 from edition1_companion.twins.takes import Take, carried, even
 from edition1_companion.twins.trajectories import lemniscate
 

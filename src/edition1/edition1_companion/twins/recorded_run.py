@@ -11,7 +11,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+
 from edition1.errors import require
+from edition1_companion.twins.takes import Take
 from edition1_live.emulate.board import Passage, passages
 from edition1_live.emulate.emulator import Emulator
 from edition1_live.emulate.faults import Faults
@@ -19,8 +21,6 @@ from edition1_live.emulate.links import open_link
 from edition1_live.record.recorder import record
 from edition1_live.record.recording import Recording, read_recording
 from edition1_live.wire.frame import Frame
-
-from edition1_companion.twins.takes import Take
 
 
 @dataclass(frozen=True)

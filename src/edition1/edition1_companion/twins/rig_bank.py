@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from edition1.estimation.base import Estimate, held, redundancy
 from jaxtyping import Float
 from torch import Tensor
 
+from edition1.estimation.base import Estimate, held, redundancy
 from edition1_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS
 from edition1_companion.twins.compiled_rig_filter import bank_estimate, bank_step
 from edition1_companion.twins.rig_map import SCALE_MM, BendMap

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from edition1.errors import bad_input
-
 from edition1_companion.recordings.baaij2023 import (
     FOLDER,
     NAMES,

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
+from jaxtyping import Float
+from torch import Tensor
+from tqdm import tqdm
+
 from edition1.errors import bad_input, require
 from edition1.estimation.base import Trajectory, track
 from edition1.estimation.gradient_descent import GradientDescent
 from edition1.kernels import compiled
 from edition1.sensing.ensemble import SeedEnsemble
 from edition1.sensing.magnetic import MagneticSensing
-from jaxtyping import Float
-from torch import Tensor
-from tqdm import tqdm
-
 from edition1_companion.recordings.baaij2023 import Recording
 from edition1_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS, rig_earth_axis, rig_robot
 from edition1_companion.twins.networks import rows_sha256

@@ -38,11 +38,11 @@ from typing import Generic, TypeVar
 
 import numpy as np
 import torch
-from edition1.estimation.base import Estimate, Trajectory, check_start, track, usable
-from edition1.estimation.consistency import WINDOW, Status
 from jaxtyping import Float
 from torch import Tensor
 
+from edition1.estimation.base import Estimate, Trajectory, check_start, track, usable
+from edition1.estimation.consistency import WINDOW, Status
 from edition1_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS
 from edition1_companion.twins.rig_bank import BankState, BendBank, OursConfig
 from edition1_companion.twins.rig_map import BendMap

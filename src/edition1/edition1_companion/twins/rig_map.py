@@ -12,11 +12,11 @@ from functools import cache
 
 import numpy as np
 import torch
-from edition1.sensing.magnetic import field_at_sensors
-from edition1.sensing.magnets import ring
 from jaxtyping import Float
 from scipy.signal import savgol_filter
 
+from edition1.sensing.magnetic import field_at_sensors
+from edition1.sensing.magnets import ring
 from edition1_companion.recordings.baaij2023 import Recording
 from edition1_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS, rig_robot
 

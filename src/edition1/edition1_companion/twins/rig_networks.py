@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import ClassVar
 
 import torch
+from torch import Tensor, nn
+
 from edition1.errors import bad_input
 from edition1.sensing.ensemble import SeedEnsemble
 from edition1.sensing.training import SPLIT, train_paper
 from edition1.sensing.weights import load_paper_network, read_manifest, save_weights
-from torch import Tensor, nn
-
 from edition1_companion.recordings.baaij2023 import Recording, split
 from edition1_companion.recordings.rig_robot import RIG_SENSORS
 from edition1_companion.twins.networks import rows_sha256, training_record

@@ -8,6 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.errors import require
 from edition1.kinematics.constant_curvature import ConstantCurvature
 from edition1.kinematics.paper_robots import Dimensions, pcc_robot
@@ -15,9 +18,6 @@ from edition1.kinematics.robot import Robot
 from edition1.sensing.magnetic import field_at_sensors, readings
 from edition1.sensing.magnets import Cube, Ring, ring
 from edition1.sensing.relations import relations
-from jaxtyping import Float
-from torch import Tensor
-
 from edition1_companion.twins.trajectories import RATE_HZ, lemniscate
 
 MM = 1e3

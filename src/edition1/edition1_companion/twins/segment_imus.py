@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from edition1.kinematics.paper_robots import Dimensions
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from edition1.kinematics.paper_robots import Dimensions
 from edition1_companion.twins.imu_errors import ImuErrors, continuous_signs, ornstein_uhlenbeck
 from edition1_companion.twins.segment_motion import Motion
 

@@ -18,13 +18,13 @@ import math
 from dataclasses import dataclass
 
 import torch
-from edition1.errors import bad_input
-from edition1.kinematics.affine_curvature import AffineCurvature
-from edition1.kinematics.paper_robots import Dimensions, pcc_robot
 from jaxtyping import Float
 from torch import Tensor
 
 from edition1 import se3
+from edition1.errors import bad_input
+from edition1.kinematics.affine_curvature import AffineCurvature
+from edition1.kinematics.paper_robots import Dimensions, pcc_robot
 from edition1_companion.twins.trajectories import RATE_HZ, STEPS, flower, lemniscate
 
 TRAJECTORIES = ("constant curvature", "affine curvature", "rod under load")

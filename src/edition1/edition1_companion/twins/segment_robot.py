@@ -15,15 +15,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from edition1.errors import require
-from edition1.kinematics.paper_robots import Dimensions
-from edition1.sensing.magnets import B444B, Cube, Ring, ring
-from edition1.sensing.placement import Tolerances, placed
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from edition1 import se3
+from edition1.errors import require
+from edition1.kinematics.paper_robots import Dimensions
+from edition1.sensing.magnets import B444B, Cube, Ring, ring
+from edition1.sensing.placement import Tolerances, placed
 from edition1_companion.twins.calibration_session import L_MAX
 from edition1_companion.twins.imu_errors import ImuErrors
 from edition1_companion.twins.segment_imus import as_quaternions, imu_readings, streamed

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from edition1.kinematics.mounts import Mounts
-from edition1.sensing.magnets import ring
 from jaxtyping import Float
 from torch import Tensor
 
 from edition1 import se3
+from edition1.kinematics.mounts import Mounts
+from edition1.sensing.magnets import ring
 from edition1_companion.recordings.rig_robot import RIG_SENSORS, rig_earth_axis, rig_robot
 
 LSB_MV = 2.0 * 2048.0 / 2**16

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 import torch
+
 from edition1.errors import bad_input
 from edition1.estimation.information import cramer_rao, fisher_information
 from edition1.kernels import compiled
@@ -11,7 +12,6 @@ from edition1.kinematics.paper_robots import pcc_robot
 from edition1.sensing.linearised import LinearisedSensing
 from edition1.sensing.magnetic import readings
 from edition1.sensing.magnets import ring
-
 from edition1_companion.book.pose_errors import pose_errors
 from edition1_companion.twins.calibrated_robots import least_squares, relative_error
 from edition1_companion.twins.calibration_session import released_moments

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from edition1.errors import bad_input, require
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
+from edition1.errors import bad_input, require
 from edition1_companion.twins.stick_motion import mode_at
 
 POSITION_QUANTUM_M = 1e-5

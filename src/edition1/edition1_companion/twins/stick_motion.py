@@ -8,8 +8,9 @@ ones. The code of the path is that of the last commit of the first edition.
 from __future__ import annotations
 
 import numpy as np
-from edition1.errors import bad_input
 from jaxtyping import Float
+
+from edition1.errors import bad_input
 
 SCHEDULE = (
     (0.0, "oscillating"),

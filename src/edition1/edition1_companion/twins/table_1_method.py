@@ -12,6 +12,8 @@ from typing import Any
 
 import pandas as pd
 import torch
+from torch import Tensor
+
 from edition1.errors import bad_input
 from edition1.estimation.base import Trajectory, track
 from edition1.estimation.gradient_descent import GradientDescent
@@ -21,8 +23,6 @@ from edition1.sensing.magnetic import MagneticSensing
 from edition1.sensing.magnets import ring
 from edition1.sensing.multipole import MultipoleField
 from edition1.sensing.weights import load_paper_network
-from torch import Tensor
-
 from edition1_companion.book.parallel import table_in_processes
 from edition1_companion.twins.networks import DATA_SEED, SEEDS, NetworkSpec, train_own
 from edition1_companion.twins.table_1_rows import ROWS, Row, Simulation, groups, simulate

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
+from torch import Tensor
+
 from edition1.errors import bad_input
 from edition1.kinematics.mounts import Mounts
 from edition1.kinematics.paper_robots import Dimensions, pcc_robot
 from edition1.kinematics.robot import Robot
 from edition1.sensing.magnetic import EARTH_MT, readings
 from edition1.sensing.magnets import ring
-from torch import Tensor
-
 from edition1_companion.twins.trajectories import lemniscate
 
 

@@ -9,10 +9,11 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, Int
+
 from edition1.errors import bad_input, require
 from edition1.robot_file.columns import FORMATS
 from edition1_live.emulate.board import Reading
-from jaxtyping import Float, Int
 
 CURVES = ("spiral", "flower", "seagull")
 TRAJECTORIES = ("T0", "T1", "T2", "T3", "T4", "T5")

@@ -7,13 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.errors import require
 from edition1.kinematics.paper_robots import Dimensions, affine_robot, pcc_robot
 from edition1.kinematics.robot import Robot
 from edition1.sensing.magnetic import EARTH_MT, readings
 from edition1.sensing.magnets import Cube, Ring, ring
-from jaxtyping import Float
-from torch import Tensor
 
 BENDING_M = 22e-3 * math.radians(54)
 """Bound of ``delta_x`` and ``delta_y`` [m]: a bending of 54 degrees, 20.73 mm."""

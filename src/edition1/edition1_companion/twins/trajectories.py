@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 import torch
-from edition1.errors import bad_input, require
 from jaxtyping import Float
 from torch import Tensor
+
+from edition1.errors import bad_input, require
 
 STEPS = 400
 RATE_HZ = 40.0

@@ -13,8 +13,8 @@ import time
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from edition1.errors import bad_input
 
+from edition1.errors import bad_input
 from edition1_live.emulate.board import Passage
 from edition1_live.emulate.links import Link
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
-from edition1.errors import bad_input, require
 from jaxtyping import Bool, Int
+
+from edition1.errors import bad_input, require
 
 _CHANCES = ("flips", "drops", "duplicates", "bursts", "stalls", "disconnects", "reboots")
 """Those of :class:`Faults` that are chances."""

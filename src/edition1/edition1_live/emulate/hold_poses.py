@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float
+
 from edition1.errors import bad_input, require
 from edition1.files import write_whole
 from edition1.robot_file.robot_file import RobotFile
-from jaxtyping import Float
-
 from edition1_live.robot.calibrate import pose_covariance
 from edition1_live.robot.calibration_poses import coordinate_columns, farthest_points
 

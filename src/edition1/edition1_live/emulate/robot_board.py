@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+
 from edition1.errors import bad_input, require
 from edition1.robot_file.load import load_robot
 from edition1.robot_file.robot_file import RobotFile
-
 from edition1_live.emulate.board import BLOCK, Reading
 from edition1_live.emulate.hold_poses import (
     LOOK_AHEAD_S,

@@ -12,6 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
 from edition1.errors import bad_input, require
 from edition1.kinematics.mounts import magnet_mounts
 from edition1.robot_file.columns import MAGNETIC_STREAM
@@ -19,10 +23,6 @@ from edition1.robot_file.imu_readings import sent
 from edition1.robot_file.robot_file import RobotFile
 from edition1.sensing.magnetic import readings as field_readings
 from edition1.sensing.placement import placed
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
-from torch import Tensor
-
 from edition1_live.emulate.board import Reading
 from edition1_live.robot.calibrate import Priors
 

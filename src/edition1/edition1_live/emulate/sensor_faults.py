@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from edition1.errors import bad_input, require
-from edition1.robot_file.robot_file import RobotFile
 from magpylib.func import dipole_field
 from scipy.spatial.transform import Rotation
 
+from edition1.errors import bad_input, require
+from edition1.robot_file.robot_file import RobotFile
 from edition1_live.emulate.faults import NUMBERED
 from edition1_live.emulate.robot_readings import RobotReadings, course, readings_along
 

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 import torch
+
 from edition1.errors import bad_input, require
 from edition1.robot_file.robot_file import RobotFile
-
 from edition1_live.follow import live_text
 from edition1_live.follow.live_state import LiveState
 from edition1_live.follow.page_server import ALIVE_S, PageHandler, PageServer

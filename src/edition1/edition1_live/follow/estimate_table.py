@@ -25,13 +25,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.errors import bad_input
 from edition1.estimation.base import Estimate
 from edition1.estimation.consistency import Status
 from edition1.kinematics.motion import tip_motion
-from jaxtyping import Float
-from torch import Tensor
-
 from edition1_live.follow.robot_estimator import RobotEstimator
 from edition1_live.record.recording_file import WriteFailed
 from edition1_live.robot.calibration_poses import coordinate_columns

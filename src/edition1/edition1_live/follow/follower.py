@@ -6,13 +6,13 @@ import time
 from collections.abc import Callable
 
 import torch
-from edition1.errors import InputError
-from edition1.estimation.base import Estimate
-from edition1.estimation.consistency import Status, Verdict
 from jaxtyping import Float
 from torch import Tensor
 from tqdm import tqdm
 
+from edition1.errors import InputError
+from edition1.estimation.base import Estimate
+from edition1.estimation.consistency import Status, Verdict
 from edition1_live.follow.robot_estimator import RobotEstimator
 from edition1_live.follow.time_steps import TimeStep, time_steps
 from edition1_live.robot.readings_file import Readings

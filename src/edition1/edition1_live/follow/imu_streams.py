@@ -9,6 +9,10 @@ from itertools import pairwise
 from typing import Any
 
 import torch
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
 from edition1.errors import bad_input
 from edition1.estimation.base import Estimate, Estimator, usable
 from edition1.estimation.imu_models import exact_arcs
@@ -18,10 +22,6 @@ from edition1.estimation.orientations import UPRIGHT
 from edition1.robot_file.imu_readings import beside_imus
 from edition1.robot_file.robot_file import RobotFile
 from edition1.sensing.stacked import StackedSensing
-from jaxtyping import Bool, Float
-from scipy.spatial.transform import Rotation
-from torch import Tensor
-
 from edition1_live.follow.time_steps import TimeStep
 from edition1_live.view.robot_view import POINTS_PER_SEGMENT
 from edition1_live.wire.frame import Frame

@@ -9,11 +9,11 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from edition1.estimation.base import Estimate
-from edition1.estimation.consistency import Status, Verdict
 from jaxtyping import Float
 from torch import Tensor
 
+from edition1.estimation.base import Estimate
+from edition1.estimation.consistency import Status, Verdict
 from edition1_live.follow.follower import Follower
 from edition1_live.follow.latency import STAGES, Latencies
 from edition1_live.follow.time_steps import TimeStep, TimeSteps

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from edition1.estimation.consistency import Status, Verdict
 
+from edition1.estimation.consistency import Status, Verdict
 from edition1_live.follow.latency import STAGES
 from edition1_live.follow.live_state import LiveState, trusted
 from edition1_live.follow.robot_estimator import RobotEstimator

@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
 from edition1.errors import bad_input, require
 from edition1.estimation.base import Estimate, Estimator, kernel
 from edition1.estimation.gradient_descent import GradientDescent
@@ -25,9 +28,6 @@ from edition1.robot_file.robot_file import RobotFile
 from edition1.sensing.magnetic import MagneticSensing
 from edition1.sensing.own_model import Given, OwnModel
 from edition1.sensing.stacked import StackedSensing
-from jaxtyping import Bool, Float
-from torch import Tensor
-
 from edition1_live.follow import imu_streams
 from edition1_live.follow.time_steps import TimeStep
 

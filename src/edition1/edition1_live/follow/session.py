@@ -20,7 +20,6 @@ from typing import Any
 
 from edition1.errors import require
 from edition1.estimation.consistency import Status
-
 from edition1_live.follow.follower import Follower
 from edition1_live.follow.live_state import LiveEstimate, LiveState, Tally
 from edition1_live.follow.robot_estimator import RobotEstimator

@@ -6,12 +6,12 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from tqdm import tqdm
+
 from edition1.errors import InputError, bad_input, require
 from edition1.estimation.base import Estimate, Estimator
 from edition1.estimation.kalman_filter import IteratedKalmanFilter
 from edition1.estimation.smoothing import smoothed
-from tqdm import tqdm
-
 from edition1_live.follow.robot_estimator import RobotEstimator
 from edition1_live.follow.time_steps import time_steps
 from edition1_live.robot.readings_file import Readings

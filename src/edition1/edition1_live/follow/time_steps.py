@@ -8,7 +8,6 @@ from itertools import groupby
 from typing import NamedTuple
 
 from edition1.robot_file.robot_file import RobotFile
-
 from edition1_live.robot.readings_file import Readings, stream_widths
 from edition1_live.wire.frame import WRAP, Frame
 

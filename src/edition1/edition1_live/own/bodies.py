@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from edition1.errors import InputError, bad_input, require
-from edition1.estimation.poses import configurations
-from edition1.robot_file.robot_file import RobotFile
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from edition1 import se3
+from edition1.errors import InputError, bad_input, require
+from edition1.estimation.poses import configurations
+from edition1.robot_file.robot_file import RobotFile
 from edition1_live.own.optitrack import read_frames, read_header
 from edition1_live.robot.number_table import check_times, read_rows
 

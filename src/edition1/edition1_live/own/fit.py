@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from edition1.errors import InputError, bad_input, require
-from edition1.robot_file.calibration_file import RobotCalibration
-from edition1.robot_file.robot_file import RobotFile
 from jaxtyping import Float
 from torch import Tensor
 
+from edition1.errors import InputError, bad_input, require
+from edition1.robot_file.calibration_file import RobotCalibration
+from edition1.robot_file.robot_file import RobotFile
 from edition1_live.follow.robot_estimator import robot_estimator
 from edition1_live.follow.time_steps import TimeStep
 from edition1_live.own.judge import Tracked, Truth, tip_positions, tracked

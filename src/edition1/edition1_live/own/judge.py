@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import torch
-from edition1.estimation.base import Estimate
-from edition1.estimation.conformal import block_weights, conformal_factor
-from edition1.kinematics.motion import tip_motion
-from edition1.robot_file.robot_file import RobotFile
 from jaxtyping import Bool, Float
 from scipy.stats import chi2
 from torch import Tensor
 
+from edition1.estimation.base import Estimate
+from edition1.estimation.conformal import block_weights, conformal_factor
+from edition1.kinematics.motion import tip_motion
+from edition1.robot_file.robot_file import RobotFile
 from edition1_live.follow.follower import Follower
 from edition1_live.follow.robot_estimator import RobotEstimator
 from edition1_live.own.samples import TimedReadings

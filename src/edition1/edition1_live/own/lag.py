@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from edition1.errors import bad_input, require
 from jaxtyping import Float
 from scipy.signal import correlate
 
+from edition1.errors import bad_input, require
 from edition1_live.own.samples import Samples
 
 LEAST_R = 0.8

@@ -6,6 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
 from edition1.errors import bad_input, require
 from edition1.estimation.levenberg_marquardt import LevenbergMarquardt
 from edition1.estimation.model_error import WhiteError
@@ -16,9 +19,6 @@ from edition1.sensing.fast_training import epochs_of_steps, train_fast
 from edition1.sensing.magnetic import MagneticSensing
 from edition1.sensing.network import CosineNetwork, PerSensor
 from edition1.sensing.relations import relations
-from jaxtyping import Bool, Float, Int
-from torch import Tensor
-
 from edition1_live.follow.robot_estimator import RobotEstimator, monitored, robot_estimator
 from edition1_live.robot.calibrate import calibrate
 from edition1_live.robot.calibration_poses import farthest_points

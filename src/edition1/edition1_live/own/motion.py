@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+from tqdm import tqdm
+
 from edition1.errors import bad_input
 from edition1.estimation.orientations import UNIT_TOLERANCE, UPRIGHT
 from edition1.estimation.self_calibration import SelfCalibratingFilter
 from edition1.estimation.wander import Wander
 from edition1.robot_file.imu_readings import imu_mounts
 from edition1.robot_file.robot_file import RobotFile
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
-from torch import Tensor
-from tqdm import tqdm
-
 from edition1_live.follow.imu_streams import quaternion
 from edition1_live.follow.robot_estimator import VELOCITY_SHARE
 from edition1_live.own.samples import TimedReadings

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from edition1.errors import bad_input, require
 from jaxtyping import Float
+
+from edition1.errors import bad_input, require
 
 HEADER_LINES = 7
 """Lines of an export before the first frame."""

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from edition1.errors import bad_input, require
-from edition1.robot_file.robot_file import RobotFile
 from jaxtyping import Float
 from torch import Tensor
 
+from edition1.errors import bad_input, require
+from edition1.robot_file.robot_file import RobotFile
 from edition1_live.own.bodies import configurations_of, end_poses, is_motive, read_bodies
 from edition1_live.own.samples import GAP_STEPS, interpolated
 from edition1_live.robot.calibrate import pose_covariance

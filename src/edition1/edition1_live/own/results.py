@@ -10,11 +10,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import torch
-from edition1.errors import bad_input
-from edition1.sensing.weights import save_weights
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from edition1.errors import bad_input
+from edition1.sensing.weights import save_weights
 from edition1_live.own.fit import Fit
 from edition1_live.own.judge import Tracked, errors_of_estimates, tip_band, tip_positions
 from edition1_live.own.models import LEAST_S

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
-from edition1.errors import require
-from edition1.robot_file.robot_file import RobotFile
 from jaxtyping import Bool, Float
 
+from edition1.errors import require
+from edition1.robot_file.robot_file import RobotFile
 from edition1_live.follow.time_steps import TimeStep, time_steps
 from edition1_live.robot.readings_file import Readings
 

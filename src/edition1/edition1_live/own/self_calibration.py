@@ -16,15 +16,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
+from tqdm import tqdm
+
 from edition1.errors import bad_input
 from edition1.estimation.undetermined import not_determined
 from edition1.robot_file.calibration_file import RobotCalibration
 from edition1.robot_file.robot_file import RobotFile
 from edition1.sensing.placement import Tolerances
-from jaxtyping import Float
-from torch import Tensor
-from tqdm import tqdm
-
 from edition1_live.own.motion import OWN, Beginning, filter_of, filtered, motion
 from edition1_live.own.samples import TimedReadings
 from edition1_live.robot.calibrate import DOUBTFUL_CHI2, MOST_CHI2, Priors, calibration_names

@@ -13,9 +13,9 @@ from bisect import bisect
 from dataclasses import dataclass
 
 import numpy as np
-from edition1.errors import bad_input
 from jaxtyping import Bool, Float, Int
 
+from edition1.errors import bad_input
 from edition1_live.wire.frame import WRAP
 
 EARLY_S = 0.5

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from edition1.errors import bad_input, require
-from edition1.files import whole_file, write_whole
 from jaxtyping import Int
 
+from edition1.errors import bad_input, require
+from edition1.files import whole_file, write_whole
 from edition1_live.record.export_mcap import write_mcap
 from edition1_live.record.recording import Recording
 

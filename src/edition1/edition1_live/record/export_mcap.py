@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from edition1.errors import bad_input, require
 from edition1.files import whole_file
-
 from edition1_live.record.recording import Recording
 from edition1_live.robot.number_table import read_rows
 

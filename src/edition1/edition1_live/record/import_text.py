@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from edition1.errors import bad_input, require
 from edition1.files import whole_file
-
 from edition1_live.record.recording_file import RecordingFile, check_new, write_sidecar
 from edition1_live.record.summary import Summary
 from edition1_live.robot.number_table import numbers_of, times_of, whole_numbers

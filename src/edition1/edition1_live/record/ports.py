@@ -12,8 +12,9 @@ from contextlib import suppress
 from pathlib import Path
 
 import serial
-from edition1.errors import InputError, bad_input
 from serial.tools import list_ports
+
+from edition1.errors import InputError, bad_input
 
 _MOST_BYTES = 65536
 """Bytes taken at once."""

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from edition1.errors import require
 
 from edition1 import __version__
+from edition1.errors import require
 from edition1_live.record.clock import DeviceClock
 from edition1_live.record.ports import LastingPort
 from edition1_live.record.recording_file import RecordingFile, WriteFailed, check_new, write_sidecar

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from edition1.errors import bad_input
 from jaxtyping import Float, Int
 
+from edition1.errors import bad_input
 from edition1_live.record.recording_file import (
     BLOCK,
     CRC,

@@ -38,9 +38,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from edition1.errors import bad_input, require
 from edition1.files import write_whole
-
 from edition1_live.wire.frame import Frame
 
 MAGIC = b"RRB1"

@@ -10,7 +10,6 @@ from typing import Any
 
 from edition1.errors import InputError, bad_input
 from edition1.robot_file.columns import FORMATS
-
 from edition1_live.wire.csv_text import Layout
 from edition1_live.wire.formats import channel_names, parser
 from edition1_live.wire.frame import Frame

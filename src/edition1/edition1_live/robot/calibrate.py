@@ -11,6 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edition1 import se3
 from edition1.errors import bad_input, require
 from edition1.estimation.undetermined import undetermined
 from edition1.kinematics.robot import Robot
@@ -18,10 +22,6 @@ from edition1.robot_file.calibration_file import RobotCalibration
 from edition1.robot_file.robot_file import RobotFile
 from edition1.sensing.moments import check_readings
 from edition1.sensing.placement import PlacedReadings, Tolerances, parameter_names, placed
-from jaxtyping import Float
-from torch import Tensor
-
-from edition1 import se3
 
 _ITERATIONS = 12
 _HOLD_OUT_EVERY = 4

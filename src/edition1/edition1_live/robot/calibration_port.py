@@ -10,10 +10,10 @@ from contextlib import contextmanager
 
 import numpy as np
 import torch
+
 from edition1.errors import InputError, bad_input
 from edition1.robot_file.columns import MAGNETIC_STREAM
 from edition1.robot_file.robot_file import RobotFile
-
 from edition1_live.record.ports import LastingPort
 from edition1_live.robot.calibration_poses import (
     WINDOW_S,

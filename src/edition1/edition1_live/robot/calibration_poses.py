@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from edition1.errors import bad_input, require
-from edition1.robot_file.columns import MAGNETIC_STREAM
-from edition1.robot_file.robot_file import RobotFile
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from edition1.errors import bad_input, require
+from edition1.robot_file.columns import MAGNETIC_STREAM
+from edition1.robot_file.robot_file import RobotFile
 from edition1_live.record.recording import Recording
 from edition1_live.robot.kept_readings import Part, part_of, read_kept
 from edition1_live.robot.number_table import check_columns, read_numbers

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from edition1.errors import bad_input
 from jaxtyping import Float
 from torch import Tensor
+
+from edition1.errors import bad_input
 
 _FIRST_LINE = "# Readings in poses, taken by repro calibrate"
 """How such a file begins."""

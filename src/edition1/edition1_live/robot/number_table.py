@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from edition1.errors import bad_input, require
-from edition1.robot_file.columns import name_and_unit
 from jaxtyping import Float
 
+from edition1.errors import bad_input, require
+from edition1.robot_file.columns import name_and_unit
 from edition1_live.wire.csv_fields import SEPARATORS, time_scale
 
 _LONGEST_S = 1e9

@@ -9,12 +9,12 @@ from itertools import compress
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool
+
 from edition1.errors import bad_input
 from edition1.estimation.orientations import UPRIGHT
 from edition1.robot_file.columns import MAGNETIC_STREAM, channel_columns, is_numbered, name_and_unit
 from edition1.robot_file.robot_file import RobotFile
-from jaxtyping import Bool
-
 from edition1_live.record.recording import Recording, read_recording
 from edition1_live.record.recording_file import MAGIC, sidecar_path
 from edition1_live.robot.number_table import NumberTable, read_numbers, times_of, whole_numbers

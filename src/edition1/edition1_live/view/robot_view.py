@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.errors import bad_input
 from edition1.kinematics.motion import backbone_motion
 from edition1.kinematics.mounts import Mounts, magnet_mounts
 from edition1.kinematics.robot import Robot
-from jaxtyping import Float
-from torch import Tensor
-
 from edition1_live.view.shape_view import Markers, Shape, ShapeView, Traces
 
 POINTS_PER_SEGMENT = 9

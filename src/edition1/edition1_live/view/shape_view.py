@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from edition1.errors import bad_input, require
 from jaxtyping import Float
 
+from edition1.errors import bad_input, require
 from edition1_live.view.symbols import plain_symbol
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ import struct
 from zlib import crc32
 
 from cobs import cobs
-from edition1.errors import bad_input
 
+from edition1.errors import bad_input
 from edition1_live.wire.frame import WRAP, Frame, Parser
 
 _VERSION = 1

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from edition1.errors import bad_input
-
 from edition1_live.wire.csv_fields import (
     BLANKS,
     SEPARATORS,

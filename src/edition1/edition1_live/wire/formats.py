@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from edition1.errors import bad_input, require
 from edition1.robot_file.columns import FORMATS
-
 from edition1_live.wire.binary import KINDS, BinaryParser, encode_frame
 from edition1_live.wire.csv_text import MOST_VALUES, CsvParser, write_line
 from edition1_live.wire.frame import Frame, Parser

@@ -12,7 +12,6 @@ import re
 from dataclasses import dataclass
 
 from edition1.errors import bad_input
-
 from edition1_live.wire.frame import Frame, Parser
 
 HALL_RANGE = (-8192.0, 8191.0)

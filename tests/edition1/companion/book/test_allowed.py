@@ -7,11 +7,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from rule_cases import CASES
+
 from edition1.errors import InputError
 from edition1_companion.book.parameters import Parameter, convert, convert_all, declared_parameters
 from edition1_companion.book.runner import read_notebook
 from edition1_companion.cli import app
-from rule_cases import CASES
 
 PROJECT = Path(__file__).resolve().parents[4]
 PAGES = sorted((PROJECT / "notebooks").glob("*.ipynb"))

@@ -5,6 +5,7 @@ from io import BytesIO
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1_companion.pages.recorded_arm.figures import arm_shapes, neighbour_angles, tip_path
 
 TIMES = np.linspace(0, 10, 12)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+
 from edition1_companion.pages.probabilistic_curvature import figures
 from edition1_companion.pages.probabilistic_curvature.bend_space import curves_table
 

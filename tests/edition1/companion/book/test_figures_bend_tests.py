@@ -2,6 +2,7 @@
 
 import pandas as pd
 import pytest
+
 from edition1_companion.pages.bend_tests import figures
 
 TAKES = pd.DataFrame(

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1_companion.pages.sensor_failure.figures import (
     error_and_deviation,
     readings_and_estimates,

@@ -1,6 +1,7 @@
 """Figure of the fused filter: what is drawn is what the table holds."""
 
 import pandas as pd
+
 from edition1_companion.pages.fusion.figures import errors_and_nees
 
 

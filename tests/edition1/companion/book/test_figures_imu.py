@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1_companion.pages.how_many_imus.figures import errors_and_bounds, placement_and_sensors
 from edition1_companion.pages.imu_markers.figures import (
     _tube,

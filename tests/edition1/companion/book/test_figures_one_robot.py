@@ -2,6 +2,7 @@
 
 import pandas as pd
 import pytest
+
 from edition1_companion.pages.one_robot.estimates import METHODS
 from edition1_companion.pages.one_robot.figures import three_ways
 from edition1_companion.pages.one_robot.tables import CONDITIONS, QUANTITIES

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1.kinematics.paper_robots import pcc_robot
 from edition1_companion.pages.sensor_placement.figures import all_robots, choices, judged, layouts_drawn
 from edition1_companion.pages.sensor_placement.layouts import layout_of

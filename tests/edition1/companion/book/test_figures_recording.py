@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+
 from edition1_companion.pages.recording.figures import COUNTED, flipped_digits, interruptions
 
 

@@ -4,6 +4,7 @@ import math
 
 import pandas as pd
 import pytest
+
 from edition1_companion.pages.sweep.figures import sensors_noise_segments
 
 

@@ -7,9 +7,10 @@ import re
 
 import pandas as pd
 import pytest
-from edition1_companion.book.formatted import heading, shown_number, shown_value, table_html
 from hypothesis import given
 from hypothesis import strategies as st
+
+from edition1_companion.book.formatted import heading, shown_number, shown_value, table_html
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,8 @@ import matplotlib.pyplot as plt
 import nbformat
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+
 from edition1_companion.book.after.page_notes import (
     figures_of,
     page_files,
@@ -24,7 +26,6 @@ from edition1_companion.book.project import find_project
 from edition1_companion.book.provenance import read_record, record_path
 from edition1_companion.book.runner import read_notebook, run_notebook
 from edition1_live.view.style import VECTOR_LIMIT_BYTES, page_figure
-from matplotlib.figure import Figure
 
 PNG = base64.b64encode(b"\x89PNG of the figure").decode()
 DRAWS = """\

@@ -8,6 +8,8 @@ import re
 from pathlib import Path
 
 import pytest
+
+import edition1
 from edition1.errors import InputError
 from edition1_companion.book.after.paper_index import (
     COLUMNS,
@@ -20,8 +22,6 @@ from edition1_companion.book.after.paper_index import (
 )
 from edition1_companion.book.project import Project
 from edition1_companion.book.published import read_published
-
-import edition1
 
 PROJECT = Project(Path(__file__).resolve().parents[4])
 ENTRIES = read_index(index_path(PROJECT))

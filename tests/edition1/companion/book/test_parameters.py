@@ -6,10 +6,11 @@ import math
 
 import nbformat
 import pytest
-from edition1.errors import InputError
-from edition1_companion.book.parameters import Parameter, convert, convert_all, declared_parameters
 from hypothesis import given
 from hypothesis import strategies as st
+
+from edition1.errors import InputError
+from edition1_companion.book.parameters import Parameter, convert, convert_all, declared_parameters
 
 DECLARED = """\
 n_segments: int = 3  # segments in series

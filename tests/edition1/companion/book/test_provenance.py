@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from edition1.files import write_whole
 from edition1_companion.book.digests import tree_digests, write_if_changed
 from edition1_companion.book.project import find_project, shown

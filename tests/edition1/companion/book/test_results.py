@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.book.results import read_table, results_dir, write_scorecard_rows, write_table
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.book.digests import file_digest
 from edition1_companion.book.project import find_project

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.book.after.scorecard_files import badge_text, picture_alt, scorecard_json
 from edition1_companion.book.project import Project, find_project

@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ET
 from fractions import Fraction
 
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.book.after.scorecard_files import (
     HIGHEST,

@@ -12,6 +12,8 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 import torch
+from PIL import Image
+
 from edition1.errors import InputError
 from edition1.kinematics.paper_robots import Dimensions, affine_robot, pcc_robot
 from edition1.kinematics.robot import Robot
@@ -26,7 +28,6 @@ from edition1_live.view.robot_view import (
 )
 from edition1_live.view.shape_view import ROLES, VIEWER, Markers, Shape, ShapeView, Traces
 from edition1_live.view.style import MAGNET, SENSOR
-from PIL import Image
 
 FRAMES = 60
 TIMES = np.linspace(0.0, 5.9, FRAMES)

@@ -4,6 +4,7 @@ import json
 
 import pandas as pd
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.book.project import find_project
 from edition1_companion.book.studies import joined, read_study

@@ -6,17 +6,18 @@ import re
 from itertools import combinations
 from pathlib import Path
 
-import edition1_companion
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.colors import to_hex, to_rgb, to_rgba
+from matplotlib.figure import Figure
+
+import edition1_companion
 from edition1_companion.pages.affine_curvature.figures import stills
 from edition1_live.view.style import MAGNET, SENSOR, STYLE, WIDTH_IN, page_figure, wrapped_panels
 from edition1_live.view.symbols import coordinate_symbol, in_symbols
-from matplotlib.colors import to_hex, to_rgb, to_rgba
-from matplotlib.figure import Figure
 
 CYCLE = mpl.rc_params_from_file(STYLE, use_default_template=False)["axes.prop_cycle"]
 PALETTE = [to_hex(colour).upper() for colour in CYCLE.by_key()["color"]]

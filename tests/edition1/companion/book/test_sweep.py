@@ -11,12 +11,13 @@ from pathlib import Path
 import psutil
 import pytest
 from cyclopts import App
+from logged_runs import LOGGED, PARAMETERS, in_background, logged, wait_for
+
 from edition1.errors import InputError
 from edition1_companion.book.points import finished, local_runner, run_points
 from edition1_companion.book.project import find_project
 from edition1_companion.book.sweep import joined_tables, plan, shown_command
 from edition1_companion.cli_sweep import sweep
-from logged_runs import LOGGED, PARAMETERS, in_background, logged, wait_for
 
 
 @pytest.fixture

@@ -11,15 +11,15 @@ import sys
 from pathlib import Path
 
 import pytest
+from logged_runs import LOGGED, PARAMETERS, in_background, logged, wait_for
+
+import edition1 as repro
 from edition1.errors import InputError
 from edition1_companion.book.points import run_points
 from edition1_companion.book.project import find_project
 from edition1_companion.book.sweep import plan
 from edition1_companion.book.sweep_cluster import cluster_runner, connect, difference
 from edition1_companion.cli_sweep import sweep
-from logged_runs import LOGGED, PARAMETERS, in_background, logged, wait_for
-
-import edition1 as repro
 
 pytest.importorskip("distributed", reason="the extra cluster is not installed")
 
@@ -109,8 +109,8 @@ def test_a_point_that_no_worker_survives_fails_and_the_others_do_not(root, noteb
 def another_package(root):
     """Return a PYTHONPATH under which repro is a copy with one more module."""
     copy = root / "copy"
-    shutil.copytree(Path(str(repro.__file__)).parent, copy / "repro")
-    (copy / "repro" / "one_more.py").write_text('"""One more."""\n')
+    shutil.copytree(Path(str(repro.__file__)).parent, copy / "edition1")
+    (copy / "edition1" / "one_more.py").write_text('"""One more."""\n')
     return os.pathsep.join([str(copy), os.environ.get("PYTHONPATH", "")])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.book.parameters import Parameter, convert
 from edition1_companion.book.sweep_grid import grid_points, read_grid, read_part, value_text

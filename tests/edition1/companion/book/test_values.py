@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import nbformat
 import pytest
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
+
 from edition1.errors import InputError
 from edition1_companion.book.project import find_project
 from edition1_companion.book.runner import run_notebook
 from edition1_companion.book.values import fill, filled
-from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 FIGURE = {
     "figure": {"caption": "It is {{ratio}} times, below {setting}`60 deg`.", "name": "fig-x"},

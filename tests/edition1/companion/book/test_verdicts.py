@@ -5,6 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 import pytest
+
 from edition1_companion.book.verdicts import Verdict, half_printed_unit, is_weak, verdict
 
 

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from page_on_screen import NO_GPU, differing, pixels, wait_until
+
 from edition1.kinematics.paper_robots import pcc_robot
 from edition1_live.view.robot_view import live_frame, live_scene, shape_view
 from edition1_live.view.shape_view import VIEWER, ShapeView, Traces
-from page_on_screen import NO_GPU, differing, pixels, wait_until
 
 FRAMES = 31
 # Whatever the page would load or run besides the script and inline pictures is an error on the console

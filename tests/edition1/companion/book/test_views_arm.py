@@ -5,6 +5,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1_companion.book.project import find_project
 from edition1_companion.book.views_arm import RADIUS_M, chain_view
@@ -12,7 +14,6 @@ from edition1_companion.pages.imu_markers.views import trial_view
 from edition1_companion.twins.arm_trial import draw
 from edition1_companion.twins.imu_errors import PERFECT, ImuErrors
 from edition1_companion.twins.soft_arm import load_soft_arm
-from scipy.spatial.transform import Rotation
 
 LINKS_M = np.full(8, 0.08)
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from test_viewer import seen, show  # noqa: F401  # fixtures
+
 from edition1_companion.pages.table_2.views import ShapeViews
 from edition1_live.view.shape_view import Markers, Shape, ShapeView, Traces
-from test_viewer import seen, show  # noqa: F401  # fixtures
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import torch
+
 from edition1.estimation.base import Trajectory
 from edition1_companion.pages.table_2.views import FRAMES, LONGEST_S, ShapeViews, rig_view, rig_views
 from edition1_companion.recordings.baaij2023 import Recording

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.kinematics.paper_robots import affine_robot, pcc_robot
 from edition1_companion.book.project import find_project

@@ -6,6 +6,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.kinematics.paper_robots import affine_robot
 from edition1.sensing.linearised import LinearisedSensing

@@ -5,6 +5,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.sensing.linearised import LinearisedSensing
 from edition1_companion.pages.table_1.limits import (

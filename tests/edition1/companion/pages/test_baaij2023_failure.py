@@ -6,6 +6,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation.levenberg_marquardt import LevenbergMarquardt, covariance, jacobian
 from edition1.kinematics.mounts import Mounts

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+
 from edition1.estimation.levenberg_marquardt import LevenbergMarquardt
 from edition1.kinematics.paper_robots import pcc_robot
 from edition1.sensing.linearised import LinearisedSensing

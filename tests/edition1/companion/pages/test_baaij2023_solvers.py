@@ -3,6 +3,7 @@
 from functools import partial
 
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.book.parallel import in_processes
 from edition1_companion.pages.table_1.limits import model_by_solver

@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from scipy.signal import lfilter
+
 from edition1.errors import InputError
 from edition1.estimation.base import track
 from edition1.estimation.kalman_filter import IteratedKalmanFilter
@@ -47,7 +49,6 @@ from edition1_companion.twins.rig_networks import (
     training_part,
 )
 from edition1_companion.twins.rig_twins import nominal_twin, random_twin, second_twin
-from scipy.signal import lfilter
 
 SLOPES = np.array([[-5300.0, 900.0, -4300.0], [-3000.0, -2800.0, -1200.0]])
 LEVEL = np.array([1282.0, 1205.0, 1387.0])

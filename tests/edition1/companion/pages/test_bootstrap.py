@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from edition1_companion.book.bootstrap import interval, ratio_interval, resampled, resampled_blocks
 
 

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.pages.closed_loop.curvature_control import (
     CurvatureController,

@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from linear_rig import ACROSS, linear_map, segment
+
 from edition1.estimation.base import track
 from edition1_companion.pages.closed_loop.filter import CommandAlone, LoopFilter
 from edition1_companion.pages.closed_loop.identification import (
@@ -33,7 +35,6 @@ from edition1_companion.twins.rig_bank import OursConfig
 from edition1_companion.twins.rig_filter import BendFilter
 from edition1_companion.twins.rig_map import monomials
 from edition1_companion.twins.rig_twins import nominal_twin
-from linear_rig import ACROSS, linear_map, segment
 
 TWIN = nominal_twin()
 

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+
 from edition1_companion.pages.constant_curvature_floor import figures
 from edition1_companion.pages.constant_curvature_floor.floors import (
     FREE,

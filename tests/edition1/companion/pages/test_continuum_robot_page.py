@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+
+from edition1 import se3
 from edition1_companion.pages.continuum_robot import figures, judged, tables
 from edition1_companion.recordings.continuum_robot import STATIONS_M, find_trials
 from edition1_companion.twins import followed_rod
-
-from edition1 import se3
 
 ROOT = Path(__file__).parents[4]
 RECORDINGS = ROOT / "data" / "recordings" / "continuum_robot"

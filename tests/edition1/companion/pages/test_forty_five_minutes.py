@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1.sensing.magnetic import readings
 from edition1_companion.pages.forty_five_minutes.twin import (
@@ -20,7 +22,6 @@ from edition1_companion.pages.forty_five_minutes.twin import (
     Sizes,
     draw_twin,
 )
-from scipy.spatial.transform import Rotation
 
 STILL = Sizes(warming_k=0.0, offset_mt=0.0, gain=0.0, heading_rad=0.0, tilt_rad=0.0, iron_a_m2=0.0)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+
 from edition1_companion.pages.forty_five_minutes.aids import AIDS, aids, left, prior
 from edition1_companion.pages.forty_five_minutes.poses import POSE_M, described
 

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+
 from edition1.estimation.base import Trajectory
 from edition1_companion.book.studies import read_study
 from edition1_companion.pages.forty_five_minutes import figures, tables

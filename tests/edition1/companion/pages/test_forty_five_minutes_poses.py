@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1_companion.book.studies import joined, read_study
 from edition1_companion.pages.forty_five_minutes import tables
 from edition1_companion.pages.forty_five_minutes.poses import SENSORS, STRAIGHT

@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from short_arm import short_arm
+
 from edition1.errors import InputError
 from edition1.estimation.orientations import tangents
 from edition1_companion.pages.how_many_imus.curves import STEPS, arm_curves, random_curves
@@ -22,8 +25,6 @@ from edition1_companion.pages.how_many_imus.errors import (
     rule,
 )
 from edition1_companion.pages.how_many_imus.needed import imus_needed
-from scipy.spatial.transform import Rotation
-from short_arm import short_arm
 
 LIMITS = {"curvature": 8.0, "slope": 60.0}
 

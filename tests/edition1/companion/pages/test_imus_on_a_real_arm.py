@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+
 from edition1_companion.pages.imus_on_a_real_arm import figures
 from edition1_companion.pages.imus_on_a_real_arm.chains import (
     ARCS,

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1.estimation.conformal import adaptive_factors, block_weights, conformal_factor, ellipsoid_scores
 from edition1_companion.book.studies import joined
 from edition1_companion.pages.intervals import figures, scored, tables

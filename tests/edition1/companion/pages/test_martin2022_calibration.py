@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1_companion.book.studies import read_study
 from edition1_companion.pages.imu_markers.calibration import BASELINE, MARKERS_MEAN, ratio_to_uncalibrated
 

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from short_arm import short_arm
+
 from edition1.errors import InputError
 from edition1.estimation.imu_models import pcc_extended
 from edition1_companion.recordings.martin2022_models import MARKERS, selection
@@ -25,7 +27,6 @@ from edition1_companion.twins.arm_markers import (
 from edition1_companion.twins.arm_recording import MotionCapture
 from edition1_companion.twins.arm_trial import draw, drawn, errors_with
 from edition1_companion.twins.imu_errors import PERFECT, ImuErrors
-from short_arm import short_arm
 
 
 @pytest.fixture(scope="module")

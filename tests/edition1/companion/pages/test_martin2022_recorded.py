@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
+from short_arm import short_arm
+
 from edition1.errors import InputError
 from edition1.estimation.imu_chain import sensor_orientations
 from edition1.estimation.orientations import tangents
@@ -49,8 +52,6 @@ from edition1_companion.recordings.martin2022_trial import (
 from edition1_companion.twins.arm_recording import MotionCapture
 from edition1_companion.twins.arm_trial import draw, drawn
 from edition1_companion.twins.imu_errors import PERFECT
-from scipy.spatial.transform import Rotation
-from short_arm import short_arm
 
 PUBLISHED = pd.read_csv(Path(__file__).parents[4] / "data" / "published" / "published.csv")
 

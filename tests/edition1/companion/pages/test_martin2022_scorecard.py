@@ -3,6 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
+from short_arm import DATA
+
 from edition1_companion.book.published import read_published, row_key
 from edition1_companion.book.results import write_scorecard_rows
 from edition1_companion.book.verdict_table import verdict_table
@@ -14,7 +16,6 @@ from edition1_companion.pages.imu_markers.scorecard import (
     time_rows,
 )
 from edition1_companion.twins.arm_markers import EVALUATIONS, FILES, QUANTILES, cases
-from short_arm import DATA
 
 PUBLISHED = DATA / "published" / "published.csv"
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from edition1.estimation.imu_models import tangent_spline
 from edition1_companion.recordings.martin2022_models import selection
 from edition1_companion.twins.arm_recording import MotionCapture, record_soft_arm

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
 from edition1.errors import InputError
 from edition1_companion.pages.recorded_trial.orientations import (
     last_orientation,
@@ -9,7 +11,6 @@ from edition1_companion.pages.recorded_trial.orientations import (
     orientations_between,
     unevenness_deg,
 )
-from scipy.spatial.transform import Rotation, Slerp
 
 ROWS = 200
 

@@ -7,6 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from scipy.stats import norm
+
 from edition1.sensing.placement import Tolerances
 from edition1_companion.book.bootstrap import interval
 from edition1_companion.pages.bend_tests import errors as bend_errors
@@ -15,7 +17,6 @@ from edition1_companion.pages.closed_loop.loop import reference_mm
 from edition1_companion.pages.fusion import study as fusion
 from edition1_companion.twins.bend_tests import BendTake
 from edition1_companion.twins.segment_motion import TRAJECTORIES, motion
-from scipy.stats import norm
 
 
 class TestLoops:

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.pages.light_bulb import (
     FIRST,

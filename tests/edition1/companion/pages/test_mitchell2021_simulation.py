@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+
 from edition1_companion.book.project import find_project
 from edition1_companion.book.published import read_published
 from edition1_companion.book.studies import read_study

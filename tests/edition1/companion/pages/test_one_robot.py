@@ -7,6 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
+
+from edition1 import se3
 from edition1.errors import InputError
 from edition1.kinematics.paper_robots import Dimensions
 from edition1.sensing.bend_sensor import BendSensor
@@ -41,9 +44,6 @@ from edition1_companion.twins.segment_robot import (
     draw_parts,
     simulate,
 )
-from scipy.spatial.transform import Rotation
-
-from edition1 import se3
 
 ARC, AFFINE, LOADED = TRAJECTORIES
 STEPS = 40

@@ -4,6 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1.kinematics.mounts import magnet_mounts
 from edition1.kinematics.paper_robots import Dimensions
@@ -11,7 +13,6 @@ from edition1_companion.pages.fusion.models import Imus, Magnets
 from edition1_companion.pages.fusion.study import SETTINGS, record
 from edition1_companion.pages.fusion.tables import errors_by_step, judged, mean_errors, ratio_to_better_single
 from edition1_companion.twins.segment_motion import ROBOT, TRAJECTORIES, motion
-from scipy.spatial.transform import Rotation
 
 
 def states(n, seed=0):

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.sensing.magnetic import readings
 from edition1.sensing.magnets import ring

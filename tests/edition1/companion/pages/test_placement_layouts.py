@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.kinematics.paper_robots import Dimensions, affine_robot, pcc_robot
 from edition1_companion.pages.sensor_placement.layouts import Room, layout_of

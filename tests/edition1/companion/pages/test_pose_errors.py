@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+
 from edition1.kinematics.paper_robots import pcc_robot
 from edition1_companion.book.pose_errors import pose_errors
 

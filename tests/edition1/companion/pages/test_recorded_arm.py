@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1.estimation.imu_chain import link_orientations, rigid_body
 from edition1_companion.book.project import find_project
@@ -22,7 +24,6 @@ from edition1_companion.recordings.continuum_robot import (
     read_readings,
 )
 from edition1_companion.twins.captured_rod import captured
-from scipy.spatial.transform import Rotation
 
 RECORDED = find_project().data / "recordings" / "continuum_robot"
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+
 from edition1.estimation.consistency import WINDOW, Status
 from edition1_companion.pages.table_2.reliability import doubt_table
 from edition1_companion.recordings.baaij2023 import Recording

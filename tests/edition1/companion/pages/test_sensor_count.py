@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.twins.sensor_count import against_three, sensor_count_errors
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation.information import fisher_information
 from edition1.sensing.linearised import LinearisedSensing

@@ -10,6 +10,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 import torch
+
 from edition1.estimation.base import Trajectory
 from edition1.sensing.bend_sensor import BendSensor
 from edition1.sensing.magnetic import EARTH_MT

@@ -4,6 +4,7 @@ import math
 
 import pandas as pd
 import pytest
+
 from edition1_companion.book.scorecard import ScorecardRow
 from edition1_companion.book.verdict_table import VerdictTable
 from edition1_companion.book.verdicts import Verdict

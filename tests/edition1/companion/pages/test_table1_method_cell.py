@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from edition1_companion.twins import table_1_method as table1
 from edition1_companion.twins.table_1_rows import rows_named
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1_companion.pages.table_1.training import RELEASED_MT, orders_table, parts_of_errors, splits_table
 from edition1_companion.twins.networks import NetworkSpec
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from edition1_companion.pages.table_2.reliability import decrease_of_chi2, doubted
 from edition1_companion.twins.rig_map import BendMap
 

@@ -3,6 +3,7 @@
 from functools import cache
 
 import pandas as pd
+
 from edition1_companion.book.project import find_project
 from edition1_companion.pages.table_2.reliability import RELATIVE, errors_by_start, rounding_table
 from edition1_companion.pages.table_2.scorecard import table_2_rows

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+
 from edition1_companion.book.project import find_project
 from edition1_companion.twins import rig_descent as table2
 from edition1_companion.twins.rig_data import load_recordings

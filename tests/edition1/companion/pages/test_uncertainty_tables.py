@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.stats import chi2, norm
+
 from edition1_companion.pages.fusion import study as fusion
 from edition1_companion.pages.fusion import tables as fusion_tables
 from edition1_companion.recordings.baaij2023 import Recording
@@ -15,7 +17,6 @@ from edition1_companion.twins.rig_filter import filtered
 from edition1_companion.twins.rig_map import fit_map
 from edition1_companion.twins.segment_motion import ROBOT
 from edition1_companion.twins.trajectories import lemniscate
-from scipy.stats import chi2, norm
 
 
 def gaussian(covariance, n, seed=0):

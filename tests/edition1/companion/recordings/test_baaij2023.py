@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.book.project import find_project
 from edition1_companion.recordings.baaij2023 import (

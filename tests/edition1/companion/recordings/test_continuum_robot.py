@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1_companion.book.project import find_project
 from edition1_companion.recordings.continuum_robot import (
@@ -20,7 +22,6 @@ from edition1_companion.recordings.continuum_robot import (
     poses,
     read_readings,
 )
-from scipy.spatial.transform import Rotation
 
 COMMITTED = find_project().data / "recordings" / "continuum_robot"
 HEAD = "sensor type:,gyro\ntimestamp (s),arclength (m),data\n"

@@ -5,6 +5,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1.estimation.imu_chain import adjacent_angles, link_orientations, rigid_body
 from edition1.estimation.imu_models import pcc_extended
@@ -12,9 +16,6 @@ from edition1.estimation.imu_selection import Selection
 from edition1_companion.recordings import martin2022
 from edition1_companion.recordings.martin2022 import find_bag, one_clock, read_messages, read_readings
 from edition1_companion.twins.imu_stream import synthetic_stream
-from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from scipy.spatial.transform import Rotation
 
 MESSAGE = """std_msgs/Header header
 uint8 ID

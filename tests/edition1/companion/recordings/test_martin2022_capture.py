@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.recordings.martin2022_trial import CAPTURE, OUTPUT_FOLDER, find_capture, read_capture
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.recordings.martin2022_trial import (
     OUTPUT_FOLDER,

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from test_mitchell2021_capture import START_UNIX_S, UP_AND_DOWN, bending, write_capture
+
 from edition1.errors import InputError
 from edition1_companion.recordings.mitchell2021 import (
     FIELD,
@@ -16,7 +18,6 @@ from edition1_companion.recordings.mitchell2021 import (
 )
 from edition1_companion.recordings.mitchell2021_capture import read_capture
 from edition1_companion.recordings.mitchell2021_tables import on_readings, read_calibration, read_filtered
-from test_mitchell2021_capture import START_UNIX_S, UP_AND_DOWN, bending, write_capture
 
 DRAINED = 15
 

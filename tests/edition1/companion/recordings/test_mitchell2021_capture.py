@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1_companion.recordings.mitchell2021_capture import GUARD_FRAMES, read_capture
-from scipy.spatial.transform import Rotation
 
 HEADER = (
     "Format Version,1.21,Take Name,{name},Capture Frame Rate,120,Export Frame Rate,120,Capture Start Time,"

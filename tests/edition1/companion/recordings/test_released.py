@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
+
 from edition1_companion.recordings.mitchell2021 import FOLDER, files_found
 from edition1_companion.recordings.released import unlike_released
 from edition1_companion.recordings.sources import RecordedFile, data_dir, read_sources

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.recordings.baaij2023 import merge, process, raw_paths, read_readings, split
 from edition1_companion.recordings.rig_alignment import (

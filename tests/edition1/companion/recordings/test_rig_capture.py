@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from edition1.errors import InputError
-from edition1_companion.recordings.rig_capture import read_ring_motion, ring_configuration
-from edition1_companion.recordings.rig_robot import RIG_LENGTH_M, RIG_MARKERS_M, rig_segment
-from edition1_companion.twins.rig_files import MarkerCapture, RingTrack, capture_ring, write_recording
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from edition1 import se3
+from edition1.errors import InputError
+from edition1_companion.recordings.rig_capture import read_ring_motion, ring_configuration
+from edition1_companion.recordings.rig_robot import RIG_LENGTH_M, RIG_MARKERS_M, rig_segment
+from edition1_companion.twins.rig_files import MarkerCapture, RingTrack, capture_ring, write_recording
 
 QUIET = MarkerCapture(0.0, 0.0, 0.0, 0.0, 0.0, (0.8, -0.5), (120.0, -80.0, 300.0))
 N = 60

@@ -11,6 +11,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.recordings import download
 from edition1_companion.recordings.download import address, fetch, is_there, listing

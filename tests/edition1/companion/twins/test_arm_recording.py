@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1.errors import InputError
 from edition1_companion.recordings.martin2022 import READING_COLUMNS, one_clock
 from edition1_companion.twins.arm_recording import CHECK_ARCS_M, MARKER_ARCS_M, MotionCapture, record_soft_arm

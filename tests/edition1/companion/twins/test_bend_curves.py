@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+
 from edition1.kinematics.bend import bend_angle_and_direction
 from edition1.sensing.bend_sensor import BendSensor
 from edition1_companion.twins.bend_curves import CURVES, bend_curve, bend_readings, bend_robot, curve_times

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from edition1_companion.recordings.mitchell2021 import FIELD, align, read_hall, takes
 from edition1_companion.recordings.mitchell2021_capture import read_capture
 from edition1_companion.twins.bend_takes import (

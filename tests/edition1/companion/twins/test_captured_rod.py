@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import torch
+
+from edition1 import AffineCurvature, ConstantCurvature, Robot, magnet_mounts
 from edition1_companion.book.project import find_project
 from edition1_companion.recordings.continuum_robot import LENGTH_M, STATIONS_M, find_trials
 from edition1_companion.twins.captured_rod import bend_deg, body_offsets, captured, stations
 from edition1_companion.twins.curvature_series import CurvatureSeries
-
-from edition1 import AffineCurvature, ConstantCurvature, Robot, magnet_mounts
 
 QUARTERS = torch.tensor([0.25, 0.5, 0.75, 1.0], dtype=torch.float64)
 RECORDED = find_project().data / "recordings" / "continuum_robot"

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+
 from edition1.sensing.bend_sensor import BendSensor
 from edition1_companion.recordings.mitchell2021_conventions import MODEL_FROM_FILE, file_axes, model_axes
 from edition1_companion.twins.field_ratios import FieldRatios, transverse_to_axial

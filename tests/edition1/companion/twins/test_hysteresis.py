@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from edition1_companion.twins.rig_motion import MODELS, STOPS, memory
 
 

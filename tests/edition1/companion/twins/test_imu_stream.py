@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+
 from edition1.errors import InputError
 from edition1.estimation.imu_chain import link_orientations, rigid_body
 from edition1_companion.recordings.martin2022 import READING_COLUMNS, one_clock

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1_companion.twins.imu_errors import (
     PERFECT,
@@ -12,7 +14,6 @@ from edition1_companion.twins.imu_errors import (
     ornstein_uhlenbeck,
     read_imus,
 )
-from scipy.spatial.transform import Rotation
 
 IMUS = 8
 AXES = np.random.default_rng(7).standard_normal((IMUS, 3))

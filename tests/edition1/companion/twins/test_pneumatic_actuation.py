@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from edition1_companion.twins.pneumatic_actuation import (
     AZIMUTH_RATE,
     DURATION_S,

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from edition1_companion.twins.pneumatic_actuation import TRAJECTORIES
 from edition1_companion.twins.pneumatic_rig import record_rig, record_twin
 from edition1_companion.twins.rig_motion import MODELS

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+
 from edition1.kinematics.bend import MAX_BEND, bend_vector
 from edition1.sensing.bend_sensor import BendSensor
 from edition1_companion.twins.field_ratios import FieldRatios, _dipole_bend, invert

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from edition1_companion.twins.pneumatic_actuation import Chambers
 from edition1_companion.twins.rig_motion import Bending, InnerShape, rig_motion
 

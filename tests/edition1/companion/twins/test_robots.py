@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.kinematics.paper_robots import affine_robot, pcc_robot
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+
 from edition1.sensing.magnetic import readings
 from edition1.sensing.magnets import ring
 from edition1_companion.recordings.rig_robot import rig_earth_axis, rig_robot

@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1.estimation.imu_chain import adjacent_angles
 from edition1_companion.twins.soft_arm import load_soft_arm
-from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
 FILE = Path(__file__).parents[4] / "data" / "soft_arm.npz"
 

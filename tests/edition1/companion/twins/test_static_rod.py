@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import pytest
 import torch
+from scipy.optimize import brentq
+from scipy.special import ellipk, ellipkinc
+
 from edition1.errors import InputError
 from edition1.kinematics.constant_curvature import ConstantCurvature
 from edition1_companion.twins.segment_motion import SHEAR_FACTOR, StaticRod
-from scipy.optimize import brentq
-from scipy.special import ellipk, ellipkinc
 
 ROD = StaticRod(length_m=0.11, radius_m=0.011, youngs_modulus_pa=1e6)
 STRAIGHT, ONE = torch.zeros(2, dtype=torch.float64), torch.tensor(1.0, dtype=torch.float64)

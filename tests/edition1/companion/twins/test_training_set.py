@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.kinematics.paper_robots import Dimensions, affine_robot
 from edition1.sensing.magnetic import readings

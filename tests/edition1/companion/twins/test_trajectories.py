@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1_companion.twins.trajectories import flower, lemniscate
 

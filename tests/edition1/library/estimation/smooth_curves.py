@@ -1,8 +1,9 @@
 """Smooth curves whose frames and points are known: what the models of the arm are tested on."""
 
 import numpy as np
-from edition1.estimation.imu_selection import Selection
 from scipy.spatial.transform import Rotation
+
+from edition1.estimation.imu_selection import Selection
 
 LENGTH = 0.64
 STEPS = 1280  # of 0.5 mm; each is an arc of constant rate through the rate in its middle: error below 1e-7 m

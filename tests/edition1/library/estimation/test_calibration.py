@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import pytest
 import torch
+
+from edition1 import se3
 from edition1.errors import InputError
 from edition1.estimation.calibration import calibrate
 from edition1.estimation.poses import configurations
@@ -13,8 +15,6 @@ from edition1.sensing.linearised import LinearisedSensing
 from edition1.sensing.magnetic import readings
 from edition1.sensing.magnets import ring
 from edition1.sensing.placement import Tolerances, placed
-
-from edition1 import se3
 
 MOMENTS = torch.from_numpy(ring("released").multipoles(9))
 NOISE = 7.1e-4

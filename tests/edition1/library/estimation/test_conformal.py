@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 from crepes import ConformalRegressor
+from scipy.stats import chi, norm
+
 from edition1.errors import InputError
 from edition1.estimation.conformal import (
     adaptive_factors,
@@ -13,7 +15,6 @@ from edition1.estimation.conformal import (
     ellipsoid_scores,
     interval_score,
 )
-from scipy.stats import chi, norm
 
 
 @pytest.mark.parametrize("level", [0.5, 0.9, 0.95])

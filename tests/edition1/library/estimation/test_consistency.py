@@ -5,13 +5,14 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy import stats
+
 from edition1.estimation._step import driven
 from edition1.estimation._window import Seen, limit, verdict_on
 from edition1.estimation.base import track
 from edition1.estimation.consistency import lasting
 from edition1.estimation.kalman_filter import IteratedKalmanFilter
 from edition1.estimation.levenberg_marquardt import LevenbergMarquardt
-from scipy import stats
 
 A = torch.randn(5, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
 FAR = 100 * torch.ones(2, dtype=torch.float64)

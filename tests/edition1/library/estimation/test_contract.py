@@ -7,6 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from linear_rig import linear_map, segment
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
 from edition1.errors import InputError
 from edition1.estimation.base import track
 from edition1.estimation.gradient_descent import GradientDescent
@@ -29,9 +33,6 @@ from edition1.sensing.multipole import MultipoleField
 from edition1_companion.pages.closed_loop.filter import CommandAlone, LoopFilter
 from edition1_companion.twins.rig_filter import BendFilter
 from edition1_companion.twins.trajectories import lemniscate
-from linear_rig import linear_map, segment
-from scipy.spatial.transform import Rotation
-from torch import Tensor
 
 ROBOT = pcc_robot(1)
 SENSING = MagneticSensing(ROBOT, MultipoleField.of(ring("released")))

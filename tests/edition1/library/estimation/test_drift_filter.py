@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.stats import chi2
+
 from edition1.errors import InputError
 from edition1.estimation.drift_filter import Drift, DriftFilter
-from scipy.stats import chi2
 
 FAR = torch.full((1,), 50.0, dtype=torch.float64)
 ONE = torch.ones(1, dtype=torch.float64)

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation.base import track
 from edition1.estimation.gradient_descent import GradientDescent

@@ -4,15 +4,16 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+from smooth_curves import LENGTH, STEPS, evenly, read, smooth_curves
+
 from edition1.errors import InputError
 from edition1.estimation.imu_models import exact_arcs, pcc_extended, rigid_links
 from edition1.estimation.imu_selection import Selection
 from edition1_companion.pages.how_many_imus.bounds import arcs_bound, pcc_bound, rigid_bound
 from edition1_companion.pages.how_many_imus.needed import imus_needed
 from edition1_companion.recordings.martin2022_models import selection
-from scipy.integrate import quad
-from scipy.optimize import brentq
-from smooth_curves import LENGTH, STEPS, evenly, read, smooth_curves
 
 # model, bound, sub-segments, IMU in the middle, order in the spacing with a known slope
 PAIRS = {

@@ -4,6 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from smooth_curves import read, smooth_curves
+
 from edition1.errors import InputError
 from edition1.estimation.imu_calibration import ImuTolerances, calibrate_imus, calibrated
 from edition1.estimation.imu_models import exact_arcs, rigid_links, tangent_spline
@@ -11,8 +14,6 @@ from edition1.estimation.imu_selection import Selection
 from edition1.estimation.orientations import exponential, product
 from edition1.estimation.undetermined import undetermined
 from edition1_companion.recordings.martin2022_models import selection
-from scipy.spatial.transform import Rotation
-from smooth_curves import read, smooth_curves
 
 ARM = selection("pcc", 8)
 FRAME = Rotation.from_euler("xyz", [3.0, -4.0, 12.0], degrees=True)

@@ -2,6 +2,10 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1.estimation.imu_chain import (
     adjacent_angles,
@@ -10,9 +14,6 @@ from edition1.estimation.imu_chain import (
     rigid_body,
     sensor_orientations,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 LENGTHS = np.array([0.102, 0.08, 0.0, 0.08, 0.05])

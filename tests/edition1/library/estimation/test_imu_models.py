@@ -7,6 +7,11 @@ import numpy as np
 import pytest
 import roma
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+from smooth_curves import LENGTH, STEPS, evenly, read, smooth_curves
+
 from edition1.errors import InputError
 from edition1.estimation.imu_models import (
     chain,
@@ -18,10 +23,6 @@ from edition1.estimation.imu_models import (
 )
 from edition1.estimation.imu_selection import Selection
 from edition1_companion.recordings.martin2022_models import selection
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation, Slerp
-from smooth_curves import LENGTH, STEPS, evenly, read, smooth_curves
 
 BETWEEN = (pcc_extended, exact_arcs, tangent_interpolation, tangent_spline)
 UNEVEN = Selection((0, 1, 3, 4), (0.0, 0.08, 0.24, 0.32), (0.08, 0.16, 0.08), sub_links=3)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from edition1.errors import InputError
 from edition1.estimation.imu_selection import Selection
 from edition1_companion.recordings.martin2022_models import IMU_ARCS, MARKERS, READINGS, selection

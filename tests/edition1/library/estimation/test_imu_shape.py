@@ -5,13 +5,14 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
+from smooth_curves import read, smooth_curves
+
 from edition1.errors import InputError
 from edition1.estimation.base import Estimator, track
 from edition1.estimation.imu_models import exact_arcs, pcc_extended, rigid_links, tangent_spline
 from edition1.estimation.imu_shape import ImuShape
 from edition1_companion.recordings.martin2022_models import selection
-from scipy.spatial.transform import Rotation
-from smooth_curves import read, smooth_curves
 
 MARKERS = (0.36, 0.6)
 NOISE = math.radians(1.0)

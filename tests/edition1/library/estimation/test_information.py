@@ -4,11 +4,12 @@ import math
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
 from edition1.errors import InputError
 from edition1.estimation.information import cramer_rao, fisher_information
 from edition1.estimation.levenberg_marquardt import LevenbergMarquardt, covariance
-from hypothesis import given
-from hypothesis import strategies as st
 
 
 def random_jacobian(*shape, seed=0):

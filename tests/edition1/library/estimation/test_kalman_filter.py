@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
+
 from edition1.errors import InputError
 from edition1.estimation.base import track
 from edition1.estimation.kalman_filter import IteratedKalmanFilter
@@ -15,7 +17,6 @@ from edition1.sensing.linearised import LinearisedSensing
 from edition1.sensing.magnetic import readings
 from edition1.sensing.magnets import ring
 from edition1_companion.twins.trajectories import lemniscate
-from torch import Tensor
 
 H = torch.tensor([[1.0, 0.5], [0.0, 1.0], [-1.0, 0.3]], dtype=torch.float64)
 FAR = torch.full((2,), 50.0, dtype=torch.float64)

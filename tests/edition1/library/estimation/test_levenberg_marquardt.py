@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation.base import track
 from edition1.estimation.levenberg_marquardt import LevenbergMarquardt, covariance, jacobian

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 import torch
+from scipy.linalg import null_space
+from scipy.stats import chi2
+
 from edition1.errors import InputError
 from edition1.estimation.kalman_filter import IteratedKalmanFilter
 from edition1.estimation.levenberg_marquardt import LevenbergMarquardt
 from edition1.estimation.model_error import WithModelError
-from scipy.linalg import null_space
-from scipy.stats import chi2
 
 NOISE = 0.1
 DRAW = np.random.default_rng(0)

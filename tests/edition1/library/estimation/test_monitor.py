@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation.base import track
 from edition1.estimation.gradient_descent import GradientDescent

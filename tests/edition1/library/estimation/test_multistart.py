@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation.multistart import starts_within
 

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 import roma
 import torch
-from edition1.errors import InputError
-from edition1.estimation._quaternions import axis_and_angle, filled, turn_between, unit_quaternions
-from edition1.estimation.orientations import exponential, product, tangents
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
+
+from edition1.errors import InputError
+from edition1.estimation._quaternions import axis_and_angle, filled, turn_between, unit_quaternions
+from edition1.estimation.orientations import exponential, product, tangents
 
 ARCS = [0.0, 0.1, 0.16, 0.3]
 

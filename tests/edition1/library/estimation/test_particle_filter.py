@@ -13,6 +13,7 @@ import math
 import numpy as np
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation._particle_cloud import best_tenth
 from edition1.estimation.base import Estimator, track

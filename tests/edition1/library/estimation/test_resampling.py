@@ -6,10 +6,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import torch
+from scipy import stats
+
 from edition1.errors import InputError
 from edition1.estimation._resampling import effective_sample_size, normalised, resample, stream, weights
 from edition1.estimation.regions import Box, Disc, Region
-from scipy import stats
 
 CALLS = 1500
 W = torch.tensor([0.5, 0.02, 0.08, 0.13, 0.001, 0.1, 0.16, 0.009], dtype=torch.float64)

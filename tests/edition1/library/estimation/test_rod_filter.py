@@ -8,6 +8,9 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy import stats
+
+from edition1 import se3
 from edition1.errors import InputError
 from edition1.estimation.base import track
 from edition1.estimation.rod_filter import RodFilter
@@ -18,9 +21,6 @@ from edition1.kinematics.strain_series import StrainSeries
 from edition1.sensing.magnetic import MagneticSensing, readings
 from edition1.sensing.magnets import ring
 from edition1.sensing.multipole import MultipoleField
-from scipy import stats
-
-from edition1 import se3
 
 ROD = StrainSeries(0.4, bending=2, torsion=1)
 STD = (2.0, 1.0, 2.0, 1.0, 0.5)

@@ -6,6 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
 from edition1.errors import InputError
 from edition1.estimation.base import track
 from edition1.estimation.kalman_filter import IteratedKalmanFilter
@@ -18,8 +21,6 @@ from edition1.kinematics.paper_robots import pcc_robot
 from edition1.kinematics.robot import Robot
 from edition1.sensing.linearised import LinearisedSensing
 from edition1.sensing.magnets import ring
-from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 MOMENTS = torch.from_numpy(ring("released").multipoles(5))
 EARTH = torch.tensor([0.04, 0.01, -0.03]).double()

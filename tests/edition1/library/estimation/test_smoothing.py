@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation.drift_filter import Drift, DriftFilter
 from edition1.estimation.kalman_filter import IteratedKalmanFilter

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numba
 import pytest
-from edition1.kernels.compilation import _CACHE, _digest, machine_code
 
 from edition1 import kernels
+from edition1.kernels.compilation import _CACHE, _digest, machine_code
 
 PACKAGE = Path(kernels.__file__).parent
 SOURCES = PACKAGE.parents[1]

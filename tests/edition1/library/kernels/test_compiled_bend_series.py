@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.kernels._bend import CompiledBendSensor
 from edition1.kernels._bend_series import BendSeries

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation.base import Estimator, track
 from edition1.estimation.particle_filter import ParticleFilter

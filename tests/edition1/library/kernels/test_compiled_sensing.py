@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch import nn
+
 from edition1.errors import InputError
 from edition1.estimation.levenberg_marquardt import jacobian
 from edition1.kernels._sensing import CompiledSensing
@@ -21,7 +23,6 @@ from edition1.sensing.magnetic import MagneticSensing
 from edition1.sensing.magnets import ring
 from edition1.sensing.multipole import MultipoleField
 from edition1.sensing.network import CosineNetwork, DipoleResidual, PerSensor, paper_network
-from torch import nn
 
 MOMENTS = torch.from_numpy(ring("released").multipoles(9))
 EARTH = torch.tensor([0.03, -0.05, 0.02], dtype=torch.float64)

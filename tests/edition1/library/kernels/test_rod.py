@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 import torch
+
+from edition1 import se3
 from edition1.estimation.rod_filter import RodFilter
 from edition1.estimation.rod_sensors import RodSensor
 from edition1.kernels._rod import exponential, logarithm, rod_motion
 from edition1.kernels._rod_filter import carry, rod_innovation, rod_readings
 from edition1.kinematics.strain_series import StrainSeries
-
-from edition1 import se3
 
 ROD = StrainSeries(0.466)
 ARCS = (0.0, 0.1165, 0.233, 0.4, 0.466)

@@ -4,15 +4,16 @@ import math
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from mpmath import mp
+
 from edition1.errors import InputError
 from edition1.kinematics.affine_curvature import AffineCurvature
 from edition1.kinematics.constant_curvature import ConstantCurvature
 from edition1.kinematics.mounts import sensor_mounts
 from edition1.kinematics.robot import Robot
 from edition1_companion.pages.affine_curvature.method import azimuth_difference, canonical
-from hypothesis import given
-from hypothesis import strategies as st
-from mpmath import mp
 
 L = 0.2
 SEGMENT = AffineCurvature(L)

@@ -4,12 +4,13 @@ import math
 
 import pytest
 import torch
-from edition1.errors import InputError
-from edition1.kinematics.bend import Bend, bend_angle_and_direction, bend_vector
-from edition1.kinematics.robot import Segment
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+
+from edition1.errors import InputError
+from edition1.kinematics.bend import Bend, bend_angle_and_direction, bend_vector
+from edition1.kinematics.robot import Segment
 
 angles = st.floats(0.01, math.pi / 2)
 directions = st.floats(-math.pi, math.pi)

@@ -4,10 +4,11 @@ import math
 
 import pytest
 import torch
-from edition1.errors import InputError
-from edition1.kinematics.constant_curvature import ConstantCurvature
 from hypothesis import given
 from hypothesis import strategies as st
+
+from edition1.errors import InputError
+from edition1.kinematics.constant_curvature import ConstantCurvature
 
 L, D = 0.11, 0.022
 SEGMENT = ConstantCurvature(L, D)

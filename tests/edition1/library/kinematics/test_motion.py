@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.kinematics.affine_curvature import AffineCurvature
 from edition1.kinematics.constant_curvature import ConstantCurvature

@@ -4,12 +4,12 @@ import math
 
 import pytest
 import torch
+
+from edition1 import se3
 from edition1.errors import InputError
 from edition1.kinematics.constant_curvature import ConstantCurvature
 from edition1.kinematics.mounts import Mounts, magnet_mounts, ring_azimuths, sensor_mounts
 from edition1.kinematics.robot import Robot
-
-from edition1 import se3
 
 L, D = 0.11, 0.022
 SEGMENT = ConstantCurvature(L, D)

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from scipy.stats import chi2
+
 from edition1.errors import InputError
 from edition1.kernels._placement import PlacementSlopes
 from edition1.kinematics.motion import backbone_motion
@@ -16,7 +18,6 @@ from edition1.robot_file.load import load_robot
 from edition1.sensing.placement import PlacedReadings, Tolerances, placed
 from edition1_live.follow.robot_estimator import robot_estimator
 from edition1_live.robot.calibrate import Priors, calibrate, pose_covariance
-from scipy.stats import chi2
 
 ROBOTS = Path(__file__).parents[4] / "data" / "robots"
 NETWORKS = ROBOTS.parent / "networks"

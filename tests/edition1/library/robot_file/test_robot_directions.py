@@ -6,6 +6,8 @@ import magpylib as magpy
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1.kernels._sensing import CompiledSensing
 from edition1.kinematics.mounts import directed_sensors, magnet_mounts, sensor_mounts
@@ -14,7 +16,6 @@ from edition1.sensing.linearised import LinearisedSensing
 from edition1.sensing.magnetic import readings
 from edition1.sensing.placement import PlacedReadings, parameter_names, placed
 from edition1_live.robot.calibrate import calibrate, pose_covariance
-from scipy.spatial.transform import Rotation
 
 RING = 'kind = "ring"\nouter_diameter_mm = {}\ninner_diameter_mm = 3\nheight_mm = 4\npolarisation_mt = {}\n'
 AXES = ([1, 0, 0], [0, -2, 0], [0.5, 0, 0.5])

@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
 from edition1.errors import InputError
 from edition1.estimation.base import track
 from edition1.estimation.levenberg_marquardt import LevenbergMarquardt
@@ -29,8 +32,6 @@ from edition1_companion.twins.calibrated_robots import box
 from edition1_companion.twins.takes import open_take
 from edition1_companion.twins.trajectories import lemniscate
 from edition1_live.wire.formats import FORMATS
-from hypothesis import given
-from hypothesis import strategies as st
 
 ROBOTS = Path(__file__).parents[4] / "data" / "robots"
 NETWORKS = ROBOTS.parent / "networks"

@@ -13,6 +13,7 @@ import magpylib as magpy
 import numpy as np
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation.levenberg_marquardt import jacobian
 from edition1.kernels._bend import CompiledBendSensor

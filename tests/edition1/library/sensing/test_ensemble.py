@@ -2,13 +2,14 @@
 
 import pytest
 import torch
+from torch import nn
+
 from edition1.errors import InputError
 from edition1.estimation.levenberg_marquardt import jacobian
 from edition1.kinematics.paper_robots import pcc_robot
 from edition1.sensing.ensemble import SeedEnsemble, _fold_batch_norm, _fold_scaling
 from edition1.sensing.magnetic import MagneticSensing
 from edition1.sensing.network import CosineNetwork, DipoleResidual, PerSensor, paper_network
-from torch import nn
 
 
 def generator(seed=0):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation.levenberg_marquardt import jacobian
 from edition1.kinematics.motion import backbone_motion

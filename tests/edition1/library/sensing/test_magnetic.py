@@ -6,6 +6,8 @@ import magpylib as magpy
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
+
 from edition1.errors import InputError
 from edition1.kinematics.constant_curvature import ConstantCurvature
 from edition1.kinematics.mounts import magnet_mounts, sensor_mounts
@@ -17,7 +19,6 @@ from edition1.sensing.multipole import MultipoleField
 from edition1.sensing.relations import relations
 from edition1_companion.twins.robot_tables import field_on_grid
 from edition1_companion.twins.trajectories import lemniscate
-from scipy.spatial.transform import Rotation
 
 D = 0.022
 

@@ -14,11 +14,12 @@ import math
 import magpylib as magpy
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from edition1.errors import InputError
 from edition1.sensing._multipoles import multipole_polynomials
 from edition1.sensing.magnets import _RINGS, B444B, Cube, Ring, ring
-from hypothesis import given
-from hypothesis import strategies as st
 
 
 def directions(n, seed=0):

@@ -2,6 +2,8 @@
 
 import pytest
 import torch
+from torch import nn
+
 from edition1.errors import InputError
 from edition1.estimation.levenberg_marquardt import jacobian
 from edition1.kinematics.paper_robots import pcc_robot
@@ -18,7 +20,6 @@ from edition1.sensing.network import (
     paper_network,
 )
 from edition1.sensing.relations import relations
-from torch import nn
 
 
 def generator(seed=0):

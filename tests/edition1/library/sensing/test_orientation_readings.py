@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
+
 from edition1.kinematics.paper_robots import Dimensions
 from edition1_companion.pages.fusion.models import Imus, left_jacobian, rotation_vector
 from edition1_companion.twins.segment_motion import ROBOT, rotation_matrix
-from scipy.spatial.transform import Rotation
 
 ANGLES = (0.0, 1e-12, 1e-8, 1e-4, 0.19, 0.21, 1.0, 2.0, 3.0, math.pi - 1e-3, math.pi - 1e-7)
 

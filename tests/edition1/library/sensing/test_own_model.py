@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch import nn
+
 from edition1.errors import InputError
 from edition1.estimation.base import track
 from edition1.estimation.levenberg_marquardt import jacobian
@@ -19,7 +21,6 @@ from edition1.sensing.own_model import OwnModel
 from edition1.sensing.weights import load_paper_network, save_weights
 from edition1_companion.twins.trajectories import lemniscate
 from edition1_live.follow.robot_estimator import robot_estimator
-from torch import nn
 
 DATA = Path(__file__).parents[4] / "data"
 ROBOTS = DATA / "robots"

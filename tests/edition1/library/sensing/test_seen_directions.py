@@ -2,6 +2,8 @@
 
 import pytest
 import torch
+
+from edition1 import se3
 from edition1.errors import InputError
 from edition1.estimation.levenberg_marquardt import jacobian
 from edition1.kinematics.mounts import Mounts
@@ -9,8 +11,6 @@ from edition1.kinematics.paper_robots import pcc_robot
 from edition1.sensing.seen_directions import SeenDirections
 from edition1_companion.pages.fusion.models import rotation_vector
 from edition1_companion.twins.segment_motion import rotation_matrix
-
-from edition1 import se3
 
 
 def random(*shape, seed=0):

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.estimation.information import fisher_information
 from edition1.estimation.kalman_filter import IteratedKalmanFilter

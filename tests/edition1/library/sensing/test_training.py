@@ -6,6 +6,8 @@ from itertools import pairwise
 
 import pytest
 import torch
+from torch import nn
+
 from edition1.errors import InputError
 from edition1.sensing import training
 from edition1.sensing._paper_training import first_draws, rmse
@@ -17,7 +19,6 @@ from edition1.sensing.weights import load_paper_network, read_manifest
 from edition1_companion.twins import networks as paper_training
 from edition1_companion.twins.networks import AffineSpec, segment_rows, train_own, training_rows
 from edition1_companion.twins.training_set import training_set
-from torch import nn
 
 
 @pytest.fixture(scope="module")

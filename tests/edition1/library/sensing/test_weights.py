@@ -5,6 +5,7 @@ import json
 
 import pytest
 import torch
+
 from edition1.errors import InputError
 from edition1.sensing.network import CosineNetwork, DipoleResidual, paper_network
 from edition1.sensing.weights import _load_weights, load_paper_network, read_manifest, save_weights

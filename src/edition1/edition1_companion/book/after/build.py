@@ -15,7 +15,6 @@ from pathlib import Path
 
 from edition1.errors import InputError, bad_input
 from edition1.files import write_whole
-
 from edition1_companion.book.after.paper_index import index_path, page_titles, read_index
 from edition1_companion.book.after.site import SiteFailed, build_site
 from edition1_companion.book.digests import combined_digest, write_if_changed

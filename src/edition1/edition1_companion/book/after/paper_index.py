@@ -8,9 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from edition1.errors import require
-
 import edition1
+from edition1.errors import require
 from edition1_companion.book.project import Project
 from edition1_companion.book.published import read_csv
 from edition1_companion.book.scorecard_page import PAPERS

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from edition1.errors import require
 from edition1.files import write_whole
-
 from edition1_companion.book.digests import combined_digest, file_digest, tree_digests
 from edition1_companion.book.project import Project, shown
 

@@ -15,15 +15,15 @@ from typing import Any
 
 import pandas as pd
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.estimation.calibration import Calibration, calibrate
 from edition1.estimation.poses import configurations
 from edition1.kinematics.paper_robots import affine_robot
 from edition1.sensing.linearised import LinearisedSensing
 from edition1.sensing.magnetic import MagneticSensing
 from edition1.sensing.network import PerSensor
-from jaxtyping import Float
-from torch import Tensor
-
 from edition1_companion.pages.affine_curvature.method import (
     QUANTITIES,
     ROW,

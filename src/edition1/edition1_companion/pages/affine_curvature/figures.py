@@ -5,6 +5,13 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from edition1_companion.book import robot_figures
 from edition1_live.view.style import (
     ESTIMATE,
     TRUTH,
@@ -14,13 +21,6 @@ from edition1_live.view.style import (
     plain_ticks,
 )
 from edition1_live.view.symbols import coordinate_symbol
-from matplotlib import colormaps
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from mpl_toolkits.mplot3d.axes3d import Axes3D
-
-from edition1_companion.book import robot_figures
 
 PUBLISHED, OURS, BEST = "0.45", "#0072B2", "#D55E00"
 UNITS = {"kappa_0": "rad", "kappa_1": "rad", "phi": "rad", "delta_L": "mm"}

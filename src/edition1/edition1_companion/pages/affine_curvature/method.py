@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pandas as pd
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.errors import require
 from edition1.estimation.base import Trajectory, track
 from edition1.estimation.gradient_descent import GradientDescent
@@ -18,11 +21,6 @@ from edition1.sensing.ensemble import SeedEnsemble
 from edition1.sensing.magnetic import MagneticSensing, readings
 from edition1.sensing.magnets import ring
 from edition1.sensing.weights import load_paper_network
-from edition1_live.view.robot_view import shape_view
-from edition1_live.view.shape_view import ShapeView
-from jaxtyping import Float
-from torch import Tensor
-
 from edition1_companion.book.views_frames import every_nth
 from edition1_companion.book.views_frames import readings as trace
 from edition1_companion.book.views_simulated import FRAMES, times
@@ -30,6 +28,8 @@ from edition1_companion.twins.networks import AffineSpec
 from edition1_companion.twins.robot_tables import stills as stills_of
 from edition1_companion.twins.table_1_method import ITERATIONS, MOMENTUM
 from edition1_companion.twins.trajectories import RATE_HZ, flower
+from edition1_live.view.robot_view import shape_view
+from edition1_live.view.shape_view import ShapeView
 
 STEP_SIZE = (1.0, 5.0, 1.0, 2e-4)
 """Step sizes of the released code for kappa_0, kappa_1, phi and delta_L (ring ``"released"``)."""

@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 import torch
+
 from edition1.errors import bad_input
 from edition1.sensing.bend_sensor import BendSensor
-
 from edition1_companion.twins.bend_filters import (
     LEAST_BEND_DEG,
     NONE,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.style import WIDTH_IN, page_figure
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from edition1_companion.twins.bend_tests import take_in_words
+from edition1_live.view.style import WIDTH_IN, page_figure
 
 OURS, PRINTED, RELEASED, LOGGED = "#0072B2", "#CC79A7", "#D55E00", "#009E73"
 STYLES = {

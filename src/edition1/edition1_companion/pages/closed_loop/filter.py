@@ -22,10 +22,10 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from edition1.estimation.base import Estimate, held, usable
 from jaxtyping import Float
 from torch import Tensor
 
+from edition1.estimation.base import Estimate, held, usable
 from edition1_companion.pages.closed_loop.identification import Segment
 from edition1_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS
 from edition1_companion.twins.rig_bank import BankState, BendBank

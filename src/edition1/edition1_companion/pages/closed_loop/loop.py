@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from edition1.errors import require
 from jaxtyping import Bool, Float
 
+from edition1.errors import require
 from edition1_companion.pages.closed_loop.curvature_control import (
     CurvatureController,
     Gains,

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from edition1.errors import require
 from jaxtyping import Float
 
+from edition1.errors import require
 from edition1_companion.recordings.rig_robot import RIG_RATE_HZ, RIG_SENSORS
 from edition1_companion.twins.pneumatic_actuation import TRAJECTORIES
 from edition1_companion.twins.pneumatic_rig import REGULATOR_HZ, TwinConfig

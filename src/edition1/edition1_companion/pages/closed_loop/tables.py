@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from edition1.errors import bad_input
 
+from edition1.errors import bad_input
 from edition1_companion.book.bootstrap import interval, resampled
 from edition1_companion.pages.closed_loop.identification import record_experiment, turning
 from edition1_companion.pages.closed_loop.loop import (

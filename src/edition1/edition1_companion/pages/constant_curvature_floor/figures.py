@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,6 +15,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from edition1_companion.pages.constant_curvature_floor.floors import OFFSET, RAW, TIP, TIP_MIDDLE, TURNS
 from edition1_companion.recordings.continuum_robot import LENGTH_M, STATIONS_M
+from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
 
 COLOURS = {
     "one arc": "#D55E00",

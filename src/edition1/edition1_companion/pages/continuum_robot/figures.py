@@ -5,10 +5,11 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.shape_view import Markers, Shape, ShapeView, Traces
-from edition1_live.view.style import WIDTH_IN, page_figure, wrapped_panels
 from jaxtyping import Float
 from matplotlib.figure import Figure
+
+from edition1_live.view.shape_view import Markers, Shape, ShapeView, Traces
+from edition1_live.view.style import WIDTH_IN, page_figure, wrapped_panels
 
 COLOURS = {
     "filter": "#0072B2",

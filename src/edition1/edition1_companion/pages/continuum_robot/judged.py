@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
-from edition1.estimation.rod_filter import RodFilter
 from jaxtyping import Float
 from scipy.optimize import brentq, least_squares
 from scipy.stats import chi2
 
 from edition1 import se3
+from edition1.estimation.rod_filter import RodFilter
 from edition1_companion.recordings.continuum_robot import LENGTH_M, STATIONS_M, Trial, poses
 from edition1_companion.twins.followed_rod import TIP, Capture, Parts, at_frames, errors, filtered
 

@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 import torch
-from edition1.estimation.rod_filter import RodFilter
-from edition1_live.view.shape_view import ShapeView
 
+from edition1.estimation.rod_filter import RodFilter
 from edition1_companion.pages.continuum_robot import judged
 from edition1_companion.pages.continuum_robot.figures import robot_view
 from edition1_companion.recordings.continuum_robot import LENGTH_M, STATIONS_M
 from edition1_companion.twins import followed_rod
 from edition1_companion.twins.followed_rod import Parts
+from edition1_live.view.shape_view import ShapeView
 
 SEEN = "slow_free_space"
 """The trial that settings are chosen on; it is not judged."""

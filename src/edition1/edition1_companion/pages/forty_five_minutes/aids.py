@@ -16,14 +16,11 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 import torch
-from edition1.estimation.levenberg_marquardt import jacobian
-from edition1.robot_file.robot_file import RobotFile
-from edition1_live.emulate.robot_readings import course
-from edition1_live.own.self_calibration import PRIORS
-from edition1_live.robot.calibrate import pose_covariance
 from jaxtyping import Float
 from torch import Tensor
 
+from edition1.estimation.levenberg_marquardt import jacobian
+from edition1.robot_file.robot_file import RobotFile
 from edition1_companion.pages.forty_five_minutes.poses import (
     POSE_M,
     POSE_RAD,
@@ -32,6 +29,9 @@ from edition1_companion.pages.forty_five_minutes.poses import (
     described,
     stated_percent,
 )
+from edition1_live.emulate.robot_readings import course
+from edition1_live.own.self_calibration import PRIORS
+from edition1_live.robot.calibrate import pose_covariance
 
 AIDS = {
     "straight": ((0, 1),),

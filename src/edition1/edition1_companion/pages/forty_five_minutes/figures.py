@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import matplotlib.pyplot as plt
 import pandas as pd
-from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks
 from matplotlib.figure import Figure
 
 from edition1_companion.pages.forty_five_minutes.methods import LAST_MINUTES, METHODS
+from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks
 
 COLOURS = dict(zip(METHODS, ("#D55E00", "#0072B2", "#CC79A7", "#009E73", "0.4"), strict=True))
 KINDS = {"moment": "#0072B2", "gain": "#D55E00", "offset": "#CC79A7", "heading": "#009E73", "tilt": "#E69F00"}

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import torch
-from edition1.estimation.base import Trajectory
-from edition1.kinematics.motion import tip_motion
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edition1.estimation.base import Trajectory
+from edition1.kinematics.motion import tip_motion
 from edition1_companion.pages.forty_five_minutes.twin import (
     RATE_HZ,
     ROBOT,

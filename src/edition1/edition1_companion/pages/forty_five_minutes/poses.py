@@ -13,13 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.estimation.levenberg_marquardt import jacobian
 from edition1.kinematics.motion import tip_motion
 from edition1.robot_file.load import load_robot
 from edition1.robot_file.robot_file import RobotFile
-from jaxtyping import Float
-from torch import Tensor
-
 from edition1_companion.book.project import find_project
 
 RATE_HZ = 5.0

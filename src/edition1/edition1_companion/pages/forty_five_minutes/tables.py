@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from edition1.estimation.self_calibration import SelfCalibratingFilter
 
+from edition1.estimation.self_calibration import SelfCalibratingFilter
 from edition1_companion.book.bootstrap import interval, resampled
 from edition1_companion.pages.forty_five_minutes.methods import LAST_MINUTES, METHODS
 

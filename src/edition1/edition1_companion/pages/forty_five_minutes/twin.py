@@ -19,15 +19,15 @@ from dataclasses import dataclass
 import magpylib as magpy
 import numpy as np
 import torch
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
 from edition1.errors import bad_input
 from edition1.kinematics.mounts import magnet_mounts
 from edition1.kinematics.paper_robots import Dimensions, pcc_robot
 from edition1.sensing.magnetic import EARTH_MT
 from edition1.sensing.magnets import ring
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
-from torch import Tensor
-
 from edition1_companion.twins.imu_errors import ImuErrors, ornstein_uhlenbeck
 
 ROBOT = pcc_robot(3)

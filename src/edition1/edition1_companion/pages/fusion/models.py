@@ -26,13 +26,13 @@ from functools import cache
 from typing import Any
 
 import torch
-from edition1.kernels import compiled
-from edition1.kinematics.paper_robots import Dimensions
-from edition1.sensing.linearised import LinearisedSensing
 from jaxtyping import Float
 from torch import Tensor
 
 from edition1 import se3
+from edition1.kernels import compiled
+from edition1.kinematics.paper_robots import Dimensions
+from edition1.sensing.linearised import LinearisedSensing
 from edition1_companion.twins.calibration_session import released_moments
 from edition1_companion.twins.segment_motion import ROBOT, cross_matrix, rotation_matrix
 

@@ -17,6 +17,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
 from edition1.errors import require
 from edition1.estimation.drift_filter import Drift, DriftFilter
 from edition1.estimation.kalman_filter import IteratedKalmanFilter
@@ -24,10 +28,6 @@ from edition1.kinematics.mounts import magnet_mounts
 from edition1.kinematics.paper_robots import Dimensions
 from edition1.sensing.magnetic import EARTH_MT
 from edition1.sensing.stacked import StackedSensing
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
-from torch import Tensor
-
 from edition1_companion.pages.fusion.models import Imus, Magnets, ring_model, rotation_vector
 from edition1_companion.twins.calibrated_robots import VELOCITY_SHARE, box, start
 from edition1_companion.twins.imu_errors import ornstein_uhlenbeck, read_imus

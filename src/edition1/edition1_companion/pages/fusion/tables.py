@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import torch
-from edition1.estimation.levenberg_marquardt import jacobian
-from edition1.kinematics.paper_robots import Dimensions
 from jaxtyping import Float
 from scipy.stats import chi2
 from torch import Tensor
 
+from edition1.estimation.levenberg_marquardt import jacobian
+from edition1.kinematics.paper_robots import Dimensions
 from edition1_companion.book.bootstrap import interval, resampled
 from edition1_companion.pages.fusion.models import rotation_vector
 from edition1_companion.pages.fusion.study import (

@@ -55,9 +55,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
+
 from edition1.errors import bad_input, require
 from edition1.estimation.imu_selection import Selection
-from jaxtyping import Float
 
 Bound = Float[np.ndarray, " points"]
 _Points = float | Sequence[float] | Bound

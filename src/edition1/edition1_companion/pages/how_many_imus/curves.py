@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from edition1.errors import bad_input, require
-from edition1.estimation.orientations import exponential, product, tangents
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
+from edition1.errors import bad_input, require
+from edition1.estimation.orientations import exponential, product, tangents
 from edition1_companion.twins.soft_arm import SoftArm
 
 STEPS = 1280

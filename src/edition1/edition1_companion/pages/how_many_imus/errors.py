@@ -23,6 +23,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pandas as pd
+
 from edition1.errors import bad_input
 from edition1.estimation.imu_models import (
     ShapeModel,
@@ -34,7 +35,6 @@ from edition1.estimation.imu_models import (
 )
 from edition1.estimation.imu_selection import Selection
 from edition1.estimation.orientations import exponential, product
-
 from edition1_companion.pages.how_many_imus.bounds import arcs_bound, pcc_bound, rigid_bound
 from edition1_companion.pages.how_many_imus.curves import STEPS, Curves
 from edition1_companion.pages.how_many_imus.needed import imus_needed

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, NullLocator
+
+from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
 
 STYLES = {
     "rigid-body, IMU at the end": ("#D55E00", "s"),

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+
 from edition1.errors import bad_input, require
 from edition1.estimation.imu_selection import Selection
-
 from edition1_companion.pages.how_many_imus.bounds import rigid_bound
 
 MOST_IMUS = 1000

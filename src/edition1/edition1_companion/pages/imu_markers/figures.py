@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.style import WIDTH_IN, label_in_mm, page_figure
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from edition1_live.view.style import WIDTH_IN, label_in_mm, page_figure
 
 MARKER_COLOURS = {"M1": "#0072B2", "M2": "#CC79A7"}
 """As in the paper: M1 blue, M2 pink."""

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 
 import matplotlib.pyplot as plt
 import numpy as np
-from edition1_live.view.style import page_figure
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+
+from edition1_live.view.style import page_figure
 
 
 @page_figure

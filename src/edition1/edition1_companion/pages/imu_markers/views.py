@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+
 from edition1.errors import bad_input
 from edition1.estimation.imu_models import chain
 from edition1.estimation.imu_shape import ImuShape
 from edition1.estimation.orientations import tangents
-from edition1_live.view.shape_view import Markers, Shape, ShapeView, Traces
-
 from edition1_companion.book.views_arm import RADIUS_M, inclinations
 from edition1_companion.book.views_frames import every_nth
 from edition1_companion.recordings.martin2022_models import IMU_ARCS, MARKERS, selection
@@ -17,6 +16,7 @@ from edition1_companion.twins.arm_markers import MARKER_NAMES, distances_mm
 from edition1_companion.twins.arm_trial import Draw
 from edition1_companion.twins.imu_errors import ImuErrors
 from edition1_companion.twins.soft_arm import SoftArm
+from edition1_live.view.shape_view import Markers, Shape, ShapeView, Traces
 
 LEAST_RAD = 1e-9  # the estimator asks for some error, also of perfect IMUs
 MODES_S = (84.0, 134.0)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from edition1.estimation.imu_models import ShapeModel, exact_arcs, pcc_extended, rigid_links, tangent_spline
-from edition1.estimation.imu_selection import Selection
-from edition1.estimation.orientations import exponential, product
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from edition1.estimation.imu_models import ShapeModel, exact_arcs, pcc_extended, rigid_links, tangent_spline
+from edition1.estimation.imu_selection import Selection
+from edition1.estimation.orientations import exponential, product
 from edition1_companion.book.bootstrap import interval, mean_rms, ratio_of_means, resampled, resampled_blocks
 from edition1_companion.recordings.continuum_robot import LENGTH_M, STATIONS_M
 

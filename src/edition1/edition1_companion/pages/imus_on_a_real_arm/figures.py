@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from edition1_companion.pages.imus_on_a_real_arm.chains import ARCS, END, INNER, MIDDLE, PCC, RAW, SPLINE
+from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
 
 STYLES = {
     END: ("#D55E00", "s"),

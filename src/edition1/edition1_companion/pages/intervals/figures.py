@@ -5,8 +5,9 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.style import WIDTH_IN, page_figure
 from matplotlib.figure import Figure
+
+from edition1_live.view.style import WIDTH_IN, page_figure
 
 STYLES = {
     "gaussian": ("#D55E00", "s", "Gaussian, as stated"),

@@ -8,12 +8,12 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
-from edition1.estimation.conformal import ellipsoid_scores
-from edition1.estimation.rod_filter import RodFilter
-from edition1.sensing.bend_sensor import BendSensor
 from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
+from edition1.estimation.conformal import ellipsoid_scores
+from edition1.estimation.rod_filter import RodFilter
+from edition1.sensing.bend_sensor import BendSensor
 from edition1_companion.pages.intervals.studies import AS_IT_IS, distance_and_deviation
 from edition1_companion.recordings.continuum_robot import ONE_RECORDING, Trial
 from edition1_companion.recordings.rig_robot import RIG_RATE_HZ

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from edition1.estimation.base import Trajectory
 
+from edition1.estimation.base import Trajectory
 from edition1_companion.recordings.baaij2023 import Recording
 
 AS_IT_IS, NO_LAG = "as it is", "no lag across the bend"

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
-from edition1.estimation.conformal import interval_score
 from jaxtyping import Float
 
+from edition1.estimation.conformal import interval_score
 from edition1_companion.book.bootstrap import interval, resampled, resampled_blocks
 from edition1_companion.pages.intervals.scored import Judged, Scored
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
+
 from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks
 from edition1_live.view.symbols import coordinate_symbol
-from matplotlib.figure import Figure
 
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
 TRUTH, ESTIMATE = "black", "#D55E00"

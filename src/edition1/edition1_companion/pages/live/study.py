@@ -14,9 +14,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 import torch
+
 from edition1.estimation.base import Estimate
 from edition1.kinematics.motion import tip_motion
 from edition1.robot_file.robot_file import RobotFile
+from edition1_companion.twins.played import PERIOD_S, Played, played, with_sensors
+from edition1_companion.twins.recorded_run import play_and_record
+from edition1_companion.twins.takes import Take
 from edition1_live.emulate.board import passages
 from edition1_live.emulate.emulator import Emulator
 from edition1_live.emulate.faults import Faults
@@ -28,10 +32,6 @@ from edition1_live.follow.session import follow
 from edition1_live.follow.time_steps import TimeSteps
 from edition1_live.record.recording import Recording, read_recording
 from edition1_live.robot.calibration_poses import coordinate_columns
-
-from edition1_companion.twins.played import PERIOD_S, Played, played, with_sensors
-from edition1_companion.twins.recorded_run import play_and_record
-from edition1_companion.twins.takes import Take
 
 FAILURES = ("none", "no reading", "stuck", "stuck, not used")
 """What one sensor does: works; sends NaN; repeats its last reading; does so while told to `repro live --failed`."""

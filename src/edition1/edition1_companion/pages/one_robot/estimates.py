@@ -10,6 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
 from edition1.estimation.base import track
 from edition1.estimation.calibration import calibrate
 from edition1.estimation.imu_models import exact_arcs
@@ -23,10 +27,6 @@ from edition1.kinematics.bend import MAX_BEND
 from edition1.kinematics.paper_robots import Dimensions
 from edition1.sensing.bend_sensor import BendSensor
 from edition1.sensing.linearised import LinearisedSensing
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
-from torch import Tensor
-
 from edition1_companion.twins.calibration_session import released_moments
 from edition1_companion.twins.segment_imus import as_quaternions
 from edition1_companion.twins.segment_motion import ROBOT

@@ -5,7 +5,6 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -13,6 +12,7 @@ from matplotlib.lines import Line2D
 from edition1_companion.pages.one_robot.estimates import METHODS
 from edition1_companion.pages.one_robot.tables import CONDITIONS, QUANTITIES
 from edition1_companion.twins.segment_motion import TRAJECTORIES
+from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks
 
 STYLES = dict(
     zip(METHODS, (("#0072B2", "o"), ("#D55E00", "s"), ("#CC79A7", "D"), ("#009E73", "^")), strict=True)

@@ -9,9 +9,9 @@ from timeit import repeat
 import numpy as np
 import pandas as pd
 import torch
-from edition1.kinematics.paper_robots import Dimensions
 from torch import Tensor
 
+from edition1.kinematics.paper_robots import Dimensions
 from edition1_companion.book.bootstrap import interval, ratio_interval, resampled
 from edition1_companion.book.pose_errors import angle_deg
 from edition1_companion.pages.one_robot.estimates import (

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import torch
+
 from edition1.estimation.levenberg_marquardt import jacobian
 from edition1.kinematics.bend import MAX_BEND, bend_angle_and_direction, bend_vector
 from edition1.sensing.bend_sensor import BendSensor
-
 from edition1_companion.pages.probabilistic_curvature.simulation import Setting
 from edition1_companion.twins.bend_curves import CURVES, LENGTH_M, bend_curve, bend_readings, curve_times
 

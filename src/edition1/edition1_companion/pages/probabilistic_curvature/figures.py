@@ -5,12 +5,13 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.style import INK_OF_MAPS, WIDTH_IN, page_figure, plain_ticks, wrapped_panels
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import MaxNLocator, NullFormatter
+
+from edition1_live.view.style import INK_OF_MAPS, WIDTH_IN, page_figure, plain_ticks, wrapped_panels
 
 COLOURS = {"spiral": "#0072B2", "flower": "#D55E00", "seagull": "#009E73"}
 MARKERS = {"spiral": "o", "flower": "s", "seagull": "D"}

@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 
 import pandas as pd
 import torch
+from torch import Tensor
+
 from edition1.estimation.base import track
 from edition1.estimation.levenberg_marquardt import LevenbergMarquardt
 from edition1.estimation.particle_filter import ParticleFilter
@@ -21,8 +23,6 @@ from edition1.estimation.regions import Disc
 from edition1.kernels import compiled
 from edition1.kinematics.bend import MAX_BEND
 from edition1.sensing.bend_sensor import BendSensor
-from torch import Tensor
-
 from edition1_companion.recordings.mitchell2021_conventions import noise_of_sigma
 from edition1_companion.twins.bend_curves import (
     CURVES,

@@ -5,12 +5,13 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.style import TIMES, WIDTH_IN, page_figure
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+
+from edition1_live.view.style import TIMES, WIDTH_IN, page_figure
 
 HEADING, OTHER = "#D55E00", "#E69F00"
 HEADING_AXIS_Z = 0.95  # a jump about an axis within 18 deg of the vertical is drawn as a change of heading

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from edition1.errors import bad_input
-from edition1.estimation.imu_chain import point_at, rigid_body
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from edition1.errors import bad_input
+from edition1.estimation.imu_chain import point_at, rigid_body
 from edition1_companion.recordings.continuum_robot import (
     LENGTH_M,
     STATIONS_M,

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from edition1.errors import InputError
 
+from edition1.errors import InputError
 from edition1_companion.recordings.alignment import find_lag
 from edition1_companion.recordings.martin2022_trial import (
     MARKER_POINTS,

@@ -5,9 +5,10 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+
+from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks
 
 STYLES = {
     "rigid-body": ("#D55E00", "s"),

@@ -17,11 +17,12 @@ On a straight link, where both vectors are on the z axis, no angle is told.
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
+
 from edition1.errors import bad_input
 from edition1.estimation.imu_models import pcc_extended
 from edition1.estimation.imu_selection import Selection
 from edition1.estimation.orientations import exponential, product, tangents
-from jaxtyping import Float
 
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 _START_ANGLES = 72  # of the search for the last orientation

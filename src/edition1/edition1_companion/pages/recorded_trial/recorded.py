@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
+
 from edition1.errors import InputError
 from edition1.estimation.imu_chain import link_orientations
 from edition1.estimation.imu_models import chain, tangent_spline
-from jaxtyping import Float
-
 from edition1_companion.pages.recorded_trial.released import (
     NEEDED,
     PCC_2,

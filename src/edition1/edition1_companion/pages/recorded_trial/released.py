@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+
 from edition1.errors import bad_input
 from edition1.estimation.imu_models import chain
 from edition1.estimation.imu_selection import Selection
-from jaxtyping import Float
-
 from edition1_companion.pages.recorded_trial.orientations import (
     last_orientation,
     orientations_between,

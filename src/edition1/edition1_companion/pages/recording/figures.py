@@ -5,8 +5,9 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.style import WIDTH_IN, page_figure
 from matplotlib.figure import Figure
+
+from edition1_live.view.style import WIDTH_IN, page_figure
 
 COLOURS = ("#0072B2", "#009E73", "#CC79A7")
 WRONG = "#D55E00"

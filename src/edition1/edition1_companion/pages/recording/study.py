@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from edition1_live.emulate.faults import Faults
-from edition1_live.wire.formats import parser
 
 from edition1_companion.twins.recorded_run import Run, play_and_record
 from edition1_companion.twins.takes import open_take
+from edition1_live.emulate.faults import Faults
+from edition1_live.wire.formats import parser
 
 CASES = {
     "none": Faults(),

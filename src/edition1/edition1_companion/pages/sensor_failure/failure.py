@@ -12,6 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
 from edition1.errors import bad_input, require
 from edition1.estimation.base import track
 from edition1.estimation.gradient_descent import GradientDescent
@@ -19,9 +22,6 @@ from edition1.estimation.levenberg_marquardt import LevenbergMarquardt
 from edition1.kernels import compiled
 from edition1.sensing.magnetic import MagneticSensing, readings
 from edition1.sensing.magnets import ring
-from jaxtyping import Bool, Float
-from torch import Tensor
-
 from edition1_companion.twins.calibrated_robots import box, calibration, session, start
 from edition1_companion.twins.calibration_session import SENSOR_NOISE_MT, Config
 from edition1_companion.twins.table_1_method import ITERATIONS, MOMENTUM, available, networks, step_sizes

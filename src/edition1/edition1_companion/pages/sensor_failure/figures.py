@@ -5,8 +5,6 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.style import ESTIMATE, MAGNET, SENSOR, TRUTH, WIDTH_IN, label_in_mm, page_figure
-from edition1_live.view.symbols import coordinate_symbol
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -14,6 +12,8 @@ from matplotlib.ticker import MultipleLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from edition1_companion.book.robot_figures import segment_colours
+from edition1_live.view.style import ESTIMATE, MAGNET, SENSOR, TRUTH, WIDTH_IN, label_in_mm, page_figure
+from edition1_live.view.symbols import coordinate_symbol
 
 COLOURS = ("#0072B2", "#009E73", "#CC79A7", "#D55E00")
 FAILED = "#D55E00"

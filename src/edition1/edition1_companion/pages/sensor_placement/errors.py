@@ -9,6 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.errors import bad_input
 from edition1.kinematics.affine_curvature import AffineCurvature
 from edition1.kinematics.robot import Robot
@@ -16,9 +19,6 @@ from edition1.sensing.linearised import LinearisedSensing
 from edition1.sensing.magnetic import readings
 from edition1.sensing.magnets import ring
 from edition1.sensing.placement import Tolerances, placed
-from jaxtyping import Float
-from torch import Tensor
-
 from edition1_companion.book.bootstrap import ratio_of_means, resampled
 from edition1_companion.pages.sensor_placement.layouts import Layout
 from edition1_companion.pages.sensor_placement.tasks import (

@@ -5,14 +5,15 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1.kinematics.paper_robots import Dimensions
-from edition1.sensing.magnets import ring
-from edition1_live.view.style import MAGNET, WIDTH_IN, page_figure, plain_ticks
-from edition1_live.view.symbols import in_symbols
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
+
+from edition1.kinematics.paper_robots import Dimensions
+from edition1.sensing.magnets import ring
+from edition1_live.view.style import MAGNET, WIDTH_IN, page_figure, plain_ticks
+from edition1_live.view.symbols import in_symbols
 
 MM = 1e3
 ARROW_MM = 14.0

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 import torch
-from edition1.errors import bad_input
-from edition1.kinematics.mounts import magnet_mounts, sensor_mounts
-from edition1.kinematics.robot import Robot, Segment
 from jaxtyping import Float
 from torch import Tensor
 
+from edition1.errors import bad_input
+from edition1.kinematics.mounts import magnet_mounts, sensor_mounts
+from edition1.kinematics.robot import Robot, Segment
 from edition1_companion.twins.training_set import RADIAL_M
 
 KINDS = ("axial", "radial", "azimuth", "tilt", "magnet")

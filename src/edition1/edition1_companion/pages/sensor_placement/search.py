@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
-from edition1.errors import bad_input
-from edition1.sensing.placement import Tolerances
 from scipy.optimize import minimize
 from torch import Tensor
 
+from edition1.errors import bad_input
+from edition1.sensing.placement import Tolerances
 from edition1_companion.pages.sensor_placement.layouts import KINDS, Layout, Room
 from edition1_companion.pages.sensor_placement.tasks import NOISE_MT, Task, expected_errors, mean_errors
 

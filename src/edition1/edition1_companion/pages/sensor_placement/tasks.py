@@ -19,6 +19,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.errors import require
 from edition1.estimation.information import cramer_rao, fisher_information
 from edition1.kinematics.paper_robots import pcc_robot
@@ -26,9 +29,6 @@ from edition1.kinematics.robot import Robot
 from edition1.sensing.linearised import LinearisedSensing
 from edition1.sensing.magnets import ring
 from edition1.sensing.placement import PlacedReadings, Tolerances
-from jaxtyping import Float
-from torch import Tensor
-
 from edition1_companion.pages.sensor_placement.layouts import Layout, layout_of
 from edition1_companion.twins.calibrated_robots import box, start
 from edition1_companion.twins.trajectories import lemniscate

@@ -7,10 +7,11 @@ from collections.abc import Mapping
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
-from edition1_live.view.symbols import coordinate_symbol, in_symbols
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+
+from edition1_live.view.style import WIDTH_IN, page_figure, plain_ticks, wrapped_panels
+from edition1_live.view.symbols import coordinate_symbol, in_symbols
 
 PUBLISHED, OURS, BEST = "0.45", "#0072B2", "#D55E00"
 MODELS = {"network of the paper": "o", "fast network": "s", "multipole": "D"}

@@ -7,6 +7,10 @@ from pathlib import Path
 
 import pandas as pd
 import torch
+from jaxtyping import Float
+from scipy.stats import chi2
+from torch import Tensor
+
 from edition1.errors import bad_input
 from edition1.estimation.base import track
 from edition1.estimation.gradient_descent import GradientDescent
@@ -17,10 +21,6 @@ from edition1.sensing.ensemble import SeedEnsemble
 from edition1.sensing.linearised import LinearisedSensing
 from edition1.sensing.magnetic import MagneticSensing, readings
 from edition1.sensing.magnets import ring
-from jaxtyping import Float
-from scipy.stats import chi2
-from torch import Tensor
-
 from edition1_companion.book.pose_errors import pose_errors
 from edition1_companion.twins.calibrated_robots import (
     box,

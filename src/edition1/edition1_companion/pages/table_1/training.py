@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
-from edition1.sensing.magnetic import MagneticSensing
-from edition1.sensing.weights import read_manifest
 from jaxtyping import Float
 
+from edition1.sensing.magnetic import MagneticSensing
+from edition1.sensing.weights import read_manifest
 from edition1_companion.twins.networks import NetworkSpec
 from edition1_companion.twins.table_1_method import networks
 from edition1_companion.twins.table_1_rows import rows_named, simulate

@@ -6,12 +6,12 @@ from functools import partial
 
 import matplotlib.pyplot as plt
 import pandas as pd
-from edition1_live.view.style import INK_OF_MAPS, TRUTH, WIDTH_IN, label_in_mm, page_figure
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from edition1_companion.book import robot_figures
+from edition1_live.view.style import INK_OF_MAPS, TRUTH, WIDTH_IN, label_in_mm, page_figure
 
 PAPER, OURS = "#0072B2", "#D55E00"
 SHAPE, TIP = "#56B4E9", "#0072B2"

@@ -15,14 +15,14 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from edition1.estimation.base import Trajectory, track
 from edition1.estimation.consistency import Status, lasting
 from edition1.estimation.levenberg_marquardt import LevenbergMarquardt
 from edition1.kernels import compiled
 from edition1.sensing.ensemble import SeedEnsemble
-from jaxtyping import Float
-from torch import Tensor
-
 from edition1_companion.recordings.baaij2023 import Recording
 from edition1_companion.recordings.rig_robot import RIG_RATE_HZ
 from edition1_companion.twins.rig_bank import OursConfig

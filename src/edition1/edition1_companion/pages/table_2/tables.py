@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 import torch
+
 from edition1.errors import bad_input
 from edition1.estimation.base import Trajectory
 from edition1.sensing.ensemble import SeedEnsemble
-
 from edition1_companion.book.project import find_project
 from edition1_companion.book.published import read_published
 from edition1_companion.recordings.baaij2023 import Recording

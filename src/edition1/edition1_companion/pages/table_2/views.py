@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+
 from edition1.errors import bad_input
 from edition1.estimation.base import Trajectory
-from edition1_live.view.robot_view import shape_view
-from edition1_live.view.shape_view import ShapeView
-
 from edition1_companion.book.views_frames import every_nth, readings
 from edition1_companion.recordings.baaij2023 import Recording
 from edition1_companion.recordings.rig_robot import RIG_RATE_HZ, rig_robot
 from edition1_companion.twins.rig_descent import PaperRun
+from edition1_live.view.robot_view import shape_view
+from edition1_live.view.shape_view import ShapeView
 
 LONGEST_S = 15.0
 """No view shows more than the beginning of this length [s]; a fast lemniscate takes a few seconds."""
