@@ -1,7 +1,99 @@
-"""Shape sensing of soft continuum robots.
+"""Shape sensing of soft robots: describe a robot, predict its readings, estimate its shape.
 
-The library of the second edition. It is empty for now: until its parts are here, a robot of your own is read and
-tracked by ``import edition1``, the library of the first edition.
+A robot is a chain of segments with magnets, sensors and IMUs on it::
+
+    Robot                                      segments in series, and what is mounted on them
+    ConstantCurvature, AffineCurvature         soft segments
+    Link, BallJoint, FreeBody                  rigid pieces, joints, bodies that are not attached
+    Magnet, Ring, Disc, Cube                   magnets and their fields
+    Sensor, Imu                                magnetic sensors with one axis or three; orientation sensors
+    simulated_readings                         what they read, by magpylib
+
+A sensor model is any callable from a configuration q to readings u::
+
+    Sensing                                    magnets by their multipoles or by a trained network, and IMUs
+    relations                                  the relations between sensors and magnets, eq. (1) of Baaij et al.
+    Network, load_network                      a trained network, without torch
+    BendSensor                                 one cube over one three-axis sensor, Mitchell et al. 2021
+
+An estimator takes readings one time step after the other and returns q, how sure it is, and how well they fit::
+
+    track, smooth                              an estimator over recorded readings; a Kalman filter and back
+    Estimator, Estimate, Trajectory            what every estimator offers and returns
+    GradientDescent                            Baaij et al. 2023
+    LevenbergMarquardt                         least squares within bounds, with a covariance
+    KalmanFilter                               the same, with what the readings before say
+    ParticleFilter                             Mitchell et al. 2021
+    ImuShape, rigid_body, pcc_extended, exact_arcs    Martin et al. 2022: positions from orientations
+    RodFilter, Rod, RodSensor                  a rod from poses, orientations and gyroscopes at any time
+    Drift, Drifting                            errors of sensors that wander, estimated on the way
+    calibrate, calibrate_imus                  a robot that is not as drawn, from readings in measured poses
+
+Lengths are metres, angles radians, times seconds, flux densities millitesla. Arrays, lists and data frames are taken,
+arrays are returned; leading dimensions are a batch. What cannot be used is refused by an ``InputError`` that says what
+was expected and what came instead. Training needs torch: ``repro.training``.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from repro.common import InputError as InputError
+    from repro.estimators.base import Estimate as Estimate, Estimator as Estimator, Trajectory as Trajectory
+    from repro.estimators.base import track as track
+    from repro.estimators.calibration import calibrate as calibrate
+    from repro.estimators.drift import Drift as Drift, Drifting as Drifting
+    from repro.estimators.gradient_descent import GradientDescent as GradientDescent
+    from repro.estimators.imu import ImuShape as ImuShape, calibrate_imus as calibrate_imus
+    from repro.estimators.imu import exact_arcs as exact_arcs, pcc_extended as pcc_extended
+    from repro.estimators.imu import rigid_body as rigid_body
+    from repro.estimators.kalman import KalmanFilter as KalmanFilter, smooth as smooth
+    from repro.estimators.least_squares import LevenbergMarquardt as LevenbergMarquardt
+    from repro.estimators.particle import ParticleFilter as ParticleFilter
+    from repro.estimators.rod import Rod as Rod, RodFilter as RodFilter, RodSensor as RodSensor
+    from repro.magnets import Cube as Cube, Disc as Disc, Magnet as Magnet, Ring as Ring
+    from repro.magnets import simulated_readings as simulated_readings
+    from repro.networks import Network as Network, load_network as load_network
+    from repro.robot import AffineCurvature as AffineCurvature, BallJoint as BallJoint
+    from repro.robot import ConstantCurvature as ConstantCurvature, FreeBody as FreeBody, Imu as Imu
+    from repro.robot import Link as Link, Robot as Robot, Sensor as Sensor
+    from repro.sensing import BendSensor as BendSensor, Sensing as Sensing, relations as relations
+
 __version__ = "0.1.0"
+
+_HOMES = {
+    "common": "InputError",
+    "robot": "Robot ConstantCurvature AffineCurvature Link BallJoint FreeBody Sensor Imu",
+    "magnets": "Magnet Ring Disc Cube simulated_readings",
+    "sensing": "Sensing relations BendSensor",
+    "networks": "Network load_network",
+    "estimators.base": "track Estimator Estimate Trajectory",
+    "estimators.gradient_descent": "GradientDescent",
+    "estimators.least_squares": "LevenbergMarquardt",
+    "estimators.kalman": "KalmanFilter smooth",
+    "estimators.particle": "ParticleFilter",
+    "estimators.imu": "ImuShape rigid_body pcc_extended exact_arcs calibrate_imus",
+    "estimators.rod": "RodFilter Rod RodSensor",
+    "estimators.drift": "Drift Drifting",
+    "estimators.calibration": "calibrate",
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
+
+__all__ = list(_HOME_OF)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used: ``import repro`` alone takes no time."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'repro' has no attribute {name!r}")
+    from importlib import import_module
+
+    found = getattr(import_module(f"repro.{_HOME_OF[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    """List what there is."""
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,145 @@
+"""What every module needs: bad input refused in words, and functions compiled by numba."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray
+"""An array of numbers: what functions return. Where numbers are taken, lists, tuples and data frames will do."""
+
+
+class InputError(ValueError):
+    """Input that cannot be used. The message names the input and its owner, what was expected and what came.
+
+    Examples
+    --------
+    >>> import repro
+    >>> try:
+    ...     repro.ConstantCurvature(length=-0.1, radius=0.02)
+    ... except repro.InputError as error:
+    ...     print(error)
+    Input length of ConstantCurvature must be positive [m]; instead received -0.1.
+    """
+
+
+def bad_input(name: str, owner: str, must_be: str, received: object) -> InputError:
+    """Return the error to raise for the input ``name`` of ``owner``; long values are cut at 200 characters."""
+    text = str(received)
+    text = text if len(text) <= 200 else text[:197] + "..."
+    return InputError(f"Input {name} of {owner} must be {must_be}; instead received {text}.")
+
+
+def require(holds: object, name: str, owner: str, must_be: str, received: object) -> None:
+    """Refuse the input ``name`` of ``owner`` unless ``holds``."""
+    if not holds:
+        raise bad_input(name, owner, must_be, received)
+
+
+def numbers(
+    value: Any, name: str, owner: str, shape: tuple[Any, ...] | None = None, *, finite: bool = True
+) -> Array:
+    """Return ``value`` as an array of float64, or refuse it.
+
+    Parameters
+    ----------
+    value
+        An array, a list, a data frame, a number.
+    name, owner
+        For the message.
+    shape
+        What its shape must be: whole numbers, ``None`` for any size, ``...`` in front for any leading dimensions.
+    finite
+        Whether NaN and infinity are refused.
+
+    Raises
+    ------
+    InputError
+        If it is not as it must be.
+    """
+    try:
+        found = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise bad_input(name, owner, "numbers", f"{type(value).__name__} {value!r}") from error
+    if shape is not None:
+        own = tuple(n for n in shape if n is not ...)
+        there = found.shape[found.ndim - len(own) :] if len(shape) > len(own) else found.shape
+        if len(there) != len(own) or any(n is not None and n != m for n, m in zip(own, there, strict=True)):
+            words = ", ".join("..." if n is ... else "any" if n is None else str(n) for n in shape)
+            raise bad_input(name, owner, f"numbers of shape ({words})", f"shape {found.shape}")
+    if finite and not np.isfinite(found).all():
+        raise bad_input(name, owner, "finite", f"{int((~np.isfinite(found)).sum())} values that are not")
+    return found
+
+
+def kernel(function: Callable[..., Any] | None = None, *, reorder: bool = False) -> Any:
+    """Compile a function when it is first called, and keep the machine code on disk for other processes.
+
+    numba keeps code by the file of a function, and does not notice that another file has changed whose functions it
+    calls. Our folder is named after the content of all files with kernels, so that an edit there compiles all anew.
+
+    Parameters
+    ----------
+    function
+        The function.
+    reorder
+        Let sums be reordered, so that the processor adds several numbers at once; NaN and infinity stay exact.
+    """
+    if function is None:
+        return lambda found: kernel(found, reorder=reorder)
+    import numba
+
+    config: Any = numba.config  # type: ignore[attr-defined]
+    before = config.CACHE_DIR
+    folder = Path(before) if before else _cache_folder()
+    # Set for this function only: other users of numba keep their own place.
+    config.CACHE_DIR = str(folder / f"repro-{_digest()}")
+    try:
+        fastmath = {"reassoc", "contract", "nsz"} if reorder else False
+        return numba.njit(function, cache=_writable(config.CACHE_DIR), error_model="numpy", fastmath=fastmath)
+    finally:
+        config.CACHE_DIR = before
+
+
+_said: list[bool] = []
+
+
+def say_that_kernels_compile() -> None:
+    """Print one line, once, if this machine has no compiled kernels yet: the first call then takes some seconds."""
+    if _said:
+        return
+    _said.append(True)
+    import numba
+
+    folder = Path(numba.config.CACHE_DIR or _cache_folder()) / f"repro-{_digest()}"  # type: ignore[attr-defined]
+    if not folder.is_dir() or not any(folder.rglob("*.nbi")):
+        print("repro: compiling for this machine, once; this takes some seconds.", file=sys.stderr)
+
+
+def _cache_folder() -> Path:
+    import platformdirs
+
+    return platformdirs.user_cache_path("repro") / "numba"
+
+
+def _digest(found: list[str] = []) -> str:  # noqa: B006: computed once
+    if not found:
+        digest = hashlib.sha256()
+        files = [file.read_bytes() for file in sorted(Path(__file__).parent.rglob("*.py"))]
+        digest.update(b"".join(content for content in files if b"@kernel" in content))
+        found.append(digest.hexdigest()[:16])
+    return found[0]
+
+
+def _writable(folder: str) -> bool:
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)

@@ -1,0 +1,273 @@
+"""One contract for all estimators, and the one loop that drives them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from repro.common import Array, bad_input, numbers, require
+
+
+class Estimate(NamedTuple):
+    """What an estimator says after a time step. Leading dimensions are a batch of independent robots.
+
+    Parameters
+    ----------
+    q
+        Configuration ``[..., n_q]``: m and rad.
+    covariance
+        Covariance of ``q`` ``[..., n_q, n_q]``, or ``None`` for estimators without one.
+    u_hat
+        Readings predicted at ``q`` ``[..., s]``, in the unit of the readings.
+    chi2
+        Squared residuals in units of the variances of the noise; NaN if no noise is stated.
+    dof
+        How many of these residuals the estimate could not adapt itself to. If model and noise are right, ``chi2`` has
+        a chi-square distribution with so many degrees of freedom.
+    missing
+        Number of readings that were left out: masked, NaN or infinite.
+    details
+        More about the estimate, by name; arrays with the batch of ``q``.
+
+    Examples
+    --------
+    >>> Estimate(np.zeros(3), None, np.zeros(8), np.nan, 5, 0).q
+    array([0., 0., 0.])
+    """
+
+    q: Array
+    covariance: Array | None
+    u_hat: Array
+    chi2: Any
+    dof: Any
+    missing: Any
+    details: dict[str, Array] = {}  # noqa: RUF012: never written to
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """What every estimator offers: an explicit state, from ``init`` through every ``step``, that nobody changes.
+
+    ``init(q0, seed)`` returns the state before the first readings, at the configuration ``q0`` ``[..., n_q]``.
+    ``step(state, u, t, mask, known)`` takes in readings ``u`` ``[..., s]`` at the time ``t`` [s] and returns the next
+    state and an :class:`Estimate`. Readings that are NaN or infinite, or whose ``mask`` is false, are missing.
+    ``known`` ``[..., n_q]`` holds coordinates that an experiment measures, and NaN for those to be estimated: truth
+    never enters otherwise.
+    """
+
+    def init(self, q0: Any = None, seed: int = 0) -> Any: ...
+
+    def step(
+        self, state: Any, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+    ) -> tuple[Any, Estimate]: ...
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Estimates over time: the fields of :class:`Estimate` with a leading dimension of time.
+
+    Parameters
+    ----------
+    times
+        Time of each row [s].
+    q, covariance, u_hat, chi2, dof, missing, details
+        As in :class:`Estimate`.
+
+    Examples
+    --------
+    >>> Trajectory(np.arange(7.0), np.zeros((7, 3)), None, np.zeros((7, 8)), np.zeros(7), np.zeros(7), np.zeros(7))
+    Trajectory of 7 time steps over 6 s, 3 coordinates, 8 readings
+    chi-square per degree of freedom: not stated
+    0 of 56 readings missing
+    """
+
+    times: Array
+    q: Array
+    covariance: Array | None
+    u_hat: Array
+    chi2: Array
+    dof: Array
+    missing: Array
+    details: dict[str, Array] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Return three lines."""
+        n, s = self.q.shape[-1], self.u_hat.shape[-1]
+        span = f"{self.times[-1] - self.times[0]:g} s"
+        free = np.sum(self.dof)
+        fit = f"{np.sum(self.chi2) / free:.3g}" if free and np.isfinite(self.chi2).all() else "not stated"
+        return (
+            f"Trajectory of {len(self.times)} time steps over {span}, {n} coordinates, {s} readings\n"
+            f"chi-square per degree of freedom: {fit}\n"
+            f"{int(np.sum(self.missing))} of {self.u_hat.size} readings missing"
+        )
+
+
+def track(
+    estimator: Estimator,
+    readings: Any,
+    q0: Any = None,
+    *,
+    times: Any = None,
+    rate_hz: float | None = None,
+    seed: int = 0,
+    mask: Any = None,
+    known: Any = None,
+    progress: str | None = None,
+    monitor: str | None = "auto",
+) -> Trajectory:
+    """Run an estimator over recorded readings.
+
+    Parameters
+    ----------
+    estimator
+        Any estimator.
+    readings
+        One row per time step ``[t, ..., s]``; NaN for a missing reading.
+    q0
+        Where the estimator starts ``[..., n_q]``; its own choice if not given.
+    times
+        Time of each row [s], increasing.
+    rate_hz
+        Rows per second, instead of ``times``. Filters need one of the two.
+    seed
+        For estimators that draw random numbers.
+    mask, known
+        As in :class:`Estimator`, with a leading dimension of time.
+    progress
+        Label of a progress bar; none if not given.
+    monitor
+        ``"auto"`` or ``None``. It watches for sensors that fail; for now it does nothing.
+
+    Raises
+    ------
+    InputError
+        If there are no readings, or times, masks or known coordinates do not fit them.
+
+    Examples
+    --------
+    >>> from repro import LevenbergMarquardt, track
+    >>> root = LevenbergMarquardt(lambda q: q**2, lower=[0.0], upper=[2.0], noise=0.01)
+    >>> track(root, [[0.25], [1.0], [2.25]]).q.ravel().round(6)
+    array([0.5, 1. , 1.5])
+    """
+    return run(
+        estimator, readings, q0, times=times, rate_hz=rate_hz, seed=seed, mask=mask, known=known,
+        progress=progress, monitor=monitor,
+    )[0]  # fmt: skip
+
+
+def run(
+    estimator: Estimator,
+    readings: Any,
+    q0: Any,
+    *,
+    times: Any,
+    rate_hz: float | None,
+    seed: int,
+    mask: Any,
+    known: Any,
+    progress: str | None,
+    monitor: str | None,
+    owner: str = "track",
+) -> tuple[Trajectory, list[Any]]:
+    """Return the estimates and the states: the loop of ``track`` and of ``smooth``."""
+    require(isinstance(estimator, Estimator), "estimator", owner, "an estimator", type(estimator).__name__)
+    require(monitor in ("auto", None), "monitor", owner, '"auto" or None', repr(monitor))
+    rows = numbers(readings, "readings", owner, finite=False)
+    require(rows.ndim >= 2 and len(rows), "readings", owner, "of shape (t, ..., s)", f"shape {rows.shape}")
+    at = _times(len(rows), times, rate_hz, owner, needed=getattr(estimator, "needs_time", False))
+    per_row: dict[str, Any] = {"mask": mask, "known": known}
+    for name, values in per_row.items():
+        if values is not None:
+            per_row[name] = values = np.asarray(values)
+            words = f"one row for each of {len(rows)} time steps"
+            require(values.ndim and len(values) == len(rows), name, owner, words, f"shape {values.shape}")
+    state = estimator.init(q0, seed=seed)
+    states, estimates = [], []
+    for k in _with_bar(len(rows), progress):
+        given = {name: values[k] for name, values in per_row.items() if values is not None}
+        state, estimate = estimator.step(state, rows[k], float(at[k]), **given)
+        states.append(state)
+        estimates.append(estimate)
+    q, covariance, u_hat, chi2, dof, missing, details = zip(*estimates, strict=True)
+    trajectory = Trajectory(
+        at,
+        np.stack(q),
+        None if covariance[0] is None else np.stack(covariance),
+        np.stack(u_hat),
+        *(np.array(x) for x in (chi2, dof, missing)),
+        {name: np.stack([row[name] for row in details]) for name in details[0]},
+    )
+    return trajectory, states
+
+
+def _times(n: int, times: Any, rate_hz: float | None, owner: str, *, needed: bool) -> Array:
+    if times is not None:
+        at = numbers(times, "times", owner, (n,))
+        late = np.flatnonzero(np.diff(at) <= 0)
+        if len(late):
+            k = late[0]
+            raise bad_input("times", owner, "increasing [s]", f"{at[k + 1]} after {at[k]} in row {k + 1}")
+        return at
+    if rate_hz is None and needed:
+        raise bad_input("times, rate_hz", owner, "given for a filter, one of the two", "neither")
+    rate = 1.0 if rate_hz is None else rate_hz
+    require(rate > 0, "rate_hz", owner, "positive", rate)
+    return np.arange(n) / rate
+
+
+def _with_bar(n: int, label: str | None) -> Any:
+    if label is None:
+        return range(n)
+    from rich.progress import track as bar
+
+    return bar(range(n), description=label)
+
+
+def incoming(u: Any, mask: Any, owner: str, n: int | None = None) -> Array:
+    """Return readings as float64 with NaN for every missing one; refuse another number of readings.
+
+    Raises
+    ------
+    InputError
+        If ``u`` holds no numbers, has another width than ``n``, or the mask does not fit.
+    """
+    if not (type(u) is np.ndarray and u.dtype == np.float64):
+        u = numbers(u, "u", owner, finite=False)
+    if u.ndim == 0 or (n is not None and u.shape[-1] != n):
+        words = "of shape (..., s)" if n is None else f"{n} readings (last dimension)"
+        raise bad_input("u", owner, words, f"shape {u.shape}")
+    if mask is not None:
+        use = np.asarray(mask)
+        if use.dtype != np.bool_ or use.shape[-1:] != u.shape[-1:]:
+            words = f"true or false for each of {u.shape[-1]} readings"
+            raise bad_input("mask", owner, words, f"{use.dtype} of shape {use.shape}")
+        u = np.where(use, u, np.nan)
+    return u
+
+
+def start(q0: Any, n_q: int, owner: str) -> Array:
+    """Return a start configuration ``[..., n_q]`` as float64, or refuse it."""
+    return numbers(q0, "q0", owner, (..., n_q))
+
+
+def known_coordinates(known: Any, n_q: int, owner: str) -> Array | None:
+    """Return known coordinates ``[..., n_q]``, NaN for those to be estimated; infinity is refused."""
+    if known is None:
+        return None
+    values = numbers(known, "known", owner, (..., n_q), finite=False)
+    require(not np.isinf(values).any(), "known", owner, "finite, or NaN for unknown", "infinity")
+    return values
+
+
+def quadratic_form(residual: Array, noise: Any) -> Array:
+    """Return the sum of squared residuals in units of the noise; missing residuals are NaN and add nothing."""
+    return np.nansum((residual / noise) ** 2, axis=-1)
+
+
+Sensing = Callable[[Array], Array]
+"""A sensor model: configurations ``[..., n_q]`` to readings ``[..., s]``."""

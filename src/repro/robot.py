@@ -1,0 +1,860 @@
+r"""A robot: segments in series, with magnets, sensors and IMUs mounted on them.
+
+Every segment gives the pose of its backbone frame at :math:`v \in [0, 1]` and one *twist* per coordinate: how the
+frame turns and moves when that coordinate changes. We refer all twists :math:`(\omega, \nu)` to the origin of the
+base frame, where a point at :math:`p` moves by :math:`\nu + \omega \times p` and a direction :math:`o` by
+:math:`\omega \times o`. In this form everything mounted on one frame shares its twists, and what lies beyond a
+segment moves with the twist of its tip.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+import numpy as np
+
+from repro.common import Array, bad_input, kernel, numbers, require
+
+_CONSTANT, _AFFINE, _LINK, _JOINT, _FREE = range(5)
+
+
+class Segment(Protocol):
+    """What a segment says about itself; the five kinds below are all that the kernels know."""
+
+    kind: ClassVar[int]
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of its coordinates."""
+        ...
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of a mount along its backbone [m]."""
+        ...
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Two numbers for the kernels."""
+        ...
+
+
+@dataclass(frozen=True)
+class ConstantCurvature:
+    r"""A segment that bends in an arc of constant curvature and may lengthen (Baaij et al. 2023, appendix A.1).
+
+    Its configuration is :math:`q = (\Delta_x, \Delta_y, \delta L)` [m]. The segment bends by
+    :math:`\theta = \sqrt{\Delta_x^2 + \Delta_y^2}/r` towards :math:`(\Delta_x, \Delta_y)`, and is
+    :math:`L_0 + \delta L` long. At :math:`v` the tangent has turned by :math:`v\theta`, eq. (15).
+
+    Parameters
+    ----------
+    length
+        Unextended length :math:`L_0` [m].
+    radius
+        Distance :math:`r` from the backbone to the actuators [m], the unit of bending: ``delta_x = radius`` bends by
+        1 rad.
+    extensible
+        Whether it lengthens. If not, :math:`\delta L` is no coordinate; with ``radius=1`` the coordinates are then
+        the bend vector [rad] of Mitchell et al. 2021.
+
+    Raises
+    ------
+    InputError
+        If a size is not positive.
+
+    Examples
+    --------
+    A quarter circle of 110 mm towards x ends at (2 L/pi, 0, 2 L/pi):
+
+    >>> from repro import ConstantCurvature, Robot
+    >>> robot = Robot([ConstantCurvature(length=0.110, radius=0.022)])
+    >>> robot.tip([0.022 * np.pi / 2, 0.0, 0.0])[:3, 3].round(6)
+    array([0.070028, 0.      , 0.070028])
+    """
+
+    length: float
+    radius: float
+    extensible: bool = True
+    kind: ClassVar[int] = _CONSTANT
+
+    def __post_init__(self) -> None:
+        for name in ("length", "radius"):
+            size = getattr(self, name)
+            require(0 < size < math.inf, name, "ConstantCurvature", "positive [m]", size)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return ("delta_x", "delta_y", "delta_L") if self.extensible else ("delta_x", "delta_y")
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of a mount along the backbone [m]."""
+        return self.length
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Length and radius [m]."""
+        return self.length, self.radius
+
+
+@dataclass(frozen=True)
+class AffineCurvature:
+    r"""A segment whose curvature changes linearly along it, in one plane (Baaij et al. 2023, appendix A.2).
+
+    Its configuration is :math:`q = (\kappa_0, \kappa_1, \phi, \delta L)` [rad, rad, rad, m]. The tangent at :math:`v`
+    has turned by :math:`\theta(v) = \kappa_0 v + \kappa_1 v^2/2`, eq. (17), towards
+    :math:`(\sin\phi, -\cos\phi)`. The position, eq. (18), is the integral of the tangent: we take 24 Gauss-Legendre
+    nodes, whose error is below 2e-14 of the length up to :math:`|\kappa_0| = \pi, |\kappa_1| = 4\pi`. The same shape
+    has a second configuration, :math:`(-\kappa_0, -\kappa_1, \phi + \pi)`.
+
+    Parameters
+    ----------
+    length
+        Unextended length :math:`L_0` [m].
+
+    Raises
+    ------
+    InputError
+        If the length is not positive.
+
+    Examples
+    --------
+    A quarter circle of 0.2 m towards -y:
+
+    >>> from repro import AffineCurvature, Robot
+    >>> Robot([AffineCurvature(0.2)]).tip([np.pi / 2, 0.0, 0.0, 0.0])[:3, 3].round(4)
+    array([ 0.    , -0.1273,  0.1273])
+    """
+
+    length: float
+    kind: ClassVar[int] = _AFFINE
+
+    def __post_init__(self) -> None:
+        require(0 < self.length < math.inf, "length", "AffineCurvature", "positive [m]", self.length)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return ("kappa_0", "kappa_1", "phi", "delta_L")
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of a mount along the backbone [m]."""
+        return self.length
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Length [m], and nothing."""
+        return self.length, 0.0
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid piece along z, without a coordinate.
+
+    Parameters
+    ----------
+    length
+        Its length [m]; zero is a place to mount things on.
+
+    Raises
+    ------
+    InputError
+        If the length is negative.
+
+    Examples
+    --------
+    >>> from repro import Link, Robot
+    >>> Robot([Link(0.1), Link(0.05)]).tip([])[:3, 3]
+    array([0.  , 0.  , 0.15])
+    """
+
+    length: float
+    kind: ClassVar[int] = _LINK
+
+    def __post_init__(self) -> None:
+        require(0 <= self.length < math.inf, "length", "Link", "not negative [m]", self.length)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates: none."""
+        return ()
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of a mount along the link [m]."""
+        return self.length
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Length [m], and nothing."""
+        return self.length, 0.0
+
+
+@dataclass(frozen=True)
+class BallJoint:
+    """A joint that turns what follows it by a rotation vector; with one axis it is a hinge.
+
+    Parameters
+    ----------
+    axes
+        Which components of the rotation vector [rad] are coordinates: some of "xyz", in this order.
+
+    Raises
+    ------
+    InputError
+        If the axes are none of these.
+
+    Examples
+    --------
+    A hinge about x, then a link of 0.1 m:
+
+    >>> from repro import BallJoint, Link, Robot
+    >>> robot = Robot([BallJoint("x"), Link(0.1)])
+    >>> robot.coordinates, robot.tip([np.pi / 2])[:3, 3].round(3)
+    (('rotation_x_1',), array([ 0. , -0.1,  0. ]))
+    """
+
+    axes: str = "xyz"
+    kind: ClassVar[int] = _JOINT
+
+    def __post_init__(self) -> None:
+        expected = "some of 'xyz', in this order"
+        require(self.axes in ("x", "y", "z", "xy", "xz", "yz", "xyz"), "axes", "BallJoint", expected, self.axes)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return tuple(f"rotation_{axis}" for axis in self.axes)
+
+    @property
+    def reach(self) -> float:
+        """Mounts sit in the joint: 0 m."""
+        return 0.0
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Axes as the bits of a number, and nothing."""
+        return float(sum(1 << "xyz".index(axis) for axis in self.axes)), 0.0
+
+
+@dataclass(frozen=True)
+class FreeBody:
+    """A body that is not attached: a position [m], then a rotation vector [rad].
+
+    Examples
+    --------
+    >>> from repro import FreeBody, Robot
+    >>> Robot([FreeBody()]).tip([0.1, 0.2, 0.3, 0.0, 0.0, 0.0])[:3, 3]
+    array([0.1, 0.2, 0.3])
+    """
+
+    kind: ClassVar[int] = _FREE
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return ("x", "y", "z", "rotation_x", "rotation_y", "rotation_z")
+
+    @property
+    def reach(self) -> float:
+        """Mounts sit at its origin, wherever their ``position`` says: 0 m."""
+        return 0.0
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Nothing."""
+        return 0.0, 0.0
+
+
+class Place(NamedTuple):
+    """Where something is mounted: segment (0 is the base), distance along it [m], and its pose in the frame there."""
+
+    segment: int
+    at: float
+    position: Array
+    rotation: Array
+
+
+def place(
+    owner: str,
+    segment: int,
+    at: float,
+    position: Any = None,
+    rotation: Any = None,
+    direction: Any = None,
+) -> Place:
+    """Return a checked place; the rotation is a quaternion XYZW or the shortest turn of z to a direction."""
+    require(isinstance(segment, int | np.integer) and segment >= 0, "segment", owner, "0 or above", segment)
+    along = float(numbers(at, "at", owner, ()))
+    r = np.zeros(3) if position is None else numbers(position, "position", owner, (3,))
+    R = np.eye(3)
+    if direction is not None:
+        z = numbers(direction, "direction", owner, (3,))
+        require(np.any(z), "direction", owner, "a vector that is not zero", direction)
+        R = _turn_of_z_to(z / np.linalg.norm(z))
+    elif rotation is not None:
+        R = rotation_matrix(unit_quaternions(rotation, "orientation", owner, (4,)))
+    return Place(int(segment), along, r, R)
+
+
+def _turn_of_z_to(z: Array) -> Array:
+    x = np.cross([0.0, 1.0, 0.0], z)
+    if np.linalg.norm(x) < 1e-6:
+        x = np.array([1.0, 0.0, 0.0])
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def unit_quaternions(q: Any, name: str, owner: str, shape: tuple[Any, ...]) -> Array:
+    """Return quaternions XYZW rescaled to norm 1; refuse those that are off by more than rounding.
+
+    Raises
+    ------
+    InputError
+        If a norm differs from 1 by more than 1e-3: raw counts or rounded numbers are no orientation.
+    """
+    found = numbers(q, name, owner, shape)
+    norm = np.linalg.norm(found, axis=-1, keepdims=True)
+    if not (np.abs(norm - 1) <= 1e-3).all():
+        worst = float(norm.flat[np.argmax(np.abs(norm - 1))])
+        raise bad_input(name, owner, "unit quaternions XYZW (norm 1 within 0.001)", f"a norm of {worst:g}")
+    return found / norm
+
+
+def rotation_matrix(q: Array) -> Array:
+    """Return rotation matrices ``[..., 3, 3]`` of unit quaternions XYZW ``[..., 4]``."""
+    x, y, z, w = np.moveaxis(q, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+@dataclass(frozen=True)
+class Sensor:
+    r"""A magnetic sensor with one measuring axis or three (Baaij et al. 2023, eq. (2), or a chip as one buys it).
+
+    A sensor with one axis measures towards the base, along :math:`R_z(\varphi) (-\sin\psi, 0, -\cos\psi)`: a positive
+    tilt :math:`\psi` points it inwards. ``direction`` says otherwise. A sensor with three axes gives three readings,
+    along the x, y and z axes of its own frame.
+
+    Parameters
+    ----------
+    segment
+        Segment that it is mounted on, from 1 at the base; 0 is the base itself.
+    at
+        Distance from the base of that segment along the unextended backbone [m].
+    radial, azimuth
+        Distance from the backbone [m] and angle [rad] in the cross-section.
+    tilt
+        Angle :math:`\psi` [rad] about the tangential direction.
+    position
+        Place in the frame of the cross-section [m], instead of ``radial`` and ``azimuth``.
+    direction
+        Measuring direction in that frame, of any length, instead of ``tilt``.
+    axes
+        1 or 3.
+    orientation
+        Quaternion XYZW from the frame of a chip with three axes to that of the cross-section.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, the radius is negative, or an argument does not fit the number of axes.
+
+    Examples
+    --------
+    >>> Sensor(segment=1, at=0.11, radial=0.013, tilt=np.pi / 6).place.rotation[:, 2].round(3)
+    array([-0.5  ,  0.   , -0.866])
+    """
+
+    segment: int
+    at: float
+    radial: float = 0.0
+    azimuth: float = 0.0
+    tilt: float = 0.0
+    position: Any = None
+    direction: Any = None
+    axes: int = 1
+    orientation: Any = None
+
+    def __post_init__(self) -> None:
+        require(self.axes in (1, 3), "axes", "Sensor", "1 or 3", self.axes)
+        require(self.radial >= 0, "radial", "Sensor", "not negative [m]", self.radial)
+        if self.axes == 3 and (self.direction is not None or self.tilt):
+            raise bad_input("direction, tilt", "Sensor", "for one axis; orientation is for three", "both")
+        if self.axes == 1 and self.orientation is not None:
+            raise bad_input("orientation", "Sensor", "for three axes; direction is for one", self.orientation)
+        _ = self.place
+
+    @cached_property
+    def place(self) -> Place:
+        """Where it is; the columns of the rotation are its axes, the last one that of a sensor with one axis."""
+        phi, psi = (float(numbers(x, "angle", "Sensor", ())) for x in (self.azimuth, self.tilt))
+        at = self.position
+        if at is None:
+            at = [self.radial * math.cos(phi), self.radial * math.sin(phi), 0.0]
+        if self.axes == 1 and self.direction is None:
+            c, s, cp, sp = math.cos(phi), math.sin(phi), math.cos(psi), math.sin(psi)
+            R = np.array([[c * cp, s, -c * sp], [s * cp, -c, -s * sp], [-sp, 0.0, -cp]])
+            return place("Sensor", self.segment, self.at, at)._replace(rotation=R)
+        return place("Sensor", self.segment, self.at, at, self.orientation, self.direction)
+
+
+@dataclass(frozen=True)
+class Imu:
+    """An orientation sensor. It reads the rotation vector [rad] that turns its own frame to the base frame.
+
+    Parameters
+    ----------
+    segment
+        Segment that it is mounted on, from 1 at the base; 0 is the base itself.
+    at
+        Distance from the base of that segment along the unextended backbone [m].
+    orientation
+        Quaternion XYZW from its own frame to that of the cross-section, whose z axis points along the backbone.
+
+    Raises
+    ------
+    InputError
+        If the numbers describe no place or no orientation.
+
+    Examples
+    --------
+    >>> Imu(segment=1, at=0.11).place.rotation[:, 2]
+    array([0., 0., 1.])
+    """
+
+    segment: int
+    at: float
+    orientation: Any = None
+
+    def __post_init__(self) -> None:
+        _ = self.place
+
+    @cached_property
+    def place(self) -> Place:
+        """Where it is, and how it is turned there."""
+        return place("Imu", self.segment, self.at, None, self.orientation)
+
+
+class Chain(NamedTuple):
+    """Segments and the frames that something is mounted on, as arrays for the kernels."""
+
+    kind: Array
+    size: Array
+    first: Array
+    """First coordinate of every segment, and their number."""
+    segment: Array
+    """Segment of every frame, from 0; -1 for the base, which is frame 0."""
+    v: Array
+    """Where along its segment."""
+    tip: Array
+    """Frame of the tip of every segment."""
+
+
+class Robot:
+    """Segments from base to tip, with magnets, sensors and IMUs on them.
+
+    Its configuration ``q`` holds the coordinates of all segments, one after the other. Leading dimensions are a
+    batch. Poses are 4 x 4 matrices in the frame of the base, whose z axis points along the straight robot; lengths are
+    in metres, angles in radians.
+
+    Parameters
+    ----------
+    segments
+        From base to tip: :class:`ConstantCurvature`, :class:`AffineCurvature`, :class:`Link`, :class:`BallJoint`,
+        :class:`FreeBody`, in any order.
+    magnets, sensors, imus
+        What is mounted on them: :class:`repro.Magnet`, :class:`Sensor`, :class:`Imu`.
+
+    Raises
+    ------
+    InputError
+        If there is no segment, or something is mounted where there is none.
+
+    Examples
+    --------
+    A chain of three kinds of segments:
+
+    >>> from repro import AffineCurvature, ConstantCurvature, Link, Robot
+    >>> robot = Robot([ConstantCurvature(0.11, 0.022), Link(0.02), AffineCurvature(0.2)])
+    >>> robot.coordinates
+    ('delta_x_1', 'delta_y_1', 'delta_L_1', 'kappa_0_3', 'kappa_1_3', 'phi_3', 'delta_L_3')
+    >>> robot.tip(np.zeros(7))[:3, 3].round(3)
+    array([0.  , 0.  , 0.33])
+    """
+
+    def __init__(
+        self,
+        segments: Sequence[Segment],
+        magnets: Sequence[Any] = (),
+        sensors: Sequence[Sensor] = (),
+        imus: Sequence[Imu] = (),
+    ) -> None:
+        self.segments, self.magnets = tuple(segments), tuple(magnets)
+        self.sensors, self.imus = tuple(sensors), tuple(imus)
+        require(self.segments, "segments", "Robot", "at least one segment", "none")
+        kinds = (ConstantCurvature, AffineCurvature, Link, BallJoint, FreeBody)
+        for segment in self.segments:
+            expected = f"one of {', '.join(kind.__name__ for kind in kinds)}"
+            require(isinstance(segment, kinds), "segments", "Robot", expected, type(segment).__name__)
+        for name, parts in (("magnets", self.magnets), ("sensors", self.sensors), ("imus", self.imus)):
+            for k, part in enumerate(parts):
+                require(hasattr(part, "place"), name, "Robot", "parts with a place", type(part).__name__)
+                self._check(part.place, f"{name}, number {k + 1},")
+
+    def _check(self, where: Place, name: str) -> None:
+        n = len(self.segments)
+        require(where.segment <= n, name, "Robot", f"on a segment from 0 (base) to {n}", where.segment)
+        reach = self.segments[where.segment - 1].reach if where.segment else 0.0
+        expected = f"between 0 and {reach:g} m along segment {where.segment}"
+        require(-1e-12 <= where.at <= reach * (1 + 1e-12), name, "Robot", expected, f"{where.at:g} m")
+
+    def __repr__(self) -> str:
+        """Say what it is made of."""
+        kinds = ", ".join(type(segment).__name__ for segment in self.segments)
+        parts = f"{len(self.magnets)} magnets, {len(self.sensors)} sensors, {len(self.imus)} IMUs"
+        return f"Robot of {kinds}; {parts}; {self.n_q} coordinates"
+
+    @cached_property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates, numbered by segment from 1: ``delta_x_1`` and so on."""
+        return tuple(f"{name}_{i}" for i, s in enumerate(self.segments, 1) for name in s.coordinates)
+
+    @cached_property
+    def n_q(self) -> int:
+        """Number of coordinates."""
+        return len(self.coordinates)
+
+    @cached_property
+    def angles(self) -> Array:
+        """Which coordinates are angles that come round again after a turn, ``[n_q]``."""
+        return np.array([name.startswith(("phi_", "rotation_")) for name in self.coordinates], dtype=bool)
+
+    @cached_property
+    def length(self) -> float:
+        """Unextended length of the robot [m]."""
+        return sum(segment.reach for segment in self.segments)
+
+    def check_q(self, q: Any, owner: str = "Robot") -> Array:
+        """Return configurations ``[..., n_q]`` as float64; refuse another width, NaN and infinity."""
+        try:
+            return numbers(q, "q", owner, (..., self.n_q))
+        except ValueError as error:
+            if np.shape(q)[-1:] == (self.n_q,):
+                raise
+            names = f"of last dimension {self.n_q} ({', '.join(self.coordinates)})"
+            raise bad_input("q", owner, names, f"shape {np.shape(q)}") from error
+
+    def chain(self, places: Sequence[Place]) -> tuple[Chain, Array]:
+        """Return the frames of places as arrays for the kernels, and the frame of every place."""
+        wanted = {(p.segment - 1, self._share(p)) for p in places if p.segment}
+        wanted |= {(g, 1.0) for g in range(len(self.segments))}
+        frames = [(-1, 0.0), *sorted(wanted)]
+        number = {frame: k for k, frame in enumerate(frames)}
+        counts = [len(segment.coordinates) for segment in self.segments]
+        chain = Chain(
+            kind=np.array([segment.kind for segment in self.segments]),
+            size=np.array([segment.sizes for segment in self.segments]),
+            first=np.cumsum([0, *counts]),
+            segment=np.array([g for g, _ in frames]),
+            v=np.array([v for _, v in frames]),
+            tip=np.array([number[g, 1.0] for g in range(len(self.segments))]),
+        )
+        where = [number[p.segment - 1, self._share(p)] if p.segment else 0 for p in places]
+        return chain, np.array(where, dtype=np.int64)
+
+    def _share(self, where: Place) -> float:
+        """Fraction of the segment; a joint, a body or a link of length zero has its tip only."""
+        reach = self.segments[where.segment - 1].reach
+        return where.at / reach if reach else 1.0
+
+    def poses(self, q: Any, places: Sequence[Place]) -> Array:
+        """Return poses ``T_base_place`` ``[..., n, 4, 4]`` of places; positions in m.
+
+        ``robot.poses(q, [magnet.place for magnet in robot.magnets])`` are those of the magnets.
+        """
+        return self.motion(q, places)[0]
+
+    def motion(self, q: Any, places: Sequence[Place]) -> tuple[Array, Array]:
+        r"""Return poses of places and the twist of each by every coordinate.
+
+        Parameters
+        ----------
+        q
+            Configurations ``[..., n_q]``.
+        places
+            Where: the ``place`` of magnets, sensors and IMUs, or places from :func:`point_on`.
+
+        Returns
+        -------
+        tuple
+            Poses ``[..., n, 4, 4]``, and twists ``[..., n, n_q, 6]``: the angular velocity :math:`\omega` [rad per
+            unit of the coordinate], then :math:`\nu` [m per unit], referred to the origin of the base frame. A point
+            at :math:`p` moves by :math:`\nu + \omega \times p`.
+        """
+        q = self.check_q(q)
+        for where in places:
+            self._check(where, "places")
+        chain, frame = self.chain(places)
+        flat = np.ascontiguousarray(q.reshape(-1, self.n_q))
+        R, p, X = (np.empty((len(flat), len(chain.v), *own)) for own in ((3, 3), (3,), (self.n_q, 6)))
+        _all_frames(chain, flat, R, p, X)
+        T = np.zeros((len(flat), len(places), 4, 4))
+        T[..., 3, 3] = 1.0
+        for k, where in enumerate(places):
+            T[:, k, :3, :3] = R[:, frame[k]] @ where.rotation
+            T[:, k, :3, 3] = p[:, frame[k]] + R[:, frame[k]] @ where.position
+        batch = q.shape[:-1]
+        return T.reshape(*batch, *T.shape[1:]), X[:, frame].reshape(*batch, len(places), self.n_q, 6)
+
+    def tip(self, q: Any) -> Array:
+        """Return the pose of the tip ``[..., 4, 4]`` in the base frame; positions in m."""
+        return self.poses(q, [point_on(len(self.segments), self.segments[-1].reach)])[..., 0, :, :]
+
+    def tip_slopes(self, q: Any) -> tuple[Array, Array]:
+        """Return positions of the tip ``[..., 3]`` [m] and their slopes by the coordinates ``[..., 3, n_q]``."""
+        T, X = self.motion(q, [point_on(len(self.segments), self.segments[-1].reach)])
+        p = T[..., 0, :3, 3]
+        slopes = X[..., 0, :, 3:] + np.cross(X[..., 0, :, :3], p[..., None, :])
+        return p, np.swapaxes(slopes, -1, -2)
+
+    def backbone(self, q: Any, points: int = 33) -> Array:
+        """Return points on the backbone ``[..., k, 3]`` [m], so many per segment, from its base to its tip."""
+        places = [
+            point_on(g, share * segment.reach)
+            for g, segment in enumerate(self.segments, 1)
+            for share in np.linspace(0, 1, points)
+        ]
+        return self.poses(q, places)[..., :3, 3]
+
+    def wrapped(self, q: Any) -> Array:
+        """Return the same shapes with azimuths in (-pi, pi] and rotation vectors of at most half a turn."""
+        q = self.check_q(q).copy()
+        chain, _ = self.chain([])
+        wrap(chain, q.reshape(-1, self.n_q))
+        return q
+
+
+def point_on(segment: int, at: float) -> Place:
+    """Return the place on the backbone at a distance [m] from the base of a segment (from 1).
+
+    Examples
+    --------
+    >>> point_on(1, 0.05).at
+    0.05
+    """
+    return place("point_on", segment, at)
+
+
+_NODES, _WEIGHTS = (tuple(x) for x in np.polynomial.legendre.leggauss(24))
+_SINC = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(9))
+_COSC = tuple((-1.0) ** k / math.factorial(2 * k + 2) for k in range(9))
+_TANC = tuple((-1.0) ** k / math.factorial(2 * k + 3) for k in range(9))
+
+
+@kernel
+def arc_functions(z):
+    """Return sin(t)/t, (1 - cos t)/t^2, (t - sin t)/t^3 and the slope of the second by z = t^2."""
+    if z < 0.25:
+        s = c = d = c_z = 0.0
+        for k in range(8, -1, -1):
+            s, c, d = s * z + _SINC[k], c * z + _COSC[k], d * z + _TANC[k]
+            if k:
+                c_z = c_z * z + k * _COSC[k]
+        return s, c, d, c_z
+    t = math.sqrt(z)
+    s, half = math.sin(t) / t, math.sin(0.5 * t) / t
+    c = 2.0 * half * half
+    return s, c, (1.0 - s) / z, (s - 2.0 * c) / (2.0 * z)
+
+
+@kernel
+def turn(x, y, z, T, J):
+    """Write the rotation of a rotation vector and the left Jacobian of SO(3) there, whose columns are its twists."""
+    s, c, d, _ = arc_functions(x * x + y * y + z * z)
+    w = (x, y, z)
+    for i in range(3):
+        for j in range(3):
+            both = w[i] * w[j]
+            T[i, j], J[i, j] = c * both, d * both
+    square = x * x + y * y + z * z
+    for i in range(3):
+        T[i, i] += 1.0 - c * square
+        J[i, i] += 1.0 - d * square
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        T[k, j] += s * w[i]
+        T[j, k] -= s * w[i]
+        J[k, j] += c * w[i]
+        J[j, k] -= c * w[i]
+
+
+@kernel
+def _constant_curvature(q, extensible, length, radius, v, T, W):
+    """Eq. (15), with the misprint in the position corrected."""
+    a, b = q[0] / radius, q[1] / radius
+    L = length + (q[2] if extensible else 0.0)
+    z = v * v * (a * a + b * b)
+    s0, c0, d0, c_z = arc_functions(z)
+    s, c = v * s0, v * v * c0
+    T[0, 0], T[0, 1], T[0, 2], T[0, 3] = 1.0 - c * a * a, -c * a * b, s * a, L * c * a
+    T[1, 0], T[1, 1], T[1, 2], T[1, 3] = -c * a * b, 1.0 - c * b * b, s * b, L * c * b
+    T[2, 0], T[2, 1], T[2, 2], T[2, 3] = -s * a, -s * b, 1.0 - c * (a * a + b * b), L * s
+    # The rotation vector is w = v (-b, a, 0), and its twists are columns of the left Jacobian.
+    wx, wy, k = -v * b, v * a, v / radius
+    W[0, 0], W[0, 1], W[0, 2] = k * d0 * wx * wy, k * (1.0 + d0 * (wy * wy - z)), k * c0 * wx
+    W[1, 0], W[1, 1], W[1, 2] = -k * (1.0 + d0 * (wx * wx - z)), -k * d0 * wx * wy, k * c0 * wy
+    s_z, power = v * v * v * (d0 - c0), 2.0 * v * v * v * v * c_z
+    s_a, s_b, c_a, c_b, f = s_z * a, s_z * b, power * a, power * b, L / radius
+    W[0, 3], W[0, 4], W[0, 5] = f * (c + a * c_a), f * b * c_a, f * s_a
+    W[1, 3], W[1, 4], W[1, 5] = f * a * c_b, f * (c + b * c_b), f * s_b
+    if extensible:
+        W[2, 0] = W[2, 1] = W[2, 2] = 0.0
+        W[2, 3], W[2, 4], W[2, 5] = c * a, c * b, s
+
+
+@kernel
+def _affine_curvature(q, length, v, T, W):
+    """Eqs (17) and (18)."""
+    k0, k1, phi, L = q[0], q[1], q[2], length + q[3]
+    across = ahead = across_0 = across_1 = ahead_0 = ahead_1 = 0.0
+    for i in range(len(_NODES)):
+        s, w = 0.5 * v * (_NODES[i] + 1.0), 0.5 * v * _WEIGHTS[i]
+        angle = k0 * s + 0.5 * k1 * s * s
+        sine, cosine = w * math.sin(angle), w * math.cos(angle)
+        across, ahead = across + sine, ahead + cosine
+        across_0, across_1 = across_0 + cosine * s, across_1 + 0.5 * cosine * s * s
+        ahead_0, ahead_1 = ahead_0 - sine * s, ahead_1 - 0.5 * sine * s * s
+    theta, c, s = k0 * v + 0.5 * k1 * v * v, math.cos(phi), math.sin(phi)
+    ct, st = math.cos(theta), math.sin(theta)
+    # R = R_z(phi) R_x(theta) R_z(-phi), a turn about (cos phi, sin phi, 0).
+    T[0, 0], T[0, 1], T[0, 2], T[0, 3] = c * c + s * s * ct, c * s * (1.0 - ct), s * st, L * across * s
+    T[1, 0], T[1, 1], T[1, 2], T[1, 3] = c * s * (1.0 - ct), s * s + c * c * ct, -c * st, -L * across * c
+    T[2, 0], T[2, 1], T[2, 2], T[2, 3] = -s * st, c * st, ct, L * ahead
+    turns = (v, 0.5 * v * v)
+    for i in range(2):
+        W[i, 0], W[i, 1], W[i, 2] = turns[i] * c, turns[i] * s, 0.0
+    W[0, 3], W[0, 4], W[0, 5] = L * across_0 * s, -L * across_0 * c, L * ahead_0
+    W[1, 3], W[1, 4], W[1, 5] = L * across_1 * s, -L * across_1 * c, L * ahead_1
+    W[2, 0], W[2, 1], W[2, 2] = -T[0, 2], -T[1, 2], 1.0 - T[2, 2]
+    W[2, 3], W[2, 4], W[2, 5] = L * across * c, L * across * s, 0.0
+    W[3, 0] = W[3, 1] = W[3, 2] = 0.0
+    W[3, 3], W[3, 4], W[3, 5] = across * s, -across * c, ahead
+
+
+@kernel
+def _in_segment(chain, g, q, v, T, W, J):
+    """Write the frame at ``v`` of segment ``g`` in the frame of its base, and its twists (turn, motion of its origin)."""
+    kind, first = chain.kind[g], chain.first[g]
+    n = chain.first[g + 1] - first
+    if kind == _CONSTANT:
+        _constant_curvature(q[first:], n == 3, chain.size[g, 0], chain.size[g, 1], v, T, W)
+        return
+    if kind == _AFFINE:
+        _affine_curvature(q[first:], chain.size[g, 0], v, T, W)
+        return
+    T[:, :] = 0.0
+    W[:n, :] = 0.0
+    if kind == _LINK:
+        T[0, 0] = T[1, 1] = T[2, 2] = 1.0
+        T[2, 3] = v * chain.size[g, 0]
+    elif kind == _FREE:
+        turn(q[first + 3], q[first + 4], q[first + 5], T, J)
+        for i in range(3):
+            T[i, 3] = q[first + i]
+            W[i, 3 + i] = 1.0
+            for k in range(3):
+                W[3 + i, k] = J[k, i]
+    else:
+        w, axes, c = np.zeros(3), int(chain.size[g, 0]), 0
+        for i in range(3):
+            if axes >> i & 1:
+                w[i] = q[first + c]
+                c += 1
+        turn(w[0], w[1], w[2], T, J)
+        c = 0
+        for i in range(3):
+            if axes >> i & 1:
+                for k in range(3):
+                    W[c, k] = J[k, i]
+                c += 1
+
+
+@kernel
+def frames(chain, q, slopes, R, p, X, T, W, J):
+    """Write rotation, position and own twists of every frame, in the base frame; ``T``, ``W`` and ``J`` are room.
+
+    ``X[f, c]`` is the twist of frame ``f`` by coordinate ``c`` of its own segment, referred to the origin.
+    """
+    for f in range(len(chain.v)):
+        g = chain.segment[f]
+        if g < 0:
+            for i in range(3):
+                p[f, i] = 0.0
+                for j in range(3):
+                    R[f, i, j] = 1.0 if i == j else 0.0
+            continue
+        _in_segment(chain, g, q, chain.v[f], T, W, J)
+        b = chain.tip[g - 1] if g > 0 else 0
+        B = R[b]
+        for i in range(3):
+            p[f, i] = p[b, i] + B[i, 0] * T[0, 3] + B[i, 1] * T[1, 3] + B[i, 2] * T[2, 3]
+            for j in range(3):
+                R[f, i, j] = B[i, 0] * T[0, j] + B[i, 1] * T[1, j] + B[i, 2] * T[2, j]
+        if slopes:
+            x, y, z = p[f, 0], p[f, 1], p[f, 2]
+            for c in range(chain.first[g + 1] - chain.first[g]):
+                own = X[f, c]
+                for i in range(3):
+                    own[i] = B[i, 0] * W[c, 0] + B[i, 1] * W[c, 1] + B[i, 2] * W[c, 2]
+                    own[3 + i] = B[i, 0] * W[c, 3] + B[i, 1] * W[c, 4] + B[i, 2] * W[c, 5]
+                own[3] -= own[1] * z - own[2] * y
+                own[4] -= own[2] * x - own[0] * z
+                own[5] -= own[0] * y - own[1] * x
+
+
+@kernel
+def _all_frames(chain, q, R, p, X):
+    """Frames of a batch, and their twists by all coordinates."""
+    T, W, J, own = np.zeros((3, 4)), np.zeros((6, 6)), np.zeros((3, 3)), np.zeros((len(chain.v), 6, 6))
+    for n in range(len(q)):
+        frames(chain, q[n], True, R[n], p[n], own, T, W, J)
+        for f in range(len(chain.v)):
+            X[n, f, :, :] = 0.0
+            for g in range(chain.segment[f] + 1):
+                at = f if g == chain.segment[f] else chain.tip[g]
+                for c in range(chain.first[g], chain.first[g + 1]):
+                    for i in range(6):
+                        X[n, f, c, i] = own[at, c - chain.first[g], i]
+
+
+@kernel
+def wrap(chain, q):
+    """Bring azimuths into (-pi, pi] and rotation vectors to at most half a turn, in place."""
+    for n in range(len(q)):
+        for g in range(len(chain.kind)):
+            first, stop = chain.first[g], chain.first[g + 1]
+            if chain.kind[g] == _AFFINE:
+                q[n, first + 2] -= 2.0 * math.pi * math.ceil((q[n, first + 2] - math.pi) / (2.0 * math.pi))
+            if chain.kind[g] == _FREE:
+                first += 3
+            if chain.kind[g] >= _JOINT:
+                square = 0.0
+                for c in range(first, stop):
+                    square += q[n, c] * q[n, c]
+                angle = math.sqrt(square)
+                if angle > math.pi:
+                    share = 1.0 - 2.0 * math.pi * math.ceil((angle - math.pi) / (2.0 * math.pi)) / angle
+                    for c in range(first, stop):
+                        q[n, c] *= share
