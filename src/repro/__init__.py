@@ -40,25 +40,44 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from repro.common import InputError as InputError
-    from repro.estimators.base import Estimate as Estimate, Estimator as Estimator, Trajectory as Trajectory
+    from repro.estimators.base import Estimate as Estimate
+    from repro.estimators.base import Estimator as Estimator
+    from repro.estimators.base import Trajectory as Trajectory
     from repro.estimators.base import track as track
     from repro.estimators.calibration import calibrate as calibrate
-    from repro.estimators.drift import Drift as Drift, Drifting as Drifting
+    from repro.estimators.drift import Drift as Drift
+    from repro.estimators.drift import Drifting as Drifting
     from repro.estimators.gradient_descent import GradientDescent as GradientDescent
-    from repro.estimators.imu import ImuShape as ImuShape, calibrate_imus as calibrate_imus
-    from repro.estimators.imu import exact_arcs as exact_arcs, pcc_extended as pcc_extended
+    from repro.estimators.imu import ImuShape as ImuShape
+    from repro.estimators.imu import calibrate_imus as calibrate_imus
+    from repro.estimators.imu import exact_arcs as exact_arcs
+    from repro.estimators.imu import pcc_extended as pcc_extended
     from repro.estimators.imu import rigid_body as rigid_body
-    from repro.estimators.kalman import KalmanFilter as KalmanFilter, smooth as smooth
+    from repro.estimators.kalman import KalmanFilter as KalmanFilter
+    from repro.estimators.kalman import smooth as smooth
     from repro.estimators.least_squares import LevenbergMarquardt as LevenbergMarquardt
     from repro.estimators.particle import ParticleFilter as ParticleFilter
-    from repro.estimators.rod import Rod as Rod, RodFilter as RodFilter, RodSensor as RodSensor
-    from repro.magnets import Cube as Cube, Disc as Disc, Magnet as Magnet, Ring as Ring
+    from repro.estimators.rod import Rod as Rod
+    from repro.estimators.rod import RodFilter as RodFilter
+    from repro.estimators.rod import RodSensor as RodSensor
+    from repro.magnets import Cube as Cube
+    from repro.magnets import Disc as Disc
+    from repro.magnets import Magnet as Magnet
+    from repro.magnets import Ring as Ring
     from repro.magnets import simulated_readings as simulated_readings
-    from repro.networks import Network as Network, load_network as load_network
-    from repro.robot import AffineCurvature as AffineCurvature, BallJoint as BallJoint
-    from repro.robot import ConstantCurvature as ConstantCurvature, FreeBody as FreeBody, Imu as Imu
-    from repro.robot import Link as Link, Robot as Robot, Sensor as Sensor
-    from repro.sensing import BendSensor as BendSensor, Sensing as Sensing, relations as relations
+    from repro.networks import Network as Network
+    from repro.networks import load_network as load_network
+    from repro.robot import AffineCurvature as AffineCurvature
+    from repro.robot import BallJoint as BallJoint
+    from repro.robot import ConstantCurvature as ConstantCurvature
+    from repro.robot import FreeBody as FreeBody
+    from repro.robot import Imu as Imu
+    from repro.robot import Link as Link
+    from repro.robot import Robot as Robot
+    from repro.robot import Sensor as Sensor
+    from repro.sensing import BendSensor as BendSensor
+    from repro.sensing import Sensing as Sensing
+    from repro.sensing import relations as relations
 
 __version__ = "0.1.0"
 

@@ -78,7 +78,9 @@ def numbers(
     return found
 
 
-def kernel(function: Callable[..., Any] | None = None, *, reorder: bool = False) -> Any:
+def kernel(
+    function: Callable[..., Any] | None = None, *, reorder: bool = False, allocates: bool = False
+) -> Any:
     """Compile a function when it is first called, and keep the machine code on disk for other processes.
 
     numba keeps code by the file of a function, and does not notice that another file has changed whose functions it
@@ -90,9 +92,12 @@ def kernel(function: Callable[..., Any] | None = None, *, reorder: bool = False)
         The function.
     reorder
         Let sums be reordered, so that the processor adds several numbers at once; NaN and infinity stay exact.
+    allocates
+        Whether the function makes arrays. The others do not count references to arrays, which would cost them half
+        of their time.
     """
     if function is None:
-        return lambda found: kernel(found, reorder=reorder)
+        return lambda found: kernel(found, reorder=reorder, allocates=allocates)
     import numba
 
     config: Any = numba.config  # type: ignore[attr-defined]
@@ -102,7 +107,8 @@ def kernel(function: Callable[..., Any] | None = None, *, reorder: bool = False)
     config.CACHE_DIR = str(folder / f"repro-{_digest()}")
     try:
         fastmath = {"reassoc", "contract", "nsz"} if reorder else False
-        return numba.njit(function, cache=_writable(config.CACHE_DIR), error_model="numpy", fastmath=fastmath)
+        options: dict[str, Any] = {"error_model": "numpy", "fastmath": fastmath, "_nrt": allocates}
+        return numba.njit(function, cache=_writable(config.CACHE_DIR), **options)
     finally:
         config.CACHE_DIR = before
 

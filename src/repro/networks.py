@@ -127,7 +127,10 @@ def network_of(state: dict[str, Array]) -> Network:
         raise bad_input("state", "network_of", _PAPER, f"layers {', '.join(state)}")
     layers = []
     for k, n in zip(linear, norms, strict=True):  # every linear layer stands behind a batch norm
-        norm = {name: state[f"{n}.{name}"].astype(float) for name in ("weight", "bias", "running_mean", "running_var")}
+        norm = {
+            name: state[f"{n}.{name}"].astype(float)
+            for name in ("weight", "bias", "running_mean", "running_var")
+        }
         gain = norm["weight"] / np.sqrt(norm["running_var"] + 1e-5)
         shift = norm["bias"] - gain * norm["running_mean"]
         W, b = state[f"{k}.weight"], state[f"{k}.bias"]
@@ -146,7 +149,7 @@ def _fast_network(state: dict[str, Array]) -> Network:
     return Network(layers, "silu", "cosines")
 
 
-@kernel
+@kernel(allocates=True)
 def nodes(widths, weights):
     """Room for one evaluation of ``predict``: values, slopes and gradients of the nodes, and a list of indices."""
     widest = 1
@@ -241,7 +244,7 @@ def _nonzero(x, n, on):
     return n_on
 
 
-@kernel
+@kernel(allocates=True)
 def _predict_rows(widths, activation, weights, xi, u, slopes):
     room = nodes(widths, weights)
     for n in range(len(xi)):

@@ -226,7 +226,9 @@ class BallJoint:
 
     def __post_init__(self) -> None:
         expected = "some of 'xyz', in this order"
-        require(self.axes in ("x", "y", "z", "xy", "xz", "yz", "xyz"), "axes", "BallJoint", expected, self.axes)
+        require(
+            self.axes in ("x", "y", "z", "xy", "xz", "yz", "xyz"), "axes", "BallJoint", expected, self.axes
+        )
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -657,10 +659,10 @@ def point_on(segment: int, at: float) -> Place:
     return place("point_on", segment, at)
 
 
-_NODES, _WEIGHTS = (tuple(x) for x in np.polynomial.legendre.leggauss(24))
-_SINC = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(9))
-_COSC = tuple((-1.0) ** k / math.factorial(2 * k + 2) for k in range(9))
-_TANC = tuple((-1.0) ** k / math.factorial(2 * k + 3) for k in range(9))
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
+_SINC = np.array([(-1.0) ** k / math.factorial(2 * k + 1) for k in range(9)])
+_COSC = np.array([(-1.0) ** k / math.factorial(2 * k + 2) for k in range(9)])
+_TANC = np.array([(-1.0) ** k / math.factorial(2 * k + 3) for k in range(9)])
 
 
 @kernel
@@ -701,10 +703,10 @@ def turn(x, y, z, T, J):
 
 
 @kernel
-def _constant_curvature(q, extensible, length, radius, v, T, W):
+def _constant_curvature(q, first, extensible, length, radius, v, T, W):
     """Eq. (15), with the misprint in the position corrected."""
-    a, b = q[0] / radius, q[1] / radius
-    L = length + (q[2] if extensible else 0.0)
+    a, b = q[first] / radius, q[first + 1] / radius
+    L = length + (q[first + 2] if extensible else 0.0)
     z = v * v * (a * a + b * b)
     s0, c0, d0, c_z = arc_functions(z)
     s, c = v * s0, v * v * c0
@@ -725,9 +727,9 @@ def _constant_curvature(q, extensible, length, radius, v, T, W):
 
 
 @kernel
-def _affine_curvature(q, length, v, T, W):
+def _affine_curvature(q, first, length, v, T, W):
     """Eqs (17) and (18)."""
-    k0, k1, phi, L = q[0], q[1], q[2], length + q[3]
+    k0, k1, phi, L = q[first], q[first + 1], q[first + 2], length + q[first + 3]
     across = ahead = across_0 = across_1 = ahead_0 = ahead_1 = 0.0
     for i in range(len(_NODES)):
         s, w = 0.5 * v * (_NODES[i] + 1.0), 0.5 * v * _WEIGHTS[i]
@@ -759,13 +761,16 @@ def _in_segment(chain, g, q, v, T, W, J):
     kind, first = chain.kind[g], chain.first[g]
     n = chain.first[g + 1] - first
     if kind == _CONSTANT:
-        _constant_curvature(q[first:], n == 3, chain.size[g, 0], chain.size[g, 1], v, T, W)
+        _constant_curvature(q, first, n == 3, chain.size[g, 0], chain.size[g, 1], v, T, W)
         return
     if kind == _AFFINE:
-        _affine_curvature(q[first:], chain.size[g, 0], v, T, W)
+        _affine_curvature(q, first, chain.size[g, 0], v, T, W)
         return
-    T[:, :] = 0.0
-    W[:n, :] = 0.0
+    for i in range(6):
+        for k in range(6):
+            W[i, k] = 0.0
+            if i < 3 and k < 4:
+                T[i, k] = 0.0
     if kind == _LINK:
         T[0, 0] = T[1, 1] = T[2, 2] = 1.0
         T[2, 3] = v * chain.size[g, 0]
@@ -777,12 +782,14 @@ def _in_segment(chain, g, q, v, T, W, J):
             for k in range(3):
                 W[3 + i, k] = J[k, i]
     else:
-        w, axes, c = np.zeros(3), int(chain.size[g, 0]), 0
-        for i in range(3):
-            if axes >> i & 1:
-                w[i] = q[first + c]
-                c += 1
-        turn(w[0], w[1], w[2], T, J)
+        axes, x, y, z, c = int(chain.size[g, 0]), 0.0, 0.0, 0.0, 0
+        if axes & 1:
+            x, c = q[first], 1
+        if axes & 2:
+            y, c = q[first + c], c + 1
+        if axes & 4:
+            z = q[first + c]
+        turn(x, y, z, T, J)
         c = 0
         for i in range(3):
             if axes >> i & 1:
@@ -807,31 +814,29 @@ def frames(chain, q, slopes, R, p, X, T, W, J):
             continue
         _in_segment(chain, g, q, chain.v[f], T, W, J)
         b = chain.tip[g - 1] if g > 0 else 0
-        B = R[b]
         for i in range(3):
-            p[f, i] = p[b, i] + B[i, 0] * T[0, 3] + B[i, 1] * T[1, 3] + B[i, 2] * T[2, 3]
+            p[f, i] = p[b, i] + R[b, i, 0] * T[0, 3] + R[b, i, 1] * T[1, 3] + R[b, i, 2] * T[2, 3]
             for j in range(3):
-                R[f, i, j] = B[i, 0] * T[0, j] + B[i, 1] * T[1, j] + B[i, 2] * T[2, j]
+                R[f, i, j] = R[b, i, 0] * T[0, j] + R[b, i, 1] * T[1, j] + R[b, i, 2] * T[2, j]
         if slopes:
             x, y, z = p[f, 0], p[f, 1], p[f, 2]
             for c in range(chain.first[g + 1] - chain.first[g]):
-                own = X[f, c]
                 for i in range(3):
-                    own[i] = B[i, 0] * W[c, 0] + B[i, 1] * W[c, 1] + B[i, 2] * W[c, 2]
-                    own[3 + i] = B[i, 0] * W[c, 3] + B[i, 1] * W[c, 4] + B[i, 2] * W[c, 5]
-                own[3] -= own[1] * z - own[2] * y
-                own[4] -= own[2] * x - own[0] * z
-                own[5] -= own[0] * y - own[1] * x
+                    X[f, c, i] = R[b, i, 0] * W[c, 0] + R[b, i, 1] * W[c, 1] + R[b, i, 2] * W[c, 2]
+                    X[f, c, 3 + i] = R[b, i, 0] * W[c, 3] + R[b, i, 1] * W[c, 4] + R[b, i, 2] * W[c, 5]
+                X[f, c, 3] -= X[f, c, 1] * z - X[f, c, 2] * y
+                X[f, c, 4] -= X[f, c, 2] * x - X[f, c, 0] * z
+                X[f, c, 5] -= X[f, c, 0] * y - X[f, c, 1] * x
 
 
-@kernel
+@kernel(allocates=True)
 def _all_frames(chain, q, R, p, X):
     """Frames of a batch, and their twists by all coordinates."""
     T, W, J, own = np.zeros((3, 4)), np.zeros((6, 6)), np.zeros((3, 3)), np.zeros((len(chain.v), 6, 6))
     for n in range(len(q)):
         frames(chain, q[n], True, R[n], p[n], own, T, W, J)
         for f in range(len(chain.v)):
-            X[n, f, :, :] = 0.0
+            X[n, f] = 0.0
             for g in range(chain.segment[f] + 1):
                 at = f if g == chain.segment[f] else chain.tip[g]
                 for c in range(chain.first[g], chain.first[g + 1]):

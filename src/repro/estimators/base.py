@@ -264,10 +264,97 @@ def known_coordinates(known: Any, n_q: int, owner: str) -> Array | None:
     return values
 
 
-def quadratic_form(residual: Array, noise: Any) -> Array:
-    """Return the sum of squared residuals in units of the noise; missing residuals are NaN and add nothing."""
-    return np.nansum((residual / noise) ** 2, axis=-1)
+class CallableModel:
+    """Any callable as a sensor model: how it takes batches and where its slopes come from is found out once."""
+
+    compiled = False
+
+    def __init__(self, sensing: Any, middle: Array, width: Array, owner: str) -> None:
+        self.sensing, self._step, self.owner = sensing, 6e-6 * width, owner
+        self.angles = np.zeros(len(middle), dtype=bool)
+        nearby = np.stack([middle, middle + 0.01 * width])
+        single = [self._one(q) for q in nearby]
+        self.n_readings = len(single[0])
+        self.batched = self._matches(sensing, nearby, np.stack(single))
+        self._slopes = getattr(sensing, "linearise", None)
+        turned = nearby + 1e-20j * self._step
+        self.complex = self._slopes is None and self._matches(
+            lambda q: np.imag(self._called(q, complex)) / 1e-20,
+            turned,
+            np.stack([self._called(q + self._step) - self._called(q - self._step) for q in nearby]) / 2,
+            1e-5,
+        )
+
+    def _one(self, q: Array) -> Array:
+        try:
+            u = np.asarray(self.sensing(q), dtype=float)
+        except Exception as error:  # whatever a model raises is said in one line
+            words = f"{type(error).__name__}: {error}"
+            raise bad_input("sensing", self.owner, f"a callable of {len(q)} coordinates", words) from error
+        require(u.ndim == 1, "sensing", self.owner, "one that returns readings [s]", f"shape {u.shape}")
+        return u
+
+    @staticmethod
+    def _matches(call: Callable[[Array], Any], q: Array, expected: Array, tolerance: float = 1e-9) -> bool:
+        try:
+            found = np.asarray(call(q))
+        except Exception:  # it does not take this: there is another way
+            return False
+        close = found.shape == expected.shape and np.isrealobj(found)
+        return close and bool(
+            np.allclose(found, expected, tolerance, tolerance * np.abs(expected).max(), True)
+        )
+
+    def _called(self, q: Array, dtype: Any = float) -> Array:
+        if q.ndim == 1 or self.batched:
+            return np.asarray(self.sensing(q), dtype=dtype)
+        return np.stack([np.asarray(self.sensing(x), dtype=dtype) for x in q])
+
+    def __call__(self, q: Array) -> Array:
+        """Return readings ``[n, s]`` at configurations ``[n, n_q]``."""
+        return self._called(q)
+
+    def linearise(self, q: Array) -> tuple[Array, Array]:
+        """Return readings ``[n, s]`` and slopes ``[n, s, n_q]``."""
+        if self._slopes is not None:
+            pairs = [self._slopes(q)] if self.batched else [self._slopes(x) for x in q]
+            u, J = (
+                np.concatenate([np.reshape(x[i], (-1, *np.shape(x[i])[-1 - i :])) for x in pairs])
+                for i in (0, 1)
+            )
+            return np.asarray(u, dtype=float), np.asarray(J, dtype=float)
+        n, n_q = q.shape
+        moves = np.diag(self._step)
+        if self.complex:
+            u = self._called((q[:, None] + 1e-14j * moves).reshape(-1, n_q), complex).reshape(n, n_q, -1)
+            return np.ascontiguousarray(u[:, 0].real), np.swapaxes(u.imag, 1, 2) / (1e-14 * self._step)
+        around = np.concatenate([q[:, None], q[:, None] + moves, q[:, None] - moves], axis=1)
+        u = self._called(around.reshape(-1, n_q)).reshape(n, 2 * n_q + 1, -1)
+        slopes = (u[:, 1 : n_q + 1] - u[:, n_q + 1 :]) / (2 * self._step[:, None])
+        return u[:, 0], np.swapaxes(slopes, 1, 2)
+
+    @staticmethod
+    def difference(u: Array, u_hat: Array) -> Array:
+        """Return what was read beyond what was predicted, NaN where nothing was read."""
+        return np.where(np.isfinite(u), u, np.nan) - u_hat
+
+    @staticmethod
+    def wrapped(q: Array) -> Array:
+        """Return ``q``: it has no angles that are known as such."""
+        return q
 
 
-Sensing = Callable[[Array], Array]
-"""A sensor model: configurations ``[..., n_q]`` to readings ``[..., s]``."""
+def model_of(sensing: Any, lower: Array, upper: Array, owner: str) -> Any:
+    """Return a sensor model with ``linearise``, ``difference``, ``angles`` and ``wrapped``: itself, or a wrapper.
+
+    Raises
+    ------
+    InputError
+        If it is no callable, fails, or has another number of coordinates than the bounds.
+    """
+    require(callable(sensing), "sensing", owner, "a callable from q to readings", type(sensing).__name__)
+    if hasattr(sensing, "compiled"):
+        expected = f"bounds of its {sensing.n_q} coordinates"
+        require(len(lower) == sensing.n_q, "lower, upper", owner, expected, f"{len(lower)}")
+        return sensing
+    return CallableModel(sensing, (lower + upper) / 2, upper - lower, owner)

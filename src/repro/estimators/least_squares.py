@@ -1,0 +1,450 @@
+r"""Nonlinear least squares: Levenberg-Marquardt within bounds, with a covariance.
+
+Each iteration solves :math:`(A + \lambda\, \mathrm{diag} A)\, \delta = g` with :math:`A = J^T S^{-1} J + \Lambda` and
+:math:`g = J^T S^{-1} r - \Lambda (q - m)` for the coordinates that no bound holds, and accepts a step that lowers the
+error. :math:`S` is the variance of the readings; a Kalman filter adds its prior with mean :math:`m` and information
+:math:`\Lambda`. The iteration ends when a step is small against the uncertainty that the noise leaves,
+:math:`\delta^T A \delta < \varepsilon^2`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from repro.common import Array, bad_input, kernel, numbers, require
+from repro.estimators.base import Estimate, incoming, known_coordinates, model_of, start
+from repro.sensing import difference, evaluate, room_for, unpack
+
+_DAMPING, _COST, _TURN, _DONE, _CHI2, _DETERMINED = range(6)
+_EPS, _TINY = 2.0**-52, 2.0**-1022
+_WELL_DETERMINED = 1e-6
+"""Smallest pivot of the scaled information for which its inverse is taken directly."""
+
+
+class LeastSquaresState(NamedTuple):
+    """Where the next step starts; ``None`` where nothing is known yet."""
+
+    q: Array | None
+
+
+class LevenbergMarquardt:
+    r"""Estimator that minimises the squared residuals in units of the noise, within bounds.
+
+    Every time step starts at the last estimate. The covariance :math:`(J^T S^{-1} J)^{-1}` is the Cramér-Rao bound of
+    the model, and huge along directions that the readings do not determine. It starts from many places and keeps the
+    best where no start is given (``init()``).
+
+    Parameters
+    ----------
+    sensing
+        Configuration to readings: a :class:`repro.Sensing`, or any callable. Its slopes are those of its method
+        ``linearise(q) -> (u, J)`` if it has one, else by complex step if it takes complex numbers, else by central
+        differences. A callable that takes a leading dimension is called once for all of them.
+    lower, upper
+        Bounds of ``q``. Angles whose bounds are a whole turn apart have no bounds: they come round again.
+    noise
+        Standard deviation of a reading, one number or one for each, in their unit.
+    iterations
+        Largest number of iterations in a time step.
+    tolerance
+        The iteration ends when a step is below this share of the standard deviation of the estimate.
+    starts
+        Number of starts where no start is given.
+
+    Raises
+    ------
+    InputError
+        If the bounds are not ordered, or a number is not positive.
+
+    Examples
+    --------
+    A reading of 1 from twice the coordinate: half of it, and half the noise.
+
+    >>> from repro import LevenbergMarquardt
+    >>> method = LevenbergMarquardt(lambda q: 2 * q, lower=[-1.0], upper=[1.0], noise=0.01)
+    >>> state, estimate = method.step(method.init([0.0]), [1.0])
+    >>> estimate.q.round(9), np.sqrt(estimate.covariance).round(9)
+    (array([0.5]), array([[0.005]]))
+    """
+
+    def __init__(
+        self,
+        sensing: Any,
+        lower: Any,
+        upper: Any,
+        noise: Any,
+        *,
+        iterations: int = 30,
+        tolerance: float = 1e-4,
+        starts: int = 32,
+    ) -> None:
+        owner = type(self).__name__
+        self.lower, self.upper = (
+            numbers(lower, "lower", owner, (None,)),
+            numbers(upper, "upper", owner, (None,)),
+        )
+        same = self.lower.shape == self.upper.shape
+        if not same or not (self.lower < self.upper).all():
+            raise bad_input("lower, upper", owner, "ordered bounds", f"{self.lower} and {self.upper}")
+        self.noise = numbers(noise, "noise", owner)
+        expected = "positive, one number or one for each reading"
+        require(self.noise.ndim < 2 and (self.noise > 0).all(), "noise", owner, expected, noise)
+        for name, value in (("iterations", iterations), ("tolerance", tolerance), ("starts", starts)):
+            require(value > 0, name, owner, "positive", value)
+        self.iterations, self.tolerance, self.starts = iterations, tolerance, starts
+        self.model = model_of(sensing, self.lower, self.upper, owner)
+        self.n_q = len(self.lower)
+        free = self.model.angles & (self.upper - self.lower >= 2 * math.pi - 1e-9)
+        self._low, self._high = np.where(free, -np.inf, self.lower), np.where(free, np.inf, self.upper)
+        self._settings: Array | None = None
+
+    def init(self, q0: Any = None, seed: int = 0) -> LeastSquaresState:
+        """Return the state at ``q0`` ``[..., n_q]``; without it the first step searches. Nothing is random."""
+        if q0 is None:
+            return LeastSquaresState(None)
+        q0 = start(q0, self.n_q, "LevenbergMarquardt")
+        if ((q0 < self._low) | (q0 > self._high)).any():
+            expected = f"within the bounds {self._low.tolist()} to {self._high.tolist()}"
+            raise bad_input("q0", "LevenbergMarquardt", expected, q0.tolist())
+        return LeastSquaresState(q0)
+
+    def step(
+        self, state: LeastSquaresState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+    ) -> tuple[LeastSquaresState, Estimate]:
+        """Minimise from the last estimate. The details hold ``iterations`` and ``at_bound``.
+
+        Raises
+        ------
+        InputError
+            If there are not as many readings as the model predicts, or the model is not finite where it starts.
+        """
+        u = incoming(u, mask, "LevenbergMarquardt", self.model.n_readings)
+        known = known_coordinates(known, self.n_q, "LevenbergMarquardt")
+        q = self._searched(u, known) if state.q is None else state.q
+        q, u_hat, C, status, n_used, held = self.fit(q, u, known)
+        batch = q.shape[:-1]
+        bound = (q <= self._low) | (q >= self._high)
+        free = self.n_q - (bound.sum(-1) if held is None else (bound | held).sum(-1))
+        details = {"iterations": status[:, _TURN].reshape(batch), "at_bound": bound.any(-1)}
+        chi2 = status[:, _CHI2].reshape(batch)[()]
+        dof = np.maximum(n_used - free, 0)
+        return LeastSquaresState(q), Estimate(q, C, u_hat, chi2, dof, u.shape[-1] - n_used, details)
+
+    def fit(
+        self,
+        q: Array,
+        u: Array,
+        known: Array | None = None,
+        prior: tuple[Array, Array] | None = None,
+        *,
+        wrapped: bool = True,
+    ) -> tuple[Array, Array, Array, Array, Any, Array | None]:
+        """Return configuration, readings there, covariance, status ``[n, 6]``, readings used, coordinates held.
+
+        ``prior`` holds means ``[..., n_q]`` and information ``[..., n_q, n_q]`` of a Gaussian prior.
+        """
+        n, s = self.n_q, u.shape[-1]
+        if self._settings is None or len(self._settings) != 2 * n + s + 2:
+            noise = np.broadcast_to(self._noise_of(s), s)
+            limits = (self._low, self._high, 1.0 / noise, [self.tolerance, self.iterations])
+            self._settings = np.concatenate(limits)
+        held = None if known is None else ~np.isnan(known)
+        if held is not None:
+            q = np.where(held, known, q)
+        if q.ndim == 1 and u.ndim == 1:
+            batch, flat, rows = (), q.reshape(1, n).copy(), u.reshape(1, s)
+        else:
+            batch = np.broadcast_shapes(q.shape[:-1], u.shape[:-1])
+            flat = np.broadcast_to(q, (*batch, n)).reshape(-1, n).copy()
+            rows = np.ascontiguousarray(np.broadcast_to(u, (*batch, s)).reshape(-1, s))
+        mean, information = _NO_PRIOR if prior is None else prior
+        if prior is not None:
+            mean = np.ascontiguousarray(np.broadcast_to(mean, (*batch, n)).reshape(-1, n))
+            information = np.ascontiguousarray(np.broadcast_to(information, (*batch, n, n)).reshape(-1, n, n))
+        fixed = _NONE_HELD if held is None else np.broadcast_to(held, (*batch, n)).reshape(-1, n).copy()
+        u_hat, C = np.empty((len(flat), s)), np.empty((len(flat), n, n))
+        status = np.empty((len(flat), 6))
+        arrays = (mean, information, fixed, flat, u_hat, C, status)
+        if self.model.compiled:
+            _fit(*self.model.packed, self._settings, rows, *arrays)
+        else:
+            self._fit_callable(rows, *arrays)
+        if not status[:, _DETERMINED].all():
+            self._finish(C, fixed, status)
+        flat = flat.reshape(*batch, n)
+        if wrapped and self.model.angles.any():
+            flat = self.model.wrapped(flat)
+        n_used = np.isfinite(rows).sum(-1).reshape(batch)[()]
+        return flat, u_hat.reshape(*batch, s), C.reshape(*batch, n, n), status, n_used, held
+
+    def _noise_of(self, s: int) -> Array:
+        fits = self.noise.shape in ((), (s,))
+        expected = f"one number or one for each of {s} readings"
+        require(fits, "noise", type(self).__name__, expected, f"shape {self.noise.shape}")
+        return self.noise
+
+    def _fit_callable(
+        self, u: Array, mean: Array, information: Array, held: Array, q: Array, *out: Array
+    ) -> None:
+        u_hat, C, status = out
+        n, count = self.n_q, len(q)
+        status[:], status[:, _COST], status[:, _TURN] = 0.0, np.inf, -1.0
+        x, g, A = q.copy(), np.zeros((count, n)), np.zeros((count, n, n))
+        todo = np.arange(count)
+        while len(todo):
+            hat, J = self.model.linearise(x[todo])
+            r = self.model.difference(u[todo], hat)
+            arrays = (mean, information, held, x, q, u_hat, A, g, status)
+            _advance_all(todo, np.ascontiguousarray(hat), r, np.ascontiguousarray(J), self._settings, *arrays)
+            todo = todo[status[todo, _DONE] == 0]
+        _invert_all(A, held, status, C)
+
+    def _finish(self, C: Array, held: Array, status: Array) -> None:
+        """Name a model that is not finite; bound the variance of what the readings do not determine."""
+        if not np.isfinite(status[:, _COST]).all():
+            expected = "finite where the estimator starts"
+            raise bad_input("sensing", type(self).__name__, expected, "readings that are NaN or infinite")
+        for k in np.flatnonzero(status[:, _DETERMINED] == 0):
+            C[k] = bounded_inverse(C[k], held[k] if len(held) else np.zeros(self.n_q, dtype=bool))
+
+    def _searched(self, u: Array, known: Array | None) -> Array:
+        """Best of the fits from starts that fill the bounds evenly: an additive recurrence, the middle first."""
+        n = self.n_q
+        golden = 2.0
+        for _ in range(60):  # the root of x^(n + 1) = x + 1
+            golden = (1 + golden) ** (1 / (n + 1))
+        share = (0.5 + np.arange(self.starts)[:, None] * golden ** -np.arange(1.0, n + 1)) % 1.0
+        starts = self.lower + share * (self.upper - self.lower)
+        starts = starts.reshape(-1, *(1,) * (u.ndim - 1), n)
+        q, _, _, status, *_ = self.fit(starts, u, known)
+        best = status[:, _COST].reshape(q.shape[:-1]).argmin(0)
+        return np.take_along_axis(q, best[None, ..., None], axis=0)[0]
+
+
+_NO_PRIOR = (np.zeros((0, 0)), np.zeros((0, 0, 0)))
+_NONE_HELD = np.zeros((0, 0), dtype=np.bool_)
+
+
+def bounded_inverse(A: Array, held: Array) -> Array:
+    """Return the inverse of an information matrix; directions without information get a huge, finite variance.
+
+    Coordinates that are held have no variance.
+    """
+    free = ~held
+    scale = np.sqrt(np.where(free & (np.diag(A) > 0), np.diag(A), 1.0))
+    values, vectors = np.linalg.eigh(
+        np.where(np.outer(free, free), A, np.diag(held.astype(float))) / np.outer(scale, scale)
+    )
+    values = np.maximum(values, _EPS * len(A))
+    C = (vectors / values) @ vectors.T / np.outer(scale, scale)
+    return np.where(np.outer(free, free), C, 0.0)
+
+
+@kernel(allocates=True)
+def _fit(ints, floats, weights, settings, u, mean, information, held, q, u_hat, C, status):
+    """Fit every member of a batch."""
+    t = unpack(ints, floats, weights)
+    room, n, s = room_for(t), q.shape[1], u.shape[1]
+    x, g, A = np.zeros(n), np.zeros(n), np.zeros((n, n))
+    hat, r, J = np.zeros(s), np.zeros(s), np.zeros((s, n))
+    delta, L = np.zeros(n), np.zeros((n, n))
+    for k in range(len(q)):
+        status[k, :], status[k, _COST], status[k, _TURN] = 0.0, math.inf, -1.0
+        x[:] = q[k]
+        p, h = k if len(mean) else 0, k if len(held) else 0
+        while status[k, _DONE] == 0.0:
+            evaluate(t, x, True, hat, J, room)
+            difference(len(t.row_frame), u[k], hat, r, room)
+            advance(
+                hat, r, J, settings, mean[p : p + 1], information[p : p + 1], held[h : h + 1], x, q[k], u_hat[k],
+                A, g, status[k], delta, L,
+            )  # fmt: skip
+        status[k, _DETERMINED] = invert(A, held[h : h + 1], L, C[k])
+
+
+@kernel(allocates=True)
+def _advance_all(todo, hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, status):
+    n = x.shape[1]
+    delta, L = np.zeros(n), np.zeros((n, n))
+    for i in range(len(todo)):
+        k = todo[i]
+        p, h = k if len(mean) else 0, k if len(held) else 0
+        advance(
+            hat[i], r[i], J[i], settings, mean[p : p + 1], information[p : p + 1], held[h : h + 1], x[k], q[k],
+            u_hat[k], A[k], g[k], status[k], delta, L,
+        )  # fmt: skip
+
+
+@kernel(allocates=True)
+def _invert_all(A, held, status, C):
+    L = np.zeros(A.shape[1:])
+    for k in range(len(A)):
+        h = k if len(held) else 0
+        status[k, _DETERMINED] = invert(A[k], held[h : h + 1], L, C[k])
+
+
+@kernel
+def advance(hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, status, delta, L):
+    """Judge the trial ``x``, whose residuals are ``r`` and slopes ``J``, and write the next one to ``x``.
+
+    ``q``, ``u_hat``, ``A``, ``g`` belong to the best trial so far. ``mean``, ``information`` and ``held`` hold one row
+    or none.
+    """
+    n, s = len(x), len(r)
+    low, high, weight = settings[:n], settings[n : 2 * n], settings[2 * n : 2 * n + s]
+    tolerance, iterations = settings[2 * n + s], settings[2 * n + s + 1]
+    chi2 = 0.0
+    for j in range(s):
+        if r[j] == r[j]:
+            chi2 += (weight[j] * r[j]) ** 2
+        if not math.isfinite(hat[j]):
+            chi2 = math.inf
+    cost = chi2
+    for p in range(len(mean)):
+        for a in range(n):
+            for b in range(n):
+                cost += (x[a] - mean[p, a]) * information[p, a, b] * (x[b] - mean[p, b])
+    first = status[_TURN] < 0.0
+    better = cost < status[_COST]
+    status[_TURN] += 1.0
+    if first:
+        status[_DAMPING] = 1e-3
+    else:
+        status[_DAMPING] = min(
+            max(status[_DAMPING] / 10.0 if better else status[_DAMPING] * 10.0, 1e-12), 1e12
+        )
+    if better:
+        status[_COST], status[_CHI2] = cost, cost
+        _normal_equations(hat, r, J, weight, x, q, u_hat, A, g)
+        for p in range(len(mean)):
+            for a in range(n):
+                for b in range(n):
+                    g[a] -= information[p, a, b] * (x[b] - mean[p, b])
+                    if b <= a:
+                        A[a, b] += information[p, a, b]
+    if status[_TURN] >= iterations or status[_COST] == math.inf:
+        status[_DONE] = 1.0
+        return
+    _damped_step(A, g, status[_DAMPING], low, high, q, held, L, delta)
+    size = 0.0
+    for a in range(n):
+        x[a] = min(max(q[a] + delta[a], low[a]), high[a])
+        delta[a] = x[a] - q[a]
+        for b in range(a):
+            size += 2.0 * delta[a] * A[a, b] * delta[b]
+        size += delta[a] * A[a, a] * delta[a]
+    if size <= tolerance * tolerance:
+        status[_DONE] = 1.0
+
+
+@kernel
+def _normal_equations(hat, r, J, weight, x, q, u_hat, A, g):
+    """Take over a trial; of ``A`` the lower triangle counts."""
+    n = len(x)
+    for a in range(n):
+        q[a], g[a] = x[a], 0.0
+        for b in range(a + 1):
+            A[a, b] = 0.0
+    for j in range(len(r)):
+        u_hat[j] = hat[j]
+        if r[j] == r[j]:
+            square = weight[j] * weight[j]
+            for a in range(n):
+                scaled = square * J[j, a]
+                g[a] += scaled * r[j]
+                for b in range(a + 1):
+                    A[a, b] += scaled * J[j, b]
+
+
+@kernel
+def _damped_step(A, g, damping, low, high, q, held, L, delta):
+    """Solve for the coordinates that neither a bound nor knowledge holds; the others do not move."""
+    n, largest = len(g), 0.0
+    for a in range(n):
+        largest = max(largest, A[a, a])
+    floor = _EPS * largest + _TINY
+    for a in range(n):
+        stays = (q[a] <= low[a] and g[a] < 0.0) or (q[a] >= high[a] and g[a] > 0.0)
+        for h in range(len(held)):
+            stays = stays or held[h, a]
+        L[a, a] = -1.0 if stays else A[a, a] + damping * max(A[a, a], floor) + floor
+        delta[a] = 0.0 if stays else g[a]
+    for a in range(n):
+        for b in range(a):
+            L[a, b] = 0.0 if L[a, a] < 0.0 or L[b, b] < 0.0 else A[a, b]
+    for a in range(n):
+        L[a, a] = abs(L[a, a])
+    cholesky(L, floor)
+    solve(L, delta)
+
+
+@kernel
+def cholesky(L, floor):
+    """Cholesky factor in place of the lower triangle; return the smallest pivot, ``floor`` at least."""
+    smallest = math.inf
+    for a in range(len(L)):
+        for b in range(a):
+            total = L[a, b]
+            for c in range(b):
+                total -= L[a, c] * L[b, c]
+            L[a, b] = total / L[b, b]
+        pivot = L[a, a]
+        for c in range(a):
+            pivot -= L[a, c] * L[a, c]
+        pivot = pivot if pivot > floor else floor
+        smallest = min(smallest, pivot)
+        L[a, a] = math.sqrt(pivot)
+    return smallest
+
+
+@kernel
+def solve(L, x):
+    """Solve ``L L^T y = x`` in place."""
+    n = len(x)
+    for a in range(n):
+        for b in range(a):
+            x[a] -= L[a, b] * x[b]
+        x[a] /= L[a, a]
+    for a in range(n - 1, -1, -1):
+        for b in range(a + 1, n):
+            x[a] -= L[b, a] * x[b]
+        x[a] /= L[a, a]
+
+
+@kernel
+def invert(A, held, L, C):
+    """Write the inverse of the lower triangle ``A`` to ``C``; if it is nearly singular, ``A`` itself, and return 0."""
+    n = len(A)
+    good = True
+    for a in range(n):
+        for b in range(a + 1):
+            C[a, b] = C[b, a] = A[a, b]
+        good = good and A[a, a] > 0.0
+    for h in range(len(held)):
+        for a in range(n):
+            good = good and not held[h, a]
+    if not good:
+        return 0.0
+    for a in range(n):
+        for b in range(a):
+            L[a, b] = A[a, b] / math.sqrt(A[a, a] * A[b, b])
+        L[a, a] = 1.0
+    if not cholesky(L, 0.0) > _WELL_DETERMINED:
+        return 0.0
+    for a in range(n):  # the inverse of the factor, in the upper triangle of L
+        for b in range(a):
+            total = 0.0
+            for c in range(b, a):
+                total -= L[a, c] * (L[b, c] if c > b else 1.0 / L[b, b])
+            L[b, a] = total / L[a, a]
+    for a in range(n):
+        for b in range(a + 1):
+            total = 1.0 / (L[a, a] * L[a, a]) if a == b else L[b, a] / L[a, a]
+            for c in range(a + 1, n):
+                total += L[b, c] * L[a, c]
+            C[a, b] = total / math.sqrt(A[a, a] * A[b, b])
+            C[b, a] = C[a, b]
+    return 1.0

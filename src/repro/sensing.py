@@ -1,0 +1,705 @@
+r"""From a configuration to readings, with slopes: poses, relations of eq. (1) of Baaij et al. 2023, a field model.
+
+A reading depends on each pair of a sensor and a magnet through four scalars only: the distance :math:`d` and the
+cosines of :math:`\alpha, \beta, \theta`, eqs (4) to (6); and through :math:`\lambda` on the field of the Earth. Every
+field model returns the reading and its slopes in these scalars. One chain rule takes them to the configuration: the
+slopes of a pair are a force :math:`F` and a torque :math:`M` between sensor and magnet, referred to the origin, and
+
+.. math:: \frac{\partial u}{\partial q_c} = F \cdot (\nu_c^s - \nu_c^m) + M \cdot (\omega_c^s - \omega_c^m)
+
+with the twists of the two frames. Segments before both move them together, with equal twists, and are skipped.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from repro.common import Array, bad_input, kernel, numbers, require, say_that_kernels_compile
+from repro.networks import RELU, SILU, Network, nodes, predict
+from repro.robot import Chain, Robot, frames, turn, wrap
+
+_MULTIPOLES, _NETWORKS, _OTHER = range(3)
+
+
+class Tables(NamedTuple):
+    """A robot and its field model as arrays for the kernels."""
+
+    chain: Chain
+    magnet_frame: Array
+    magnet_place: Array
+    """Position and axis of every magnet in its frame ``[m, 6]``."""
+    row_frame: Array
+    row_place: Array
+    """Position and measuring axis of every magnetic reading in its frame ``[s, 6]``."""
+    imu_frame: Array
+    imu_rotation: Array
+    moments: Array
+    """Moments ``[m, terms]`` [mT m^(l+2)]."""
+    gain: Array
+    offset: Array
+    earth: Array
+    """Field [mT] for multipoles, else its direction for the relation lambda."""
+    model: int
+    angles: bool
+    activation: int
+    widths: Array
+    network: Array
+    """Which network predicts each reading."""
+    weights: Array
+
+
+def pack(tables: Tables) -> tuple[Array, Array, Array]:
+    """Return whole numbers, numbers and weights as three flat arrays: numba takes few arguments much faster."""
+    t, c = tables, tables.chain
+    whole = [c.kind, c.first, c.segment, c.tip, t.magnet_frame, t.row_frame, t.imu_frame, t.widths, t.network]
+    real = [c.size, c.v, t.magnet_place, t.row_place, t.imu_rotation, t.moments, t.gain, t.offset, t.earth]
+    sizes = [len(c.kind), len(c.v), len(t.magnet_frame), len(t.row_frame), len(t.imu_frame)]
+    head = [*sizes, t.moments.shape[1], len(t.widths), t.model, int(t.angles), t.activation]
+    ints = np.concatenate([head, *whole]).astype(np.int64)
+    return ints, np.concatenate([np.ravel(x) for x in real]).astype(np.float64), t.weights
+
+
+@kernel(allocates=True)
+def unpack(ints, floats, weights):
+    """Return the tables as views of the three arrays."""
+    g, f, m, s, i, terms, w = ints[0], ints[1], ints[2], ints[3], ints[4], ints[5], ints[6]
+    a = 10
+    kind, first, segment = (
+        ints[a : a + g],
+        ints[a + g : a + 2 * g + 1],
+        ints[a + 2 * g + 1 : a + 2 * g + 1 + f],
+    )
+    a += 2 * g + 1 + f
+    tip, magnet_frame = ints[a : a + g], ints[a + g : a + g + m]
+    a += g + m
+    row_frame, imu_frame, widths = ints[a : a + s], ints[a + s : a + s + i], ints[a + s + i : a + s + i + w]
+    network = ints[a + s + i + w :]
+    size, v = floats[: 2 * g].reshape(g, 2), floats[2 * g : 2 * g + f]
+    a = 2 * g + f
+    magnet_place, row_place = (
+        floats[a : a + 6 * m].reshape(m, 6),
+        floats[a + 6 * m : a + 6 * (m + s)].reshape(s, 6),
+    )
+    a += 6 * (m + s)
+    imu_rotation = floats[a : a + 9 * i].reshape(i, 3, 3)
+    a += 9 * i
+    moments = floats[a : a + m * terms].reshape(m, terms)
+    a += m * terms
+    gain, offset, earth = floats[a : a + s], floats[a + s : a + 2 * s], floats[a + 2 * s :]
+    return Tables(
+        Chain(kind, size, first, segment, v, tip), magnet_frame, magnet_place, row_frame, row_place, imu_frame,
+        imu_rotation, moments, gain, offset, earth, ints[7], ints[8] == 1, ints[9], widths, network, weights,
+    )  # fmt: skip
+
+
+class Room(NamedTuple):
+    """Arrays that one evaluation writes to."""
+
+    R: Array
+    p: Array
+    X: Array
+    T: Array
+    W: Array
+    L: Array
+    magnets: Array
+    """Position and axis of every magnet in the base frame."""
+    sensor: Array
+    """Position and axis of the sensor at hand."""
+    pairs: Array
+    """Of every magnet, the vector to the sensor, then the sines of alpha, beta and theta."""
+    xi: Array
+    gradient: Array
+    """Relations of the sensor at hand, and slopes of its reading."""
+    wrenches: Array
+    """Force and torque of every magnet on the sensor at hand; last the torque of the Earth's field."""
+    nodes: tuple[Array, Array, Array, Array]
+
+
+@kernel(allocates=True)
+def room_for(t):
+    """Return the room for one evaluation."""
+    f, m = len(t.chain.v), len(t.magnet_frame)
+    return Room(
+        np.zeros((f, 3, 3)), np.zeros((f, 3)), np.zeros((f, 6, 6)), np.zeros((3, 4)), np.zeros((6, 6)),
+        np.zeros((3, 3)), np.zeros((m, 6)), np.zeros(6), np.zeros((m, 6)), np.zeros(1 + 4 * m),
+        np.zeros(1 + 4 * m), np.zeros((m + 1, 6)), nodes(t.widths, t.weights),
+    )  # fmt: skip
+
+
+@kernel
+def geometry(t, q, slopes, room):
+    """Write all frames and the places of the magnets at a configuration."""
+    frames(t.chain, q, slopes, room.R, room.p, room.X, room.T, room.W, room.L)
+    R, place, out = room.R, t.magnet_place, room.magnets
+    for k in range(len(t.magnet_frame)):
+        f = t.magnet_frame[k]
+        for i in range(3):
+            x, y, z = R[f, i, 0], R[f, i, 1], R[f, i, 2]
+            out[k, i] = room.p[f, i] + x * place[k, 0] + y * place[k, 1] + z * place[k, 2]
+            out[k, 3 + i] = x * place[k, 3] + y * place[k, 4] + z * place[k, 5]
+
+
+@kernel
+def _sine(a, b, c, x, y, z):
+    """Length of a cross product: accurate where two directions are parallel."""
+    u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
+    return math.sqrt(u * u + v * v + w * w)
+
+
+@kernel
+def relate(t, j, room):
+    """Write the relations of sensor ``j`` as cosines, or as angles with their sines."""
+    f, R, place, s, xi, m = t.row_frame[j], room.R, t.row_place, room.sensor, room.xi, room.magnets
+    for i in range(3):
+        x, y, z = R[f, i, 0], R[f, i, 1], R[f, i, 2]
+        s[i] = room.p[f, i] + x * place[j, 0] + y * place[j, 1] + z * place[j, 2]
+        s[3 + i] = x * place[j, 3] + y * place[j, 4] + z * place[j, 5]
+    a, b, c = s[3], s[4], s[5]
+    xi[0] = a * t.earth[0] + b * t.earth[1] + c * t.earth[2]
+    for k in range(len(t.magnet_frame)):
+        at, u, v, w = 1 + 4 * k, m[k, 3], m[k, 4], m[k, 5]
+        x, y, z = s[0] - m[k, 0], s[1] - m[k, 1], s[2] - m[k, 2]
+        d = math.sqrt(x * x + y * y + z * z)
+        room.pairs[k, 0], room.pairs[k, 1], room.pairs[k, 2] = x, y, z
+        xi[at] = d
+        xi[at + 1] = a * u + b * v + c * w
+        xi[at + 2] = (a * x + b * y + c * z) / d
+        xi[at + 3] = (u * x + v * y + w * z) / d
+        if t.angles:
+            sines = _sine(a, b, c, u, v, w), _sine(a, b, c, x, y, z) / d, _sine(u, v, w, x, y, z) / d
+            for i in range(3):
+                room.pairs[k, 3 + i] = sines[i]
+                xi[at + 1 + i] = math.atan2(sines[i], xi[at + 1 + i])
+    if t.angles:
+        xi[0] = math.atan2(_sine(a, b, c, t.earth[0], t.earth[1], t.earth[2]), xi[0])
+
+
+@kernel(reorder=True)
+def _multipoles(t, xi, gradient):
+    """Reading from the moments of all magnets and the Earth's field, and its slopes by the relations."""
+    u = xi[0]
+    gradient[0] = 1.0
+    for k in range(len(t.moments)):
+        at = 1 + 4 * k
+        inverse, ca, cb, c = 1.0 / xi[at], xi[at + 1], xi[at + 2], xi[at + 3]
+        square = inverse * inverse
+        decay = square * inverse
+        by_d = by_a = by_b = by_c = 0.0
+        # Legendre polynomials P_n, their first (s) and second (h) slopes, by recurrence.
+        p0, p1, s0, s1, h0, h1 = 1.0, c, 0.0, 1.0, 0.0, 0.0
+        for i in range(t.moments.shape[1]):
+            n = 2 * i + 1
+            p2, s2, h2 = (
+                ((2 * n + 1) * c * p1 - n * p0) / (n + 1),
+                s0 + (2 * n + 1) * p1,
+                h0 + (2 * n + 1) * s1,
+            )
+            weight = t.moments[k, i] * decay
+            by_a -= weight * s1
+            by_b += weight * s2
+            by_c += weight * (h2 * cb - h1 * ca)
+            by_d -= (n + 2) * weight * (s2 * cb - s1 * ca)
+            p0, s0, h0 = p2, s2, h2
+            n += 1
+            p1, s1, h1 = (
+                ((2 * n + 1) * c * p2 - n * p1) / (n + 1), s1 + (2 * n + 1) * p2, h1 + (2 * n + 1) * s2
+            )  # fmt: skip
+            decay *= square
+        u += by_a * ca + by_b * cb
+        gradient[at], gradient[at + 1], gradient[at + 2], gradient[at + 3] = by_d * inverse, by_a, by_b, by_c
+    return u
+
+
+@kernel
+def wrenches(t, room):
+    """Turn slopes by the relations into a force and a torque for every magnet, referred to the origin."""
+    s, g, m, out = room.sensor, room.gradient, room.magnets, room.wrenches
+    n_m, earth = len(t.magnet_frame), t.earth
+    px, py, pz, ox, oy, oz = s[0], s[1], s[2], s[3], s[4], s[5]
+    if t.angles:  # from slopes by angles to slopes by cosines; zero where two directions are parallel
+        sine = _sine(ox, oy, oz, earth[0], earth[1], earth[2])
+        g[0] = -g[0] / sine if sine > 0.0 else 0.0
+        for k in range(n_m):
+            for c in range(3):
+                sine = room.pairs[k, 3 + c]
+                g[2 + 4 * k + c] = -g[2 + 4 * k + c] / sine if sine > 0.0 else 0.0
+    for k in range(n_m):
+        at, u, v, w = 1 + 4 * k, m[k, 3], m[k, 4], m[k, 5]
+        x, y, z = room.pairs[k, 0], room.pairs[k, 1], room.pairs[k, 2]
+        inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
+        a, b, c = g[at + 1], g[at + 2] * inverse, g[at + 3] * inverse
+        along = (ox * x + oy * y + oz * z) * inverse * b + (u * x + v * y + w * z) * inverse * c
+        along = (g[at] - along) * inverse
+        fx, fy, fz = along * x + b * ox + c * u, along * y + b * oy + c * v, along * z + b * oz + c * w
+        ax, ay, az = a * u + b * x, a * v + b * y, a * w + b * z  # the slope by the axis of the sensor
+        out[k, 0], out[k, 1], out[k, 2] = fx, fy, fz
+        out[k, 3] = py * fz - pz * fy + oy * az - oz * ay
+        out[k, 4] = pz * fx - px * fz + oz * ax - ox * az
+        out[k, 5] = px * fy - py * fx + ox * ay - oy * ax
+    out[n_m, 0] = out[n_m, 1] = out[n_m, 2] = 0.0
+    out[n_m, 3] = g[0] * (oy * earth[2] - oz * earth[1])
+    out[n_m, 4] = g[0] * (oz * earth[0] - ox * earth[2])
+    out[n_m, 5] = g[0] * (ox * earth[1] - oy * earth[0])
+
+
+@kernel
+def pull_back(t, j, factor, room, J):
+    """Write the slopes of reading ``j`` by the configuration, times a factor."""
+    first, tip, X, w, n_m = t.chain.first, t.chain.tip, room.X, room.wrenches, len(t.magnet_frame)
+    for c in range(J.shape[1]):
+        J[j, c] = 0.0
+    fs = t.row_frame[j]
+    gs = t.chain.segment[fs]
+    for k in range(n_m + 1):
+        fm = t.magnet_frame[k] if k < n_m else 0
+        gm = t.chain.segment[fm]
+        if fm == fs or (k == n_m and w[k, 3] == 0.0 and w[k, 4] == 0.0 and w[k, 5] == 0.0):
+            continue
+        fx, fy, fz, mx, my, mz = w[k, 0], w[k, 1], w[k, 2], w[k, 3], w[k, 4], w[k, 5]
+        for g in range(max(min(gs, gm), 0), max(gs, gm) + 1):
+            a, b = (fs if g == gs else tip[g]), (fm if g == gm else tip[g])
+            for c in range(first[g + 1] - first[g]):
+                total = 0.0
+                if g <= gs:
+                    total += mx * X[a, c, 0] + my * X[a, c, 1] + mz * X[a, c, 2]
+                    total += fx * X[a, c, 3] + fy * X[a, c, 4] + fz * X[a, c, 5]
+                if g <= gm:
+                    total -= mx * X[b, c, 0] + my * X[b, c, 1] + mz * X[b, c, 2]
+                    total -= fx * X[b, c, 3] + fy * X[b, c, 4] + fz * X[b, c, 5]
+                J[j, first[g] + c] += factor * total
+
+
+@kernel
+def rotation_vector(R, out):
+    """Write the rotation vector of a rotation matrix, by its quaternion: accurate up to half a turn."""
+    w = 1.0 + R[0, 0] + R[1, 1] + R[2, 2]
+    x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    if w < 1.0:  # near half a turn: the largest component of the axis comes from the diagonal
+        i = 0
+        if R[1, 1] > R[i, i]:
+            i = 1
+        if R[2, 2] > R[i, i]:
+            i = 2
+        j, k = (i + 1) % 3, (i + 2) % 3
+        w = R[k, j] - R[j, k]
+        sign = 1.0 if w >= 0.0 else -1.0
+        w = abs(w)
+        out[i] = sign * (1.0 + R[i, i] - R[j, j] - R[k, k])
+        out[j], out[k] = sign * (R[j, i] + R[i, j]), sign * (R[k, i] + R[i, k])
+    else:
+        out[0], out[1], out[2] = x, y, z
+    sine = math.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
+    share = 2.0 * math.atan2(sine, w) / sine if sine > 1e-12 * w else 2.0 / w
+    out[0], out[1], out[2] = share * out[0], share * out[1], share * out[2]
+
+
+@kernel
+def evaluate(t, q, slopes, u_hat, J, room):
+    """Write the readings predicted at one configuration, and their slopes if ``slopes``.
+
+    The slopes of an IMU are its turns in the base frame, not the slopes of its rotation vector.
+    """
+    geometry(t, q, slopes, room)
+    n_s = len(t.row_frame)
+    for j in range(n_s):
+        relate(t, j, room)
+        if t.model == _MULTIPOLES:
+            u = _multipoles(t, room.xi, room.gradient)
+        else:
+            weights = t.weights[t.network[j]]
+            u = predict(t.widths, t.activation, weights, room.xi, slopes, room.gradient, room.nodes)
+        u_hat[j] = t.gain[j] * u + t.offset[j]
+        if slopes:
+            wrenches(t, room)
+            pull_back(t, j, t.gain[j], room, J)
+    _orientations(t, slopes, u_hat, J, room)
+
+
+@kernel
+def _orientations(t, slopes, u_hat, J, room):
+    chain, n_s, product = t.chain, len(t.row_frame), room.T
+    for i in range(len(t.imu_frame)):
+        f, row = t.imu_frame[i], n_s + 3 * i
+        for a in range(3):
+            for b in range(3):
+                product[a, b] = 0.0
+                for c in range(3):
+                    product[a, b] += room.R[f, a, c] * t.imu_rotation[i, c, b]
+        rotation_vector(product, u_hat[row : row + 3])
+        if slopes:
+            J[row : row + 3, :] = 0.0
+            for g in range(chain.segment[f] + 1):
+                at = f if g == chain.segment[f] else chain.tip[g]
+                for c in range(chain.first[g], chain.first[g + 1]):
+                    for a in range(3):
+                        J[row + a, c] = room.X[at, c - chain.first[g], a]
+
+
+@kernel
+def difference(n_s, u, u_hat, r, room):
+    """Write what was read beyond what was predicted, NaN where nothing was read.
+
+    Of an IMU that is the rotation vector, in the base frame, from the predicted to the measured orientation.
+    """
+    for j in range(n_s):
+        r[j] = u[j] - u_hat[j] if math.isfinite(u[j]) else math.nan
+    A, B = room.T, room.L
+    for row in range(n_s, len(u), 3):
+        if not (math.isfinite(u[row]) and math.isfinite(u[row + 1]) and math.isfinite(u[row + 2])):
+            r[row : row + 3] = math.nan
+            continue
+        W = room.W
+        turn(u[row], u[row + 1], u[row + 2], A, W)
+        turn(-u_hat[row], -u_hat[row + 1], -u_hat[row + 2], B, W)
+        for a in range(3):
+            for b in range(3):
+                W[a, b] = A[a, 0] * B[0, b] + A[a, 1] * B[1, b] + A[a, 2] * B[2, b]
+        rotation_vector(W, r[row : row + 3])
+
+
+@kernel(allocates=True)
+def _batch(ints, floats, weights, q, slopes, u, J):
+    t = unpack(ints, floats, weights)
+    room = room_for(t)
+    for n in range(len(q)):
+        evaluate(t, q[n], slopes, u[n], J[n if slopes else 0], room)
+
+
+@kernel(allocates=True)
+def _batch_relations(ints, floats, weights, q, xi):
+    t = unpack(ints, floats, weights)
+    room = room_for(t)
+    for n in range(len(q)):
+        geometry(t, q[n], False, room)
+        for j in range(len(t.row_frame)):
+            relate(t, j, room)
+            xi[n, j] = room.xi
+
+
+@kernel(allocates=True)
+def _batch_slopes(ints, floats, weights, q, gradient, J, u):
+    """Slopes by the configuration from slopes by the relations; IMU readings are written to ``u``."""
+    t = unpack(ints, floats, weights)
+    room = room_for(t)
+    for n in range(len(q)):
+        geometry(t, q[n], True, room)
+        for j in range(len(t.row_frame)):
+            relate(t, j, room)
+            room.gradient[:] = gradient[n, j]
+            wrenches(t, room)
+            pull_back(t, j, t.gain[j], room, J[n])
+        _orientations(t, True, u[n], J[n], room)
+
+
+@kernel(allocates=True)
+def _batch_wrenches(ints, floats, weights, q, u, wrench):
+    t = unpack(ints, floats, weights)
+    room = room_for(t)
+    for n in range(len(q)):
+        geometry(t, q[n], False, room)
+        for j in range(len(t.row_frame)):
+            relate(t, j, room)
+            u[n, j] = _multipoles(t, room.xi, room.gradient)
+            wrenches(t, room)
+            wrench[n, j] = room.wrenches
+
+
+@kernel(allocates=True)
+def _batch_difference(n_s, u, u_hat, r):
+    t_room = np.zeros((3, 4)), np.zeros((6, 6)), np.zeros((3, 3))
+    room = Room(
+        np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 6, 6)), t_room[0], t_room[1], t_room[2],
+        np.zeros((0, 6)), np.zeros(6), np.zeros((0, 6)), np.zeros(1), np.zeros(1), np.zeros((1, 6)),
+        (np.zeros((0, 1)), np.zeros((0, 1)), np.zeros((0, 1)), np.zeros(0, dtype=np.int64)),
+    )  # fmt: skip
+    for n in range(len(u)):
+        difference(n_s, u[n], u_hat[n], r[n], room)
+
+
+_FieldModel = Network | Sequence[Network] | Callable[[Array], Any] | None
+
+
+class Sensing:
+    """Sensor model ``u = sensing(q)`` of a robot: its magnetic sensors and its IMUs.
+
+    Readings are those of the sensors, one for every axis, in the unit of the model; then, for every IMU, the
+    rotation vector [rad] that turns its frame to the base frame.
+
+    Parameters
+    ----------
+    robot
+        With sensors, IMUs, or both.
+    model
+        How relations become magnetic readings. ``None``: the multipoles of the robot's magnets [mT]. A
+        :class:`repro.Network`, or several: as many as there are readings, or as there are segments with sensors.
+        Or any callable from relations ``[..., s, 1 + 4 m]`` to readings ``[..., s]``; if it has a method
+        ``linearise`` that returns readings and slopes ``[..., s, 1 + 4 m]`` this is used, else central differences.
+    inputs
+        ``"cosines"`` or ``"angles"``: which relations a callable takes. Networks know it.
+    moments
+        Moments of the magnets [mT m^(l+2)], ``[terms]`` or ``[m, terms]``; those of their shapes if not given.
+    l_max
+        Highest order of the multipoles of their shapes.
+    gain, offset
+        Of every magnetic reading: it is ``gain * model + offset``.
+    earth
+        Field of the Earth in the base frame [mT]. Networks take its direction, x if not given, as the relation
+        lambda, as in the paper.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to read, or something does not fit the robot.
+
+    Examples
+    --------
+    A dipole straight below a sensor that looks down, -2 A_1/d^3 at d = 55 mm:
+
+    >>> from repro import ConstantCurvature, Disc, Magnet, Robot, Sensing, Sensor
+    >>> magnet = Magnet(Disc(6e-3, 3e-3, 1300.0), segment=1, at=0.055)
+    >>> robot = Robot([ConstantCurvature(0.11, 0.022)], [magnet], [Sensor(segment=1, at=0.11)])
+    >>> Sensing(robot, moments=[1e-4])([0.0, 0.0, 0.0])
+    array([-1.20210368])
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        model: _FieldModel = None,
+        *,
+        inputs: str = "cosines",
+        moments: Any = None,
+        l_max: int = 9,
+        gain: Any = 1.0,
+        offset: Any = 0.0,
+        earth: Any = None,
+    ) -> None:
+        owner = "Sensing"
+        self.robot, self.model = robot, model
+        magnetic = [sensor for sensor in robot.sensors for _ in range(sensor.axes)]
+        if not magnetic and not robot.imus:
+            raise bad_input("robot", owner, "one with sensors or IMUs", "neither")
+        require(
+            not magnetic or robot.magnets or earth is not None, "robot", owner, "one with magnets", "none"
+        )
+        self.n_magnetic, n_m = len(magnetic), len(robot.magnets)
+        self.moments = self._moments(moments, l_max)
+        networks = [model] if isinstance(model, Network) else model
+        kind = _MULTIPOLES if model is None else _OTHER
+        if isinstance(networks, Sequence):
+            kind, inputs = _NETWORKS, self._check_networks(networks)
+        require(
+            kind != _OTHER or callable(model), "model", owner, "a callable or networks", type(model).__name__
+        )
+        require(inputs in ("angles", "cosines"), "inputs", owner, '"angles" or "cosines"', repr(inputs))
+        default = [0.0, 0.0, 0.0] if kind == _MULTIPOLES else [1.0, 0.0, 0.0]
+        field = numbers(default if earth is None else earth, "earth", owner, (3,))
+        if kind != _MULTIPOLES:
+            require(np.any(field), "earth", owner, "a direction", earth)
+            field = field / np.linalg.norm(field)
+        places = [part.place for part in (*robot.magnets, *robot.sensors, *robot.imus)]
+        chain, frame = robot.chain(places)
+        rows = [
+            (frame[n_m + j], np.concatenate([sensor.place.position, sensor.place.rotation[:, axis]]))
+            for j, sensor in enumerate(robot.sensors)
+            for axis in (range(3) if sensor.axes == 3 else [2])
+        ]
+        with_networks = kind == _NETWORKS and isinstance(networks, Sequence)
+        self.tables = Tables(
+            chain=chain,
+            magnet_frame=frame[:n_m],
+            magnet_place=np.array([[*p.position, *p.rotation[:, 2]] for p in places[:n_m]]).reshape(n_m, 6),
+            row_frame=np.array([f for f, _ in rows], dtype=np.int64),
+            row_place=np.array([x for _, x in rows]).reshape(-1, 6),
+            imu_frame=frame[n_m + len(robot.sensors) :],
+            imu_rotation=np.array([imu.place.rotation for imu in robot.imus]).reshape(-1, 3, 3),
+            moments=self.moments,
+            gain=self._per_reading(gain, "gain"),
+            offset=self._per_reading(offset, "offset"),
+            earth=field,
+            model=kind,
+            angles=inputs == "angles",
+            activation=SILU if with_networks and networks[0].activation == "silu" else RELU,
+            widths=np.array(networks[0].widths if with_networks else [], dtype=np.int64),
+            network=self._network_of_reading(len(networks))
+            if with_networks
+            else np.zeros(len(rows), dtype=np.int64),
+            weights=np.stack([net.weights for net in networks]) if with_networks else np.zeros((0, 0)),
+        )
+        self.packed = pack(self.tables)
+        self.compiled = kind != _OTHER
+        """Whether the kernels of estimators know the model; else they call :meth:`linearise`."""
+        self.n_q, self.n_readings = robot.n_q, len(rows) + 3 * len(robot.imus)
+        self.angles = robot.angles
+        say_that_kernels_compile()
+
+    def _moments(self, moments: Any, l_max: int) -> Array:
+        n_m = len(self.robot.magnets)
+        if moments is None and self.model is not None:
+            return np.zeros((n_m, 1))
+        if moments is None:
+            rows = [magnet.shape.multipoles(l_max) for magnet in self.robot.magnets]
+            return np.array(rows).reshape(n_m, -1)
+        values = numbers(moments, "moments", "Sensing", (None,) if np.ndim(moments) == 1 else (n_m, None))
+        require(values.shape[-1], "moments", "Sensing", "at least one", "none")
+        return np.ascontiguousarray(np.broadcast_to(values, (n_m, values.shape[-1])))
+
+    def _per_reading(self, value: Any, name: str) -> Array:
+        found = numbers(value, name, "Sensing")
+        fits = found.shape in ((), (self.n_magnetic,))
+        expected = f"one number or one for each of {self.n_magnetic} magnetic readings"
+        require(fits, name, "Sensing", expected, f"shape {found.shape}")
+        return np.full(self.n_magnetic, found) if found.ndim == 0 else found
+
+    def _check_networks(self, networks: Sequence[Any]) -> str:
+        first, width = networks[0] if networks else None, 1 + 4 * len(self.robot.magnets)
+        for network in networks or [None]:
+            require(isinstance(network, Network), "model", "Sensing", "networks", type(network).__name__)
+            expected = f"one of {width} relations, as the robot has"
+            require(network.n_inputs == width, "model", "Sensing", expected, f"{network.n_inputs}")
+            alike = (network.widths, network.activation, network.inputs, network.weights.dtype) == (
+                first.widths, first.activation, first.inputs, first.weights.dtype
+            )  # fmt: skip
+            require(alike, "model", "Sensing", "networks of one architecture", "several")
+        return first.inputs
+
+    def _network_of_reading(self, n: int) -> Array:
+        """One network for all, one for each reading, or one for each segment with sensors."""
+        segments = [sensor.segment for sensor in self.robot.sensors for _ in range(sensor.axes)]
+        used = sorted(set(segments))
+        if n == 1:
+            return np.zeros(len(segments), dtype=np.int64)
+        if n == len(segments):
+            return np.arange(n)
+        expected = (
+            f"one network, one for each of {len(segments)} readings or of {len(used)} segments with sensors"
+        )
+        require(n == len(used), "model", "Sensing", expected, f"{n} networks")
+        return np.array([used.index(segment) for segment in segments])
+
+    def relations(self, q: Any) -> Array:
+        """Return the relations ``[..., s, 1 + 4 m]`` of eq. (1) that the model takes [rad or cosines; m]."""
+        q = self.robot.check_q(q, "Sensing")
+        flat = np.ascontiguousarray(q.reshape(-1, self.n_q))
+        xi = np.empty((len(flat), self.n_magnetic, 1 + 4 * len(self.robot.magnets)))
+        _batch_relations(*self.packed, flat, xi)
+        return xi.reshape(*q.shape[:-1], *xi.shape[1:])
+
+    def __call__(self, q: Any) -> Array:
+        """Return the predicted readings ``[..., s]`` at configurations ``[..., n_q]``."""
+        q = self.robot.check_q(q, "Sensing")
+        flat = np.ascontiguousarray(q.reshape(-1, self.n_q))
+        u = np.empty((len(flat), self.n_readings))
+        if self.compiled:
+            _batch(*self.packed, flat, False, u, np.empty((1, 0, 0)))
+        else:
+            if self.robot.imus:
+                return self.linearise(q)[0]
+            u[:] = self.tables.gain * self._modelled(self.relations(flat)) + self.tables.offset
+        return u.reshape(*q.shape[:-1], -1)
+
+    def linearise(self, q: Any) -> tuple[Array, Array]:
+        """Return readings ``[..., s]`` and their slopes ``[..., s, n_q]``.
+
+        The slopes of an IMU are by how much it turns about the axes of the base [rad per unit of the coordinate].
+        """
+        q = self.robot.check_q(q, "Sensing")
+        flat = np.ascontiguousarray(q.reshape(-1, self.n_q))
+        u, J = np.empty((len(flat), self.n_readings)), np.empty((len(flat), self.n_readings, self.n_q))
+        if self.compiled:
+            _batch(*self.packed, flat, True, u, J)
+        else:
+            modelled, gradient = self._model_slopes(self.relations(flat))
+            _batch_slopes(*self.packed, flat, gradient, J, u)
+            u[:, : self.n_magnetic] = self.tables.gain * modelled + self.tables.offset
+        batch = q.shape[:-1]
+        return u.reshape(*batch, -1), J.reshape(*batch, *J.shape[1:])
+
+    def difference(self, u: Any, u_hat: Any) -> Array:
+        """Return what was read beyond what was predicted ``[..., s]``, NaN where nothing was read.
+
+        Of an IMU that is the rotation vector, in the base frame, from the predicted to the measured orientation.
+        """
+        u, u_hat = np.broadcast_arrays(np.asarray(u, dtype=float), np.asarray(u_hat, dtype=float))
+        flat, hat = (np.ascontiguousarray(x.reshape(-1, self.n_readings)) for x in (u, u_hat))
+        r = np.empty_like(flat)
+        _batch_difference(self.n_magnetic, flat, hat, r)
+        return r.reshape(u.shape)
+
+    def wrenches(self, q: Any) -> tuple[Array, Array]:
+        """Return the multipole readings without gain and offset, and the wrench of every magnet on every reading.
+
+        The wrench ``[..., s, m + 1, 6]`` is a force, then a torque about the origin of the base frame: a reading
+        changes by ``wrench @ (motion, turn)`` when its sensor moves by that twist, and by the negative when the magnet
+        does. The last one is that of the Earth's field.
+        """
+        require(
+            self.tables.model == _MULTIPOLES, "model", "wrenches", "multipoles", type(self.model).__name__
+        )
+        q = self.robot.check_q(q, "Sensing")
+        flat = np.ascontiguousarray(q.reshape(-1, self.n_q))
+        u = np.empty((len(flat), self.n_magnetic))
+        wrench = np.empty((*u.shape, len(self.robot.magnets) + 1, 6))
+        _batch_wrenches(*self.packed, flat, u, wrench)
+        batch = q.shape[:-1]
+        return u.reshape(*batch, -1), wrench.reshape(*batch, *wrench.shape[1:])
+
+    def wrapped(self, q: Array) -> Array:
+        """Return the same shapes with angles within half a turn; ``q`` is overwritten."""
+        wrap(self.tables.chain, q.reshape(-1, self.n_q))
+        return q
+
+    def _modelled(self, xi: Array) -> Array:
+        assert callable(self.model)
+        u = np.asarray(self.model(xi), dtype=float)
+        expected = f"a callable that maps relations {xi.shape} to readings {xi.shape[:-1]}"
+        require(u.shape == xi.shape[:-1], "model", "Sensing", expected, f"one that returns shape {u.shape}")
+        return u
+
+    def _model_slopes(self, xi: Array) -> tuple[Array, Array]:
+        """Readings and slopes by the relations: the model's own, else by central differences."""
+        own = getattr(self.model, "linearise", None)
+        if own is not None:
+            u, slopes = own(xi)
+            return np.asarray(u, dtype=float), np.ascontiguousarray(slopes, dtype=float)
+        slopes = np.empty_like(xi)
+        for c in range(xi.shape[-1]):
+            step = np.zeros(xi.shape[-1])
+            step[c] = 6e-6 * max(1e-2, float(np.abs(xi[..., c]).max(initial=0.0)))
+            slopes[..., c] = (self._modelled(xi + step) - self._modelled(xi - step)) / (2 * step[c])
+        return self._modelled(xi), slopes
+
+
+def relations(robot: Robot, q: Any, *, inputs: str = "cosines", earth: Any = None) -> Array:
+    r"""Return the relations between all sensors and magnets of a robot, eqs (3) to (7) of Baaij et al. 2023.
+
+    Parameters
+    ----------
+    robot
+        With sensors and magnets.
+    q
+        Configurations ``[..., n_q]``.
+    inputs
+        ``"cosines"``, smooth in the configuration, or ``"angles"`` [rad] as in the paper.
+    earth
+        Direction of the field of the Earth in the base frame; x if not given.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``[..., s, 1 + 4 m]``: for every reading :math:`\lambda`, then :math:`d` [m], :math:`\alpha`, :math:`\beta`,
+        :math:`\theta` for every magnet.
+
+    Examples
+    --------
+    >>> from repro import ConstantCurvature, Disc, Magnet, Robot, Sensor
+    >>> magnet = Magnet(Disc(6e-3, 3e-3, 1300.0), segment=1, at=0.055)
+    >>> robot = Robot([ConstantCurvature(0.11, 0.022)], [magnet], [Sensor(segment=1, at=0.11)])
+    >>> relations(robot, [0.0, 0.0, 0.0]).round(3) + 0.0
+    array([[ 0.   ,  0.055, -1.   , -1.   ,  1.   ]])
+    """
+    return Sensing(robot, lambda xi: xi[..., 1], inputs=inputs, earth=earth).relations(q)
