@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -76,6 +77,11 @@ def numbers(
     if finite and not np.isfinite(found).all():
         raise bad_input(name, owner, "finite", f"{int((~np.isfinite(found)).sum())} values that are not")
     return found
+
+
+def rows_of(values: Array) -> Array:
+    """Return an array of any leading dimensions as contiguous rows ``[n, last]``."""
+    return np.ascontiguousarray(values.reshape(math.prod(values.shape[:-1]), values.shape[-1]))
 
 
 def kernel(

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from repro.common import Array, bad_input, kernel, numbers, require
+from repro.common import Array, bad_input, kernel, numbers, require, rows_of
 
 _CONSTANT, _AFFINE, _LINK, _JOINT, _FREE = range(5)
 
@@ -407,7 +407,7 @@ class Sensor:
             at = [self.radial * math.cos(phi), self.radial * math.sin(phi), 0.0]
         if self.axes == 1 and self.direction is None:
             c, s, cp, sp = math.cos(phi), math.sin(phi), math.cos(psi), math.sin(psi)
-            R = np.array([[c * cp, s, -c * sp], [s * cp, -c, -s * sp], [-sp, 0.0, -cp]])
+            R = np.array([[c * cp, s, -c * sp], [s * cp, -c, -s * sp], [-sp, 0.0, -cp]]) + 0.0
             return place("Sensor", self.segment, self.at, at)._replace(rotation=R)
         return place("Sensor", self.segment, self.at, at, self.orientation, self.direction)
 
@@ -609,7 +609,7 @@ class Robot:
         for where in places:
             self._check(where, "places")
         chain, frame = self.chain(places)
-        flat = np.ascontiguousarray(q.reshape(-1, self.n_q))
+        flat = rows_of(q)
         R, p, X = (np.empty((len(flat), len(chain.v), *own)) for own in ((3, 3), (3,), (self.n_q, 6)))
         _all_frames(chain, flat, R, p, X)
         T = np.zeros((len(flat), len(places), 4, 4))
@@ -644,7 +644,7 @@ class Robot:
         """Return the same shapes with azimuths in (-pi, pi] and rotation vectors of at most half a turn."""
         q = self.check_q(q).copy()
         chain, _ = self.chain([])
-        wrap(chain, q.reshape(-1, self.n_q))
+        wrap(chain, q.reshape(math.prod(q.shape[:-1]), self.n_q))
         return q
 
 

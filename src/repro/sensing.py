@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from repro.common import Array, bad_input, kernel, numbers, require, say_that_kernels_compile
+from repro.common import Array, bad_input, kernel, numbers, require, rows_of, say_that_kernels_compile
 from repro.networks import RELU, SILU, Network, nodes, predict
 from repro.robot import Chain, Robot, frames, turn, wrap
 
@@ -584,7 +584,7 @@ class Sensing:
     def relations(self, q: Any) -> Array:
         """Return the relations ``[..., s, 1 + 4 m]`` of eq. (1) that the model takes [rad or cosines; m]."""
         q = self.robot.check_q(q, "Sensing")
-        flat = np.ascontiguousarray(q.reshape(-1, self.n_q))
+        flat = rows_of(q)
         xi = np.empty((len(flat), self.n_magnetic, 1 + 4 * len(self.robot.magnets)))
         _batch_relations(*self.packed, flat, xi)
         return xi.reshape(*q.shape[:-1], *xi.shape[1:])
@@ -592,7 +592,7 @@ class Sensing:
     def __call__(self, q: Any) -> Array:
         """Return the predicted readings ``[..., s]`` at configurations ``[..., n_q]``."""
         q = self.robot.check_q(q, "Sensing")
-        flat = np.ascontiguousarray(q.reshape(-1, self.n_q))
+        flat = rows_of(q)
         u = np.empty((len(flat), self.n_readings))
         if self.compiled:
             _batch(*self.packed, flat, False, u, np.empty((1, 0, 0)))
@@ -608,7 +608,7 @@ class Sensing:
         The slopes of an IMU are by how much it turns about the axes of the base [rad per unit of the coordinate].
         """
         q = self.robot.check_q(q, "Sensing")
-        flat = np.ascontiguousarray(q.reshape(-1, self.n_q))
+        flat = rows_of(q)
         u, J = np.empty((len(flat), self.n_readings)), np.empty((len(flat), self.n_readings, self.n_q))
         if self.compiled:
             _batch(*self.packed, flat, True, u, J)
@@ -641,7 +641,7 @@ class Sensing:
             self.tables.model == _MULTIPOLES, "model", "wrenches", "multipoles", type(self.model).__name__
         )
         q = self.robot.check_q(q, "Sensing")
-        flat = np.ascontiguousarray(q.reshape(-1, self.n_q))
+        flat = rows_of(q)
         u = np.empty((len(flat), self.n_magnetic))
         wrench = np.empty((*u.shape, len(self.robot.magnets) + 1, 6))
         _batch_wrenches(*self.packed, flat, u, wrench)
@@ -650,7 +650,7 @@ class Sensing:
 
     def wrapped(self, q: Array) -> Array:
         """Return the same shapes with angles within half a turn; ``q`` is overwritten."""
-        wrap(self.tables.chain, q.reshape(-1, self.n_q))
+        wrap(self.tables.chain, q.reshape(math.prod(q.shape[:-1]), self.n_q))
         return q
 
     def _modelled(self, xi: Array) -> Array:

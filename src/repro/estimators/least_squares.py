@@ -66,7 +66,7 @@ class LevenbergMarquardt:
     >>> from repro import LevenbergMarquardt
     >>> method = LevenbergMarquardt(lambda q: 2 * q, lower=[-1.0], upper=[1.0], noise=0.01)
     >>> state, estimate = method.step(method.init([0.0]), [1.0])
-    >>> estimate.q.round(9), np.sqrt(estimate.covariance).round(9)
+    >>> estimate.q.round(6), np.sqrt(estimate.covariance).round(6)
     (array([0.5]), array([[0.005]]))
     """
 
@@ -172,8 +172,11 @@ class LevenbergMarquardt:
             _fit(*self.model.packed, self._settings, rows, *arrays)
         else:
             self._fit_callable(rows, *arrays)
-        if not status[:, _DETERMINED].all():
-            self._finish(C, fixed, status)
+        if not np.isfinite(status[:, _COST]).all():
+            expected = "finite where the estimator starts"
+            raise bad_input("sensing", type(self).__name__, expected, "readings that are NaN or infinite")
+        for k in np.flatnonzero(status[:, _DETERMINED] == 0):
+            C[k] = bounded_inverse(C[k], fixed[k] if len(fixed) else np.zeros(n, dtype=bool))
         flat = flat.reshape(*batch, n)
         if wrapped and self.model.angles.any():
             flat = self.model.wrapped(flat)
@@ -201,14 +204,6 @@ class LevenbergMarquardt:
             _advance_all(todo, np.ascontiguousarray(hat), r, np.ascontiguousarray(J), self._settings, *arrays)
             todo = todo[status[todo, _DONE] == 0]
         _invert_all(A, held, status, C)
-
-    def _finish(self, C: Array, held: Array, status: Array) -> None:
-        """Name a model that is not finite; bound the variance of what the readings do not determine."""
-        if not np.isfinite(status[:, _COST]).all():
-            expected = "finite where the estimator starts"
-            raise bad_input("sensing", type(self).__name__, expected, "readings that are NaN or infinite")
-        for k in np.flatnonzero(status[:, _DETERMINED] == 0):
-            C[k] = bounded_inverse(C[k], held[k] if len(held) else np.zeros(self.n_q, dtype=bool))
 
     def _searched(self, u: Array, known: Array | None) -> Array:
         """Best of the fits from starts that fill the bounds evenly: an additive recurrence, the middle first."""

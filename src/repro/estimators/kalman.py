@@ -1,0 +1,400 @@
+r"""Iterated extended Kalman filter with a constant-velocity prior, and the smoother.
+
+The state is :math:`(q, \dot q)`. White acceleration of density :math:`a^2` drives every coordinate, so over
+:math:`\tau` its covariance grows by :math:`a^2 [[\tau^3/3, \tau^2/2], [\tau^2/2, \tau]]`. The readings depend on
+:math:`q` alone. The update is therefore the maximum of the posterior of :math:`q`,
+
+.. math:: \min_q \|u - h(q)\|^2/\sigma^2 + (q - q^-)^T (P^-_{qq})^{-1} (q - q^-),
+
+which Levenberg-Marquardt finds within the bounds; the velocity follows by regression on :math:`q`. For a linear
+:math:`h` without active bounds this is the Kalman filter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from repro.common import Array, bad_input, kernel, numbers, require
+from repro.estimators.base import Estimate, Trajectory, incoming, known_coordinates, run, start
+from repro.estimators.drift import Drifting, DriftModel
+from repro.estimators.least_squares import LevenbergMarquardt, cholesky, solve
+
+
+class KalmanState(NamedTuple):
+    """Mean and covariance of (configuration, velocity), and the time [s] they belong to; ``None`` before a step.
+
+    Errors of sensors that wander stand behind the configuration, without a velocity.
+    """
+
+    q: Array
+    velocity: Array
+    covariance: Array
+    t: float | None
+
+
+class KalmanFilter:
+    r"""Estimator that weighs the readings against a prediction at constant velocity.
+
+    The readings' errors are taken for white noise. Errors that last are states of their own: give a
+    :class:`repro.Drifting` as the sensor model, and their estimates stand in the details.
+
+    Parameters
+    ----------
+    sensing
+        Configuration to readings, as for :class:`repro.LevenbergMarquardt`.
+    lower, upper
+        Bounds of ``q``. Before the first reading a coordinate has the standard deviation of a uniform distribution
+        between them.
+    noise
+        Standard deviation of a reading, one number or one for each, in their unit.
+    acceleration
+        Process noise :math:`a` of every coordinate [unit/s^1.5]. A rule of thumb: the typical change of its velocity
+        within a second.
+    velocity
+        Standard deviation of every velocity before the first reading [unit/s].
+    iterations, tolerance
+        As for :class:`repro.LevenbergMarquardt`.
+
+    Raises
+    ------
+    InputError
+        If a number is not positive or does not fit the coordinates.
+
+    Examples
+    --------
+    A reading of noise 1 and an equally uncertain prior end halfway:
+
+    >>> from repro import KalmanFilter
+    >>> root = 3**0.5
+    >>> method = KalmanFilter(lambda q: q, [-root], [root], noise=1.0, acceleration=[1.0], velocity=[1.0])
+    >>> estimate = method.step(method.init([0.0]), [1.0], t=0.0)[1]
+    >>> estimate.q.round(6), estimate.covariance.round(6)
+    (array([0.5]), array([[0.5]]))
+    """
+
+    needs_time = True
+
+    def __init__(
+        self,
+        sensing: Any,
+        lower: Any,
+        upper: Any,
+        noise: Any,
+        acceleration: Any,
+        velocity: Any,
+        *,
+        iterations: int = 30,
+        tolerance: float = 1e-4,
+    ) -> None:
+        owner = "KalmanFilter"
+        low, high = numbers(lower, "lower", owner, (None,)), numbers(upper, "upper", owner, (None,))
+        self.n_q = len(low)
+        self.acceleration = numbers(acceleration, "acceleration", owner, (self.n_q,))
+        self.velocity = numbers(velocity, "velocity", owner, (self.n_q,))
+        for name in ("acceleration", "velocity"):
+            require((getattr(self, name) > 0).all(), name, owner, "positive", getattr(self, name))
+        none = np.zeros(0)
+        self.drift_std, self.drift_walk, self.drift_rate, self.drift_names = none, none, none, ()
+        if isinstance(sensing, Drifting):
+            sensing = DriftModel(sensing, low, high, owner)
+            self.drift_std, self.drift_walk, self.drift_rate = sensing.states
+            self.drift_names = sensing.names
+        far = 1e3 * np.maximum(self.drift_std, 1e-9) + 1e6 * self.drift_walk
+        self._update = LevenbergMarquardt(
+            sensing,
+            np.concatenate([low, -far]),
+            np.concatenate([high, far]),
+            noise,
+            iterations=iterations,
+            tolerance=tolerance,
+        )
+        self._width = high - low
+
+    def init(self, q0: Any = None, seed: int = 0) -> KalmanState:
+        """Return the state at ``q0`` ``[..., n_q]``, the middle of the bounds if not given, at rest."""
+        bounds = self._update
+        middle = (bounds.lower + bounds.upper)[: self.n_q] / 2
+        q = middle if q0 is None else start(q0, self.n_q, "KalmanFilter")
+        drift = np.zeros((*q.shape[:-1], len(self.drift_std)))
+        q = bounds.init(np.concatenate([q, drift], axis=-1)).q
+        assert q is not None
+        std = np.concatenate([self._width / math.sqrt(12), self.drift_std, self.velocity])
+        P = np.broadcast_to(np.diag(std**2), (*q.shape[:-1], len(std), len(std)))
+        return KalmanState(q, np.zeros((*q.shape[:-1], self.n_q)), P, None)
+
+    def motion(self, tau: float) -> tuple[Array, Array]:
+        """Return the transition of (q, drift, velocity) over ``tau`` [s], and the covariance that it adds."""
+        n, k = self.n_q, len(self.drift_std)
+        F, Q = np.eye(2 * n + k), np.zeros((2 * n + k, 2 * n + k))
+        i, e, v = np.arange(n), np.arange(n, n + k), np.arange(n + k, 2 * n + k)
+        F[i, v], F[e, e] = tau, np.exp(-self.drift_rate * tau)
+        density = self.acceleration**2
+        Q[i, i], Q[i, v], Q[v, i], Q[v, v] = (
+            tau**3 / 3 * density,
+            tau**2 / 2 * density,
+            tau**2 / 2 * density,
+            tau * density,
+        )
+        rate = np.where(self.drift_rate > 0, self.drift_rate, 1.0)
+        grown = np.where(self.drift_rate > 0, -np.expm1(-2 * self.drift_rate * tau) / (2 * rate), tau)
+        Q[e, e] = self.drift_walk**2 * grown
+        return F, Q
+
+    def predicted(self, state: KalmanState, t: float) -> KalmanState:
+        """Return the state carried to a time ``t`` [s] without a reading.
+
+        Raises
+        ------
+        InputError
+            If ``t`` is before the time of the state.
+        """
+        if state.t is None:
+            return state._replace(t=t)
+        require(t >= state.t, "t", "KalmanFilter", f"not before the last step, {state.t} s", t)
+        F, Q = self.motion(t - state.t)
+        x = np.concatenate([state.q, state.velocity], axis=-1) @ F.T
+        n = state.q.shape[-1]
+        return KalmanState(x[..., :n], x[..., n:], F @ state.covariance @ F.T + Q, t)
+
+    def wrapped(self, q: Array) -> Array:
+        """Return the same shapes with angles within half a turn; ``q`` is overwritten."""
+        model = self._update.model
+        return model.wrapped(q) if model.angles.any() and not len(self.drift_std) else q
+
+    def step(
+        self, state: KalmanState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+    ) -> tuple[KalmanState, Estimate]:
+        """Predict to the time ``t`` [s] and take in ``u``.
+
+        The details hold ``iterations`` and ``at_bound``, with errors that wander also ``drift`` and ``drift_std``.
+        ``chi2`` counts what the prior is off, too.
+
+        Raises
+        ------
+        InputError
+            If ``t`` is not after the last step, or the readings do not fit the model.
+        """
+        later = state.t is None or t > state.t
+        require(later, "t", "KalmanFilter", f"after the last step, {state.t} s", t)
+        fit = self._update
+        u = incoming(u, mask, "KalmanFilter", fit.model.n_readings)
+        known = known_coordinates(known, self.n_q, "KalmanFilter")
+        before = self.predicted(state, t)
+        batch = np.broadcast_shapes(before.q.shape[:-1], u.shape[:-1])
+        n, m = fit.n_q, before.covariance.shape[-1]
+        P = np.broadcast_to(before.covariance, (*batch, m, m)).reshape(-1, m, m).copy()
+        fixed = np.diagonal(P, axis1=1, axis2=2)[:, :n] <= 0  # what is certain does not move
+        information = np.empty((len(P), n, n))
+        _prior_information(P, information)
+        prior = (before.q, information.reshape(*batch, n, n))
+        values = np.where(fixed.reshape(*batch, n), before.q, np.nan)
+        if known is not None:
+            values[..., : self.n_q] = np.where(np.isnan(known), values[..., : self.n_q], known)
+        given = None if np.isnan(values).all() else values
+        q = np.clip(np.broadcast_to(before.q, (*batch, n)), fit._low, fit._high)
+        q, u_hat, C, status, n_used, _ = fit.fit(q, u, given, prior, wrapped=False)
+        x = np.empty((len(P), m))
+        x[:, :n] = np.broadcast_to(before.q, (*batch, n)).reshape(-1, n)
+        x[:, n:] = np.broadcast_to(before.velocity, (*batch, m - n)).reshape(-1, m - n)
+        _update(x, P, q.reshape(-1, n), C.reshape(-1, n, n), information)
+        velocity = x[:, n:].reshape(*batch, m - n)
+        after = KalmanState(q, velocity, P.reshape(*batch, m, m), t)
+        k = self.n_q
+        shown = fit.model.wrapped(q.copy())[..., :k] if fit.model.angles.any() else q[..., :k]
+        bound = (q <= fit._low) | (q >= fit._high)
+        details = {"iterations": status[:, 2].reshape(batch), "at_bound": bound.any(-1)}
+        if len(self.drift_std):
+            details["drift"] = q[..., k:]
+            details["drift_std"] = np.sqrt(np.diagonal(C, axis1=-2, axis2=-1)[..., k:])
+        free = n - bound.sum(-1) if given is None else n - (bound | ~np.isnan(values)).sum(-1)
+        dof = np.maximum(n_used + n - free - (0 if given is None else (~np.isnan(values)).sum(-1)), 0)
+        chi2 = status[:, 1].reshape(batch)[()]
+        return after, Estimate(shown, C[..., :k, :k], u_hat, chi2, dof, u.shape[-1] - n_used, details)
+
+
+@kernel(allocates=True)
+def _prior_information(P, information):
+    """Write the inverse of the covariance of the configuration; rows of what is certain are zero."""
+    n = information.shape[1]
+    L, column = np.zeros((n, n)), np.zeros(n)
+    for k in range(len(P)):
+        for a in range(n):
+            for b in range(a + 1):
+                L[a, b] = P[k, a, b] if P[k, a, a] > 0.0 and P[k, b, b] > 0.0 else 0.0
+            if not P[k, a, a] > 0.0:
+                L[a, a] = 1.0
+        cholesky(L, 1e-300)
+        for b in range(n):
+            column[:] = 0.0
+            column[b] = 1.0 if P[k, b, b] > 0.0 else 0.0
+            solve(L, column)
+            for a in range(n):
+                information[k, a, b] = column[a]
+        for a in range(n):
+            for b in range(a):
+                information[k, a, b] = information[k, b, a] = 0.5 * (
+                    information[k, a, b] + information[k, b, a]
+                )
+
+
+@kernel(allocates=True)
+def _update(x, P, q, C, information):
+    """Move mean and covariance to the posterior ``q``, ``C``: what is no configuration follows by regression."""
+    n, m = q.shape[1], x.shape[1]
+    gain, new = np.zeros((m - n, n)), np.zeros((m - n, n))
+    for k in range(len(x)):
+        for v in range(m - n):
+            for a in range(n):
+                total = 0.0
+                for b in range(n):
+                    total += P[k, n + v, b] * information[k, b, a]
+                gain[v, a] = total
+        for v in range(m - n):
+            for a in range(n):
+                x[k, n + v] += gain[v, a] * (q[k, a] - x[k, a])
+                total = 0.0
+                for b in range(n):
+                    total += gain[v, b] * C[k, b, a]
+                new[v, a] = total
+        for v in range(m - n):
+            for w in range(v + 1):
+                total = 0.5 * (P[k, n + v, n + w] + P[k, n + w, n + v])
+                for a in range(n):
+                    total += new[v, a] * gain[w, a] - gain[v, a] * P[k, a, n + w]
+                P[k, n + v, n + w] = P[k, n + w, n + v] = total
+        for a in range(n):
+            x[k, a] = q[k, a]
+            for v in range(m - n):
+                P[k, n + v, a] = P[k, a, n + v] = new[v, a]
+            for b in range(n):
+                P[k, a, b] = 0.5 * (C[k, a, b] + C[k, b, a])
+
+
+def smoothed(method: Any, states: Sequence[Any], lag_s: float = math.inf) -> list[Any]:
+    r"""Return what later readings say about earlier states: Rauch, Tung and Striebel.
+
+    With the state :math:`x_k, P_k` after its own readings, the transition :math:`F` to the next one and
+    :math:`P^-_{k+1} = F P_k F^T + Q`,
+
+    .. math:: G = P_k F^T (P^-_{k+1})^{-1}, \quad \hat x_k = x_k + G\,(\hat x_{k+1} - F x_k), \quad
+       \hat P_k = P_k + G\,(\hat P_{k+1} - P^-_{k+1})\,G^T
+
+    from the last state backwards (Särkkä and Svensson 2023, section 12.2).
+
+    Parameters
+    ----------
+    method
+        A Kalman or rod filter: it has ``motion(tau)``.
+    states
+        After a step, or ``predicted``, in the order of time.
+    lag_s
+        How far ahead readings count [s]: those that somebody knows who waits so long.
+
+    Raises
+    ------
+    InputError
+        If there is no state, one has no time, they are not in order, or the lag is negative.
+    """
+    if not states or any(state.t is None for state in states):
+        raise bad_input("states", "smoothed", "at least one, each after a step", f"{len(states)} states")
+    require(lag_s >= 0, "lag_s", "smoothed", "not negative [s]", lag_s)
+    t = np.array([state.t for state in states])
+    require((np.diff(t) >= 0).all(), "states", "smoothed", "in the order of time", "others")
+    x = np.stack([np.concatenate([state.q, state.velocity], axis=-1) for state in states])
+    P, n = np.stack([state.covariance for state in states]), states[0].q.shape[-1]
+    links = [_link(*method.motion(t[k + 1] - t[k]), x[k], P[k]) for k in range(len(t) - 1)]
+    if math.isinf(lag_s):
+        for k in reversed(range(len(links))):
+            x[k], P[k] = _given_next(*links[k], x[k], P[k], x[k + 1], P[k + 1])
+        pairs = list(zip(x, P, strict=True))
+    else:
+        pairs = []
+        for k in range(len(t)):
+            last = int(np.searchsorted(t, t[k] + lag_s, side="right")) - 1
+            pair = (x[last], P[last])
+            for j in reversed(range(k, last)):
+                pair = _given_next(*links[j], x[j], P[j], *pair)
+            pairs.append(pair)
+    return [
+        state._replace(q=y[..., :n], velocity=y[..., n:], covariance=C)
+        for state, (y, C) in zip(states, pairs, strict=True)
+    ]
+
+
+def _link(F: Array, Q: Array, x: Array, P: Array) -> tuple[Array, Array, Array]:
+    """Gain, and mean and covariance that the next state had before its readings."""
+    cross = F @ P
+    before = cross @ F.T + Q
+    # Scaled to a unit diagonal, as positions and velocities differ by orders; a state without variance has no gain.
+    std = np.sqrt(np.diagonal(before, axis1=-2, axis2=-1))
+    scale = np.divide(1.0, std, out=np.zeros_like(std), where=std > 0)
+    scaled = before * scale[..., :, None] * scale[..., None, :] + (scale == 0)[..., None] * np.eye(
+        std.shape[-1]
+    )
+    gain = np.linalg.solve(scaled, cross * scale[..., :, None]) * scale[..., :, None]
+    return np.swapaxes(gain, -1, -2), x @ F.T, before
+
+
+def _given_next(
+    gain: Array, mean: Array, before: Array, x: Array, P: Array, x_next: Array, P_next: Array
+) -> tuple[Array, Array]:
+    x = x + (gain @ (x_next - mean)[..., None])[..., 0]
+    P = P + gain @ (P_next - before) @ np.swapaxes(gain, -1, -2)
+    return x, 0.5 * (P + np.swapaxes(P, -1, -2))
+
+
+def smooth(
+    method: Any,
+    readings: Any,
+    q0: Any = None,
+    *,
+    times: Any = None,
+    rate_hz: float | None = None,
+    lag_s: float = math.inf,
+    mask: Any = None,
+    known: Any = None,
+    progress: str | None = None,
+    monitor: str | None = "auto",
+) -> Trajectory:
+    """Run a filter over recorded readings, then backwards: the sibling of :func:`repro.track`.
+
+    The predicted readings, ``chi2`` and the details are those of the filter.
+
+    Parameters
+    ----------
+    method
+        A Kalman or rod filter.
+    readings, q0, times, rate_hz, mask, known, progress, monitor
+        As for :func:`repro.track`.
+    lag_s
+        How far ahead readings count [s]; all of them if infinite.
+
+    Raises
+    ------
+    InputError
+        If the estimator does not say how its state moves, or as :func:`repro.track`.
+
+    Examples
+    --------
+    A coordinate that was read at both ends of a second was halfway in its middle:
+
+    >>> from repro import KalmanFilter
+    >>> method = KalmanFilter(lambda q: q, [-9.0], [9.0], noise=1e-4, acceleration=[1.0], velocity=[100.0])
+    >>> smooth(method, [[0.0], [np.nan], [1.0]], [0.0], times=[0.0, 0.5, 1.0]).q.ravel().round(3) + 0.0
+    array([0. , 0.5, 1. ])
+    """
+    require(hasattr(method, "motion"), "method", "smooth", "a Kalman or rod filter", type(method).__name__)
+    found, states = run(
+        method, readings, q0, times=times, rate_hz=rate_hz, seed=0, mask=mask, known=known, progress=progress,
+        monitor=monitor, owner="smooth",
+    )  # fmt: skip
+    back, n = smoothed(method, states, lag_s), found.q.shape[-1]
+    q = np.stack([state.q[..., :n] for state in back])
+    wrapped = getattr(method, "wrapped", None)
+    P = np.stack([state.covariance[..., :n, :n] for state in back])
+    values = {**vars(found), "q": q if wrapped is None else wrapped(q), "covariance": P}
+    return Trajectory(**values)
