@@ -512,7 +512,8 @@ class Robot:
             require(isinstance(segment, kinds), "segments", "Robot", expected, type(segment).__name__)
         for name, parts in (("magnets", self.magnets), ("sensors", self.sensors), ("imus", self.imus)):
             for k, part in enumerate(parts):
-                require(hasattr(part, "place"), name, "Robot", "parts with a place", type(part).__name__)
+                where = getattr(part, "place", None)
+                require(isinstance(where, Place), name, "Robot", "parts with a place", f"{part!r}")
                 self._check(part.place, f"{name}, number {k + 1},")
 
     def _check(self, where: Place, name: str) -> None:

@@ -23,6 +23,7 @@ from repro.networks import RELU, SILU, Network, nodes, predict
 from repro.robot import Chain, Robot, frames, turn, wrap
 
 _MULTIPOLES, _NETWORKS, _OTHER = range(3)
+_VALUES, _SLOPES, _RELATIONS, _CHAIN_RULE, _WRENCHES = range(5)
 
 
 class Tables(NamedTuple):
@@ -340,19 +341,18 @@ def _orientations(t, slopes, u_hat, J, room):
 
 
 @kernel
-def difference(n_s, u, u_hat, r, room):
+def difference(n_s, u, u_hat, r, A, B, W):
     """Write what was read beyond what was predicted, NaN where nothing was read.
 
-    Of an IMU that is the rotation vector, in the base frame, from the predicted to the measured orientation.
+    Of an IMU that is the rotation vector, in the base frame, from the predicted to the measured orientation. ``A``,
+    ``B`` and ``W`` are room.
     """
     for j in range(n_s):
         r[j] = u[j] - u_hat[j] if math.isfinite(u[j]) else math.nan
-    A, B = room.T, room.L
     for row in range(n_s, len(u), 3):
         if not (math.isfinite(u[row]) and math.isfinite(u[row + 1]) and math.isfinite(u[row + 2])):
             r[row : row + 3] = math.nan
             continue
-        W = room.W
         turn(u[row], u[row + 1], u[row + 2], A, W)
         turn(-u_hat[row], -u_hat[row + 1], -u_hat[row + 2], B, W)
         for a in range(3):
@@ -362,64 +362,42 @@ def difference(n_s, u, u_hat, r, room):
 
 
 @kernel(allocates=True)
-def _batch(ints, floats, weights, q, slopes, u, J):
+def _batch(ints, floats, weights, q, task, u, J, extra):
+    """Evaluate a batch: one kernel for all tasks, because compiling it takes seconds.
+
+    ``extra`` takes the relations or the wrenches, or holds slopes by the relations.
+    """
     t = unpack(ints, floats, weights)
     room = room_for(t)
     for n in range(len(q)):
-        evaluate(t, q[n], slopes, u[n], J[n if slopes else 0], room)
-
-
-@kernel(allocates=True)
-def _batch_relations(ints, floats, weights, q, xi):
-    t = unpack(ints, floats, weights)
-    room = room_for(t)
-    for n in range(len(q)):
-        geometry(t, q[n], False, room)
+        if task <= _SLOPES:
+            evaluate(t, q[n], task == _SLOPES, u[n], J[n if task == _SLOPES else 0], room)
+            continue
+        geometry(t, q[n], task == _CHAIN_RULE, room)
         for j in range(len(t.row_frame)):
             relate(t, j, room)
-            xi[n, j] = room.xi
-
-
-@kernel(allocates=True)
-def _batch_slopes(ints, floats, weights, q, gradient, J, u):
-    """Slopes by the configuration from slopes by the relations; IMU readings are written to ``u``."""
-    t = unpack(ints, floats, weights)
-    room = room_for(t)
-    for n in range(len(q)):
-        geometry(t, q[n], True, room)
-        for j in range(len(t.row_frame)):
-            relate(t, j, room)
-            room.gradient[:] = gradient[n, j]
-            wrenches(t, room)
-            pull_back(t, j, t.gain[j], room, J[n])
-        _orientations(t, True, u[n], J[n], room)
-
-
-@kernel(allocates=True)
-def _batch_wrenches(ints, floats, weights, q, u, wrench):
-    t = unpack(ints, floats, weights)
-    room = room_for(t)
-    for n in range(len(q)):
-        geometry(t, q[n], False, room)
-        for j in range(len(t.row_frame)):
-            relate(t, j, room)
-            u[n, j] = _multipoles(t, room.xi, room.gradient)
-            wrenches(t, room)
-            wrench[n, j] = room.wrenches
+            if task == _RELATIONS:
+                extra[n, j] = room.xi
+            elif task == _WRENCHES:
+                u[n, j] = _multipoles(t, room.xi, room.gradient)
+                wrenches(t, room)
+                extra[n, j] = room.wrenches.ravel()
+            else:
+                room.gradient[:] = extra[n, j]
+                wrenches(t, room)
+                pull_back(t, j, t.gain[j], room, J[n])
+        if task == _CHAIN_RULE:
+            _orientations(t, True, u[n], J[n], room)
 
 
 @kernel(allocates=True)
 def _batch_difference(n_s, u, u_hat, r):
-    t_room = np.zeros((3, 4)), np.zeros((6, 6)), np.zeros((3, 3))
-    room = Room(
-        np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 6, 6)), t_room[0], t_room[1], t_room[2],
-        np.zeros((0, 6)), np.zeros(6), np.zeros((0, 6)), np.zeros(1), np.zeros(1), np.zeros((1, 6)),
-        (np.zeros((0, 1)), np.zeros((0, 1)), np.zeros((0, 1)), np.zeros(0, dtype=np.int64)),
-    )  # fmt: skip
+    A, B, W = np.zeros((3, 4)), np.zeros((3, 3)), np.zeros((6, 6))
     for n in range(len(u)):
-        difference(n_s, u[n], u_hat[n], r[n], room)
+        difference(n_s, u[n], u_hat[n], r[n], A, B, W)
 
 
+_UNUSED = (np.empty((0, 0)), np.empty((1, 0, 0)))
 _FieldModel = Network | Sequence[Network] | Callable[[Array], Any] | None
 
 
@@ -543,7 +521,7 @@ class Sensing:
             return np.zeros((n_m, 1))
         if moments is None:
             rows = [magnet.shape.multipoles(l_max) for magnet in self.robot.magnets]
-            return np.array(rows).reshape(n_m, -1)
+            return np.array(rows) if rows else np.zeros((0, 1))
         values = numbers(moments, "moments", "Sensing", (None,) if np.ndim(moments) == 1 else (n_m, None))
         require(values.shape[-1], "moments", "Sensing", "at least one", "none")
         return np.ascontiguousarray(np.broadcast_to(values, (n_m, values.shape[-1])))
@@ -586,7 +564,7 @@ class Sensing:
         q = self.robot.check_q(q, "Sensing")
         flat = rows_of(q)
         xi = np.empty((len(flat), self.n_magnetic, 1 + 4 * len(self.robot.magnets)))
-        _batch_relations(*self.packed, flat, xi)
+        _batch(*self.packed, flat, _RELATIONS, *_UNUSED, xi)
         return xi.reshape(*q.shape[:-1], *xi.shape[1:])
 
     def __call__(self, q: Any) -> Array:
@@ -595,7 +573,7 @@ class Sensing:
         flat = rows_of(q)
         u = np.empty((len(flat), self.n_readings))
         if self.compiled:
-            _batch(*self.packed, flat, False, u, np.empty((1, 0, 0)))
+            _batch(*self.packed, flat, _VALUES, u, *_UNUSED[1:], _UNUSED[1])
         else:
             if self.robot.imus:
                 return self.linearise(q)[0]
@@ -611,10 +589,10 @@ class Sensing:
         flat = rows_of(q)
         u, J = np.empty((len(flat), self.n_readings)), np.empty((len(flat), self.n_readings, self.n_q))
         if self.compiled:
-            _batch(*self.packed, flat, True, u, J)
+            _batch(*self.packed, flat, _SLOPES, u, J, _UNUSED[1])
         else:
             modelled, gradient = self._model_slopes(self.relations(flat))
-            _batch_slopes(*self.packed, flat, gradient, J, u)
+            _batch(*self.packed, flat, _CHAIN_RULE, u, J, gradient)
             u[:, : self.n_magnetic] = self.tables.gain * modelled + self.tables.offset
         batch = q.shape[:-1]
         return u.reshape(*batch, -1), J.reshape(*batch, *J.shape[1:])
@@ -643,10 +621,10 @@ class Sensing:
         q = self.robot.check_q(q, "Sensing")
         flat = rows_of(q)
         u = np.empty((len(flat), self.n_magnetic))
-        wrench = np.empty((*u.shape, len(self.robot.magnets) + 1, 6))
-        _batch_wrenches(*self.packed, flat, u, wrench)
-        batch = q.shape[:-1]
-        return u.reshape(*batch, -1), wrench.reshape(*batch, *wrench.shape[1:])
+        wrench = np.empty((*u.shape, 6 * (len(self.robot.magnets) + 1)))
+        _batch(*self.packed, flat, _WRENCHES, u, _UNUSED[1], wrench)
+        batch = (*q.shape[:-1], self.n_magnetic)
+        return u.reshape(batch), wrench.reshape(*batch, -1, 6)
 
     def wrapped(self, q: Array) -> Array:
         """Return the same shapes with angles within half a turn; ``q`` is overwritten."""

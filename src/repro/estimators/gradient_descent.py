@@ -162,7 +162,7 @@ def _descend(ints, floats, weights, u, moves, momentum, iterations, q, b, u_hat,
         for iteration in range(iterations):
             last = iteration == iterations - 1
             evaluate(t, x, not last, hat, J, room)
-            difference(len(t.row_frame), u[k], hat, r, room)
+            difference(len(t.row_frame), u[k], hat, r, room.T, room.L, room.W)
             _judge(hat, r, J, moves[k], momentum, iteration, last, x, q[k], b[k], u_hat[k], status[k])
 
 

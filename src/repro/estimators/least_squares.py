@@ -252,7 +252,7 @@ def _fit(ints, floats, weights, settings, u, mean, information, held, q, u_hat, 
         p, h = k if len(mean) else 0, k if len(held) else 0
         while status[k, _DONE] == 0.0:
             evaluate(t, x, True, hat, J, room)
-            difference(len(t.row_frame), u[k], hat, r, room)
+            difference(len(t.row_frame), u[k], hat, r, room.T, room.L, room.W)
             advance(
                 hat, r, J, settings, mean[p : p + 1], information[p : p + 1], held[h : h + 1], x, q[k], u_hat[k],
                 A, g, status[k], delta, L,

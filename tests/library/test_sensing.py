@@ -1,0 +1,311 @@
+"""Readings with slopes: against magpylib, the first edition, torch's autograd and complex steps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from edition1.kinematics.paper_robots import affine_robot, pcc_robot
+from edition1.sensing.ensemble import SeedEnsemble
+from edition1.sensing.linearised import LinearisedSensing
+from edition1.sensing.magnetic import MagneticSensing
+from edition1.sensing.multipole import MultipoleField
+from edition1.sensing.relations import relations as relations_1
+from scipy.spatial.transform import Rotation
+
+from repro import (
+    AffineCurvature,
+    ConstantCurvature,
+    Imu,
+    InputError,
+    Magnet,
+    Network,
+    Robot,
+    Sensing,
+    Sensor,
+    load_network,
+    relations,
+    simulated_readings,
+)
+from repro.networks import network_of
+
+from .robots import CHAINS, RELEASED, chain, complex_pose, configuration, paper_robot
+
+NETWORKS = Path(__file__).parents[2] / "data" / "networks"
+MOMENTS = RELEASED.multipoles(9)
+
+
+def by_complex_poses(robot: Robot, q: np.ndarray, moments: np.ndarray, earth: np.ndarray) -> np.ndarray:
+    """Multipole readings at a complex configuration: eqs (4) to (7) and the Legendre series, written down plainly."""
+    magnets = [complex_pose(robot, q, magnet.place) for magnet in robot.magnets]
+    rows = []
+    for sensor in robot.sensors:
+        R, at = complex_pose(robot, q, sensor.place)
+        for axis in range(3) if sensor.axes == 3 else [2]:
+            u = R[:, axis] @ earth
+            for A, (M, centre) in zip(moments, magnets, strict=True):
+                p = at - centre
+                d = np.sqrt(p @ p)
+                ca, cb, c = R[:, axis] @ M[:, 2], R[:, axis] @ p / d, M[:, 2] @ p / d
+                for k, A_l in enumerate(A):
+                    P, Q = (np.polynomial.Legendre.basis(n).deriv()(c) for n in (2 * k + 1, 2 * k + 2))
+                    u += A_l / d ** (2 * k + 3) * (Q * cb - P * ca)
+            rows.append(u)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("names", CHAINS, ids="-".join)
+@pytest.mark.parametrize("scale", [0.0, 1e-5, 1.0])
+def test_readings_and_slopes_agree_with_complex_steps(names, scale):
+    robot, earth = chain(names), np.array([0.03, -0.02, 0.04])
+    sensing = Sensing(robot, l_max=3, earth=earth)
+    q = configuration(robot, scale * np.random.default_rng(1).uniform(-1, 1, robot.n_q))
+    u, J = sensing.linearise(q)
+    n, size = sensing.n_magnetic, np.abs(u[: sensing.n_magnetic]).max()
+    np.testing.assert_allclose(
+        u[:n], by_complex_poses(robot, q, sensing.moments, earth).real, rtol=0, atol=1e-12 * size
+    )
+    np.testing.assert_array_equal(sensing(q), u)
+    for c in range(robot.n_q):
+        step = np.zeros(robot.n_q, dtype=complex)
+        step[c] = 1e-20j
+        slope = by_complex_poses(robot, q + step, sensing.moments, earth).imag / 1e-20
+        np.testing.assert_allclose(J[:n, c], slope, rtol=0, atol=1e-12 * max(np.abs(J[:n]).max(), size))
+    for i, imu in enumerate(robot.imus):
+        rows = slice(n + 3 * i, n + 3 * i + 3)
+        R, _ = complex_pose(robot, q, imu.place)
+        np.testing.assert_allclose(Rotation.from_rotvec(u[rows]).as_matrix(), R.real, rtol=0, atol=1e-12)
+        _, X = robot.motion(q, [imu.place])
+        np.testing.assert_allclose(J[rows], X[0, :, :3].T, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("n_b", [1, 2, 3])
+def test_agrees_with_the_first_edition_and_with_autograd(n_b):
+    q = np.random.default_rng(n_b).normal(size=(6, 3 * n_b)) * 0.008
+    q[0] = 0.0
+    sensing = Sensing(paper_robot(n_b, tilt=0.1), gain=1.1)
+    u, J = sensing.linearise(q)
+    first = LinearisedSensing(
+        pcc_robot(n_b, 3, tilt=0.1), torch.from_numpy(MOMENTS), 1.1 * torch.ones(3 * n_b).double()
+    )
+    u_1, J_1 = (x.numpy() for x in first.linearise(torch.from_numpy(q)))
+    np.testing.assert_allclose(u, u_1, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(J, J_1, rtol=0, atol=1e-12 * np.abs(J_1).max())
+    plain = MagneticSensing(pcc_robot(n_b, 3, tilt=0.1), MultipoleField(torch.from_numpy(MOMENTS)))
+    by_autograd = torch.func.jacrev(plain)(torch.from_numpy(q[3])).numpy()
+    np.testing.assert_allclose(J[3], 1.1 * by_autograd, rtol=0, atol=1e-12 * np.abs(J_1).max())
+
+
+def test_the_affine_robot_of_the_paper_agrees_with_the_first_edition():
+    """Its magnets are moved by -3 mm along their own axes; the relations keep their places as printed."""
+    sensors = [Sensor(1, (0.0, 0.1, 0.2)[j % 3], radial=0.013, azimuth=np.radians(40 * j)) for j in range(9)]
+    magnets = [Magnet(RELEASED, 1, at, position=[0, 0, -0.003]) for at in (0.05, 0.15)]
+    q = np.random.default_rng(0).uniform(-1, 1, (5, 4)) * [0.9, 3.7, 3.1, 0.005]
+    u, J = Sensing(Robot([AffineCurvature(0.2)], magnets, sensors)).linearise(q)
+    first = LinearisedSensing(affine_robot(), torch.from_numpy(MOMENTS))
+    u_1, J_1 = (x.numpy() for x in first.linearise(torch.from_numpy(q)))
+    np.testing.assert_allclose(u, u_1, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(J, J_1, rtol=0, atol=1e-12 * np.abs(J_1).max())
+
+
+def test_readings_agree_with_magpylib_within_the_tail_of_the_series():
+    q = np.random.default_rng(0).uniform(-1, 1, (20, 9)) * np.tile([0.017, 0.017, 0.005], 3)
+    robot = paper_robot(3)
+    for l_max, error in ((5, 2e-3), (7, 5e-5), (9, 1e-6)):
+        difference = np.abs(Sensing(robot, l_max=l_max)(q) - simulated_readings(robot, q)).max()
+        assert error / 100 < difference < error
+
+
+@pytest.mark.parametrize("inputs", ["angles", "cosines"])
+def test_relations_are_those_of_the_first_edition(inputs):
+    q = np.random.default_rng(0).normal(size=(4, 6)) * 0.008
+    q[0] = 0.0
+    earth = np.array([0.3, -0.1, 0.9])
+    first = relations_1(pcc_robot(2), torch.from_numpy(q), torch.from_numpy(earth))
+    expected = (first.angles() if inputs == "angles" else first.cosines()).numpy()
+    np.testing.assert_allclose(
+        relations(paper_robot(2), q, inputs=inputs, earth=earth), expected, rtol=0, atol=1e-14
+    )
+
+
+@pytest.mark.parametrize("double", [True, False])
+def test_networks_of_the_paper_predict_what_torch_predicts(double):
+    files = sorted(NETWORKS.glob("*nb2*seed0*.safetensors"))[:2]
+    from edition1.sensing.network import PerSensor, paper_network
+    from safetensors.torch import load_file
+
+    modules = []
+    for path in files:
+        network = paper_network(9, torch.Generator())
+        network.load_state_dict(load_file(path))
+        modules.append(network.eval().double() if double else network.eval())
+    q = np.random.default_rng(0).normal(size=(6, 6)) * 0.008
+    mine = [load_network(path) for path in files]
+    if double:
+        mine = [
+            Network([(W.astype(float), b.astype(float)) for W, b in _folded(m)], "relu", "angles")
+            for m in modules
+        ]
+    sensing = Sensing(paper_robot(2), mine)
+    dtype = torch.float64 if double else torch.float32
+    first = MagneticSensing(pcc_robot(2), PerSensor(modules, [0, 0, 0, 1, 1, 1]), inputs="angles")
+    expected = (
+        first(torch.from_numpy(q))
+        if double
+        else PerSensor(modules, [0, 0, 0, 1, 1, 1])(torch.from_numpy(sensing.relations(q)).to(dtype))
+    )
+    u, J = sensing.linearise(q)
+    np.testing.assert_allclose(u, expected.detach().numpy(), rtol=0, atol=1e-12 if double else 3e-6)
+    if double:
+        for k in range(len(q)):
+            slope = torch.func.jacrev(first)(torch.from_numpy(q[k])).detach().numpy()
+            np.testing.assert_allclose(J[k], slope, rtol=0, atol=1e-12 * np.abs(J).max())
+
+
+def _folded(module):
+    state = {name: x.numpy() for name, x in module.state_dict().items()}
+    return network_of(state).layers
+
+
+def test_the_fast_network_predicts_what_torch_predicts():
+    from edition1.sensing.network import CosineNetwork
+
+    module = CosineNetwork(5, torch.Generator().manual_seed(0)).double()
+    xi = torch.rand(50, 5, generator=torch.Generator().manual_seed(1)).double()
+    module.standardise(xi, xi.sum(1))
+    network = network_of({name: x.numpy() for name, x in module.state_dict().items()})
+    u, slopes = network.linearise(xi.numpy())
+    np.testing.assert_allclose(u, module(xi).detach().numpy(), rtol=0, atol=1e-13)
+    expected = torch.func.vmap(torch.func.jacrev(module))(xi).detach().numpy()
+    np.testing.assert_allclose(slopes, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("inputs", ["angles", "cosines"])
+def test_a_callable_is_differentiated_through_the_relations(inputs):
+    robot = paper_robot(2)
+    q = np.random.default_rng(0).normal(size=(3, 6)) * 0.008
+    sensing = Sensing(
+        robot, lambda xi: np.sin(xi[..., 2] + xi[..., 3] * xi[..., 8]) / xi[..., 1], inputs=inputs
+    )
+    u, J = sensing.linearise(q)
+    np.testing.assert_allclose(u, sensing(q), rtol=1e-14)
+    for c in range(6):
+        step = np.eye(6)[c] * 1e-7
+        slope = (sensing(q + step) - sensing(q - step)) / 2e-7
+        np.testing.assert_allclose(J[..., c], slope, rtol=0, atol=1e-6 * np.abs(J).max())
+
+
+def test_angles_at_the_straight_pose_have_finite_slopes():
+    sensing = Sensing(paper_robot(1), lambda xi: xi[..., 2] + xi[..., 3], inputs="angles")
+    u, J = sensing.linearise(np.zeros(3))
+    assert np.isfinite(J).all()
+    assert u == pytest.approx(np.full(3, np.pi + np.arctan2(-0.013, 0.055) + np.pi), abs=0.5)
+
+
+def test_what_an_imu_reads_beyond_the_prediction_is_a_turn_in_the_base():
+    """Near half a turn, where rotation vectors jump, the difference is small and right."""
+    robot = Robot([ConstantCurvature(0.1, 1.0)], imus=[Imu(1, 0.1)])
+    sensing = Sensing(robot)
+    u, near = sensing(np.array([[3.13, 0.0, 0.0], [3.15, 0.0, 0.0]]))
+    np.testing.assert_allclose(sensing.difference(near, u), [0.0, 0.02, 0.0], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(sensing.difference([0.0, np.nan, 0.0], u), [np.nan] * 3)
+
+
+def test_wrenches_say_how_readings_change_when_parts_move():
+    """A magnet that moves by a twist changes the reading by the negative of wrench times twist."""
+    robot = paper_robot(1)
+    q, h = np.array([0.004, -0.003, 0.002]), 1e-6
+    _, wrench = Sensing(robot).wrenches(q)
+    for axis in range(3):
+        moved = [
+            Robot(
+                robot.segments, [Magnet(RELEASED, 1, 0.055, position=s * h * np.eye(3)[axis])], robot.sensors
+            )
+            for s in (-1, 1)
+        ]
+        slope = (Sensing(moved[1])(q) - Sensing(moved[0])(q)) / (2 * h)
+        (T,) = robot.poses(q, [robot.magnets[0].place])
+        np.testing.assert_allclose(-wrench[:, 0, :3] @ T[:3, axis], slope, rtol=0, atol=1e-5)
+
+
+def test_one_network_for_all_for_each_reading_or_for_each_segment():
+    def constant(value):
+        return Network([(np.zeros((1, 9)), np.array([value]))], "silu", "cosines")
+
+    robot, q = paper_robot(2), np.zeros(6)
+    assert Sensing(robot, constant(3.0))(q).tolist() == [3.0] * 6
+    assert Sensing(robot, [constant(1.0), constant(2.0)])(q).tolist() == [1.0] * 3 + [2.0] * 3
+    assert Sensing(robot, [constant(float(k)) for k in range(6)])(q).tolist() == list(range(6))
+
+
+SMALL = Network([(np.zeros((1, 5)), np.zeros(1))], "relu", "angles")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: Sensing(Robot([ConstantCurvature(0.1, 0.02)])),
+            "one with sensors or IMUs; instead received neither",
+        ),
+        (
+            lambda: Sensing(Robot([ConstantCurvature(0.1, 0.02)], sensors=[Sensor(1, 0.1)])),
+            "one with magnets",
+        ),
+        (lambda: Sensing(paper_robot(2), SMALL), "one of 9 relations, as the robot has; instead received 5"),
+        (
+            lambda: Sensing(paper_robot(1), [SMALL, SMALL]),
+            "one network, one for each of 3 readings or of 1 segments",
+        ),
+        (
+            lambda: Sensing(paper_robot(1), 3),
+            "model of Sensing must be a callable or networks; instead received int",
+        ),
+        (
+            lambda: Sensing(paper_robot(1), gain=[1.0, 2.0]),
+            "one number or one for each of 3 magnetic readings",
+        ),
+        (
+            lambda: Sensing(paper_robot(2), moments=[[1.0], [2.0], [3.0]]),
+            r"moments of Sensing must be numbers of shape",
+        ),
+        (lambda: Sensing(paper_robot(1), lambda xi: xi, inputs="degrees"), '"angles" or "cosines"'),
+        (
+            lambda: Sensing(paper_robot(1), lambda xi: xi)([0, 0, 0]),
+            r"maps relations \(1, 3, 5\) to readings \(1, 3\)",
+        ),
+        (lambda: Sensing(paper_robot(1))([0, 0]), "of last dimension 3"),
+        (
+            lambda: load_network("nowhere.safetensors"),
+            "must be a file; instead received nowhere.safetensors, which does",
+        ),
+        (lambda: load_network(__file__), "must be a safetensors file"),
+        (lambda: network_of({"0.weight": np.zeros(3)}), "a network of the paper"),
+        (
+            lambda: Network([(np.zeros((2, 3)), np.zeros(2))], "relu", "angles"),
+            "with one output; instead received 2",
+        ),
+        (lambda: SMALL(np.zeros(4)), r"xi of Network must be numbers of shape \(..., 5\)"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_an_ensemble_of_the_first_edition_is_the_same_network(tmp_path):
+    """Folding batch norms into linear layers gives the same single-precision weights in both editions."""
+    path = sorted(NETWORKS.glob("*.safetensors"))[0]
+    from edition1.sensing.network import paper_network
+    from safetensors.torch import load_file
+
+    state = load_file(path)
+    module = paper_network(state["0.weight"].shape[0], torch.Generator())
+    module.load_state_dict(state)
+    first = SeedEnsemble([[module.eval()]], [0])
+    mine = load_network(path)
+    for k, (W, b) in enumerate(mine.layers):
+        np.testing.assert_array_equal(W.T, first.get_buffer(f"weight_{k}")[0].double().numpy())
+        np.testing.assert_array_equal(b, first.get_buffer(f"bias_{k}")[0, 0].double().numpy())
