@@ -75,7 +75,7 @@ size: env
 	@$(PY) bench/size.py
 
 train: env
-	nice -n 19 $(BIN)/repro train
+	nice -n 19 $(PY) scripts/train.py
 
 soak: env
 	$(PY) -m bench.soak.parsers 10000000

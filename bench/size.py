@@ -19,7 +19,14 @@ PACKAGES = (
     "tests",
     "bench",
 )
-ENTRIES = ("notebooks/*.ipynb", "book/_ext/*.py", "src/repro*/**/*.py", "bench/**/*.py", "Makefile")
+ENTRIES = (
+    "notebooks/*.ipynb",
+    "book/_ext/*.py",
+    "src/repro*/**/*.py",
+    "scripts/*.py",
+    "bench/**/*.py",
+    "Makefile",
+)
 """Who may use the first edition; its own tests do not count."""
 
 

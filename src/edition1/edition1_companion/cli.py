@@ -11,7 +11,7 @@ from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 
-from edition1.errors import InputError, bad_input, require
+from edition1.errors import InputError, bad_input
 from edition1_companion import cli_calibrate, cli_live, cli_robot, cli_sweep, cli_track
 from edition1_companion.book.project import find_project, shown
 from edition1_companion.cli_terminal import pairs
@@ -120,40 +120,6 @@ def scorecard(*, require: Path | None = None, write_reference: Path | None = Non
         return 1
     if write_reference:
         write_whole(write_reference, scorecard_csv(rows, REFERENCE_COLUMNS))
-    return 0
-
-
-@app.command
-def train(*, only: str = "", folder: Path | None = None, checkpoints: Path | None = None) -> int:
-    """Train the networks of the paper's recipe that data/networks/ does not have yet; go on where it stopped.
-
-    Parameters
-    ----------
-    only
-        Train only those whose name starts with this, such as pcc_nb1.
-    folder
-        Folder of the networks, in place of data/networks/.
-    checkpoints
-        Folder of the state between runs, in place of .cache/book/networks/.
-    """
-    project = find_project()
-    import torch
-
-    from edition1_companion.twins.networks import specs
-    from edition1_companion.twins.networks import train as train_network
-    from edition1_companion.twins.rig_networks import RigSpec, rig_specs, train_rig
-
-    torch.set_num_threads(1)  # several of these run side by side faster than one with several threads
-    folder, checkpoints = folder or project.data / "networks", checkpoints or project.cache / "networks"
-    wanted = [spec for spec in (*specs(), *rig_specs()) if spec.name.startswith(only)]
-    require(wanted, "only", "repro train", "the start of a network's name", repr(only))
-    missing = [spec for spec in wanted if not (folder / f"{spec.name}.safetensors").exists()]
-    print(f"{len(wanted) - len(missing)} of {len(wanted)} networks are there.")
-    for spec in missing:
-        print(spec.name, flush=True)
-        train_one = train_rig if isinstance(spec, RigSpec) else train_network
-        path = train_one(spec, folder, checkpoints, progress=sys.stderr.isatty())
-        print(f"  {shown(path)}", flush=True)
     return 0
 
 

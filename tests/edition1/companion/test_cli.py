@@ -213,15 +213,3 @@ def test_a_missing_reference_is_wrong_input():
     assert done.stderr == (
         "repro: Input file of the scorecard must be an existing CSV file; instead received no.csv.\n"
     )
-
-
-def test_networks_are_trained_into_any_folder(folder: Path):
-    """One that is there is not trained again; the name must be one of the networks'."""
-    (folder / "mine").mkdir()
-    (folder / "mine" / "pcc_nb1_segment1_seed2.safetensors").touch()
-    found = repro("train", "--only", "pcc_nb1_segment1_seed2", "--folder", "mine", "--checkpoints", "state")
-    assert (found.returncode, found.stdout) == (0, "1 of 1 networks are there.\n")
-    assert not (folder / "state").exists()
-    found = repro("train", "--only", "pcc_nb4")
-    assert found.returncode == 2
-    assert "Input only of repro train must be the start of a network's name" in found.stderr

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import torch
@@ -15,8 +14,7 @@ from torch import Tensor, nn
 from edition1.kinematics.paper_robots import affine_robot
 from edition1.sensing.fast_training import train_dipole_residual, train_fast
 from edition1.sensing.relations import relations
-from edition1.sensing.training import SPLIT, train_paper
-from edition1.sensing.weights import save_weights
+from edition1.sensing.training import SPLIT
 from edition1_companion.book.provenance import processor
 from edition1_companion.twins.training_set import TrainingSet, affine_training_set, training_set
 
@@ -162,39 +160,6 @@ def train_own(
         networks.append(network.double().requires_grad_(False))
         metrics.append(errors)
     return networks, metrics
-
-
-def train(spec: NetworkSpec | AffineSpec, folder: Path, checkpoints: Path, *, progress: bool = True) -> Path:
-    """Train one network, or go on with it, and write its weights and manifest; return the weights' path.
-
-    Raises
-    ------
-    FloatingPointError
-        If the training diverges.
-    """
-    target = folder / f"{spec.name}.safetensors"
-    if target.exists():
-        return target
-    xi, u = spec.rows()
-    network, metrics, curve = train_paper(
-        xi,
-        u,
-        seed=spec.seed,
-        learning_rate=spec.learning_rate,
-        exponential_head=spec.exponential_head,
-        checkpoint=checkpoints / target.name,
-        progress=progress,
-    )
-    manifest = {
-        "recipe": "paper",
-        **asdict(spec),
-        "learning_rate": spec.learning_rate,
-        "data_seed": DATA_SEED,
-        "data_sha256": rows_sha256(xi, u),
-        **training_record("mT", metrics, curve),
-    }
-    save_weights(network, target, manifest)
-    return target
 
 
 def rows_sha256(xi: Tensor, u: Tensor) -> str:

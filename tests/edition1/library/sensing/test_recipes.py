@@ -1,7 +1,6 @@
 """Both recipes: determinism, resuming, averaging of weights, batch-norm refresh, divergence, and a real fit."""
 
 import math
-import platform
 from itertools import pairwise
 
 import pytest
@@ -12,12 +11,10 @@ from edition1.errors import InputError
 from edition1.sensing import training
 from edition1.sensing._paper_training import first_draws, rmse
 from edition1.sensing.fast_training import _split_rows, train_dipole_residual, train_fast
-from edition1.sensing.network import DipoleResidual, PerSensor, _SignedExponential, paper_network
+from edition1.sensing.network import DipoleResidual, PerSensor, paper_network
 from edition1.sensing.relations import relations
 from edition1.sensing.training import train_paper
-from edition1.sensing.weights import load_paper_network, read_manifest
-from edition1_companion.twins import networks as paper_training
-from edition1_companion.twins.networks import AffineSpec, segment_rows, train_own, training_rows
+from edition1_companion.twins.networks import segment_rows, train_own, training_rows
 from edition1_companion.twins.training_set import training_set
 
 
@@ -218,62 +215,6 @@ class TestPaperRecipe:
         before = torch.get_rng_state()
         paper(rows, tmp_path / "state", epochs=1)
         assert torch.equal(torch.get_rng_state(), before)
-
-    def test_network_of_table_1_is_written_once_with_its_manifest(self, rows, tmp_path, monkeypatch):
-        def short(xi, u, **options):
-            return train_paper(xi, u, epochs=2, swa_start=1, **options)
-
-        monkeypatch.setattr(paper_training, "training_rows", lambda *_: rows)
-        monkeypatch.setattr(paper_training, "train_paper", short)
-        spec = next(paper_training.specs())
-        path = paper_training.train(spec, tmp_path / "networks", tmp_path / "state", progress=False)
-        manifest = read_manifest(path)
-        assert path.name == "pcc_nb1_segment1_seed0.safetensors"
-        assert {k: manifest[k] for k in ("recipe", "n_segments", "segment", "earth", "seed")} == {
-            "recipe": "paper",
-            "n_segments": 1,
-            "segment": 0,
-            "earth": False,
-            "seed": 0,
-        }
-        error = error_on_validation_rows(load_paper_network(path), rows)
-        assert error == pytest.approx(manifest["metrics_mt"]["rmse_validation"])
-        losses = manifest["loss_by_epoch"]
-        assert losses["unit"] == "mT^2"
-        assert [len(losses[name]) for name in ("train", "validation")] == [2, 2]
-        assert "randperm" in manifest["split"]
-        assert manifest["threads"] == torch.get_num_threads()
-        assert manifest["processor"]
-        assert platform.node() not in manifest["processor"]
-        assert len(path.with_suffix(".json").read_text().splitlines()) == 2 + len(manifest)
-        monkeypatch.delattr(paper_training, "train_paper")  # a second call trains nothing
-        assert paper_training.train(spec, tmp_path / "networks", tmp_path / "state") == path
-
-    @pytest.mark.parametrize("head", [False, True])
-    def test_network_of_one_sensor_with_and_without_the_last_layer(self, rows, tmp_path, monkeypatch, head):
-        def short(xi, u, **options):
-            return train_paper(xi, u, epochs=1, swa_start=0, **options)
-
-        monkeypatch.setattr(AffineSpec, "rows", lambda _: rows)
-        monkeypatch.setattr(AffineSpec, "learning_rate", 0.01)  # larger ones diverge on so few rows
-        monkeypatch.setattr(paper_training, "train_paper", short)
-        spec = AffineSpec(sensor=3, seed=2, exponential_head=head)
-        path = paper_training.train(spec, tmp_path / "networks", tmp_path / "state", progress=False)
-        assert path.name == f"affine{'_head' * head}_sensor4_seed2.safetensors"
-        assert read_manifest(path)["learning_rate"] == 0.01
-        network = load_paper_network(path)
-        assert isinstance(network[-1], _SignedExponential) == head
-        assert bool((network(rows[0]).abs() >= 1).all()) == head
-
-    def test_a_training_that_diverges_says_so_and_writes_nothing(self, rows, tmp_path, monkeypatch):
-        def too_fast(xi, u, **options):
-            return train_paper(xi, u, **options | {"learning_rate": 1e30, "epochs": 2, "swa_start": 1})
-
-        monkeypatch.setattr(AffineSpec, "rows", lambda _: rows)
-        monkeypatch.setattr(paper_training, "train_paper", too_fast)
-        with pytest.raises(FloatingPointError, match="lower learning_rate"):
-            paper_training.train(AffineSpec(0, 2), tmp_path / "networks", tmp_path / "state", progress=False)
-        assert not (tmp_path / "networks").exists() or not list((tmp_path / "networks").iterdir())
 
 
 class TestFastRecipe:

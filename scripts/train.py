@@ -1,0 +1,104 @@
+"""Train the networks of the paper that data/networks does not have yet, and go on where it stopped: ``make train``.
+
+There are 27 networks for Table 1, 27 for section 4.4 and 18 for Table 2; each takes minutes on one core.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import re
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import cyclopts
+import torch
+
+# The rows are drawn with the first edition's random numbers, so that the committed networks stay valid.
+# repro_companion.papers.baaij takes its place when it draws the same rows.
+from edition1_companion.twins.networks import DATA_SEED, specs
+from edition1_companion.twins.rig_networks import RECORDING_SEED, RigSpec, rig_specs
+from repro.common import Array
+from repro.training import save_network, train_paper
+
+ROOT = Path(__file__).resolve().parents[1]
+SPLIT = (
+    "p = torch.randperm(rows) after torch.manual_seed(seed); p[:rows - int(0.3 rows)] train, "
+    "in this order and never shuffled; the rest validate"
+)
+
+
+def main(
+    *, only: str = "", folder: Path = ROOT / "data/networks", checkpoints: Path = ROOT / ".cache/networks"
+) -> int:
+    """Train the networks of the paper that are not there yet; go on where it stopped.
+
+    Parameters
+    ----------
+    only
+        Train only those whose name starts with this, such as pcc_nb1.
+    folder
+        Folder of the networks.
+    checkpoints
+        Folder of the state between runs.
+    """
+    torch.set_num_threads(1)  # several of these run side by side faster than one with several threads
+    wanted = [spec for spec in (*specs(), *rig_specs()) if spec.name.startswith(only)]
+    missing = [spec for spec in wanted if not (folder / f"{spec.name}.safetensors").exists()]
+    if not wanted:
+        print(f"train.py: no network has a name that starts with {only!r}.", file=sys.stderr)
+        return 2
+    print(f"{len(wanted) - len(missing)} of {len(wanted)} networks are there.")
+    for spec in missing:
+        xi, u = (rows.numpy() for rows in spec.rows())
+        state = checkpoints / f"{spec.name}.state"
+        network, errors, losses = train_paper(xi, u, spec.seed, spec.learning_rate, state, progress=spec.name)
+        about = {
+            "recipe": "paper",
+            **settings(spec),
+            "data_sha256": sha256(xi, u),
+            **record(spec, errors, losses),
+        }
+        save_network(network, folder / f"{spec.name}.safetensors", about)
+    return 0
+
+
+def settings(spec: Any) -> dict[str, Any]:
+    """Return which network it is and what its rows come from."""
+    if not isinstance(spec, RigSpec):
+        return {**asdict(spec), "learning_rate": spec.learning_rate, "data_seed": DATA_SEED}
+    return {
+        "sensor": spec.sensor,
+        "seed": spec.seed,
+        "learning_rate": spec.learning_rate,
+        "recording": "synthetic_T5_train",
+        "recording_seed": RECORDING_SEED,
+        "twin_sha256": spec.twin.sha256,
+    }
+
+
+def sha256(xi: Array, u: Array) -> str:
+    """Return the hash of the rows that a network is trained on."""
+    return hashlib.sha256(xi.tobytes() + u.tobytes()).hexdigest()
+
+
+def record(spec: Any, errors: dict[str, float], losses: Array) -> dict[str, Any]:
+    """Return what came of the training, and on which processor, which decides its last digits."""
+    unit = "mV" if isinstance(spec, RigSpec) else "mT"
+    info = Path("/proc/cpuinfo")  # of Linux
+    model = re.search(r"^model name\s*: (.*)$", info.read_text(), re.M) if info.is_file() else None
+    # Five digits: for a plot, and to see where another training parts from this one.
+    train, validation = ([float(f"{x:.5g}") for x in column] for column in losses.T)
+    return {
+        f"metrics_{unit.lower()}": errors,
+        "loss_by_epoch": {"unit": f"{unit}^2", "train": train, "validation": validation},
+        "split": SPLIT,
+        "threads": torch.get_num_threads(),
+        "processor": model[1] if model else platform.processor() or platform.machine(),
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(cyclopts.run(main))
