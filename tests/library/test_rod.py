@@ -1,0 +1,291 @@
+"""The rod against closed forms, its filter against an exact Kalman filter and against the first edition."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from edition1.estimation.rod_filter import RodFilter as FirstRodFilter
+from edition1.estimation.rod_sensors import RodSensor as FirstRodSensor
+from edition1.kernels._rod import rod_motion
+from edition1.kinematics.strain_series import StrainSeries
+from repro import InputError, Rod, RodFilter, RodSensor, track
+from repro.estimators.rod import _exponential, _logarithm
+
+ROD = Rod(0.4, bending=2, torsion=1)
+STD = (3.0, 1.0, 3.0, 1.0, 0.5)
+POSE = RodSensor("pose", (1e-3,) * 3 + (5e-3,) * 3, arc_m=0.4)
+GYRO = RodSensor("gyroscope", 0.02, arc_m=0.2)
+FILTER = RodFilter(ROD, [POSE, GYRO], STD, rate=4.0)
+strain = st.floats(-12, 12)
+
+
+def hat(x):
+    """The 4 x 4 matrix of a twist."""
+    W = np.zeros((4, 4))
+    W[:3, :3], W[:3, 3] = np.cross(np.eye(3), x[3:]), x[:3]
+    return W
+
+
+def is_covariance(P):
+    """Symmetric to the bit, and positive after scaling to a unit diagonal."""
+    d = np.sqrt(np.diagonal(P, axis1=-2, axis2=-1))
+    scaled = P / d[..., :, None] / d[..., None, :]
+    return np.array_equal(P, np.swapaxes(P, -1, -2)) and np.linalg.eigvalsh(scaled).min() > 0
+
+
+# The rod
+
+
+@settings(max_examples=30, deadline=None)
+@given(strain, strain, strain, st.floats(0, 0.4))
+def test_one_term_is_a_circle_or_a_helix(x, y, z, arc):
+    expected = expm(arc * hat(np.array([0.0, 0.0, 1.0, x, y, z])))
+    T, _ = Rod(0.4, bending=1, torsion=1, parts=3).motion([x, y, z], [arc])
+    np.testing.assert_allclose(T[0], expected, atol=1e-13)
+
+
+def test_pieces_converge_to_second_order():
+    q = np.array([4.0, -3.0, 2.0, 5.0, 3.0])
+    exact = Rod(0.4, 2, 1, parts=1000).motion(q, [0.4])[0]
+    errors = [np.abs(Rod(0.4, 2, 1, parts=n).motion(q, [0.4])[0] - exact).max() for n in (10, 20)]
+    assert 3.8 < errors[0] / errors[1] < 4.2
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from([0.0, 1e-9, 1e-4, 0.02, 0.5, 1.0]), st.integers(0, 10**6))
+def test_exponential_and_logarithm(share, seed):
+    """Up to half a turn, and exactly there."""
+    x = np.random.default_rng(seed).normal(size=6)
+    x[3:] *= share * math.pi / np.linalg.norm(x[3:])
+    T, adjoint, _ = _exponential(x)
+    np.testing.assert_allclose(T, expm(hat(x)), atol=1e-13)
+    np.testing.assert_allclose(hat(adjoint @ x), T @ hat(x) @ np.linalg.inv(T), atol=1e-12)
+    back = _logarithm(T)
+    np.testing.assert_allclose(_exponential(back)[0], T, atol=1e-13)
+    assert share == 1.0 or np.abs(back - x).max() < 1e-12
+
+
+@pytest.mark.parametrize("base", [0, 6])
+@pytest.mark.parametrize("scale", [0.0, 1e-8, 1.0, 3.0])
+def test_body_jacobians(base, scale):
+    rng, arcs = np.random.default_rng(1), np.array([0.4, 0.0, 0.13, 0.2])
+    q = scale * rng.normal(size=(2, base + 5))
+    T, J = ROD.motion(q, arcs)
+    h = 1e-6
+    for c, e in enumerate(np.eye(base + 5)):
+        slopes = (ROD.motion(q + h * e, arcs)[0] - ROD.motion(q - h * e, arcs)[0]) / (2 * h)
+        twists = np.linalg.inv(T) @ slopes
+        expected = [[hat(j) for j in row] for row in J[..., c]]
+        np.testing.assert_allclose(twists, expected, atol=1e-8)
+    old = StrainSeries(0.4, bending=2, torsion=1)
+    order = np.argsort(arcs)
+    first = rod_motion(q[1], old.basis, 0.05, base > 0, arcs[order])
+    np.testing.assert_allclose(T[1, order], first[0], atol=1e-13)
+    np.testing.assert_allclose(J[1, order], first[1], atol=1e-12)
+
+
+# The process
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(1e-4, 3), st.floats(1e-4, 3))
+def test_motion_composes_and_is_stationary(a, b):
+    sensor = RodSensor("gyroscope", 0.1, lasting_std=[[0.1] * 3, [0.2] * 3], lasting_time_s=[2.0, math.inf])
+    method = RodFilter(ROD, [sensor], STD, rate=4.0, base_std=(0.01, 0.1), base_rate=0.5)
+    (F, Q), (G, R), (both, noise) = method.motion(a), method.motion(b), method.motion(a + b)
+    np.testing.assert_allclose(G @ F, both, atol=1e-13)
+    np.testing.assert_allclose(G @ Q @ G.T + R, noise, atol=1e-12)
+    P = method.init().covariance
+    np.testing.assert_allclose((F @ P)[6, 6], 9 * (1 + 4 * a) * math.exp(-4 * a), rtol=1e-12)
+    np.testing.assert_allclose(method.predicted(method.init()._replace(t=0.0), a).covariance, P, atol=1e-12)
+
+
+# The filter
+
+
+class Model:
+    """A sensor model that knows its slopes."""
+
+    def __init__(self, readings, slopes):
+        self.readings, self.slopes = readings, slopes
+
+    def __call__(self, q):
+        return self.readings(q)
+
+    def linearise(self, q):
+        return self.readings(q), self.slopes(q)
+
+
+@pytest.mark.parametrize("says_so", [True, False])
+def test_linear_models_make_a_kalman_filter(says_so):
+    """The reference has the process by its differential equation, two lasting errors and drop-outs."""
+    rng = np.random.default_rng(3)
+    C, std, rate = rng.normal(size=(3, 5)), np.array(STD), 4.0
+    model = Model(lambda q: C @ q, lambda q: C) if says_so else lambda q: C @ q
+    lasting, times = np.array([[0.1] * 3, [0.3] * 3]), np.array([0.5, math.inf])
+    sensor = RodSensor("model", [0.05] * 3, lasting_std=lasting, lasting_time_s=times, sensing=model)
+    method = RodFilter(ROD, [sensor], STD, rate)
+    at = np.cumsum(rng.uniform(0.01, 0.2, size=30))
+    u = rng.normal(size=(30, 3))
+    u[rng.uniform(size=u.shape) < 0.3] = np.nan
+    found = track(method, u, times=at)
+    A = np.diag(np.r_[np.zeros(5), -np.repeat(1 / times, 3), np.full(5, -2 * rate)])
+    A[:5, 11:], A[11:, :5] = np.eye(5), -(rate**2) * np.eye(5)
+    rest = np.diag(np.r_[std**2, lasting.ravel() ** 2, rate**2 * std**2])
+    x, P, H = np.zeros(16), rest, np.hstack([C, np.eye(3), np.eye(3), np.zeros((3, 5))])
+    for k in range(30):
+        if k:
+            F = expm(A * (at[k] - at[k - 1]))
+            x, P = F @ x, F @ (P - rest) @ F.T + rest
+        use = ~np.isnan(u[k])
+        S = H[use] @ P @ H[use].T + 0.05**2 * np.eye(use.sum())
+        K, r = P @ H[use].T @ np.linalg.inv(S), u[k, use] - H[use] @ x
+        x, P = x + K @ r, P - K @ H[use] @ P
+        for mine, expected in (
+            (found.q[k], x[:5]),
+            (found.covariance[k], P[:5, :5]),
+            (found.u_hat[k], H @ x),
+            (found.details["lasting"][k], x[5:11]),
+            (found.chi2[k], r @ np.linalg.inv(S) @ r),
+        ):
+            np.testing.assert_allclose(mine, expected, rtol=0, atol=1e-9 if says_so else 1e-7)
+    np.testing.assert_array_equal(found.missing, np.isnan(u).sum(-1))
+    np.testing.assert_array_equal(found.dof, 3 - found.missing)
+
+
+def sines(q):
+    return np.sin(q[..., 2:4])
+
+
+LASTING = {"lasting_std": (0.01,) * 3, "lasting_time_s": 2.0}
+SETTINGS = (
+    {"kind": "pose", "std": (2e-3,) * 3 + (0.01,) * 3, "arc_m": 0.4, "outliers": 4.0}
+    | {"lasting_std": (3e-3,) * 3 + (0.02,) * 3, "lasting_time_s": 1.0},
+    {"kind": "pose", "std": (2e-3,) * 3 + (0.01,) * 3},
+    {"kind": "orientation", "std": (0.02,) * 3, "arc_m": 0.3} | LASTING,
+    {"kind": "gyroscope", "std": (0.1,) * 3, "arc_m": 0.2} | LASTING,
+    {"kind": "gyroscope", "std": (0.1,) * 3, "arc_m": 0.4},
+    {
+        "kind": "model",
+        "std": (0.1,) * 2,
+        "sensing": Model(sines, lambda q: np.cos(q[2:4, None]) * np.eye(5)[2:4]),
+        "lasting_std": (0.05,) * 2,
+    },
+)
+
+
+def moving_rod(steps, seed):
+    """Readings of every kind at irregular times, of a rod that swings on a base that moves; some are missing."""
+    rng = np.random.default_rng(seed)
+    at = np.cumsum(rng.uniform(0.005, 0.05, size=steps))
+    waves = np.sin(np.outer(at, rng.uniform(1, 4, size=11)) + rng.uniform(0, 6, size=11))
+    q = waves * np.r_[[0.01] * 3, [0.1] * 3, STD] * 0.8
+    T, J = ROD.motion(q, [0.4, 0.0, 0.3, 0.2, 0.4])
+    velocity = np.gradient(q, at, axis=0)
+    logs = np.array([[_logarithm(pose) for pose in row] for row in T[:, :3]])
+    turns = np.einsum("tkij,tj->tki", J[:, 3:, 3:], velocity)
+    parts = logs[:, 0], logs[:, 1], logs[:, 2, 3:], turns[:, 0], turns[:, 1], sines(q[:, 6:])
+    white = np.concatenate([setting["std"] for setting in SETTINGS])
+    u = np.hstack(parts) + white * rng.normal(size=(steps, len(white)))
+    u[rng.uniform(size=u.shape) < 0.05] = np.nan
+    u[steps // 2, 0] += 0.1  # an outlier
+    return at, u
+
+
+def test_it_agrees_with_the_first_edition_on_a_moving_rod():
+    (at, u), (_, other) = moving_rod(40, seed=0), moving_rod(40, seed=1)
+    more = {"base_std": (0.01, 0.1), "base_rate": 0.3}
+    method = RodFilter(ROD, [RodSensor(**setting) for setting in SETTINGS], STD, 4.0, **more)
+    by_torch = (*SETTINGS[:-1], SETTINGS[-1] | {"sensing": lambda q: torch.sin(q[2:4])})
+    sensors = tuple(FirstRodSensor(**setting) for setting in by_torch)
+    first = FirstRodFilter(StrainSeries(0.4, bending=2, torsion=1), sensors, STD, 4.0, **more)
+    batch = track(method, np.stack([other, u], axis=1), times=at)
+    state, theirs = method.init(), first.init(torch.zeros(11, dtype=torch.float64))
+    for k in range(len(at)):
+        before = [x.copy() for x in state[:3]]
+        after, estimate = method.step(state, u[k], at[k])
+        assert all(map(np.array_equal, before, state[:3]))
+        state = after
+        theirs, expected = first.step(theirs, torch.from_numpy(u[k]), float(at[k]))
+        for mine, its in zip(state[:3], (theirs.q, theirs.velocity, theirs.covariance), strict=True):
+            np.testing.assert_allclose(mine, its.numpy(), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(estimate.u_hat, expected.u_hat.numpy(), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(estimate.chi2, expected.diagnostics["chi2"].numpy(), rtol=1e-7)
+        assert [estimate.missing, estimate.dof] == [expected.diagnostics[name] for name in ("masked", "dof")]
+        np.testing.assert_allclose(batch.q[k, 1], estimate.q, atol=1e-12)
+    assert is_covariance(batch.covariance)
+    last, arcs = (batch.q[-1], batch.covariance[-1]), (0.0, 0.25, 0.4)
+    found, expected = method.positions(*last, arcs), first.positions(*map(torch.from_numpy, last), arcs)
+    for mine, its in zip(found, expected, strict=True):
+        np.testing.assert_allclose(mine, its.numpy(), rtol=0, atol=1e-12)
+
+
+def test_ideal_sensors_recover_a_static_rod():
+    q = np.array([2.0, -1.0, 4.0, 0.5, 0.4])
+    T, _ = ROD.motion(q, [0.4, 0.2])
+    sensors = [RodSensor("pose", 1e-7, arc_m=0.4), RodSensor("orientation", 1e-7, arc_m=0.2), GYRO]
+    u = np.concatenate([_logarithm(T[0]), _logarithm(T[1])[3:], np.zeros(3)])
+    method = RodFilter(ROD, sensors, STD, rate=4.0)
+    state = method.init()
+    for k in range(300):
+        state, estimate = method.step(state, u, 0.01 * k)
+    np.testing.assert_allclose(estimate.q, q, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(estimate.u_hat[:9], u[:9], atol=1e-8)
+    assert is_covariance(state.covariance)
+
+
+def test_what_is_missing():
+    u = np.linspace(0.01, 0.09, 9)
+    state, _ = FILTER.step(FILTER.init(), u)
+    partly, without = np.where(np.arange(9) == 2, np.inf, u), np.arange(9) >= 6
+    a, b = FILTER.step(state, partly, 0.1)[1], FILTER.step(state, u, 0.1, mask=without)[1]
+    assert np.array_equal(a.q, b.q)
+    assert a.missing == b.missing == 6
+    after, c = FILTER.step(state, np.full(9, np.nan), 0.1)
+    assert all(map(np.array_equal, after, FILTER.predicted(state, 0.1)))
+    assert (c.missing, c.dof, c.chi2) == (9, 0, 0.0)
+
+
+def test_known_coordinates_are_kept():
+    known = [np.nan, 0.7, np.nan, np.nan, -0.2]
+    state, estimate = FILTER.step(FILTER.init(), np.linspace(0.01, 0.09, 9), 0.0, known=known)
+    assert estimate.q[[1, 4]].tolist() == [0.7, -0.2]
+    assert not estimate.covariance[[1, 4]].any()
+    _, estimate = FILTER.step(state, np.full(9, np.nan), 0.1, known=[np.nan] * 4 + [0.3])
+    assert estimate.q[4] == 0.3
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Rod(0.0), r"length of Rod must be positive \[m\]; instead received 0.0"),
+        (lambda: Rod(1.0, 3, 1, parts=2), "parts of Rod must be a whole number, at least 3; instead received 2"),
+        (lambda: Rod(1.0, 0, 0), "bending, torsion of Rod must be not both 0"),
+        (lambda: ROD.motion(np.zeros(4), [0.1]), "q of Rod must be of last dimension 5, or 11 with the twist"),
+        (lambda: ROD.motion(np.zeros(5), [0.5]), "arcs_m of Rod must be between 0 and the length 0.4 m"),
+        (lambda: RodSensor("camera", 1.0), "kind of RodSensor must be one of pose, orientation, gyroscope"),
+        (lambda: RodSensor("pose", (1.0, 1.0)), "std of RodSensor must be positive, one number or one .* of 6"),
+        (lambda: RodSensor("gyroscope", 0.0), "std of RodSensor must be positive"),
+        (lambda: RodSensor("model", 1.0), "sensing of RodSensor must be a function for a model"),
+        (lambda: RodSensor("pose", 1.0, sensing=np.sin), "sensing of RodSensor must be .* for a model only"),
+        (lambda: RodSensor("gyroscope", 1.0, outliers=-1.0), "outliers of RodSensor must be positive"),
+        (lambda: RodSensor("gyroscope", 1.0, lasting_std=(1.0, 1.0)), "lasting_std of .* for each of 3 readings"),
+        (lambda: RodFilter(ROD, [], STD, 1.0), "sensors of RodFilter must be at least one"),
+        (lambda: RodFilter(ROD, [POSE], STD[:2], 1.0), "strain_std of RodFilter must be .* each of 5"),
+        (lambda: RodFilter(ROD, [POSE], STD, 0.0), "rate of RodFilter must be positive"),
+        (lambda: RodFilter(Rod(0.3), [POSE], 1.0, 1.0), "arc_m of RodFilter must be between 0 and .* 0.3 m"),
+        (lambda: FILTER.init(np.zeros(4)), r"q0 of RodFilter must be numbers of shape \(..., 5\)"),
+        (lambda: FILTER.step(FILTER.init(), np.zeros(8)), "u of RodFilter must be 9 readings"),
+        (lambda: FILTER.step(FILTER.init()._replace(t=1.0), np.zeros(9), 1.0), "t of .* after the last step, 1.0 s"),
+        (lambda: FILTER.predicted(FILTER.init()._replace(t=1.0), 0.9), "t of .* not before the last step, 1.0 s"),
+        (lambda: track(FILTER, np.zeros((2, 9))), "times, rate_hz of track must be given for a filter"),
+    ],
+)  # fmt: skip
+def test_refusals(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
