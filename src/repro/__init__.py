@@ -24,10 +24,12 @@ An estimator takes readings one time step after the other and returns q, how sur
     LevenbergMarquardt                         least squares within bounds, with a covariance
     KalmanFilter                               the same, with what the readings before say
     ParticleFilter                             Mitchell et al. 2021
-    ImuShape, rigid_body, pcc_extended, exact_arcs    Martin et al. 2022: positions from orientations
+    ImuShape, Arm                              Martin et al. 2022: positions along an arm from orientations of IMUs
+    rigid_body, pcc_extended                   its models of the arm; exact_arcs and tangent_spline are ours
     RodFilter, Rod, RodSensor                  a rod from poses, orientations and gyroscopes at any time
     Drift, Drifting                            errors of sensors that wander, estimated on the way
-    calibrate, calibrate_imus                  a robot that is not as drawn, from readings in measured poses
+    calibrate                                  a robot that is not as drawn, from readings in measured poses
+    calibrate_imus, calibrated                 headings and mountings of IMUs, from motion capture
 
 Lengths are metres, angles radians, times seconds, flux densities millitesla. Arrays, lists and data frames are taken,
 arrays are returned; leading dimensions are a batch. What cannot be used is refused by an ``InputError`` that says what
@@ -45,9 +47,10 @@ if TYPE_CHECKING:
     from repro.estimators.calibration import calibrate as calibrate
     from repro.estimators.drift import Drift as Drift, Drifting as Drifting
     from repro.estimators.gradient_descent import GradientDescent as GradientDescent
-    from repro.estimators.imu import ImuShape as ImuShape, calibrate_imus as calibrate_imus
+    from repro.estimators.imu import Arm as Arm, ImuShape as ImuShape
+    from repro.estimators.imu import calibrate_imus as calibrate_imus, calibrated as calibrated
     from repro.estimators.imu import exact_arcs as exact_arcs, pcc_extended as pcc_extended
-    from repro.estimators.imu import rigid_body as rigid_body
+    from repro.estimators.imu import rigid_body as rigid_body, tangent_spline as tangent_spline
     from repro.estimators.kalman import KalmanFilter as KalmanFilter, smooth as smooth
     from repro.estimators.least_squares import LevenbergMarquardt as LevenbergMarquardt
     from repro.estimators.particle import ParticleFilter as ParticleFilter
@@ -73,7 +76,7 @@ _HOMES = {
     "estimators.least_squares": "LevenbergMarquardt",
     "estimators.kalman": "KalmanFilter smooth",
     "estimators.particle": "ParticleFilter",
-    "estimators.imu": "ImuShape rigid_body pcc_extended exact_arcs calibrate_imus",
+    "estimators.imu": "ImuShape Arm rigid_body pcc_extended exact_arcs tangent_spline calibrate_imus calibrated",
     "estimators.rod": "RodFilter Rod RodSensor",
     "estimators.drift": "Drift Drifting",
     "estimators.calibration": "calibrate",
