@@ -252,7 +252,7 @@ def tangent_spline(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
 
     The spline has "not-a-knot" ends; we scale it to unit length and integrate it, :math:`x(s) = \int_0^s
     d/|d|`, with four Gauss-Legendre nodes per piece. Twist about the arm has no effect, nor has the number of
-    sub-segments. On smooth shapes it errs less than half as much as the models of the paper.
+    sub-segments. On smooth shapes its error is less than half the error of the paper's models.
 
     Parameters
     ----------
@@ -337,7 +337,7 @@ def _chain(q: Array, arm: Arm, s: Array, n: Array | None) -> Array:
     share = np.clip((s - ends[link]) / lengths[link] + 1.0, 0.0, 1.0)
     whole = (np.arange(len(lengths))[:, None] < link).astype(float)
     a, b, angle, along, n, c = (x[..., link] for x in (a, b, angle, half - p, n, c))
-    done = share if np.isinf(n).all() else np.minimum(np.floor(share * n), n - 1) / n
+    done = share if np.isinf(n).all() else np.floor(share * n) / n
     S = _sinc(c * done * angle) / _sinc(c / n * angle)
     chord = done * (S * _tangents(_between(a, b, angle, (1 - c + c * done) / 2)) + (1 - S) * along)
     rest = (share - done) * _tangents(_between(a, b, angle, (1 - c) / 2 + c * (done + 0.5 / n)))
