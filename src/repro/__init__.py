@@ -24,10 +24,12 @@ An estimator takes readings one time step after the other and returns q, how sur
     LevenbergMarquardt                         least squares within bounds, with a covariance
     KalmanFilter                               the same, with what the readings before say
     ParticleFilter                             Mitchell et al. 2021
-    ImuShape, rigid_body, pcc_extended, exact_arcs    Martin et al. 2022: positions from orientations
+    ImuShape, Arm                              Martin et al. 2022: positions along an arm from orientations of IMUs
+    rigid_body, pcc_extended                   its models of the arm; exact_arcs and tangent_spline are ours
     RodFilter, Rod, RodSensor                  a rod from poses, orientations and gyroscopes at any time
     Drift, Drifting                            errors of sensors that wander, estimated on the way
-    calibrate, calibrate_imus                  a robot that is not as drawn, from readings in measured poses
+    calibrate                                  a robot that is not as drawn, from readings in measured poses
+    calibrate_imus, calibrated                 headings and mountings of IMUs, from motion capture
 
 Lengths are metres, angles radians, times seconds, flux densities millitesla. Arrays, lists and data frames are taken,
 arrays are returned; leading dimensions are a batch. What cannot be used is refused by an ``InputError`` that says what
@@ -39,63 +41,94 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from repro.common import InputError as InputError
-    from repro.estimators.base import Estimate as Estimate
-    from repro.estimators.base import Estimator as Estimator
-    from repro.estimators.base import Trajectory as Trajectory
-    from repro.estimators.base import track as track
-    from repro.estimators.calibration import calibrate as calibrate
-    from repro.estimators.drift import Drift as Drift
-    from repro.estimators.drift import Drifting as Drifting
-    from repro.estimators.gradient_descent import GradientDescent as GradientDescent
-    from repro.estimators.imu import ImuShape as ImuShape
-    from repro.estimators.imu import calibrate_imus as calibrate_imus
-    from repro.estimators.imu import exact_arcs as exact_arcs
-    from repro.estimators.imu import pcc_extended as pcc_extended
-    from repro.estimators.imu import rigid_body as rigid_body
-    from repro.estimators.kalman import KalmanFilter as KalmanFilter
-    from repro.estimators.kalman import smooth as smooth
-    from repro.estimators.least_squares import LevenbergMarquardt as LevenbergMarquardt
-    from repro.estimators.particle import ParticleFilter as ParticleFilter
-    from repro.estimators.rod import Rod as Rod
-    from repro.estimators.rod import RodFilter as RodFilter
-    from repro.estimators.rod import RodSensor as RodSensor
-    from repro.magnets import Cube as Cube
-    from repro.magnets import Disc as Disc
-    from repro.magnets import Magnet as Magnet
-    from repro.magnets import Ring as Ring
-    from repro.magnets import simulated_readings as simulated_readings
-    from repro.networks import Network as Network
-    from repro.networks import load_network as load_network
-    from repro.robot import AffineCurvature as AffineCurvature
-    from repro.robot import BallJoint as BallJoint
-    from repro.robot import ConstantCurvature as ConstantCurvature
-    from repro.robot import FreeBody as FreeBody
-    from repro.robot import Imu as Imu
-    from repro.robot import Link as Link
-    from repro.robot import Robot as Robot
-    from repro.robot import Sensor as Sensor
-    from repro.sensing import BendSensor as BendSensor
-    from repro.sensing import Sensing as Sensing
-    from repro.sensing import relations as relations
+    from repro.common import (
+        InputError as InputError,
+    )
+    from repro.estimators.base import (
+        Estimate as Estimate,
+        Estimator as Estimator,
+        Trajectory as Trajectory,
+        track as track,
+    )
+    from repro.estimators.calibration import (
+        Tolerances as Tolerances,
+        calibrate as calibrate,
+    )
+    from repro.estimators.drift import (
+        Drift as Drift,
+        Drifting as Drifting,
+    )
+    from repro.estimators.gradient_descent import (
+        GradientDescent as GradientDescent,
+    )
+    from repro.estimators.imu import (
+        Arm as Arm,
+        ImuShape as ImuShape,
+        calibrate_imus as calibrate_imus,
+        exact_arcs as exact_arcs,
+        pcc_extended as pcc_extended,
+        rigid_body as rigid_body,
+        tangent_spline as tangent_spline,
+    )
+    from repro.estimators.kalman import (
+        KalmanFilter as KalmanFilter,
+        smooth as smooth,
+    )
+    from repro.estimators.least_squares import (
+        LevenbergMarquardt as LevenbergMarquardt,
+    )
+    from repro.estimators.particle import (
+        ParticleFilter as ParticleFilter,
+    )
+    from repro.estimators.rod import (
+        Rod as Rod,
+        RodFilter as RodFilter,
+        RodSensor as RodSensor,
+    )
+    from repro.magnets import (
+        Cube as Cube,
+        Disc as Disc,
+        Magnet as Magnet,
+        Ring as Ring,
+        simulated_readings as simulated_readings,
+    )
+    from repro.networks import (
+        Network as Network,
+        load_network as load_network,
+    )
+    from repro.robot import (
+        AffineCurvature as AffineCurvature,
+        BallJoint as BallJoint,
+        ConstantCurvature as ConstantCurvature,
+        FreeBody as FreeBody,
+        Imu as Imu,
+        Link as Link,
+        Robot as Robot,
+        Sensor as Sensor,
+    )
+    from repro.sensing import (
+        BendSensor as BendSensor,
+        Sensing as Sensing,
+        relations as relations,
+    )
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "common": "InputError",
-    "robot": "Robot ConstantCurvature AffineCurvature Link BallJoint FreeBody Sensor Imu",
-    "magnets": "Magnet Ring Disc Cube simulated_readings",
-    "sensing": "Sensing relations BendSensor",
-    "networks": "Network load_network",
-    "estimators.base": "track Estimator Estimate Trajectory",
-    "estimators.gradient_descent": "GradientDescent",
-    "estimators.least_squares": "LevenbergMarquardt",
-    "estimators.kalman": "KalmanFilter smooth",
-    "estimators.particle": "ParticleFilter",
-    "estimators.imu": "ImuShape rigid_body pcc_extended exact_arcs calibrate_imus",
-    "estimators.rod": "RodFilter Rod RodSensor",
+    "estimators.base": "Estimate Estimator Trajectory track",
+    "estimators.calibration": "Tolerances calibrate",
     "estimators.drift": "Drift Drifting",
-    "estimators.calibration": "calibrate",
+    "estimators.gradient_descent": "GradientDescent",
+    "estimators.imu": "Arm ImuShape calibrate_imus exact_arcs pcc_extended rigid_body tangent_spline",
+    "estimators.kalman": "KalmanFilter smooth",
+    "estimators.least_squares": "LevenbergMarquardt",
+    "estimators.particle": "ParticleFilter",
+    "estimators.rod": "Rod RodFilter RodSensor",
+    "magnets": "Cube Disc Magnet Ring simulated_readings",
+    "networks": "Network load_network",
+    "robot": "AffineCurvature BallJoint ConstantCurvature FreeBody Imu Link Robot Sensor",
+    "sensing": "BendSensor Sensing relations",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 

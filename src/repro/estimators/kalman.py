@@ -87,7 +87,7 @@ class KalmanFilter:
         acceleration: Any,
         velocity: Any,
         *,
-        iterations: int = 30,
+        iterations: int = 50,
         tolerance: float = 1e-4,
     ) -> None:
         owner = "KalmanFilter"

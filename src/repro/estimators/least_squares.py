@@ -77,7 +77,7 @@ class LevenbergMarquardt:
         upper: Any,
         noise: Any,
         *,
-        iterations: int = 30,
+        iterations: int = 50,
         tolerance: float = 1e-4,
         starts: int = 32,
     ) -> None:

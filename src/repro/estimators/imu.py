@@ -1,0 +1,767 @@
+r"""The shape of an arm from the orientations of IMUs along it (Martin, Bruder and Wood 2022).
+
+Orientations are unit quaternions XYZW ``[..., imus, 4]`` that turn coordinates of an IMU into coordinates of
+the world; the z axis of an IMU points along the arm, towards the tip. All models have one signature,
+``model(orientations, arm, arc_lengths) -> positions``, and return positions ``[..., points, 3]`` [m] in the
+world.
+
+Between two IMUs the orientation turns about a fixed axis by :math:`\varphi`. Let :math:`d_0, d_1` be the
+tangents at both ends of this link and :math:`d` the one halfway. Then :math:`p = (d - (d_0 + d_1)/2)/(1 -
+\cos\frac\varphi2)` is the part of :math:`d` across the axis, and :math:`d - p` the part along it. The sum of
+eq. (5) is a geometric series: a link of length :math:`L` and :math:`n` sub-segments takes us by
+
+.. math:: L\,\bigl(S\,d + (1 - S)(d - p)\bigr), \qquad
+          S = \frac{\mathrm{sinc}(\varphi/2)}{\mathrm{sinc}(\varphi/2n)}, \qquad
+          \mathrm{sinc}\,x = \frac{\sin x}x.
+
+For :math:`n \to \infty` the denominator is 1, and the link is an arc of constant curvature and torsion. The
+same holds for the first :math:`k` of the sub-segments, with their own :math:`d` and a share :math:`k/n` of
+the turn, so that no sum is left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from repro.common import Array, numbers, require
+from repro.estimators.base import Estimate, incoming, known_coordinates, start
+from repro.robot import unit_quaternions
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Which IMUs of an arm a model takes, where they are, and the model's links.
+
+    Parameters
+    ----------
+    imus
+        Numbers of the IMUs, base to tip; 0 is the base itself.
+    imu_arcs
+        Where they are: distances along the arm [m], increasing.
+    link_lengths
+        Lengths of the links [m], base to tip: one per IMU for a rigid-body model, one between each two IMUs
+        else.
+    markers
+        Distances along the links [m] of points that motion capture sees.
+    sub_segments
+        Sub-segments of every link between two IMUs (section II-B), one number or one per link; 0 for a
+        rigid-body model.
+    interpolation
+        How far sub-segment k of n is turned from one IMU to the next: "midpoints", (2k + 1)/2n as printed in
+        eq. (3), or "inner points", (k + 1)/(n + 1) as in some of the released files.
+    base_turn
+        Turn of the base against the orientation given for it to :meth:`select`, a quaternion XYZW.
+    origin
+        Where the links begin, in the world [m].
+
+    Raises
+    ------
+    InputError
+        If numbers of IMUs, distances and links do not fit together, or one of them cannot be used.
+
+    Examples
+    --------
+    The PCC-extended model with two IMUs of Table I, 16 sub-segments in all:
+
+    >>> from repro import Arm
+    >>> Arm([0, 4, 8], [0.0, 0.32, 0.64], [0.32, 0.32], markers=[0.36, 0.6], sub_segments=8).imus
+    (0, 4, 8)
+    """
+
+    imus: Sequence[int]
+    imu_arcs: Sequence[float]
+    link_lengths: Sequence[float]
+    markers: Sequence[float] = ()
+    sub_segments: int | Sequence[int] = 0
+    interpolation: str = "midpoints"
+    base_turn: Sequence[float] = (0.0, 0.0, 0.0, 1.0)
+    origin: Sequence[float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        k, n = numbers(self.imus, "imus", "Arm", (None,)), numbers(self.sub_segments, "sub_segments", "Arm")
+        links = len(k) - bool(n.any())
+        distinct = links > 0 and len(set(k.tolist())) == len(k) and (k >= 0).all() and not (k % 1).any()
+        require(
+            distinct,
+            "imus",
+            "Arm",
+            "different whole numbers from 0 on, at least two of them if there are sub-segments",
+            self.imus,
+        )
+        sizes = {"imu_arcs": len(k), "link_lengths": links, "markers": None, "base_turn": 4, "origin": 3}
+        found = {name: numbers(getattr(self, name), name, "Arm", (size,)) for name, size in sizes.items()}
+        increasing = (np.diff(found["imu_arcs"], prepend=-1e-300) > 0).all()
+        require(increasing, "imu_arcs", "Arm", "increasing from 0 or above [m]", self.imu_arcs)
+        require((found["link_lengths"] > 0).all(), "link_lengths", "Arm", "positive [m]", self.link_lengths)
+        fits = n.shape in ((), (links,)) and not (n % 1).any() and (n >= min(n.ndim, 1)).all()
+        expected = "0 or a positive whole number, or one such number per link"
+        require(fits, "sub_segments", "Arm", expected, self.sub_segments)
+        known = self.interpolation in ("midpoints", "inner points")
+        require(known, "interpolation", "Arm", "'midpoints' or 'inner points'", repr(self.interpolation))
+        unit_quaternions(self.base_turn, "base_turn", "Arm", (4,))
+        for name, values in (found | {"imus": k.astype(int)}).items():
+            object.__setattr__(self, name, tuple(values.tolist()))
+        object.__setattr__(self, "sub_segments", tuple(n.astype(int).tolist()) if n.ndim else int(n))
+
+    def select(self, orientations: Any) -> Array:
+        """Return the orientations of this arm's IMUs ``[..., imus, 4]``, the base turned by ``base_turn``.
+
+        Parameters
+        ----------
+        orientations
+            Quaternions XYZW of the base and IMUs #1, #2 and so on ``[..., n, 4]``.
+
+        Raises
+        ------
+        InputError
+            If there is no orientation for one of the IMUs.
+        """
+        q = numbers(orientations, "orientations", "select", (..., None, 4), finite=False)
+        last = max(self.imus)
+        require(
+            q.shape[-2] > last, "orientations", "select", f"those of IMUs 0 to {last}", f"shape {q.shape}"
+        )
+        q = q[..., list(self.imus), :]
+        if 0 in self.imus:
+            base = self.imus.index(0)
+            q[..., base, :] = _product(q[..., base, :], np.array(self.base_turn))
+        return q
+
+
+ShapeModel = Callable[[Any, Arm, Any], Array]
+"""From orientations ``[..., imus, 4]``, an arm and distances along it [m] to positions ``[..., points, 3]``."""
+
+
+def rigid_body(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
+    r"""Return positions on straight links along the z axes of the IMUs, eq. (2).
+
+    .. math:: \hat x_i = \sum_{j=0}^{i-1} R(q_j)\,(0, 0, L_j)^T
+
+    Parameters
+    ----------
+    orientations
+        Quaternions XYZW of the arm's IMUs ``[..., imus, 4]``.
+    arm
+        With one link per IMU (``sub_segments=0``).
+    arc_lengths
+        Distances from the origin of the chain along it [m], one or several.
+
+    Returns
+    -------
+    numpy.ndarray
+        Positions ``[..., points, 3]`` [m] in the world; between two joints by linear interpolation.
+
+    Raises
+    ------
+    InputError
+        If quaternions are not finite or not unit within 1e-3, there is not one per IMU, the arm has other
+        links, or a distance lies beyond the chain.
+
+    References
+    ----------
+    Martin, Bruder and Wood (2022), section II-A.
+
+    Examples
+    --------
+    Two links of 80 mm, upright and lying along x:
+
+    >>> from repro import Arm, rigid_body
+    >>> arm = Arm([1, 2], [0.04, 0.12], [0.08, 0.08])
+    >>> rigid_body([[0, 0, 0, 1], [0, np.sqrt(0.5), 0, np.sqrt(0.5)]], arm, [0.04, 0.16]).round(3) + 0.0
+    array([[0.  , 0.  , 0.04],
+           [0.08, 0.  , 0.08]])
+    """
+    q, points = _checked(orientations, arm, arc_lengths, "rigid_body", between=False)
+    lengths = np.array(arm.link_lengths)
+    starts = np.cumsum(lengths) - lengths
+    passed = np.clip(points - starts[:, None], 0.0, lengths[:, None])  # metres of each link before each point
+    return np.moveaxis(_tangents(q) @ passed, 0, -1) + np.array(arm.origin)
+
+
+def pcc_extended(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
+    """Return positions on straight sub-segments, their orientations interpolated between IMUs, eqs (3) to (7).
+
+    Sub-segment k of n has the orientation ``slerp(q_i, q_i+1, (2k + 1)/2n)`` by the shorter way round, or the
+    arm's other interpolation. We take the sum in closed form; points between joints follow by linear
+    interpolation.
+
+    Parameters
+    ----------
+    orientations, arc_lengths
+        As in :func:`rigid_body`.
+    arm
+        With a link between each two IMUs, and its ``sub_segments``.
+
+    Raises
+    ------
+    InputError
+        As in :func:`rigid_body`.
+
+    References
+    ----------
+    Martin, Bruder and Wood (2022), section II-B.
+
+    Examples
+    --------
+    A quarter circle of 640 mm, whose radius is 407.4 mm, in 16 sub-segments and in the limit:
+
+    >>> from repro import Arm, exact_arcs, pcc_extended
+    >>> quarter = [[0, 0, 0, 1], [0, np.sqrt(0.5), 0, np.sqrt(0.5)]]
+    >>> arm = Arm([0, 8], [0.0, 0.64], [0.64], sub_segments=16)
+    >>> pcc_extended(quarter, arm, 0.64).round(4) + 0.0
+    array([[0.4076, 0.    , 0.4076]])
+    >>> exact_arcs(quarter, arm, 0.64).round(4) + 0.0
+    array([[0.4074, 0.    , 0.4074]])
+    """
+    q, points = _checked(orientations, arm, arc_lengths, "pcc_extended")
+    return _chain(q, arm, points, np.broadcast_to(arm.sub_segments, len(arm.link_lengths)).astype(float))
+
+
+def exact_arcs(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
+    """Return positions in the limit of ever more sub-segments: between IMUs a frame turns at a constant rate.
+
+    A link is an arc of constant curvature if its IMUs differ by bending alone, a helix if they are twisted as
+    well. The number of sub-segments has no effect.
+
+    Parameters
+    ----------
+    orientations, arm, arc_lengths
+        As in :func:`pcc_extended`, which has an example.
+
+    Raises
+    ------
+    InputError
+        As in :func:`rigid_body`.
+
+    References
+    ----------
+    Martin, Bruder and Wood (2022), section II-B: "As n increases, this model approximates a PCC model".
+    """
+    q, points = _checked(orientations, arm, arc_lengths, "exact_arcs")
+    return _chain(q, arm, points, None)
+
+
+def tangent_spline(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
+    r"""Return positions along a smooth curve whose tangent is a cubic spline through those at the IMUs.
+
+    The spline has "not-a-knot" ends; we scale it to unit length and integrate it, :math:`x(s) = \int_0^s
+    d/|d|`, with four Gauss-Legendre nodes per piece. Twist about the arm has no effect, nor has the number of
+    sub-segments. On smooth shapes its error is less than half the error of the paper's models.
+
+    Parameters
+    ----------
+    orientations, arm, arc_lengths
+        As in :func:`pcc_extended`.
+
+    Raises
+    ------
+    InputError
+        As in :func:`rigid_body`, and if neighbours point in opposite directions.
+
+    Examples
+    --------
+    >>> from repro import Arm, tangent_spline
+    >>> arm = Arm([0, 4, 8], [0.0, 0.32, 0.64], [0.32, 0.32], sub_segments=1)
+    >>> tangent_spline(np.tile([0, 0, 0, 1], (3, 1)), arm, 0.6).round(3)
+    array([[0. , 0. , 0.6]])
+    """
+    q, points = _checked(orientations, arm, arc_lengths, "tangent_spline")
+    d = _tangents(q)
+    basis, weights = _spline(arm.link_lengths, tuple(points.tolist()))
+    nodes, between = d @ basis, d[..., :-1] + d[..., 1:]
+    squares = np.einsum("i...,i...->...", nodes, nodes)
+    shortest = min(squares.min(initial=1.0), np.einsum("i...,i...->...", between, between).min(initial=1.0))
+    require(
+        shortest > 1e-12,
+        "orientations",
+        "tangent_spline",
+        "such that neighbours do not point in opposite directions",
+        "some that do",
+    )
+    nodes /= np.sqrt(squares)
+    return np.moveaxis(nodes @ weights, 0, -1) + np.array(arm.origin)
+
+
+@lru_cache(maxsize=64)
+def _spline(lengths: Sequence[float], points: Sequence[float]) -> tuple[Array, Array]:
+    """Return what every IMU adds to the tangent at every node, and what every node adds to every point."""
+    from scipy.interpolate import CubicSpline
+
+    knots, s = np.append(0.0, np.cumsum(lengths)), np.array(points)
+    pieces = np.unique(np.concatenate([knots[knots <= max(points)], s]))
+    at, weights = np.polynomial.legendre.leggauss(4)
+    widths = np.diff(pieces)[:, None]
+    nodes, weights = (pieces[:-1, None] + widths * (at + 1) / 2).ravel(), (widths * weights / 2).ravel()
+    basis = CubicSpline(knots, np.eye(len(knots)), bc_type="not-a-knot")(nodes)
+    return basis.T, (nodes[:, None] < s) * weights[:, None]
+
+
+def _checked(
+    orientations: Any, arm: Arm, arc_lengths: Any, owner: str, *, between: bool = True
+) -> tuple[Array, Array]:
+    """Return unit quaternions, components in front, ``[4, ..., imus]``, and distances ``[points]``."""
+    require(isinstance(arm, Arm), "arm", owner, "an Arm", type(arm).__name__)
+    kind = "one with links between IMUs (sub_segments above 0)" if between else "one with a link per IMU"
+    require(np.any(arm.sub_segments) == between, "arm", owner, kind, arm)
+    q = unit_quaternions(orientations, "orientations", owner, (..., len(arm.imus), 4))
+    points, total = np.atleast_1d(numbers(arc_lengths, "arc_lengths", owner)), sum(arm.link_lengths)
+    inside = points.ndim == 1 and points.size and points.min() >= 0 and points.max() <= total * (1 + 1e-12)
+    require(inside, "arc_lengths", owner, f"distances between 0 and {total:g} m, at least one", points)
+    return np.ascontiguousarray(np.moveaxis(q, -1, 0)), points
+
+
+def _chain(q: Array, arm: Arm, s: Array, n: Array | None) -> Array:
+    """Return points on chains of ``n`` sub-segments per link, or on arcs, by the formula of this module.
+
+    "Inner points" spread the sub-segments over the share ``c = n/(n + 1)`` of the turn, about its middle.
+    """
+    lengths = np.array(arm.link_lengths)
+    one = np.ones(len(lengths))
+    n, c = (
+        (np.inf * one, one) if n is None else (n, n / (n + 1) if arm.interpolation == "inner points" else one)
+    )
+    a, d = q[..., :-1], _tangents(q)
+    b, angle = _shorter(a, q[..., 1:])  # phi/2 is the angle between a and b as vectors
+    half, mean = _tangents((a + b) / (2 * np.cos(angle / 2))), 0.5 * (d[..., :-1] + d[..., 1:])
+    # Where the angle vanishes so does 1 - S, and any bounded p will do.
+    p = (half - mean) / np.maximum(1 - np.cos(angle), 1e-16)
+    steps = lengths * (half - (1 - _sinc(c * angle) / _sinc(c / n * angle)) * p)
+    ends = np.cumsum(lengths)
+    link = np.minimum(np.searchsorted(ends, s), len(lengths) - 1)
+    share = np.clip((s - ends[link]) / lengths[link] + 1.0, 0.0, 1.0)
+    whole = (np.arange(len(lengths))[:, None] < link).astype(float)
+    a, b, angle, along, n, c = (x[..., link] for x in (a, b, angle, half - p, n, c))
+    done = share if np.isinf(n).all() else np.floor(share * n) / n
+    S = _sinc(c * done * angle) / _sinc(c / n * angle)
+    chord = done * (S * _tangents(_between(a, b, angle, (1 - c + c * done) / 2)) + (1 - S) * along)
+    rest = (share - done) * _tangents(_between(a, b, angle, (1 - c) / 2 + c * (done + 0.5 / n)))
+    return np.moveaxis(steps @ whole + lengths[link] * (chord + rest), 0, -1) + np.array(arm.origin)
+
+
+def _tangents(q: Array) -> Array:
+    """Return the z axes ``[3, ...]`` of frames by unit quaternions ``[4, ...]``."""
+    x, y, z, w = q
+    return np.stack([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)])
+
+
+def _sinc(x: Array) -> Array:
+    return np.sinc(x / np.pi)
+
+
+def _shorter(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return the one of b and -b that is closer to a, and the angle between the two; components in front."""
+    cosine = np.einsum("i...,i...->...", a, b)
+    return np.copysign(1.0, cosine) * b, np.arccos(np.minimum(np.abs(cosine), 1.0))
+
+
+def _between(a: Array, b: Array, angle: Array, share: Any) -> Array:
+    """Return the spherical linear interpolation of eq. (4)."""
+    rest, whole = 1 - share, _sinc(angle)
+    return rest * _sinc(rest * angle) / whole * a + share * _sinc(share * angle) / whole * b
+
+
+def _product(first: Array, second: Array) -> Array:
+    """Return the quaternion ``[..., 4]`` of ``second`` followed by ``first``, both turns in the world."""
+    ax, ay, az, aw = np.moveaxis(first, -1, 0)
+    bx, by, bz, bw = np.moveaxis(second, -1, 0)
+    product = [
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    ]
+    return np.stack(product, axis=-1)
+
+
+def _exponential(vector: Array) -> Array:
+    """Return the quaternion ``[..., 4]`` of a rotation vector ``[..., 3]`` [rad]."""
+    half = np.linalg.norm(vector, axis=-1, keepdims=True) / 2
+    return np.concatenate([0.5 * _sinc(half) * vector, np.cos(half)], axis=-1)
+
+
+def link_orientations(orientations: Any, along_arm: str = "z") -> Array:
+    """Return orientations of links from IMUs that are mounted with another axis along the arm.
+
+    Parameters
+    ----------
+    orientations
+        Quaternions XYZW of the IMUs ``[..., 4]``.
+    along_arm
+        Axis of the IMUs that points along the arm, base to tip: "x", "y" or "z". The turn about the arm that
+        remains free moves no point.
+
+    Raises
+    ------
+    InputError
+        If the axis is none of these, or quaternions are not unit within 1e-3.
+
+    Examples
+    --------
+    An IMU whose y axis points up, on a link that points up:
+
+    >>> from repro.robot import rotation_matrix
+    >>> y_is_up = [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]
+    >>> rotation_matrix(link_orientations(y_is_up, "y"))[:, 2].round(12) + 0.0
+    array([0., 0., 1.])
+    """
+    turns = {"x": [0, 1, 0, 1], "y": [-1, 0, 0, 1], "z": [0, 0, 0, math.sqrt(2)]}
+    require(along_arm in turns, "along_arm", "link_orientations", '"x", "y" or "z"', along_arm)
+    q = unit_quaternions(orientations, "orientations", "link_orientations", (..., 4))
+    return _product(q, np.array(turns[along_arm]) / math.sqrt(2))
+
+
+@dataclass(frozen=True)
+class ImuCalibration:
+    """Frame, headings and mountings that fit motion capture best, from :func:`calibrate_imus`.
+
+    Parameters
+    ----------
+    names
+        Names of the parameters: ``heading_3`` belongs to IMU #3.
+    estimate
+        The parameters: rotation vector of the frame [rad], its translation [m], then angles [rad].
+    covariance
+        Their posterior covariance, in the same units.
+    imus
+        Numbers of the arm's IMUs: the order of the orientations that :func:`calibrated` takes.
+    rms
+        Root mean square distance between markers and model after calibration [m].
+    used, missing
+        Number of marker positions that were used, and of those left out because they were not finite.
+    """
+
+    names: tuple[str, ...]
+    estimate: Array
+    covariance: Array
+    imus: tuple[int, ...]
+    rms: float
+    used: int
+    missing: int
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviations of the parameters."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def translation(self) -> Array:
+        """Position of the arm's base in the frame of the motion capture [m]."""
+        return self.estimate[3:6]
+
+
+def calibrate_imus(
+    orientations: Any,
+    markers: Any,
+    model: ShapeModel,
+    arm: Arm,
+    *,
+    per_imu: bool = True,
+    noise: float = 0.01,
+    rotation: float = math.radians(10.0),
+    translation: float = 0.05,
+    heading: float = math.radians(10.0),
+    mounting: float = math.radians(5.0),
+) -> ImuCalibration:
+    r"""Fit the frame of the motion capture, and headings and mountings of the IMUs, to positions of markers.
+
+    The orientation of link :math:`i` in the frame of the motion capture is :math:`R_i = R_f\, R_z(\psi_i)\,
+    \hat R_i\, e^{[\mu_i]_\times}` with the measured :math:`\hat R_i`, its heading error :math:`\psi_i` about
+    the vertical, its mounting :math:`\mu_i` about x and y of the link, and the rotation :math:`R_f` of the
+    frame. Points are at :math:`p = \hat x(R_0, \ldots, R_N) + p_f`. We minimise :math:`\|z\|^2 + \sum \|p -
+    \hat p\|^2/\sigma^2` over the parameters :math:`z` in units of their tolerances. Without this scaling
+    least squares stops early, because metres and radians differ too much.
+
+    Parameters
+    ----------
+    orientations
+        Quaternions XYZW of the arm's IMUs ``[samples, imus, 4]``.
+    markers
+        Positions of the arm's ``markers`` at the same times ``[samples, markers, 3]`` [m], in the frame of
+        the motion capture; NaN where a marker was not seen.
+    model
+        The model to calibrate for; the calibration absorbs a part of its error.
+    arm
+        Its IMUs, links and markers.
+    per_imu
+        Whether headings and mountings are fitted too, of all IMUs between the base and the last marker.
+    noise
+        Standard deviation of a marker against the model along each axis [m]. The error of the model counts.
+        Samples are taken for independent; neighbouring ones are not, so give a larger value or every k-th
+        sample.
+    rotation, translation, heading, mounting
+        Tolerances, the standard deviations of the priors [rad, m, rad, rad]; all assumed.
+
+    Raises
+    ------
+    InputError
+        If orientations and markers do not fit together, fewer than two positions were seen, or a standard
+        deviation is not positive.
+
+    References
+    ----------
+    Beyond the paper: Martin, Bruder and Wood (2022) calibrate nothing against motion capture.
+
+    Examples
+    --------
+    An arm that lies along -y of the motion capture, 1 m above its origin:
+
+    >>> from repro import Arm, calibrate_imus, exact_arcs
+    >>> arm = Arm([0, 1], [0.0, 0.3], [0.3], markers=[0.2, 0.3], sub_segments=1)
+    >>> bent = [[[0, 0, 0, 1], [np.sin(a), 0, 0, np.cos(a)]] for a in (0.1, 0.3, 0.5)]
+    >>> seen = exact_arcs(bent, arm, arm.markers)[..., [0, 2, 1]] * [1, -1, 1] + [0, 0, 1]
+    >>> calibrate_imus(bent, seen, exact_arcs, arm, per_imu=False, noise=1e-6).estimate.round(4) + 0.0
+    array([1.5708, 0.    , 0.    , 0.    , 0.    , 1.    ])
+    """
+    from scipy.optimize import least_squares
+    from scipy.spatial.transform import Rotation
+
+    owner, values = "calibrate_imus", (noise, rotation, translation, heading, mounting)
+    for name, value in zip(("noise", "rotation", "translation", "heading", "mounting"), values, strict=True):
+        require(0 < value < math.inf, name, owner, "positive", value)
+    q = unit_quaternions(orientations, "orientations", owner, (None, len(arm.imus), 4))
+    seen_at = numbers(markers, "markers", owner, (len(q), len(arm.markers), 3), finite=False)
+    seen = np.isfinite(seen_at).all(axis=-1)
+    require(seen.sum() >= 2, "markers", owner, "at least two positions that were seen", int(seen.sum()))
+    seen_at = seen_at[seen]
+    last = max(arm.markers)
+    own = [k for k, at in zip(arm.imus, arm.imu_arcs, strict=True) if per_imu and k > 0 and at <= last]
+    names = tuple(f"{part}_{axis}" for part in ("rotation", "translation") for axis in "xyz")
+    names += tuple(f"{part}_{k}" for k in own for part in ("heading", "mounting_x", "mounting_y"))
+    scale = np.array([rotation] * 3 + [translation] * 3 + [heading, mounting, mounting] * len(own))
+
+    def predicted(z: Array) -> Array:
+        turned = _corrected(q, names, z * scale, arm.imus)
+        return model(turned, arm, arm.markers)[seen] + (z * scale)[3:6]
+
+    def residuals(z: Array) -> Array:
+        return np.concatenate([((predicted(z) - seen_at) / noise).ravel(), z])
+
+    # We start at the frame that fits best without priors (Kabsch 1976): tolerances are no bounds.
+    z = np.zeros(len(names))
+    points = predicted(z)
+    left, _, right = np.linalg.svd((seen_at - seen_at.mean(0)).T @ (points - points.mean(0)))
+    R = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    z[:3], z[3:6] = Rotation.from_matrix(R).as_rotvec(), seen_at.mean(0) - R @ points.mean(0)
+    fit = least_squares(residuals, z / scale, x_scale=1.0, ftol=1e-6, xtol=1e-6)
+    covariance = np.linalg.inv(fit.jac.T @ fit.jac) * np.outer(scale, scale)
+    rms = np.sqrt(np.mean(np.sum((predicted(fit.x) - seen_at) ** 2, axis=-1)))
+    used = int(seen.sum())
+    return ImuCalibration(
+        names, fit.x * scale, covariance, tuple(arm.imus), float(rms), used, seen.size - used
+    )
+
+
+def calibrated(orientations: Any, calibration: ImuCalibration) -> Array:
+    """Return orientations ``[..., imus, 4]`` of links in the frame of the motion capture.
+
+    Positions that a model finds from them, plus ``calibration.translation``, are positions in that frame.
+
+    Parameters
+    ----------
+    orientations
+        Quaternions XYZW of the IMUs that were calibrated ``[..., imus, 4]``.
+    calibration
+        From :func:`calibrate_imus`.
+
+    Raises
+    ------
+    InputError
+        If there is not one quaternion per IMU, or one is not finite or not unit within 1e-3.
+    """
+    q = unit_quaternions(orientations, "orientations", "calibrated", (..., len(calibration.imus), 4))
+    return _corrected(q, calibration.names, calibration.estimate, calibration.imus)
+
+
+def _corrected(q: Array, names: tuple[str, ...], z: Array, imus: Sequence[int]) -> Array:
+    """Apply frame, headings and mountings."""
+    row = [k for k, imu in enumerate(imus) if f"heading_{imu}" in names]
+    heading, mounting = np.zeros((len(imus), 3)), np.zeros((len(imus), 3))
+    heading[row, 2], mounting[row, 0], mounting[row, 1] = z[6::3], z[7::3], z[8::3]
+    before = _product(_exponential(z[:3]), _exponential(heading))
+    return _product(_product(before, q), _exponential(mounting))
+
+
+_STEP = 1e-4
+"""Of central differences [rad]: their error is 1e-9 by the third derivative and 1e-12 by rounding."""
+
+
+@dataclass(frozen=True)
+class ImuShape:
+    r"""Estimator of positions along an arm: applies a model to the orientations of one moment.
+
+    The configuration ``q`` holds the positions [m] of points on the arm, one after the other, and the
+    readings ``u`` the quaternions XYZW of its IMUs. An IMU is missing if one of its four readings is missing,
+    or all are zero, as a broken IMU sends. It takes the spherical linear interpolation of its neighbours
+    along the arc; beyond the last IMU the orientation stays. Nothing is carried from one time step to the
+    next.
+
+    The covariance follows by linear propagation. Every IMU has an independent error of ``noise`` about each
+    axis. The orientation of a missing one takes a random walk along the arc from its neighbours: between two
+    at distances :math:`a, b` its variance about each axis is :math:`\varrho^2 ab/(a + b)`, beyond the last
+    one it is :math:`\varrho^2 a`. The error of the model itself is not part of the covariance.
+
+    Parameters
+    ----------
+    model
+        :func:`rigid_body`, :func:`pcc_extended`, :func:`exact_arcs`, :func:`tangent_spline` or one of your
+        own.
+    arm
+        The IMUs that the readings come from, and the links.
+    arc_lengths
+        Distances along the arm [m] of the points.
+    noise
+        Standard deviation of an orientation about each axis [rad]: one number for all IMUs but the base
+        (number 0), which is exact, or one per IMU.
+    roughness
+        :math:`\varrho` [rad/sqrt(m)]. The default is assumed: 14 degrees over 80 mm, a median angle between
+        adjacent IMUs in the recordings of the paper.
+
+    Raises
+    ------
+    InputError
+        If the arm has no such points, or a noise or the roughness cannot be used.
+
+    Examples
+    --------
+    The middle and the tip of a quarter circle [m]:
+
+    >>> from repro import Arm, ImuShape, exact_arcs
+    >>> arm = Arm([0, 8], [0.0, 0.64], [0.64], sub_segments=16)
+    >>> method = ImuShape(exact_arcs, arm, [0.32, 0.64], noise=0.01)
+    >>> _, estimate = method.step(method.init(), [0, 0, 0, 1, 0, np.sqrt(0.5), 0, np.sqrt(0.5)])
+    >>> estimate.q.round(4) + 0.0
+    array([0.1193, 0.    , 0.2881, 0.4074, 0.    , 0.4074])
+    """
+
+    model: ShapeModel
+    arm: Arm
+    arc_lengths: Sequence[float]
+    noise: float | Sequence[float]
+    roughness: float = 0.86
+
+    def __post_init__(self) -> None:
+        require(isinstance(self.arm, Arm), "arm", "ImuShape", "an Arm", type(self.arm).__name__)
+        upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(self.arm.imus), 1))
+        found = np.shape(self.model(upright, self.arm, self.arc_lengths))
+        object.__setattr__(self, "arc_lengths", tuple(np.atleast_1d(self.arc_lengths).tolist()))
+        three = found == (len(self.arc_lengths), 3)
+        require(three, "model", "ImuShape", "one that returns a position per arc length", f"shape {found}")
+        noise = numbers(self.noise, "noise", "ImuShape", () if np.ndim(self.noise) == 0 else (len(upright),))
+        good = (noise >= 0).all() and noise.any()
+        require(good, "noise", "ImuShape", "positive [rad]; for some IMUs it may be 0", self.noise)
+        require(
+            0 < self.roughness < math.inf, "roughness", "ImuShape", "positive [rad/sqrt(m)]", self.roughness
+        )
+
+    def init(self, q0: Any = None, seed: int = 0) -> None:
+        """Return the state: there is none, and neither ``q0`` nor the seed has an effect."""
+        if q0 is not None:
+            start(q0, 3 * len(self.arc_lengths), "ImuShape")
+
+    def step(
+        self, state: None, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+    ) -> tuple[None, Estimate]:
+        """Return positions by the quaternions ``u`` ``[..., 4 imus]``.
+
+        ``u_hat`` holds the quaternions that were used: of unit length, and filled where an IMU is missing.
+        ``missing`` counts four readings for each such IMU; ``details["missing_imus"]`` says which. Where
+        coordinates are ``known`` the others are corrected by what the covariance says about them.
+
+        Raises
+        ------
+        InputError
+            If there are not four readings per IMU, a quaternion is not unit within 1e-3, or no IMU is left.
+        """
+        arm, imus = self.arm, len(self.arm.imus)
+        u = incoming(u, mask, "ImuShape", 4 * imus)
+        u = u.reshape(*u.shape[:-1], imus, 4)
+        missing = ~np.isfinite(u).all(axis=-1) | ~u.any(axis=-1)
+        require(
+            not missing.all(axis=-1).any(),
+            "u",
+            "ImuShape",
+            "at least one IMU with four readings that are not missing",
+            "none",
+        )
+        used = np.where(missing[..., None], [0.0, 0.0, 0.0, 1.0], u)
+        used = unit_quaternions(used, "u", "ImuShape", (..., imus, 4))
+        gaps, s, there = bool(missing.any()), np.array(arm.imu_arcs), np.arange(imus)
+        before, after = _neighbours(missing)
+        used = _filled(used, before, after, s) if gaps else used
+        known = known_coordinates(known, 3 * len(self.arc_lengths), "ImuShape")
+        q = self._positions(used)
+
+        steps = _exponential(_STEP * np.concatenate([np.eye(3), -np.eye(3)]))
+        steps = steps.reshape(6, *(1,) * (used.ndim - 2), 4)
+        # Slopes of the positions by a turn of every IMU about every axis of the world.
+        slopes = np.empty((imus, 3, *q.shape))
+        for some in np.array_split(there, min(imus, 1 + used.size // 4000)):  # all at once, if memory allows
+            turned = np.broadcast_to(used, (len(some), 6, *used.shape)).copy()
+            each = np.moveaxis(used[..., some, :], -2, 0)[:, None]
+            turned[there[: len(some)], ..., some, :] = _product(steps, each)
+            if gaps:  # an IMU that is there also turns those that are filled from it
+                lost = np.moveaxis(missing[..., some], -1, 0)[:, None, ..., None, None]
+                turned = np.where(lost, turned, _filled(turned, before, after, s))
+            moved = self._positions(turned)
+            slopes[some] = (moved[:, :3] - moved[:, 3:]) / (2 * _STEP)
+        base = (np.array(arm.imus) == 0) & (np.ndim(self.noise) == 0)
+        noise = np.where(missing | base, 0.0, np.square(self.noise))[..., None] * np.eye(imus)
+        turns = noise + self.roughness**2 * _random_walk(before, after, s) if gaps else noise
+        J = np.moveaxis(slopes, (0, 1), (-1, -2))  # [..., n_q, axis, IMU]
+        C = np.einsum("...xai,...yai->...xy", J @ turns[..., None, :, :], J)
+        if known is not None:
+            q, C = _conditioned(q, C, known)
+        left_out = 4 * missing.sum(axis=-1)
+        u_hat = used.reshape(*used.shape[:-2], 4 * imus)
+        # The models follow every orientation, so that no residual is left.
+        return None, Estimate(q, C, u_hat, 0.0 * left_out, 0 * left_out, left_out, {"missing_imus": missing})
+
+    def _positions(self, orientations: Array) -> Array:
+        points = self.model(orientations, self.arm, self.arc_lengths)
+        return points.reshape(*points.shape[:-2], -1)
+
+
+def _neighbours(missing: Array) -> tuple[Array, Array]:
+    """Return the nearest IMUs that are there before and after each; one of them for both at the ends."""
+    n = missing.shape[-1]
+    before = np.maximum.accumulate(np.where(missing, -1, np.arange(n)), axis=-1)
+    after = np.minimum.accumulate(np.where(missing, n, np.arange(n))[..., ::-1], axis=-1)[..., ::-1]
+    return np.where(before < 0, after, before), np.where(after == n, before, after)
+
+
+def _filled(q: Array, before: Array, after: Array, s: Array) -> Array:
+    """Return orientations of which every missing one is interpolated between its neighbours."""
+    at = (np.broadcast_to(k, q.shape[:-1])[..., None] for k in (before, after))
+    a, b = (np.moveaxis(np.take_along_axis(q, k, axis=-2), -1, 0) for k in at)
+    gap = s[after] - s[before]
+    b, angle = _shorter(a, b)
+    share = np.where(gap > 0, (s - s[before]) / np.where(gap > 0, gap, 1.0), 0.0)
+    return np.moveaxis(_between(a, b, angle, share), 0, -1)
+
+
+def _random_walk(before: Array, after: Array, s: Array) -> Array:
+    """Return the covariance ``[..., imus, imus]`` per axis of a random walk pinned at IMUs that are there."""
+    same = (before[..., :, None] == before[..., None, :]) & (after[..., :, None] == after[..., None, :])
+    first, last, off = s[before][..., None], s[after][..., None], s - s[before]
+    inside = (np.minimum(s[:, None], s) - first) * (last - np.maximum(s[:, None], s))
+    inside = inside / np.where(last > first, last - first, 1.0)
+    both = np.minimum(np.abs(off[..., :, None]), np.abs(off[..., None, :]))
+    beyond = both * (off[..., :, None] * off[..., None, :] > 0)  # on one side of the last IMU
+    return same * np.where(last > first, inside, beyond)
+
+
+def _conditioned(q: Array, C: Array, known: Array) -> tuple[Array, Array]:
+    """Return mean and covariance, given the coordinates that are known."""
+    given = ~np.isnan(known)
+    rows, columns = given[..., :, None], given[..., None, :]
+    inverse = np.linalg.pinv(np.where(rows & columns, C, 0.0), rcond=1e-12, hermitian=True)
+    gain = np.where(columns, C, 0.0) @ inverse
+    off = np.where(given, known - q, 0.0)
+    moved = q + (gain @ off[..., None])[..., 0]
+    return np.where(given, known, moved), np.where(~rows & ~columns, C - gain @ C, 0.0)

@@ -1,0 +1,397 @@
+"""Positions along an arm from orientations: closed forms, printed sums, the first edition, released files."""
+
+import math
+import os
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from edition1.estimation import imu_calibration, imu_models, imu_selection, imu_shape
+from edition1_companion.pages.recorded_trial import released
+from edition1_companion.recordings import martin2022, martin2022_trial
+from repro import (
+    Arm,
+    BallJoint,
+    ImuShape,
+    InputError,
+    Link,
+    Robot,
+    calibrate_imus,
+    calibrated,
+    exact_arcs,
+    pcc_extended,
+    rigid_body,
+    tangent_spline,
+    track,
+)
+from repro.estimators.imu import link_orientations
+from repro.robot import point_on, rotation_matrix
+
+BETWEEN = (pcc_extended, exact_arcs, tangent_spline)
+FIRST_EDITION = {model: getattr(imu_models, model.__name__) for model in BETWEEN}
+FIRST_EDITION[rigid_body] = imu_models.rigid_links
+UNEVEN = Arm([0, 1, 3, 4], [0.0, 0.08, 0.24, 0.32], [0.08, 0.16, 0.08], sub_segments=3)
+EIGHT = Arm(range(9), 0.08 * np.arange(9), [0.08] * 8, markers=[0.36, 0.6], sub_segments=2)
+POINTS = [0.0, 0.013, 0.08, 0.1, 0.2, 0.24, 0.3, 0.32]
+RECORDINGS = Path(os.environ.get("REPRO_DATA_DIR") or "none") / "martin2022"
+recorded = pytest.mark.skipif(not RECORDINGS.is_dir(), reason="no recordings in REPRO_DATA_DIR")
+
+
+def bent(seed, samples, imus, size=0.3):
+    """Orientations whose neighbours differ by random turns, twist included."""
+    turns = size * np.random.default_rng(seed).normal(size=(imus, samples, 3))
+    frame, frames = Rotation.identity(samples), []
+    for turn in turns:
+        frame = frame * Rotation.from_rotvec(turn)
+        frames.append(frame.as_quat())
+    return np.stack(frames, axis=1)
+
+
+def selection(arm):
+    names = ("imus", "link_lengths", "interpolation", "base_turn")
+    same = {name: getattr(arm, name) for name in names} | ({"markers": arm.markers} if arm.markers else {})
+    return imu_selection.Selection(arcs=arm.imu_arcs, sub_links=arm.sub_segments, origin_m=arm.origin, **same)
+
+
+def rotated(turn, points):
+    return turn.apply(points.reshape(-1, 3)).reshape(points.shape)
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 9),
+    st.sampled_from(["midpoints", "inner points"]),
+    st.sampled_from([0.0, 1e-9, 1e-4, 0.3, 3.0]),
+)
+def test_models_of_the_first_edition(seed, n, interpolation, size):
+    rng = np.random.default_rng(seed)
+    imus = int(rng.integers(2, 10))
+    lengths = rng.uniform(0.01, 0.2, imus)
+    kind = {"origin": rng.normal(size=3), "interpolation": interpolation}
+    q, points = bent(seed, 4, imus, size), np.sort(rng.uniform(0, lengths[1:].sum(), 6))
+    arms = {rigid_body: Arm(range(1, imus + 1), np.cumsum(lengths), lengths, **kind)}
+    arc = Arm(range(imus), np.append(0, np.cumsum(lengths[1:])), lengths[1:], sub_segments=n, **kind)
+    for model, theirs in FIRST_EDITION.items():
+        arm = arms.get(model, arc)
+        found = model(q, arm, points)
+        np.testing.assert_allclose(found, theirs(q, selection(arm), points), rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, (4, 1, 3)])
+@pytest.mark.parametrize("interpolation", ["midpoints", "inner points"])
+def test_printed_sum(n, interpolation):
+    """Equations (3) to (7) as a loop, by SciPy's slerp."""
+    arm, q = replace(UNEVEN, sub_segments=n, interpolation=interpolation), bent(0, 3, 4)
+    for sample in q:
+        joints, ends = [np.zeros(3)], [0.0]
+        for i, (length, count) in enumerate(zip(arm.link_lengths, np.broadcast_to(n, 3), strict=True)):
+            slerp = Slerp([0.0, 1.0], Rotation.from_quat(sample[i : i + 2]))
+            for k in range(count):
+                t = (k + 1) / (count + 1) if interpolation == "inner points" else (2 * k + 1) / (2 * count)
+                joints.append(joints[-1] + slerp(t).apply([0.0, 0.0, length / count]))
+                ends.append(ends[-1] + length / count)
+        expected = [np.interp(POINTS, ends, x) for x in np.transpose(joints)]
+        np.testing.assert_allclose(pcc_extended(sample, arm, POINTS).T, expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle", [1e-9, 1e-4, 1.0, 8.0])
+def test_arcs_are_circles(angle):
+    s, azimuth = np.linspace(0.0, 0.64, 33), 2.0
+    axis = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    q = Rotation.from_rotvec(np.outer(np.array(EIGHT.imu_arcs) / 0.64 * angle, axis)).as_quat()
+    at, radius = s / 0.64 * angle, 0.64 / angle
+    out = 2 * radius * np.sin(at / 2) ** 2
+    expected = np.stack([out * np.cos(azimuth), out * np.sin(azimuth), radius * np.sin(at)], axis=1)
+    np.testing.assert_allclose(exact_arcs(q, EIGHT, s), expected, atol=1e-12)
+
+
+def test_sub_segments_tend_to_arcs_at_second_order():
+    q = bent(1, 20, 4)
+    gaps = [
+        np.abs(pcc_extended(q, replace(UNEVEN, sub_segments=n), 0.32) - exact_arcs(q, UNEVEN, 0.32)).mean()
+        for n in (8, 16, 32)
+    ]
+    np.testing.assert_allclose(np.log2(np.divide(gaps[:-1], gaps[1:])), 2.0, atol=0.01)
+
+
+def test_rigid_body_is_exact_on_rigid_links():
+    robot = Robot([BallJoint(), Link(0.1), BallJoint(), Link(0.2)])
+    arm = Arm([1, 2], [0.05, 0.2], [0.1, 0.2])
+    T = robot.poses(np.random.default_rng(2).normal(size=(9, 6)), [point_on(2, 0.1), point_on(4, 0.15)])
+    q = Rotation.from_matrix(T[..., :3, :3].reshape(-1, 3, 3)).as_quat().reshape(9, 2, 4)
+    np.testing.assert_allclose(rigid_body(q, arm, [0.1, 0.25]), T[..., :3, 3], atol=1e-15)
+
+
+@pytest.mark.parametrize("model", FIRST_EDITION)
+@given(seed=st.integers(0, 2**32 - 1), base=st.tuples(*[st.floats(-3, 3)] * 3))
+def test_turned_worlds_signs_and_batches(model, seed, base):
+    arm = Arm([1, 2, 3, 4], [0.04, 0.12, 0.2, 0.28], [0.08] * 4) if model is rigid_body else UNEVEN
+    q, turn = bent(seed, 6, 4), Rotation.from_rotvec(base)
+    shape = model(q, arm, POINTS)
+    turned = (turn * Rotation.from_quat(q.reshape(-1, 4))).as_quat().reshape(2, 3, 4, 4)
+    turned *= np.random.default_rng(seed).choice([-1.0, 1.0], (2, 3, 4, 1))
+    found = model(turned.tolist(), arm, POINTS)
+    np.testing.assert_allclose(found, rotated(turn, shape).reshape(2, 3, 8, 3), atol=1e-13)
+
+
+def test_spline_meets_tangents_and_ignores_twist():
+    """Between opposite neighbours there is no tangent."""
+    q = bent(3, 5, 4)
+    slope = np.diff(tangent_spline(q, UNEVEN, [0.08 - 1e-6, 0.08 + 1e-6]), axis=1)[:, 0] / 2e-6
+    np.testing.assert_allclose(slope, rotation_matrix(q[:, 1])[..., 2], atol=1e-9)
+    twist = Rotation.from_rotvec(np.outer(np.arange(20.0), [0, 0, 1]))
+    twisted = (Rotation.from_quat(q.reshape(-1, 4)) * twist).as_quat().reshape(q.shape)
+    np.testing.assert_allclose(
+        tangent_spline(twisted, UNEVEN, POINTS), tangent_spline(q, UNEVEN, POINTS), atol=1e-14
+    )
+    with pytest.raises(InputError, match="such that neighbours do not point in opposite directions"):
+        tangent_spline([[0, 0, 0, 1], [1, 0, 0, 0]], Arm([0, 1], [0, 0.1], [0.1], sub_segments=1), 0.1)
+
+
+def test_orientations_of_an_arm():
+    q, turn = bent(4, 3, 9), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
+    arm = replace(UNEVEN, base_turn=turn)
+    np.testing.assert_array_equal(arm.select(q), selection(arm).of(q))
+    for k, axis in enumerate("xyz"):
+        np.testing.assert_allclose(
+            rotation_matrix(link_orientations(q, axis))[..., 2], rotation_matrix(q)[..., k], atol=1e-15
+        )
+
+
+@pytest.mark.parametrize("model", FIRST_EDITION)
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"q": np.ones((2, 3, 4)) / 2}, r"orientations of {} must be numbers of shape \(..., 4, 4\)"),
+        ({"q": np.full((2, 4, 4), np.nan)}, "orientations of {} must be finite"),
+        (
+            {"q": np.full((2, 4, 4), 0.501)},
+            r"orientations of {} must be unit quaternions .* norm of 1\.002",
+        ),
+        ({"points": [0.1, 0.33]}, r"arc_lengths of {} must be distances between 0 and 0\.32 m"),
+        ({"points": [-1e-9]}, "arc_lengths of {} must be distances between 0 and"),
+        ({"arm": EIGHT.imus}, "arm of {} must be an Arm; instead received tuple"),
+    ],
+)
+def test_bad_input_of_a_model(model, change, message):
+    rigid = Arm([1, 2, 3, 4], [0.08, 0.16, 0.24, 0.32], [0.08] * 4)
+    arms = (rigid, UNEVEN) if model is rigid_body else (UNEVEN, rigid)
+    given = {"q": bent(5, 2, 4), "arm": arms[0], "points": [0.1]}
+    for bad, words in ((change, message), ({"arm": arms[1]}, "arm of {} must be one with")):
+        with pytest.raises(InputError, match=words.format(model.__name__)):
+            model(*(given | bad).values())
+
+
+@recorded
+@pytest.mark.parametrize(("marker", "at"), [(0, 0.3564), (1, 0.6044)])
+def test_markers_of_the_fresh_bag(marker, at):
+    """A message follows from the readings of a moment close to it; the first from readings nobody has."""
+    path = RECORDINGS / "ros_packages/sesa/bags/freshly_recorded_data.bag"
+    readings, sent = martin2022.read_readings(path), martin2022.read_messages(path, "markers")
+    sent, ids = sent[sent["ID"] == marker], readings["imu"].to_numpy()
+    newest = np.maximum.accumulate(
+        np.where(ids[:, None] == np.arange(8), np.arange(len(ids))[:, None], -1)
+    )  # of each IMU, after every reading
+    whole = np.flatnonzero((newest >= 0).all(axis=1))
+    nine = np.insert(link_orientations(readings[list("xyzw")], "y")[newest[whole]], 0, [0, 0, 0, 1], axis=1)
+    links = {"link_lengths": [0.0622] + [0.08] * 7, "sub_segments": [4, 4, 2, 1, 5, 2, 4, 2]}
+    arm = replace(EIGHT, base_turn=[0, 0, 1, 0], **links)
+    ours = pcc_extended(arm.select(nine), arm, at)[:, 0]
+    latest = np.searchsorted(readings["time_s"].to_numpy()[whole], sent["time_s"]) - 1
+    near = np.clip(latest[:, None] + np.arange(-4, 3), 0, len(ours) - 1)
+    off = np.linalg.norm(ours[near] - sent[["x", "y", "z"]].to_numpy()[:, None], axis=-1).min(axis=1)
+    assert off[8:].max() < 1e-6
+
+
+@recorded
+def test_tables_of_the_trial(monkeypatch):
+    """Orientations follow from four of the tables; that of IMU #8 badly in a few rows."""
+
+    def chain(q, made, arcs):
+        names = ("imus", "link_lengths", "interpolation", "base_turn")
+        same = {name: getattr(made, name) for name in names}
+        arm = Arm(imu_arcs=made.arcs, sub_segments=made.sub_links, origin=made.origin_m, **same)
+        return (pcc_extended if arm.sub_segments else rigid_body)(q, arm, arcs)
+
+    monkeypatch.setattr(released, "chain", chain)
+    folder, rows, outputs = RECORDINGS / "data analysis/data", slice(1000, 2500), {}
+    for path in folder.rglob("*.csv"):
+        read = martin2022_trial.read_output(path)
+        cut = martin2022_trial.ModelOutput(read.points[rows], read.replay_s[rows])
+        outputs[path.relative_to(folder).as_posix()] = cut
+    nine = released.trial_orientations(outputs).orientations
+    tables = [released.compared(name, outputs[name], nine) for name in outputs]
+    assert len(tables) >= 5
+    assert all(t["largest_um"] < 1 or (t["file"] == released.PCC_16_2 and t["median_um"] < 1) for t in tables)
+
+
+SCALE = np.array([math.radians(10)] * 3 + [0.05] * 3 + [math.radians(x) for x in (10, 5, 5)] * 7)
+
+
+def measured(seed, samples, noise=0.0, per_imu=True):
+    """Orientations with known errors, and markers; truth drawn from the prior."""
+    rng = np.random.default_rng(seed)
+    z = SCALE * rng.normal(size=27) * np.where(np.arange(27) < 6, 1.0, per_imu)
+    heading, mounting = np.zeros((9, 3)), np.zeros((9, 3))
+    heading[1:8, 2], mounting[1:8, :2] = z[6::3], z[6:].reshape(7, 3)[:, 1:]
+    true = bent(seed, samples, 9)
+    before, after = Rotation.from_rotvec(-heading), Rotation.from_rotvec(-mounting)
+    raw = np.stack([(before * Rotation.from_quat(q) * after).as_quat() for q in true])
+    markers = rotated(Rotation.from_rotvec(z[:3]), exact_arcs(true, EIGHT, EIGHT.markers)) + z[3:6]
+    return raw, markers + noise * rng.normal(size=markers.shape), z
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_frame_is_exact_without_noise(seed):
+    raw, markers, z = measured(seed, 5, per_imu=False)
+    found = calibrate_imus(raw, markers, exact_arcs, EIGHT, per_imu=False, noise=1e-7)
+    np.testing.assert_allclose(found.estimate, z[:6], atol=1e-9)
+    positions = exact_arcs(calibrated(raw, found), EIGHT, EIGHT.markers) + found.translation
+    np.testing.assert_allclose(positions, markers, atol=1e-9)
+
+
+def test_known_parameters_and_the_first_edition():
+    raw, markers, z = measured(7, 60, noise=0.005)
+    markers[3:8, 1] = np.nan
+    markers[10, 0, 2] = np.inf
+    found = calibrate_imus(raw, markers, exact_arcs, EIGHT, noise=0.005)
+    assert found.names[5:8] == ("translation_z", "heading_1", "mounting_x_1")
+    assert (found.used, found.missing) == (114, 6)
+    assert (np.abs(found.estimate - z) < 4 * found.deviation).all()
+    assert 10 < (found.estimate - z) @ np.linalg.solve(found.covariance, found.estimate - z) < 50
+    markers[10, 0] = np.nan
+    theirs = imu_calibration.calibrate_imus(
+        raw, markers, imu_models.exact_arcs, selection(EIGHT), noise_m=0.005
+    )
+    np.testing.assert_allclose(found.estimate, theirs.estimate, atol=1e-6)
+    np.testing.assert_allclose(found.deviation, theirs.deviation, rtol=1e-4)
+
+
+METHOD = ImuShape(exact_arcs, EIGHT, [0.36, 0.6], noise=0.02)
+
+
+@pytest.mark.parametrize("model", [pcc_extended, tangent_spline])
+@settings(max_examples=20)
+@given(st.integers(0, 2**32 - 1), st.sets(st.integers(0, 8), max_size=8), st.booleans())
+def test_estimator_of_the_first_edition(model, seed, lost, first_known):
+    q = bent(seed, 2, 9)
+    q[0, list(lost)] = np.nan
+    u, known = q.reshape(2, 36), np.full(6, np.nan)
+    known[:3] = [0.1, 0.0, 0.3] if first_known else np.nan
+    _, ours = ImuShape(model, EIGHT, [0.36, 0.6], noise=0.02).step(None, u, known=known)
+    method = imu_shape.ImuShape(FIRST_EDITION[model], selection(EIGHT), (0.36, 0.6), 0.02)
+    state = method.init(torch.zeros(2, 6).double())
+    _, theirs = method.step(state, torch.tensor(u), 0.0, known=torch.tensor(known))
+    np.testing.assert_allclose(ours.u_hat, theirs.u_hat, atol=1e-12)
+    np.testing.assert_allclose(ours.q, theirs.q, atol=1e-10 if not first_known else 1e-8)
+    np.testing.assert_allclose(ours.covariance, theirs.covariance, atol=1e-9)
+    assert ours.missing.tolist() == [4 * len(lost), 0]
+
+
+def test_covariance_is_what_noisy_sensors_scatter():
+    q, rng = bent(3, 1, 9), np.random.default_rng(0)
+    noise = np.array([0.0, *[0.01] * 4, *[0.03] * 4])
+    _, found = replace(METHOD, noise=noise).step(None, q.reshape(36))
+    turns = (noise[:, None] * rng.normal(size=(20000, 9, 3))).reshape(-1, 3)
+    noisy = (Rotation.from_rotvec(turns) * Rotation.from_quat(np.tile(q[0], (20000, 1)))).as_quat()
+    scatter = np.cov(exact_arcs(noisy.reshape(-1, 9, 4), EIGHT, [0.36, 0.6]).reshape(-1, 6).T)
+    size = np.sqrt(np.outer(np.diag(scatter), np.diag(scatter)))
+    np.testing.assert_allclose(found.covariance / size, scatter / size, atol=0.04)
+
+
+def test_missing_imus():
+    """By NaN, infinity, zeros or the mask; filled on the arc between their neighbours."""
+    q = bent(8, 1, 9)[0]
+    gaps = [q.copy() for _ in range(4)]
+    gaps[0][3, 1], gaps[1][3, 2], gaps[2][3] = np.nan, -np.inf, 0.0
+    masks = [None, None, None, np.arange(36) != 13]
+    found = [METHOD.step(None, list(u.ravel()), mask=m)[1] for u, m in zip(gaps, masks, strict=True)]
+    between = Slerp([0, 1], Rotation.from_quat(q[[2, 4]]))(0.5).as_quat()
+    for estimate in found:
+        np.testing.assert_array_equal(estimate.q, found[0].q)
+        assert (estimate.missing, estimate.dof, estimate.chi2) == (4, 0, 0.0)
+        assert np.flatnonzero(estimate.details["missing_imus"]).tolist() == [3]
+        assert abs(estimate.u_hat.reshape(9, 4)[3] @ between) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_batch_equals_loop():
+    """Also when the turns are taken in several portions."""
+    u = bent(9, 140, 9).reshape(2, 70, 36)
+    u[0, 1, 5], u[1, 0, :8], u[1, 2, 28:] = np.nan, 0.0, np.inf
+    before = u.copy()
+    batch = METHOD.step(METHOD.init(), u)[1]
+    np.testing.assert_array_equal(u, before)
+    for i, rows in enumerate(u):
+        alone = track(METHOD, rows, np.zeros(6))
+        for name in ("q", "covariance", "u_hat", "missing", "chi2"):
+            np.testing.assert_allclose(getattr(batch, name)[i], getattr(alone, name), atol=1e-13)
+
+
+ARM, SHAPE, STEP = partial(replace, UNEVEN), partial(replace, METHOD), partial(METHOD.step, None)
+CALIBRATION = partial(
+    calibrate_imus, model=exact_arcs, arm=EIGHT, orientations=bent(0, 5, 9), markers=np.zeros((5, 2, 3))
+)
+
+
+@pytest.mark.parametrize(
+    ("call", "change", "message"),
+    [
+        (ARM, {"imus": [0, 1, 1, 4]}, "Input imus of Arm must be different whole numbers from 0 on"),
+        (ARM, {"imus": [-1, 1, 3, 4]}, "imus of Arm must be different whole numbers"),
+        (
+            ARM,
+            {"imu_arcs": [0.0, 0.08, 0.08, 0.3]},
+            r"imu_arcs of Arm must be increasing from 0 or above \[m\]",
+        ),
+        (ARM, {"link_lengths": [0.1] * 4}, r"link_lengths of Arm must be numbers of shape \(3\); .* \(4,\)"),
+        (ARM, {"link_lengths": [0.1, 0.0, 0.1]}, r"link_lengths of Arm must be positive \[m\]"),
+        (
+            ARM,
+            {"sub_segments": [1, 2]},
+            "sub_segments of Arm must be 0 or a positive whole number, or one such",
+        ),
+        (ARM, {"sub_segments": [1, 0, 2]}, "sub_segments of Arm must be 0 or a positive whole number"),
+        (ARM, {"sub_segments": 1.5}, "sub_segments of Arm must be 0 or a positive whole number"),
+        (ARM, {"interpolation": "middle"}, "interpolation of Arm must be 'midpoints' or 'inner points'"),
+        (ARM, {"base_turn": [0, 0, 0, 2]}, "base_turn of Arm must be unit quaternions XYZW"),
+        (UNEVEN.select, {"orientations": bent(0, 1, 4)}, r"those of IMUs 0 to 4; .* shape \(1, 4, 4\)"),
+        (SHAPE, {"arc_lengths": []}, "arc_lengths of exact_arcs must be distances .* at least one"),
+        (SHAPE, {"noise": 0.0}, r"noise of ImuShape must be positive \[rad\]"),
+        (SHAPE, {"noise": [0.1] * 8}, r"noise of ImuShape must be numbers of shape \(9\)"),
+        (SHAPE, {"roughness": -1.0}, r"roughness of ImuShape must be positive \[rad/sqrt\(m\)\]"),
+        (
+            SHAPE,
+            {"model": lambda *_: np.zeros((1, 3))},
+            "model of ImuShape must be one that returns a position",
+        ),
+        (SHAPE, {"arm": None}, "arm of ImuShape must be an Arm"),
+        (METHOD.init, {"q0": np.zeros(5)}, r"q0 of ImuShape must be numbers of shape \(..., 6\)"),
+        (STEP, {"u": np.ones(32)}, r"Input u of ImuShape must be 36 readings \(last dimension\)"),
+        (STEP, {"u": np.full(36, 0.51)}, r"u of ImuShape must be unit quaternions .* a norm of 1\.02"),
+        (STEP, {"u": np.zeros(36)}, "at least one IMU with four readings that are not missing"),
+        (STEP, {"u": ["a"] * 36}, "Input u of ImuShape must be numbers"),
+        (
+            CALIBRATION,
+            {"markers": np.zeros((5, 1, 3))},
+            r"markers of .* must be numbers of shape \(5, 2, 3\)",
+        ),
+        (CALIBRATION, {"markers": np.full((5, 2, 3), np.nan)}, "at least two positions that were seen; .* 0"),
+        (CALIBRATION, {"noise": 0.0}, r"noise of calibrate_imus must be positive; instead received 0\.0"),
+        (CALIBRATION, {"heading": math.inf}, "heading of calibrate_imus must be positive"),
+        (
+            CALIBRATION,
+            {"orientations": bent(0, 5, 8)},
+            r"orientations of calibrate_imus must be .* \(any, 9, 4\)",
+        ),
+    ],
+)
+def test_bad_input(call, change, message):
+    with pytest.raises(InputError, match=message):
+        call(**change)
