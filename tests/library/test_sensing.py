@@ -12,7 +12,9 @@ from edition1.sensing.ensemble import SeedEnsemble
 from edition1.sensing.linearised import LinearisedSensing
 from edition1.sensing.magnetic import MagneticSensing
 from edition1.sensing.multipole import MultipoleField
+from edition1.sensing.network import CosineNetwork, PerSensor, paper_network
 from edition1.sensing.relations import relations as relations_1
+from safetensors.torch import load_file
 from scipy.spatial.transform import Rotation
 
 from repro import (
@@ -130,48 +132,37 @@ def test_relations_are_those_of_the_first_edition(inputs):
     )
 
 
+def paper_networks(files, *, double):
+    """The networks in files of weights as torch modules of the first edition, and as ours."""
+    modules, mine = [], []
+    for path in files:
+        state = load_file(path)
+        module = paper_network(len(state["0.weight"]), torch.Generator())
+        module.load_state_dict(state)
+        modules.append(module.eval().double() if double else module.eval())
+        mine.append(network_of({name: x.numpy() for name, x in module.state_dict().items()}))
+    return modules, mine
+
+
 @pytest.mark.parametrize("double", [True, False])
 def test_networks_of_the_paper_predict_what_torch_predicts(double):
     files = sorted(NETWORKS.glob("*nb2*seed0*.safetensors"))[:2]
-    from edition1.sensing.network import PerSensor, paper_network
-    from safetensors.torch import load_file
-
-    modules = []
-    for path in files:
-        network = paper_network(9, torch.Generator())
-        network.load_state_dict(load_file(path))
-        modules.append(network.eval().double() if double else network.eval())
+    modules, mine = paper_networks(files, double=double)
     q = np.random.default_rng(0).normal(size=(6, 6)) * 0.008
-    mine = [load_network(path) for path in files]
-    if double:
-        mine = [
-            Network([(W.astype(float), b.astype(float)) for W, b in _folded(m)], "relu", "angles")
-            for m in modules
-        ]
-    sensing = Sensing(paper_robot(2), mine)
-    dtype = torch.float64 if double else torch.float32
-    first = MagneticSensing(pcc_robot(2), PerSensor(modules, [0, 0, 0, 1, 1, 1]), inputs="angles")
-    expected = (
-        first(torch.from_numpy(q))
-        if double
-        else PerSensor(modules, [0, 0, 0, 1, 1, 1])(torch.from_numpy(sensing.relations(q)).to(dtype))
-    )
+    sensing, per_sensor = Sensing(paper_robot(2), mine), PerSensor(modules, [0, 0, 0, 1, 1, 1])
     u, J = sensing.linearise(q)
-    np.testing.assert_allclose(u, expected.detach().numpy(), rtol=0, atol=1e-12 if double else 3e-6)
+    xi = torch.from_numpy(sensing.relations(q)).to(torch.float64 if double else torch.float32)
+    np.testing.assert_allclose(u, per_sensor(xi).detach().numpy(), rtol=0, atol=1e-12 if double else 3e-6)
     if double:
+        first = MagneticSensing(pcc_robot(2), per_sensor, inputs="angles")
         for k in range(len(q)):
             slope = torch.func.jacrev(first)(torch.from_numpy(q[k])).detach().numpy()
             np.testing.assert_allclose(J[k], slope, rtol=0, atol=1e-12 * np.abs(J).max())
-
-
-def _folded(module):
-    state = {name: x.numpy() for name, x in module.state_dict().items()}
-    return network_of(state).layers
+    else:
+        np.testing.assert_array_equal(Sensing(paper_robot(2), [load_network(path) for path in files])(q), u)
 
 
 def test_the_fast_network_predicts_what_torch_predicts():
-    from edition1.sensing.network import CosineNetwork
-
     module = CosineNetwork(5, torch.Generator().manual_seed(0)).double()
     xi = torch.rand(50, 5, generator=torch.Generator().manual_seed(1)).double()
     module.standardise(xi, xi.sum(1))
@@ -298,9 +289,6 @@ def test_what_cannot_be_is_refused_in_words(make, message):
 def test_an_ensemble_of_the_first_edition_is_the_same_network(tmp_path):
     """Folding batch norms into linear layers gives the same single-precision weights in both editions."""
     path = sorted(NETWORKS.glob("*.safetensors"))[0]
-    from edition1.sensing.network import paper_network
-    from safetensors.torch import load_file
-
     state = load_file(path)
     module = paper_network(state["0.weight"].shape[0], torch.Generator())
     module.load_state_dict(state)

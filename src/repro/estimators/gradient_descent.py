@@ -110,7 +110,7 @@ class GradientDescent:
             _descend(*self.model.packed, rows, moves, self.momentum, self.iterations, *arrays)
         else:
             self._descend_callable(rows, moves, *arrays)
-        if not np.isfinite(q).all() or not np.isfinite(status).all():
+        if not (np.isfinite(q).all() and np.isfinite(b).all() and np.isfinite(status).all()):
             raise bad_input(
                 "step_size", "GradientDescent", "small enough for a finite descent", "NaN on the way"
             )

@@ -1,0 +1,229 @@
+"""One contract for all estimators."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from repro import (
+    Arm,
+    BendSensor,
+    Drift,
+    Drifting,
+    Estimator,
+    GradientDescent,
+    ImuShape,
+    InputError,
+    KalmanFilter,
+    LevenbergMarquardt,
+    ParticleFilter,
+    Rod,
+    RodFilter,
+    RodSensor,
+    Sensing,
+    pcc_extended,
+    smooth,
+    track,
+)
+
+from .robots import bounds, paper_robot
+
+LOW, HIGH = bounds(1)
+SENSING = Sensing(paper_robot(1, 6))
+Q0 = np.array([0.004, -0.003, 0.002])
+FAST = ([1.0] * 3, [0.1] * 3)
+
+
+def callable_model(q):
+    return np.stack([q.sum(-1), q[..., 0] - q[..., 1], 2 * q[..., 2], q[..., 1] * q[..., 2]], axis=-1)
+
+
+def upright(n):
+    return np.tile([0.0, 0.0, 0.0, 1.0], n)
+
+
+ARM = Arm((0, 1, 2), (0.0, 0.1, 0.2), (0.1, 0.1), sub_segments=4)
+TILTED = np.array([0.0, 0.0, 0.0, 1.0, 0.1, 0.0, 0.0, 0.99498743710662, 0.2, 0.0, 0.0, 0.97979589711327])
+ESTIMATORS = {
+    "descent": (GradientDescent(SENSING, [3.5e-4] * 3, noise=1e-3), Q0, SENSING(Q0 + 2e-4)),
+    "descent of a callable": (GradientDescent(callable_model, [0.1] * 3), Q0, callable_model(Q0 + 1e-3)),
+    "least squares": (LevenbergMarquardt(SENSING, LOW, HIGH, 1e-3), Q0, SENSING(Q0 + 2e-4)),
+    "least squares of a callable": (
+        LevenbergMarquardt(callable_model, LOW, HIGH, 1e-3),
+        Q0,
+        callable_model(Q0 + 1e-3),
+    ),
+    "Kalman": (KalmanFilter(SENSING, LOW, HIGH, 1e-3, *FAST), Q0, SENSING(Q0 + 2e-4)),
+    "Kalman with drift": (
+        KalmanFilter(Drifting(SENSING, [Drift("offset", 0.01, 1e-3)]), LOW, HIGH, 1e-3, *FAST),
+        Q0,
+        SENSING(Q0 + 2e-4),
+    ),
+    "particles": (
+        ParticleFilter(BendSensor(0.015), [0.02] * 2, 0.05, particles=200),
+        np.array([0.3, 0.1]),
+        BendSensor(0.015)([0.31, 0.12]),
+    ),
+    "IMUs": (ImuShape(pcc_extended, ARM, (0.1, 0.2), noise=0.01), np.zeros(6), TILTED),
+    "rod": (
+        RodFilter(
+            Rod(1.0, bending=1, torsion=0), (RodSensor("pose", 1e-3, arc_m=1.0),), (10.0, 10.0), rate=1.0
+        ),
+        np.zeros(2),
+        np.array([0.0, 0.0, 1.0, 0.01, 0.0, 0.0]),
+    ),
+}
+GROUP = {"IMUs": 4, "rod": 6}
+"""Readings that count as missing together."""
+
+
+@pytest.fixture(params=ESTIMATORS)
+def case(request):
+    return request.param, *ESTIMATORS[request.param]
+
+
+def same(a, b, rtol=0.0, atol=0.0):
+    for x, y in zip(a[:-1], b[:-1], strict=True):
+        if x is not None:
+            np.testing.assert_allclose(x, y, rtol=rtol, atol=atol, equal_nan=True)
+    for name in a.details:
+        np.testing.assert_allclose(a.details[name], b.details[name], rtol=rtol, atol=atol)
+
+
+def test_a_state_is_never_changed_and_gives_the_same_bits_twice(case):
+    _, method, q0, u = case
+    assert isinstance(method, Estimator)
+    state, _ = method.step(method.init(q0, seed=3), u, 0.0)
+    later, first = method.step(state, u, 0.025)
+    _, second = method.step(state, u, 0.025)
+    same(first, second)
+    method.step(later, u, 0.05)
+    same(first, method.step(state, u, 0.025)[1])
+
+
+def test_a_batch_gives_what_its_members_give_alone(case):
+    name, method, q0, u = case
+    rng = np.random.default_rng(0)
+    noise = 0.0 if name in GROUP else 1e-4
+    rows = u + noise * rng.normal(size=(2, 3, len(u)))
+    state, found = method.step(method.init(np.broadcast_to(q0, (2, 3, len(q0)))), rows, 0.0)
+    state, found = method.step(state, rows, 0.1)
+    for k in np.ndindex(2, 3):
+        alone, _ = method.step(method.init(q0), rows[k], 0.0)
+        _, alone = method.step(alone, rows[k], 0.1)
+        np.testing.assert_allclose(found.q[k], alone.q, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(found.u_hat[k], alone.u_hat, rtol=1e-9, atol=1e-12)
+        if found.covariance is not None:
+            np.testing.assert_allclose(found.covariance[k], alone.covariance, rtol=1e-6, atol=1e-15)
+        for field in ("chi2", "dof", "missing"):
+            np.testing.assert_allclose(getattr(found, field)[k], getattr(alone, field), rtol=1e-6, atol=1e-9)
+
+
+def test_a_start_without_a_batch_serves_a_batch_of_readings(case):
+    name, method, q0, u = case
+    _, found = method.step(method.init(q0), np.stack([u, u]), 0.0)
+    assert found.q.shape == (2, len(q0))
+
+
+@pytest.mark.parametrize("how", ["nan", "infinite", "mask"])
+def test_what_is_missing_is_left_out_and_counted(case, how):
+    name, method, q0, u = case
+    n = GROUP.get(name, 1)
+    rows, mask = np.stack([u, u]), np.ones((2, len(u)), dtype=bool)
+    if how == "mask":
+        mask[1, -1] = False
+        rows[1, -1] = 1e6
+    else:
+        rows[1, -1] = np.nan if how == "nan" else -np.inf
+    _, found = method.step(method.init(q0), rows, 0.0, mask=mask)
+    assert found.missing.tolist() == [0, n]
+    assert np.isfinite(found.q).all()
+    assert np.isfinite(found.u_hat).all()
+    if name not in GROUP:
+        np.testing.assert_allclose(found.q[0], found.q[1], rtol=0, atol=0.1 * np.abs(q0).max() + 1e-9)
+
+
+def test_known_coordinates_are_taken_over(case):
+    name, method, q0, u = case
+    known = np.full(len(q0), np.nan)
+    known[-1] = q0[-1] + (0.0 if name in GROUP else 5e-4)
+    _, found = method.step(method.init(q0), u, 0.0, known=known)
+    assert found.q[-1] == pytest.approx(known[-1], abs=1e-12)
+    if found.covariance is not None:
+        np.testing.assert_allclose(found.covariance[-1], 0.0, atol=1e-18)
+
+
+def test_lists_and_data_frames_are_arrays(case):
+    _, method, q0, u = case
+    _, expected = method.step(method.init(q0), u, 0.0)
+    same(method.step(method.init(list(q0)), list(u), 0.0)[1], expected)
+    frame = pd.DataFrame([u, u])
+    options = {"times": [0.0, 0.1]}
+    np.testing.assert_array_equal(track(method, frame, q0, **options).q[0], expected.q)
+
+
+def test_tracking_is_stepping(case):
+    _, method, q0, u = case
+    rows, times = np.stack([u] * 4), np.array([0.0, 0.1, 0.25, 0.3])
+    found = track(method, rows, q0, times=times, seed=2, monitor=None)
+    state = method.init(q0, seed=2)
+    for k, t in enumerate(times):
+        state, estimate = method.step(state, rows[k], t)
+        np.testing.assert_array_equal(found.q[k], estimate.q)
+        np.testing.assert_array_equal(found.dof[k], estimate.dof)
+    assert len(repr(found).splitlines()) == 3
+
+
+def test_wrong_shapes_types_and_masks_are_refused_in_words(case):
+    name, method, q0, u = case
+    state = method.init(q0)
+    refused = [
+        (lambda: method.step(state, u[:-1], 0.0), "u of .* must be "),
+        (lambda: method.step(state, "abc", 0.0), "u of .* must be numbers"),
+        (lambda: method.step(state, u, 0.0, mask=[True]), "mask of .* must be true or false for each of"),
+        (lambda: method.step(state, u, 0.0, known=np.zeros(9)), "known of .* must be numbers of shape"),
+        (lambda: method.init(np.zeros(11)), "q0 of .* must be numbers of shape"),
+        (lambda: method.init(np.full(len(q0), np.nan)), "q0 of .* must be finite"),
+    ]
+    if name == "particles":
+        refused = refused[1:]  # any callable may have any number of readings: the model itself would refuse
+    for call, message in refused:
+        with pytest.raises(InputError, match=message):
+            call()
+
+
+def test_tracking_refuses_what_does_not_fit():
+    method, q0, u = ESTIMATORS["Kalman"]
+    rows = np.stack([u] * 3)
+    for call, message in [
+        (lambda: track(method, rows, q0), "times, rate_hz of track must be given for a filter"),
+        (lambda: track(method, rows, q0, times=[0.0, 0.2, 0.1]), "increasing .* 0.1 after 0.2 in row 2"),
+        (lambda: track(method, rows, q0, rate_hz=0.0), "rate_hz of track must be positive"),
+        (lambda: track(method, rows, q0, rate_hz=9.0, mask=[[True]]), "one row for each of 3 time steps"),
+        (lambda: track(method, [], q0, rate_hz=9.0), r"of shape \(t, ..., s\)"),
+        (lambda: track(3, rows, q0), "estimator of track must be an estimator; instead received int"),
+        (lambda: track(method, rows, q0, rate_hz=9.0, monitor="always"), '"auto" or None'),
+        (lambda: smooth(ESTIMATORS["least squares"][0], rows, q0, rate_hz=9.0), "a Kalman or rod filter"),
+        (lambda: method.step(method.step(method.init(q0), u, 1.0)[0], u, 1.0), "after the last step, 1.0 s"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            call()
+
+
+@pytest.mark.parametrize("name", ["least squares", "Kalman", "descent"])
+def test_chi_square_has_its_degrees_of_freedom(name):
+    """With the right noise its mean is the number of degrees of freedom, within three standard errors."""
+    method, q0, _ = ESTIMATORS[name]
+    if name == "descent":
+        method = GradientDescent(SENSING, [3.5e-3] * 3, iterations=60, noise=1e-3)
+    u = SENSING(Q0) + 1e-3 * np.random.default_rng(0).normal(size=(400, 6))
+    _, found = method.step(method.init(q0), u, 0.0)
+    if name == "Kalman":  # the prior is far wider than what the readings say
+        assert (found.dof == 6).all()
+        assert found.chi2.mean() == pytest.approx(3.0, abs=3 * np.sqrt(6 / 400))
+    else:
+        assert (found.dof == 3).all()
+        assert found.chi2.mean() == pytest.approx(
+            3.0, abs=3 * np.sqrt(6 / 400) + (0.3 if name == "descent" else 0)
+        )

@@ -1,0 +1,334 @@
+"""The Kalman filter and the smoother: against exact filters, the first edition and closed forms; and drift."""
+
+from __future__ import annotations
+
+import edition1
+import numba
+import numpy as np
+import pytest
+import torch
+from edition1.kinematics.paper_robots import pcc_robot
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from repro import (
+    ConstantCurvature,
+    Drift,
+    Drifting,
+    Imu,
+    InputError,
+    KalmanFilter,
+    LevenbergMarquardt,
+    Magnet,
+    Robot,
+    Sensing,
+    Sensor,
+    simulated_readings,
+    smooth,
+    track,
+)
+from repro.estimators.drift import DriftModel
+from repro.estimators.kalman import _update, smoothed
+
+from .robots import RELEASED, bounds, paper_robot
+from .test_least_squares import lemniscate
+from .test_sensing import MOMENTS
+
+H = np.array([[1.0, 0.5], [0.2, -1.0], [0.3, 0.3]])
+WIDE = ([-50.0, -50.0], [50.0, 50.0])
+NOISE, DENSITY, SPEED = np.array([0.1, 0.2, 0.15]), np.array([0.7, 1.3]), np.array([2.0, 3.0])
+
+
+def linear(q):
+    return q @ H.T
+
+
+def exact(u, times):
+    """The textbook filter on (q, velocity), and the smoother by one least-squares problem over all states."""
+    n = 2
+    P = np.diag([100**2 / 12, 100**2 / 12, *SPEED**2])
+    x, C = np.zeros(2 * n), np.hstack([H, np.zeros((3, n))])
+    means, covariances, t0 = [], [], times[0]
+    A, b = [np.linalg.inv(np.linalg.cholesky(P))], [np.zeros(4)]
+    for row, t in zip(u, times, strict=True):
+        tau, eye = t - t0, np.eye(n)
+        F = np.block([[eye, tau * eye], [0 * eye, eye]])
+        D = np.diag(DENSITY**2)
+        Q = np.block([[tau**3 / 3 * D, tau**2 / 2 * D], [tau**2 / 2 * D, tau * D]])
+        x, P = F @ x, F @ P @ F.T + Q
+        use = np.isfinite(row)
+        S = C[use] @ P @ C[use].T + np.diag(NOISE[use] ** 2)
+        K = P @ C[use].T @ np.linalg.inv(S)
+        x, P = x + K @ (row[use] - C[use] @ x), P - K @ C[use] @ P
+        means.append(x), covariances.append(P)
+        A.append((F, Q)), b.append((use, row))
+        t0 = t
+    return np.array(means), np.array(covariances), A, b
+
+
+def batch_solution(A, b):
+    """Means of all states given all readings, by least squares."""
+    T = len(A) - 1
+    rows, right = [], []
+
+    def block(k, M):
+        out = np.zeros((len(M), 4 * T))
+        out[:, 4 * k : 4 * k + 4] = M
+        return out
+
+    rows.append(block(0, A[0])), right.append(b[0])
+    for k in range(T):
+        (F, Q), (use, row) = A[k + 1], b[k + 1]
+        if k:
+            W = np.linalg.inv(np.linalg.cholesky(Q))
+            rows.append(block(k, W) - block(k - 1, W @ F)), right.append(np.zeros(4))
+        (
+            rows.append(block(k, np.hstack([H, np.zeros((3, 2))])[use] / NOISE[use, None])),
+            right.append(row[use] / NOISE[use]),
+        )
+    M, y = np.vstack(rows), np.concatenate(right)
+    return np.linalg.lstsq(M, y, rcond=None)[0].reshape(T, 4), np.linalg.inv(M.T @ M)
+
+
+def linear_case():
+    rng = np.random.default_rng(0)
+    times = np.cumsum(rng.uniform(0.02, 0.2, 30))
+    u = linear(np.stack([np.sin(times), np.cos(2 * times)], -1)) + NOISE * rng.normal(size=(30, 3))
+    u[5], u[9, 1] = np.nan, np.nan
+    method = KalmanFilter(linear, *WIDE, NOISE, DENSITY, SPEED, tolerance=1e-12)
+    return method, u, times
+
+
+def test_on_a_linear_model_it_is_the_exact_kalman_filter():
+    method, u, times = linear_case()
+    means, covariances, *_ = exact(u, times)
+    found = track(method, u, [0.0, 0.0], times=times)
+    np.testing.assert_allclose(found.q, means[:, :2], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.covariance, covariances[:, :2, :2], rtol=0, atol=1e-9)
+
+
+def test_on_a_linear_model_the_smoother_is_the_posterior_of_everything():
+    method, u, times = linear_case()
+    _, _, A, b = exact(u, times)
+    means, covariance = batch_solution(A, b)
+    found = smooth(method, u, [0.0, 0.0], times=times)
+    np.testing.assert_allclose(found.q, means[:, :2], rtol=0, atol=1e-8)
+    for k in range(len(u)):
+        np.testing.assert_allclose(
+            found.covariance[k], covariance[4 * k : 4 * k + 2, 4 * k : 4 * k + 2], rtol=0, atol=1e-8
+        )
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.3])
+def test_with_a_lag_it_is_what_is_known_after_waiting(lag):
+    method, u, times = linear_case()
+    found = smooth(method, u, [0.0, 0.0], times=times, lag_s=lag)
+    for k in (0, 7, 20):
+        last = np.searchsorted(times, times[k] + lag, side="right")
+        alone = smooth(method, u[:last], [0.0, 0.0], times=times[:last])
+        np.testing.assert_allclose(found.q[k], alone.q[k], rtol=0, atol=1e-12)
+
+
+def test_with_a_flat_prior_it_is_least_squares():
+    method, u, times = linear_case()
+    flat = KalmanFilter(linear, [-1e7] * 2, [1e7] * 2, NOISE, DENSITY, SPEED, tolerance=1e-12)
+    _, one = flat.step(flat.init([0.0, 0.0]), u[0], 0.0)
+    least = LevenbergMarquardt(linear, [-1e7] * 2, [1e7] * 2, NOISE, tolerance=1e-12)
+    _, two = least.step(least.init([0.0, 0.0]), u[0])
+    np.testing.assert_allclose(one.q, two.q, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(one.covariance, two.covariance, rtol=0, atol=1e-9)
+
+
+def test_agrees_with_the_first_edition():
+    q, low, high = lemniscate(2, 40), bounds(2)[0] - 0.005, bounds(2)[1] + 0.005
+    u = simulated_readings(paper_robot(2), q) + 1e-3 * np.random.default_rng(0).normal(size=(40, 6))
+    fast = np.full(6, 0.5), np.full(6, 0.1)
+    method = KalmanFilter(Sensing(paper_robot(2)), low, high, 1e-3, *fast, tolerance=1e-12)
+    first = edition1.IteratedKalmanFilter(
+        edition1.compiled(edition1.LinearisedSensing(pcc_robot(2), torch.from_numpy(MOMENTS))),
+        *(torch.from_numpy(x) for x in (low, high, *fast)),
+        noise_mt=1e-3,
+        iterations=30,
+    )
+    start = q[0]
+    mine = track(method, u, start, rate_hz=40.0)
+    theirs = edition1.track(first, torch.from_numpy(u), torch.from_numpy(start), rate_hz=40.0)
+    assert not mine.details["at_bound"].any()
+    np.testing.assert_allclose(mine.q, theirs.q.numpy(), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(
+        mine.chi2, theirs.diagnostics["chi2"].numpy(), rtol=1e-6, atol=1e-8
+    )
+    back = smooth(method, u, start, rate_hz=40.0)
+    first_back = edition1.smooth(
+        first, torch.from_numpy(u), torch.from_numpy(start), [k / 40 for k in range(40)]
+    )
+    np.testing.assert_allclose(back.q, first_back.q.numpy(), rtol=0, atol=1e-8)
+
+
+@numba.njit
+def _million(x, P, F, Q, q, C, information, J, steps):
+    for _ in range(steps):
+        x[0] = F @ x[0]
+        P[0] = F @ P[0] @ F.T + Q
+        prior = P[0, :2, :2].copy()
+        information[0] = np.linalg.inv(prior)
+        C[0] = np.linalg.inv(information[0] + J)
+        q[0] = C[0] @ (information[0] @ np.ascontiguousarray(x[0, :2]))
+        _update(x, P, q, C, information)
+
+
+def test_covariances_stay_symmetric_and_positive_over_a_million_steps():
+    method, *_ = linear_case()
+    F, Q = method.motion(0.01)
+    P, J = np.diag([800.0, 800.0, *SPEED**2])[None], H.T @ np.diag(1 / NOISE**2) @ H
+    x, q, C, information = np.zeros((1, 4)), np.zeros((1, 2)), np.zeros((1, 2, 2)), np.zeros((1, 2, 2))
+    _million(x, P, F, Q, q, C, information, J, 1_000_000)
+    np.testing.assert_array_equal(P[0], P[0].T)
+    settled = np.linalg.eigvalsh(P[0])
+    assert settled.min() > 0
+    before = P.copy()
+    _million(x, P, F, Q, q, C, information, J, 1000)
+    np.testing.assert_allclose(P, before, rtol=1e-9)
+
+
+@given(st.floats(0.01, 3.0), st.floats(0.01, 3.0))
+def test_two_steps_of_motion_are_one(a, b):
+    method = KalmanFilter(
+        Drifting(linear, [Drift("offset", 0.1, 0.2, time_s=2.0)]), *WIDE, NOISE, DENSITY, SPEED
+    )
+    (F1, Q1), (F2, Q2), (F, Q) = (method.motion(t) for t in (a, b, a + b))
+    np.testing.assert_allclose(F2 @ F1, F, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(F2 @ Q1 @ F2.T + Q2, Q, rtol=1e-9, atol=1e-12)
+
+
+def test_states_without_order_are_refused():
+    method, u, _ = linear_case()
+    state, _ = method.step(method.init([0.0, 0.0]), u[0], 0.0)
+    for states, message in [
+        ([], "at least one, each after a step"),
+        ([method.init([0.0, 0.0])], "each after a step"),
+        ([method.predicted(state, 2.0), state], "in the order of time"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            smoothed(method, states)
+    with pytest.raises(InputError, match="not before the last step"):
+        method.predicted(state, -1.0)
+    with pytest.raises(InputError, match="acceleration of KalmanFilter must be positive"):
+        KalmanFilter(linear, *WIDE, NOISE, [0.0, 1.0], SPEED)
+
+
+# Drift
+
+
+def arm_of_both():
+    magnets = [Magnet(RELEASED, 1, 0.055), Magnet(RELEASED, 2, 0.055)]
+    sensors = [Sensor(g, 0.11, radial=0.013, azimuth=2 * k) for g in (1, 2) for k in range(3)]
+    return Robot(
+        [ConstantCurvature(0.11, 0.022)] * 2,
+        magnets,
+        sensors,
+        [Imu(1, 0.11), Imu(2, 0.11, [0.5, 0.5, 0.5, 0.5])],
+    )
+
+
+ALL = [
+    Drift("offset", 0.01),
+    Drift("gain", 0.01),
+    Drift("gain", 0.01, shared=True),
+    Drift("moment", 0.01),
+    Drift("moment", 0.01, shared=True),
+    Drift("stray", 0.01),
+    Drift("heading", 0.1),
+    Drift("tilt", 0.1),
+]
+
+
+def test_slopes_of_every_kind_of_drift_are_those_of_the_readings():
+    sensing = Sensing(arm_of_both(), earth=[0.02, 0.01, -0.04])
+    low, high = bounds(2)
+    model = DriftModel(Drifting(sensing, ALL), low, high, "test")
+    rng = np.random.default_rng(0)
+    x = np.concatenate([0.008 * rng.normal(size=6), 0.02 * rng.normal(size=model.n_q - 6)])[None]
+    u, J = model.linearise(x)
+    for c in range(model.n_q):
+        step = np.zeros((1, model.n_q))
+        step[0, c] = 1e-6 if c >= 6 else 1e-8
+        # The difference turns rotation vectors into turns in the base, which the slopes of IMUs are.
+        up, down = model.difference(model(x + step), u), model.difference(model(x - step), u)
+        np.testing.assert_allclose(
+            J[..., c], (up - down) / (2 * step[0, c]), rtol=0, atol=2e-6 * np.abs(J).max()
+        )
+    assert model.names[:2] == ("offset 1", "offset 2")
+
+
+def test_readings_with_errors_are_those_of_a_robot_with_them():
+    """A stronger magnet, a turned IMU, an offset: each as the physics has it."""
+    robot, (low, high) = arm_of_both(), bounds(2)
+    drifts = [Drift("moment", 0.01), Drift("tilt", 0.1), Drift("heading", 0.1), Drift("offset", 0.1)]
+    sensing = Sensing(robot)
+    model = DriftModel(Drifting(sensing, drifts), low, high, "test")
+    q = 0.005 * np.ones(6)
+    x = np.concatenate([q, [0.1, -0.05], [0.0, 0.0, 0.2, 0.1], [0.0, 0.3], np.arange(6) * 0.01])
+    (u,) = model(x[None])
+    stronger = Sensing(robot, moments=sensing.moments * [[1.1], [0.95]], offset=np.arange(6) * 0.01)(q)
+    np.testing.assert_allclose(u[:9], stronger[:9], rtol=0, atol=1e-12)
+    turned = (
+        Rotation.from_rotvec([0, 0, 0.3])
+        * Rotation.from_rotvec([0.2, 0.1, 0])
+        * Rotation.from_rotvec(stronger[9:])
+    )
+    np.testing.assert_allclose(u[9:], turned.as_rotvec(), rtol=0, atol=1e-12)
+
+
+def test_errors_of_no_size_change_nothing():
+    sensing, (low, high) = Sensing(paper_robot(1)), bounds(1)
+    fast = [1.0] * 3, [0.1] * 3
+    u = simulated_readings(paper_robot(1), lemniscate(1, 20))
+    plain = track(KalmanFilter(sensing, low, high, 1e-3, *fast), u, [0.0, 0.0, 0.003], rate_hz=40.0)
+    none = Drifting(sensing, [Drift("offset", 0.0), Drift("moment", 0.0)])
+    found = track(KalmanFilter(none, low, high, 1e-3, *fast), u, [0.0, 0.0, 0.003], rate_hz=40.0)
+    np.testing.assert_allclose(found.q, plain.q, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(found.details["drift"], np.zeros((20, 4)))
+
+
+def test_an_offset_and_a_heading_are_found_where_the_readings_tell_them():
+    """Hall sensors with offsets and IMUs with headings on a moving arm: each is told by the other kind."""
+    robot, (low, high) = arm_of_both(), bounds(2)
+    q, rng = lemniscate(2, 400), np.random.default_rng(0)
+    u = simulated_readings(robot, q)
+    offset, heading = 0.05 * rng.normal(size=6), 0.1
+    u[:, :6] += offset
+    for i in (6, 9):
+        u[:, i : i + 3] = (
+            Rotation.from_rotvec([0, 0, heading]) * Rotation.from_rotvec(u[:, i : i + 3])
+        ).as_rotvec()
+    noise = np.array([1e-3] * 6 + [1e-2] * 6)
+    u += noise * rng.normal(size=u.shape)
+    drifts = [Drift("offset", 0.1), Drift("heading", 0.2)]
+    method = KalmanFilter(Drifting(Sensing(robot), drifts), low, high, noise, [0.5] * 6, [0.1] * 6)
+    found = track(method, u, q[0] * 0 + (low + high) / 2, rate_hz=40.0)
+    truth = np.array([*offset, heading, heading])
+    error = found.details["drift"][-1] - truth
+    assert (np.abs(error) < 4 * found.details["drift_std"][-1]).all()
+    assert (found.details["drift_std"][-1] < 0.2 * np.array([0.1] * 6 + [0.2] * 2)).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Drift("wobble", 1.0), "kind of Drift must be one of offset, gain, moment"),
+        (lambda: Drift("gain", -1.0), "start of Drift must be finite and not negative"),
+        (lambda: Drift("gain", 1.0, time_s=0.0), "time_s of Drift must be positive"),
+        (lambda: Drift("tilt", 1.0, shared=True), "shared of Drift must be of each"),
+        (lambda: Drifting(linear, []), "at least one; instead received none"),
+        (
+            lambda: Drifting(linear, [Drift("moment", 1.0)]),
+            "kind moment, of Drifting must be of a robot whose model",
+        ),
+        (lambda: Drifting(Sensing(paper_robot(1)), [Drift("tilt", 1.0)]), "must be of a robot with IMUs"),
+    ],
+)
+def test_what_cannot_wander_is_refused_in_words(make, message):
+    with pytest.raises(InputError, match=message):
+        make()

@@ -1,0 +1,302 @@
+"""Gradient descent and Levenberg-Marquardt against closed forms, SciPy and the first edition."""
+
+from __future__ import annotations
+
+import edition1
+import numpy as np
+import pytest
+import torch
+from edition1.kinematics.paper_robots import pcc_robot
+from edition1.sensing.network import PerSensor
+from scipy.optimize import least_squares
+
+from repro import (
+    AffineCurvature,
+    ConstantCurvature,
+    GradientDescent,
+    InputError,
+    LevenbergMarquardt,
+    Magnet,
+    Robot,
+    Sensing,
+    Sensor,
+    load_network,
+    simulated_readings,
+    track,
+)
+
+from .robots import RELEASED, bounds, paper_robot
+from .test_sensing import MOMENTS, NETWORKS, paper_networks
+
+
+def lemniscate(n_b, n):
+    s = np.linspace(0, 1, n)
+    rows = []
+    for i in range(n_b):
+        p = 2 * np.pi * i / n_b
+        rows += [0.01728 * np.sin(4 * np.pi * s + p), 0.01728 * np.sin(2 * np.pi * s + p)]
+        rows.append(0.00275 * (1 + np.sin(2 * np.pi * s + p)))
+    return np.stack(rows, axis=-1)
+
+
+@pytest.mark.parametrize("n_b", [1, 2, 3])
+def test_agrees_with_the_first_edition(n_b):
+    q = lemniscate(n_b, 60)
+    sensing = Sensing(paper_robot(n_b))
+    u = simulated_readings(sensing.robot, q) + 1e-3 * np.random.default_rng(0).normal(size=(60, 3 * n_b))
+    u[3, 0] = np.nan
+    low, high = bounds(n_b)
+    method = LevenbergMarquardt(sensing, low, high, noise=1e-3, tolerance=1e-12)
+    first = edition1.LevenbergMarquardt(
+        edition1.compiled(edition1.LinearisedSensing(pcc_robot(n_b), torch.from_numpy(MOMENTS))),
+        torch.from_numpy(low), torch.from_numpy(high), noise_mt=1e-3,
+    )  # fmt: skip
+    start = np.clip(q + 1e-3, low, high)
+    _, mine = method.step(method.init(start), u)
+    _, theirs = first.step(first.init(torch.from_numpy(start)), torch.from_numpy(u), 0.0)
+    inside = ~mine.details["at_bound"]
+    np.testing.assert_allclose(mine.q[inside], theirs.q.numpy()[inside], rtol=0, atol=1e-10)
+    scale = np.abs(theirs.covariance.numpy()).max((1, 2), keepdims=True)
+    difference = (mine.covariance - theirs.covariance.numpy()) / scale
+    assert np.abs(difference[inside]).max() < 1e-6
+    np.testing.assert_allclose(
+        mine.chi2[inside], theirs.diagnostics["chi2"].numpy()[inside], rtol=1e-8, atol=1e-9
+    )
+    np.testing.assert_array_equal(mine.dof[inside], theirs.diagnostics["dof"].numpy()[inside])
+
+
+@pytest.mark.parametrize("network", [False, True])
+def test_the_descent_agrees_with_the_first_edition_to_rounding_where_it_is_stable(network):
+    q = lemniscate(2, 12)
+    files = sorted(NETWORKS.glob("*nb2*seed0*.safetensors"))[:2]
+    robot = paper_robot(2)
+    u, gamma = simulated_readings(robot, q), np.tile([3e-3, 3e-3, 3e-4], 2)
+    if network:
+        modules, mine = paper_networks(files, double=True)
+        first = edition1.MagneticSensing(pcc_robot(2), PerSensor(modules, [0] * 3 + [1] * 3), inputs="angles")
+        sensing, tolerance = Sensing(robot, mine), 1e-12
+    else:
+        first = edition1.LinearisedSensing(pcc_robot(2), torch.from_numpy(MOMENTS))
+        sensing, tolerance = Sensing(robot), 1e-13
+    mine = track(GradientDescent(sensing, gamma), u, q[0])
+    theirs = edition1.track(
+        edition1.GradientDescent(first, torch.from_numpy(gamma)),
+        torch.from_numpy(u),
+        torch.from_numpy(q[0]),
+    )
+    np.testing.assert_allclose(mine.q, theirs.q.numpy(), rtol=0, atol=tolerance)
+
+
+def test_the_descent_on_a_parabola_is_its_recurrence():
+    """Eqs (11) and (12) by hand, with the momentum carried into the next time step."""
+    method = GradientDescent(lambda q: 2 * q, [0.02], momentum=0.3, iterations=5)
+    state, q, b = method.init([0.0]), 0.0, 0.0
+    for u in (1.0, 1.5):
+        state, found = method.step(state, [u])
+        iterates = [q]
+        for _ in range(4):
+            b = 2 * (2 * q - u) * 2 + 0.3 * b
+            q -= 0.02 * b
+            iterates.append(q)
+        q = min(iterates, key=lambda x: (2 * x - u) ** 2)
+        assert found.q[0] == pytest.approx(q, abs=1e-9)
+        assert state.momentum[0] == pytest.approx(b, abs=1e-8)
+
+
+def quadratic(q):
+    x, y = q[..., 0], q[..., 1]
+    return np.stack([x + y * y, x * y, np.sin(x) - y], axis=-1)
+
+
+def one_at_a_time(q):
+    return np.array([q[0] + q[1] * q[1], q[0] * q[1], np.sin(q[0]) - q[1]])
+
+
+def looks_batched(q):
+    """Given two configurations it returns a shape that a batch would have, with other numbers."""
+    return np.array([q[0] + q[1] * q[1], q[0] * q[1], np.sin(q[0]) - q[1]]).T[..., :3]
+
+
+def not_analytic(q):
+    return np.abs(quadratic(q) + 10.0) - 10.0
+
+
+class WithSlopes:
+    def __call__(self, q):
+        return quadratic(q)
+
+    def linearise(self, q):
+        x, y = q[..., 0], q[..., 1]
+        one = np.ones_like(x)
+        J = np.stack([np.stack([one, 2 * y], -1), np.stack([y, x], -1), np.stack([np.cos(x), -one], -1)], -2)
+        return quadratic(q), J
+
+
+@pytest.mark.parametrize("model", [quadratic, one_at_a_time, looks_batched, not_analytic, WithSlopes()])
+def test_a_model_of_ones_own_is_minimised_as_by_scipy(model):
+    noise = np.array([0.01, 0.03, 0.02])
+    u = quadratic(np.array([0.4, -0.3])) + noise * [1.0, -2.0, 0.5]
+    method = LevenbergMarquardt(model, [-1.0, -1.0], [1.0, 1.0], noise, tolerance=1e-9)
+    _, found = method.step(method.init([0.0, 0.0]), u)
+    best = least_squares(lambda q: (quadratic(q) - u) / noise, [0.0, 0.0], xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    np.testing.assert_allclose(found.q, best.x, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(best.jac.T @ best.jac), rtol=1e-5)
+    assert found.chi2 == pytest.approx(2 * best.cost, rel=1e-8)
+
+
+def test_how_a_callable_is_called_is_found_out_once():
+    calls = []
+
+    def model(q):
+        calls.append(np.shape(q))
+        return quadratic(q)
+
+    method = LevenbergMarquardt(model, [-1.0, -1.0], [1.0, 1.0], 0.01)
+    calls.clear()
+    track(method, np.tile(quadratic(np.array([0.1, 0.1])), (3, 1)), [0.0, 0.0])
+    assert set(calls) == {(2, 2)}  # complex steps along both coordinates, whose real parts are the readings
+
+
+def test_bounds_hold_and_do_not_stick():
+    method = LevenbergMarquardt(quadratic, [-0.2, -1.0], [0.2, 1.0], 0.01)
+    _, found = method.step(method.init([0.2, 0.0]), quadratic(np.array([0.5, 0.0])))
+    assert found.q[0] == 0.2
+    assert found.details["at_bound"]
+    state, _ = method.step(method.init([0.2, 0.0]), quadratic(np.array([0.5, 0.0])))
+    assert method.step(state, quadratic(np.array([0.1, 0.05])))[1].q == pytest.approx([0.1, 0.05], abs=1e-6)
+
+
+def test_what_the_readings_do_not_determine_has_a_huge_finite_variance():
+    method = LevenbergMarquardt(lambda q: q[..., :1] + q[..., 1:], [-1.0, -1.0], [1.0, 1.0], 0.01)
+    _, found = method.step(method.init([0.0, 0.0]), [0.5])
+    assert found.q.sum() == pytest.approx(0.5, abs=1e-6)
+    C = found.covariance
+    assert np.isfinite(C).all()
+    assert C.sum() == pytest.approx(1e-4, rel=0.3)
+    assert C[0, 0] > 1e9
+
+
+def affine_arm():
+    magnets = [Magnet(RELEASED, 1, 0.054), Magnet(RELEASED, 2, 0.051), Magnet(RELEASED, 2, 0.081)]
+    planes = [(1, 0.021), (1, 0.087), (2, 0.015), (2, 0.12)]
+    sensors = [
+        Sensor(g, at, radial=0.015, azimuth=np.radians(90 * k + 20 * i))
+        for i, (g, at) in enumerate(planes)
+        for k in range(4)
+    ]
+    high = np.tile([np.pi / 2, np.pi, np.pi, 0.012], 2)
+    return magnets, sensors, high
+
+
+def test_azimuths_do_not_trap_two_affine_segments():
+    """500 shapes drawn evenly within the bounds, each once from straight: at most one ends more than 1 mm away."""
+    magnets, sensors, high = affine_arm()
+    robot, rng = Robot([AffineCurvature(0.12)] * 2, magnets, sensors), np.random.default_rng(0)
+    q = high * rng.uniform(-1, 1, (500, 8))
+    u = simulated_readings(robot, q) + 0.002 * rng.normal(size=(500, 16))
+    method = LevenbergMarquardt(Sensing(robot), -high, high, noise=0.002)
+    _, found = method.step(method.init(np.zeros((500, 8))), u)
+    off = np.linalg.norm(robot.tip(found.q)[:, :3, 3] - robot.tip(q)[:, :3, 3], axis=1)
+    assert (off > 1e-3).sum() <= 1
+    assert (np.abs(found.q[:, robot.angles]) <= np.pi).all()
+
+
+def test_a_richer_model_never_fits_worse():
+    """Affine curvature contains constant curvature: from its optimum and from straight it fits at least as well."""
+    magnets, sensors, high = affine_arm()
+    rng = np.random.default_rng(1)
+    poor = Robot([ConstantCurvature(0.12, 1.0)] * 2, magnets, sensors)
+    rich = Robot([AffineCurvature(0.12)] * 2, magnets, sensors)
+    q = high * rng.uniform(-1, 1, (200, 8))
+    u = simulated_readings(rich, q) + 0.002 * rng.normal(size=(200, 16))
+    limit = np.tile([np.pi / 2 + np.pi, np.pi / 2 + np.pi, 0.012], 2)
+    arcs = LevenbergMarquardt(Sensing(poor), -limit, limit, noise=0.002)
+    _, found = arcs.step(arcs.init(np.zeros((200, 6))), u)
+    x, y, stretch = np.moveaxis(found.q.reshape(200, 2, 3), -1, 0)
+    # A bend to (x, y) is kappa_0 at the azimuth whose direction (sin phi, -cos phi) is that of (x, y).
+    contained = np.stack([np.hypot(x, y), 0 * x, np.arctan2(x, -y), stretch], axis=-1).reshape(200, 8)
+    wide = np.tile([2 * np.pi, 4 * np.pi, np.pi, 0.012], 2)
+    method = LevenbergMarquardt(Sensing(rich), -wide, wide, noise=0.002)
+    for start in (contained, np.zeros((200, 8))):
+        _, better = method.step(method.init(start), u)
+        assert (better.chi2 <= found.chi2 * (1 + 1e-9)).all()
+
+
+def test_without_a_start_it_searches():
+    """A polynomial with a wrong valley at the middle of the bounds."""
+
+    def valleys(q):
+        return np.concatenate([(q**2 - 0.49) * (q + 0.05), 0.1 * q], axis=-1)
+
+    u = valleys(np.array([0.69]))
+    method = LevenbergMarquardt(valleys, [-1.0], [1.0], 0.001)
+    stuck, found = (method.step(method.init(q0), u)[1] for q0 in ([-0.7], None))
+    assert found.q == pytest.approx(0.69, abs=1e-3)
+    assert found.chi2 < 0.01 < stuck.chi2
+
+
+def test_the_network_of_the_paper_limits_both_estimators_alike():
+    """Table 1's error belongs to the network: the descent and least squares end at the same shape."""
+    files = sorted(NETWORKS.glob("*nb1*seed0*.safetensors"))[:1]
+    q, robot = lemniscate(1, 40), paper_robot(1)
+    sensing, u = Sensing(robot, load_network(files[0])), simulated_readings(robot, q)
+    low, high = bounds(1)
+    descent = track(GradientDescent(sensing, [3.5e-4] * 3, iterations=2000), u, q[0]).q
+    best = track(LevenbergMarquardt(sensing, low - 0.01, high + 0.01, 1e-3), u, q[0]).q
+    assert np.abs(descent - best).max() < 2e-4
+    assert np.abs(best - q).max() > 5e-4 / 5
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: LevenbergMarquardt(quadratic, [1.0, 1.0], [0.0, 2.0], 0.1), "ordered bounds"),
+        (
+            lambda: LevenbergMarquardt(quadratic, [0.0, 0.0], [1.0, 1.0], -0.1),
+            "noise of LevenbergMarquardt must be pos",
+        ),
+        (
+            lambda: LevenbergMarquardt(quadratic, [0.0, 0.0], [1.0, 1.0], 0.1, iterations=0),
+            "iterations .* positive",
+        ),
+        (
+            lambda: LevenbergMarquardt(3, [0.0], [1.0], 0.1),
+            "a callable from q to readings; instead received int",
+        ),
+        (
+            lambda: LevenbergMarquardt(lambda q: q[7], [0.0], [1.0], 0.1),
+            "callable of 1 coordinates; .* IndexError",
+        ),
+        (lambda: LevenbergMarquardt(lambda q: 1.0, [0.0], [1.0], 0.1), r"one that returns readings \[s\]"),
+        (
+            lambda: LevenbergMarquardt(Sensing(paper_robot(1)), [0.0], [1.0], 0.1),
+            "bounds of its 3 coordinates",
+        ),
+        (
+            lambda: GradientDescent(quadratic, [-1.0, 1.0]),
+            "step_size of GradientDescent must be not negative",
+        ),
+        (lambda: GradientDescent(quadratic, [1.0, 1.0], momentum=1.0), r"in \[0, 1\)"),
+        (
+            lambda: GradientDescent(quadratic, [1.0, 1.0], noise=0.0),
+            "noise of GradientDescent must be positive",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_trouble_on_the_way_is_refused_in_words():
+    method = LevenbergMarquardt(lambda q: np.where(q < 0.2, np.nan, q), [0.0], [1.0], 0.1)
+    with pytest.raises(InputError, match="finite where the estimator starts"):
+        method.step(method.init([0.1]), [0.5])
+    method = LevenbergMarquardt(quadratic, [0.0, 0.0], [1.0, 1.0], [0.1, 0.2])
+    with pytest.raises(InputError, match="one number or one for each of 3 readings"):
+        method.step(method.init([0.5, 0.5]), [0.1, 0.2, 0.3])
+    with pytest.raises(InputError, match="q0 of LevenbergMarquardt must be within the bounds"):
+        method.init([2.0, 0.0])
+    wild = GradientDescent(quadratic, [1e200, 1e200])
+    with pytest.raises(InputError, match="small enough for a finite descent"), np.errstate(all="ignore"):
+        wild.step(wild.init([0.1, 0.2]), [1.0, 1.0, 1.0])
