@@ -8,7 +8,7 @@ twist is its own mirror image, so in the frame of the magnet the sensor is at :m
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -53,7 +53,7 @@ class BendSensor:
     """
 
     length: float
-    cube: Cube = Cube(6.35e-3, 1320.0)
+    cube: Cube = field(default_factory=lambda: Cube(6.35e-3, 1320.0))
 
     def __post_init__(self) -> None:
         fits = 1.25 * self.cube.edge < self.length < math.inf
@@ -111,7 +111,12 @@ def _bend_field(q, length, scale, out):
                 eta, zeta = y - 1.0 + 2.0 * j, z - 1.0 + 2.0 * k
                 a = math.sqrt(near * near + eta * eta + zeta * zeta)
                 b = math.sqrt(far * far + eta * eta + zeta * zeta)
-                x_up, x_down, y_up, y_down = x_up * (eta + a), x_down * (eta + b), y_up * (near + a), y_down * (far + b)
+                x_up, x_down, y_up, y_down = (
+                    x_up * (eta + a),
+                    x_down * (eta + b),
+                    y_up * (near + a),
+                    y_down * (far + b),
+                )
                 p, m = zeta * zeta * a * b + eta * eta * near * far, eta * zeta * (near * b - far * a)
                 re, im = re * p - im * m, re * m + im * p
         x_root[i], y_root[i] = math.sqrt(x_up / x_down), math.sqrt(y_up / y_down)
@@ -122,9 +127,17 @@ def _bend_field(q, length, scale, out):
         z = z_half[i] / (1.0 + math.sqrt(1.0 + z_half[i] * z_half[i]))
         Bx = By = Bz = 0.0
         for k in range(15, -1, -1):
-            Bx, By, Bz = Bx * (x * x) + 1.0 / (2 * k + 1), By * (y * y) + 1.0 / (2 * k + 1), 1.0 / (2 * k + 1) - Bz * (z * z)
+            Bx, By, Bz = (
+                Bx * (x * x) + 1.0 / (2 * k + 1),
+                By * (y * y) + 1.0 / (2 * k + 1),
+                1.0 / (2 * k + 1) - Bz * (z * z),
+            )
         u, v, side = q[2 * i], q[2 * i + 1], math.copysign(4.0 * scale, s[i])
-        Bx, By, Bz = math.copysign(1.0, u) * side * x * Bx, math.copysign(1.0, v) * side * y * By, 4.0 * scale * z * Bz
+        Bx, By, Bz = (
+            math.copysign(1.0, u) * side * x * Bx,
+            math.copysign(1.0, v) * side * y * By,
+            4.0 * scale * z * Bz,
+        )
         # Rodrigues' rotation about (-v, u, 0): B + s w x B + c w x (w x B).
         along = u * Bx + v * By
         push = s[i] * Bz - c[i] * along
