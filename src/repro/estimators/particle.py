@@ -322,10 +322,8 @@ class ParticleFilter:
             },
         )
         generator = _stream(state.seed, 2 * state.steps)
-        q, velocity = self._moved(
-            q, velocity, _drawn(w, _points(n, self.resampling, generator)), width, generator
-        )
-        q, velocity = q.reshape(*batch, n, n_q), velocity.reshape(*batch, n, n_q)
+        moved = self._moved(q, velocity, _drawn(w, _points(n, self.resampling, generator)), width, generator)
+        q, velocity = (x.reshape(*batch, n, n_q) for x in moved)
         return ParticleState(q, velocity, state.seed, state.steps + 1), estimate
 
     def _moved(
@@ -337,17 +335,7 @@ class ParticleFilter:
         # After fifty draws that lead out a particle stays where it is, at rest.
         for _ in range(50):
             noise = generator.standard_normal((self.particles, self.n_q))
-            _move(
-                q,
-                velocity,
-                self.motion == "constant velocity",
-                drawn,
-                width,
-                noise,
-                outside,
-                following,
-                moved,
-            )
+            _move(q, velocity, self.motion != "random walk", drawn, width, noise, outside, following, moved)
             outside = np.zeros_like(outside) if self.region is None else ~self.region.contains(following)
             if not outside.any():
                 return following, moved
@@ -439,10 +427,11 @@ def _weighed(q, u_hat, u, noise):
                 for i in range(n):
                     e[k, i] = (u_hat[b, i, k] - u[b, k]) / noise[b, k]
                     squares[b, i] += e[k, i] * e[k, i]
-        # Eq. (2). Far below the best, weights get a floor: where squares are denormal numbers, arithmetic is slow.
+        # Eq. (2). Most particles are far below the best and get a floor, which takes no exponential function; without
+        # it their squares would be denormal numbers, on which arithmetic is slow.
         least, total = np.min(squares[b]), 0.0
         for i in range(n):
-            w[b, i] = math.exp(max(0.5 * (least - squares[b, i]), -300.0))
+            w[b, i] = math.exp(0.5 * (least - squares[b, i])) if squares[b, i] < least + 600.0 else 1e-130
             total += w[b, i]
         w[b] /= total
         size[b] = 1.0 / _dot(w[b], w[b])
