@@ -1,0 +1,485 @@
+r"""The particle filter of Mitchell, Hurley and Onal 2021 (section II): weigh, predict, resample.
+
+The filter carries the belief about the configuration as a cloud of particles. A step weighs every particle by the
+likelihood of the readings, takes the estimate, draws as many particles again by their weights, and moves each of them
+a little.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from repro.common import Array, bad_input, kernel, numbers, require, say_that_kernels_compile
+from repro.estimators.base import Estimate, Sensing, incoming, known_coordinates, start
+
+
+@dataclass(frozen=True)
+class BendDisc:
+    """Bend vectors up to a bend angle: the parameter space of Mitchell et al. 2021, Fig. 3.
+
+    Parameters
+    ----------
+    radius
+        Largest bend angle [rad].
+
+    Raises
+    ------
+    InputError
+        If the radius is not positive.
+
+    Examples
+    --------
+    >>> BendDisc(np.pi / 2).contains(np.array([[1.5, 0.0], [1.5, 1.5]]))
+    array([ True, False])
+    """
+
+    radius: float
+
+    def __post_init__(self) -> None:
+        require(0 < self.radius < math.inf, "radius", "BendDisc", "positive [rad]", self.radius)
+
+    def contains(self, q: Array) -> Array:
+        """Return which bend vectors ``[..., 2]`` are at most as long as the radius."""
+        return q[..., 0] ** 2 + q[..., 1] ** 2 <= self.radius**2
+
+    def sample(self, n: int, generator: np.random.Generator) -> Array:
+        """Return ``n`` bend vectors, uniform over the disc."""
+        angle, direction = self.radius * np.sqrt(generator.random(n)), 2 * math.pi * generator.random(n)
+        return np.stack([angle * np.cos(direction), angle * np.sin(direction)], axis=-1)
+
+
+@dataclass(frozen=True)
+class Box:
+    """Configurations between bounds, as for least squares.
+
+    Parameters
+    ----------
+    lower, upper
+        Bounds of every coordinate ``[n_q]``, in its unit.
+
+    Raises
+    ------
+    InputError
+        If a lower bound is not below its upper bound.
+
+    Examples
+    --------
+    >>> Box([-1.0, 0.0], [1.0, 2.0]).contains(np.array([[0.5, 0.5], [0.5, -0.5]]))
+    array([ True, False])
+    """
+
+    lower: Any
+    upper: Any
+
+    def __post_init__(self) -> None:
+        lower = numbers(self.lower, "lower", "Box", (None,))
+        ordered = (lower < numbers(self.upper, "upper", "Box", lower.shape)).all()
+        require(ordered, "lower", "Box", f"below upper, {self.upper}", self.lower)
+
+    def contains(self, q: Array) -> Array:
+        """Return which configurations ``[..., n_q]`` have every coordinate within its bounds."""
+        return np.all((q >= np.asarray(self.lower)) & (q <= np.asarray(self.upper)), axis=-1)
+
+    def sample(self, n: int, generator: np.random.Generator) -> Array:
+        """Return ``n`` configurations, uniform over the box."""
+        return generator.uniform(self.lower, self.upper, (n, len(self.lower)))
+
+
+class ParticleState(NamedTuple):
+    """The cloud before the next readings.
+
+    Random numbers are a function of ``seed`` and ``steps``: a state that is stepped twice gives the same bits twice.
+    """
+
+    q: Array
+    """Configurations of the particles ``[..., n, n_q]``."""
+    velocity: Array
+    """What moved each particle in the last step ``[..., n, n_q]``; constant velocity carries it on."""
+    seed: int
+    steps: int
+
+
+class ParticleFilter:
+    r"""Estimator of Mitchell et al. 2021 that carries the belief about the configuration as a cloud of particles.
+
+    A step follows the order of the paper: it weighs the particles, takes the estimate, draws particles again by their
+    weights, and moves them. A particle that predicts the readings :math:`\hat u` has the weight
+
+    .. math:: w \propto \exp\left(-\sum_k \frac{(\hat u_k - u_k)^2}{2 \sigma_k^2}\right)
+
+    with the standard deviations :math:`\sigma_k` of the readings. **Eq. (1) of the paper has no factor 1/2**: its
+    :math:`\sigma` is :math:`\sqrt 2` times our ``noise``. Eq. (2) subtracts the largest logarithm first, so that
+    particles far from the readings cause no underflow. One step is one step of motion, whatever the time says.
+    Members of a batch share their random numbers: each gives what it would give alone.
+
+    Parameters
+    ----------
+    sensing
+        Sensor model: any callable from configurations ``[..., n_q]`` to readings ``[..., s]``.
+    process_noise
+        Standard deviation of the noise that moves a particle in one step ``[..., n_q]``, in the units of the
+        coordinates; leading dimensions are those of the batch.
+    noise
+        Standard deviation of the readings, in their unit: one number, or one per reading.
+    region
+        Where particles may be: noise that leads outside is drawn again (section II-C). A :class:`BendDisc`, a
+        :class:`Box`, or any object with their ``contains`` and ``sample``; everywhere if not given.
+    particles
+        Number of particles.
+    estimate
+        ``"best tenth"``: mean bend angle and circular mean of the bend direction of the 10 % of particles with the
+        largest weights, eqs (3) and (4); for bend vectors only. ``"weighted"``: mean of all particles by their
+        weights. ``"Gauss-Newton"``: this mean, then one least-squares step on the readings.
+    resampling
+        ``"multinomial"`` as in the paper: independent draws. ``"systematic"``: one comb of equal spacing, which adds
+        less noise.
+    motion
+        ``"random walk"`` as in the paper: noise on the configuration. ``"constant velocity"``: noise on a velocity
+        that every particle carries.
+    lost_at
+        The filter counts as lost when the readings are so many standard deviations too unlikely for its cloud.
+    restart
+        Whether a lost filter starts again, with particles from all over the region that contract to the readings.
+
+    Raises
+    ------
+    InputError
+        If a number is not positive, a name is unknown, a best tenth is asked of anything but bend vectors, or a
+        restart has no region.
+
+    Examples
+    --------
+    >>> from repro import ParticleFilter, track
+    >>> method = ParticleFilter(lambda q: 2 * q, [0.05], 0.02, region=Box([-1.0], [1.0]))
+    >>> track(method, np.ones((20, 1)), [0.0], rate_hz=10).q[-1].round(1)
+    array([0.5])
+    """
+
+    def __init__(
+        self,
+        sensing: Sensing,
+        process_noise: Any,
+        noise: Any,
+        region: Any = None,
+        particles: int = 1000,
+        estimate: str = "weighted",
+        resampling: str = "systematic",
+        motion: str = "random walk",
+        lost_at: float = 6.0,
+        restart: bool = False,
+    ) -> None:
+        self.sensing, self.region, self.particles, self.restart = sensing, region, particles, restart
+        self.estimate, self.resampling, self.motion, self.lost_at = estimate, resampling, motion, lost_at
+        owner = "ParticleFilter"
+        require(callable(sensing), "sensing", owner, "a callable from configurations to readings", sensing)
+        self.process_noise = numbers(process_noise, "process_noise", owner, (..., None))
+        self.noise = numbers(noise, "noise", owner)
+        require(self.noise.ndim <= 1, "noise", owner, "one number, or one per reading", noise)
+        for name in ("process_noise", "noise", "lost_at"):
+            require(np.all(getattr(self, name) > 0), name, owner, "positive", getattr(self, name))
+        whole = isinstance(particles, int | np.integer) and particles > 0
+        require(whole, "particles", owner, "a positive whole number", particles)
+        choices = {
+            "estimate": ("best tenth", "weighted", "Gauss-Newton"),
+            "resampling": ("multinomial", "systematic"),
+            "motion": ("random walk", "constant velocity"),
+        }
+        for name, known in choices.items():
+            expected = f"one of {', '.join(map(repr, known))}"
+            require(getattr(self, name) in known, name, owner, expected, repr(getattr(self, name)))
+        self.n_q = self.process_noise.shape[-1]
+        if estimate == "best tenth" and self.n_q != 2:
+            expected = "'weighted' or 'Gauss-Newton' for a configuration that is no bend vector"
+            raise bad_input("estimate", owner, expected, f"'best tenth' for {self.n_q} coordinates")
+        require(region is not None or not restart, "region", owner, "given for a restart", None)
+
+    def init(self, q0: Any = None, seed: int = 0) -> ParticleState:
+        """Return a cloud at rest: around ``q0`` with the process noise of one step, or all over the region.
+
+        Raises
+        ------
+        InputError
+            If ``q0`` has another width, is not finite or outside the region, is not given and there is no region,
+            or the seed is not a whole number from 0.
+        """
+        owner, n, batch = "ParticleFilter", self.particles, self.process_noise.shape[:-1]
+        require(
+            isinstance(seed, int | np.integer) and 0 <= seed < 2**64,
+            "seed",
+            owner,
+            "a whole number from 0",
+            seed,
+        )
+        generator = _stream(seed, 0)
+        if q0 is None:
+            require(self.region is not None, "q0", owner, "given for a filter without a region", q0)
+            q = _members(self.region.sample(n, generator), batch, n, self.n_q)
+        else:
+            q0 = start(q0, self.n_q, owner)
+            if self.region is not None:
+                require(self.region.contains(q0).all(), "q0", owner, f"within {self.region}", q0.tolist())
+            batch = _common(owner, q0=q0.shape[:-1], process_noise=batch)
+            q = _members(q0[..., None, :], batch, n, self.n_q)
+            at, width = np.arange(q[..., 0].size), _members(self.process_noise, batch, self.n_q)
+            q, _ = self._moved(q, np.zeros_like(q), at.reshape(q.shape[:2]), width, generator)
+        q = q.reshape(*batch, n, self.n_q)
+        return ParticleState(q, np.zeros_like(q), seed, 1)
+
+    def step(
+        self, state: ParticleState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+    ) -> tuple[ParticleState, Estimate]:
+        """Weigh, predict and resample.
+
+        The ``details`` are ``effective_sample_size``, the number of particles of equal weight that are worth as much;
+        ``surprise``, by how many standard deviations the readings are too unlikely for the cloud before it is
+        weighed, about N(0, 1) while the filter follows and NaN without readings; and ``lost``, whether the surprise
+        is above ``lost_at``. The covariance is that of the weighted particles; for ``"Gauss-Newton"`` it is that of
+        least squares.
+
+        Raises
+        ------
+        InputError
+            If readings, mask or known coordinates do not fit the filter, or the sensor model takes no batches.
+        """
+        say_that_kernels_compile()
+        owner, n, n_q = "ParticleFilter", self.particles, self.n_q
+        u, known = incoming(u, mask, owner), known_coordinates(known, n_q, owner)
+        s, known, holds = u.shape[-1], np.full(n_q, np.nan) if known is None else known, known is not None
+        batch = _common(
+            owner,
+            state=state.q.shape[:-2],
+            u=u.shape[:-1],
+            known=known.shape[:-1],
+            process_noise=self.process_noise.shape[:-1],
+        )
+        require(self.noise.shape in ((), (s,)), "u", owner, f"{self.noise.size} readings (last dimension)", s)
+        # From here on the batch is one leading dimension; only the sensor model sees it as it came.
+        u, noise, known, width = (
+            _members(x, batch, size)
+            for x, size in ((u, s), (self.noise, s), (known, n_q), (self.process_noise, n_q))
+        )
+        used, free = np.isfinite(u), np.isnan(known)
+
+        def predicted(q: Array) -> Array:
+            there = (*batch, *q.shape[1:])
+            found = np.ascontiguousarray(self.sensing(q.reshape(there)), dtype=np.float64)
+            if found.shape[:-1] != there[:-1]:
+                raise bad_input(
+                    "sensing", owner, f"a model that takes batches {there}", f"shape {found.shape}"
+                )
+            require(found.shape[-1] == s, "u", owner, f"{found.shape[-1]} readings (last dimension)", s)
+            return found.reshape(-1, q.shape[1], s)
+
+        def error(u_hat: Array) -> Array:
+            """Predicted less measured readings in units of the noise, zero for missing ones."""
+            return np.where(used[:, None], (u_hat - u[:, None]) / noise[:, None], 0.0)
+
+        def held(q: Array) -> Array:
+            return np.where(free[:, None], q, known[:, None]) if holds else q
+
+        q, velocity = held(_members(state.q, batch, n, n_q)), _members(state.velocity, batch, n, n_q)
+        w, squares, size, mean, C, e, S = _weighed(q, predicted(q), u, noise)
+        # The distance of the readings from their mean prediction, normalised by the covariance of predictions and
+        # noise, is chi-square while the filter follows; its cube root is nearly normal (Wilson and Hilferty 1931).
+        dof = np.where(used.any(-1), used.sum(-1), np.nan)
+        distance = (e * np.linalg.solve(S + np.eye(s), e[..., None])[..., 0]).sum(-1)
+        surprise = ((distance / dof) ** (1 / 3) - 1 + 2 / (9 * dof)) / np.sqrt(2 / (9 * dof))
+        lost = surprise > self.lost_at
+        if self.restart and lost.any():
+            q[lost], velocity[lost] = self._found_again(u, noise, predicted, held, state)[lost], 0.0
+            w, squares, size, mean, C, *_ = _weighed(q, predicted(q), u, noise)
+        best = held(_best_tenth(q, squares) if self.estimate == "best tenth" else mean[:, None])
+        if self.estimate == "Gauss-Newton":
+            h = np.finfo(float).eps ** (1 / 3) * np.eye(n_q)
+            e = error(predicted(np.concatenate([best, best + h, best - h], axis=1)))
+            J = np.where(free[..., None], e[:, 1 : n_q + 1] - e[:, n_q + 1 :], 0.0) / (2 * h[0, 0])
+            # A direction without information does not move, and gets a thousand times the process noise.
+            C = np.linalg.inv(J @ J.mT + 1e-6 * np.eye(n_q) / width[:, None] ** 2)
+            moved = best - e[:, :1] @ J.mT @ C
+            best = (
+                moved
+                if self.region is None
+                else np.where(self.region.contains(moved)[..., None], moved, best)
+            )
+        C = np.where(free[:, None] & free[..., None], C, 0.0) if holds else C
+        u_hat, n_used = predicted(best), used.sum(-1)
+        estimate = Estimate(
+            best.reshape(*batch, n_q),
+            C.reshape(*batch, n_q, n_q),
+            u_hat.reshape(*batch, s),
+            (error(u_hat) ** 2).sum((1, 2)).reshape(batch),
+            np.maximum(n_used - free.sum(-1), 0).reshape(batch),
+            (s - n_used).reshape(batch),
+            {
+                "effective_sample_size": size.reshape(batch),
+                "surprise": surprise.reshape(batch),
+                "lost": lost.reshape(batch),
+            },
+        )
+        generator = _stream(state.seed, 2 * state.steps)
+        moved = self._moved(q, velocity, _drawn(w, _points(n, self.resampling, generator)), width, generator)
+        q, velocity = (x.reshape(*batch, n, n_q) for x in moved)
+        return ParticleState(q, velocity, state.seed, state.steps + 1), estimate
+
+    def _moved(
+        self, q: Array, velocity: Array, drawn: Array, width: Array, generator: np.random.Generator
+    ) -> tuple[Array, Array]:
+        """Return the drawn particles after a step of motion, and what moved each; noise never leads out."""
+        following, moved, outside = np.empty_like(q), np.empty_like(q), np.ones(drawn.shape, dtype=np.bool_)
+        q, velocity = q.reshape(-1, self.n_q), velocity.reshape(-1, self.n_q)
+        # After fifty draws that lead out a particle stays where it is, at rest.
+        for _ in range(50):
+            noise = generator.standard_normal((self.particles, self.n_q))
+            _move(q, velocity, self.motion != "random walk", drawn, width, noise, outside, following, moved)
+            outside = np.zeros_like(outside) if self.region is None else ~self.region.contains(following)
+            if not outside.any():
+                return following, moved
+        following[outside], moved[outside] = q[drawn[outside]], 0.0
+        return following, moved
+
+    def _found_again(
+        self,
+        u: Array,
+        noise: Array,
+        predicted: Callable[[Array], Array],
+        held: Callable[[Array], Array],
+        state: ParticleState,
+    ) -> Array:
+        """Return particles from all over the region that have contracted to the readings as the weights sharpen.
+
+        Each of several configurations that explain the readings keeps particles.
+        """
+        n, generator = self.particles, _stream(state.seed, 2 * state.steps + 1)
+        q = held(np.tile(self.region.sample(n, generator), (len(u), 1, 1)))
+        squares, width = _weighed(q, predicted(q), u, noise)[1], q.std(1, keepdims=True)
+        first = np.sqrt(squares.mean(1) / u.shape[1]).clip(1.0)[:, None]
+        # Twelve passes take the width of the likelihood from the first misfit to the noise.
+        for k in range(1, 13):
+            share = first ** (-k / 12)
+            w = _weighed(q, predicted(q), u, noise * first * share)[0]
+            q = q.reshape(-1, self.n_q)[_drawn(w, _points(n, "systematic", generator))]
+            spread = held(q + share[..., None] * width * generator.standard_normal(q.shape[1:]))
+            q = np.where(self.region.contains(spread)[..., None], spread, q)
+        return q
+
+
+def _stream(seed: int, number: int) -> np.random.Generator:
+    """Return random numbers that depend on the seed and the number only."""
+    return np.random.Generator(np.random.Philox(key=[seed, number]))
+
+
+def _common(owner: str, **shapes: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the shape that the batches of the inputs broadcast to, or refuse them."""
+    try:
+        return np.broadcast_shapes(*shapes.values())
+    except ValueError as error:
+        raise bad_input(", ".join(shapes), owner, "of batches that fit each other", shapes) from error
+
+
+def _members(x: Array, batch: tuple[int, ...], *own: int) -> Array:
+    """Return a copy for every member, with the batch as one leading dimension."""
+    return np.full((*batch, *own), x).reshape(-1, *own)
+
+
+def _points(n: int, resampling: str, generator: np.random.Generator) -> Array:
+    """Return the shares of the sum of all weights at which particles are drawn, increasing."""
+    if resampling == "systematic":
+        return (np.arange(n) + generator.random()) / n
+    # Sums of exponential numbers, divided by the last, are uniform numbers in order: nothing has to be sorted.
+    edges = np.cumsum(generator.standard_exponential(n + 1))
+    return edges[:-1] / edges[-1]
+
+
+def _best_tenth(q: Array, squares: Array) -> Array:
+    """Return the estimate of eqs (3) and (4) ``[m, 1, 2]`` from bend vectors.
+
+    Angles are never negative, so that near the straight pose their mean is too large.
+    """
+    m, n = squares.shape
+    keep, tiny = math.ceil(n / 10), np.finfo(float).tiny
+    best = np.argpartition(squares, keep - 1, axis=1)[:, :keep] + n * np.arange(m)[:, None]
+    bend = q.view(np.complex128).ravel().take(best)
+    angle = np.abs(bend)
+    direction = (bend / (angle + tiny)).sum(1)
+    direction /= np.abs(direction) + tiny
+    return (angle.sum(1) / keep * direction).view(np.float64).reshape(m, 1, 2)
+
+
+@kernel(reorder=True)
+def _weighed(q, u_hat, u, noise):
+    """Return what readings say about clouds; errors are in units of the noise.
+
+    These are weights, squared errors, effective sample sizes, means and covariances of the particles, and means and
+    covariances of the errors before weighing. Readings that are not finite are missing and have no error.
+    """
+    m, n, n_q, s = *q.shape, u.shape[1]
+    w, squares, size, e_mean = np.empty((m, n)), np.zeros((m, n)), np.empty(m), np.empty((m, s))
+    mean, C, S = np.empty((m, n_q)), np.empty((m, n_q, n_q)), np.empty((m, s, s))
+    for b in range(m):
+        e = np.zeros((s, n))
+        for k in range(s):
+            if math.isfinite(u[b, k]):
+                for i in range(n):
+                    e[k, i] = (u_hat[b, i, k] - u[b, k]) / noise[b, k]
+                    squares[b, i] += e[k, i] * e[k, i]
+        # Eq. (2). Most particles are far below the best and get a floor, which takes no exponential function; without
+        # it their squares would be denormal numbers, on which arithmetic is slow.
+        least, total = np.min(squares[b]), 0.0
+        for i in range(n):
+            w[b, i] = math.exp(0.5 * (least - squares[b, i])) if squares[b, i] < least + 600.0 else 1e-130
+            total += w[b, i]
+        w[b] /= total
+        size[b] = 1.0 / _dot(w[b], w[b])
+        _moments(q[b].T.copy(), w[b], mean[b], C[b])
+        _moments(e, np.full(n, 1.0 / n), e_mean[b], S[b])
+    return w, squares, size, mean, C, e_mean, S
+
+
+@kernel(reorder=True)
+def _moments(x, w, mean, C):
+    """Write mean and covariance of the columns of ``x``, with weights whose sum is 1, and take the mean off ``x``."""
+    for a in range(len(x)):
+        mean[a] = _dot(w, x[a])
+        x[a] -= mean[a]
+        share = w * x[a]
+        for b in range(a + 1):
+            C[a, b] = C[b, a] = _dot(share, x[b])
+
+
+@kernel(reorder=True)
+def _dot(x, y):
+    total = 0.0
+    for i in range(len(x)):
+        total += x[i] * y[i]
+    return total
+
+
+@kernel
+def _drawn(w, points):
+    """Return the particles, counted over all members, whose share of the weights holds each point."""
+    (m, n), drawn = w.shape, np.empty(w.shape, dtype=np.int64)
+    for b in range(m):
+        total, k, edge = np.sum(w[b]), 0, w[b, 0]
+        for i in range(n):
+            while k < n - 1 and edge <= points[i] * total:
+                k += 1
+                edge += w[b, k]
+            drawn[b, i] = b * n + k
+    return drawn
+
+
+@kernel
+def _move(q, velocity, carry, drawn, width, noise, outside, following, moved):
+    """Move the drawn particles that are outside once more."""
+    for b in range(len(drawn)):
+        for i in range(drawn.shape[1]):
+            if outside[b, i]:
+                k = drawn[b, i]
+                for c in range(q.shape[1]):
+                    moved[b, i, c] = (velocity[k, c] if carry else 0.0) + width[b, c] * noise[i, c]
+                    following[b, i, c] = q[k, c] + moved[b, i, c]

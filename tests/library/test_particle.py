@@ -1,0 +1,277 @@
+"""The particle filter and the bend sensor of Mitchell et al. 2021."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import fftconvolve
+
+import edition1.estimation.particle_filter as first_filter
+from edition1.estimation._particle_cloud import best_tenth
+from edition1.estimation.regions import Disc
+from edition1.kernels import compiled
+from edition1.sensing.bend_sensor import BendSensor as FirstSensor
+from repro import ConstantCurvature, Cube, InputError, Magnet, Robot, Sensor, simulated_readings, track
+from repro.bend_sensor import BendSensor
+from repro.estimators.particle import BendDisc, Box, ParticleFilter, _best_tenth, _drawn, _points
+
+DISC = BendDisc(math.pi / 2)
+B444B = Cube(6.35e-3, 1320.0)
+
+
+def arc(length: float, cube: Cube) -> Robot:
+    segment = ConstantCurvature(length, 1.0, extensible=False)
+    return Robot([segment], [Magnet(cube, 1, length)], [Sensor(0, 0.0, axes=3)])
+
+
+@pytest.mark.parametrize(
+    ("length", "edge"), [(0.015, 6.35e-3), (0.013, 6.35e-3), (0.0081, 6.35e-3), (0.1, 5e-3)]
+)
+def test_bend_sensor_reads_the_exact_field_of_the_cube(length, edge):
+    rng = np.random.default_rng(0)
+    angle, direction = math.pi * np.sqrt(rng.random(2000)), rng.uniform(0, 2 * math.pi, 2000)
+    q = np.stack([angle * np.cos(direction), angle * np.sin(direction)], axis=-1).reshape(4, 500, 2)
+    q[0, :5] = [[0, 0], [1e-200, 0], [0, -1e-9], [1, 0], [0, -1.5]]
+    cube, robot = Cube(edge, 1320.0), arc(length, Cube(edge, 1320.0))
+    np.testing.assert_allclose(BendSensor(length, cube)(q), simulated_readings(robot, q), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(BendSensor(length, cube).position(q), robot.tip(q)[..., :3, 3], atol=1e-15)
+
+
+def test_bend_sensor_stays_clear_of_its_magnet():
+    with pytest.raises(InputError, match=r"length of BendSensor must be longer than 1.25 edges"):
+        BendSensor(0.0079)
+    with pytest.raises(InputError, match=r"q of BendSensor must be numbers of shape \(..., 2\)"):
+        BendSensor(0.015)([1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("resampling", ["multinomial", "systematic"])
+def test_filter_agrees_with_the_exact_posterior_on_a_grid(resampling):
+    sensing, region, noise, width, n = BendSensor(0.015), BendDisc(0.6), [0.9, 0.6, 0.4], [0.12, 0.08], 40_000
+    x = np.linspace(-0.6, 0.6, 121)
+    grid = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1)
+    inside = region.contains(grid)
+    move = np.exp(-0.5 * (np.add.outer((x / width[0]) ** 2, (x / width[1]) ** 2)))
+    # Noise that leads outside is drawn again: from every place the share that stays is scaled to one.
+    stay = fftconvolve(inside.astype(float), move, mode="same")
+    p = np.where(inside, np.exp(-0.5 * (((grid - [0.3, 0.2]) / width) ** 2).sum(-1)), 0.0)
+    method = ParticleFilter(sensing, width, noise, region, particles=n, resampling=resampling)
+    state = method.init([0.3, 0.2], seed=3)
+    rng = np.random.default_rng(1)
+    for k in range(6):
+        u = sensing([0.45 - 0.1 * k, 0.3]) + noise * rng.standard_normal(3)
+        u[1] = np.nan if k == 2 else u[1]
+        p = p * np.exp(-0.5 * np.nansum(((sensing(grid) - u) / noise) ** 2, axis=-1))
+        p /= p.sum()
+        mean = (p[..., None] * grid).sum((0, 1))
+        C = np.einsum("ij,ija,ijb->ab", p, grid - mean, grid - mean)
+        state, found = method.step(state, u)
+        spread = np.sqrt(np.diag(C))
+        assert (np.abs(found.q - mean) < 0.04 * spread).all()
+        assert (np.abs(found.covariance - C) < 0.04 * np.outer(spread, spread)).all()
+        p = np.where(inside, fftconvolve(p / stay, move, mode="same").clip(0), 0.0)
+
+
+def flower(steps: int) -> np.ndarray:
+    t = 0.01 * np.arange(100, 100 + steps)
+    return np.stack([np.sin(t) * np.cos((0.1 * t) ** 2), np.sin(t) * np.sin((0.1 * t) ** 2)], axis=-1)
+
+
+def test_errors_in_the_setting_of_the_paper_are_those_of_the_first_edition():
+    sensor, q, sigma = BendSensor(0.015), flower(150), 0.01 / math.sqrt(2)
+    u, q0, walk, names = sensor(q), q[0], np.full(2, 0.02 * math.pi), ("best tenth", "multinomial")
+    new = ParticleFilter(sensor, walk, sigma, DISC, estimate=names[0], resampling=names[1])
+    old = first_filter.ParticleFilter(
+        compiled(FirstSensor(0.015)), torch.from_numpy(walk), sigma, Disc(math.pi / 2), 1000, *names
+    )
+    errors = np.zeros((2, 6))
+    for seed in range(6):
+        found, state = [], old.init(torch.from_numpy(q0), seed=seed)
+        for row in torch.from_numpy(u):
+            state, estimate = old.step(state, row, 0.0)
+            found.append(estimate.q.numpy())
+        for k, path in enumerate((track(new, u, q0, rate_hz=100, seed=seed).q, np.array(found))):
+            off = sensor.position(path) - sensor.position(q)
+            errors[k, seed] = 1e3 * np.sqrt((off**2).sum(-1).mean())
+    difference = errors.mean(1) @ [1, -1]
+    assert abs(difference) < 3 * math.sqrt((errors.var(1, ddof=1) / 6).sum())
+    assert 0.01 < errors.mean() < 0.03  # mm, by the facts of the paper
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=30), st.integers(0, 1000))
+def test_systematic_resampling_takes_every_particle_within_one_of_its_expected_number(weights, seed):
+    w = np.array([weights]) + 1e-12
+    points = _points(w.size, "systematic", np.random.default_rng(seed))
+    counts = np.bincount(_drawn(w, points)[0], minlength=w.size)
+    assert counts.sum() == w.size
+    assert (np.abs(counts - w.size * w[0] / w.sum()) < 1 + 1e-9).all()
+
+
+def test_multinomial_resampling_draws_independently():
+    w, rng = np.array([[0.1, 0.2, 0.0, 0.7]]), np.random.default_rng(0)
+    counts = np.array(
+        [np.bincount(_drawn(w, _points(4, "multinomial", rng))[0], minlength=4) for _ in range(4000)]
+    )
+    np.testing.assert_allclose(counts.mean(0), 4 * w[0], atol=0.06)
+    np.testing.assert_allclose(counts.var(0), 4 * w[0] * (1 - w[0]), atol=0.06)
+
+
+def test_best_tenth_is_eqs_3_and_4():
+    rng = np.random.default_rng(0)
+    q, squares = rng.standard_normal((3, 95, 2)), rng.random((3, 95))
+    first = best_tenth(torch.from_numpy(q), torch.from_numpy(-squares))
+    np.testing.assert_allclose(_best_tenth(q, squares)[:, 0], first, rtol=1e-12)
+
+
+@pytest.mark.parametrize("motion", ["random walk", "constant velocity"])
+@pytest.mark.parametrize("region", [BendDisc(0.5), Box([-0.5, 0.1], [0.3, 0.4])])
+def test_particles_never_leave_the_region(motion, region):
+    method = ParticleFilter(
+        lambda q: q, [[0.5, 0.5], [30.0, 30.0]], 0.2, region, particles=300, motion=motion
+    )
+    state = method.init([0.25, 0.2])
+    for _ in range(5):
+        assert region.contains(state.q).all()
+        assert state.q[0].std(0).min() > 0
+        state, _ = method.step(state, [2.0, 0.2])
+    everywhere = method.init(seed=1).q
+    assert everywhere.shape == (2, 300, 2)
+    assert region.contains(everywhere).all()
+
+
+def test_restart_finds_a_lost_filter_again():
+    sensor, options = BendSensor(0.015), {"region": DISC, "particles": 500}
+    u = np.tile(sensor([[-0.9, 0.4], [0.7, 0.7]]), (3, 1, 1))
+    q0 = [[0.9, -0.8], [0.7, 0.7]]
+    lost = track(ParticleFilter(sensor, [0.005, 0.005], 0.02, **options), u, q0, rate_hz=1)
+    found = track(ParticleFilter(sensor, [0.005, 0.005], 0.02, restart=True, **options), u, q0, rate_hz=1)
+    assert lost.details["lost"].tolist() == [[True, False]] * 3
+    assert found.details["lost"].tolist() == [[True, False]] + [[False, False]] * 2
+    assert np.abs(found.q[:, 0] - [-0.9, 0.4]).max() < 0.01
+    np.testing.assert_array_equal(found.q[:, 1], lost.q[:, 1])
+
+
+def test_surprise_is_standard_normal_while_the_filter_follows():
+    rng = np.random.default_rng(0)
+    q = np.cumsum(0.1 * rng.standard_normal((400, 2)), axis=0)
+    A = np.array([[1.0, 0.3], [0.2, -1.0], [0.5, 0.5]])
+    u = q @ A.T + 0.2 * rng.standard_normal((400, 3))
+    found = track(ParticleFilter(lambda q: q @ A.T, [0.1, 0.1], 0.2), u, q[0], rate_hz=1).details["surprise"]
+    assert abs(found.mean()) < 0.2
+    assert abs(found.std() - 1) < 0.15
+
+
+def test_gauss_newton_takes_the_least_squares_step():
+    A, noise = np.array([[1.0, 0.3], [0.2, -1.0], [0.5, 0.5]]), np.array([0.1, 0.2, 0.3])
+    method = ParticleFilter(lambda q: q @ A.T, [0.1, 0.1], noise, particles=50, estimate="Gauss-Newton")
+    u = np.array([0.3, -0.1, 0.2])
+    _, found = method.step(method.init([0.0, 0.0]), u)
+    B = A / noise[:, None]
+    np.testing.assert_allclose(found.q, np.linalg.lstsq(B, u / noise)[0], rtol=1e-6)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(B.T @ B), rtol=1e-5)
+    np.testing.assert_allclose(found.chi2, (((u - A @ found.q) / noise) ** 2).sum())
+    # Only the sum is measured, so the difference keeps its place, with a large variance.
+    blind = ParticleFilter(lambda q: q.sum(-1, keepdims=True), [0.1, 0.1], 0.1, estimate="Gauss-Newton")
+    _, found = blind.step(blind.init([0.0, 0.0]), [0.2])
+    assert abs(found.q.sum() - 0.2) < 1e-6
+    assert abs(found.q[0] - found.q[1]) < 0.02
+    assert found.covariance[0, 0] > 100
+
+
+def test_constant_velocity_follows_a_ramp_without_lag():
+    q = np.linspace(0, 3, 60)[:, None]
+    lag = {}
+    for motion in ("random walk", "constant velocity"):
+        method = ParticleFilter(lambda q: q, [0.02], 0.05, motion=motion)
+        lag[motion] = float((q - track(method, q, q[0], rate_hz=1).q)[20:].mean())
+    assert lag["random walk"] > 0.05
+    assert abs(lag["constant velocity"]) < 0.005
+
+
+def test_a_state_gives_the_same_bits_twice_and_members_what_they_give_alone():
+    sensor, region = BendSensor(0.015), BendDisc(0.5)
+    method = ParticleFilter(sensor, [0.1, 0.1], 0.1, region, particles=200, motion="constant velocity")
+    q0 = np.array([[0.1, 0.2], [-0.45, 0.1], [0.0, 0.0]])
+    state, alone = method.init(q0, seed=7), method.init(q0[1], seed=7)
+    for k in range(3):
+        before = state.q.copy()
+        u = sensor(q0 + 0.01 * k)
+        following, found = method.step(state, u)
+        again, _ = method.step(state, u)
+        np.testing.assert_array_equal(following.q, again.q)
+        np.testing.assert_array_equal(state.q, before)
+        alone, single = method.step(alone, u[1])
+        np.testing.assert_array_equal(alone.q, following.q[1])
+        np.testing.assert_allclose(single.q, found.q[1], rtol=1e-12)
+        state = following
+    assert not np.array_equal(method.init(q0, seed=8).q, method.init(q0, seed=7).q)
+
+
+def test_missing_readings_and_known_coordinates():
+    A = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    both = ParticleFilter(lambda q: q @ A.T, [0.1, 0.1], 0.1)
+    fewer = ParticleFilter(lambda q: q @ A[:2].T, [0.1, 0.1], 0.1)
+    state = both.init([0.0, 0.0])
+    _, expected = fewer.step(state, [0.1, -0.1])
+    for u, mask in (([0.1, -0.1, np.inf], None), ([0.1, -0.1, 5.0], [True, True, False])):
+        _, found = both.step(state, u, mask=mask)
+        assert (found.missing, found.dof) == (1, 0)
+        np.testing.assert_allclose(found.q, expected.q, rtol=1e-12)
+        np.testing.assert_allclose(found.details["surprise"], expected.details["surprise"], rtol=1e-9)
+    _, found = both.step(state, [0.1, 0.3, 0.4], known=[np.nan, 0.3])
+    assert (found.q[1], found.covariance[1].tolist(), found.dof) == (0.3, [0.0, 0.0], 2)
+    assert found.covariance[0, 0] > 0
+    following, found = both.step(state, [np.nan] * 3)
+    assert np.isnan(found.details["surprise"])
+    assert not found.details["lost"]
+    assert abs(found.details["effective_sample_size"] - 1000) < 1e-6
+    # A million standard deviations away no weight underflows.
+    _, found = both.step(following, [1e5, 1e5, 2e5])
+    assert np.isfinite(found.q).all()
+    assert found.details["lost"]
+
+
+WRONG = [
+    ({"process_noise": [0.1, 0.0]}, "process_noise of ParticleFilter must be positive"),
+    ({"noise": -1}, "noise of ParticleFilter must be positive"),
+    ({"noise": [[1.0]]}, "noise of ParticleFilter must be one number, or one per reading"),
+    ({"particles": 0.5}, "particles of ParticleFilter must be a positive whole number"),
+    (
+        {"estimate": "mean"},
+        "estimate of ParticleFilter must be one of 'best tenth', 'weighted', 'Gauss-Newton'",
+    ),
+    ({"estimate": "best tenth", "process_noise": [1.0]}, "instead received 'best tenth' for 1 coordinates"),
+    ({"restart": True}, "region of ParticleFilter must be given for a restart"),
+    ({"sensing": 1}, "sensing of ParticleFilter must be a callable"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), WRONG)
+def test_a_filter_that_cannot_work_is_refused(change, message):
+    with pytest.raises(InputError, match=message):
+        ParticleFilter(**{"sensing": lambda q: q, "process_noise": [0.1, 0.1], "noise": 0.1, **change})
+
+
+def test_calls_that_cannot_work_are_refused():
+    method = ParticleFilter(BendSensor(0.015), [0.1, 0.1], 0.1, BendDisc(0.5))
+    state = method.init([[0.1, 0.1]] * 2)
+    no_batches = ParticleFilter(lambda q: np.zeros(3), [0.1, 0.1], 0.1)
+    calls = {
+        r"q0 of ParticleFilter must be within BendDisc\(radius=0.5\)": lambda: method.init([0.4, 0.4]),
+        "q0 of ParticleFilter must be given for a filter without a region": lambda: no_batches.init(),
+        "seed of ParticleFilter must be a whole number": lambda: method.init([0.1, 0.1], seed=-1),
+        "u of ParticleFilter must be 3 readings": lambda: method.step(state, [1.0, 2.0]),
+        "must be of batches that fit each other": lambda: method.step(state, np.zeros((3, 3))),
+        "sensing of ParticleFilter must be a model that takes batches": lambda: no_batches.step(
+            no_batches.init([0.1, 0.1]), np.zeros(3)
+        ),
+        "lower of Box must be below upper": lambda: Box([0.0, 1.0], [1.0, 1.0]),
+        "radius of BendDisc must be positive": lambda: BendDisc(0.0),
+    }
+    for message, call in calls.items():
+        with pytest.raises(InputError, match=message):
+            call()
