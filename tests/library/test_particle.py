@@ -17,7 +17,7 @@ from edition1.estimation.regions import Disc
 from edition1.kernels import compiled
 from edition1.sensing.bend_sensor import BendSensor as FirstSensor
 from repro import ConstantCurvature, Cube, InputError, Magnet, Robot, Sensor, simulated_readings, track
-from repro.bend_sensor import BendSensor
+from repro.sensing import BendSensor
 from repro.estimators.particle import BendDisc, Box, ParticleFilter, _best_tenth, _drawn, _points
 
 DISC = BendDisc(math.pi / 2)

@@ -410,7 +410,7 @@ def _best_tenth(q: Array, squares: Array) -> Array:
     return (angle.sum(1) / keep * direction).view(np.float64).reshape(m, 1, 2)
 
 
-@kernel(reorder=True)
+@kernel(reorder=True, allocates=True)
 def _weighed(q, u_hat, u, noise):
     """Return what readings say about clouds; errors are in units of the noise.
 
@@ -440,7 +440,7 @@ def _weighed(q, u_hat, u, noise):
     return w, squares, size, mean, C, e_mean, S
 
 
-@kernel(reorder=True)
+@kernel(reorder=True, allocates=True)
 def _moments(x, w, mean, C):
     """Write mean and covariance of the columns of ``x``, with weights whose sum is 1, and take the mean off ``x``."""
     for a in range(len(x)):
@@ -451,7 +451,7 @@ def _moments(x, w, mean, C):
             C[a, b] = C[b, a] = _dot(share, x[b])
 
 
-@kernel(reorder=True)
+@kernel(reorder=True, allocates=True)
 def _dot(x, y):
     total = 0.0
     for i in range(len(x)):
@@ -459,7 +459,7 @@ def _dot(x, y):
     return total
 
 
-@kernel
+@kernel(allocates=True)
 def _drawn(w, points):
     """Return the particles, counted over all members, whose share of the weights holds each point."""
     (m, n), drawn = w.shape, np.empty(w.shape, dtype=np.int64)
@@ -473,7 +473,7 @@ def _drawn(w, points):
     return drawn
 
 
-@kernel
+@kernel(allocates=True)
 def _move(q, velocity, carry, drawn, width, noise, outside, following, moved):
     """Move the drawn particles that are outside once more."""
     for b in range(len(drawn)):

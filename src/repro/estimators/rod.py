@@ -513,12 +513,12 @@ def _conditioned(x: Array, P: Array, known: Array) -> tuple[Array, Array]:
     return x, P
 
 
-@kernel
+@kernel(allocates=True)
 def _cross(w):
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
-@kernel
+@kernel(allocates=True)
 def _exponential(x):
     """Return the pose of a twist, its adjoint, and the left Jacobian of SE(3).
 
@@ -539,7 +539,7 @@ def _exponential(x):
     return T, A, J
 
 
-@kernel
+@kernel(allocates=True)
 def _logarithm(T):
     """Return the twist of a pose, by the quaternion of its rotation, which is exact at half a turn, too."""
     trace, four = T[0, 0] + T[1, 1] + T[2, 2], np.empty((4, 4))
@@ -555,7 +555,7 @@ def _logarithm(T):
     return twist
 
 
-@kernel
+@kernel(allocates=True)
 def _along(basis, piece, q, arcs):
     """Return poses and body Jacobians of places; the twist of the base stands in front of the terms, or nothing.
 
@@ -585,7 +585,7 @@ def _along(basis, piece, q, arcs):
     return poses, jacobians
 
 
-@kernel
+@kernel(allocates=True)
 def _compare(layout, n, x, u, value, slopes):
     """Return the readings of a state, how ``u`` differs from them, and the slopes of this by the state.
 
@@ -622,7 +622,7 @@ def _compare(layout, n, x, u, value, slopes):
     return u_hat, r, H
 
 
-@kernel
+@kernel(allocates=True)
 def _improve(layout, n, x, prior, P, u, value, slopes):
     """Return mean and covariance given readings, linearised at ``x``, and the chi-square of their surprise."""
     rows, variance, outliers = layout[4], layout[6].copy(), layout[7]
