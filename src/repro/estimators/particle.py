@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from repro.common import Array, bad_input, kernel, numbers, require, say_that_kernels_compile
-from repro.estimators.base import Estimate, Sensing, incoming, known_coordinates, start
+from repro.estimators.base import Estimate, incoming, known_coordinates, start
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class ParticleFilter:
 
     def __init__(
         self,
-        sensing: Sensing,
+        sensing: Callable[[Array], Any],
         process_noise: Any,
         noise: Any,
         region: Any = None,
