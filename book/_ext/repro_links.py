@@ -12,7 +12,9 @@ from docutils import nodes
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 
-OURS = "edition1"
+LIBRARY = "repro"
+"""The library that the reference describes."""
+OURS = (LIBRARY, "edition1")
 """What the names of our packages begin with."""
 GLOSSARY = "glossary"
 TRAJECTORIES = f"{GLOSSARY}.html#glossary-trajectories"
@@ -81,7 +83,7 @@ def imported_names(cells: list[dict]) -> dict[str, str]:
     return {
         name.asname or name.name: name.name
         for node in imports
-        if f"{node.module}.".startswith(f"{OURS}.")
+        if f"{node.module}.".startswith(f"{LIBRARY}.")
         for name in node.names
     }
 

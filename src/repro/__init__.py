@@ -31,9 +31,9 @@ An estimator takes readings one time step after the other and returns q, how sur
     calibrate                                  a robot that is not as drawn, from readings in measured poses
     calibrate_imus, calibrated                 headings and mountings of IMUs, from motion capture
 
-Lengths are metres, angles radians, times seconds, flux densities millitesla. Arrays, lists and data frames are taken,
-arrays are returned; leading dimensions are a batch. What cannot be used is refused by an ``InputError`` that says what
-was expected and what came instead. Training needs torch: ``repro.training``.
+Lengths are metres, angles radians, times seconds, flux densities millitesla. Arrays, lists and data frames are
+taken, arrays are returned; leading dimensions are a batch. What cannot be used is refused by an ``InputError`` that
+says what was expected and what came instead. Training needs torch: ``repro.training``.
 """
 
 from __future__ import annotations

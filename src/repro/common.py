@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 import os
@@ -119,18 +120,13 @@ def kernel(
         config.CACHE_DIR = before
 
 
-_said: list[bool] = []
-
-
+@functools.cache
 def say_that_kernels_compile() -> None:
     """Print one line, once, if this machine has no compiled kernels yet: the first call then takes some seconds."""
-    if _said:
-        return
-    _said.append(True)
     import numba
 
     folder = Path(numba.config.CACHE_DIR or _cache_folder()) / f"repro-{_digest()}"  # type: ignore[attr-defined]
-    if not folder.is_dir() or not any(folder.rglob("*.nbi")):
+    if not any(folder.rglob("*.nbi")):
         print("repro: compiling for this machine, once; this takes some seconds.", file=sys.stderr)
 
 
@@ -140,13 +136,10 @@ def _cache_folder() -> Path:
     return platformdirs.user_cache_path("repro") / "numba"
 
 
-def _digest(found: list[str] = []) -> str:  # noqa: B006: computed once
-    if not found:
-        digest = hashlib.sha256()
-        files = [file.read_bytes() for file in sorted(Path(__file__).parent.rglob("*.py"))]
-        digest.update(b"".join(content for content in files if b"@kernel" in content))
-        found.append(digest.hexdigest()[:16])
-    return found[0]
+@functools.cache
+def _digest() -> str:
+    files = [file.read_bytes() for file in sorted(Path(__file__).parent.rglob("*.py"))]
+    return hashlib.sha256(b"".join(content for content in files if b"@kernel" in content)).hexdigest()[:16]
 
 
 def _writable(folder: str) -> bool:

@@ -468,8 +468,8 @@ class Robot:
     """Segments from base to tip, with magnets, sensors and IMUs on them.
 
     Its configuration ``q`` holds the coordinates of all segments, one after the other. Leading dimensions are a
-    batch. Poses are 4 x 4 matrices in the frame of the base, whose z axis points along the straight robot; lengths are
-    in metres, angles in radians.
+    batch. Poses are 4 x 4 matrices in the frame of the base, whose z axis points along the straight robot; lengths
+    are in metres, angles in radians.
 
     Parameters
     ----------
@@ -758,7 +758,7 @@ def _affine_curvature(q, first, length, v, T, W):
 
 @kernel
 def _in_segment(chain, g, q, v, T, W, J):
-    """Write the frame at ``v`` of segment ``g`` in the frame of its base, and its twists (turn, motion of its origin)."""
+    """Write the frame at ``v`` of a segment in the frame of its base, and its twists (turn, motion of the origin)."""
     kind, first = chain.kind[g], chain.first[g]
     n = chain.first[g + 1] - first
     if kind == _CONSTANT:

@@ -468,7 +468,7 @@ class Sensing:
         )
         self.n_magnetic, n_m = len(magnetic), len(robot.magnets)
         self.moments = self._moments(moments, l_max)
-        networks = [model] if isinstance(model, Network) else model
+        networks: Any = [model] if isinstance(model, Network) else model
         kind = _MULTIPOLES if model is None else _OTHER
         if isinstance(networks, Sequence):
             kind, inputs = _NETWORKS, self._check_networks(networks)
@@ -536,7 +536,8 @@ class Sensing:
         return np.full(self.n_magnetic, found) if found.ndim == 0 else found
 
     def _check_networks(self, networks: Sequence[Any]) -> str:
-        first, width = networks[0] if networks else None, 1 + 4 * len(self.robot.magnets)
+        first: Any = networks[0] if networks else None
+        width = 1 + 4 * len(self.robot.magnets)
         for network in networks or [None]:
             require(isinstance(network, Network), "model", "Sensing", "networks", type(network).__name__)
             expected = f"one of {width} relations, as the robot has"
@@ -614,8 +615,8 @@ class Sensing:
         """Return the multipole readings without gain and offset, and the wrench of every magnet on every reading.
 
         The wrench ``[..., s, m + 1, 6]`` is a force, then a torque about the origin of the base frame: a reading
-        changes by ``wrench @ (motion, turn)`` when its sensor moves by that twist, and by the negative when the magnet
-        does. The last one is that of the Earth's field.
+        changes by ``wrench @ (motion, turn)`` when its sensor moves by that twist, and by the negative when the
+        magnet does. The last one is that of the Earth's field.
         """
         require(
             self.tables.model == _MULTIPOLES, "model", "wrenches", "multipoles", type(self.model).__name__

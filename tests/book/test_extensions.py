@@ -13,7 +13,7 @@ import pytest
 import yaml
 from sphinx.testing.util import SphinxTestApp
 
-import edition1
+import repro
 
 BOOK = Path(__file__).resolve().parents[2] / "book"
 
@@ -30,11 +30,10 @@ def extension_path(monkeypatch):
 def test_the_reference_lists_the_public_names():
     """Each is in a table, and described below it."""
     page = (BOOK / "api.md").read_text(encoding="utf-8")
-    public = [getattr(edition1, name) for name in edition1.__all__]
-    names = [f"{found.__module__}.{found.__qualname__}" for found in public]
+    names = [f"repro.{name}" for name in repro.__all__]
     assert sorted(re.findall(r"^\.\. auto(?:class|exception|function):: (\S+)$", page, re.M)) == sorted(names)
     tables = re.findall(r"^   ~(\S+)$", page, re.M)
-    assert sorted([*tables, "edition1.errors.InputError"]) == sorted(names)
+    assert sorted([*tables, "repro.InputError"]) == sorted(names)
 
 
 def test_a_name_that_is_not_described_becomes_text(tmp_path):
@@ -45,7 +44,7 @@ def test_a_name_that_is_not_described_becomes_text(tmp_path):
         f"extensions = ['sphinx.ext.autodoc', 'repro_links']\nnitpicky = {settings['nitpicky']}\n"
         f"nitpick_ignore_regex = {settings['nitpick_ignore_regex']}\n"
     )
-    names = ("edition1.se3.inverse", "edition1.se3.no_such_name", "numpy.array")
+    names = ("edition1.se3.inverse", "repro.no_such_name", "numpy.array")
     (tmp_path / "index.rst").write_text("T\n=\n\n" + "\n".join(f":py:func:`{name}`" for name in names))
     warnings = io.StringIO()
     app = SphinxTestApp("html", srcdir=tmp_path, confoverrides={"html_theme": "basic"}, warning=warnings)
@@ -112,7 +111,7 @@ def test_names_in_cells_lead_to_the_reference():
     cells = [
         {
             "cell_type": "code",
-            "source": ["from edition1 import GradientDescent, track as follow\n", "import numpy as np"],
+            "source": ["from repro import GradientDescent, track as follow\n", "import numpy as np"],
         },
         {"cell_type": "code", "source": ["from edition1_companion.pages.table_1 import figures\n"]},
         {"cell_type": "markdown", "source": ["from nowhere"]},

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+
 from edition1.estimation.calibration import calibrate as calibrate_1
 from edition1.kinematics.paper_robots import pcc_robot
-
 from repro import ConstantCurvature, InputError, Magnet, Robot, Sensing, Sensor, Tolerances, calibrate
 from repro.estimators.calibration import _moved, _names, _scale, _slopes
 

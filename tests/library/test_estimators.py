@@ -121,7 +121,7 @@ def test_a_batch_gives_what_its_members_give_alone(case):
 
 
 def test_a_start_without_a_batch_serves_a_batch_of_readings(case):
-    name, method, q0, u = case
+    _, method, q0, u = case
     _, found = method.step(method.init(q0), np.stack([u, u]), 0.0)
     assert found.q.shape == (2, len(q0))
 

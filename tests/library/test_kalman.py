@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import edition1
 import numba
 import numpy as np
 import pytest
 import torch
-from edition1.kinematics.paper_robots import pcc_robot
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
+import edition1
+from edition1.kinematics.paper_robots import pcc_robot
 from repro import (
     ConstantCurvature,
     Drift,
@@ -131,7 +130,7 @@ def test_with_a_lag_it_is_what_is_known_after_waiting(lag):
 
 
 def test_with_a_flat_prior_it_is_least_squares():
-    method, u, times = linear_case()
+    _, u, _ = linear_case()
     flat = KalmanFilter(linear, [-1e7] * 2, [1e7] * 2, NOISE, DENSITY, SPEED, tolerance=1e-12)
     _, one = flat.step(flat.init([0.0, 0.0]), u[0], 0.0)
     least = LevenbergMarquardt(linear, [-1e7] * 2, [1e7] * 2, NOISE, tolerance=1e-12)

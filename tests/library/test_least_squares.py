@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import edition1
 import numpy as np
 import pytest
 import torch
-from edition1.kinematics.paper_robots import pcc_robot
-from edition1.sensing.network import PerSensor
 from scipy.optimize import least_squares
 
+import edition1
+from edition1.kinematics.paper_robots import pcc_robot
+from edition1.sensing.network import PerSensor
 from repro import (
     AffineCurvature,
     ConstantCurvature,

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.signal import fftconvolve
 
 import edition1.estimation.particle_filter as first_filter
@@ -17,8 +16,8 @@ from edition1.estimation.regions import Disc
 from edition1.kernels import compiled
 from edition1.sensing.bend_sensor import BendSensor as FirstSensor
 from repro import ConstantCurvature, Cube, InputError, Magnet, Robot, Sensor, simulated_readings, track
-from repro.sensing import BendSensor
 from repro.estimators.particle import BendDisc, Box, ParticleFilter, _best_tenth, _drawn, _points
+from repro.sensing import BendSensor
 
 DISC = BendDisc(math.pi / 2)
 B444B = Cube(6.35e-3, 1320.0)

@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
+from scipy.spatial.transform import Rotation
+
 from edition1.kinematics.paper_robots import affine_robot, pcc_robot
 from edition1.sensing.ensemble import SeedEnsemble
 from edition1.sensing.linearised import LinearisedSensing
@@ -14,9 +17,6 @@ from edition1.sensing.magnetic import MagneticSensing
 from edition1.sensing.multipole import MultipoleField
 from edition1.sensing.network import CosineNetwork, PerSensor, paper_network
 from edition1.sensing.relations import relations as relations_1
-from safetensors.torch import load_file
-from scipy.spatial.transform import Rotation
-
 from repro import (
     AffineCurvature,
     ConstantCurvature,

@@ -34,7 +34,7 @@ class Estimate(NamedTuple):
 
     Examples
     --------
-    >>> Estimate(np.zeros(3), None, np.zeros(8), np.nan, 5, 0).q
+    >>> Estimate(np.zeros(3), None, np.zeros(8), np.nan, 5, 0, {}).q
     array([0., 0., 0.])
     """
 
@@ -44,7 +44,7 @@ class Estimate(NamedTuple):
     chi2: Any
     dof: Any
     missing: Any
-    details: dict[str, Array] = {}  # noqa: RUF012: never written to
+    details: dict[str, Array]
 
 
 @runtime_checkable
@@ -58,11 +58,15 @@ class Estimator(Protocol):
     never enters otherwise.
     """
 
-    def init(self, q0: Any = None, seed: int = 0) -> Any: ...
+    def init(self, q0: Any = None, seed: int = 0) -> Any:
+        """Return the state before the first readings."""
+        ...
 
     def step(
         self, state: Any, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
-    ) -> tuple[Any, Estimate]: ...
+    ) -> tuple[Any, Estimate]:
+        """Take in readings."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -199,7 +203,9 @@ def run(
         np.stack(q),
         None if covariance[0] is None else np.stack(covariance),
         np.stack(u_hat),
-        *(np.array(x) for x in (chi2, dof, missing)),
+        np.array(chi2),
+        np.array(dof),
+        np.array(missing),
         {name: np.stack([row[name] for row in details]) for name in details[0]},
     )
     return trajectory, states
@@ -326,7 +332,7 @@ class CallableModel:
         n, n_q = q.shape
         moves = np.diag(self._step)
         if self.complex:
-            u = self._called((q[:, None] + 1e-14j * moves).reshape(-1, n_q), complex).reshape(n, n_q, -1)
+            u: Any = self._called((q[:, None] + 1e-14j * moves).reshape(-1, n_q), complex).reshape(n, n_q, -1)
             return np.ascontiguousarray(u[:, 0].real), np.swapaxes(u.imag, 1, 2) / (1e-14 * self._step)
         around = np.concatenate([q[:, None], q[:, None] + moves, q[:, None] - moves], axis=1)
         u = self._called(around.reshape(-1, n_q)).reshape(n, 2 * n_q + 1, -1)

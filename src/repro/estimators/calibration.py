@@ -5,9 +5,9 @@ Parameters :math:`z` in units of their tolerances minimise
 .. math:: \|z\|^2 + \sum_i r_i^T S_i^{-1} r_i, \qquad r_i = u_i - h(q_i, z), \qquad
           S_i = \sigma_u^2 I + J_i \Sigma_{q,i} J_i^T .
 
-A pose is known only up to its measurement, so a residual is uncertain by the noise of the sensors and by the noise of
-the pose, seen through :math:`J_i = \partial u/\partial q`. The posterior covariance of :math:`z` is the inverse of the
-Hessian; directions in which it stays near one are what the poses do not determine.
+A pose is known only up to its measurement, so a residual is uncertain by the noise of the sensors and by the noise
+of the pose, seen through :math:`J_i = \partial u/\partial q`. The posterior covariance of :math:`z` is the inverse of
+the Hessian; directions in which it stays near one are what the poses do not determine.
 """
 
 from __future__ import annotations

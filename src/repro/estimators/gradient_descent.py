@@ -22,9 +22,9 @@ class DescentState(NamedTuple):
 class GradientDescent:
     r"""Estimator of eqs (9) to (12): a few steps of gradient descent at every time step.
 
-    From the last estimate it evaluates the loss, the mean squared error of the readings, ``iterations`` times, with an
-    update :math:`b \leftarrow \nabla + \mu b,\ q \leftarrow q - \gamma b` between two evaluations. The iterate with
-    the smallest loss is the estimate and the next start. The momentum is carried from one time step to the next, as
+    From the last estimate it evaluates the loss, the mean squared error of the readings, ``iterations`` times, with
+    an update :math:`b \leftarrow \nabla + \mu b,\ q \leftarrow q - \gamma b` between two evaluations. The iterate
+    with the smallest loss is the estimate and the next start. The momentum is carried from one time step to the next, as
     in the released code.
 
     The gradient is quadratic in the readings, so step sizes belong to a magnet: for readings that are ``c`` times
@@ -98,7 +98,7 @@ class GradientDescent:
         q, b = (np.broadcast_to(x, (*batch, n)).reshape(-1, n).copy() for x in state)
         rows = np.ascontiguousarray(np.broadcast_to(u, (*batch, s)).reshape(-1, s))
         moves = np.broadcast_to(self.step_size, q.shape).copy()
-        if held is not None:
+        if held is not None and known is not None:
             fixed = np.broadcast_to(held, (*batch, n)).reshape(-1, n)
             q = np.where(fixed, np.broadcast_to(known, (*batch, n)).reshape(-1, n), q)
             moves[fixed], b = 0.0, np.where(fixed, 0.0, b)

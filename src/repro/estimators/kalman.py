@@ -306,18 +306,18 @@ def smoothed(method: Any, states: Sequence[Any], lag_s: float = math.inf) -> lis
     require((np.diff(t) >= 0).all(), "states", "smoothed", "in the order of time", "others")
     x = np.stack([np.concatenate([state.q, state.velocity], axis=-1) for state in states])
     P, n = np.stack([state.covariance for state in states]), states[0].q.shape[-1]
-    links = [_link(*method.motion(t[k + 1] - t[k]), x[k], P[k]) for k in range(len(t) - 1)]
+    links: list[Any] = [_link(method.motion(t[k + 1] - t[k]), x[k], P[k]) for k in range(len(t) - 1)]
     if math.isinf(lag_s):
         for k in reversed(range(len(links))):
-            x[k], P[k] = _given_next(*links[k], x[k], P[k], x[k + 1], P[k + 1])
+            x[k], P[k] = _given_next(links[k], x[k], P[k], x[k + 1], P[k + 1])
         pairs = list(zip(x, P, strict=True))
     else:
         pairs = []
         for k in range(len(t)):
             last = int(np.searchsorted(t, t[k] + lag_s, side="right")) - 1
-            pair = (x[last], P[last])
+            pair: Any = (x[last], P[last])
             for j in reversed(range(k, last)):
-                pair = _given_next(*links[j], x[j], P[j], *pair)
+                pair = _given_next(links[j], x[j], P[j], pair[0], pair[1])
             pairs.append(pair)
     return [
         state._replace(q=y[..., :n], velocity=y[..., n:], covariance=C)
@@ -325,8 +325,9 @@ def smoothed(method: Any, states: Sequence[Any], lag_s: float = math.inf) -> lis
     ]
 
 
-def _link(F: Array, Q: Array, x: Array, P: Array) -> tuple[Array, Array, Array]:
+def _link(motion: tuple[Array, Array], x: Array, P: Array) -> tuple[Array, Array, Array]:
     """Gain, and mean and covariance that the next state had before its readings."""
+    F, Q = motion
     cross = F @ P
     before = cross @ F.T + Q
     # Scaled to a unit diagonal, as positions and velocities differ by orders; a state without variance has no gain.
@@ -339,9 +340,8 @@ def _link(F: Array, Q: Array, x: Array, P: Array) -> tuple[Array, Array, Array]:
     return np.swapaxes(gain, -1, -2), x @ F.T, before
 
 
-def _given_next(
-    gain: Array, mean: Array, before: Array, x: Array, P: Array, x_next: Array, P_next: Array
-) -> tuple[Array, Array]:
+def _given_next(link: Any, x: Array, P: Array, x_next: Array, P_next: Array) -> tuple[Array, Array]:
+    gain, mean, before = link
     x = x + (gain @ (x_next - mean)[..., None])[..., 0]
     P = P + gain @ (P_next - before) @ np.swapaxes(gain, -1, -2)
     return x, 0.5 * (P + np.swapaxes(P, -1, -2))

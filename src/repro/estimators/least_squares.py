@@ -152,7 +152,7 @@ class LevenbergMarquardt:
             limits = (self._low, self._high, 1.0 / noise, [self.tolerance, self.iterations])
             self._settings = np.concatenate(limits)
         held = None if known is None else ~np.isnan(known)
-        if held is not None:
+        if held is not None and known is not None:
             q = np.where(held, known, q)
         if q.ndim == 1 and u.ndim == 1:
             batch, flat, rows = (), q.reshape(1, n).copy(), u.reshape(1, s)
@@ -285,8 +285,8 @@ def _invert_all(A, held, status, C):
 def advance(hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, status, delta, L):
     """Judge the trial ``x``, whose residuals are ``r`` and slopes ``J``, and write the next one to ``x``.
 
-    ``q``, ``u_hat``, ``A``, ``g`` belong to the best trial so far. ``mean``, ``information`` and ``held`` hold one row
-    or none.
+    ``q``, ``u_hat``, ``A``, ``g`` belong to the best trial so far. ``mean``, ``information`` and ``held`` hold one
+    row or none.
     """
     n, s = len(x), len(r)
     low, high, weight = settings[:n], settings[n : 2 * n], settings[2 * n : 2 * n + s]
@@ -412,7 +412,7 @@ def solve(L, x):
 
 @kernel
 def invert(A, held, L, C):
-    """Write the inverse of the lower triangle ``A`` to ``C``; if it is nearly singular, ``A`` itself, and return 0."""
+    """Write the inverse of the lower triangle ``A`` to ``C``; where nearly singular ``A`` itself, and return 0."""
     n = len(A)
     good = True
     for a in range(n):
