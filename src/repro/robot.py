@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -22,29 +22,25 @@ from repro.common import Array, bad_input, kernel, numbers, require, rows_of
 _CONSTANT, _AFFINE, _LINK, _JOINT, _FREE = range(5)
 
 
-class Segment(Protocol):
-    """What a segment says about itself; the five kinds below are all that the kernels know."""
+class Segment:
+    """What all segments have; the kernels know the five kinds below."""
 
     kind: ClassVar[int]
+    length: float
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of its coordinates."""
-        ...
-
-    @property
-    def reach(self) -> float:
-        """Largest distance of a mount along its backbone [m]."""
-        ...
+        """Names of the coordinates."""
+        return ()
 
     @property
     def sizes(self) -> tuple[float, float]:
         """Two numbers for the kernels."""
-        ...
+        return self.length, 0.0
 
 
 @dataclass(frozen=True)
-class ConstantCurvature:
+class ConstantCurvature(Segment):
     r"""A segment that bends in an arc of constant curvature and may lengthen (Baaij et al. 2023, appendix A.1).
 
     Its configuration is :math:`q = (\Delta_x, \Delta_y, \delta L)` [m]. The segment bends by
@@ -93,18 +89,13 @@ class ConstantCurvature:
         return ("delta_x", "delta_y", "delta_L") if self.extensible else ("delta_x", "delta_y")
 
     @property
-    def reach(self) -> float:
-        """Largest distance of a mount along the backbone [m]."""
-        return self.length
-
-    @property
     def sizes(self) -> tuple[float, float]:
         """Length and radius [m]."""
         return self.length, self.radius
 
 
 @dataclass(frozen=True)
-class AffineCurvature:
+class AffineCurvature(Segment):
     r"""A segment whose curvature changes linearly along it, in one plane (Baaij et al. 2023, appendix A.2).
 
     Its configuration is :math:`q = (\kappa_0, \kappa_1, \phi, \delta L)` [rad, rad, rad, m]. The tangent at :math:`v`
@@ -143,19 +134,9 @@ class AffineCurvature:
         """Names of the coordinates."""
         return ("kappa_0", "kappa_1", "phi", "delta_L")
 
-    @property
-    def reach(self) -> float:
-        """Largest distance of a mount along the backbone [m]."""
-        return self.length
-
-    @property
-    def sizes(self) -> tuple[float, float]:
-        """Length [m], and nothing."""
-        return self.length, 0.0
-
 
 @dataclass(frozen=True)
-class Link:
+class Link(Segment):
     """A rigid piece along z, without a coordinate.
 
     Parameters
@@ -181,24 +162,9 @@ class Link:
     def __post_init__(self) -> None:
         require(0 <= self.length < math.inf, "length", "Link", "not negative [m]", self.length)
 
-    @property
-    def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates: none."""
-        return ()
-
-    @property
-    def reach(self) -> float:
-        """Largest distance of a mount along the link [m]."""
-        return self.length
-
-    @property
-    def sizes(self) -> tuple[float, float]:
-        """Length [m], and nothing."""
-        return self.length, 0.0
-
 
 @dataclass(frozen=True)
-class BallJoint:
+class BallJoint(Segment):
     """A joint that turns what follows it by a rotation vector; with one axis it is a hinge.
 
     Parameters
@@ -223,6 +189,7 @@ class BallJoint:
 
     axes: str = "xyz"
     kind: ClassVar[int] = _JOINT
+    length = 0.0
 
     def __post_init__(self) -> None:
         expected = "some of 'xyz', in this order"
@@ -236,18 +203,13 @@ class BallJoint:
         return tuple(f"rotation_{axis}" for axis in self.axes)
 
     @property
-    def reach(self) -> float:
-        """Mounts sit in the joint: 0 m."""
-        return 0.0
-
-    @property
     def sizes(self) -> tuple[float, float]:
         """Axes as the bits of a number, and nothing."""
         return float(sum(1 << "xyz".index(axis) for axis in self.axes)), 0.0
 
 
 @dataclass(frozen=True)
-class FreeBody:
+class FreeBody(Segment):
     """A body that is not attached: a position [m], then a rotation vector [rad].
 
     Examples
@@ -258,21 +220,12 @@ class FreeBody:
     """
 
     kind: ClassVar[int] = _FREE
+    length = 0.0
 
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates."""
         return ("x", "y", "z", "rotation_x", "rotation_y", "rotation_z")
-
-    @property
-    def reach(self) -> float:
-        """Mounts sit at its origin, wherever their ``position`` says: 0 m."""
-        return 0.0
-
-    @property
-    def sizes(self) -> tuple[float, float]:
-        """Nothing."""
-        return 0.0, 0.0
 
 
 class Place(NamedTuple):
@@ -519,7 +472,7 @@ class Robot:
     def _check(self, where: Place, name: str) -> None:
         n = len(self.segments)
         require(where.segment <= n, name, "Robot", f"on a segment from 0 (base) to {n}", where.segment)
-        reach = self.segments[where.segment - 1].reach if where.segment else 0.0
+        reach = self.segments[where.segment - 1].length if where.segment else 0.0
         expected = f"between 0 and {reach:g} m along segment {where.segment}"
         require(-1e-12 <= where.at <= reach * (1 + 1e-12), name, "Robot", expected, f"{where.at:g} m")
 
@@ -547,7 +500,7 @@ class Robot:
     @cached_property
     def length(self) -> float:
         """Unextended length of the robot [m]."""
-        return sum(segment.reach for segment in self.segments)
+        return sum(segment.length for segment in self.segments)
 
     def check_q(self, q: Any, owner: str = "Robot") -> Array:
         """Return configurations ``[..., n_q]`` as float64; refuse another width, NaN and infinity."""
@@ -579,7 +532,7 @@ class Robot:
 
     def _share(self, where: Place) -> float:
         """Fraction of the segment; a joint, a body or a link of length zero has its tip only."""
-        reach = self.segments[where.segment - 1].reach
+        reach = self.segments[where.segment - 1].length
         return where.at / reach if reach else 1.0
 
     def poses(self, q: Any, places: Sequence[Place]) -> Array:
@@ -623,11 +576,11 @@ class Robot:
 
     def tip(self, q: Any) -> Array:
         """Return the pose of the tip ``[..., 4, 4]`` in the base frame; positions in m."""
-        return self.poses(q, [point_on(len(self.segments), self.segments[-1].reach)])[..., 0, :, :]
+        return self.poses(q, [point_on(len(self.segments), self.segments[-1].length)])[..., 0, :, :]
 
     def tip_slopes(self, q: Any) -> tuple[Array, Array]:
         """Return positions of the tip ``[..., 3]`` [m] and their slopes by the coordinates ``[..., 3, n_q]``."""
-        T, X = self.motion(q, [point_on(len(self.segments), self.segments[-1].reach)])
+        T, X = self.motion(q, [point_on(len(self.segments), self.segments[-1].length)])
         p = T[..., 0, :3, 3]
         slopes = X[..., 0, :, 3:] + np.cross(X[..., 0, :, :3], p[..., None, :])
         return p, np.swapaxes(slopes, -1, -2)
@@ -635,7 +588,7 @@ class Robot:
     def backbone(self, q: Any, points: int = 33) -> Array:
         """Return points on the backbone ``[..., k, 3]`` [m], so many per segment, from its base to its tip."""
         places = [
-            point_on(g, share * segment.reach)
+            point_on(g, share * segment.length)
             for g, segment in enumerate(self.segments, 1)
             for share in np.linspace(0, 1, points)
         ]

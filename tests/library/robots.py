@@ -48,9 +48,9 @@ def chain(names: tuple[str, ...]) -> Robot:
     sensors.append(Sensor(0, 0.0, position=[0.0, 0.05, -0.04], axes=3, orientation=[0.5, 0.5, 0.5, 0.5]))
     for g, segment in enumerate(segments, 1):
         shape = (RELEASED, Disc(8e-3, 3e-3, 1300.0))[g % 2]
-        magnets.append(Magnet(shape, g, 0.4 * segment.reach, position=[0.0, 0.004, 0.0]))
-        sensors.append(Sensor(g, segment.reach, radial=0.05 + 0.01 * g, azimuth=1.1 * g, tilt=0.2))
-        imus.append(Imu(g, 0.7 * segment.reach, orientation=[0.1, 0.7, 0.1, 0.7]))
+        magnets.append(Magnet(shape, g, 0.4 * segment.length, position=[0.0, 0.004, 0.0]))
+        sensors.append(Sensor(g, segment.length, radial=0.05 + 0.01 * g, azimuth=1.1 * g, tilt=0.2))
+        imus.append(Imu(g, 0.7 * segment.length, orientation=[0.1, 0.7, 0.1, 0.7]))
     return Robot(segments, magnets, sensors, imus)
 
 
@@ -121,7 +121,7 @@ def complex_pose(robot: Robot, q: np.ndarray, place) -> tuple[np.ndarray, np.nda
     R, p, at = np.eye(3, dtype=complex), np.zeros(3, dtype=complex), 0
     for g, segment in enumerate(robot.segments[: place.segment], 1):
         n = len(segment.coordinates)
-        v = place.at / segment.reach if g == place.segment and segment.reach else 1.0
+        v = place.at / segment.length if g == place.segment and segment.length else 1.0
         T, x = complex_frame(segment, q[at : at + n], v)
         R, p, at = R @ T, p + R @ x, at + n
     return R @ place.rotation, p + R @ place.position

@@ -24,8 +24,8 @@ class GradientDescent:
 
     From the last estimate it evaluates the loss, the mean squared error of the readings, ``iterations`` times, with
     an update :math:`b \leftarrow \nabla + \mu b,\ q \leftarrow q - \gamma b` between two evaluations. The iterate
-    with the smallest loss is the estimate and the next start. The momentum is carried from one time step to the next, as
-    in the released code.
+    with the smallest loss is the estimate and the next start. The momentum is carried from one time step to the next,
+    as in the released code.
 
     The gradient is quadratic in the readings, so step sizes belong to a magnet: for readings that are ``c`` times
     smaller, step sizes ``c**2`` times larger give the same iterates. Where a step size is too long for the curvature
