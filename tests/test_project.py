@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import re
+import sys
 import tomllib
 from collections.abc import Iterable
 from importlib import metadata
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -31,10 +34,10 @@ def pyproject() -> dict:
 
 
 def direct() -> dict[str, Requirement]:
-    """Return what pyproject.toml asks for by name: the package, its extras in the lock, and the checks."""
+    """Return what pyproject.toml asks for by name: the package, its extras, and the checks."""
     found = pyproject()
-    extras, groups = found["project"]["optional-dependencies"], found["dependency-groups"]
-    lines = [*found["project"]["dependencies"], *extras["book"], *extras["cluster"], *groups["checks"]]
+    extras = found["project"]["optional-dependencies"].values()
+    lines = [*found["project"]["dependencies"], *chain(*extras), *found["dependency-groups"]["checks"]]
     return {requirement.name.lower(): requirement for requirement in map(Requirement, lines)}
 
 
@@ -120,12 +123,25 @@ def needed_by(requirements: Iterable[Requirement]) -> set[str]:
 
 
 def test_the_book_needs_none_of_the_checks():
-    """CHECKS in the Makefile, which `make book` leaves out, are all that only tests and tools lead to."""
+    """CHECKS in the Makefile, which it leaves out, are what only tests, tools and the extra parquet lead to."""
     (listed,) = re.findall(r"^CHECKS := ((?:.*\\\n)*.*)$", read("Makefile"), re.MULTILINE)
     project = pyproject()["project"]
-    extras = project["optional-dependencies"]
-    book = map(Requirement, [*project["dependencies"], *extras["book"], *extras["cluster"]])
+    extras = [lines for name, lines in project["optional-dependencies"].items() if name != "parquet"]
+    book = map(Requirement, [*project["dependencies"], *chain(*extras)])
     assert set(listed.replace("\\", " ").split()) == needed_by(direct().values()) - needed_by(book)
+
+
+def test_the_library_imports_only_what_it_requires():
+    """And rich, which cyclopts brings; only training needs an extra, torch."""
+    required = {Requirement(line).name for line in pyproject()["project"]["dependencies"]}
+    assert "rich" in needed_by([Requirement("cyclopts")])
+    for path in (ROOT / "src" / "repro").rglob("*.py"):
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+        names += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)]
+        extra = {"torch"} if path.name == "training.py" else set()
+        found = {name.partition(".")[0] for name in names} - sys.stdlib_module_names
+        assert found <= required | extra | {"repro", "rich"}, path
 
 
 def targets() -> set[str]:

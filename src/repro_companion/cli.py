@@ -3,11 +3,33 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
-from edition1_companion.cli import app, main
+from edition1_companion.cli import app
+from edition1_companion.cli import main as run_command
 
-__all__ = ["main"]
+NEEDS = {
+    "record export import emulate calibrate live track smooth fit train": ["edition1"],
+    "run sweep fetch": ["book", "edition1"],
+}
+"""The extras that commands need. A command that is not here runs with the required packages alone."""
+PACKAGES = {
+    "book": ["papermill", "nbformat", "ipykernel", "yaml", "joblib", "pooch", "requests"],
+    "edition1": ["torch", "jaxtyping", "tqdm", "rosbags", "PIL", "serial", "cobs", "mcap"],
+}
+"""By these we see whether an extra is installed."""
+
+
+def named(extras: Sequence[str]) -> str:
+    """Return extras as a sentence names them."""
+    return f"the extra{'s' if len(extras) > 1 else ''} " + " and ".join(f'"{extra}"' for extra in extras)
+
+
+for names, extras in NEEDS.items():
+    for name in names.split():
+        app[name].group = f"Commands that need {named(extras)}"
 
 
 @app.command
@@ -40,6 +62,18 @@ def compare(old: Path | None = None, new: Path | None = None, /) -> int:
     print(*result.found, sep="\n", file=sys.stderr, end="\n" if result.found else "")
     print(f"Tables: {result.summary()}.")
     return 1 if result.found else 0
+
+
+def main() -> int:
+    """Run the command line. Where an extra is missing, say in one line which, before anything else is asked for."""
+    command = sys.argv[1] if len(sys.argv) > 1 else ""
+    extras = next((extras for names, extras in NEEDS.items() if command in names.split()), [])
+    missing = [extra for extra in extras if not all(map(find_spec, PACKAGES[extra]))]
+    if not missing or {"--help", "-h"} & set(sys.argv):
+        return run_command()
+    brings = f'pip install "repro-soft-robots[{",".join(missing)}]"'
+    print(f"repro {command} needs {named(missing)}: {brings}", file=sys.stderr)
+    return 2
 
 
 if __name__ == "__main__":

@@ -185,9 +185,8 @@ def main() -> int:
         package = str(missing.name).partition(".")[0]
         if package.startswith(("repro", "edition1")):
             raise
-        bring = "pip install pyarrow brings it"
-        if package != "pyarrow":
-            bring = "the package without --no-deps brings it, its extra [book] what notebooks need"
+        extras = "parquet" if package == "pyarrow" else "book,edition1"
+        bring = f'pip install "repro-soft-robots[{extras}]" brings it'
         print(f"repro: This needs {package}, which is not installed: {bring}.", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
