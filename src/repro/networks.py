@@ -98,6 +98,19 @@ def load_network(path: str | Path) -> Network:
     ------
     InputError
         If there is no such file, or it holds another network.
+
+    Examples
+    --------
+    A fast network of one layer that adds its inputs:
+
+    >>> from tempfile import mkdtemp
+    >>> from safetensors.numpy import save_file
+    >>> state = {"centre": np.zeros(5), "spread": np.ones(5), "offset": np.zeros(()), "scale": np.ones(())}
+    >>> state |= {"layers.0.weight": np.ones((1, 5)), "layers.0.bias": np.zeros(1)}
+    >>> path = Path(mkdtemp()) / "sum.safetensors"
+    >>> save_file(state, path)
+    >>> load_network(path)([1.0, 2.0, 3.0, 4.0, 5.0])
+    array(15.)
     """
     from safetensors import SafetensorError
     from safetensors.numpy import load_file

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from repro.common import Array, bad_input, numbers, require
+from repro.common import Array, bad_input, numbers, require, say_that_kernels_compile
 
 
 class Estimate(NamedTuple):
@@ -359,6 +359,7 @@ def model_of(sensing: Any, lower: Array, upper: Array, owner: str) -> Any:
         If it is no callable, fails, or has another number of coordinates than the bounds.
     """
     require(callable(sensing), "sensing", owner, "a callable from q to readings", type(sensing).__name__)
+    say_that_kernels_compile()
     if hasattr(sensing, "compiled"):
         expected = f"bounds of its {sensing.n_q} coordinates"
         require(len(lower) == sensing.n_q, "lower, upper", owner, expected, f"{len(lower)}")

@@ -40,6 +40,11 @@ class Tolerances:
     ------
     InputError
         If one of them is not positive.
+
+    Examples
+    --------
+    >>> Tolerances(magnet_position=1e-3).magnet_tilt == math.radians(2.0)
+    True
     """
 
     magnet_position: float = 0.5e-3

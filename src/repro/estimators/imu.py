@@ -242,6 +242,15 @@ def exact_arcs(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
     References
     ----------
     Martin, Bruder and Wood (2022), section II-B: "As n increases, this model approximates a PCC model".
+
+    Examples
+    --------
+    A quarter circle of 640 mm, from IMUs at its ends, ends at 2 L/pi:
+
+    >>> from repro import Arm, exact_arcs
+    >>> quarter = [[0.0, 0.0, 0.0, 1.0], [0.0, 0.5**0.5, 0.0, 0.5**0.5]]
+    >>> exact_arcs(quarter, Arm([0, 8], [0.0, 0.64], [0.64], sub_segments=1), [0.64]).round(4) + 0.0
+    array([[0.4074, 0.    , 0.4074]])
     """
     q, points = _checked(orientations, arm, arc_lengths, "exact_arcs")
     return _chain(q, arm, points, None)
@@ -573,6 +582,17 @@ def calibrated(orientations: Any, calibration: ImuCalibration) -> Array:
     ------
     InputError
         If there is not one quaternion per IMU, or one is not finite or not unit within 1e-3.
+
+    Examples
+    --------
+    An arm that stands upright in the motion capture keeps its orientations:
+
+    >>> from repro import Arm, calibrate_imus, calibrated, exact_arcs
+    >>> arm = Arm([0, 8], [0.0, 0.64], [0.64], markers=[0.36, 0.6], sub_segments=1)
+    >>> bent = np.array([[[0, 0, 0, 1.0], [0, np.sin(a), 0, np.cos(a)]] for a in (0.1, 0.3, 0.5)])
+    >>> found = calibrate_imus(bent, exact_arcs(bent, arm, arm.markers), exact_arcs, arm, per_imu=False)
+    >>> np.allclose(calibrated(bent, found), bent, atol=1e-6)
+    True
     """
     q = unit_quaternions(orientations, "orientations", "calibrated", (..., len(calibration.imus), 4))
     return _corrected(q, calibration.names, calibration.estimate, calibration.imus)
