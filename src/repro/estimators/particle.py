@@ -141,16 +141,11 @@ class ParticleFilter:
     motion
         ``"random walk"`` as in the paper: noise on the configuration. ``"constant velocity"``: noise on a velocity
         that every particle carries.
-    lost_at
-        The filter counts as lost when the readings are so many standard deviations too unlikely for its cloud.
-    restart
-        Whether a lost filter starts again, with particles from all over the region that contract to the readings.
 
     Raises
     ------
     InputError
-        If a number is not positive, a name is unknown, a best tenth is asked of anything but bend vectors, or a
-        restart has no region.
+        If a number is not positive, a name is unknown, or a best tenth is asked of anything but bend vectors.
 
     Examples
     --------
@@ -170,17 +165,15 @@ class ParticleFilter:
         estimate: str = "weighted",
         resampling: str = "systematic",
         motion: str = "random walk",
-        lost_at: float = 6.0,
-        restart: bool = False,
     ) -> None:
-        self.sensing, self.region, self.particles, self.restart = sensing, region, particles, restart
-        self.estimate, self.resampling, self.motion, self.lost_at = estimate, resampling, motion, lost_at
+        self.sensing, self.region, self.particles = sensing, region, particles
+        self.estimate, self.resampling, self.motion = estimate, resampling, motion
         owner = "ParticleFilter"
         require(callable(sensing), "sensing", owner, "a callable from configurations to readings", sensing)
         self.process_noise = numbers(process_noise, "process_noise", owner, (..., None))
         self.noise = numbers(noise, "noise", owner)
         require(self.noise.ndim <= 1, "noise", owner, "one number, or one per reading", noise)
-        for name in ("process_noise", "noise", "lost_at"):
+        for name in ("process_noise", "noise"):
             require(np.all(getattr(self, name) > 0), name, owner, "positive", getattr(self, name))
         whole = isinstance(particles, int | np.integer) and particles > 0
         require(whole, "particles", owner, "a positive whole number", particles)
@@ -196,7 +189,6 @@ class ParticleFilter:
         if estimate == "best tenth" and self.n_q != 2:
             expected = "'weighted' or 'Gauss-Newton' for a configuration that is no bend vector"
             raise bad_input("estimate", owner, expected, f"'best tenth' for {self.n_q} coordinates")
-        require(region is not None or not restart, "region", owner, "given for a restart", None)
 
     def init(self, q0: Any = None, seed: int = 0) -> ParticleState:
         """Return a cloud at rest: around ``q0`` with the process noise of one step, or all over the region.
@@ -236,9 +228,9 @@ class ParticleFilter:
         """Weigh, predict and resample.
 
         The ``details`` are ``effective_sample_size``, the number of particles of equal weight that are worth as much;
-        ``surprise``, by how many standard deviations the readings are too unlikely for the cloud before it is
-        weighed, about N(0, 1) while the filter follows and NaN without readings; and ``lost``, whether the surprise
-        is above ``lost_at``. The covariance is that of the weighted particles; for ``"Gauss-Newton"`` it is that of
+        and ``surprise``, by how many standard deviations the readings are too unlikely for the cloud before it is
+        weighed: about N(0, 1) while the filter follows, NaN without readings, far above 6 once it has lost the robot.
+        The covariance is that of the weighted particles; for ``"Gauss-Newton"`` it is that of
         least squares.
 
         Raises
@@ -289,10 +281,6 @@ class ParticleFilter:
         dof = np.where(used.any(-1), used.sum(-1), np.nan)
         distance = (e * np.linalg.solve(S + np.eye(s), e[..., None])[..., 0]).sum(-1)
         surprise = ((distance / dof) ** (1 / 3) - 1 + 2 / (9 * dof)) / np.sqrt(2 / (9 * dof))
-        lost = surprise > self.lost_at
-        if self.restart and lost.any():
-            q[lost], velocity[lost] = self._found_again(u, noise, predicted, held, state)[lost], 0.0
-            w, squares, size, mean, C, *_ = _weighed(q, predicted(q), u, noise)
         best = held(_best_tenth(q, squares) if self.estimate == "best tenth" else mean[:, None])
         if self.estimate == "Gauss-Newton":
             h = np.finfo(float).eps ** (1 / 3) * np.eye(n_q)
@@ -318,10 +306,9 @@ class ParticleFilter:
             {
                 "effective_sample_size": size.reshape(batch),
                 "surprise": surprise.reshape(batch),
-                "lost": lost.reshape(batch),
             },
         )
-        generator = _stream(state.seed, 2 * state.steps)
+        generator = _stream(state.seed, state.steps)
         moved = self._moved(q, velocity, _drawn(w, _points(n, self.resampling, generator)), width, generator)
         q, velocity = (x.reshape(*batch, n, n_q) for x in moved)
         return ParticleState(q, velocity, state.seed, state.steps + 1), estimate
@@ -341,31 +328,6 @@ class ParticleFilter:
                 return following, moved
         following[outside], moved[outside] = q[drawn[outside]], 0.0
         return following, moved
-
-    def _found_again(
-        self,
-        u: Array,
-        noise: Array,
-        predicted: Callable[[Array], Array],
-        held: Callable[[Array], Array],
-        state: ParticleState,
-    ) -> Array:
-        """Return particles from all over the region that have contracted to the readings as the weights sharpen.
-
-        Each of several configurations that explain the readings keeps particles.
-        """
-        n, generator = self.particles, _stream(state.seed, 2 * state.steps + 1)
-        q = held(np.tile(self.region.sample(n, generator), (len(u), 1, 1)))
-        squares, width = _weighed(q, predicted(q), u, noise)[1], q.std(1, keepdims=True)
-        first = np.sqrt(squares.mean(1) / u.shape[1]).clip(1.0)[:, None]
-        # Twelve passes take the width of the likelihood from the first misfit to the noise.
-        for k in range(1, 13):
-            share = first ** (-k / 12)
-            w = _weighed(q, predicted(q), u, noise * first * share)[0]
-            q = q.reshape(-1, self.n_q)[_drawn(w, _points(n, "systematic", generator))]
-            spread = held(q + share[..., None] * width * generator.standard_normal(q.shape[1:]))
-            q = np.where(self.region.contains(spread)[..., None], spread, q)
-        return q
 
 
 def _stream(seed: int, number: int) -> np.random.Generator:
