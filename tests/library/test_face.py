@@ -5,8 +5,10 @@ from __future__ import annotations
 import ast
 import inspect
 import pydoc
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import repro
@@ -44,6 +46,15 @@ def test_help_reads_like_a_table_of_contents():
     first = text.split("PACKAGE CONTENTS")[0]
     assert all(name in first for name in repro.__all__ if name not in ("InputError", "Tolerances"))
     assert len(first.splitlines()) < 70
+
+
+def test_the_lines_of_the_reference_find_the_shape_that_they_simulate():
+    page = Path(__file__).parents[2].joinpath("book", "api.md").read_text(encoding="utf-8")
+    (lines,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    there: dict = {}
+    exec(lines, there)
+    tips = [there["robot"].tip(q)[:, :3, 3] for q in (there["q"], there["shape"].q)]
+    assert np.linalg.norm(tips[0] - tips[1], axis=1).max() < 2e-4
 
 
 def test_an_unknown_name_is_an_attribute_error():
