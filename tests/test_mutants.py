@@ -25,6 +25,7 @@ def runner():
 def project(tmp_path):
     """Sources that say which numbers are large, and a test that looks at two of them."""
     (tmp_path / "src").mkdir()
+    (tmp_path / "pyproject.toml").write_text('[tool.pytest.ini_options]\npythonpath = ["src"]\n')
     (tmp_path / "src" / "rule.py").write_text("LIMIT = 3\n\n\ndef large(x):\n    return x > LIMIT\n")
     (tmp_path / "test_rule.py").write_text(
         "from rule import large\n\n\ndef test_rule():\n    assert large(5) and not large(1)\n"
