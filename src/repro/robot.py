@@ -504,13 +504,10 @@ class Robot:
 
     def check_q(self, q: Any, owner: str = "Robot") -> Array:
         """Return configurations ``[..., n_q]`` as float64; refuse another width, NaN and infinity."""
-        try:
-            return numbers(q, "q", owner, (..., self.n_q))
-        except ValueError as error:
-            if np.shape(q)[-1:] == (self.n_q,):
-                raise
-            names = f"of last dimension {self.n_q} ({', '.join(self.coordinates)})"
-            raise bad_input("q", owner, names, f"shape {np.shape(q)}") from error
+        found = numbers(q, "q", owner)
+        names = f"of last dimension {self.n_q} ({', '.join(self.coordinates)})"
+        require(found.shape[-1:] == (self.n_q,), "q", owner, names, f"shape {found.shape}")
+        return found
 
     def chain(self, places: Sequence[Place]) -> tuple[Chain, Array]:
         """Return the frames of places as arrays for the kernels, and the frame of every place."""

@@ -11,7 +11,7 @@ from edition1_companion.cli import app
 from edition1_companion.cli import main as run_command
 
 NEEDS = {
-    "record export import emulate calibrate live track smooth fit train": ["edition1"],
+    "record export import emulate calibrate live track smooth fit": ["edition1"],
     "run sweep fetch": ["book", "edition1"],
 }
 """The extras that commands need. A command that is not here runs with the required packages alone."""
