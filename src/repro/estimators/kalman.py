@@ -196,7 +196,7 @@ class KalmanFilter:
             values[..., : self.n_q] = np.where(np.isnan(known), values[..., : self.n_q], known)
         given = None if np.isnan(values).all() else values
         q = np.clip(np.broadcast_to(before.q, (*batch, n)), fit._low, fit._high)
-        q, u_hat, C, status, n_used, _ = fit.fit(q, u, given, prior, wrapped=False)
+        q, u_hat, C, status, n_used = fit.fit(q, u, given, prior, wrapped=False)
         x = np.empty((len(P), m))
         x[:, :n] = np.broadcast_to(before.q, (*batch, n)).reshape(-1, n)
         x[:, n:] = np.broadcast_to(before.velocity, (*batch, m - n)).reshape(-1, m - n)

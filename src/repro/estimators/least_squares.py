@@ -18,7 +18,7 @@ from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import Estimate, incoming, known_coordinates, model_of, start
 from repro.sensing import difference, evaluate, room_for, unpack
 
-_DAMPING, _COST, _TURN, _DONE, _CHI2, _DETERMINED = range(6)
+_DAMPING, _COST, _TURN, _DONE, _CHI2, _DETERMINED, _USED, _FREE, _BOUND = range(9)
 _EPS, _TINY = 2.0**-52, 2.0**-1022
 _WELL_DETERMINED = 1e-6
 """Smallest pivot of the scaled information for which its inverse is taken directly."""
@@ -100,6 +100,7 @@ class LevenbergMarquardt:
         free = self.model.angles & (self.upper - self.lower >= 2 * math.pi - 1e-9)
         self._low, self._high = np.where(free, -np.inf, self.lower), np.where(free, np.inf, self.upper)
         self._settings: Array | None = None
+        self._any_angles = bool(self.model.angles.any())
 
     def init(self, q0: Any = None, seed: int = 0) -> LeastSquaresState:
         """Return the state at ``q0`` ``[..., n_q]``; without it the first step searches. Nothing is random."""
@@ -124,13 +125,12 @@ class LevenbergMarquardt:
         u = incoming(u, mask, "LevenbergMarquardt", self.model.n_readings)
         known = known_coordinates(known, self.n_q, "LevenbergMarquardt")
         q = self._searched(u, known) if state.q is None else state.q
-        q, u_hat, C, status, n_used, held = self.fit(q, u, known)
+        q, u_hat, C, status, n_used = self.fit(q, u, known)
         batch = q.shape[:-1]
-        bound = (q <= self._low) | (q >= self._high)
-        free = self.n_q - (bound.sum(-1) if held is None else (bound | held).sum(-1))
-        details = {"iterations": status[:, _TURN].reshape(batch), "at_bound": bound.any(-1)}
+        at_bound = status[:, _BOUND].reshape(batch) > 0
+        details = {"iterations": status[:, _TURN].reshape(batch), "at_bound": at_bound}
         chi2 = status[:, _CHI2].reshape(batch)[()]
-        dof = np.maximum(n_used - free, 0)
+        dof = np.maximum(n_used - status[:, _FREE].astype(np.int64).reshape(batch)[()], 0)
         return LeastSquaresState(q), Estimate(q, C, u_hat, chi2, dof, u.shape[-1] - n_used, details)
 
     def fit(
@@ -141,8 +141,8 @@ class LevenbergMarquardt:
         prior: tuple[Array, Array] | None = None,
         *,
         wrapped: bool = True,
-    ) -> tuple[Array, Array, Array, Array, Any, Array | None]:
-        """Return configuration, readings there, covariance, status ``[n, 6]``, readings used, coordinates held.
+    ) -> tuple[Array, Array, Array, Array, Any]:
+        """Return configuration, readings there, covariance, status ``[n, 9]``, readings used.
 
         ``prior`` holds means ``[..., n_q]`` and information ``[..., n_q, n_q]`` of a Gaussian prior.
         """
@@ -166,22 +166,22 @@ class LevenbergMarquardt:
             information = np.ascontiguousarray(np.broadcast_to(information, (*batch, n, n)).reshape(-1, n, n))
         fixed = _NONE_HELD if held is None else np.broadcast_to(held, (*batch, n)).reshape(-1, n).copy()
         u_hat, C = np.empty((len(flat), s)), np.empty((len(flat), n, n))
-        status = np.empty((len(flat), 6))
+        status = np.empty((len(flat), 9))
         arrays = (mean, information, fixed, flat, u_hat, C, status)
         if self.model.compiled:
-            _fit(*self.model.packed, self._settings, rows, *arrays)
+            good = _fit(*self.model.packed, self._settings, rows, *arrays)
         else:
-            self._fit_callable(rows, *arrays)
-        if not np.isfinite(status[:, _COST]).all():
+            good = self._fit_callable(rows, *arrays)
+        if not good and not np.isfinite(status[:, _COST]).all():
             expected = "finite where the estimator starts"
             raise bad_input("sensing", type(self).__name__, expected, "readings that are NaN or infinite")
-        for k in np.flatnonzero(status[:, _DETERMINED] == 0):
+        for k in () if good else np.flatnonzero(status[:, _DETERMINED] == 0):
             C[k] = bounded_inverse(C[k], fixed[k] if len(fixed) else np.zeros(n, dtype=bool))
         flat = flat.reshape(*batch, n)
-        if wrapped and self.model.angles.any():
+        if wrapped and self._any_angles:
             flat = self.model.wrapped(flat)
-        n_used = np.isfinite(rows).sum(-1).reshape(batch)[()]
-        return flat, u_hat.reshape(*batch, s), C.reshape(*batch, n, n), status, n_used, held
+        n_used = status[:, _USED].astype(np.int64).reshape(batch)[()]
+        return flat, u_hat.reshape(*batch, s), C.reshape(*batch, n, n), status, n_used
 
     def _noise_of(self, s: int) -> Array:
         fits = self.noise.shape in ((), (s,))
@@ -191,7 +191,7 @@ class LevenbergMarquardt:
 
     def _fit_callable(
         self, u: Array, mean: Array, information: Array, held: Array, q: Array, *out: Array
-    ) -> None:
+    ) -> bool:
         u_hat, C, status = out
         n, count = self.n_q, len(q)
         status[:], status[:, _COST], status[:, _TURN] = 0.0, np.inf, -1.0
@@ -203,7 +203,7 @@ class LevenbergMarquardt:
             arrays = (mean, information, held, x, q, u_hat, A, g, status)
             _advance_all(todo, np.ascontiguousarray(hat), r, np.ascontiguousarray(J), self._settings, *arrays)
             todo = todo[status[todo, _DONE] == 0]
-        _invert_all(A, held, status, C)
+        return _finish_all(self._settings, A, q, held, status, C)
 
     def _searched(self, u: Array, known: Array | None) -> Array:
         """Best of the fits from starts that fill the bounds evenly: an additive recurrence, the middle first."""
@@ -214,7 +214,7 @@ class LevenbergMarquardt:
         share = (0.5 + np.arange(self.starts)[:, None] * golden ** -np.arange(1.0, n + 1)) % 1.0
         starts = self.lower + share * (self.upper - self.lower)
         starts = starts.reshape(-1, *(1,) * (u.ndim - 1), n)
-        q, _, _, status, *_ = self.fit(starts, u, known)
+        q, _, _, status, _ = self.fit(starts, u, known)
         best = status[:, _COST].reshape(q.shape[:-1]).argmin(0)
         return np.take_along_axis(q, best[None, ..., None], axis=0)[0]
 
@@ -245,7 +245,7 @@ def _fit(ints, floats, weights, settings, u, mean, information, held, q, u_hat, 
     room, n, s = room_for(t), q.shape[1], u.shape[1]
     x, g, A = np.zeros(n), np.zeros(n), np.zeros((n, n))
     hat, r, J = np.zeros(s), np.zeros(s), np.zeros((s, n))
-    delta, L = np.zeros(n), np.zeros((n, n))
+    delta, L, good = np.zeros(n), np.zeros((n, n)), True
     for k in range(len(q)):
         status[k, :], status[k, _COST], status[k, _TURN] = 0.0, math.inf, -1.0
         x[:] = q[k]
@@ -257,7 +257,9 @@ def _fit(ints, floats, weights, settings, u, mean, information, held, q, u_hat, 
                 hat, r, J, settings, mean[p : p + 1], information[p : p + 1], held[h : h + 1], x, q[k], u_hat[k],
                 A, g, status[k], delta, L,
             )  # fmt: skip
-        status[k, _DETERMINED] = invert(A, held[h : h + 1], L, C[k])
+        _finish(settings, A, q[k], held[h : h + 1], L, status[k], C[k])
+        good = good and status[k, _DETERMINED] == 1.0
+    return good
 
 
 @kernel(allocates=True)
@@ -274,11 +276,30 @@ def _advance_all(todo, hat, r, J, settings, mean, information, held, x, q, u_hat
 
 
 @kernel(allocates=True)
-def _invert_all(A, held, status, C):
-    L = np.zeros(A.shape[1:])
+def _finish_all(settings, A, q, held, status, C):
+    L, good = np.zeros(A.shape[1:]), True
     for k in range(len(A)):
         h = k if len(held) else 0
-        status[k, _DETERMINED] = invert(A[k], held[h : h + 1], L, C[k])
+        _finish(settings, A[k], q[k], held[h : h + 1], L, status[k], C[k])
+        good = good and status[k, _DETERMINED] == 1.0
+    return good
+
+
+@kernel
+def _finish(settings, A, q, held, L, status, C):
+    """Write the covariance, and how many coordinates a bound stopped and how many were free."""
+    n = len(q)
+    status[_FREE] = status[_BOUND] = 0.0
+    for a in range(n):
+        stays = False
+        for h in range(len(held)):
+            stays = stays or held[h, a]
+        bound = q[a] <= settings[a] or q[a] >= settings[n + a]
+        if bound and not stays:
+            status[_BOUND] += 1.0
+        elif not stays:
+            status[_FREE] += 1.0
+    status[_DETERMINED] = invert(A, held, L, C) if status[_COST] < math.inf else 0.0
 
 
 @kernel
@@ -291,9 +312,10 @@ def advance(hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, sta
     n, s = len(x), len(r)
     low, high, weight = settings[:n], settings[n : 2 * n], settings[2 * n : 2 * n + s]
     tolerance, iterations = settings[2 * n + s], settings[2 * n + s + 1]
-    chi2 = 0.0
+    chi2 = used = 0.0
     for j in range(s):
         if r[j] == r[j]:
+            used += 1.0
             chi2 += (weight[j] * r[j]) ** 2
         if not math.isfinite(hat[j]):
             chi2 = math.inf
@@ -306,6 +328,7 @@ def advance(hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, sta
     # Near the minimum rounding hides which is better: a step that is no worse than that is taken.
     better = cost < status[_COST] * (1.0 + 8.0 * _EPS)
     status[_TURN] += 1.0
+    status[_USED] = used
     if first:
         status[_DAMPING] = 1e-3
     else:
