@@ -28,7 +28,7 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help book test mutants lint check-site size train soak vendor env clean lock
+.PHONY: help book test mutants lint check-site bench size train soak vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
@@ -36,6 +36,7 @@ help:
 	@echo 'make mutants     change one expression after the other and see whether the tests notice (minutes)'
 	@echo 'make lint        style, types and the direction of imports'
 	@echo 'make check-site  open every page of the built site in Chromium and check it'
+	@echo 'make bench       how fast the library is beside what a user would take instead: data/benchmark.csv (some minutes)'
 	@echo 'make size        count statements, and list what nothing uses any more'
 	@echo 'make train       train the networks of the paper that data/networks/ does not have yet (hours, resumable)'
 	@echo 'make soak        ten million frames through a faulty port, a hundred killed recorders, ten minutes live (half an hour)'
@@ -70,6 +71,9 @@ check-site: env
 	@test -f book/_build/html/index.html || { echo 'The site is not built: run `make book` first.' >&2; exit 1; }
 	@$(PY) tests/chromium.py >/dev/null
 	$(PY) -m pytest -n $(JOBS) tests/book/test_site*.py
+
+bench: env
+	$(PY) bench/bench.py
 
 size: env
 	@$(PY) bench/size.py

@@ -193,8 +193,8 @@ def test_setting_names_what_differs_from_print():
 
 def test_update_rate_is_taken_from_the_benchmark(tmp_path):
     path = tmp_path / "benchmark.csv"
-    path.write_text(f'capability,kind,ours,unit\n"{CAPABILITY}",implementation,1234,updates per CPU second\n')
+    path.write_text(f'capability,figure,target,met,processor\n"{CAPABILITY}",1234,,,znver3\n')
     (line,) = update_rate_rows(path)
     assert (line["row"], line["regenerated"], line["setting"]) == ("1000 particles", 1234, "benchmark")
-    path.write_text("capability,kind,ours,unit\n")
+    path.write_text("capability,figure,target,met,processor\n")
     assert update_rate_rows(path) == []

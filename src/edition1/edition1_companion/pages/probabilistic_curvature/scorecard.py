@@ -17,7 +17,7 @@ BEST_METHOD = (
     "weighted mean, constant velocity, 0.0005 pi (chosen on Spiral), 1000 particles; "
     "sensor noise 0.025 mT per axis, start straight"
 )
-CAPABILITY = "particle filter, N = 1000"
+CAPABILITY = "first edition: particle filter, N = 1000 [updates/s]"
 """Name of the update rate in ``data/benchmark.csv``."""
 
 
@@ -96,5 +96,5 @@ def update_rate_rows(benchmark: Path) -> list[dict[str, Any]]:
             "setting": "benchmark",
             "note": "updates per second of one core's processor time; the printed 60 Hz is the rate of the sensor",
         }
-        for ours in measured["ours"]
+        for ours in measured["figure"]
     ]

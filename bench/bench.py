@@ -1,0 +1,426 @@
+"""How fast the library is beside what a user would take instead, and what it costs: ``make bench``.
+
+Rates are ratios of processor time in one run: our method and the other one run in turn, and the shortest time of each
+counts, so that a busy computer changes little. All work has one thread. Readings of magnets come from magpylib, with
+noise. The table goes to ``data/benchmark.csv``. With ``--fast FILE`` everything runs once with few numbers, for a
+test: the table goes to that file, and its figures mean nothing.
+"""
+
+from __future__ import annotations
+
+import os
+
+# Libraries read the number of threads when they are imported.
+os.environ |= {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
+
+import ast
+import builtins
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from functools import partial, reduce
+from importlib.machinery import SourceFileLoader
+from importlib.util import find_spec
+from pathlib import Path
+from timeit import timeit
+from typing import Any
+
+import numpy as np
+
+import repro
+
+ROOT = Path(__file__).resolve().parents[1]
+FAST = sys.argv[1:2] == ["--fast"]
+NOISE_MT = 5e-3
+RING = repro.Ring(24e-3, 12e-3, 6e-3, 1450.0)
+NETWORKS = [ROOT / f"data/networks/pcc_nb3_segment{i}_seed0.safetensors" for i in (1, 2, 3)]
+CARRIED = [
+    ("first edition: particle filter, N = 1000 [updates/s]", 6740.0, ""),
+    ("first edition: PCC-extended chain, 8 IMUs, 16 segments [samples/s]", 3.099e6, ""),
+]
+"""Rates that two pages of the first edition print; its own benchmark measured them once."""
+Rows = Iterator[tuple[str, float, str]]
+"""Capability, figure, and target such as ``>= 1``; NaN says that a package is not installed."""
+
+
+def few(n: int) -> int:
+    """Return a size of a problem, small in a fast run."""
+    return max(n // 50, 4) if FAST else n
+
+
+def fastest(*jobs: Callable[[], Any]) -> list[float]:
+    """Return the shortest processor time of every job [s], after a first call that compiles."""
+    return np.min(
+        [[timeit(job, timer=time.process_time, number=1) for job in jobs] for _ in range(2 if FAST else 25)][
+            1:
+        ],
+        axis=0,
+    ).tolist()
+
+
+def ratio(ours: Callable[[], Any], other: Callable[[], Any]) -> float:
+    """Return how many times as fast as the other job ours is."""
+    return float(np.divide(*fastest(other, ours)))
+
+
+def paper_robot(n_b: int) -> tuple[repro.Robot, np.ndarray, np.ndarray]:
+    """Return the robot of Baaij et al. 2023, section 3.1, and the bounds of its workspace."""
+    sensors = [
+        repro.Sensor(i, 0.11, radial=0.013, azimuth=2 * np.pi / 3 * k)
+        for i in range(1, n_b + 1)
+        for k in range(3)
+    ]
+    magnets = [repro.Magnet(RING, i, 0.055) for i in range(1, n_b + 1)]
+    robot = repro.Robot([repro.ConstantCurvature(0.11, 0.022)] * n_b, magnets, sensors)
+    return robot, np.tile([-0.02073, -0.02073, 0.0], n_b), np.tile([0.02073, 0.02073, 0.0066], n_b)
+
+
+def on_t3(n_b: int, steps: int) -> tuple[repro.Robot, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return that robot with its bounds, the first of 400 time steps of trajectory T3, and readings there.
+
+    Readings are those of magpylib with noise [mT]. The elongation keeps 0.5 mm from its bounds, near which SciPy is
+    slow.
+    """
+    robot, low, high = paper_robot(n_b)
+    s, p = 2 * np.pi * np.arange(steps)[:, None] / 400, 2 * np.pi * np.arange(n_b) / n_b
+    q = np.stack(
+        [0.01728 * np.sin(2 * s + p), 0.01728 * np.sin(s + p), 2.75e-3 * (1.2 + np.sin(s + p))], axis=-1
+    ).reshape(steps, 3 * n_b)
+    u = repro.simulated_readings(robot, q)
+    return robot, low, high, q, u + NOISE_MT * np.random.default_rng(0).normal(size=u.shape)
+
+
+def flower(steps: int) -> np.ndarray:
+    """Return bend vectors of the curve Flower of Mitchell et al. 2021 [rad]."""
+    t = 0.01 * np.arange(steps)[:, None]
+    return np.sin(t) * np.concatenate([np.cos((0.1 * t) ** 2), np.sin((0.1 * t) ** 2)], axis=1)
+
+
+def against_scipy(sensing: Any, q: Any, u: Any, noise: float, low: Any, high: Any) -> float:
+    """Return the ratio of rates against a loop with SciPy: warm start, same bounds, same sensor model.
+
+    Both end within a hundredth of a standard deviation of the minimum. SciPy has its faster method, and the loosest
+    tolerance that does it.
+    """
+    from scipy.optimize import least_squares
+
+    def theirs(tolerance: float) -> np.ndarray:
+        options: dict[str, Any] = dict.fromkeys(("xtol", "ftol", "gtol"), tolerance) | {
+            "jac": (lambda x: sensing.linearise(x)[1] / noise)
+            if hasattr(sensing, "linearise")
+            else "2-point",
+            "bounds": (low, high),
+            "method": "dogbox",
+        }
+
+        def fit(x: np.ndarray, row: np.ndarray) -> np.ndarray:
+            return least_squares(lambda x: (sensing(x) - row) / noise, x, **options).x
+
+        return np.array(reduce(lambda found, row: [*found, fit(found[-1], row)], u, [q[0]])[1:])
+
+    ours = partial(repro.track, repro.LevenbergMarquardt(sensing, low, high, noise), u, q[0])
+    exact = repro.track(repro.LevenbergMarquardt(sensing, low, high, noise, tolerance=1e-9), u, q[0])
+    std = np.sqrt(np.diagonal(exact.covariance, axis1=1, axis2=2))
+    tolerance = next(x for x in 10.0 ** -np.arange(1, 15) if (abs(theirs(x) - exact.q) < 0.01 * std).all())
+    assert (abs(ours().q - exact.q) < 0.01 * std).all()
+    return ratio(ours, partial(theirs, tolerance))
+
+
+def solver_rows() -> Rows:
+    """Yield least squares against SciPy: on magnets, and on functions of a user's own."""
+    for n_b in (1, 3):
+        robot, low, high, q, u = on_t3(n_b, few(200))
+        sensing = repro.Sensing(robot)
+        yield (
+            f"LevenbergMarquardt, n_b = {n_b}, one at a time, against SciPy, our model and slopes [times as fast]",
+            against_scipy(sensing, q, u, NOISE_MT, low, high),
+            "",
+        )
+    W, noise = np.random.default_rng(1).normal(size=(45, 9)) / 3, np.random.default_rng(2)
+    q = 0.5 * np.sin(0.02 * np.arange(few(200))[:, None] * np.arange(1, 10) + np.arange(9))
+    u = np.arctan(q @ W.T) + 1e-3 * noise.normal(size=(len(q), 45))
+    for text, target, function in (
+        ("of one configuration", ">= 1", lambda x: np.arctan(W @ x)),
+        ("of one configuration, no complex numbers", ">= 1", lambda x: np.arctan2(W @ x, 1.0)),
+        ("of a batch", ">= 3", lambda x: np.arctan(x @ W.T)),
+        ("of a batch, no complex numbers", ">= 3", lambda x: np.arctan2(x @ W.T, 1.0)),
+    ):
+        yield (
+            f"track, NumPy function {text}, 9 coordinates, 45 readings, against SciPy [times as fast]",
+            against_scipy(function, q, u, 1e-3, -np.ones(9), np.ones(9)),
+            target,
+        )
+
+
+def against(ours: Callable[[], Any], other: Callable[[], Any], q: np.ndarray) -> tuple[float, float]:
+    """Return how many times as fast our estimates of ``q`` are, and how many times as large their error is."""
+    return ratio(ours, other), float(np.std(ours() - q) / np.std(other() - q))
+
+
+def against_filterpy() -> tuple[float, float]:
+    """Return rate and error of our Kalman filter against an unscented filter of the same model."""
+    from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+
+    robot, low, high, q, u = on_t3(1, few(200))
+    sensing = repro.Sensing(robot)
+    method = repro.KalmanFilter(sensing, low, high, NOISE_MT, [0.03, 0.03, 1e-3], [0.02, 0.02, 2e-3])
+    F, Q = method.motion(1 / 40)
+    points, P = MerweScaledSigmaPoints(6, 0.5, 2.0, 0.0), method.init(q[0]).covariance
+
+    def unscented() -> np.ndarray:
+        other = UnscentedKalmanFilter(6, 3, 1 / 40, lambda x: sensing(x[:3]), lambda x, dt: F @ x, points)
+        other.x, other.P, other.Q, other.R = np.append(q[0], np.zeros(3)), P, Q, NOISE_MT**2 * np.eye(3)
+        return other.batch_filter(u)[0][:, :3]
+
+    return against(lambda: repro.track(method, u, q[0], rate_hz=40).q, unscented, q)
+
+
+def against_particles() -> tuple[float, float]:
+    """Return rate and error of our particle filter against a bootstrap filter of the same model."""
+    from particles import SMC, collectors, distributions, state_space_models
+
+    sensor, width, noise, q = repro.BendSensor(0.015), 0.02 * np.pi, 0.1, flower(few(200))
+    u = sensor(q) + noise * np.random.default_rng(0).normal(size=(len(q), 3))
+    method = repro.ParticleFilter(sensor, [width, width], noise)  # systematic resampling, as there
+
+    def normal(mean: np.ndarray, std: float) -> Any:
+        return distributions.IndepProd(*(distributions.Normal(loc=x, scale=std) for x in mean.T))
+
+    class Bend(state_space_models.StateSpaceModel):
+        PX0 = staticmethod(lambda: normal(q[0], width))
+        PX = staticmethod(lambda t, xp: normal(xp, width))
+        PY = staticmethod(lambda t, xp, x: normal(sensor(x), noise))
+
+    def bootstrap() -> np.ndarray:
+        found = SMC(
+            state_space_models.Bootstrap(Bend(), u), 1000, ESSrmin=1.0, collect=[collectors.Moments()]
+        )
+        found.run()
+        return np.array([moments["mean"] for moments in found.summaries.moments])
+
+    return against(lambda: repro.track(method, u, q[0]).q, bootstrap, q)
+
+
+def filter_rows() -> Rows:
+    """Yield filters against the packages filterpy and particles."""
+    for package, name, function in (
+        ("filterpy", "KalmanFilter, n_b = 1, against filterpy's unscented filter", against_filterpy),
+        (
+            "particles",
+            "ParticleFilter, N = 1000, against the bootstrap filter of particles",
+            against_particles,
+        ),
+    ):
+        rate, error = function() if find_spec(package) else (np.nan, np.nan)
+        yield f"{name} [times as fast]", rate, ""
+        yield f"{name} [times its error]", error, ""
+
+
+def batch(method: Any, start: Any, readings: Any, *at: float) -> Callable[[], Any]:
+    """Return a job: one step of many robots."""
+    return partial(method.step, method.init(start), readings, *at)
+
+
+def one(method: Any, start: Any, readings: Any, *at: float) -> Callable[[], Any]:
+    """Return a job: an estimator over readings of one robot, one time step after the other."""
+    return lambda: reduce(lambda state, u: method.step(state, u, *at)[0], readings, method.init(start))
+
+
+def first_edition_rows() -> Rows:
+    """Yield what the first edition does, too."""
+    from scipy.spatial.transform import Rotation
+    from torch import from_numpy as tensor
+
+    import edition1
+    from edition1.estimation import imu_models, imu_selection, regions
+    from edition1.kinematics import paper_robots
+    from edition1.sensing import ensemble, weights
+    from repro.estimators.particle import BendDisc
+
+    end, compiled = "against the first edition [times as fast]", edition1.compiled
+
+    def both(job: Callable[..., Any], start: np.ndarray, u: np.ndarray) -> float:
+        return ratio(job(mine, start, u), job(theirs, tensor(start), tensor(u), 0.0))
+
+    for n_b in (1, 2, 3):
+        robot, low, high, q, u = on_t3(n_b, 101)
+        # Three iterations in both: the same work.
+        mine = repro.LevenbergMarquardt(
+            repro.Sensing(robot), low, high, NOISE_MT, iterations=3, tolerance=1e-12
+        )
+        sensing = edition1.LinearisedSensing(paper_robots.pcc_robot(n_b), tensor(RING.multipoles(9)))
+        theirs = edition1.LevenbergMarquardt(compiled(sensing), tensor(low), tensor(high), NOISE_MT, 3)
+        yield (
+            f"LevenbergMarquardt, n_b = {n_b}, batch, {end}",
+            both(batch, np.tile(q[:100], (few(10), 1)), np.tile(u[1:], (few(10), 1))),
+            ">= 1.5",
+        )
+        yield f"LevenbergMarquardt, n_b = {n_b}, one at a time, {end}", both(one, q[0], u), ">= 6"
+
+    gamma, n = np.tile([2e-3, 2e-3, 2e-4], 3), few(100)
+    mine = repro.GradientDescent(repro.Sensing(robot, [repro.load_network(x) for x in NETWORKS]), gamma)
+    # The first edition's networks have a dimension for their seeds.
+    model = ensemble.SeedEnsemble(
+        [[weights.load_paper_network(x) for x in NETWORKS]], [0] * 3 + [1] * 3 + [2] * 3
+    )
+    sensing = compiled(edition1.MagneticSensing(paper_robots.pcc_robot(3), model, inputs="angles"))
+    theirs = edition1.GradientDescent(sensing, tensor(gamma), 0.3, 20)
+    yield (
+        f"GradientDescent, network of the paper, n_b = 3, batch, {end}",
+        both(batch, q[None, :n], u[None, 1 : n + 1]),
+        ">= 1",
+    )
+
+    width, noise, q = np.full(2, 0.02 * np.pi), 0.01 / 2**0.5, flower(few(50))
+    model, sensing = repro.BendSensor(0.015), compiled(edition1.BendSensor(0.015))
+    paper: dict[str, Any] = {"estimate": "best tenth", "resampling": "multinomial"}
+    for n in (1000, 10000):
+        mine = repro.ParticleFilter(model, width, noise, BendDisc(np.pi / 2), n, **paper)
+        theirs = edition1.ParticleFilter(sensing, tensor(width), noise, regions.Disc(np.pi / 2), n, **paper)
+        yield f"ParticleFilter, N = {n}, settings of the paper, {end}", both(one, q[0], model(q)), ">= 0.8"
+
+    turns = 0.2 * np.random.default_rng(0).normal(size=(few(8000), 9, 3)) * (np.arange(9)[:, None] > 0)
+    q = Rotation.from_rotvec(np.cumsum(turns, axis=1)).as_quat()
+    imus, arcs, links, joints = (
+        tuple(range(9)),
+        tuple(0.08 * np.arange(9)),
+        (0.08,) * 8,
+        0.04 * np.arange(1, 17),
+    )
+    arms = (
+        repro.Arm(imus, arcs, links, sub_segments=2),
+        imu_selection.Selection(imus, arcs, links, sub_links=2),
+    )
+    for name in ("pcc_extended", "exact_arcs"):
+        models = getattr(repro, name), getattr(imu_models, name)
+        yield (
+            f"{name}, 8,000 samples of 8 IMUs, 16 segments, {end}",
+            ratio(*(partial(model, q, arm, joints) for model, arm in zip(models, arms, strict=True))),
+            ">= 1",
+        )
+
+
+def operation_rows() -> Rows:
+    """Yield what slopes cost, and the operations of an evaluation and of a fit: how many, and how fast."""
+    for n_b, paths in ((3, NETWORKS), (1, []), (3, [])):
+        robot, low, high, q, u = on_t3(n_b, few(2000))
+        sensing = repro.Sensing(robot, [repro.load_network(x) for x in paths] or None)
+        fit = repro.LevenbergMarquardt(sensing, low, high, NOISE_MT, iterations=3, tolerance=1e-12)
+        plain, *seconds = fastest(partial(sensing, q), partial(sensing.linearise, q), batch(fit, q, u))
+        case = f"{'network' if paths else 'multipoles'}, n_b = {n_b}"
+        yield (
+            f"plain call of Sensing, {case}, 2,000 configurations, against one with slopes [times as fast]",
+            seconds[0] / plain,
+            ">= 1",
+        )
+        counts = [] if paths else child(f"count({n_b})", NUMBA_DISABLE_JIT="1")[1].split()
+        for work, number, duration in zip(("evaluation with slopes", "fit"), counts, seconds, strict=False):
+            yield f"one {work}, {case} [floating-point operations]", float(number), ""
+            yield f"one {work}, {case} [GFLOP/s]", 1e-9 * float(number) * len(q) / duration, ""
+
+
+def count(n_b: int) -> None:
+    """Print how many operations one evaluation with slopes takes, and one fit of three iterations.
+
+    Without numba the kernels are Python. We wrap every ``+ - * /`` of their source in a function that counts one for
+    each floating-point number in the result. Functions such as the square root do not count.
+    """
+    total: list[int] = []
+
+    def counted(result: Any) -> Any:
+        total.append(np.size(result) if np.asarray(result).dtype == np.float64 else 0)
+        return result
+
+    class Counting(ast.NodeTransformer):
+        def visit(self, node: ast.AST) -> ast.AST:
+            if isinstance(node, ast.AugAssign):
+                place: Any = ast.parse(ast.unparse(node.target), mode="eval").body
+                node = ast.Assign([node.target], ast.BinOp(place, node.op, node.value))
+            self.generic_visit(node)
+            counts = isinstance(getattr(node, "op", None), ast.Add | ast.Sub | ast.Mult | ast.Div)
+            return ast.Call(ast.Name("counted", ast.Load()), [node], []) if counts else node
+
+    def get_code(loader: SourceFileLoader, name: str) -> Any:
+        tree = ast.parse(loader.get_data(loader.path))
+        tree = Counting().visit(tree) if name.startswith("repro.") else tree
+        return compile(ast.fix_missing_locations(tree), loader.path, "exec", dont_inherit=True)
+
+    builtins.counted, SourceFileLoader.get_code = counted, get_code
+    robot, low, high = paper_robot(n_b)
+    sensing, q = repro.Sensing(robot), 0.4 * high
+    fit = repro.LevenbergMarquardt(sensing, low, high, NOISE_MT, iterations=3, tolerance=1e-12)
+    for work in (partial(sensing.linearise, q), batch(fit, q, sensing(1.1 * q))):
+        total.clear()
+        work()
+        print(sum(total))
+
+
+def answer(path: str, rows: int) -> None:
+    """Estimate shapes from readings in a file, and print the peak memory of this process [MB]."""
+    robot, low, high = paper_robot(3)
+    method = repro.LevenbergMarquardt(repro.Sensing(robot), low, high, NOISE_MT)
+    repro.track(method, np.load(path)[:rows], (low + high) / 2)
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10))
+
+
+def child(call: str, **environment: str) -> tuple[float, str]:
+    """Run a call of a function of this file in a fresh process; return its wall time [s], and what it printed."""
+    code = f"from bench.bench import *; {call}" if call.endswith(")") else call
+    start = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT, env=os.environ | environment, stdout=subprocess.PIPE, text=True, check=True,
+    )  # fmt: skip
+    return time.perf_counter() - start, done.stdout
+
+
+def process_rows() -> Rows:
+    """Yield what fresh processes take."""
+
+    def shortest(code: str, **environment: str) -> float:
+        return min(child(code, **environment)[0] for _ in range(1 if FAST else 9))
+
+    bare, names = shortest(""), "from repro import LevenbergMarquardt, Robot, Sensing, track"
+    yield "import repro, over a bare interpreter [s]", shortest("import repro") - bare, "<= 0.5"
+    yield f"{names}, over a bare interpreter [s]", shortest(names) - bare, ""
+    with tempfile.TemporaryDirectory() as folder:
+        np.save(file := f"{folder}/readings.npy", on_t3(3, few(10000))[-1])
+        start, cache = f"answer({file!r}, 4)", {"NUMBA_CACHE_DIR": folder}
+        yield "first answer, no kernel compiled yet [s]", child(start, **cache)[0], "<= 20"
+        yield "first answer, kernels on disk [s]", shortest(start, **cache), "<= 1"
+        yield (
+            "peak memory of a process that tracks 10,000 time steps, n_b = 3 [MB]",
+            float(child(f"answer({file!r}, 10000)", **cache)[1]),
+            "",
+        )
+
+
+def main() -> None:
+    """Measure everything, write the table and print it."""
+    import pandas as pd
+    from llvmlite.binding import get_host_cpu_name
+
+    table = []
+    for part in (
+        solver_rows(),
+        filter_rows(),
+        first_edition_rows(),
+        operation_rows(),
+        process_rows(),
+        CARRIED,
+    ):
+        for capability, figure, target in part:
+            above, bound = target.startswith(">="), float(target[3:] or "nan")
+            met = str(figure >= bound if above else figure <= bound) if target else ""
+            row = ["", "", "not installed"] if np.isnan(figure) else [f"{figure:.4g}", target, met]
+            table.append([capability, *row, get_host_cpu_name()])
+            print("{:115} {:>9} {:7} {}".format(capability, *row), flush=True)
+    file = pd.DataFrame(table, columns=["capability", "figure", "target", "met", "processor"])
+    file.to_csv(sys.argv[2] if FAST else ROOT / "data/benchmark.csv", index=False, lineterminator="\n")
+
+
+if __name__ == "__main__":
+    main()

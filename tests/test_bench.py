@@ -1,0 +1,27 @@
+"""The benchmark runs: every row has its figure. No speed is asserted."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_every_row_has_a_figure(tmp_path):
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(f"{ROOT}/{x}" for x in ("src", "src/edition1"))}
+    command = [sys.executable, "bench/bench.py", "--fast", str(tmp_path / "fast.csv")]
+    subprocess.run(command, cwd=ROOT, env=environment, check=True, capture_output=True)
+    fast, committed = pd.read_csv(tmp_path / "fast.csv"), pd.read_csv(ROOT / "data" / "benchmark.csv")
+    assert list(fast.columns) == ["capability", "figure", "target", "met", "processor"]
+    pd.testing.assert_series_equal(fast["capability"], committed["capability"])
+    there = fast["met"] != "not installed"
+    assert np.isfinite(fast["figure"][there]).all()
+    assert fast["figure"][~there].isna().all()
+    pd.testing.assert_series_equal(fast["target"][there], committed["target"][there])
+    assert (fast["met"][there].notna() == fast["target"][there].notna()).all()
