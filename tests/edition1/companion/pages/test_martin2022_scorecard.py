@@ -91,9 +91,9 @@ def test_best_is_the_calibrated_spline_over_all_modes(table):
 
 
 def test_time_is_that_of_8000_samples():
-    rows = time_rows(pd.DataFrame({"capability": [CAPABILITY], "ours": [1e5]}))
+    rows = time_rows(pd.DataFrame({"capability": [CAPABILITY], "figure": [1e5]}))
     assert rows[0]["regenerated"] == pytest.approx(0.08)
-    assert time_rows(pd.DataFrame({"capability": ["other"], "ours": [1e5]})) == []
+    assert time_rows(pd.DataFrame({"capability": ["other"], "figure": [1e5]})) == []
 
 
 def test_cases_that_were_not_run_are_left_out(table):
