@@ -190,16 +190,16 @@ def against_particles() -> tuple[float, float]:
         return distributions.IndepProd(*(distributions.Normal(loc=x, scale=std) for x in mean.T))
 
     class Bend(state_space_models.StateSpaceModel):
-        PX0 = staticmethod(lambda: normal(q[0], width))
-        PX = staticmethod(lambda t, xp: normal(xp, width))
-        PY = staticmethod(lambda t, xp, x: normal(sensor(x), noise))
+        PX0 = staticmethod(lambda: normal(q[0], width))  # type: ignore[reportAssignmentType, reportOptionalMemberAccess]
+        PX = staticmethod(lambda t, xp: normal(xp, width))  # type: ignore[reportAssignmentType, reportOptionalMemberAccess]
+        PY = staticmethod(lambda t, xp, x: normal(sensor(x), noise))  # type: ignore[reportAssignmentType, reportOptionalMemberAccess]
 
     def bootstrap() -> np.ndarray:
         found = SMC(
             state_space_models.Bootstrap(Bend(), u), 1000, ESSrmin=1.0, collect=[collectors.Moments()]
         )
         found.run()
-        return np.array([moments["mean"] for moments in found.summaries.moments])
+        return np.array([moments["mean"] for moments in found.summaries.moments])  # type: ignore[reportAssignmentType, reportOptionalMemberAccess]
 
     return against(lambda: repro.track(method, u, q[0]).q, bootstrap, q)
 
