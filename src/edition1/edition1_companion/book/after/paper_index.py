@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import edition1
 from edition1.errors import require
 from edition1_companion.book.project import Project
 from edition1_companion.book.published import read_csv
@@ -55,12 +54,6 @@ class IndexEntry:
     def code_name(self) -> str:
         """What computes it, without its module."""
         return self.code.rsplit(".", 1)[-1]
-
-    @property
-    def code_link(self) -> str:
-        """The place in the API reference, from the root of the site; empty where no public code is named."""
-        public = self.code.startswith("edition1.") and self.code_name in edition1.__all__
-        return f"api.html#{self.code}" if public else ""
 
 
 COLUMNS = tuple(IndexEntry.__dataclass_fields__)
