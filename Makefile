@@ -94,7 +94,7 @@ vendor: env
 # an interrupted installation can mislead: it is removed before anything is installed and written when all is there.
 # Without it, .venv is made anew: what an interruption left behind is not to be trusted.
 #
-# `make book` alone installs the lock without CHECKS, two fifths less, and has a stamp of its own; every other target
+# `make book` alone installs the lock without CHECKS, a third less, and has a stamp of its own; every other target
 # adds them. Where they once were, they stay.
 
 CHECKS := basedpyright beartype crepes execnet filterpy greenlet grimp hypothesis import-linter iniconfig \
