@@ -404,6 +404,8 @@ def _batch_difference(n_s, u, u_hat, r):
 
 
 _UNUSED = (np.empty((0, 0)), np.empty((1, 0, 0)))
+_NO_WEIGHTS = np.zeros((0, 0), dtype=np.float32)
+"""Of the type of the paper's networks, so that one compilation serves them and multipoles."""
 _FieldModel = Network | Sequence[Network] | Callable[[Array], Any] | None
 
 
@@ -512,7 +514,7 @@ class Sensing:
             network=self._network_of_reading(len(networks))
             if with_networks
             else np.zeros(len(rows), dtype=np.int64),
-            weights=np.stack([net.weights for net in networks]) if with_networks else np.zeros((0, 0)),
+            weights=np.stack([net.weights for net in networks]) if with_networks else _NO_WEIGHTS,
         )
         self.packed = pack(self.tables)
         self.compiled = kind != _OTHER
