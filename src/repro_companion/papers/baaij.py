@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
 
 from repro import (
     ConstantCurvature,
     GradientDescent,
+    LevenbergMarquardt,
     Magnet,
     Network,
     Ring,
     Robot,
     Sensing,
     Sensor,
+    Tolerances,
+    calibrate,
     load_network,
     simulated_readings,
 )
+from repro.robot import Place, point_on
 from repro_companion.show import project_folder
 
 LENGTH, RADIUS = 0.110, 0.022
@@ -162,3 +168,169 @@ ROWS = (
     Row("n_e=(0,0,1)", "Earth field, z", earth=(0.0, 0.0, 1.0)),
 )
 """The 13 rows of Table 1 in their order; two print a run again. All move along T3."""
+
+
+# First steps, and sensors that fail: shapes, parts and fields as tables
+
+ELONGATION = 2.75e-3
+"""Mean elongation of a trajectory [m]."""
+FAILED = (4, 8, 12)
+"""The sensors that fail in Figs 4(b) and 5, counted from 1: the last of each segment."""
+AUTHORS_PERCENT = {
+    "before": (3.5, 3.8, 3.5, 2.8, 3.1, 3.6, 1.5, 1.3, 2.4),
+    "after": (3.7, 5.8, 5.8, 2.2, 3.0, 5.1, 1.6, 2.2, 3.5),
+}
+"""Errors of the released networks on regenerated data, before and after the failure; not in print."""
+
+
+def planar(n_segments: int, bend_deg: float) -> np.ndarray:
+    """Return a shape in the x-z plane whose segments bend to alternating sides [m]."""
+    bend = RADIUS * math.radians(bend_deg)
+    return np.array([x for i in range(n_segments) for x in ((-1) ** i * bend, 0.0, ELONGATION)])
+
+
+def backbone_points(robot: Robot, q: np.ndarray, points: int = 25) -> pd.DataFrame:
+    """Return points on the backbone of one shape [mm], with the segment of each."""
+    xyz = 1e3 * robot.backbone(q, points)
+    table = pd.DataFrame(xyz, columns=["x_mm", "y_mm", "z_mm"])
+    table.insert(0, "segment", np.repeat(np.arange(len(robot.segments)) + 1, points))
+    return table
+
+
+def parts(robot: Robot, q: np.ndarray) -> pd.DataFrame:
+    """Return where magnets and sensors are [mm], where they point, and what the sensors read [mT]."""
+    both = [*robot.magnets, *robot.sensors]
+    T = robot.poses(q, [part.place for part in both])
+    table = pd.DataFrame({"part": ["magnet"] * len(robot.magnets) + ["sensor"] * len(robot.sensors)})
+    table["segment"] = [part.segment for part in both]
+    for i, axis in enumerate("xyz"):
+        table[f"{axis}_mm"], table[f"axis_{axis}"] = 1e3 * T[:, i, 3], T[:, i, 2]
+    table["reading_mT"] = [math.nan] * len(robot.magnets) + list(simulated_readings(robot, q))
+    return table
+
+
+def field_in_plane(robot: Robot, q: np.ndarray, rows: int = 121) -> pd.DataFrame:
+    """Return the field of all magnets [mT] on a grid in the x-z plane around a robot [mm]."""
+    backbone = robot.backbone(q)
+    low, high = backbone.min(0) - 0.06, backbone.max(0) + 0.04
+    columns = max(2, round(rows * (high[0] - low[0]) / (high[2] - low[2])))
+    z, x = np.meshgrid(
+        np.linspace(low[2], high[2], rows), np.linspace(low[0], high[0], columns), indexing="ij"
+    )
+    points = np.stack([x, np.zeros_like(x), z], axis=-1).reshape(-1, 3)
+    B = np.zeros_like(points)
+    for magnet in robot.magnets:
+        T = robot.poses(q, [magnet.place])[0]
+        B += magnet.shape.field((points - T[:3, 3]) @ T[:3, :3]) @ T[:3, :3].T
+    columns_of = {"x_mm": 1e3 * points[:, 0], "z_mm": 1e3 * points[:, 2]}
+    return pd.DataFrame(columns_of | {"b_x_mT": B[:, 0], "b_z_mT": B[:, 2]})
+
+
+# Robots with manufacturing errors. The settings were chosen on T2 and frozen before T3 was looked at.
+
+NOISE_MT = 7.1e-4
+POSES, POSITION, ROTATION = 100, 0.2e-3, math.radians(0.2)
+"""Calibration poses, and the errors of a measured pose along and about each axis [m, rad]."""
+ERRORS = Tolerances()
+"""Limits of the errors of magnets and of the azimuths and radii of sensors; the rest of a robot is as drawn."""
+
+
+def bounds(n_segments: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bounds of the training set [m]: bends of 20.73 mm either way, elongations up to 6.6 mm."""
+    bend = RADIUS * math.radians(54)
+    return np.array([-bend, -bend, 0.0] * n_segments), np.array([bend, bend, 6.6e-3] * n_segments)
+
+
+@dataclass(frozen=True)
+class Session:
+    """What is measured of a robot with errors: poses and readings to calibrate it, readings to estimate from."""
+
+    robot: Robot
+    """The true one: only its readings are known to anybody."""
+    poses: np.ndarray
+    pose_readings: np.ndarray
+    q: np.ndarray
+    readings: np.ndarray
+
+
+def session(row: Row, draw: int, *, half: bool = False) -> Session:
+    """Return one draw of a robot of a row of Table 1, with its measurements."""
+    import torch
+
+    g, drawn, n = torch.Generator().manual_seed(draw), row.robot(), row.n_segments
+    n_s, count = len(drawn.sensors), 5 * n + 4 * len(drawn.sensors) + 5
+    uniform = 2 * torch.rand(count, generator=g, dtype=torch.float64).numpy() - 1
+    (low, high), q = bounds(n), lemniscate(n, half=half)
+    at = low + (high - low) * torch.rand(POSES, drawn.n_q, generator=g, dtype=torch.float64).numpy()
+    pose_noise = torch.randn(POSES, n, 6, generator=g, dtype=torch.float64).numpy()
+    noise = NOISE_MT * torch.randn(POSES + len(q), n_s, generator=g, dtype=torch.float64).numpy()
+    magnets = []
+    for magnet, x in zip(drawn.magnets, uniform[: 5 * n].reshape(n, 5), strict=True):
+        a, b = ERRORS.magnet_tilt * x[3:]
+        axis = [math.sin(b), -math.sin(a) * math.cos(b), math.cos(a) * math.cos(b)]
+        magnets.append(replace(magnet, position=ERRORS.magnet_position * x[:3], direction=axis))
+    sensors = [
+        replace(s, azimuth=s.azimuth + ERRORS.sensor_azimuth * x[0], radial=s.radial * (1 + ERRORS.sensor_radius * x[1]))
+        for s, x in zip(drawn.sensors, uniform[5 * n : 5 * n + 4 * n_s].reshape(n_s, 4), strict=True)
+    ]
+    true = Robot(drawn.segments, magnets, sensors)
+    T = true.poses(at, tips(true))
+    turn = Rotation.from_euler("XYZ", ROTATION * pose_noise[..., :3].reshape(-1, 3)).as_matrix().reshape(*T.shape[:2], 3, 3)
+    T[..., :3, :3] = T[..., :3, :3] @ turn
+    T[..., :3, 3] += POSITION * pose_noise[..., 3:]
+    u = [simulated_readings(true, x, row.earth_mt()) for x in (at, q)]
+    return Session(true, T, u[0] + noise[:POSES], q, u[1] + noise[POSES:])
+
+
+def tips(robot: Robot) -> list[Place]:
+    """Return the places of the tips of all segments."""
+    return [point_on(k, segment.length) for k, segment in enumerate(robot.segments, 1)]
+
+
+class _Tips:
+    """Tip poses as a model of the configuration, in units of the errors of a measured pose."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot, self.places = robot, tips(robot)
+
+    def scaled(self, T: np.ndarray) -> np.ndarray:
+        columns = np.swapaxes(T[..., :3, :], -1, -2)
+        weight = np.array([1 / (math.sqrt(2) * ROTATION)] * 3 + [1 / POSITION])
+        return (columns * weight[:, None]).reshape(*T.shape[:-3], -1)
+
+    def __call__(self, q: np.ndarray) -> np.ndarray:
+        return self.scaled(self.robot.poses(q, self.places))
+
+    def linearise(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        T, twists = self.robot.motion(q, self.places)
+        T, twists = T[..., None, :, :], twists[..., None, :]
+        slopes = np.zeros(np.broadcast_shapes(T.shape, (*twists.shape[:-2], 4, 4)))
+        slopes[..., :3, :] = np.swapaxes(np.cross(twists[..., :3], np.swapaxes(T[..., :3, :], -1, -2)), -1, -2)
+        slopes[..., :3, 3] += twists[..., 0, 3:]
+        return self.scaled(T[..., 0, :, :]), np.swapaxes(self.scaled(np.swapaxes(slopes, -3, -4)), -1, -2)
+
+
+def configurations(robot: Robot, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the configurations that fit measured poses of all tips best, and their covariances."""
+    model, high = _Tips(robot), 2 * bounds(len(robot.segments))[1]
+    fit = LevenbergMarquardt(model, -high, high, noise=1.0, tolerance=1e-8)
+    found = fit.step(fit.init(np.zeros((len(T), robot.n_q))), model.scaled(T))[1]
+    return found.q, found.covariance
+
+
+def least_squares(sensing: Sensing, u: np.ndarray, noise_mt: float = NOISE_MT) -> np.ndarray:
+    """Return the least-squares estimate of every row of readings, each from the straight pose at mid elongation."""
+    low, high = bounds(len(sensing.robot.segments))
+    fit, start = LevenbergMarquardt(sensing, low, high, noise_mt), (low + high) / 2
+    start[2::3] = 2.75e-3
+    return fit.step(fit.init(np.broadcast_to(start, (*u.shape[:-1], len(low)))), u)[1].q
+
+
+def errors_of_draw(row: Row, draw: int, *, half: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Return the relative errors [%] of a robot with manufacturing errors: calibrated, and as drawn."""
+    measured, drawn, earth = session(row, draw, half=half), row.robot(), row.earth_mt()
+    q, covariance = configurations(drawn, measured.poses)
+    found = calibrate(drawn, q, measured.pose_readings, NOISE_MT, covariance, earth=earth)
+    models = found.sensing(), Sensing(drawn, earth=earth)
+    errors = [relative_errors(least_squares(model, measured.readings), measured.q) for model in models]
+    return errors[0], errors[1]
