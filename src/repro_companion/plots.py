@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import matplotlib as mpl
+from cycler import cycler
 
 WIDTH = 5.6
 """Width of a figure [in]: letters of 10.2 points are 9 px high where a phone shows it 358 px wide."""
@@ -16,7 +17,7 @@ PUBLISHED, OURS, BEST = "#767676", BLUE, ORANGE
 TRUTH = {"color": "#767676", "lw": 4.0, "alpha": 0.55, "solid_capstyle": "round"}
 """Look of the truth where an estimate lies on it: wide and pale."""
 
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "figure.facecolor": "none",  # a page shows its own ground, and inverts figures in dark mode
     "axes.facecolor": "none",
     "savefig.facecolor": "none",
@@ -37,7 +38,7 @@ STYLE: dict[str, Any] = {
     "axes.grid": True,
     "grid.alpha": 0.25,
     "lines.linewidth": 1.6,
-    "axes.prop_cycle": mpl.cycler(color=[BLUE, ORANGE, GREEN, PINK, YELLOW, SKY, "#000000"]),
+    "axes.prop_cycle": cycler(color=[BLUE, ORANGE, GREEN, PINK, YELLOW, SKY, "#000000"]),
     "image.cmap": "viridis",
     "svg.hashsalt": "repro",
 }

@@ -60,7 +60,7 @@ def rows(frame: pd.DataFrame, name: str) -> pd.DataFrame:
         raise ValueError(f"Rows of {name} have columns that the scorecard does not know: {unknown}.")
     full = frame.reindex(columns=ROW_COLUMNS)
     for column in (*KEY, "regenerated", "setting"):
-        if full[column].isna().any():
+        if full[column].isna().to_numpy().any():
             raise ValueError(f"A row of {name} has no {column}.")
     if full.duplicated(KEY).any():
         raise ValueError(
@@ -87,7 +87,7 @@ def number(value: Any, digits: int = 3) -> str:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
         text = f"{mantissa} × 10{str(int(exponent)).translate(_RAISED)}"
     else:
-        text = np.format_float_positional(value, digits, unique=False, fractional=False, trim="k").rstrip(".")
+        text = f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
     return text.replace("-", "−")
 
 
@@ -102,7 +102,7 @@ def show(
     table = frame.rename(columns=names).reset_index(drop=True)
     numeric = [pd.api.types.is_numeric_dtype(table[column]) for column in table]
     sides = {True: "text-align: right", False: "text-align: left"}
-    aligned = {
+    aligned: dict[Any, Any] = {
         column: [{"selector": "", "props": sides[is_number]}]
         for column, is_number in zip(table, numeric, strict=True)
     }
