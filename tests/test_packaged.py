@@ -122,7 +122,7 @@ def test_a_bare_installation_says_which_extra_a_command_needs(called: Called, re
     """In one line, before it asks for anything else; help works."""
     for command, said in {
         "track x": 'repro track needs the extra "edition1": pip install "repro-soft-robots[edition1]"\n',
-        "run": 'repro run needs the extras "book" and "edition1": pip install "repro-soft-robots[book,edition1]"\n',
+        "run": 'repro run needs the extra "book": pip install "repro-soft-robots[book]"\n',
     }.items():
         done = called(required, "repro", *command.split())
         assert (done.returncode, done.stdout, done.stderr) == (2, "", said)
