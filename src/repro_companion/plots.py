@@ -7,7 +7,18 @@ from contextlib import contextmanager
 from typing import Any
 
 import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
 from cycler import cycler
+from matplotlib.collections import PatchCollection
+from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Arc, Polygon
+from matplotlib.ticker import MultipleLocator
+
+from repro import Ring
 
 WIDTH = 5.6
 """Width of a figure [in]: letters of 10.2 points are 9 px high where a phone shows it 358 px wide."""
@@ -56,3 +67,241 @@ def style() -> Iterator[None]:
     with mpl.rc_context():
         use_style()
         yield
+
+
+# First steps, and sensors that fail: Figs 2(a), 4 and 5 of Baaij et al.
+
+BODY = ("#1A1A1A", "#943DC7")
+"""Segments from base to tip, black to violet as in the paper."""
+FOUR = (BLUE, GREEN, PINK, ORANGE)
+BESIDE = {"handlelength": 1.0, "handletextpad": 0.4, "columnspacing": 0.9, "labelspacing": 0.3}
+XYZ = ["x_mm", "y_mm", "z_mm"]
+
+
+def body_colours(n: int) -> list[Any]:
+    """Return the colours of segments from base to tip."""
+    return list(LinearSegmentedColormap.from_list("body", BODY)(np.linspace(0, 1, max(n, 2)))[:n])
+
+
+@style()
+def field_of_robot(field: pd.DataFrame, parts: pd.DataFrame, backbone: pd.DataFrame, ring: Ring) -> Figure:
+    """Draw Fig. 4(a): the field of all magnets in the x-z plane around the robot."""
+    grid = field.pivot(index="z_mm", columns="x_mm", values=["b_x_mT", "b_z_mT"])
+    # Streamlines want even steps, which numbers from a file have only to their digits.
+    x, z = (np.linspace(i[0], i[-1], len(i)) for i in (grid["b_x_mT"].columns, grid.index))
+    b_x, b_z = grid["b_x_mT"].to_numpy(), grid["b_z_mT"].to_numpy()
+    # A map of colours is not inverted in dark mode: its letters are read on both grounds.
+    inks = ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color")
+    mpl.rcParams.update(dict.fromkeys(inks, "#767676"))
+    figure, panel = plt.subplots(figsize=(4.3, 5.4))
+    panel.grid(visible=False)
+    size = np.hypot(b_x, b_z)
+    image = panel.pcolormesh(x, z, size, norm=LogNorm(1e-2, 100), shading="gouraud", cmap="cividis")
+    panel.streamplot(x, z, b_x, b_z, color=(1, 1, 1, 0.55), linewidth=0.7, density=1.4, arrowsize=0.7)
+    segments = backbone.groupby("segment")
+    for colour, (_, part) in zip(body_colours(len(segments)), segments, strict=True):
+        panel.plot(part["x_mm"], part["z_mm"], color="white", lw=6)
+        panel.plot(part["x_mm"], part["z_mm"], color=colour, lw=4)
+    panel.add_collection(
+        PatchCollection(_cut(*_in_plane(parts, "magnet"), ring), fc=GREEN, ec="white", zorder=4)
+    )
+    at, along = _in_plane(parts, "sensor")
+    panel.quiver(*at.T, *along.T, color=SKY, ec="black", lw=0.5, scale=14, width=0.014, zorder=5)
+    panel.plot([], [], "s", color=GREEN, label="magnet, cut")
+    panel.plot([], [], ">", color=SKY, mec="black", mew=0.5, ms=9, label="sensor")
+    panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, **BESIDE)
+    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=x[[0, -1]], ylim=z[[0, -1]])
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_locator(MultipleLocator(50))
+    bar = figure.colorbar(image, label="flux density in the plane [mT]", shrink=0.8, pad=0.02, extend="max")
+    bar.ax.yaxis.set_major_formatter("{x:g}")
+    return closed(figure)
+
+
+def closed(figure: Figure) -> Figure:
+    """Return a figure that a notebook shows once, as the result of its cell."""
+    plt.close(figure)
+    return figure
+
+
+def _in_plane(parts: pd.DataFrame, part: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return places [mm] and axes of the magnets or of the sensors, x and z only."""
+    own = parts[parts["part"] == part]
+    return own[["x_mm", "z_mm"]].to_numpy(float), own[["axis_x", "axis_z"]].to_numpy(float)
+
+
+def _cut(centres: np.ndarray, axes: np.ndarray, ring: Ring) -> list[Polygon]:
+    """Return the two halves of each ring, cut along its axis."""
+    inner, outer, h = (500 * size for size in (ring.inner_diameter, ring.outer_diameter, ring.height))
+    across, along = np.array([inner, outer, outer, inner]), np.array([-h, -h, h, h])
+    return [
+        Polygon(centre + np.outer(side * across, [axis[1], -axis[0]]) + np.outer(along, axis))
+        for centre, axis in zip(centres, axes, strict=True)
+        for side in (-1, 1)
+    ]
+
+
+@style()
+def relations(parts: pd.DataFrame, backbone: pd.DataFrame, ring: Ring) -> Figure:
+    """Draw Fig. 2(a) to scale: distance and angles between the first sensor and the magnet of its segment."""
+    (p_m, o_m), (p_s, o_s) = ([x[0] for x in _in_plane(parts, part)] for part in ("magnet", "sensor"))
+    p = p_s - p_m
+    ahead, line = p / np.hypot(*p), backbone[["x_mm", "z_mm"]].to_numpy()
+    figure, panel = plt.subplots(figsize=(5.2, 4.6))
+    panel.grid(visible=False)
+    tangent = np.gradient(line, axis=0)
+    side = 22 * np.stack([tangent[:, 1], -tangent[:, 0]], 1) / np.linalg.norm(tangent, axis=1)[:, None]
+    panel.add_patch(Polygon(np.concatenate([line + side, (line - side)[::-1]]), fc="#767676", alpha=0.13))
+    panel.plot(*line.T, color="0.45", lw=1, ls=(0, (6, 3)))
+    panel.add_collection(PatchCollection(_cut(p_m[None], o_m[None], ring), fc=GREEN, alpha=0.5))
+    for start, vector, colour, name, share, aside in (
+        (p_m, p, "0.2", "$p$", 0.55, 4.5),
+        (p_m, 30 * o_m, GREEN, "$o_m$", 1.13, 0.0),
+        (p_s, 26 * o_s, BLUE, "$o_s$", 0.85, 6.0),
+    ):
+        arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2, "shrinkA": 0, "shrinkB": 0}
+        panel.annotate("", start + vector, start, arrowprops=arrow)
+        at = start + share * vector + aside * np.array([vector[1], -vector[0]]) / np.hypot(*vector)
+        panel.text(*at, name, color=colour, ha="center", va="center", fontsize=14)
+    for at, colour, name, offset in ((p_m, GREEN, "magnet", (-46, -4)), (p_s, BLUE, "sensor", (-16, -20))):
+        panel.plot(*at, "o", color=colour, ms=8)
+        panel.annotate(name, at, xytext=offset, textcoords="offset points", ha="center", color=colour)
+    for direction, colour in ((o_m, GREEN), (ahead, "0.2")):
+        panel.plot(*np.stack([p_s, p_s + 28 * direction], 1), ":", color=colour, lw=1.6)
+    for at, first, second, radius, name in (
+        (p_m, o_m, p, 17, r"$\theta$"),
+        (p_s, o_s, o_m, 12, r"$\alpha$"),
+        (p_s, o_s, p, 19, r"$\beta$"),
+    ):
+        start, end = (np.degrees(np.arctan2(v[1], v[0])) for v in (first, second))
+        low, high = sorted((start, start + (end - start + 180) % 360 - 180))
+        panel.add_patch(Arc(at, 2 * radius, 2 * radius, theta1=low, theta2=high, color="0.2", lw=1.3))
+        middle = np.radians((low + high) / 2)
+        where = at + (radius + 5) * np.array([np.cos(middle), np.sin(middle)])
+        panel.text(*where, name, ha="center", va="center", fontsize=13)
+    panel.plot([-22, 22], [0, 0], color="0.2", lw=4, solid_capstyle="butt")
+    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=(-28, 98), ylim=(-6, 116))
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_locator(MultipleLocator(20))
+    return closed(figure)
+
+
+@style()
+def equation_15(table: pd.DataFrame) -> Figure:
+    """Draw one segment by eq. (15) as printed and without the division by v."""
+    figure, panel = plt.subplots(figsize=(5.2, 4.2))
+    arc, printed = table[["x_mm", "z_mm"]].to_numpy(), table[["x_printed_mm", "z_printed_mm"]].to_numpy()
+    half = int((table["v"] - 0.5).abs().idxmin())
+    panel.plot(*arc.T, lw=2.6, color=BLUE)
+    panel.plot(*printed.T, "--", lw=2.2, color=ORANGE)
+    panel.plot([-12, 12], [0, 0], color="0.2", lw=4, solid_capstyle="butt")
+    for text, at, offset, colour in (
+        ("middle", arc[half], (10, -6), BLUE),
+        ("middle, as printed", printed[half], (8, 6), ORANGE),
+        ("tip, both", arc[-1], (10, -4), "0.2"),
+    ):
+        panel.plot(*at, "o", color=colour)
+        panel.annotate(text, at, xytext=offset, textcoords="offset points", color=colour)
+    panel.annotate("base", (12, 0), xytext=(6, -3), textcoords="offset points", color="0.2")
+    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=(-30, 114), ylim=(-8, 124))
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_locator(MultipleLocator(20))
+    return closed(figure)
+
+
+@style()
+def three_moves(table: pd.DataFrame) -> Figure:
+    """Draw what the sensors of one segment read while it bends towards x, towards y, or becomes longer."""
+    moves = {
+        "delta_x": r"bend $\Delta_x$ [mm]",
+        "delta_y": r"bend $\Delta_y$ [mm]",
+        "delta_L": r"longer by $\delta L$ [mm]",
+    }
+    figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.0), sharey=True)
+    for panel, (move, words) in zip(panels, moves.items(), strict=True):
+        lines = table[table["move"] == move].groupby("sensor")
+        for colour, style_of, (sensor, part) in zip(FOUR, ("-", "--", "-.", ":"), lines, strict=False):
+            panel.plot(part["mm"], part["mT"], style_of, lw=2.2, color=colour, label=f"sensor {sensor}")
+        panel.set_xlabel(words)
+        panel.xaxis.set_major_locator(MultipleLocator(2 if move == "delta_L" else 10))
+    panels[0].set_ylabel("reading [mT]")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    return closed(figure)
+
+
+@style()
+def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failure_s: float) -> Figure:
+    """Draw Fig. 4(b): readings above, configurations below; truth, and the mean over seeds with its deviation."""
+    pairs = [(table, unit, s) for table, unit in ((u, "mT"), (q, "mm")) for s in u["segment"].unique()]
+    names = {"delta_x": r"\Delta_{x,%d}", "delta_y": r"\Delta_{y,%d}", "delta_L": r"\delta L_{%d}"}
+    figure, panels = plt.subplots(len(pairs), 1, figsize=(WIDTH, 1.02 * len(pairs) + 0.7), sharex=True)
+    for panel, (table, unit, segment) in zip(panels, pairs, strict=True):
+        own = table[table["segment"] == segment]
+        for colour, (name, part) in zip(FOUR, own.groupby(table.columns[2], sort=False), strict=False):
+            text = f"u_{{{name}}}" if unit == "mT" else names[str(name).rpartition("_")[0]] % segment
+            t, truth = part["time_s"], part[f"true_{unit}"]
+            mean, deviation = part[f"mean_{unit}"], part[f"std_{unit}"]
+            works = part["working"] if unit == "mT" else truth.notna()
+            panel.plot(t, truth.where(works), color=colour, lw=3.6, alpha=0.45, label=f"${text}$")
+            panel.plot(t, truth.where(~works), color=colour, lw=3.6, alpha=0.15)
+            panel.plot(t, mean, color=colour, lw=1.2, ls=(0, (4, 2)))
+            panel.fill_between(t, mean - deviation, mean + deviation, color=colour, alpha=0.2, lw=0)
+        panel.axvline(failure_s, color="0.4", lw=1.2, ls=":")
+        panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **BESIDE)
+        panel.margins(x=0.01)
+        panel.yaxis.set_major_locator(MultipleLocator(0.5 if unit == "mT" else 15))
+    panels[len(pairs) // 4].set_ylabel("reading [mT]")
+    panels[-1 - len(pairs) // 4].set_ylabel("configuration [mm]")
+    panels[-1].set_xlabel("time [s]")
+    figure.align_ylabels(panels)
+    ink = {"color": "0.4", "lw": 3.6}
+    lines = [
+        Line2D([], [], alpha=0.5, label="truth", **ink),
+        Line2D([], [], color="0.4", lw=1.2, ls=(0, (4, 2)), label="estimate"),
+        Line2D([], [], alpha=0.2, label="truth, sensor failed", **ink),
+        Line2D([], [], color="0.4", lw=1.2, ls=":", label="failure"),
+    ]
+    figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE | {"handlelength": 1.6})
+    return closed(figure)
+
+
+@style()
+def stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
+    """Draw Fig. 5: shapes at several times, truth opaque and estimate pale, with magnets and sensors."""
+    times = shapes["time_s"].unique()
+    points = pd.concat([shapes, parts])[XYZ].to_numpy(float)
+    middle, reach = (points.max(0) + points.min(0)) / 2, np.ptp(points, axis=0) / 2
+    looks: dict[tuple[str, bool], dict[str, Any]] = {
+        ("magnet", True): {"marker": "o", "color": GREEN, "ms": 6},
+        ("sensor", True): {"marker": "s", "color": BLUE, "ms": 3.5},
+        ("sensor", False): {"marker": "X", "color": ORANGE, "ms": 6.5, "mew": 0},
+    }
+    rows = -(-len(times) // 3)
+    figure = plt.figure(figsize=(WIDTH, 2.5 * rows + 0.5))
+    for k, time_s in enumerate(times):
+        panel: Any = figure.add_subplot(rows, 3, k + 1, projection="3d")
+        for estimated, alpha in ((True, 0.3), (False, 1.0)):
+            own = [
+                table[(table["time_s"] == time_s) & (table["estimated"] == estimated)]
+                for table in (shapes, parts)
+            ]
+            for colour, (_, part) in zip(body_colours(3), own[0].groupby("segment"), strict=False):
+                panel.plot(*part[XYZ].to_numpy().T, color=colour, lw=3.5, alpha=alpha)
+            for (kind, works), look in looks.items():
+                some = own[1][(own[1]["part"] == kind) & (own[1]["working"] == works)]
+                panel.plot(*some[XYZ].to_numpy().T, ls="", alpha=alpha, **look)
+        for name, centre, half in zip("xyz", middle, reach, strict=True):
+            getattr(panel, f"set_{name}lim")(centre - half, centre + half)
+            getattr(panel, f"{name}axis").set_major_locator(MultipleLocator(100))
+            getattr(panel, f"set_{name}ticklabels")([])
+        panel.patch.set_visible(False)
+        panel.set_box_aspect(tuple(reach), zoom=1.35)
+        panel.view_init(elev=15, azim=-60)
+        panel.set_title(f"{time_s:.0f} s", loc="left", y=0.88)
+    lines = [
+        Line2D([], [], color="0.3", lw=3.5, alpha=a, label=s) for a, s in ((1, "truth"), (0.3, "estimate"))
+    ]
+    words = ("magnet", "sensor", "failed sensor")
+    lines += [Line2D([], [], ls="", label=w, **look) for w, look in zip(words, looks.values(), strict=True)]
+    figure.legend(handles=lines, loc="outside upper center", ncols=5, **BESIDE)
+    return closed(figure)
