@@ -189,7 +189,7 @@ def relations(parts: pd.DataFrame, backbone: pd.DataFrame, ring: Ring) -> Figure
 @style()
 def equation_15(table: pd.DataFrame) -> Figure:
     """Draw one segment by eq. (15) as printed and without the division by v."""
-    figure, panel = plt.subplots(figsize=(5.2, 4.2))
+    figure, panel = plt.subplots(figsize=(4.6, 4.4))
     arc, printed = table[["x_mm", "z_mm"]].to_numpy(), table[["x_printed_mm", "z_printed_mm"]].to_numpy()
     half = int((table["v"] - 0.5).abs().idxmin())
     panel.plot(*arc.T, lw=2.6, color=BLUE)
@@ -203,7 +203,7 @@ def equation_15(table: pd.DataFrame) -> Figure:
         panel.plot(*at, "o", color=colour)
         panel.annotate(text, at, xytext=offset, textcoords="offset points", color=colour)
     panel.annotate("base", (12, 0), xytext=(6, -3), textcoords="offset points", color="0.2")
-    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=(-30, 114), ylim=(-8, 124))
+    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=(-30, 90), ylim=(-8, 124))
     for axis in (panel.xaxis, panel.yaxis):
         axis.set_major_locator(MultipleLocator(20))
     return closed(figure)
@@ -220,7 +220,9 @@ def three_moves(table: pd.DataFrame) -> Figure:
     figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.0), sharey=True)
     for panel, (move, words) in zip(panels, moves.items(), strict=True):
         lines = table[table["move"] == move].groupby("sensor")
-        for colour, style_of, (sensor, part) in zip(FOUR, ("-", "--", "-.", ":"), lines, strict=False):
+        for colour, style_of, (sensor, part) in zip(
+            4 * FOUR, 4 * ("-", "--", "-.", ":"), lines, strict=False
+        ):
             panel.plot(part["mm"], part["mT"], style_of, lw=2.2, color=colour, label=f"sensor {sensor}")
         panel.set_xlabel(words)
         panel.xaxis.set_major_locator(MultipleLocator(2 if move == "delta_L" else 10))
@@ -249,7 +251,7 @@ def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failure_s: float) -> Fi
         panel.axvline(failure_s, color="0.4", lw=1.2, ls=":")
         panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **BESIDE)
         panel.margins(x=0.01)
-        panel.yaxis.set_major_locator(MultipleLocator(0.5 if unit == "mT" else 15))
+        panel.yaxis.set_major_locator(MultipleLocator(0.5 if unit == "mT" else 10))
     panels[len(pairs) // 4].set_ylabel("reading [mT]")
     panels[-1 - len(pairs) // 4].set_ylabel("configuration [mm]")
     panels[-1].set_xlabel("time [s]")
@@ -277,7 +279,7 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
         ("sensor", False): {"marker": "X", "color": ORANGE, "ms": 6.5, "mew": 0},
     }
     rows = -(-len(times) // 3)
-    figure = plt.figure(figsize=(WIDTH, 2.5 * rows + 0.5))
+    figure = plt.figure(figsize=(WIDTH, 2.1 * rows + 0.4))
     for k, time_s in enumerate(times):
         panel: Any = figure.add_subplot(rows, 3, k + 1, projection="3d")
         for estimated, alpha in ((True, 0.3), (False, 1.0)):
@@ -295,13 +297,96 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
             getattr(panel, f"{name}axis").set_major_locator(MultipleLocator(100))
             getattr(panel, f"set_{name}ticklabels")([])
         panel.patch.set_visible(False)
-        panel.set_box_aspect(tuple(reach), zoom=1.35)
+        panel.set_box_aspect(tuple(reach), zoom=1.6)
         panel.view_init(elev=15, azim=-60)
-        panel.set_title(f"{time_s:.0f} s", loc="left", y=0.88)
+        panel.set_title(f"{time_s:.0f} s", loc="left", y=0.9)
     lines = [
         Line2D([], [], color="0.3", lw=3.5, alpha=a, label=s) for a, s in ((1, "truth"), (0.3, "estimate"))
     ]
     words = ("magnet", "sensor", "failed sensor")
     lines += [Line2D([], [], ls="", label=w, **look) for w, look in zip(words, looks.values(), strict=True)]
     figure.legend(handles=lines, loc="outside upper center", ncols=5, **BESIDE)
+    return closed(figure)
+
+
+# Affine curvature: Figs 6 and 7 of Baaij et al.
+
+AFFINE_NAMES = {
+    "kappa_0": r"$\kappa_0$ [rad]",
+    "kappa_1": r"$\kappa_1$ [rad]",
+    "phi": r"$\phi$ [rad]",
+    "delta_L": r"$\delta L$ [mm]",
+}
+
+
+@style()
+def affine_over_time(series: pd.DataFrame) -> Figure:
+    """Draw Fig. 6: readings above, configuration below; truth, and the mean over seeds with its deviation."""
+    ratios = [2.3, 1, 1, 1, 1]
+    figure, panels = plt.subplots(
+        5, 1, figsize=(WIDTH, 6.3), sharex=True, gridspec_kw={"height_ratios": ratios}
+    )
+    readings = series[series["kind"] == "reading"]
+    for number, (_, part) in enumerate(readings.groupby("name", sort=False)):
+        _over_time(panels[0], part, FOUR[number % 3])
+    for panel, (name, words) in zip(panels[1:], AFFINE_NAMES.items(), strict=True):
+        _over_time(panel, series[series["name"] == name], BLUE)
+        panel.set_ylabel(words)
+    for panel, every in zip(panels, (1, 0.5, 2, 3, 3), strict=True):
+        panel.yaxis.set_major_locator(MultipleLocator(every))
+    panels[0].set_ylabel("readings [mT]")
+    panels[-1].set_xlabel("time [s]")
+    panels[-1].margins(x=0.01)
+    figure.align_ylabels(panels)
+    planes = [
+        Line2D([], [], color=colour, lw=2.4, label=f"at {at} mm")
+        for colour, at in zip(FOUR, (0, 100, 200), strict=False)
+    ]
+    looks = [
+        Line2D([], [], color="0.4", lw=3.6, alpha=0.45, label="truth"),
+        Line2D([], [], color="0.4", lw=1.2, ls=(0, (4, 2)), label="estimate"),
+    ]
+    figure.legend(handles=[*planes, *looks], loc="outside upper center", ncols=5, **BESIDE)
+    return closed(figure)
+
+
+def _over_time(panel: Any, part: pd.DataFrame, colour: str) -> None:
+    t, mean, deviation = part["time_s"], part["mean"], part["std"]
+    panel.plot(t, part["truth"], color=colour, lw=3.6, alpha=0.45)
+    panel.plot(t, mean, color=colour, lw=1.2, ls=(0, (4, 2)))
+    panel.fill_between(t, mean - deviation, mean + deviation, color=colour, alpha=0.2, lw=0)
+
+
+@style()
+def affine_stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
+    """Draw Fig. 7: the true shape opaque, the estimates of all seeds pale, with magnets and sensors."""
+    times = shapes["time_s"].unique()
+    rows = -(-len(times) // 3)
+    figure = plt.figure(figsize=(WIDTH, 2.5 * rows + 0.5))
+    marks = {
+        "magnet": {"marker": "o", "color": GREEN, "ms": 7},
+        "sensor": {"marker": "s", "color": BLUE, "ms": 3.5},
+    }
+    for k, time_s in enumerate(times):
+        panel: Any = figure.add_subplot(rows, 3, k + 1, projection="3d", computed_zorder=False)
+        for seed, part in shapes[shapes["time_s"] == time_s].groupby("seed"):
+            look = {"color": BODY[0], "lw": 3.5} if seed == -1 else {"color": ORANGE, "lw": 2.5, "alpha": 0.5}
+            panel.plot(*part[XYZ].to_numpy().T, **look)
+        for kind, look in marks.items():
+            some = parts[(parts["time_s"] == time_s) & (parts["part"] == kind)]
+            panel.plot(*some[XYZ].to_numpy().T, ls="", **look)
+        panel.set(xlim=(-125, 125), ylim=(-125, 125), zlim=(0, 210))
+        for name in "xyz":
+            getattr(panel, f"{name}axis").set_major_locator(MultipleLocator(100))
+            getattr(panel, f"set_{name}ticklabels")([])
+        panel.patch.set_visible(False)
+        panel.set_box_aspect((250, 250, 210), zoom=1.3)
+        panel.view_init(elev=18, azim=-55)
+        panel.set_title(f"{time_s:.1f} s", loc="left", y=0.88)
+    lines = [
+        Line2D([], [], color=BODY[0], lw=3.5, label="truth"),
+        Line2D([], [], color=ORANGE, lw=2.5, alpha=0.5, label="estimates"),
+        *(Line2D([], [], ls="", label=kind, **look) for kind, look in marks.items()),
+    ]
+    figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
     return closed(figure)

@@ -25,7 +25,6 @@ from repro import (
     calibrate,
     load_network,
     simulated_readings,
-    track,
 )
 from repro.robot import Place, point_on
 from repro_companion.show import project_folder
@@ -482,28 +481,36 @@ def affine_stills(
     return pd.concat(shapes, ignore_index=True), pd.concat(mounted, ignore_index=True)
 
 
-def affine_best(truth: np.ndarray, draws: int) -> pd.DataFrame:
-    """Return the errors of robots with manufacturing errors [%]: calibrated in measured poses, and as drawn."""
-    arm, tables = affine_robot(), []
-    for draw in range(draws):
-        seen = measured_draw(arm, truth, AFFINE_POSES, draw)
-        T = seen.poses[:, 0]
-        bend = np.arctan2(np.hypot(T[:, 0, 2], T[:, 1, 2]), T[:, 2, 2])
-        start = np.stack([bend / 2, bend, np.arctan2(T[:, 0, 2], -T[:, 1, 2]), 0 * bend], axis=-1)
-        q, covariance = configurations(arm, seen.poses, np.full(4, 1e3), start)
-        found = calibrate(arm, q, seen.pose_readings, NOISE_MT, covariance)
-        for calibrated, model in ((True, found.sensing()), (False, Sensing(arm))):
-            estimate = track(LevenbergMarquardt(model, *AFFINE_BOUNDS, NOISE_MT), seen.readings).q
-            columns = {"row": "affine flower", "quantity": QUANTITIES, "draw": draw, "calibrated": calibrated}
-            tables.append(pd.DataFrame(columns | {"error_percent": affine_percent(estimate, truth)}))
-    table = pd.concat(tables, ignore_index=True)
-    return table.sort_values(
-        ["calibrated", "quantity"], ascending=[False, True], kind="stable", key=_in_order
-    )
+def affine_session(truth: np.ndarray, draw: int) -> tuple[Session, np.ndarray, np.ndarray]:
+    """Return a robot with manufacturing errors, and the configurations of its measured poses with covariances."""
+    seen = measured_draw(affine_robot(), truth, AFFINE_POSES, draw)
+    T = seen.poses[:, 0]
+    bend = np.arctan2(np.hypot(T[:, 0, 2], T[:, 1, 2]), T[:, 2, 2])
+    start = np.stack([bend / 2, bend, np.arctan2(T[:, 0, 2], -T[:, 1, 2]), 0 * bend], axis=-1)
+    return seen, *configurations(affine_robot(), seen.poses, np.full(4, 1e3), start)
 
 
-def _in_order(column: pd.Series) -> pd.Series:
-    return column.map(QUANTITIES.index) if column.name == "quantity" else column
+def affine_best(errors: list[tuple[int, bool, np.ndarray]]) -> pd.DataFrame:
+    """Return errors [%] by draw, with and without calibration, as a table with one line for each coordinate."""
+    lines = [("affine flower", *head, *values) for *head, values in errors]
+    table = pd.DataFrame(lines, columns=["row", "draw", "calibrated", *QUANTITIES])
+    table = table.melt(["row", "draw", "calibrated"], var_name="quantity", value_name="error_percent")
+    table = table.sort_values("calibrated", ascending=False, kind="stable")
+    return table[["row", "quantity", "draw", "calibrated", "error_percent"]]
+
+
+def affine_gain(best: pd.DataFrame) -> pd.DataFrame:
+    """Return mean errors over the robots, and what calibration makes of them with a paired bootstrap (95 %)."""
+    lines = []
+    for quantity in (*QUANTITIES, "mean"):
+        own = best if quantity == "mean" else best[best["quantity"] == quantity]
+        by_draw = own.pivot_table(index="draw", columns="calibrated", values="error_percent").to_numpy()
+        again = by_draw[np.random.default_rng(0).integers(len(by_draw), size=(10_000, len(by_draw)))].mean(1)
+        low, high = np.quantile(again[:, 1] / again[:, 0], [0.025, 0.975])
+        (no, yes), ratio = by_draw.mean(0), by_draw[:, 1].mean() / by_draw[:, 0].mean()
+        lines.append((quantity, yes, no, ratio, low, high))
+    names = ["quantity", "calibrated_percent", "uncalibrated_percent", "ratio", "ratio_low", "ratio_high"]
+    return pd.DataFrame(lines, columns=names)
 
 
 def affine_rows(errors: pd.DataFrame, best: pd.DataFrame, setting: str) -> pd.DataFrame:
