@@ -15,7 +15,7 @@ from matplotlib.collections import PatchCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Arc, Polygon
+from matplotlib.patches import Arc, Circle, Polygon
 from matplotlib.ticker import MultipleLocator
 
 from repro import Ring
@@ -212,22 +212,16 @@ def equation_15(table: pd.DataFrame) -> Figure:
 @style()
 def three_moves(table: pd.DataFrame) -> Figure:
     """Draw what the sensors of one segment read while it bends towards x, towards y, or becomes longer."""
-    moves = {
-        "delta_x": r"bend $\Delta_x$ [mm]",
-        "delta_y": r"bend $\Delta_y$ [mm]",
-        "delta_L": r"longer by $\delta L$ [mm]",
-    }
+    words = (r"bend $\Delta_x$ [mm]", r"bend $\Delta_y$ [mm]", r"longer by $\delta L$ [mm]")
     figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.0), sharey=True)
-    for panel, (move, words) in zip(panels, moves.items(), strict=True):
-        lines = table[table["move"] == move].groupby("sensor")
-        for colour, style_of, (sensor, part) in zip(
-            4 * FOUR, 4 * ("-", "--", "-.", ":"), lines, strict=False
-        ):
-            panel.plot(part["mm"], part["mT"], style_of, lw=2.2, color=colour, label=f"sensor {sensor}")
-        panel.set_xlabel(words)
-        panel.xaxis.set_major_locator(MultipleLocator(2 if move == "delta_L" else 10))
+    for panel, label, (_, part) in zip(panels, words, table.groupby("move", sort=False), strict=True):
+        for k, sensor in enumerate(table.columns[2:]):
+            look = {"color": FOUR[k % 4], "ls": ("-", "--", "-.", ":")[k % 4], "lw": 2.2}
+            panel.plot(part["mm"], part[sensor], label=f"sensor {k + 1}", **look)
+        panel.set_xlabel(label)
+        panel.xaxis.set_major_locator(MultipleLocator(2 if np.ptp(part["mm"]) < 10 else 10))
     panels[0].set_ylabel("reading [mT]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return closed(figure)
 
 
@@ -387,6 +381,178 @@ def affine_stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
         Line2D([], [], color=BODY[0], lw=3.5, label="truth"),
         Line2D([], [], color=ORANGE, lw=2.5, alpha=0.5, label="estimates"),
         *(Line2D([], [], ls="", label=kind, **look) for kind, look in marks.items()),
+    ]
+    figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
+    return closed(figure)
+
+
+# The rig: Figs 8 to 11 of Baaij et al.
+
+GREY_INK = dict.fromkeys(
+    ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), "#767676"
+)
+"""Letters of a figure that is not inverted in dark mode: they are read on both grounds."""
+
+
+@style()
+def rig_to_scale(robot: Any, markers_at: float) -> Figure:
+    """Draw Fig. 8 as a section and from above, to scale [mm]: body, chambers, ring, sensors and markers."""
+    figure, (side, top) = plt.subplots(1, 2, figsize=(WIDTH, 4.0), width_ratios=(1.15, 1))
+    segment, magnet = robot.segments[0], robot.magnets[0]
+    length, radius, at = 1e3 * segment.length, 1e3 * segment.radius, 1e3 * magnet.place.at
+    inner, outer, h = (
+        500 * x for x in (magnet.shape.inner_diameter, magnet.shape.outer_diameter, magnet.shape.height)
+    )
+    look = {"fc": "#76767622", "ec": "#767676"}
+    side.add_patch(Polygon([(-radius, 0), (radius, 0), (radius, length), (-radius, length)], **look))
+    for half in _cut(np.array([[0.0, at]]), np.array([[0.0, 1.0]]), magnet.shape):
+        half.set(fc=GREEN, ec="none")
+        side.add_patch(half)
+    places = 1e3 * np.array([sensor.place.position for sensor in robot.sensors])
+    side.plot(places[:, 0], 0 * places[:, 0] + length, "s", color=BLUE, ms=6, clip_on=False)
+    side.plot([-radius - 4, radius + 4], [1e3 * markers_at] * 2, color=ORANGE, lw=2.5)
+    side.plot([-radius - 4, radius + 4], [0, 0], color="#767676", lw=4)
+    for z, words in (
+        (0, "base"),
+        (at, "ring magnet"),
+        (1e3 * markers_at - 5, "markers"),
+        (length + 2, "sensors"),
+    ):
+        side.annotate(words, (radius + 7, z), va="center", annotation_clip=False)
+    side.set(
+        xlim=(-radius - 6, radius + 6),
+        ylim=(-4, length + 8),
+        aspect="equal",
+        xlabel="x [mm]",
+        ylabel="z [mm]",
+    )
+    round_ = [(radius, look), (outer, {"fc": GREEN, "ec": "none"}), (inner, {"fc": "white", "ec": "none"})]
+    for size, own in round_:
+        top.add_patch(Circle((0, 0), size, **own))
+    for azimuth in np.radians([180, 300, 60]):
+        top.add_patch(
+            Circle(
+                13 * np.array([np.cos(azimuth), np.sin(azimuth)]),
+                150**0.5 / np.pi**0.5,
+                fc="none",
+                ec="#767676",
+                ls="--",
+            )
+        )
+    top.plot(*places[:, :2].T, "s", color=BLUE, ms=7)
+    top.set(
+        xlim=(-radius - 2, radius + 2),
+        ylim=(-radius - 2, radius + 2),
+        aspect="equal",
+        xlabel="x [mm]",
+        ylabel="y [mm]",
+    )
+    top.set_title("from the tip")
+    side.set_title("cut along x")
+    for panel in (side, top):
+        panel.grid(visible=False)
+        panel.xaxis.set_major_locator(MultipleLocator(20))
+        panel.yaxis.set_major_locator(MultipleLocator(20))
+    return closed(figure)
+
+
+def _in_space(panel: Any, low: float = 0.0) -> None:
+    """Set the axes of a panel to the whole segment [mm]."""
+    panel.set(xlim=(-36, 36), ylim=(-36, 36), zlim=(low, 116))
+    for name in "xyz":
+        getattr(panel, f"{name}axis").set_major_locator(MultipleLocator(50 if name == "z" else 25))
+        getattr(panel, f"set_{name}ticklabels")([])
+    panel.patch.set_visible(False)
+    panel.set_box_aspect((72, 72, 116 - low), zoom=1.25)
+    panel.view_init(elev=20, azim=-55)
+
+
+@style()
+def trajectories(paths: pd.DataFrame, shapes: dict[str, np.ndarray]) -> Figure:
+    """Draw Fig. 9: shapes of the segment [m] pale, the path of its tip dark, a panel for each trajectory."""
+    figure = plt.figure(figsize=(WIDTH, 5.6))
+    for k, (name, curves) in enumerate(shapes.items()):
+        panel: Any = figure.add_subplot(2, 3, k + 1, projection="3d", computed_zorder=False)
+        for curve in 1e3 * curves:
+            panel.plot(*curve.T, color=SKY, lw=1.2, alpha=0.8)
+        tip = paths[paths["recording"] == name][["tip_x_mm", "tip_y_mm", "tip_z_mm"]]
+        panel.plot(*tip.to_numpy().T, color=BLUE, lw=1.2)
+        _in_space(panel)
+        panel.set_title(name, y=0.94)
+    lines = [Line2D([], [], color=SKY, label="shape"), Line2D([], [], color=BLUE, label="path of the tip")]
+    figure.legend(handles=lines, loc="outside upper center", ncols=2, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def landscape_and_estimates(
+    grid: pd.DataFrame,
+    path: np.ndarray,
+    truth: np.ndarray,
+    series: dict[str, np.ndarray],
+    zoom_s: tuple[float, float],
+) -> Figure:
+    """Draw Fig. 10: the loss [mV] with the path of a descent [mm]; below, the bend over time, and a part of T5.
+
+    A series holds time, truth and the estimates of all seeds ``[t, 2, 1 + seeds]`` [mm] of a trajectory.
+    """
+    mpl.rcParams.update(GREY_INK)
+    figure, panels = plt.subplots(4, 1, figsize=(WIDTH, 10.2), height_ratios=(3.4, 1.6, 1.6, 1.6))
+    table = grid.pivot(index="delta_y_mm", columns="delta_x_mm", values="rmse_mV")
+    mesh = panels[0].pcolormesh(table.columns, table.index, table, cmap="viridis", rasterized=True)
+    figure.colorbar(mesh, label="error of the readings [mV]")
+    panels[0].plot(*path.T, "o-", color=ORANGE, ms=3, label="descent")
+    for point, marker, words in ((path[0], "s", "start"), (truth, "*", "truth")):
+        panels[0].plot(*point, marker, color="white", mec="black", ms=10, ls="", label=words)
+    panels[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, **BESIDE)
+    panels[0].set(xlabel=r"$\Delta_x$ [mm]", ylabel=r"$\Delta_y$ [mm]", aspect="equal")
+    panels[0].grid(visible=False)
+    titles = [*series, f"{list(series)[-1]}, a part of it"]
+    for panel, name, title in zip(panels[1:], [*series, list(series)[-1]], titles, strict=True):
+        values = series[name]
+        t = np.arange(len(values)) / 40
+        for k, colour in enumerate((BLUE, ORANGE)):
+            found = values[:, k, 1:]
+            mean, deviation = found.mean(1), found.std(1, ddof=1) if found.shape[1] > 1 else 0 * t
+            panel.plot(t, values[:, k, 0], color=colour, lw=3.0, alpha=0.45)
+            panel.plot(t, mean, color=colour, lw=1.2, ls=(0, (4, 2)))
+            panel.fill_between(t, mean - deviation, mean + deviation, color=colour, alpha=0.25, lw=0)
+        panel.set_title(title)
+        panel.set_ylabel("bend [mm]")
+        panel.margins(x=0)
+    panels[-1].set(xlim=zoom_s, xlabel="time [s]")
+    lines = [
+        Line2D([], [], color=c, lw=3, alpha=0.45, label=rf"$\Delta_{a}$, truth")
+        for a, c in zip("xy", (BLUE, ORANGE), strict=True)
+    ]
+    lines += [
+        Line2D([], [], color=c, lw=1.2, ls=(0, (4, 2)), label=rf"$\Delta_{a}$, estimate")
+        for a, c in zip("xy", (BLUE, ORANGE), strict=True)
+    ]
+    panels[1].legend(handles=lines, loc="lower center", bbox_to_anchor=(0.5, 1.15), ncols=4, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def rig_stills(robot: Any, times: np.ndarray, truth: np.ndarray, found: np.ndarray) -> Figure:
+    """Draw Fig. 11, lower row: the true segment opaque, the estimates ``[time, seed, 3]`` [m] pale."""
+    figure = plt.figure(figsize=(WIDTH, 5.8))
+    at = [robot.magnets[0].place, *(sensor.place for sensor in robot.sensors)]
+    for k, time_s in enumerate(times):
+        panel: Any = figure.add_subplot(2, 3, k + 1, projection="3d", computed_zorder=False)
+        for q in found[k]:
+            panel.plot(*(1e3 * robot.backbone(q)).T, color=ORANGE, lw=3, alpha=0.45)
+        panel.plot(*(1e3 * robot.backbone(truth[k])).T, color="#1A1A1A", lw=3)
+        p = 1e3 * robot.poses(truth[k], at)[:, :3, 3]
+        panel.plot(*p[:1].T, "o", color=GREEN, ms=7)
+        panel.plot(*p[1:].T, "s", color=BLUE, ms=4)
+        _in_space(panel)
+        panel.set_title(f"{time_s:.1f} s", y=0.94)
+    lines = [
+        Line2D([], [], color="#1A1A1A", lw=3, label="truth"),
+        Line2D([], [], color=ORANGE, lw=3, alpha=0.45, label="estimates"),
+        Line2D([], [], color=GREEN, marker="o", ls="", label="magnet"),
+        Line2D([], [], color=BLUE, marker="s", ls="", label="sensor"),
     ]
     figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
     return closed(figure)
