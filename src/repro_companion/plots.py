@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -11,12 +11,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from cycler import cycler
+from IPython.display import HTML
 from matplotlib.collections import PatchCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Circle, Polygon
-from matplotlib.ticker import MultipleLocator
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from repro import Ring
 
@@ -67,6 +68,140 @@ def style() -> Iterator[None]:
     with mpl.rc_context():
         use_style()
         yield
+
+
+# Table 1 of Baaij et al.
+
+COORDINATES = ("delta_x", "delta_y", "delta_L")
+VERDICTS = {
+    "reproduced": "within the scatter",
+    "weak": "scatter so large that zero would pass",
+    "better": "smaller",
+    "differs": "differs",
+}
+TABLE_1 = """<style>
+.table-1 { overflow-x: auto; margin: 0 0 0.4rem; }
+.table-1 table { border-collapse: collapse; width: 100%; margin: 0; font-size: 0.75rem; line-height: 1.3; }
+.table-1 table :is(th, td) { padding: 0.1rem 0.3rem; text-align: right; white-space: nowrap; border: 0;
+  font-variant-numeric: tabular-nums; vertical-align: middle; color: var(--pst-color-text-base, inherit); }
+.table-1 table thead th { font-weight: 600; border-bottom: 1px solid currentColor; }
+.table-1 table tr > :first-child { text-align: left; position: sticky; left: 0; font-weight: 400;
+  background: var(--pst-color-background, white); }
+.table-1 table tr > .edge { border-left: 1px solid rgb(128 128 128 / 50%); }
+.table-1 table small { display: block; font-size: inherit; color: var(--pst-color-text-muted, #616161); }
+.table-1 table tr.again :is(th, td, small) { color: var(--pst-color-text-muted, #616161); }
+.table-1 .reproduced { background: rgb(0 158 115 / 11%); }
+.table-1 .weak { background: rgb(230 159 0 / 13%); }
+.table-1 .better { background: rgb(86 180 233 / 30%); font-weight: 600; }
+.table-1 .differs { background: rgb(213 94 0 / 28%); font-weight: 600; }
+.table-1 table tr.again td { background: none; }
+.table-1 span { padding: 0 0.2rem; }
+</style>"""
+
+
+def table_1(card: pd.DataFrame, labels: dict[str, str], repeated: Sequence[str]) -> HTML:
+    """Return Table 1 as printed: in each cell the published number and below it ours, tinted by verdict."""
+    columns = ["e_u", *(f"{name}_{segment}" for segment in (1, 2, 3) for name in COORDINATES)]
+    signs = dict(zip(COORDINATES, ("Δx", "Δy", "δL"), strict=True))
+    groups = "".join(f'<th colspan="3" scope="colgroup" class="edge">segment {k} [%]</th>' for k in (1, 2, 3))
+    heads = [f'<th scope="col"{_edge(c)}>{signs.get(c[:-2], "e<sub>u</sub> [µT]")}</th>' for c in columns]
+    lines = [f'<tr><th scope="row">robot</th><th scope="col">readings</th>{groups}</tr>']
+    lines.append(f'<tr><th scope="row">mean ± std</th>{"".join(heads)}</tr></thead><tbody>')
+    for name, label in labels.items():
+        own = card[card["row"] == name].set_index("quantity")
+        cells = [_cell(own.loc[c], c) if c in own.index else f"<td{_edge(c)}>–</td>" for c in columns]
+        again = ' class="again"' if name in repeated else ""
+        lines.append(f'<tr{again}><th scope="row">{label}</th>{"".join(cells)}</tr>')
+    legend = " · ".join(f'<span class="{name}">{words}</span>' for name, words in VERDICTS.items())
+    words = "Grey: published. Black: regenerated. Pale rows repeat another row. Tint: "
+    box = '<div class="table-1" tabindex="0" role="region" aria-label="Table 1, published and regenerated">'
+    table = f"<table><thead>{''.join(lines)}</tbody></table>"
+    return HTML(f'{TABLE_1}{box}{table}</div><p class="table-1">{words}{legend}.</p>')
+
+
+def table_1_in_words(card: pd.DataFrame, bias: pd.DataFrame, repeated: Sequence[str]) -> str:
+    """Return how many numbers of Table 1 agree, and how large our errors are against the published ones."""
+    own = card[~card["row"].isin(repeated) & card["verdict"].isin(VERDICTS)]
+    count = {name: int((own["verdict"] == name).sum()) for name in ("reproduced", "better", "differs")}
+    weak, total = int((own["weak"] == "true").sum()), bias.iloc[-1]
+    numbers = "differs" if count["differs"] == 1 else "differ"
+    return (
+        f"**{count['reproduced']} of {len(own)} distinct numbers lie within the scatter of the trainings**,"
+        f" {count['better'] or 'none'} {'is' if count['better'] == 1 else 'are'} smaller and"
+        f" {count['differs'] or 'none'} {numbers}. For {weak} the scatter is so large that zero would pass."
+        f" Of the {total['cells']} relative errors (without six sensors) {total['below']} are smaller than published;"
+        f" our errors are **{total['ratio']:.2f} times the published ones** in the geometric mean."
+    )
+
+
+def _edge(column: str) -> str:
+    return ' class="edge"' if column.startswith("delta_x") else ""
+
+
+def _cell(row: pd.Series, column: str) -> str:
+    factor, places = (1e3, 0) if column == "e_u" else (1.0, 1)
+    texts = []
+    for name in ("published", "regenerated"):
+        mean, std = (pd.to_numeric(row[key]) * factor for key in (name, f"{name}_std"))
+        spread = "" if pd.isna(std) else f"±{std:.{places}f}"
+        texts.append("–" if pd.isna(mean) else f"{mean:.{places}f}{spread}")
+    kind = "weak" if row["weak"] == "true" and row["verdict"] in VERDICTS else row["verdict"]
+    edge = " edge" if _edge(column) else ""
+    title = VERDICTS.get(kind, kind)
+    return f'<td class="{kind}{edge}" title="{title}"><small>{texts[0]}</small>{texts[1]}</td>'
+
+
+@style()
+def sensor_models(table: pd.DataFrame) -> Figure:
+    """Draw the error of one segment by sensor model and estimator, one point for each seed."""
+    figure, panel = plt.subplots(figsize=(WIDTH, 2.3))
+    names = list(table["model"].unique())[::-1]
+    looks = {"gradient descent": (BLUE, "o", 0.13), "Levenberg-Marquardt": (ORANGE, "D", -0.13)}
+    for solver, part in table.groupby("solver", sort=False):
+        colour, marker, shift = looks[str(solver)]
+        places = part["model"].map(names.index) + shift
+        panel.plot(part["configuration_percent"], places, marker, color=colour, ms=6, label=solver)
+    panel.set(
+        xscale="log", xlabel="mean error of the configuration [% of its range]", ylim=(-0.5, len(names) - 0.5)
+    )
+    panel.set_yticks(range(len(names)), names)
+    figure.legend(loc="outside upper center", ncols=2, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def calibration(table: pd.DataFrame, labels: dict[str, str]) -> Figure:
+    """Draw mean errors by row of Table 1: published, and of the multipole model as drawn and calibrated."""
+    figure, panel = plt.subplots(figsize=(WIDTH, 0.34 * len(table) + 1.1))
+    y = np.arange(len(table))[::-1]
+    panel.hlines(y, table["calibrated_percent"], table["uncalibrated_percent"], color="0.75", lw=1)
+    looks = {
+        "uncalibrated_percent": ("as drawn", SKY, "s"),
+        "calibrated_percent": ("calibrated", ORANGE, "D"),
+        "published_percent": ("Table 1, published", PUBLISHED, "|"),
+    }
+    for column, (label, colour, marker) in looks.items():
+        panel.plot(table[column], y, marker, color=colour, ms=11 if marker == "|" else 6, mew=2, label=label)
+    panel.set_yticks(y, [labels[row] for row in table["row"]])
+    panel.set(xscale="log", xlabel="mean error of the configuration [% of its range]")
+    panel.xaxis.set_major_formatter("{x:g}")
+    figure.legend(loc="outside upper center", ncols=3, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def tip_paths(paths: dict[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
+    """Draw true and estimated paths of tips ``[t, 3]`` [m], seen along the straight robot."""
+    figure, panels = plt.subplots(1, len(paths), figsize=(WIDTH, 2.5), squeeze=False)
+    for panel, (title, (truth, found)) in zip(panels[0], paths.items(), strict=True):
+        panel.plot(*1e3 * truth[:, :2].T, label="truth", **TRUTH)
+        panel.plot(*1e3 * found[:, :2].T, color=BLUE, lw=1.3, label="estimate")
+        panel.set(title=title, xlabel="x [mm]", aspect="equal")
+        panel.xaxis.set_major_locator(MaxNLocator(3))
+        panel.yaxis.set_major_locator(MaxNLocator(4))
+    panels[0, 0].set_ylabel("y [mm]")
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
+    return closed(figure)
 
 
 # First steps, and sensors that fail: Figs 2(a), 4 and 5 of Baaij et al.
@@ -273,9 +408,11 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
         ("sensor", False): {"marker": "X", "color": ORANGE, "ms": 6.5, "mew": 0},
     }
     rows = -(-len(times) // 3)
-    figure = plt.figure(figsize=(WIDTH, 2.1 * rows + 0.4))
+    tall = 2.3 * rows + 0.3
+    figure = plt.figure(figsize=(WIDTH, tall), layout="none")  # pictures in 3-D waste their margins
     for k, time_s in enumerate(times):
-        panel: Any = figure.add_subplot(rows, 3, k + 1, projection="3d")
+        place = (k % 3 / 3 - 0.06, (rows - 1 - k // 3) * 2.3 / tall - 0.04, 0.45, 2.3 / tall + 0.08)
+        panel: Any = figure.add_axes(place, projection="3d")
         for estimated, alpha in ((True, 0.3), (False, 1.0)):
             own = [
                 table[(table["time_s"] == time_s) & (table["estimated"] == estimated)]
@@ -291,15 +428,15 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
             getattr(panel, f"{name}axis").set_major_locator(MultipleLocator(100))
             getattr(panel, f"set_{name}ticklabels")([])
         panel.patch.set_visible(False)
-        panel.set_box_aspect(tuple(reach), zoom=1.6)
+        panel.set_box_aspect(tuple(reach), zoom=0.98)
         panel.view_init(elev=15, azim=-60)
-        panel.set_title(f"{time_s:.0f} s", loc="left", y=0.9)
+        panel.text2D(0.2, 0.88, f"{time_s:.0f} s", transform=panel.transAxes)
     lines = [
         Line2D([], [], color="0.3", lw=3.5, alpha=a, label=s) for a, s in ((1, "truth"), (0.3, "estimate"))
     ]
     words = ("magnet", "sensor", "failed sensor")
     lines += [Line2D([], [], ls="", label=w, **look) for w, look in zip(words, looks.values(), strict=True)]
-    figure.legend(handles=lines, loc="outside upper center", ncols=5, **BESIDE)
+    figure.legend(handles=lines, loc="upper center", ncols=5, **BESIDE)
     return closed(figure)
 
 
@@ -356,17 +493,19 @@ def affine_stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
     """Draw Fig. 7: the true shape opaque, the estimates of all seeds pale, with magnets and sensors."""
     times = shapes["time_s"].unique()
     rows = -(-len(times) // 3)
-    figure = plt.figure(figsize=(WIDTH, 2.5 * rows + 0.5))
-    marks = {
+    figure = plt.figure(figsize=(WIDTH, 1.95 * rows + 0.4))
+    looks = {
         "magnet": {"marker": "o", "color": GREEN, "ms": 7},
         "sensor": {"marker": "s", "color": BLUE, "ms": 3.5},
     }
+    estimate = {"color": ORANGE, "lw": 7, "alpha": 0.3}
     for k, time_s in enumerate(times):
         panel: Any = figure.add_subplot(rows, 3, k + 1, projection="3d", computed_zorder=False)
-        for seed, part in shapes[shapes["time_s"] == time_s].groupby("seed"):
-            look = {"color": BODY[0], "lw": 3.5} if seed == -1 else {"color": ORANGE, "lw": 2.5, "alpha": 0.5}
+        own = shapes[shapes["time_s"] == time_s]
+        for seed, part in own.sort_values("seed", ascending=False, kind="stable").groupby("seed", sort=False):
+            look = {"color": BODY[0], "lw": 2} if seed == -1 else estimate
             panel.plot(*part[XYZ].to_numpy().T, **look)
-        for kind, look in marks.items():
+        for kind, look in looks.items():
             some = parts[(parts["time_s"] == time_s) & (parts["part"] == kind)]
             panel.plot(*some[XYZ].to_numpy().T, ls="", **look)
         panel.set(xlim=(-125, 125), ylim=(-125, 125), zlim=(0, 210))
@@ -374,13 +513,13 @@ def affine_stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
             getattr(panel, f"{name}axis").set_major_locator(MultipleLocator(100))
             getattr(panel, f"set_{name}ticklabels")([])
         panel.patch.set_visible(False)
-        panel.set_box_aspect((250, 250, 210), zoom=1.3)
+        panel.set_box_aspect((250, 250, 210), zoom=1.75)
         panel.view_init(elev=18, azim=-55)
-        panel.set_title(f"{time_s:.1f} s", loc="left", y=0.88)
+        panel.set_title(f"{time_s:.1f} s", loc="left", y=0.92)
     lines = [
-        Line2D([], [], color=BODY[0], lw=3.5, label="truth"),
-        Line2D([], [], color=ORANGE, lw=2.5, alpha=0.5, label="estimates"),
-        *(Line2D([], [], ls="", label=kind, **look) for kind, look in marks.items()),
+        Line2D([], [], color=BODY[0], lw=2, label="truth"),
+        Line2D([], [], label="estimates", **estimate),
+        *(Line2D([], [], ls="", label=kind, **look) for kind, look in looks.items()),
     ]
     figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
     return closed(figure)

@@ -29,7 +29,7 @@ from repro import (
     track,
 )
 from repro.robot import Place, point_on
-from repro_companion.show import number, project_folder
+from repro_companion.show import project_folder
 
 LENGTH, RADIUS = 0.110, 0.022
 """Length of a segment, and distance of its actuators from the backbone [m]."""
@@ -174,6 +174,8 @@ ROWS = (
     Row("n_e=(0,0,1)", "Earth field, z", earth=(0.0, 0.0, 1.0)),
 )
 """The 13 rows of Table 1 in their order; two print a run again. All move along T3."""
+LABELS = {row.name: row.label for row in ROWS}
+REPEATED = [row.name for row in ROWS if row.same_as]
 
 
 def rows_named(names: Sequence[str] = (), *, repeated: bool = False) -> list[Row]:
@@ -217,18 +219,18 @@ def table_1(
 
     tasks = [delayed(row_errors)(row, seed, **options) for row in rows for seed in seeds]
     tasks += [delayed(draw_errors)(row, draw) for row in rows for draw in range(n_draws)]
-    largest_first = sorted(range(len(tasks)), key=lambda k: -len(tasks[k][1][0].robot().sensors))
-    done = Parallel(n_jobs=jobs or -1)(tasks[k] for k in largest_first)
-    parts = [part for _, part in sorted(zip(largest_first, done, strict=True), key=lambda pair: pair[0])]
+    parts = list(Parallel(n_jobs=jobs or -1)(tasks))
     n = len(rows) * len(seeds)
-    best = pd.concat(parts[n:]).sort_values("calibrated", ascending=False, kind="stable")
-    order = {row.name: k for k, row in enumerate(rows)}
-    by_row = best.sort_values("row", key=lambda names: names.map(order), kind="stable", ignore_index=True)
-    return pd.concat(parts[:n], ignore_index=True), by_row
+    best = pd.concat(parts[n:], ignore_index=True)
+    order = [pd.factorize(best[name])[0] for name in ("row", "quantity")]
+    best = best.iloc[np.lexsort([best["draw"], order[1], ~best["calibrated"], order[0]])]
+    return pd.concat(parts[:n], ignore_index=True), best[
+        ["row", "quantity", "draw", "calibrated", "error_percent"]
+    ]
 
 
 def gain(best: pd.DataFrame) -> pd.DataFrame:
-    """Return errors [%] calibrated and as drawn, by row and coordinate, with a paired bootstrap of their ratio (95 %)."""
+    """Return errors [%] calibrated and as drawn by row and coordinate; their ratio with a paired bootstrap (95 %)."""
     lines = []
     for row, part in best.groupby("row", sort=False):
         for quantity in (*part["quantity"].unique(), "mean"):
@@ -265,7 +267,9 @@ ROW_NOTES = {
     ("n_s=6", "delta_y_2"): f"{DRIFTS}; ",
     ("n_s=6", "delta_y_3"): f"{DRIFTS}; ",
 }
-TILT_NOTE = "in this row of the table the authors' own networks, on regenerated data, are 4-47 % below print as well; "
+TILT_NOTE = (
+    "in this row of the table the authors' own networks, on regenerated data, are 4-47 % below print as well"
+)
 CLAIM_NOTE = "3.3 is a slip in print: the mean of the 18 printed cells of the two rows is 4.2"
 BEST_METHOD = (
     "multipole model calibrated in 100 poses + Levenberg-Marquardt, start straight; "
@@ -288,7 +292,7 @@ def scorecard_rows(errors: pd.DataFrame, best: pd.DataFrame, setting: str) -> pd
             lambda values: ", ".join(f"{x:.3g}" for x in values)
         )
         known = own["quantity"].map(lambda name, row=row.name: ROW_NOTES.get((row, name), ""))
-        known = TILT_NOTE if row.name == "psi_s=10deg" else known
+        known = TILT_NOTE + "; " if row.name == "psi_s=10deg" else known
         same = f"same run as {row.same_as}; " if row.same_as else ""
         parts.append(own.assign(row=row.name, artefact="Table 1", note=same + known + seeds, comparable=True))
     claim = errors[errors["row"].isin(["psi_s=10deg", "d_s_r=16mm"]) & (errors["unit"] == "%")]
@@ -367,7 +371,7 @@ def bias(errors: pd.DataFrame, printed: pd.DataFrame) -> pd.DataFrame:
 
 
 def models(rows_seeds: Sequence[int], steps: int = STEPS, noise_mt: float = 0.0) -> pd.DataFrame:
-    """Return errors on T3 of one segment: three sensor models, each with the paper's descent and with least squares."""
+    """Return errors of one segment on T3: three sensor models, each with the paper's descent and least squares."""
     arm, q, lines = robot(1), lemniscate(1, steps=steps), []
     u, folder = simulate(arm, q), project_folder() / "data" / "networks"
     for name in ("network of the paper", "fast network", "multipole"):
@@ -381,7 +385,7 @@ def models(rows_seeds: Sequence[int], steps: int = STEPS, noise_mt: float = 0.0)
             sensing, seen = Sensing(arm, trained), u + noise_mt * draws(seed, *u.shape) if noise_mt else u
             found = {
                 ("gradient descent", "ground truth"): track(descent(sensing, 1), seen, q[0]).q,
-                ("Levenberg-Marquardt", "straight"): least_squares(sensing, seen, max(noise_mt, 1e-6)),
+                ("Levenberg-Marquardt", "straight"): least_squares(sensing, seen, max(noise_mt, 1e-6), 30),
             }
             for (solver, start), estimate in found.items():
                 key = {"n_b": 1, "model": name, "solver": solver, "start": start, "seed": seed}
@@ -400,7 +404,7 @@ def models(rows_seeds: Sequence[int], steps: int = STEPS, noise_mt: float = 0.0)
 
 
 def pose_errors(arm: Robot, found: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """Return root mean square errors over time: of the tip's place and direction, and of points along the backbone."""
+    """Return root mean square errors over time: of the tip's place and direction, and of points on the backbone."""
     T_hat, T = arm.tip(found), arm.tip(truth)
     tip = np.linalg.norm((T_hat - T)[:, :3, 3], axis=-1)
     turn = Rotation.from_matrix(np.swapaxes(T[:, :3, :3], -1, -2) @ T_hat[:, :3, :3]).magnitude()
@@ -663,10 +667,12 @@ def configurations(
     return found.q, found.covariance
 
 
-def least_squares(sensing: Sensing, u: np.ndarray, noise_mt: float = NOISE_MT) -> np.ndarray:
+def least_squares(
+    sensing: Sensing, u: np.ndarray, noise_mt: float = NOISE_MT, iterations: int = 5
+) -> np.ndarray:
     """Return the least-squares estimate of every row of readings, each from the straight pose at mid elongation."""
     low, high = bounds(len(sensing.robot.segments))
-    fit, start = LevenbergMarquardt(sensing, low, high, noise_mt), (low + high) / 2
+    fit, start = LevenbergMarquardt(sensing, low, high, noise_mt, iterations=iterations), (low + high) / 2
     start[2::3] = 2.75e-3
     return fit.step(fit.init(np.broadcast_to(start, (*u.shape[:-1], len(low)))), u)[1].q
 
@@ -767,7 +773,7 @@ def affine_errors(
 def affine_series(
     found: np.ndarray, predicted: np.ndarray, truth: np.ndarray, readings: np.ndarray
 ) -> pd.DataFrame:
-    """Return Fig. 6 as a table: truth, and mean and deviation over the seeds, of readings and configurations."""
+    """Return Fig. 6 as a table, every second step: truth, and mean and deviation over the seeds."""
     near = truth + affine_difference(np.swapaxes(found, 0, 1), truth).swapaxes(0, 1)
     parts = []
     for kind, names, true, seen in (
@@ -778,7 +784,7 @@ def affine_series(
         for k, name in enumerate(names):
             columns = {"truth": true[:, k], "mean": seen.mean(0)[:, k], "std": std[:, k]}
             time = {"time_s": np.arange(len(truth)) / RATE_HZ, "kind": kind, "name": name}
-            parts.append(pd.DataFrame(time | columns))
+            parts.append(pd.DataFrame(time | columns).iloc[::2])
     return pd.concat(parts, ignore_index=True)
 
 
@@ -796,7 +802,7 @@ def affine_stills(
             *(("estimate", s, q[step]) for s, q in zip(seeds, found, strict=True)),
         ]
         for kind, seed, q in curves:
-            points = pd.DataFrame(1e3 * arm.backbone(q, 25), columns=["x_mm", "y_mm", "z_mm"])
+            points = pd.DataFrame(1e3 * arm.backbone(q, 33), columns=["x_mm", "y_mm", "z_mm"])
             shapes.append(points.assign(time_s=step / RATE_HZ, kind=kind, seed=seed))
         for part, these in (("magnet", arm.magnets), ("sensor", arm.sensors)):
             at = 1e3 * arm.poses(truth[step], [one.place for one in these])[:, :3, 3]
@@ -823,32 +829,6 @@ def affine_best(errors: list[tuple[int, bool, np.ndarray]]) -> pd.DataFrame:
     return table[["row", "quantity", "draw", "calibrated", "error_percent"]]
 
 
-def affine_gain(best: pd.DataFrame) -> pd.DataFrame:
-    """Return mean errors over the robots, and what calibration makes of them with a paired bootstrap (95 %)."""
-    lines = []
-    for quantity in (*QUANTITIES, "mean"):
-        own = best if quantity == "mean" else best[best["quantity"] == quantity]
-        by_draw = own.pivot_table(index="draw", columns="calibrated", values="error_percent").to_numpy()
-        again = by_draw[np.random.default_rng(0).integers(len(by_draw), size=(10_000, len(by_draw)))].mean(1)
-        low, high = np.quantile(again[:, 1] / again[:, 0], [0.025, 0.975])
-        (no, yes), ratio = by_draw.mean(0), by_draw[:, 1].mean() / by_draw[:, 0].mean()
-        lines.append((quantity, yes, no, ratio, low, high))
-    names = ["quantity", "calibrated_percent", "uncalibrated_percent", "ratio", "ratio_low", "ratio_high"]
-    return pd.DataFrame(lines, columns=names)
-
-
-def affine_setting(iterations: int, step_size: list[float], noise_mt: float, steps: int) -> str:
-    """Return what the paper's method was run with, and in what it differs from the released program."""
-    own = {
-        f"{iterations} evaluations": iterations != ITERATIONS,
-        f"step sizes {list(step_size)}": tuple(step_size) != AFFINE_STEP_SIZES,
-        f"noise {noise_mt:g} mT": noise_mt != 0,
-        f"{steps} steps": steps != STEPS,
-    }
-    changed = [f"here {text}" for text, differs in own.items() if differs]
-    return "; ".join([SETTING, "magnets at 47 and 147 mm", *changed])
-
-
 def affine_rows(errors: pd.DataFrame, setting: str, best: pd.DataFrame | None = None) -> pd.DataFrame:
     """Return section 4.4 as rows of the scorecard."""
 
@@ -872,13 +852,12 @@ def affine_rows(errors: pd.DataFrame, setting: str, best: pd.DataFrame | None = 
 
 def affine_beside_print(card: pd.DataFrame) -> pd.DataFrame:
     """Return section 4.4 of a scorecard as it is read: what is printed, ours and the verdict."""
-    card = card[(card["paper"] == "baaij2023") & (card["artefact"] == "Section 4.4")]
     lines = []
-    for row in card.to_dict("records"):
-        ours = number(float(row["regenerated"]), 2)
-        if row["regenerated_std"]:
-            ours += f" ± {number(float(row['regenerated_std']), 2)}"
-        name = f"{SYMBOLS.get(row['quantity'], 'readings')} [{row['unit']}]"
+    for row in card.query("paper == 'baaij2023' and artefact == 'Section 4.4'").to_dict("records"):
+        digits = len(row["published"].partition(".")[2])
+        numbers = [row["regenerated"], row["regenerated_std"]]
+        ours = " ± ".join(f"{float(text):.{digits}f}" for text in numbers if text)
+        name = f"{SYMBOLS.get(row['quantity'], 'readings')} [{row['unit'].replace('^2', '²')}]"
         printed = f"{row['published']} ± {row['published_std']}"
         lines.append((name, printed, ours, row["verdict"].replace("_", " ")))
     return pd.DataFrame(lines, columns=["error of", "published", "regenerated", "verdict"])
@@ -886,15 +865,12 @@ def affine_beside_print(card: pd.DataFrame) -> pd.DataFrame:
 
 def affine_limits(errors: pd.DataFrame, solved: np.ndarray, gain: pd.DataFrame) -> pd.DataFrame:
     """Return the mean errors [%] of estimators and sensor models, one line for each pair."""
-    descended = errors[errors["unit"] == "%"].groupby("quantity")["error"].mean()[list(QUANTITIES)]
+    descended = errors[errors["unit"] == "%"].groupby("quantity")["error"].mean()
     by_name = gain.set_index("quantity").loc[list(QUANTITIES)]
     lines = {
-        "trained networks, gradient descent (the paper)": descended,
+        "trained networks, gradient descent (the paper)": descended[list(QUANTITIES)].to_numpy(),
         "trained networks, least squares": solved.mean(0),
-        "field of the magnets, least squares, as drawn": by_name["uncalibrated_percent"],
-        "field of the magnets, least squares, calibrated (ours)": by_name["calibrated_percent"],
+        "field of the magnets, least squares, as drawn": by_name["uncalibrated_percent"].to_numpy(),
+        "field of the magnets, least squares, calibrated (ours)": by_name["calibrated_percent"].to_numpy(),
     }
-    values = np.array([np.asarray(line) for line in lines.values()])
-    table = pd.DataFrame(values, columns=[f"{name}_percent" for name in QUANTITIES])
-    table.insert(0, "method", list(lines))
-    return table
+    return pd.DataFrame([(name, *line) for name, line in lines.items()], columns=list(AFFINE_WORDS))
