@@ -18,10 +18,13 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from repro_companion import run as tool
 from repro_companion.run import InputError, Parameter, Point, bad_input
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 LONGEST = 60
 """Rows of a table that a page shows in full; of a longer one it has the file."""
@@ -148,13 +151,15 @@ def keep_told_apart(executed: Path, results: Path, notebooks: Iterable[str]) -> 
             table.unlink()
 
 
-def write_scorecard(root: Path, results: Path) -> None:
-    """Compare the tables with every printed number."""
+def write_scorecard(root: Path, results: Path) -> DataFrame:
+    """Compare the tables with every printed number; return what was written."""
     from repro_companion.scorecard import scorecard, write
 
     results.mkdir(parents=True, exist_ok=True)
     printed = root / "data" / "published" / "published.csv"
-    write(scorecard(printed, sorted(results.glob("*.rows.csv"))), results / "scorecard.csv")
+    card = scorecard(printed, sorted(results.glob("*.rows.csv")))
+    write(card, results / "scorecard.csv")
+    return card
 
 
 # The page of a notebook

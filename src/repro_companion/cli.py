@@ -53,7 +53,7 @@ Given = Annotated[list[tuple[str, str]] | None, NAME_AND_VALUE]
 Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
 
 app = App(name="repro", help=first_edition.help, version_flags=[], help_format="plaintext")
-for names in ("scorecard", "fetch", *NEEDS):
+for names in ("fetch", *NEEDS):
     for name in {*names.split()} - {"run", "sweep"}:
         if name not in app:
             app.command(first_edition[name], name=name)
@@ -157,6 +157,38 @@ def _given(notebook: Path | None, command: str) -> Path:
     if notebook is None:
         raise bad_input("notebook", f"repro {command}", "named", "none")
     return notebook
+
+
+@app.command
+def scorecard(*, require: Path | None = None, write_reference: Path | None = None) -> int:
+    """Compare the book's results with every number of the papers; write results/scorecard.csv.
+
+    Parameters
+    ----------
+    require
+        A reference; exit with 1 if any verdict is not the one that it has, for the better or for the worse.
+    write_reference
+        Write today's verdicts as a reference to this file.
+    """
+    from repro_companion import run as tool
+
+    root = tool.project_folder()
+    from repro_companion import scorecard as card
+    from repro_companion.build import results_folder, write_scorecard
+
+    path = results_folder(root) / "scorecard.csv"
+    try:
+        rows = write_scorecard(root, path.parent)
+        changed = card.changed(rows, require) if require else []
+    except (ValueError, OSError) as error:
+        raise tool.InputError(str(error)) from error
+    print(f"{card.counts(rows).to_string()}\n\nAll rows: {tool.shown(path)}")
+    if changed:
+        print(f"Verdicts other than in {require}:", *changed, sep="\n  ", file=sys.stderr)
+        return 1
+    if write_reference:
+        card.write(rows[[*card.KEY, "verdict"]], write_reference)
+    return 0
 
 
 @app.command
