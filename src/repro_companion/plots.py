@@ -365,7 +365,7 @@ def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failure_s: float) -> Fi
     """Draw Fig. 4(b): readings above, configurations below; truth, and the mean over seeds with its deviation."""
     pairs = [(table, unit, s) for table, unit in ((u, "mT"), (q, "mm")) for s in u["segment"].unique()]
     names = {"delta_x": r"\Delta_{x,%d}", "delta_y": r"\Delta_{y,%d}", "delta_L": r"\delta L_{%d}"}
-    figure, panels = plt.subplots(len(pairs), 1, figsize=(WIDTH, 1.02 * len(pairs) + 0.7), sharex=True)
+    figure, panels = plt.subplots(len(pairs), 1, figsize=(WIDTH, 0.92 * len(pairs) + 0.7), sharex=True)
     for panel, (table, unit, segment) in zip(panels, pairs, strict=True):
         own = table[table["segment"] == segment]
         for colour, (name, part) in zip(FOUR, own.groupby(table.columns[2], sort=False), strict=False):
@@ -515,7 +515,7 @@ def affine_stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
         panel.patch.set_visible(False)
         panel.set_box_aspect((250, 250, 210), zoom=1.75)
         panel.view_init(elev=18, azim=-55)
-        panel.set_title(f"{time_s:.1f} s", loc="left", y=0.92)
+        panel.set_title(f"{time_s:.1f} s", loc="left", y=1.02)
     lines = [
         Line2D([], [], color=BODY[0], lw=2, label="truth"),
         Line2D([], [], label="estimates", **estimate),
@@ -539,9 +539,7 @@ def rig_to_scale(robot: Any, markers_at: float) -> Figure:
     figure, (side, top) = plt.subplots(1, 2, figsize=(WIDTH, 4.0), width_ratios=(1.15, 1))
     segment, magnet = robot.segments[0], robot.magnets[0]
     length, radius, at = 1e3 * segment.length, 1e3 * segment.radius, 1e3 * magnet.place.at
-    inner, outer, h = (
-        500 * x for x in (magnet.shape.inner_diameter, magnet.shape.outer_diameter, magnet.shape.height)
-    )
+    inner, outer = 500 * magnet.shape.inner_diameter, 500 * magnet.shape.outer_diameter
     look = {"fc": "#76767622", "ec": "#767676"}
     side.add_patch(Polygon([(-radius, 0), (radius, 0), (radius, length), (-radius, length)], **look))
     for half in _cut(np.array([[0.0, at]]), np.array([[0.0, 1.0]]), magnet.shape):
@@ -595,21 +593,21 @@ def rig_to_scale(robot: Any, markers_at: float) -> Figure:
     return closed(figure)
 
 
-def _in_space(panel: Any, low: float = 0.0) -> None:
+def _in_space(panel: Any) -> None:
     """Set the axes of a panel to the whole segment [mm]."""
-    panel.set(xlim=(-36, 36), ylim=(-36, 36), zlim=(low, 116))
+    panel.set(xlim=(-30, 30), ylim=(-30, 30), zlim=(0, 116))
     for name in "xyz":
         getattr(panel, f"{name}axis").set_major_locator(MultipleLocator(50 if name == "z" else 25))
         getattr(panel, f"set_{name}ticklabels")([])
     panel.patch.set_visible(False)
-    panel.set_box_aspect((72, 72, 116 - low), zoom=1.25)
+    panel.set_box_aspect((60, 60, 116), zoom=1.35)
     panel.view_init(elev=20, azim=-55)
 
 
 @style()
 def trajectories(paths: pd.DataFrame, shapes: dict[str, np.ndarray]) -> Figure:
     """Draw Fig. 9: shapes of the segment [m] pale, the path of its tip dark, a panel for each trajectory."""
-    figure = plt.figure(figsize=(WIDTH, 5.6))
+    figure = plt.figure(figsize=(WIDTH, 6.8))
     for k, (name, curves) in enumerate(shapes.items()):
         panel: Any = figure.add_subplot(2, 3, k + 1, projection="3d", computed_zorder=False)
         for curve in 1e3 * curves:
@@ -617,7 +615,7 @@ def trajectories(paths: pd.DataFrame, shapes: dict[str, np.ndarray]) -> Figure:
         tip = paths[paths["recording"] == name][["tip_x_mm", "tip_y_mm", "tip_z_mm"]]
         panel.plot(*tip.to_numpy().T, color=BLUE, lw=1.2)
         _in_space(panel)
-        panel.set_title(name, y=0.94)
+        panel.set_title(name, y=1.08)
     lines = [Line2D([], [], color=SKY, label="shape"), Line2D([], [], color=BLUE, label="path of the tip")]
     figure.legend(handles=lines, loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)
@@ -644,7 +642,7 @@ def landscape_and_estimates(
     for point, marker, words in ((path[0], "s", "start"), (truth, "*", "truth")):
         panels[0].plot(*point, marker, color="white", mec="black", ms=10, ls="", label=words)
     panels[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, **BESIDE)
-    panels[0].set(xlabel=r"$\Delta_x$ [mm]", ylabel=r"$\Delta_y$ [mm]", aspect="equal")
+    panels[0].set(xlabel=r"$\Delta_x$ [mm]", ylabel=r"$\Delta_y$ [mm]")
     panels[0].grid(visible=False)
     titles = [*series, f"{list(series)[-1]}, a part of it"]
     for panel, name, title in zip(panels[1:], [*series, list(series)[-1]], titles, strict=True):
@@ -675,7 +673,7 @@ def landscape_and_estimates(
 @style()
 def rig_stills(robot: Any, times: np.ndarray, truth: np.ndarray, found: np.ndarray) -> Figure:
     """Draw Fig. 11, lower row: the true segment opaque, the estimates ``[time, seed, 3]`` [m] pale."""
-    figure = plt.figure(figsize=(WIDTH, 5.8))
+    figure = plt.figure(figsize=(WIDTH, 6.8))
     at = [robot.magnets[0].place, *(sensor.place for sensor in robot.sensors)]
     for k, time_s in enumerate(times):
         panel: Any = figure.add_subplot(2, 3, k + 1, projection="3d", computed_zorder=False)
@@ -686,7 +684,7 @@ def rig_stills(robot: Any, times: np.ndarray, truth: np.ndarray, found: np.ndarr
         panel.plot(*p[:1].T, "o", color=GREEN, ms=7)
         panel.plot(*p[1:].T, "s", color=BLUE, ms=4)
         _in_space(panel)
-        panel.set_title(f"{time_s:.1f} s", y=0.94)
+        panel.set_title(f"{time_s:.1f} s", y=1.08)
     lines = [
         Line2D([], [], color="#1A1A1A", lw=3, label="truth"),
         Line2D([], [], color=ORANGE, lw=3, alpha=0.45, label="estimates"),
