@@ -1,9 +1,9 @@
 """How fast the library is beside what a user would take instead, and what it costs: ``make bench``.
 
-Rates are ratios of processor time in one run: our method and the other one run in turn, and the shortest time of each
-counts, so that a busy computer changes little. All work has one thread. Readings of magnets come from magpylib, with
-noise. The table goes to ``data/benchmark.csv``. With ``--fast FILE`` everything runs once with few numbers, for a
-test: the table goes to that file, and its figures mean nothing.
+Rates are ratios of processor time in one run. Our method and the other one run in turn, and the shortest
+time of each counts, so that a busy computer changes little. All work has one thread. Readings of magnets come
+from magpylib, with noise. The table goes to ``data/benchmark.csv``. With ``--fast FILE`` everything runs once
+with few numbers, for a test; the table goes to that file, and its figures mean nothing.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ def paper_robot(n_b: int) -> tuple[repro.Robot, np.ndarray, np.ndarray]:
 def on_t3(n_b: int, steps: int) -> tuple[repro.Robot, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return that robot with its bounds, the first of 400 time steps of trajectory T3, and readings there.
 
-    Readings are those of magpylib with noise [mT]. The elongation keeps 0.5 mm from its bounds, near which SciPy is
-    slow.
+    Readings are those of magpylib with noise [mT]. The elongation keeps 0.5 mm from its bounds, near which
+    SciPy is slow.
     """
     robot, low, high = paper_robot(n_b)
     s, p = 2 * np.pi * np.arange(steps)[:, None] / 400, 2 * np.pi * np.arange(n_b) / n_b
@@ -102,8 +102,8 @@ def flower(steps: int) -> np.ndarray:
 def against_scipy(sensing: Any, q: Any, u: Any, noise: float, low: Any, high: Any) -> float:
     """Return the ratio of rates against a loop with SciPy: warm start, same bounds, same sensor model.
 
-    Both end within a hundredth of a standard deviation of the minimum. SciPy has its faster method, and the loosest
-    tolerance that does it.
+    Both end within a hundredth of a standard deviation of the minimum. SciPy has its faster method, and the
+    loosest tolerance that does it.
     """
     from scipy.optimize import least_squares
 
@@ -135,7 +135,7 @@ def solver_rows() -> Rows:
         robot, low, high, q, u = on_t3(n_b, few(200))
         sensing = repro.Sensing(robot)
         yield (
-            f"LevenbergMarquardt, n_b = {n_b}, one at a time, against SciPy, our model and slopes [times as fast]",
+            f"LevenbergMarquardt, n_b = {n_b}, one at a time, against SciPy with our slopes [times as fast]",
             against_scipy(sensing, q, u, NOISE_MT, low, high),
             "",
         )
@@ -156,7 +156,7 @@ def solver_rows() -> Rows:
 
 
 def against(ours: Callable[[], Any], other: Callable[[], Any], q: np.ndarray) -> tuple[float, float]:
-    """Return how many times as fast our estimates of ``q`` are, and how many times as large their error is."""
+    """Return how many times as fast our estimates of ``q`` are, and the ratio of the errors."""
     return ratio(ours, other), float(np.std(ours() - q) / np.std(other() - q))
 
 
@@ -189,17 +189,18 @@ def against_particles() -> tuple[float, float]:
     def normal(mean: np.ndarray, std: float) -> Any:
         return distributions.IndepProd(*(distributions.Normal(loc=x, scale=std) for x in mean.T))
 
-    class Bend(state_space_models.StateSpaceModel):
-        PX0 = staticmethod(lambda: normal(q[0], width))  # type: ignore[reportAssignmentType, reportOptionalMemberAccess]
-        PX = staticmethod(lambda t, xp: normal(xp, width))  # type: ignore[reportAssignmentType, reportOptionalMemberAccess]
-        PY = staticmethod(lambda t, xp, x: normal(sensor(x), noise))  # type: ignore[reportAssignmentType, reportOptionalMemberAccess]
+    methods = {
+        "PX0": lambda self: normal(q[0], width),
+        "PX": lambda self, t, xp: normal(xp, width),
+        "PY": lambda self, t, xp, x: normal(sensor(x), noise),
+    }
+    bend: Any = type("Bend", (state_space_models.StateSpaceModel,), methods)()
 
     def bootstrap() -> np.ndarray:
-        found = SMC(
-            state_space_models.Bootstrap(Bend(), u), 1000, ESSrmin=1.0, collect=[collectors.Moments()]
-        )
+        model = state_space_models.Bootstrap(bend, u)
+        found: Any = SMC(model, 1000, ESSrmin=1.0, collect=[collectors.Moments()])
         found.run()
-        return np.array([moments["mean"] for moments in found.summaries.moments])  # type: ignore[reportAssignmentType, reportOptionalMemberAccess]
+        return np.array([moments["mean"] for moments in found.summaries.moments])
 
     return against(lambda: repro.track(method, u, q[0]).q, bootstrap, q)
 
@@ -325,8 +326,8 @@ def operation_rows() -> Rows:
 def count(n_b: int) -> None:
     """Print how many operations one evaluation with slopes takes, and one fit of three iterations.
 
-    Without numba the kernels are Python. We wrap every ``+ - * /`` of their source in a function that counts one for
-    each floating-point number in the result. Functions such as the square root do not count.
+    Without numba the kernels are Python. We wrap every ``+ - * /`` of their source in a function that counts
+    one for each floating-point number in the result. Functions such as the square root do not count.
     """
     total: list[int] = []
 
@@ -361,13 +362,21 @@ def count(n_b: int) -> None:
 def answer(path: str, rows: int) -> None:
     """Estimate shapes from readings in a file, and print the peak memory of this process [MB]."""
     robot, low, high = paper_robot(3)
-    method = repro.LevenbergMarquardt(repro.Sensing(robot), low, high, NOISE_MT)
-    repro.track(method, np.load(path)[:rows], (low + high) / 2)
-    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10))
+    fit = repro.LevenbergMarquardt(repro.Sensing(robot), low, high, NOISE_MT)
+    repro.track(fit, np.load(path)[:rows], (low + high) / 2)
+    # ru_maxrss counts the process that started this one, too.
+    print(
+        int(status.read_text().partition("VmHWM:")[2].split()[0]) / 2**10
+        if (status := Path("/proc/self/status")).exists()
+        else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    )
 
 
 def child(call: str, **environment: str) -> tuple[float, str]:
-    """Run a call of a function of this file in a fresh process; return its wall time [s], and what it printed."""
+    """Run a call of a function of this file, or an import, in a fresh process.
+
+    Returns its wall time [s], and what it printed.
+    """
     code = f"from bench.bench import *; {call}" if call.endswith(")") else call
     start = time.perf_counter()
     done = subprocess.run(

@@ -25,7 +25,7 @@ An estimator takes readings one time step after the other and returns q, how sur
     KalmanFilter                               the same, with what the readings before say
     ParticleFilter                             Mitchell et al. 2021
     ImuShape, Arm                              Martin et al. 2022: positions along an arm from orientations of IMUs
-    rigid_body, pcc_extended                   its models of the arm; exact_arcs and tangent_spline are ours
+    rigid_body, pcc_extended                   its models of the arm; exact_arcs is ours
     RodFilter, Rod, RodSensor                  a rod from poses, orientations and gyroscopes at any time
     Drift, Drifting                            errors of sensors that wander, estimated on the way
     calibrate                                  a robot that is not as drawn, from readings in measured poses
@@ -69,7 +69,6 @@ if TYPE_CHECKING:
         exact_arcs as exact_arcs,
         pcc_extended as pcc_extended,
         rigid_body as rigid_body,
-        tangent_spline as tangent_spline,
     )
     from repro.estimators.kalman import (
         KalmanFilter as KalmanFilter,
@@ -121,7 +120,7 @@ _HOMES = {
     "estimators.calibration": "Tolerances calibrate",
     "estimators.drift": "Drift Drifting",
     "estimators.gradient_descent": "GradientDescent",
-    "estimators.imu": "Arm ImuShape calibrate_imus calibrated exact_arcs pcc_extended rigid_body tangent_spline",
+    "estimators.imu": "Arm ImuShape calibrate_imus calibrated exact_arcs pcc_extended rigid_body",
     "estimators.kalman": "KalmanFilter smooth",
     "estimators.least_squares": "LevenbergMarquardt",
     "estimators.particle": "ParticleFilter",

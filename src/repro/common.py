@@ -86,7 +86,11 @@ def rows_of(values: Array) -> Array:
 
 
 def kernel(
-    function: Callable[..., Any] | None = None, *, reorder: bool = False, allocates: bool = False
+    function: Callable[..., Any] | None = None,
+    *,
+    entry: bool = False,
+    reorder: bool = False,
+    allocates: bool = False,
 ) -> Any:
     """Compile a function when it is first called, and keep the machine code on disk for other processes.
 
@@ -97,6 +101,8 @@ def kernel(
     ----------
     function
         The function.
+    entry
+        Whether Python calls the function. The others are called by kernels only, which saves the compiler work.
     reorder
         Let sums be reordered, so that the processor adds several numbers at once; NaN and infinity stay exact.
     allocates
@@ -104,7 +110,7 @@ def kernel(
         of their time.
     """
     if function is None:
-        return lambda found: kernel(found, reorder=reorder, allocates=allocates)
+        return lambda found: kernel(found, entry=entry, reorder=reorder, allocates=allocates)
     import numba
 
     config: Any = numba.config  # type: ignore[attr-defined]
@@ -115,6 +121,7 @@ def kernel(
     try:
         fastmath = {"reassoc", "contract", "nsz"} if reorder else False
         options: dict[str, Any] = {"error_model": "numpy", "fastmath": fastmath, "_nrt": allocates}
+        options |= {"no_cpython_wrapper": not entry, "no_cfunc_wrapper": True}
         return numba.njit(function, cache=_writable(config.CACHE_DIR), **options)
     finally:
         config.CACHE_DIR = before

@@ -257,7 +257,7 @@ def _nonzero(x, n, on):
     return n_on
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _predict_rows(widths, activation, weights, xi, u, slopes):
     room = nodes(widths, weights)
     for n in range(len(xi)):

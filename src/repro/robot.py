@@ -632,7 +632,7 @@ def arc_functions(z):
     return s, c, (1.0 - s) / z, (s - 2.0 * c) / (2.0 * z)
 
 
-@kernel
+@kernel(entry=True)
 def turn(x, y, z, T, J):
     """Write the rotation of a rotation vector and the left Jacobian of SO(3) there, whose columns are its twists."""
     s, c, d, _ = arc_functions(x * x + y * y + z * z)
@@ -780,7 +780,7 @@ def frames(chain, q, slopes, R, p, X, T, W, J):
                 X[f, c, 5] -= X[f, c, 0] * y - X[f, c, 1] * x
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _all_frames(chain, q, R, p, X):
     """Frames of a batch, and their twists by all coordinates."""
     T, W, J, own = np.zeros((3, 4)), np.zeros((6, 6)), np.zeros((3, 3)), np.zeros((len(chain.v), 6, 6))
@@ -795,7 +795,7 @@ def _all_frames(chain, q, R, p, X):
                         X[n, f, c, i] = own[at, c - chain.first[g], i]
 
 
-@kernel
+@kernel(entry=True)
 def wrap(chain, q):
     """Bring azimuths into (-pi, pi] and rotation vectors to at most half a turn, in place."""
     for n in range(len(q)):

@@ -276,7 +276,7 @@ def pull_back(t, j, factor, room, J):
                 J[j, first[g] + c] += factor * total
 
 
-@kernel
+@kernel(entry=True)
 def rotation_vector(R, out):
     """Write the rotation vector of a rotation matrix, by its quaternion: accurate up to half a turn."""
     w = 1.0 + R[0, 0] + R[1, 1] + R[2, 2]
@@ -363,7 +363,7 @@ def difference(n_s, u, u_hat, r, A, B, W):
         rotation_vector(W, r[row : row + 3])
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _batch(ints, floats, weights, q, task, u, J, extra):
     """Evaluate a batch: one kernel for all tasks, because compiling it takes seconds.
 
@@ -379,20 +379,24 @@ def _batch(ints, floats, weights, q, task, u, J, extra):
         for j in range(len(t.row_frame)):
             relate(t, j, room)
             if task == _RELATIONS:
-                extra[n, j] = room.xi
+                for i in range(len(room.xi)):
+                    extra[n, j, i] = room.xi[i]
             elif task == _WRENCHES:
                 u[n, j] = _multipoles(t, room.xi, room.gradient)
                 wrenches(t, room)
-                extra[n, j] = room.wrenches.ravel()
+                for k in range(len(room.wrenches)):
+                    for i in range(6):
+                        extra[n, j, 6 * k + i] = room.wrenches[k, i]
             else:
-                room.gradient[:] = extra[n, j]
+                for i in range(len(room.gradient)):
+                    room.gradient[i] = extra[n, j, i]
                 wrenches(t, room)
                 pull_back(t, j, t.gain[j], room, J[n])
         if task == _CHAIN_RULE:
             _orientations(t, True, u[n], J[n], room)
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _batch_difference(n_s, u, u_hat, r):
     A, B, W = np.zeros((3, 4)), np.zeros((3, 3)), np.zeros((6, 6))
     for n in range(len(u)):
@@ -400,6 +404,8 @@ def _batch_difference(n_s, u, u_hat, r):
 
 
 _UNUSED = (np.empty((0, 0)), np.empty((1, 0, 0)))
+_NO_WEIGHTS = np.zeros((0, 0), dtype=np.float32)
+"""Of the type of the paper's networks, so that one compilation serves them and multipoles."""
 _FieldModel = Network | Sequence[Network] | Callable[[Array], Any] | None
 
 
@@ -508,7 +514,7 @@ class Sensing:
             network=self._network_of_reading(len(networks))
             if with_networks
             else np.zeros(len(rows), dtype=np.int64),
-            weights=np.stack([net.weights for net in networks]) if with_networks else np.zeros((0, 0)),
+            weights=np.stack([net.weights for net in networks]) if with_networks else _NO_WEIGHTS,
         )
         self.packed = pack(self.tables)
         self.compiled = kind != _OTHER
@@ -748,7 +754,7 @@ class BendSensor:
         return self.length * np.concatenate([q * half**2 / 2, np.sinc(angle / math.pi)], axis=-1)
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _bend_field(q, length, scale, out):
     r"""Write the flux density for flat bend vectors; lengths are in half edges, ``scale`` is J/(4 pi).
 

@@ -28,13 +28,12 @@ from repro import (
     exact_arcs,
     pcc_extended,
     rigid_body,
-    tangent_spline,
     track,
 )
 from repro.estimators.imu import link_orientations
 from repro.robot import point_on, rotation_matrix
 
-BETWEEN = (pcc_extended, exact_arcs, tangent_spline)
+BETWEEN = (pcc_extended, exact_arcs)
 FIRST_EDITION = {model: getattr(imu_models, model.__name__) for model in BETWEEN}
 FIRST_EDITION[rigid_body] = imu_models.rigid_links
 UNEVEN = Arm([0, 1, 3, 4], [0.0, 0.08, 0.24, 0.32], [0.08, 0.16, 0.08], sub_segments=3)
@@ -139,20 +138,6 @@ def test_turned_worlds_signs_and_batches(model, seed, base):
     turned *= np.random.default_rng(seed).choice([-1.0, 1.0], (2, 3, 4, 1))
     found = model(turned.tolist(), arm, POINTS)
     np.testing.assert_allclose(found, rotated(turn, shape).reshape(2, 3, 8, 3), atol=1e-13)
-
-
-def test_spline_meets_tangents_and_ignores_twist():
-    """Between opposite neighbours there is no tangent."""
-    q = bent(3, 5, 4)
-    slope = np.diff(tangent_spline(q, UNEVEN, [0.08 - 1e-6, 0.08 + 1e-6]), axis=1)[:, 0] / 2e-6
-    np.testing.assert_allclose(slope, rotation_matrix(q[:, 1])[..., 2], atol=1e-9)
-    twist = Rotation.from_rotvec(np.outer(np.arange(20.0), [0, 0, 1]))
-    twisted = (Rotation.from_quat(q.reshape(-1, 4)) * twist).as_quat().reshape(q.shape)
-    np.testing.assert_allclose(
-        tangent_spline(twisted, UNEVEN, POINTS), tangent_spline(q, UNEVEN, POINTS), atol=1e-14
-    )
-    with pytest.raises(InputError, match="such that neighbours do not point in opposite directions"):
-        tangent_spline([[0, 0, 0, 1], [1, 0, 0, 0]], Arm([0, 1], [0, 0.1], [0.1], sub_segments=1), 0.1)
 
 
 def test_orientations_of_an_arm():
@@ -277,7 +262,7 @@ def test_known_parameters_and_the_first_edition():
 METHOD = ImuShape(exact_arcs, EIGHT, [0.36, 0.6], noise=0.02)
 
 
-@pytest.mark.parametrize("model", [pcc_extended, tangent_spline])
+@pytest.mark.parametrize("model", [pcc_extended, exact_arcs])
 @settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.sets(st.integers(0, 8), max_size=8), st.booleans())
 def test_estimator_of_the_first_edition(model, seed, lost, first_known):

@@ -120,16 +120,6 @@ def test_on_a_linear_model_the_smoother_is_the_posterior_of_everything():
         )
 
 
-@pytest.mark.parametrize("lag", [0.0, 0.3])
-def test_with_a_lag_it_is_what_is_known_after_waiting(lag):
-    method, u, times = linear_case()
-    found = smooth(method, u, [0.0, 0.0], times=times, lag_s=lag)
-    for k in (0, 7, 20):
-        last = np.searchsorted(times, times[k] + lag, side="right")
-        alone = smooth(method, u[:last], [0.0, 0.0], times=times[:last])
-        np.testing.assert_allclose(found.q[k], alone.q[k], rtol=0, atol=1e-12)
-
-
 def test_with_a_flat_prior_it_is_least_squares():
     _, u, _ = linear_case()
     flat = KalmanFilter(linear, [-1e7] * 2, [1e7] * 2, NOISE, DENSITY, SPEED, tolerance=1e-12)

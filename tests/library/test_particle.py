@@ -153,23 +153,6 @@ def test_surprise_is_standard_normal_while_the_filter_follows():
     assert abs(found.std() - 1) < 0.15
 
 
-def test_gauss_newton_takes_the_least_squares_step():
-    A, noise = np.array([[1.0, 0.3], [0.2, -1.0], [0.5, 0.5]]), np.array([0.1, 0.2, 0.3])
-    method = ParticleFilter(lambda q: q @ A.T, [0.1, 0.1], noise, particles=50, estimate="Gauss-Newton")
-    u = np.array([0.3, -0.1, 0.2])
-    _, found = method.step(method.init([0.0, 0.0]), u)
-    B = A / noise[:, None]
-    np.testing.assert_allclose(found.q, np.linalg.lstsq(B, u / noise)[0], rtol=1e-6)
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(B.T @ B), rtol=1e-5)
-    np.testing.assert_allclose(found.chi2, (((u - A @ found.q) / noise) ** 2).sum())
-    # Only the sum is measured, so the difference keeps its place, with a large variance.
-    blind = ParticleFilter(lambda q: q.sum(-1, keepdims=True), [0.1, 0.1], 0.1, estimate="Gauss-Newton")
-    _, found = blind.step(blind.init([0.0, 0.0]), [0.2])
-    assert abs(found.q.sum() - 0.2) < 1e-6
-    assert abs(found.q[0] - found.q[1]) < 0.02
-    assert found.covariance[0, 0] > 100
-
-
 def test_constant_velocity_follows_a_ramp_without_lag():
     q = np.linspace(0, 3, 60)[:, None]
     lag = {}
@@ -229,7 +212,7 @@ WRONG = [
     ({"particles": 0.5}, "particles of ParticleFilter must be a positive whole number"),
     (
         {"estimate": "mean"},
-        "estimate of ParticleFilter must be one of 'best tenth', 'weighted', 'Gauss-Newton'",
+        "estimate of ParticleFilter must be one of 'best tenth', 'weighted'",
     ),
     ({"estimate": "best tenth", "process_noise": [1.0]}, "instead received 'best tenth' for 1 coordinates"),
     ({"sensing": 1}, "sensing of ParticleFilter must be a callable"),

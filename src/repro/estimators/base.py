@@ -270,6 +270,17 @@ def known_coordinates(known: Any, n_q: int, owner: str) -> Array | None:
     return values
 
 
+def conditioned(x: Array, C: Array, known: Array) -> tuple[Array, Array]:
+    """Return mean and covariance, given the coordinates that are known."""
+    given = ~np.isnan(known)
+    rows, columns = given[..., :, None], given[..., None, :]
+    inverse = np.linalg.pinv(np.where(rows & columns, C, 0.0), rcond=1e-12, hermitian=True)
+    gain = np.where(columns, C, 0.0) @ inverse
+    off = np.where(given, known - x, 0.0)
+    moved = x + (gain @ off[..., None])[..., 0]
+    return np.where(given, known, moved), np.where(~rows & ~columns, C - gain @ C, 0.0)
+
+
 class CallableModel:
     """Any callable as a sensor model: how it takes batches and where its slopes come from is found out once."""
 

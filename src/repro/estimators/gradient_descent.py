@@ -151,7 +151,7 @@ class GradientDescent:
                 )
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _descend(ints, floats, weights, u, moves, momentum, iterations, q, b, u_hat, status):
     """Descend for every member of a batch."""
     t = unpack(ints, floats, weights)
@@ -166,7 +166,7 @@ def _descend(ints, floats, weights, u, moves, momentum, iterations, q, b, u_hat,
             _judge(hat, r, J, moves[k], momentum, iteration, last, x, q[k], b[k], u_hat[k], status[k])
 
 
-@kernel
+@kernel(entry=True)
 def _judge(hat, r, J, moves, momentum, iteration, last, x, q, b, u_hat, status):
     """Keep the trial ``x`` if its loss is the smallest so far, and move on unless it is the last."""
     used, loss = 0, 0.0

@@ -24,13 +24,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from repro.common import Array, numbers, require
-from repro.estimators.base import Estimate, incoming, known_coordinates, start
+from repro.estimators.base import Estimate, conditioned, incoming, known_coordinates, start
 from repro.robot import unit_quaternions
 
 
@@ -254,61 +253,6 @@ def exact_arcs(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
     """
     q, points = _checked(orientations, arm, arc_lengths, "exact_arcs")
     return _chain(q, arm, points, None)
-
-
-def tangent_spline(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
-    r"""Return positions along a smooth curve whose tangent is a cubic spline through those at the IMUs.
-
-    The spline has "not-a-knot" ends; we scale it to unit length and integrate it, :math:`x(s) = \int_0^s
-    d/|d|`, with four Gauss-Legendre nodes per piece. Twist about the arm has no effect, nor has the number of
-    sub-segments. On smooth shapes its error is less than half the error of the paper's models.
-
-    Parameters
-    ----------
-    orientations, arm, arc_lengths
-        As in :func:`pcc_extended`.
-
-    Raises
-    ------
-    InputError
-        As in :func:`rigid_body`, and if neighbours point in opposite directions.
-
-    Examples
-    --------
-    >>> from repro import Arm, tangent_spline
-    >>> arm = Arm([0, 4, 8], [0.0, 0.32, 0.64], [0.32, 0.32], sub_segments=1)
-    >>> tangent_spline(np.tile([0, 0, 0, 1], (3, 1)), arm, 0.6).round(3)
-    array([[0. , 0. , 0.6]])
-    """
-    q, points = _checked(orientations, arm, arc_lengths, "tangent_spline")
-    d = _tangents(q)
-    basis, weights = _spline(arm.link_lengths, tuple(points.tolist()))
-    nodes, between = d @ basis, d[..., :-1] + d[..., 1:]
-    squares = np.einsum("i...,i...->...", nodes, nodes)
-    shortest = min(squares.min(initial=1.0), np.einsum("i...,i...->...", between, between).min(initial=1.0))
-    require(
-        shortest > 1e-12,
-        "orientations",
-        "tangent_spline",
-        "such that neighbours do not point in opposite directions",
-        "some that do",
-    )
-    nodes /= np.sqrt(squares)
-    return np.moveaxis(nodes @ weights, 0, -1) + np.array(arm.origin)
-
-
-@lru_cache(maxsize=64)
-def _spline(lengths: Sequence[float], points: Sequence[float]) -> tuple[Array, Array]:
-    """Return what every IMU adds to the tangent at every node, and what every node adds to every point."""
-    from scipy.interpolate import CubicSpline
-
-    knots, s = np.append(0.0, np.cumsum(lengths)), np.array(points)
-    pieces = np.unique(np.concatenate([knots[knots <= max(points)], s]))
-    at, weights = np.polynomial.legendre.leggauss(4)
-    widths = np.diff(pieces)[:, None]
-    nodes, weights = (pieces[:-1, None] + widths * (at + 1) / 2).ravel(), (widths * weights / 2).ravel()
-    basis = CubicSpline(knots, np.eye(len(knots)), bc_type="not-a-knot")(nodes)
-    return basis.T, (nodes[:, None] < s) * weights[:, None]
 
 
 def _checked(
@@ -629,8 +573,7 @@ class ImuShape:
     Parameters
     ----------
     model
-        :func:`rigid_body`, :func:`pcc_extended`, :func:`exact_arcs`, :func:`tangent_spline` or one of your
-        own.
+        :func:`rigid_body`, :func:`pcc_extended`, :func:`exact_arcs` or one of your own.
     arm
         The IMUs that the readings come from, and the links.
     arc_lengths
@@ -736,7 +679,7 @@ class ImuShape:
         J = np.moveaxis(slopes, (0, 1), (-1, -2))  # [..., n_q, axis, IMU]
         C = np.einsum("...xai,...yai->...xy", J @ turns[..., None, :, :], J)
         if known is not None:
-            q, C = _conditioned(q, C, known)
+            q, C = conditioned(q, C, known)
         left_out = 4 * missing.sum(axis=-1)
         u_hat = used.reshape(*used.shape[:-2], 4 * imus)
         # The models follow every orientation, so that no residual is left.
@@ -774,14 +717,3 @@ def _random_walk(before: Array, after: Array, s: Array) -> Array:
     both = np.minimum(np.abs(off[..., :, None]), np.abs(off[..., None, :]))
     beyond = both * (off[..., :, None] * off[..., None, :] > 0)  # on one side of the last IMU
     return same * np.where(last > first, inside, beyond)
-
-
-def _conditioned(q: Array, C: Array, known: Array) -> tuple[Array, Array]:
-    """Return mean and covariance, given the coordinates that are known."""
-    given = ~np.isnan(known)
-    rows, columns = given[..., :, None], given[..., None, :]
-    inverse = np.linalg.pinv(np.where(rows & columns, C, 0.0), rcond=1e-12, hermitian=True)
-    gain = np.where(columns, C, 0.0) @ inverse
-    off = np.where(given, known - q, 0.0)
-    moved = q + (gain @ off[..., None])[..., 0]
-    return np.where(given, known, moved), np.where(~rows & ~columns, C - gain @ C, 0.0)

@@ -21,22 +21,57 @@ import numpy as np
 from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import Estimate, Trajectory, incoming, known_coordinates, run, start
 from repro.estimators.drift import Drifting, DriftModel
-from repro.estimators.least_squares import LevenbergMarquardt, cholesky, solve
+from repro.estimators.least_squares import BOUND, CHI2, TURN, LevenbergMarquardt, cholesky, solve
 
 
 class KalmanState(NamedTuple):
-    """Mean and covariance of (configuration, velocity), and the time [s] they belong to; ``None`` before a step.
+    """What a Kalman or rod filter knows at a time.
 
-    Errors of sensors that wander stand behind the configuration, without a velocity.
+    Parameters
+    ----------
+    q
+        Configuration, then errors of sensors, which have no velocity ``[..., n_q + k]``.
+    velocity
+        Velocities of the configuration ``[..., n_q]`` [unit/s].
+    covariance
+        Covariance of both, ``q`` first ``[..., 2 n_q + k, 2 n_q + k]``.
+    t
+        Their time [s]; ``None`` before the first step.
     """
 
     q: Array
     velocity: Array
     covariance: Array
-    t: float | None
+    t: float | None = None
 
 
-class KalmanFilter:
+class MotionModel:
+    """What filters with a motion model share: ``motion(tau)`` gives the transition and the noise that it adds."""
+
+    needs_time = True
+
+    def motion(self, tau: float) -> tuple[Array, Array]:
+        """Return the transition of ``(q, velocity)`` over a time [s], and the covariance that noise adds."""
+        raise NotImplementedError
+
+    def predicted(self, state: KalmanState, t: float) -> KalmanState:
+        """Return the state carried to a time ``t`` [s] without a reading.
+
+        Raises
+        ------
+        InputError
+            If ``t`` is before the time of the state.
+        """
+        if state.t is None:
+            return state._replace(t=t)
+        require(t >= state.t, "t", type(self).__name__, f"not before the last step, {state.t} s", t)
+        F, Q = self.motion(t - state.t)
+        x, n = np.concatenate([state.q, state.velocity], axis=-1) @ F.T, state.q.shape[-1]
+        P = F @ state.covariance @ F.T + Q
+        return KalmanState(x[..., :n], x[..., n:], 0.5 * (P + np.swapaxes(P, -1, -2)), t)
+
+
+class KalmanFilter(MotionModel):
     r"""Estimator that weighs the readings against a prediction at constant velocity.
 
     The readings' errors are taken for white noise. Errors that last are states of their own: give a
@@ -75,8 +110,6 @@ class KalmanFilter:
     >>> estimate.q.round(6), estimate.covariance.round(6)
     (array([0.5]), array([[0.5]]))
     """
-
-    needs_time = True
 
     def __init__(
         self,
@@ -144,22 +177,6 @@ class KalmanFilter:
         Q[e, e] = self.drift_walk**2 * grown
         return F, Q
 
-    def predicted(self, state: KalmanState, t: float) -> KalmanState:
-        """Return the state carried to a time ``t`` [s] without a reading.
-
-        Raises
-        ------
-        InputError
-            If ``t`` is before the time of the state.
-        """
-        if state.t is None:
-            return state._replace(t=t)
-        require(t >= state.t, "t", "KalmanFilter", f"not before the last step, {state.t} s", t)
-        F, Q = self.motion(t - state.t)
-        x = np.concatenate([state.q, state.velocity], axis=-1) @ F.T
-        n = state.q.shape[-1]
-        return KalmanState(x[..., :n], x[..., n:], F @ state.covariance @ F.T + Q, t)
-
     def wrapped(self, q: Array) -> Array:
         """Return the same shapes with angles within half a turn; ``q`` is overwritten."""
         model = self._update.model
@@ -205,18 +222,18 @@ class KalmanFilter:
         after = KalmanState(q, velocity, P.reshape(*batch, m, m), t)
         k = self.n_q
         shown = fit.model.wrapped(q.copy())[..., :k] if fit.model.angles.any() else q[..., :k]
-        bound = (q <= fit._low) | (q >= fit._high)
-        details = {"iterations": status[:, 2].reshape(batch), "at_bound": bound.any(-1)}
+        at_bound = status[:, BOUND].reshape(batch) > 0
+        details = {"iterations": status[:, TURN].reshape(batch), "at_bound": at_bound}
         if len(self.drift_std):
             details["drift"] = q[..., k:]
             details["drift_std"] = np.sqrt(np.diagonal(C, axis1=-2, axis2=-1)[..., k:])
-        free = n - bound.sum(-1) if given is None else n - (bound | ~np.isnan(values)).sum(-1)
-        dof = np.maximum(n_used + n - free - (0 if given is None else (~np.isnan(values)).sum(-1)), 0)
-        chi2 = status[:, 1].reshape(batch)[()]
+        # The prior adds a residual for every coordinate, and the fit uses up one for each that is free.
+        dof = n_used + status[:, BOUND].astype(np.int64).reshape(batch)[()]
+        chi2 = status[:, CHI2].reshape(batch)[()]
         return after, Estimate(shown, C[..., :k, :k], u_hat, chi2, dof, u.shape[-1] - n_used, details)
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _prior_information(P, information):
     """Write the inverse of the covariance of the configuration; rows of what is certain are zero."""
     n = information.shape[1]
@@ -241,7 +258,7 @@ def _prior_information(P, information):
                 )
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _update(x, P, q, C, information):
     """Move mean and covariance to the posterior ``q``, ``C``: what is no configuration follows by regression."""
     n, m = q.shape[1], x.shape[1]
@@ -274,7 +291,7 @@ def _update(x, P, q, C, information):
                 P[k, a, b] = 0.5 * (C[k, a, b] + C[k, b, a])
 
 
-def smoothed(method: Any, states: Sequence[Any], lag_s: float = math.inf) -> list[Any]:
+def smoothed(method: Any, states: Sequence[Any]) -> list[Any]:
     r"""Return what later readings say about earlier states: Rauch, Tung and Striebel.
 
     With the state :math:`x_k, P_k` after its own readings, the transition :math:`F` to the next one and
@@ -291,37 +308,26 @@ def smoothed(method: Any, states: Sequence[Any], lag_s: float = math.inf) -> lis
         A Kalman or rod filter: it has ``motion(tau)``.
     states
         After a step, or ``predicted``, in the order of time.
-    lag_s
-        How far ahead readings count [s]: those that somebody knows who waits so long.
 
     Raises
     ------
     InputError
-        If there is no state, one has no time, they are not in order, or the lag is negative.
+        If there is no state, one has no time, or they are not in order.
     """
     if not states or any(state.t is None for state in states):
         raise bad_input("states", "smoothed", "at least one, each after a step", f"{len(states)} states")
-    require(lag_s >= 0, "lag_s", "smoothed", "not negative [s]", lag_s)
     t = np.array([state.t for state in states])
     require((np.diff(t) >= 0).all(), "states", "smoothed", "in the order of time", "others")
     x = np.stack([np.concatenate([state.q, state.velocity], axis=-1) for state in states])
     P, n = np.stack([state.covariance for state in states]), states[0].q.shape[-1]
-    links: list[Any] = [_link(method.motion(t[k + 1] - t[k]), x[k], P[k]) for k in range(len(t) - 1)]
-    if math.isinf(lag_s):
-        for k in reversed(range(len(links))):
-            x[k], P[k] = _given_next(links[k], x[k], P[k], x[k + 1], P[k + 1])
-        pairs = list(zip(x, P, strict=True))
-    else:
-        pairs = []
-        for k in range(len(t)):
-            last = int(np.searchsorted(t, t[k] + lag_s, side="right")) - 1
-            pair: Any = (x[last], P[last])
-            for j in reversed(range(k, last)):
-                pair = _given_next(links[j], x[j], P[j], pair[0], pair[1])
-            pairs.append(pair)
+    for k in reversed(range(len(t) - 1)):
+        gain, mean, before = _link(method.motion(t[k + 1] - t[k]), x[k], P[k])
+        x[k] += (gain @ (x[k + 1] - mean)[..., None])[..., 0]
+        P[k] += gain @ (P[k + 1] - before) @ np.swapaxes(gain, -1, -2)
+        P[k] = 0.5 * (P[k] + np.swapaxes(P[k], -1, -2))
     return [
         state._replace(q=y[..., :n], velocity=y[..., n:], covariance=C)
-        for state, (y, C) in zip(states, pairs, strict=True)
+        for state, y, C in zip(states, x, P, strict=True)
     ]
 
 
@@ -340,13 +346,6 @@ def _link(motion: tuple[Array, Array], x: Array, P: Array) -> tuple[Array, Array
     return np.swapaxes(gain, -1, -2), x @ F.T, before
 
 
-def _given_next(link: Any, x: Array, P: Array, x_next: Array, P_next: Array) -> tuple[Array, Array]:
-    gain, mean, before = link
-    x = x + (gain @ (x_next - mean)[..., None])[..., 0]
-    P = P + gain @ (P_next - before) @ np.swapaxes(gain, -1, -2)
-    return x, 0.5 * (P + np.swapaxes(P, -1, -2))
-
-
 def smooth(
     method: Any,
     readings: Any,
@@ -354,7 +353,6 @@ def smooth(
     *,
     times: Any = None,
     rate_hz: float | None = None,
-    lag_s: float = math.inf,
     mask: Any = None,
     known: Any = None,
     progress: str | None = None,
@@ -370,8 +368,6 @@ def smooth(
         A Kalman or rod filter.
     readings, q0, times, rate_hz, mask, known, progress, monitor
         As for :func:`repro.track`.
-    lag_s
-        How far ahead readings count [s]; all of them if infinite.
 
     Raises
     ------
@@ -392,7 +388,7 @@ def smooth(
         method, readings, q0, times=times, rate_hz=rate_hz, seed=0, mask=mask, known=known, progress=progress,
         monitor=monitor, owner="smooth",
     )  # fmt: skip
-    back, n = smoothed(method, states, lag_s), found.q.shape[-1]
+    back, n = smoothed(method, states), found.q.shape[-1]
     q = np.stack([state.q[..., :n] for state in back])
     wrapped = getattr(method, "wrapped", None)
     P = np.stack([state.covariance[..., :n, :n] for state in back])

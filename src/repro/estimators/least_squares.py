@@ -18,7 +18,7 @@ from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import Estimate, incoming, known_coordinates, model_of, start
 from repro.sensing import difference, evaluate, room_for, unpack
 
-_DAMPING, _COST, _TURN, _DONE, _CHI2, _DETERMINED, _USED, _FREE, _BOUND = range(9)
+_DAMPING, _COST, TURN, _DONE, CHI2, _DETERMINED, _USED, _FREE, BOUND = range(9)
 _EPS, _TINY = 2.0**-52, 2.0**-1022
 _WELL_DETERMINED = 1e-6
 """Smallest pivot of the scaled information for which its inverse is taken directly."""
@@ -127,9 +127,9 @@ class LevenbergMarquardt:
         q = self._searched(u, known) if state.q is None else state.q
         q, u_hat, C, status, n_used = self.fit(q, u, known)
         batch = q.shape[:-1]
-        at_bound = status[:, _BOUND].reshape(batch) > 0
-        details = {"iterations": status[:, _TURN].reshape(batch), "at_bound": at_bound}
-        chi2 = status[:, _CHI2].reshape(batch)[()]
+        at_bound = status[:, BOUND].reshape(batch) > 0
+        details = {"iterations": status[:, TURN].reshape(batch), "at_bound": at_bound}
+        chi2 = status[:, CHI2].reshape(batch)[()]
         dof = np.maximum(n_used - status[:, _FREE].astype(np.int64).reshape(batch)[()], 0)
         return LeastSquaresState(q), Estimate(q, C, u_hat, chi2, dof, u.shape[-1] - n_used, details)
 
@@ -194,7 +194,7 @@ class LevenbergMarquardt:
     ) -> bool:
         u_hat, C, status = out
         n, count = self.n_q, len(q)
-        status[:], status[:, _COST], status[:, _TURN] = 0.0, np.inf, -1.0
+        status[:], status[:, _COST], status[:, TURN] = 0.0, np.inf, -1.0
         x, g, A = q.copy(), np.zeros((count, n)), np.zeros((count, n, n))
         todo = np.arange(count)
         while len(todo):
@@ -238,7 +238,7 @@ def bounded_inverse(A: Array, held: Array) -> Array:
     return np.where(np.outer(free, free), C, 0.0)
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _fit(ints, floats, weights, settings, u, mean, information, held, q, u_hat, C, status):
     """Fit every member of a batch."""
     t = unpack(ints, floats, weights)
@@ -247,11 +247,12 @@ def _fit(ints, floats, weights, settings, u, mean, information, held, q, u_hat, 
     hat, r, J = np.zeros(s), np.zeros(s), np.zeros((s, n))
     delta, L, good = np.zeros(n), np.zeros((n, n)), True
     for k in range(len(q)):
-        status[k, :], status[k, _COST], status[k, _TURN] = 0.0, math.inf, -1.0
-        x[:] = q[k]
+        status[k, :], status[k, _COST], status[k, TURN] = 0.0, math.inf, -1.0
+        for a in range(n):
+            x[a] = q[k, a]
         p, h = k if len(mean) else 0, k if len(held) else 0
         while status[k, _DONE] == 0.0:
-            evaluate(t, x, True, hat, J, room)
+            evaluate(t, x, n > 0, hat, J, room)
             difference(len(t.row_frame), u[k], hat, r, room.T, room.L, room.W)
             advance(
                 hat, r, J, settings, mean[p : p + 1], information[p : p + 1], held[h : h + 1], x, q[k], u_hat[k],
@@ -262,7 +263,7 @@ def _fit(ints, floats, weights, settings, u, mean, information, held, q, u_hat, 
     return good
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _advance_all(todo, hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, status):
     n = x.shape[1]
     delta, L = np.zeros(n), np.zeros((n, n))
@@ -275,7 +276,7 @@ def _advance_all(todo, hat, r, J, settings, mean, information, held, x, q, u_hat
         )  # fmt: skip
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _finish_all(settings, A, q, held, status, C):
     L, good = np.zeros(A.shape[1:]), True
     for k in range(len(A)):
@@ -289,14 +290,14 @@ def _finish_all(settings, A, q, held, status, C):
 def _finish(settings, A, q, held, L, status, C):
     """Write the covariance, and how many coordinates a bound stopped and how many were free."""
     n = len(q)
-    status[_FREE] = status[_BOUND] = 0.0
+    status[_FREE] = status[BOUND] = 0.0
     for a in range(n):
         stays = False
         for h in range(len(held)):
             stays = stays or held[h, a]
         bound = q[a] <= settings[a] or q[a] >= settings[n + a]
         if bound and not stays:
-            status[_BOUND] += 1.0
+            status[BOUND] += 1.0
         elif not stays:
             status[_FREE] += 1.0
     status[_DETERMINED] = invert(A, held, L, C) if status[_COST] < math.inf else 0.0
@@ -324,10 +325,10 @@ def advance(hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, sta
         for a in range(n):
             for b in range(n):
                 cost += (x[a] - mean[p, a]) * information[p, a, b] * (x[b] - mean[p, b])
-    first = status[_TURN] < 0.0
+    first = status[TURN] < 0.0
     # Near the minimum rounding hides which is better: a step that is no worse than that is taken.
     better = cost < status[_COST] * (1.0 + 8.0 * _EPS)
-    status[_TURN] += 1.0
+    status[TURN] += 1.0
     status[_USED] = used
     if first:
         status[_DAMPING] = 1e-3
@@ -336,7 +337,7 @@ def advance(hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, sta
             max(status[_DAMPING] / 10.0 if better else status[_DAMPING] * 10.0, 1e-12), 1e12
         )
     if better:
-        status[_COST], status[_CHI2] = cost, cost
+        status[_COST], status[CHI2] = cost, cost
         _normal_equations(hat, r, J, weight, x, q, u_hat, A, g)
         for p in range(len(mean)):
             for a in range(n):
@@ -344,7 +345,7 @@ def advance(hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, sta
                     g[a] -= information[p, a, b] * (x[b] - mean[p, b])
                     if b <= a:
                         A[a, b] += information[p, a, b]
-    if status[_TURN] >= iterations or status[_COST] == math.inf:
+    if status[TURN] >= iterations or status[_COST] == math.inf:
         status[_DONE] = 1.0
         return
     _damped_step(A, g, status[_DAMPING], low, high, q, held, L, delta)

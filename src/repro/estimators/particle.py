@@ -134,7 +134,7 @@ class ParticleFilter:
     estimate
         ``"best tenth"``: mean bend angle and circular mean of the bend direction of the 10 % of particles with the
         largest weights, eqs (3) and (4); for bend vectors only. ``"weighted"``: mean of all particles by their
-        weights. ``"Gauss-Newton"``: this mean, then one least-squares step on the readings.
+        weights.
     resampling
         ``"multinomial"`` as in the paper: independent draws. ``"systematic"``: one comb of equal spacing, which adds
         less noise.
@@ -178,7 +178,7 @@ class ParticleFilter:
         whole = isinstance(particles, int | np.integer) and particles > 0
         require(whole, "particles", owner, "a positive whole number", particles)
         choices = {
-            "estimate": ("best tenth", "weighted", "Gauss-Newton"),
+            "estimate": ("best tenth", "weighted"),
             "resampling": ("multinomial", "systematic"),
             "motion": ("random walk", "constant velocity"),
         }
@@ -187,7 +187,7 @@ class ParticleFilter:
             require(getattr(self, name) in known, name, owner, expected, repr(getattr(self, name)))
         self.n_q = self.process_noise.shape[-1]
         if estimate == "best tenth" and self.n_q != 2:
-            expected = "'weighted' or 'Gauss-Newton' for a configuration that is no bend vector"
+            expected = "'weighted' for a configuration that is no bend vector"
             raise bad_input("estimate", owner, expected, f"'best tenth' for {self.n_q} coordinates")
 
     def init(self, q0: Any = None, seed: int = 0) -> ParticleState:
@@ -230,8 +230,7 @@ class ParticleFilter:
         The ``details`` are ``effective_sample_size``, the number of particles of equal weight that are worth as much;
         and ``surprise``, by how many standard deviations the readings are too unlikely for the cloud before it is
         weighed: about N(0, 1) while the filter follows, NaN without readings, far above 6 once it has lost the robot.
-        The covariance is that of the weighted particles; for ``"Gauss-Newton"`` it is that of
-        least squares.
+        The covariance is that of the weighted particles.
 
         Raises
         ------
@@ -282,18 +281,6 @@ class ParticleFilter:
         distance = (e * np.linalg.solve(S + np.eye(s), e[..., None])[..., 0]).sum(-1)
         surprise = ((distance / dof) ** (1 / 3) - 1 + 2 / (9 * dof)) / np.sqrt(2 / (9 * dof))
         best = held(_best_tenth(q, squares) if self.estimate == "best tenth" else mean[:, None])
-        if self.estimate == "Gauss-Newton":
-            h = np.finfo(float).eps ** (1 / 3) * np.eye(n_q)
-            e = error(predicted(np.concatenate([best, best + h, best - h], axis=1)))
-            J = np.where(free[..., None], e[:, 1 : n_q + 1] - e[:, n_q + 1 :], 0.0) / (2 * h[0, 0])
-            # A direction without information does not move, and gets a thousand times the process noise.
-            C = np.linalg.inv(J @ J.mT + 1e-6 * np.eye(n_q) / width[:, None] ** 2)
-            moved = best - e[:, :1] @ J.mT @ C
-            best = (
-                moved
-                if self.region is None
-                else np.where(self.region.contains(moved)[..., None], moved, best)
-            )
         C = np.where(free[:, None] & free[..., None], C, 0.0) if holds else C
         u_hat, n_used = predicted(best), used.sum(-1)
         estimate = Estimate(
@@ -372,7 +359,7 @@ def _best_tenth(q: Array, squares: Array) -> Array:
     return (angle.sum(1) / keep * direction).view(np.float64).reshape(m, 1, 2)
 
 
-@kernel(reorder=True, allocates=True)
+@kernel(entry=True, reorder=True, allocates=True)
 def _weighed(q, u_hat, u, noise):
     """Return what readings say about clouds; errors are in units of the noise.
 
@@ -421,7 +408,7 @@ def _dot(x, y):
     return total
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _drawn(w, points):
     """Return the particles, counted over all members, whose share of the weights holds each point."""
     (m, n), drawn = w.shape, np.empty(w.shape, dtype=np.int64)
@@ -435,7 +422,7 @@ def _drawn(w, points):
     return drawn
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _move(q, velocity, carry, drawn, width, noise, outside, following, moved):
     """Move the drawn particles that are outside once more."""
     for b in range(len(drawn)):

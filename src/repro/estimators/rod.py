@@ -13,14 +13,16 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import legval
 
 from repro.common import Array, kernel, numbers, require
-from repro.estimators.base import Estimate, incoming, known_coordinates, start
+from repro.estimators.base import Estimate, conditioned, incoming, known_coordinates, start
+from repro.estimators.kalman import KalmanState, MotionModel
 from repro.robot import arc_functions
+from repro.sensing import rotation_vector
 
 _KINDS = {"pose": 6, "orientation": 3, "gyroscope": 3, "model": None}
 """Kinds of sensors, and how many readings they have."""
@@ -255,28 +257,7 @@ def _positive(value: Any, name: str, owner: str, count: int, *, finite: bool = T
     return np.broadcast_to(found, (count,)).copy()
 
 
-class RodState(NamedTuple):
-    """What a :class:`RodFilter` knows at a time.
-
-    Parameters
-    ----------
-    q
-        Configuration, then the lasting errors of the sensors ``[..., n_q + k]``.
-    velocity
-        Velocities of the configuration ``[..., n_q]`` [1/s].
-    covariance
-        Covariance of both, ``q`` first ``[..., 2 n_q + k, 2 n_q + k]``.
-    t
-        Their time [s]; ``None`` before the first step.
-    """
-
-    q: Array
-    velocity: Array
-    covariance: Array
-    t: float | None = None
-
-
-class RodFilter:
+class RodFilter(MotionModel):
     r"""Iterated extended Kalman filter of a rod, from sensors that are read at any time.
 
     Every term :math:`q` of the strain, and of the twist of the base if that moves, is a process with
@@ -329,8 +310,6 @@ class RodFilter:
     (array([0.3, 0. ]), array([0.001, 0.001]))
     """
 
-    needs_time = True
-
     def __init__(
         self,
         rod: Rod,
@@ -379,12 +358,12 @@ class RodFilter:
             np.array([float(sensor.outliers) for sensor in self.sensors]),
         )
 
-    def init(self, q0: Any = None, seed: int = 0) -> RodState:
+    def init(self, q0: Any = None, seed: int = 0) -> KalmanState:
         """Return the state at ``q0``, or at a straight rod: at rest, without errors. Nothing is random."""
         q0 = np.zeros(self.n_q) if q0 is None else start(q0, self.n_q, "RodFilter")
         q = np.concatenate([q0, np.zeros((*q0.shape[:-1], len(self._lasting_std)))], axis=-1)
         P = np.diag(self._scale**2)
-        return RodState(q, np.zeros(q0.shape), np.broadcast_to(P, (*q0.shape[:-1], *P.shape)).copy())
+        return KalmanState(q, np.zeros(q0.shape), np.broadcast_to(P, (*q0.shape[:-1], *P.shape)).copy())
 
     def motion(self, tau: float) -> tuple[Array, Array]:
         """Return the transition of ``(q, velocity)`` over a time [s], and the covariance that noise adds.
@@ -403,26 +382,9 @@ class RodFilter:
         F[i, k], F[k, i] = faded * tau, -faded * x * self._rate
         return F, rest - F @ rest @ F.T
 
-    def predicted(self, state: RodState, t: float) -> RodState:
-        """Return the state carried to a time ``t`` [s] without a reading.
-
-        Raises
-        ------
-        InputError
-            If ``t`` is before the time of the state.
-        """
-        t = float(numbers(t, "t", "RodFilter", ()))
-        if state.t is None:
-            return state._replace(t=t)
-        require(t >= state.t, "t", "RodFilter", f"not before the last step, {state.t} s", t)
-        F, Q = self.motion(t - state.t)
-        x = np.concatenate([state.q, state.velocity], axis=-1) @ F.T
-        P = F @ state.covariance @ F.T + Q
-        return RodState(x[..., : -self.n_q], x[..., -self.n_q :], (P + np.swapaxes(P, -1, -2)) / 2, t)
-
     def step(
-        self, state: RodState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
-    ) -> tuple[RodState, Estimate]:
+        self, state: KalmanState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+    ) -> tuple[KalmanState, Estimate]:
         """Predict to the time ``t`` and take in ``u``; see :class:`repro.Estimator`.
 
         Raises
@@ -442,10 +404,11 @@ class RodFilter:
         for sensor, first, stop in zip(self.sensors, rows, rows[1:], strict=False):
             if sensor.kind in ("pose", "orientation"):
                 u[~np.isfinite(u[..., first:stop]).all(axis=-1), first:stop] = np.nan
+        if known is not None:
+            unknown = np.full((*batch, m), np.nan)
+            x, P = conditioned(x, P, np.concatenate([truth, unknown], axis=-1))
         use, u_hat, chi2 = np.isfinite(u), np.empty(u.shape), np.zeros(batch)
         for k in np.ndindex(batch):
-            if known is not None:
-                x[k], P[k] = _conditioned(x[k], P[k], truth[k])
             prior, before = x[k].copy(), P[k].copy()
             for _ in range(self.iterations if use[k].any() else 0):
                 last = x[k].copy()
@@ -457,7 +420,7 @@ class RodFilter:
             u_hat[k] = _compare(self._layout, n, x[k], u[k], *self._models(x[k]))[0]
         q, C, details = x[..., :n].copy(), P[..., :n, :n].copy(), {"lasting": x[..., n:m].copy()}
         estimate = Estimate(q, C, u_hat, chi2[()], use.sum(axis=-1), (~use).sum(axis=-1), details)
-        return RodState(x[..., :m], x[..., m:], P, state.t), estimate
+        return KalmanState(x[..., :m], x[..., m:], P, state.t), estimate
 
     def positions(self, q: Any, covariance: Any, arcs_m: Any) -> tuple[Array, Array]:
         """Return positions in the world of places along the rod, and their covariances, to first order.
@@ -504,21 +467,12 @@ class RodFilter:
         return value, slopes
 
 
-def _conditioned(x: Array, P: Array, known: Array) -> tuple[Array, Array]:
-    """Return mean and covariance given the coordinates that are known: not NaN."""
-    here = np.flatnonzero(~np.isnan(known))
-    gain = np.linalg.lstsq(P[np.ix_(here, here)], P[here], rcond=None)[0].T
-    x, P = x + gain @ (known[here] - x[here]), P - gain @ P[here]
-    x[here], P[here], P[:, here] = known[here], 0.0, 0.0
-    return x, P
-
-
 @kernel(allocates=True)
 def _cross(w):
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _exponential(x):
     """Return the pose of a twist, its adjoint, and the left Jacobian of SE(3).
 
@@ -539,23 +493,16 @@ def _exponential(x):
     return T, A, J
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _logarithm(T):
-    """Return the twist of a pose, by the quaternion of its rotation, which is exact at half a turn, too."""
-    trace, four = T[0, 0] + T[1, 1] + T[2, 2], np.empty((4, 4))
-    four[0, 0] = 1.0 + trace
-    four[0, 1:] = [T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]]
-    four[1:, 0] = four[0, 1:]
-    four[1:, 1:] = T[:3, :3] + T[:3, :3].T + (1.0 - trace) * np.eye(3)
-    q = four[np.argmax(np.diag(four))]  # the row of the largest number w, x, y or z, times four of it
-    sine = math.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    twist, angle = np.zeros(6), 2.0 * math.atan2(sine, abs(q[0]))
-    twist[3:] = q[1:] * (math.copysign(angle, q[0]) / max(sine, 1e-300))
+    """Return the twist of a pose."""
+    twist = np.zeros(6)
+    rotation_vector(T[:3, :3], twist[3:])
     twist[:3] = np.linalg.solve(_exponential(twist)[2][:3, :3], T[:3, 3].copy())
     return twist
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _along(basis, piece, q, arcs):
     """Return poses and body Jacobians of places; the twist of the base stands in front of the terms, or nothing.
 
@@ -585,7 +532,7 @@ def _along(basis, piece, q, arcs):
     return poses, jacobians
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _compare(layout, n, x, u, value, slopes):
     """Return the readings of a state, how ``u`` differs from them, and the slopes of this by the state.
 
@@ -622,7 +569,7 @@ def _compare(layout, n, x, u, value, slopes):
     return u_hat, r, H
 
 
-@kernel(allocates=True)
+@kernel(entry=True, allocates=True)
 def _improve(layout, n, x, prior, P, u, value, slopes):
     """Return mean and covariance given readings, linearised at ``x``, and the chi-square of their surprise."""
     rows, variance, outliers = layout[4], layout[6].copy(), layout[7]
