@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import cyclopts
+import numpy as np
 import torch
 
-# The rows are drawn with the first edition's random numbers, so that the committed networks stay valid.
-# repro_companion.papers.baaij takes its place when it draws the same rows.
-from edition1_companion.twins.networks import DATA_SEED, specs
+# The rig's rows are still the first edition's.
 from edition1_companion.twins.rig_networks import RECORDING_SEED, RigSpec, rig_specs
 from repro.common import Array
 from repro.training import save_network, train_paper
+from repro_companion.papers.baaij import DATA_SEED, trained_networks
 
 ROOT = Path(__file__).resolve().parents[1]
 SPLIT = (
@@ -45,14 +45,14 @@ def main(
         Folder of the state between runs.
     """
     torch.set_num_threads(1)  # several of these run side by side faster than one with several threads
-    wanted = [spec for spec in (*specs(), *rig_specs()) if spec.name.startswith(only)]
+    wanted = [spec for spec in (*trained_networks(), *rig_specs()) if spec.name.startswith(only)]
     missing = [spec for spec in wanted if not (folder / f"{spec.name}.safetensors").exists()]
     if not wanted:
         print(f"train.py: no network has a name that starts with {only!r}.", file=sys.stderr)
         return 2
     print(f"{len(wanted) - len(missing)} of {len(wanted)} networks are there.")
     for spec in missing:
-        xi, u = (rows.numpy() for rows in spec.rows())
+        xi, u = map(np.asarray, spec.rows())
         state = checkpoints / f"{spec.name}.state"
         network, errors, losses = train_paper(xi, u, spec.seed, spec.learning_rate, state, progress=spec.name)
         about = {

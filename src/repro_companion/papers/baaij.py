@@ -963,7 +963,7 @@ def _training_rows(
     arm: Robot, told: Robot, sensors: Sequence[Sensor], q: np.ndarray, turn: np.ndarray, tilt: np.ndarray,
     radial: np.ndarray, axis: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Return relations to the magnets of the robot that is told, and readings of the other; sensors differ by sample."""
+    """Return relations to the magnets of ``told``, and readings of ``arm``, whose sensors differ by sample."""
     parts = [*arm.magnets, *told.magnets, *(point_on(s.segment, s.at) for s in sensors)]
     places, n_m = [getattr(part, "place", part) for part in parts], len(arm.magnets)
     north = np.array([[1.0, 0.0, 0.0]]) if axis is None else axis
