@@ -80,16 +80,17 @@ VERDICTS = {
     "differs": "differs",
 }
 TABLE_1 = """<style>
-.table-1 { overflow-x: auto; margin: 0 0 0.4rem; }
-.table-1 table { border-collapse: collapse; width: 100%; margin: 0; font-size: 0.75rem; line-height: 1.3; }
-.table-1 table :is(th, td) { padding: 0.1rem 0.3rem; text-align: right; white-space: nowrap; border: 0;
+.table-1 { overflow-x: auto; margin: 0 0 0.4rem; --grey: #666d78; }
+html[data-theme="dark"] .table-1 { --grey: #9ca4af; }
+.table-1 table { border-collapse: collapse; width: 100%; margin: 0; font-size: 12px; line-height: 1.3; }
+.table-1 table :is(th, td) { padding: 1px 4px; text-align: right; white-space: nowrap; border: 0;
   font-variant-numeric: tabular-nums; vertical-align: middle; color: var(--pst-color-text-base, inherit); }
 .table-1 table thead th { font-weight: 600; border-bottom: 1px solid currentColor; }
 .table-1 table tr > :first-child { text-align: left; position: sticky; left: 0; font-weight: 400;
   background: var(--pst-color-background, white); }
 .table-1 table tr > .edge { border-left: 1px solid rgb(128 128 128 / 50%); }
-.table-1 table small { display: block; font-size: inherit; color: var(--pst-color-text-muted, #616161); }
-.table-1 table tr.again :is(th, td, small) { color: var(--pst-color-text-muted, #616161); }
+.table-1 table small { display: block; font-size: inherit; color: var(--grey); }
+.table-1 table tr.again :is(th, td, small) { color: var(--grey); }
 .table-1 .reproduced { background: rgb(0 158 115 / 11%); }
 .table-1 .weak { background: rgb(230 159 0 / 13%); }
 .table-1 .better { background: rgb(86 180 233 / 30%); font-weight: 600; }
@@ -114,7 +115,8 @@ def table_1(card: pd.DataFrame, labels: dict[str, str], repeated: Sequence[str])
         lines.append(f'<tr{again}><th scope="row">{label}</th>{"".join(cells)}</tr>')
     legend = " · ".join(f'<span class="{name}">{words}</span>' for name, words in VERDICTS.items())
     words = "Grey: published. Black: regenerated. Pale rows repeat another row. Tint: "
-    box = '<div class="table-1" tabindex="0" role="region" aria-label="Table 1, published and regenerated">'
+    label = 'id="fig-table-1" aria-label="Table 1, published and regenerated"'
+    box = f'<div class="table-1" tabindex="0" role="region" {label}>'
     table = f"<table><thead>{''.join(lines)}</tbody></table>"
     return HTML(f'{TABLE_1}{box}{table}</div><p class="table-1">{words}{legend}.</p>')
 
@@ -171,12 +173,12 @@ def sensor_models(table: pd.DataFrame) -> Figure:
 
 @style()
 def calibration(table: pd.DataFrame, labels: dict[str, str]) -> Figure:
-    """Draw mean errors by row of Table 1: published, and of the multipole model as drawn and calibrated."""
+    """Draw mean errors by row of Table 1: published, and of the nominal and of the calibrated multipole model."""
     figure, panel = plt.subplots(figsize=(WIDTH, 0.34 * len(table) + 1.1))
     y = np.arange(len(table))[::-1]
     panel.hlines(y, table["calibrated_percent"], table["uncalibrated_percent"], color="0.75", lw=1)
     looks = {
-        "uncalibrated_percent": ("as drawn", SKY, "s"),
+        "uncalibrated_percent": ("nominal", SKY, "s"),
         "calibrated_percent": ("calibrated", ORANGE, "D"),
         "published_percent": ("Table 1, published", PUBLISHED, "|"),
     }
@@ -190,13 +192,13 @@ def calibration(table: pd.DataFrame, labels: dict[str, str]) -> Figure:
 
 
 @style()
-def tip_paths(paths: dict[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
-    """Draw true and estimated paths of tips ``[t, 3]`` [m], seen along the straight robot."""
+def tip_paths(paths: dict[int, tuple[np.ndarray, np.ndarray]]) -> Figure:
+    """Draw true and estimated paths of tips ``[t, 3]`` [m] by number of segments, seen along the straight robot."""
     figure, panels = plt.subplots(1, len(paths), figsize=(WIDTH, 2.5), squeeze=False)
-    for panel, (title, (truth, found)) in zip(panels[0], paths.items(), strict=True):
+    for panel, (n, (truth, found)) in zip(panels[0], paths.items(), strict=True):
         panel.plot(*1e3 * truth[:, :2].T, label="truth", **TRUTH)
         panel.plot(*1e3 * found[:, :2].T, color=BLUE, lw=1.3, label="estimate")
-        panel.set(title=title, xlabel="x [mm]", aspect="equal")
+        panel.set(title=f"{n} segment{'s' * (n > 1)}", xlabel="x [mm]", aspect="equal")
         panel.xaxis.set_major_locator(MaxNLocator(3))
         panel.yaxis.set_major_locator(MaxNLocator(4))
     panels[0, 0].set_ylabel("y [mm]")
@@ -531,6 +533,38 @@ GREY_INK = dict.fromkeys(
     ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), "#767676"
 )
 """Letters of a figure that is not inverted in dark mode: they are read on both grounds."""
+
+
+RIG_COLUMNS = {"e_u": ("readings", "mV"), "delta_x": ("Δx", "mm"), "delta_y": ("Δy", "mm")}
+
+
+def table_2(printed: pd.DataFrame, errors: pd.DataFrame, moved: pd.DataFrame, badge: str) -> HTML:
+    """Return Table 2 as printed: published numbers, below them ours; ~ where the step makes the descent chaotic."""
+    key = ["row", "quantity", "unit"]
+    ours = errors[errors["elongation"] == "known"].groupby(key)["error"].agg(["mean", "std"])
+    chaotic = set(moved[moved["chaotic"] & (moved["step"] == "published")].set_index(key[:2]).index)
+    columns = [(name, part) for name, (_, unit) in RIG_COLUMNS.items() for part in (unit, "%")]
+    heads = [f'<th scope="col">{RIG_COLUMNS[name][0]}<br>[{unit}]</th>' for name, unit in columns]
+    lines = [f'<tr><th scope="row">mean ± std</th>{"".join(heads)}</tr></thead><tbody>']
+    for row, own in printed.groupby("row", sort=False):
+        cells, known = [], own.set_index(["quantity", "unit"])
+        for name, unit in columns:
+            if (name, unit) not in known.index:
+                cells.append("<td>–</td>")
+                continue
+            above, below = known.loc[(name, unit)], ours.loc[(row, name, unit)]
+            n = len(above["printed"].partition(".")[2])
+            spread = f" ± {below['std']:.{n}f}" if np.isfinite(below["std"]) else ""
+            mark = "~ " if (row, name) in chaotic else ""
+            text = f"{above['printed']} ± {above['printed_std']}</small>{mark}{below['mean']:.{n}f}{spread}"
+            cells.append(f"<td><small>{text}</td>")
+        lines.append(f'<tr><th scope="row">{str(row).replace("->", " → ")}</th>{"".join(cells)}</tr>')
+    box = '<div class="table-1" tabindex="0" role="region" aria-label="Table 2, published and regenerated">'
+    words = "Grey: published. Below: regenerated. ~ : the step is too long, so rounding decides this number."
+    mark = f'<span style="border: 1px solid; border-radius: 1em; padding: 0.1em 0.7em">{badge}</span>'
+    return HTML(
+        f"{TABLE_1}<p>{mark}</p>{box}<table><thead>{''.join(lines)}</tbody></table></div><p>{words}</p>"
+    )
 
 
 @style()
