@@ -6,7 +6,6 @@ Notebooks that use the first edition are run by its tools, and so are the parts 
 
 from __future__ import annotations
 
-import ast
 import json
 import os
 import re
@@ -21,17 +20,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from repro_companion import run as tool
-from repro_companion.run import InputError, Parameter, Point, bad_input
+from repro_companion.run import InputError, Parameter, Point, RunFailed
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 LONGEST = 60
 """Rows of a table that a page shows in full; of a longer one it has the file."""
-
-
-class BuildFailed(Exception):
-    """Something of the book could not be built; the message says what."""
 
 
 def build(root: Path, jobs: int) -> str:
@@ -50,7 +45,7 @@ def build(root: Path, jobs: int) -> str:
     failures = run_pages(due, jobs)
     count, more = first_edition.run(root, old, jobs)
     if failures + more:
-        raise BuildFailed("\n".join(failures + more))
+        raise RunFailed("\n".join(failures + more))
     keep_told_apart(executed, results, notebooks)
     done, key = root / ".cache" / "book" / "site", site_key(root)
     done.parent.mkdir(parents=True, exist_ok=True)
@@ -77,7 +72,7 @@ def build_page(root: Path, name: str, jobs: int) -> str:
         point = page_point(root, notebook, tool.inputs_of(root))
         failures = run_pages([] if point.finished else [point], 1)
     if failures:
-        raise BuildFailed("\n".join(failures))
+        raise RunFailed("\n".join(failures))
     contents = root / ".cache" / "book" / "page.yml"
     contents.parent.mkdir(parents=True, exist_ok=True)
     contents.write_text(
@@ -91,8 +86,7 @@ def build_page(root: Path, name: str, jobs: int) -> str:
 
 def results_folder(root: Path) -> Path:
     """Return where the book's tables lie: those without recordings are committed, the others are not."""
-    folder = root / "results"
-    return folder / "with_recordings" if tool.recordings() else folder
+    return root / "results" / ("with_recordings" if tool.recordings() else "")
 
 
 def page_point(root: Path, notebook: Path, inputs: str) -> Point:
@@ -103,10 +97,7 @@ def page_point(root: Path, notebook: Path, inputs: str) -> Point:
         key=tool.key_of(notebook, {}, inputs),
         output=root / "book" / "notebooks" / notebook.name,
         results=results_folder(root),
-        failed=root / "runs" / f"{notebook.stem}.failed.ipynb",
         root=root,
-        here=root,
-        recordings=tool.recordings_folder(),
     )
 
 
@@ -118,10 +109,10 @@ def run_pages(points: Sequence[Point], jobs: int) -> list[str]:
         print(f"{name}: started\n", end="", flush=True)  # in one piece: others write too
         said, seconds = tool.run_point(point)
         print(f"{name}: {'failed after' if said else 'done in'} {seconds:.1f} s\n", end="", flush=True)
-        warned = "" if said else warnings_of(point.output)
-        if warned:
+        if not said and (warned := warnings_of(point.output)):
             tool.record_path(point.output).unlink()
-        return said or (f"{point.notebook.name} shows a warning: {warned}" if warned else "")
+            said = f"{name}.ipynb shows a warning: {warned}"
+        return said
 
     with ThreadPoolExecutor(max(1, jobs)) as pool:
         return [said for said in pool.map(one, points) if said]
@@ -130,7 +121,7 @@ def run_pages(points: Sequence[Point], jobs: int) -> list[str]:
 def warnings_of(executed: Path) -> str:
     """Return what the cells of an executed notebook wrote to standard error."""
     cells = json.loads(executed.read_text(encoding="utf-8"))["cells"]
-    outputs = [output for cell in cells for output in cell.get("outputs", [])]
+    outputs = (output for cell in cells for output in cell.get("outputs", []))
     return "".join("".join(one["text"]) for one in outputs if one.get("name") == "stderr").strip()
 
 
@@ -145,7 +136,7 @@ def keep_told_apart(executed: Path, results: Path, notebooks: Iterable[str]) -> 
         if len(names) > 1:
             for name in names:
                 tool.record_path(executed / f"{name}.ipynb").unlink()
-            raise BuildFailed(f"The table {table} is written by more than one notebook: {', '.join(names)}.")
+            raise RunFailed(f"The table {table} is written by more than one notebook: {', '.join(names)}.")
     for table in results.glob("*.csv"):
         if table.name not in writers and table.name != "scorecard.csv":
             table.unlink()
@@ -156,8 +147,7 @@ def write_scorecard(root: Path, results: Path) -> DataFrame:
     from repro_companion.scorecard import scorecard, write
 
     results.mkdir(parents=True, exist_ok=True)
-    printed = root / "data" / "published" / "published.csv"
-    card = scorecard(printed, sorted(results.glob("*.rows.csv")))
+    card = scorecard(root / "data/published/published.csv", sorted(results.glob("*.rows.csv")))
     write(card, results / "scorecard.csv")
     return card
 
@@ -168,16 +158,15 @@ def write_scorecard(root: Path, results: Path) -> DataFrame:
 def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
     """Return an executed notebook, as JSON holds it, as the page shows it; called when Sphinx reads it."""
     place = root / "book" / "notebooks" / f"{name}.ipynb"
-    record = tool.read_record(place) or {"results": {}, "parameters": {}}
+    record = tool.read_record(place)
     cells, first = [], []
     for cell in executed["cells"]:
         about = dict(cell["metadata"])
         tags = set(about.get("tags", []))
         cell = {**cell, "metadata": about}
         if "first" in tags and cell.get("outputs"):
-            moved = {key: about.pop(key) for key in ("mystnb",) if key in about}
-            moved["tags"] = ["remove-input"]
-            first.append({**cell, "id": f"{cell['id']}-first", "source": "# moved", "metadata": moved})
+            shown = {"tags": ["remove-input"], "mystnb": about.pop("mystnb", {})}
+            first.append({**cell, "id": f"{cell['id']}-first", "source": "# moved", "metadata": shown})
             cell["outputs"] = []
         hidden = tags & {"parameters", "injected-parameters"}
         silent = (
@@ -187,21 +176,14 @@ def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
             about["tags"] = sorted(tags | {"remove-cell"})
         cells.append(cell)
     parameters = tool.declared(place)
-    folds = [_numbers(record, root, name), _parameters(parameters, record, name), _provenance(record, name)]
+    folds = (
+        [_numbers(record, root, name), _parameters(parameters, record, name), _provenance(record, name)]
+        if record
+        else []
+    )
     for number, text in enumerate(filter(None, folds)):
         cells.append({"cell_type": "markdown", "id": f"fold-{number}", "metadata": {}, "source": text})
     return {**executed, "cells": cells[:1] + first + cells[1:]}
-
-
-def glued(executed: Mapping[str, Any]) -> dict[str, str]:
-    """Return the values that an executed notebook gave by glue, as they are read."""
-    found = {}
-    for output in (output for cell in executed["cells"] for output in cell.get("outputs", [])):
-        name = output.get("metadata", {}).get("scrapbook", {}).get("name")
-        if name:
-            text = "".join(output["data"].get("application/papermill.record/text/plain", ""))
-            found[name] = ast.literal_eval(text) if text[:1] in "'\"" else text
-    return found
 
 
 def _fold(title: str, text: str) -> str:
@@ -217,11 +199,8 @@ def _numbers(record: Mapping[str, Any], root: Path, name: str) -> str:
     parts = []
     results, page = results_folder(root), root / "book" / "notebooks"
     for file in record["results"]:
-        if not file.endswith(".csv") or not (results / file).is_file():
-            continue
         table = pd.read_csv(results / file, keep_default_na=False, na_values=[""])
-        link = f"{{download}}`{file} <{os.path.relpath(results / file, page)}>`, {len(table)} rows"
-        parts.append(link)
+        parts.append(f"{{download}}`{file} <{os.path.relpath(results / file, page)}>`, {len(table)} rows")
         if len(table) <= LONGEST and not file.endswith(".rows.csv"):
             box = f'<div class="formatted" tabindex="0" role="group" aria-label="Table {file}">'
             html = re.sub(r"\n\s*\n", "\n", show(table).to_html())
@@ -239,30 +218,26 @@ def _parameters(parameters: Mapping[str, Parameter], record: Mapping[str, Any], 
         lines.append(f"| `{one.name}` | `{here}` | {one.meaning.replace('|', chr(92) + '|')} |")
     example = parameters.get("fast") or next(iter(parameters.values()))
     value = "true" if example.kind == "bool" else example.default.strip("\"'")
-    command = shlex.join(["-p", example.name, value])
     return _fold(
         "Parameters",
         "\n".join(lines)
         + "\n\nThis repeats the page with other parameters, each given by `-p`. Its tables lie"
         " beside its output, and `results/` stays as it is.\n\n"
-        f"```bash\n.venv/bin/repro run notebooks/{name}.ipynb {command} -o runs/{name}.ipynb\n```",
+        f"```bash\n.venv/bin/repro run notebooks/{name}.ipynb -p {example.name} {shlex.quote(value)}"
+        f" -o runs/{name}.ipynb\n```",
     )
 
 
 def _provenance(record: Mapping[str, Any], name: str) -> str:
     """Return the fold that says what the page was made from."""
-    if "key" not in record:
-        return ""
-    source = "none found" if not record["recordings"] else f"{len(record['recordings'])} files"
-    libraries = ", ".join(f"{library} {version}" for library, version in record["versions"].items())
     facts = {
         "Notebook": f"`{record['notebook']}`, {{download}}`executed <{name}.ipynb>`",
         "Record": f"{{download}}`{name}.provenance.json`",
         "Commit": record["commit"] or "none",
         "Key of all inputs": f"`{record['key'][:16]}`",
-        "Recordings": source,
+        "Recordings": f"{len(record['recordings'])} files" if record["recordings"] else "none found",
         "Run": f"{record['started'][:10]}, {record['seconds']:.1f} s",
-        "Versions": libraries,
+        "Versions": ", ".join(" ".join(one) for one in record["versions"].items()),
     }
     return _fold("Provenance", "\n".join(f"- {fact}: {value}" for fact, value in facts.items()))
 
@@ -272,30 +247,31 @@ def _provenance(record: Mapping[str, Any], name: str) -> str:
 
 def site_key(root: Path) -> str:
     """Return a hash of all that the site shows."""
-    top = {
-        path.name: tool.digest(path)
-        for path in sorted(root.iterdir())
-        if path.suffix in (".md", ".cff", ".toml")
-    }
-    folders = (tool.digests(root / name) for name in ("results", "data", "src"))
-    book = tool.digests(root / "book", leave_out=["_build", "generated"])
-    return tool.combined([top, book, *folders])
+    top = [path for path in sorted(root.iterdir()) if path.suffix in (".md", ".cff", ".toml")]
+    folders = [
+        tool.digests(root / name, ["_build", "generated"]) for name in ("book", "results", "data", "src")
+    ]
+    return tool.combined([list(map(tool.digest, top)), folders])
 
 
 def build_site(root: Path, place: Path, *options: str) -> float:
     """Build the book with jupyter-book, elsewhere first, and put it in its place; return the seconds."""
     clock = time.monotonic()
-    # Not resolved: the interpreter of an environment is a link, and its programs lie beside the link.
-    program = Path(sys.executable).with_name("jupyter-book")
-    tool.require(program.is_file(), "jupyter-book", "the build", "installed beside the interpreter", program)
     cache = root / ".cache" / "book"
     # From nothing: Sphinx warns only of pages that it reads, so a second attempt after a failure would pass.
     fresh = cache / f"fresh-{place.name}"
     shutil.rmtree(fresh, ignore_errors=True)
     fresh.mkdir(parents=True)
-    command = [program, "build", root / "book", "--path-output", fresh, *options]
+    # Beside the interpreter, which in an environment is a link: its target has other programs beside it.
     done = subprocess.run(
-        list(map(str, command)),
+        [
+            Path(sys.executable).with_name("jupyter-book"),
+            "build",
+            root / "book",
+            "--path-output",
+            fresh,
+            *options,
+        ],
         cwd=root,
         env=os.environ | {"NO_COLOR": "1"},
         stdout=subprocess.PIPE,
@@ -309,36 +285,24 @@ def build_site(root: Path, place: Path, *options: str) -> float:
         log.write_text(done.stdout, encoding="utf-8")
         lines = [line for line in done.stdout.splitlines() if re.search(r"WARNING|ERROR|Error", line)]
         said = "\n".join(lines or done.stdout.splitlines()[-20:])
-        raise BuildFailed(
+        raise RunFailed(
             f"{said}\njupyter-book ended with {done.returncode}; the site was not replaced."
             f" All it said: {tool.shown(log)}"
         )
-    aside = cache / "replaced"
-    shutil.rmtree(aside, ignore_errors=True)
+    shutil.rmtree(place, ignore_errors=True)
     place.parent.mkdir(parents=True, exist_ok=True)
-    if place.exists():
-        place.replace(aside)
     built.replace(place)
-    for folder in (aside, fresh):
-        shutil.rmtree(folder, ignore_errors=True)
+    shutil.rmtree(fresh)
     return time.monotonic() - clock
-
-
-def jobs_from_environment() -> int:
-    """Return how many notebooks may run at once: JOBS, else one per core that we may use."""
-    chosen = os.environ.get("JOBS", "").strip()
-    if not chosen:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not chosen.isdecimal() or int(chosen) < 1:
-        raise bad_input("JOBS", "the build", "a whole number of 1 or more", chosen)
-    return int(chosen)
 
 
 def main(names: Sequence[str]) -> int:
     """Build the book, or the pages named; return 0, 1 on failure or 2 for wrong input."""
     tool.stop_on_termination()
     try:
-        root, jobs = tool.project_folder(), jobs_from_environment()
+        root, asked = tool.project_folder(), os.environ.get("JOBS") or str(os.cpu_count() or 1)
+        jobs = int(asked) if asked.isdecimal() else 0
+        tool.require(jobs > 0, "JOBS", "the build", "a whole number of 1 or more", asked)
         for name in names:
             print(build_page(root, name, jobs))
         if not names:
@@ -346,7 +310,7 @@ def main(names: Sequence[str]) -> int:
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
-    except (BuildFailed, ValueError) as failure:
+    except (RunFailed, ValueError) as failure:
         print(failure, file=sys.stderr)
         return 1
     except KeyboardInterrupt:

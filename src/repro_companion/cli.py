@@ -53,10 +53,9 @@ Given = Annotated[list[tuple[str, str]] | None, NAME_AND_VALUE]
 Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
 
 app = App(name="repro", help=first_edition.help, version_flags=[], help_format="plaintext")
-for names in ("fetch", *NEEDS):
-    for name in {*names.split()} - {"run", "sweep"}:
-        if name not in app:
-            app.command(first_edition[name], name=name)
+for name in " ".join(NEEDS).split():
+    if name not in ("run", "sweep"):
+        app.command(first_edition[name], name=name)
 
 
 @app.command
@@ -84,10 +83,12 @@ def run(
     from repro_companion import run as tool
 
     if versions:
-        print(*(f"{name} {version}" for name, version in tool.versions().items()), sep="\n")
-        print(f"Recordings: {tool.recordings_folder()}")
+        lines = [f"{name} {version}" for name, version in tool.versions().items()]
+        print(*lines, f"Recordings: {tool.recordings_folder()}", sep="\n")
         return 0
-    notebook, root = _given(notebook, "run"), tool.project_folder()
+    if notebook is None:
+        raise tool.bad_input("notebook", "repro run", "named", "none")
+    root = tool.project_folder()
     values = tool.converted(tool.declared(notebook), parameters or [], notebook.name)
     key = tool.key_of(notebook, values, tool.inputs_of(root))
     output = output or Path("runs", f"{notebook.stem}-{key[:8]}.ipynb")
@@ -100,14 +101,14 @@ def run(
     except tool.RunFailed as failure:
         print(failure, file=sys.stderr)
         return 1
-    print(f"{output}  ({record['seconds']:.1f} s)")
-    print(*(output.with_suffix("") / name for name in record["results"]), sep="\n")
+    tables = (output.with_suffix("") / name for name in record["results"])
+    print(f"{output}  ({record['seconds']:.1f} s)", *tables, sep="\n")
     return 0
 
 
 @app.command
 def sweep(
-    notebook: Path | None = None,
+    notebook: Path,
     /,
     *,
     parameters: Given = None,
@@ -137,7 +138,7 @@ def sweep(
     """
     from repro_companion import run as tool
 
-    notebook, root = _given(notebook, "sweep"), tool.project_folder()
+    root = tool.project_folder()
     tool.require(jobs >= 0, "jobs", "repro sweep", "at least 1", jobs)
     grid = tool.grid_of(tool.declared(notebook), parameters or [], notebook.name)
     folder = output or Path("runs", f"{notebook.stem}-sweep")
@@ -149,14 +150,6 @@ def sweep(
         print(f"{label}: {why}", file=sys.stderr)
     print(f"{len(points) - len(failures)} of {len(points)} points are finished.", file=sys.stderr)
     return 1 if failures else 0
-
-
-def _given(notebook: Path | None, command: str) -> Path:
-    from repro_companion.run import bad_input
-
-    if notebook is None:
-        raise bad_input("notebook", f"repro {command}", "named", "none")
-    return notebook
 
 
 @app.command

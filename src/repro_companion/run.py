@@ -6,7 +6,6 @@ The meaning may end in what is allowed: ``, at least 1``, ``, above 0 and at mos
 
 from __future__ import annotations
 
-import ast
 import datetime
 import difflib
 import hashlib
@@ -25,7 +24,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +37,8 @@ KINDS = {
     "float": "a number, such as 1e-3",
     "str": "a text",
     "bool": "true or false",
-    "list": "a list, such as [1, 2]",
-    "dict": "a dictionary, such as {a: 1}",
+    "list": 'a list, such as [1, 2] or ["a", "b"]',
+    "dict": 'a dictionary, such as {"a": 1}',
 }
 BOUNDS = {"at least": operator.ge, "above": operator.gt, "at most": operator.le, "below": operator.lt}
 _BOUND = rf"(?:{'|'.join(BOUNDS)}) [-+]?[\d.]+(?:e[-+]?\d+)?"
@@ -68,16 +67,13 @@ class Parameter:
 
     def allows(self, value: Any) -> bool:
         """Return whether the rule allows a value; in a list it holds for each."""
-        if self.kind == "list":
-            return all(map(self._allows_one, value))
-        return self._allows_one(value)
-
-    def _allows_one(self, value: Any) -> bool:
+        values = value if self.kind == "list" else [value]
         if self.rule.startswith("one of: "):
-            return typed(value) in [choice.strip('"') for choice in self.rule[8:].split(", ")]
+            return {typed(one) for one in values} <= set(self.rule[8:].split(", "))
         bounds = re.findall(rf"({'|'.join(BOUNDS)}) (\S+)", self.rule)
-        number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-        return not bounds or (number and all(BOUNDS[word](value, float(bound)) for word, bound in bounds))
+        numbers = all(type(one) in (int, float) and math.isfinite(one) for one in values)
+        within = (BOUNDS[word](one, float(bound)) for word, bound in bounds for one in values)
+        return not bounds or (numbers and all(within))
 
 
 def project_folder() -> Path:
@@ -91,12 +87,13 @@ def project_folder() -> Path:
 
 def check_place(output: Path, root: Path, notebook: Path | None = None) -> None:
     """Refuse an output among the sources and tables of the book, and for a run one that is no notebook's name."""
-    own = [root / name for name in ("book", "notebooks", "results", "data", "src")]
-    inside = [folder.name for folder in own if output.resolve().is_relative_to(folder.resolve())]
-    require(not inside, "output", "repro", f"outside {''.join(inside)}/, which belongs to the book", output)
-    if notebook:
-        named = output.suffix == ".ipynb" and not output.is_dir() and output.resolve() != notebook.resolve()
-        require(named, "output", "repro", "another file whose name ends in .ipynb", output)
+    own = ("book", "notebooks", "results", "data", "src")
+    inside = next((name for name in own if output.resolve().is_relative_to((root / name).resolve())), "")
+    require(not inside, "output", "repro", f"outside {inside}/, which belongs to the book", output)
+    named = (
+        output.suffix == ".ipynb" and not output.is_dir() and output.resolve() != (notebook or root).resolve()
+    )
+    require(notebook is None or named, "output", "repro", "another file whose name ends in .ipynb", output)
 
 
 def is_first_edition(notebook: Path) -> bool:
@@ -110,30 +107,22 @@ def declared(notebook: Path) -> dict[str, Parameter]:
 
     require(notebook.is_file(), "notebook", "repro run", "an existing file", notebook)
     try:
-        found = inspect_notebook(_literal(notebook))
+        found = inspect_notebook(notebook)
     except Exception as error:
         raise bad_input("notebook", "repro run", "a Jupyter notebook", f"{notebook} ({error})") from error
     parameters = {}
     for name, one in found.items():
         kind = one["inferred_type_name"].partition("[")[0].strip()
-        if kind == "None":
-            kind = type(ast.literal_eval(one["default"])).__name__
         require(kind in KINDS, f"parameter {name}", notebook.name, f"one of {', '.join(KINDS)}", kind)
         parameters[name] = Parameter(name, kind, one["default"], one["help"].strip())
     return parameters
 
 
-def _literal(path: Path) -> str:
-    """Return a path as papermill takes it, which would fill in names in braces."""
-    return str(path.absolute()).replace("{", "{{").replace("}", "}}")
-
-
 def listing(parameters: Mapping[str, Parameter]) -> str:
     """Return one line for each parameter."""
-    heads = [f"  {one.name}: {one.kind} = {one.default}" for one in parameters.values()]
-    width = max(map(len, heads), default=0)
-    meanings = (one.meaning for one in parameters.values())
-    return "\n".join(f"{head:{width}}  {meaning}" for head, meaning in zip(heads, meanings, strict=True))
+    return "\n".join(
+        f"  {one.name}: {one.kind} = {one.default}  {one.meaning}" for one in parameters.values()
+    )
 
 
 def chosen(parameters: Mapping[str, Parameter], name: str, owner: str) -> Parameter:
@@ -168,32 +157,13 @@ def value_of(parameter: Parameter, text: str, owner: str) -> Any:
         elif kind in ("int", "float"):
             value = int(text) if kind == "int" else float(text)
         else:
-            import yaml
-
-            value = _plain(yaml.load(text, yaml.BaseLoader))
+            value = json.loads(text)
             if type(value).__name__ != kind:
                 raise ValueError
     except Exception:
         raise bad_input(f"parameter {parameter.name}", owner, f"{kind}: {KINDS[kind]}", text) from None
-    each = "a list of values, each " if kind == "list" else ""
-    require(parameter.allows(value), f"parameter {parameter.name}", owner, each + parameter.rule, text)
-    return value
-
-
-def _plain(value: Any) -> Any:
-    """Return what YAML left as texts as numbers and truth values: its own rules miss 1e-3 and take "on" for true."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
-    words = {"true": True, "false": False, "null": None}
-    if value.lower() in words:
-        return words[value.lower()]
-    for number in (int, float):
-        try:
-            return number(value)
-        except ValueError:
-            pass
+    must_be = ("a list of values, each " if kind == "list" else "") + parameter.rule
+    require(parameter.allows(value), f"parameter {parameter.name}", owner, must_be, text)
     return value
 
 
@@ -237,8 +207,8 @@ def recordings_folder() -> Path:
     """Return where the authors' recordings lie: REPRO_DATA_DIR, else the user's cache."""
     import platformdirs
 
-    place = os.environ.get("REPRO_DATA_DIR") or platformdirs.user_cache_dir("repro", appauthor=False)
-    return Path(place).expanduser().absolute()
+    chosen = os.environ.get("REPRO_DATA_DIR") or platformdirs.user_cache_dir("repro", appauthor=False)
+    return Path(chosen).expanduser().absolute()
 
 
 def recordings() -> dict[str, str]:
@@ -248,9 +218,9 @@ def recordings() -> dict[str, str]:
 
 def inputs_of(root: Path, found: Mapping[str, str] | None = None) -> str:
     """Return one hash of what every notebook depends on: packages, data, recordings, lock."""
-    sources = [digests(root / "src" / package) for package in PACKAGES]
-    found = recordings() if found is None else found
-    return combined([sources, digests(root / "data"), dict(found), digest(root / "requirements.lock")])
+    ours = [digests(folder) for folder in (*(root / "src" / package for package in PACKAGES), root / "data")]
+    recorded = dict(recordings() if found is None else found)
+    return combined([ours, recorded, digest(root / "requirements.lock")])
 
 
 def key_of(notebook: Path, parameters: Mapping[str, Any], inputs: str) -> str:
@@ -273,34 +243,25 @@ def read_record(output: Path) -> dict[str, Any] | None:
 
 def is_finished(output: Path, results: Path, key: str) -> bool:
     """Return whether a run of this key left its output and its tables, and nobody changed them."""
-    record = read_record(output)
-    if record is None or record["key"] != key or not output.is_file():
-        return False
-    return all(digest(results / name) == was for name, was in record["results"].items())
+    record = read_record(output) or {"key": ""}
+    whole = record["key"] == key and output.is_file()
+    return whole and all(digest(results / name) == was for name, was in record["results"].items())
 
 
 def versions() -> dict[str, str]:
     """Return the versions of what computes."""
-    found = {"python": platform.python_version()}
-    for name in ("repro-soft-robots", *LIBRARIES):
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+    there = {one.name: one.version for one in importlib.metadata.distributions()}
+    found = {name: there.get(name, "not installed") for name in ("repro-soft-robots", *LIBRARIES)}
+    return {"python": platform.python_version(), **found}
 
 
 def commit_of(root: Path) -> str:
-    """Return the commit of a checkout, with a word on what is not committed; empty without git."""
+    """Return the commit of a checkout, with "-dirty" where files differ from it; empty without git."""
+    # A project unpacked inside somebody else's repository must not report that repository's commit.
     if not (root / ".git").exists() or shutil.which("git") is None:
         return ""
-    said = [
-        subprocess.run(
-            ["git", "-C", root, *words], capture_output=True, text=True, check=False
-        ).stdout.strip()
-        for words in (["rev-parse", "--verify", "--quiet", "HEAD"], ["status", "--porcelain"])
-    ]
-    return said[0] + (" with uncommitted changes" if said[0] and said[1] else "")
+    command = ["git", "-C", root, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 
 
 # One run
@@ -313,14 +274,14 @@ def run(
     results: Path,
     *,
     root: Path,
-    failed: Path | None = None,
     progress: bool = False,
 ) -> dict[str, Any]:
     """Run a notebook and return the record; its output and tables appear when it has finished."""
     import papermill
     from traitlets.config import Config
 
-    failed = failed or output.with_name(f"{output.stem}.failed.ipynb")
+    in_book = output.resolve().is_relative_to(root.resolve() / "book")
+    failed = (root / "runs" if in_book else output.parent) / f"{output.stem}.failed.ipynb"
     found = recordings()
     key = key_of(notebook, parameters, inputs_of(root, found))
     started, clock = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
@@ -331,15 +292,17 @@ def run(
     ):
         partial, tables = Path(staging) / output.name, Path(staging) / "tables"
         tables.mkdir()
-        one_thread = {f"{name}_THREADS": "1" for name in _ONE_THREAD}
-        # The debugger of ipykernel warns at every start about modules that Python has frozen.
-        own = {"REPRO_RESULTS": str(tables.absolute()), "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
+        own = {f"{name}_THREADS": "1" for name in _ONE_THREAD} | {
+            "REPRO_RESULTS": str(tables.absolute()),
+            "REPRO_DATA_DIR": str(recordings_folder()),
+            "PYDEVD_DISABLE_FILE_VALIDATION": "1",  # the debugger of ipykernel would warn at every start
+        }
         before = dict(os.environ)
-        os.environ.update(one_thread | own | {"REPRO_DATA_DIR": str(recordings_folder())})
+        os.environ.update(own)
         try:
             papermill.execute_notebook(
-                _literal(notebook),
-                _literal(partial),
+                str(notebook.absolute()),
+                str(partial.absolute()),
                 dict(parameters),
                 kernel_name="python3",
                 language="python",
@@ -390,9 +353,7 @@ def _publish(record: dict[str, Any], tables: Path, results: Path, partial: Path,
         (results / name).parent.mkdir(parents=True, exist_ok=True)
         (tables / name).replace(results / name)
     partial.replace(output)
-    written = tables.parent / "record"
-    written.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    written.replace(record_path(output))
+    record_path(output).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 def _keep(notebook: Path, partial: Path, failed: Path, error: BaseException) -> str:
@@ -404,9 +365,7 @@ def _keep(notebook: Path, partial: Path, failed: Path, error: BaseException) -> 
     _name_places(partial, notebook, failed)
     failed.parent.mkdir(parents=True, exist_ok=True)
     shutil.move(partial, failed)
-    cells = json.loads(failed.read_text(encoding="utf-8"))["cells"]
-    begun = [cell for cell in cells if cell["metadata"].get("papermill", {}).get("start_time")]
-    line = "".join(begun[-1]["source"]).strip().partition("\n")[0] if begun else "before the first"
+    line = getattr(error, "source", "").strip().partition("\n")[0]
     return f"{shown(notebook)} failed in the cell `{line}`: {said}\nThe partial notebook is {shown(failed)}"
 
 
@@ -434,10 +393,7 @@ class Point:
     key: str
     output: Path
     results: Path
-    failed: Path
     root: Path
-    here: Path
-    recordings: Path
 
     @property
     def finished(self) -> bool:
@@ -453,11 +409,9 @@ class Point:
 def run_point(point: Point) -> tuple[str, float]:
     """Run a point in a process of its own; return why it failed (empty when it did not), and the seconds."""
     clock = time.monotonic()
-    command = [sys.executable, "-m", "repro_companion.run", json.dumps(asdict(point), default=str)]
+    places = map(str, (point.notebook, point.output, point.results, point.root))
     done = subprocess.run(
-        command,
-        cwd=point.here,
-        env=os.environ | {"REPRO_DATA_DIR": str(point.recordings)},  # a worker may be older than ours
+        [sys.executable, "-m", "repro_companion.run", *places, json.dumps(point.parameters)],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -479,28 +433,23 @@ def grid_of(
         one = chosen(parameters, name, owner)
         require(name not in grid, f"parameter {name}", owner, "given once", f"{text} as well")
         values = []
-        for item in _split(text):
-            ends = re.fullmatch(r"\s*([-+]?\d+):([-+]?\d+)\s*", item) if one.kind in ("int", "list") else None
+        for item in re.findall(
+            r"(?:\[[^]]*\]|\{[^}]*\}|[^,\[{])+", text
+        ):  # commas within brackets divide nothing
+            ends = re.fullmatch(r"([-+]?\d+):([-+]?\d+)", item) if one.kind in ("int", "list") else None
             for each in map(str, range(int(ends[1]), int(ends[2]))) if ends else [item]:
-                bare = one.kind == "list" and not each.lstrip().startswith("[")
+                bare = one.kind == "list" and not each.startswith("[")
                 values.append(value_of(one, f"[{each}]" if bare else each, owner))
-        differ = {typed(value) for value in values}
-        require(len(values) == len(differ) > 0, f"parameter {name}", owner, "values that differ", text)
+        require(
+            len(values) == len({*map(typed, values)}) > 0,
+            f"parameter {name}",
+            owner,
+            "values that differ",
+            text,
+        )
         grid[name] = values
     require(grid, "parameters", "repro sweep", "given, each as -p NAME VALUES", "none")
     return grid
-
-
-def _split(text: str) -> list[str]:
-    """Return the parts between commas that stand in no bracket."""
-    depth, parts = 0, [""]
-    for letter in text:
-        depth += (letter in "[{") - (letter in "]}")
-        if letter == "," and not depth:
-            parts.append("")
-        else:
-            parts[-1] += letter
-    return parts
 
 
 def points_of(notebook: Path, grid: Mapping[str, Sequence[Any]], folder: Path, root: Path) -> list[Point]:
@@ -510,8 +459,7 @@ def points_of(notebook: Path, grid: Mapping[str, Sequence[Any]], folder: Path, r
         parameters = dict(zip(grid, values, strict=True))
         key = key_of(notebook, parameters, inputs)
         place = folder.absolute() / "points" / key[:16] / notebook.name
-        places = (place, place.with_suffix(""), place.with_suffix(".failed.ipynb"), root, Path.cwd())
-        points.append(Point(notebook.absolute(), parameters, key, *places, recordings_folder()))
+        points.append(Point(notebook.absolute(), parameters, key, place, place.with_suffix(""), root))
     return points
 
 
@@ -553,36 +501,28 @@ def joined(points: Sequence[Point], folder: Path) -> list[Path]:
                 table = pd.read_csv(point.results / name, dtype=str, keep_default_na=False)
                 table = table.rename(columns={column: f"table_{column}" for column in point.parameters})
                 for place, (column, value) in enumerate(point.parameters.items()):
-                    alone = isinstance(value, list) and len(value) == 1
-                    table.insert(place, column, typed(value[0] if alone else value))
+                    table.insert(
+                        place,
+                        column,
+                        typed(*value) if isinstance(value, list) and len(value) == 1 else typed(value),
+                    )
                 parts.setdefault(name, []).append(table)
     for name, tables in parts.items():
         pd.concat(tables).to_csv(folder / name, index=False, lineterminator="\n")
     return [folder / name for name in parts]
 
 
-def main(text: str) -> int:
+def main(arguments: Sequence[str]) -> int:
     """Run one point."""
     stop_on_termination()
-    given = json.loads(text)
-    places = {name: Path(place) for name, place in given.items() if name not in ("parameters", "key")}
-    point = Point(**(given | places))
+    notebook, output, results, root = map(Path, arguments[:4])
     try:
-        run(
-            point.notebook,
-            point.parameters,
-            point.output,
-            point.results,
-            root=point.root,
-            failed=point.failed,
-        )
+        run(notebook, json.loads(arguments[4]), output, results, root=root)
     except (RunFailed, InputError) as failure:
         print(failure)  # libraries write to standard error
         return 1
-    except KeyboardInterrupt:
-        return 130
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main(sys.argv[1:]))

@@ -183,11 +183,3 @@ def test_what_a_page_shows(root):
     assert "| `noise_mt` | `0.0` | noise of a sensor [mT], at least 0 |" in folds[1]
     assert ".venv/bin/repro run notebooks/a.ipynb -p fast true -o runs/a.ipynb" in folds[1]
     assert "Recordings: none found" in folds[2]
-
-
-def test_values_that_a_notebook_glued():
-    output = {
-        "data": {"application/papermill.record/text/plain": "'0.79'"},
-        "metadata": {"scrapbook": {"name": "ratio"}},
-    }
-    assert tool.glued({"cells": [{"outputs": [output]}, {"source": "text"}]}) == {"ratio": "0.79"}

@@ -36,8 +36,8 @@ def refused(parameter: Parameter, text: str) -> str:
         ("float", "1e-3", 0.001),
         ("str", "[1", "[1"),
         ("bool", "True", True),
-        ("list", "[1, 1e-3, on, true, [x]]", [1, 0.001, "on", True, ["x"]]),
-        ("dict", "{a: 1, b: [2.5]}", {"a": 1, "b": [2.5]}),
+        ("list", '[1, 1e-3, "on", true, ["x"]]', [1, 0.001, "on", True, ["x"]]),
+        ("dict", '{"a": 1, "b": [2.5]}', {"a": 1, "b": [2.5]}),
     ],
 )
 def test_a_text_becomes_the_declared_type(kind, text, value):
@@ -63,7 +63,7 @@ def test_another_type_is_refused_in_words(kind, text):
         ("float", "noise, at least 0", "0", "nan"),
         ("str", "ring, one of: released, as printed", "as printed", "printed"),
         ("list", "seeds, one of: 0, 1, 2", "[2, 0]", "[0, 3]"),
-        ("list", "steps, at least 0", "[]", "[1, x]"),
+        ("list", "steps, at least 0", "[]", "[1, true]"),
     ],
 )
 def test_the_meaning_says_what_is_allowed(kind, meaning, allowed, outside):
@@ -101,6 +101,7 @@ def test_declared_parameters_and_a_misspelt_name(root):
         ("[0,1],2", "list", [[0, 1], [2]]),
         ("-1:1,7", "int", [-1, 0, 7]),
         ("a,b", "str", ["a", "b"]),
+        ('{"a": 1, "b": 2},{"a": 3}', "dict", [{"a": 1, "b": 2}, {"a": 3}]),
     ],
 )
 def test_commas_and_ranges_are_swept(text, kind, values):
