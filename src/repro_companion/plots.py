@@ -82,20 +82,21 @@ VERDICTS = {
 TABLE_1 = """<style>
 .table-1 { overflow-x: auto; margin: 0 0 0.4rem; --grey: #666d78; }
 html[data-theme="dark"] .table-1 { --grey: #9ca4af; }
-.table-1 table { border-collapse: collapse; width: 100%; margin: 0; font-size: 12px; line-height: 1.3; }
-.table-1 table :is(th, td) { padding: 1px 4px; text-align: right; white-space: nowrap; border: 0;
+.table-1.table-1.table-1 table { border-collapse: collapse; width: 100%; margin: 0; font-size: 12px;
+  line-height: 1.3; }
+.table-1.table-1.table-1 table :is(th, td) { padding: 1px 4px; text-align: right; white-space: nowrap; border: 0;
   font-variant-numeric: tabular-nums; vertical-align: middle; color: var(--pst-color-text-base, inherit); }
-.table-1 table thead th { font-weight: 600; border-bottom: 1px solid currentColor; }
-.table-1 table tr > :first-child { text-align: left; position: sticky; left: 0; font-weight: 400;
+.table-1.table-1.table-1 table thead th { font-weight: 600; border-bottom: 1px solid currentColor; }
+.table-1.table-1.table-1 table tr > :first-child { text-align: left; position: sticky; left: 0; font-weight: 400;
   background: var(--pst-color-background, white); }
-.table-1 table tr > .edge { border-left: 1px solid rgb(128 128 128 / 50%); }
-.table-1 table small { display: block; font-size: inherit; color: var(--grey); }
-.table-1 table tr.again :is(th, td, small) { color: var(--grey); }
+.table-1.table-1.table-1 table tr > .edge { border-left: 1px solid rgb(128 128 128 / 50%); }
+.table-1.table-1.table-1 table small { display: block; font-size: inherit; color: var(--grey); }
+.table-1.table-1.table-1 table tr.again :is(th, td, small) { color: var(--grey); }
 .table-1 .reproduced { background: rgb(0 158 115 / 11%); }
 .table-1 .weak { background: rgb(230 159 0 / 13%); }
 .table-1 .better { background: rgb(86 180 233 / 30%); font-weight: 600; }
 .table-1 .differs { background: rgb(213 94 0 / 28%); font-weight: 600; }
-.table-1 table tr.again td { background: none; }
+.table-1.table-1.table-1 table tr.again td { background: none; }
 .table-1 span { padding: 0 0.2rem; }
 </style>"""
 
