@@ -81,7 +81,9 @@ VERDICTS = {
 }
 TABLE_1 = """<style>
 .table-1 { overflow-x: auto; margin: 0 0 0.4rem; --grey: #666d78; }
+.table-1 :is(.better, .differs) { --grey: #4b515b; }
 html[data-theme="dark"] .table-1 { --grey: #9ca4af; }
+html[data-theme="dark"] .table-1 :is(.better, .differs) { --grey: #ced6dd; }
 .table-1.table-1.table-1 table { border-collapse: collapse; width: 100%; margin: 0; font-size: 12px;
   line-height: 1.3; }
 .table-1.table-1.table-1 table :is(th, td) { padding: 1px 4px; text-align: right; white-space: nowrap; border: 0;
@@ -128,12 +130,15 @@ def table_1_in_words(card: pd.DataFrame, bias: pd.DataFrame, repeated: Sequence[
     count = {name: int((own["verdict"] == name).sum()) for name in ("reproduced", "better", "differs")}
     weak, total = int((own["weak"] == "true").sum()), bias.iloc[-1]
     numbers = "differs" if count["differs"] == 1 else "differ"
+    whole = (
+        f" Of the {total['cells']} relative errors (without six sensors) {total['below']} are smaller than published;"
+        f" our errors are **{total['ratio']:.2f} times the published ones** in the geometric mean."
+    )
     return (
         f"**{count['reproduced']} of {len(own)} distinct numbers lie within the scatter of the trainings**,"
         f" {count['better'] or 'none'} {'is' if count['better'] == 1 else 'are'} smaller and"
-        f" {count['differs'] or 'none'} {numbers}. For {weak} the scatter is so large that zero would pass."
-        f" Of the {total['cells']} relative errors (without six sensors) {total['below']} are smaller than published;"
-        f" our errors are **{total['ratio']:.2f} times the published ones** in the geometric mean."
+        f" {count['differs'] or 'none'} {numbers}. For {weak or 'none'} the scatter is so large that zero would pass."
+        f"{whole if total['cells'] else ''}"
     )
 
 

@@ -9,7 +9,9 @@ import pytest
 from edition1.sensing.magnetic import readings as readings_1
 from edition1.sensing.magnets import ring as ring_1
 from edition1_companion.twins import calibrated_robots, table_1_rows, trajectories
+from repro_companion import plots
 from repro_companion.papers import baaij
+from repro_companion.scorecard import scorecard
 from repro_companion.show import project_folder, published
 
 GOLDEN_RANGES = {1: (0.92345,), 2: (0.16533, 0.96032), 3: (0.92824, 0.92514, 1.02826)}
@@ -195,3 +197,42 @@ def test_errors_of_poses_are_millimetres_and_degrees():
     assert found["shape_mm"] == pytest.approx(math.sqrt(np.mean(np.linspace(0, 1, 33) ** 2)))
     turned = baaij.pose_errors(arm, q + np.array([22e-3 * math.radians(10), 0, 0]), q)
     assert turned["orientation_deg"] == pytest.approx(10)
+
+
+@pytest.fixture(scope="module")
+def card() -> pd.DataFrame:
+    whole = scorecard(project_folder() / "data/published/published.csv", [RESULTS / "table_1.rows.csv"])
+    return whole[whole["artefact"] == "Table 1"]
+
+
+def test_every_cell_of_table_1_shows_the_printed_number_and_ours(card):
+    html = plots.table_1(card, baaij.LABELS, baaij.REPEATED).data
+    lines = dict(zip(baaij.LABELS, html.partition("<tbody>")[2].split("<tr")[1:], strict=True))
+    for name, line in lines.items():
+        cells = card[card["row"] == name].set_index("quantity")
+        for quantity, cell in cells[cells["unit"] == "%"].iterrows():
+            ours = f"{float(cell['regenerated']):.1f}±{float(cell['regenerated_std']):.1f}"
+            assert f"<small>{cell['published']}±{cell['published_std']}</small>{ours}<" in line, (
+                name,
+                quantity,
+            )
+        assert line.count("<td") == 10
+        assert line.count("–") == 10 - len(cells)
+        assert ('class="again"' in line) == (name in baaij.REPEATED)
+    assert "<small>15±2</small>12±7<" in lines["n_b=1"]
+    assert html.count('title="differs"') == 1
+    assert html.count('title="smaller"') == 2
+
+
+def test_the_counts_are_said_in_whole_sentences(card):
+    bias = pd.read_csv(RESULTS / "table_1_bias.csv")
+    words = plots.table_1_in_words(card, bias, baaij.REPEATED)
+    assert words.startswith(
+        "**98 of 101 distinct numbers lie within the scatter of the trainings**, 2 are smaller and 1 differs."
+    )
+    assert "71 are smaller than published; our errors are **0.81 times" in words
+    one = card[(card["row"] == "n_s=6") & (card["quantity"] == "delta_x_1")]
+    words = plots.table_1_in_words(one, bias.assign(cells=0), baaij.REPEATED)
+    assert words.endswith(
+        "none are smaller and none differ. For none the scatter is so large that zero would pass."
+    )
