@@ -92,7 +92,7 @@ soak: env
 	$(PY) -m bench.soak.live 10 1000
 
 vendor: env
-	node src/edition1/edition1_live/view/viewer/bundle.mjs .cache/viewer
+	node src/repro_board/page/bundle.mjs .cache/viewer
 
 # ---------------------------------------------------------------------------------------------------------------------
 # The environment. $(STAMP) holds the content it was made from, so that neither a checkout's new modification times nor

@@ -17,7 +17,7 @@ import pytest
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES_OF_THE_BUNDLE = "edition1_live/view/viewer/"
+SOURCES_OF_THE_BUNDLE = "repro_board/page/"
 """From these `make vendor` makes the script of the viewer; the wheel holds only what it made."""
 BUNDLED = {"shape_viewer.js", "LICENSE.three"}
 SHOW = "import edition1; print(edition1.__file__, tuple(shape.q.shape), tuple(shape.tip(robot).shape))"

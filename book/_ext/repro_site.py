@@ -16,11 +16,11 @@ from edition1.files import write_whole
 from edition1_companion.book.after.page_notes import with_notes, write_page_files
 from edition1_companion.book.project import Project
 from edition1_companion.book.values import filled
-from repro_companion.build import glued, page_of
+from repro_companion.build import page_of
 from repro_companion.run import is_first_edition
 
 VIEWER = "shape_viewer.js"
-VIEWER_IN_PACKAGE = f"src/edition1/edition1_live/view/viewer/{VIEWER}"
+VIEWER_IN_PACKAGE = f"src/repro_board/page/vendor/{VIEWER}"
 ICONS_OF_THEME = "vendor/fontawesome/webfonts/fa-solid-900.ttf"
 ICONS = {
     "magnifying-glass": 0xF002,
@@ -105,8 +105,9 @@ def fill_values(app: Sphinx, docname: str, source: list[str]) -> None:
         executed = Project(Path(app.srcdir).parent).executed
         values = {}
         for path in sorted(executed.glob("*.ipynb")):
-            page = json.loads(path.read_text(encoding="utf-8"))
-            given = page["metadata"].get("repro", {}).get("values", {}) | glued(page)
+            given = (
+                json.loads(path.read_text(encoding="utf-8"))["metadata"].get("repro", {}).get("values", {})
+            )
             values |= {f"{path.stem}.{name}": value for name, value in given.items()}
         source[0] = filled(source[0], values, docname)
 

@@ -2,10 +2,11 @@
 //
 //   handle = reproViewer.mount(element, data)
 //
-// `data` is what `edition1_live.view.shape_view` writes, lengths in mm:
+// `data` is what `repro_board.view` writes, lengths in mm:
 //   label                what the picture shows, in words
 //   box, radius          two corners around everything that is drawn; radius of the body
 //   time_s               one number per frame; none for the live view, which has no slider
+//   start                the frame that is shown first; 0 if not given
 //   shapes               [{name, role: "truth" | "estimate", points, deviation?}]: x, y, z of the points of all frames,
 //                        and for each point a standard deviation, drawn as a tube of two of them
 //   magnets, sensors     {points, directions, name?}, for all frames
@@ -177,7 +178,7 @@ export function mount(element, data) {
     });
   }
   const forgetTheme = onThemeChange(paint);
-  if (frameAt) setFrame(0);
+  if (frameAt) setFrame(data.start ?? 0);
   paint();
   resizing.observe(view);
 
