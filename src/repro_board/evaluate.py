@@ -1,4 +1,4 @@
-"""Estimates against motion capture: are the readings and the poses of one time?"""
+"""Estimates against motion capture: first, whether readings and poses are of one time."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Lag(NamedTuple):
 def search_lag(motion: Any, readings: Any, rate_hz: float) -> Lag:
     """Find the lag between readings and a motion, over the whole recording.
 
-    The readings of an instant are a smooth function of the shape. So we fit them by a quadratic function of the motion
-    at every lag of up to half the recording in either direction, each time over all frames that both have, and take
-    the lag with the least residual. Sums over frames are products of Fourier transforms, so that all lags together
+    The readings of an instant are a smooth function of the shape. So we fit them by a quadratic function of the
+    motion at every lag of up to half the recording in either direction, each time over all frames that both have, and
+    take the lag with the least residual. Sums over frames are products of Fourier transforms, so all lags together
     cost little more than one. A frame without a pose or with a missing reading counts nowhere.
 
     A motion that repeats itself without end has many lags that are equally good; then the smallest one is returned.
@@ -65,7 +65,7 @@ def search_lag(motion: Any, readings: Any, rate_hz: float) -> Lag:
     n = len(q)
     require(len(u) == n, "readings", owner, f"one row for each of {n} poses", f"{len(u)} rows")
     require(n >= 2 * rate_hz, "motion", owner, "two seconds long or more", f"{n / rate_hz:g} s")
-    seen, read = np.isfinite(q).all(axis=1), np.isfinite(u).all(axis=1)
+    seen, read = (np.asarray(np.isfinite(x).all(axis=1)) for x in (q, u))
     for name, there in (("motion", seen), ("readings", read)):
         require(
             there.sum() > n / 2, name, owner, "there in most frames", f"{int((~there).sum())} of {n} missing"
