@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from repro import (
     ConstantCurvature,
-    GradientDescent,
+    KalmanFilter,
     Magnet,
     Ring,
     Robot,
@@ -35,9 +36,8 @@ from repro import (
     Sensor,
     load_network,
     relations,
-    track,
 )
-from repro.common import bad_input, kernel, require
+from repro.common import bad_input, require
 from repro.robot import place
 from repro_board.evaluate import search_lag
 from repro_companion.show import project_folder
@@ -61,7 +61,6 @@ def robot() -> Robot:
     return Robot([ConstantCurvature(LENGTH, RADIUS)], [Magnet(RING, 1, MAGNET_AT)], sensors)
 
 
-# ---------------------------------------------------------------------------------------------------------------------
 # Recordings: motion capture and readings, aligned
 
 
@@ -150,7 +149,7 @@ def read_readings(path: Path) -> np.ndarray:
         u = table[names].to_numpy(dtype=float)
     except ValueError as error:
         raise bad_input("readings", path.name, "numbers [mV]", error) from error
-    whole = np.isfinite(u).all(axis=1)
+    whole = np.asarray(np.isfinite(u).all(axis=1))
     kept = len(u) if whole.all() else int(np.argmin(whole))
     require(
         kept and not whole[kept:].any(),
@@ -206,7 +205,7 @@ def _robot_axes(xyz: np.ndarray) -> np.ndarray:
 
 def _without_gaps(ring: np.ndarray, name: str) -> np.ndarray:
     """Interpolate where the ring is lost for a frame or two."""
-    seen = np.isfinite(ring).all(axis=1)
+    seen = np.asarray(np.isfinite(ring).all(axis=1))
     known = np.flatnonzero(seen)
     words = f"lost for at most {LONGEST_GAP} frames, and never in the first or last"
     gap = int(np.diff(known, prepend=-1, append=len(ring)).max()) - 1 if len(known) else len(ring)
@@ -263,7 +262,8 @@ def aligned(q: np.ndarray, u: np.ndarray, name: str) -> Recording:
 
 def doubts(q: np.ndarray, u: np.ndarray, name: str) -> tuple[str, ...]:
     """Compare an alignment with all other lags: refuse it, say what speaks against it, or nothing."""
-    found = search_lag(q, u, RATE_HZ)
+    every = 1 + len(q) // 10_000  # of a long recording some frames tell as much
+    found = search_lag(q[::every], u[::every], RATE_HZ / every)
     gain = found.residual / max(found.best, 0.02)  # the converter's steps leave 0.02 mV
     better = (
         f"a shift of {found.lag_s:+.2f} s, which divides what the motion leaves of the readings by {gain:.1f}"
@@ -276,7 +276,6 @@ def doubts(q: np.ndarray, u: np.ndarray, name: str) -> tuple[str, ...]:
     return ()
 
 
-# ---------------------------------------------------------------------------------------------------------------------
 # The simulated rig
 
 DURATION_S = {"T0": 200.0, "T1": 90.0, "T2": 90.0, "T3": 90.0, "T4": 120.0, "T5": 1500.0}
@@ -287,7 +286,7 @@ TURNED_DEG = {"T1": 270.0, "T3": 90.0}
 """By how much a sequence is turned, inferred from the names of the recordings."""
 REGULATOR_HZ = 100.0
 FILL_S, FILLED_S, SEQUENCE_S, TAIL_S = 2.5, 2.6, 8.0, 4.0
-"""When the chambers begin to fill, are full, and the sequence begins; how long they are empty at the end (assumed)."""
+"""When the chambers begin to fill, are full, the sequence begins; how long they are empty at the end (assumed)."""
 LEVER = 1e2 * 150e-6 * 13e-3
 """Torque of a chamber per pressure [N m/mbar]: 150 mm² at 13 mm (assumed)."""
 OFFSET_MBAR, PEAK_MBAR = 225.0, 450.0
@@ -297,58 +296,55 @@ STEP_MV = 2.0 * 2048.0 / 2**16
 """Step of the converter, an ADS1115."""
 
 
-@dataclass(frozen=True)
-class SimulatedRig:
-    """Parameters of the simulated rig [mm, mV, s, deg]. The values were frozen before an estimator ran on it.
+RIG = SimpleNamespace(
+    # Bend [mm] of the inflated segment without torque, and how an axis bends with its torque in units of the reach
+    neutral=(1.72, -0.1),
+    linear=(3.4, 9.17),
+    quadratic=(0.8, 0.0),
+    cubic=(2.9, 0.0),
+    elongation=4.5,  # [mm]
+    lag=0.2,  # of the bend after the pressures [s]
+    hysteresis=0.3,  # of the tip [mm]
+    stroke=3.0,  # way after which that has turned over [mm]
+    # How the bend at the magnet differs: a hysteresis, and a lag [s] where the direction of bending turns
+    inner_hysteresis=0.06,
+    inner_stroke=4.0,
+    across=0.11,
+    centre=0.1,
+    # Every sensor along its own axes [mV/mT], as drawn (0, 0, 5000); where sensors and magnet are [mm, deg]
+    sensitivity=((-1665.0, -1358.0, 4515.0), (-2461.0, 875.0, 4264.0), (-4111.0, -677.0, 2764.0)),
+    sensor_shift=((0.4, -0.3, 0.2), (-0.5, 0.2, 0.3), (0.3, 0.5, -0.4)),
+    magnet_shift=(0.5, -0.4, 0.6),
+    magnet_tilt=(1.5, -1.0),
+    earth_mt=0.0493,
+    rest=(1032.0, 915.4, 1159.5),  # readings of the straight segment [mV]
+    # What no field of the ring explains: second derivatives xx, xy, yy [mV/mm²] and a sine of the bend [mV, mm, deg]
+    curvature=((-2.18, -0.55, -0.66), (-0.69, -0.09, 0.5), (-1.04, -0.23, 0.19)),
+    ripple=(4.0, 0.95, 2.8),
+    ripple_period=9.0,
+    ripple_azimuth=(30.0, 80.0, 150.0),
+    # Noise at rest, more of it in proportion to the pressure, a ramp over 1,500 s [mV]
+    noise=0.24,
+    inflated_noise=0.55,
+    drift=0.6,
+    # Of the readings in T0 to T5: common bias; of every sensor in all but T5: bias [mV] and relative gain
+    bias=(-3.7, -3.4, -3.2, -0.2, -3.2, 0.0),
+    bias_scatter=0.5,
+    gain_scatter=0.04,
+    # Motion capture [mm, deg, s]
+    capture_noise=0.02,
+    capture_noise_deg=0.02,
+    gaps_per_s=0.02,
+    clock_ppm=10.0,
+    latest_start=2.0,
+    ring_offset=(0.8, -0.5),
+    base=(120.0, -80.0, 300.0),
+)
+"""Parameters of the simulated rig, frozen before an estimator ran on it.
 
-    Directions and curvatures of the sensors follow from slopes, ranges and misfits of the authors' sensors by least
-    squares, the hystereses from differences between their recordings. All else is assumed.
-    """
-
-    neutral: tuple = (1.72, -0.1)
-    """Bend of the inflated segment without torque, along x and y."""
-    linear: tuple = (3.4, 9.17)
-    quadratic: tuple = (0.8, 0.0)
-    cubic: tuple = (2.9, 0.0)
-    """How an axis bends with its torque, in units of the reach."""
-    elongation: float = 4.5
-    lag: float = 0.2
-    hysteresis: float = 0.3
-    stroke: float = 3.0
-    """Amplitude of the hysteresis of the tip, and the way after which it has turned over."""
-    inner_hysteresis: float = 0.06
-    inner_stroke: float = 4.0
-    across: float = 0.11
-    centre: float = 0.1
-    """How the bend at the magnet differs: hysteresis, and the time by which it lags where the direction turns."""
-    sensitivity: tuple = ((-1665.0, -1358.0, 4515.0), (-2461.0, 875.0, 4264.0), (-4111.0, -677.0, 2764.0))
-    """Of every sensor along its own axes [mV/mT]; as drawn (0, 0, 5000)."""
-    sensor_shift: tuple = ((0.4, -0.3, 0.2), (-0.5, 0.2, 0.3), (0.3, 0.5, -0.4))
-    magnet_shift: tuple = (0.5, -0.4, 0.6)
-    magnet_tilt: tuple = (1.5, -1.0)
-    earth_mt: float = 0.0493
-    rest: tuple = (1032.0, 915.4, 1159.5)
-    curvature: tuple = ((-2.18, -0.55, -0.66), (-0.69, -0.09, 0.5), (-1.04, -0.23, 0.19))
-    ripple: tuple = (4.0, 0.95, 2.8)
-    ripple_period: float = 9.0
-    ripple_azimuth: tuple = (30.0, 80.0, 150.0)
-    """What no field of the ring explains: a quadratic and a sine of the bend, for every sensor."""
-    noise: float = 0.24
-    inflated_noise: float = 0.55
-    drift: float = 0.6
-    """Noise at rest, more of it in proportion to the pressure, and a ramp over 1,500 s."""
-    bias: tuple = (-3.7, -3.4, -3.2, -0.2, -3.2, 0.0)
-    """Common bias of the readings in T0 to T5."""
-    bias_scatter: float = 0.5
-    gain_scatter: float = 0.04
-    """Of every sensor in every recording but T5."""
-    capture_noise: float = 0.02
-    capture_noise_deg: float = 0.02
-    gaps_per_s: float = 0.02
-    clock_ppm: float = 10.0
-    latest_start: float = 2.0
-    ring_offset: tuple = (0.8, -0.5)
-    base: tuple = (120.0, -80.0, 300.0)
+Directions and curvatures of the sensors follow from slopes, ranges and misfits of the authors' sensors by least
+squares, the hystereses from differences between their recordings. All else is assumed.
+"""
 
 
 def torques(name: str, time_s: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -414,7 +410,7 @@ def _levers() -> np.ndarray:
     return np.column_stack([-np.sin(azimuth), np.cos(azimuth)])
 
 
-def motion(rig: SimulatedRig, pressures_mbar: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def motion(rig: SimpleNamespace, pressures_mbar: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return configurations [m] of the tip, which motion capture sees, and of the place of the magnet.
 
     The bend follows the pressures with a lag, an asymmetry and a hysteresis. The magnet has a hysteresis of its own,
@@ -435,19 +431,19 @@ def motion(rig: SimulatedRig, pressures_mbar: np.ndarray) -> tuple[np.ndarray, n
     return tuple(1e-3 * np.column_stack([xy, rig.elongation * inflation]) for xy in (tip, magnet))
 
 
-@kernel(allocates=True)
-def _memory(x, stroke):
+def _memory(x: np.ndarray, stroke: float) -> np.ndarray:
     """Memory of every column, in [-1, 1], by Bouc and Wen: 1 after a long rise, -1 after a long fall."""
-    z = np.zeros_like(x)
-    for c in range(x.shape[1]):
-        for k in range(1, len(x)):
-            step = x[k, c] - x[k - 1, c]
+    columns = []
+    for steps in np.diff(x, axis=0).T.tolist():
+        z = [0.0]
+        for step in steps:
             end = math.copysign(1.0, step)
-            z[k, c] = end + (z[k - 1, c] - end) * math.exp(-abs(step) / stroke)
-    return z
+            z.append(end + (z[-1] - end) * math.exp(-abs(step) / stroke))
+        columns.append(z)
+    return np.array(columns).T
 
 
-def readings(rig: SimulatedRig, q: np.ndarray, q_magnet: np.ndarray) -> np.ndarray:
+def readings(rig: SimpleNamespace, q: np.ndarray, q_magnet: np.ndarray) -> np.ndarray:
     """Return readings ``[t, 3]`` [mV] before noise, drift and converter; the field is magpylib's."""
     change = _field(rig, q, q_magnet) - _field(rig, np.zeros((1, 3)), np.zeros((1, 3)))
     x, y = 1e3 * q[:, :1], 1e3 * q[:, 1:2]
@@ -458,14 +454,13 @@ def readings(rig: SimulatedRig, q: np.ndarray, q_magnet: np.ndarray) -> np.ndarr
     return np.array(rig.rest) + (change * np.array(rig.sensitivity)).sum(axis=-1) + unexplained
 
 
-def _field(rig: SimulatedRig, q: np.ndarray, q_magnet: np.ndarray) -> np.ndarray:
+def _field(rig: SimpleNamespace, q: np.ndarray, q_magnet: np.ndarray) -> np.ndarray:
     """Flux density ``[t, sensor, 3]`` [mT] at the sensors, along their own axes."""
     drawn = robot()
     T_s = drawn.poses(q, [sensor.place for sensor in drawn.sensors])
     T_m = drawn.poses(q_magnet, [drawn.magnets[0].place])
     R_s = T_s[..., :3, :3]
     p_s = T_s[..., :3, 3] + (R_s @ (1e-3 * np.array(rig.sensor_shift))[..., None])[..., 0]
-    tilt = Rotation.from_euler("xy", rig.magnet_tilt, degrees=True)
     turned = Rotation.from_euler("XY", rig.magnet_tilt, degrees=True).as_matrix()
     p_m = T_m[..., :3, 3] + (T_m[..., :3, :3] @ (1e-3 * np.array(rig.magnet_shift)))
     R_m = T_m[..., :3, :3] @ turned
@@ -473,9 +468,9 @@ def _field(rig: SimulatedRig, q: np.ndarray, q_magnet: np.ndarray) -> np.ndarray
     return np.einsum("tsij,tsi->tsj", R_s, B + rig.earth_mt * np.array(EARTH))
 
 
-def simulated(name: str, rig: SimulatedRig | None = None, seed: int = 0) -> Recording:
+def simulated(name: str, rig: SimpleNamespace = RIG, seed: int = 0) -> Recording:
     """Record one trajectory with the simulated rig, and send it through the authors' pipeline."""
-    rig, number = rig or SimulatedRig(), TRAJECTORIES.index(name)
+    number = TRAJECTORIES.index(name)
     rng = np.random.default_rng([seed, number])
     time_s = np.arange(round((SEQUENCE_S + DURATION_S[name] + TAIL_S) * REGULATOR_HZ) + 1) / REGULATOR_HZ
     p = pressures(name, time_s, seed)
@@ -500,7 +495,7 @@ def simulated(name: str, rig: SimulatedRig | None = None, seed: int = 0) -> Reco
     return aligned(configurations(seen, whole), u, whole)
 
 
-def _captured(rig: SimulatedRig, q: np.ndarray, rng: np.random.Generator) -> Capture:
+def _captured(rig: SimpleNamespace, q: np.ndarray, rng: np.random.Generator) -> Capture:
     """Poses of base and ring as motion capture exports them: noisy, with gaps, to six digits."""
     n = len(q)
     T = robot().poses(q, [place("ring", 1, MARKERS_AT)])[:, 0]
@@ -513,7 +508,7 @@ def _captured(rig: SimulatedRig, q: np.ndarray, rng: np.random.Generator) -> Cap
     lost = np.zeros(n + 2, dtype=bool)
     for k in np.flatnonzero(rng.random(n) < rig.gaps_per_s / RATE_HZ):
         length = int(rng.integers(1, 3))
-        if 0 < k and k + length + 1 < n and not lost[k - 1 : k + length + 1].any():
+        if k > 0 and k + length + 1 < n and not lost[k - 1 : k + length + 1].any():
             lost[k : k + length] = True
     ring[lost[:n]] = np.nan
     first = _six_digits(_capture_axes(base + [0.0, 0.0, BASE_HEIGHT] + noise[0, :1]))
@@ -529,7 +524,6 @@ def _capture_axes(xyz: np.ndarray) -> np.ndarray:
     return np.column_stack([xyz[:, 0], xyz[:, 2], -xyz[:, 1]])
 
 
-# ---------------------------------------------------------------------------------------------------------------------
 # What Table 2 is made from
 
 STEP_SIZE, MOMENTUM, ITERATIONS = (1.5e-8, 1.5e-8, 0.0), 0.2, 20
@@ -646,7 +640,31 @@ def _train(train: Recording, sensor: int, seed: int, path: Path) -> None:
     save_network(network, path, {"recipe": "paper", "sensor": sensor, "seed": seed, "rmse_mv": errors})
 
 
-# ---------------------------------------------------------------------------------------------------------------------
+# Our filter
+
+
+def weighed_filters(
+    kalman: KalmanFilter, u: np.ndarray, start: np.ndarray, log_prior: np.ndarray
+) -> np.ndarray:
+    """Run one Kalman filter for each bias, and return their mean ``[t, trajectory, n_q]``.
+
+    Readings ``[t, trajectory, bias, s]`` are less the bias. A filter counts by the probability that it gave to all
+    readings so far. Laplace's approximation of it needs what the estimate has at hand: chi-square at the maximum of
+    the posterior, and how far the reading has shrunk the covariance.
+    """
+    state, log_weight, means = kalman.init(start), log_prior, []
+    n = kalman.n_q + len(kalman.drift_names)
+    for k, u_k in enumerate(u):
+        before = kalman.predicted(state, k / RATE_HZ).covariance[..., :n, :n]
+        state, estimate = kalman.step(state, u_k, k / RATE_HZ)
+        after = state.covariance[..., :n, :n]
+        shrunk = np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1]
+        log_weight = log_weight - (estimate.chi2 + shrunk) / 2
+        weight = np.exp(log_weight - log_weight.max(axis=-1, keepdims=True))
+        means.append((weight[..., None] * estimate.q).sum(axis=-2) / weight.sum(axis=-1)[..., None])
+    return np.array(means)
+
+
 # Table 2 and Figs 9 to 11 as tables
 
 
@@ -744,35 +762,10 @@ def landscape(data: Data, sensing: Sensing, time_s: float = 3.0, points: int = 5
     return pd.DataFrame({"delta_x_mm": 1e3 * x, "delta_y_mm": 1e3 * y, "rmse_mV": rmse})
 
 
-# ---------------------------------------------------------------------------------------------------------------------
 # Studies: what takes minutes and is committed in data/studies
 
 STARTS, APART = 32, 1e-12
 """Starts of the descent, and by how much of each coordinate they differ: as much as rounding does."""
-
-
-def start_study(seconds: float = 15.0) -> pd.DataFrame:
-    """Return the errors [mm] of the descent from starts that differ by rounding, on the simulated rig.
-
-    One row for each trajectory, seed, start and step: the published one, and half of it with twice the iterations.
-    """
-    data = load("simulated")
-    q, u = data.beginnings(seconds)
-    q, u = (np.broadcast_to(x[:, :, None], (*x.shape[:2], STARTS, 3)) for x in (q, u))
-    known = np.where([False, False, True], q, np.nan)
-    apart = 1 + APART * np.random.default_rng(0).uniform(-1, 1, (STARTS, 3))
-    lines = []
-    for step, shorter in (("published", 1), ("half", 2)):
-        for seed in SEEDS:
-            sensing = Sensing(robot(), networks(data, seed), earth=EARTH)
-            moves = np.array(STEP_SIZE) / shorter
-            descent = GradientDescent(sensing, moves, MOMENTUM, ITERATIONS * shorter)
-            found = track(descent, u, q[0] * apart, known=known, progress=f"{step} step, seed {seed}").q
-            off = 1e3 * np.sqrt(((found - q) ** 2).mean(axis=0))
-            for i, name in enumerate(data.tests):
-                for start in range(STARTS):
-                    lines.append((step, row_name(name), seed, start, *off[i, start, :2]))
-    return pd.DataFrame(lines, columns=["step", "row", "seed", "start", "delta_x", "delta_y"])
 
 
 def ranges_over_starts(study: pd.DataFrame) -> pd.DataFrame:
@@ -793,17 +786,30 @@ def random_rig_ratios(study: pd.DataFrame) -> pd.DataFrame:
 
     A ratio is the geometric mean over six trajectories and two axes.
     """
-
-    def logs(part: pd.DataFrame, method: str) -> np.ndarray:
-        return np.log(part[[f"{method}_delta_{axis}_mm" for axis in "xy"]].to_numpy())
-
+    variants = ("known", "mean", "shorter")
+    axes = [f"delta_{axis}_mm" for axis in "xy"]
     lines = []
     for _, part in study.groupby(["family", "twin"], sort=False):
         line = part.iloc[0][["family", "twin", "hysteresis", "drift", "drift_mV"]].to_dict()
-        for method in ("known", "mean", "shorter"):
-            line[method] = float(np.exp((logs(part, "ours") - logs(part, method)).mean()))
-        known = logs(part, "ours") - logs(part, "known")
-        row, axis = np.unravel_index(known.argmax(), known.shape)
-        line["worst"] = f"{part['trajectory'].iloc[row]} {'xy'[axis]}: {np.exp(known.max()):.2f}"
+        errors = {name: part[[f"{name}_{axis}" for axis in axes]].to_numpy() for name in (*variants, "ours")}
+        ratios = {name: errors["ours"] / errors[name] for name in variants}
+        row, axis = np.unravel_index(ratios["known"].argmax(), ratios["known"].shape)
+        line |= {name: float(np.exp(np.log(ratio).mean())) for name, ratio in ratios.items()}
+        line["worst"] = f"{part['trajectory'].iloc[row]} {'xy'[axis]}: {ratios['known'].max():.2f}"
         lines.append({**line, "covered": part["covered"].mean()})
     return pd.DataFrame(lines)
+
+
+def methods(data: Data, ours: np.ndarray, table: pd.DataFrame, ranges: pd.DataFrame) -> pd.DataFrame:
+    """Return errors of the bend [mm] by trajectory: the paper's method, with half its step, and our filter."""
+    q, _ = data.beginnings(len(ours) / RATE_HZ)
+    off = 1e3 * np.sqrt(((ours - q[..., :2]) ** 2).mean(axis=0))
+    known = table.query("elongation == 'known' and unit == 'mm'").groupby(["row", "quantity"])["error"].mean()
+    half = ranges[ranges["step"] == "half"].set_index(["row", "quantity"])["middle"]
+    half = half if data.source == "simulated" else half * np.nan
+    lines = [
+        (name, quantity, known[row_name(name), quantity], half[row_name(name), quantity], off[i, k])
+        for i, name in enumerate(data.tests)
+        for k, quantity in enumerate(("delta_x", "delta_y"))
+    ]
+    return pd.DataFrame(lines, columns=["trajectory", "quantity", "paper", "half_step", "ours"])
