@@ -545,7 +545,7 @@ RIG_COLUMNS = {"e_u": ("readings", "mV"), "delta_x": ("Δx", "mm"), "delta_y": (
 
 
 def table_2(printed: pd.DataFrame, errors: pd.DataFrame, moved: pd.DataFrame, badge: str) -> HTML:
-    """Return Table 2 as printed: published numbers, below them ours; ~ where the step makes the descent chaotic."""
+    """Return Table 2 as printed: published numbers, below them ours; ~ where rounding decides."""
     key = ["row", "quantity", "unit"]
     ours = errors[errors["elongation"] == "known"].groupby(key)["error"].agg(["mean", "std"])
     chaotic = set(moved[moved["chaotic"] & (moved["step"] == "published")].set_index(key[:2]).index)
@@ -566,7 +566,7 @@ def table_2(printed: pd.DataFrame, errors: pd.DataFrame, moved: pd.DataFrame, ba
             cells.append(f"<td><small>{text}</td>")
         lines.append(f'<tr><th scope="row">{str(row).replace("->", " → ")}</th>{"".join(cells)}</tr>')
     box = '<div class="table-1" tabindex="0" role="region" aria-label="Table 2, published and regenerated">'
-    words = "Grey: published. Below: regenerated. ~ : the step is too long, so rounding decides this number."
+    words = "Grey: published. Below: regenerated. ~ : rounding decides this number, see below."
     mark = f'<span style="border: 1px solid; border-radius: 1em; padding: 0.1em 0.7em">{badge}</span>'
     return HTML(
         f"{TABLE_1}<p>{mark}</p>{box}<table><thead>{''.join(lines)}</tbody></table></div><p>{words}</p>"

@@ -684,17 +684,18 @@ def errors(
     """
     q, u = data.beginnings(seconds)
     e_u = np.sqrt(((predicted - u[:, :, None]) ** 2).mean(0)).mean(-1)
+    e_q = {name: np.sqrt(((estimate - q[:, :, None]) ** 2).mean(0)) for name, estimate in found.items()}
     lines = []
-    for elongation, estimate in found.items():
-        e_q = np.sqrt(((estimate - q[:, :, None]) ** 2).mean(0))
-        for i, (name, whole) in enumerate(data.tests.items()):
-            cells = [("e_u", "mV", e_u[i], 1.0), ("e_u", "%", e_u[i], 100 / np.ptp(whole.u))]
+    for i, (name, whole) in enumerate(data.tests.items()):
+        for elongation, error in e_q.items():
+            cells = [[("e_u", "mV", e_u[i]), ("e_u", "%", 100 / np.ptp(whole.u) * e_u[i])], []]
             for k, quantity in enumerate(("delta_x", "delta_y")):
-                cells += [(quantity, "mm", e_q[i, :, k], 1e3)]
-                cells += [(quantity, "%", e_q[i, :, k], 100 / np.ptp(whole.q[:, k]))]
-            for quantity, unit, values, factor in cells:
-                for seed, value in enumerate(values):
-                    lines.append((elongation, row_name(name), seed, quantity, unit, factor * value))
+                share = 100 / np.ptp(whole.q[:, k])
+                cells[1] += [(quantity, "mm", 1e3 * error[i, :, k]), (quantity, "%", share * error[i, :, k])]
+            for part in cells:
+                for seed in range(error.shape[1]):
+                    line = elongation, row_name(name), seed
+                    lines += [(*line, quantity, unit, values[seed]) for quantity, unit, values in part]
     return pd.DataFrame(lines, columns=["elongation", "row", "seed", "quantity", "unit", "error"])
 
 
