@@ -101,8 +101,21 @@ def page_point(root: Path, notebook: Path, inputs: str) -> Point:
     )
 
 
+def compile_kernels() -> None:
+    """Compile what all pages use, once: pages that start together would each do it, and show that they do."""
+    import repro
+    from repro_companion.papers import baaij
+
+    sensing = repro.Sensing(baaij.robot(1))
+    readings, bounds = sensing([0.0, 0.0, 0.003])[None], baaij.bounds(1)
+    for method in (baaij.descent(sensing, 1), repro.LevenbergMarquardt(sensing, *bounds, noise=1e-3)):
+        repro.track(method, readings, [0.0, 0.0, 0.003])
+
+
 def run_pages(points: Sequence[Point], jobs: int) -> list[str]:
     """Run pages, several at once; return why some failed. One that shows a warning fails, and runs again."""
+    if points:
+        compile_kernels()
 
     def one(point: Point) -> str:
         name = point.notebook.stem
