@@ -10,14 +10,10 @@ import sympy as sp
 import torch
 from numpy.testing import assert_allclose
 
-from edition1 import BendSensor, ConstantCurvature, LinearisedSensing, pcc_extended
+from edition1 import BendSensor, pcc_extended
 from edition1.estimation.imu_models import exact_arcs, rigid_links
 from edition1.estimation.imu_selection import Selection
-from edition1.estimation.information import fisher_information
 from edition1.kinematics.bend import Bend
-from edition1.kinematics.paper_robots import pcc_robot
-from edition1.sensing.magnets import ring
-from edition1.sensing.multipole import MultipoleField
 from edition1_companion.pages.how_many_imus import curves as imu_curves
 
 

@@ -11,8 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import repro
-from edition1.kinematics.paper_robots import pcc_robot
-from edition1_companion.twins import robot_tables
 from repro.robot import point_on
 from repro_companion.papers import baaij
 
@@ -58,14 +56,6 @@ def test_parts_are_those_of_the_committed_table():
     found = baaij.parts(baaij.robot(1), baaij.planar(1, 70.0))
     expected = pd.read_csv(ROOT / "results" / "field_one_segment.csv")
     pd.testing.assert_frame_equal(found, expected, rtol=1e-8, atol=1e-9, check_dtype=False)
-
-
-@pytest.mark.parametrize("n", [1, 2])
-def test_field_around_a_robot_is_the_first_editions(n):
-    found = baaij.field_in_plane(baaij.robot(n, ring="published"), baaij.planar(n, 30.0), rows=11)
-    old = robot_tables.planar_configuration(n, 30.0)
-    expected = robot_tables.field_in_plane(pcc_robot(n, 3), old, "published", n_points=11)
-    pd.testing.assert_frame_equal(found, expected, rtol=1e-8, atol=1e-9)
 
 
 def test_what_a_reading_is_made_of():

@@ -6,8 +6,6 @@ import numpy as np
 import pandas as pd
 
 import repro
-from edition1_companion.pages.sensor_failure import failure as old_page
-from edition1_companion.pages.sensor_failure import tables as old_tables
 from repro_companion.papers import baaij
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,21 +26,6 @@ def test_means_over_seeds_are_those_of_the_committed_table():
     errors = pd.read_csv(ROOT / "results" / "sensor_failure_errors.csv")
     expected = pd.read_csv(ROOT / "results" / "sensor_failure_authors.csv")
     pd.testing.assert_frame_equal(baaij.failure_means(errors), expected, rtol=1e-8)
-
-
-def test_the_shown_run_is_the_first_editions():
-    steps = 10
-    failure = old_page.Failure([4, 8, 12], 5.0)
-    old = old_page.paper_method(failure, [0], ROOT / "data" / "networks", steps=steps)
-    robot, q = baaij.robot(3, 4), baaij.lemniscate(3, steps=steps)
-    u, works = repro.simulated_readings(robot, q), np.ones((steps, 12), dtype=bool)
-    after = np.arange(steps) >= steps // 2
-    works[np.ix_(after, [3, 7, 11])] = False
-    descent = baaij.descent(repro.Sensing(robot, baaij.networks(3, 0)), 3)
-    found = {(0, run): repro.track(descent, u, q[0], mask=mask).q
-             for run, mask in (("all sensors", np.ones_like(works)), ("failure", works))}  # fmt: skip
-    expected = old_tables.errors_by_run(old, failure)
-    pd.testing.assert_frame_equal(baaij.failure_errors(found, q, after), expected, rtol=1e-3)
 
 
 def test_a_lost_sensor_costs_the_roots_of_one_two_and_three():
