@@ -58,6 +58,14 @@ def test_relative_errors_are_equation_13():
     assert baaij.relative_errors(batch, truth) == pytest.approx(np.array([[0, 0], [10, 0]]))
 
 
+@pytest.mark.parametrize(
+    ("n", "bending", "elongation"), [(1, 3.5e-4, 3.5e-4), (2, 3e-3, 3e-4), (3, 2e-3, 2e-4)]
+)
+def test_step_sizes_are_those_of_section_3_3(n, bending, elongation):
+    assert baaij.step_sizes(n) == [bending, bending, elongation] * n
+    assert (baaij.MOMENTUM, baaij.ITERATIONS) == (0.3, 20)
+
+
 def test_the_table_prints_two_runs_again_and_names_every_row():
     printed = published("baaij2023", "Table 1")
     assert [row.name for row in baaij.ROWS] == list(printed["row"].unique())

@@ -4,11 +4,13 @@ import ast
 import json
 from pathlib import Path
 
+import magpylib
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 import repro
 from repro.robot import point_on
@@ -56,6 +58,22 @@ def test_parts_are_those_of_the_committed_table():
     found = baaij.parts(baaij.robot(1), baaij.planar(1, 70.0))
     expected = pd.read_csv(ROOT / "results" / "field_one_segment.csv")
     pd.testing.assert_frame_equal(found, expected, rtol=1e-8, atol=1e-9, check_dtype=False)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_the_field_around_a_robot_is_magpylibs(n):
+    robot, q, ring = baaij.robot(n, ring="published"), baaij.planar(n, 30.0), baaij.RINGS["published"]
+    size = ring.inner_diameter / 2, ring.outer_diameter / 2, ring.height, 0, 360
+    rings = [
+        magpylib.magnet.CylinderSegment(
+            T[:3, 3], Rotation.from_matrix(T[:3, :3]), dimension=size, polarization=(0, 0, 1.45)
+        )
+        for T in robot.poses(q, [magnet.place for magnet in robot.magnets])
+    ]
+    found = baaij.field_in_plane(robot, q, rows=11)
+    points = 1e-3 * np.stack([found["x_mm"], 0 * found["x_mm"], found["z_mm"]], axis=-1)
+    expected = 1e3 * magpylib.getB(rings, points, sumup=True)
+    np.testing.assert_allclose(found[["b_x_mT", "b_z_mT"]], expected[:, [0, 2]], rtol=1e-8, atol=1e-9)
 
 
 def test_what_a_reading_is_made_of():
