@@ -28,10 +28,11 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help book test mutants lint check-site bench size train soak vendor env clean lock
+.PHONY: help book page test mutants lint check-site bench size train soak vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
+	@echo 'make page        run one notebook and build its page alone, such as P=table_1: book/_build/page/notebooks/table_1.html'
 	@echo 'make test        run the tests; SHAPES=1 also checks the shapes that functions of the first edition take'
 	@echo 'make mutants     change one expression after the other and see whether the tests notice (minutes)'
 	@echo 'make lint        style, types and the direction of imports'
@@ -48,8 +49,12 @@ help:
 	@echo 'Variables: PYTHON=$(PYTHON)  JOBS=$(JOBS)  TORCH_FLAGS=$(TORCH_FLAGS)  (see README.md)'
 
 book: .env-book
-	@$(PY) -m edition1_companion.book.after.build
+	@$(PY) -m repro_companion.build
 	@echo 'The site: book/_build/html/index.html'
+
+page: .env-book
+	@test -n "$(P)" || { echo 'Name a page: make page P=table_1' >&2; exit 2; }
+	@$(PY) -m repro_companion.build $(P)
 
 # Modules stay whole: what a module prepares is prepared once. Those that mostly wait, for ports and clocks, come first,
 # and one process more than there are cores uses what their waiting leaves.
@@ -87,7 +92,7 @@ soak: env
 	$(PY) -m bench.soak.live 10 1000
 
 vendor: env
-	node src/edition1/edition1_live/view/viewer/bundle.mjs .cache/viewer
+	node src/repro_board/page/bundle.mjs .cache/viewer
 
 # ---------------------------------------------------------------------------------------------------------------------
 # The environment. $(STAMP) holds the content it was made from, so that neither a checkout's new modification times nor

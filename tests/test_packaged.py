@@ -17,7 +17,7 @@ import pytest
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES_OF_THE_BUNDLE = "edition1_live/view/viewer/"
+SOURCES_OF_THE_BUNDLE = "repro_board/page/"
 """From these `make vendor` makes the script of the viewer; the wheel holds only what it made."""
 BUNDLED = {"shape_viewer.js", "LICENSE.three"}
 SHOW = "import edition1; print(edition1.__file__, tuple(shape.q.shape), tuple(shape.tip(robot).shape))"
@@ -122,7 +122,7 @@ def test_a_bare_installation_says_which_extra_a_command_needs(called: Called, re
     """In one line, before it asks for anything else; help works."""
     for command, said in {
         "track x": 'repro track needs the extra "edition1": pip install "repro-soft-robots[edition1]"\n',
-        "run": 'repro run needs the extras "book" and "edition1": pip install "repro-soft-robots[book,edition1]"\n',
+        "run": 'repro run needs the extra "book": pip install "repro-soft-robots[book]"\n',
     }.items():
         done = called(required, "repro", *command.split())
         assert (done.returncode, done.stdout, done.stderr) == (2, "", said)

@@ -16,9 +16,11 @@ from edition1.files import write_whole
 from edition1_companion.book.after.page_notes import with_notes, write_page_files
 from edition1_companion.book.project import Project
 from edition1_companion.book.values import filled
+from repro_companion.build import page_of
+from repro_companion.run import is_first_edition
 
 VIEWER = "shape_viewer.js"
-VIEWER_IN_PACKAGE = f"src/edition1/edition1_live/view/viewer/{VIEWER}"
+VIEWER_IN_PACKAGE = f"src/repro_board/page/vendor/{VIEWER}"
 ICONS_OF_THEME = "vendor/fontawesome/webfonts/fa-solid-900.ttf"
 ICONS = {
     "magnifying-glass": 0xF002,
@@ -88,11 +90,13 @@ def select_files(app: Sphinx, pagename: str, templatename: str, context: dict, d
 
 
 def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Give the page of a notebook provenance, parameters and downloads; the notebook itself stays as it is."""
-    if docname.startswith(NOTEBOOKS) and app.env.doc2path(docname).endswith(".ipynb"):
-        project = Project(Path(app.srcdir).parent)
-        page = with_notes(json.loads(source[0]), project, docname.removeprefix(NOTEBOOKS))
-        source[0] = json.dumps(page)
+    """Make the page of an executed notebook; the notebook itself stays as it is."""
+    place = Path(app.env.doc2path(docname))
+    if docname.startswith(NOTEBOOKS) and place.suffix == ".ipynb":
+        project, name = Project(Path(app.srcdir).parent), docname.removeprefix(NOTEBOOKS)
+        page = json.loads(source[0])
+        old = is_first_edition(place)
+        source[0] = json.dumps(with_notes(page, project, name) if old else page_of(page, project.root, name))
 
 
 def fill_values(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -108,11 +112,21 @@ def fill_values(app: Sphinx, docname: str, source: list[str]) -> None:
         source[0] = filled(source[0], values, docname)
 
 
+def drop_numbers(app: Sphinx, pagename: str, templatename: str, context: dict, doctree) -> None:
+    """Take our numbers off the figures of rewritten pages: these name the figures of the paper."""
+    if doctree is not None and pagename.startswith(NOTEBOOKS):
+        place = Path(app.env.doc2path(pagename))
+        if place.suffix == ".ipynb" and not is_first_edition(place):
+            number = r'<span class="caption-number">.*?</span>'
+            context["body"] = re.sub(number, "", context["body"], flags=re.S)
+
+
 def add_downloads(app: Sphinx, exception: Exception | None) -> None:
-    """Put the files that pages of notebooks offer where these look for them."""
+    """Put the files that pages of the first edition's notebooks offer where these look for them."""
     if exception is None and app.builder.format == "html":
         for docname in sorted(app.env.found_docs):
-            if docname.startswith(NOTEBOOKS) and app.env.doc2path(docname).endswith(".ipynb"):
+            place = Path(app.env.doc2path(docname))
+            if docname.startswith(NOTEBOOKS) and place.suffix == ".ipynb" and is_first_edition(place):
                 write_page_files(
                     Project(Path(app.srcdir).parent), docname.removeprefix(NOTEBOOKS), Path(app.outdir)
                 )
@@ -173,6 +187,7 @@ def setup(app: Sphinx) -> dict[str, object]:
     # Jupyter Book sets it, although sphinx_comments is left out
     app.add_config_value("comments_config", {}, "html")
     app.connect("html-page-context", select_files, priority=900)
+    app.connect("html-page-context", drop_numbers)
     app.connect("source-read", add_notes)
     app.connect("source-read", fill_values)
     # a number of a paper, a setting: so that every other digit in prose is known to be loose

@@ -299,14 +299,17 @@ def simulated_readings(robot: Robot, q: Any, earth_mt: Any = None) -> Array:
     n_m, n_s = len(robot.magnets), len(robot.sensors)
     earth = np.zeros(3) if earth_mt is None else numbers(earth_mt, "earth_mt", "simulated_readings", (..., 3))
     columns = []
-    for j, sensor in enumerate(robot.sensors, n_m):
-        B = np.broadcast_to(earth, (*q.shape[:-1], 3)).copy()
-        for k, magnet in enumerate(robot.magnets):
-            R, offset = T[..., k, :3, :3], T[..., j, :3, 3] - T[..., k, :3, 3]
-            local = magnet.shape.field(np.einsum("...ji,...j->...i", R, offset))
-            B += np.einsum("...ij,...j->...i", R, local)
-        read = np.einsum("...ji,...j->...i", T[..., j, :3, :3], B)
-        columns.append(read if sensor.axes == 3 else read[..., 2:])
+    if robot.sensors:
+        R, axes = T[..., None, :n_m, :3, :3], T[..., n_m : n_m + n_s, :3, :3]
+        offset = T[..., n_m : n_m + n_s, None, :3, 3] - T[..., None, :n_m, :3, 3]
+        local = (np.swapaxes(R, -1, -2) @ offset[..., None])[..., 0]
+        B = np.broadcast_to(earth[..., None, :], (*q.shape[:-1], n_s, 3)).copy()
+        for shape in dict.fromkeys(magnet.shape for magnet in robot.magnets):  # one call of magpylib each
+            own = [k for k, magnet in enumerate(robot.magnets) if magnet.shape == shape]
+            B += (R[..., own, :, :] @ shape.field(local[..., own, :])[..., None])[..., 0].sum(-2)
+        read = (np.swapaxes(axes, -1, -2) @ B[..., None])[..., 0]
+        for j, sensor in enumerate(robot.sensors):
+            columns.append(read[..., j, :] if sensor.axes == 3 else read[..., j, 2:])
     if robot.imus:
         from scipy.spatial.transform import Rotation
 

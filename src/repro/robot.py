@@ -465,8 +465,8 @@ class Robot:
             require(isinstance(segment, kinds), "segments", "Robot", expected, type(segment).__name__)
         for name, parts in (("magnets", self.magnets), ("sensors", self.sensors), ("imus", self.imus)):
             for k, part in enumerate(parts):
-                where = getattr(part, "place", None)
-                require(isinstance(where, Place), name, "Robot", "parts with a place", f"{part!r}")
+                if not isinstance(getattr(part, "place", None), Place):  # its repr is long to make
+                    raise bad_input(name, "Robot", "parts with a place", repr(part))
                 self._check(part.place, f"{name}, number {k + 1},")
 
     def _check(self, where: Place, name: str) -> None:

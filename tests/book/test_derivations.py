@@ -10,118 +10,11 @@ import sympy as sp
 import torch
 from numpy.testing import assert_allclose
 
-from edition1 import BendSensor, ConstantCurvature, LinearisedSensing, pcc_extended
+from edition1 import BendSensor, pcc_extended
 from edition1.estimation.imu_models import exact_arcs, rigid_links
 from edition1.estimation.imu_selection import Selection
-from edition1.estimation.information import fisher_information
 from edition1.kinematics.bend import Bend
-from edition1.kinematics.paper_robots import pcc_robot
-from edition1.sensing.magnets import ring
-from edition1.sensing.multipole import MultipoleField
 from edition1_companion.pages.how_many_imus import curves as imu_curves
-from edition1_companion.twins.calibrated_robots import box
-from edition1_companion.twins.robot_tables import misprint
-
-QUARTER_MM = 34.56
-"""Bending in the exercise of the first chapter: a right angle on the radius of 22 mm."""
-
-
-def test_equation_15_is_the_integral_of_the_tangent():
-    v, w, bend, d, length = sp.symbols("v w Delta d L", positive=True)
-    across = length * sp.integrate(sp.sin(w * bend / d), (w, 0, v))
-    ahead = length * sp.integrate(sp.cos(w * bend / d), (w, 0, v))
-    assert sp.simplify(across - d * length / bend * (1 - sp.cos(v * bend / d))) == 0
-    assert sp.simplify(ahead - d * length / bend * sp.sin(v * bend / d)) == 0
-    assert sp.limit(ahead / v, v, 0) == length  # the printed position begins a length above the base
-    assert sp.limit(across / v, v, 0) == 0
-
-
-def test_tangent_of_the_library_is_the_last_column():
-    segment = ConstantCurvature(0.11, 0.022)
-    q = torch.tensor([0.01, -0.02, 0.003], dtype=torch.float64)
-    v = torch.linspace(0, 1, 9, dtype=torch.float64)
-    tangents = torch.stack([torch.func.jacfwd(lambda w: segment.pose(q, w)[:3, 3])(x) for x in v])
-    assert_allclose(tangents, 0.113 * segment.pose(q, v)[:, :3, 2], atol=1e-12)
-
-
-def test_exercise_right_angle():
-    """Both curves end at 2 L / pi to the side and ahead; the printed one begins at L."""
-    table = misprint(QUARTER_MM)
-    last = table.iloc[-1][["x_mm", "z_mm", "x_printed_mm", "z_printed_mm"]]
-    assert_allclose(last, 2 * 110 / math.pi, atol=0.02)
-    assert_allclose(table.iloc[0][["x_printed_mm", "z_printed_mm"]], [0, 110], atol=2.5)
-
-
-@pytest.mark.parametrize("order", [1, 2, 3, 5])
-def test_gradient_of_a_term_of_the_potential(order):
-    """In the plane of axis and point: the part along the axis and the part towards the point."""
-    x, z = sp.symbols("x z", positive=True)
-    d = sp.sqrt(x * x + z * z)
-    c = sp.Symbol("c")
-    slope, above = sp.diff(sp.legendre(order, c), c), sp.diff(sp.legendre(order + 1, c), c)
-    assert sp.expand(c * slope + (order + 1) * sp.legendre(order, c) - above) == 0
-    potential = sp.legendre(order, z / d) / d ** (order + 1)
-    along, towards = -slope.subs(c, z / d), above.subs(c, z / d)
-    field = [towards * x / d, along + towards * z / d]
-    for coordinate, component in zip((x, z), field, strict=True):
-        assert sp.simplify(-sp.diff(potential, coordinate) - component / d ** (order + 2)) == 0
-
-
-def test_moments_of_a_ring():
-    rho, a, b, h, J = sp.symbols("rho a b h J", positive=True)
-    r = sp.sqrt(rho**2 + h**2 / 4)
-    magnet = ring("released")
-    sizes = {
-        a: magnet.inner_diameter / 2,
-        b: magnet.outer_diameter / 2,
-        h: magnet.height,
-        J: magnet.polarisation_mt,
-    }
-    moments = [
-        J * sp.integrate(sp.expand(rho * r**n * sp.legendre(n, h / 2 / r)), (rho, a, b)) for n in (1, 3, 5)
-    ]
-    assert sp.simplify(moments[0] - J * h * (b**2 - a**2) / 4) == 0
-    assert_allclose([float(moment.subs(sizes)) for moment in moments], magnet.multipoles(5), rtol=1e-12)
-
-
-def test_series_is_the_field():
-    """The reading by eq. (5) and the angles, against magpylib; a dipole of half the diameters has a quarter."""
-    magnet, point = ring("released"), np.array([0.03, 0.0, 0.05])
-    direction = np.array([0.6, 0.0, 0.8])
-    d = np.linalg.norm(point)
-    cosines = torch.tensor([0.0, d, direction[2], point @ direction / d, point[2] / d], dtype=torch.float64)
-    assert_allclose(MultipoleField.of(magnet, 11)(cosines), magnet.field(point) @ direction, atol=1e-6)
-    assert_allclose(ring("published").multipoles(1) / magnet.multipoles(1), 1 / 4)
-
-
-def derivatives(n_sensors: int, q: torch.Tensor | None = None) -> torch.Tensor:
-    """Return the derivatives of the readings of one segment by its configuration [mT/m], straight by default."""
-    moments = torch.as_tensor(ring("released").multipoles(9))
-    at = torch.zeros(3, dtype=torch.float64) if q is None else q
-    return LinearisedSensing(pcc_robot(1, n_sensors), moments).linearise(at)[1]
-
-
-@pytest.mark.parametrize("n", [3, 4, 6, 12])
-def test_straight_segment_with_a_ring_of_sensors(n):
-    azimuth = 2 * math.pi * torch.arange(n, dtype=torch.float64) / n
-    (a, _, b) = derivatives(1)[0]
-    rows = torch.stack([a * azimuth.cos(), a * azimuth.sin(), b.expand(n)], -1)
-    assert_allclose(derivatives(n), rows, atol=1e-9)
-    information = torch.diag(n * torch.stack([a * a / 2, a * a / 2, b * b]))
-    assert_allclose(fisher_information(rows, 1.0), information, atol=1e-8)
-
-
-def test_two_sensors_leave_a_bending_open():
-    (a, _, b) = derivatives(1)[0]
-    seen = torch.linalg.eigvalsh(fisher_information(derivatives(2), 1.0))
-    assert_allclose(seen, [0, 2 * a * a, 2 * b * b], atol=1e-8)
-
-
-def test_three_sensors_determine_every_shape_of_the_box():
-    low, high = box(1)
-    share = torch.rand(4000, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    smallest = torch.linalg.svdvals(derivatives(3, low + share * (high - low)))[:, -1].min()
-    assert smallest > 0.5 * torch.linalg.svdvals(derivatives(3))[-1]
 
 
 def test_bend_space():

@@ -209,7 +209,7 @@ def test_an_address_that_makes_no_sense(figure, address):
     assert pixels(figure("magnets", address).locator(".live-stage")).std() > 5
 
 
-@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize("name", ["particles", "imus"])
 def test_a_still_without_scripts(name):
     """Each figure has a picture with words in its place, in its chapter."""
     page = (ROOT / "book" / "chapters" / f"live_{name}.html").read_text(encoding="utf-8")

@@ -174,10 +174,10 @@ for command in (
     app.command(command)
 
 
-def main() -> int:
+def main(commands: App = app) -> int:
     """Run the command line; return 0, 1 where a notebook or a comparison failed, or 2 for wrong input."""
     try:
-        return app(exit_on_error=False, print_error=False, result_action="return_value") or 0
+        return commands(exit_on_error=False, print_error=False, result_action="return_value") or 0
     except (InputError, CycloptsError) as error:
         print(f"repro: {error}", file=sys.stderr)
         return 2

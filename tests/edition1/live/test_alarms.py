@@ -8,7 +8,6 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
 from moving_robot import robot_readings
@@ -17,7 +16,6 @@ from scipy import stats
 from edition1.estimation.consistency import Status
 from edition1.robot_file.load import load_robot
 from edition1_companion.book.studies import read_study
-from edition1_companion.pages.sensor_failure.studies import alarm_table
 from edition1_live.emulate.links import HAS_PTY
 from edition1_live.emulate.robot_readings import course, readings_along
 from edition1_live.emulate.sensor_faults import SensorFaults, with_sensor_faults
@@ -73,16 +71,6 @@ def test_what_reaches_all_sensors_is_no_single_one(name):
     assert all(verdict.status == Status.CONSISTENT for verdict in verdicts[:80])
     assert sum(verdict.status > Status.CONSISTENT for verdict in verdicts) > 20
     assert not any(verdict.suspects for verdict in verdicts)
-
-
-def test_shares_are_those_of_the_counts():
-    counts = dict.fromkeys(read_study("alarms")[0].columns, 8)
-    table = alarm_table(pd.DataFrame([
-        counts | {"scenario": "unplugged", "noticed": 6, "due": 8},
-        counts | {"scenario": "none", "noticed": 0, "due": 0},
-    ])).set_index("scenario")  # fmt: skip
-    assert table.loc["unplugged", "noticed_percent"] == 75
-    assert math.isnan(table.loc["none", "noticed_percent"])
 
 
 def test_the_committed_table_has_a_row_for_every_case():

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from fractions import Fraction
-from statistics import median
 
 import pandas as pd
 
@@ -13,9 +11,8 @@ from edition1_companion.book.formatted import LONGEST
 from edition1_companion.book.project import find_project
 from edition1_companion.book.published import read_published
 from edition1_companion.book.results import results_dir
-from edition1_companion.book.scorecard import COMPARED, ScorecardRow, compare_files
+from edition1_companion.book.scorecard import ScorecardRow, compare_files
 from edition1_companion.book.scorecard_page import scorecard_page
-from edition1_companion.book.verdicts import band, within_band
 
 
 @dataclass(frozen=True, repr=False)
@@ -36,39 +33,6 @@ class VerdictTable:
             return page
         words = f"All {len(self.rows)} numbers, published and regenerated"
         return f"<details><summary>{words}</summary>{page}</details>"
-
-    def if_scaled(self, *factors: float) -> pd.DataFrame:
-        """How many rows would be reproduced, had all regenerated numbers been so many times as large.
-
-        Standard deviations stay. Only rows that are compared count.
-
-        Returns
-        -------
-        pandas.DataFrame
-            ``factor, reproduced, compared``.
-        """
-        rows = [row for row in self.rows if row.verdict in COMPARED]
-        counts = [
-            sum(
-                within_band(
-                    Fraction(factor) * Fraction(row.regenerated) - Fraction(row.published),
-                    row.published,
-                    row.published_std,
-                    row.regenerated_std,
-                )
-                for row in rows
-            )
-            for factor in factors
-        ]
-        return pd.DataFrame({"factor": factors, "reproduced": counts, "compared": len(rows)})
-
-    def band_percent(self) -> float:
-        """Half the width of the band in per cent of the printed number: the median of the rows that are compared."""
-        return median(
-            100 * band(row.published, row.published_std, row.regenerated_std) / abs(float(row.published))
-            for row in self.rows
-            if row.verdict in COMPARED and float(row.published)
-        )
 
     def cells(self, unit: str) -> pd.DataFrame:
         """Rows of this unit that are regenerated, as numbers: columns of ``ScorecardRow``."""

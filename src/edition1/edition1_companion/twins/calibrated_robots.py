@@ -18,7 +18,6 @@ from edition1.estimation.base import Estimate
 from edition1.estimation.calibration import Calibration, calibrate
 from edition1.estimation.levenberg_marquardt import LevenbergMarquardt
 from edition1.estimation.poses import configurations
-from edition1_companion.book.bootstrap import ratio_of_means, resampled
 from edition1_companion.twins.calibration_session import (
     SENSOR_NOISE_MT,
     Config,
@@ -80,26 +79,6 @@ def calibration(row: Row, measured: Session, config: Config) -> Calibration:
         noise_mt=SENSOR_NOISE_MT,
         earth_mt=row.earth_mt(),
     )
-
-
-def gain_by_calibration(table: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
-    """Means over draws and the gain by calibration, with a paired bootstrap interval over the draws.
-
-    Columns: ``row``, ``quantity`` (a coordinate, or ``mean`` over the coordinates of a row), ``calibrated_percent``
-    and ``uncalibrated_percent`` with ``_std`` (sample standard deviation over draws), ``ratio`` of the two means,
-    ``ratio_low`` and ``ratio_high`` (95 %).
-    """
-    lines = []
-    for row, part in table.groupby("row", sort=False):
-        for quantity in [*part["quantity"].unique(), "mean"]:
-            here = part if quantity == "mean" else part[part["quantity"] == quantity]
-            by_draw = here.pivot_table(index="draw", columns="calibrated", values="error_percent")
-            line = {"row": row, "quantity": quantity}
-            for name, calibrated in (("calibrated_percent", True), ("uncalibrated_percent", False)):
-                line |= {name: by_draw[calibrated].mean(), f"{name}_std": by_draw[calibrated].std()}
-            yes, no = by_draw[True].to_numpy(), by_draw[False].to_numpy()
-            lines.append(line | ratio_of_means(yes, no, resampled(len(yes), seed)))
-    return pd.DataFrame(lines)
 
 
 def relative_error(

@@ -1,7 +1,7 @@
 """Shapes in 3-D with a slider for time: what the viewer of the book and of the live view is given.
 
 A :class:`ShapeView` displays itself where it is the result of a notebook's cell: as HTML with its data inline, which
-``viewer/shape_viewer.js`` brings to life on the book's pages, with a picture for readers without that script or
+``shape_viewer.js`` of the board brings to life on the book's pages, with a picture for readers without that script or
 without WebGL.
 """
 
@@ -13,6 +13,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -88,7 +89,7 @@ class Traces:
     estimates: Mapping[str, Float[np.ndarray, " t"]] = field(default_factory=dict)
 
 
-VIEWER = Path(__file__).with_name("viewer") / "shape_viewer.js"
+VIEWER = Path(str(resources.files("repro_board"))) / "page" / "vendor" / "shape_viewer.js"
 """The script of the viewer, for any page that shows shapes; it asks no other file."""
 _MOST_FRAMES = 300
 _LENGTH_QUANTUM_M = 1e-4

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import nbformat
@@ -65,19 +62,6 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("REPRO_RESULTS_DIR", raising=False)
     monkeypatch.setenv("JOBS", "2")
     return project
-
-
-@pytest.fixture
-def build(root: Path):
-    """Return a function that builds the project in a process of its own."""
-
-    def run() -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "edition1_companion.book.after.build"]
-        return subprocess.run(
-            command, cwd=root, env=dict(os.environ), capture_output=True, text=True, check=False
-        )
-
-    return run
 
 
 @pytest.fixture

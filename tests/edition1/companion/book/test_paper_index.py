@@ -96,7 +96,7 @@ def test_page():
         "Mitchell et al. (2021)",
         "Martin et al. (2022)",
     ]
-    assert '<a href="notebooks/table_1.html#fig-table-1">How well magnets give the shape</a>' in page
+    assert '<a href="notebooks/table_1.html">Table 1: shape from magnets in simulation</a>' in page
     assert "<code>relations</code>" in page
     assert "</a>, <code>Relations</code></td>" in page
     assert "<td>not reproduced (photographs)</td>" in page

@@ -9,13 +9,11 @@ from pathlib import Path
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib.colors import to_hex, to_rgb, to_rgba
 from matplotlib.figure import Figure
 
 import edition1_companion
-from edition1_companion.pages.affine_curvature.figures import stills
 from edition1_live.view.style import MAGNET, SENSOR, STYLE, WIDTH_IN, page_figure, wrapped_panels
 from edition1_live.view.symbols import coordinate_symbol, in_symbols
 
@@ -136,12 +134,3 @@ def test_coordinates_have_the_letters_of_the_notation_page(name, written):
 def test_unknown_coordinate_has_no_letter():
     with pytest.raises(KeyError):
         coordinate_symbol("theta_1")
-
-
-def test_small_pictures_in_space_have_units():
-    shapes = pd.DataFrame(
-        {"time_s": 0.0, "kind": "truth", "seed": -1, "x_mm": [0.0, 1.0], "y_mm": 0.0, "z_mm": [0.0, 9.0]}
-    )
-    parts = pd.DataFrame({"time_s": [0.0], "part": "magnet", "x_mm": 0.0, "y_mm": 0.0, "z_mm": 4.0})
-    (panel,) = stills(shapes, parts).axes
-    assert [panel.get_xlabel(), panel.get_ylabel(), panel.get_zlabel()] == ["x [mm]", "y [mm]", "z [mm]"]

@@ -1,4 +1,4 @@
-"""The filter of Table 2 leaves a bend that it has lost, says where it is in doubt, and else does what it did."""
+"""The filter of the rig leaves a bend that it has lost, says where it is in doubt, and else does what it did."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -6,11 +6,8 @@ from functools import cache
 import numpy as np
 
 from edition1.estimation.consistency import WINDOW, Status
-from edition1_companion.pages.table_2.reliability import doubt_table
-from edition1_companion.recordings.baaij2023 import Recording
 from edition1_companion.twins.rig_bank import BendBank
 from edition1_companion.twins.rig_data import RigData, load_recordings
-from edition1_companion.twins.rig_descent import PaperRun
 from edition1_companion.twins.rig_filter import LASTING, filtered
 from edition1_companion.twins.rig_map import BendMap, fit_map
 from edition1_companion.twins.rig_twins import random_twin
@@ -100,15 +97,3 @@ def test_on_the_twin_of_the_page_it_is_never_started_anew():
         run = watched(bend_map, part.u)
         assert (run.status == Status.CONSISTENT).all(), name
         assert (run.anew == 0).all(), name
-
-
-def test_the_table_of_doubt_states_restarts_and_suspicious_frames_of_the_filter_alone():
-    bend_map, whole = fit_map(lost_rig().train), lost_rig().tests["T3"]
-    part = Recording(whole.name, whole.frame[:560], whole.q[:560], whole.u[:560])
-    run = watched(bend_map, part.u)
-    paper = PaperRun({"T3": part}, (0,), {}, {("known", "T3"): part.q[:, None]})
-    table = doubt_table(bend_map, paper, {"T3": filtered(bend_map, part.u)}).set_index("method")
-    assert table.loc["filter with a map", "restarts"] == run.anew[-1] == 1
-    share = 100 * (run.status == Status.SUSPICIOUS).mean()
-    assert table.loc["filter with a map", "suspicious_percent"] == share > 0
-    assert table.loc["paper, elongation known", ["suspicious_percent", "restarts"]].isna().all()

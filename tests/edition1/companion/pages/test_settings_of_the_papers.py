@@ -7,19 +7,12 @@ Released code, read and not copied: Baaij et al., ``promasens``, commit 7f818d3;
 import math
 from dataclasses import replace
 
-import pandas as pd
 import pytest
 import torch
 
-from edition1.estimation.base import Trajectory
 from edition1.sensing.bend_sensor import BendSensor
 from edition1.sensing.magnetic import EARTH_MT
-from edition1_companion.book.project import find_project
-from edition1_companion.book.published import read_published
 from edition1_companion.pages.probabilistic_curvature import simulation
-from edition1_companion.pages.table_1.scorecard import scorecard_rows
-from edition1_companion.twins import rig_descent as table2
-from edition1_companion.twins import table_1_method as table1
 from edition1_companion.twins.bend_filters import PAPER_SETTINGS
 from edition1_companion.twins.table_1_rows import ROWS, rows_named, simulate
 
@@ -27,26 +20,6 @@ BY_NAME = {row.name: row for row in ROWS}
 
 
 class TestBaaij:
-    @pytest.mark.parametrize(
-        ("n_segments", "bending", "elongation"),
-        [
-            (1, 3.5e-4, 3.5e-4),
-            (2, 3e-3, 3e-4),
-            (3, 2e-3, 2e-4),
-        ],  # section 3.3, and the same in the released code
-    )
-    def test_step_sizes_of_table_1(self, n_segments, bending, elongation):
-        expected = torch.tensor([bending, bending, elongation] * n_segments, dtype=torch.float64)
-        assert torch.equal(table1.step_sizes(n_segments), expected)
-        given = table1.step_sizes(n_segments, 1.0, 2.0)
-        assert given.tolist() == [1.0, 1.0, 2.0] * n_segments
-
-    def test_descent_of_both_tables(self):
-        """Momentum 0.3 and 0.2; 20 evaluations; 1.5e-8 for the bending of the rig, whose elongation is known."""
-        assert (table1.MOMENTUM, table1.ITERATIONS) == (0.3, 20)
-        assert (table2.MOMENTUM, table2.ITERATIONS) == (0.2, 20)
-        assert table2.STEP_SIZE == (1.5e-8, 1.5e-8, 0.0)
-
     @pytest.mark.parametrize(
         ("name", "ranges"),
         # of the readings along T3 [mT], which the released code's own data have
@@ -66,51 +39,6 @@ class TestBaaij:
 
     def test_earth_field(self):
         assert float(BY_NAME["n_e=(0,1,0)"].earth_mt()[1]) == EARTH_MT == 0.065
-
-    def test_relative_and_absolute_errors_of_a_made_up_estimate(self):
-        """Eq. (13) by hand: errors of 3 and 4 in turn have a root mean square of sqrt(12.5), a mean of 3.5."""
-        rows = rows_named(["n_b=1"])
-        made = simulate(rows, steps=4)
-        q = torch.tensor([[0.0, 0.0, 0.0], [10.0, 20.0, 5.0], [0.0, 0.0, 0.0], [10.0, 20.0, 5.0]]).double()
-        off = torch.tensor([3.0, -4.0, -3.0, 4.0], dtype=torch.float64)[:, None].expand(4, 3)
-        found = Trajectory((q + off)[:, None, None], None, made.u[:, None], {})
-        # prediction errors: 1 and 7 at sensor 1 (root mean square 5), 2 at sensor 2, none at sensor 3
-        wrong = torch.tensor([[1.0, 2.0, 0.0], [7.0, -2.0, 0.0]] * 2, dtype=torch.float64)
-        predicted = (made.u + wrong[:, None])[None]
-        table = table1.errors_of_estimates(replace(made, q=q), found, predicted, (7,)).set_index("quantity")[
-            "error"
-        ]
-        assert table["e_u"] == pytest.approx((5 + 2 + 0) / 3)
-        for name, span in (("delta_x_1", 10.0), ("delta_y_1", 20.0), ("delta_L_1", 5.0)):
-            assert table[name] == pytest.approx(100 * math.sqrt(12.5) / span)
-
-    def test_claim_of_section_3_5_is_the_mean_of_the_tilted_and_the_shifted_sensors(self):
-        """Tilted 2 %, shifted 4 %, all other rows 100 %: 3 %, and readings in mT do not count. Likewise for the best.
-
-        "Tilted and shifted": the rows psi_s = 10 degrees and d_s,r = 16 mm, whose printed cells have a mean of 4.2.
-        """
-        sizes = {"psi_s=10deg": 2.0, "d_s_r=16mm": 4.0}
-        cells = [
-            {"row": row.name, "quantity": name, "unit": unit, "error_percent": sizes.get(row.name, 100.0)}
-            for row in ROWS
-            for name, unit in [("e_u", "mT"), *((c, "%") for c in row.robot().coordinates)]
-        ]
-        errors = [c | {"seed": seed, "error": c["error_percent"] + seed} for c in cells for seed in (-1, 1)]
-        for cell in errors:
-            cell["error"] = 50.0 if cell["unit"] == "mT" else cell["error"]
-        best = pd.DataFrame([c for c in cells if c["unit"] == "%"])
-        lines = scorecard_rows(pd.DataFrame(errors), best)
-        (line,) = [line for line in lines if line["artefact"] == "Section 3.5"]
-        assert line["regenerated"] == pytest.approx(3.0)
-        assert line["regenerated_std"] == pytest.approx(math.sqrt(2))  # of 2 and 4, one number for each seed
-        assert line["best"] == pytest.approx(3.0)
-        printed = [
-            float(row.value)
-            for key, row in read_published(find_project().published).items()
-            if key.artefact == "Table 1" and key.row in sizes and key.unit == "%"
-        ]
-        assert len(printed) == 18
-        assert sum(printed) / 18 == pytest.approx(4.2, abs=0.05)
 
 
 class TestMitchell:

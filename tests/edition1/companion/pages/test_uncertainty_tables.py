@@ -5,12 +5,11 @@ import math
 import numpy as np
 import pytest
 import torch
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 
 from edition1_companion.pages.fusion import study as fusion
 from edition1_companion.pages.fusion import tables as fusion_tables
 from edition1_companion.recordings.baaij2023 import Recording
-from edition1_companion.twins import rig_descent
 from edition1_companion.twins.calibrated_robots import relative_error
 from edition1_companion.twins.rig_bank import OursConfig
 from edition1_companion.twins.rig_filter import filtered
@@ -75,26 +74,6 @@ class TestFusion:
         found = fusion_tables._columns(fusion.Tracked(q, C), truth)
         assert float(found["tip_mm"][0]) == pytest.approx(1.0)
         assert float(found["orientation_deg"][1]) == pytest.approx(math.degrees(1e-3), rel=1e-4)
-
-
-class TestRobustness:
-    def test_shares_and_squared_errors_of_a_made_up_gaussian(self):
-        """Of 20,000 errors 95 % are within ellipse and interval (deviation 0.15 %), half below the median, 2 ln 2."""
-        C = 1e-6 * SPREAD
-        error = gaussian(C, 20_000)
-        found = rig_descent._own_uncertainty(error, np.broadcast_to(C, (len(error), 3, 3)))
-        assert found["covered"] == pytest.approx(0.95, abs=0.005)
-        assert found["covered_delta_L"] == pytest.approx(0.95, abs=0.005)
-        assert found["nees"] == pytest.approx(2 * math.log(2), rel=0.03)
-        assert found["ours_delta_L_mm"] == pytest.approx(1.0, rel=1e-6)  # 1e-3 m
-        assert chi2.cdf(rig_descent.ELLIPSE, 2) == pytest.approx(0.95, abs=1e-4)
-
-    def test_shares_just_inside_and_outside_of_the_quantiles(self):
-        """A unit covariance: distances 1 % to either side of sqrt(chi-square) and of the normal quantile."""
-        ellipse, interval = math.sqrt(chi2.ppf(0.95, 2)), norm.ppf(0.975)
-        error = np.array([[f * ellipse, 0.0, f * interval] for f in (0.99, 1.01)])
-        found = rig_descent._own_uncertainty(error, np.stack([np.eye(3)] * 2))
-        assert (found["covered"], found["covered_delta_L"]) == (0.5, 0.5)
 
 
 class TestRig:

@@ -11,18 +11,30 @@ from edition1.estimation.base import track
 from edition1.estimation.gradient_descent import GradientDescent
 from edition1.kernels import compiled
 from edition1.kinematics.paper_robots import affine_robot, pcc_robot
+from edition1.sensing.ensemble import SeedEnsemble
 from edition1.sensing.linearised import LinearisedSensing
 from edition1.sensing.magnetic import MagneticSensing, readings
 from edition1.sensing.magnets import ring
-from edition1_companion.pages.affine_curvature.method import STEP_SIZE
-from edition1_companion.pages.affine_curvature.method import networks as networks_of_the_affine_robot
-from edition1_companion.twins.table_1_method import MOMENTUM, available, networks, step_sizes
+from edition1.sensing.weights import load_paper_network
 from edition1_companion.twins.table_1_rows import rows_named, simulate
 from edition1_companion.twins.trajectories import flower, lemniscate
 
 FOLDER = Path(__file__).parents[4] / "data" / "networks"
 MOMENTS = torch.from_numpy(ring("released").multipoles(9))
 STEPS = 6
+
+
+def step_sizes(n_segments):
+    bending, elongation = {1: (3.5e-4, 3.5e-4), 2: (3e-3, 3e-4), 3: (2e-3, 2e-4)}[n_segments]
+    return torch.tensor([bending, bending, elongation] * n_segments, dtype=torch.float64)
+
+
+def networks(names, per_network=1, seeds=(0, 1, 2)):
+    """Committed networks, each for so many sensors."""
+    loaded = [
+        [load_paper_network(FOLDER / f"{name}_seed{seed}.safetensors") for name in names] for seed in seeds
+    ]
+    return SeedEnsemble(loaded, [k for k in range(len(names)) for _ in range(per_network)]).double()
 
 
 def both(sensing, step_size, u, q0, *, options=None, **inputs):
@@ -50,25 +62,26 @@ def assert_equal(one, other):
 def test_table_1_with_the_networks_of_the_paper(names):
     """Three seeds, rows as a batch with masked sensors, momentum carried; weights taken in double precision."""
     rows = rows_named(names)
-    assert available(rows, FOLDER)
-    simulation = simulate(rows, steps=400)
-    model = networks(rows, FOLDER, (0, 1, 2)).double()
+    simulation, n = simulate(rows, steps=400), rows[0].n_segments
+    kind = "pcc" if simulation.earth_axis is None else "earth"
+    model = networks([f"{kind}_nb{n}_segment{k + 1}" for k in range(n)], simulation.mask.shape[-1] // n)
     sensing = MagneticSensing(simulation.robot, model, "angles", simulation.earth_axis)
     u = simulation.u[:STEPS].unsqueeze(1).expand(-1, 3, -1, -1)
     start = simulation.q[0].expand(3, len(rows), -1)
     mask = simulation.mask.expand(STEPS, 1, *simulation.mask.shape)
-    assert_equal(*both(sensing, step_sizes(rows[0].n_segments), u, start, mask=mask))
+    assert_equal(*both(sensing, step_sizes(n), u, start, mask=mask))
 
 
 def test_affine_flower():
     """Readings of the networks themselves, off by as much as networks are."""
-    model, q = networks_of_the_affine_robot(FOLDER, (0, 1, 2)).double(), flower()
+    model, q = networks([f"affine_sensor{k}" for k in range(1, 10)]), flower()
     sensing = MagneticSensing(affine_robot(magnet_shift_m=0.0), model, "angles")
     with torch.no_grad():
         u = sensing(q[:STEPS].expand(3, -1, -1)).movedim(0, 1)
     generator = torch.Generator().manual_seed(0)
     u, start = u + 0.02 * torch.randn(u.shape, generator=generator, dtype=u.dtype), q[0].expand(3, -1)
-    assert_equal(*both(sensing, torch.tensor(STEP_SIZE).double(), u, start, options={"momentum": MOMENTUM}))
+    step_size = torch.tensor([1.0, 5.0, 1.0, 2e-4], dtype=torch.float64)  # of the released code
+    assert_equal(*both(sensing, step_size, u, start, options={"momentum": 0.3}))
 
 
 @pytest.mark.parametrize(
@@ -93,7 +106,7 @@ def test_options_masks_known_coordinates_and_missing_readings(options):
 
 def test_start_at_the_straight_pose():
     """Where the angles have their kink, for the network of the paper."""
-    model = networks(rows_named(["n_b=2"]), FOLDER, (0,)).double()
+    model = networks(["pcc_nb2_segment1", "pcc_nb2_segment2"], per_network=3, seeds=(0,))
     sensing = MagneticSensing(pcc_robot(2), model, "angles")
     u = readings(pcc_robot(2), lemniscate(2)[3:6], ring("released")).unsqueeze(1)
     assert_equal(*both(sensing, step_sizes(2), u, torch.zeros(1, 6).double()))

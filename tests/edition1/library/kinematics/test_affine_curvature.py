@@ -13,7 +13,6 @@ from edition1.kinematics.affine_curvature import AffineCurvature
 from edition1.kinematics.constant_curvature import ConstantCurvature
 from edition1.kinematics.mounts import sensor_mounts
 from edition1.kinematics.robot import Robot
-from edition1_companion.pages.affine_curvature.method import azimuth_difference, canonical
 
 L = 0.2
 SEGMENT = AffineCurvature(L)
@@ -75,17 +74,6 @@ def test_two_configurations_of_one_shape(k0, k1, phi, dL):
     v = torch.linspace(0, 1, 5, dtype=torch.float64)
     q, other = double(k0, k1, phi, dL), double(-k0, -k1, phi + math.pi, dL)
     torch.testing.assert_close(SEGMENT.pose(q, v), SEGMENT.pose(other, v), atol=1e-14, rtol=0)
-    torch.testing.assert_close(SEGMENT.pose(canonical(q), v), SEGMENT.pose(q, v), atol=1e-13, rtol=0)
-    assert float(canonical(q)[1]) >= 0
-    if abs(k1) > 1e-12:
-        a, b = canonical(q), canonical(other)
-        torch.testing.assert_close(a[[0, 1, 3]], b[[0, 1, 3]])
-        assert abs(float(azimuth_difference(a[2], b[2]))) < 1e-12
-
-
-def test_azimuths_are_wrapped():
-    assert float(canonical(double(0.1, 1.0, 3 * math.pi, 0.0))[2]) == pytest.approx(math.pi)
-    assert float(azimuth_difference(double(3.1)[0], double(-3.1)[0])) == pytest.approx(6.2 - 2 * math.pi)
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-8, 1.0, 3.0])

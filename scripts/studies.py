@@ -1,0 +1,61 @@
+"""Compute what takes minutes or hours and is committed in data/studies: ``python scripts/studies.py NAME ...``.
+
+A study is written whole or not at all. Without a name the studies are listed.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+
+from repro import GradientDescent, Sensing, track
+from repro_companion.papers import rig
+from repro_companion.show import project_folder
+
+
+def rig_starts() -> pd.DataFrame:
+    """Return errors [mm] of the descent of Table 2 from starts that differ by rounding: half an hour.
+
+    One row for each trajectory, seed, start and step, on the simulated rig: the published step, and half of it with
+    twice the iterations.
+    """
+    data = rig.load("simulated")
+    q, u = data.beginnings(15.0)
+    q, u = (np.broadcast_to(x[:, :, None], (*x.shape[:2], rig.STARTS, 3)) for x in (q, u))
+    known = np.where([False, False, True], q, np.nan)
+    apart = 1 + rig.APART * np.random.default_rng(0).uniform(-1, 1, (rig.STARTS, 3))
+    lines = []
+    for step, shorter in (("published", 1), ("half", 2)):
+        for seed in rig.SEEDS:
+            sensing = Sensing(rig.robot(), rig.networks(data, seed), earth=rig.EARTH)
+            moves = np.array(rig.STEP_SIZE) / shorter
+            descent = GradientDescent(sensing, moves, rig.MOMENTUM, rig.ITERATIONS * shorter)
+            found = track(descent, u, q[0] * apart, known=known, progress=f"{step} step, seed {seed}").q
+            off = 1e3 * np.sqrt(((found - q) ** 2).mean(axis=0))
+            for i, name in enumerate(data.tests):
+                lines += [(step, rig.row_name(name), seed, k, *off[i, k, :2]) for k in range(rig.STARTS)]
+    return pd.DataFrame(lines, columns=["step", "row", "seed", "start", "delta_x", "delta_y"])
+
+
+STUDIES: dict[str, Callable[[], pd.DataFrame]] = {"rig_starts": rig_starts}
+
+
+def main() -> int:
+    """Compute the studies that are named."""
+    unknown = [name for name in sys.argv[1:] if name not in STUDIES]
+    if unknown or not sys.argv[1:]:
+        print(f"Studies: {', '.join(STUDIES)}.", file=sys.stderr)
+        return 2
+    for name in sys.argv[1:]:
+        path = project_folder() / "data" / "studies" / f"{name}.csv"
+        partial = path.with_suffix(".partial")
+        STUDIES[name]().to_csv(partial, index=False, float_format="%.6g", lineterminator="\n")
+        partial.replace(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,1 +1,0 @@
-"""The page `notebooks/table_2.ipynb`."""

@@ -1,0 +1,202 @@
+"""A robot over time in 3-D, on a page: its shape, magnets, sensors and readings, with a slider for time.
+
+A :class:`View` shows itself where it is the result of a notebook's cell. It brings its data and a picture;
+``page/vendor/shape_viewer.js`` puts itself in the place of the picture, and asks no other file or host.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from repro.common import Array, numbers, require
+from repro.robot import Robot, point_on
+
+VIEWER = Path(__file__).with_name("page") / "vendor" / "shape_viewer.js"
+MOST_FRAMES, POINTS = 300, 9
+COLOURS = {"truth": "#1A1A1A", "estimate": "#D55E00", "magnets": "#009E73", "sensors": "#0072B2"}
+
+
+@dataclass(frozen=True, repr=False)
+class View:
+    """What the viewer takes; lengths in mm. See ``page/viewer.js`` for its fields."""
+
+    data: dict[str, Any]
+    curves: dict[str, Array]
+    """Backbones [mm] of the frame that is shown first, for the picture."""
+
+    def to_html(self) -> str:
+        """Return a picture with the data beside it."""
+        # An end of a script in a name must not end the element.
+        data = json.dumps(self.data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
+        image = f'<img src="data:image/png;base64,{_encoded(self._png())}" alt="{html.escape(self.data["label"])}">'
+        return f'<div class="shape-view">{image}<script type="application/json">{data}</script></div>'
+
+    _repr_html_ = to_html
+
+    def __repr__(self) -> str:
+        """Say how many frames it has, and what there is to see."""
+        return f"View of {len(self.data['time_s'])} frames: {self.data['label']}"
+
+    def _png(self) -> bytes:
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(5.6, 4.2))
+        panel: Any = figure.add_subplot(projection="3d")
+        for name, curve in self.curves.items():
+            panel.plot(*curve.T, color=COLOURS[name], lw=2.5, label=name)
+        low, high = self.data["box"]
+        reach = max(map(abs, (*low[:2], *high[:2])))
+        panel.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(low[2], high[2]))
+        panel.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
+        panel.legend()
+        stream = io.BytesIO()
+        figure.savefig(stream, format="png", dpi=80, facecolor="white")
+        return stream.getvalue()
+
+
+def view(
+    robot: Robot,
+    q: Any,
+    times: Any,
+    label: str,
+    *,
+    estimate: Any = None,
+    covariance: Any = None,
+    readings: Any = None,
+    unit: str = "mT",
+    frames: int = 75,
+) -> View:
+    """Show a robot over time, beginning at the frame where the tip of the estimate is farthest off.
+
+    Parameters
+    ----------
+    robot
+        With its magnets and sensors, which are drawn at ``q``.
+    q
+        True configurations ``[t, n_q]``, or estimated ones if there is no truth.
+    times
+        Their times [s], increasing.
+    label
+        What there is to see, in words: for readers who do not see it.
+    estimate
+        Estimated configurations ``[t, n_q]``, drawn beside ``q``.
+    covariance
+        Covariance ``[t, n_q, n_q]`` of the estimate, or of ``q`` if there is none: two standard deviations are drawn
+        as a tube.
+    readings, unit
+        Readings ``[t, s]`` and their unit, drawn as lines below the picture; NaN leaves a gap.
+    frames
+        Most frames that are shown, at most 300.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to show, something has another number of rows, or times do not increase.
+
+    Examples
+    --------
+    >>> from repro import ConstantCurvature, Robot
+    >>> robot = Robot([ConstantCurvature(0.11, 0.022)])
+    >>> view(robot, [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]], times=[0.0, 1.0], label="A bend.")
+    View of 2 frames: A bend.
+    """
+    owner = "view"
+    t = numbers(times, "times", owner, (None,))
+    require(
+        len(t) and (np.diff(t) > 0).all(), "times", owner, "increasing [s], at least one", f"{len(t)} times"
+    )
+    require(1 <= frames <= MOST_FRAMES, "frames", owner, f"1 to {MOST_FRAMES}", frames)
+    every = -(-len(t) // frames)
+    given = {"q": q, "estimate": estimate, "covariance": covariance, "readings": readings}
+    kept: dict[str, Array] = {}
+    for name, value in given.items():
+        if value is not None:
+            rows = numbers(value, name, owner, finite=name != "readings")
+            require(
+                len(rows) == len(t), name, owner, f"one row for each of {len(t)} times", f"{len(rows)} rows"
+            )
+            kept[name] = rows[::every]
+    t, names = t[::every], {"truth": "q", "estimate": "estimate"} if estimate is not None else {"truth": "q"}
+    if covariance is not None and estimate is None:
+        names = {"estimate": "q"}
+    curves = {role: 1e3 * robot.poses(kept[key], _along(robot))[..., :3, 3] for role, key in names.items()}
+    shapes: list[dict[str, Any]] = [
+        {"name": role, "role": role, "points": _packed(curve, 0.1)} for role, curve in curves.items()
+    ]
+    if covariance is not None:
+        shapes[-1]["deviation"] = _packed(
+            1e3 * _deviations(robot, kept[names["estimate"]], kept["covariance"]), 0.01
+        )
+    ends = [curve[:, -1] for curve in curves.values()]
+    start = int(np.linalg.norm(ends[-1] - ends[0], axis=-1).argmax())
+    markers, places = {}, []
+    for name, parts in (("magnets", robot.magnets), ("sensors", robot.sensors)):
+        if parts:
+            T = robot.poses(kept["q"], [part.place for part in parts])
+            places.append(1e3 * T[..., :3, 3])
+            markers[name] = {"points": _packed(places[-1], 0.1), "directions": _packed(T[..., :3, 2], 1e-4)}
+    every_point = np.concatenate([np.zeros((1, 3)), *(x.reshape(-1, 3) for x in (*curves.values(), *places))])
+    radius = 1e3 * max(
+        [getattr(segment, "radius", 0.0) for segment in robot.segments] + [0.05 * robot.length]
+    )
+    around = radius * np.array([1.0, 1.0, 0.0])
+    traces = [] if readings is None else [_trace(kept["readings"], unit)]
+    data = {
+        "label": label,
+        "box": [
+            (every_point.min(0) - around).round(1).tolist(),
+            (every_point.max(0) + around).round(1).tolist(),
+        ],
+        "radius": round(radius, 2),
+        "time_s": [float(f"{x:.6g}") for x in t],
+        "start": start,
+        "shapes": shapes,
+        **markers,
+        "traces": traces,
+    }
+    return View(data, {role: curve[start] for role, curve in curves.items()})
+
+
+def _along(robot: Robot) -> list[Any]:
+    """Places along the backbone; where segments meet only one of the two."""
+    return [
+        point_on(k, share * segment.length)
+        for k, segment in enumerate(robot.segments, 1)
+        for share in np.linspace(0, 1, POINTS)[k > 1 :]
+    ]
+
+
+def _deviations(robot: Robot, q: Array, covariance: Array) -> Array:
+    """Largest standard deviation [m] in any direction of the points along the backbone ``[t, k]``."""
+    T, twists = robot.motion(q, _along(robot))
+    slopes = twists[..., 3:] + np.cross(twists[..., :3], T[..., None, :3, 3])
+    spread = np.einsum("tkci,tcd,tkdj->tkij", slopes, covariance, slopes)
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[..., -1], 0.0))
+
+
+def _trace(u: Array, unit: str) -> dict[str, Any]:
+    values = [[float(f"{x:.4g}") if np.isfinite(x) else None for x in column] for column in u.T]
+    series = [{"name": f"u{subscript(j)}", "values": column} for j, column in enumerate(values, 1)]
+    return {"title": "readings", "unit": unit, "series": series}
+
+
+def subscript(number: int) -> str:
+    """Return a number as it stands below a line."""
+    return str(number).translate(str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉"))
+
+
+def _packed(values: Array, quantum: float) -> str:
+    """Integers of 16 bits, low byte first, as base64; what is too large stays at the end of their range."""
+    return _encoded(np.clip(np.rint(values / quantum), -32767, 32767).astype("<i2").tobytes())
+
+
+def _encoded(content: bytes) -> str:
+    return base64.b64encode(content).decode("ascii")

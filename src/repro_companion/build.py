@@ -1,0 +1,335 @@
+"""Build the book: run the notebooks whose inputs changed, compute the scorecard, make the pages and the site.
+
+``python -m repro_companion.build`` is what ``make book`` runs, and with the name of a notebook ``make page P=NAME``.
+Notebooks that use the first edition are run by its tools, and so are the parts of pages that these still write.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from repro_companion import run as tool
+from repro_companion.run import InputError, Parameter, Point, RunFailed
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+LONGEST = 60
+"""Rows of a table that a page shows in full; of a longer one it has the file."""
+
+
+def build(root: Path, jobs: int) -> str:
+    """Build the book; return what was done, in a sentence."""
+    from edition1_companion.book.after import build as first_edition
+
+    executed, results = root / "book" / "notebooks", results_folder(root)
+    notebooks = {path.stem: path for path in sorted((root / "notebooks").glob("*.ipynb"))}
+    for leftover in executed.glob("*"):
+        if leftover.name.partition(".")[0] not in notebooks:
+            leftover.unlink()
+    old = [name for name, path in notebooks.items() if tool.is_first_edition(path)]
+    inputs = tool.inputs_of(root)
+    points = [page_point(root, path, inputs) for name, path in notebooks.items() if name not in old]
+    due = [point for point in points if not point.finished]
+    failures = run_pages(due, jobs)
+    count, more = first_edition.run(root, old, jobs)
+    if failures + more:
+        raise RunFailed("\n".join(failures + more))
+    keep_told_apart(executed, results, notebooks)
+    done, key = root / ".cache" / "book" / "site", site_key(root)
+    done.parent.mkdir(parents=True, exist_ok=True)
+    seconds = 0.0
+    if not (root / "book/_build/html/index.html").is_file() or not done.is_file() or done.read_text() != key:
+        done.unlink(missing_ok=True)
+        write_scorecard(root, results)
+        first_edition.write_scorecard_pages(root)
+        seconds = build_site(root, root / "book" / "_build" / "html", "-W", "-n", "--keep-going")
+        done.write_text(site_key(root))
+    current = f"{len(notebooks) - len(due) - count} of {len(notebooks)} notebooks were up to date"
+    return f"{current}; the site {f'was built in {seconds:.0f} s' if seconds else 'was too'}."
+
+
+def build_page(root: Path, name: str, jobs: int) -> str:
+    """Run one notebook if it is due and build its page alone; return where that lies."""
+    notebook = root / "notebooks" / f"{name}.ipynb"
+    tool.require(notebook.is_file(), "P", "make page", "the name of a notebook, such as table_1", name)
+    if tool.is_first_edition(notebook):
+        from edition1_companion.book.after import build as first_edition
+
+        _, failures = first_edition.run(root, [name], jobs)
+    else:
+        point = page_point(root, notebook, tool.inputs_of(root))
+        failures = run_pages([] if point.finished else [point], 1)
+    if failures:
+        raise RunFailed("\n".join(failures))
+    contents = root / ".cache" / "book" / "page.yml"
+    contents.parent.mkdir(parents=True, exist_ok=True)
+    contents.write_text(
+        f"format: jb-book\nroot: notebooks/{name}\nchapters:\n- file: bibliography\n", encoding="utf-8"
+    )
+    site = root / "book" / "_build" / "page"
+    seconds = build_site(root, site, "--toc", str(contents))
+    page = site / "notebooks" / f"{name}.html"
+    return f"{tool.shown(page)}  ({seconds:.1f} s; links to other pages lead nowhere here)"
+
+
+def results_folder(root: Path) -> Path:
+    """Return where the book's tables lie: those without recordings are committed, the others are not."""
+    return root / "results" / ("with_recordings" if tool.recordings() else "")
+
+
+def page_point(root: Path, notebook: Path, inputs: str) -> Point:
+    """Return a page of the book as something to run, with the notebook's own parameters."""
+    return Point(
+        notebook=notebook,
+        parameters={},
+        key=tool.key_of(notebook, {}, inputs),
+        output=root / "book" / "notebooks" / notebook.name,
+        results=results_folder(root),
+        root=root,
+    )
+
+
+def compile_kernels() -> None:
+    """Compile what all pages use, once: pages that start together would each do it, and show that they do."""
+    import repro
+    from repro_companion.papers import baaij
+
+    sensing = repro.Sensing(baaij.robot(1))
+    readings, bounds = sensing([0.0, 0.0, 0.003])[None], baaij.bounds(1)
+    for method in (baaij.descent(sensing, 1), repro.LevenbergMarquardt(sensing, *bounds, noise=1e-3)):
+        repro.track(method, readings, [0.0, 0.0, 0.003])
+
+
+def run_pages(points: Sequence[Point], jobs: int) -> list[str]:
+    """Run pages, several at once; return why some failed. One that shows a warning fails, and runs again."""
+    if points:
+        compile_kernels()
+
+    def one(point: Point) -> str:
+        name = point.notebook.stem
+        print(f"{name}: started\n", end="", flush=True)  # in one piece: others write too
+        said, seconds = tool.run_point(point)
+        print(f"{name}: {'failed after' if said else 'done in'} {seconds:.1f} s\n", end="", flush=True)
+        if not said and (warned := warnings_of(point.output)):
+            tool.record_path(point.output).unlink()
+            said = f"{name}.ipynb shows a warning: {warned}"
+        return said
+
+    with ThreadPoolExecutor(max(1, jobs)) as pool:
+        return [said for said in pool.map(one, points) if said]
+
+
+def warnings_of(executed: Path) -> str:
+    """Return what the cells of an executed notebook wrote to standard error."""
+    cells = json.loads(executed.read_text(encoding="utf-8"))["cells"]
+    outputs = (output for cell in cells for output in cell.get("outputs", []))
+    return "".join("".join(one["text"]) for one in outputs if one.get("name") == "stderr").strip()
+
+
+def keep_told_apart(executed: Path, results: Path, notebooks: Iterable[str]) -> None:
+    """Remove tables that no page wrote; refuse one that two pages wrote, which then both run again."""
+    writers: dict[str, list[str]] = {}
+    for name in notebooks:
+        record = tool.read_record(executed / f"{name}.ipynb") or {"results": {}}
+        for table in record["results"]:
+            writers.setdefault(table, []).append(name)
+    for table, names in writers.items():
+        if len(names) > 1:
+            for name in names:
+                tool.record_path(executed / f"{name}.ipynb").unlink()
+            raise RunFailed(f"The table {table} is written by more than one notebook: {', '.join(names)}.")
+    for table in results.glob("*.csv"):
+        if table.name not in writers and table.name != "scorecard.csv":
+            table.unlink()
+
+
+def write_scorecard(root: Path, results: Path) -> DataFrame:
+    """Compare the tables with every printed number; return what was written."""
+    from repro_companion.scorecard import scorecard, write
+
+    results.mkdir(parents=True, exist_ok=True)
+    card = scorecard(root / "data/published/published.csv", sorted(results.glob("*.rows.csv")))
+    write(card, results / "scorecard.csv")
+    return card
+
+
+# The page of a notebook
+
+
+def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
+    """Return an executed notebook, as JSON holds it, as the page shows it; called when Sphinx reads it."""
+    place = root / "book" / "notebooks" / f"{name}.ipynb"
+    record = tool.read_record(place)
+    cells, first = [], []
+    for cell in executed["cells"]:
+        about = dict(cell["metadata"])
+        tags = set(about.get("tags", []))
+        cell = {**cell, "metadata": about}
+        if "first" in tags and cell.get("outputs"):
+            shown = {"tags": ["remove-input"], "mystnb": about.pop("mystnb", {})}
+            first.append({**cell, "id": f"{cell['id']}-first", "source": "# moved", "metadata": shown})
+            cell["outputs"] = []
+        hidden = tags & {"parameters", "injected-parameters"}
+        silent = (
+            cell["cell_type"] == "code" and not cell["outputs"] and tags & {"remove-input", "remove-cell"}
+        )
+        if hidden or silent:
+            about["tags"] = sorted(tags | {"remove-cell"})
+        cells.append(cell)
+    parameters = tool.declared(place)
+    folds = (
+        [_numbers(record, root, name), _parameters(parameters, record, name), _provenance(record, name)]
+        if record
+        else []
+    )
+    for number, text in enumerate(filter(None, folds)):
+        cells.append({"cell_type": "markdown", "id": f"fold-{number}", "metadata": {}, "source": text})
+    return {**executed, "cells": cells[:1] + first + cells[1:]}
+
+
+def _fold(title: str, text: str) -> str:
+    return f"``````{{dropdown}} {title}\n{text}\n``````\n"
+
+
+def _numbers(record: Mapping[str, Any], root: Path, name: str) -> str:
+    """Return the fold with all tables of a page, each with its file."""
+    import pandas as pd
+
+    from repro_companion.show import show
+
+    parts = []
+    results, page = results_folder(root), root / "book" / "notebooks"
+    for file in record["results"]:
+        table = pd.read_csv(results / file, keep_default_na=False, na_values=[""])
+        parts.append(f"{{download}}`{file} <{os.path.relpath(results / file, page)}>`, {len(table)} rows")
+        if len(table) <= LONGEST and not file.endswith(".rows.csv"):
+            box = f'<div class="formatted" tabindex="0" role="group" aria-label="Table {file}">'
+            html = re.sub(r"\n\s*\n", "\n", show(table).to_html())
+            parts.append(f"```{{raw}} html\n{box}{html}</div>\n```")
+    return _fold("All numbers", "\n\n".join(parts)) if parts else ""
+
+
+def _parameters(parameters: Mapping[str, Parameter], record: Mapping[str, Any], name: str) -> str:
+    """Return the fold with the parameters and the command that repeats the page with others."""
+    if not parameters:
+        return ""
+    lines = ["| parameter | here | meaning |", "|---|---|---|"]
+    for one in parameters.values():
+        here = tool.typed(record["parameters"].get(one.name, one.default)).replace("|", r"\|")
+        lines.append(f"| `{one.name}` | `{here}` | {one.meaning.replace('|', chr(92) + '|')} |")
+    example = parameters.get("fast") or next(iter(parameters.values()))
+    value = "true" if example.kind == "bool" else example.default.strip("\"'")
+    return _fold(
+        "Parameters",
+        "\n".join(lines)
+        + "\n\nThis repeats the page with other parameters, each given by `-p`. Its tables lie"
+        " beside its output, and `results/` stays as it is.\n\n"
+        f"```bash\n.venv/bin/repro run notebooks/{name}.ipynb -p {example.name} {shlex.quote(value)}"
+        f" -o runs/{name}.ipynb\n```",
+    )
+
+
+def _provenance(record: Mapping[str, Any], name: str) -> str:
+    """Return the fold that says what the page was made from."""
+    facts = {
+        "Notebook": f"`{record['notebook']}`, {{download}}`executed <{name}.ipynb>`",
+        "Record": f"{{download}}`{name}.provenance.json`",
+        "Commit": record["commit"] or "none",
+        "Key of all inputs": f"`{record['key'][:16]}`",
+        "Recordings": f"{len(record['recordings'])} files" if record["recordings"] else "none found",
+        "Run": f"{record['started'][:10]}, {record['seconds']:.1f} s",
+        "Versions": ", ".join(" ".join(one) for one in record["versions"].items()),
+    }
+    return _fold("Provenance", "\n".join(f"- {fact}: {value}" for fact, value in facts.items()))
+
+
+# The site
+
+
+def site_key(root: Path) -> str:
+    """Return a hash of all that the site shows."""
+    top = [path for path in sorted(root.iterdir()) if path.suffix in (".md", ".cff", ".toml")]
+    folders = [
+        tool.digests(root / name, ["_build", "generated"]) for name in ("book", "results", "data", "src")
+    ]
+    return tool.combined([list(map(tool.digest, top)), folders])
+
+
+def build_site(root: Path, place: Path, *options: str) -> float:
+    """Build the book with jupyter-book, elsewhere first, and put it in its place; return the seconds."""
+    clock = time.monotonic()
+    cache = root / ".cache" / "book"
+    # From nothing: Sphinx warns only of pages that it reads, so a second attempt after a failure would pass.
+    fresh = cache / f"fresh-{place.name}"
+    shutil.rmtree(fresh, ignore_errors=True)
+    fresh.mkdir(parents=True)
+    # Beside the interpreter, which in an environment is a link: its target has other programs beside it.
+    done = subprocess.run(
+        [
+            Path(sys.executable).with_name("jupyter-book"),
+            "build",
+            root / "book",
+            "--path-output",
+            fresh,
+            *options,
+        ],
+        cwd=root,
+        env=os.environ | {"NO_COLOR": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        check=False,
+    )
+    built, log = fresh / "_build" / "html", cache / "site.log"
+    if done.returncode or not (built / "index.html").is_file():
+        log.write_text(done.stdout, encoding="utf-8")
+        lines = [line for line in done.stdout.splitlines() if re.search(r"WARNING|ERROR|Error", line)]
+        said = "\n".join(lines or done.stdout.splitlines()[-20:])
+        raise RunFailed(
+            f"{said}\njupyter-book ended with {done.returncode}; the site was not replaced."
+            f" All it said: {tool.shown(log)}"
+        )
+    shutil.rmtree(place, ignore_errors=True)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    built.replace(place)
+    shutil.rmtree(fresh)
+    return time.monotonic() - clock
+
+
+def main(names: Sequence[str]) -> int:
+    """Build the book, or the pages named; return 0, 1 on failure or 2 for wrong input."""
+    tool.stop_on_termination()
+    try:
+        root, asked = tool.project_folder(), os.environ.get("JOBS") or str(os.cpu_count() or 1)
+        jobs = int(asked) if asked.isdecimal() else 0
+        tool.require(jobs > 0, "JOBS", "the build", "a whole number of 1 or more", asked)
+        for name in names:
+            print(build_page(root, name, jobs))
+        if not names:
+            print(build(root, jobs))
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except (RunFailed, ValueError) as failure:
+        print(failure, file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

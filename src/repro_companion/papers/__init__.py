@@ -1,0 +1,1 @@
+"""Data, settings and simulated rigs of each paper."""

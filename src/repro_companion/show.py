@@ -1,0 +1,129 @@
+"""What a page writes and shows: tables, sentences, values in its text."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pandas.io.formats.style import Styler
+
+KEY = ["paper", "artefact", "row", "quantity", "unit"]
+"""What tells a printed number from all others."""
+ROW_COLUMNS = [
+    *KEY, "regenerated", "regenerated_std", "n_seeds", "setting", "best", "best_method", "note", "comparable"
+]  # fmt: skip
+"""Columns of what a page regenerates, ``<name>.rows.csv``."""
+
+
+def project_folder() -> Path:
+    """Return the checkout that the working directory is in."""
+    here = Path.cwd()
+    for folder in (here, *here.parents):
+        if (folder / "data" / "published").is_dir():
+            return folder
+    raise FileNotFoundError("Go to a checkout of the project: its data/ is needed.")
+
+
+def results_folder() -> Path:
+    """Return where tables are written: REPRO_RESULTS, else runs/tables of the project."""
+    return Path(os.environ.get("REPRO_RESULTS") or project_folder() / "runs" / "tables")
+
+
+def save(frame: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Write a table to the results and return what was written."""
+    path = results_folder() / f"{name}.csv"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    frame.to_csv(path, index=False, float_format="%.10g", lineterminator="\n")
+    return pd.read_csv(path, keep_default_na=False, na_values=[""])
+
+
+def published(paper: str, artefact: str) -> pd.DataFrame:
+    """Return printed numbers: row, quantity, unit, value and std, and both as they are printed."""
+    path = project_folder() / "data" / "published" / "published.csv"
+    frame = pd.read_csv(path, dtype=str, keep_default_na=False)
+    frame = frame[(frame["paper"] == paper) & (frame["artefact"] == artefact)].reset_index(drop=True)
+    printed = frame.assign(printed=frame["value"], printed_std=frame["std"]).drop(
+        columns=["paper", "artefact"]
+    )
+    return printed.assign(value=pd.to_numeric(frame["value"]), std=pd.to_numeric(frame["std"]))
+
+
+def rows(frame: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Write numbers that a page regenerates for the scorecard, as ``<name>.rows.csv``; return what was written."""
+    unknown = ", ".join(column for column in frame if column not in ROW_COLUMNS)
+    if unknown:
+        raise ValueError(f"Rows of {name} have columns that the scorecard does not know: {unknown}.")
+    full = frame.reindex(columns=ROW_COLUMNS)
+    for column in (*KEY, "regenerated", "setting"):
+        if full[column].isna().to_numpy().any():
+            raise ValueError(f"A row of {name} has no {column}.")
+    if full.duplicated(KEY).any():
+        raise ValueError(
+            f"{name} regenerates a number twice: {full.loc[full.duplicated(KEY), KEY].to_csv(index=False)}"
+        )
+    full["n_seeds"] = full["n_seeds"].astype("Int64")
+    full["comparable"] = ["false" if value is False else "true" for value in full["comparable"]]
+    return save(full, f"{name}.rows")
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """Return a number with so many significant digits, a whole number exactly, a dash for nothing."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if pd.isna(value):
+        return "–"
+    if isinstance(value, int | np.integer):
+        text = f"{value:,}" if abs(value) >= 10_000 else str(value)
+    elif np.isinf(value):
+        text = "∞" if value > 0 else "-∞"
+    elif value and not 1e-4 <= abs(value) < 1e6:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        text = f"{mantissa} × 10{str(int(exponent)).translate(_RAISED)}"
+    else:
+        text = f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
+    return text.replace("-", "−")
+
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def show(
+    frame: pd.DataFrame, names: Mapping[str, str] | None = None, digits: int = 3, exact: Sequence[str] = ()
+) -> Styler:
+    """Return a table as it is read: headings in words, so many significant digits; ``exact`` columns as they are."""
+    names = dict(names or {})
+    table = frame.rename(columns=names).reset_index(drop=True)
+    numeric = [pd.api.types.is_numeric_dtype(table[column]) for column in table]
+    sides = {True: "text-align: right", False: "text-align: left"}
+    aligned: dict[Any, Any] = {
+        column: [{"selector": "", "props": sides[is_number]}]
+        for column, is_number in zip(table, numeric, strict=True)
+    }
+    content = sha256(table.to_csv().encode()).hexdigest()
+    styler = Styler(table, uuid=content[:8]).hide(axis="index").set_table_styles(aligned)
+    styler.set_table_attributes('class="dataframe shown"')
+    styler.format(lambda value: number(value, digits), escape="html")
+    if exact:
+        styler.format("{:.10g}", subset=[names.get(column, column) for column in exact], na_rep="–")
+    return styler
+
+
+def say(text: str) -> None:
+    """Show a sentence, as Markdown."""
+    from IPython.display import Markdown, display
+
+    display(Markdown(text))
+
+
+def glue(name: str, value: Any) -> None:
+    """Give a value to the text of the page, by myst-nb; at most five a page."""
+    from myst_nb import glue as glue_value
+
+    glue_value(name, value, display=False)

@@ -1,0 +1,164 @@
+"""The page of Figs 6 and 7: its shape, its errors, its robots, and the rows that its networks were trained on."""
+
+import ast
+import hashlib
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+import repro
+from edition1.estimation.poses import configurations
+from edition1.kinematics.paper_robots import affine_robot
+from edition1.sensing.magnetic import readings
+from edition1.sensing.magnets import ring
+from edition1.sensing.relations import relations
+from edition1_companion.twins.calibration_session import Config, draw_session
+from edition1_companion.twins.networks import sensor_rows, training_rows
+from edition1_companion.twins.training_set import affine_training_set
+from repro_companion.papers import baaij
+
+ROOT = Path(__file__).resolve().parents[2]
+SHAPES = st.tuples(
+    st.floats(-0.9, 0.9),
+    st.floats(0.01, 3.7) | st.floats(-3.7, -0.01),
+    st.floats(-7, 7),
+    st.floats(0, 6.6e-3),
+)
+
+
+def flower(steps: int) -> np.ndarray:
+    s = np.linspace(0, 1, steps)
+    petal = (1 - np.cos(6 * np.pi * s)) / 2
+    columns = (
+        np.pi / 4 * petal,
+        np.pi * (0.1 + 0.9 * petal),
+        2 * np.pi * s,
+        2.75e-3 * (1 + np.sin(2 * np.pi * s)),
+    )
+    return np.stack(columns, axis=-1)
+
+
+@pytest.fixture(scope="module")
+def backbone():
+    """Return the function that the page shows."""
+    page = json.loads((ROOT / "notebooks" / "affine_curvature.ipynb").read_text(encoding="utf-8"))
+    source = next("".join(c["source"]) for c in page["cells"] if "def backbone(" in "".join(c["source"]))
+    tree, names = ast.parse(source), {"np": np}
+    tree.body = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+    exec(compile(tree, "affine_curvature", "exec"), names)
+    return names["backbone"]
+
+
+@given(SHAPES)
+def test_the_sum_of_the_page_is_the_backbone(backbone, q):
+    found = backbone(np.array(q), np.linspace(0, 1, 9))
+    np.testing.assert_allclose(found, baaij.affine_robot().backbone(q, 9), rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("bend", [0.3, math.pi / 2])
+def test_without_a_slope_the_segment_is_an_arc(backbone, bend):
+    """Towards x at an azimuth of a quarter turn, with a radius of length over bend."""
+    arc = 0.2 / bend * np.array([1 - math.cos(bend), 0.0, math.sin(bend)])
+    np.testing.assert_allclose(backbone((bend, 0.0, math.pi / 2, 0.0), np.ones(1))[0], arc, rtol=0, atol=1e-7)
+
+
+@given(SHAPES, st.integers(-2, 2))
+def test_the_other_name_of_a_shape_is_no_error(q, turns):
+    truth = np.array([q])
+    renamed = truth * [-1, -1, 1, 1] + [0, 0, math.pi + 2 * math.pi * turns, 0]
+    np.testing.assert_allclose(baaij.affine_difference(renamed, truth), 0, rtol=0, atol=1e-12)
+
+
+def test_errors_are_relative_to_the_range():
+    """A tenth of the range too much, in the azimuth a whole turn beside; eq. (13)."""
+    truth = flower(301)
+    tenth = np.ptp(truth, axis=0) / 10
+    found = truth + tenth + [0, 0, 2 * math.pi, 0]
+    np.testing.assert_allclose(baaij.affine_percent(found, truth), 10, rtol=1e-12)
+
+
+def test_a_descent_from_the_other_name_is_the_mirror_image():
+    """What the exercise of the page says."""
+    truth = flower(60)
+    u = repro.simulated_readings(baaij.affine_robot(), truth)
+    descent = repro.GradientDescent(repro.Sensing(baaij.affine_robot()), baaij.AFFINE_STEP_SIZES)
+    other = truth[0] * [-1, -1, 1, 1] + [0, 0, math.pi, 0]
+    one, two = (repro.track(descent, u, start).q for start in (truth[0], other))
+    np.testing.assert_allclose(two, one * [-1, -1, 1, 1] + [0, 0, math.pi, 0], rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("shift", [-3e-3, 0.0])
+def test_the_robot_reads_what_it_read_in_the_first_edition(shift):
+    q = flower(7)
+    expected = readings(affine_robot(magnet_shift_m=shift), torch.from_numpy(q), ring("released"))
+    found = repro.simulated_readings(baaij.affine_robot(shift), q)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
+
+
+def test_a_robot_with_errors_is_the_one_of_the_first_edition():
+    config, truth = Config(draws=2, poses=baaij.POSES), flower(9)
+    low, high = map(torch.from_numpy, baaij.AFFINE_POSES)
+    old = draw_session(affine_robot(), torch.from_numpy(truth), (low, high), config)
+    seen, q, covariance = baaij.affine_session(truth, 1)
+    np.testing.assert_allclose(seen.poses, old.poses[1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(seen.pose_readings, old.pose_readings[1], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(seen.readings, old.readings[:, 1], rtol=0, atol=1e-10)
+    noise = {"position_m": config.position_m, "rotation_rad": config.rotation_rad}
+    first = torch.from_numpy(q + 1e-4)
+    expected, spread = configurations(affine_robot(), old.poses[1], **noise, start=first)
+    np.testing.assert_allclose(q, expected, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(covariance, spread, rtol=1e-4, atol=1e-12)
+
+
+def test_rows_of_the_scorecard():
+    """The slip of print is not compared, and our method has relative errors only."""
+    truth, u = flower(5), np.zeros((5, 9))
+    errors = baaij.affine_errors(np.stack([truth, truth + 0.01]), np.zeros((2, 5, 9)), truth, u, [0, 1])
+    ours = baaij.affine_best([(0, True, np.arange(4.0)), (0, False, np.ones(4))])
+    table = baaij.affine_rows(errors, "setting", ours)
+    printed = pd.read_csv(ROOT / "data" / "published" / "published.csv").query("artefact == 'Section 4.4'")
+    assert set(zip(table["quantity"], table["unit"], strict=True)) == set(
+        zip(printed["quantity"], printed["unit"], strict=True)
+    )
+    assert table.loc[~table["comparable"], "unit"].tolist() == ["mm"]
+    assert table.loc[table["unit"] == "%", "best"].tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert table.loc[table["unit"] != "%", ["best", "best_method"]].isna().all(axis=None)
+
+
+@pytest.mark.parametrize(("n", "segment", "earth"), [(1, 0, False), (2, 1, False), (3, 1, True)])
+def test_rows_of_a_network_of_table_1(n, segment, earth):
+    """Bit for bit: so the committed networks are what a training would give again."""
+    xi, u = baaij.SegmentNetwork(n, segment, earth, 0).rows(40)
+    old_xi, old_u = training_rows(n, segment, earth, samples=40)
+    np.testing.assert_array_equal(xi, old_xi)
+    np.testing.assert_array_equal(u, old_u)
+
+
+@pytest.mark.parametrize("sensor", [0, 4, 8])
+def test_rows_of_a_network_of_section_4(sensor):
+    xi, u = baaij.AffineNetwork(sensor, 0).rows(200)
+    data = affine_training_set(seed=baaij.DATA_SEED, samples=200)
+    told = type(data.robot)(data.robot.segments, affine_robot(magnet_shift_m=0.0).magnets, data.robot.sensors)
+    old_xi, old_u = sensor_rows(data, relations(told, data.q).angles(), [sensor])
+    np.testing.assert_array_equal(xi, old_xi)
+    np.testing.assert_array_equal(u, old_u)
+
+
+def test_all_rows_are_those_that_a_committed_network_was_trained_on():
+    network = baaij.AffineNetwork(8, 0)
+    xi, u = network.rows()
+    manifest = json.loads((ROOT / "data" / "networks" / f"{network.name}.json").read_text(encoding="utf-8"))
+    assert hashlib.sha256(xi.tobytes() + u.tobytes()).hexdigest() == manifest["data_sha256"]
+
+
+def test_there_are_networks_for_every_row_of_the_paper():
+    names = [network.name for network in baaij.trained_networks()]
+    assert len(set(names)) == 54
+    assert all((ROOT / "data" / "networks" / f"{name}.safetensors").is_file() for name in names)

@@ -1,0 +1,246 @@
+"""The simulated robots of Baaij et al.: published numbers, closed forms, and the first edition as an oracle."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from edition1.sensing.magnetic import readings as readings_1
+from edition1.sensing.magnets import ring as ring_1
+from edition1_companion.twins import calibrated_robots, table_1_rows, trajectories
+from repro_companion import plots
+from repro_companion.papers import baaij
+from repro_companion.scorecard import scorecard
+from repro_companion.show import project_folder, published
+
+GOLDEN_RANGES = {1: (0.92345,), 2: (0.16533, 0.96032), 3: (0.92824, 0.92514, 1.02826)}
+"""Range of the readings of each segment's sensors along T3 in the released data [mT]."""
+RESULTS = project_folder() / "results"
+
+
+def row(name: str) -> baaij.Row:
+    return next(row for row in baaij.ROWS if row.name == name)
+
+
+@pytest.mark.parametrize(("n", "ranges"), GOLDEN_RANGES.items())
+def test_readings_have_the_range_of_the_released_data(n, ranges):
+    u = baaij.simulate(baaij.robot(n), baaij.lemniscate(n)).reshape(baaij.STEPS, n, 3)
+    assert np.ptp(u, axis=(0, 2)) == pytest.approx(ranges, abs=5e-5)
+
+
+@pytest.mark.parametrize("name", [row.name for row in baaij.ROWS if not row.same_as])
+def test_robots_and_readings_are_those_of_the_first_edition(name):
+    old = table_1_rows.rows_named([name])[0]
+    q = trajectories.lemniscate(old.n_segments, steps=7)
+    assert baaij.lemniscate(old.n_segments, steps=7) == pytest.approx(q.numpy(), abs=1e-16)
+    u = readings_1(old.robot(), q, ring_1("released"), earth_mt=old.earth_mt())
+    own = row(name)
+    assert baaij.simulate(own.robot(), q.numpy(), earth_mt=own.earth_mt()) == pytest.approx(
+        u.numpy(), abs=1e-12
+    )
+
+
+def test_trajectories_stay_within_45_degrees_and_five_percent():
+    for half in (False, True):
+        q = baaij.lemniscate(3, half=half).reshape(baaij.STEPS, 3, 3)
+        assert np.abs(q[..., :2]).max() == pytest.approx(22e-3 * math.pi / 4, rel=1e-4)
+        assert (q[..., 2].min(), q[..., 2].max()) == pytest.approx((0, 5.5e-3), abs=1e-6)
+    bend = baaij.bending()
+    assert bend[-1].tolist() == [baaij.BEND, 0, 0]
+    assert np.ptp(np.diff(bend[:, 0])) < 1e-17
+
+
+def test_relative_errors_are_equation_13():
+    truth = np.array([[0.0, 1.0], [2.0, 1.0], [4.0, 3.0]])
+    assert baaij.relative_errors(truth + np.array([0.4, -0.2]), truth) == pytest.approx([10, 10])
+    batch = np.stack([truth, truth + np.array([0.4, 0.0])], axis=1)
+    assert baaij.relative_errors(batch, truth) == pytest.approx(np.array([[0, 0], [10, 0]]))
+
+
+@pytest.mark.parametrize(
+    ("n", "bending", "elongation"), [(1, 3.5e-4, 3.5e-4), (2, 3e-3, 3e-4), (3, 2e-3, 2e-4)]
+)
+def test_step_sizes_are_those_of_section_3_3(n, bending, elongation):
+    assert baaij.step_sizes(n) == [bending, bending, elongation] * n
+    assert (baaij.MOMENTUM, baaij.ITERATIONS) == (0.3, 20)
+
+
+def test_the_table_prints_two_runs_again_and_names_every_row():
+    printed = published("baaij2023", "Table 1")
+    assert [row.name for row in baaij.ROWS] == list(printed["row"].unique())
+    for again in baaij.REPEATED:
+        same = printed[printed["row"] == row(again).same_as]
+        assert printed.loc[printed["row"] == again, "printed"].to_list() == same["printed"].to_list()
+    assert len(baaij.rows_named()) == 11
+    with pytest.raises(ValueError, match="Table 1 has no row n_b=4; it has n_b=1, n_b=2"):
+        baaij.rows_named(["n_b=1", "n_b=4"])
+
+
+def test_errors_of_one_segment_are_the_committed_ones():
+    new = baaij.row_errors(row("n_b=1"), 0)
+    old = pd.read_csv(RESULTS / "table_1_errors.csv").query("row == 'n_b=1' and seed == 0")
+    assert new["quantity"].to_list() == old["quantity"].to_list()
+    assert new["error"].to_numpy() == pytest.approx(old["error"].to_numpy(), rel=1e-4)
+
+
+def test_a_robot_with_errors_is_the_one_of_the_first_edition():
+    own = row("n_e=(0,1,0)")
+    old = calibrated_robots.session(
+        table_1_rows.rows_named([own.name])[0], calibrated_robots.Config(draws=2, half=True)
+    )
+    new = baaij.session(own, 1, half=True)
+    for a, b in (
+        (new.poses, old.poses),
+        (new.pose_readings, old.pose_readings),
+        (new.readings, old.readings[:, 1]),
+    ):
+        assert a == pytest.approx((b[1] if b.ndim > 2 or len(b) == 2 else b).numpy(), abs=1e-11)
+
+
+def test_measured_poses_give_configurations_with_honest_covariances():
+    measured = baaij.session(row("n_b=2"), 0)
+    exact = measured.robot.poses(measured.q, baaij.tips(measured.robot))
+    q, covariance = baaij.configurations(baaij.robot(2), exact)
+    assert q == pytest.approx(measured.q, abs=1e-9)
+    g = np.random.default_rng(0)
+    noisy = exact.copy()
+    noisy[..., :3, 3] += baaij.POSITION * g.standard_normal(noisy[..., :3, 3].shape)
+    off = baaij.configurations(baaij.robot(2), noisy)[0] - q
+    # Only positions are off here, so the errors are smaller than their covariance says.
+    assert 0.3 < np.einsum("ti,tij,tj->t", off, np.linalg.inv(covariance), off).mean() / 6 < 1.0
+
+
+def test_calibration_finds_a_robot_with_errors():
+    calibrated, nominal = baaij.errors_of_draw(row("n_b=1"), 0)
+    assert calibrated.mean() < 0.5 < 3 < nominal.mean()
+    old = pd.read_csv(RESULTS / "table_1_best.csv").query("row == 'n_b=1' and draw == 0")
+    for errors, known in ((calibrated, True), (nominal, False)):
+        expected = old.loc[old["calibrated"] == known, "error_percent"].to_numpy()
+        assert errors == pytest.approx(expected, rel=2e-4)
+
+
+def test_the_three_models_have_the_committed_errors():
+    new, old = baaij.models([0]), pd.read_csv(RESULTS / "table_1_models.csv").query("seed == 0")
+    keys = ["model", "solver", "start"]
+    both = new.merge(old, on=keys, suffixes=("", "_old"))
+    assert len(both) == 6
+    for column in ("configuration_percent", "tip_mm", "orientation_deg", "shape_mm"):
+        assert both[column].to_numpy() == pytest.approx(both[f"{column}_old"].to_numpy(), rel=2e-3, abs=1e-9)
+
+
+def errors_table(*errors: float) -> pd.DataFrame:
+    cells = [("n_b=1", "delta_x_1", "%", seed, error) for seed, error in enumerate(errors)]
+    return pd.DataFrame(cells, columns=["row", "quantity", "unit", "seed", "error"])
+
+
+def test_bias_is_a_geometric_mean_of_ratios():
+    printed = pd.DataFrame(
+        [("n_b=1", "delta_x_1", "%", 2.0, 0.5)], columns=["row", "quantity", "unit", "value", "std"]
+    )
+    table = baaij.bias(errors_table(1.0, 3.0), printed)
+    assert table["n_b"].to_list() == ["1", "all"]
+    for line in table.to_dict("records"):
+        assert (line["cells"], line["below"], line["ratio"]) == (1, 0, 1.0)
+        assert (line["lowest_seed"], line["highest_seed"]) == pytest.approx((0.5, 1.5))
+        assert line["std_ratio"] == pytest.approx(math.sqrt(2) / 0.5)
+
+
+def test_gain_is_a_ratio_of_means_with_a_paired_interval():
+    draws = pd.DataFrame(
+        [
+            ("n_b=1", "delta_x_1", d, c, e * (0.1 if c else 1.0))
+            for d, e in enumerate([1.0, 2.0, 6.0])
+            for c in (True, False)
+        ],
+        columns=["row", "quantity", "draw", "calibrated", "error_percent"],
+    )
+    line = baaij.gain(draws).iloc[0]
+    assert (line["uncalibrated_percent"], line["calibrated_percent"]) == pytest.approx((3.0, 0.3))
+    # Proportional errors leave nothing to chance, because both come from the same robots.
+    assert (line["ratio"], line["ratio_low"], line["ratio_high"]) == pytest.approx((0.1, 0.1, 0.1))
+
+
+def test_rows_of_the_scorecard_are_those_of_the_committed_tables():
+    errors, best = (pd.read_csv(RESULTS / f"table_1_{name}.csv") for name in ("errors", "best"))
+    new = baaij.scorecard_rows(errors, best, baaij.setting()).set_index(
+        ["artefact", "row", "quantity", "unit"]
+    )
+    old = pd.read_csv(RESULTS / "table_1.rows.csv", keep_default_na=False).set_index(new.index.names)
+    assert set(new.index) == set(old.index)
+    new = new.reindex(old.index)
+    for column in ("regenerated", "regenerated_std", "best"):
+        assert new[column].to_numpy() == pytest.approx(
+            pd.to_numeric(old[column]).to_numpy(), rel=1e-8, nan_ok=True
+        )
+    for column in ("note", "setting", "best_method"):
+        assert new[column].fillna("").to_list() == old[column].to_list()
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({}, "carried"),
+        ({"iterations": 200}, "carried; here 200 evaluations"),
+        ({"noise_mt": 0.005, "steps": 100}, "carried; here noise 0.005 mT; here 100 steps"),
+    ],
+)
+def test_the_setting_says_what_is_not_as_released(changed, words):
+    assert baaij.setting(**changed).endswith(words)
+
+
+def test_noise_has_its_deviation_and_one_seed_is_one_draw():
+    arm, q = baaij.robot(1), np.zeros((2000, 3))
+    clean, seen = baaij.simulate(arm, q), baaij.simulate(arm, q, noise_mt=0.01, seed=3)
+    assert (seen - clean).std() == pytest.approx(0.01, rel=0.03)
+    assert (baaij.simulate(arm, q, noise_mt=0.01, seed=3) == seen).all()
+
+
+def test_errors_of_poses_are_millimetres_and_degrees():
+    arm, q = baaij.robot(1), np.zeros((4, 3))
+    found = baaij.pose_errors(arm, q + np.array([0, 0, 1e-3]), q)
+    assert found == pytest.approx(
+        {"tip_mm": 1.0, "orientation_deg": 0.0, "shape_mm": found["shape_mm"]}, abs=1e-9
+    )
+    assert found["shape_mm"] == pytest.approx(math.sqrt(np.mean(np.linspace(0, 1, 33) ** 2)))
+    turned = baaij.pose_errors(arm, q + np.array([22e-3 * math.radians(10), 0, 0]), q)
+    assert turned["orientation_deg"] == pytest.approx(10)
+
+
+@pytest.fixture(scope="module")
+def card() -> pd.DataFrame:
+    whole = scorecard(project_folder() / "data/published/published.csv", [RESULTS / "table_1.rows.csv"])
+    return whole[whole["artefact"] == "Table 1"]
+
+
+def test_every_cell_of_table_1_shows_the_printed_number_and_ours(card):
+    html = plots.table_1(card, baaij.LABELS, baaij.REPEATED).data
+    lines = dict(zip(baaij.LABELS, html.partition("<tbody>")[2].split("<tr")[1:], strict=True))
+    for name, line in lines.items():
+        cells = card[card["row"] == name].set_index("quantity")
+        for quantity, cell in cells[cells["unit"] == "%"].iterrows():
+            ours = f"{float(cell['regenerated']):.1f}±{float(cell['regenerated_std']):.1f}"
+            assert f"<small>{cell['published']}±{cell['published_std']}</small>{ours}<" in line, (
+                name,
+                quantity,
+            )
+        assert line.count("<td") == 10
+        assert line.count("–") == 10 - len(cells)
+        assert ('class="again"' in line) == (name in baaij.REPEATED)
+    assert "<small>15±2</small>12±7<" in lines["n_b=1"]
+    assert html.count('title="differs"') == 1
+    assert html.count('title="smaller"') == 2
+
+
+def test_the_counts_are_said_in_whole_sentences(card):
+    bias = pd.read_csv(RESULTS / "table_1_bias.csv")
+    words = plots.table_1_in_words(card, bias, baaij.REPEATED)
+    assert words.startswith(
+        "**98 of 101 distinct numbers lie within the scatter of the trainings**, 2 are smaller and 1 differs."
+    )
+    assert "71 are smaller than published; our errors are **0.81 times" in words
+    one = card[(card["row"] == "n_s=6") & (card["quantity"] == "delta_x_1")]
+    words = plots.table_1_in_words(one, bias.assign(cells=0), baaij.REPEATED)
+    assert words.endswith(
+        "none are smaller and none differ. For none the scatter is so large that zero would pass."
+    )

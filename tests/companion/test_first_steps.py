@@ -1,0 +1,85 @@
+"""The page of Figs 2(a) and 4(a): the code that it shows, and the tables that it draws."""
+
+import ast
+import json
+from pathlib import Path
+
+import magpylib
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import repro
+from repro.robot import point_on
+from repro_companion.papers import baaij
+
+ROOT = Path(__file__).resolve().parents[2]
+SIZES = st.floats(1e-3, 20e-3) | st.floats(-20e-3, -1e-3)
+
+
+@pytest.fixture(scope="module")
+def shown():
+    """Return the functions ``walk`` and ``arc`` as the page shows them."""
+    page = json.loads((ROOT / "notebooks" / "first_steps.ipynb").read_text(encoding="utf-8"))
+    source = next("".join(c["source"]) for c in page["cells"] if "def walk(" in "".join(c["source"]))
+    tree = ast.parse(source)
+    tree.body = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+    names = {"np": np, "L_0": baaij.LENGTH, "radius": baaij.RADIUS}
+    exec(compile(tree, "first_steps", "exec"), names)  # the page's own code
+    return names
+
+
+@given(SIZES, SIZES, st.floats(0, 6e-3), st.floats(0.05, 1))
+def test_shown_positions_are_those_of_the_library(shown, delta_x, delta_y, delta_L, v):
+    q = np.array([delta_x, delta_y, delta_L])
+    delta = np.hypot(delta_x, delta_y)
+    place = point_on(1, v * baaij.LENGTH)
+    expected = baaij.robot(1).poses(q, [place])[0, :3, 3]
+    walked = shown["walk"](lambda w: w * delta / baaij.RADIUS, q[:2] / delta, baaij.LENGTH + delta_L, v)
+    np.testing.assert_allclose(shown["arc"](q, v), expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(walked, expected, atol=1e-7)
+
+
+def test_the_printed_position_is_right_at_the_tip_only(shown):
+    q = np.array([17.28e-3, 0.0, 0.0])
+    near_base = shown["arc"](q, 1e-6) / 1e-6
+    np.testing.assert_allclose(near_base, [0, 0, baaij.LENGTH], atol=1e-7)
+    table = pd.read_csv(ROOT / "results" / "kinematics_equation_15.csv")
+    ours = 1e3 * np.array([shown["arc"](q, v) for v in table["v"]])
+    np.testing.assert_allclose(ours[:, [0, 2]], table[["x_mm", "z_mm"]], rtol=1e-8)
+    printed = table[["x_printed_mm", "z_printed_mm"]]
+    np.testing.assert_allclose(ours[:, [0, 2]] / table[["v"]].to_numpy(), printed, rtol=1e-8)
+
+
+def test_parts_are_those_of_the_committed_table():
+    found = baaij.parts(baaij.robot(1), baaij.planar(1, 70.0))
+    expected = pd.read_csv(ROOT / "results" / "field_one_segment.csv")
+    pd.testing.assert_frame_equal(found, expected, rtol=1e-8, atol=1e-9, check_dtype=False)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_the_field_around_a_robot_is_magpylibs(n):
+    robot, q, ring = baaij.robot(n, ring="published"), baaij.planar(n, 30.0), baaij.RINGS["published"]
+    size = ring.inner_diameter / 2, ring.outer_diameter / 2, ring.height, 0, 360
+    rings = [
+        magpylib.magnet.CylinderSegment(
+            T[:3, 3], Rotation.from_matrix(T[:3, :3]), dimension=size, polarization=(0, 0, 1.45)
+        )
+        for T in robot.poses(q, [magnet.place for magnet in robot.magnets])
+    ]
+    found = baaij.field_in_plane(robot, q, rows=11)
+    points = 1e-3 * np.stack([found["x_mm"], 0 * found["x_mm"], found["z_mm"]], axis=-1)
+    expected = 1e3 * magpylib.getB(rings, points, sumup=True)
+    np.testing.assert_allclose(found[["b_x_mT", "b_z_mT"]], expected[:, [0, 2]], rtol=1e-8, atol=1e-9)
+
+
+def test_what_a_reading_is_made_of():
+    """One dipole moment gives the first term of the series that the page adds up."""
+    robot, q = baaij.robot(1), baaij.planar(1, 70.0)
+    _, d, cos_alpha, cos_beta, cos_theta = repro.relations(robot, q)[0]
+    moment = baaij.RINGS["released"].multipoles(1)[0]
+    dipole = moment / d**3 * (3 * cos_theta * cos_beta - cos_alpha)
+    np.testing.assert_allclose(repro.Sensing(robot, moments=[moment])(q)[0], dipole, rtol=1e-12)

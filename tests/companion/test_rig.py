@@ -1,0 +1,212 @@
+"""The rig of Table 2: the first edition's recordings, closed forms, files, alignment, filters, published cells."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import norm
+
+from repro import InputError, KalmanFilter
+from repro.robot import place
+from repro_companion.papers import rig
+from repro_companion.show import published
+
+LOUD = SimpleNamespace(**(vars(rig.RIG) | {"noise": 3.6, "inflated_noise": 8.25}))
+"""Fifteen times the noise."""
+
+
+@pytest.fixture(scope="module")
+def t1():
+    return rig.simulated("T1")
+
+
+def test_simulated_recordings_are_those_of_the_first_edition(t1):
+    from edition1_companion.twins.pneumatic_rig import record_rig
+    from edition1_companion.twins.rig_twins import nominal_twin
+
+    old = record_rig(nominal_twin(), "T1", seed=0).read()
+    np.testing.assert_array_equal(t1.u, old.u)
+    # The first edition had the place of the markers in single precision, so a last digit of a file may differ.
+    assert (np.abs(t1.q - old.q) < 1e-15).mean() > 0.999
+    np.testing.assert_allclose(t1.q, old.q, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("name", ["T0", "T2", "T3", "T4"])
+def test_torques_are_those_of_the_first_edition(name):
+    from edition1_companion.twins.pneumatic_actuation import Chambers, torque_sequence
+
+    chambers, t = Chambers(), np.linspace(9.0, 80.0, 500)
+    whole = chambers.pressures(torque_sequence(name, t - rig.SEQUENCE_S, chambers, seed=0))
+    np.testing.assert_allclose(rig.pressures(name, t), whole, rtol=0, atol=1e-10)
+
+
+def test_the_pose_of_the_ring_gives_the_configuration():
+    q = np.random.default_rng(0).uniform(-1, 1, (200, 3)) * [9e-3, 9e-3, 3e-3]
+    q[0] = 0.0
+    q[1, :2] = 1e-9  # nearly straight
+    T = rig.robot().poses(q, [place("ring", 1, rig.MARKERS_AT)])[:, 0]
+    xyzw = Rotation.from_matrix(T[:, :3, :3]).inv().as_quat()
+    ring = np.column_stack([rig._capture_axes(xyzw[:, :3]), xyzw[:, 3], rig._capture_axes(T[:, :3, 3])])
+    base = np.array([0, 0, 0, 1, *rig._capture_axes(np.array([[0, 0, rig.BASE_HEIGHT]]))[0]])
+    np.testing.assert_allclose(rig.configurations(rig.Capture(base, ring), "law"), q, atol=1e-10)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """The authors' two files of one trajectory, as the first edition's writer makes them."""
+    from edition1_companion.twins.pneumatic_rig import record_rig
+    from edition1_companion.twins.rig_twins import nominal_twin
+
+    return record_rig(nominal_twin(), "T1", seed=0).write(tmp_path_factory.mktemp("rig"))
+
+
+def test_files_in_the_authors_formats_give_the_recording(files, t1):
+    capture, sensors = files
+    found = rig.aligned(rig.configurations(rig.read_capture(capture), "T1"), rig.read_readings(sensors), "T1")
+    np.testing.assert_array_equal(found.u, t1.u)
+    np.testing.assert_allclose(found.q, t1.q, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("1.23", "1.24"), "Format Version of {} must be 1.23; instead received 1.24."),
+        (("Meters", "Millimeters"), "Length Units of {} must be Meters; instead received Millimeters."),
+        (("Rotation,Rotation", "Position,Rotation"), "columns of the base of {} must be rotation X"),
+        (("\n5,0.125", "\n5,0.325"), "times of {} must be 1/40 s apart; instead received other steps."),
+    ],
+)
+def test_other_files_of_motion_capture_are_refused(files, tmp_path, change, message):
+    other = tmp_path / "other_Quat.csv"
+    text = files[0].read_text(encoding="utf-8")
+    assert change[0] in text
+    other.write_text(text.replace(*change, 1), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        rig.read_capture(other)
+    assert message.format(other.name) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("u1,u2\n1,2\n", "columns of SV.csv must be u1, u2, u3; instead received u1, u2."),
+        ("u1,u2,u3\n1,2,x\n", "readings of SV.csv must be numbers [mV]"),
+        ("u1,u2,u3\n1,2,\n1,2,3\n", "readings of SV.csv must be complete up to the end"),
+        ("u1,u2,u3\n1,2,2047.9375\n", "readings of SV.csv must be between 0.0 and 2047.9375 mV"),
+    ],
+)
+def test_other_files_of_readings_are_refused(tmp_path, text, message):
+    path = tmp_path / "SV.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        rig.read_readings(path)
+    assert message in str(caught.value)
+
+
+def test_a_ring_that_is_lost_for_long_is_refused():
+    ring = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.1, 0.0], (9, 1))
+    ring[3:6] = np.nan
+    with pytest.raises(InputError, match="lost for at most 2 frames.*instead received lost for 3 frames"):
+        rig.configurations(rig.Capture(ring[0], ring), "gap")
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_loud_readings_are_aligned_like_quiet_ones(seed):
+    quiet, loud = rig.simulated("T1", seed=seed), rig.simulated("T1", LOUD, seed=seed)
+    # Both have one motion; how much of it is cut says where the readings were taken to begin.
+    shifts = range(-5, 6)
+    n = min(len(quiet), len(loud)) - 10
+    off = [np.abs(loud.q[5 : 5 + n] - quiet.q[5 + k : 5 + k + n]).max() for k in shifts]
+    assert abs(shifts[int(np.argmin(off))]) <= 2
+
+
+@pytest.mark.parametrize("late", [200, -100])
+def test_a_false_start_is_refused_even_by_a_whole_period(monkeypatch, late):
+    """T1 repeats every 5 s: only the inflation at the beginning tells the periods apart."""
+    right = rig.start_of_readings
+    monkeypatch.setattr(rig, "start_of_readings", lambda u, name: max(right(u, name) + late, 0))
+    with pytest.raises(InputError, match="alignment of synthetic_T1 must be that of the first inflation"):
+        rig.simulated("T1")
+
+
+def test_readings_of_another_motion_are_said_to_hardly_follow(t1):
+    noise = np.random.default_rng(0).normal(size=t1.u.shape)
+    assert "hardly follow" in rig.doubts(t1.q, noise, "noise")[0]
+
+
+def test_filters_are_weighed_as_bayes_says():
+    """One step of a linear model: the weights are prior times density of the reading, the means are exact."""
+    root, u, c = 3**0.5, 0.8, np.array([-1.0, 0.0, 2.0])
+    kalman = KalmanFilter(lambda q: q, [-root], [root], noise=0.5, acceleration=[1.0], velocity=[1.0])
+    log_prior = -0.5 * c**2
+    found = rig.weighed_filters(kalman, (u - c)[None, None, :, None], np.zeros((1, 3, 1)), log_prior[None])
+    weight = np.exp(log_prior) * norm.pdf(u - c, 0.0, np.sqrt(1 + 0.25))
+    mean = (weight * (u - c) / 1.25).sum() / weight.sum()
+    np.testing.assert_allclose(found[0, 0, 0], mean, rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def data(t1):
+    tests = {
+        name: replace(t1, name=name, q=t1.q[:80] + 1e-3 * k, u=t1.u[:80])
+        for k, name in enumerate(rig.TRAJECTORIES)
+    }
+    return rig.Data(t1, tests, "simulated")
+
+
+def test_errors_are_those_of_eq_13(data):
+    q, u = data.beginnings(1.0)
+    off = np.array([1e-3, -2e-3, 0.0])
+    table = rig.errors(data, {"known": q[:, :, None] + off}, u[:, :, None] + 3.0, 1.0)
+    cells = table[table["row"] == rig.row_name("T4")].set_index(["quantity", "unit"])["error"]
+    whole = data.tests["T4"]
+    assert cells["delta_x", "mm"] == pytest.approx(1.0)
+    assert cells["delta_y", "%"] == pytest.approx(100 * 2e-3 / np.ptp(whole.q[:, 1]))
+    assert cells["e_u", "mV"] == pytest.approx(3.0)
+    assert cells["e_u", "%"] == pytest.approx(300 / np.ptp(whole.u))
+
+
+def test_the_rows_are_the_printed_ones_and_not_comparable(data):
+    q, u = data.beginnings(1.0)
+    table = rig.errors(data, {"known": np.stack([q, q + 1e-3], 2)}, np.stack([u, u + 1], 2), 1.0)
+    moved = pd.DataFrame(
+        [("published", rig.row_name("T1"), "delta_x", 1.0, 1.5, 2.24, True)],
+        columns=["step", "row", "quantity", "lowest", "middle", "highest", "chaotic"],
+    )
+    lines = rig.scorecard_rows(table, data, 1.0, moved)
+    key = ["row", "quantity", "unit"]
+    printed = pd.concat([published("baaij2023", a) for a in ("Table 2", "Abstract", "Section 5.5")])
+    assert set(map(tuple, lines[key].to_numpy())) <= set(map(tuple, printed[key].to_numpy()))
+    assert len(lines) == 35 + 2
+    assert not lines["comparable"].any()
+    noted = lines[lines["note"].str.contains("decided by rounding: 1 to 2.24 mm from 32 starts")]
+    assert set(noted["row"]) == {rig.row_name("T1")}
+
+
+def test_ratios_of_random_rigs_are_geometric_means():
+    columns = [f"{m}_delta_{a}_mm" for m in ("known", "mean", "shorter", "ours") for a in "xy"]
+    rows = [("first", 7, "bouc-wen", "ramp", 1.0, t, 0.5, *([4.0] * 6), *ours) for t, ours in
+            (("T0", (1.0, 4.0)), ("T1", (2.0, 8.0)))]  # fmt: skip
+    names = ["family", "twin", "hysteresis", "drift", "drift_mV", "trajectory", "covered", *columns]
+    found = rig.random_rig_ratios(pd.DataFrame(rows, columns=names)).iloc[0]
+    assert found["known"] == pytest.approx((1 / 4 * 1 * 1 / 2 * 2) ** 0.25)
+    assert found["worst"] == "T1 y: 2.00"
+
+
+def test_ranges_say_where_rounding_decides():
+    study = pd.DataFrame(
+        [("published", "a", s, k, 1.0 + 0.2 * k, 1.0) for s in (0, 1) for k in range(3)],
+        columns=["step", "row", "seed", "start", "delta_x", "delta_y"],
+    )
+    found = rig.ranges_over_starts(study).set_index("quantity")
+    assert found.loc["delta_x", ["lowest", "middle", "highest"]].tolist() == pytest.approx([1.0, 1.2, 1.4])
+    assert found["chaotic"].to_dict() == {"delta_x": True, "delta_y": False}
+
+
+def test_recordings_that_are_asked_for_must_be_there(monkeypatch, tmp_path):
+    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
+    with pytest.raises(InputError, match="none of T0, T1, T2, T3, T4, T5"):
+        rig.load("recorded")

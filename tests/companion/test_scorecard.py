@@ -1,0 +1,159 @@
+"""The rules of the scorecard: against the first edition's exact arithmetic, the committed table, and by hand."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edition1_companion.book.verdicts import is_near_edge, is_weak, verdict
+from repro_companion.scorecard import COLUMNS, changed, counts, kinds, scorecard, write
+from repro_companion.show import KEY, ROW_COLUMNS
+
+ROOT = Path(__file__).resolve().parents[2]
+PUBLISHED, RESULTS = ROOT / "data" / "published" / "published.csv", ROOT / "results"
+
+
+def card_of(folder: Path, printed: list[dict], ours: list[dict]) -> pd.DataFrame:
+    """Scorecard of numbers given by what is not usual about them."""
+    usual = dict.fromkeys(KEY, "a") | {"std": "", "setting": "s", "comparable": "true"}
+    for name, columns, rows in (
+        ("published", [*KEY, "value", "std"], printed),
+        ("a.rows", ROW_COLUMNS, ours),
+    ):
+        frame = pd.DataFrame([usual | row for row in rows], dtype=str).reindex(columns=columns, fill_value="")
+        frame.to_csv(folder / f"{name}.csv", index=False)
+    return scorecard(folder / "published.csv", [folder / "a.rows.csv"])
+
+
+@pytest.fixture(scope="module")
+def card() -> pd.DataFrame:
+    return scorecard(PUBLISHED, sorted(RESULTS.glob("*.rows.csv")))
+
+
+def test_the_committed_scorecard_comes_out_byte_for_byte(card, tmp_path):
+    write(card, tmp_path / "scorecard.csv")
+    assert (tmp_path / "scorecard.csv").read_bytes() == (RESULTS / "scorecard.csv").read_bytes()
+    assert list(card) == COLUMNS
+
+
+def test_no_verdict_is_another_than_the_reference(card):
+    assert changed(card, ROOT / "data" / "scorecard_reference.csv") == []
+
+
+def test_counts_are_those_of_every_paper_and_of_all(card):
+    table = counts(card)
+    # whether a number is weak may be decided by rounding, which verdict it has is not
+    assert table.loc["baaij2023", ["reproduced", "weak", "printed again"]].sum() == 126
+    assert table.loc["martin2022", ["reproduced", "not comparable"]].to_list() == [0, 43]
+    assert table.loc["all", "all"] == len(card) == 215
+    assert (table.iloc[:-1].sum() == table.loc["all"]).all()
+
+
+numbers = st.decimals(0, 20, places=2).map(str)
+deviations = st.just("") | st.decimals(0, 3, places=2).map(str)
+
+
+cells = st.tuples(numbers, deviations, numbers, deviations, st.sampled_from(["e_u", "reduction"]))
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.lists(cells, min_size=1, max_size=60))
+def test_verdicts_are_those_of_exact_arithmetic(tmp_path_factory, drawn):
+    names = ("value", "std", "regenerated", "regenerated_std", "quantity")
+    rows = [
+        dict(zip(names, cell, strict=True)) | {"row": str(k), "note": "n"} for k, cell in enumerate(drawn)
+    ]
+    ours = [{name: x for name, x in row.items() if name not in ("value", "std")} for row in rows]
+    found = card_of(tmp_path_factory.mktemp("card"), rows, ours)
+    for (value, std, regenerated, ours_std, quantity), line in zip(
+        drawn, found.to_dict("records"), strict=True
+    ):
+        expected = verdict(quantity, value, std, regenerated, ours_std)
+        near = is_near_edge(value, std, regenerated, ours_std) and expected != "missing"
+        truths = str(is_weak(value, std, ours_std)).lower(), str(near).lower()
+        assert (line["verdict"], line["weak"], line["near_edge"]) == (expected, *truths)
+
+
+@pytest.mark.parametrize(
+    ("ours", "expected"),
+    [
+        ({"regenerated": "1.75"}, "reproduced"),  # half a printed unit belongs to the band
+        ({"regenerated": "1.76", "note": "n"}, "differs"),
+        ({"regenerated": "1.6"}, "better"),
+        ({"regenerated": "9", "comparable": "false"}, "not_comparable"),
+        ({"regenerated": "9", "setting": "benchmark"}, "not_comparable"),
+    ],
+)
+def test_a_number_without_deviations_must_agree_to_its_last_printed_digit(tmp_path, ours, expected):
+    assert card_of(tmp_path, [{"value": "1.7"}], [ours])["verdict"].to_list() == [expected]
+
+
+def test_a_printed_number_that_nobody_regenerates_is_missing(tmp_path):
+    found = card_of(
+        tmp_path, [{"value": "1"}, {"value": "2", "row": "b"}], [{"regenerated": "2", "row": "b"}]
+    )
+    assert found["verdict"].to_list() == ["missing", "reproduced"]
+    assert found["published"].to_list() == ["1", "2"]
+
+
+def test_weak_and_repeated_numbers_count_apart(tmp_path):
+    printed = [{"value": "1", "row": row} for row in "abc"] + [{"value": "1", "std": "2", "row": "d"}]
+    found = card_of(
+        tmp_path,
+        printed,
+        [{"regenerated": x, "row": r} for x, r in zip(["1", "1", "1.1", "1"], "abcd", strict=True)],
+    )
+    assert kinds(found).to_list() == ["reproduced", "printed again", "reproduced", "weak"]
+
+
+def test_a_number_that_differs_must_have_a_note(tmp_path):
+    with pytest.raises(ValueError, match="must have a note: a / a / a / a / a of a.rows.csv has none"):
+        card_of(tmp_path, [{"value": "1"}], [{"regenerated": "3"}])
+
+
+def test_a_number_is_regenerated_once(tmp_path):
+    card_of(tmp_path, [{"value": "1"}], [{"regenerated": "1"}])
+    (tmp_path / "b.rows.csv").write_bytes((tmp_path / "a.rows.csv").read_bytes())
+    with pytest.raises(
+        ValueError, match=r"a.rows.csv and b.rows.csv regenerate one number twice: a / a / a / a / a"
+    ):
+        scorecard(tmp_path / "published.csv", sorted(tmp_path.glob("*.rows.csv")))
+
+
+@pytest.mark.parametrize(
+    ("ours", "message"),
+    [
+        (
+            {"regenerated": "1", "row": "b"},
+            "a.rows.csv regenerates what published.csv does not list: a / a / b",
+        ),
+        ({"regenerated": "x"}, "regenerated of a.rows.csv must be a number in a / a / a / a / a; it is 'x'"),
+        ({"regenerated": ""}, "must be a number in a / a / a / a / a; it is ''"),
+        ({"regenerated": "1", "regenerated_std": "inf"}, "regenerated_std of a.rows.csv must be a number"),
+    ],
+)
+def test_broken_rows_are_refused_in_words(tmp_path, ours, message):
+    with pytest.raises(ValueError, match=message):
+        card_of(tmp_path, [{"value": "1"}], [ours])
+
+
+def test_another_table_is_refused_in_words(tmp_path):
+    (tmp_path / "published.csv").write_text("paper,value\na,1\n")
+    with pytest.raises(
+        ValueError, match=r"published.csv must have the columns paper, .*; it has paper, value"
+    ):
+        scorecard(tmp_path / "published.csv", [])
+    with pytest.raises(ValueError, match="There is no table"):
+        scorecard(tmp_path / "nothing.csv", [])
+
+
+def test_changed_verdicts_are_listed_both_ways(tmp_path):
+    found = card_of(tmp_path, [{"value": "1"}, {"value": "1", "row": "b"}], [{"regenerated": "1"}])
+    then = pd.DataFrame([dict.fromkeys(KEY, "a") | {"verdict": "not_comparable"}])
+    then.to_csv(tmp_path / "reference.csv", index=False)
+    assert changed(found, tmp_path / "reference.csv") == [
+        "a / a / a / a / a: was not comparable, is reproduced",
+        "a / a / b / a / a: was not listed, is missing",
+    ]
