@@ -216,7 +216,7 @@ def test_dead_paths_are_found():
     `data/none.csv`, `src/edition1/edition1/*.py`, `data/*.none`, `none.toml`, `pyproject.toml`, `runs/none.csv`
     ```bash
     .venv/bin/repro run notebooks/none.ipynb -p n 3
-    .venv/bin/repro run notebooks/table_1.ipynb -o out/none.ipynb
+    .venv/bin/repro run notebooks/first_steps.ipynb -o out/none.ipynb
     ```
 """
     missing = ["book/none.md", "data/none.csv", "data/*.none", "notebooks/none.ipynb", "none.toml"]

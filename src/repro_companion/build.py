@@ -37,7 +37,7 @@ def build(root: Path, jobs: int) -> str:
     notebooks = {path.stem: path for path in sorted((root / "notebooks").glob("*.ipynb"))}
     for leftover in executed.glob("*"):
         if leftover.name.partition(".")[0] not in notebooks:
-            leftover.unlink()
+            shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
     old = [name for name, path in notebooks.items() if tool.is_first_edition(path)]
     inputs = tool.inputs_of(root)
     points = [page_point(root, path, inputs) for name, path in notebooks.items() if name not in old]

@@ -109,7 +109,11 @@ def test_each_edition_runs_again_by_its_own_inputs(without_site):
         build()
         return {name.partition(".")[0] for name, at in begun().items() if before.get(name) != at}
 
+    killed = root / "book/notebooks/.a-0123"  # what a run leaves that was killed
+    killed.mkdir(parents=True)
+    (killed / "a.ipynb").write_text("{}")
     assert ran() == {"a", "old"}
+    assert not killed.exists()
     assert ran() == set()
     (root / "src/repro/module.py").write_text("x = 2\n")
     assert ran() == {"a"}

@@ -98,7 +98,7 @@ def test_page():
     ]
     assert '<a href="notebooks/table_1.html">Table 1: shape from magnets in simulation</a>' in page
     assert "<code>relations</code>" in page
-    assert "</a>, <code>Relations</code></td>" in page
+    assert "<code>ParticleFilter</code>" in page
     assert "<td>not reproduced (photographs)</td>" in page
     assert page.count("<tr>") == len(ENTRIES) + page.count("<thead>")
     assert not re.search(r"\n\n(?!<table|## )", page.rstrip()), "an empty line ends a block of HTML"
