@@ -21,7 +21,8 @@ FACTS = """async () => {
   const images = [...document.querySelectorAll('img')];
   images.forEach(image => { image.loading = 'eager'; });
   await Promise.all(images.map(image => image.decode().catch(() => null)));
-  const squeezed = [...document.querySelectorAll('.cell_output table:not(.scorecard) :is(th, td)')].filter(cell => {
+  const cells = '.cell_output table:not(.scorecard, .table-1 *) :is(th, td)';
+  const squeezed = [...document.querySelectorAll(cells)].filter(cell => {
     const inside = document.createRange();
     inside.selectNodeContents(cell);
     const lines = inside.getBoundingClientRect().height / parseFloat(getComputedStyle(cell).lineHeight);
