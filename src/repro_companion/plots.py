@@ -117,7 +117,7 @@ def table_1(card: pd.DataFrame, labels: dict[str, str], repeated: Sequence[str])
         again = ' class="again"' if name in repeated else ""
         lines.append(f'<tr{again}><th scope="row">{label}</th>{"".join(cells)}</tr>')
     legend = " · ".join(f'<span class="{name}">{words}</span>' for name, words in VERDICTS.items())
-    words = "Grey: published. Black: regenerated. Pale rows repeat another row. Tint: "
+    words = "Upper: published. Lower: regenerated. Pale rows repeat another row. Tint: "
     label = 'id="fig-table-1" aria-label="Table 1, published and regenerated"'
     box = f'<div class="table-1" tabindex="0" role="region" {label}>'
     table = f"<table><thead>{''.join(lines)}</tbody></table>"
@@ -566,7 +566,7 @@ def table_2(printed: pd.DataFrame, errors: pd.DataFrame, moved: pd.DataFrame, ba
             cells.append(f"<td><small>{text}</td>")
         lines.append(f'<tr><th scope="row">{str(row).replace("->", " → ")}</th>{"".join(cells)}</tr>')
     box = '<div class="table-1" tabindex="0" role="region" aria-label="Table 2, published and regenerated">'
-    words = "Grey: published. Below: regenerated. ~ : rounding decides this number, see below."
+    words = "Upper: published. Lower: regenerated. ~ : rounding decides the error of at least one network, see below."
     mark = f'<span style="border: 1px solid; border-radius: 1em; padding: 0.1em 0.7em">{badge}</span>'
     return HTML(
         f"{TABLE_1}<p>{mark}</p>{box}<table><thead>{''.join(lines)}</tbody></table></div><p>{words}</p>"
