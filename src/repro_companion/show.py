@@ -1,4 +1,4 @@
-"""What a page writes and shows: tables, sentences, values in its text."""
+"""What a page writes and shows: tables and sentences."""
 
 from __future__ import annotations
 
@@ -12,21 +12,14 @@ import numpy as np
 import pandas as pd
 from pandas.io.formats.style import Styler
 
+from repro_companion.run import project_folder
+
 KEY = ["paper", "artefact", "row", "quantity", "unit"]
 """What tells a printed number from all others."""
 ROW_COLUMNS = [
     *KEY, "regenerated", "regenerated_std", "n_seeds", "setting", "best", "best_method", "note", "comparable"
 ]  # fmt: skip
 """Columns of what a page regenerates, ``<name>.rows.csv``."""
-
-
-def project_folder() -> Path:
-    """Return the checkout that the working directory is in."""
-    here = Path.cwd()
-    for folder in (here, *here.parents):
-        if (folder / "data" / "published").is_dir():
-            return folder
-    raise FileNotFoundError("Go to a checkout of the project: its data/ is needed.")
 
 
 def results_folder() -> Path:
@@ -120,10 +113,3 @@ def say(text: str) -> None:
     from IPython.display import Markdown, display
 
     display(Markdown(text))
-
-
-def glue(name: str, value: Any) -> None:
-    """Give a value to the text of the page, by myst-nb; at most five a page."""
-    from myst_nb import glue as glue_value
-
-    glue_value(name, value, display=False)

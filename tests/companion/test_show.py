@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from repro.common import InputError
 from repro_companion import show as module
 from repro_companion.show import KEY, number, published, rows, save, show
 
@@ -94,5 +95,5 @@ def test_a_page_regenerates_a_number_once():
 
 def test_tables_need_a_checkout(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(FileNotFoundError, match="Go to a checkout"):
+    with pytest.raises(InputError, match="inside a checkout of the project"):
         module.project_folder()

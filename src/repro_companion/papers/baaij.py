@@ -417,8 +417,6 @@ def pose_errors(arm: Robot, found: np.ndarray, truth: np.ndarray) -> dict[str, f
 
 ELONGATION = 2.75e-3
 """Mean elongation of a trajectory [m]."""
-FAILED = (4, 8, 12)
-"""The sensors that fail in Figs 4(b) and 5, counted from 1: the last of each segment."""
 AUTHORS_PERCENT = {
     "before": (3.5, 3.8, 3.5, 2.8, 3.1, 3.6, 1.5, 1.3, 2.4),
     "after": (3.7, 5.8, 5.8, 2.2, 3.0, 5.1, 1.6, 2.2, 3.5),

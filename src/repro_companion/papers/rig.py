@@ -1,6 +1,6 @@
 """The rig of Baaij et al. 2023, section 5: its recordings, a simulated rig in their place, and two methods.
 
-The authors did not publish the recordings behind Table 2. Where nobody has put them into ``REPRO_DATA_DIR``, a
+We do not have the recordings behind Table 2. Where nobody has put them into ``REPRO_DATA_DIR``, a
 simulated rig records the six trajectories: pressures bend a segment with lag and hysteresis, magpylib's field of the
 ring reaches three sensors that are not where the drawing has them, and both go through the authors' pipeline. Its
 parameters were set to what is known of the authors' sensors before any estimator ran on it, and then frozen.
