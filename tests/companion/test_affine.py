@@ -19,7 +19,6 @@ from edition1.kinematics.paper_robots import affine_robot
 from edition1.sensing.magnetic import readings
 from edition1.sensing.magnets import ring
 from edition1.sensing.relations import relations
-from edition1_companion.twins.calibration_session import Config, draw_session
 from edition1_companion.twins.networks import sensor_rows, training_rows
 from edition1_companion.twins.training_set import affine_training_set
 from repro_companion.papers import baaij
@@ -102,17 +101,11 @@ def test_the_robot_reads_what_it_read_in_the_first_edition(shift):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
 
 
-def test_a_robot_with_errors_is_the_one_of_the_first_edition():
-    config, truth = Config(draws=2, poses=baaij.POSES), flower(9)
-    low, high = map(torch.from_numpy, baaij.AFFINE_POSES)
-    old = draw_session(affine_robot(), torch.from_numpy(truth), (low, high), config)
-    seen, q, covariance = baaij.affine_session(truth, 1)
-    np.testing.assert_allclose(seen.poses, old.poses[1], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(seen.pose_readings, old.pose_readings[1], rtol=0, atol=1e-10)
-    np.testing.assert_allclose(seen.readings, old.readings[:, 1], rtol=0, atol=1e-10)
-    noise = {"position_m": config.position_m, "rotation_rad": config.rotation_rad}
+def test_measured_poses_give_the_configurations_of_the_first_edition():
+    seen, q, covariance = baaij.affine_session(flower(9), 1)
+    noise = {"position_m": baaij.POSITION, "rotation_rad": baaij.ROTATION}
     first = torch.from_numpy(q + 1e-4)
-    expected, spread = configurations(affine_robot(), old.poses[1], **noise, start=first)
+    expected, spread = configurations(affine_robot(), torch.from_numpy(seen.poses), **noise, start=first)
     np.testing.assert_allclose(q, expected, rtol=0, atol=1e-6)
     np.testing.assert_allclose(covariance, spread, rtol=1e-4, atol=1e-12)
 

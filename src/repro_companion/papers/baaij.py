@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
+from joblib import Parallel, delayed
 from scipy.spatial.transform import Rotation
 
 from repro import (
@@ -97,15 +98,12 @@ def simulate(
 ) -> np.ndarray:
     """Return readings ``[t, s]`` [mT] by magpylib, with noise of a standard deviation."""
     u = simulated_readings(robot, q, earth_mt)
-    return u + noise_mt * draws(seed, *u.shape) if noise_mt else u
+    return u + noise(noise_mt, seed, *u.shape)
 
 
-def draws(seed: int, *shape: int) -> np.ndarray:
-    """Return normal draws of the first edition's generator."""
-    import torch
-
-    generator = torch.Generator().manual_seed(seed)
-    return torch.randn(shape, generator=generator, dtype=torch.float64).numpy()
+def noise(noise_mt: float, seed: int, *shape: int) -> np.ndarray:
+    """Return the noise of sensors [mT]."""
+    return noise_mt * np.random.default_rng(seed).standard_normal(shape)
 
 
 def relative_errors(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -194,7 +192,7 @@ def row_errors(
     """Return the errors of the paper's method in a row of Table 1: of the readings at the truth, and of eq. (13)."""
     q, sensing = lemniscate(row.n_segments, steps=steps), row.sensing(seed)
     u = simulate(row.robot(), q, earth_mt=row.earth_mt())
-    seen = u + noise_mt * draws(seed, *u.shape) if noise_mt else u
+    seen = u + noise(noise_mt, seed, *u.shape)
     found = track(descent(sensing, row.n_segments, iterations=iterations), seen, q[0]).q
     e_u = np.sqrt(((sensing(q) - u) ** 2).mean(0)).mean()
     names, errors = ["e_u", *sensing.robot.coordinates], [e_u, *relative_errors(found, q)]
@@ -202,31 +200,10 @@ def row_errors(
     return pd.DataFrame({"row": row.name, "seed": seed, "quantity": names, "unit": units, "error": errors})
 
 
-def draw_errors(row: Row, draw: int) -> pd.DataFrame:
-    """Return the errors of our method on one robot with manufacturing errors, calibrated and as drawn."""
-    names, parts = row.robot().coordinates, []
-    for calibrated, errors in zip((True, False), errors_of_draw(row, draw), strict=True):
-        key = {"row": row.name, "quantity": names, "draw": draw, "calibrated": calibrated}
-        parts.append(pd.DataFrame(key | {"error_percent": errors}))
-    return pd.concat(parts)
-
-
-def table_1(
-    rows: Sequence[Row], seeds: Sequence[int], n_draws: int, jobs: int = 0, **options: Any
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return :func:`row_errors` for all rows and seeds, and :func:`draw_errors` for all rows and draws."""
-    from joblib import Parallel, delayed
-
+def table_1(rows: Sequence[Row], seeds: Sequence[int], jobs: int = 0, **options: Any) -> pd.DataFrame:
+    """Return :func:`row_errors` of all rows and seeds."""
     tasks = [delayed(row_errors)(row, seed, **options) for row in rows for seed in seeds]
-    tasks += [delayed(draw_errors)(row, draw) for row in rows for draw in range(n_draws)]
-    parts = list(Parallel(n_jobs=jobs or -1)(tasks))
-    n = len(rows) * len(seeds)
-    best = pd.concat(parts[n:], ignore_index=True)
-    order = [pd.factorize(best[name])[0] for name in ("row", "quantity")]
-    best = best.iloc[np.lexsort([best["draw"], order[1], ~best["calibrated"], order[0]])]
-    return pd.concat(parts[:n], ignore_index=True), best[
-        ["row", "quantity", "draw", "calibrated", "error_percent"]
-    ]
+    return pd.concat(list(Parallel(n_jobs=jobs or -1)(tasks)), ignore_index=True)
 
 
 def gain(best: pd.DataFrame) -> pd.DataFrame:
@@ -382,7 +359,7 @@ def models(rows_seeds: Sequence[int], steps: int = STEPS, noise_mt: float = 0.0)
                 if name == "multipole"
                 else load_network(folder / f"{file}_nb1_segment1_seed{seed}.safetensors")
             )
-            sensing, seen = Sensing(arm, trained), u + noise_mt * draws(seed, *u.shape) if noise_mt else u
+            sensing, seen = Sensing(arm, trained), u + noise(noise_mt, seed, *u.shape)
             found = {
                 ("gradient descent", "ground truth"): track(descent(sensing, 1), seen, q[0]).q,
                 ("Levenberg-Marquardt", "straight"): least_squares(sensing, seen, max(noise_mt, 1e-6), 30),
@@ -588,17 +565,9 @@ def measured_draw(
     drawn: Robot, q: np.ndarray, box: tuple[np.ndarray, np.ndarray], draw: int, earth_mt: Any = None
 ) -> Session:
     """Return one draw of a robot with errors, measured in poses from a box and along a trajectory."""
-    import torch
-
-    g, n = torch.Generator().manual_seed(draw), len(drawn.magnets)
-    n_s, count = len(drawn.sensors), 5 * n + 4 * len(drawn.sensors) + 5
-    uniform = 2 * torch.rand(count, generator=g, dtype=torch.float64).numpy() - 1
-    low, high = box
-    at = low + (high - low) * torch.rand(POSES, drawn.n_q, generator=g, dtype=torch.float64).numpy()
-    pose_noise = torch.randn(POSES, len(drawn.segments), 6, generator=g, dtype=torch.float64).numpy()
-    noise = NOISE_MT * torch.randn(POSES + len(q), n_s, generator=g, dtype=torch.float64).numpy()
+    rng = np.random.default_rng(draw)
     magnets = []
-    for magnet, x in zip(drawn.magnets, uniform[: 5 * n].reshape(n, 5), strict=True):
+    for magnet, x in zip(drawn.magnets, rng.uniform(-1, 1, (len(drawn.magnets), 5)), strict=True):
         a, b = ERRORS.magnet_tilt * x[3:]
         axis = [math.sin(b), -math.sin(a) * math.cos(b), math.cos(a) * math.cos(b)]
         magnets.append(
@@ -610,19 +579,17 @@ def measured_draw(
             azimuth=s.azimuth + ERRORS.sensor_azimuth * x[0],
             radial=s.radial * (1 + ERRORS.sensor_radius * x[1]),
         )
-        for s, x in zip(drawn.sensors, uniform[5 * n : 5 * n + 4 * n_s].reshape(n_s, 4), strict=True)
+        for s, x in zip(drawn.sensors, rng.uniform(-1, 1, (len(drawn.sensors), 2)), strict=True)
     ]
     true = Robot(drawn.segments, magnets, sensors)
+    at = rng.uniform(*box, (POSES, drawn.n_q))
     T = true.poses(at, tips(true))
-    turn = (
-        Rotation.from_euler("XYZ", ROTATION * pose_noise[..., :3].reshape(-1, 3))
-        .as_matrix()
-        .reshape(*T.shape[:2], 3, 3)
-    )
-    T[..., :3, :3] = T[..., :3, :3] @ turn
-    T[..., :3, 3] += POSITION * pose_noise[..., 3:]
+    turn = Rotation.from_euler("XYZ", ROTATION * rng.standard_normal((T[..., 0, 0].size, 3)))
+    T[..., :3, :3] = T[..., :3, :3] @ turn.as_matrix().reshape(*T.shape[:2], 3, 3)
+    T[..., :3, 3] += POSITION * rng.standard_normal(T[..., :3, 3].shape)
     u = [simulated_readings(true, x, earth_mt) for x in (at, q)]
-    return Session(true, T, u[0] + noise[:POSES], q, u[1] + noise[POSES:])
+    u = [seen + NOISE_MT * rng.standard_normal(seen.shape) for seen in u]
+    return Session(true, T, u[0], q, u[1])
 
 
 def tips(robot: Robot) -> list[Place]:
