@@ -8,7 +8,7 @@ import pytest
 
 from edition1.sensing.magnetic import readings as readings_1
 from edition1.sensing.magnets import ring as ring_1
-from edition1_companion.twins import calibrated_robots, table_1_rows, trajectories
+from edition1_companion.twins import table_1_rows, trajectories
 from repro_companion import plots
 from repro_companion.papers import baaij
 from repro_companion.scorecard import scorecard

@@ -203,7 +203,7 @@ def row_errors(
 def table_1(rows: Sequence[Row], seeds: Sequence[int], jobs: int = 0, **options: Any) -> pd.DataFrame:
     """Return :func:`row_errors` of all rows and seeds."""
     tasks = [delayed(row_errors)(row, seed, **options) for row in rows for seed in seeds]
-    return pd.concat(list(Parallel(n_jobs=jobs or -1)(tasks)), ignore_index=True)
+    return pd.concat(list(Parallel(n_jobs=jobs or -1, prefer="threads")(tasks)), ignore_index=True)
 
 
 def gain(best: pd.DataFrame) -> pd.DataFrame:
