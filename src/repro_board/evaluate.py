@@ -1,13 +1,134 @@
-"""Estimates against motion capture: first, whether readings and poses are of one time."""
+"""Estimates against motion capture: its files, and whether readings and poses are of one time."""
 
 from __future__ import annotations
 
+import csv
+import re
+from datetime import datetime
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len
 
-from repro.common import Array, numbers, require
+from repro.common import Array, bad_input, numbers, require
+
+LENGTH_UNITS = {"Millimeters": 1e-3, "Centimeters": 1e-2, "Meters": 1.0}
+"""Units that Motive exports, in metres."""
+POSE = [("Rotation", axis) for axis in "XYZW"] + [("Position", axis) for axis in "XYZ"]
+
+
+class MotionCapture(NamedTuple):
+    """Poses of rigid bodies over time, in the axes of the motion capture."""
+
+    name: str
+    """Of the take."""
+    started: datetime | None
+    """When it started, by the clock of the computer that recorded; ``None`` if the file does not say."""
+    rate_hz: float
+    """Frames per second in the file."""
+    times: Array
+    """Time of each frame after the start ``[t]`` [s]."""
+    bodies: dict[str, Array]
+    """By name ``[t, 7]``: quaternion X, Y, Z, W, then position X, Y, Z [m]; NaN where the body is lost."""
+    missing: int
+    """Frames that the header announces and the file does not have."""
+
+
+def read_motive(path: Path | str) -> MotionCapture:
+    """Read rigid bodies from a CSV file of OptiTrack Motive.
+
+    The file is an export with quaternions, format versions 1.20 to 1.29 (we know files of 1.21 and 1.23), in
+    millimetres, centimetres or metres. In Motive the y axis points up, and the axes of a body are those of the world
+    at the moment when the body is defined. Quaternions lead from the body to the world. A frame in which a body is
+    lost has empty cells or a quaternion of zeros. Columns of single markers are left out.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If it is no such file, has another version, unit or type of rotation, no body, times that do not increase, or
+        quaternions that are not unit within 0.01.
+
+    Examples
+    --------
+    One body, which is lost in the second of three frames:
+
+    >>> import tempfile
+    >>> first = "Format Version,1.23,Export Frame Rate,40,Total Exported Frames,3"
+    >>> text = f'''{first},Rotation Type,Quaternion,Length Units,Millimeters
+    ...
+    ... ,Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body
+    ... ,Name,Tip,Tip,Tip,Tip,Tip,Tip,Tip
+    ... ,ID,1,1,1,1,1,1,1
+    ... ,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position
+    ... Frame,Time (Seconds),X,Y,Z,W,X,Y,Z
+    ... 0,0.000,0,0,0,1,5,110,-3
+    ... 1,0.025,,,,,,,
+    ... 2,0.050,0.6,0,0,0.8,5,90,-60
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "tilt.csv")
+    ...     _ = file.write_text(text)
+    ...     take = read_motive(file)
+    >>> take.name, take.rate_hz, list(take.bodies)
+    ('tilt', 40.0, ['Tip'])
+    >>> take.bodies["Tip"][:, 4:]
+    array([[ 0.005,  0.11 , -0.003],
+           [   nan,    nan,    nan],
+           [ 0.005,  0.09 , -0.06 ]])
+    """
+    path = Path(path)
+    owner = path.name
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = list(csv.reader(stream))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise bad_input("content", owner, "a table in UTF-8", error) from error
+    header = dict(zip(rows[0][::2], rows[0][1::2], strict=False)) if rows else {}
+    version = header.get("Format Version", "nothing")
+    require(re.fullmatch(r"1\.2\d", version), "Format Version", owner, "1.20 to 1.29", version)
+    for key, known in {"Rotation Type": ("Quaternion",), "Length Units": tuple(LENGTH_UNITS)}.items():
+        require(header.get(key) in known, key, owner, " or ".join(known), header.get(key, "nothing"))
+    space = header.get("Coordinate Space", "Global")
+    require(space == "Global", "Coordinate Space", owner, "Global", space)
+    try:
+        rate_hz, announced = float(header["Export Frame Rate"]), int(header["Total Exported Frames"])
+        axes = next(k for k, row in enumerate(rows) if row[:1] == ["Frame"])
+        began = header.get("Capture Start Time")
+        started = None if began is None else datetime.strptime(began, "%Y-%m-%d %I.%M.%S.%f %p")
+    except (KeyError, ValueError, StopIteration) as error:
+        words = (
+            "one with frame rate, number of frames and, if any, start time, and a line that begins with Frame"
+        )
+        raise bad_input("header", owner, words, error or "another") from error
+    # Older versions do not say which line is which: there the names are in the fourth.
+    names = next((row for row in rows[:axes] if row[1:2] == ["Name"]), rows[min(3, axes)])
+    columns = list(zip(names, rows[axes - 1], rows[axes], strict=False))
+    keys = {name: [(name, *key) for key in POSE] for name, kind, _ in columns if kind == "Rotation"}
+    picked = {name: [columns.index(key) for key in own] for name, own in keys.items() if {*own} <= {*columns}}
+    require(picked, "rigid bodies", owner, "there with rotation and position", "none")
+    try:
+        wanted = [1, *(k for own in picked.values() for k in own)]
+        frames = [[float(row[k] or "nan") for k in wanted] for row in rows[axes + 1 :] if row]
+    except (ValueError, IndexError) as error:
+        raise bad_input("frames", owner, "rows of numbers", error) from error
+    table = np.array(frames).reshape(-1, len(wanted))
+    increasing = len(table) and np.all(np.diff(table[:, 0]) > 0)
+    require(increasing, "times", owner, "increasing from frame to frame", "others, or no frame")
+    poses = table[:, 1:].reshape(len(table), -1, 7).swapaxes(0, 1).copy()
+    size = np.linalg.norm(poses[..., :4], axis=-1)
+    poses[~np.isfinite(poses).all(axis=-1) | (size == 0)] = np.nan
+    off = float(np.nanmax(np.abs(np.where(size == 0, np.nan, size) - 1), initial=0))
+    require(off < 0.01, "quaternions", owner, "unit within 0.01", f"an error of {off:.3g}")
+    poses[..., 4:] *= LENGTH_UNITS[header["Length Units"]]
+    bodies = dict(zip(picked, poses, strict=True))
+    take = header.get("Take Name", path.stem)
+    return MotionCapture(take, started, rate_hz, table[:, 0], bodies, max(announced - len(table), 0))
 
 
 class Lag(NamedTuple):

@@ -1,10 +1,127 @@
-"""The search for a lag between readings and motion capture."""
+"""Files of motion capture, and the search for a lag between readings and motion capture."""
+
+from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from repro import InputError
-from repro_board.evaluate import search_lag
+from repro_board.evaluate import read_motive, search_lag
+
+KINDS = ["Rotation"] * 4 + ["Position"] * 3 + ["Error Per Marker"]
+AXES = [*"XYZWXYZ", "error"]
+
+
+def write_motive(
+    path: Path, bodies: dict[str, np.ndarray], *, version="1.21", unit="Millimeters", rate_hz=120, start=None
+) -> Path:
+    """Write poses ``[t, 7]``, quaternion and position in the unit, as Motive exports them."""
+    scale = {"Millimeters": 1e3, "Meters": 1.0}[unit]
+    n, names = len(next(iter(bodies.values()))), [name for name in bodies for _ in range(8)]
+    labels = version != "1.21"
+    at = (
+        f"Capture Start Time,{start:%Y-%m-%d %I.%M.%S}.{start.microsecond // 1000:03d} {start:%p},"
+        if start
+        else ""
+    )
+    head = [
+        [f"Format Version,{version},Take Name,{path.stem},Export Frame Rate,{rate_hz},{at}"
+         f"Total Frames in Take,{n},Total Exported Frames,{n},Rotation Type,Quaternion,Length Units,{unit}"],
+        [""],
+        ["", "Type" * labels, *["Rigid Body"] * len(names)],
+        ["", "Name" * labels, *names],
+        ["", "ID" * labels, *["1"] * len(names)],
+        ["", "", *KINDS * len(bodies)],
+        ["Frame", "Time", *AXES * len(bodies)],
+    ]  # fmt: skip
+    lines = [",".join(row) for row in head]
+    for k in range(n):
+        cells = [str(k), f"{k / rate_hz:.6f}"]
+        for poses in bodies.values():
+            lost, row = np.isnan(poses[k]).any(), [*poses[k, :4], *scale * poses[k, 4:], 0.05]
+            cells += [""] * 8 if lost else [f"{x:.6f}" for x in row]
+        lines.append(",".join(cells))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def turning(n: int = 30) -> dict[str, np.ndarray]:
+    """Two bodies, one of them lost in the fourth frame."""
+    half = np.linspace(0, 0.3, n)
+    poses = np.stack(
+        [0 * half, 0 * half, np.sin(half), np.cos(half), 0.01 * half, 0.1 + 0 * half, -half], axis=-1
+    )
+    moving = poses.copy()
+    moving[3] = np.nan
+    return {"Ground": np.tile(poses[:1], (n, 1)), "Module": moving}
+
+
+@pytest.mark.parametrize(
+    ("version", "unit"), [("1.21", "Millimeters"), ("1.23", "Meters"), ("1.23", "Millimeters")]
+)
+def test_poses_come_back_in_metres_whatever_version_and_unit(tmp_path, version, unit):
+    start, bodies = datetime(2021, 3, 12, 21, 50, 1, 253000), turning()
+    take = read_motive(write_motive(tmp_path / "a.csv", bodies, version=version, unit=unit, start=start))
+    assert (take.name, take.started, take.rate_hz, take.missing) == ("a", start, 120.0, 0)
+    np.testing.assert_allclose(take.times, np.arange(30) / 120, atol=1e-6)
+    assert list(take.bodies) == ["Ground", "Module"]
+    for name, poses in bodies.items():
+        np.testing.assert_allclose(take.bodies[name], poses, rtol=0, atol=1e-6)
+
+
+def test_a_body_is_lost_as_a_whole_by_an_empty_cell_and_by_a_quaternion_of_zeros(tmp_path):
+    bodies = turning()
+    path = write_motive(tmp_path / "a.csv", bodies, version="1.23", unit="Meters")
+    lines = path.read_text(encoding="utf-8").splitlines()
+    cells = lines[7 + 10].split(",")
+    lines[7 + 10] = ",".join([*cells[:-2], "", cells[-1]])  # no z
+    cells = lines[7 + 12].split(",")
+    lines[7 + 12] = ",".join([*cells[:10], "0", "0", "0", "0", *cells[14:]])
+    path.write_text("\n".join(lines), encoding="utf-8")
+    take = read_motive(path)
+    assert np.flatnonzero(np.isnan(take.bodies["Module"]).all(axis=1)).tolist() == [3, 10, 12]
+    assert np.isfinite(take.bodies["Ground"]).all()
+
+
+def test_frames_that_a_header_announces_in_vain_are_counted(tmp_path):
+    path = write_motive(tmp_path / "a.csv", turning())
+    path.write_text("\n".join(path.read_text(encoding="utf-8").splitlines()[:-4]), encoding="utf-8")
+    take = read_motive(path)
+    assert (len(take.times), take.missing) == (26, 4)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("Version,1.21", "Version,1.31", "Format Version of a.csv must be 1.20 to 1.29; instead received 1.31."),
+        ("Quaternion", "XYZ", "Rotation Type of a.csv must be Quaternion; instead received XYZ."),
+        ("Units,Millimeters", "Units,Feet", "Length Units of a.csv must be Millimeters or Centimeters or Meters"),
+        ("Length Units", "Coordinate Space,Local,Length Units", "Coordinate Space of a.csv must be Global"),
+        ("Exported Frames,30", "Exported Frames,many", "header of a.csv must be one with frame rate"),
+        ("Frame,Time", "Number,Time", "header of a.csv must be one with frame rate"),
+        ("Position", "Place", "rigid bodies of a.csv must be there with rotation and position"),
+        ("\n9,0.075000,", "\n9,,", "times of a.csv must be increasing from frame to frame"),
+        ("\n9,0.075000,0.0", "\n9,0.075000,x", "frames of a.csv must be rows of numbers"),
+        ("\n9,0.075000,0.0", "\n9,0.075000,0.5", "quaternions of a.csv must be unit within 0.01"),
+    ],
+)  # fmt: skip
+def test_other_files_are_refused(tmp_path, old, new, message):
+    path = write_motive(tmp_path / "a.csv", turning())
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_motive(path)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"time,x\n1,2\n", b"Format\xff\xfe"])
+def test_what_is_no_export_is_refused(tmp_path, content):
+    path = tmp_path / "a.csv"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"(Format Version|content) of a\.csv must be"):
+        read_motive(path)
 
 
 def motion(n: int, seed: int = 0) -> np.ndarray:
