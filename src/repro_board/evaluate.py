@@ -1,15 +1,17 @@
-"""Estimates against motion capture: its files, and whether readings and poses are of one time."""
+"""Estimates against motion capture: its files, exchanged markers, and whether readings and poses are of one time."""
 
 from __future__ import annotations
 
 import csv
 import re
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len
+from scipy.spatial.transform import Rotation
 
 from repro.common import Array, bad_input, numbers, require
 
@@ -129,6 +131,81 @@ def read_motive(path: Path | str) -> MotionCapture:
     bodies = dict(zip(picked, poses, strict=True))
     take = header.get("Take Name", path.stem)
     return MotionCapture(take, started, rate_hz, table[:, 0], bodies, max(announced - len(table), 0))
+
+
+JUMP, HALF_TURN, ALIKE, REST = np.radians([90.0, 170.0, 15.0, 5.0])
+"""Turns [rad]: from frame to frame that no body makes; least turn of exchanged markers; largest one between exchanges
+that count as equal, and at the ends of a stretch that was turned back."""
+
+
+def undo_exchanges(quaternions: Any) -> tuple[Array, Array]:
+    """Turn a rigid body back in the frames in which motion capture took its markers for each other.
+
+    Markers that lie nearly symmetrically are now and then exchanged. The body is then seen turned by a half turn in
+    its own axes, always the same one, from one frame to the next, and back again later. The jumps themselves tell the
+    half turn, if there are two of them or more. A stretch of turned frames is turned back if that joins it to its
+    neighbours within 5 degrees. The first frame counts as right.
+
+    Parameters
+    ----------
+    quaternions
+        Orientations X, Y, Z, W of the body ``[t, 4]``, NaN where it is lost.
+
+    Returns
+    -------
+    tuple
+        The orientations, NaN also where the body is turned and cannot be turned back; and which frames were turned
+        back.
+
+    Raises
+    ------
+    InputError
+        If there is no orientation.
+
+    Examples
+    --------
+    A body that stands still, with a half turn about x in three frames:
+
+    >>> seen = np.tile([0.0, 0.0, 0.0, 1.0], (8, 1))
+    >>> seen[[2, 5, 6]] = [1.0, 0.0, 0.0, 0.0]
+    >>> found, undone = undo_exchanges(seen)
+    >>> np.abs(found @ [0.0, 0.0, 0.0, 1.0]), np.flatnonzero(undone)
+    (array([1., 1., 1., 1., 1., 1., 1., 1.]), array([2, 5, 6]))
+    """
+    rows = numbers(quaternions, "quaternions", "undo_exchanges", (None, 4), finite=False)
+    there = np.flatnonzero(np.isfinite(rows).all(axis=1))
+    require(
+        len(there), "quaternions", "undo_exchanges", "there in one frame or more", f"{len(rows)} lost frames"
+    )
+    q, n = rows[there], len(there)
+    seen: Any = Rotation.from_quat(q)
+    right, last = np.ones(n, dtype=bool), q[0]
+    for k, x in enumerate(q):
+        right[k] = abs(x @ last) > np.cos(JUMP / 2)  # q and -q are one rotation
+        last = x if right[k] else last
+    edge, steps = right[1:] != right[:-1], (seen[:-1].inv() * seen[1:]).magnitude()
+    k = np.flatnonzero(edge)
+    jumps = seen[np.where(right[k], k, k + 1)].inv() * seen[np.where(right[k], k + 1, k)]
+    turns, left = [], jumps[jumps.magnitude() > HALF_TURN]
+    while len(left):
+        alike = (left[0].inv() * left).magnitude() < ALIKE
+        if alike.sum() > 1:  # seen once, nothing says that it is always the same
+            turns.append(left[alike].mean())
+        left = left[~alike]
+    undone = np.zeros(n, dtype=bool)
+    for a, b in pairwise([0, *np.flatnonzero(edge | (steps > JUMP)) + 1, n]):
+        least = REST
+        for turn in () if right[a] else turns:
+            back = seen[a:b] * turn.inv()
+            for inner, outer in ((0, a - 1), (-1, b)):
+                if outer < n and (right | undone)[outer]:
+                    rest = (Rotation.from_quat(q[outer]).inv() * back[inner]).magnitude()
+                    if rest < least:
+                        least, q[a:b], undone[a:b] = rest, back.as_quat(), True
+    q[~right & ~undone] = np.nan
+    found, which = np.full(rows.shape, np.nan), np.zeros(len(rows), dtype=bool)
+    found[there], which[there] = q, undone
+    return found, which
 
 
 class Lag(NamedTuple):

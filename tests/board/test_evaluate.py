@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from repro import InputError
-from repro_board.evaluate import read_motive, search_lag
+from repro_board.evaluate import read_motive, search_lag, undo_exchanges
 
 KINDS = ["Rotation"] * 4 + ["Position"] * 3 + ["Error Per Marker"]
 AXES = [*"XYZWXYZ", "error"]
@@ -122,6 +123,72 @@ def test_what_is_no_export_is_refused(tmp_path, content):
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"(Format Version|content) of a\.csv must be"):
         read_motive(path)
+
+
+ONE = Rotation.from_rotvec(np.radians(178) * np.array([0.0, np.sin(0.3), np.cos(0.3)]))
+OTHER = Rotation.from_rotvec(np.radians(179.5) * np.array([0.89, 0.0, -0.456]))
+
+
+def bending(n: int = 1320) -> Rotation:
+    """A body that bends by 50 degrees and back."""
+    angle = 50 * np.sin(np.linspace(0, np.pi, n)) ** 2
+    return Rotation.from_rotvec(angle[:, None] * [0.87, 0.0, -0.5], degrees=True)
+
+
+def exchanged(truth: Rotation, turn: Rotation, *stretches: tuple[int, int]) -> Rotation:
+    """Turn a body in its own axes in some frames."""
+    q = truth.as_quat()
+    for a, b in stretches:
+        q[a:b] = (truth[a:b] * turn).as_quat()
+    return Rotation.from_quat(q)
+
+
+def off_deg(found: np.ndarray, truth: Rotation) -> np.ndarray:
+    known = np.isfinite(found[:, 0])
+    return np.degrees((Rotation.from_quat(found[known]).inv() * truth[known]).magnitude())
+
+
+def test_exchanged_markers_are_undone_where_they_are_and_nowhere_else():
+    """Single frames, a stretch over the peak, two exchanges that follow each other, and lost frames."""
+    truth, one, other = bending(), ((200, 202), (300, 301), (600, 900)), ((500, 505), (900, 940))
+    seen = exchanged(exchanged(truth, ONE, *one), OTHER, *other).as_quat()
+    seen[[100, 1319]] = np.nan
+    found, undone = undo_exchanges(seen)
+    expected = np.zeros(1320, dtype=bool)
+    for a, b in (*one, *other):
+        expected[a:b] = True
+    np.testing.assert_array_equal(undone, expected)
+    assert np.flatnonzero(np.isnan(found).any(axis=1)).tolist() == [100, 1319]
+    assert off_deg(found, truth).max() < 0.2
+    np.testing.assert_array_equal(found[~undone], seen[~undone])
+
+
+@pytest.mark.parametrize("step_deg", [20.0, 60.0, 85.0])
+def test_a_body_that_really_turns_fast_is_left_alone(step_deg):
+    angle = np.concatenate(
+        [np.zeros(50), np.arange(0, 181, step_deg), np.full(50, 180.0), np.arange(180, -1, -step_deg)]
+    )
+    seen = Rotation.from_rotvec(angle[:, None] * [0.0, 0.0, 1.0], degrees=True).as_quat()
+    found, undone = undo_exchanges(seen)
+    assert not undone.any()
+    np.testing.assert_array_equal(found, seen)
+
+
+def test_what_is_no_exchange_is_left_out():
+    """A jump by 120 degrees, and a half turn that is seen once: nothing says that it is always the same."""
+    truth, turn = bending(), Rotation.from_euler("x", 120, degrees=True)
+    for seen, lost in ((exchanged(truth, turn, (400, 420)), 20), (exchanged(truth, ONE, (1200, 1320)), 120)):
+        found, undone = undo_exchanges(seen.as_quat())
+        assert not undone.any()
+        assert np.isnan(found).any(axis=1).sum() == lost
+        assert off_deg(found, truth).max() < 1e-5
+
+
+def test_a_body_that_is_never_seen_is_refused():
+    with pytest.raises(
+        InputError, match="quaternions of undo_exchanges must be there.*received 5 lost frames"
+    ):
+        undo_exchanges(np.full((5, 4), np.nan))
 
 
 def motion(n: int, seed: int = 0) -> np.ndarray:
