@@ -733,3 +733,119 @@ def rig_stills(robot: Any, times: np.ndarray, truth: np.ndarray, found: np.ndarr
     ]
     figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
     return closed(figure)
+
+
+# Bend tests and light bulb: Figs 9 and 8 of Mitchell et al.
+
+BEND_LOOKS = {
+    "motion capture": ("motion capture", {"color": "#767676", "lw": 4.0, "alpha": 0.55}),
+    "paper, as released": ("paper's filter, as released", {"color": ORANGE, "lw": 1.2}),
+    "authors' output": ("authors' own output", {"color": GREEN, "lw": 1.6, "ls": ":"}),
+    "ours": ("ratios, calibrated on other tests", {"color": BLUE, "lw": 1.2, "ls": (0, (4, 2))}),
+}
+
+
+def take_name(name: str) -> str:
+    """Return a take's name as a reader sees it."""
+    return name.replace("bend_", "test ").replace("_try_", ", try ")
+
+
+@style()
+def bend_tests(table: pd.DataFrame) -> Figure:
+    """Draw Fig. 9: bend and direction over time, a pair of panels for each take."""
+    takes = list(table["take"].unique())
+    columns = min(len(takes), 3)
+    rows = -(-len(takes) // columns)
+    end = table["time_s"].max()
+    figure, panels = plt.subplots(
+        2 * rows, columns, figsize=(WIDTH, (1.85 if rows > 1 else 3.0) * rows + 0.9), squeeze=False,
+        sharey="row", height_ratios=[1.7, 1] * rows,
+    )  # fmt: skip
+    for k in range(len(takes), rows * columns):
+        for panel in panels[2 * rows - 2 :, k % columns]:
+            panel.set_axis_off()
+    for k, take in enumerate(takes):
+        angle, direction = panels[2 * (k // columns) : 2 * (k // columns) + 2, k % columns]
+        own = table[table["take"] == take]
+        for method, (label, look) in BEND_LOOKS.items():
+            line = own[own["method"] == method]
+            angle.plot(line["time_s"], line["bend_deg"], label=label, **look)
+            direction.plot(line["time_s"], line["direction_deg"], **look)
+        angle.set(title=take_name(take), xlim=(0, end), ylim=(-4, 66), yticks=(0, 30, 60))
+        direction.set(xlim=(0, end), ylim=(-40, 40), yticks=(-30, 0, 30))
+        for panel in (angle, direction):
+            panel.xaxis.set_major_locator(MultipleLocator(5 if columns == 1 else 20))
+        angle.tick_params(labelbottom=False)
+        if k % columns == 0:
+            angle.set_ylabel("bend [°]")
+            direction.set_ylabel("direction\n[°]")
+        if k >= len(takes) - columns:
+            direction.set_xlabel("time [s]")
+    drawn = [BEND_LOOKS[method] for method in BEND_LOOKS if method in set(table["method"])]
+    lines = [Line2D([], [], label=label, **look) for label, look in drawn]
+    figure.align_ylabels(panels)
+    figure.legend(handles=lines, loc="outside upper center", ncols=2, **BESIDE)
+    return closed(figure)
+
+
+BEND_METHODS = {
+    ("paper, as printed", "none"): ("paper's filter, as printed", PINK, "o"),
+    ("paper, as released", "none"): ("paper's filter, as released", ORANGE, "s"),
+    ("authors' output", "none"): ("authors' own output", GREEN, "^"),
+    ("ours", "none"): ("ratios, not calibrated", SKY, "v"),
+    ("ours", "other tests"): ("ratios, calibrated on other tests", BLUE, "D"),
+    ("ours", "other try"): ("ratios, calibrated on the other try", "#767676", "P"),
+}
+
+
+@style()
+def bend_errors(errors: pd.DataFrame) -> Figure:
+    """Draw the error of every take by the size of the bend, and the median of every method."""
+    columns = {
+        "rmse_below_20_deg": "below 20°",
+        "rmse_20_to_40_deg": "20° to 40°",
+        "rmse_above_40_deg": "above 40°",
+    }
+    figure, panel = plt.subplots(figsize=(WIDTH, 4.2))
+    for k, (key, (label, colour, marker)) in enumerate(BEND_METHODS.items()):
+        own = errors[(errors["method"] == key[0]) & (errors["calibration"] == key[1])]
+        for j, column in enumerate(columns):
+            x = j + 0.14 * (k - 2.5)
+            panel.plot(np.full(len(own), x), own[column], marker, color=colour, ms=4, alpha=0.6, mew=0)
+            panel.plot(x, own[column].median(), "_", color=colour, ms=13, mew=2.5)
+        panel.plot([], [], marker, color=colour, ms=6, mew=0, label=label)
+    panel.set(xlabel="bend by motion capture", ylabel="RMSE of the bend [°]", ylim=(0, None))
+    panel.set_xticks(range(3), list(columns.values()))
+    panel.grid(visible=False, axis="x")
+    figure.legend(loc="outside upper center", ncols=2, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def light_bulb(curves: pd.DataFrame, events: pd.DataFrame, threshold: float) -> Figure:
+    """Draw Fig. 8: bend by the paper's filter, and the ratio of the fields with its events, a column for a file."""
+    files = list(curves["file"].unique())
+    figure, panels = plt.subplots(
+        2, len(files), figsize=(WIDTH, 4.0), sharex="col", sharey="row", squeeze=False
+    )
+    for (above, below), file in zip(panels.T, files, strict=True):
+        own, found = curves[curves["file"] == file], events[events["file"] == file]
+        above.plot(own["time_s"], own["bend_deg"], color=ORANGE, lw=1)
+        below.plot(own["time_s"], own["ratio"], color=BLUE, lw=1)
+        below.plot(own["time_s"], own["baseline"] + threshold, color="#767676", lw=1, ls="--")
+        for start, end in found[["start_s", "end_s"]].to_numpy():
+            above.axvspan(start, end, color=YELLOW, alpha=0.25, lw=0)
+            below.axvspan(start, end, color=YELLOW, alpha=0.25, lw=0)
+        above.set(title=file.replace("light_", "file "), ylim=(0, 95), yticks=(0, 30, 60, 90))
+        below.set_xlabel("time [s]")
+        below.xaxis.set_major_locator(MultipleLocator(10 if len(files) < 3 else 20))
+    panels[0, 0].set_ylabel("bend [°]")
+    panels[1, 0].set_ylabel("across over along")
+    lines = [
+        Line2D([], [], color=ORANGE, label="paper's filter"),
+        Line2D([], [], color=BLUE, label="ratio of the fields"),
+        Line2D([], [], color="#767676", ls="--", label="threshold"),
+        Line2D([], [], color=YELLOW, lw=6, alpha=0.4, label="event"),
+    ]
+    figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
+    return closed(figure)

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
-from typing import Any
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
 
 from repro import (
     BendSensor,
@@ -17,7 +25,11 @@ from repro import (
     Sensor,
     simulated_readings,
 )
+from repro.common import bad_input, require
+from repro.estimators.base import Estimate
 from repro.estimators.particle import BendDisc
+from repro_board.evaluate import MotionCapture, read_motive, search_lag, undo_exchanges
+from repro_companion.run import digest, project_folder, recordings_folder
 
 LENGTH = 15e-3
 """Length of the arc from sensor to magnet, section III-A [m]; 14 mm in the released simulations."""
@@ -84,3 +96,417 @@ def particle_filter(
     return ParticleFilter(
         BendSensor(length, CUBE), width, sigma_mt / math.sqrt(2), BendDisc(LARGEST_BEND), **how
     )
+
+
+# Bend tests and light bulb, section IV: what is in the files
+
+FOLDER = "mitchell2021"
+RECORDED_LENGTH = 13e-3
+"""Length of the arc in the released code for recorded data [m]."""
+MT_PER_UNIT, LARGEST_UNIT = 10.0, 8.192
+"""Unit of the files: 1000 steps of 0.01 mT; the components have 14 bits with sign."""
+MODEL_FROM_FILE = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+"""In the files x is along the body; the magnet points the other way, and y is mirrored."""
+ZONE = timezone(timedelta(hours=-5))
+"""Of the start times of the motion capture."""
+REST_S, LIVE_S, LONGEST_BUFFER = 2.0, 1e-3, 25
+BODY, PAD_S, LEAST_LOGGED = "Module", 5.0, 0.9
+
+
+class Hall(NamedTuple):
+    """Readings of the Hall sensor, and what was left out of them."""
+
+    time_s: np.ndarray
+    """Since 1970."""
+    u: np.ndarray
+    """Flux density ``[t, 3]`` [mT] in the axes of the model, as sent."""
+    facts: dict[str, int]
+
+    @property
+    def ratio(self) -> np.ndarray:
+        """Fields across over along the body."""
+        return ratio(self.u)
+
+
+def ratio(u: np.ndarray) -> np.ndarray:
+    """Return the fields across over the field along the body, x and y as one complex number."""
+    return (u[..., 0] + 1j * u[..., 1]) / u[..., 2]
+
+
+def median(z: np.ndarray) -> complex:
+    """Return the median of complex numbers, real and imaginary parts apart."""
+    return complex(np.median(z.real), np.median(z.imag))
+
+
+def read_hall(path: Path) -> Hall:
+    """Read a file of the Hall sensor, rows ``[x y z],unix_time``; what a buffer held at the start is dropped."""
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    cells = [re.split(r"[\[\],\s]+", line.strip()) for line in lines]
+    numbers = pd.DataFrame([row[1:] for row in cells if len(row) == 5], columns=range(4), dtype=object)
+    table = numbers.apply(pd.to_numeric, errors="coerce").to_numpy(float)
+    table = table[np.isfinite(table).all(axis=1)]
+    steps, n = np.diff(table[:, 3]), len(lines)
+    live = np.flatnonzero(steps > LIVE_S)
+    require(
+        len(live), "rows", path.name, "readings, two of them a millisecond apart", f"{len(table)} readings"
+    )
+    require((steps > 0).all(), "times", path.name, "increasing", "a step back")
+    drained, unreadable = int(live[0]) + 1, n - len(table)
+    table = table[drained:]
+    outside = (np.abs(table[:, :3]) > LARGEST_UNIT).any(axis=1)
+    u = MT_PER_UNIT * table[~outside, :3] @ MODEL_FROM_FILE.T
+    for what, count, allowed in (("unreadable or beyond the range", unreadable + int(outside.sum()), 0),
+                                 ("out of a buffer", drained, LONGEST_BUFFER)):  # fmt: skip
+        require(count <= max(n / 20, allowed), "rows", path.name, f"at most 5 % {what}", f"{count} of {n}")
+    # The sensor switches its own gain, so that all components jump by one factor.
+    switches = int((np.abs(np.diff(np.log(np.linalg.norm(u, axis=1)))) > 0.1).sum())
+    facts = {
+        "buffered": drained,
+        "unreadable": unreadable,
+        "beyond_range": int(outside.sum()),
+        "gain_switches": switches,
+    }
+    return Hall(table[~outside, 3], u, facts)
+
+
+class Motion(NamedTuple):
+    """Motion of the module by motion capture, and what was done about exchanged markers."""
+
+    start_s: float
+    """Since 1970."""
+    rate_hz: float
+    q: np.ndarray
+    """Bend vector [rad] as a complex number, by the tilt of the y axis, which is up; NaN where masked."""
+    tilt_z: np.ndarray
+    facts: dict[str, float]
+
+
+SHAKE, GUARD = np.radians(2.0), 6
+"""Turn from one frame to the next that a bending module does not make [rad]; frames masked on either side of it."""
+
+
+def motion(take: MotionCapture) -> Motion:
+    """Return the bend of the module from motion capture."""
+    require(BODY in take.bodies, "body", take.name, BODY, ", ".join(take.bodies))
+    if take.started is None:
+        raise bad_input("Capture Start Time", take.name, "in the header", "nothing")
+    poses, n = take.bodies[BODY], len(take.times) + take.missing
+    turned, undone = undo_exchanges(poses[:, :4])
+    jumps = 2 * np.arccos(np.minimum(np.abs((turned[1:] * turned[:-1]).sum(axis=1)), 1.0)) > SHAKE
+    turned[np.convolve(np.r_[False, jumps], np.ones(2 * GUARD))[GUARD : GUARD + len(turned)] > 0] = np.nan
+    seen = np.isfinite(turned[:, 0])
+    axes = np.full((len(turned), 3, 3), np.nan)
+    axes[seen] = Rotation.from_quat(turned[seen]).as_matrix()
+    upright = np.degrees(np.arccos(axes[seen][0, 1, 1]))
+    require(upright < 45, "first frame", take.name, "upright within 45 deg", f"{upright:.1f} deg")
+    tilt, tilt_z = np.arccos(np.clip(axes[:, [1, 2], [1, 2]], -1.0, 1.0)).T
+    q, high = tilt * np.exp(1j * np.arctan2(axes[:, 0, 1], axes[:, 2, 1])), tilt > np.radians(40)
+    # The place of the body hardly depends on which marker is which: it says whether the tilt is right.
+    moved = np.linalg.norm(poses[seen][:, [4, 6]] - poses[seen][0, [4, 6]], axis=1)
+    share, degrees = moved / max(moved.max(), 1e-9), np.degrees(tilt[seen])
+    off = degrees - np.polyval(np.polyfit(share, degrees, 5), share)
+    facts = {
+        "frames": n,
+        "undone": int(undone.sum()),
+        "undone_above_40_percent": 100 * float(undone[high].mean()) if high.any() else 0.0,
+        "masked_percent": 100 * (1 - seen.sum() / n),
+        "off_displacement_deg": float(np.sqrt((off**2).mean())),
+    }
+    return Motion(take.started.replace(tzinfo=ZONE).timestamp(), take.rate_hz, q, tilt_z, facts)
+
+
+# One take: both, on one clock
+
+
+@dataclass(frozen=True, eq=False)
+class Take:
+    """A bend test on the clock of the Hall sensor, where motion capture runs."""
+
+    name: str
+    time_s: np.ndarray
+    u: np.ndarray
+    """Readings ``[t, 3]`` [mT] in the axes of the model, as sent."""
+    ratio: np.ndarray
+    """Field across over field along the body, less its median over the first two seconds."""
+    rest_mt: np.ndarray
+    """Mean of the first hundred readings, which the released code subtracts across the body."""
+    q: np.ndarray
+    """Bend vector [rad] by motion capture, complex; NaN where masked."""
+    tilt_z: np.ndarray
+    log: np.ndarray | None
+    """Output of the authors' filter, complex bend vectors [rad]; NaN where it has none."""
+    facts: dict[str, float]
+
+    @property
+    def test(self) -> str:
+        """Number of the test: one direction each."""
+        return self.name[5]
+
+
+def aligned(name: str, hall: Hall, motion: Motion, log: pd.DataFrame | None = None) -> Take:
+    """Bring motion capture onto the clock of the Hall sensor: there is no common trigger, so we search the lag."""
+    start, rate, n = hall.time_s[0], motion.rate_hz, len(motion.q)
+    t = hall.time_s - start
+    relative = hall.ratio - median(hall.ratio[t < REST_S])
+    pad = round(PAD_S * rate)
+    at = motion.start_s - start + np.arange(-pad, n + pad) / rate
+    k = np.searchsorted((t[1:] + t[:-1]) / 2, at)
+    read = np.where(np.abs(t[k] - at) < 1.5 * np.median(np.diff(t)), relative[k], np.nan)
+    pairs = [np.column_stack([x.real, x.imag]) for x in (np.pad(motion.q, pad, constant_values=np.nan), read)]
+    lag = search_lag(*pairs, rate)
+    frame = np.rint((t - lag.lag_s - motion.start_s + start) * rate).astype(int)
+    own = (frame >= 0) & (frame < n)
+    frame = frame[own]
+    longest = float(np.diff(t[own]).max())
+    facts = {"readings": int(own.sum()), **hall.facts, **motion.facts, "lag_s": lag.lag_s,
+             "lag_residual": lag.best / lag.spread, "longest_gap_s": longest}  # fmt: skip
+    logged = None if log is None else on_readings(log, t)[own]
+    if logged is not None and np.isfinite(logged).mean() < LEAST_LOGGED:
+        logged = None
+    return Take(name, t[own], hall.u[own], relative[own], hall.u[:100].mean(axis=0), motion.q[frame],
+                motion.tilt_z[frame], logged, facts)  # fmt: skip
+
+
+def on_readings(log: pd.DataFrame, t: np.ndarray) -> np.ndarray:
+    """Return the authors' output at the times of the readings, by its own clock; NaN where it has no row."""
+    own = log["time"].to_numpy()
+    sample = own[np.linspace(0, len(own) - 1, 200).astype(int)]
+    offsets = t - own[len(own) // 2]
+
+    def nearest(x: np.ndarray, of: np.ndarray) -> np.ndarray:
+        return np.searchsorted((of[1:] + of[:-1]) / 2, x)
+
+    at = sample + offsets[:, None]
+    offset = offsets[(np.abs(t[nearest(at, t)] - at) < LIVE_S).sum(axis=1).argmax()]
+    k = nearest(t - offset, own)
+    q = log["bend_ang"].to_numpy() * np.exp(
+        1j * (np.pi - log["bend_dir"].to_numpy())
+    )  # their y is not mirrored
+    return np.where(np.abs(own[k] + offset - t) < LIVE_S, q[k], np.nan)
+
+
+def recorded_takes() -> list[Take]:
+    """Return the bend tests of which both recordings are in REPRO_DATA_DIR."""
+    folder, found = recordings_folder() / FOLDER, []
+    for name in (f"{test}_try_{attempt}" for test in range(6) for attempt in (1, 2)):
+        hall, capture = folder / f"experiment_data/bend_test_{name}.csv", folder / f"mocap/bend_{name}.csv"
+        log = folder / f"filter_readings/bend_{name}.csv"
+        if hall.is_file() and capture.is_file():
+            logged = pd.read_csv(log) if log.is_file() else None
+            found.append(aligned(f"bend_{name}", read_hall(hall), motion(read_motive(capture)), logged))
+    return found
+
+
+def unlike_released() -> list[str]:
+    """Return which recordings of section IV are not those that the authors released, by their hashes."""
+    listed = json.loads((project_folder() / "data" / "sources.json").read_text(encoding="utf-8"))
+    files = listed[FOLDER]["files"]
+    hashes = {entry["path"]: entry["sha256"] for entry in files if not entry["path"].startswith("calibrate")}
+    folder = recordings_folder() / FOLDER
+    return [path for path, known in hashes.items() if digest(folder / path) not in ("", known)]
+
+
+# SYNTHETIC takes: what a sensor and motion capture would have seen of a module that bends as told
+
+TRANSVERSE_GAIN, TILTED_MT, TURNED, LAG_S, RATE_HZ = 1.2, (0.3, -0.5), 0.4, 0.5, 61.0
+"""Invented: gain across over along the body, field of a tilted magnet, azimuth of the capture, lag, rate."""
+START_S, HEIGHT = 1.6e9, 0.116
+SYNTHETIC = ((0, 1), (0, 2), (2, 1), (4, 1))
+"""Tests and tries."""
+EVENTS = {"light_-1": (), "light_0": (10.0, 15.0, 20.0), "light_1": (9.0, 14.0, 20.0), "light_2": (15.0,)}
+"""When the bulb is tightened in the synthetic files [s]."""
+HALF_TURNED = Rotation.from_rotvec(np.radians(178.0) * np.array([0.0, 0.3, 0.954]))
+"""The synthetic exchange of markers."""
+
+
+def up_and_down(t: np.ndarray, duration_s: float) -> np.ndarray:
+    """Return the bend [rad] of a module that rests for 4 s, rises to 50 deg and falls again."""
+    return np.radians(50.0) * np.sin(np.pi * np.clip((t - 4.0) / duration_s, 0.0, 1.0)) ** 2
+
+
+def synthetic_hall(
+    bend: Callable[[np.ndarray], np.ndarray], towards: float, duration_s: float, rng: np.random.Generator
+) -> Hall:
+    """Return readings of magpylib's field, with a sensor that is not as drawn, noise and steps of 0.01 mT."""
+    steps = rng.uniform(0.8, 1.2, int(duration_s * RATE_HZ)) / RATE_HZ
+    t = np.cumsum(steps) - steps[0]
+    u = readings(bend_vector(bend(t), towards), RECORDED_LENGTH)
+    u[:, :2] = TRANSVERSE_GAIN * u[:, :2] + TILTED_MT
+    u += SENSOR_NOISE_MT * rng.standard_normal(u.shape) @ MODEL_FROM_FILE.T
+    return Hall(
+        START_S + t,
+        np.round(u, 2),
+        dict.fromkeys(("buffered", "unreadable", "beyond_range", "gain_switches"), 0),
+    )
+
+
+def synthetic_capture(q: np.ndarray) -> MotionCapture:
+    """Return motion capture of bends, complex [rad], 120 a second; above 40 deg some markers are exchanged."""
+    bend, about = np.abs(q), np.stack([np.cos(np.angle(q)), 0 * np.abs(q), -np.sin(np.angle(q))], axis=-1)
+    turned = Rotation.from_rotvec(bend[:, None] * about)
+    off = (bend > np.radians(40)) & (np.arange(len(q)) % 120 < 40)
+    seen = np.where(off[:, None], (turned * HALF_TURNED).as_quat(), turned.as_quat())
+    aside = HEIGHT * np.exp(1j * np.angle(q)) * bend / 2 * np.sinc(bend / 2 / np.pi) ** 2
+    place = np.stack([aside.imag, HEIGHT * np.sinc(bend / np.pi), aside.real], axis=-1)
+    poses = np.round(np.hstack([seen, place]), 6)
+    started = datetime.fromtimestamp(START_S + 1.0 - LAG_S, ZONE).replace(tzinfo=None)
+    return MotionCapture("synthetic", started, 120.0, np.arange(len(q)) / 120, {BODY: poses}, 0)
+
+
+def synthetic_takes(seed: int = 0, duration_s: float = 12.0) -> list[Take]:
+    """Return synthetic bend tests: 60 deg of direction from test to test."""
+    takes = []
+    for test, attempt in SYNTHETIC:
+        rng, towards = np.random.default_rng([seed, test, attempt]), np.radians(60.0) * test
+        hall = synthetic_hall(lambda t: up_and_down(t, duration_s), towards, duration_s + 8.0, rng)
+        bend = up_and_down(np.arange(1.0, duration_s + 7.0, 1 / 120), duration_s)
+        capture = synthetic_capture(bend * np.exp(1j * (towards + TURNED)))
+        takes.append(aligned(f"bend_{test}_try_{attempt}", hall, motion(capture)))
+    return takes
+
+
+def synthetic_light(seed: int = 0) -> dict[str, Hall]:
+    """Return synthetic light-bulb files: first the module moves and rests, in others it grasps and tightens."""
+
+    def tightening(t: np.ndarray, events: Sequence[float]) -> np.ndarray:
+        bumps = sum((np.exp(-(((t - at) / 0.5) ** 2)) for at in events), 0 * t)
+        return np.radians(40.0 * np.clip((t - 3.0) / 2.0, 0.0, 1.0) + 8.0 * bumps)
+
+    def hall(k: int, events: Sequence[float]) -> Hall:
+        bend = (lambda t: tightening(t, events)) if events else lambda t: up_and_down(t, 11.0)
+        return synthetic_hall(bend, np.radians(30.0), 30.0, np.random.default_rng([seed, 100 + k]))
+
+    return {name: hall(k, events) for k, (name, events) in enumerate(EVENTS.items())}
+
+
+def bend_takes(seed: int = 0) -> tuple[list[Take], str]:
+    """Return the bend tests that are found in REPRO_DATA_DIR, else synthetic ones, and which these are."""
+    found = recorded_takes()
+    return (found, "recorded") if found else (synthetic_takes(seed), "synthetic")
+
+
+# Fig. 9 as tables
+
+
+class Run(NamedTuple):
+    """What one method found on one take."""
+
+    method: str
+    calibration: str
+    take: Take
+    q: np.ndarray
+    """Bend vectors [rad], complex."""
+    deviation: np.ndarray | None = None
+    """Standard deviation of the bend [rad] that the method states."""
+
+    @property
+    def turned(self) -> np.ndarray:
+        """Direction beyond that of motion capture, as complex numbers of size one, where the bend is large enough."""
+        bent = (np.abs(self.take.q) >= np.radians(LEAST_BEND_DEG)) & np.isfinite(self.q)
+        return np.exp(1j * np.angle(self.q[bent] / self.take.q[bent]))
+
+
+LEAST_BEND_DEG = 20.0
+"""Directions are compared from this bend on."""
+FIG_9 = {"paper, as released": "none", "authors' output": "none", "ours": "other tests"}
+"""Methods that are drawn over time, and their calibrations."""
+BENDS_DEG = {
+    "rmse_deg": (0, 180),
+    "rmse_below_20_deg": (0, 20),
+    "rmse_20_to_40_deg": (20, 40),
+    "rmse_above_40_deg": (40, 180),
+}
+
+
+def bend_deviation(found: Estimate) -> np.ndarray:
+    """Return the standard deviation of the bend [rad] from the covariance of the bend vector."""
+    along = found.q / np.maximum(np.linalg.norm(found.q, axis=-1, keepdims=True), 1e-12)
+    return np.sqrt(np.einsum("...i,...ij,...j", along, found.covariance, along))
+
+
+def rms_deg(x: np.ndarray) -> float:
+    """Return a root mean square in degrees, over what is known."""
+    return float(np.degrees(np.sqrt(np.nanmean(np.abs(x) ** 2)))) if np.isfinite(x).any() else np.nan
+
+
+def bend_errors(runs: Sequence[Run], length_mm: float) -> pd.DataFrame:
+    """Return errors of the bend by method and take, also by the size of the bend, and of the direction.
+
+    A sensor does not know how it was turned against motion capture: unless a calibration says so, the mean turn of
+    the takes of other tests is taken off.
+    """
+    lines = []
+    for run in runs:
+        truth, off = np.abs(run.take.q), np.abs(run.q) - np.abs(run.take.q)
+        same = [
+            x.turned
+            for x in runs
+            if x[:2] == run[:2] and x.take.test != run.take.test and run.calibration == "none"
+        ]
+        turned = np.angle(run.turned / np.exp(1j * np.angle(sum(x.sum() for x in same) or 1.0)))
+        line = {"method": run.method, "calibration": run.calibration, "take": run.take.name}
+        line["length_mm"] = np.nan if run.method == "authors' output" else length_mm
+        for name, (low, high) in BENDS_DEG.items():
+            line[name] = rms_deg(off[(np.degrees(truth) >= low) & (np.degrees(truth) < high)])
+        line["rmse_tilt_z_deg"] = rms_deg(np.abs(run.q) - run.take.tilt_z)
+        line["direction_deg"] = rms_deg(turned)
+        line["within_percent"] = np.nan
+        if run.deviation is not None:
+            line["within_percent"] = 100 * (np.abs(off) <= 2 * run.deviation)[np.isfinite(off)].mean()
+        lines.append(line)
+    return pd.DataFrame(lines)
+
+
+def taken(takes: Sequence[Take]) -> pd.DataFrame:
+    """Return what was found of each take on the way."""
+    table = pd.DataFrame([{"take": take.name, **take.facts} for take in takes])
+    others = [table["lag_s"].drop(k).median() for k in table.index]
+    return table.assign(
+        lag_off_s=table["lag_s"] - others, peak_deg=[np.degrees(np.nanmax(abs(x.q))) for x in takes]
+    )
+
+
+def median_errors(errors: pd.DataFrame) -> pd.DataFrame:
+    """Return medians over the takes, and how many takes there are."""
+    groups = errors.groupby(["method", "calibration", "length_mm"], sort=False, dropna=False)
+    return groups.median(numeric_only=True).assign(takes=groups.size()).reset_index()
+
+
+def over_time(runs: Sequence[Run], points: int = 200) -> pd.DataFrame:
+    """Return bends and directions over time, these less their mean and where the bend is large enough."""
+    lines = []
+    takes = {run.take.name: run.take for run in runs}
+    for run in [*(Run("motion capture", "none", take, take.q) for take in takes.values()), *runs]:
+        bent = (np.abs(run.take.q) >= np.radians(LEAST_BEND_DEG)) & np.isfinite(run.q)
+        mean = np.exp(1j * np.angle(run.q[bent])).sum()
+        direction = np.where(bent, np.degrees(np.angle(run.q / mean)), np.nan)
+        table = pd.DataFrame(
+            {"time_s": run.take.time_s, "bend_deg": np.degrees(np.abs(run.q)), "direction_deg": direction}
+        )
+        every = max(len(table) // points, 1)
+        lines.append(table[::every].assign(take=run.take.name, method=run.method))
+    return pd.concat(lines, ignore_index=True)
+
+
+# Fig. 8
+
+
+QUIET_S, BASELINE_S, LEAST_S = 10.0, 10.0, 0.1
+
+
+def light_files(seed: int = 0) -> tuple[dict[str, Hall], str]:
+    """Return the light-bulb files, recorded or else synthetic, and which these are; the first is the trial run."""
+    folder = recordings_folder() / FOLDER / "experiment_data"
+    paths = {name: folder / f"{name.replace('_', '_test_')}.csv" for name in EVENTS}
+    if all(path.is_file() for path in paths.values()):
+        return {name: read_hall(path) for name, path in paths.items()}, "recorded"
+    return synthetic_light(seed), "synthetic"
+
+
+def rest_of(hall: Hall) -> tuple[complex, float]:
+    """Return the ratio at rest and its deviation, in the ten seconds in which it varies least."""
+    t, x = hall.time_s - hall.time_s[0], hall.ratio
+    require(t[-1] > 2 * QUIET_S, "recording", "rest_of", f"longer than {2 * QUIET_S:g} s", f"{t[-1]:.1f} s")
+    parts = [x[(t >= a) & (t < a + QUIET_S)] for a in np.arange(0.0, t[-1] - QUIET_S, 0.5)]
+    scatter = [(part.real.std() + part.imag.std()) / 2 for part in parts]
+    return median(parts[int(np.argmin(scatter))]), float(min(scatter))
