@@ -16,7 +16,7 @@ LIBRARY = "repro"
 """The library that the reference describes."""
 OURS = (LIBRARY, "edition1")
 """What the names of our packages begin with."""
-GLOSSARY = "glossary"
+GLOSSARY = "notation"
 TRAJECTORIES = f"{GLOSSARY}.html#glossary-trajectories"
 TRAJECTORY = re.compile(r"\bT[0-5]\b")
 PLACES = ("notebooks/", "chapters/", "which_one")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import tomllib
 from pathlib import Path
 
 from docutils import nodes
@@ -61,7 +62,6 @@ NOT_SERVED = (
 """What the theme and MathJax bring along and no page loads; MathJax has its parts once more in other bundles."""
 LIVE_FIRST = ("model", "figure")
 """What every live figure is made of, in the order in which it is loaded; its own script comes last."""
-SCORECARD_FILES = ("scorecard.json", "scorecard.svg")
 NOTEBOOKS = "notebooks/"
 LIVE = re.compile(r'data-live="(\w+)"')
 
@@ -100,16 +100,26 @@ def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:
 
 
 def fill_values(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Put results of notebooks into the text of other pages, where ``{{table_1.ratio}}`` names one."""
-    if not docname.startswith(NOTEBOOKS) and "{{" in source[0]:
-        executed = Project(Path(app.srcdir).parent).executed
-        values = {}
-        for path in sorted(executed.glob("*.ipynb")):
-            given = (
-                json.loads(path.read_text(encoding="utf-8"))["metadata"].get("repro", {}).get("values", {})
-            )
-            values |= {f"{path.stem}.{name}": value for name, value in given.items()}
-        source[0] = filled(source[0], values, docname)
+    """Put results into the text of pages that are no notebooks, where ``{{home.ring_best}}`` names one."""
+    if docname.startswith(NOTEBOOKS) or "{{" not in source[0]:
+        return
+    project = Project(Path(app.srcdir).parent)
+    values = {"source": source_of(project.root)}
+    found = project.book / "generated" / "values.json"
+    if found.is_file():
+        values |= json.loads(found.read_text(encoding="utf-8"))
+    for path in sorted(project.executed.glob("*.ipynb")):  # of the first edition
+        given = json.loads(path.read_text(encoding="utf-8"))["metadata"].get("repro", {}).get("values", {})
+        values |= {f"{path.stem}.{name}": value for name, value in given.items()}
+    source[0] = filled(source[0], values, docname)
+
+
+def source_of(root: Path) -> str:
+    """Return where the project lies, as a page says it; until it is published, the folder that made the site."""
+    url = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"][
+        "Repository"
+    ]
+    return "in the folder from which this site was built" if "OWNER" in url else f"at <{url}>"
 
 
 def drop_numbers(app: Sphinx, pagename: str, templatename: str, context: dict, doctree) -> None:
@@ -150,15 +160,6 @@ def cut_icons(app: Sphinx, exception: Exception | None) -> None:
             subset.save_font(font, str(static / "icons.woff"), options)
 
 
-def add_scorecard_files(app: Sphinx, exception: Exception | None) -> None:
-    """Serve the scorecard as JSON and as a badge at the root of the site, once they have been computed."""
-    if exception is None and app.builder.format == "html":
-        for name in SCORECARD_FILES:
-            source = Path(app.srcdir) / "generated" / name
-            if source.is_file():
-                shutil.copyfile(source, Path(app.outdir) / name)
-
-
 def tidy(app: Sphinx, exception: Exception | None) -> None:
     """Correct the written pages where neither the theme nor an extension offers a setting."""
     if exception is not None or app.builder.format != "html":
@@ -196,6 +197,5 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.connect("build-finished", add_viewer)
     app.connect("build-finished", cut_icons)
     app.connect("build-finished", add_downloads)
-    app.connect("build-finished", add_scorecard_files)
     app.connect("build-finished", tidy)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

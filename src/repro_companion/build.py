@@ -32,6 +32,7 @@ LONGEST = 60
 def build(root: Path, jobs: int) -> str:
     """Build the book; return what was done, in a sentence."""
     from edition1_companion.book.after import build as first_edition
+    from repro_companion.scorecard_page import write_pages
 
     executed, results = root / "book" / "notebooks", results_folder(root)
     notebooks = {path.stem: path for path in sorted((root / "notebooks").glob("*.ipynb"))}
@@ -52,8 +53,7 @@ def build(root: Path, jobs: int) -> str:
     seconds = 0.0
     if not (root / "book/_build/html/index.html").is_file() or not done.is_file() or done.read_text() != key:
         done.unlink(missing_ok=True)
-        write_scorecard(root, results)
-        first_edition.write_scorecard_pages(root)
+        write_pages(root, write_scorecard(root, results))
         seconds = build_site(root, root / "book" / "_build" / "html", "-W", "-n", "--keep-going")
         done.write_text(site_key(root))
     current = f"{len(notebooks) - len(due) - count} of {len(notebooks)} notebooks were up to date"
@@ -296,7 +296,9 @@ def build_site(root: Path, place: Path, *options: str) -> float:
     built, log = fresh / "_build" / "html", cache / "site.log"
     if done.returncode or not (built / "index.html").is_file():
         log.write_text(done.stdout, encoding="utf-8")
-        lines = [line for line in done.stdout.splitlines() if re.search(r"WARNING|ERROR|Error", line)]
+        lines = [
+            line for line in done.stdout.splitlines() if re.search(r"WARNING|ERROR|CRITICAL|Error", line)
+        ]
         said = "\n".join(lines or done.stdout.splitlines()[-20:])
         raise RunFailed(
             f"{said}\njupyter-book ended with {done.returncode}; the site was not replaced."

@@ -132,8 +132,8 @@ def test_words_lead_to_the_glossary_once(tmp_path):
         f"import sys\nsys.path.insert(0, {str(BOOK / '_ext')!r})\n"
         "extensions = ['myst_parser', 'repro_links']\nmyst_enable_extensions = ['deflist']\n"
     )
-    (source / "index.md").write_text("# A\n\n```{toctree}\nglossary\nchapters/x\n```\n")
-    (source / "glossary.md").write_text(
+    (source / "index.md").write_text("# A\n\n```{toctree}\nnotation\nchapters/x\n```\n")
+    (source / "notation.md").write_text(
         "# G\n\n(glossary-trajectories)=\n## T0 to T5\n\nText.\n\n```{glossary}\nNEES\n  An error.\n```\n"
     )
     (source / "chapters" / "x.md").write_text(

@@ -95,8 +95,11 @@ def test_drawn_and_at_rest(figure, name, width):
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_a_handle_is_moved_by_pointer_and_by_keys(figure, name):
-    """Each way changes the picture and the address; the address alone brings the same picture again."""
-    page = figure(name)
+    """Each way changes the picture and the address; the address alone brings the same picture again.
+
+    An estimate that goes on from the one before also depends on the way, so that magnets start straight here.
+    """
+    page = figure(name, "#magnets=start:straight" if name == "magnets" else "")
     stage, handle = page.locator(".live-stage"), page.locator(".live-handle")
     before = pixels(stage)
     handle.focus()
@@ -122,12 +125,29 @@ def test_a_handle_is_moved_by_pointer_and_by_keys(figure, name):
 
 def test_least_squares_against_descent(figure):
     """From the straight pose least squares needs few steps, and the paper's steps more than it takes."""
-    page = figure("magnets", "#magnets=segments:1,noise:0")
+    page = figure("magnets", "#magnets=segments:1,noise:0,start:straight")
     lm, descent = map(float, said(page, ERRORS).groups())
     assert lm <= 1e-4 < 0.1 < descent
     moved_to(page, "Evaluations", "Home")
     early, _ = map(float, said(page, "pose, 2 evaluations: the tip is " + ERRORS).groups())
     assert early > 100 * lm
+
+
+def test_the_figure_starts_as_the_paper_does(figure):
+    """At the true shape, then from estimate to estimate: after a jump the descent is behind, and it catches up."""
+    page = figure("magnets", "#magnets=segments:1,noise:0")
+    error = "() => { const { now } = document.querySelector('.live-figure').live; return now.off_mm(now.descent.q); }"
+    assert page.evaluate(error) < 1e-6
+    said(page, "Started at the true shape")
+    behind = []
+    for evaluations in (20, 19, 20):  # another number asks again for the same shape
+        page.evaluate(
+            f"document.querySelector('.live-figure').live.set({{course: 160, evaluations: {evaluations}}})"
+        )
+        page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        behind.append(page.evaluate(error))
+    assert behind[0] > 0.1
+    assert behind[2] < behind[1] < behind[0]
 
 
 def test_a_sensor_off_leaves_a_direction_open(figure):

@@ -58,20 +58,6 @@ def test_scripts_come_where_they_are_used(extension, body, expected):
     assert {script.filename.removeprefix("_static/") for script in context["script_files"]} == expected
 
 
-def test_scorecard_is_served_once_computed(extension, tmp_path):
-    """JSON and badge lie at the root of the site; a first build without them says nothing."""
-    site = extension("repro_site")
-    source, out = tmp_path / "book", tmp_path / "html"
-    (source / "generated").mkdir(parents=True)
-    out.mkdir()
-    app = SimpleNamespace(srcdir=source, outdir=out, builder=SimpleNamespace(format="html"))
-    site.add_scorecard_files(app, None)
-    assert list(out.iterdir()) == []
-    (source / "generated" / "scorecard.json").write_text("{}")
-    site.add_scorecard_files(app, None)
-    assert (out / "scorecard.json").read_text() == "{}"
-
-
 def test_cells_of_cards_have_their_headings(extension):
     """Also in the second row; an empty heading stays one, other tables stay, and twice changes nothing."""
     row = "<tr><td><p>a</p></td><td></td></tr>"

@@ -117,23 +117,37 @@ def test_landing_page_is_a_page(browser):
     try:
         assert len(page.locator("main").inner_text()) > 1000
         link = page.locator("main table a[href*='verdict=']").last
-        label = link.get_attribute("aria-label")
+        counted = link.inner_text()
         link.click()
         page.wait_for_selector(".scorecard-count")
         count = page.locator(".scorecard-count").inner_text()
-        assert count.split()[0] == label.split()[0], f"{label} leads to {count}"
+        assert count.split()[0] == counted, f"{counted} leads to {count}"
+        page.wait_for_load_state()
+        first = page.locator("table.cards tbody:visible").first.bounding_box()
+        assert 0 < first["y"] < 900, "the rows are not in the first screen"
     finally:
         page.close()
 
 
 @no_site
 def test_first_screen_of_the_landing_page(browser):
-    """On a desk it holds the doors, the robot, what was found, and how the book is built."""
+    """On a desk it says what this is and holds the whole robot."""
     page, _ = open_page(browser, url_of("index.html"), width=1400)
     try:
-        for part in (".doors a >> nth=2", ".live-stage", ".sd-col li:has(a) >> nth=2", "main pre >> nth=0"):
+        for part in ("main section > p >> nth=0", ".live-stage"):
             box = page.locator(part).bounding_box()
             assert box["y"] + box["height"] < 900, part
+    finally:
+        page.close()
+
+
+@no_site
+def test_from_the_landing_page_to_a_table_of_a_paper(browser):
+    """Table II has a link by its number, and the link leads to its page."""
+    page, _ = open_page(browser, url_of("index.html"))
+    try:
+        page.locator("main a[title='Table II']").click()
+        page.wait_for_url("**/notebooks/imu_markers.html*")
     finally:
         page.close()
 

@@ -44,7 +44,8 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name, text in {
         "pyproject.toml": "[tool.repro]\n",
         "data/published/published.csv": PUBLISHED,
-        "data/published/index.csv": "paper,kind,artefact,shows,status,page,anchor,code,note\n",
+        "data/published/index.csv": "paper,kind,artefact,shows,status,page,anchor,code,note\n"
+        "a2020,table,Table 1,errors,regenerated,notebooks/a,,,\n",
         "data/thinned.csv": "table,keys,every\n",
         "book/_config.yml": CONFIG,
         "book/_toc.yml": "format: jb-book\nroot: index\nchapters:\n- file: notebooks/a\n- file: notebooks/old\n",

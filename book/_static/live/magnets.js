@@ -11,7 +11,7 @@ const POSES = 40;
 
 const DEFAULTS = {
   segments: 3, sensors: 3, radial: 13, tilt: 0, noise: 7.1e-4, seed: 1, off: "", tolerances: false, calibrated: false,
-  method: "lm", evaluations: 20, start: "straight", course: 60, q: "", field: true, view: 300, moved: 3,
+  method: "lm", evaluations: 20, start: "last", course: 60, q: "", field: true, view: 300, moved: 3,
 };
 
 // ---- The robot, as drawn and as it is ------------------------------------------------------------------------------
@@ -116,7 +116,8 @@ function compute(figure) {
   const sensing = sensingOf(model), { low, high } = box(n), evaluations = state.evaluations;
   const before = figure.estimate, asked = [figure.key, state.start, model === figure.drawn, evaluations, use, u].join();
   if (!before || before.asked !== asked) { // the same question, as when the view is turned, is answered once
-    const last = state.start === "last" && before, from = straight(n), steps = from.map((_, c) => STEPS[n][c % 3 === 2 ? 1 : 0]);
+    // as the paper does it: at first from the true shape, then from the estimate before
+    const warm = state.start === "last", last = warm && before, from = warm ? q : straight(n), steps = q.map((_, c) => STEPS[n][c % 3 === 2 ? 1 : 0]);
     const lm = REPRO.levenbergMarquardt(sensing, last ? last.lm.q : from, u, use, low, high, evaluations - 1);
     const descent = REPRO.gradientDescent(sensing, last ? last.descent.q : from, last ? last.descent.momentum : from.map(() => 0), u, use, steps, 0.3, evaluations);
     figure.estimate = { lm, descent, asked };
@@ -296,7 +297,7 @@ function summary(figure) {
   const { state, now } = figure, n = state.segments, on = now.use.filter(Boolean).length;
   const mm = (x) => (x < 1e-4 ? "less than 0.0001 mm" : short(x) + " mm");
   const words = [`${n} segment${n > 1 ? "s" : ""}, ${on} of ${now.use.length} sensors in use, synthetic readings.`];
-  words.push(`From ${state.start === "last" ? "the last estimate" : "the straight pose"}, ${state.evaluations} evaluations: the tip is off by ${mm(now.off_mm(now.lm.q))} by least squares (Levenberg-Marquardt) and by ${mm(now.off_mm(now.descent.q))} by gradient descent.`);
+  words.push(`${state.start === "last" ? "Started at the true shape, then from estimate to estimate" : "Started at the straight pose"}, ${state.evaluations} evaluations: the tip is off by ${mm(now.off_mm(now.lm.q))} by least squares (Levenberg-Marquardt) and by ${mm(now.off_mm(now.descent.q))} by gradient descent.`);
   if (now.ellipsoid) words.push(`The noise alone allows ${short(now.ellipsoid.worst)} mm along the worst axis.`);
   if (now.ghosts.shapes.length) words.push(`${now.ghosts.shapes.length} other shapes are drawn that these sensors cannot tell from the estimate: one direction is all but undetermined.`);
   if (figure.waiting) words.push("Calibration is being computed.");
@@ -346,7 +347,7 @@ REPRO.views.magnets = function (box_) {
     figure.group("Estimate",
       figure.choice("method", "Bold line", [["lm", "Levenberg-Marquardt"], ["descent", "gradient descent, the paper's steps"]]),
       figure.slider("evaluations", "Evaluations", { min: 2, max: 40 }),
-      figure.choice("start", "Start", [["straight", "straight pose"], ["last", "last estimate"]]),
+      figure.choice("start", "Start", [["last", "true shape, then last estimate"], ["straight", "straight pose"]]),
       figure.check("field", "Field lines"));
   }
   figure.start();

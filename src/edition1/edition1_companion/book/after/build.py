@@ -1,19 +1,15 @@
-"""Running the notebooks of the first edition whose inputs changed, and writing what pages show of the scorecard.
+"""Running the notebooks of the first edition whose inputs changed.
 
-``repro_companion.build`` calls :func:`run` and :func:`write_scorecard_pages`. With nothing changed they only hash.
+``repro_companion.build`` calls :func:`run`. With nothing changed it only hashes.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from edition1.files import write_whole
-from edition1_companion.book.after.paper_index import index_path, page_titles, read_index
-from edition1_companion.book.digests import combined_digest
 from edition1_companion.book.points import (
     BESIDE_OTHERS,
     Point,
@@ -25,7 +21,6 @@ from edition1_companion.book.points import (
 )
 from edition1_companion.book.project import Project
 from edition1_companion.book.provenance import Inputs, notebook_key, read_inputs, record_path
-from edition1_companion.book.scorecard import compute_scorecard, scorecard_csv
 
 
 def run(root: Path, names: Sequence[str], jobs: int) -> tuple[int, list[str]]:
@@ -55,24 +50,6 @@ def run(root: Path, names: Sequence[str], jobs: int) -> tuple[int, list[str]]:
     except Stopped as stop:
         raise stop.__cause__ or stop from None
     return len(due), failures or warnings_shown(due)
-
-
-def write_scorecard_pages(root: Path) -> None:
-    """Write what the site shows of the scorecard, unless all that it follows from is as it was."""
-    project = Project(root)
-    rows, inputs = compute_scorecard(project), read_inputs(project)
-    numbers = hashlib.sha256(scorecard_csv(rows).encode()).hexdigest()
-    titles = page_titles(project, read_index(index_path(project)))
-    key = combined_digest([inputs.sources, inputs.data, titles, {"scorecard": numbers, "lock": inputs.lock}])
-    done, last = project.cache / "scorecard", project.book / "generated" / "scorecard.json"
-    if last.is_file() and done.is_file() and done.read_text(encoding="utf-8").strip() == key:
-        return
-    from edition1_companion.book.after.scorecard_files import (
-        write_scorecard_files,  # draws: its import alone takes a second
-    )
-
-    write_scorecard_files(project, rows)
-    write_whole(done, key + "\n")
 
 
 def page_points(project: Project, inputs: Inputs, names: Iterable[str]) -> list[Point]:

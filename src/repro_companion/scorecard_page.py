@@ -1,0 +1,233 @@
+"""What the site shows of the scorecard: index of the papers, counts, all rows, and the numbers of the home page."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from html import escape
+from pathlib import Path
+from urllib.parse import urlencode
+
+import pandas as pd
+
+from repro_companion.run import recordings
+from repro_companion.scorecard import COMPARED, KINDS, band, counts, kinds
+from repro_companion.show import KEY, number
+
+PAPERS = {
+    "baaij2023": "Baaij et al. (2023)",
+    "mitchell2021": "Mitchell et al. (2021)",
+    "martin2022": "Martin et al. (2022)",
+}
+FOLDED = {"equation": "Equations", "trajectory": "Trajectories", "section": "Numbers in the text"}
+"""Kinds of entries of the index that stand in a fold of their own; tables and figures are open."""
+INDEX_HEAD = ["In the paper", "Shows", "Where", "Verdict"]
+ROW_HEAD = ["Number", "Published", "Regenerated", "Band", "Verdict"]
+LETTERS = (
+    (r"\bd_s_r\b", "<i>d</i><sub>s,r</sub>"),
+    (r"\bpsi_s\b", "ψ"),
+    (r"\b([ne])_([a-z])\b", r"<i>\1</i><sub>\2</sub>"),
+    (r"\bdelta_([xyL])(_\d)?\b", r"delta_<i>\1</i>\2"),
+    (r"delta_(<i>[xy])", r"Δ\1"),
+    (r"delta_<i>L", "δ<i>L"),
+    (r"(</i>|\bkappa)_(\d)\b", r"\1<sub>\2</sub>"),
+    (r"\bkappa\b", "κ"),
+    (r"\bphi\b", "φ"),
+    (r"\bsigma\b", "σ"),
+    (r"(?<=\d) pi\b|\bpi\b", "π"),
+    (r"\bq3\b", "third quartile"),
+    (r"\brmse_position\b", "RMSE of the position"),
+    (r"\bupdate_rate\b", "update rate"),
+    (r"(\d)deg\b", r"\1°"),
+    (r"(\d)mm\b", "\\1\N{NO-BREAK SPACE}mm"),
+    (r" ?= ?(?=[\d(])", " = "),
+    ("-&gt;", " → "),
+    (r"\^2", "²"),
+    (r"\b(\d[\d.]*)e-0?(\d+)\b", r"\1 × 10<sup>−\2</sup>"),
+    (r"(?<![\w)-])-(?=\d)", "−"),
+)
+"""Names and numbers as files have them, and how the page writes them."""
+
+
+def write_pages(root: Path, card: pd.DataFrame) -> None:
+    """Write what the pages *Scorecard and index* and *Home* include, to ``book/generated``."""
+    card = card.assign(name=card["paper"].replace(PAPERS), kind=kinds(card), width=band(card))
+    index = pd.read_csv(root / "data" / "published" / "index.csv", dtype=str, keep_default_na=False)
+    index = index.assign(
+        name=index["paper"].replace(PAPERS), place=index["page"] + ".html#" + index["anchor"]
+    )
+    titles = {page: title(root, page) for page in index["page"].unique()}
+    places = {(row["name"], row["artefact"]): row["place"].rstrip("#") for _, row in index.iterrows()}
+    texts = {
+        "index.md": index_page(index, titles, card),
+        "find.md": finder_page(index[index["status"] != "not reproduced"]),
+        "counts.md": counts_page(card),
+        "rows.md": rows_page(card, places),
+        "values.json": json.dumps(findings(card), ensure_ascii=False),
+    }
+    for name, text in texts.items():
+        path = root / "book" / "generated" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+
+def title(root: Path, page: str) -> str:
+    """Return the title of a page, of a notebook or not."""
+    notebook = root / f"{page}.ipynb"
+    if notebook.is_file():
+        text = "".join(json.loads(notebook.read_text(encoding="utf-8"))["cells"][0]["source"])
+    else:
+        text = (root / "book" / f"{page}.md").read_text(encoding="utf-8")
+    return re.findall(r"^# (.+)$", text, re.MULTILINE)[0]
+
+
+def words(text: str) -> str:
+    """Return the name of a row, a quantity, a unit or a note with the letters of the papers, as HTML."""
+    text = escape(" ".join(text.split()), quote=False)
+    for pattern, written in LETTERS:
+        text = re.sub(pattern, written, text)
+    return text
+
+
+def rows_link(text: object, **chosen: str) -> str:
+    """Return a link to the rows of the scorecard that are chosen by paper, artefact and verdict."""
+    label = escape(", ".join([str(text), *chosen.values()]))
+    return f'<a href="scorecard.html?{escape(urlencode(chosen))}#all-rows" aria-label="{label}">{text}</a>'
+
+
+def verdict_in_a_word(found: pd.Series) -> str:
+    """Return what a table or figure comes to whose numbers count as given; what says little only if all do."""
+    agree, differ = found.isin(["reproduced", "better"]).sum(), (found == "differs").sum()
+    if agree + differ == 0:
+        return found.mode()[0]
+    return "differs" if differ >= agree else "mostly reproduced" if differ else "reproduced"
+
+
+def table(caption: str, head: Iterable[str], rows: Iterable[str], about: str) -> str:
+    """Return a table as HTML, its rows given as HTML."""
+    cells = "".join(f'<th scope="col">{one}</th>' for one in head)
+    return (
+        f'<table class="scorecard {about}><caption>{caption}</caption><thead><tr>{cells}</tr></thead>\n'
+        + "\n".join(rows)
+        + "</table>\n"
+    )
+
+
+def folded(summary: str, text: str) -> str:
+    """Return a part of a page that a reader opens."""
+    return f'<details class="fold"><summary>{summary}</summary>\n{text}</details>\n'
+
+
+def index_page(index: pd.DataFrame, titles: Mapping[str, str], card: pd.DataFrame) -> str:
+    """Return the index: for each paper a table of its tables and figures, and folds of all else."""
+    parts = []
+    for (name, heading), entries in index.groupby(
+        ["name", index["kind"].replace(dict.fromkeys(["table", "figure"], "")).replace(FOLDED)], sort=False
+    ):
+        rows = [_entry(entry, titles, card) for _, entry in entries.iterrows()]
+        caption = f"{name}: {heading.lower() or 'tables and figures'}"
+        text = table(caption, INDEX_HEAD, rows, 'paper-index"')
+        parts.append(folded(heading, text) if heading else f"### {name}\n\n{text}")
+    return "\n".join(parts)
+
+
+def _entry(entry: pd.Series, titles: Mapping[str, str], card: pd.DataFrame) -> str:
+    found = card[(card["paper"] == entry["paper"]) & (card["artefact"] == entry["artefact"])]["kind"]
+    if len(found):
+        verdict = rows_link(verdict_in_a_word(found), paper=entry["name"], artefact=entry["artefact"])
+    elif "synthetic" in entry["note"]:
+        verdict = entry["status"] + ("" if recordings() else " (synthetic)")
+    else:
+        code = f"<code>{entry['code'].rsplit('.')[-1]}</code>" if entry["status"] == "implemented" else ""
+        said = "; ".join(filter(None, [code, words(entry["note"])]))
+        verdict = entry["status"] + (f' <span class="setting">({said})</span>' if said else "")
+    cells = words(entry["shows"]), escape(titles[entry["page"]]), verdict
+    return (
+        f'<tr><th scope="row"><a href="{entry["place"].rstrip("#")}">{entry["artefact"]}</a></th>'
+        f"{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+    )
+
+
+def finder_page(index: pd.DataFrame) -> str:
+    """Return a table that leads to the tables and figures of each paper by their numbers."""
+    lines = ["| paper | tables | figures |", "|---|---|---|"]
+    for name, entries in index.groupby("name", sort=False):
+        cells = []
+        for kind in ("table", "figure"):
+            found = entries[entries["kind"] == kind][["artefact", "place"]].to_numpy()
+            links = [
+                f'<a href="{to.rstrip("#")}" title="{one}">{one.split()[1].rstrip(",")}</a>'
+                for one, to in found
+            ]
+            cells.append(" · ".join(links) or "–")
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def counts_page(card: pd.DataFrame) -> str:
+    """Return a table of how many numbers of each paper count as what; each count leads to its rows."""
+    found = counts(card).drop(index="all", columns="all").rename(index=PAPERS).loc[:, lambda n: n.any()]
+    lines = ["{.as-cards}", f"| | {' | '.join(found)} |", "|---|" + "---:|" * found.shape[1]]
+    for name, row in found.iterrows():
+        cells = [rows_link(n, paper=str(name), verdict=str(kind)) if n else "0" for kind, n in row.items()]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def rows_page(card: pd.DataFrame, places: Mapping[tuple[str, str], str]) -> str:
+    """Return all rows as HTML: a fold for each table, figure or section of a paper, a ``tbody`` for each number."""
+    parts = ['<div class="scorecard-filter"></div>\n']
+    by_paper = card.sort_values("paper", key=lambda papers: pd.factorize(papers)[0], kind="stable")
+    for (name, artefact), rows in by_paper.groupby(["name", "artefact"], sort=False):
+        total = rows["kind"].value_counts().reindex(KINDS).dropna()
+        said = ", ".join(
+            f"{n:.0f} {kind if n == 1 else kind.replace('differs', 'differ')}" for kind, n in total.items()
+        )
+        caption = f'<a href="{places[name, artefact]}">{name}, {artefact}</a>.'
+        for heading, column in (("Setting", "setting"), ("Our best method", "best_method")):
+            if given := "; ".join(filter(None, rows[column].unique())):
+                caption += f' <span class="setting">{heading}: {words(given)}.</span>'
+        about = f'cards" data-paper="{name}" data-artefact="{artefact}"'
+        text = table(caption, ROW_HEAD, [_row(row) for _, row in rows.iterrows()], about)
+        parts.append(folded(f"<b>{name}, {artefact}</b>: {said}.", text))
+    return "\n".join(parts)
+
+
+def _row(row: pd.Series) -> str:
+    """Return a row of the scorecard: its numbers, and what is known of it in a second line."""
+    unit = "\N{NO-BREAK SPACE}" + words(row["unit"])
+    printed = [row[name].replace("-", "−") for name in ("published", "published_std") if row[name]]
+    ours = [number(float(row[name])) for name in ("regenerated", "regenerated_std") if row[name]]
+    width = f"±\N{NO-BREAK SPACE}{number(row['width'], 2)}{unit}" if row["verdict"] in COMPARED else "–"
+    verdict, kind = row["verdict"].replace("_", " "), row["kind"]
+    apart = f", {kind}" * (kind != verdict) + ", near the edge" * (row["near_edge"] == "true")
+    said = words(f"{row['note'][:1].upper()}{row['note'][1:]}. ") if row["note"] else ""
+    if row["best"]:
+        said += f" <b>Our best: {number(float(row['best']))}{unit}.</b>"
+    key = " ".join(["row", *row[KEY]]).lower().replace("-", " minus ")
+    cells = [" ± ".join(printed) + unit, " ± ".join(ours) + unit if ours else "–", width]
+    cells.append(f'<span class="verdict verdict-{verdict.replace(" ", "-")}">{verdict}</span>{apart}')
+    return (
+        f'<tbody id="{re.sub(r"[^a-z0-9]+", "-", key).strip("-")}" data-verdict="{kind}"><tr><th scope="row">'
+        f"{words(row['row'])}, {words(row['quantity'])}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+        + (f'<tr class="remarks"><td colspan="5">{said}</td></tr>' if said else "")
+        + "</tbody>"
+    )
+
+
+def findings(card: pd.DataFrame) -> dict[str, str]:
+    """Return what the home page says in numbers, by name; a dash for a paper that the scorecard lacks."""
+    numbers = card.assign(
+        **{name: pd.to_numeric(card[name]) for name in ("published", "regenerated", "best")}
+    )
+    ring = numbers[
+        (numbers["artefact"] == "Table 1") & (numbers["row"] == "n_b=1") & (numbers["unit"] == "%")
+    ]
+    bend = numbers[numbers["quantity"] == "rmse_position"]
+    return {
+        "home.ring_paper": number(ring["regenerated"].mean(), 1),
+        "home.ring_best": number(ring["best"].mean(), 1),
+        "home.bend_paper": number(bend["regenerated"].mean(), 1),
+        "home.bend_printed": number(bend["published"].mean(), 2),
+    }

@@ -1,0 +1,232 @@
+"""The index of the papers, and what the site shows of the scorecard."""
+
+from __future__ import annotations
+
+import json
+import pkgutil
+import re
+from html import unescape
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+import pandas as pd
+import pytest
+
+from repro_companion import scorecard_page as page
+from repro_companion.scorecard import counts, kinds, scorecard
+
+ROOT = Path(__file__).resolve().parents[2]
+INDEX = pd.read_csv(ROOT / "data/published/index.csv", dtype=str, keep_default_na=False)
+NUMBERED = {
+    "baaij2023": {"Table": ["1", "2"], "Fig.": range(1, 12), "eq.": range(1, 19)},
+    "mitchell2021": {"Table": [], "Fig.": range(1, 10), "eq.": range(1, 8)},
+    "martin2022": {"Table": ["I", "II"], "Fig.": range(1, 7), "eq.": range(1, 8)},
+}
+"""What each paper numbers, counted in the papers."""
+TRAJECTORIES = {
+    "baaij2023": {"full lemniscate", "affine flower", "T0", "T1", "T2", "T3", "T4", "T5"},
+    "mitchell2021": {"Spiral", "Flower", "Seagull"},
+    "martin2022": {"oscillating", "buckling", "circling"},
+}
+MACHINE_NAME = re.compile(r"(?<![\w./])[A-Za-z]\w*_\w+(?!\w*\.\w)")
+
+
+@pytest.fixture(scope="module")
+def card() -> pd.DataFrame:
+    return scorecard(ROOT / "data/published/published.csv", sorted((ROOT / "results").glob("*.rows.csv")))
+
+
+@pytest.fixture(scope="module")
+def written(card, tmp_path_factory) -> dict[str, str]:
+    """Return what is written for a project with the pages of this one."""
+    root = tmp_path_factory.mktemp("project")
+    for name in ("data", "notebooks"):
+        (root / name).symlink_to(ROOT / name)
+    (root / "book").mkdir()
+    for path in (ROOT / "book").iterdir():
+        if path.name != "generated":
+            (root / "book" / path.name).symlink_to(path)
+    page.write_pages(root, card)
+    return {path.name: path.read_text(encoding="utf-8") for path in (root / "book/generated").iterdir()}
+
+
+# The index
+
+
+@pytest.mark.parametrize("paper", NUMBERED)
+def test_every_number_of_the_papers_is_listed(paper):
+    """No table, figure, equation or trajectory of a paper is left out, and no number is made up."""
+    listed = INDEX[INDEX["paper"] == paper]["artefact"]
+    for word, numbers in NUMBERED[paper].items():
+        found = {match[1] for one in listed if (match := re.match(rf"{re.escape(word)} \(?(\w+)\)?", one))}
+        assert found == {str(number) for number in numbers}, word
+    assert set(listed) >= TRAJECTORIES[paper]
+
+
+def test_the_index_has_one_row_for_everything_and_known_words():
+    assert len(INDEX) == 91
+    assert not INDEX.duplicated(["paper", "kind", "artefact"]).any()
+    assert set(INDEX["kind"]) == {"table", "figure", *page.FOLDED}
+    assert set(INDEX["status"]) <= {"regenerated", "redrawn", "implemented", "not reproduced"}
+
+
+def anchors(name: str) -> set[str]:
+    """Return the names of a page's figures, and its headings as links have them."""
+    notebook = ROOT / f"{name}.ipynb"
+    figures = set()
+    if notebook.is_file():
+        cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+        figures = {cell["metadata"].get("mystnb", {}).get("figure", {}).get("name", "") for cell in cells}
+        text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+    else:
+        text = (ROOT / "book" / f"{name}.md").read_text(encoding="utf-8")
+    headings = re.findall(r"^#+ (.+)$", text, flags=re.MULTILINE)
+    return figures | {re.sub(r"[^a-z0-9]+", "-", heading.lower()).strip("-") for heading in headings}
+
+
+@pytest.mark.parametrize(
+    "entry", INDEX.to_dict("records"), ids=lambda one: f"{one['paper']}-{one['artefact']}"
+)
+def test_places_exist(entry):
+    """The page is in the book and has the figure or heading; the code can be imported."""
+    assert not entry["anchor"] or entry["anchor"] in anchors(entry["page"])
+    if entry["code"]:
+        found = pkgutil.resolve_name(entry["code"])
+        assert entry["code"] == f"{found.__module__}.{found.__qualname__}"
+
+
+def test_every_entry_is_a_row_that_leads_to_its_place(written):
+    text = written["index.md"]
+    assert re.findall(r"^### (.+)$", text, re.MULTILINE) == list(page.PAPERS.values())
+    assert text.count("<tr><th") == len(INDEX) + text.count("<thead>")
+    links = re.findall(r'<th scope="row"><a href="(.*?)">(.*?)</a>', text)
+    there = INDEX["page"] + ".html" + ("#" + INDEX["anchor"]).str.rstrip("#")
+    assert sorted(links) == sorted(zip(there, INDEX["artefact"], strict=True))
+    assert not re.search(r"\n\n(?!<|#)", text.rstrip()), "an empty line ends a block of HTML"
+
+
+def test_the_finder_leads_to_what_is_there(written):
+    """Table II has a link by its number, and no photograph has one."""
+    links = re.findall(r'href="(.*?)" title="(.*?)"', written["find.md"])
+    assert any(name == "Table II" and link.startswith("notebooks/") for link, name in links)
+    assert (
+        written["find.md"].count("<a ")
+        == (INDEX["kind"].isin(["table", "figure"]) & (INDEX["status"] != "not reproduced")).sum()
+    )
+
+
+@pytest.mark.parametrize(
+    ("found", "word"),
+    [
+        (["reproduced", "better", "weak"], "reproduced"),
+        (["reproduced"] * 3 + ["differs"], "mostly reproduced"),
+        (["reproduced", "differs", "weak"], "differs"),
+        (["differs"], "differs"),
+        (["not comparable", "weak", "not comparable"], "not comparable"),
+    ],
+)
+def test_a_verdict_in_a_word(found, word):
+    assert page.verdict_in_a_word(pd.Series(found)) == word
+
+
+# Counts and rows
+
+
+def test_every_count_leads_to_the_rows_that_it_counts(card, written):
+    rows = re.findall(
+        r'data-paper="(.*?)"|<tbody id="(.*?)" data-verdict="(.*?)"', unescape(written["rows.md"])
+    )
+    listed, paper = [], ""
+    for about, _, verdict in rows:
+        paper = about or paper
+        if verdict:
+            listed.append((paper, verdict))
+    assert len(listed) == len(card)
+    links = re.findall(r'href="(.*?)".*?>(\d+)</a>', unescape(written["counts.md"]))
+    for link, count in links:
+        parts = urlsplit(link)
+        query = parse_qs(parts.query)
+        assert (parts.path, parts.fragment) == ("scorecard.html", "all-rows")
+        assert listed.count((query["paper"][0], query["verdict"][0])) == int(count)
+    assert sum(int(count) for _, count in links) == len(card)
+    assert len(links) == (counts(card).drop(index="all", columns="all") > 0).to_numpy().sum()
+
+
+def test_every_row_has_an_address_and_no_name_of_a_file(written):
+    ids = re.findall(r'<tbody id="(.*?)"', written["rows.md"])
+    assert len(set(ids)) == len(ids) > 200
+    text = re.sub(r"<code>.*?</code>|<[^>]*>", " ", written["rows.md"] + written["index.md"])
+    assert [found[0] for found in MACHINE_NAME.finditer(text)] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("psi_s=10deg", "ψ = 10°"),
+        ("delta_x_1", "Δ<i>x</i><sub>1</sub>"),
+        ("delta_L", "δ<i>L</i>"),
+        ("kappa_0", "κ<sub>0</sub>"),
+        ("n_b=2, d_s_r=18mm", "<i>n</i><sub>b</sub> = 2, <i>d</i><sub>s,r</sub> = 18\N{NO-BREAK SPACE}mm"),
+        ("noise 7.1e-4 mT at -3", "noise 7.1 × 10<sup>−4</sup> mT at −3"),
+        ("T5.train->T5.test", "T5.train → T5.test"),
+        ("a < b & c", "a &lt; b &amp; c"),
+    ],
+)
+def test_names_are_written_with_the_letters_of_the_papers(name, shown):
+    assert page.words(name) == shown
+
+
+def test_a_row_says_why_it_counts_apart_and_what_we_reach(card):
+    row = card.iloc[1].to_dict() | {"kind": "weak", "verdict": "reproduced", "near_edge": "true"}
+    row |= {"width": 0.25, "best": "0.1234", "note": "of three seeds", "unit": "%"}
+    text = page._row(pd.Series(row))
+    assert "reproduced</span>, weak, near the edge</td>" in text
+    assert "±\N{NO-BREAK SPACE}0.25\N{NO-BREAK SPACE}%" in text
+    assert "Of three seeds. " in text
+    assert "Our best: 0.123\N{NO-BREAK SPACE}%." in text
+    assert "–</td>" in page._row(pd.Series(row | {"verdict": "not_comparable"})), "without a band"
+
+
+# Home
+
+
+def test_the_numbers_of_the_home_page_are_those_of_the_rows(card):
+    values = page.findings(card)
+    rows = card.set_index(["row", "quantity"])
+    ring = rows.loc["n_b=1"].loc[["delta_x_1", "delta_y_1", "delta_L_1"]]
+    for name, column in (("ring_paper", "regenerated"), ("ring_best", "best")):
+        assert float(values[f"home.{name}"]) == pytest.approx(ring[column].astype(float).mean(), rel=0.3)
+    bend = card[card["quantity"] == "rmse_position"]
+    assert float(values["home.bend_printed"]) == pytest.approx(
+        bend["published"].astype(float).mean(), rel=0.03
+    )
+    assert float(values["home.bend_paper"]) == pytest.approx(
+        bend["regenerated"].astype(float).mean(), rel=0.3
+    )
+
+
+def test_the_home_page_names_no_other_numbers(card):
+    text = (ROOT / "book/index.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"\{\{(home\.\w+)\}\}", text)) == set(page.findings(card))
+    assert set(page.findings(card.iloc[:0]).values()) == {"–"}
+    found = text[text.index("## What we found") : text.index("## Find a table")]
+    prose = re.sub(r"\{.*?\}|\(.*?\)|`[^`]*`|Table \d", "", found)
+    assert re.findall(r"\d", prose) == []
+
+
+def test_kinds_of_the_index_and_the_scorecard_do_not_mix(card):
+    """What has no numbers has the word of the index; the others lead to their rows."""
+    card = card.assign(name=card["paper"].replace(page.PAPERS), kind=kinds(card))
+    entry = {
+        "paper": "baaij2023",
+        "name": "B",
+        "artefact": "Table 1",
+        "place": "p.html#",
+        "shows": "x",
+        "page": "p",
+    }
+    entry |= {"status": "implemented", "note": "a note", "code": "a.b.track"}
+    text = page._entry(pd.Series(entry), {"p": "Page"}, card)
+    assert '<a href="scorecard.html?paper=B&amp;artefact=Table+1#all-rows"' in text
+    text = page._entry(pd.Series(entry | {"artefact": "eq. (1)"}), {"p": "Page"}, card)
+    assert 'implemented <span class="setting">(<code>track</code>; a note)</span>' in text
