@@ -54,8 +54,11 @@ def write_pages(root: Path, card: pd.DataFrame) -> None:
     """Write what the pages *Scorecard and index* and *Home* include, to ``book/generated``."""
     card = card.assign(name=card["paper"].replace(PAPERS), kind=kinds(card), width=band(card))
     index = pd.read_csv(root / "data" / "published" / "index.csv", dtype=str, keep_default_na=False)
+    found = index["paper"].isin({name.partition("/")[0] for name in recordings()})
     index = index.assign(
-        name=index["paper"].replace(PAPERS), place=index["page"] + ".html#" + index["anchor"]
+        name=index["paper"].replace(PAPERS),
+        place=index["page"] + ".html#" + index["anchor"],
+        real=found & index["note"].str.contains("recordings where they are found"),
     )
     titles = {page: title(root, page) for page in index["page"].unique()}
     places = {(row["name"], row["artefact"]): row["place"].rstrip("#") for _, row in index.iterrows()}
@@ -126,8 +129,7 @@ def index_page(index: pd.DataFrame, titles: Mapping[str, str], card: pd.DataFram
         ["name", index["kind"].replace(dict.fromkeys(["table", "figure"], "")).replace(FOLDED)], sort=False
     ):
         rows = [_entry(entry, titles, card) for _, entry in entries.iterrows()]
-        caption = f"{name}: {heading.lower() or 'tables and figures'}"
-        text = table(caption, INDEX_HEAD, rows, 'paper-index"')
+        text = table(f"{name}: {heading.lower() or 'tables and figures'}", INDEX_HEAD, rows, 'paper-index"')
         parts.append(folded(heading, text) if heading else f"### {name}\n\n{text}")
     return "\n".join(parts)
 
@@ -137,11 +139,11 @@ def _entry(entry: pd.Series, titles: Mapping[str, str], card: pd.DataFrame) -> s
     if len(found):
         verdict = rows_link(verdict_in_a_word(found), paper=entry["name"], artefact=entry["artefact"])
     elif "synthetic" in entry["note"]:
-        verdict = entry["status"] + ("" if recordings() else " (synthetic)")
+        verdict = entry["status"] + ("" if entry["real"] else " (synthetic)")
     else:
-        code = f"<code>{entry['code'].rsplit('.')[-1]}</code>" if entry["status"] == "implemented" else ""
+        code = f"<code>{entry['code'].rsplit('.')[-1]}</code>" * (entry["status"] == "implemented")
         said = "; ".join(filter(None, [code, words(entry["note"])]))
-        verdict = entry["status"] + (f' <span class="setting">({said})</span>' if said else "")
+        verdict = entry["status"] + f' <span class="setting">({said})</span>' * bool(said)
     cells = words(entry["shows"]), escape(titles[entry["page"]]), verdict
     return (
         f'<tr><th scope="row"><a href="{entry["place"].rstrip("#")}">{entry["artefact"]}</a></th>'
@@ -151,7 +153,7 @@ def _entry(entry: pd.Series, titles: Mapping[str, str], card: pd.DataFrame) -> s
 
 def finder_page(index: pd.DataFrame) -> str:
     """Return a table that leads to the tables and figures of each paper by their numbers."""
-    lines = ["| paper | tables | figures |", "|---|---|---|"]
+    lines = ["| paper | tables | figures |\n|---|---|---|"]
     for name, entries in index.groupby("name", sort=False):
         cells = []
         for kind in ("table", "figure"):

@@ -129,6 +129,28 @@ def test_a_verdict_in_a_word(found, word):
     assert page.verdict_in_a_word(pd.Series(found)) == word
 
 
+def test_what_recordings_make_real_is_no_longer_synthetic(card, tmp_path, monkeypatch):
+    """Figures on recordings of a paper, once these are there; a trial that is not public stays synthetic."""
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    (tmp_path / "notebooks").symlink_to(ROOT / "notebooks")
+    (tmp_path / "book").mkdir()
+    for name in ("notation.md", "scorecard.md"):
+        (tmp_path / "book" / name).symlink_to(ROOT / "book" / name)
+    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path / "recordings"))
+    counted = []
+    for paper in ("other", "baaij2023", "mitchell2021", "martin2022"):
+        (tmp_path / "recordings" / paper).mkdir(parents=True)
+        (tmp_path / "recordings" / paper / "a.csv").write_text("1\n")
+        page.write_pages(tmp_path, card)
+        counted.append(
+            (tmp_path / "book/generated/index.md").read_text(encoding="utf-8").count("(synthetic)")
+        )
+    synthetic = INDEX[INDEX["note"].str.contains("synthetic")]
+    real = synthetic["note"].str.contains("where they are found")
+    assert counted[0] > counted[1] > counted[2] >= counted[3]
+    assert (counted[3] > 0) == (~real).any()
+
+
 # Counts and rows
 
 
@@ -225,7 +247,7 @@ def test_kinds_of_the_index_and_the_scorecard_do_not_mix(card):
         "shows": "x",
         "page": "p",
     }
-    entry |= {"status": "implemented", "note": "a note", "code": "a.b.track"}
+    entry |= {"status": "implemented", "note": "a note", "code": "a.b.track", "real": False}
     text = page._entry(pd.Series(entry), {"p": "Page"}, card)
     assert '<a href="scorecard.html?paper=B&amp;artefact=Table+1#all-rows"' in text
     text = page._entry(pd.Series(entry | {"artefact": "eq. (1)"}), {"p": "Page"}, card)
