@@ -849,3 +849,111 @@ def light_bulb(curves: pd.DataFrame, events: pd.DataFrame, threshold: float) -> 
     ]
     figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
     return closed(figure)
+
+
+# The particle filter: Figs 3 to 5 of Mitchell et al.
+
+CURVE_LOOKS = {"spiral": (BLUE, "o"), "flower": (ORANGE, "s"), "seagull": (GREEN, "D")}
+
+
+@style()
+def bend_space(curves: pd.DataFrame, cloud: pd.DataFrame) -> Figure:
+    """Draw Figs 3 and 4: the disc of bends [deg] with a cloud of particles, and with each curve."""
+    figure, panels = plt.subplots(2, 2, figsize=(WIDTH, 5.6), sharex=True, sharey=True)
+    particles, truth = cloud[cloud["part"] == "particle"], cloud[cloud["part"] == "truth"]
+    panels[0, 0].plot(particles["x_deg"], particles["y_deg"], ".", color=SKY, ms=3, mew=0)
+    panels[0, 0].plot(truth["x_deg"], truth["y_deg"], "o", color="#D00000", ms=5)
+    panels[0, 0].set_title("one state, and particles")
+    for panel, (name, part) in zip(panels.flat[1:], curves.groupby("curve", sort=False), strict=True):
+        panel.plot(part["x_deg"], part["y_deg"], lw=1, color=CURVE_LOOKS[str(name)][0])
+        panel.set_title(str(name).capitalize())
+    for panel in panels.flat:
+        panel.grid(visible=False)
+        for radius in (30, 60, 90):
+            panel.add_patch(Circle((0, 0), radius, fill=False, lw=1.2 if radius == 90 else 0.5, color="0.6"))
+        panel.set(aspect="equal", xlim=(-95, 95), ylim=(-95, 95), xticks=(-90, 0, 90), yticks=(-90, 0, 90))
+    figure.supxlabel(r"$\varphi\,\cos\theta$ [deg]")
+    figure.supylabel(r"$\varphi\,\sin\theta$ [deg]")
+    return closed(figure)
+
+
+@style()
+def filter_steps(
+    q: np.ndarray, w: np.ndarray, drawn: np.ndarray, truth: np.ndarray, estimate: np.ndarray
+) -> Figure:
+    """Draw a cloud of bend vectors [rad] as it is weighed and drawn again; dots grow with weight and copies."""
+    figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 2.6))
+    kept, copies = np.unique(drawn, return_counts=True)
+    heavy = w > 1e-3
+    dots = (([], []), (q[heavy], w[heavy]), (q[kept], copies / len(q)))
+    looks = zip(panels, ("before", "weighed", "drawn again"), (11.0, 1.0, 1.0), dots, strict=True)
+    for k, (panel, title, reach, (points, share)) in enumerate(looks):
+        middle = np.degrees(truth)
+        if k < 2:
+            panel.plot(*np.degrees(q).T, ".", color="0.6", ms=3, mew=0)
+        if k:
+            size, colour = 6 + 900 * np.asarray(share), (YELLOW, BLUE)[k - 1]
+            panel.scatter(*np.degrees(points).T, s=size, color=colour, alpha=0.7, lw=0)
+        panel.plot(*middle, "o", color="#D00000", ms=6, label="truth")
+        panel.plot(*np.degrees(estimate), "x", color="#1A1A1A", ms=7, mew=2, label="estimate")
+        panel.set(
+            aspect="equal", xlim=middle[0] + [-reach, reach], ylim=middle[1] + [-reach, reach], title=title
+        )
+        panel.xaxis.set_major_locator(MaxNLocator(3, integer=True))
+        panel.yaxis.set_major_locator(MaxNLocator(3, integer=True))
+    corner = np.degrees(truth) - 1.0
+    panels[0].add_patch(
+        Polygon(corner + 2 * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]), fill=False, zorder=4)
+    )
+    figure.supxlabel(r"$\varphi\,\cos\theta$ [deg]")
+    panels[0].set_ylabel(r"$\varphi\,\sin\theta$ [deg]")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def bend_error_over_time(table: pd.DataFrame, printed: dict[str, float]) -> Figure:
+    """Draw Fig. 5: the error of the magnet's place [mm] over the parameter of a curve, by number of particles."""
+    figure, panels = plt.subplots(len(printed), 1, figsize=(WIDTH, 4.6), sharex=True, sharey=True)
+    for panel, (name, rmse) in zip(panels, printed.items(), strict=True):
+        runs = table[table["curve"] == name].groupby("particles")
+        for colour, (n, part) in zip((SKY, BLUE), runs, strict=False):
+            panel.plot(part["t"], part["error_mm"], lw=1, color=colour, label=f"{n} particles")
+        panel.axhline(rmse, color=PUBLISHED, ls="--", label="published RMSE, 1000 particles")
+        panel.set(title=name.capitalize(), ylabel="error [mm]", ylim=(0, None))
+        panel.margins(x=0)
+    panels[-1].set_xlabel("parameter $t$ of the curve")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def bend_error_by_noise(
+    clean: pd.DataFrame, law: pd.Series, noisy: pd.DataFrame, single: float, printed: Sequence[float]
+) -> Figure:
+    """Draw the error [mm] over process noise: without sensor noise beside the law, and with it for two motions."""
+    figure, (top, bottom) = plt.subplots(2, 1, figsize=(WIDTH, 6.4), sharex=True, height_ratios=(1.3, 1))
+    for name, part in clean.groupby("curve", sort=False):
+        colour, marker = CURVE_LOOKS[str(name)]
+        look = {"color": colour, "ms": 6, "ls": "", "label": str(name).capitalize()}
+        top.plot(part["process_noise_pi"], part["rmse_mm"], marker, **look)
+    top.plot(law.index, law, color="0.5", lw=1, label="law")
+    top.axhspan(min(printed) - 5e-5, max(printed) + 5e-5, color=PUBLISHED, alpha=0.5, lw=0, label="published")
+    top.axvline(0.02, color="0.5", lw=1, ls=":", label="noise in the paper")
+    top.set(yscale="log", title="perfect sensor")
+    for name, part in noisy.groupby("setting", sort=False):
+        look = {"random walk": (SKY, "v"), "constant velocity": (ORANGE, "^")}[str(name)]
+        own = part.groupby("process_noise_pi")["rmse_mm"].mean()
+        bottom.plot(own.index, own, color=look[0], marker=look[1], ms=6, label=name)
+    bottom.axhline(single, color="0.5", ls="--", label="least squares, one reading")
+    bottom.set(xscale="log", yscale="log", ylim=(0.035, 0.13), title="real sensor, mean of the curves")
+    bottom.set_xticks([0.0005, 0.002, 0.005, 0.02])
+    for axis, form in ((bottom.xaxis, "{x:g}"), (bottom.yaxis, "{x:g}"), (top.yaxis, "{x:g}")):
+        axis.set_major_formatter(form)
+        axis.set_minor_formatter("")
+    bottom.set_yticks([0.04, 0.06, 0.1])
+    bottom.set_xlabel("process noise [π rad per step]")
+    for panel in (top, bottom):
+        panel.set_ylabel("RMSE [mm]")
+        panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **BESIDE)
+    return closed(figure)
