@@ -737,12 +737,14 @@ def rig_stills(robot: Any, times: np.ndarray, truth: np.ndarray, found: np.ndarr
 
 # Bend tests and light bulb: Figs 9 and 8 of Mitchell et al.
 
-BEND_LOOKS = {
-    "motion capture": ("motion capture", {"color": "#767676", "lw": 4.0, "alpha": 0.55}),
-    "paper, as released": ("paper's filter, as released", {"color": ORANGE, "lw": 1.2}),
-    "authors' output": ("authors' own output", {"color": GREEN, "lw": 1.6, "ls": ":"}),
-    "ours": ("ratios, calibrated on other tests", {"color": BLUE, "lw": 1.2, "ls": (0, (4, 2))}),
-}
+BEND_LOOKS = (
+    {"color": "#767676", "lw": 4.0, "alpha": 0.55},
+    {"color": ORANGE, "lw": 1.2},
+    {"color": BLUE, "lw": 1.4, "ls": (0, (4, 2))},
+    {"color": GREEN, "lw": 1.6, "ls": ":"},
+    {"color": PINK, "lw": 1.2, "ls": (0, (6, 1.5, 1, 1.5))},
+)
+"""Of motion capture and of the methods, in the order of the table."""
 
 
 def take_name(name: str) -> str:
@@ -754,6 +756,7 @@ def take_name(name: str) -> str:
 def bend_tests(table: pd.DataFrame) -> Figure:
     """Draw Fig. 9: bend and direction over time, a pair of panels for each take."""
     takes = list(table["take"].unique())
+    looks = dict(zip(table["method"].unique(), BEND_LOOKS, strict=False))
     columns = min(len(takes), 3)
     rows = -(-len(takes) // columns)
     end = table["time_s"].max()
@@ -767,9 +770,9 @@ def bend_tests(table: pd.DataFrame) -> Figure:
     for k, take in enumerate(takes):
         angle, direction = panels[2 * (k // columns) : 2 * (k // columns) + 2, k % columns]
         own = table[table["take"] == take]
-        for method, (label, look) in BEND_LOOKS.items():
+        for method, look in looks.items():
             line = own[own["method"] == method]
-            angle.plot(line["time_s"], line["bend_deg"], label=label, **look)
+            angle.plot(line["time_s"], line["bend_deg"], **look)
             direction.plot(line["time_s"], line["direction_deg"], **look)
         angle.set(title=take_name(take), xlim=(0, end), ylim=(-4, 66), yticks=(0, 30, 60))
         direction.set(xlim=(0, end), ylim=(-40, 40), yticks=(-30, 0, 30))
@@ -781,21 +784,10 @@ def bend_tests(table: pd.DataFrame) -> Figure:
             direction.set_ylabel("direction\n[°]")
         if k >= len(takes) - columns:
             direction.set_xlabel("time [s]")
-    drawn = [BEND_LOOKS[method] for method in BEND_LOOKS if method in set(table["method"])]
-    lines = [Line2D([], [], label=label, **look) for label, look in drawn]
+    lines = [Line2D([], [], label=method, **look) for method, look in looks.items()]
     figure.align_ylabels(panels)
     figure.legend(handles=lines, loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)
-
-
-BEND_METHODS = {
-    ("paper, as printed", "none"): ("paper's filter, as printed", PINK, "o"),
-    ("paper, as released", "none"): ("paper's filter, as released", ORANGE, "s"),
-    ("authors' output", "none"): ("authors' own output", GREEN, "^"),
-    ("ours", "none"): ("ratios, not calibrated", SKY, "v"),
-    ("ours", "other tests"): ("ratios, calibrated on other tests", BLUE, "D"),
-    ("ours", "other try"): ("ratios, calibrated on the other try", "#767676", "P"),
-}
 
 
 @style()
@@ -807,13 +799,14 @@ def bend_errors(errors: pd.DataFrame) -> Figure:
         "rmse_above_40_deg": "above 40°",
     }
     figure, panel = plt.subplots(figsize=(WIDTH, 4.2))
-    for k, (key, (label, colour, marker)) in enumerate(BEND_METHODS.items()):
-        own = errors[(errors["method"] == key[0]) & (errors["calibration"] == key[1])]
+    colours = (PINK, ORANGE, YELLOW, SKY, "#767676", BLUE, GREEN)
+    for k, (name, own) in enumerate(errors.groupby("name", sort=False)):
+        colour, marker = colours[k], "osDvPX^"[k]
         for j, column in enumerate(columns):
-            x = j + 0.14 * (k - 2.5)
+            x = j + 0.12 * (k - 3)
             panel.plot(np.full(len(own), x), own[column], marker, color=colour, ms=4, alpha=0.6, mew=0)
-            panel.plot(x, own[column].median(), "_", color=colour, ms=13, mew=2.5)
-        panel.plot([], [], marker, color=colour, ms=6, mew=0, label=label)
+            panel.plot(x, own[column].median(), "_", color=colour, ms=11, mew=2.5)
+        panel.plot([], [], marker, color=colour, ms=6, mew=0, label=name)
     panel.set(xlabel="bend by motion capture", ylabel="RMSE of the bend [°]", ylim=(0, None))
     panel.set_xticks(range(3), list(columns.values()))
     panel.grid(visible=False, axis="x")
@@ -892,7 +885,7 @@ def filter_steps(
         if k < 2:
             panel.plot(*np.degrees(q).T, ".", color="0.6", ms=3, mew=0)
         if k:
-            size, colour = 6 + 900 * np.asarray(share), (YELLOW, BLUE)[k - 1]
+            size, colour = 6 + 400 * np.asarray(share), (YELLOW, BLUE)[k - 1]
             panel.scatter(*np.degrees(points).T, s=size, color=colour, alpha=0.7, lw=0)
         panel.plot(*middle, "o", color="#D00000", ms=6, label="truth")
         panel.plot(*np.degrees(estimate), "x", color="#1A1A1A", ms=7, mew=2, label="estimate")

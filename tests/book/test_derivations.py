@@ -7,36 +7,12 @@ import math
 import numpy as np
 import pytest
 import sympy as sp
-import torch
 from numpy.testing import assert_allclose
 
-from edition1 import BendSensor, pcc_extended
+from edition1 import pcc_extended
 from edition1.estimation.imu_models import exact_arcs, rigid_links
 from edition1.estimation.imu_selection import Selection
-from edition1.kinematics.bend import Bend
 from edition1_companion.pages.how_many_imus import curves as imu_curves
-
-
-def test_bend_space():
-    """The series of both functions, and an arc that looks alike from both ends."""
-    phi = sp.Symbol("phi", positive=True)
-    along, side = sp.sin(phi) / phi, (1 - sp.cos(phi)) / phi
-    assert sp.series(along, phi, 0, 4).removeO() == 1 - phi**2 / 6
-    assert sp.series(side / phi, phi, 0, 4).removeO() == sp.Rational(1, 2) - phi**2 / 24
-    turn = sp.Matrix([[sp.cos(phi), sp.sin(phi)], [-sp.sin(phi), sp.cos(phi)]])
-    seen = -turn.T * sp.Matrix([side, along])
-    assert sp.simplify(seen - sp.Matrix([side, -along])) == sp.zeros(2, 1)
-    assert sp.simplify(side**2 + along**2 - (sp.sin(phi / 2) / (phi / 2)) ** 2) == 0
-
-
-def test_bend_space_of_the_library():
-    length, q = 0.015, torch.tensor([[0.4, -1.1], [1e-9, 0.0], [2.0, 1.5]], dtype=torch.float64)
-    pose = Bend(length).pose(q, torch.ones((), dtype=torch.float64))
-    p, z = pose[:, :3, 3], (q * q).sum(-1)
-    seen = -(pose[:, :3, :3].mT @ p[:, :, None])[..., 0]
-    assert_allclose(p, BendSensor(length).position(q), atol=1e-15)
-    assert_allclose(seen, p * torch.tensor([1.0, 1.0, -1.0]), atol=1e-15)
-    assert_allclose(p.norm(dim=-1), length * torch.sinc(z.sqrt() / 2 / math.pi), atol=1e-15)
 
 
 def about_y(angle: float) -> list[float]:

@@ -173,3 +173,9 @@ def test_rows_of_the_scorecard_keep_their_verdicts(tmp_path, monkeypatch):
     own = card[(card["paper"] == "mitchell2021") & (card["verdict"] != "missing")]
     assert own["verdict"].tolist() == ["differs"] * 3 + ["not_comparable"]
     assert published("mitchell2021", "Section II-D")["value"].tolist() == [0.0044, 0.0046, 0.0046]
+
+
+def test_the_kalman_filter_moves_as_our_cloud_does():
+    """What a step adds to a velocity, times the step, is what moves a particle of our cloud."""
+    change = mitchell.KALMAN.method().acceleration * math.sqrt(mitchell.STEP)
+    np.testing.assert_allclose(change * mitchell.STEP, mitchell.BEST.method().process_noise[0])

@@ -50,7 +50,7 @@ function distance({ length }, q, p) {
   return Math.hypot(...algebra.plus(place(q), place(p), -1));
 }
 
-/** Error where the spread of the cloud is all there is: see the page of this chapter. */
+/** Error where the spread of the cloud is all there is: see the page. */
 const law = ({ walk, length, particles }) => 0.325 * walk * Math.PI * length / 2 / Math.sqrt(particles / 10);
 const rms = (errors) => Math.sqrt(errors.reduce((total, x) => total + x * x, 0) / errors.length);
 
@@ -96,7 +96,7 @@ REPRO.views.particles = function (box) {
   const figure = new Figure(box, {
     name: "particles", defaults: DEFAULTS, draw, summary,
     alt: "The disc of bends with a cloud of particles, the true bend and the estimate; beside it the error by step. The text below the figure says what the last step did.",
-    record: ["probabilistic_curvature", "A particle filter on one magnet"],
+    record: ["particle_filter", "Figs 3 to 5: a particle filter on one magnet"],
     changed: (one, changes) => { if ("particles" in changes || "seed" in changes) restart(one); },
   });
   const { state } = figure;

@@ -603,11 +603,18 @@ class Run(NamedTuple):
 
     method: str
     calibration: str
+    length_mm: float
     take: Take
     q: np.ndarray
     """Bend vectors [rad], complex."""
     deviation: np.ndarray | None = None
     """Standard deviation of the bend [rad] that the method states."""
+
+    @property
+    def name(self) -> str:
+        """The method as a reader sees it."""
+        label = METHODS[self.method, self.calibration]
+        return f"{label}, {self.length_mm:g} mm" if self.method.startswith("paper") else label
 
     @property
     def turned(self) -> np.ndarray:
@@ -618,6 +625,15 @@ class Run(NamedTuple):
 
 LEAST_BEND_DEG = 20.0
 """Directions are compared from this bend on."""
+METHODS = {
+    ("motion capture", "none"): "motion capture",
+    ("paper, as printed", "none"): "paper's filter, as printed",
+    ("paper, as released", "none"): "paper's filter, as released",
+    ("authors' output", "none"): "authors' own output",
+    ("ours", "none"): "ratios, not calibrated",
+    ("ours", "other tests"): "ratios, calibrated on other tests",
+    ("ours", "other try"): "ratios, calibrated on the other try",
+}
 FIG_9 = {"paper, as released": "none", "authors' output": "none", "ours": "other tests"}
 """Methods that are drawn over time, and their calibrations."""
 BENDS_DEG = {
@@ -639,7 +655,7 @@ def rms_deg(x: np.ndarray) -> float:
     return float(np.degrees(np.sqrt(np.nanmean(np.abs(x) ** 2)))) if np.isfinite(x).any() else np.nan
 
 
-def bend_errors(runs: Sequence[Run], length_mm: float) -> pd.DataFrame:
+def bend_errors(runs: Sequence[Run]) -> pd.DataFrame:
     """Return errors of the bend by method and take, also by the size of the bend, and of the direction.
 
     A sensor does not know how it was turned against motion capture: unless a calibration says so, the mean turn of
@@ -648,14 +664,11 @@ def bend_errors(runs: Sequence[Run], length_mm: float) -> pd.DataFrame:
     lines = []
     for run in runs:
         truth, off = np.abs(run.take.q), np.abs(run.q) - np.abs(run.take.q)
-        same = [
-            x.turned
-            for x in runs
-            if x[:2] == run[:2] and x.take.test != run.take.test and run.calibration == "none"
-        ]
-        turned = np.angle(run.turned / np.exp(1j * np.angle(sum(x.sum() for x in same) or 1.0)))
-        line = {"method": run.method, "calibration": run.calibration, "take": run.take.name}
-        line["length_mm"] = np.nan if run.method == "authors' output" else length_mm
+        alike = [other for other in runs if other.name == run.name and other.take.test != run.take.test]
+        mean = sum(other.turned.sum() for other in alike) if run.calibration == "none" else 1.0
+        turned = np.angle(run.turned / np.exp(1j * np.angle(mean)))
+        line = {"method": run.method, "calibration": run.calibration, "length_mm": run.length_mm}
+        line |= {"name": run.name, "take": run.take.name}
         for name, (low, high) in BENDS_DEG.items():
             line[name] = rms_deg(off[(np.degrees(truth) >= low) & (np.degrees(truth) < high)])
         line["rmse_tilt_z_deg"] = rms_deg(np.abs(run.q) - run.take.tilt_z)
@@ -678,7 +691,7 @@ def taken(takes: Sequence[Take]) -> pd.DataFrame:
 
 def median_errors(errors: pd.DataFrame) -> pd.DataFrame:
     """Return medians over the takes, and how many takes there are."""
-    groups = errors.groupby(["method", "calibration", "length_mm"], sort=False, dropna=False)
+    groups = errors.groupby(["method", "calibration", "length_mm", "name"], sort=False, dropna=False)
     return groups.median(numeric_only=True).assign(takes=groups.size()).reset_index()
 
 
@@ -686,13 +699,13 @@ def over_time(runs: Sequence[Run], points: int = 200) -> pd.DataFrame:
     """Return bends and directions over time, these less their mean and where the bend is large enough."""
     lines = []
     takes = {run.take.name: run.take for run in runs}
-    for run in [*(Run("motion capture", "none", take, take.q) for take in takes.values()), *runs]:
+    for run in [*(Run("motion capture", "none", np.nan, take, take.q) for take in takes.values()), *runs]:
         bent = (np.abs(run.take.q) >= np.radians(LEAST_BEND_DEG)) & np.isfinite(run.q)
         mean = np.exp(1j * np.angle(run.q[bent])).sum()
         direction = np.where(bent, np.degrees(np.angle(run.q / mean)), np.nan)
         columns = {"time_s": run.take.time_s - run.take.time_s[0], "bend_deg": np.degrees(np.abs(run.q))}
         table = pd.DataFrame(
-            {**columns, "direction_deg": direction, "take": run.take.name, "method": run.method}
+            {**columns, "direction_deg": direction, "take": run.take.name, "method": run.name}
         )
         lines.append(table[:: max(len(table) // points, 1)])
     return pd.concat(lines, ignore_index=True)

@@ -1,1 +1,0 @@
-"""The page `notebooks/probabilistic_curvature.ipynb`."""
