@@ -171,13 +171,13 @@ def made_up(name, truth_deg, direction_deg=0.0):
 def run(take, off_deg, turned_deg=0.0, deviation_deg=1.0, calibration="none"):
     bend = np.radians(np.nanmean(np.degrees(np.abs(take.q))) + off_deg * np.ones(4))
     q = bend * np.exp(1j * (np.nanmean(np.angle(take.q)) + np.radians(turned_deg)))
-    return mitchell.Run("ours", calibration, take, q, np.radians(np.full(4, deviation_deg)))
+    return mitchell.Run("ours", calibration, 13.0, take, q, np.radians(np.full(4, deviation_deg)))
 
 
 def test_errors_of_made_up_takes():
     """Three readings count. Errors of 3, 4 and 0 degrees: sqrt(25/3); the z axis tilts by half: 18, 19 and 15."""
     line = mitchell.bend_errors(
-        [run(made_up("bend_1_try_1", 30), np.array([3, 50, 4, 0]), deviation_deg=1.6)], 13.0
+        [run(made_up("bend_1_try_1", 30), np.array([3, 50, 4, 0]), deviation_deg=1.6)]
     ).iloc[0]
     assert line["rmse_deg"] == line["rmse_20_to_40_deg"] == pytest.approx(np.sqrt(25 / 3))
     assert np.isnan(line["rmse_below_20_deg"])
@@ -191,19 +191,51 @@ def test_directions_count_less_the_mean_turn_of_other_tests():
     """A calibration says itself how the sensor is turned, and the direction of a small bend does not count."""
     takes = [made_up(f"bend_{k}_try_1", 30, 50.0 * k) for k in (1, 2, 3)]
     runs = [run(take, 0.0, turned) for take, turned in zip(takes, (35, 20, 40), strict=True)]
-    found = mitchell.bend_errors(runs, 13.0)["direction_deg"]
+    found = mitchell.bend_errors(runs)["direction_deg"]
     np.testing.assert_allclose(found, [5.0, 17.5, 12.5], atol=1e-6)
     calibrated = [one._replace(calibration="other tests") for one in runs]
-    np.testing.assert_allclose(
-        mitchell.bend_errors(calibrated, 13.0)["direction_deg"], [35, 20, 40], atol=1e-6
-    )
+    np.testing.assert_allclose(mitchell.bend_errors(calibrated)["direction_deg"], [35, 20, 40], atol=1e-6)
     small = run(made_up("bend_1_try_1", 19.9), 0.0, 35.0)
-    assert np.isnan(mitchell.bend_errors([small], 13.0)["direction_deg"].item())
+    assert np.isnan(mitchell.bend_errors([small])["direction_deg"].item())
 
 
 def test_two_tries_of_one_test_do_not_correct_each_other():
     runs = [run(made_up(f"bend_1_try_{k}", 30), 0.0, 30.0) for k in (1, 2)]
-    np.testing.assert_allclose(mitchell.bend_errors(runs, 13.0)["direction_deg"], 30.0, atol=1e-6)
+    np.testing.assert_allclose(mitchell.bend_errors(runs)["direction_deg"], 30.0, atol=1e-6)
+
+
+def test_medians_are_over_the_takes_of_a_method_and_a_length():
+    takes = [made_up(f"bend_{k}_try_1", 30) for k in (1, 2, 3)]
+    runs = [run(take, off) for take, off in zip(takes, (1.0, 2.0, 9.0), strict=True)]
+    longer = [one._replace(method="paper, as released", length_mm=mm) for one in runs for mm in (13.0, 15.0)]
+    found = mitchell.median_errors(mitchell.bend_errors([*runs, *longer]))
+    np.testing.assert_allclose(found["rmse_deg"], 2.0)
+    assert found["takes"].tolist() == [3, 3, 3]
+    assert found["name"].tolist()[1:] == [f"paper's filter, as released, {mm} mm" for mm in (13, 15)]
+
+
+def test_no_take_calibrates_itself(synthetic):
+    for take in synthetic:
+        found = mitchell.calibrations(take, synthetic)
+        assert all(other is not take for some in found.values() for other in some)
+        assert {other.test for other in found.get("other try", [])} <= {take.test}
+        assert take.test not in {other.test for other in found["other tests"]}
+    assert [len(mitchell.calibrations(take, synthetic).get("other try", [])) for take in synthetic] == [
+        1,
+        1,
+        0,
+        0,
+    ]
+    assert list(mitchell.calibrations(synthetic[0], synthetic[:1])) == ["none"]
+
+
+def test_curves_over_time_begin_at_zero_and_have_directions_where_the_module_is_bent(synthetic):
+    take = synthetic[2]
+    table = mitchell.over_time([mitchell.Run("ours", "other tests", 13.0, take, take.q)])
+    assert table["method"].unique().tolist() == ["motion capture", "ratios, calibrated on other tests"]
+    assert table.groupby("method")["time_s"].min().eq(0).all()
+    assert (table["direction_deg"].notna() == (table["bend_deg"] >= mitchell.LEAST_BEND_DEG)).all()
+    assert table["direction_deg"].abs().max() < 0.1
 
 
 def test_rest_is_where_the_ratio_varies_least():

@@ -16,7 +16,7 @@ from edition1_companion.cli import app
 
 PROJECT = Path(__file__).resolve().parents[4]
 PAGES = sorted(path for path in (PROJECT / "notebooks").glob("*.ipynb") if b"edition1" in path.read_bytes())
-FREE = {("bend_tests", "shown"), ("recorded_trial", "capture_layout")}
+FREE = {("recorded_trial", "capture_layout")}
 """Texts and dictionaries of which there is no fixed set: takes, a part of a name, columns of a file of one's own."""
 
 
@@ -79,12 +79,3 @@ def test_a_run_beyond_the_range_is_refused():
     assert done.returncode == 2
     said = "Input parameter n_segments of sensor_count.ipynb must be at least 1; instead received -4."
     assert done.stderr.startswith(f"repro: {said}\n")
-
-
-def test_choices_in_a_line_of_their_own():
-    """One of them holds a comma, so it stands in quotation marks."""
-    notebook = read_notebook(PROJECT / "notebooks" / "bend_tests.ipynb")
-    calibration = declared_parameters(notebook, "bend_tests.ipynb")["calibration"]
-    assert convert(calibration, "other tests, per axis", "bend_tests.ipynb") == "other tests, per axis"
-    with pytest.raises(InputError, match="must be one of: none, other try, other tests, "):
-        convert(calibration, "per axis", "bend_tests.ipynb")

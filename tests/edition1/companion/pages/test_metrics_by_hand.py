@@ -1,21 +1,17 @@
 """Errors, ratios and shares of tables, on small cases that are counted by hand."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
-import torch
 from scipy.stats import norm
 
 from edition1.sensing.placement import Tolerances
 from edition1_companion.book.bootstrap import interval
-from edition1_companion.pages.bend_tests import errors as bend_errors
 from edition1_companion.pages.closed_loop import tables as loops
 from edition1_companion.pages.closed_loop.loop import reference_mm
 from edition1_companion.pages.fusion import study as fusion
-from edition1_companion.twins.bend_tests import BendTake
 from edition1_companion.twins.segment_motion import TRAJECTORIES, motion
 
 
@@ -49,78 +45,6 @@ class TestLoops:
         assert np.abs(eight).max(axis=0) == pytest.approx([3.0, 6.0], rel=1e-4)
         steps = np.diff(reference_mm("step", np.arange(0.0, 30.0, 5.0)), axis=0)
         assert np.abs(steps).sum(axis=1).tolist() == [4.0, 4.0, 7.0, 9.0, 3.0]
-
-
-def bend_take(name, test, truth_deg, direction_deg, n=4):
-    """A take that motion capture saw at one bend and direction, its second reading masked."""
-    truth = pd.DataFrame({
-        "bend_rad": np.full(n, math.radians(truth_deg)),
-        "direction_rad": np.full(n, math.radians(direction_deg)),
-        "tilt_z_rad": np.full(n, math.radians(truth_deg / 2)),
-    })  # fmt: skip
-    truth.iloc[1] = np.nan
-    one = torch.ones(n, 3, dtype=torch.float64)
-    times = np.arange(float(n))
-    return BendTake(
-        name, test, 1, times, one, np.ones(n), one[0, :2], one[0], truth, None, math.nan, "none", {}
-    )
-
-
-def bend_run(take, off_deg, turned_deg, deviation_deg):
-    bend = np.nan_to_num(take.truth["bend_rad"].to_numpy()) + np.radians(off_deg)
-    direction = take.truth["direction_rad"] + np.radians(turned_deg)
-    found = pd.DataFrame(
-        {"bend_rad": bend, "direction_rad": direction, "deviation_rad": np.radians(deviation_deg)}
-    )
-    return bend_errors.Run("ours", "none", 13.0, take, found)
-
-
-class TestBendTests:
-    def test_errors_of_made_up_takes(self):
-        """Three readings count. Errors of 3, 4 and 0 degrees: sqrt(25/3); the z axis tilts by half, so 18, 19, 15."""
-        first = bend_run(bend_take("a", 0, 30.0, 10.0), np.array([3.0, 50.0, 4.0, 0.0]), 12.0, 1.9)
-        second = bend_run(bend_take("b", 1, 30.0, 90.0), np.array([1.0, 50.0, -1.0, 1.0]), 7.0, 0.49)
-        table = bend_errors.errors_by_take([first, second]).set_index("take")
-        assert table["rmse_deg"].tolist() == pytest.approx([math.sqrt(25 / 3), 1.0])
-        assert table["rmse_tilt_z_deg"]["a"] == pytest.approx(math.sqrt((18**2 + 19**2 + 15**2) / 3))
-        # Within two deviations: 3.0 and 0.0 of 3.8 degrees; of 0.98 degrees none.
-        assert table["within_percent"].tolist() == pytest.approx([200 / 3, 0.0])
-        # Turned by 12 and 7 degrees: each less the other.
-        assert table["direction_deg"].tolist() == pytest.approx([5.0, 5.0])
-        in_frame = bend_errors.errors_by_take([replace(first, in_capture_frame=True), second]).set_index(
-            "take"
-        )
-        assert in_frame["direction_deg"]["a"] == pytest.approx(12.0)
-
-    @pytest.mark.parametrize(("bend_deg", "counts"), [(19.0, False), (21.0, True)])
-    def test_directions_count_from_twenty_degrees(self, bend_deg, counts):
-        runs = [
-            bend_run(bend_take(name, k, bend_deg, 0.0), 0.0, 10.0 * k, 1.0) for k, name in enumerate("ab")
-        ]
-        found = bend_errors.errors_by_take(runs)["direction_deg"]
-        assert found.notna().all() == counts
-        if counts:
-            assert found.tolist() == pytest.approx([10.0, 10.0])
-
-    def test_medians_are_those_over_all_takes(self):
-        runs = [bend_run(bend_take(name, k, 30.0, 0.0), off, 0.0, 1.0)
-                for k, (name, off) in enumerate([("a", 1.0), ("b", 2.0), ("c", 9.0)])]  # fmt: skip
-        table = bend_errors.median_errors(bend_errors.errors_by_take(runs))
-        assert table["rmse_deg"].tolist() == pytest.approx([2.0])
-        assert table["takes"].tolist() == [3]
-
-    def test_difference_from_the_log_and_the_largest_bend(self):
-        take = bend_take("a", 0, 30.0, 0.0)
-        logged = pd.DataFrame({"bend_rad": np.radians([27.0, 0.0, 26.0, 30.0]), "direction_rad": np.zeros(4)})
-        run = replace(bend_run(take, 0.0, 0.0, 1.0), method="paper, as released")
-        run = replace(run, take=replace(take, logged=logged))
-        found = bend_errors.beside_log([run])
-        assert found["difference_deg"].tolist() == pytest.approx([math.sqrt((9 + 0 + 16 + 0) / 4)])
-        curves = bend_errors.estimates_over_time([bend_run(take, 2.0, 5.0, 1.5)], ["a"], every=1)
-        own = curves[curves["method"] == "ours"]
-        assert own["bend_deg"].iloc[[0, 2, 3]].tolist() == pytest.approx([32.0] * 3)
-        assert own["deviation_deg"].tolist() == pytest.approx([1.5] * 4)
-        assert own["direction_deg"].dropna().tolist() == pytest.approx([0.0] * 3, abs=1e-9)
 
 
 def test_interval_holds_ninety_five_per_cent():

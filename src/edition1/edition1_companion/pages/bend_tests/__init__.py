@@ -1,1 +1,0 @@
-"""The page `notebooks/bend_tests.ipynb`."""
