@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
 
-from repro import GradientDescent, Sensing, track
-from repro_companion.papers import baaij, mitchell, rig
+from repro import GradientDescent, Sensing, exact_arcs, pcc_extended, track
+from repro_companion.papers import baaij, martin, mitchell, rig
 from repro_companion.show import project_folder
 
 
@@ -80,10 +80,27 @@ def particle_filter() -> pd.DataFrame:
     return table
 
 
+def martin_calibration() -> pd.DataFrame:
+    """Return errors [mm] after the first minute of ten synthetic trials, with and without a calibration: a minute."""
+    methods = {martin.BASELINE: (pcc_extended, None), "PCC-16 + frame": (pcc_extended, False)}
+    methods |= {"exact arcs": (exact_arcs, None), "exact arcs + frame": (exact_arcs, False)}
+    methods[martin.BEST] = (exact_arcs, True)
+    moved, parts = martin.motion(), []
+    for seed in range(10):
+        trial = martin.draw(moved, seed)
+        for name, (model, per_imu) in methods.items():
+            errors = martin.calibrated_errors(trial, model, per_imu).rename(columns={"arc_mm": "point_mm"})
+            parts.append(errors.assign(method=name, draw=seed))
+    table = pd.concat(parts, ignore_index=True)[["method", "mode", "point_mm", "median_mm", "q75_mm", "draw"]]
+    table.attrs = {"draws": list(range(10)), "first_s": 60.0, "every": 10}
+    return table
+
+
 STUDIES: dict[str, Callable[[], pd.DataFrame]] = {
     "rig_starts": rig_starts,
     "table_1_best": table_1_best,
     "particle_filter": particle_filter,
+    "martin_calibration": martin_calibration,
 }
 
 

@@ -950,3 +950,115 @@ def bend_error_by_noise(
         panel.set_ylabel("RMSE [mm]")
         panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **BESIDE)
     return closed(figure)
+
+
+# Motion sensors: Table II and Figs 3 to 6 of Martin et al.
+
+MARKER_LOOKS = {"M1": (BLUE, 360.0), "M2": (PINK, 600.0)}
+"""Colours of the paper, and distances along the arm [mm]."""
+
+
+def table_ii(printed: pd.DataFrame, errors: pd.DataFrame, badge: str) -> HTML:
+    """Return Table II as printed: published relative errors [%], below them ours."""
+    known, names = printed.set_index(["row", "quantity"])["printed"], {"median": "median_mm", "q3": "q75_mm"}
+    models, lines = (
+        {"rigid-body": "rigid-body, 8 IMUs", "PCC-extended": "PCC-extended, 8 IMUs, 16 segments"},
+        [],
+    )
+    for marker, (_, at) in MARKER_LOOKS.items():
+        for quantity, column in names.items():
+            cells = []
+            for model, case in models.items():
+                own = errors[(errors["case"] == case) & (errors["marker"] == marker)]
+                ours = own.groupby("draw")[column].mean() * 100 / at
+                spread = f" ± {ours.std():.1f}" if len(ours) > 1 else ""
+                text = f"{ours.mean():.1f}{spread}" if len(ours) else "–"
+                cells.append(f"<td><small>{known[f'{marker} {model}', quantity]}</small>{text}</td>")
+            head = f"{marker} ({at:.0f} mm), {'median' if quantity == 'median' else 'Q3'}"
+            lines.append(f'<tr><th scope="row">{head}</th>{"".join(cells)}</tr>')
+    heads = "".join(f'<th scope="col">{model} [%]</th>' for model in models)
+    mark = f'<span style="border: 1px solid; border-radius: 1em; padding: 0.1em 0.7em">{badge}</span>'
+    box = '<div class="table-1" id="fig-table-ii" tabindex="0" role="region" aria-label="Table II">'
+    head = f'<thead><tr><th scope="row">marker</th>{heads}</tr></thead>'
+    body = f"<table>{head}<tbody>{''.join(lines)}</tbody></table>"
+    words = "Upper: published, hardware. Lower: synthetic trials, mean ± standard deviation over draws of the sensors."
+    return HTML(f'{TABLE_1}<p>{mark}</p>{box}{body}</div><p class="table-1">{words}</p>')
+
+
+@style()
+def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figure:
+    """Draw Figs 3 to 5: boxes of the markers' errors [mm] with published medians and third quartiles."""
+    groups = {"Fig. 3": ("n_imus", "IMUs"), "Fig. 4": ("segments", "segments"), "Fig. 5": ("n_imus", "IMUs")}
+    figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), sharey=True, width_ratios=(3, 4, 3))
+    for panel, (name, (column, label)) in zip(panels, groups.items(), strict=True):
+        own, known = boxes[boxes["figure"] == name], printed[name]
+        steps = sorted(own[column].unique())
+        for shift, (marker, (colour, at)) in zip((-0.2, 0.2), MARKER_LOOKS.items(), strict=True):
+            for case in own[own["marker"] == marker].to_dict("records"):
+                x, keys = steps.index(case[column]) + shift, ("whislo", "q1", "med", "q3", "whishi")
+                values = [case[f"{q}_mm"] for q in ("q05", "q25", "median", "q75", "q95")]
+                box = {"facecolor": colour, "alpha": 0.35, "edgecolor": colour}
+                panel.bxp([dict(zip(keys, values, strict=True))], positions=[x], widths=0.34, showfliers=False,
+                          patch_artist=True, manage_ticks=False, boxprops=box, medianprops={"color": colour, "lw": 2},
+                          whiskerprops={"color": colour}, capprops={"color": colour})  # fmt: skip
+                ending = {"n_imus": "IMUs", "segments": "segments( and more)?"}[column]
+                number = min(case[column], 16)  # "16 segments and more"
+                rows = known[known["row"].str.fullmatch(rf"{marker} .*\b{number} {ending}")]
+                for row in rows.itertuples():
+                    value = row.value * (at / 100 if row.unit == "%" else 1)
+                    panel.plot(
+                        x, value, "D" if row.quantity == "median" else "^", color="#1A1A1A", mec="white", ms=6
+                    )
+        panel.set(title=name, xlabel=label, ylim=(0, None))
+        panel.set_xticks(range(len(steps)), [str(k) for k in steps])
+        panel.grid(visible=False, axis="x")
+    panels[0].set_ylabel("error [mm]")
+    lines = [
+        Line2D([], [], color=colour, lw=6, alpha=0.4, label=m) for m, (colour, _) in MARKER_LOOKS.items()
+    ]
+    for shape, words in (("D", "published median"), ("^", "published Q3")):
+        lines.append(Line2D([], [], color="#1A1A1A", marker=shape, mec="white", ls="", label=words))
+    figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def error_hull(hull: pd.DataFrame) -> Figure:
+    """Draw Fig. 6: the arm in one pose of each mode, leaning to one side, in a hull with the error as radius."""
+    modes = hull.groupby("mode", sort=False)
+    figure, panels = plt.subplots(1, len(modes), figsize=(WIDTH, 2.2), sharex=True, sharey=True)
+    for panel, (mode, part) in zip(np.atleast_1d(panels), modes, strict=True):
+        away = part[["x_mm", "y_mm"]].iloc[-1].to_numpy()
+        away = away / np.linalg.norm(away)
+        for prefix, look in (("", {"color": "#1A1A1A", "lw": 2}), ("estimate_", {"color": ORANGE})):
+            x = part[[f"{prefix}x_mm", f"{prefix}y_mm"]].to_numpy() @ away
+            line = np.vstack([[0, 0], np.stack([x, part[f"{prefix}z_mm"]], axis=-1)])
+            panel.plot(*line.T, **look)
+            if not prefix:
+                discs = [Circle(p, r) for p, r in zip(line[1:], part["radius_mm"], strict=True)]
+                panel.add_collection(PatchCollection(discs, color=SKY, alpha=0.25, lw=0))
+        panel.set(title=mode, aspect="equal", xlabel="aside [mm]")
+    np.atleast_1d(panels)[0].set_ylabel("height [mm]")
+    lines = [Line2D([], [], color="#1A1A1A", label="arm"), Line2D([], [], color=ORANGE, label="estimate")]
+    lines.append(Line2D([], [], color=SKY, lw=6, alpha=0.5, label="within Q3 of the error"))
+    figure.legend(handles=lines, loc="outside upper center", ncols=3, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def links_of_models(chains: dict[str, np.ndarray], arm: np.ndarray, links: int) -> Figure:
+    """Draw joints of models ``[points, 3]`` [m] beside the arm, from the side, with the gap after each link."""
+    figure, panels = plt.subplots(1, len(chains), figsize=(WIDTH, 3.8), sharex=True, sharey=True)
+    away = arm[-1, :2] / np.linalg.norm(arm[-1, :2])
+    side, colours = 1e3 * np.stack([arm[:, :2] @ away, arm[:, 2]], axis=-1), (ORANGE, BLUE)
+    for panel, (name, joints), colour in zip(panels, chains.items(), colours, strict=True):
+        line = np.vstack([[0, 0], 1e3 * np.stack([joints[:, :2] @ away, joints[:, 2]], axis=-1)])
+        panel.plot(*side.T, color="#1A1A1A", lw=2, label="arm")
+        panel.plot(*line.T, "o-", color=colour, ms=3.5, lw=2)
+        ends = [x[:: (len(x) - 1) // links] for x in (line, side)]
+        panel.plot(*np.stack(ends, axis=1)[1:].T, color="0.45", ls=":")
+        panel.plot([], [], color="0.45", ls=":", label="from the end of a link to its place on the arm")
+        panel.set(title=name, xlabel="aside [mm]", aspect="equal")
+    panels[0].set_ylabel("height [mm]")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
+    return closed(figure)

@@ -1,0 +1,679 @@
+"""Martin et al. 2022: the arm with eight IMUs, a SYNTHETIC trial of it, errors of both models, the released files."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation, Slerp
+
+from repro import Arm, calibrate_imus, calibrated, pcc_extended, rigid_body
+from repro.common import require
+from repro.estimators.imu import ShapeModel
+from repro_companion.run import digest, project_folder, recordings_folder
+
+# The arm and Table I
+
+POSITIONS = 0.08 * np.arange(9)
+"""Of the base and of IMUs #1 to #8 along the arm [m]."""
+MARKERS = (0.36, 0.6)
+"""Of M1 and M2 [m]."""
+RIGID = {
+    ("table", 2): (2, 6),
+    ("table", 4): (2, 4, 6, 8),
+    ("text", 2): (2, 6),
+    ("text", 4): (1, 3, 5, 7),
+    ("files", 2): (1, 6),
+    ("files", 4): (1, 3, 5, 7),
+}
+"""IMUs of the rigid-body model: Table I and the text differ for four IMUs, the released files for two."""
+HALF_TURN = (0.0, 0.0, 1.0, 0.0)
+"""Of the base in the released chains: ``base_orientation_quaternion`` in ``my_config.yaml``."""
+ORIGIN = (0.0, 0.0, 0.0178)
+"""Of the released chains, above the base [m]."""
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def arm(model: str, n_imus: int = 8, segments: int = 16, reading: str = "text") -> Arm:
+    """Return IMUs and links of a model, "rigid" or "pcc", by Table I, the text, or the IMUs of the released files."""
+    require(model in ("rigid", "pcc"), "model", "arm", "'rigid' or 'pcc'", repr(model))
+    require(n_imus in (2, 4, 8), "n_imus", "arm", "2, 4 or 8", n_imus)
+    require(reading in ("table", "text", "files"), "reading", "arm", "table, text or files", repr(reading))
+    links = [0.64 / n_imus] * n_imus
+    if model == "rigid":
+        imus = RIGID.get((reading, n_imus), tuple(range(1, 9)))
+        return Arm(imus, POSITIONS[list(imus)], links, MARKERS)
+    whole = segments >= n_imus and segments % n_imus == 0
+    require(whole, "segments", "arm", f"a multiple of the {n_imus} IMUs", segments)
+    imus = tuple(range(0, 9, 8 // n_imus))
+    return Arm(imus, POSITIONS[list(imus)], links, MARKERS, sub_segments=segments // n_imus)
+
+
+def released_arm(model: str, n_imus: int = 8, segments: int = 16) -> Arm:
+    """Return the chain behind a figure, with which the released table follows, and where it was evaluated."""
+    if (model, n_imus) == ("rigid", 8):
+        model, segments = "pcc", 8  # the boxes of the rigid-body model with eight IMUs are those of pcc1.csv
+    own = arm(model, n_imus, segments, "files")
+    imus, arcs, links = own.imus, own.imu_arcs, list(own.link_lengths)
+    between, first = "midpoints", links[0] - (0.018 if model == "rigid" else ORIGIN[2])
+    markers = (0.302, 0.542) if model == "rigid" else (0.3022, 0.5422)
+    if n_imus == 8:
+        first, markers = 0.057, (0.337, 0.577)
+        between = "inner points"
+    if (n_imus, segments) == (8, 8):
+        imus, arcs, links, markers = imus[:-1], arcs[:-1], links[:-1], (0.297, 0.537)
+        between = "midpoints"
+    turn = (0.0, 0.0, 0.0, 1.0) if model == "rigid" else HALF_TURN
+    links = [first, *links[1:]]
+    return replace(
+        own, imus=imus, imu_arcs=arcs, link_lengths=links, markers=markers, interpolation=between,
+        base_turn=turn, origin=ORIGIN,
+    )  # fmt: skip
+
+
+def mid_section() -> Arm:
+    """Return the chain of rigid.csv, which is in no figure: each IMU in the middle of its link but the first."""
+    return Arm(range(1, 8), POSITIONS[1:8], [0.12, *[0.08] * 6], MARKERS)
+
+
+def at_the_markers(made: Arm) -> Arm:
+    """Return a released chain evaluated at the markers, if it was evaluated 40 mm before them."""
+    if abs(made.markers[0] + made.origin[2] - MARKERS[0]) < 0.02:
+        return made
+    markers = [at + 0.04 for at in made.markers]
+    if sum(made.link_lengths) < markers[1]:  # it ends below M2: IMU #8 takes it on
+        longer = {"imus": [*made.imus, 8], "imu_arcs": [*made.imu_arcs, POSITIONS[8]]}
+        made = replace(made, link_lengths=[*made.link_lengths, 0.08], **longer)
+    return replace(made, markers=markers)
+
+
+def shape(q: np.ndarray, made: Arm, arcs: Any) -> np.ndarray:
+    """Return positions ``[..., points, 3]`` [m] by the arm's model, from orientations of base and all IMUs."""
+    model = pcc_extended if np.any(made.sub_segments) else rigid_body
+    return model(made.select(q), made, arcs)
+
+
+# A SYNTHETIC trial: a Cosserat rod moved by a stick, as IMUs and motion capture would have seen it
+
+SCHEDULE = {
+    0.0: "oscillating",
+    90.0: "buckling",
+    112.0: "circling",
+    134.0: "oscillating",
+    206.0: "buckling",
+    226.0: "circling",
+}
+"""Start [s] of each mode of motion; assumed, as all of the motion."""
+SEEN = (*MARKERS, 0.20, 0.48, 0.64)
+"""Markers, and further points that no fit may use [m]."""
+RATE_HZ, LATENCY_S, SKEW_S, LATEST_START_S = 31.0, 0.010, 0.0038, 2.0
+"""Readings of an IMU each second (section III-A); and assumed: their age, time between IMUs, start of the cameras."""
+CAPTURE_HZ, CAPTURE_NOISE = 100.0, 0.001
+"""Section III-A."""
+
+
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return quaternions XYZW of the turns ``b``, then ``a``."""
+    v = a[..., 3:] * b[..., :3] + b[..., 3:] * a[..., :3] + np.cross(a[..., :3], b[..., :3])
+    return np.concatenate([v, a[..., 3:] * b[..., 3:] - (a * b)[..., :3].sum(-1, keepdims=True)], axis=-1)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How the synthetic arm moved: positions ``[t, points, 3]`` [m] and orientations ``[t, 9, 4]`` at 50 Hz."""
+
+    time_s: np.ndarray
+    positions: np.ndarray
+    arcs: np.ndarray
+    orientations: np.ndarray
+
+    @cached_property
+    def splines(self) -> tuple[CubicSpline, list[CubicSpline]]:
+        """Cubic splines in time, of the positions and of each orientation."""
+        turned = [CubicSpline(self.time_s, q) for q in self.orientations.swapaxes(0, 1)]
+        return CubicSpline(self.time_s, self.positions), turned
+
+    def points(self, time_s: np.ndarray, arcs: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Return positions ``[t, points, 3]`` [m] at distances from the base that the file has."""
+        columns = [int(np.argmin(np.abs(self.arcs - arc))) for arc in arcs]
+        return self.splines[0](time_s)[:, columns]
+
+    def imu(self, time_s: np.ndarray, k: int) -> np.ndarray:
+        """Return how an IMU is turned, as quaternions ``[t, 4]``."""
+        q = self.splines[1][k](time_s)
+        return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def motion() -> Motion:
+    """Read the motion, which PyElastica computed; the file holds second differences in time."""
+    with np.load(project_folder() / "data" / "soft_arm.npz", allow_pickle=False) as file:
+        steps = [file[name].astype(np.int64) for name in ("positions", "orientations")]
+        positions, q = (np.moveaxis(x.cumsum(axis=-1).cumsum(axis=-1), -1, 0) for x in steps)
+        q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+        return Motion(file["time_s"], 1e-5 * positions, file["point_arcs_m"], q)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Standard deviations of what sensors and motion capture get wrong; all assumed."""
+
+    mounting_deg: float = 3.0
+    """Of each IMU about each of its axes."""
+    heading_deg: float = 6.0
+    heading_wander_deg: float = 2.0
+    """With a correlation time of 40 s."""
+    tilt_deg: float = 1.0
+    """About each horizontal axis, once constant and once varying within 3 s."""
+    frame_mm: float = 5.0
+    """Of the origin of the motion capture, along each axis."""
+    frame_deg: float = 2.0
+    """Of its direction about the vertical."""
+
+
+def wandering(
+    steps: int, paths: tuple[int, int], time_s: float, generator: np.random.Generator
+) -> np.ndarray:
+    """Return stationary Gaussian processes of unit variance and correlation exp(-t/time_s), one step per reading."""
+    decay = math.exp(-1 / (RATE_HZ * time_s))
+    drawn = generator.standard_normal((steps, *paths))
+    drawn[1:] *= math.sqrt(1 - decay**2)
+    return lfilter([1.0], [1.0, -decay], drawn, axis=0)
+
+
+def read_imus(moved: Motion, errors: Errors, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return times ``[rounds, 8]`` [s] and quaternions ``[rounds, 8, 4]`` of IMUs that are read in turn."""
+    rounds = int((moved.time_s[-1] - 7 * SKEW_S) * RATE_HZ * (1 + 1e-12)) + 1
+    seen_s = np.minimum(np.arange(rounds)[:, None] / RATE_HZ + SKEW_S * np.arange(8), moved.time_s[-1])
+    mounting = np.radians(errors.mounting_deg) * generator.standard_normal((8, 3))
+    heading = np.radians(errors.heading_deg) * generator.standard_normal((8, 1))
+    tilt = np.radians(errors.tilt_deg) * generator.standard_normal((8, 2))
+    wander = np.radians(errors.heading_wander_deg) * wandering(rounds, (8, 1), 40.0, generator)
+    sway = np.radians(errors.tilt_deg) * wandering(rounds, (8, 2), 3.0, generator)
+    repeated = generator.random((rounds, 8)) < 0.001
+    q = np.empty((rounds, 8, 4))
+    for k in range(8):
+        turn, lean, mounted = (
+            Rotation.from_rotvec(v).as_quat()
+            for v in ((heading[k] + wander[:, k]) * UP, (tilt[k] + sway[:, k]) @ np.eye(2, 3), mounting[k])
+        )
+        q[:, k] = product(product(turn, lean), product(moved.imu(seen_s[:, k], k + 1), mounted))
+    q = np.round(q * 2.0**14) / 2.0**14  # resolution of the sensor, datasheet BST-BNO055-DS000
+    repeated[0] = False
+    latest = np.maximum.accumulate(np.where(repeated, 0, np.arange(rounds)[:, None]), axis=0)
+    return seen_s + LATENCY_S, np.take_along_axis(q, latest[..., None], axis=0)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A trial on the clock of the IMUs: an upright base and eight IMUs ``[t, 9, 4]``, points ``[t, 5, 3]`` [m]."""
+
+    time_s: np.ndarray
+    orientations: np.ndarray
+    points: np.ndarray
+    frame: Rotation
+    origin: np.ndarray
+    """Of the motion capture: what a recording does not tell."""
+
+    @property
+    def mode(self) -> np.ndarray:
+        """Return the mode of motion at each sample."""
+        return modes_at(self.time_s)
+
+    def truth(self, moved: Motion, arcs: Sequence[float] | np.ndarray, every: int = 1) -> np.ndarray:
+        """Return where points of the arm were at every n-th sample [m], in the frame of the motion capture."""
+        points = moved.points(self.time_s[::every] - LATENCY_S, arcs)
+        return points @ self.frame.as_matrix().T + self.origin
+
+
+def modes_at(time_s: np.ndarray) -> np.ndarray:
+    """Return the mode of motion at each time."""
+    return np.array([*SCHEDULE.values()])[np.searchsorted([*SCHEDULE], time_s, side="right") - 1]
+
+
+def clock_lag(time_s: np.ndarray, a: np.ndarray, other_s: np.ndarray, b: np.ndarray) -> float:
+    """Return what to add to the other clock [s]: where two signals correlate best, within 5 s (section III-B3)."""
+    step = 1 / CAPTURE_HZ
+    on = []
+    for t, values in ((time_s, a), (other_s, b)):
+        k = np.arange(math.ceil(t[0] / step), math.floor(t[-1] / step) + 1)
+        on.append((int(k[0]), np.interp(k * step, t, values)))
+    (first_a, a), (first_b, b) = on
+
+    def correlation(lag: int) -> float:
+        start = first_b - first_a + lag  # of the second signal, in steps of the first
+        i, j = max(start, 0), min(start + len(b), len(a))
+        return float(np.corrcoef(a[i:j], b[i - start : j - start])[0, 1])
+
+    coarse = max(range(-500, 501, 10), key=correlation)
+    best = max(range(coarse - 10, coarse + 11), key=correlation)
+    before, top, after = (correlation(best + k) for k in (-1, 0, 1))
+    return step * (best + (before - after) / (2 * (before - 2 * top + after)))
+
+
+def draw(moved: Motion, seed: int, errors: Errors | None = None) -> Trial:
+    """Record the motion with other sensors and another frame, and bring the recording onto one clock."""
+    errors = errors or Errors()
+    sensors, cameras, frames = (np.random.default_rng(s) for s in (seed, [seed, 1], [seed, 2]))
+    origin = errors.frame_mm / 1e3 * frames.standard_normal(3)
+    frame = Rotation.from_rotvec(np.radians(errors.frame_deg) * frames.standard_normal() * UP)
+    read_s, q = read_imus(moved, errors, sensors)
+    start = cameras.uniform(0.0, LATEST_START_S)
+    capture_s = np.arange(int((moved.time_s[-1] - start) * CAPTURE_HZ) + 1) / CAPTURE_HZ
+    seen = moved.points(start + capture_s, SEEN) @ frame.as_matrix().T + origin
+    seen = seen + CAPTURE_NOISE * cameras.standard_normal(seen.shape)
+    # The clock is that of the last IMU of a round; the others are interpolated.
+    time_s = read_s[read_s[:, 7] <= read_s[-1, 0], 7]
+    each = [Slerp(read_s[:, k], Rotation.from_quat(q[:, k]))(time_s).as_quat() for k in range(8)]
+    q = np.stack([np.broadcast_to([0.0, 0.0, 0.0, 1.0], each[0].shape), *each], axis=1)
+    height = shape(q, arm("pcc"), MARKERS[1])[:, 0, 2]
+    capture_s = capture_s + clock_lag(time_s, height, capture_s, seen[:, 1, 2])
+    known = (time_s >= capture_s[0]) & (time_s <= capture_s[-1])
+    columns = [np.interp(time_s[known], capture_s, x) for x in seen.reshape(len(seen), -1).T]
+    points = np.stack(columns, axis=-1).reshape(-1, len(SEEN), 3)
+    return Trial(time_s[known], q[known], points, frame, origin)
+
+
+# Errors of the markers: Table II, Figs 3 to 6
+
+FILES, DESCRIBED, SAME_POINT = "as in the files", "as described", "same point"
+"""The chains of the released files where they were evaluated; text and Table I; those chains at the markers."""
+QUANTILES = {"q05_mm": 5, "q25_mm": 25, "median_mm": 50, "q75_mm": 75, "q95_mm": 95}
+KEYS = ["figure", "case", "model", "n_imus", "segments", "evaluation", "marker"]
+RIGID_8, PCC_16 = "rigid-body, 8 IMUs", "PCC-extended, 8 IMUs, 16 segments"
+
+
+class Case(NamedTuple):
+    """A model as it stands in a figure."""
+
+    figure: str
+    model: str
+    n_imus: int
+    segments: int
+
+    @property
+    def name(self) -> str:
+        """The case in words."""
+        words = "PCC-extended, {} IMUs, {} segments" if self.model == "pcc" else "rigid-body, {} IMUs"
+        return words.format(self.n_imus, self.segments)
+
+    def arms(self) -> dict[str, Arm]:
+        """Return its chain as in the released files, as described, and the released one at the markers."""
+        released = released_arm(*self[1:])
+        return {DESCRIBED: arm(*self[1:]), FILES: released, SAME_POINT: at_the_markers(released)}
+
+
+def cases(imus: Sequence[int] = (2, 4, 8), segments: Sequence[int] = (8, 16, 32, 64)) -> list[Case]:
+    """Return the models of Figs 3 to 5."""
+    found = [Case("Fig. 3", "rigid", n, n) for n in imus]
+    found += [Case("Fig. 4", "pcc", 8, n) for n in segments]
+    return found + [Case("Fig. 5", "pcc", n, 16) for n in imus]
+
+
+def distances(trial: Trial, made: Arm) -> np.ndarray:
+    """Return how far a model's points are from M1 and M2 ``[t, 2]`` [mm]."""
+    return 1e3 * np.linalg.norm(shape(trial.orientations, made, made.markers) - trial.points[:, :2], axis=-1)
+
+
+def marker_errors(trials: Sequence[Trial], chosen: Sequence[Case]) -> pd.DataFrame:
+    """Return quantiles of the markers' errors [mm] over the samples of each trial."""
+
+    def of_trial(number: int) -> list[Any]:
+        lines, found = [], {}
+        for case in chosen:
+            for evaluation, made in case.arms().items():
+                if made not in found:
+                    found[made] = np.percentile(
+                        distances(trials[number], made), [*QUANTILES.values()], axis=0
+                    )
+                for k, quantiles in enumerate(found[made].T):
+                    key = (case.figure, case.name, *case[1:], evaluation, f"M{k + 1}")
+                    lines.append((number, *key, *quantiles))
+        return lines
+
+    with ThreadPoolExecutor() as pool:
+        lines = [line for part in pool.map(of_trial, range(len(trials))) for line in part]
+    return pd.DataFrame(lines, columns=["draw", *KEYS, *QUANTILES])
+
+
+def by_mode(error: np.ndarray, mode: np.ndarray, arcs: Iterable[float]) -> pd.DataFrame:
+    """Return median and third quartile of errors ``[t, points]`` [mm] in all and in each mode of motion."""
+    parts = []
+    for part in ("all", *dict.fromkeys(mode.tolist())):
+        median, q3 = np.percentile(error[(mode == part) | (part == "all")], [50, 75], axis=0)
+        columns = {"mode": part, "arc_mm": 1e3 * np.array([*arcs]), "median_mm": median, "q75_mm": q3}
+        parts.append(pd.DataFrame(columns))
+    return pd.concat(parts, ignore_index=True)
+
+
+def errors_along(moved: Motion, trials: Sequence[Trial], every: int = 32) -> pd.DataFrame:
+    """Return errors [mm] along the arm and by mode of motion, against the true points of the synthetic arm."""
+    arcs, parts = 0.04 * np.arange(1, 17), []
+    mode = np.concatenate([trial.mode[::every] for trial in trials])
+    for name, made in {
+        RIGID_8: arm("rigid"),
+        "IMUs at mid-section": mid_section(),
+        PCC_16: arm("pcc"),
+    }.items():
+        reach = arcs[arcs <= sum(made.link_lengths) + 1e-9]
+        off = [shape(x.orientations[::every], made, reach) - x.truth(moved, reach, every) for x in trials]
+        error = 1e3 * np.linalg.norm(np.concatenate(off), axis=-1)
+        parts.append(by_mode(error, mode, reach).assign(model=name))
+    return pd.concat(parts, ignore_index=True)[["model", "mode", "arc_mm", "median_mm", "q75_mm"]]
+
+
+def hull(moved: Motion, trial: Trial, along: pd.DataFrame) -> pd.DataFrame:
+    """Return the arm in one pose of each mode, with the third quartile of the error as radius: Fig. 6."""
+    own = along[(along["model"] == PCC_16) & (along["mode"] == "all")]
+    arcs, parts = own["arc_mm"].to_numpy() / 1e3, []
+    both = np.concatenate([trial.truth(moved, arcs), shape(trial.orientations, arm("pcc"), arcs)], axis=-1)
+    names = [f"{of}{axis}_mm" for of in ("", "estimate_") for axis in "xyz"]
+    for mode in dict.fromkeys(trial.mode.tolist()):
+        samples = np.flatnonzero(trial.mode == mode)
+        k = samples[len(samples) // 4]
+        pose = pd.DataFrame(1e3 * both[k], columns=names).assign(mode=mode, time_s=trial.time_s[k])
+        parts.append(pose.assign(arc_mm=1e3 * arcs, radius_mm=own["q75_mm"].to_numpy()))
+    return pd.concat(parts, ignore_index=True)
+
+
+# The scorecard
+
+TIME = "first edition: PCC-extended chain, 8 IMUs, 16 segments [samples/s]"
+"""Name of the rate among the measured times."""
+TIME_NOTE = (
+    "CPU seconds of one core for 8,000 samples; the printed 18 minutes are of another computer, and the times in the "
+    "released pcc2.csv span 20.7 min, so replay may be included: no ratio is stated"
+)
+NOTES: dict[Any, str] = {
+    "Fig. 3": "read off the figure",
+    "Fig. 5": "read off the figure",
+    "Section IV-A": "taken for marker M1",
+    ("M1 rigid-body", "median"): "section IV-B prints 13.6 % for the same",
+    ("M2 rigid-body", "median"): "section IV-B prints 11.5 % for the same",
+    ("M1 PCC-extended 16 segments and more", "q3"): "mean of 16, 32, 64",
+}
+"""By artefact, or by row and quantity."""
+BEST_METHOD = "exact arcs of eight IMUs, calibrated on the first 60 s, evaluated on the rest; synthetic"
+
+
+def cases_of(row: str) -> tuple[list[str], str]:
+    """Return which cases a row of the published numbers is about, and the marker."""
+    n, segments = (re.search(rf"(\d+) {what}", row) for what in ("IMUs", "segments"))
+    imus, parts = int(n[1]) if n else 8, int(segments[1]) if segments else 16
+    model = "rigid" if "rigid" in row else "pcc"
+    finer = (16, 32, 64) if "and more" in row else (parts,)
+    return [Case("", model, imus, k).name for k in finer], "M2" if row.startswith("M2") else "M1"
+
+
+def scorecard_rows(table: pd.DataFrame, calibration: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of Martin et al.: as in the released files; the other evaluations stand in the notes."""
+    data = project_folder() / "data"
+    printed = pd.read_csv(data / "published" / "published.csv").query("paper == 'martin2022'")
+    rate = pd.read_csv(data / "benchmark.csv").set_index("capability")["figure"][TIME]
+    names = {"median": "median_mm", "q3": "q75_mm"}
+    values = table.pivot_table(
+        index=["evaluation", "draw"], columns=["case", "marker"], values=[*names.values()]
+    )
+    best = calibration[(calibration["method"] == BEST) & (calibration["mode"] == "all")]
+    best, lines = best.groupby("point_mm")[["median_mm", "q75_mm"]].mean(), []
+    for row in printed[["artefact", "row", "quantity", "unit"]].to_dict("records"):
+        (cases, marker), own = cases_of(row["row"]), {}
+        note = NOTES.get(row["artefact"]) or NOTES.get((row["row"], row["quantity"]))
+        if row["quantity"] == "time":
+            lines.append(row | {"regenerated": 8000 / rate, "setting": "benchmark", "note": TIME_NOTE})
+            continue
+        if not {RIGID_8 if row["quantity"] == "reduction" else cases[0], *cases} <= set(table["case"]):
+            continue
+        if row["quantity"] == "reduction":
+            medians = values["median_mm"]
+            ours, note = 100 * (1 - medians[PCC_16] / medians[RIGID_8]).mean(axis=1), "of the medians"
+        else:
+            at = 1e3 * MARKERS[marker == "M2"]
+            scale = 100 / at if row["unit"] == "%" else 1.0
+            ours = scale * values[names[row["quantity"]]][[(case, marker) for case in cases]].mean(axis=1)
+            if cases == [PCC_16]:
+                own = {"best": scale * best[names[row["quantity"]]][at], "best_method": BEST_METHOD}
+        others = "; ".join(f"{way} {ours[way].mean():.3g}" for way in (DESCRIBED, SAME_POINT))
+        note = "; ".join(filter(None, (note, f"evaluated {others}")))
+        numbers = {
+            "regenerated": ours[FILES].mean(),
+            "regenerated_std": ours[FILES].std(),
+            "n_seeds": len(ours[FILES]),
+        }
+        lines.append(row | numbers | own | {"setting": "synthetic", "note": note, "comparable": False})
+    return pd.DataFrame(lines).assign(paper="martin2022")
+
+
+# Beyond the paper: calibrated on the first minute
+
+BASELINE, BEST = "PCC-16", "exact arcs + all"
+"""Names of methods in the study ``martin_calibration``: the paper's model as it is, and ours."""
+
+
+def calibrated_errors(
+    trial: Trial, model: ShapeModel, per_imu: bool | None, first_s: float = 60.0
+) -> pd.DataFrame:
+    """Return errors [mm] after the first minute; on it the frame, or headings and mountings too, are calibrated."""
+    made, q, origin = arm("pcc"), trial.orientations, np.zeros(3)
+    first = trial.time_s - trial.time_s[0] < first_s
+    if per_imu is not None:
+        found = calibrate_imus(q[first][::10], trial.points[first][::10, :2], model, made, per_imu=per_imu)
+        q, origin = calibrated(q, found), found.translation
+    off = model(q[~first], made, SEEN) + origin - trial.points[~first]
+    return by_mode(1e3 * np.linalg.norm(off, axis=-1), trial.mode[~first], SEEN)
+
+
+def calibration_ratios(table: pd.DataFrame) -> pd.DataFrame:
+    """Return medians against those of the uncalibrated PCC-extended model, with a paired bootstrap (95 %)."""
+    markers = table[table["point_mm"].isin(1e3 * np.array(MARKERS))].assign(point="markers")
+    whole = pd.concat([markers, table.assign(point=table["point_mm"].map("{:g} mm".format))])
+    medians = whole.pivot_table(
+        index="draw", columns=["method", "mode", "point"], values="median_mm", sort=False
+    )
+    again, lines = np.random.default_rng(0).integers(len(medians), size=(10_000, len(medians))), []
+    for method, *where in medians:
+        ours, base = (medians[name, *where].to_numpy() for name in (method, BASELINE))
+        low, high = np.quantile(ours[again].mean(axis=1) / base[again].mean(axis=1), [0.025, 0.975])
+        lines.append((method, *where, ours.mean(), ours.mean() / base.mean(), low, high, len(ours)))
+    columns = ["method", "mode", "point", "median_mm", "ratio", "ratio_low", "ratio_high", "draws"]
+    return pd.DataFrame(lines, columns=columns)
+
+
+# The released files
+
+FOLDER = "martin2022"
+TABLES = "data analysis/data"
+BAGS = "ros_packages/sesa/bags"
+RIGID_FILE, PCC_1, PCC_2 = "elephant/rigid/rigid.csv", "elephant/pcc/pcc1.csv", "elephant/pcc/pcc2.csv"
+PCC_16_2 = "fly/pcc16/pcc16_2.csv"
+NEEDED = (RIGID_FILE, PCC_1, PCC_2, PCC_16_2)
+"""Tables that tell the orientations of the trial: the first two of IMUs #1 to #7, the others of #8."""
+SAME_M = 1e-6
+"""Points closer than this count as the same."""
+LATER = 6
+"""Rows by which pcc1.csv is later than rigid.csv."""
+LARGEST_SHIFT = 40
+"""Rows by which one table may be later than another."""
+
+
+class Released(NamedTuple):
+    """What gave a table: a chain, and by number the distances of its points from the chain's origin [m]."""
+
+    arm: Arm
+    arcs: dict[int, float]
+
+    def points(self, q: np.ndarray) -> np.ndarray:
+        """Return its points as in the tables: from the chain's own origin [m]."""
+        reach = sum(self.arm.link_lengths)
+        return shape(q, self.arm, [min(arc, reach) for arc in self.arcs.values()]) - self.arm.origin
+
+
+def released_chains() -> dict[str, Released]:
+    """Return chain and points of each released table."""
+    rigid = Arm(range(1, 8), POSITIONS[1:8], [0.102, *[0.08] * 6], origin=ORIGIN)
+
+    def joints(first: float) -> dict[int, float]:
+        return {0: 0.0} | {k: first + 0.08 * (k - 1) for k in range(1, 8)}
+
+    found = {RIGID_FILE: Released(rigid, joints(0.102))}
+    found[PCC_1] = Released(released_arm("pcc", 8, 8), joints(0.057))
+    middles = {0: 0.0285} | {k: 0.017 + 0.08 * k for k in range(1, 8)}
+    for n in (2, 4, 8):
+        found[f"elephant/pcc/pcc{n}.csv"] = Released(released_arm("pcc", 8, 8 * n), middles)
+    for n in (2, 4):
+        found[f"fly/less_imu/less_imu_{n}.csv"] = Released(released_arm("rigid", n), joints(0.062))
+        found[f"fly/pcc16/pcc16_{n}.csv"] = Released(released_arm("pcc", n), {4: 0.3022, 7: 0.5422})
+    return found
+
+
+def recorded_tables() -> dict[str, np.ndarray]:
+    """Return the released tables that are found: points ``[rows, 8, 3]`` [m], NaN where the model gave none."""
+    found, columns = {}, [f".{name}{k}" for k in range(8) for name in ("ID_", "x", "y", "z")]
+    for name in released_chains():
+        path = recordings_folder() / FOLDER / TABLES / name
+        if path.is_file() and f"{TABLES}/{name}" not in unlike_released():
+            values = pd.read_csv(path)[columns].to_numpy(float).reshape(-1, 8, 4)
+            given = values[..., :1] == np.arange(8)[:, None]  # a point that was not given has the number 0
+            found[name] = np.where(given, values[..., 1:], np.nan)
+    return found
+
+
+def synthetic_tables(trial: Trial) -> dict[str, np.ndarray]:
+    """Return what the tables would hold for a synthetic trial, all but rigid.csv some rows later."""
+    made = {}
+    for name, chain in released_chains().items():
+        rows = 0 if name == RIGID_FILE else LATER
+        points = np.full((len(trial.time_s) + rows, 8, 3), np.nan)
+        points[rows:, list(chain.arcs)] = chain.points(trial.orientations)
+        points[:rows] = points[rows]
+        made[name] = points.astype(np.float32).astype(float)  # the released numbers have 32 bits
+    return made
+
+
+def unlike_released() -> list[str]:
+    """Return which tables and bags are not those that the authors released, by their hashes."""
+    listed = json.loads((project_folder() / "data" / "sources.json").read_text(encoding="utf-8"))
+    hashes = {entry["path"]: entry["sha256"] for entry in listed[FOLDER]["files"] if "sha256" in entry}
+    folder = recordings_folder() / FOLDER
+    return [path for path, known in hashes.items() if digest(folder / path) not in ("", known)]
+
+
+def paired(made: np.ndarray, points: np.ndarray) -> tuple[slice, slice, int]:
+    """Return the rows of two tables that belong together, and by how many the second is later, to be closest."""
+
+    def rows(later: int) -> tuple[slice, slice, int]:
+        first, end = max(0, -later), min(len(made), len(points) - later)
+        return slice(first, end), slice(first + later, end + later), later
+
+    def distance(later: int) -> float:
+        i, j, _ = rows(later)
+        return float(np.median(np.linalg.norm(made[i][::10] - points[j][::10], axis=-1)))
+
+    return rows(min(range(-LARGEST_SHIFT, LARGEST_SHIFT + 1), key=distance))
+
+
+INVERSE = np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def turned(direction: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return quaternions that turn about the z axis by an angle and then take it to directions ``[rows, 3]``."""
+    x, y, z = direction.T
+    q = np.stack([-y, x, 0 * x, 1 + z], axis=-1)
+    q = np.where(
+        1 + z[:, None] > 1e-12, q / np.sqrt(2 + 2 * np.maximum(z[:, None], -1 + 1e-12)), [1.0, 0, 0, 0]
+    )
+    about = np.stack([0 * x, 0 * x, np.sin(angle / 2), np.cos(angle / 2)], axis=-1)
+    return product(q, about)
+
+
+def next_imu(before: np.ndarray, halfway: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Return quaternions with z axes ``along``, halfway to which from those before the z axes are ``halfway``."""
+    h_0 = turned(halfway, 0 * halfway[:, 0])
+    a, b = (Rotation.from_quat(q).apply(v, inverse=True) for q, v in ((before, halfway), (h_0, along)))
+    h = turned(halfway, np.arctan2(b[:, 1], b[:, 0]) - np.arctan2(a[:, 1], a[:, 0]))
+    found = product(product(h, before * INVERSE), h)
+    # Two directions are four equations for three unknowns: what rounding leaves goes into the direction halfway.
+    rest = np.cross(Rotation.from_quat(found).apply(UP), along)
+    return product(Rotation.from_rotvec(rest).as_quat(), found)
+
+
+def last_imu(before: np.ndarray, third: np.ndarray, start: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Return IMU #8: of the turns about the z axes a third of the way to it, the one whose step comes closest.
+
+    The step [m] is over six of the eight sub-segments between IMU #4 and it.
+    """
+    link = Arm([0, 1], [0.0, 0.32], [0.32], sub_segments=8)
+
+    def ended(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        h = product(turned(third, angle), before * INVERSE)
+        end = product(product(h, h), product(h, before))
+        found = pcc_extended(np.stack([start, end], axis=1), link, 0.24)[:, 0]
+        return end, found - step, np.abs(h[:, 3]) > np.cos(np.radians(30.5))
+
+    angles, sizes = np.linspace(-np.pi, np.pi, 72, endpoint=False), []
+    for start_angle in angles:
+        _, error, shorter = ended(np.full(len(third), start_angle))
+        sizes.append(np.where(shorter, np.linalg.norm(error, axis=1), np.inf))
+    angle = angles[np.argmin(sizes, axis=0)]
+    for _ in range(8):  # Gauss and Newton, half a start angle at most
+        error, ahead = ended(angle)[1], ended(angle + 1e-6)[1]
+        slope = (ahead - error) / 1e-6
+        change = (slope * error).sum(axis=1) / np.maximum((slope**2).sum(axis=1), 1e-30)
+        angle = angle - np.clip(change, -np.pi / 72, np.pi / 72)
+    return ended(angle)[0]
+
+
+def trial_orientations(tables: dict[str, np.ndarray]) -> np.ndarray:
+    """Return base and IMUs ``[rows, 9, 4]`` of the trial behind the released tables, by four of them."""
+    steps = [np.diff(tables[name], axis=1) for name in (RIGID_FILE, PCC_1)]
+    along, halfway = (x / np.linalg.norm(x, axis=-1, keepdims=True) for x in steps)
+    halfway = halfway[LATER:][: len(along)]
+    along = along[: len(halfway)]
+    upright, before, imus = (
+        np.tile([0.0, 0.0, 0.0, 1.0], (len(along), 1)),
+        np.tile(HALF_TURN, (len(along), 1)),
+        [],
+    )
+    for k in range(7):
+        before = next_imu(before, halfway[:, k], along[:, k])
+        imus.append(before)
+    q, rest = np.stack([upright, *imus, before], axis=1), []  # IMU #8 is still unknown
+    for name, told in ((PCC_2, range(7)), (PCC_16_2, (4,))):
+        chain = released_chains()[name]
+        made = Released(chain.arm, {k: chain.arcs[k] for k in told}).points(q)
+        i, j, _ = paired(made, tables[name][:, list(told)])
+        q, rest = q[i], [*(points[i] for points in rest), tables[name][j]]
+    # From point 6 of pcc2.csv half a link on to IMU #7, then half a link along the first of two sub-segments.
+    chain = released_chains()[PCC_2]
+    half = Released(chain.arm, {6: chain.arcs[6], 7: sum(chain.arm.link_lengths[:-1])})
+    third = rest[0][:, 7] - rest[0][:, 6] - np.diff(half.points(q), axis=1)[:, 0]
+    third /= np.linalg.norm(third, axis=-1, keepdims=True)
+    q[:, 8] = last_imu(q[:, 7], third, q[:, 4], rest[1][:, 7] - rest[1][:, 4])
+    return q
+
+
+def compared(tables: dict[str, np.ndarray], q: np.ndarray, source: str) -> pd.DataFrame:
+    """Return how far the points of each table are from its chain's, without rows of a tie between two half turns."""
+    lines = []
+    for name, points in tables.items():
+        chain = released_chains()[name]
+        made, points = chain.points(q), points[:, list(chain.arcs)]
+        i, j, later = paired(made, points)
+        used = chain.arm.select(q[i])
+        tied = (np.abs((used[:, :-1] * used[:, 1:]).sum(axis=-1)) < 1e-6).any(axis=1) & np.any(
+            chain.arm.sub_segments
+        )
+        off = np.linalg.norm(made[i] - points[j], axis=-1)[~tied]
+        size = (1e6 * np.median(off), 1e6 * off.max(), 100 * (off <= SAME_M).mean())
+        lines.append((name, len(off), later, int(tied.sum()), *size, source))
+    columns = ["file", "rows", "later", "half_turns", "median_um", "largest_um", "same_percent", "source"]
+    return pd.DataFrame(lines, columns=columns)
