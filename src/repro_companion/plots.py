@@ -876,30 +876,21 @@ def filter_steps(
 ) -> Figure:
     """Draw a cloud of bend vectors [rad] as it is weighed and drawn again; dots grow with weight and copies."""
     figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 2.6))
-    kept, copies = np.unique(drawn, return_counts=True)
-    heavy = w > 1e-3
-    dots = (([], []), (q[heavy], w[heavy]), (q[kept], copies / len(q)))
-    looks = zip(panels, ("before", "weighed", "drawn again"), (11.0, 1.0, 1.0), dots, strict=True)
-    for k, (panel, title, reach, (points, share)) in enumerate(looks):
-        middle = np.degrees(truth)
-        if k < 2:
+    heavy, (kept, copies), middle = w > 1e-3, np.unique(drawn, return_counts=True), np.degrees(truth)
+    panels[1].scatter(*np.degrees(q[heavy]).T, s=6 + 400 * w[heavy], color=YELLOW, alpha=0.7, lw=0)
+    panels[2].scatter(*np.degrees(q[kept]).T, s=6 + 400 * copies / len(q), color=BLUE, alpha=0.7, lw=0)
+    square = middle + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    panels[0].add_patch(Polygon(square, fill=False, zorder=4))
+    for panel, title, reach in zip(panels, ("before", "weighed", "drawn again"), (11, 1, 1), strict=True):
+        if title != "drawn again":
             panel.plot(*np.degrees(q).T, ".", color="0.6", ms=3, mew=0)
-        if k:
-            size, colour = 6 + 400 * np.asarray(share), (YELLOW, BLUE)[k - 1]
-            panel.scatter(*np.degrees(points).T, s=size, color=colour, alpha=0.7, lw=0)
         panel.plot(*middle, "o", color="#D00000", ms=6, label="truth")
         panel.plot(*np.degrees(estimate), "x", color="#1A1A1A", ms=7, mew=2, label="estimate")
-        panel.set(
-            aspect="equal", xlim=middle[0] + [-reach, reach], ylim=middle[1] + [-reach, reach], title=title
-        )
-        panel.xaxis.set_major_locator(MaxNLocator(3, integer=True))
-        panel.yaxis.set_major_locator(MaxNLocator(3, integer=True))
-    corner = np.degrees(truth) - 1.0
-    panels[0].add_patch(
-        Polygon(corner + 2 * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]), fill=False, zorder=4)
-    )
-    figure.supxlabel(r"$\varphi\,\cos\theta$ [deg]")
+        x, y = ((at - reach, at + reach) for at in middle)
+        panel.set(title=title, aspect="equal", xlim=x, ylim=y)
+        panel.locator_params(nbins=3, integer=True)
     panels[0].set_ylabel(r"$\varphi\,\sin\theta$ [deg]")
+    figure.supxlabel(r"$\varphi\,\cos\theta$ [deg]")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)
 
@@ -928,8 +919,8 @@ def bend_error_by_noise(
     figure, (top, bottom) = plt.subplots(2, 1, figsize=(WIDTH, 6.4), sharex=True, height_ratios=(1.3, 1))
     for name, part in clean.groupby("curve", sort=False):
         colour, marker = CURVE_LOOKS[str(name)]
-        look = {"color": colour, "ms": 6, "ls": "", "label": str(name).capitalize()}
-        top.plot(part["process_noise_pi"], part["rmse_mm"], marker, **look)
+        x, label = part["process_noise_pi"], str(name).capitalize()
+        top.plot(x, part["rmse_mm"], marker, color=colour, ms=6, label=label)
     top.plot(law.index, law, color="0.5", lw=1, label="law")
     top.axhspan(min(printed) - 5e-5, max(printed) + 5e-5, color=PUBLISHED, alpha=0.5, lw=0, label="published")
     top.axvline(0.02, color="0.5", lw=1, ls=":", label="noise in the paper")
@@ -940,12 +931,12 @@ def bend_error_by_noise(
         bottom.plot(own.index, own, color=look[0], marker=look[1], ms=6, label=name)
     bottom.axhline(single, color="0.5", ls="--", label="least squares, one reading")
     bottom.set(xscale="log", yscale="log", ylim=(0.035, 0.13), title="real sensor, mean of the curves")
-    bottom.set_xticks([0.0005, 0.002, 0.005, 0.02])
-    for axis, form in ((bottom.xaxis, "{x:g}"), (bottom.yaxis, "{x:g}"), (top.yaxis, "{x:g}")):
-        axis.set_major_formatter(form)
+    bottom.set(
+        xlabel="process noise [π rad per step]", xticks=[5e-4, 0.002, 0.005, 0.02], yticks=[0.04, 0.06, 0.1]
+    )
+    for axis in (bottom.xaxis, bottom.yaxis, top.yaxis):
+        axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter("")
-    bottom.set_yticks([0.04, 0.06, 0.1])
-    bottom.set_xlabel("process noise [π rad per step]")
     for panel in (top, bottom):
         panel.set_ylabel("RMSE [mm]")
         panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **BESIDE)
