@@ -91,7 +91,8 @@ def martin_calibration() -> pd.DataFrame:
         for name, (model, per_imu) in methods.items():
             errors = martin.calibrated_errors(trial, model, per_imu).rename(columns={"arc_mm": "point_mm"})
             parts.append(errors.assign(method=name, draw=seed))
-    table = pd.concat(parts, ignore_index=True)[["method", "mode", "point_mm", "median_mm", "q75_mm", "draw"]]
+    columns = ["method", "mode", "point_mm", "median_mm", "q75_mm", "draw"]
+    table = pd.concat(parts, ignore_index=True).reindex(columns=columns)
     table.attrs = {"draws": list(range(10)), "first_s": 60.0, "every": 10}
     return table
 

@@ -78,7 +78,7 @@ def test_a_script_comes_once():
         ("<p>", ["repro.css"]),
         ('<div class="cell docutils">', ["mystnb.0f.css", "repro.css"]),
         ('<details class="sd-dropdown">', ["sphinx-design.min.css", "repro.css"]),
-        ('<div data-live="imus">', ["live/live.css", "repro.css"]),
+        ('<div data-live="magnets">', ["live/live.css", "repro.css"]),
     ],
 )
 def test_a_style_comes_where_a_page_has_use_for_it(body, names):
@@ -98,8 +98,8 @@ def test_the_script_of_the_viewer_comes_with_a_view():
 
 def test_the_scripts_of_a_live_figure_come_with_it_and_in_order():
     site = importlib.import_module("repro_site")
-    every = ["live/figure.js", "live/imus.js", "live/magnets.js", "live/model.js"]
-    for body, names in (('<div data-live="imus">', ["model", "figure", "imus"]), ("<p>", [])):
+    every = ["live/figure.js", "live/magnets.js", "live/model.js", "live/particles.js"]
+    for body, names in (('<div data-live="magnets">', ["model", "figure", "magnets"]), ("<p>", [])):
         context = {"body": body, "script_files": [script(name) for name in every]}
         site.select_files(None, "page", "page.html", context, None)
         assert context["script_files"] == [f"_static/live/{name}.js" for name in names]

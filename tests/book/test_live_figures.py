@@ -12,7 +12,7 @@ from page_visit import AXE, SEVERE, VIOLATIONS, open_page
 
 ROOT = Path(__file__).resolve().parents[2]
 LIVE = ROOT / "book" / "_static" / "live"
-FIGURES = ("magnets", "particles", "imus")
+FIGURES = ("magnets", "particles")
 PARTS = ("model", "figure", *FIGURES)
 LARGEST_LINES, LARGEST_BYTES = 1500, 80_000
 FIRST_FRAME_MS = 300
@@ -192,18 +192,6 @@ def test_particles_step_by_step(figure):
     assert np.mean(errors[-4:]) < 0.3
 
 
-def test_more_imus_and_a_better_model(figure):
-    """With perfect sensors the error falls with their number, and from rigid links to a smooth curve."""
-    page = figure("imus", "#imus=imus:2,mounting:0,heading:0")
-    errors = "() => document.querySelector('.live-figure').live.errors"
-    two = page.evaluate(errors)
-    page.get_by_label("IMUs", exact=True).select_option("8")
-    said(page, "8 IMUs")
-    eight = page.evaluate(errors)
-    assert eight["interpolated"][1] < two["interpolated"][1] / 4
-    assert eight["spline"][1] < eight["interpolated"][1] < eight["rigid"][1]
-
-
 def test_motion_only_on_demand(figure):
     """The course runs when asked to; where motion is unwanted, a press is one step."""
     page = figure("magnets")
@@ -227,15 +215,3 @@ NONSENSE = ["#magnets=segments:9,noise:x,off:99,q:1;2", "#magnets=%E0%A4%A", "#m
 def test_an_address_that_makes_no_sense(figure, address):
     """The figure shows itself as far as the address can be read."""
     assert pixels(figure("magnets", address).locator(".live-stage")).std() > 5
-
-
-@pytest.mark.parametrize("name", ["particles", "imus"])
-def test_a_still_without_scripts(name):
-    """Each figure has a picture with words in its place, in its chapter."""
-    page = (ROOT / "book" / "chapters" / f"live_{name}.html").read_text(encoding="utf-8")
-    assert f"live_{name}.html" in (ROOT / "book" / "chapters" / f"{name}.md").read_text(encoding="utf-8")
-    image = r'<noscript>.*<img src="\.\./(_static/live/\w+\.png)"[^>]* alt="([^"]{60,})"'
-    ((picture, words),) = re.findall(image, page)
-    assert (ROOT / "book" / picture).is_file()
-    assert "synthetic" in page
-    assert words.endswith(".")

@@ -24,11 +24,8 @@ from edition1 import (
     magnet_mounts,
     sensor_mounts,
 )
-from edition1.estimation import imu_models
 from edition1.estimation._resampling import draws, stream
-from edition1.estimation.imu_selection import Selection
 from edition1.estimation.levenberg_marquardt import covariance
-from edition1.estimation.orientations import exponential, product
 from edition1.estimation.particle_filter import ParticleFilter, ParticleState
 from edition1.estimation.regions import Disc
 from edition1.sensing.linearised import LinearisedSensing
@@ -257,43 +254,3 @@ def test_a_step_of_the_particle_filter(models, estimate, scheme):
         assert_same(found[:, 2 : 2 + 2 * n], after.q)
         effective = 1 / (found[:, 2 + 2 * n :] ** 2).sum(1)
         np.testing.assert_allclose(effective, expected.diagnostics["effective_sample_size"], rtol=1e-8)
-
-
-MODELS = {
-    "rigid": (imu_models.rigid_links, "REPRO.rigidLinks(q, d.lengths, d.points)"),
-    "interpolated": (
-        imu_models.pcc_extended,
-        "REPRO.interpolatedLinks([base, ...q], d.lengths, d.points, d.n)",
-    ),
-    "arcs": (imu_models.exact_arcs, "REPRO.interpolatedLinks([base, ...q], d.lengths, d.points, 0)"),
-    "spline": (imu_models.tangent_spline, "REPRO.tangentSpline([base, ...q], d.lengths, d.points)"),
-}
-
-
-@pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("imus", [1, 2, 4, 8])
-def test_chain_between_imus(models, name, imus):
-    """On random orientations, some equal to their neighbour's or all but."""
-    rng, samples, n = np.random.default_rng(imus), CONFIGURATIONS // 4, 16 // imus
-    turns = rng.normal(0, 0.3, (samples, imus, 3)) * rng.choice(
-        [0.0, 1e-9, 1.0], (samples, imus, 1), p=[0.02, 0.03, 0.95]
-    )
-    q = [np.tile([0.0, 0.0, 0.0, 1.0], (samples, 1))]
-    for k in range(imus):
-        q.append(product(exponential(turns[:, k]), q[-1]))
-    q = np.stack(q[1:], 1)
-    lengths = rng.uniform(0.5, 1.0, imus) * 0.64 / imus
-    points = np.append(np.sort(rng.uniform(0, lengths.sum(), 5)), lengths.sum()).tolist()
-    model, call = MODELS[name]
-    arcs, rigid = np.cumsum(lengths).tolist(), name == "rigid"
-    upright = np.tile([0.0, 0.0, 0.0, 1.0], (samples, 1, 1))
-    numbers, arcs = range(rigid, imus + 1), arcs if rigid else [0.0, *arcs]
-    chosen = Selection(tuple(numbers), tuple(arcs), tuple(lengths.tolist()), sub_links=0 if rigid else n)
-    expected = model(q if rigid else np.concatenate([upright, q], 1), chosen, points)
-    body = f"""const base = [0, 0, 0, 1];
-      return packed(rows(d.q, 4 * d.imus).flatMap(all => {{
-        const q = d.lengths.map((_, k) => [...all.slice(4 * k, 4 * k + 4)]);
-        return {call}.flat();
-      }}));"""
-    given = {"q": q, "imus": imus, "lengths": lengths.tolist(), "points": points, "n": n}
-    assert_same(models(body, given), expected)

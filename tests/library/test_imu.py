@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from edition1.estimation import imu_calibration, imu_models, imu_selection, imu_shape
-from edition1_companion.pages.recorded_trial import released
-from edition1_companion.recordings import martin2022, martin2022_trial
+from edition1_companion.recordings import martin2022
 from repro import (
     Arm,
     BallJoint,
@@ -193,28 +192,6 @@ def test_markers_of_the_fresh_bag(marker, at):
     near = np.clip(latest[:, None] + np.arange(-4, 3), 0, len(ours) - 1)
     off = np.linalg.norm(ours[near] - sent[["x", "y", "z"]].to_numpy()[:, None], axis=-1).min(axis=1)
     assert off[8:].max() < 1e-6
-
-
-@recorded
-def test_tables_of_the_trial(monkeypatch):
-    """Orientations follow from four of the tables; that of IMU #8 badly in a few rows."""
-
-    def chain(q, made, arcs):
-        names = ("imus", "link_lengths", "interpolation", "base_turn")
-        same = {name: getattr(made, name) for name in names}
-        arm = Arm(imu_arcs=made.arcs, sub_segments=made.sub_links, origin=made.origin_m, **same)
-        return (pcc_extended if arm.sub_segments else rigid_body)(q, arm, arcs)
-
-    monkeypatch.setattr(released, "chain", chain)
-    folder, rows, outputs = RECORDINGS / "data analysis/data", slice(1000, 2500), {}
-    for path in folder.rglob("*.csv"):
-        read = martin2022_trial.read_output(path)
-        cut = martin2022_trial.ModelOutput(read.points[rows], read.replay_s[rows])
-        outputs[path.relative_to(folder).as_posix()] = cut
-    nine = released.trial_orientations(outputs).orientations
-    tables = [released.compared(name, outputs[name], nine) for name in outputs]
-    assert len(tables) >= 5
-    assert all(t["largest_um"] < 1 or (t["file"] == released.PCC_16_2 and t["median_um"] < 1) for t in tables)
 
 
 SCALE = np.array([math.radians(10)] * 3 + [0.05] * 3 + [math.radians(x) for x in (10, 5, 5)] * 7)

@@ -479,7 +479,7 @@ def calibration_ratios(table: pd.DataFrame) -> pd.DataFrame:
     medians = whole.pivot_table(
         index="draw", columns=["method", "mode", "point"], values="median_mm", sort=False
     )
-    again, lines = np.random.default_rng(0).integers(len(medians), size=(10_000, len(medians))), []
+    again, lines = np.random.default_rng(0).integers(len(medians), size=(2000, len(medians))), []
     for method, *where in medians:
         ours, base = (medians[name, *where].to_numpy() for name in (method, BASELINE))
         low, high = np.quantile(ours[again].mean(axis=1) / base[again].mean(axis=1), [0.025, 0.975])

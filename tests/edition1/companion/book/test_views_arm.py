@@ -4,15 +4,10 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
-from edition1.errors import InputError
 from edition1_companion.book.project import find_project
 from edition1_companion.book.views_arm import RADIUS_M, chain_view
-from edition1_companion.pages.imu_markers.views import trial_view
-from edition1_companion.twins.arm_trial import draw
-from edition1_companion.twins.imu_errors import PERFECT, ImuErrors
 from edition1_companion.twins.soft_arm import load_soft_arm
 
 LINKS_M = np.full(8, 0.08)
@@ -26,16 +21,6 @@ def short_arm():
     return replace(
         arm, time_s=arm.time_s[kept], positions=arm.positions[kept], orientations=arm.orientations[kept]
     )
-
-
-@cache
-def trial(errors=ImuErrors(), origin_m=0.005, heading_rad=0.03):  # noqa: B008
-    """One draw of the short arm."""
-    return draw(short_arm(), 0, errors=errors, origin_m=origin_m, heading_rad=heading_rad)
-
-
-def view_of(one, errors=ImuErrors(), **options):  # noqa: B008
-    return trial_view(short_arm(), one, errors, between_s=(5.0, 35.0), frames=40, **options)
 
 
 class TestChain:
@@ -74,73 +59,3 @@ class TestChain:
         np.testing.assert_allclose(view.time_s, 5 + np.arange(200) / 5)
         assert view.sensors is not None
         assert view.data()["sensors"]["name"] == "IMUs"
-
-
-class TestTrial:
-    def test_truth_and_markers_are_those_of_the_arm(self):
-        """The markers, seen with noise, lie where the arm is; without errors so does the estimate."""
-        one = trial(PERFECT, 0.0, 0.0)
-        view = view_of(one, PERFECT)
-        truth, estimate = view.shapes
-        assert view.magnets is not None
-        off = np.linalg.norm(view.magnets.points_m - truth.points_m[:, [9, 15]], axis=-1)
-        assert np.median(off) < 2e-3
-        assert off.max() < 5e-3  # the next point is 40 mm away
-        assert np.linalg.norm(truth.points_m - estimate.points_m, axis=-1).max() < 0.015
-        for name in ("M1", "M2"):
-            seen, found = view.traces[0].values[name], view.traces[0].estimates[name]
-            assert (np.abs(seen - found) <= view.traces[1].values[name] + 1e-9).all()
-
-    def test_arrows_point_along_the_arm(self):
-        view = view_of(trial(PERFECT, 0.0, 0.0), PERFECT)
-        along = np.diff(view.shapes[0].points_m, axis=1)
-        assert view.magnets is not None
-        assert view.sensors is not None
-        at_markers = (view.magnets.directions * along[:, [9, 15 - 1]]).sum(-1)
-        at_imus = (view.sensors.directions[:, :7] * along[:, 2::2]).sum(-1)
-        assert (at_markers > 0.8 * 0.04).all()
-        assert (at_imus > 0.8 * 0.04).all()
-
-    def test_frame_widens_the_tube(self):
-        """Perfect IMUs: the origin's error everywhere, the heading's with the distance from the vertical."""
-        one = trial()
-        points = view_of(one, PERFECT).shapes[1].points_m
-        origin = view_of(one, PERFECT, origin_m=0.004).shapes[1].deviation_m
-        assert origin is not None
-        np.testing.assert_allclose(origin, 0.004, rtol=1e-6)
-        heading = view_of(one, PERFECT, heading_rad=0.03).shapes[1].deviation_m
-        assert heading is not None
-        expected = 0.03 * np.hypot(points[..., 0], points[..., 1])
-        np.testing.assert_allclose(heading, expected, atol=1e-8)
-
-    def test_tube_of_an_upright_arm(self):
-        """Each IMU leads half of the links on its two sides: sigma L sqrt(7 + 1/4) at the tip."""
-        one = trial()
-        upright = np.zeros_like(one.trial.orientations)
-        upright[..., 3] = 1.0
-        one = replace(one, trial=replace(one.trial, orientations=upright))
-        errors = replace(PERFECT, mounting_rad=0.02)
-        deviation = view_of(one, errors).shapes[1].deviation_m
-        assert deviation is not None
-        np.testing.assert_allclose(deviation[:, -1], 0.02 * 0.08 * np.sqrt(7.25), rtol=1e-6)
-        assert deviation[:, 0].max() == 0
-
-    def test_label_counts_the_true_points_in_the_tube(self):
-        one = trial()
-        view = view_of(one, ImuErrors(), origin_m=0.005, heading_rad=0.03)
-        truth, estimate = view.shapes
-        assert estimate.deviation_m is not None
-        error = np.linalg.norm(estimate.points_m - truth.points_m, axis=-1)
-        held = (error < 2 * estimate.deviation_m).mean()
-        assert f"{100 * held:.0f} % of the true points" in view.label
-        assert view.label.startswith("Synthetic arm")
-        assert ": oscillating." in view.label
-        assert error[:, 0] == pytest.approx(np.linalg.norm(one.capture.origin_m))
-
-    def test_times_outside_are_refused(self):
-        one = trial()
-        with pytest.raises(
-            InputError, match="between_s of trial_view must be such that samples from"
-        ) as caught:
-            trial_view(short_arm(), one, ImuErrors(), between_s=(100.0, 120.0))
-        assert str(caught.value).endswith("instead received (100.0, 120.0).")

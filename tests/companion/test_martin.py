@@ -1,0 +1,368 @@
+"""Martin et al.: Table I, the synthetic trial, errors, calibration, released files; edition 1 as an oracle."""
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+import repro
+from repro import InputError
+from repro_companion.papers import martin
+from repro_companion.run import project_folder, recordings_folder
+
+RECORDED = (recordings_folder() / "martin2022" / martin.TABLES / martin.RIGID_FILE).is_file()
+
+
+@pytest.fixture(scope="module")
+def moved():
+    return martin.motion()
+
+
+@pytest.fixture(scope="module")
+def trial(moved):
+    return martin.draw(moved, 0)
+
+
+@pytest.fixture(scope="module")
+def short(trial):
+    """Every twentieth sample."""
+    parts = {name: getattr(trial, name)[::20] for name in ("time_s", "orientations", "points")}
+    return replace(trial, **parts)
+
+
+@pytest.fixture(scope="module")
+def table(short):
+    return martin.marker_errors([short], martin.cases())
+
+
+def turned_about(axis, *angles):
+    return Rotation.from_rotvec(np.outer(angles, axis)).as_quat()
+
+
+# The arm and Table I
+
+
+@pytest.mark.parametrize(
+    ("given", "imus"),
+    [
+        (("rigid", 2, 2, "table"), (2, 6)),
+        (("rigid", 4, 4, "table"), (2, 4, 6, 8)),
+        (("rigid", 4, 4, "text"), (1, 3, 5, 7)),
+        (("rigid", 8, 8, "table"), (1, 2, 3, 4, 5, 6, 7, 8)),
+        (("pcc", 2), (0, 4, 8)),
+        (("pcc", 4), (0, 2, 4, 6, 8)),
+        (("pcc", 8), (0, 1, 2, 3, 4, 5, 6, 7, 8)),
+    ],
+)
+def test_table_i(given, imus):
+    arm = martin.arm(*given)
+    assert arm.imus == imus
+    assert sum(arm.link_lengths) == pytest.approx(0.64)
+    np.testing.assert_allclose(arm.imu_arcs, 0.08 * np.array(imus), atol=1e-15)
+    assert np.sum(arm.sub_segments) * len(arm.link_lengths) == 16 * (given[0] == "pcc")
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (("soft",), "Input model of arm must be 'rigid' or 'pcc'; instead received 'soft'."),
+        (("pcc", 3), "Input n_imus of arm must be 2, 4 or 8; instead received 3."),
+        (("pcc", 8, 12), "Input segments of arm must be a multiple of the 8 IMUs; instead received 12."),
+        (("rigid", 4, 4, "paper"), "Input reading of arm must be table, text or files; instead received 'paper'."),
+    ],
+)  # fmt: skip
+def test_other_arms_are_refused(given, message):
+    with pytest.raises(InputError) as caught:
+        martin.arm(*given)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("case", martin.cases(), ids=lambda case: f"{case.figure}, {case.name}")
+def test_chains_are_those_of_the_first_edition(case):
+    from edition1_companion.twins.arm_markers import Case
+
+    old = Case(*case)
+    assert case.name == old.name
+    for way, ours in case.arms().items():
+        theirs = old.chain(way)
+        assert (ours.imus, ours.interpolation) == (theirs.imus, theirs.interpolation)
+        assert ours.sub_segments == theirs.sub_links
+        for name in ("link_lengths", "markers", "base_turn"):
+            np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), atol=1e-12)
+        np.testing.assert_allclose(ours.origin, theirs.origin_m)
+
+
+def test_the_models_of_the_page_are_those_of_the_library(short):
+    cells = json.loads((project_folder() / "notebooks" / "imu_markers.ipynb").read_text(encoding="utf-8"))[
+        "cells"
+    ]
+    (source,) = ("".join(cell["source"]) for cell in cells if "def rigid_links" in "".join(cell["source"]))
+    shown = source[source.index("def rigid_links") : source.index("rigid = rigid_links")]
+    page = {"np": np, "Rotation": Rotation, "pairwise": pairwise}
+    exec(shown, page)
+    imus = [Rotation.from_quat(short.orientations[:, k]) for k in range(9)]
+    rigid, arcs = page["rigid_links"](imus[1:], 0.08), 0.08 * np.arange(1, 9)
+    np.testing.assert_allclose(rigid, martin.shape(short.orientations, martin.arm("rigid"), arcs), atol=1e-12)
+    for n in (1, 2, 5):
+        ours = page["pcc_extended"](imus, 0.08, n)
+        theirs = martin.shape(
+            short.orientations, martin.arm("pcc", 8, 8 * n), 0.08 / n * np.arange(1, 8 * n + 1)
+        )
+        np.testing.assert_allclose(ours, theirs, atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+@pytest.mark.parametrize("beta", [0.1, 0.8])
+def test_what_a_link_gets_wrong_on_an_arc(beta, n):
+    """A rigid link is off sideways by half the turn; interpolated ones have the right direction, and are too long."""
+    q = turned_about([0, 1.0, 0], 0.0, beta)
+    arm = repro.Arm([0, 1], [0, 0.08], [0.08], sub_segments=n)
+    arc = martin.shape(q, replace(arm, sub_segments=1000), 0.08)[0]
+    rigid = martin.shape(q, repro.Arm([1], [0.08], [0.08]), 0.08)[0]
+    chain = martin.shape(q, arm, 0.08)[0]
+    np.testing.assert_allclose(np.linalg.norm(rigid - arc), 0.08 * beta / 2, rtol=0.1)
+    np.testing.assert_allclose(np.linalg.norm(chain - arc), 0.08 * beta**2 / 24 / n**2, rtol=0.05)
+    np.testing.assert_allclose(np.cross(chain, arc), 0, atol=1e-12)
+
+
+# The synthetic trial
+
+
+def test_motion_and_trial_are_those_of_the_first_edition(moved, trial):
+    from edition1_companion.twins.arm_trial import draw
+    from edition1_companion.twins.soft_arm import load_soft_arm
+
+    arm = load_soft_arm(project_folder() / "data" / "soft_arm.npz")
+    np.testing.assert_allclose(moved.positions, arm.positions, atol=1e-12)
+    np.testing.assert_allclose(moved.orientations, arm.orientations, atol=1e-12)
+    old = draw(arm, 0)
+    np.testing.assert_allclose(trial.time_s, old.trial.time_s, atol=1e-12)
+    same = np.abs((trial.orientations * old.trial.orientations).sum(axis=-1))
+    np.testing.assert_allclose(same, 1, atol=1e-12)
+    np.testing.assert_allclose(
+        trial.points, old.trial.points, atol=1e-8
+    )  # the lag to rounding, times the speed
+    np.testing.assert_allclose(trial.truth(moved, [0.2, 0.6], 99), old.truth(arm, (0.2, 0.6), 99), atol=1e-9)
+    assert (trial.mode == old.trial.mode).all()
+
+
+def test_perfect_sensors_and_cameras_see_the_arm(moved):
+    seen = martin.draw(moved, 3, martin.Errors(0, 0, 0, 0, 0, 0))
+    off = 1e3 * np.linalg.norm(seen.points - seen.truth(moved, martin.SEEN), axis=-1)
+    assert (
+        np.median(off) < 1.6
+    )  # noise of 1 mm along each axis, interpolated; a lag of 10 ms would add 1 mm and more
+    assert np.median(martin.distances(seen, martin.arm("pcc"))) < 6
+    along = martin.errors_along(moved, [seen], 64).query("mode == 'all' and arc_mm == 600").set_index("model")
+    assert along.loc[martin.PCC_16, "median_mm"] < along.loc["IMUs at mid-section", "median_mm"]
+    assert along.loc["IMUs at mid-section", "median_mm"] < along.loc[martin.RIGID_8, "median_mm"] / 3
+
+
+def test_errors_of_the_sensors_have_their_sizes(moved):
+    upright = np.tile([0.0, 0.0, 0.0, 1.0], (1000, 9, 1))  # 20 s
+    quick = martin.Motion(moved.time_s[:1000], moved.positions[:1000], moved.arcs, upright)
+    errors = martin.Errors(mounting_deg=0, heading_deg=6, heading_wander_deg=2, tilt_deg=1)
+    turns = []
+    for seed in range(40):
+        read_s, q = martin.read_imus(quick, errors, np.random.default_rng(seed))
+        turns.append(np.degrees(Rotation.from_quat(q[::100].reshape(-1, 4)).as_rotvec()))
+    np.testing.assert_allclose(np.std(np.concatenate(turns), axis=0), [2**0.5, 2**0.5, 40**0.5], rtol=0.15)
+    np.testing.assert_allclose(q * 2**14, np.round(q * 2**14))
+    np.testing.assert_allclose(np.diff(read_s, axis=1), martin.SKEW_S)
+
+
+@pytest.mark.parametrize("lag_s", [-1.5, 0.0, 0.987, 3.2041])
+def test_lag_of_a_bump(lag_s):
+    t, other = np.arange(0, 20, 0.032), np.arange(0, 20, 0.01)
+    found = martin.clock_lag(t, np.exp(-((t - 9) ** 2)), other, 3 * np.exp(-((other - 9 + lag_s) ** 2)) - 1)
+    assert found == pytest.approx(lag_s, abs=2e-4)
+
+
+# Errors, scorecard, calibration
+
+
+def test_errors_are_those_of_the_first_edition(short, table):
+    from edition1_companion.recordings.alignment import Lag
+    from edition1_companion.twins import arm_markers
+    from edition1_companion.twins.arm_trial import ArmTrial
+
+    same = ArmTrial(
+        short.time_s,
+        short.orientations,
+        short.points,
+        martin.SEEN,
+        short.mode,
+        pd.DataFrame(),
+        Lag(0, 1, 1, 1),
+    )
+    old = arm_markers.marker_errors([same], arm_markers.cases())
+    pd.testing.assert_frame_equal(table, old, rtol=1e-9)
+
+
+def test_hull_is_the_third_quartile_around_the_arm(moved, short):
+    along = martin.errors_along(moved, [short], 4)
+    found = martin.hull(moved, short, along)
+    assert list(found["mode"].unique()) == ["oscillating", "buckling", "circling"]
+    own = along[(along["model"] == martin.PCC_16) & (along["mode"] == "all")]
+    np.testing.assert_array_equal(found["radius_mm"], np.tile(own["q75_mm"], 3))
+    there = short.truth(moved, [0.64])[np.isin(short.time_s, found["time_s"].unique()), 0]
+    np.testing.assert_allclose(found.loc[found["arc_mm"] == 640, ["x_mm", "y_mm", "z_mm"]], 1e3 * there)
+
+
+def test_rows_of_the_scorecard(table):
+    study = pd.read_csv(project_folder() / "data" / "studies" / "martin_calibration.csv")
+    rows = martin.scorecard_rows(table, study).set_index(["artefact", "row", "quantity"])
+    published = pd.read_csv(project_folder() / "data" / "published" / "published.csv")
+    assert len(rows) == (published["paper"] == "martin2022").sum() == 43
+    own = table[(table["case"] == martin.RIGID_8) & (table["evaluation"] == martin.FILES)].iloc[1]
+    assert own["marker"] == "M2"
+    percent = rows.loc[("Table II", "M2 rigid-body", "q3"), "regenerated"]
+    assert percent == pytest.approx(own["q75_mm"] / 6)
+    finer = table.query(
+        "figure == 'Fig. 4' and segments > 8 and marker == 'M1' and evaluation == @martin.FILES"
+    )
+    more = rows.loc[("Fig. 4", "M1 PCC-extended 16 segments and more", "q3")]
+    assert more["regenerated"] == pytest.approx(finer["q75_mm"].mean() / 3.6)
+    assert more["note"].startswith("mean of 16, 32, 64; evaluated as described ")
+    best = rows["best"].dropna()
+    assert len(best) == 11
+    assert {"PCC" in row for _, row, _ in best.index} == {True}
+    assert set(rows["comparable"].dropna()) == {False}
+    assert set(rows["setting"]) == {"synthetic", "benchmark"}
+    few = martin.scorecard_rows(table[table["n_imus"] == 2], study)
+    assert set(few["artefact"]) == {"Fig. 3", "Fig. 5", "Section IV-A", "Section IV-B"}
+
+
+def test_a_frame_is_found_on_the_first_minute(moved):
+    seen = martin.draw(moved, 1, martin.Errors(0, 0, 0, 0, 40, 5))
+    raw, fitted = (
+        martin.calibrated_errors(seen, repro.exact_arcs, per_imu).query("mode == 'all'").set_index("arc_mm")
+        for per_imu in (None, False)
+    )
+    assert raw["median_mm"].min() > 40
+    assert fitted["median_mm"].max() < 7  # what an arc between IMUs gets wrong
+
+
+def test_the_fit_sees_the_first_minute_only(trial):
+    """What comes later may be anything: the calibrated points do not move."""
+    first = trial.time_s - trial.time_s[0] < 60
+    other = trial.points + np.where(first, 0.0, 0.1)[:, None, None]
+    errors = [
+        martin.calibrated_errors(replace(trial, points=points), repro.exact_arcs, False)["median_mm"]
+        for points in (trial.points, other)
+    ]
+    assert errors[1].min() > 1e3 * 0.1 * 3**0.5 - errors[0].max() - 20
+    assert errors[0].max() < 40
+
+
+def test_ratios_are_paired():
+    study = pd.read_csv(project_folder() / "data" / "studies" / "martin_calibration.csv")
+    ratios = martin.calibration_ratios(study).set_index(["method", "mode", "point"])
+    assert (ratios.loc["PCC-16", ["ratio", "ratio_low", "ratio_high"]] == 1).all(axis=None)
+    own = study[(study["mode"] == "all") & study["point_mm"].isin([360, 600])]
+    means = own.groupby("method")["median_mm"].mean()
+    best = ratios.loc[(martin.BEST, "all", "markers")]
+    assert best["ratio"] == pytest.approx(means[martin.BEST] / means[martin.BASELINE])
+    assert best["ratio_low"] < best["ratio"] < best["ratio_high"]
+    scaled = study.assign(median_mm=np.where(study["method"] == martin.BEST, 0.5, 1) * (1 + study["draw"]))
+    half = martin.calibration_ratios(scaled).query("method == @martin.BEST")
+    np.testing.assert_allclose(half[["ratio", "ratio_low", "ratio_high"]], 0.5)
+
+
+# The released files
+
+
+def test_next_imu_closed_form():
+    """Quarter turns about x, from frames that are turned about the arm in different ways."""
+    before = turned_about([0, 0, 1.0], 0.0, 1.0, 3.0)
+    quarter = Rotation.from_rotvec([np.pi / 2, 0, 0])
+    after = quarter * Rotation.from_quat(before)
+    halfway = (Rotation.from_rotvec([np.pi / 4, 0, 0]) * Rotation.from_quat(before)).apply(martin.UP)
+    found = martin.next_imu(before, halfway, after.apply(martin.UP))
+    np.testing.assert_allclose((Rotation.from_quat(found) * after.inv()).magnitude(), 0, atol=1e-12)
+
+
+def test_products_are_turns_one_after_the_other():
+    a, b = Rotation.random(20, rng=0), Rotation.random(20, rng=1)
+    found = Rotation.from_quat(martin.product(a.as_quat(), b.as_quat()))
+    np.testing.assert_allclose((found * (a * b).inv()).magnitude(), 0, atol=1e-12)
+
+
+def test_orientations_follow_from_synthetic_tables(short):
+    tables = martin.synthetic_tables(short)
+    q = martin.trial_orientations(tables)
+    assert len(q) == len(short.time_s)
+    between = Rotation.from_quat(q.reshape(-1, 4)).inv() * Rotation.from_quat(
+        short.orientations.reshape(-1, 4)
+    )
+    off = np.degrees(between.magnitude()).reshape(-1, 9)
+    assert np.median(off) < 1e-3
+    files = martin.compared(tables, q, "synthetic")
+    assert list(files["later"]) == [0] + [martin.LATER] * 8
+    assert set(files.loc[files["largest_um"] > 1, "file"]) <= {f"fly/pcc16/pcc16_{n}.csv" for n in (2, 4)}
+    assert files["median_um"].max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "at_least_um"),
+    [
+        (martin.PCC_2, {"interpolation": "midpoints"}, 1e3),
+        (martin.PCC_1, {"base_turn": (0.0, 0.0, 0.0, 1.0)}, 1e3),
+    ],
+)
+def test_other_settings_do_not_give_the_tables(short, monkeypatch, name, change, at_least_um):
+    tables = martin.synthetic_tables(short)
+    q, chains = martin.trial_orientations(tables), martin.released_chains()
+    chains[name] = chains[name]._replace(arm=replace(chains[name].arm, **change))
+    monkeypatch.setattr(martin, "released_chains", lambda: chains)
+    files = martin.compared({name: tables[name]}, q, "synthetic")
+    assert files["median_um"].item() > at_least_um
+
+
+def test_files_that_are_not_the_released_ones_are_named_and_not_read(tmp_path, monkeypatch):
+    path = tmp_path / "martin2022" / martin.TABLES / martin.RIGID_FILE
+    path.parent.mkdir(parents=True)
+    path.write_text("time\n", encoding="utf-8")
+    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
+    assert martin.unlike_released() == [f"{martin.TABLES}/{martin.RIGID_FILE}"]
+    assert martin.recorded_tables() == {}
+
+
+@pytest.mark.skipif(not RECORDED, reason="the authors' files are not here")
+def test_released_tables_to_a_micrometre():
+    tables = martin.recorded_tables()
+    q = martin.trial_orientations(tables)
+    assert len(q) == 8515
+    files = martin.compared(tables, q, "recorded").set_index("file")
+    other = files.drop([name for name in files.index if "pcc16" in name])
+    assert other["largest_um"].max() <= 1
+    assert other["half_turns"].max() == 3
+    assert files.loc[martin.PCC_16_2, "largest_um"] < 11
+    assert files.loc[martin.PCC_16_2, "same_percent"] > 99.5
+    # Nothing was said of the sensor's steps of 2^-14; the orientations of IMU #1 are on them.
+    own = martin.product(q[:, 1], np.array([1, 0, 0, 1]) / 2**0.5)  # its y axis points along the arm
+    closest = np.full(len(own), np.inf)
+    for size in 2**14 + np.arange(-3.0, 3.01, 0.1):
+        whole = np.round(own * size)
+        whole /= np.linalg.norm(whole, axis=-1, keepdims=True)
+        closest = np.minimum(closest, np.linalg.norm(whole - own, axis=-1))
+    assert closest.max() < 3e-7
+
+
+def test_points_that_a_model_did_not_give_are_left_out(tmp_path, monkeypatch):
+    name = martin.PCC_16_2
+    rows = {f".{part}{k}": [0.0, 0.0] for k in range(8) for part in ("ID_", "x", "y", "z")}
+    rows |= {".ID_4": [4, 4], ".x4": [0.1, 0.2]}
+    path = Path(tmp_path) / "martin2022" / martin.TABLES / name
+    path.parent.mkdir(parents=True)
+    pd.DataFrame(rows).to_csv(path, index=False)
+    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
+    monkeypatch.setattr(martin, "unlike_released", list)
+    points = martin.recorded_tables()[name]
+    assert np.isfinite(points).all(axis=-1).tolist() == [[True] + [False] * 3 + [True] + [False] * 3] * 2
+    np.testing.assert_array_equal(points[:, 4, 0], [0.1, 0.2])
