@@ -278,15 +278,18 @@ def in_words(card: pd.DataFrame, bias: pd.DataFrame) -> str:
     """Return how many numbers of Table 1 agree, and how large our errors are against the published ones."""
     again = card["row"].isin([row.name for row in ROWS if row.same_as])
     own = card[~again & card["verdict"].isin(["reproduced", "better", "differs"])]
-    within, better, differ = ((own["verdict"] == name) for name in ("reproduced", "better", "differs"))
-    weak, total = (within & (own["weak"] == "true")).sum(), bias.iloc[-1]
+    within, total = own["verdict"] == "reproduced", bias.iloc[-1]
+
+    def counted(rows: pd.Series, one: str, many: str) -> str:
+        n = int(rows.sum())
+        return f"{n or 'none'} {one if n == 1 else many}"
+
     words = (
         f"**{within.sum()} of {len(own)} distinct numbers lie within the scatter of the trainings**,"
-        f" {better.sum() or 'none'} {'is' if better.sum() == 1 else 'are'} smaller and"
-        f" {differ.sum() or 'none'} {'differs' if differ.sum() == 1 else 'differ'}."
+        f" {counted(own['verdict'] == 'better', 'is', 'are')} smaller and"
+        f" {counted(own['verdict'] == 'differs', 'differs', 'differ')}. Of those within it"
+        f" {counted(within & (own['weak'] == 'true'), 'is', 'are')} so weak that an error of zero would pass too."
     )
-    if weak:
-        words += f" Of those within it {weak} are weak: they scatter so widely that an error of zero would pass too."
     if total["cells"]:
         words += (
             f" Of the {total['cells']} relative errors (without six sensors) {total['below']} are smaller than"
