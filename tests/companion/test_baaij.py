@@ -188,8 +188,8 @@ def test_gain_is_a_ratio_of_means_with_a_paired_interval():
 
 
 def test_rows_of_the_scorecard_are_those_of_the_committed_tables():
-    errors, best = (pd.read_csv(RESULTS / f"table_1_{name}.csv") for name in ("errors", "best"))
-    new = baaij.scorecard_rows(errors, best, baaij.setting()).set_index(
+    errors, gains = (pd.read_csv(RESULTS / f"table_1_{name}.csv") for name in ("errors", "gain"))
+    new = baaij.scorecard_rows(errors, gains, baaij.setting()).set_index(
         ["artefact", "row", "quantity", "unit"]
     )
     old = pd.read_csv(RESULTS / "table_1.rows.csv", keep_default_na=False).set_index(new.index.names)

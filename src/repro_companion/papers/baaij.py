@@ -254,9 +254,9 @@ def of_seeds(errors: pd.DataFrame) -> pd.DataFrame:
     return cells.agg(**columns).reset_index().assign(paper="baaij2023", comparable=True)
 
 
-def scorecard_rows(errors: pd.DataFrame, best: pd.DataFrame, setting: str) -> pd.DataFrame:
+def scorecard_rows(errors: pd.DataFrame, gains: pd.DataFrame, setting: str) -> pd.DataFrame:
     """Return the rows of the scorecard: Table 1 with its repeated rows, and the mean that section 3.5 prints."""
-    ours = gain(best).set_index(["row", "quantity"])["calibrated_percent"].rename("best")
+    ours = gains.set_index(["row", "quantity"])["calibrated_percent"].rename("best")
     cells = of_seeds(errors).join(ours, ["row", "quantity"])
     parts = []
     for row in ROWS:
