@@ -649,7 +649,7 @@ def landscape_and_estimates(
     for title, (grid, paths, truth) in maps.items():
         table = grid.pivot(index="delta_y_mm", columns="delta_x_mm", values="rmse_mV")
         look = {"vmin": 0, "vmax": 100, "rasterized": True}
-        mesh = panels[title].pcolormesh(table.columns, table.index, table, cmap="viridis", **look)
+        panels[title].pcolormesh(table.columns, table.index, table, cmap="viridis", **look)
         bends = [path[["delta_x_mm", "delta_y_mm"]].to_numpy() for path in paths]
         best = bends[0][paths[0]["rmse_mV"].argmin()]
         drawn = {"half the step": bends[-1], "descent": bends[0], "start": bends[0][0], "truth": truth}
@@ -658,7 +658,8 @@ def landscape_and_estimates(
         panels[title].set(xlim=table.columns[[0, -1]], ylim=table.index[[0, -1]], title=title)
         panels[title].set(xlabel=r"$\Delta_x$ [mm]", ylabel=r"$\Delta_y$ [mm]")
         panels[title].grid(visible=False)
-    figure.colorbar(mesh, ax=[panels[title] for title in maps], label="error of the readings [mV]")
+    drawn_on = [panels[title] for title in maps]
+    figure.colorbar(drawn_on[0].collections[0], ax=drawn_on, label="error of the readings [mV]")
     for name in (*series, "a part"):
         values = series.get(name, [*series.values()][-1])
         curves = {"time_s": np.arange(len(values)) / 40, "std": 0.0}
@@ -671,8 +672,10 @@ def landscape_and_estimates(
     last = [*series][-1]
     panels["a part"].set(xlim=zoom_s, xlabel="time [s]", title=f"{last}, a part of it")
     colours = [Line2D([], [], color=c, lw=3, label=rf"$\Delta_{a}$") for a, c in (("x", BLUE), ("y", ORANGE))]
+    looks = {"truth": {"lw": 3, "alpha": 0.6}, "estimate": {"lw": 1.2, "ls": (0, (4, 2))}}
+    lines = [Line2D([], [], color="#767676", label=name, **look) for name, look in looks.items()]
     beside = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.15), **BESIDE}
-    panels[next(iter(series))].legend(handles=[*colours, *TRUTH_ESTIMATE], ncols=4, **beside)
+    panels[next(iter(series))].legend(handles=[*colours, *lines], ncols=4, **beside)
     looks = [Line2D([], [], label=name, **look) for name, look in MAP.items()]
     figure.legend(handles=looks, loc="outside upper center", ncols=5, **BESIDE)
     return closed(figure)
