@@ -587,7 +587,7 @@ def configurations(
         return (T[..., :3, :] * weight).reshape(*T.shape[:-3], -1)
 
     def model(q: np.ndarray) -> np.ndarray:
-        return in_units_of_errors(robot.poses(q.real, places))  # slopes are differences, not complex steps
+        return in_units_of_errors(robot.poses(q, places))
 
     fit = LevenbergMarquardt(model, -high, high, noise=1.0, tolerance=1e-8)
     found = fit.step(fit.init(np.broadcast_to(start, (len(T), robot.n_q))), in_units_of_errors(T))[1]
