@@ -185,5 +185,9 @@ def test_workers_of_a_scheduler_run_a_sweep(root):
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         assert tool.sweep(points, jobs=1, scheduler=cluster.scheduler_address) == {}
     assert all(point.finished for point in points)
-    with pytest.raises(InputError, match=r"scheduler of repro sweep .* such as tcp://host:8786; .* tcp://127"):
-        tool.sweep(tool.points_of(page, {"seeds": [[7]]}, folder, root), jobs=1, scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(
+        InputError, match=r"scheduler of repro sweep .* such as tcp://host:8786; .* tcp://127"
+    ):
+        tool.sweep(
+            tool.points_of(page, {"seeds": [[7]]}, folder, root), jobs=1, scheduler="tcp://127.0.0.1:9"
+        )
