@@ -160,8 +160,8 @@ ROWS = (
         "n_s=6",
         "6 sensors",
         sensors_per_segment=2,
-        note="delta_y is not observable with two sensors per segment: the estimate drifts; "
-        "the authors' own networks, evaluated on regenerated data, give 35 for delta_y_1; ",
+        note="the bend in y is not observable with two sensors per segment: the estimate drifts; "
+        "the authors' own networks, evaluated on regenerated data, give 35 there in segment 1; ",
     ),
     Row("n_s=9", "9 sensors", same_as="n_b=3"),
     Row("n_s=12", "12 sensors", sensors_per_segment=4),
