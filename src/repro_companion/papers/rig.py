@@ -12,7 +12,6 @@ import csv
 import hashlib
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -41,7 +40,7 @@ from repro import (
 from repro.common import bad_input, require
 from repro.robot import place
 from repro_board.evaluate import search_lag
-from repro_companion.show import project_folder
+from repro_companion.run import project_folder, recordings_folder
 
 RATE_HZ, SENSORS = 40.0, 3
 LENGTH, RADIUS = 106.05e-3, 22e-3
@@ -572,7 +571,7 @@ def load(source: str = "auto") -> Data:
     InputError
         If recorded files are asked for and one is missing, or a file cannot be used.
     """
-    folder = data_folder() / FOLDER
+    folder = recordings_folder() / FOLDER
     files = {
         name: (folder / "raw_motion_capture_data" / whole.split("_")[0] / f"{whole}_Quat.csv",
                folder / "sensor_data" / f"{whole}_SV.csv")
@@ -591,14 +590,6 @@ def load(source: str = "auto") -> Data:
         source = "recorded" if _released([path for pair in files.values() for path in pair]) else "own"
     tests = {name: r if name == "T4" else r.cut(_first_of_test(r)) for name, r in recordings.items()}
     return Data(recordings["T5"].cut(0, _first_of_test(recordings["T5"])), tests, source)
-
-
-def data_folder() -> Path:
-    """Return where recordings lie: REPRO_DATA_DIR, else the user's cache."""
-    import platformdirs
-
-    chosen = os.environ.get("REPRO_DATA_DIR") or platformdirs.user_cache_dir("repro", appauthor=False)
-    return Path(chosen).expanduser().absolute()
 
 
 def _first_of_test(recording: Recording) -> int:
@@ -621,7 +612,7 @@ def networks(data: Data, seed: int) -> list[Any]:
     folder = project_folder() / "data" / "networks"
     if data.source != "simulated":
         content = hashlib.sha256(data.train.q.tobytes() + data.train.u.tobytes()).hexdigest()[:12]
-        folder = data_folder() / "networks" / f"T5_{content}"
+        folder = recordings_folder() / "networks" / f"T5_{content}"
     paths = [folder / f"rig_sensor{j + 1}_seed{seed}.safetensors" for j in range(SENSORS)]
     for j, path in enumerate(paths):
         if not path.is_file():
