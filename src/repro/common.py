@@ -65,6 +65,8 @@ def numbers(
     InputError
         If it is not as it must be.
     """
+    if np.iscomplexobj(value):  # NumPy would drop the imaginary part
+        raise bad_input(name, owner, "real numbers", f"{type(value).__name__} {value!r}")
     try:
         found = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, RuntimeError) as error:

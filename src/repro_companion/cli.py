@@ -234,7 +234,7 @@ def main() -> int:
     from repro_companion.run import InputError, is_first_edition
 
     notebook = next((Path(word) for word in words if word.endswith(".ipynb")), None)
-    old = command in ("run", "sweep") and notebook is not None and is_first_edition(notebook)
+    old = command == "run" and notebook is not None and is_first_edition(notebook)
     try:
         return run_command(first_edition if old else app)
     except (InputError, FileNotFoundError) as error:

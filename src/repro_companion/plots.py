@@ -54,6 +54,10 @@ STYLE: Any = {
     "image.cmap": "viridis",
     "svg.hashsalt": "repro",
 }
+GREY_INK = dict.fromkeys(
+    ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), "#767676"
+)
+"""Letters of a figure that is not inverted in dark mode: they are read on both grounds."""
 
 
 def use_style() -> None:
@@ -75,10 +79,16 @@ def style() -> Iterator[None]:
 COORDINATES = ("delta_x", "delta_y", "delta_L")
 VERDICTS = {
     "reproduced": "within the scatter",
-    "weak": "scatter so large that zero would pass",
+    "weak": "weak, zero would pass too",
     "better": "smaller",
     "differs": "differs",
 }
+BELOW_TABLE_1 = (
+    "Upper: published. Lower: regenerated. Both: mean and standard deviation s over three trainings. "
+    "e<sub>u</sub>: error of the predicted readings at the true shape, mean over the sensors. "
+    "Pale rows repeat another row. Within the scatter: both means are at most "
+    "√3 · √(s<sub>published</sub>² + s<sub>regenerated</sub>²) apart, or half a printed unit. Tint: "
+)
 TABLE_1 = """<style>
 .table-1 { overflow-x: auto; margin: 0 0 0.4rem; --grey: #666d78; }
 .table-1 :is(.better, .differs) { --grey: #4b515b; }
@@ -103,7 +113,7 @@ html[data-theme="dark"] .table-1 :is(.better, .differs) { --grey: #ced6dd; }
 </style>"""
 
 
-def table_1(card: pd.DataFrame, labels: dict[str, str], repeated: Sequence[str]) -> HTML:
+def table_1(card: pd.DataFrame, rows: Sequence[Any]) -> HTML:
     """Return Table 1 as printed: in each cell the published number and below it ours, tinted by verdict."""
     columns = ["e_u", *(f"{name}_{segment}" for segment in (1, 2, 3) for name in COORDINATES)]
     signs = dict(zip(COORDINATES, ("Δx", "Δy", "δL"), strict=True))
@@ -111,35 +121,16 @@ def table_1(card: pd.DataFrame, labels: dict[str, str], repeated: Sequence[str])
     heads = [f'<th scope="col"{_edge(c)}>{signs.get(c[:-2], "e<sub>u</sub> [µT]")}</th>' for c in columns]
     lines = [f'<tr><th scope="row">robot</th><th scope="col">readings</th>{groups}</tr>']
     lines.append(f'<tr><th scope="row">mean ± std</th>{"".join(heads)}</tr></thead><tbody>')
-    for name, label in labels.items():
-        own = card[card["row"] == name].set_index("quantity")
+    for row in rows:
+        own = card[card["row"] == row.name].set_index("quantity")
         cells = [_cell(own.loc[c], c) if c in own.index else f"<td{_edge(c)}>–</td>" for c in columns]
-        again = ' class="again"' if name in repeated else ""
-        lines.append(f'<tr{again}><th scope="row">{label}</th>{"".join(cells)}</tr>')
+        again = ' class="again"' if row.same_as else ""
+        lines.append(f'<tr{again}><th scope="row">{row.label}</th>{"".join(cells)}</tr>')
     legend = " · ".join(f'<span class="{name}">{words}</span>' for name, words in VERDICTS.items())
-    words = "Upper: published. Lower: regenerated. Pale rows repeat another row. Tint: "
     label = 'id="fig-table-1" aria-label="Table 1, published and regenerated"'
     box = f'<div class="table-1" tabindex="0" role="region" {label}>'
     table = f"<table><thead>{''.join(lines)}</tbody></table>"
-    return HTML(f'{TABLE_1}{box}{table}</div><p class="table-1">{words}{legend}.</p>')
-
-
-def table_1_in_words(card: pd.DataFrame, bias: pd.DataFrame, repeated: Sequence[str]) -> str:
-    """Return how many numbers of Table 1 agree, and how large our errors are against the published ones."""
-    own = card[~card["row"].isin(repeated) & card["verdict"].isin(VERDICTS)]
-    count = {name: int((own["verdict"] == name).sum()) for name in ("reproduced", "better", "differs")}
-    weak, total = int((own["weak"] == "true").sum()), bias.iloc[-1]
-    numbers = "differs" if count["differs"] == 1 else "differ"
-    whole = (
-        f" Of the {total['cells']} relative errors (without six sensors) {total['below']} are smaller than published;"
-        f" our errors are **{total['ratio']:.2f} times the published ones** in the geometric mean."
-    )
-    return (
-        f"**{count['reproduced']} of {len(own)} distinct numbers lie within the scatter of the trainings**,"
-        f" {count['better'] or 'none'} {'is' if count['better'] == 1 else 'are'} smaller and"
-        f" {count['differs'] or 'none'} {numbers}. For {weak or 'none'} the scatter is so large that zero would pass."
-        f"{whole if total['cells'] else ''}"
-    )
+    return HTML(f'{TABLE_1}{box}{table}</div><p class="table-1">{BELOW_TABLE_1}{legend}.</p>')
 
 
 def _edge(column: str) -> str:
@@ -151,6 +142,7 @@ def _cell(row: pd.Series, column: str) -> str:
     texts = []
     for name in ("published", "regenerated"):
         mean, std = (pd.to_numeric(row[key]) * factor for key in (name, f"{name}_std"))
+        places += name == "regenerated" and std < 0.5 / 10**places  # no deviation is shown as zero
         spread = "" if pd.isna(std) else f"±{std:.{places}f}"
         texts.append("–" if pd.isna(mean) else f"{mean:.{places}f}{spread}")
     kind = "weak" if row["weak"] == "true" and row["verdict"] in VERDICTS else row["verdict"]
@@ -178,33 +170,37 @@ def sensor_models(table: pd.DataFrame) -> Figure:
 
 
 @style()
-def calibration(table: pd.DataFrame, labels: dict[str, str]) -> Figure:
-    """Draw mean errors by row of Table 1: published, and of the nominal and of the calibrated multipole model."""
-    figure, panel = plt.subplots(figsize=(WIDTH, 0.34 * len(table) + 1.1))
+def calibration(table: pd.DataFrame) -> Figure:
+    """Draw mean errors by row of Table 1, a column for each method; hollow marks are with more noise."""
+    figure, panel = plt.subplots(figsize=(WIDTH, 0.34 * len(table) + 1.6))
     y = np.arange(len(table))[::-1]
-    panel.hlines(y, table["calibrated_percent"], table["uncalibrated_percent"], color="0.75", lw=1)
     looks = {
-        "uncalibrated_percent": ("nominal", SKY, "s"),
-        "calibrated_percent": ("calibrated", ORANGE, "D"),
-        "published_percent": ("Table 1, published", PUBLISHED, "|"),
+        "nominal": (SKY, "s", None),
+        "calibrated": (ORANGE, "D", None),
+        "calibrated, more noise": (ORANGE, "D", "none"),
+        "network of the paper": (BLUE, "o", None),
+        "network, more noise": (BLUE, "o", "none"),
+        "Table 1, published": (PUBLISHED, "|", None),
     }
-    for column, (label, colour, marker) in looks.items():
-        panel.plot(table[column], y, marker, color=colour, ms=11 if marker == "|" else 6, mew=2, label=label)
-    panel.set_yticks(y, [labels[row] for row in table["row"]])
+    panel.hlines(y, table["calibrated"], table["nominal"], color="0.75", lw=1)
+    for label, (colour, marker, face) in looks.items():
+        size = 11 if marker == "|" else 6
+        panel.plot(table[label], y, marker, color=colour, mfc=face, ms=size, mew=1.6, label=label)
+    panel.set_yticks(y, table.index)
     panel.set(xscale="log", xlabel="mean error of the configuration [% of its range]")
     panel.xaxis.set_major_formatter("{x:g}")
-    figure.legend(loc="outside upper center", ncols=3, **BESIDE)
+    figure.legend(loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)
 
 
 @style()
-def tip_paths(paths: dict[int, tuple[np.ndarray, np.ndarray]]) -> Figure:
-    """Draw true and estimated paths of tips ``[t, 3]`` [m] by number of segments, seen along the straight robot."""
+def tip_paths(paths: dict[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
+    """Draw true and estimated paths of tips ``[t, 3]`` [m] of several robots, seen along the straight robot."""
     figure, panels = plt.subplots(1, len(paths), figsize=(WIDTH, 2.5), squeeze=False)
-    for panel, (n, (truth, found)) in zip(panels[0], paths.items(), strict=True):
+    for panel, (name, (truth, found)) in zip(panels[0], paths.items(), strict=True):
         panel.plot(*1e3 * truth[:, :2].T, label="truth", **TRUTH)
         panel.plot(*1e3 * found[:, :2].T, color=BLUE, lw=1.3, label="estimate")
-        panel.set(title=f"{n} segment{'s' * (n > 1)}", xlabel="x [mm]", aspect="equal")
+        panel.set(title=name, xlabel="x [mm]", aspect="equal")
         panel.xaxis.set_major_locator(MaxNLocator(3))
         panel.yaxis.set_major_locator(MaxNLocator(4))
     panels[0, 0].set_ylabel("y [mm]")
@@ -233,9 +229,7 @@ def field_of_robot(field: pd.DataFrame, parts: pd.DataFrame, backbone: pd.DataFr
     # Streamlines want even steps, which numbers from a file have only to their digits.
     x, z = (np.linspace(i[0], i[-1], len(i)) for i in (grid["b_x_mT"].columns, grid.index))
     b_x, b_z = grid["b_x_mT"].to_numpy(), grid["b_z_mT"].to_numpy()
-    # A map of colours is not inverted in dark mode: its letters are read on both grounds.
-    inks = ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color")
-    mpl.rcParams.update(dict.fromkeys(inks, "#767676"))
+    mpl.rcParams.update(GREY_INK)
     figure, panel = plt.subplots(figsize=(4.3, 5.4))
     panel.grid(visible=False)
     size = np.hypot(b_x, b_z)
@@ -369,68 +363,74 @@ def three_moves(table: pd.DataFrame) -> Figure:
 
 
 @style()
-def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failure_s: float) -> Figure:
+def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failed: Sequence[int], failure_s: float) -> Figure:
     """Draw Fig. 4(b): readings above, configurations below; truth, and the mean over seeds with its deviation."""
-    pairs = [(table, unit, s) for table, unit in ((u, "mT"), (q, "mm")) for s in u["segment"].unique()]
-    names = {"delta_x": r"\Delta_{x,%d}", "delta_y": r"\Delta_{y,%d}", "delta_L": r"\delta L_{%d}"}
-    figure, panels = plt.subplots(len(pairs), 1, figsize=(WIDTH, 0.92 * len(pairs) + 0.7), sharex=True)
-    for panel, (table, unit, segment) in zip(panels, pairs, strict=True):
-        own = table[table["segment"] == segment]
-        for colour, (name, part) in zip(FOUR, own.groupby(table.columns[2], sort=False), strict=False):
-            text = f"u_{{{name}}}" if unit == "mT" else names[str(name).rpartition("_")[0]] % segment
-            t, truth = part["time_s"], part[f"true_{unit}"]
-            mean, deviation = part[f"mean_{unit}"], part[f"std_{unit}"]
-            works = part["working"] if unit == "mT" else truth.notna()
-            panel.plot(t, truth.where(works), color=colour, lw=3.6, alpha=0.45, label=f"${text}$")
-            panel.plot(t, truth.where(~works), color=colour, lw=3.6, alpha=0.15)
-            panel.plot(t, mean, color=colour, lw=1.2, ls=(0, (4, 2)))
-            panel.fill_between(t, mean - deviation, mean + deviation, color=colour, alpha=0.2, lw=0)
+    signs = (r"\Delta_{x,%d}", r"\Delta_{y,%d}", r"\delta L_{%d}")
+    n = u["name"].nunique() // 4  # segments
+    figure, panels = plt.subplots(2 * n, 1, figsize=(WIDTH, 1.84 * n + 0.7), sharex=True)
+    for table, own, per in ((u, panels[:n], 4), (q, panels[n:], 3)):
+        for k, (name, part) in enumerate(table.groupby("name", sort=False)):
+            text = f"u_{{{name}}}" if per == 4 else signs[k % 3] % (k // 3 + 1)
+            works = (part["time_s"] < failure_s) | (per == 3) | (name not in failed)
+            _over_time(own[k // per], part, FOUR[k % per], works, label=f"${text}$")
+    for panel, every in zip(panels, [0.5] * n + [10] * n, strict=True):
         panel.axvline(failure_s, color="0.4", lw=1.2, ls=":")
         panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **BESIDE)
         panel.margins(x=0.01)
-        panel.yaxis.set_major_locator(MultipleLocator(0.5 if unit == "mT" else 10))
-    panels[len(pairs) // 4].set_ylabel("reading [mT]")
-    panels[-1 - len(pairs) // 4].set_ylabel("configuration [mm]")
+        panel.yaxis.set_major_locator(MultipleLocator(every))
+    panels[n // 2].set_ylabel("reading [mT]")
+    panels[-1 - n // 2].set_ylabel("configuration [mm]")
     panels[-1].set_xlabel("time [s]")
     figure.align_ylabels(panels)
-    ink = {"color": "0.4", "lw": 3.6}
-    lines = [
-        Line2D([], [], alpha=0.5, label="truth", **ink),
-        Line2D([], [], color="0.4", lw=1.2, ls=(0, (4, 2)), label="estimate"),
-        Line2D([], [], alpha=0.2, label="truth, sensor failed", **ink),
-        Line2D([], [], color="0.4", lw=1.2, ls=":", label="failure"),
-    ]
-    figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE | {"handlelength": 1.6})
+    lost = Line2D([], [], color="0.4", lw=3.6, alpha=0.2, label="truth, sensor failed")
+    line = Line2D([], [], color="0.4", lw=1.2, ls=":", label="failure")
+    beside = BESIDE | {"handlelength": 1.6}
+    figure.legend(handles=[*TRUTH_ESTIMATE, lost, line], loc="outside upper center", ncols=4, **beside)
     return closed(figure)
 
 
+TRUTH_ESTIMATE = (
+    Line2D([], [], color="0.4", lw=3.6, alpha=0.45, label="truth"),
+    Line2D([], [], color="0.4", lw=1.2, ls=(0, (4, 2)), label="estimate"),
+)
+"""Legend of curves over time."""
+
+
+def _over_time(panel: Any, part: pd.DataFrame, colour: str, works: Any = None, label: str = "") -> None:
+    t, truth, mean, deviation = (part[name] for name in ("time_s", "truth", "mean", "std"))
+    works = truth.notna() if works is None else works
+    panel.plot(t, truth.where(works), color=colour, lw=3.6, alpha=0.45, label=label)
+    panel.plot(t, truth.mask(works), color=colour, lw=3.6, alpha=0.15)
+    panel.plot(t, mean, color=colour, lw=1.2, ls=(0, (4, 2)))
+    panel.fill_between(t, mean - deviation, mean + deviation, color=colour, alpha=0.2, lw=0)
+
+
 @style()
-def stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
-    """Draw Fig. 5: shapes at several times, truth opaque and estimate pale, with magnets and sensors."""
-    times = shapes["time_s"].unique()
+def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figure:
+    """Draw shapes at several times, the truth opaque and the estimates pale, with magnets and sensors: Figs 5 and 7.
+
+    Above each stands the mean distance of the estimated tips from the true one; in brackets, of the run ``beside``,
+    which is not drawn.
+    """
     points = pd.concat([shapes, parts])[XYZ].to_numpy(float)
     middle, reach = (points.max(0) + points.min(0)) / 2, np.ptp(points, axis=0) / 2
-    looks: dict[tuple[str, bool], dict[str, Any]] = {
-        ("magnet", True): {"marker": "o", "color": GREEN, "ms": 6},
-        ("sensor", True): {"marker": "s", "color": BLUE, "ms": 3.5},
-        ("sensor", False): {"marker": "X", "color": ORANGE, "ms": 6.5, "mew": 0},
-    }
+    times, looks = shapes["time_s"].unique(), STILLS if (~parts["working"]).any() else STILLS[:2]
     rows = -(-len(times) // 3)
-    tall = 2.3 * rows + 0.3
+    tall = 2.3 * rows + 0.45
     figure = plt.figure(figsize=(WIDTH, tall), layout="none")  # pictures in 3-D waste their margins
     for k, time_s in enumerate(times):
-        place = (k % 3 / 3 - 0.06, (rows - 1 - k // 3) * 2.3 / tall - 0.04, 0.45, 2.3 / tall + 0.08)
-        panel: Any = figure.add_axes(place, projection="3d")
-        for estimated, alpha in ((True, 0.3), (False, 1.0)):
-            own = [
-                table[(table["time_s"] == time_s) & (table["estimated"] == estimated)]
-                for table in (shapes, parts)
-            ]
-            for colour, (_, part) in zip(body_colours(3), own[0].groupby("segment"), strict=False):
-                panel.plot(*part[XYZ].to_numpy().T, color=colour, lw=3.5, alpha=alpha)
-            for (kind, works), look in looks.items():
-                some = own[1][(own[1]["part"] == kind) & (own[1]["working"] == works)]
-                panel.plot(*some[XYZ].to_numpy().T, ls="", alpha=alpha, **look)
+        place = (k % 3 / 3 - 0.05, (rows - 1 - k // 3) * 2.3 / tall - 0.04, 0.43, 2.3 / tall + 0.06)
+        panel: Any = figure.add_axes(place, projection="3d", computed_zorder=False)
+        now, off = shapes[shapes["time_s"] == time_s], {}
+        for run, own in [*now.groupby("run", sort=False)][::-1]:
+            tip = own[XYZ].iloc[-1] - now.loc[now["run"] == "truth", XYZ].iloc[-1]
+            off[run] = float(np.linalg.norm(tip))
+            for colour, (_, part) in zip(body_colours(3), own.groupby("segment"), strict=False):
+                look = {"color": colour, "lw": 2} if run == "truth" else ESTIMATE
+                panel.plot(*part[XYZ].to_numpy().T, **look if run != beside else {"lw": 0})
+        for kind, works, _, look in looks:
+            chosen = (parts["time_s"] == time_s) & (parts["part"] == kind) & (parts["working"] == works)
+            panel.plot(*parts.loc[chosen, XYZ].to_numpy().T, ls="", **look)
         for name, centre, half in zip("xyz", middle, reach, strict=True):
             getattr(panel, f"set_{name}lim")(centre - half, centre + half)
             getattr(panel, f"{name}axis").set_major_locator(MultipleLocator(100))
@@ -438,14 +438,23 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
         panel.patch.set_visible(False)
         panel.set_box_aspect(tuple(reach), zoom=0.98)
         panel.view_init(elev=15, azim=-60)
-        panel.text2D(0.2, 0.88, f"{time_s:.0f} s", transform=panel.transAxes)
-    lines = [
-        Line2D([], [], color="0.3", lw=3.5, alpha=a, label=s) for a, s in ((1, "truth"), (0.3, "estimate"))
-    ]
-    words = ("magnet", "sensor", "failed sensor")
-    lines += [Line2D([], [], ls="", label=w, **look) for w, look in zip(words, looks.values(), strict=True)]
+        bracket = f" ({off[beside]:.1f})" if beside else ""
+        mean = np.mean([off[run] for run in off if run not in ("truth", beside)])
+        words = f"{time_s:.1f} s: {mean:.1f}{bracket} mm"
+        figure.text((k % 3 + 0.5) / 3, (rows - k // 3) * 2.3 / tall, words, ha="center", va="top")
+    lines = [Line2D([], [], color=BODY[0], lw=2, label="truth"), Line2D([], [], label="estimate", **ESTIMATE)]
+    lines += [Line2D([], [], ls="", label=words, **look) for _, _, words, look in looks]
     figure.legend(handles=lines, loc="upper center", ncols=5, **BESIDE)
     return closed(figure)
+
+
+ESTIMATE: Any = {"color": ORANGE, "lw": 7, "alpha": 0.3}
+STILLS: Any = (
+    ("magnet", True, "magnet", {"marker": "o", "color": GREEN, "ms": 6}),
+    ("sensor", True, "sensor", {"marker": "s", "color": BLUE, "ms": 3.5}),
+    ("sensor", False, "failed sensor", {"marker": "X", "color": PINK, "ms": 7, "mew": 0}),
+)
+"""Looks of estimated shapes and of parts in stills."""
 
 
 # Affine curvature: Figs 6 and 7 of Baaij et al.
@@ -465,7 +474,7 @@ def affine_over_time(series: pd.DataFrame) -> Figure:
     figure, panels = plt.subplots(
         5, 1, figsize=(WIDTH, 6.3), sharex=True, gridspec_kw={"height_ratios": ratios}
     )
-    readings = series[series["kind"] == "reading"]
+    readings = series[series["name"].str.startswith("u_")]
     for number, (_, part) in enumerate(readings.groupby("name", sort=False)):
         _over_time(panels[0], part, FOUR[number % 3])
     for panel, (name, words) in zip(panels[1:], AFFINE_NAMES.items(), strict=True):
@@ -481,65 +490,11 @@ def affine_over_time(series: pd.DataFrame) -> Figure:
         Line2D([], [], color=colour, lw=2.4, label=f"at {at} mm")
         for colour, at in zip(FOUR, (0, 100, 200), strict=False)
     ]
-    looks = [
-        Line2D([], [], color="0.4", lw=3.6, alpha=0.45, label="truth"),
-        Line2D([], [], color="0.4", lw=1.2, ls=(0, (4, 2)), label="estimate"),
-    ]
-    figure.legend(handles=[*planes, *looks], loc="outside upper center", ncols=5, **BESIDE)
-    return closed(figure)
-
-
-def _over_time(panel: Any, part: pd.DataFrame, colour: str) -> None:
-    t, mean, deviation = part["time_s"], part["mean"], part["std"]
-    panel.plot(t, part["truth"], color=colour, lw=3.6, alpha=0.45)
-    panel.plot(t, mean, color=colour, lw=1.2, ls=(0, (4, 2)))
-    panel.fill_between(t, mean - deviation, mean + deviation, color=colour, alpha=0.2, lw=0)
-
-
-@style()
-def affine_stills(shapes: pd.DataFrame, parts: pd.DataFrame) -> Figure:
-    """Draw Fig. 7: the true shape opaque, the estimates of all seeds pale, with magnets and sensors."""
-    times = shapes["time_s"].unique()
-    rows = -(-len(times) // 3)
-    figure = plt.figure(figsize=(WIDTH, 1.95 * rows + 0.4))
-    looks = {
-        "magnet": {"marker": "o", "color": GREEN, "ms": 7},
-        "sensor": {"marker": "s", "color": BLUE, "ms": 3.5},
-    }
-    estimate = {"color": ORANGE, "lw": 7, "alpha": 0.3}
-    for k, time_s in enumerate(times):
-        panel: Any = figure.add_subplot(rows, 3, k + 1, projection="3d", computed_zorder=False)
-        own = shapes[shapes["time_s"] == time_s]
-        for seed, part in own.sort_values("seed", ascending=False, kind="stable").groupby("seed", sort=False):
-            look = {"color": BODY[0], "lw": 2} if seed == -1 else estimate
-            panel.plot(*part[XYZ].to_numpy().T, **look)
-        for kind, look in looks.items():
-            some = parts[(parts["time_s"] == time_s) & (parts["part"] == kind)]
-            panel.plot(*some[XYZ].to_numpy().T, ls="", **look)
-        panel.set(xlim=(-125, 125), ylim=(-125, 125), zlim=(0, 210))
-        for name in "xyz":
-            getattr(panel, f"{name}axis").set_major_locator(MultipleLocator(100))
-            getattr(panel, f"set_{name}ticklabels")([])
-        panel.patch.set_visible(False)
-        panel.set_box_aspect((250, 250, 210), zoom=1.75)
-        panel.view_init(elev=18, azim=-55)
-        panel.set_title(f"{time_s:.1f} s", loc="left", y=1.02)
-    lines = [
-        Line2D([], [], color=BODY[0], lw=2, label="truth"),
-        Line2D([], [], label="estimates", **estimate),
-        *(Line2D([], [], ls="", label=kind, **look) for kind, look in looks.items()),
-    ]
-    figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
+    figure.legend(handles=[*planes, *TRUTH_ESTIMATE], loc="outside upper center", ncols=5, **BESIDE)
     return closed(figure)
 
 
 # The rig: Figs 8 to 11 of Baaij et al.
-
-GREY_INK = dict.fromkeys(
-    ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), "#767676"
-)
-"""Letters of a figure that is not inverted in dark mode: they are read on both grounds."""
-
 
 RIG_COLUMNS = {"e_u": ("readings", "mV"), "delta_x": ("Δx", "mm"), "delta_y": ("Δy", "mm")}
 
@@ -633,105 +588,118 @@ def rig_to_scale(robot: Any, markers_at: float) -> Figure:
     return closed(figure)
 
 
-def _in_space(panel: Any) -> None:
-    """Set the axes of a panel to the whole segment [mm]."""
-    panel.set(xlim=(-30, 30), ylim=(-30, 30), zlim=(0, 116))
-    for name in "xyz":
-        getattr(panel, f"{name}axis").set_major_locator(MultipleLocator(50 if name == "z" else 25))
-        getattr(panel, f"set_{name}ticklabels")([])
-    panel.patch.set_visible(False)
-    panel.set_box_aspect((60, 60, 116), zoom=1.35)
-    panel.view_init(elev=20, azim=-55)
+def _six_in_space(titles: Sequence[str]) -> tuple[Figure, list[Any]]:
+    """Return a figure with six panels in 3-D for the whole segment [mm], stretched sideways."""
+    figure = plt.figure(figsize=(WIDTH, 6.4), layout="none")  # pictures in 3-D waste their margins
+    figure.subplots_adjust(0, 0.03, 0.94, 0.9, 0.02, 0.08)
+    panels: list[Any] = []
+    for k, title in enumerate(titles):
+        panel: Any = figure.add_subplot(2, 3, k + 1, projection="3d", computed_zorder=False)
+        panel.set(xlim=(-25, 25), ylim=(-25, 25), zlim=(0, 120))
+        panel.set(xticks=(-20, 0, 20), yticks=(0, 20), zticks=(0, 50, 100))  # -20 would lie on the 20 of x
+        for name, pad in (("x", -4), ("y", -4), ("z", 0)):
+            panel.tick_params(name, pad=pad)
+            getattr(panel, f"set_{name}label")(f"{name} [mm]", labelpad=pad - 3)
+        panel.patch.set_visible(False)
+        panel.set_box_aspect((1, 1, 1.5), zoom=1.12)
+        panel.view_init(elev=20, azim=-55)
+        panel.set_title(title, y=1.03)
+        panels.append(panel)
+    return figure, panels
 
 
 @style()
 def trajectories(paths: pd.DataFrame, shapes: dict[str, np.ndarray]) -> Figure:
     """Draw Fig. 9: shapes of the segment [m] pale, the path of its tip dark, a panel for each trajectory."""
-    figure = plt.figure(figsize=(WIDTH, 6.8))
-    for k, (name, curves) in enumerate(shapes.items()):
-        panel: Any = figure.add_subplot(2, 3, k + 1, projection="3d", computed_zorder=False)
+    figure, panels = _six_in_space(list(shapes))
+    for panel, (name, curves) in zip(panels, shapes.items(), strict=True):
         for curve in 1e3 * curves:
             panel.plot(*curve.T, color=SKY, lw=1.2, alpha=0.8)
         tip = paths[paths["recording"] == name][["tip_x_mm", "tip_y_mm", "tip_z_mm"]]
         panel.plot(*tip.to_numpy().T, color=BLUE, lw=1.2)
-        _in_space(panel)
-        panel.set_title(name, y=1.08)
     lines = [Line2D([], [], color=SKY, label="shape"), Line2D([], [], color=BLUE, label="path of the tip")]
-    figure.legend(handles=lines, loc="outside upper center", ncols=2, **BESIDE)
+    figure.legend(handles=lines, loc="upper center", ncols=2, **BESIDE)
     return closed(figure)
+
+
+MAP: Any = {
+    "start": {"marker": "s", "color": "white", "mec": "black", "ms": 8, "ls": ""},
+    "descent": {"marker": "o", "color": ORANGE, "ms": 3, "lw": 1.2},
+    "half the step": {"marker": "o", "color": PINK, "ms": 2.5, "lw": 1.0},
+    "truth": {"marker": "*", "color": "white", "mec": "black", "ms": 13, "ls": ""},
+    "estimate": {"marker": "D", "color": ORANGE, "mec": "black", "ms": 6, "ls": ""},
+}
+"""Looks of what a map shows; in Fig. 10(a) start, descent and estimate are q̂0, q̂t and q̂*."""
 
 
 @style()
 def landscape_and_estimates(
-    grid: pd.DataFrame,
-    path: np.ndarray,
-    truth: np.ndarray,
+    maps: dict[str, tuple[pd.DataFrame, list[pd.DataFrame], np.ndarray]],
     series: dict[str, np.ndarray],
     zoom_s: tuple[float, float],
 ) -> Figure:
-    """Draw Fig. 10: the loss [mV] with the path of a descent [mm]; below, the bend over time, and a part of T5.
+    """Draw Fig. 10: the loss [mV] with the paths of descents [mm]; below, the bend over time, and a part of T5.
 
-    A series holds time, truth and the estimates of all seeds ``[t, 2, 1 + seeds]`` [mm] of a trajectory.
+    A map holds the loss, what the descent tries (and what it would try with half the step), and the truth. A series
+    holds truth and the estimates of all seeds ``[t, 2, 1 + seeds]`` [mm] of a trajectory.
     """
     mpl.rcParams.update(GREY_INK)
-    figure, panels = plt.subplots(4, 1, figsize=(WIDTH, 10.2), height_ratios=(3.4, 1.6, 1.6, 1.6))
-    table = grid.pivot(index="delta_y_mm", columns="delta_x_mm", values="rmse_mV")
-    mesh = panels[0].pcolormesh(table.columns, table.index, table, cmap="viridis", rasterized=True)
-    figure.colorbar(mesh, label="error of the readings [mV]")
-    panels[0].plot(*path.T, "o-", color=ORANGE, ms=3, label="descent")
-    for point, marker, words in ((path[0], "s", "start"), (truth, "*", "truth")):
-        panels[0].plot(*point, marker, color="white", mec="black", ms=10, ls="", label=words)
-    panels[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, **BESIDE)
-    panels[0].set(xlabel=r"$\Delta_x$ [mm]", ylabel=r"$\Delta_y$ [mm]")
-    panels[0].grid(visible=False)
-    titles = [*series, f"{list(series)[-1]}, a part of it"]
-    for panel, name, title in zip(panels[1:], [*series, list(series)[-1]], titles, strict=True):
-        values = series[name]
-        t = np.arange(len(values)) / 40
+    places = [[*maps], *([name] * len(maps) for name in (*series, "a part"))]
+    figure, panels = plt.subplot_mosaic(places, figsize=(WIDTH, 9.6), height_ratios=(2.8, 1.6, 1.6, 1.6))
+    for title, (grid, paths, truth) in maps.items():
+        table = grid.pivot(index="delta_y_mm", columns="delta_x_mm", values="rmse_mV")
+        look = {"vmin": 0, "vmax": 100, "rasterized": True}
+        panels[title].pcolormesh(table.columns, table.index, table, cmap="viridis", **look)
+        bends = [path[["delta_x_mm", "delta_y_mm"]].to_numpy() for path in paths]
+        best = bends[0][paths[0]["rmse_mV"].argmin()]
+        drawn = {"half the step": bends[-1], "descent": bends[0], "start": bends[0][0], "truth": truth}
+        for name, points in (drawn | {"estimate": best}).items():
+            panels[title].plot(*points.T, **MAP[name])
+        panels[title].set(xlim=table.columns[[0, -1]], ylim=table.index[[0, -1]], title=title)
+        panels[title].set(xlabel=r"$\Delta_x$ [mm]", ylabel=r"$\Delta_y$ [mm]")
+        panels[title].grid(visible=False)
+    drawn_on = [panels[title] for title in maps]
+    figure.colorbar(drawn_on[0].collections[0], ax=drawn_on, label="error of the readings [mV]")
+    for name in (*series, "a part"):
+        values = series.get(name, [*series.values()][-1])
+        curves = {"time_s": np.arange(len(values)) / 40, "std": 0.0}
         for k, colour in enumerate((BLUE, ORANGE)):
-            found = values[:, k, 1:]
-            mean, deviation = found.mean(1), found.std(1, ddof=1) if found.shape[1] > 1 else 0 * t
-            panel.plot(t, values[:, k, 0], color=colour, lw=3.0, alpha=0.45)
-            panel.plot(t, mean, color=colour, lw=1.2, ls=(0, (4, 2)))
-            panel.fill_between(t, mean - deviation, mean + deviation, color=colour, alpha=0.25, lw=0)
-        panel.set_title(title)
-        panel.set_ylabel("bend [mm]")
-        panel.margins(x=0)
-    panels[-1].set(xlim=zoom_s, xlabel="time [s]")
-    lines = [
-        Line2D([], [], color=c, lw=3, alpha=0.45, label=rf"$\Delta_{a}$, truth")
-        for a, c in zip("xy", (BLUE, ORANGE), strict=True)
-    ]
-    lines += [
-        Line2D([], [], color=c, lw=1.2, ls=(0, (4, 2)), label=rf"$\Delta_{a}$, estimate")
-        for a, c in zip("xy", (BLUE, ORANGE), strict=True)
-    ]
-    panels[1].legend(handles=lines, loc="lower center", bbox_to_anchor=(0.5, 1.15), ncols=4, **BESIDE)
+            found = pd.DataFrame(values[:, k, 1:])
+            curves |= {"truth": values[:, k, 0], "mean": found.mean(axis=1), "std": found.std(axis=1)}
+            _over_time(panels[name], pd.DataFrame(curves), colour)
+        panels[name].set(title=name, ylabel="bend [mm]")
+        panels[name].margins(x=0)
+    last = [*series][-1]
+    panels["a part"].set(xlim=zoom_s, xlabel="time [s]", title=f"{last}, a part of it")
+    colours = [Line2D([], [], color=c, lw=3, label=rf"$\Delta_{a}$") for a, c in (("x", BLUE), ("y", ORANGE))]
+    looks = {"truth": {"lw": 3, "alpha": 0.6}, "estimate": {"lw": 1.2, "ls": (0, (4, 2))}}
+    lines = [Line2D([], [], color="#767676", label=name, **look) for name, look in looks.items()]
+    beside = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.15), **BESIDE}
+    panels[next(iter(series))].legend(handles=[*colours, *lines], ncols=4, **beside)
+    looks = [Line2D([], [], label=name, **look) for name, look in MAP.items()]
+    figure.legend(handles=looks, loc="outside upper center", ncols=5, **BESIDE)
     return closed(figure)
 
 
 @style()
 def rig_stills(robot: Any, times: np.ndarray, truth: np.ndarray, found: np.ndarray) -> Figure:
     """Draw Fig. 11, lower row: the true segment opaque, the estimates ``[time, seed, 3]`` [m] pale."""
-    figure = plt.figure(figsize=(WIDTH, 6.8))
+    figure, panels = _six_in_space([f"{time_s:.1f} s" for time_s in times])
     at = [robot.magnets[0].place, *(sensor.place for sensor in robot.sensors)]
-    for k, time_s in enumerate(times):
-        panel: Any = figure.add_subplot(2, 3, k + 1, projection="3d", computed_zorder=False)
+    for k, panel in enumerate(panels):
         for q in found[k]:
             panel.plot(*(1e3 * robot.backbone(q)).T, color=ORANGE, lw=3, alpha=0.45)
-        panel.plot(*(1e3 * robot.backbone(truth[k])).T, color="#1A1A1A", lw=3)
+        panel.plot(*(1e3 * robot.backbone(truth[k])).T, color=BODY[0], lw=3)
         p = 1e3 * robot.poses(truth[k], at)[:, :3, 3]
         panel.plot(*p[:1].T, "o", color=GREEN, ms=7)
         panel.plot(*p[1:].T, "s", color=BLUE, ms=4)
-        _in_space(panel)
-        panel.set_title(f"{time_s:.1f} s", y=1.08)
     lines = [
-        Line2D([], [], color="#1A1A1A", lw=3, label="truth"),
+        Line2D([], [], color=BODY[0], lw=3, label="truth"),
         Line2D([], [], color=ORANGE, lw=3, alpha=0.45, label="estimates"),
         Line2D([], [], color=GREEN, marker="o", ls="", label="magnet"),
         Line2D([], [], color=BLUE, marker="s", ls="", label="sensor"),
     ]
-    figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
+    figure.legend(handles=lines, loc="upper center", ncols=4, **BESIDE)
     return closed(figure)
 
 
@@ -972,7 +940,9 @@ def table_ii(printed: pd.DataFrame, errors: pd.DataFrame, badge: str) -> HTML:
     box = '<div class="table-1" id="fig-table-ii" tabindex="0" role="region" aria-label="Table II">'
     head = f'<thead><tr><th scope="row">marker</th>{heads}</tr></thead>'
     body = f"<table>{head}<tbody>{''.join(lines)}</tbody></table>"
-    words = "Upper: published, hardware. Lower: synthetic trials, mean ± standard deviation over draws of the sensors."
+    words = (
+        "Upper: published, hardware. Lower: synthetic trials, mean ± standard deviation over sensor draws."
+    )
     return HTML(f'{TABLE_1}<p>{mark}</p>{box}{body}</div><p class="table-1">{words}</p>')
 
 

@@ -294,6 +294,7 @@ def run(
         tables.mkdir()
         own = {f"{name}_THREADS": "1" for name in _ONE_THREAD} | {
             "REPRO_RESULTS": str(tables.absolute()),
+            "REPRO_RESULTS_DIR": str(tables.absolute()),  # of pages of the first edition
             "REPRO_DATA_DIR": str(recordings_folder()),
             "PYDEVD_DISABLE_FILE_VALIDATION": "1",  # the debugger of ipykernel would warn at every start
         }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -87,12 +87,9 @@ def number(value: Any, digits: int = 3) -> str:
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def show(
-    frame: pd.DataFrame, names: Mapping[str, str] | None = None, digits: int = 3, exact: Sequence[str] = ()
-) -> Styler:
-    """Return a table as it is read: headings in words, so many significant digits; ``exact`` columns as they are."""
-    names = dict(names or {})
-    table = frame.rename(columns=names).reset_index(drop=True)
+def show(frame: pd.DataFrame, names: Mapping[str, str] | None = None, digits: int = 3) -> Styler:
+    """Return a table as it is read: headings in words, so many significant digits."""
+    table = frame.rename(columns=dict(names or {})).reset_index(drop=True)
     numeric = [pd.api.types.is_numeric_dtype(table[column]) for column in table]
     sides = {True: "text-align: right", False: "text-align: left"}
     aligned: dict[Any, Any] = {
@@ -102,10 +99,7 @@ def show(
     content = sha256(table.to_csv().encode()).hexdigest()
     styler = Styler(table, uuid=content[:8]).hide(axis="index").set_table_styles(aligned)
     styler.set_table_attributes('class="dataframe shown"')
-    styler.format(lambda value: number(value, digits), escape="html")
-    if exact:
-        styler.format("{:.10g}", subset=[names.get(column, column) for column in exact], na_rep="–")
-    return styler
+    return styler.format(lambda value: number(value, digits), escape="html")
 
 
 def say(text: str) -> None:

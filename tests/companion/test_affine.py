@@ -107,14 +107,14 @@ def test_measured_poses_give_the_configurations_of_the_first_edition():
     first = torch.from_numpy(q + 1e-4)
     expected, spread = configurations(affine_robot(), torch.from_numpy(seen.poses), **noise, start=first)
     np.testing.assert_allclose(q, expected, rtol=0, atol=1e-6)
-    np.testing.assert_allclose(covariance, spread, rtol=1e-4, atol=1e-12)
+    np.testing.assert_allclose(covariance, spread, rtol=2e-4, atol=1e-12)
 
 
 def test_rows_of_the_scorecard():
     """The slip of print is not compared, and our method has relative errors only."""
     truth, u = flower(5), np.zeros((5, 9))
     errors = baaij.affine_errors(np.stack([truth, truth + 0.01]), np.zeros((2, 5, 9)), truth, u, [0, 1])
-    ours = baaij.affine_best([(0, True, np.arange(4.0)), (0, False, np.ones(4))])
+    ours = baaij.affine_best({True: np.arange(4.0)[None], False: np.ones((1, 4))})
     table = baaij.affine_rows(errors, "setting", ours)
     printed = pd.read_csv(ROOT / "data" / "published" / "published.csv").query("artefact == 'Section 4.4'")
     assert set(zip(table["quantity"], table["unit"], strict=True)) == set(

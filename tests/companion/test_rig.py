@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
-from repro import InputError, KalmanFilter
+from repro import GradientDescent, InputError, KalmanFilter, Sensing, track
 from repro.robot import place
 from repro_companion.papers import rig
 from repro_companion.show import published
@@ -184,6 +184,38 @@ def test_the_rows_are_the_printed_ones_and_not_comparable(data):
     assert not lines["comparable"].any()
     noted = lines[lines["note"].str.contains("decided by rounding: 1 to 2.24 mm from 32 starts")]
     assert set(noted["row"]) == {rig.row_name("T1")}
+
+
+def test_the_largest_jump_is_replayed_iterate_by_iterate(data):
+    sensing = Sensing(rig.robot(), rig.networks(data, 0), earth=rig.EARTH)
+    q, u = (values[:, 2] for values in data.beginnings(2.0))
+    known = np.where([False, False, True], q, np.nan)
+    descent = GradientDescent(sensing, rig.STEP_SIZE, rig.MOMENTUM, rig.ITERATIONS)
+    found = track(descent, u, q[0], rate_hz=rig.RATE_HZ, known=known).q
+    k, grid, (path, half) = rig.largest_jump([sensing], q, u, found[:, None])
+    bends = 1e3 * found[:, :2]
+    assert k == 1 + np.linalg.norm(np.diff(bends, axis=0), axis=1).argmax()
+    tried = path[["delta_x_mm", "delta_y_mm"]].to_numpy()
+    np.testing.assert_allclose(tried[0], bends[k - 1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(tried[path["rmse_mV"].argmin()], bends[k], rtol=0, atol=1e-6)
+    first = half[["delta_x_mm", "delta_y_mm"]].to_numpy()[:2]
+    np.testing.assert_allclose(2 * (first[1] - first[0]), tried[1] - tried[0], rtol=1e-9)
+    low, high = grid[["delta_x_mm", "delta_y_mm"]].min(), grid[["delta_x_mm", "delta_y_mm"]].max()
+    np.testing.assert_allclose((bends.min(0) - low, high - bends.max(0)), 5.0, rtol=1e-9)
+
+
+def test_methods_are_means_over_the_seeds_and_medians_over_starts(data):
+    q, u = data.beginnings(1.0)
+    found = {"known": np.stack([q + 1e-3, q + 3e-3], 2), "ours": (q - 4e-3)[:, :, None]}
+    table = rig.errors(data, found, np.stack([u, u], 2), 1.0)
+    starts = pd.DataFrame(
+        [("half", rig.row_name("T1"), "delta_y", 1.0, 1.5, 2.0, False)],
+        columns=["step", "row", "quantity", "lowest", "middle", "highest", "chaotic"],
+    )
+    lines = rig.methods(table, starts)
+    assert lines["trajectory"].tolist() == [name for name in rig.TRAJECTORIES for _ in "xy"]
+    np.testing.assert_allclose(lines[["known", "ours"]], [[2.0, 4.0]] * 12)
+    assert lines["half_step"].dropna().to_dict() == {3: 1.5}
 
 
 def test_ratios_of_random_rigs_are_geometric_means():

@@ -175,3 +175,19 @@ def test_a_sweep_joins_what_succeeds_and_runs_nothing_twice(root, capfd):
     started = [tool.read_record(point.output) for point in points[:2]]
     assert tool.sweep(points[:2], jobs=2) == {}
     assert [tool.read_record(point.output) for point in points[:2]] == started
+
+
+def test_workers_of_a_scheduler_run_a_sweep(root):
+    from distributed import LocalCluster
+
+    page, folder = root / "notebooks/a.ipynb", root / "runs/a-sweep"
+    points = tool.points_of(page, {"noise_mt": [0.0], "seeds": [[5], [6]]}, folder, root)
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        assert tool.sweep(points, jobs=1, scheduler=cluster.scheduler_address) == {}
+    assert all(point.finished for point in points)
+    with pytest.raises(
+        InputError, match=r"scheduler of repro sweep .* such as tcp://host:8786; .* tcp://127"
+    ):
+        tool.sweep(
+            tool.points_of(page, {"seeds": [[7]]}, folder, root), jobs=1, scheduler="tcp://127.0.0.1:9"
+        )

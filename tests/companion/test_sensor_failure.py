@@ -34,18 +34,28 @@ def test_a_lost_sensor_costs_the_roots_of_one_two_and_three():
     np.testing.assert_allclose(np.sqrt(three / four), np.sqrt([1, 3, 2]), rtol=1e-9)
 
 
-def test_courses_mark_the_sensors_that_failed():
+def test_courses_hold_mean_and_deviation_over_seeds():
+    q = baaij.lemniscate(3, steps=4)
+    robot = baaij.robot(3, 4)
+    course = baaij.over_seeds(np.arange(4.0), robot.coordinates, q, np.stack([q, q + 2e-3]))
+    assert list(course["name"]) == 4 * list(robot.coordinates)
+    np.testing.assert_allclose(course["mean"] - course["truth"], 1e-3)
+    np.testing.assert_allclose(course["std"], np.sqrt(2) * 1e-3)
+    assert baaij.over_seeds(np.arange(4.0), robot.coordinates, q, q[None])["std"].isna().all()
+
+
+def test_stills_show_all_runs_and_cross_out_what_failed():
     robot, q = baaij.robot(3, 4), baaij.lemniscate(3, steps=4)
-    u, works = np.zeros((4, 12)), np.ones((4, 12), dtype=bool)
+    works = np.ones((4, 12), dtype=bool)
     works[2:, [3, 7, 11]] = False
-    estimates = np.stack([u, u + 2.0]), np.stack([q, q + 2e-3])
-    readings, shape = baaij.failure_course(np.arange(4.0), robot, (u, q), estimates, works)
-    lost = readings[~readings["working"]]
-    assert set(lost["sensor"]) == {4, 8, 12}
-    assert lost["time_s"].min() == 2
-    assert set(readings["mean_mT"]) == {1.0}
-    np.testing.assert_allclose(shape["std_mm"], np.sqrt(2))
-    assert list(shape["segment"][:9]) == [1, 1, 1, 2, 2, 2, 3, 3, 3]
+    shapes, parts = baaij.stills(robot, np.arange(4.0), {"truth": q, "failure": q + 1e-3}, works)
+    tips = shapes.groupby(["run", "time_s"])[["x_mm", "y_mm", "z_mm"]].last()
+    np.testing.assert_allclose(tips.loc["truth"], 1e3 * robot.tip(q)[:, :3, 3])
+    np.testing.assert_allclose(tips.loc["failure"], 1e3 * robot.tip(q + 1e-3)[:, :3, 3])
+    lost = parts[~parts["working"]]
+    assert list(lost["time_s"]) == [2, 2, 2, 3, 3, 3]
+    assert set(lost["part"]) == {"sensor"}
+    assert len(parts) == 4 * (3 + 12)
 
 
 def test_alarms_are_shares_of_the_study():
@@ -53,4 +63,6 @@ def test_alarms_are_shares_of_the_study():
     expected = pd.read_csv(
         ROOT / "results" / "sensor_failure_alarms.csv", keep_default_na=False, na_values=[""]
     )
-    pd.testing.assert_frame_equal(baaij.alarms(study), expected, rtol=1e-8, check_dtype=False)
+    shares = baaij.alarms(study)
+    pd.testing.assert_frame_equal(shares, expected, rtol=1e-8, check_dtype=False)
+    assert (shares["alarm_right_percent"] <= shares["alarm_percent"]).all()

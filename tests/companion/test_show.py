@@ -50,10 +50,10 @@ def test_what_is_shown_is_what_the_file_holds(results):
     assert back["row"].to_list() == ["None", "b"]
 
 
-def test_a_table_has_its_headings_its_exact_columns_and_no_markup_of_its_cells():
+def test_a_table_has_its_headings_and_no_markup_of_its_cells():
     frame = pd.DataFrame({"who": ["<b>", "c"], "time_s": [1234.5678, math.nan], "error": [0.5, 1e-9]})
-    html = show(frame, {"time_s": "time [s]"}, exact=["time_s"]).to_html()
-    for text in ("time [s]", "1234.5678", "–", "0.500", "1.00 × 10⁻⁹", "&lt;b&gt;"):
+    html = show(frame, {"time_s": "time [s]"}).to_html()
+    for text in ("time [s]", "1235", "–", "0.500", "1.00 × 10⁻⁹", "&lt;b&gt;"):
         assert f">{text}<" in html
     assert show(frame).to_html() == show(frame).to_html() != show(frame.assign(error=1.0)).to_html()
 

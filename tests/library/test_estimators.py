@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -222,3 +224,16 @@ def test_chi_square_has_its_degrees_of_freedom(name, dof):
     _, found = method.step(method.init(q0), u, 0.0)
     assert (found.dof == dof).all()
     assert found.chi2.mean() == pytest.approx(3.0, abs=3 * np.sqrt(6 / 400))
+
+
+def test_threads_find_what_one_finds(case):
+    """Kernels run without Python's lock; threads that share an estimator must not meet."""
+    _, estimator, q0, u = case
+    readings = np.repeat(np.asarray(u)[None], 30, axis=0)
+
+    def tracked(_):
+        return track(estimator, readings, q0, rate_hz=40).q
+
+    with ThreadPoolExecutor(4) as pool:
+        several = list(pool.map(tracked, range(8)))
+    assert all(np.array_equal(one, tracked(0)) for one in several)

@@ -279,6 +279,7 @@ SMALL = Network([(np.zeros((1, 5)), np.zeros(1))], "relu", "angles")
             "with one output; instead received 2",
         ),
         (lambda: SMALL(np.zeros(4)), r"xi of Network must be numbers of shape \(..., 5\)"),
+        (lambda: SMALL(np.zeros(5) * 1j), "xi of Network must be real numbers; instead received ndarray"),
     ],
 )
 def test_what_cannot_be_is_refused_in_words(make, message):

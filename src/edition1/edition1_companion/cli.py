@@ -12,7 +12,7 @@ from typing import Annotated
 from cyclopts import App, CycloptsError, Parameter
 
 from edition1.errors import InputError, bad_input
-from edition1_companion import cli_calibrate, cli_live, cli_robot, cli_sweep, cli_track
+from edition1_companion import cli_calibrate, cli_live, cli_robot, cli_track
 from edition1_companion.book.project import find_project, shown
 from edition1_companion.cli_terminal import pairs
 
@@ -169,7 +169,6 @@ for command in (
     cli_track.track,
     cli_track.smooth,
     cli_track.fit,
-    cli_sweep.sweep,
 ):
     app.command(command)
 

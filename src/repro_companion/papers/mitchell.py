@@ -124,12 +124,18 @@ class Setting:
         """Return the estimator."""
         bound = np.full(2, LARGEST_BEND)
         if self.how == ("least squares",):
-            return LevenbergMarquardt(_real(self.length), -bound, bound, noise=self.noise_mt)
+            return LevenbergMarquardt(BendSensor(self.length, CUBE), -bound, bound, noise=self.noise_mt)
         if self.how == ("Kalman filter",):
             # The parameter t of the curves counts as time: its steps of 0.01 turn noise per step into noise per time.
             change = np.full(2, self.process_noise_pi * math.pi / STEP**1.5)
             return KalmanFilter(
-                _real(self.length), -bound, bound, self.noise_mt, change, velocity=np.ones(2), iterations=5
+                BendSensor(self.length, CUBE),
+                -bound,
+                bound,
+                self.noise_mt,
+                change,
+                velocity=np.ones(2),
+                iterations=5,
             )
         sigma = math.sqrt(2) * self.noise_mt or SIGMA_MT
         estimate, resampling, motion = self.how
@@ -158,12 +164,6 @@ KALMAN = replace(BEST, name="Kalman filter, sensor noise", particles=0, how=("Ka
 SINGLE = replace(NOISY, name="least squares, sensor noise", particles=0, how=("least squares",))
 NOISES_PI = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
 STUDY_SEEDS = range(10)
-
-
-def _real(length: float) -> Any:
-    """Return the field as a function of real numbers: its slopes are differences."""
-    sensor = BendSensor(length, CUBE)
-    return lambda q: sensor(np.real(q))
 
 
 def follow(

@@ -12,7 +12,6 @@ import csv
 import hashlib
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -28,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from repro import (
     ConstantCurvature,
+    GradientDescent,
     KalmanFilter,
     Magnet,
     Ring,
@@ -40,7 +40,7 @@ from repro import (
 from repro.common import bad_input, require
 from repro.robot import place
 from repro_board.evaluate import search_lag
-from repro_companion.show import project_folder
+from repro_companion.run import project_folder, recordings_folder
 
 RATE_HZ, SENSORS = 40.0, 3
 LENGTH, RADIUS = 106.05e-3, 22e-3
@@ -571,7 +571,7 @@ def load(source: str = "auto") -> Data:
     InputError
         If recorded files are asked for and one is missing, or a file cannot be used.
     """
-    folder = data_folder() / FOLDER
+    folder = recordings_folder() / FOLDER
     files = {
         name: (folder / "raw_motion_capture_data" / whole.split("_")[0] / f"{whole}_Quat.csv",
                folder / "sensor_data" / f"{whole}_SV.csv")
@@ -590,14 +590,6 @@ def load(source: str = "auto") -> Data:
         source = "recorded" if _released([path for pair in files.values() for path in pair]) else "own"
     tests = {name: r if name == "T4" else r.cut(_first_of_test(r)) for name, r in recordings.items()}
     return Data(recordings["T5"].cut(0, _first_of_test(recordings["T5"])), tests, source)
-
-
-def data_folder() -> Path:
-    """Return where recordings lie: REPRO_DATA_DIR, else the user's cache."""
-    import platformdirs
-
-    chosen = os.environ.get("REPRO_DATA_DIR") or platformdirs.user_cache_dir("repro", appauthor=False)
-    return Path(chosen).expanduser().absolute()
 
 
 def _first_of_test(recording: Recording) -> int:
@@ -620,7 +612,7 @@ def networks(data: Data, seed: int) -> list[Any]:
     folder = project_folder() / "data" / "networks"
     if data.source != "simulated":
         content = hashlib.sha256(data.train.q.tobytes() + data.train.u.tobytes()).hexdigest()[:12]
-        folder = data_folder() / "networks" / f"T5_{content}"
+        folder = recordings_folder() / "networks" / f"T5_{content}"
     paths = [folder / f"rig_sensor{j + 1}_seed{seed}.safetensors" for j in range(SENSORS)]
     for j, path in enumerate(paths):
         if not path.is_file():
@@ -720,47 +712,75 @@ def scorecard_rows(table: pd.DataFrame, data: Data, seconds: float, ranges: pd.D
     key = ["artefact", "row", "quantity", "unit"]
     cells = pd.concat(parts).groupby(key, sort=False)["error"]
     lines = cells.agg(regenerated="mean", regenerated_std="std", n_seeds="count").reset_index()
-    origin = [f"synthetic twin {_trained_on()}"] if data.source == "simulated" else []
+    manifest = json.loads((project_folder() / "data/networks/rig_sensor1_seed0.json").read_text("utf-8"))
+    origin = [f"synthetic twin {manifest['twin_sha256'][:8]}"] if data.source == "simulated" else []
     setting = "; ".join([*origin, SETTING, f"here the first {seconds:g} s of each test part"])
-    note = NOTES.get(data.source, "")
-    lines = lines.assign(paper="baaij2023", setting=setting, comparable=data.source == "recorded", note=note)
-    if data.source == "simulated":
-        wide = ranges[ranges["chaotic"] & (ranges["step"] == "published")].set_index(["row", "quantity"])
-        for k, line in lines.iterrows():
-            if (line["row"], line["quantity"]) in wide.index:
-                low, high = wide.loc[(line["row"], line["quantity"]), ["lowest", "highest"]]
-                lines.loc[k, "note"] += (
-                    f"; decided by rounding: {low:.3g} to {high:.3g} mm from {STARTS} starts"
-                )
+    lines = lines.assign(paper="baaij2023", setting=setting, comparable=data.source == "recorded")
+    wide = ranges[ranges["chaotic"] & (ranges["step"] == "published")]
+    spans = {
+        (line.row, line.quantity): f"; decided by rounding: {line.lowest:.3g} to {line.highest:.3g} mm"
+        f" from {STARTS} starts"
+        for line in wide.itertuples()
+    }
+    keys, note = zip(lines["row"], lines["quantity"], strict=True), NOTES.get(data.source, "")
+    lines["note"] = [note + spans.get(key, "") for key in keys]
     return lines
-
-
-def _trained_on() -> str:
-    manifest = project_folder() / "data" / "networks" / "rig_sensor1_seed0.json"
-    return json.loads(manifest.read_text(encoding="utf-8"))["twin_sha256"][:8]
 
 
 def paths(data: Data) -> pd.DataFrame:
     """Return bend and tip [mm] of the first minute of every trajectory, ten times a second: Fig. 9."""
     parts = []
     for name, part in data.tests.items():
-        q = part.q[: round(60 * RATE_HZ) : 4]
-        frame = pd.DataFrame(1e3 * q[:, :2], columns=["delta_x_mm", "delta_y_mm"])
-        frame[["tip_x_mm", "tip_y_mm", "tip_z_mm"]] = 1e3 * robot().tip(q)[:, :3, 3]
-        frame.insert(0, "time_s", part.time_s[: round(60 * RATE_HZ) : 4])
-        frame.insert(0, "recording", name)
-        parts.append(frame)
+        q, time_s = (values[: round(60 * RATE_HZ) : 4] for values in (part.q, part.time_s))
+        tip = robot().tip(q)[:, :3, 3]
+        bends = {f"delta_{axis}_mm": 1e3 * q[:, c] for c, axis in enumerate("xy")}
+        tips = {f"tip_{axis}_mm": 1e3 * tip[:, c] for c, axis in enumerate("xyz")}
+        parts.append(pd.DataFrame({"recording": name, "time_s": time_s, **bends, **tips}))
     return pd.concat(parts, ignore_index=True)
 
 
-def landscape(data: Data, sensing: Sensing, time_s: float = 3.0, points: int = 50) -> pd.DataFrame:
-    """Return the error of the readings over the bend at one time of T5.test, clipped at 100 mV: Fig. 10(a)."""
-    part, k = data.tests["T5"], round(time_s * RATE_HZ)
-    axes = [np.linspace(part.q[:, c].min(), part.q[:, c].max(), points) for c in range(2)]
-    x, y = (grid.ravel() for grid in np.meshgrid(*axes))
-    off = sensing(np.column_stack([x, y, np.full_like(x, part.q[k, 2])])) - part.u[k]
+def landscape(
+    sensing: Sensing, q: np.ndarray, u: np.ndarray, low: np.ndarray, high: np.ndarray, points: int = 50
+) -> pd.DataFrame:
+    """Return the error of the readings over the bend at one time, clipped at 100 mV: Fig. 10(a)."""
+    x, y = (grid.ravel() for grid in np.meshgrid(*np.linspace(low, high, points).T))
+    off = sensing(np.column_stack([x, y, np.full_like(x, q[2])])) - u
     rmse = np.minimum(np.sqrt((off**2).mean(axis=-1)), 100.0)
     return pd.DataFrame({"delta_x_mm": 1e3 * x, "delta_y_mm": 1e3 * y, "rmse_mV": rmse})
+
+
+def iterates(
+    sensing: Sensing, q: np.ndarray, momentum: np.ndarray, u: np.ndarray, shorter: int = 1
+) -> pd.DataFrame:
+    """Return the bends that the paper's descent tries in one time step, and the errors of their readings.
+
+    With a step that is so many times shorter it tries as many times more.
+    """
+    lines = []
+    for _ in range(ITERATIONS * shorter):
+        u_hat, J = sensing.linearise(q)
+        lines.append((*(1e3 * q[:2]), np.sqrt(((u_hat - u) ** 2).mean())))
+        momentum = MOMENTUM * momentum + 2 / SENSORS * (u_hat - u) @ J
+        q = q - np.array(STEP_SIZE) / shorter * momentum
+    return pd.DataFrame(lines, columns=["delta_x_mm", "delta_y_mm", "rmse_mV"])
+
+
+def largest_jump(
+    sensings: Sequence[Sensing], q: np.ndarray, u: np.ndarray, found: np.ndarray
+) -> tuple[int, pd.DataFrame, list[pd.DataFrame]]:
+    """Return the frame in which an estimate of the descent ``[t, seed, 3]`` jumps farthest, and what happens there.
+
+    That is the landscape around all estimates, what the descent tries, and what it would try with half the step.
+    """
+    jumps = np.linalg.norm(np.diff(found[..., :2], axis=0, prepend=found[:1, :, :2]), axis=-1)
+    k, seed = (int(at) for at in np.unravel_index(jumps.argmax(), jumps.shape))
+    descent = GradientDescent(sensings[seed], STEP_SIZE, MOMENTUM, ITERATIONS)
+    state = descent.init(q[0])
+    for q_j, u_j in zip(q[:k], u[:k], strict=True):
+        state, _ = descent.step(state, u_j, known=[np.nan, np.nan, q_j[2]])
+    start, bends = np.append(state.q[:2], q[k, 2]), found[..., :2].reshape(-1, 2)
+    paths = [iterates(sensings[seed], start, state.momentum, u[k], shorter) for shorter in (1, 2)]
+    return k, landscape(sensings[seed], q[k], u[k], bends.min(axis=0) - 5e-3, bends.max(axis=0) + 5e-3), paths
 
 
 # Studies: what takes minutes and is committed in data/studies
@@ -801,16 +821,13 @@ def random_rig_ratios(study: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(lines)
 
 
-def methods(data: Data, ours: np.ndarray, table: pd.DataFrame, ranges: pd.DataFrame) -> pd.DataFrame:
-    """Return errors of the bend [mm] by trajectory: the paper's method, with half its step, and our filter."""
-    q, _ = data.beginnings(len(ours) / RATE_HZ)
-    off = 1e3 * np.sqrt(((ours - q[..., :2]) ** 2).mean(axis=0))
-    known = table.query("elongation == 'known' and unit == 'mm'").groupby(["row", "quantity"])["error"].mean()
+def methods(table: pd.DataFrame, ranges: pd.DataFrame) -> pd.DataFrame:
+    """Return errors of the bend [mm], the mean over the seeds, a column for each method of a table of errors.
+
+    The column ``half_step`` is the median over the starts.
+    """
     half = ranges[ranges["step"] == "half"].set_index(["row", "quantity"])["middle"]
-    half = half if data.source == "simulated" else half * np.nan
-    lines = [
-        (name, quantity, known[row_name(name), quantity], half[row_name(name), quantity], off[i, k])
-        for i, name in enumerate(data.tests)
-        for k, quantity in enumerate(("delta_x", "delta_y"))
-    ]
-    return pd.DataFrame(lines, columns=["trajectory", "quantity", "paper", "half_step", "ours"])
+    cells = table[table["unit"] == "mm"].groupby(["row", "quantity", "elongation"], sort=False)["error"]
+    found = cells.mean().unstack(sort=False).assign(half_step=half).reset_index()
+    names = {row_name(name): name for name in TRAJECTORIES}
+    return found.assign(row=found["row"].map(names)).rename(columns={"row": "trajectory"})

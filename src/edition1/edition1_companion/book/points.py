@@ -23,7 +23,6 @@ from typing import Any
 
 from edition1_companion.book.digests import file_digest
 from edition1_companion.book.provenance import Record, read_record, record_path
-from edition1_companion.book.sweep_grid import value_text
 from edition1_companion.recordings.sources import data_dir
 
 QUIET = "ignore:resource_tracker:UserWarning"
@@ -72,7 +71,7 @@ class Point:
 
     def label(self) -> str:
         """Return the point as a reader names it: ``n=2 seed=0``."""
-        return " ".join(f"{name}={value_text(value)}" for name, value in self.parameters.items())
+        return " ".join(f"{name}={json.dumps(value)}" for name, value in self.parameters.items())
 
 
 def environment_of_runs(*names: str) -> dict[str, str]:
