@@ -268,12 +268,12 @@ def test_a_figure_opens_its_file(name, browser):
 @no_site
 def test_a_schematic_opens_by_itself(browser):
     """By keys alone, from disk, as wide as the window."""
-    page, _ = open_page(browser, url_of("chapters/imus.html"), width=390)
+    page, _ = open_page(browser, url_of("notebooks/particle_filter.html"), width=390)
     try:
         schematic = page.locator("main figure.schematic a.in-full").first
         assert schematic.locator("svg").get_attribute("aria-label")
         schematic.press("Enter")
-        page.wait_for_url("**/chapters-imus-1.svg")
+        page.wait_for_url("**/notebooks-particle_filter-1.svg")
         assert page.evaluate("document.documentElement.getBoundingClientRect().width") == 390
     finally:
         page.close()

@@ -47,8 +47,8 @@ function stateOf(name, defaults) {
 }
 
 class Figure {
-  /** `view` = {name, alt, defaults, draw(figure), summary(figure), changed(figure, changes), record}; what a box held
-      without scripts is replaced. `record` = [notebook, title]. */
+  /** `view` = {name, alt, defaults, draw(figure), summary(figure), changed(figure, changes)}; what a box held
+      without scripts is replaced. */
   constructor(box, view) {
     this.box = box;
     this.view = view;
@@ -62,10 +62,7 @@ class Figure {
     this.text = element("p", { class: "live-text", role: "status" });
     this.side = element("div", { class: "live-controls", role: "group", "aria-label": "Controls of the figure" });
     this.below = element("div", { class: "live-below" });
-    const [stem, title] = view.record, root = document.documentElement.dataset.content_root || "./";
-    const record = element("a", { text: title, href: root + "notebooks/" + stem + ".html#run-it-with-your-parameters" });
-    box.replaceChildren(element("div", { class: "live-frame" }, this.stage, this.text, this.below, this.side),
-      element("p", { class: "live-record" }, "For the record: ", record));
+    box.replaceChildren(element("div", { class: "live-frame" }, this.stage, this.text, this.below, this.side));
     this.dirty = true;
     new ResizeObserver(() => this.resize()).observe(this.stage);
     new MutationObserver(() => this.recolour()).observe(document.documentElement, { attributeFilter: ["data-theme"] });

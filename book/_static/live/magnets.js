@@ -309,7 +309,6 @@ REPRO.views.magnets = function (box_) {
   const figure = new Figure(box_, {
     name: "magnets", defaults: DEFAULTS, draw, summary,
     alt: "A soft robot with ring magnets and sensors: its true shape, and the shape that is found from the readings. The text below the figure says how far apart they are.",
-    record: ["sensor_count", "How many magnetic sensors a robot needs"],
     changed: (one, changes) => {
       if ("segments" in changes) Object.assign(one.state, { q: "", off: "" });
       if ("sensors" in changes) one.state.off = "";

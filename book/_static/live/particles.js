@@ -96,7 +96,6 @@ REPRO.views.particles = function (box) {
   const figure = new Figure(box, {
     name: "particles", defaults: DEFAULTS, draw, summary,
     alt: "The disc of bends with a cloud of particles, the true bend and the estimate; beside it the error by step. The text below the figure says what the last step did.",
-    record: ["particle_filter", "Figs 3 to 5: a particle filter on one magnet"],
     changed: (one, changes) => { if ("particles" in changes || "seed" in changes) restart(one); },
   });
   const { state } = figure;
