@@ -3,6 +3,7 @@ r"""Permanent magnets: their fields by magpylib, the multipoles of their fields,
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.polynomial import Legendre
 from numpy.polynomial.legendre import leggauss
 
 from repro.common import Array, bad_input, numbers, require
-from repro.robot import Place, Robot, place
+from repro.robot import Place, Robot, check_tolerance, place
 
 
 @dataclass(frozen=True)
@@ -228,6 +229,10 @@ class Magnet:
         tip, if not given.
     position
         Place of its centre in that frame [m]; on the backbone if not given.
+    tolerance
+        Standard deviations by which it may be off its drawing: a mapping with some of ``position`` (along every
+        axis), ``at`` (along the backbone), ``size`` (every dimension) [m], ``tilt`` [rad], ``polarisation``
+        (relative).
 
     Raises
     ------
@@ -245,10 +250,12 @@ class Magnet:
     at: float
     direction: Any = None
     position: Any = None
+    tolerance: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         known = isinstance(self.shape, Ring | Disc | Cube)
         require(known, "shape", "Magnet", "a Ring, Disc or Cube", type(self.shape).__name__)
+        check_tolerance(self.tolerance, "Magnet")
         _ = self.place
 
     @cached_property

@@ -10,8 +10,9 @@ segment moves with the twist of its tip.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -294,6 +295,24 @@ def rotation_matrix(q: Array) -> Array:
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
+TOLERANCES = {
+    "magnet": ("position", "at", "tilt", "polarisation", "size"),
+    "sensor": ("position", "at", "radius", "azimuth", "tilt", "gain", "offset"),
+    "imu": ("at", "tilt", "heading"),
+}
+"""What a part may be off its drawing by: lengths [m], angles [rad], offset [mT]; polarisation, gain are relative."""
+
+
+def check_tolerance(tolerance: Any, owner: str) -> None:
+    """Refuse tolerances of a part that it does not have, or that are no standard deviations."""
+    known = TOLERANCES[owner.lower()]
+    for name, value in (tolerance or {}).items():
+        near = get_close_matches(str(name), known, 1, 0.5) or [f"one of {', '.join(known)}"]
+        require(name in known, "tolerance", owner, f"by names that exist ({near[0]})", repr(name))
+        std = float(numbers(value, f"tolerance {name}", owner, ()))
+        require(std >= 0, f"tolerance {name}", owner, "not negative", value)
+
+
 @dataclass(frozen=True)
 class Sensor:
     r"""A magnetic sensor with one measuring axis or three (Baaij et al. 2023, eq. (2), or a chip as one buys it).
@@ -320,6 +339,21 @@ class Sensor:
         1 or 3.
     orientation
         Quaternion XYZW from the frame of a chip with three axes to that of the cross-section.
+    name
+        What messages and tables call it; ``sensor 1`` and so on if not given.
+    channels
+        The columns of its readings, one for every axis: names, or numbers from 1.
+    range, resolution
+        Largest reading of either sign, and the step between two readings [mT].
+    noise
+        Standard deviation of its readings, one number or one for every axis [mT].
+    gain, offset
+        It reads ``gain`` times the flux density, plus ``offset`` [mT]; one number or one for every axis.
+    per_mt
+        Units of its column for 1 mT, where the column is not in mT: 100 for 0.01 mT per count.
+    tolerance
+        Standard deviations by which it may be off its drawing: a mapping with some of ``position``, ``at``,
+        ``radius`` [m], ``azimuth``, ``tilt`` [rad], ``gain`` (relative), ``offset`` [mT].
 
     Raises
     ------
@@ -341,9 +375,33 @@ class Sensor:
     direction: Any = None
     axes: int = 1
     orientation: Any = None
+    name: str | None = None
+    channels: Any = None
+    range: float = math.inf
+    resolution: float = 0.0
+    noise: Any = None
+    gain: Any = 1.0
+    offset: Any = 0.0
+    per_mt: float = 1.0
+    tolerance: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         require(self.axes in (1, 3), "axes", "Sensor", "1 or 3", self.axes)
+        n = 0 if self.channels is None else 1 if isinstance(self.channels, str) else len(self.channels)
+        require(n in (0, self.axes), "channels", "Sensor", f"{self.axes}, one for every axis", self.channels)
+        require(self.range > 0, "range", "Sensor", "positive [mT]", self.range)
+        require(
+            0 <= self.resolution < self.range, "resolution", "Sensor", "within the range", self.resolution
+        )
+        for name in ("gain", "offset", *(("noise",) if self.noise is not None else ())):
+            value = numbers(getattr(self, name), name, "Sensor")
+            expected = f"one number or {self.axes}, one for every axis"
+            require(value.shape in ((), (self.axes,)), name, "Sensor", expected, getattr(self, name))
+            positive = name != "noise" or (value > 0).all()
+            require(positive, name, "Sensor", "positive [mT]", self.noise)
+        require(np.all(self.gain), "gain", "Sensor", "not zero", self.gain)
+        require(math.isfinite(self.per_mt) and self.per_mt, "per_mt", "Sensor", "not zero", self.per_mt)
+        check_tolerance(self.tolerance, "Sensor")
         require(self.radial >= 0, "radial", "Sensor", "not negative [m]", self.radial)
         if self.axes == 3 and (self.direction is not None or self.tilt):
             raise bad_input("direction, tilt", "Sensor", "for one axis; orientation is for three", "both")
@@ -377,6 +435,15 @@ class Imu:
         Distance from the base of that segment along the unextended backbone [m].
     orientation
         Quaternion XYZW from its own frame to that of the cross-section, whose z axis points along the backbone.
+    name
+        What messages and tables call it; ``imu 1`` and so on if not given.
+    channels
+        The columns of its quaternion XYZW, or the number of its stream.
+    noise
+        Standard deviation of its orientation about every axis [rad].
+    tolerance
+        Standard deviations by which it may be off its drawing: a mapping with some of ``at`` [m], ``tilt``,
+        ``heading`` [rad].
 
     Raises
     ------
@@ -392,8 +459,14 @@ class Imu:
     segment: int
     at: float
     orientation: Any = None
+    name: str | None = None
+    channels: Any = None
+    noise: float | None = None
+    tolerance: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
+        require(self.noise is None or self.noise > 0, "noise", "Imu", "positive [rad]", self.noise)
+        check_tolerance(self.tolerance, "Imu")
         _ = self.place
 
     @cached_property
@@ -431,11 +504,27 @@ class Robot:
         :class:`FreeBody`, in any order.
     magnets, sensors, imus
         What is mounted on them: :class:`repro.Magnet`, :class:`Sensor`, :class:`Imu`.
+    lower, upper
+        Bounds of ``q`` ``[n_q]`` [m, rad]. Equal bounds fix a coordinate. Azimuths and rotations need none: NaN or
+        infinity gives them a whole turn.
+    start
+        Where estimators start ``[n_q]``; they choose for themselves if not given.
+    noise
+        Standard deviation of a reading [mT; rad for IMUs], one number or one for each. What a sensor states of its
+        own noise comes first.
+    rate_hz
+        Readings per second.
+    earth
+        Field of the Earth in the base frame [mT]; none if not given.
+    model, moments
+        Trained networks, or multipole moments ``[m, terms]`` [mT m^(l+2)], in place of the shapes of the magnets: see
+        :class:`repro.Sensing`.
 
     Raises
     ------
     InputError
-        If there is no segment, or something is mounted where there is none.
+        If there is no segment, something is mounted where there is none, or numbers do not fit the coordinates or
+        the readings.
 
     Examples
     --------
@@ -455,6 +544,15 @@ class Robot:
         magnets: Sequence[Any] = (),
         sensors: Sequence[Sensor] = (),
         imus: Sequence[Imu] = (),
+        *,
+        lower: Any = None,
+        upper: Any = None,
+        start: Any = None,
+        noise: Any = None,
+        rate_hz: float | None = None,
+        earth: Any = None,
+        model: Any = None,
+        moments: Any = None,
     ) -> None:
         self.segments, self.magnets = tuple(segments), tuple(magnets)
         self.sensors, self.imus = tuple(sensors), tuple(imus)
@@ -468,6 +566,123 @@ class Robot:
                 if not isinstance(getattr(part, "place", None), Place):  # its repr is long to make
                     raise bad_input(name, "Robot", "parts with a place", repr(part))
                 self._check(part.place, f"{name}, number {k + 1},")
+        self.model, self.moments = model, moments
+        self.lower, self.upper = self._bounds(lower, upper)
+        """Bounds of the coordinates ``[n_q]``, or None where not stated."""
+        self.start = None if start is None else numbers(start, "start", "Robot", (self.n_q,))
+        if self.start is not None and self.lower is not None and self.upper is not None:
+            free = self.angles & (self.upper - self.lower >= 2 * math.pi - 1e-9)
+            inside = (self.start >= self.lower) & (self.start <= self.upper)
+            require((free | inside).all(), "start", "Robot", "within the bounds", self.start.tolist())
+        require(rate_hz is None or 0 < rate_hz < math.inf, "rate_hz", "Robot", "positive", rate_hz)
+        self.rate_hz = rate_hz
+        self.earth = None if earth is None else numbers(earth, "earth", "Robot", (3,))
+        self.noise = self._noise(noise)
+        """Standard deviation of every reading ``[s]`` [mT; rad for IMUs], or None where not stated."""
+
+    def _bounds(self, lower: Any, upper: Any) -> tuple[Array | None, Array | None]:
+        if lower is None and upper is None and not (self.n_q and self.angles.all()):
+            return None, None
+        found = []
+        for name, value, turn in (("lower", lower, -math.pi), ("upper", upper, math.pi)):
+            given = np.full(self.n_q, np.nan) if value is None else value
+            bound = numbers(given, name, "Robot", (self.n_q,), finite=False)
+            bound = np.where(self.angles & ~np.isfinite(bound), turn, bound)
+            for k in np.flatnonzero(~np.isfinite(bound)):
+                raise bad_input(name, "Robot", f"finite for {self.coordinates[k]}", f"{bound[k]}")
+            found.append(bound)
+        for k in np.flatnonzero(~(found[0] <= found[1])):
+            pair = f"{found[0][k]:g} and {found[1][k]:g} for {self.coordinates[k]}"
+            raise bad_input("lower, upper", "Robot", "ordered bounds", pair)
+        return found[0], found[1]
+
+    def _noise(self, noise: Any) -> Array | None:
+        given = numbers(np.nan if noise is None else noise, "noise", "Robot", finite=False)
+        expected = f"one number or one for each of {self.n_readings} readings"
+        require(given.shape in ((), (self.n_readings,)), "noise", "Robot", expected, f"shape {given.shape}")
+        require(noise is None or (given > 0).all(), "noise", "Robot", "positive", noise)
+        std = self.per_reading("noise", np.nan, np.nan)
+        std = np.where(np.isnan(std), given, std)
+        return None if np.isnan(std).any() else std
+
+    def per_reading(self, name: str, none: float, of_imus: float) -> Array:
+        """Return what sensors and IMUs state under a name, for every reading ``[s]``; ``none`` where they do not."""
+        found = [np.zeros(0)]
+        for part, size in [*((x, x.axes) for x in self.sensors), *((x, 3) for x in self.imus)]:
+            value = getattr(part, name, of_imus)
+            found.append(np.full(size, none if value is None else value, dtype=float))
+        return np.concatenate(found)
+
+    @cached_property
+    def n_readings(self) -> int:
+        """Number of readings: one for every axis of every sensor, then three for every IMU."""
+        return sum(sensor.axes for sensor in self.sensors) + 3 * len(self.imus)
+
+    @cached_property
+    def part_names(self) -> tuple[str, ...]:
+        """Names of the sensors and IMUs, each of which may give several readings."""
+        named = [(x.name, f"sensor {k}") for k, x in enumerate(self.sensors, 1)]
+        named += [(x.name, f"imu {k}") for k, x in enumerate(self.imus, 1)]
+        return tuple(own or usual for own, usual in named)
+
+    @cached_property
+    def parts(self) -> Array:
+        """Which sensor or IMU every reading belongs to ``[s]``: an index of :attr:`part_names`."""
+        sizes = [*(sensor.axes for sensor in self.sensors), *(3 for _ in self.imus)]
+        return np.repeat(np.arange(len(sizes)), np.array(sizes, dtype=int))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """One name for every reading: its channel, or ``sensor 1 x`` and so on."""
+        names = []
+        for part, name in zip((*self.sensors, *self.imus), self.part_names, strict=True):
+            channels = part.channels if isinstance(part, Sensor) else None
+            if isinstance(channels, str):
+                channels = [channels]
+            usual = [name] if getattr(part, "axes", 3) == 1 else [f"{name} {axis}" for axis in "xyz"]
+            words = channels is not None and all(isinstance(channel, str) for channel in channels)
+            names += channels if words and channels is not None else usual
+        return tuple(names)
+
+    @cached_property
+    def range(self) -> Array:
+        """Largest reading of either sign ``[s]`` [mT], infinite where not stated."""
+        return self.per_reading("range", math.inf, math.inf)
+
+    @cached_property
+    def resolution(self) -> Array:
+        """Step between two readings ``[s]`` [mT], zero where not stated."""
+        return self.per_reading("resolution", 0.0, 0.0)
+
+    @cached_property
+    def fixed(self) -> Array:
+        """Which coordinates equal bounds fix ``[n_q]``."""
+        if self.lower is None or self.upper is None:
+            return np.zeros(self.n_q, dtype=bool)
+        return self.lower == self.upper
+
+    def sensing(self) -> Any:
+        """Return the sensor model with the gain and offset of every sensor and the Earth's field."""
+        from repro.sensing import Sensing
+
+        n = sum(sensor.axes for sensor in self.sensors)
+        gain, offset = (self.per_reading(*x)[:n] for x in (("gain", 1.0, 1.0), ("offset", 0.0, 0.0)))
+        return Sensing(self, self.model, moments=self.moments, gain=gain, offset=offset, earth=self.earth)
+
+    def replaced(self, **changes: Any) -> Robot:
+        """Return this robot with other parts or numbers, by the names of the arguments of :class:`Robot`.
+
+        Examples
+        --------
+        >>> from repro import Link, Robot
+        >>> Robot([Link(0.1)], rate_hz=25.0).replaced(segments=[Link(0.2)]).rate_hz
+        25.0
+        """
+        names = (
+            "segments", "magnets", "sensors", "imus", "lower", "upper", "start", "noise", "rate_hz", "earth",
+            "model", "moments",
+        )  # fmt: skip
+        return Robot(**({name: getattr(self, name) for name in names} | changes))
 
     def _check(self, where: Place, name: str) -> None:
         n = len(self.segments)
