@@ -238,7 +238,7 @@ def test_calls_that_cannot_work_are_refused():
         "sensing of ParticleFilter must be a model that takes batches": lambda: no_batches.step(
             no_batches.init([0.1, 0.1]), np.zeros(3)
         ),
-        "lower of Box must be below upper": lambda: Box([0.0, 1.0], [1.0, 1.0]),
+        "lower of Box must be not above upper": lambda: Box([0.0, 2.0], [1.0, 1.0]),
         "radius of BendDisc must be positive": lambda: BendDisc(0.0),
     }
     for message, call in calls.items():

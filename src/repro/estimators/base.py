@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from repro.common import Array, bad_input, numbers, require, say_that_kernels_compile
+from repro.robot import Robot
 
 
 class Estimate(NamedTuple):
@@ -261,13 +262,41 @@ def start(q0: Any, n_q: int, owner: str) -> Array:
     return numbers(q0, "q0", owner, (..., n_q))
 
 
-def known_coordinates(known: Any, n_q: int, owner: str) -> Array | None:
+def described(
+    sensing: Any, lower: Any, upper: Any, noise: Any, owner: str
+) -> tuple[Robot | None, Any, Any, Any, Any]:
+    """Return the robot behind a sensor model if there is one, the model, and what is not given as the robot has it.
+
+    Raises
+    ------
+    InputError
+        If bounds or noise are neither given nor stated by a robot.
+    """
+    robot = sensing if isinstance(sensing, Robot) else getattr(sensing, "robot", None)
+    robot = getattr(getattr(sensing, "sensing", None), "robot", robot)  # of errors that wander
+    if isinstance(sensing, Robot):
+        sensing = sensing.sensing()
+    found = []
+    for name, value in (("lower", lower), ("upper", upper), ("noise", noise)):
+        value = getattr(robot, name, None) if value is None else value
+        found.append(value)
+        require(value is not None, name, owner, "given, or stated by the robot", "neither")
+    return robot, sensing, *found
+
+
+def fixed_coordinates(lower: Array, upper: Array) -> Array | None:
+    """Return what equal bounds fix ``[n_q]``, NaN for the other coordinates; ``None`` if they fix nothing."""
+    fixed = lower == upper
+    return np.where(fixed, lower, np.nan) if fixed.any() else None
+
+
+def known_coordinates(known: Any, n_q: int, owner: str, fixed: Array | None = None) -> Array | None:
     """Return known coordinates ``[..., n_q]``, NaN for those to be estimated; infinity is refused."""
     if known is None:
-        return None
+        return fixed
     values = numbers(known, "known", owner, (..., n_q), finite=False)
     require(not np.isinf(values).any(), "known", owner, "finite, or NaN for unknown", "infinity")
-    return values
+    return values if fixed is None else np.where(np.isnan(values), fixed, values)
 
 
 def conditioned(x: Array, C: Array, known: Array) -> tuple[Array, Array]:
@@ -375,4 +404,5 @@ def model_of(sensing: Any, lower: Array, upper: Array, owner: str) -> Any:
         expected = f"bounds of its {sensing.n_q} coordinates"
         require(len(lower) == sensing.n_q, "lower, upper", owner, expected, f"{len(lower)}")
         return sensing
-    return CallableModel(sensing, (lower + upper) / 2, upper - lower, owner)
+    width = np.where(upper > lower, upper - lower, 1.0)
+    return CallableModel(sensing, (lower + upper) / 2, width, owner)

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from repro.common import Array, bad_input, kernel, numbers, require
-from repro.estimators.base import Estimate, Trajectory, incoming, known_coordinates, run, start
+from repro.estimators.base import Estimate, Trajectory, described, incoming, known_coordinates, run, start
 from repro.estimators.drift import Drifting, DriftModel
 from repro.estimators.least_squares import BOUND, CHI2, TURN, LevenbergMarquardt, cholesky, solve
 
@@ -80,17 +80,19 @@ class KalmanFilter(MotionModel):
     Parameters
     ----------
     sensing
-        Configuration to readings, as for :class:`repro.LevenbergMarquardt`.
+        A robot, or configuration to readings, as for :class:`repro.LevenbergMarquardt`.
     lower, upper
-        Bounds of ``q``. Before the first reading a coordinate has the standard deviation of a uniform distribution
-        between them.
+        Bounds of ``q``; the robot's if not given. Before the first reading a coordinate has the standard deviation
+        of a uniform distribution between them. Equal bounds fix a coordinate: it has no variance.
     noise
-        Standard deviation of a reading, one number or one for each, in their unit.
+        Standard deviation of a reading, one number or one for each, in their unit; the robot's if not given.
     acceleration
-        Process noise :math:`a` of every coordinate [unit/s^1.5]. A rule of thumb: the typical change of its velocity
-        within a second.
+        Process noise :math:`a` of every coordinate [unit/s^1.5], about the typical change of its velocity within a
+        second. A swing of amplitude :math:`A` and period :math:`T` has :math:`a \approx A (2\pi/T)^{3/2}`. The rule
+        of thumb if not given: half of the range between its bounds, right for a swing over half of the range in four
+        seconds. A robot that moves ten times slower wants a thirtieth of it.
     velocity
-        Standard deviation of every velocity before the first reading [unit/s].
+        Standard deviation of every velocity before the first reading [unit/s]; half of the range if not given.
     iterations, tolerance
         As for :class:`repro.LevenbergMarquardt`.
 
@@ -114,22 +116,25 @@ class KalmanFilter(MotionModel):
     def __init__(
         self,
         sensing: Any,
-        lower: Any,
-        upper: Any,
-        noise: Any,
-        acceleration: Any,
-        velocity: Any,
+        lower: Any = None,
+        upper: Any = None,
+        noise: Any = None,
+        acceleration: Any = None,
+        velocity: Any = None,
         *,
         iterations: int = 50,
         tolerance: float = 1e-4,
     ) -> None:
         owner = "KalmanFilter"
+        self.robot, sensing, lower, upper, noise = described(sensing, lower, upper, noise, owner)
         low, high = numbers(lower, "lower", owner, (None,)), numbers(upper, "upper", owner, (None,))
-        self.n_q = len(low)
-        self.acceleration = numbers(acceleration, "acceleration", owner, (self.n_q,))
-        self.velocity = numbers(velocity, "velocity", owner, (self.n_q,))
-        for name in ("acceleration", "velocity"):
-            require((getattr(self, name) > 0).all(), name, owner, "positive", getattr(self, name))
+        self.n_q, self._by_rule = len(low), acceleration is None
+        rates = []
+        for name, value in (("acceleration", acceleration), ("velocity", velocity)):
+            rate = (high - low) / 2 if value is None else numbers(value, name, owner, (self.n_q,))
+            require(value is None or (rate > 0).all(), name, owner, "positive", rate)
+            rates.append(np.where(high > low, rate, 0.0))
+        self.acceleration, self.velocity = rates
         none = np.zeros(0)
         self.drift_std, self.drift_walk, self.drift_rate, self.drift_names = none, none, none, ()
         if isinstance(sensing, Drifting):
@@ -147,10 +152,18 @@ class KalmanFilter(MotionModel):
         )
         self._width = high - low
 
+    def __repr__(self) -> str:
+        """Say its process noise, and whether that is the rule of thumb."""
+        words = ", ".join(f"{a:.3g}" for a in self.acceleration)
+        rule = ", by the rule of thumb: half of each range" if self._by_rule else ""
+        return f"KalmanFilter of {self.n_q} coordinates; process noise {words} [unit/s^1.5]{rule}"
+
     def init(self, q0: Any = None, seed: int = 0) -> KalmanState:
-        """Return the state at ``q0`` ``[..., n_q]``, the middle of the bounds if not given, at rest."""
+        """Return the state at rest at ``q0`` ``[..., n_q]``, else where the robot starts or amid the bounds."""
         bounds = self._update
         middle = (bounds.lower + bounds.upper)[: self.n_q] / 2
+        if q0 is None and self.robot is not None:
+            q0 = self.robot.start
         q = middle if q0 is None else start(q0, self.n_q, "KalmanFilter")
         drift = np.zeros((*q.shape[:-1], len(self.drift_std)))
         q = bounds.init(np.concatenate([q, drift], axis=-1)).q

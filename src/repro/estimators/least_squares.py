@@ -15,7 +15,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from repro.common import Array, bad_input, kernel, numbers, require
-from repro.estimators.base import Estimate, incoming, known_coordinates, model_of, start
+from repro.estimators.base import (
+    Estimate,
+    described,
+    fixed_coordinates,
+    incoming,
+    known_coordinates,
+    model_of,
+    start,
+)
 from repro.sensing import difference, evaluate, room_for, unpack
 
 _DAMPING, _COST, TURN, _DONE, CHI2, _DETERMINED, _USED, _FREE, BOUND = range(9)
@@ -35,18 +43,20 @@ class LevenbergMarquardt:
 
     Every time step starts at the last estimate. The covariance :math:`(J^T S^{-1} J)^{-1}` is the Cramér-Rao bound of
     the model, and huge along directions that the readings do not determine. It starts from many places and keeps the
-    best where no start is given (``init()``).
+    best where no start is given (``init()``) or stated by the robot.
 
     Parameters
     ----------
     sensing
-        Configuration to readings: a :class:`repro.Sensing`, or any callable. Its slopes are those of its method
-        ``linearise(q) -> (u, J)`` if it has one, else by complex step if it takes complex numbers, else by central
-        differences. A callable that takes a leading dimension is called once for all of them.
+        Configuration to readings: a :class:`repro.Robot`, a :class:`repro.Sensing`, or any callable. Its slopes are
+        those of its method ``linearise(q) -> (u, J)`` if it has one, else by complex step if it takes complex
+        numbers, else by central differences. A callable that takes a leading dimension is called once for all of
+        them.
     lower, upper
-        Bounds of ``q``. Angles whose bounds are a whole turn apart have no bounds: they come round again.
+        Bounds of ``q``; the robot's if not given. Angles whose bounds are a whole turn apart have no bounds: they
+        come round again. Equal bounds fix a coordinate: it has no variance.
     noise
-        Standard deviation of a reading, one number or one for each, in their unit.
+        Standard deviation of a reading, one number or one for each, in their unit; the robot's if not given.
     iterations
         Largest number of iterations in a time step.
     tolerance
@@ -73,21 +83,22 @@ class LevenbergMarquardt:
     def __init__(
         self,
         sensing: Any,
-        lower: Any,
-        upper: Any,
-        noise: Any,
+        lower: Any = None,
+        upper: Any = None,
+        noise: Any = None,
         *,
         iterations: int = 50,
         tolerance: float = 1e-4,
         starts: int = 32,
     ) -> None:
         owner = type(self).__name__
+        self.robot, sensing, lower, upper, noise = described(sensing, lower, upper, noise, owner)
         self.lower, self.upper = (
             numbers(lower, "lower", owner, (None,)),
             numbers(upper, "upper", owner, (None,)),
         )
         same = self.lower.shape == self.upper.shape
-        if not same or not (self.lower < self.upper).all():
+        if not same or not (self.lower <= self.upper).all():
             raise bad_input("lower, upper", owner, "ordered bounds", f"{self.lower} and {self.upper}")
         self.noise = numbers(noise, "noise", owner)
         expected = "positive, one number or one for each reading"
@@ -97,15 +108,17 @@ class LevenbergMarquardt:
         self.iterations, self.tolerance, self.starts = iterations, tolerance, starts
         self.model = model_of(sensing, self.lower, self.upper, owner)
         self.n_q = len(self.lower)
+        self._fixed = fixed_coordinates(self.lower, self.upper)
         free = self.model.angles & (self.upper - self.lower >= 2 * math.pi - 1e-9)
         self._low, self._high = np.where(free, -np.inf, self.lower), np.where(free, np.inf, self.upper)
         self._settings: Array | None = None
         self._any_angles = bool(self.model.angles.any())
 
     def init(self, q0: Any = None, seed: int = 0) -> LeastSquaresState:
-        """Return the state at ``q0`` ``[..., n_q]``; without it the first step searches. Nothing is random."""
-        if q0 is None:
+        """Return the state at ``q0`` ``[..., n_q]``, or where the robot starts; else the first step searches."""
+        if q0 is None and (self.robot is None or self.robot.start is None):
             return LeastSquaresState(None)
+        q0 = self.robot.start if q0 is None and self.robot else q0
         q0 = start(q0, self.n_q, "LevenbergMarquardt")
         if ((q0 < self._low) | (q0 > self._high)).any():
             expected = f"within the bounds {self._low.tolist()} to {self._high.tolist()}"
@@ -123,7 +136,7 @@ class LevenbergMarquardt:
             If there are not as many readings as the model predicts, or the model is not finite where it starts.
         """
         u = incoming(u, mask, "LevenbergMarquardt", self.model.n_readings)
-        known = known_coordinates(known, self.n_q, "LevenbergMarquardt")
+        known = known_coordinates(known, self.n_q, "LevenbergMarquardt", self._fixed)
         q = self._searched(u, known) if state.q is None else state.q
         q, u_hat, C, status, n_used = self.fit(q, u, known)
         batch = q.shape[:-1]
@@ -436,21 +449,27 @@ def solve(L, x):
 
 @kernel
 def invert(A, held, L, C):
-    """Write the inverse of the lower triangle ``A`` to ``C``; where nearly singular ``A`` itself, and return 0."""
+    """Write the inverse of the lower triangle ``A`` to ``C``; where nearly singular ``A`` itself, and return 0.
+
+    Coordinates that are held have no variance.
+    """
     n = len(A)
     good = True
     for a in range(n):
+        stays = False
+        for h in range(len(held)):
+            stays = stays or held[h, a]
+        L[a, a] = 0.0 if stays else 1.0
         for b in range(a + 1):
             C[a, b] = C[b, a] = A[a, b]
-        good = good and A[a, a] > 0.0
-    for h in range(len(held)):
-        for a in range(n):
-            good = good and not held[h, a]
+        good = good and (stays or A[a, a] > 0.0)
     if not good:
         return 0.0
     for a in range(n):
         for b in range(a):
-            L[a, b] = A[a, b] / math.sqrt(A[a, a] * A[b, b])
+            both = L[a, a] > 0.0 and L[b, b] > 0.0
+            L[a, b] = A[a, b] / math.sqrt(A[a, a] * A[b, b]) if both else 0.0
+    for a in range(n):
         L[a, a] = 1.0
     if not cholesky(L, 0.0) > _WELL_DETERMINED:
         return 0.0
@@ -467,4 +486,9 @@ def invert(A, held, L, C):
                 total += L[b, c] * L[a, c]
             C[a, b] = total / math.sqrt(A[a, a] * A[b, b])
             C[b, a] = C[a, b]
+    for h in range(len(held)):
+        for a in range(n):
+            if held[h, a]:
+                C[a, :] = 0.0
+                C[:, a] = 0.0
     return 1.0

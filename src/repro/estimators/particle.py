@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from repro.common import Array, bad_input, kernel, numbers, require, say_that_kernels_compile
-from repro.estimators.base import Estimate, incoming, known_coordinates, start
+from repro.estimators.base import Estimate, described, fixed_coordinates, incoming, known_coordinates, start
+from repro.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -60,12 +61,14 @@ class Box:
     Parameters
     ----------
     lower, upper
-        Bounds of every coordinate ``[n_q]``, in its unit.
+        Bounds of every coordinate ``[n_q]``, in its unit. Equal bounds fix it.
+    angles
+        Which of them have no bounds because they come round again; none if not given.
 
     Raises
     ------
     InputError
-        If a lower bound is not below its upper bound.
+        If a lower bound is above its upper bound.
 
     Examples
     --------
@@ -75,15 +78,17 @@ class Box:
 
     lower: Any
     upper: Any
+    angles: Any = False
 
     def __post_init__(self) -> None:
         lower = numbers(self.lower, "lower", "Box", (None,))
-        ordered = (lower < numbers(self.upper, "upper", "Box", lower.shape)).all()
-        require(ordered, "lower", "Box", f"below upper, {self.upper}", self.lower)
+        ordered = (lower <= numbers(self.upper, "upper", "Box", lower.shape)).all()
+        require(ordered, "lower", "Box", f"not above upper, {self.upper}", self.lower)
 
     def contains(self, q: Array) -> Array:
         """Return which configurations ``[..., n_q]`` have every coordinate within its bounds."""
-        return np.all((q >= np.asarray(self.lower)) & (q <= np.asarray(self.upper)), axis=-1)
+        inside = (q >= np.asarray(self.lower)) & (q <= np.asarray(self.upper))
+        return np.all(inside | np.asarray(self.angles), axis=-1)
 
     def sample(self, n: int, generator: np.random.Generator) -> Array:
         """Return ``n`` configurations, uniform over the box."""
@@ -120,15 +125,17 @@ class ParticleFilter:
     Parameters
     ----------
     sensing
-        Sensor model: any callable from configurations ``[..., n_q]`` to readings ``[..., s]``.
+        A robot, or a sensor model: any callable from configurations ``[..., n_q]`` to readings ``[..., s]``.
     process_noise
         Standard deviation of the noise that moves a particle in one step ``[..., n_q]``, in the units of the
-        coordinates; leading dimensions are those of the batch.
+        coordinates; leading dimensions are those of the batch. The rule of thumb for a robot if not given: half of
+        the range between its bounds in a second, and a fiftieth of the range if its rate is not stated.
     noise
-        Standard deviation of the readings, in their unit: one number, or one per reading.
+        Standard deviation of the readings, in their unit: one number, or one per reading; the robot's if not given.
     region
         Where particles may be: noise that leads outside is drawn again (section II-C). A :class:`BendDisc`, a
-        :class:`Box`, or any object with their ``contains`` and ``sample``; everywhere if not given.
+        :class:`Box`, or any object with their ``contains`` and ``sample``; the robot's bounds if not given, without a
+        robot everywhere.
     particles
         Number of particles.
     estimate
@@ -157,24 +164,39 @@ class ParticleFilter:
 
     def __init__(
         self,
-        sensing: Callable[[Array], Any],
-        process_noise: Any,
-        noise: Any,
+        sensing: Robot | Callable[[Array], Any],
+        process_noise: Any = None,
+        noise: Any = None,
         region: Any = None,
         particles: int = 1000,
         estimate: str = "weighted",
         resampling: str = "systematic",
         motion: str = "random walk",
     ) -> None:
-        self.sensing, self.region, self.particles = sensing, region, particles
-        self.estimate, self.resampling, self.motion = estimate, resampling, motion
         owner = "ParticleFilter"
+        robot = sensing if isinstance(sensing, Robot) else None
+        self.robot, self._fixed, self._by_rule = robot, None, process_noise is None
+        if robot is not None:
+            _, sensing, lower, upper, noise = described(robot, None, None, noise, owner)
+            self._fixed = fixed_coordinates(lower, upper)
+            steps = 50.0 if robot.rate_hz is None else max(2.0 * robot.rate_hz, 10.0)
+            process_noise = (upper - lower) / steps if process_noise is None else process_noise
+            region = Box(lower, upper, robot.angles) if region is None else region
+        require(process_noise is not None, "process_noise", owner, "given without a robot", "nothing")
+        require(noise is not None, "noise", owner, "given without a robot", "nothing")
+        self.sensing: Any = sensing
+        self.region, self.particles = region, particles
+        self.estimate, self.resampling, self.motion = estimate, resampling, motion
         require(callable(sensing), "sensing", owner, "a callable from configurations to readings", sensing)
         self.process_noise = numbers(process_noise, "process_noise", owner, (..., None))
         self.noise = numbers(noise, "noise", owner)
         require(self.noise.ndim <= 1, "noise", owner, "one number, or one per reading", noise)
-        for name in ("process_noise", "noise"):
-            require(np.all(getattr(self, name) > 0), name, owner, "positive", getattr(self, name))
+        if self._fixed is not None:
+            self.process_noise = np.where(np.isnan(self._fixed), self.process_noise, 0.0)
+        free = True if self._fixed is None else np.isnan(self._fixed)
+        require(np.all(self.noise > 0), "noise", owner, "positive", self.noise)
+        moves = np.all((self.process_noise > 0) == free)
+        require(moves, "process_noise", owner, "positive", self.process_noise)
         whole = isinstance(particles, int | np.integer) and particles > 0
         require(whole, "particles", owner, "a positive whole number", particles)
         choices = {
@@ -190,8 +212,16 @@ class ParticleFilter:
             expected = "'weighted' for a configuration that is no bend vector"
             raise bad_input("estimate", owner, expected, f"'best tenth' for {self.n_q} coordinates")
 
+    def __repr__(self) -> str:
+        """Say its process noise, and whether that is the rule of thumb."""
+        words = ", ".join(f"{a:.3g}" for a in self.process_noise.reshape(-1, self.n_q)[0])
+        rule = ", by the rule of thumb: half of each range in a second" if self._by_rule else ""
+        return f"ParticleFilter of {self.particles} particles; process noise {words} [unit per step]{rule}"
+
     def init(self, q0: Any = None, seed: int = 0) -> ParticleState:
         """Return a cloud at rest: around ``q0`` with the process noise of one step, or all over the region.
+
+        Where the robot states a start, the cloud is around that.
 
         Raises
         ------
@@ -208,6 +238,7 @@ class ParticleFilter:
             seed,
         )
         generator = _stream(seed, 0)
+        q0 = self.robot.start if q0 is None and self.robot is not None else q0
         if q0 is None:
             require(self.region is not None, "q0", owner, "given for a filter without a region", q0)
             q = _members(self.region.sample(n, generator), batch, n, self.n_q)
@@ -239,7 +270,7 @@ class ParticleFilter:
         """
         say_that_kernels_compile()
         owner, n, n_q = "ParticleFilter", self.particles, self.n_q
-        u, known = incoming(u, mask, owner), known_coordinates(known, n_q, owner)
+        u, known = incoming(u, mask, owner), known_coordinates(known, n_q, owner, self._fixed)
         s, known, holds = u.shape[-1], np.full(n_q, np.nan) if known is None else known, known is not None
         batch = _common(
             owner,
