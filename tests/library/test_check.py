@@ -1,0 +1,255 @@
+"""The design check against bounds computed another way, simulated tracking, and designs whose answer is known."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from repro import (
+    BallJoint,
+    ConstantCurvature,
+    Cube,
+    Disc,
+    FreeBody,
+    Imu,
+    InputError,
+    LevenbergMarquardt,
+    Link,
+    Magnet,
+    Robot,
+    Sensing,
+    Sensor,
+    simulated_readings,
+)
+from repro.check import check_design
+from repro_board import cli
+
+from .robots import RELEASED
+
+DISC = Disc(8e-3, 3e-3, 1300.0)
+
+
+def arm(at=(0.055, 0.045), stretch=0.0, **more):
+    """Two segments, a disc in each, and four chips, some millimetres from the discs along the arm or beside them."""
+    chips = [
+        Sensor(g, at[g - 1], radial=0.012, azimuth=a, axes=3, name=f"B{2 * g - 1 + (a > 0)}", **more)
+        for g in (1, 2)
+        for a in (0.0, np.pi)
+    ]
+    return Robot(
+        [ConstantCurvature(0.09, 0.015), ConstantCurvature(0.07, 0.015)],
+        [Magnet(DISC, 1, 0.045), Magnet(DISC, 2, 0.035)],
+        chips,
+        lower=[-0.012, -0.012, 0.0] * 2,
+        upper=[0.012, 0.012, stretch] * 2,
+        noise=0.02,
+    )
+
+
+def good(**more):
+    """The robot of Baaij et al. 2023 with one segment and five sensors."""
+    return Robot(
+        [ConstantCurvature(0.11, 0.022)],
+        [Magnet(RELEASED, 1, 0.055)],
+        [Sensor(1, 0.11, radial=0.013, azimuth=k * 2 * np.pi / 5) for k in range(5)],
+        lower=[-0.02, -0.02, 0.0],
+        upper=[0.02, 0.02, 0.006],
+        noise=5e-3,
+        **more,
+    )
+
+
+def bound(robot, q):
+    """Cramér-Rao bound of the tip by magpylib's exact fields and differences."""
+    free = robot.upper > robot.lower
+    step = 1e-5 * np.diag(robot.upper - robot.lower)[free]
+
+    def slope(function):
+        return np.stack([(function(q + h) - function(q - h)) / 2e-5 for h in step], axis=-1)
+
+    J = slope(lambda x: simulated_readings(robot, x)) / robot.noise[:, None]
+    G = slope(lambda x: robot.tip(x)[..., :3, 3])
+    C = np.linalg.inv(np.swapaxes(J, -1, -2) @ J)
+    return np.sqrt(np.trace(G @ C @ np.swapaxes(G, -1, -2), axis1=-2, axis2=-1))
+
+
+@pytest.mark.parametrize("robot", [arm(), arm(at=(0.045, 0.035)), good()], ids=["rough", "hopeless", "good"])
+def test_the_bound_is_that_of_an_independent_computation(robot):
+    found = check_design(robot, samples=60)
+    np.testing.assert_allclose(found.tip, bound(robot, found.q), rtol=0.05)
+
+
+def test_a_first_layout_that_cannot_work_is_called_hopeless():
+    """Every chip beside a disc: its field hardly changes with the shape."""
+    found = check_design(arm(at=(0.045, 0.035)))
+    assert np.median(found.tip) == pytest.approx(0.149, rel=0.02)
+    assert not found.can_work
+    assert found.verdict == (
+        "This robot cannot work: the readings allow ±150 mm, and the bounds alone allow ±72 mm."
+    )
+    assert found.undetermined == ("every coordinate",)
+    assert repr(found).splitlines()[-1] == found.verdict
+
+
+def test_a_good_design_is_confirmed_by_simulated_tracking():
+    robot = good()
+    found = check_design(robot, samples=600)
+    assert found.can_work
+    assert found.verdict.startswith("This robot can work: the tip is known to ±")
+    assert found.idle == found.undetermined == found.notes == ()
+    rng = np.random.default_rng(1)
+    q = rng.uniform(robot.lower + 0.1 * (robot.upper - robot.lower), robot.upper, (600, 3))
+    u = simulated_readings(robot, q) + robot.noise * rng.normal(size=(600, 5))
+    method = LevenbergMarquardt(robot, robot.lower - 0.1, robot.upper + 0.1)
+    tip = robot.tip(method.step(method.init(q), u)[1].q)[:, :3, 3]
+    error = np.linalg.norm(tip - robot.tip(q)[:, :3, 3], axis=-1)
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(np.sqrt(np.mean(found.tip**2)), rel=0.2)
+
+
+def test_tolerances_are_what_robots_built_so_show():
+    """Least squares that does not know how the magnet is off, over many robots that are off so."""
+    std = {"position": 0.2e-3, "tilt": 0.01}
+    quiet = {"tolerance": dict.fromkeys(("azimuth", "radius", "tilt", "gain"), 0.0)}
+    sensors = [Sensor(1, 0.11, radial=0.013, azimuth=k * 2 * np.pi / 5, **quiet) for k in range(5)]
+    magnet = Magnet(RELEASED, 1, 0.055, tolerance=std)
+    robot = good().replaced(magnets=[magnet], sensors=sensors, noise=5e-3)
+    found, rng = check_design(robot, samples=200), np.random.default_rng(2)
+    errors = []
+    for _ in range(40):
+        x, y = std["tilt"] * rng.normal(size=2)
+        off = Magnet(RELEASED, 1, 0.055, [y, -x, 1.0], std["position"] * rng.normal(size=3))
+        u = simulated_readings(robot.replaced(magnets=[off]), found.q) * (1 + 0.02 * rng.normal())
+        u = u + robot.noise * rng.normal(size=u.shape)
+        method = LevenbergMarquardt(robot, robot.lower - 0.1, robot.upper + 0.1)
+        q = method.step(method.init(found.q), u)[1].q
+        errors.append(robot.tip(q)[:, :3, 3] - robot.tip(found.q)[:, :3, 3])
+    rms = np.sqrt(np.mean(np.square(errors).sum(-1)))
+    assert rms == pytest.approx(np.sqrt(np.mean(found.tip_as_built**2)), rel=0.2)
+    assert rms > 2 * np.sqrt(np.mean(found.tip**2))
+
+
+def test_steps_add_their_variance():
+    fine, coarse = check_design(good()), good()
+    stepped = [Sensor(1, 0.11, radial=0.013, azimuth=k * 2 * np.pi / 5, resolution=0.05) for k in range(5)]
+    coarse = check_design(coarse.replaced(sensors=stepped, noise=5e-3))
+    np.testing.assert_allclose(coarse.tip, fine.tip)
+    added = (0.05 / 5e-3) ** 2 / 12 * fine.tip**2
+    np.testing.assert_allclose(coarse.tip_as_built**2 - fine.tip_as_built**2, added, rtol=0.02)
+
+
+def test_sensors_that_contribute_nothing_are_named():
+    robot = good()
+    far = Sensor(0, 0.0, position=[0.5, 0.0, 0.0], axes=3, name="far")
+    found = check_design(robot.replaced(sensors=[*robot.sensors, far], noise=5e-3))
+    assert found.idle == ("far",)
+    assert "contributes nothing: far" in repr(found)
+    np.testing.assert_allclose(found.tip, check_design(robot).tip, rtol=1e-3)
+
+
+def test_a_reading_beyond_its_range_counts_nothing():
+    robot = good()
+    low = [Sensor(1, 0.11, radial=0.013, azimuth=0.0, range=1.0, name="low"), *robot.sensors[1:]]
+    found = check_design(robot.replaced(sensors=low, noise=5e-3))
+    share, most = found.saturated["low"]
+    beyond = np.abs(simulated_readings(robot, found.q)[:, 0])
+    assert share == pytest.approx(np.mean(beyond > 1.0), abs=0.01)
+    assert most == pytest.approx(beyond.max(), rel=0.01)
+    without = check_design(robot.replaced(sensors=robot.sensors[1:], noise=5e-3))
+    np.testing.assert_allclose(found.tip[beyond > 1.01], without.tip[beyond > 1.01])
+    assert f"low saturates in {100 * share:.2g} % of the workspace (up to {most:.3g} mT)" in repr(found)
+
+
+def test_undetermined_combinations_are_said_in_words():
+    arms = [ConstantCurvature(0.1, 0.02)] * 2
+    at_the_tip = Robot(
+        arms, imus=[Imu(2, 0.1)], lower=[-0.02, -0.02, 0] * 2, upper=[0.02, 0.02, 0.004] * 2, noise=1e-3
+    )
+    found = check_design(at_the_tip)
+    bends = "a combination of delta_x_1, delta_y_1, delta_x_2 and delta_y_2"
+    assert found.undetermined == ("delta_L_1", "delta_L_2", bends)
+    assert np.isinf(found.tip).all()
+    assert np.isinf(found.coordinates[:, 2]).all()
+    assert "3 readings for 6 unknowns, none to spare: a sensor that fails is never noticed" in found.notes
+    plane = at_the_tip.replaced(lower=[-0.02, 0, 0] * 2, upper=[0.02, 0, 0] * 2)
+    bends = "the difference of delta_x_1 and delta_x_2, in units of their ranges"
+    assert check_design(plane).undetermined == (bends,)
+    both = check_design(at_the_tip.replaced(imus=[Imu(1, 0.1), Imu(2, 0.1)], noise=1e-3))
+    assert both.undetermined == ("delta_L_1", "delta_L_2")
+    assert both.can_work  # the bounds hold what the IMUs leave open
+    assert "from one set of readings and the bounds" in both.verdict
+    assert np.isfinite(both.coordinates[:, [0, 1, 3, 4]]).all()
+
+
+def test_a_magnet_that_turns_about_its_own_axis():
+    chips = [Sensor(0, 0.0, position=[x, y, -0.06], axes=3) for x in (-0.03, 0.03) for y in (-0.03, 0.03)]
+    turns = np.r_[0.02, 0.02, 0.02, 0.1, 0.1, 0.1]
+    robot = Robot(
+        [FreeBody()], [Magnet(Cube(0.01, 1300.0), 1, 0.0)], chips, lower=-turns, upper=turns, noise=3e-3
+    )
+    found = check_design(robot)
+    assert found.undetermined == ("rotation_z_1",)
+    assert np.isfinite(found.tip).all()  # its place does not depend on it
+    free = check_design(
+        robot.replaced(lower=-turns * [1, 1, 1, 20, 20, 20], upper=turns * [1, 1, 1, 20, 20, 20])
+    )
+    assert free.undetermined == (
+        "rotation_x_1, rotation_y_1 and rotation_z_1 in combinations that change with the shape",
+    )
+
+
+def test_a_fixed_coordinate_is_known():
+    free, fixed = check_design(arm(stretch=0.01)), check_design(arm())
+    assert (fixed.coordinates[:, [2, 5]] == 0).all()
+    assert np.median(fixed.tip) < np.median(free.tip)
+
+
+def test_a_magnet_closer_than_its_own_size_is_noted():
+    robot = Robot(
+        [BallJoint("xy"), Link(0.012)], [Magnet(Cube(4e-3, 1300.0), 2, 0.006)],
+        [Sensor(0, 0.0, position=[0.0, 0.0, 0.0035], axes=3, name="chip")],
+        lower=[-0.5, -0.5], upper=[0.5, 0.5], noise=6e-3,
+    )  # fmt: skip
+    (note,) = check_design(robot).notes
+    assert note.startswith("chip x comes within 2.")
+    assert note.endswith("mm of the centre of magnet 1, which reaches 3.5 mm: its field is not known there")
+
+
+def test_a_model_of_ones_own_has_no_tolerances():
+    def model(xi):
+        return 1e-3 / xi[..., 1] ** 2 * xi[..., 2] + 0.1 * xi[..., 4]
+
+    robot = good()
+    sensing = Sensing(robot, model)
+    found = check_design(good(model=model))
+    J = sensing.linearise(found.q)[1] / robot.noise[:, None]
+    G = robot.tip_slopes(found.q)[1]
+    C = np.linalg.inv(np.swapaxes(J, 1, 2) @ J)
+    expected = np.sqrt(np.trace(G @ C @ np.swapaxes(G, 1, 2), axis1=1, axis2=2))
+    np.testing.assert_allclose(found.tip, expected, rtol=1e-4)
+    np.testing.assert_array_equal(found.tip_as_built, found.tip_within_bounds)
+
+
+def test_what_a_robot_must_state():
+    robot = good()
+    with pytest.raises(InputError) as error:
+        check_design(Robot(robot.segments, robot.magnets, robot.sensors, noise=1e-3))
+    assert str(error.value) == "Input bounds of check must be stated by the robot; instead received none."
+    with pytest.raises(InputError, match="Input noise of check must be stated by the robot"):
+        check_design(robot.replaced(noise=None))
+    with pytest.raises(InputError, match="a coordinate is free"):
+        check_design(robot.replaced(upper=robot.lower))
+
+
+def test_the_command(tmp_path, capsys, monkeypatch):
+    answers = {"good": good(), "bad": arm(at=(0.045, 0.035))}
+    monkeypatch.setattr("repro.robot_file.load_robot", lambda path: answers[path])
+    assert cli.main(["check", "good"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("This robot can work")
+    assert cli.main(["check", "bad", "--samples", "50"]) == 1
+    assert capsys.readouterr().out.splitlines()[-1].startswith("This robot cannot work")
+    monkeypatch.undo()
+    assert cli.main(["check", str(tmp_path / "no.toml")]) == 2
+    assert "no.toml" in capsys.readouterr().err
+    assert "jupyter" not in sys.modules
