@@ -13,6 +13,7 @@ from cyclopts import App, Parameter, Token
 
 from edition1_companion.cli import app as first_edition
 from edition1_companion.cli import main as run_command
+from repro_board import cli as board
 
 NEEDS = {
     "record export import emulate calibrate live track smooth fit": ["edition1"],
@@ -216,6 +217,8 @@ def compare(old: Path | None = None, new: Path | None = None, /) -> int:
     return 1 if result.found else 0
 
 
+for name, words in board.COMMANDS.items():  # for the list of commands: they are run by their own module
+    app.command(App(name=name, help=words))
 for names, extras in NEEDS.items():
     for name in names.split():
         app[name].group = f"Commands that need {named(extras)}"
@@ -225,6 +228,8 @@ def main() -> int:
     """Run the command line. Where an extra is missing, say in one line which, before anything else is asked for."""
     words = sys.argv[1:]
     command = words[0] if words else ""
+    if command in board.COMMANDS:
+        return board.main(words)
     extras = next((extras for names, extras in NEEDS.items() if command in names.split()), [])
     missing = [extra for extra in extras if not all(map(find_spec, PACKAGES[extra]))]
     if missing and not {"--help", "-h"} & set(words):

@@ -34,7 +34,7 @@ def test_starting_imports_neither_jupyter_nor_torch():
 def test_help_lists_the_commands_of_both_editions():
     done = repro("--help")
     assert done.returncode == 0
-    for name in ("run", "sweep", "scorecard", "compare", "fetch", "record", "track"):
+    for name in ("run", "sweep", "scorecard", "compare", "fetch", "record", "track", "check"):
         assert f" {name} " in done.stdout
 
 
