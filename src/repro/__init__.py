@@ -8,6 +8,7 @@ A robot is a chain of segments with magnets, sensors and IMUs on it::
     Magnet, Ring, Disc, Cube                   magnets and their fields
     Sensor, Imu                                magnetic sensors with one axis or three; orientation sensors
     simulated_readings                         what they read, by magpylib
+    load_robot, example                        a robot in a file, and the folder of an example
 
 A sensor model is any callable from a configuration q to readings u::
 
@@ -106,6 +107,10 @@ if TYPE_CHECKING:
         Robot as Robot,
         Sensor as Sensor,
     )
+    from repro.robot_file import (
+        example as example,
+        load_robot as load_robot,
+    )
     from repro.sensing import (
         BendSensor as BendSensor,
         Sensing as Sensing,
@@ -128,6 +133,7 @@ _HOMES = {
     "magnets": "Cube Disc Magnet Ring simulated_readings",
     "networks": "Network load_network",
     "robot": "AffineCurvature BallJoint ConstantCurvature FreeBody Imu Link Robot Sensor",
+    "robot_file": "example load_robot",
     "sensing": "BendSensor Sensing relations",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}

@@ -441,6 +441,9 @@ class Imu:
         The columns of its quaternion XYZW, or the number of its stream.
     noise
         Standard deviation of its orientation about every axis [rad].
+    world
+        Quaternion XYZW from the frame of the base to the world that its quaternions refer to; the base itself if not
+        given.
     tolerance
         Standard deviations by which it may be off its drawing: a mapping with some of ``at`` [m], ``tilt``,
         ``heading`` [rad].
@@ -462,6 +465,7 @@ class Imu:
     name: str | None = None
     channels: Any = None
     noise: float | None = None
+    world: Any = None
     tolerance: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
@@ -519,6 +523,8 @@ class Robot:
     model, moments
         Trained networks, or multipole moments ``[m, terms]`` [mT m^(l+2)], in place of the shapes of the magnets: see
         :class:`repro.Sensing`.
+    source
+        The file that it was read from.
 
     Raises
     ------
@@ -553,6 +559,7 @@ class Robot:
         earth: Any = None,
         model: Any = None,
         moments: Any = None,
+        source: Any = None,
     ) -> None:
         self.segments, self.magnets = tuple(segments), tuple(magnets)
         self.sensors, self.imus = tuple(sensors), tuple(imus)
@@ -566,7 +573,7 @@ class Robot:
                 if not isinstance(getattr(part, "place", None), Place):  # its repr is long to make
                     raise bad_input(name, "Robot", "parts with a place", repr(part))
                 self._check(part.place, f"{name}, number {k + 1},")
-        self.model, self.moments = model, moments
+        self.model, self.moments, self.source = model, moments, source
         self.lower, self.upper = self._bounds(lower, upper)
         """Bounds of the coordinates ``[n_q]``, or None where not stated."""
         self.start = None if start is None else numbers(start, "start", "Robot", (self.n_q,))
@@ -669,6 +676,27 @@ class Robot:
         gain, offset = (self.per_reading(*x)[:n] for x in (("gain", 1.0, 1.0), ("offset", 0.0, 0.0)))
         return Sensing(self, self.model, moments=self.moments, gain=gain, offset=offset, earth=self.earth)
 
+    def readings(self, table: Any) -> Any:
+        """Return the readings of a table ``[t, s]``: flux densities in mT, rotation vectors of IMUs in rad.
+
+        Columns are found by the names of channels, or by their numbers (``u1_mT``, ``ch2``, ``channel_3``), and their
+        units are taken from their names. An IMU has the four columns of its quaternion. A cell without a number and
+        infinity are NaN, a missing reading. Where there is a column of times the result has ``times`` [s].
+
+        Parameters
+        ----------
+        table
+            A data frame, or the path of a text file.
+
+        Raises
+        ------
+        InputError
+            If a column is missing, there twice, or of another unit; with the file and the line of a bad cell.
+        """
+        from repro.tables import read_readings
+
+        return read_readings(self, table)
+
     def replaced(self, **changes: Any) -> Robot:
         """Return this robot with other parts or numbers, by the names of the arguments of :class:`Robot`.
 
@@ -680,7 +708,7 @@ class Robot:
         """
         names = (
             "segments", "magnets", "sensors", "imus", "lower", "upper", "start", "noise", "rate_hz", "earth",
-            "model", "moments",
+            "model", "moments", "source",
         )  # fmt: skip
         return Robot(**({name: getattr(self, name) for name in names} | changes))
 
