@@ -13,12 +13,9 @@ from torch import Tensor
 from edition1.errors import InputError
 from edition1.kinematics.robot import Robot
 from edition1.robot_file._document import Document
-from edition1.robot_file._reading_errors import are_scripts
 from edition1.robot_file._tables import MOST_CHANNELS, MOST_VALUES
 from edition1.sensing.magnets import Cube, Ring
 
-_OWN_MODEL_MS = 50
-"""Time of an estimate with a network that is not compiled, about [ms]."""
 _OWN_UNIT = {"hall": "raw", "millivolts": "mV"}
 """Formats whose values have a unit by themselves."""
 _IN_RANGE = 10.0
@@ -164,8 +161,8 @@ def check_observed(document: Document, robot: Robot, imus: Sequence[tuple[int, f
             raise document.error(("segments", i, "kind"), expected, document.tables("segments")[i]["kind"])
 
 
-def check_networks(document: Document, found: _Sensed) -> tuple[str, ...]:
-    """Refuse networks that do not fit, now and not when they are first used; return a warning if they are slow.
+def check_networks(document: Document, found: _Sensed) -> None:
+    """Refuse networks that do not fit, now and not when they are first used.
 
     Raises
     ------
@@ -173,17 +170,15 @@ def check_networks(document: Document, found: _Sensed) -> tuple[str, ...]:
         As said.
     """
     if not found.networks:
-        return ()
-    line, scripts = f"{document.name}, line {document.line('model', 'networks')}", are_scripts(found.networks)
-    if found.network_inputs != "angles" and not scripts:
+        return
+    if found.network_inputs != "angles":
         expected = "'angles', which networks of the paper's recipe take"
         raise document.error(("model", "inputs"), expected, repr(found.network_inputs))
     try:
         found.sensing()
     except InputError as error:
+        line = f"{document.name}, line {document.line('model', 'networks')}"
         raise InputError(f"{line}, [model]: {error}") from error
-    slow = f"some {_OWN_MODEL_MS} ms for an estimate instead of 1"
-    return (f"{line}: networks in TorchScript are not compiled but run in torch: {slow}.",) if scripts else ()
 
 
 def out_of_range(document: Document, found: _Sensed) -> tuple[str, ...]:

@@ -85,15 +85,26 @@ def magnets_of(document: Document, lengths: Sequence[float]) -> tuple[Mounts, tu
 def networks_of(
     document: Document, folder: Path, segments: int, sensors: int
 ) -> tuple[tuple[Path, ...], str]:
-    """Files of trained networks beside the robot file, and what those in TorchScript take; no files without any.
+    """Files of trained networks in the folder of the robot file, and what they take; no files without any.
+
+    They are safetensors, which hold numbers only: TorchScript is a program, and reading a robot runs none.
 
     Raises
     ------
     InputError
-        If ``[model]`` does not name one for all sensors, one per segment or one per sensor, or a file is missing.
+        If ``[model]`` does not name one for all sensors, one per segment or one per sensor, or a file is missing, in
+        another folder, or no safetensors file.
     """
     given = document.table("model")
     model = document.checked(model_keys(segments, sensors), "model") if given else {}
+    for name in model.get("networks", ()):
+        if not name.endswith(".safetensors"):
+            expected = (
+                "safetensors files: TorchScript is a program, which a file cannot start; load it in Python"
+            )
+            raise document.error(("model", "networks"), expected, name)
+        if not (folder / name).resolve().is_relative_to(folder.resolve()):
+            raise document.error(("model", "networks"), "files in the folder of the robot file", name)
     networks = tuple(folder / name for name in model.get("networks", ()))
     if missing := [str(path) for path in networks if not path.is_file()]:
         raise document.error(("model", "networks"), "files beside this one", f"no {missing[0]}")

@@ -68,7 +68,7 @@ def network_error(networks: Sequence[Path], robot: Robot, unit: str) -> WhiteErr
     InputError
         If what a manifest states is no error.
     """
-    if not networks or are_scripts(networks):
+    if not networks:
         return None
     rmse = [_rmse(path, unit) for path in networks]
     if None in rmse:
@@ -95,8 +95,3 @@ def network_of_sensor(robot: Robot, networks: int) -> tuple[int, ...]:
     if networks == len(robot.segments):
         return robot.sensors.segment
     return (0,) * n if networks == 1 else tuple(range(n))
-
-
-def are_scripts(networks: Sequence[Path]) -> bool:
-    """Whether files hold TorchScript, not weights in the project's own form."""
-    return any(path.suffix in (".pt", ".pth") for path in networks)

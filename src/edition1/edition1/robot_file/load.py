@@ -95,7 +95,7 @@ def _described(document: Document, sha256: str, folder: Path) -> RobotFile:
     if sensors and not magnets:
         raise document.error(("sensors", 0, "channel"), "of a robot with [[magnets]]", "one without")
     notes = robot_checks.out_of_range(document, found) + unobserved(found)
-    notes += robot_checks.check_networks(document, found)
+    robot_checks.check_networks(document, found)
     error = network_error(networks, robot, unit)
     if networks and error is None:
         notes += (

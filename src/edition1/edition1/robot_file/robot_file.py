@@ -18,7 +18,7 @@ from torch import Tensor
 
 from edition1.errors import bad_input, require
 from edition1.kinematics.robot import Robot
-from edition1.robot_file._reading_errors import CalibrationError, are_scripts, network_of_sensor
+from edition1.robot_file._reading_errors import CalibrationError, network_of_sensor
 from edition1.robot_file.calibration_file import RobotCalibration
 from edition1.robot_file.columns import channel_columns
 from edition1.robot_file.imu_readings import Imu
@@ -150,12 +150,10 @@ class RobotFile:
             raise bad_input("robot", self.name, expected, f"one with {len(self.imus)} IMUs")
         size = float(torch.linalg.vector_norm(self.earth_mt))
         axis = self.earth_mt / size if size else None
-        if model is None and self.networks and not are_scripts(self.networks):
+        if model is None and self.networks:
             of_sensor = network_of_sensor(self.robot, len(self.networks))
             network = PerSensor([load_paper_network(path) for path in self.networks], of_sensor).double()
             return MagneticSensing(self.robot, network, "angles", axis)
-        if model is None and self.networks:
-            model, inputs = self.networks, self.network_inputs
         if model is not None:
             if inputs not in ("angles", "cosines"):
                 raise bad_input("inputs", "sensing", "'angles' or 'cosines'", repr(inputs))

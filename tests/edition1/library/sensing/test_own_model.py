@@ -199,32 +199,18 @@ def with_networks(folder: Path, names: str, more: str = "") -> Path:
 UNKNOWN_ERROR = "robot.toml: no error of the networks is known; what estimates state holds the noise alone."
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_torchscript_in_a_robot_file(tmp_path, dtype):
-    quiet("trace", trained(dtype)).save(tmp_path / "net.pt")
-    robot = load_robot(with_networks(tmp_path, '"net.pt"'))
-    q = lemniscate(1, steps=5)
-    torch.testing.assert_close(
-        robot.sensing()(q), ONE.sensing(trained(), inputs="angles")(q), rtol=0, atol=2e-5
-    )
-    note, unknown = robot.notes
-    assert unknown == UNKNOWN_ERROR
-    assert "networks in TorchScript are not compiled but run in torch: some 50 ms for an estimate" in note
-    estimator = robot_estimator(robot)
-    estimator.prepared()
-    method = estimator.method
-    assert float((track(method, robot.sensing()(q), robot.start).q - q).abs().max()) < 1e-4
-    quiet("script", ArcCosine(dtype)).save(tmp_path / "arc.pt")
-    robot = load_robot(with_networks(tmp_path, '"arc.pt"', 'inputs = "cosines"\n'))
-    torch.testing.assert_close(robot.sensing()(q), ONE.sensing(dipole)(q), rtol=1e-3, atol=1e-4)
+def test_reading_a_robot_file_runs_no_program(tmp_path):
+    quiet("trace", trained()).save(tmp_path / "net.pt")
+    with pytest.raises(
+        InputError, match=r"line \d+, \[model\], must be safetensors files: TorchScript is a program"
+    ):
+        load_robot(with_networks(tmp_path, '"net.pt"'))
+    save_weights(trained(), tmp_path.parent / "a.safetensors", {"recipe": "paper"})
+    with pytest.raises(InputError, match="must be files in the folder of the robot file"):
+        load_robot(with_networks(tmp_path, '"../a.safetensors"'))
 
 
 def test_networks_of_a_robot_file_are_refused_when_it_is_read(tmp_path):
-    torch.save(trained().state_dict(), tmp_path / "weights.pt")
-    with pytest.raises(InputError) as refused:
-        load_robot(with_networks(tmp_path, '"weights.pt"'))
-    assert "robot.toml, line " in str(refused.value)
-    assert "must be a TorchScript file (as torch.jit.save writes it; weights alone are" in str(refused.value)
     (tmp_path / "alone.safetensors").write_bytes(TRAINED.read_bytes())
     with pytest.raises(
         InputError, match=r"robot.toml, line \d+, \[model\]: .*their manifest alone.json beside them"
