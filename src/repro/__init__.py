@@ -31,6 +31,7 @@ An estimator takes readings one time step after the other and returns q, how sur
     Drift, Drifting                            errors of sensors that wander, estimated on the way
     calibrate                                  a robot that is not as drawn, from readings in measured poses
     calibrate_imus, calibrated                 headings and mountings of IMUs, from motion capture
+    fit_shape                                  configurations from motion capture of bodies or markers
 
 Lengths are metres, angles radians, times seconds, flux densities millitesla. Arrays, lists and data frames are
 taken, arrays are returned; leading dimensions are a batch. What cannot be used is refused by an ``InputError`` that
@@ -93,6 +94,9 @@ if TYPE_CHECKING:
         Ring as Ring,
         simulated_readings as simulated_readings,
     )
+    from repro.motion_capture import (
+        fit_shape as fit_shape,
+    )
     from repro.networks import (
         Network as Network,
         load_network as load_network,
@@ -131,6 +135,7 @@ _HOMES = {
     "estimators.particle": "ParticleFilter",
     "estimators.rod": "Rod RodFilter RodSensor",
     "magnets": "Cube Disc Magnet Ring simulated_readings",
+    "motion_capture": "fit_shape",
     "networks": "Network load_network",
     "robot": "AffineCurvature BallJoint ConstantCurvature FreeBody Imu Link Robot Sensor",
     "robot_file": "example load_robot",

@@ -15,15 +15,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from os import PathLike
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from repro.common import Array, bad_input, numbers, require
 from repro.estimators.base import Trajectory
 from repro.estimators.least_squares import CHI2, LevenbergMarquardt
 from repro.robot import Place, Robot, place, point_on, rotation_matrix, unit_quaternions, wrap
 from repro.sensing import _batch_difference
+from repro.tables import read_poses
 
 _RIG_POSITION, _RIG_ROTATION = 10e-3, 0.2
 """Priors of a frame's place and rotation [m, rad]; those of an unknown base are a hundred times as wide."""
@@ -68,36 +71,26 @@ class FittedShapes(Trajectory):
     @property
     def residual(self) -> Array:
         """Root mean square distance of measured and fitted positions, of every shape ``[t]`` [m]."""
-        return _rms(np.square(self.residuals[..., :3]).sum(-1), -1)
+        return _size(self.residuals[..., :3], -1)
 
     def __repr__(self) -> str:
-        """Return a few lines."""
-        distance = self.residual[np.isfinite(self.residual)]
-        turn = np.degrees(_rms(np.square(self.residuals[..., 3:]).sum(-1), None))
+        """Return three lines."""
         bodies = self.residuals.shape[-2]
-        lost = int((np.isnan(self.residuals[..., :3]).all(-1)).sum())
-        lines = [f"{len(self.q)} shapes of {self.q.shape[-1]} coordinates from {bodies} bodies"]
-        if len(distance):
-            turns = f" and {turn:.2g} degrees" if np.isfinite(turn) else ""
-            worst = 1e3 * np.quantile(distance, 0.95)
-            lines.append(
-                f"residual: {1e3 * _rms(distance**2, None):.2g} mm{turns}; 95 % of shapes below {worst:.2g} mm"
-            )
-        std = (
-            np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1)) if self.covariance is not None else 0.0
+        lost = int(np.isnan(self.residuals[..., 0]).sum())
+        C = np.zeros((1, 1, 1)) if self.covariance is None else self.covariance
+        variances = np.diagonal(C, axis1=-2, axis2=-1)
+        loose = int((variances > 1.0).any(-1).sum())  # a metre or a radian
+        distance, turn = (_size(self.residuals[..., part], None) for part in (slice(3), slice(3, 6)))
+        return (
+            f"{len(self.q)} shapes of {self.q.shape[-1]} coordinates from {bodies} bodies\n"
+            f"residual, root mean square: {1e3 * distance:.2g} mm, {np.degrees(turn):.2g} degrees\n"
+            f"{lost} of {len(self.q) * bodies} bodies missing; {loose} shapes are not determined by theirs"
         )
-        open_ = int((std > 1.0).any(-1).sum())  # a metre, a radian
-        words = f"; {open_} shapes are not determined by theirs" if open_ else ""
-        lines.append(f"{lost} of {len(self.q) * bodies} bodies missing{words}")
-        return "\n".join(lines)
 
 
-def _rms(squares: Array, axis: int | None) -> Array:
-    """Root of the mean of what is there; NaN where nothing is."""
-    there = np.isfinite(squares)
-    count = there.sum(axis)
-    mean = np.where(there, squares, 0.0).sum(axis) / np.maximum(count, 1)
-    return np.where(count > 0, np.sqrt(mean), np.nan)
+def _size(vectors: Array, axis: int | None) -> Array:
+    """Root mean square length of those that are there; NaN where none is."""
+    return np.sqrt(np.ma.filled(np.ma.masked_invalid(np.square(vectors).sum(-1)).mean(axis), np.nan))
 
 
 class _Bodies:
@@ -132,8 +125,6 @@ class _Bodies:
 
 
 def _rotation_vectors(R: Array) -> Array:
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(R.shape[:-1])
 
 
@@ -190,22 +181,23 @@ def fit_shape(
     --------
     One segment that ends at the tip of a quarter circle, known by a marker on its tip:
 
-    >>> from repro import ConstantCurvature, Robot
-    >>> from repro.motion_capture import fit_shape
+    >>> from repro import ConstantCurvature, Robot, fit_shape
     >>> robot = Robot([ConstantCurvature(length=0.110, radius=0.022)])
     >>> found = fit_shape(robot, [[0.0700282, 0.0, 0.0700282]])
     >>> found.q.round(6) + 0.0
     array([[0.034558, 0.      , 0.      ]])
     """
     owner = "fit_shape"
-    poses, times = _from_table(poses, times)
+    if isinstance(poses, str | PathLike) or hasattr(poses, "columns"):
+        poses, times = read_poses(poses)
     T = _measured(poses, owner)
     places = _places(robot, at, T.shape[1], owner)
     for name, value in zip(("noise of positions", "noise of rotations"), noise, strict=True):
         require(0 < value < math.inf, name, owner, "positive", value)
     for k, where in enumerate(places):
-        if where.segment == 0 and np.isfinite(T[:, k, 0, 0]).any():
-            T = _relative(T, k, places.pop(k))
+        if where.segment == 0 and np.isfinite(T[:, k, 0, 0]).any():  # all others as if this body never moved
+            mount = robot.poses(np.zeros(robot.n_q), [places.pop(k)])[0]
+            T = mount @ np.linalg.inv(T[:, k, None]) @ np.delete(T, k, axis=1)
             break
     n = T.shape[1]
     require(any(where.segment for where in places), "poses", owner, "of a body beyond the base", "none")
@@ -223,38 +215,17 @@ def fit_shape(
     dof = np.maximum(used - search.free.sum(), 0)
     if (dof > 0).any():
         C *= max(1.0, float(np.median(chi2[dof > 0] / dof[dof > 0])))
-    q, C = _with_gaps(robot, q, C, search.segment, places, np.isfinite(u[:, : 3 * n : 3]))
+    # Coordinates of segments that no body was seen on or beyond.
+    last = [where.segment - (where.at == 0 < robot.segments[where.segment - 1].length) for where in places]
+    unknown = search.segment > np.where(np.isfinite(u[:, : 3 * n : 3]), last, 0).max(1)[:, None]
+    both = unknown[:, :, None] | unknown[:, None, :]
+    q, C = np.where(unknown, np.nan, q), np.where(both, np.where(np.eye(robot.n_q) == 1, np.inf, np.nan), C)
     at_times = np.arange(len(T), dtype=float) if times is None else numbers(times, "times", owner, (len(T),))
     r = _Bodies(robot, places).difference(u, u_hat).reshape(len(T), 2, n, 3)
     return FittedShapes(
         at_times, q, C, u_hat, chi2, dof, u.shape[1] - used, {},
         residuals=np.concatenate([r[:, 0], r[:, 1]], axis=-1), rig=rig,
     )  # fmt: skip
-
-
-def _with_gaps(
-    robot: Robot, q: Array, C: Array, segment: Array, places: list[Place], seen: Array
-) -> tuple[Array, Array]:
-    """Return NaN and infinite variances for coordinates of segments that no body was seen on or beyond."""
-    last = [where.segment - (where.at == 0 < robot.segments[where.segment - 1].length) for where in places]
-    reached = np.where(seen, last, 0)
-    unknown = segment > reached.max(1)[:, None]
-    q = np.where(unknown, np.nan, q)
-    full = np.where(unknown[:, :, None] | unknown[:, None, :], np.nan, 0.0)
-    full[:, : C.shape[1], : C.shape[1]] += C
-    rows, columns = np.nonzero(unknown)
-    full[rows, columns, columns] = np.inf
-    return q, full
-
-
-def _from_table(poses: Any, times: Any) -> tuple[Any, Any]:
-    """Read a data frame or a file."""
-    if not (isinstance(poses, str) or hasattr(poses, "columns") or hasattr(poses, "__fspath__")):
-        return poses, times
-    from repro import tables
-
-    read: Any = getattr(tables, "read_poses")  # noqa: B009
-    return read(poses)
 
 
 def _measured(poses: Any, owner: str) -> Array:
@@ -295,38 +266,15 @@ def _places(robot: Robot, at: Any, n: int, owner: str) -> list[Place]:
         return tips if n == g else [point_on(0, 0.0), *tips]
     places = []
     for item in at:
-        own = item if isinstance(item, Place) else getattr(item, "place", None)
-        if own is None:
-            pair = isinstance(item, Sequence) and len(item) in (2, 3)
+        own: Any = getattr(item, "place", item)
+        if not isinstance(own, Place):
+            pair = isinstance(own, Sequence) and len(own) in (2, 3)
             require(pair, "at", owner, "parts, or (segment, at [m]), or (segment, at, position)", item)
-            own = place(owner, *tuple(item))
+            own = place(owner, *list[Any](own))
         robot._check(own, "at")
         places.append(own)
     require(len(places) == n, "at", owner, f"one place for each of {n} bodies", f"{len(places)}")
     return places
-
-
-def _relative(T: Array, base: int, where: Place) -> Array:
-    """Return the other bodies as they would be measured if the one on the base stayed where it is mounted."""
-    others = np.delete(T, base, axis=1)
-    moved = np.full(others.shape, np.nan)
-    seen = np.isfinite(T[:, base]).all((-2, -1))
-    moved[seen] = _matrix(where) @ _inverse(T[seen, base])[:, None] @ others[seen]
-    return moved
-
-
-def _matrix(where: Place) -> Array:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = where.rotation, where.position
-    return T
-
-
-def _inverse(T: Array) -> Array:
-    out = np.zeros(T.shape)
-    R = np.swapaxes(T[..., :3, :3], -1, -2)
-    out[..., :3, :3], out[..., 3, 3] = R, 1.0
-    out[..., :3, 3] = -(R @ T[..., :3, 3:])[..., 0]
-    return out
 
 
 class _Search:
@@ -351,10 +299,11 @@ class _Search:
 
     def mounted(self, rig: Rig) -> list[Place]:
         """Return the places of the bodies themselves."""
-        frames = [_matrix(where) @ body for where, body in zip(self.places, rig.bodies, strict=True)]
         return [
-            where._replace(rotation=T[:3, :3], position=T[:3, 3])
-            for where, T in zip(self.places, frames, strict=True)
+            where._replace(
+                rotation=where.rotation @ body[:3, :3], position=where.position + where.rotation @ body[:3, 3]
+            )
+            for where, body in zip(self.places, rig.bodies, strict=True)
         ]
 
     def fit(self, q: Array, u: Array, places: list[Place], tolerance: float) -> tuple[Array, ...]:
@@ -366,6 +315,7 @@ class _Search:
         method = LevenbergMarquardt(_Bodies(robot, places), -far, far, noise, tolerance=tolerance)
         known = None if self.free.all() else self.known[:n]
         found, u_hat, C, status, used = method.fit(q[:, :n], u, known)
+        C = np.pad(C, ((0, 0), (0, q.shape[1] - n), (0, q.shape[1] - n)))
         return np.concatenate([found, q[:, n:]], axis=1), u_hat, C, status[:, CHI2], used
 
     def best(self, u: Array, places: list[Place]) -> tuple[Array, ...]:
@@ -396,9 +346,7 @@ class _Search:
         trial, delta, H, g, limit, typical = rig, moved, np.eye(len(prior)), moved, np.inf, 1.0
         for _ in range(_RIG_ITERATIONS):
             u, places = _readings(T, trial), self.mounted(trial)
-            x, u_hat, _, chi2, used = (
-                self.best(u, places) if q is None else self.fit(q, u, places, _TOLERANCE)
-            )
+            x, _, _, chi2, used = self.best(u, places) if q is None else self.fit(q, u, places, _TOLERANCE)
             penalty = np.square((moved + delta) / prior).sum()
             if np.minimum(chi2, limit).sum() + penalty < cost:
                 rig, q, moved, damping = trial, x, moved + delta, damping / 10
@@ -443,8 +391,6 @@ def _eliminated(model: _Bodies, q: Array, u: Array, weight: Array, free: Array) 
 
 def _moved(rig: Rig, delta: Array) -> Rig:
     """Return a rig whose frames moved along and about their own axes."""
-    from scipy.spatial.transform import Rotation
-
     each = delta.reshape(-1, 6)
     T = np.zeros((len(each), 4, 4))
     T[:, :3, :3], T[:, :3, 3] = Rotation.from_rotvec(each[:, 3:]).as_matrix(), each[:, :3]
@@ -454,7 +400,7 @@ def _moved(rig: Rig, delta: Array) -> Rig:
 
 def _readings(T: Array, rig: Rig) -> Array:
     """Return positions and rotation vectors in the base frame, ``[t, 6 n]``, NaN where nothing was measured."""
-    own = _inverse(rig.base) @ T
+    own = np.linalg.inv(rig.base) @ T
     turns = np.full((*own.shape[:2], 3), np.nan)
     there = np.isfinite(own[..., 0, 0])
     turns[there] = _rotation_vectors(own[there][:, :3, :3])

@@ -697,6 +697,49 @@ class Robot:
 
         return read_readings(self, table)
 
+    def check(self, *, samples: int = 400, seed: int = 0) -> Any:
+        """Ask whether the design can work, before any reading is taken: see :class:`repro.check.DesignCheck`.
+
+        In random shapes within the bounds it finds how well readings determine the tip, by noise alone and with the
+        tolerances of the parts; sensors that contribute nothing or go beyond their range; what stays undetermined.
+        ``print`` shows it in a few lines, the last of them a verdict.
+
+        Parameters
+        ----------
+        samples, seed
+            Number of random shapes, and the seed of their generator.
+
+        Raises
+        ------
+        InputError
+            If the robot states no bounds or no noise, or has no sensors.
+        """
+        from repro.check import check_design
+
+        return check_design(self, samples=samples, seed=seed)
+
+    def plot(self, q: Any = None, *, axes: Any = None, labels: Sequence[str] | None = None) -> Any:
+        """Draw the robot in one shape or several on each other, and return the axes: :func:`repro.plots.plot_robot`.
+
+        Parameters
+        ----------
+        q
+            Configurations ``[n_q]`` or ``[k, n_q]``; its start, the middle of its bounds, or straight, if not given.
+        axes
+            matplotlib axes in three dimensions to draw on; new ones if not given.
+        labels
+            One name for each shape.
+        """
+        from repro.plots import plot_robot
+
+        return plot_robot(self, q, axes=axes, labels=labels)
+
+    def animate(self, shape: Any, *, frames: int = 100, seconds: float = 8.0) -> Any:
+        """Return a matplotlib animation of a :class:`repro.Trajectory`, or of configurations ``[t, n_q]``."""
+        from repro.plots import animate
+
+        return animate(self, shape, frames=frames, seconds=seconds)
+
     def replaced(self, **changes: Any) -> Robot:
         """Return this robot with other parts or numbers, by the names of the arguments of :class:`Robot`.
 

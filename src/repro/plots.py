@@ -1,0 +1,215 @@
+"""Pictures: a robot in space, estimates over time. matplotlib is imported when the first one is drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from repro.common import Array, require
+from repro.robot import Robot, point_on
+
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_NORTH, _SOUTH = "#C1272D", "#3B5BA5"
+_BAND = 1.96
+"""Half of a band that holds 95 % of a normal distribution, in standard deviations."""
+
+
+def plot_robot(robot: Robot, q: Any = None, *, axes: Any = None, labels: Sequence[str] | None = None) -> Any:
+    """Draw a robot in one shape or in several on each other: see :meth:`repro.Robot.plot`.
+
+    Parameters
+    ----------
+    robot
+        Its segments are tubes of their radius (where they have one), joints dots, magnets bars with a red north pole,
+        sensors arrows along their measuring directions, IMUs the three axes of their frames.
+    q
+        Configurations ``[n_q]`` or ``[k, n_q]``; its start, the middle of its bounds, or straight, if not given.
+    axes
+        matplotlib axes in three dimensions to draw on; new ones if not given.
+    labels
+        One name for each shape.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        In mm, in the frame of the base.
+
+    Examples
+    --------
+    >>> import matplotlib
+    >>> matplotlib.use("agg")
+    >>> from repro import ConstantCurvature, Robot
+    >>> robot = Robot([ConstantCurvature(0.11, 0.022)])
+    >>> plot_robot(robot, [[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]], labels=["straight", "bent"]).get_zlabel()
+    'z [mm]'
+    """
+    import matplotlib as mpl
+    import matplotlib.pyplot as plt
+
+    if q is None:
+        middle = np.zeros(robot.n_q) if robot.lower is None else (robot.lower + robot.upper) / 2
+        q = middle if robot.start is None else robot.start
+    shapes = np.atleast_2d(robot.check_q(q, "plot"))
+    require(shapes.ndim == 2, "q", "plot", "of shape (n_q) or (k, n_q)", f"shape {shapes.shape}")
+    names = [None] * len(shapes) if labels is None else list(labels)
+    require(
+        len(names) == len(shapes), "labels", "plot", f"one for each of {len(shapes)} shapes", f"{len(names)}"
+    )
+    with mpl.rc_context({"text.usetex": False}):
+        ax = plt.figure(figsize=(6.4, 6.0)).add_subplot(projection="3d") if axes is None else axes
+        for k, (shape, name) in enumerate(zip(shapes, names, strict=True)):
+            _draw(ax, robot, shape, _COLOURS[k % len(_COLOURS)], name, k == len(shapes) - 1)
+        ax.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
+        ax.set_aspect("equal")
+        ax.locator_params(nbins=5)
+        if ax.get_legend_handles_labels()[1]:
+            ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize="small")
+    return ax
+
+
+def _draw(ax: Any, robot: Robot, q: Array, colour: str, name: str | None, last: bool) -> None:
+    around = np.linspace(0, 2 * math.pi, 25)
+    for g, segment in enumerate(robot.segments, 1):
+        share = np.linspace(0, 1, 25) if segment.length else np.ones(1)
+        T = robot.poses(q, [point_on(g, v * segment.length) for v in share])
+        line = 1e3 * T[:, :3, 3]
+        ax.plot(*line.T, color=colour, lw=2, marker="" if segment.length else "o", label=name)
+        name = None
+        ring = getattr(segment, "radius", 0.0) * np.stack([np.cos(around), np.sin(around), 0 * around])
+        if 0 < np.ptp(ring) < 2 * segment.length:
+            tube = line[:, :, None] + 1e3 * T[:, :3, :3] @ ring
+            ax.plot_surface(*np.moveaxis(tube, 1, 0), color=colour, alpha=0.12, linewidth=0, shade=False)
+            for end in (tube[0], tube[-1]):
+                ax.plot(*end, color=colour, lw=0.8, alpha=0.6)
+    seen: set[str] = set()
+
+    def once(label: str) -> str | None:
+        new = last and label not in seen
+        seen.add(label)
+        return label if new else None
+
+    def poses(parts: Sequence[Any]) -> Any:
+        found = robot.poses(q, [part.place for part in parts])
+        return zip(parts, 1e3 * found[:, :3, 3], found[:, :3, :3], strict=True)
+
+    for magnet, at, R in poses(robot.magnets):
+        size = vars(magnet.shape)
+        half = 500 * size.get("height", size.get("edge")) * R[:, 2]
+        for end, pole in ((half, _NORTH), (-half, _SOUTH)):
+            bar = np.stack([at, at + end], axis=1)
+            ax.plot(*bar, color=pole, lw=7, solid_capstyle="butt", label=once("magnet, north red"))
+    arrow = 80 * max(robot.length, 0.05)
+    for sensor, at, R in poses(robot.sensors):
+        for axis in R.T if sensor.axes == 3 else [R[:, 2]]:
+            ax.quiver(*at, *(arrow * axis), color="#111111", lw=1, label=once("sensor"))
+    for _, at, R in poses(robot.imus):
+        for axis, tone in zip(R.T, _COLOURS[1:4], strict=True):
+            ax.quiver(*at, *(arrow * axis), color=tone, lw=1.5, label=once("IMU"))
+
+
+def plot_shape(shape: Any, axes: Any = None) -> Any:
+    """Draw estimates over time: see :meth:`repro.Trajectory.plot`.
+
+    Parameters
+    ----------
+    shape
+        A :class:`repro.Trajectory`: its coordinates with their 95 % band, one panel for each unit; then readings as
+        dots with what is predicted as lines, and the residuals. What the monitor suspects is marked.
+    axes
+        As many matplotlib axes as there are panels; new ones if not given.
+
+    Returns
+    -------
+    numpy.ndarray
+        The axes.
+    """
+    import matplotlib as mpl
+    import matplotlib.pyplot as plt
+
+    require(shape.q.ndim == 2, "shape", "plot", "of one robot", f"of shape {shape.q.shape}")
+    units = shape.units()
+    kinds = list(dict.fromkeys(unit for _, unit, _ in units))
+    n_readings = 0 if shape.readings is None else 2
+    with mpl.rc_context({"text.usetex": False}):
+        if axes is None:
+            rows = len(kinds) + n_readings
+            axes = plt.subplots(
+                rows, 1, sharex=True, figsize=(8, 2.3 * rows), squeeze=False, layout="constrained"
+            )[1][:, 0]
+        for ax, kind in zip(axes, kinds, strict=False):
+            for k, (name, unit, factor) in enumerate(units):
+                if unit != kind:
+                    continue
+                middle = factor * shape.q[:, k]
+                (line,) = ax.plot(shape.times, middle, label=name)
+                if shape.covariance is not None:
+                    half = _BAND * factor * np.sqrt(np.maximum(shape.covariance[:, k, k], 0.0))
+                    half = np.where(
+                        half < 1e3 * max(np.ptp(middle), 1e-9), half, np.nan
+                    )  # an open coordinate
+                    ax.fill_between(
+                        shape.times, middle - half, middle + half, color=line.get_color(), alpha=0.25, lw=0
+                    )
+            ax.set_ylabel(f"coordinates [{kind}]" if kind else "coordinates")
+            ax.legend(fontsize="small", ncols=3)
+        if n_readings:
+            _readings(shape, *axes[len(kinds) : len(kinds) + 2])
+        axes[-1].set_xlabel("time [s]")
+    return axes
+
+
+def _readings(shape: Any, above: Any, below: Any) -> None:
+    robot, s = shape.robot, shape.u_hat.shape[-1]
+    names = [f"u{k}" for k in range(1, s + 1)] if robot is None else robot.names
+    parts = np.arange(s) if robot is None else robot.parts
+    residuals = shape.residuals()
+    for j, name in enumerate(names):
+        (line,) = above.plot(shape.times, shape.u_hat[:, j], lw=1, label=name)
+        above.plot(shape.times, shape.readings[:, j], ".", ms=3, color=line.get_color())
+        below.plot(shape.times, residuals[:, j], ".", ms=3, color=line.get_color())
+        if shape.suspects is not None and shape.suspects[:, parts[j]].any():
+            rows = shape.suspects[:, parts[j]]
+            below.plot(shape.times[rows], residuals[rows, j], "x", color=_NORTH, label=f"suspect: {name}")
+            below.legend(fontsize="small")
+    if s <= 24:
+        above.legend(fontsize="x-small", ncols=6)
+    unit = (
+        "mT"
+        if robot is not None and not robot.imus
+        else "mT, rad"
+        if robot is not None
+        else "unit of the model"
+    )
+    above.set_ylabel(f"readings [{unit}]")
+    below.set_ylabel(f"residuals [{unit}]")
+
+
+def animate(robot: Robot, shape: Any, *, frames: int = 100, seconds: float = 8.0) -> Any:
+    """Return a matplotlib animation of a robot over time: see :meth:`repro.Robot.animate`.
+
+    Parameters
+    ----------
+    robot
+        Whose shape it is.
+    shape
+        A :class:`repro.Trajectory`, or configurations ``[t, n_q]``.
+    frames, seconds
+        How many shapes are shown, evenly in time, and for how long [s].
+    """
+    from matplotlib.animation import FuncAnimation
+
+    q = robot.check_q(getattr(shape, "q", shape), "animate")
+    chosen = q[np.unique(np.linspace(0, len(q) - 1, frames).astype(int))]
+    ax = plot_robot(robot, chosen[:: max(1, len(chosen) // 8)])
+    box = ax.get_xlim(), ax.get_ylim(), ax.get_zlim()  # of shapes from all of its motion
+
+    def show(k: int) -> list[Any]:
+        ax.clear()
+        plot_robot(robot, chosen[k], axes=ax)
+        ax.set(xlim=box[0], ylim=box[1], zlim=box[2])
+        return []
+
+    return FuncAnimation(ax.figure, show, frames=len(chosen), interval=1e3 * seconds / len(chosen))
