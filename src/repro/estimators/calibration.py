@@ -8,38 +8,65 @@ Parameters :math:`z` in units of their tolerances minimise
 A pose is known only up to its measurement, so a residual is uncertain by the noise of the sensors and by the noise
 of the pose, seen through :math:`J_i = \partial u/\partial q`. The posterior covariance of :math:`z` is the inverse of
 the Hessian; directions in which it stays near one are what the poses do not determine.
+
+Whether the fit is any good is asked of every pose in turn: with slopes :math:`K_i` in units of :math:`S_i` and the
+posterior covariance :math:`C`, a fit without the pose misses its readings by :math:`(I - K_i C K_i^T)^{-1} r_i`,
+with the covariance :math:`(I - K_i C K_i^T)^{-1}`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from repro.common import Array, numbers, require
-from repro.robot import Robot, point_on
+from repro.common import Array, InputError, bad_input, numbers, require
+from repro.robot import Place, Robot, point_on
 from repro.sensing import Sensing
+
+_MOST_CHI2, _DOUBTFUL_CHI2, _FAR = 16.0, 2.0, 2.0
+"""Residuals four times as large as stated. Good poses give 0.3 to 1.3, three times worse ones 9 at most; exchanged
+axes, another unit, order or sign give 26 and more, or 3 to 12 with parts off by five tolerances on average."""
+_CHANCE, _OUTLIER = 1.6, 6.0
+"""By how much more than expected a fit to noise may miss the other poses by chance, where the description is right;
+and the standard deviations that the readings of no pose are off by chance."""
+_CAUSES = (
+    "poses in another unit or order, or with exchanged axes; sensors in another order or of the wrong sign; a magnet "
+    "of another size, polarity or place than described (state a tolerance for it); poses or readings noisier than "
+    "stated"
+)
+_MAGNET = ("x", "y", "z", "tilt about x", "tilt about y")
+_SENSOR = ("azimuth", "radius", "tilt")
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How far a robot may be from its drawing: standard deviations.
+    """How far a robot may be from its drawing: standard deviations. What a part states of its own comes first.
 
     Parameters
     ----------
     magnet_position, magnet_tilt
         Centre of a magnet along each axis of its mount [m], and its tilt about each transverse axis [rad].
     sensor_azimuth, sensor_radius, sensor_tilt, sensor_gain
-        Azimuth [rad], relative distance from the backbone, tilt about the tangential direction [rad], relative gain.
+        Azimuth [rad], relative distance from the backbone, tilt about the tangential direction [rad], relative gain
+        of every axis.
     moments
-        Every multipole moment, relative.
+        Every multipole moment, relative; magnets of one shape share it.
+    magnet_size, magnet_polarisation
+        Every dimension of a magnet [m], and its own relative polarisation. Zero: as drawn.
+    sensor_turn, sensor_along, sensor_offset
+        Tilt of a sensor about the second transverse axis, and of a chip also about the third [rad]; place along the
+        backbone [m]; reading without field [mT]. Zero: as drawn.
+    earth
+        Field of the Earth along each axis of the base [mT]. Zero: as stated.
 
     Raises
     ------
     InputError
-        If one of them is not positive.
+        If one of the first seven is not positive, or another one is negative.
 
     Examples
     --------
@@ -54,55 +81,115 @@ class Tolerances:
     sensor_tilt: float = math.radians(1.0)
     sensor_gain: float = 0.01
     moments: float = 0.02
+    magnet_size: float = 0.0
+    magnet_polarisation: float = 0.0
+    sensor_turn: float = 0.0
+    sensor_along: float = 0.0
+    sensor_offset: float = 0.0
+    earth: float = 0.0
 
     def __post_init__(self) -> None:
-        require(all(0 < x < math.inf for x in astuple(self)), "tolerances", "Tolerances", "positive", self)
+        values = list(asdict(self).values())
+        good = all(0 < x < math.inf for x in values[:7]) and all(0 <= x < math.inf for x in values[7:])
+        require(good, "tolerances", "Tolerances", "positive, or zero for what is as drawn", self)
 
 
 @dataclass(frozen=True)
 class Calibration:
     """A calibrated robot, and how well it is known.
 
+    The robot as described and the plain numbers of ``names``, ``estimate``, ``tolerances``, ``covariance``, ``chi2``,
+    ``poses``, ``before`` and ``after`` are all of it: ``robot`` is ``placed(described, dict(zip(names, estimate)))``.
+
     Parameters
     ----------
     robot
-        With its parts where they were found.
-    moments
-        Of every magnet ``[m, terms]`` [mT m^(l+2)].
-    gain
-        Of every magnetic reading.
+        With its parts where they were found, their gains, offsets and moments, and the field of the Earth.
+    described
+        The robot that was calibrated.
     names
         Names of the parameters.
     estimate, deviation
-        Parameters [m, rad, relative], and their posterior standard deviations.
+        Parameters [m, rad, mT, relative], and their posterior standard deviations.
+    tolerances
+        Their standard deviations before the first pose.
     covariance
         Posterior covariance in units of the tolerances: the identity before the first pose.
     chi2
         Squared residual per reading in units of its variance: near one if noise and tolerances are as stated.
-    earth
-        Field of the Earth in the base frame [mT].
+    poses
+        Number of poses.
+    before, after
+        Residual of a pose, root mean square of its readings in standard deviations, as the robot is described and as
+        a fit to the other poses predicts it; the median of all poses.
     """
 
     robot: Robot
-    moments: Array
-    gain: Array
+    described: Robot
     names: tuple[str, ...]
     estimate: Array
     deviation: Array
+    tolerances: Array
     covariance: Array
     chi2: float
-    earth: Array
+    poses: int
+    before: float
+    after: float
+
+    @property
+    def moments(self) -> Array:
+        """Moments of every magnet ``[m, terms]`` [mT m^(l+2)]."""
+        return self.robot.moments
+
+    @property
+    def gain(self) -> Array:
+        """Gain of every magnetic reading."""
+        return self.sensing().tables.gain
+
+    @property
+    def earth(self) -> Array:
+        """Field of the Earth in the base frame [mT]."""
+        return self.sensing().tables.earth
 
     def sensing(self) -> Sensing:
         """Return the sensor model of the calibrated robot."""
-        return Sensing(self.robot, moments=self.moments, gain=self.gain, earth=self.earth)
+        return self.robot.sensing()
+
+    def reading_covariance(self, q: Any) -> Array:
+        """Return the covariance ``[..., s, s]`` [mT^2] of the magnetic readings predicted at ``q``."""
+        q = self.robot.check_q(q, "Calibration")
+        parameters = dict(zip(self.names, self.estimate.tolist(), strict=True))
+        flat = q.reshape(-1, q.shape[-1])
+        K = _slopes(self.described, self.sensing(), parameters, flat) * self.tolerances
+        return (K @ self.covariance @ np.swapaxes(K, -1, -2)).reshape(*q.shape[:-1], *[K.shape[1]] * 2)
+
+    def q_covariance(self, q: Any, noise: Any = None) -> Array:
+        r"""Return the covariance ``[..., n_q, n_q]`` of least squares at ``q``, by noise and by the parameters.
+
+        With the gain :math:`G = (J^T S^{-1} J)^{-1} J^T S^{-1}` and the covariance :math:`E` of the predicted
+        readings it is :math:`G (S + E) G^T`. What the calibration left open lasts: it cannot be averaged away.
+
+        Parameters
+        ----------
+        q
+            Estimated configurations.
+        noise
+            Standard deviation of a reading [mT; rad for IMUs], one number or one for each; the robot's if not given.
+        """
+        sensing = self.sensing()
+        std = _noise_of(self.robot, noise, sensing.n_readings, "Calibration")
+        J = sensing.linearise(q)[1]
+        E = np.zeros((*J.shape[:-1], J.shape[-2]))
+        E[..., : sensing.n_magnetic, : sensing.n_magnetic] = self.reading_covariance(q)
+        G = np.linalg.pinv(J / std[:, None]) / std
+        return G @ (E + np.diag(std**2)) @ np.swapaxes(G, -1, -2)
 
 
 def calibrate(
     robot: Robot,
     q: Any,
     u: Any,
-    noise: Any,
+    noise: Any = None,
     q_covariance: Any = None,
     *,
     tolerances: Tolerances | None = None,
@@ -115,28 +202,31 @@ def calibrate(
     Parameters
     ----------
     robot
-        As drawn, with magnets and sensors. All its magnets have one shape and share what is found of their moments.
+        As described, with magnets and sensors. Parts may state tolerances of their own. A chip with three axes is one
+        part, whose axes have gains of their own. Magnets of one shape share what is found of their moments.
     q
-        Measured configurations ``[poses, n_q]``.
+        Measured configurations ``[poses, n_q]``, within the robot's bounds if it has any.
     u
-        Readings of its sensors ``[poses, s]`` [mT].
+        Readings of its magnetic sensors ``[poses, s]`` [mT]. Those of IMUs behind them are not used.
     noise
-        Standard deviation of a reading, one number or one for each [mT].
+        Standard deviation of a reading, one number or one for each [mT]; the robot's if not given.
     q_covariance
         Covariance of ``q`` ``[n_q, n_q]`` or ``[poses, n_q, n_q]``; exact poses if not given.
     tolerances
-        Standard deviations of the priors.
+        Standard deviations of the priors, of what the parts do not state themselves.
     moments
-        As drawn ``[terms]`` [mT m^(l+2)]; those of the magnets' shape if not given.
+        As drawn ``[terms]`` or ``[m, terms]`` [mT m^(l+2)]; those of the robot or of the shapes if not given.
     earth
-        Field of the Earth in the base frame [mT]; none if not given.
+        Field of the Earth in the base frame [mT]; the robot's if not given.
     iterations
         Largest number of iterations; six are enough as a rule.
 
     Raises
     ------
     InputError
-        If readings, poses and robot do not fit or are not finite.
+        If readings, poses and robot do not fit or are not finite, if a pose is outside the bounds, or if the result
+        is no better than the description: residuals are more than four times as large as stated, most poses are
+        predicted from the others no better than by the robot as described, or a single one does not fit the others.
 
     Examples
     --------
@@ -153,65 +243,272 @@ def calibrate(
     """
     owner = "calibrate"
     require(robot.magnets and robot.sensors, "robot", owner, "one with magnets and sensors", "neither")
-    shapes = {magnet.shape for magnet in robot.magnets}
-    require(len(shapes) == 1, "robot", owner, "one whose magnets have one shape", f"{len(shapes)} shapes")
-    robot = Robot(robot.segments, robot.magnets, robot.sensors)
-    drawn = Sensing(robot, moments=moments, earth=earth)
+    require(
+        robot.model is None, "robot", owner, "one whose readings are multipoles of its magnets", "networks"
+    )
+    if earth is not None:
+        robot = robot.replaced(earth=earth)
+    terms = (robot.sensing() if moments is None else Sensing(robot, moments=moments)).moments
+    robot = robot.replaced(moments=terms)
+    described = robot.replaced(imus=(), noise=None)
+    drawn = described.sensing()
     q = numbers(q, "q", owner, (None, robot.n_q))
     require(len(q), "q", owner, "at least one pose", "none")
-    u = numbers(u, "u", owner, (len(q), drawn.n_readings))
-    std = numbers(noise, "noise", owner)
-    fits = std.shape in ((), (drawn.n_readings,)) and (std > 0).all()
-    require(fits, "noise", owner, "positive, one number or one for each reading", noise)
+    width = drawn.n_readings if np.shape(u)[-1:] != (robot.n_readings,) else robot.n_readings
+    u = numbers(u, "u", owner, (len(q), width))[:, : drawn.n_readings]
+    std = _noise_of(robot, noise, drawn.n_readings, owner)
     zero = np.zeros((robot.n_q, robot.n_q))
     sigma = zero if q_covariance is None else numbers(q_covariance, "q_covariance", owner, (..., *zero.shape))
     require(iterations >= 1, "iterations", owner, "at least 1", iterations)
-    terms, scale = drawn.moments.shape[1], _scale(robot, drawn.moments.shape[1], tolerances or Tolerances())
-    z, data = np.zeros(len(scale)), (q, u, np.broadcast_to(std, u.shape[1:]), sigma, scale)
-    r, J = _whitened(drawn, z, *data)
-    hessian = J.T @ J + np.eye(len(z))
-    for _ in range(iterations):
-        step = np.linalg.solve(hessian, J.T @ r - z)
-        z = z + step
-        r, J = _whitened(drawn, z, *data)
-        hessian = J.T @ J + np.eye(len(z))
-        if np.abs(step).max() < 1e-6:
-            break
-    covariance = np.linalg.inv(hessian)
-    moved = _moved(drawn, z * scale)
+    check_poses(robot, q, sigma)
+    priors = _priors(described, tolerances or Tolerances(), terms.shape[1])
+    names, scale = tuple(priors), np.array(list(priors.values()))
+    data = (q, u, std, sigma, scale)
+    z = np.zeros(len(scale))
+    with np.errstate(all="ignore"):
+        wild = np.flatnonzero(~np.isfinite(drawn(q)).all(axis=1))
+        for k in wild:
+            raise bad_input("q", owner, "a shape that the robot can have", f"{q[k].tolist()} in row {k + 1}")
+        try:
+            r, J = first, _ = _whitened(described, names, z, *data)
+            hessian = J.T @ J + np.eye(len(z))
+            for _ in range(iterations):
+                step = np.linalg.solve(hessian, J.T @ r - z)
+                z = z + step
+                r, J = _whitened(described, names, z, *data)
+                hessian = J.T @ J + np.eye(len(z))
+                if np.abs(step).max() < 1e-6:
+                    break
+            covariance = np.linalg.inv(hessian)
+            before, after, spread, own = _by_pose(first, r, J, covariance, len(q))
+        except (np.linalg.LinAlgError, InputError) as error:
+            raise _refused(f"a fit that ends in no robot ({error})") from error
+        chi2 = float(np.mean(r**2))
+    worst, mostly = int(np.argmax(own)), max(float(np.median(own)), 1.0)
+    far = float(np.sqrt(np.mean(z**2)))
+    if not chi2 <= (_DOUBTFUL_CHI2 if far > _FAR else _MOST_CHI2):
+        times = (
+            f"{math.sqrt(chi2):.3g} times as large as noise and poses allow (the largest in row {worst + 1})"
+        )
+        raise _refused(f"residuals {times}, and parts off by {far:.3g} of their tolerances")
+    if after > _CHANCE * spread * before or (after >= before and mostly > 2.0):
+        against = f"{after:.3g} standard deviations against {before:.3g} as described"
+        raise _refused(f"a fit that predicts a pose from the others to {against}, worst in row {worst + 1}")
+    if own[worst] > _OUTLIER * mostly:
+        raise _refused(f"row {worst + 1}, {own[worst]:.3g} standard deviations off what the others predict")
+    found = placed(robot, dict(zip(names, (z * scale).tolist(), strict=True)))
+    deviation = np.sqrt(np.diag(covariance)) * scale
     return Calibration(
-        moved.robot,
-        moved.moments,
-        moved.tables.gain,
-        _names(robot, terms),
-        z * scale,
-        np.sqrt(np.diag(covariance)) * scale,
-        covariance,
-        float(np.mean(r**2)),
-        moved.tables.earth,
+        found, robot, names, z * scale, deviation, scale, covariance, chi2, len(q), before, after
+    )  # fmt: skip
+
+
+def check_poses(robot: Robot, q: Array, q_covariance: Any = 0.0) -> None:
+    """Refuse measured poses ``[poses, n_q]`` outside the robot's bounds, by row from 1 and coordinate.
+
+    A measured pose may be outside by five of its standard deviations and a hundredth of the range. Angles with bounds
+    a whole turn apart have none.
+
+    Raises
+    ------
+    InputError
+        If a pose is farther outside.
+    """
+    if robot.lower is None or robot.upper is None:
+        return
+    width = robot.upper - robot.lower
+    std = np.sqrt(np.diagonal(np.broadcast_to(q_covariance, (len(q), robot.n_q, robot.n_q)), 0, -2, -1))
+    slack = np.where(robot.angles & (width >= 2 * math.pi - 1e-9), np.inf, 5 * std + 0.01 * width + 1e-9)
+    for row, c in np.argwhere((q < robot.lower - slack) | (q > robot.upper + slack)):
+        name = robot.coordinates[c]
+        expected = f"within the robot's bounds, for {name} {robot.lower[c]:g} to {robot.upper[c]:g} (unit?)"
+        raise bad_input("q", "calibrate", expected, f"{q[row, c]:g} in row {row + 1}")
+
+
+def coverage_factor(error: Any, covariance: Any, level: float = 0.95) -> float:
+    r"""Return by how much stated covariances must grow to hold the truth as often as they say: split conformal.
+
+    With :math:`e_i` the error of an estimate and :math:`C_i` its stated covariance, the factor is the
+    :math:`\lceil (k+1)\,p \rceil`-th smallest of :math:`k` values :math:`e_i^T C_i^{-1} e_i`, over the quantile of
+    the chi-square distribution with :math:`n` degrees of freedom. The ellipsoid of the next estimate, its covariance
+    times this factor, then holds the truth with a probability of at least :math:`p`, whatever the errors are
+    distributed like, if the next one might as well have been one of these (Vovk, Gammerman, Shafer 2005).
+
+    Parameters
+    ----------
+    error
+        Estimates less the truth ``[k, n]``.
+    covariance
+        Stated covariances ``[n, n]`` or ``[k, n, n]``.
+    level
+        How often the ellipsoid is to hold, between 0 and 1.
+
+    Returns
+    -------
+    float
+        Infinite where there are too few errors to say: fewer than ``level / (1 - level)``.
+
+    Raises
+    ------
+    InputError
+        If the numbers do not fit, or a covariance is none.
+
+    Examples
+    --------
+    Nine errors in one coordinate, of which all are twice as large as stated at the edge of the 90 % interval:
+
+    >>> round(coverage_factor(np.full((9, 1), 2 * 1.6449), [[1.0]], 0.9), 3)
+    4.0
+    """
+    from scipy.stats import chi2
+
+    owner = "coverage_factor"
+    require(0 < level < 1, "level", owner, "between 0 and 1", level)
+    e = numbers(error, "error", owner, (None, None))
+    C = numbers(covariance, "covariance", owner, (..., e.shape[1], e.shape[1]))
+    require(
+        C.ndim == 2 or C.shape[:-2] == (len(e),), "covariance", owner, "one, or one for each error", C.shape
     )
+    require((np.linalg.eigvalsh(C) > 0).all(), "covariance", owner, "positive definite", "one that is not")
+    scores = np.sort((e * np.linalg.solve(C, e[..., None])[..., 0]).sum(-1))
+    rank = math.ceil((len(e) + 1) * level * (1 - 1e-12))
+    return float(scores[rank - 1] / chi2(e.shape[1]).ppf(level)) if rank <= len(e) else math.inf
 
 
-def _names(robot: Robot, terms: int) -> tuple[str, ...]:
-    magnet, sensor = ("x", "y", "z", "tilt about x", "tilt about y"), ("azimuth", "radius", "tilt", "gain")
-    return (
-        *(f"magnet {k + 1} {name}" for k in range(len(robot.magnets)) for name in magnet),
-        *(f"sensor {j + 1} {name}" for j in range(len(robot.sensors)) for name in sensor),
-        *(f"moment A{2 * k + 1}" for k in range(terms)),
-    )
+def placed(robot: Robot, parameters: Mapping[str, float]) -> Robot:
+    """Return the robot whose parts are off their drawing by parameters, as :class:`Calibration` names them.
+
+    Parts move within the cross-section that they are mounted on. Along the backbone a part follows its curve; at the
+    end of a segment, and beyond it, it goes straight on.
+
+    Raises
+    ------
+    InputError
+        If no robot is like that.
+    """
+    own, magnets, sensors = parameters.get, [], []
+    shapes, rows = _strengths(robot, parameters)
+    for k, part in enumerate(robot.magnets):
+        name = f"magnet {k + 1} "
+        p = np.array([own(name + x, 0.0) for x in _MAGNET])
+        R = part.place.rotation
+        tilted = R @ _about(0, p[3]) @ _about(1, p[4])
+        at, beyond = _along(robot, part.place, own(name + "along", 0.0))
+        position = part.place.position + R @ p[:3] + [0.0, 0.0, beyond]
+        magnets.append(replace(part, shape=shapes[k], at=at, position=position, direction=tilted[:, 2]))
+    for j, part in enumerate(robot.sensors):
+        name = f"sensor {j + 1} "
+        p = [own(name + x, 0.0) for x in _SENSOR]
+        shift = [own(name + x, 0.0) for x in "xyz"]
+        at, beyond = _along(robot, part.place, own(name + "along", 0.0))
+        position = _about(2, p[0]) @ (part.place.position * [1 + p[1], 1 + p[1], 1.0] + shift)
+        R = _about(2, p[0]) @ part.place.rotation @ _about(1, -p[2])
+        R = R @ _about(0, own(name + "tilt about x", 0.0)) @ _about(2, own(name + "tilt about z", 0.0))
+        turned: dict[str, Any] = {"direction": R[:, 2]}
+        if part.axes == 3:
+            from scipy.spatial.transform import Rotation
+
+            turned = {"orientation": Rotation.from_matrix(R).as_quat()}
+        factors = [1 + own(name + x, 0.0) for x in _per_axis("gain", part.axes)]
+        offsets = [own(name + x, 0.0) for x in _per_axis("offset", part.axes)]
+        gain, offset = np.multiply(part.gain, factors).tolist(), np.add(part.offset, offsets).tolist()
+        moved = {"at": at, "position": position + np.array([0.0, 0.0, beyond]), **turned}
+        moved |= {"radial": 0.0, "azimuth": 0.0, "tilt": 0.0, "gain": tuple(gain), "offset": tuple(offset)}
+        sensors.append(replace(part, **moved))
+    relative = np.array([[own(x, 0.0) for x in names] for names in _moment_names(robot, rows.shape[1])])
+    earth = np.array([own(f"Earth field along {x}", 0.0) for x in "xyz"])
+    earth = None if robot.earth is None and not earth.any() else _earth(robot) + earth
+    return robot.replaced(magnets=magnets, sensors=sensors, moments=rows * (1 + relative), earth=earth)
 
 
-def _scale(robot: Robot, terms: int, tolerance: Tolerances) -> Array:
-    t = tolerance
-    magnet = [t.magnet_position] * 3 + [t.magnet_tilt] * 2
-    sensor = [t.sensor_azimuth, t.sensor_radius, t.sensor_tilt, t.sensor_gain]
-    return np.array(magnet * len(robot.magnets) + sensor * len(robot.sensors) + [t.moments] * terms)
+def _refused(received: str) -> InputError:
+    expected = f"readings of this robot in these poses (usual causes if not: {_CAUSES})"
+    return bad_input("poses and readings", "calibrate", expected, received)
 
 
-def _split(sensing: Sensing, parameters: Array) -> tuple[Array, Array, Array]:
-    n_m, n_s = len(sensing.robot.magnets), len(sensing.robot.sensors)
-    magnet, rest = parameters[: 5 * n_m].reshape(n_m, 5), parameters[5 * n_m :]
-    return magnet, rest[: 4 * n_s].reshape(n_s, 4), rest[4 * n_s :]
+def _noise_of(robot: Robot, noise: Any, n: int, owner: str) -> Array:
+    """Standard deviation of every reading ``[n]``, of the robot if not given."""
+    expected = "positive, one number or one for each reading"
+    require(noise is not None or robot.noise is not None, "noise", owner, expected, "none")
+    std = numbers(noise if robot.noise is None or noise is not None else robot.noise[:n], "noise", owner)
+    require(std.shape in ((), (n,)) and (std > 0).all(), "noise", owner, expected, noise)
+    return np.broadcast_to(std, (n,))
+
+
+def _earth(robot: Robot) -> Array:
+    return np.zeros(3) if robot.earth is None else robot.earth
+
+
+def _sizes(shape: Any) -> list[str]:
+    """Dimensions of a magnet that are there."""
+    return [f.name for f in fields(shape) if f.name != "polarisation_mt" and getattr(shape, f.name) > 0]
+
+
+def _per_axis(name: str, axes: int) -> list[str]:
+    return [name] if axes == 1 else [f"{name} {axis}" for axis in "xyz"]
+
+
+def _moment_names(robot: Robot, terms: int) -> list[list[str]]:
+    """Names of the relative moments of every magnet: magnets of one shape share theirs."""
+    alike = len({magnet.shape for magnet in robot.magnets}) == 1
+    owners = ["" if alike else f"magnet {k + 1} " for k in range(len(robot.magnets))]
+    return [[f"{owner}moment A{2 * k + 1}" for k in range(terms)] for owner in owners]
+
+
+def _strengths(robot: Robot, parameters: Mapping[str, float]) -> tuple[list[Any], Array]:
+    """Shapes of the magnets, and their moments without the relative changes of moments."""
+    rows = np.array(robot.sensing().moments if robot.moments is None else robot.moments)
+    shapes, orders = [], 2 * rows.shape[1] - 1
+    for k, magnet in enumerate(robot.magnets):
+        name, shape = f"magnet {k + 1} ", magnet.shape
+        sizes = {x: getattr(shape, x) + parameters.get(name + x, 0.0) for x in _sizes(shape)}
+        stronger, resized = 1 + parameters.get(name + "polarisation", 0.0), replace(shape, **sizes)
+        if resized != shape:
+            rows[k] += resized.multipoles(orders) - shape.multipoles(orders)
+        rows[k] *= stronger
+        shapes.append(replace(resized, polarisation_mt=resized.polarisation_mt * stronger))
+    return shapes, rows
+
+
+def _priors(robot: Robot, t: Tolerances, terms: int) -> dict[str, float]:
+    """Standard deviations by name: what every calibration has, in the order of files, then what is stated."""
+    always: dict[str, float] = {}
+    stated: dict[str, float] = {}
+    for k, part in enumerate(robot.magnets):
+        own, name, R = part.tolerance or {}, f"magnet {k + 1} ", part.place.rotation
+        position, tilt = own.get("position", t.magnet_position), own.get("tilt", t.magnet_tilt)
+        # A stated place along the backbone takes that of the position along it.
+        aside = np.sqrt(1 - R[2] ** 2) if "at" in own and "position" not in own else np.ones(3)
+        always |= dict(zip([name + x for x in _MAGNET], [*(position * aside), tilt, tilt], strict=True))
+        stated[name + "along"] = own.get("at", 0.0)
+        stated |= dict.fromkeys([name + x for x in _sizes(part.shape)], own.get("size", t.magnet_size))
+        stated[name + "polarisation"] = own.get("polarisation", t.magnet_polarisation)
+    for j, part in enumerate(robot.sensors):
+        own, name = part.tolerance or {}, f"sensor {j + 1} "
+        position, radial = own.get("position", 0.0), math.hypot(*part.place.position[:2])
+        around = 0.0 if position else t.sensor_azimuth
+        outwards = (
+            own["radius"] / radial if radial and "radius" in own else 0.0 if position else t.sensor_radius
+        )
+        tilt, turn = own.get("tilt", t.sensor_tilt), own.get("tilt", t.sensor_turn)
+        gains = [name + x for x in _per_axis("gain", part.axes)]
+        gain = own.get("gain", t.sensor_gain)
+        always |= {
+            name + "azimuth": own.get("azimuth", around),
+            name + "radius": outwards,
+            name + "tilt": tilt,
+        }
+        always |= {gains[0]: gain}
+        stated |= dict.fromkeys(gains[1:], gain) | {name + "tilt about x": turn}
+        stated[name + "tilt about z"] = turn if part.axes == 3 else 0.0
+        stated[name + "along"] = own.get("at", t.sensor_along)
+        stated |= dict.fromkeys([name + x for x in "xyz"], position)
+        offsets = [name + x for x in _per_axis("offset", part.axes)]
+        stated |= dict.fromkeys(offsets, own.get("offset", t.sensor_offset))
+    for names in _moment_names(robot, terms):
+        always |= dict.fromkeys(names, t.moments)
+    stated |= dict.fromkeys([f"Earth field along {x}" for x in "xyz"], t.earth)
+    return always | {name: std for name, std in stated.items() if std}
 
 
 def _about(axis: int, angle: float) -> Array:
@@ -221,79 +518,147 @@ def _about(axis: int, angle: float) -> Array:
     return R
 
 
-def _moved(drawn: Sensing, parameters: Array) -> Sensing:
-    """Sensor model of the robot whose parts are off their drawing by the parameters."""
-    magnet, sensor, moment = _split(drawn, parameters)
-    magnets, sensors = [], []
-    for part, p in zip(drawn.robot.magnets, magnet, strict=True):
-        at, R = part.place.position, part.place.rotation
-        tilted = R @ _about(0, p[3]) @ _about(1, p[4])
-        magnets.append(replace(part, position=at + R @ p[:3], direction=tilted[:, 2]))
-    for part, p in zip(drawn.robot.sensors, sensor, strict=True):
-        position = _about(2, p[0]) @ (part.place.position * [1 + p[1], 1 + p[1], 1.0])
-        R = _about(2, p[0]) @ part.place.rotation @ _about(1, -p[2])
-        turned: dict[str, Any] = {"direction": R[:, 2]}
-        if part.axes == 3:
-            from scipy.spatial.transform import Rotation
+def _reach(robot: Robot, where: Place) -> float:
+    return robot.segments[where.segment - 1].length if where.segment else 0.0
 
-            turned = {"orientation": Rotation.from_matrix(R).as_quat()}
-        sensors.append(replace(part, position=position, radial=0.0, azimuth=0.0, tilt=0.0, **turned))
-    robot = Robot(drawn.robot.segments, magnets, sensors)
-    gain = np.repeat(1 + sensor[:, 3], [part.axes for part in sensors])
-    return Sensing(robot, moments=drawn.moments * (1 + moment), gain=gain, earth=drawn.tables.earth)
+
+def _along(robot: Robot, where: Place, far: float) -> tuple[float, float]:
+    """Place along its segment after a move, and how far beyond the end of the segment that is."""
+    reach, at = _reach(robot, where), where.at
+    if 0 < at < reach:
+        at = min(max(at + far, 0.0), reach)
+    return at, where.at + far - at
+
+
+def _by_pose(first: Array, r: Array, J: Array, C: Array, poses: int) -> tuple[float, float, float, Array]:
+    """Median residual of a pose as described, predicted from the others, as the fit expects it; and in its unit."""
+    r, K = r.reshape(poses, -1), J.reshape(poses, -1, len(C))
+    apart = np.eye(r.shape[1]) - K @ C @ np.swapaxes(K, -1, -2)
+    predicted = np.linalg.solve(apart, r[..., None])[..., 0]
+    expected = np.diagonal(np.linalg.inv(apart), 0, -2, -1)
+    squares = first.reshape(r.shape) ** 2, predicted**2, expected, r * predicted
+    *rms, own = (np.sqrt(np.abs(x.mean(1))) for x in squares)
+    before, after, spread = (float(np.median(x)) for x in rms)
+    return before, after, spread, own
 
 
 def _whitened(
-    drawn: Sensing, z: Array, q: Array, u: Array, std: Array, q_covariance: Array, scale: Array
+    described: Robot,
+    names: Iterable[str],
+    z: Array,
+    q: Array,
+    u: Array,
+    std: Array,
+    q_covariance: Array,
+    scale: Array,
 ) -> tuple[Array, Array]:
     """Residuals ``[poses * s]`` of unit variance, and the slopes of the prediction by ``z``."""
-    moved = _moved(drawn, z * scale)
+    parameters = dict(zip(names, (z * scale).tolist(), strict=True))
+    moved = placed(described, parameters).sensing()
     u_hat, J_q = moved.linearise(q)
-    J = _slopes(drawn, moved, z * scale, q) * scale
+    J = _slopes(described, moved, parameters, q) * scale
     noise = np.diag(std**2) + J_q @ q_covariance @ np.swapaxes(J_q, -1, -2)
     rows = np.concatenate([(u - u_hat)[..., None], J], axis=-1)
     rows = np.linalg.solve(np.linalg.cholesky(noise), rows)
     rows = rows.reshape(-1, rows.shape[-1])
+    if not np.isfinite(rows).all():
+        raise bad_input("numbers", "calibrate", "finite", "infinite ones")
     return rows[:, 0], rows[:, 1:]
 
 
-def _slopes(drawn: Sensing, moved: Sensing, parameters: Array, q: Array) -> Array:
+def _slopes(described: Robot, moved: Sensing, parameters: Mapping[str, float], q: Array) -> Array:
     """Slopes of readings by the parameters ``[poses, s, k]``: the wrench of a pair times how the part moves."""
-    magnet, sensor, _ = _split(drawn, parameters)
-    robot, n_m, gain = drawn.robot, len(drawn.robot.magnets), moved.tables.gain
+    robot, gain = moved.robot, moved.tables.gain
     u, wrench = moved.wrenches(q)
-    J = np.zeros((*u.shape, len(parameters)))
-    parts = (*robot.magnets, *robot.sensors)
-    on_backbone = [point_on(part.place.segment, part.place.at) for part in parts]
+    columns = {name: np.zeros(u.shape) for name in parameters}
+    on_backbone = [point_on(part.place.segment, part.place.at) for part in (*robot.magnets, *robot.sensors)]
     frames = robot.poses(q, on_backbone)
-    for k, (part, p) in enumerate(zip(robot.magnets, magnet, strict=True)):
-        R = frames[:, k, :3, :3] @ part.place.rotation
-        centre = frames[:, k, :3, 3] + frames[:, k, :3, :3] @ moved.robot.magnets[k].place.position
-        turns = np.stack([np.eye(3)[:, 0], _about(0, p[3])[:, 1]], axis=1)
+    n_m, terms = len(robot.magnets), moved.moments.shape[1]
+    orders, moment_names = 2 * terms - 1, _moment_names(described, terms)
+    relative = 1 + np.array([[parameters[name] for name in names] for names in moment_names])
+    rows_before = _strengths(described, parameters)[1]
+
+    def by_moments(only: Array) -> Array:
+        return Sensing(robot, moments=only)(q)[:, : len(gain)]
+
+    for k, part in enumerate(described.magnets):
+        name, place, F = f"magnet {k + 1} ", robot.magnets[k].place, frames[:, k, :3, :3]
+        R = F @ part.place.rotation
+        centre = frames[:, k, :3, 3] + F @ place.position
+        turns = np.stack([np.eye(3)[:, 0], _about(0, parameters[name + "tilt about x"])[:, 1]], axis=1)
         force = wrench[:, :, k, :3]
         torque = wrench[:, :, k, 3:] - np.cross(centre[:, None], force)
-        J[:, :, 5 * k : 5 * k + 3] = -force @ R
-        J[:, :, 5 * k + 3 : 5 * k + 5] = -torque @ (R @ turns)
+        by = np.concatenate([-force @ R, -torque @ (R @ turns)], axis=-1)
+        columns |= {name + x: by[..., c] for c, x in enumerate(_MAGNET)}
+        if name + "along" in columns:
+            motion, turn = _motion_along(part.place.at, robot, place, q, F)
+            columns[name + "along"] = -_work(force, motion) - _work(torque, turn)
+        shape = robot.magnets[k].shape
+        only = np.zeros_like(moved.moments)
+        for x in _sizes(part.shape):
+            if name + x in columns:
+                h = 1e-4 * getattr(shape, x)
+                up, down = (replace(shape, **{x: getattr(shape, x) + d}).multipoles(orders) for d in (h, -h))
+                only[k] = (up - down) / (2 * h) * relative[k]
+                columns[name + x] = by_moments(only)
+        if name + "polarisation" in columns:
+            only[k] = moved.moments[k] / (1 + parameters[name + "polarisation"])
+            columns[name + "polarisation"] = by_moments(only)
     row = 0
-    for j, (part, p) in enumerate(zip(robot.sensors, sensor, strict=True)):
-        F, c = frames[:, n_m + j, :3, :3], 5 * n_m + 4 * j
-        place = moved.robot.sensors[j].place
+    for j, part in enumerate(described.sensors):
+        name, place, F = f"sensor {j + 1} ", robot.sensors[j].place, frames[:, n_m + j, :3, :3]
+        turned = _about(2, parameters[name + "azimuth"])
         at = frames[:, n_m + j, :3, 3] + F @ place.position
         rows = slice(row, row + part.axes)
         total = wrench[:, rows].sum(2)
         force, torque = total[..., :3], total[..., 3:] - np.cross(at[:, None], total[..., :3])
         around = np.cross([0.0, 0.0, 1.0], place.position)
-        outwards = _about(2, p[0]) @ (part.place.position * [1.0, 1.0, 0.0])
-        across = -(_about(2, p[0]) @ part.place.rotation)[:, 1]
-        J[:, rows, c] = np.einsum("psi,pi->ps", force, F @ around) + np.einsum(
-            "psi,pi->ps", torque, F[..., 2]
-        )
-        J[:, rows, c + 1] = np.einsum("psi,pi->ps", force, F @ outwards)
-        J[:, rows, c + 2] = np.einsum("psi,pi->ps", torque, F @ across)
-        J[:, rows, c + 3] = u[:, rows] / gain[rows]
+        outwards = turned @ (part.place.position * [1.0, 1.0, 0.0])
+        across = turned @ part.place.rotation
+        tilted = across @ _about(1, -parameters[name + "tilt"])
+        columns[name + "azimuth"][:, rows] = _work(force, F @ around) + _work(torque, F[..., 2])
+        columns[name + "radius"][:, rows] = _work(force, F @ outwards)
+        columns[name + "tilt"][:, rows] = _work(torque, F @ -across[:, 1])
+        turns = {"tilt about x": tilted[:, 0], "tilt about z": place.rotation[:, 2]}
+        moves = dict(zip("xyz", turned.T, strict=True))
+        for x in turns.keys() | moves.keys():
+            if name + x in columns:
+                moving, by = (force, moves[x]) if x in moves else (torque, turns[x])
+                columns[name + x][:, rows] = _work(moving, F @ by)
+        if name + "along" in columns:
+            motion, turn = _motion_along(part.place.at, robot, place, q, F)
+            columns[name + "along"][:, rows] = _work(force, motion) + _work(torque, turn)
+        gains, offsets = _per_axis("gain", part.axes), _per_axis("offset", part.axes)
+        for axis, (g, o) in enumerate(zip(gains, offsets, strict=True), row):
+            columns[name + g][:, axis] = u[:, axis] / (1 + parameters[name + g])
+            if name + o in columns:
+                columns[name + o][:, axis] = 1 / gain[axis]
+            for x, component in zip("xyz", range(3), strict=True):
+                if f"Earth field along {x}" in columns:
+                    own_axis = place.rotation[:, axis - row if part.axes == 3 else 2]
+                    columns[f"Earth field along {x}"][:, axis] = (F @ own_axis)[:, component]
         row += part.axes
-    for k in range(drawn.moments.shape[1]):
-        one = np.zeros_like(drawn.moments)
-        one[:, k] = drawn.moments[:, k]
-        J[:, :, len(parameters) - drawn.moments.shape[1] + k] = Sensing(moved.robot, moments=one)(q)
-    return J * gain[:, None]
+    for k in range(terms):
+        names = [of_magnet[k] for of_magnet in moment_names]
+        for name in dict.fromkeys(names):
+            only = np.zeros_like(moved.moments)
+            mine = [n == name for n in names]
+            only[mine, k] = rows_before[mine, k]
+            columns[name] = by_moments(only)
+    return np.stack(list(columns.values()), axis=-1) * gain[:, None]
+
+
+def _work(force: Array, motion: Array) -> Array:
+    return np.einsum("psi,pi->ps", force, motion)
+
+
+def _motion_along(drawn_at: float, robot: Robot, place: Place, q: Array, F: Array) -> tuple[Array, Array]:
+    """Motion of a place and its turn ``[poses, 3]`` per metre along the backbone."""
+    reach = _reach(robot, place)
+    if not (0 < drawn_at < reach and 0 < place.at < reach):
+        return F[..., 2], np.zeros((len(q), 3))
+    low, high = max(place.at - 1e-4 * reach, 0.0), min(place.at + 1e-4 * reach, reach)
+    T = robot.poses(q, [place._replace(at=at) for at in (low, high)])
+    motion, W = T[:, 1, :3, 3] - T[:, 0, :3, 3], T[:, 1, :3, :3] @ np.swapaxes(T[:, 0, :3, :3], 1, 2)
+    turn = np.stack([W[:, 2, 1] - W[:, 1, 2], W[:, 0, 2] - W[:, 2, 0], W[:, 1, 0] - W[:, 0, 1]], axis=-1) / 2
+    return motion / (high - low), turn / (high - low)
