@@ -73,6 +73,10 @@ class FittedShapes(Trajectory):
         """Root mean square distance of measured and fitted positions, of every shape ``[t]`` [m]."""
         return _size(self.residuals[..., :3], -1)
 
+    def to_frame(self) -> Any:
+        """Return the data frame of :meth:`repro.Trajectory.to_frame` with the residual, ``residual_mm``."""
+        return super().to_frame().assign(residual_mm=1e3 * self.residual)
+
     def __repr__(self) -> str:
         """Return three lines."""
         bodies = self.residuals.shape[-2]
@@ -224,7 +228,7 @@ def fit_shape(
     r = _Bodies(robot, places).difference(u, u_hat).reshape(len(T), 2, n, 3)
     return FittedShapes(
         at_times, q, C, u_hat, chi2, dof, u.shape[1] - used, {},
-        residuals=np.concatenate([r[:, 0], r[:, 1]], axis=-1), rig=rig,
+        residuals=np.concatenate([r[:, 0], r[:, 1]], axis=-1), rig=rig, robot=robot,
     )  # fmt: skip
 
 

@@ -164,27 +164,24 @@ def plot_shape(shape: Any, axes: Any = None) -> Any:
 def _readings(shape: Any, above: Any, below: Any) -> None:
     robot, s = shape.robot, shape.u_hat.shape[-1]
     names = [f"u{k}" for k in range(1, s + 1)] if robot is None else robot.names
-    parts = np.arange(s) if robot is None else robot.parts
-    residuals = shape.residuals()
+    parts, part_names = (range(s), names) if robot is None else (robot.parts, robot.part_names)
+    minus: Any = np.subtract if robot is None else robot.sensing().difference  # of orientations a rotation
+    residuals, labelled = minus(shape.readings, shape.u_hat), set()
     for j, name in enumerate(names):
         (line,) = above.plot(shape.times, shape.u_hat[:, j], lw=1, label=name)
-        above.plot(shape.times, shape.readings[:, j], ".", ms=3, color=line.get_color())
-        below.plot(shape.times, residuals[:, j], ".", ms=3, color=line.get_color())
-        if shape.suspects is not None and shape.suspects[:, parts[j]].any():
-            rows = shape.suspects[:, parts[j]]
-            below.plot(shape.times[rows], residuals[rows, j], "x", color=_NORTH, label=f"suspect: {name}")
+        for ax, dots in ((above, shape.readings[:, j]), (below, residuals[:, j])):
+            ax.plot(shape.times, dots, ".", ms=3, color=line.get_color())
+        rows = [] if shape.suspects is None else np.flatnonzero(shape.suspects[:, parts[j]])
+        if len(rows):
+            label = None if parts[j] in labelled else f"suspect: {part_names[parts[j]]}"
+            labelled.add(parts[j])
+            below.plot(shape.times[rows], residuals[rows, j], "x", color=_NORTH, label=label)
             below.legend(fontsize="small")
     if s <= 24:
         above.legend(fontsize="x-small", ncols=6)
-    unit = (
-        "mT"
-        if robot is not None and not robot.imus
-        else "mT, rad"
-        if robot is not None
-        else "unit of the model"
-    )
-    above.set_ylabel(f"readings [{unit}]")
-    below.set_ylabel(f"residuals [{unit}]")
+    unit = "" if robot is None else " [mT, rad]" if robot.imus else " [mT]"
+    above.set_ylabel(f"readings{unit}")
+    below.set_ylabel(f"residuals{unit}")
 
 
 def animate(robot: Robot, shape: Any, *, frames: int = 100, seconds: float = 8.0) -> Any:

@@ -91,6 +91,7 @@ def test_a_first_layout_that_cannot_work_is_called_hopeless():
     )
     assert found.undetermined == ("every coordinate",)
     assert repr(found).splitlines()[-1] == found.verdict
+    assert repr(arm(at=(0.045, 0.035)).check()) == repr(found)
 
 
 def test_a_good_design_is_confirmed_by_simulated_tracking():
