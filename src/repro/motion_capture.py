@@ -356,9 +356,8 @@ class _Search:
                 rig, q, moved, damping = trial, x, moved + delta, damping / 10
                 dof = np.maximum(used - self.free.sum(), 1)
                 typical = max(1.0, float(np.median(chi2 / dof)))
-                limit = (
-                    10 * typical * dof
-                )  # a shape that fits a hundred times as badly counts as one of these
+                # A shape that fits a hundred times as badly as most counts as one that fits ten times as badly.
+                limit = 10 * typical * dof
                 cost = np.minimum(chi2, limit).sum() + penalty
                 shares = weight * np.sqrt(np.minimum(1.0, limit / np.maximum(chi2, 1e-300)))[:, None]
                 H, g = _eliminated(_Bodies(self.robot, places), x, u, shares, self.free)
