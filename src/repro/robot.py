@@ -584,6 +584,7 @@ class Robot:
         require(rate_hz is None or 0 < rate_hz < math.inf, "rate_hz", "Robot", "positive", rate_hz)
         self.rate_hz = rate_hz
         self.earth = None if earth is None else numbers(earth, "earth", "Robot", (3,))
+        self._noise_given = noise
         self.noise = self._noise(noise)
         """Standard deviation of every reading ``[s]`` [mT; rad for IMUs], or None where not stated."""
 
@@ -753,7 +754,8 @@ class Robot:
             "segments", "magnets", "sensors", "imus", "lower", "upper", "start", "noise", "rate_hz", "earth",
             "model", "moments", "source",
         )  # fmt: skip
-        return Robot(**({name: getattr(self, name) for name in names} | changes))
+        own = {name: getattr(self, name) for name in names} | {"noise": self._noise_given}
+        return Robot(**(own | changes))
 
     def _check(self, where: Place, name: str) -> None:
         n = len(self.segments)

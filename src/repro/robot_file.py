@@ -10,7 +10,6 @@ import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from repro.common import Array, InputError, bad_input, require
+from repro.estimators.calibration import Calibration, placed
 from repro.magnets import Cube, Disc, Magnet, Ring
 from repro.networks import load_network
 from repro.robot import (
@@ -107,34 +107,37 @@ def _bounds(high: float, least: float, unit: str, default: Any = None) -> _Key:
 
 
 def _vector(what: str, unit: str, most: float, doubt: float = math.inf, default: Any = None) -> _Key:
-    def fits(x: Any) -> bool:
-        return _numbers(x, 3) and math.hypot(*x) <= most
-
-    def doubts(x: Any) -> str:
-        return f"is {math.hypot(*x):.2g} {unit} long, which is doubtful" if math.hypot(*x) > doubt else ""
-
     return _Key(
         f"three numbers along x, y, z of {what}, together at most {most:g} [{unit}]",
-        fits,
+        lambda x: _numbers(x, 3) and math.hypot(*x) <= most,
         default,
         unit,
-        doubts,
+        lambda x: (
+            f"has a length of {math.hypot(*x):.2g} {unit}, which is doubtful"
+            if math.hypot(*x) > doubt
+            else ""
+        ),
     )
 
 
 def _quaternion(turn: str) -> _Key:
-    def doubts(x: Any) -> str:
-        return "looks as if w came first" if abs(x[0]) > 0.999 else ""
-
     words = f"a unit quaternion [x, y, z, w] within 0.001, {turn}"
-    return _Key(words, lambda x: _numbers(x, 4) and abs(math.hypot(*x) - 1) <= 1e-3, None, "", doubts)
+    doubt = "looks as if w came first"
+    return _Key(
+        words,
+        lambda x: _numbers(x, 4) and abs(math.hypot(*x) - 1) <= 1e-3,
+        None,
+        "",
+        lambda x: doubt if abs(x[0]) > 0.999 else "",
+    )
+
+
+def _whole(x: Any, low: int, high: int) -> bool:
+    return isinstance(x, int) and not isinstance(x, bool) and low <= x <= high
 
 
 def _count(low: int, high: int, default: Any = _NEEDED) -> _Key:
-    def fits(x: Any) -> bool:
-        return isinstance(x, int) and not isinstance(x, bool) and low <= x <= high
-
-    return _Key(f"a whole number from {low} to {high}", fits, default)
+    return _Key(f"a whole number from {low} to {high}", lambda x: _whole(x, low, high), default)
 
 
 def _word(*words: str, default: Any = _NEEDED) -> _Key:
@@ -142,16 +145,12 @@ def _word(*words: str, default: Any = _NEEDED) -> _Key:
 
 
 def _is_channel(x: Any) -> bool:
-    return (isinstance(x, str) and x != "") or (
-        isinstance(x, int) and not isinstance(x, bool) and 0 < x <= 255
-    )
+    return (isinstance(x, str) and x != "") or _whole(x, 1, 255)
 
 
 def _channels(n: int) -> _Key:
-    def fits(x: Any) -> bool:
-        return isinstance(x, list) and len(x) == n and all(map(_is_channel, x))
-
-    return _Key(f"the {n} columns of its readings: names, or numbers from 1 to 255", fits, None)
+    words = f"the {n} columns of its readings: names, or numbers from 1 to 255"
+    return _Key(words, lambda x: isinstance(x, list) and len(x) == n and all(map(_is_channel, x)), None)
 
 
 _TEXT = _Key("a name", lambda x: isinstance(x, str) and x != "", None)
@@ -412,7 +411,7 @@ def load_robot(path: str | Path, calibration: str | Path | None = None) -> Robot
     except UnicodeDecodeError as error:
         raise bad_input("file", path.name, "text in UTF-8", error) from error
     robot = _robot(_Document(path.name, text), path.parent, hashlib.sha256(content).hexdigest())
-    return robot if calibration is None else load_calibration(calibration, robot)
+    return robot if calibration is None else load_calibration(calibration, robot).robot
 
 
 def _robot(document: _Document, folder: Path, sha256: str) -> Robot:
@@ -460,9 +459,12 @@ def _robot(document: _Document, folder: Path, sha256: str) -> Robot:
     if start is not None and lower is not None and upper is not None:
         middle = np.nan_to_num((lower + upper) / 2)
         start = None if np.isnan(start).all() else np.where(np.isnan(start), middle, start)
+    std = stream.get(noise)
+    std = std if std is None or unit not in _PER_MT or networks else std / _PER_MT[unit]
     with document.at("segments"):
         robot = Robot(
-            segments, magnets, sensors, imus, lower=lower, upper=upper, start=start, rate_hz=stream["rate_hz"],
+            segments, magnets, sensors, imus, lower=lower, upper=upper, start=start, noise=std,
+            rate_hz=stream["rate_hz"],
             earth=top["earth_mt"], model=networks or None, source=Source(document.name, sha256, stream),
         )  # fmt: skip
     if sensors:
@@ -514,7 +516,7 @@ def _segment(document: _Document, k: int) -> tuple[Segment, list[tuple[float, fl
             raise document.error(
                 (*place, "start"), f"within the bounds of {name}", document.tables("segments")[k]
             )
-        found.append((low, high, low if low == high else at))
+        found.append((low, high, at))
     return segment, found
 
 
@@ -600,13 +602,17 @@ def _sensor(
         expected = f"left out on the backbone: direction (line {line}) does not turn with it"
         raise document.error((*place, "azimuth_deg"), expected, table["azimuth_deg"])
     per_mt = row[gain] if own else 1.0 if network else _PER_MT[unit]
-    noise = row[f"noise_{low}"] or noise
-    std = None if noise is None else np.divide(noise, abs(per_mt)).tolist()
-    if not network and std is not None and (np.min(std) < 1e-5 or np.max(std) > 0.5):
-        at = (*place, f"noise_{low}") if f"noise_{low}" in table else ("stream", f"noise_{low}")
-        document.warn(at, f"a noise of {np.max(std):g} mT is doubtful") if k == 0 or at[
-            0
-        ] == "sensors" else None
+    own_noise = row[f"noise_{low}"] is not None
+    std = row[f"noise_{low}"] if own_noise else noise
+    std = None if std is None else np.divide(std, abs(per_mt)).tolist()
+    if (
+        not network
+        and std is not None
+        and (own_noise or k == 0)
+        and (np.min(std) < 1e-5 or np.max(std) > 0.5)
+    ):
+        at = (*place, f"noise_{low}") if own_noise else ("stream", f"noise_{low}")
+        document.warn(at, f"a noise of {np.max(std):g} mT is doubtful")
     turn = row["rotation_vector_rad"]
     if turn is not None:
         from scipy.spatial.transform import Rotation
@@ -616,7 +622,8 @@ def _sensor(
         return Sensor(
             **_place(document, "sensors", k, row, lengths), radial=row["radial_mm"], azimuth=row["azimuth_deg"],
             tilt=row["tilt_deg"], position=row["position_mm"], direction=row["direction"], axes=axes,
-            orientation=row["orientation"], name=row["name"], range=row["range_mt"], noise=std, per_mt=per_mt,
+            orientation=row["orientation"], name=row["name"], range=row["range_mt"], per_mt=per_mt,
+            noise=std if own or own_noise else None,  # else that of the robot, which can be replaced
             channels=row["channels"] or (None if row["channel"] is None else [row["channel"]]),
             resolution=row["resolution_mt"], gain=1.0 if own or network else row[gain],
             offset=np.divide(row[f"offset_{low}"], per_mt).tolist(),
@@ -695,70 +702,54 @@ def _check_clear(document: _Document, robot: Robot) -> None:
     if any(isinstance(segment, FreeBody) for segment in robot.segments) or robot.model is not None:
         return
     middle = np.zeros(0) if robot.lower is None or robot.upper is None else (robot.lower + robot.upper) / 2
-    parts = (*robot.magnets, *robot.sensors)
-    p = robot.poses(middle if robot.start is None else robot.start, [part.place for part in parts])[:, :3, 3]
+    places = [part.place for part in (*robot.magnets, *robot.sensors)]
+    p = robot.poses(middle if robot.start is None else robot.start, places)[:, :3, 3]
     for k, magnet in enumerate(robot.magnets):
         shape = magnet.shape
-        if isinstance(shape, Cube):
-            radius = math.sqrt(3) / 2 * shape.edge
-        else:
-            wide = shape.diameter if isinstance(shape, Disc) else shape.outer_diameter
-            radius = math.hypot(wide, shape.height) / 2
-        for j in range(len(robot.sensors)):
-            distance = float(np.linalg.norm(p[len(robot.magnets) + j] - p[k]))
-            if distance <= radius:
-                expected = f"farther than {1e3 * radius:.1f} mm from the centre of magnet {k + 1}"
-                raise document.error(("sensors", j, "at_mm"), expected, f"{1e3 * distance:.1f} mm from it")
+        wide = (
+            shape.edge if isinstance(shape, Cube) else getattr(shape, "diameter", 0.0) or shape.outer_diameter
+        )
+        radius = (
+            math.hypot(wide, wide, wide) / 2
+            if isinstance(shape, Cube)
+            else math.hypot(wide, shape.height) / 2
+        )
+        distances = np.linalg.norm(p[len(robot.magnets) :] - p[k], axis=1)
+        for j in np.flatnonzero(distances <= radius):
+            expected = f"farther than {1e3 * radius:.1f} mm from the centre of magnet {k + 1}"
+            raise document.error(
+                ("sensors", int(j), "at_mm"), expected, f"{1e3 * distances[j]:.1f} mm from it"
+            )
 
 
 _SCHEMA = 3
+_KEPT = ("names", "estimate", "tolerances", "covariance", "chi2", "poses", "before", "after")
+"""What a calibration consists of beside the robot as described."""
 
 
-def save_calibration(path: str | Path, robot: Robot, found: Any) -> None:
+def save_calibration(path: str | Path, found: Calibration) -> None:
     """Write what :func:`repro.calibrate` found, as JSON that :func:`load_calibration` reads for the same robot file.
 
     Parameters
     ----------
     path
         The file to write, whole or not at all.
-    robot
-        As drawn, from :func:`repro.load_robot`.
     found
-        The calibration of this robot.
+        The calibration of a robot that :func:`repro.load_robot` has read.
 
     Raises
     ------
     InputError
         If the robot does not come from a file.
     """
-    source = robot.source
-    require(source is not None, "robot", "save_calibration", "one that load_robot has read", "another")
-    moved = found.robot
-    sensing = found.sensing().tables
-    content = {
-        "schema": _SCHEMA,
-        "robot": source.name,
-        "robot_sha256": source.sha256,
-        "magnets": [
-            {"position_m": m.place.position, "direction": m.place.rotation[:, 2]} for m in moved.magnets
-        ],
-        "sensors": [{"position_m": x.place.position, "rotation": x.place.rotation} for x in moved.sensors],
-        "gain": sensing.gain,
-        "offset_mt": sensing.offset,
-        "moments": found.moments,
-        "earth_mt": sensing.earth,
-        "names": list(found.names),
-        "estimate": found.estimate,
-        "deviation": found.deviation,
-        "covariance": found.covariance,
-        "chi2": found.chi2,
-    }
-    content = json.loads(json.dumps(content, default=np.ndarray.tolist))
-    path = Path(path)
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(
-        json.dumps({**content, "sha256": _own_hash(content)}, indent=1) + "\n", encoding="utf-8"
-    )
+    source = found.described.source
+    expected = "a calibration of a robot that load_robot has read"
+    require(isinstance(source, Source), "found", "save_calibration", expected, "one of another robot")
+    content = {"schema": _SCHEMA, "robot": source.name, "robot_sha256": source.sha256}
+    content |= {name: np.asarray(getattr(found, name)).tolist() for name in _KEPT}
+    content["sha256"] = _own_hash(content)
+    partial = Path(path).with_name(Path(path).name + ".part")
+    partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     partial.replace(path)
 
 
@@ -767,8 +758,8 @@ def _own_hash(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
-def load_calibration(path: str | Path, robot: Robot) -> Robot:
-    """Return a robot as a calibration found it.
+def load_calibration(path: str | Path, robot: Robot) -> Calibration:
+    """Read what a calibration found for a robot file.
 
     Parameters
     ----------
@@ -782,142 +773,96 @@ def load_calibration(path: str | Path, robot: Robot) -> Robot:
     InputError
         If the file is no calibration, was changed, belongs to another robot, or holds values that cannot be.
     """
-    path = Path(path)
-    owner, source = path.name, robot.source
+    path, source = Path(path), robot.source
+    owner = path.name
     require(path.is_file(), "calibration", "load_calibration", "a file that exists", path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
-        raise bad_input("file", owner, "JSON that repro calibrate wrote", error) from error
+        raise bad_input("file", owner, "JSON that a calibration wrote", error) from error
     schema = content.get("schema") if isinstance(content, dict) else type(content).__name__
     require(schema in (2, _SCHEMA), "schema", owner, f"2 or {_SCHEMA}", repr(schema))
     if schema == _SCHEMA:
         same = content.get("sha256") == _own_hash(content)
         require(same, "sha256", owner, "the hash of what the file holds", "another: the file was changed")
-    made_for = content.get("robot_sha256")
-    if source is None or made_for != source.sha256:
-        name = f"made with {source.name if source else 'this robot'} as it is now"
-        raise bad_input("robot_sha256", owner, name, f"one made with {content.get('robot')!r}")
-    get = _Checked(content, owner)
-    n = sum(sensor.axes for sensor in robot.sensors)
+    if source is None or content.get("robot_sha256") != source.sha256:
+        expected = f"made with {source.name if source else 'a robot file'} as it is now"
+        raise bad_input("robot_sha256", owner, expected, f"one made with {content.get('robot')!r}")
+    if schema == 2:
+        content = _from_edition_1(content, robot, owner)
     names: Any = content.get("names")
-    covariance = get("covariance", (None, None), 1e6)
-    k = len(covariance)
-    known = isinstance(names, list) and len(names) == k and all(isinstance(name, str) for name in names)
-    require(known and covariance.shape == (k, k), "names", owner, f"a name for each of {k} parameters", names)
-    _check_covariance(covariance, owner)
-    if schema == _SCHEMA:
-        return _placed(robot, content, get, n)
-    return _as_edition_1(robot, get, names, n)
-
-
-class _Checked:
-    """Reads arrays of a calibration and refuses what cannot be."""
-
-    def __init__(self, content: Mapping[str, Any], owner: str) -> None:
-        self.content, self.owner = content, owner
-
-    def __call__(
-        self, name: str, shape: tuple[int | None, ...], most: float, low: float = -math.inf
-    ) -> Array:
-        try:
-            found = np.array(self.content[name], dtype=float)
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise bad_input(name, self.owner, "numbers", self.content.get(name, "nothing")) from error
-        fits = found.ndim == len(shape) and all(
-            a in (None, b) for a, b in zip(shape, found.shape, strict=True)
+    words = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    require(words, "names", owner, "those of the parameters", names)
+    n = len(names)
+    estimate, tolerances = (_array(content, owner, name, (n,), 1e3) for name in ("estimate", "tolerances"))
+    C = _array(content, owner, "covariance", (n, n), 1.0 + 1e-6)
+    for name, value in zip(names, estimate, strict=True):
+        last = name.rpartition(" ")[2]
+        relative = "moment" in name or name.endswith(("gain", "radius", "polarisation")) or " gain " in name
+        angle = "tilt" in name or last == "azimuth"
+        most = (
+            0.9
+            if relative
+            else math.pi
+            if angle
+            else 1.0
+            if "Earth" in name
+            else 100.0
+            if "offset" in name
+            else 0.1
         )
-        require(fits, name, self.owner, f"of shape {shape}", found.shape)
-        good = np.isfinite(found) & (np.abs(found) <= most) & (found >= low)
-        words = f"between {max(low, -most):g} and {most:g}"
-        require(good.all(), name, self.owner, words, found[~good][:1].tolist())
-        return found
-
-
-def _check_covariance(C: Array, owner: str) -> None:
-    symmetric = np.allclose(C, C.T, rtol=1e-9, atol=0.0)
-    require(symmetric, "covariance", owner, "symmetric", "another matrix")
+        require(abs(value) <= most, name, owner, f"within {most:g} of zero", f"{value:g}")
     variance = np.diag(C)
-    require((variance >= 0).all(), "covariance", owner, "of variances from 0", variance.min())
     std = np.sqrt(np.maximum(variance, 1e-300))
-    least = np.linalg.eigvalsh(C / std / std[:, None]).min(initial=0.0)
-    require(
-        least > -1e-9 * len(C), "covariance", owner, "that of random numbers", "one with a negative variance"
+    values = np.linalg.eigvalsh((C + C.T) / 2 / std / std[:, None])
+    good = (
+        np.allclose(C, C.T)
+        and (variance >= 0).all()
+        and (values > -1e-9 * n).all()
+        and (tolerances >= 0).all()
+    )
+    require(good, "covariance", owner, "that of random numbers", "another matrix, or a negative variance")
+    rest = {name: content.get(name, math.nan) for name in ("chi2", "poses", "before", "after")}
+    moved = placed(robot, dict(zip(names, estimate.tolist(), strict=True)))
+    return Calibration(
+        moved, robot, tuple(names), estimate, np.sqrt(variance) * tolerances, tolerances, C, **rest
     )
 
 
-def _placed(robot: Robot, content: Mapping[str, Any], get: _Checked, n: int) -> Robot:
-    """Return the robot with its parts where a calibration has them."""
-    from scipy.spatial.transform import Rotation
+def _array(content: Mapping[str, Any], owner: str, name: str, shape: tuple[int, ...], most: float) -> Array:
+    """Return an array of a file; refuse what is none, and numbers that cannot be."""
+    try:
+        found = np.array(content[name], dtype=float)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise bad_input(name, owner, "numbers", repr(content.get(name, "nothing"))) from error
+    require(found.shape == shape, name, owner, f"of shape {shape}", found.shape)
+    wrong = ~(np.abs(found) <= most)
+    require(not wrong.any(), name, owner, f"finite and within {most:g} of zero", found[wrong][:1].tolist())
+    return found
 
-    rows: dict[str, list[_Checked]] = {}
-    for name, parts in (("magnets", robot.magnets), ("sensors", robot.sensors)):
-        found = content.get(name)
-        fits = (
-            isinstance(found, list) and len(found) == len(parts) and all(isinstance(x, dict) for x in found)
-        )
-        require(fits, name, get.owner, f"of {len(parts)} parts", type(found).__name__)
-        rows[name] = [_Checked(x, get.owner) for x in content[name]]
-    magnets = [
-        replace(part, position=row("position_m", (3,), 10.0), direction=row("direction", (3,), 1.0 + 1e-9))
-        for part, row in zip(robot.magnets, rows["magnets"], strict=True)
+
+def _from_edition_1(content: Mapping[str, Any], robot: Robot, owner: str) -> dict[str, Any]:
+    """Return a calibration of schema 2 in the terms of today: offsets in mT, the Earth's field against the file."""
+    n, m = len(robot.sensors), len(robot.magnets)
+    given: Any = content.get("names")
+    axes = ("x", "y", "z")
+    expected = [f"magnet {k + 1} {x}" for k in range(m) for x in (*axes, "tilt about x", "tilt about y")]
+    expected += [f"sensor {j + 1} {x}" for j in range(n) for x in ("azimuth", "radius", "tilt", "gain")]
+    expected += [f"moment A{2 * i + 1}" for i in range(robot.sensing().moments.shape[1])]
+    k, last = len(expected), [*(f"offset {j + 1}" for j in range(n)), "Bx", "By", "Bz"]
+    require(given == [*expected, *last], "names", owner, "those of this robot's parameters", given)
+    per_mt = robot.per_reading("per_mt", 1.0, 1.0)
+    scale = np.concatenate([np.ones(k), 1 / per_mt, np.ones(3)])
+    earth = np.zeros(3) if robot.earth is None else robot.earth
+    parts = (("parameters", (k,)), ("offset", (n,)), ("earth_mt", (3,)))
+    estimate = np.concatenate([_array(content, owner, name, shape, 1e9) for name, shape in parts]) * scale
+    estimate[-3:] -= earth
+    C = _array(content, owner, "covariance", (len(scale),) * 2, 100.0) * scale * scale[:, None]
+    std = np.sqrt(np.maximum(np.diag(C), 1e-300))
+    names = [
+        *expected,
+        *(f"sensor {j + 1} offset" for j in range(n)),
+        *(f"Earth field along {x}" for x in axes),
     ]
-    gain, offset = get("gain", (n,), 10.0, 1e-3), get("offset_mt", (n,), 1e3)
-    sensors, first = [], 0
-    for part, row in zip(robot.sensors, rows["sensors"], strict=True):
-        R, own = row("rotation", (3, 3), 1.0 + 1e-9), slice(first, first + part.axes)
-        require(
-            np.allclose(R @ R.T, np.eye(3), atol=1e-6), "rotation", get.owner, "a rotation", "another matrix"
-        )
-        turned: dict[str, Any] = {"direction": R[:, 2]}
-        if part.axes == 3:
-            turned = {"orientation": Rotation.from_matrix(R).as_quat()}
-        sensors.append(
-            replace(
-                part, position=row("position_m", (3,), 10.0), radial=0.0, azimuth=0.0, tilt=0.0,
-                gain=gain[own].tolist(), offset=offset[own].tolist(), **turned,
-            )
-        )  # fmt: skip
-        first += part.axes
-    moments = get("moments", (len(magnets), None), 1e3)
-    return robot.replaced(magnets=magnets, sensors=sensors, moments=moments, earth=get("earth_mt", (3,), 1.0))
-
-
-def _as_edition_1(robot: Robot, get: _Checked, names: Sequence[str], n: int) -> Robot:
-    """Return the robot with the parameters of schema 2, which are relative to the robot file."""
-    from scipy.spatial.transform import Rotation
-
-    m, moments = len(robot.magnets), robot.sensing().moments
-    terms = moments.shape[1]
-    kinds = {
-        "magnet": [
-            f"magnet {k + 1} {x}" for k in range(m) for x in ("x", "y", "z", "tilt about x", "tilt about y")
-        ],
-        "sensor": [f"sensor {j + 1} {x}" for j in range(n) for x in ("azimuth", "radius", "tilt", "gain")],
-        "moment": [f"moment A{2 * i + 1}" for i in range(terms)],
-        "offset": [*(f"offset {j + 1}" for j in range(n)), "Bx", "By", "Bz"],
-    }
-    expected = [name for own in kinds.values() for name in own]
-    wrong = next((x for x, y in zip(names, expected, strict=False) if x != y), f"{len(names)} names")
-    require(list(names) == expected, "names", get.owner, "those of this robot's parameters", repr(wrong))
-    z = get("parameters", (5 * m + 4 * n + terms,), math.pi)
-    for name, value in zip(names, z, strict=False):
-        most = 0.9 if name.endswith(("radius", "gain")) or "moment" in name else math.pi
-        most = 0.1 if name.endswith((" x", " y", " z")) and "about" not in name else most
-        require(abs(value) <= most, name, get.owner, f"within {most:g} of zero", f"{value:g}")
-    magnet, sensor, moment = np.split(z, [5 * m, 5 * m + 4 * n])
-    content: dict[str, Any] = {"magnets": [], "sensors": [], "moments": moments * (1 + moment)}
-    for part, p in zip(robot.magnets, magnet.reshape(m, 5), strict=True):
-        R, tilt = part.place.rotation, Rotation.from_euler("XY", p[3:]).as_matrix()
-        place = {"position_m": part.place.position + R @ p[:3], "direction": (R @ tilt)[:, 2]}
-        content["magnets"].append(place)
-    sensor = sensor.reshape(n, 4)
-    for part, p in zip(robot.sensors, sensor, strict=True):
-        turn, tilt = (Rotation.from_euler(axis, x).as_matrix() for axis, x in (("z", p[0]), ("y", -p[2])))
-        position = turn @ (part.place.position * [1 + p[1], 1 + p[1], 1.0])
-        content["sensors"].append({"position_m": position, "rotation": turn @ part.place.rotation @ tilt})
-    per_mt = robot.per_reading("per_mt", 1.0, 1.0)[:n]
-    content["gain"] = robot.per_reading("gain", 1.0, 1.0)[:n] * (1 + sensor[:, 3])
-    content["offset_mt"] = robot.per_reading("offset", 0.0, 0.0)[:n] + get("offset", (n,), 1e9) / per_mt
-    content["earth_mt"] = get("earth_mt", (3,), 1.0)
-    return _placed(robot, content, _Checked(content, get.owner), n)
+    rest = {"tolerances": std.tolist(), "covariance": (C / std / std[:, None]).tolist()}
+    return {**content, "names": names, "estimate": estimate.tolist(), **rest}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import math
 import re
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,9 +32,8 @@ class Readings(np.ndarray):
     def __getitem__(self, key: Any) -> Any:
         """Return rows, columns or numbers."""
         found = super().__getitem__(key)
-        if isinstance(found, Readings) and self.times is not None:
-            rows = self.times[key[0] if isinstance(key, tuple) else key]
-            found.times = rows if found.ndim == self.ndim else None
+        if isinstance(found, Readings) and self.times is not None and found.ndim == self.ndim:
+            found.times = self.times[key[0] if isinstance(key, tuple) else key]
         return found
 
 
@@ -202,7 +200,9 @@ def _number(cell: Any, comma: bool) -> float:
 def read_readings(robot: Robot, source: Any) -> Readings:
     """Return the readings of a table ``[t, s]`` for a robot: see :meth:`repro.Robot.readings`."""
     table = read_table(source)
-    if table.names and all(name.isdigit() for name in table.names):  # numbers alone say little of what they are
+    if table.names and all(
+        name.isdigit() for name in table.names
+    ):  # numbers alone say little of what they are
         n = robot.n_readings + len(robot.imus)
         expected = f"with names, or of {n} numbers"
         require(len(table.names) == n, "columns", table.owner, expected, f"{len(table.names)} without names")
@@ -244,7 +244,7 @@ def _column(table: Table, channel: Any, own: str, sensor: int | None) -> int:
         found += [k] if fits or own == name else []
     if len(found) != 1:
         wanted = channel if isinstance(channel, str) else f"u{channel}_mT, channel_{channel}, or {own}"
-        near = get_close_matches(str(channel), table.names, 1) if isinstance(channel, str) else []
+        near = [name for name in table.names if name.lower() == str(channel).lower()]
         words = f"one column for {own}: {wanted}" + (f" (is it {near[0]}?)" if near else "")
         received = [table.columns[k] for k in found] if found else f"none among {', '.join(table.columns)}"
         raise bad_input("columns", table.owner, words, received)
@@ -305,7 +305,7 @@ def read_configurations(robot: Robot, source: Any) -> tuple[Array, Array | None]
         require(right, f"column {table.columns[k]}", table.owner, f"in {', '.join(allowed)}", table.units[k])
         q[:, c] = table.values[:, k] * _SI[table.units[k]]
         if robot.lower is not None and robot.upper is not None and not robot.angles[c]:
-            low, high, slack = robot.lower[c], robot.upper[c], 0.05 * (robot.upper[c] - robot.lower[c]) + 1e-9
+            low, high, slack = robot.lower[c], robot.upper[c], 0.01 * (robot.upper[c] - robot.lower[c]) + 1e-9
             for row in np.flatnonzero((q[:, c] < low - slack) | (q[:, c] > high + slack)):
                 words = f"within its bounds, {low / _SI[table.units[k]]:g} to {high / _SI[table.units[k]]:g}"
                 received = f"{table.values[row, k]:g} {table.units[k]}"
