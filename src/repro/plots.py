@@ -162,7 +162,8 @@ def plot_shape(shape: Any, axes: Any = None) -> Any:
 
 
 def _readings(shape: Any, above: Any, below: Any) -> None:
-    robot, s = shape.robot, shape.u_hat.shape[-1]
+    s = shape.u_hat.shape[-1]
+    robot = shape.robot if shape.robot is not None and shape.robot.n_readings == s else None
     names = [f"u{k}" for k in range(1, s + 1)] if robot is None else robot.names
     parts, part_names = (range(s), names) if robot is None else (robot.parts, robot.part_names)
     minus: Any = np.subtract if robot is None else robot.sensing().difference  # of orientations a rotation

@@ -13,12 +13,14 @@ from repro import (
     ConstantCurvature,
     Cube,
     Disc,
+    GradientDescent,
     Imu,
     InputError,
     LevenbergMarquardt,
     Link,
     Magnet,
     Robot,
+    Sensing,
     Sensor,
     Trajectory,
     fit_shape,
@@ -189,6 +191,15 @@ def test_estimates_over_time():
     marks = [line for line in below.lines if line.get_marker() == "x"]
     assert len(marks) == 3  # the axes of one chip
     assert marks[0].get_xdata().min() >= 1.0
+
+
+def test_every_estimator_over_a_robot_names_its_coordinates():
+    sensing = Sensing(arm())
+    shape = track(GradientDescent(sensing, [1e-6] * 3), sensing(np.zeros((2, 3))))
+    assert list(shape.to_frame())[1] == "delta_x_1_mm"
+    own = track(LevenbergMarquardt(lambda q: 2 * q, [-1.0], [1.0], 0.1), [[0.2], [0.4]])
+    assert list(own.to_frame())[:3] == ["time_s", "q_1", "q_1_sd"]
+    assert [ax.get_ylabel() for ax in own.plot()] == ["coordinates", "readings", "residuals"]
 
 
 def test_residuals_of_imus_are_rotations():
