@@ -95,6 +95,12 @@ def test_cells_without_a_number_are_missing(tmp_path, empty):
     assert np.argwhere(np.isnan(robot().readings(written(tmp_path, text)))).tolist() == [[1, 1]]
 
 
+def test_a_comma_among_points_is_no_number(tmp_path):
+    """Thousands, or a slip: either way not what the rest of the table means by a comma."""
+    with pytest.raises(InputError, match="line 3, column u2_mT, must be a number; instead received '3,375'"):
+        robot().readings(written(tmp_path, lines(";").replace("3.37500", "3,375")))
+
+
 def test_counts_become_mt():
     """A sensor of 100 counts for 1 mT: a column of counts, of no unit, or already in mT."""
     counts = robot(per_mt=-100.0)
