@@ -14,7 +14,7 @@ from repro.common import Array, bad_input, require
 from repro.robot import Robot
 
 _TO_MT = {"T": 1e3, "mT": 1.0, "uT": 1e-3, "nT": 1e-6, "G": 0.1, "gauss": 0.1, "mG": 1e-4}
-_SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
+_SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 _SI = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "deg": math.pi / 180, "rad": 1.0}
 _OTHER = ("mV", "V", "raw", "counts")
 _UNITS = {unit.lower(): unit for unit in (*_TO_MT, *_SI, *_OTHER)}
@@ -92,7 +92,8 @@ def read_table(source: Any) -> Table:
     """
     if hasattr(source, "columns") and hasattr(source, "to_numpy"):
         owner, header = "the table", [str(name) for name in source.columns]
-        rows = [list(row) for row in source.to_numpy(dtype=object)]
+        numeric = all(getattr(dtype, "kind", "O") in "fiu" for dtype in source.dtypes)
+        rows: Any = source.to_numpy(dtype=float if numeric else object)
         lines = list(range(1, len(rows) + 1))
     else:
         path = isinstance(source, str | Path)
@@ -100,7 +101,7 @@ def read_table(source: Any) -> Table:
         require(Path(source).is_file(), "table", "read_table", "a file that exists", source)
         owner = Path(source).name
         header, rows, lines = _cells(Path(source), owner)
-    require(rows, "file", owner, "a line of names and lines of numbers", f"{len(rows)} lines of numbers")
+    require(len(rows), "file", owner, "a line of names and lines of numbers", f"{len(rows)} lines of numbers")
     split = [name_and_unit(column) for column in header]
     if all(str(cell).strip().lower() in {*_UNITS, *_SECONDS} for cell in rows[0]):
         split = [(name, str(cell).strip()) for (name, _), cell in zip(split, rows[0], strict=True)]
@@ -108,23 +109,18 @@ def read_table(source: Any) -> Table:
     for k, name in enumerate(header):
         once = header.count(name) == 1 and f"{name}.1" not in header  # pandas renames the second of a name
         require(once or k == 0, f"column {name}", owner, "there once", "several of them")
-    comma = not any("." in cell for row in rows for cell in row if isinstance(cell, str))
-    values = np.empty((len(rows), len(header)))
-    for k, row in enumerate(rows):
-        c = -1
-        try:
-            for c, cell in enumerate(row):
-                values[k, c] = _number(cell, comma)
-        except (TypeError, ValueError) as error:
-            where = f"{owner}, line {lines[k]}, column {header[c] or 'without a name'},"
-            raise bad_input("cell", where, "a number", repr(row[c])) from error
+    numeric = isinstance(rows, np.ndarray) and rows.dtype.kind == "f"
+    values = rows.copy() if numeric else _numbers(rows, header, lines, owner)
+    values[~np.isfinite(values)] = np.nan
     keep = [k for k, name in enumerate(header) if name.strip() or k]
     times = None
     for k in list(keep):
         name, unit = split[k]
         if name.lower() in _TIMES:
             usual = {"millis": "ms", "micros": "us"}.get(name.lower(), "s")
-            require((unit or usual) in _SECONDS, f"column {header[k]}", owner, "in s, ms, us or min", unit)
+            require(
+                (unit or usual) in _SECONDS, f"column {header[k]}", owner, "in s, ms, us, ns or min", unit
+            )
             require(times is None, f"column {header[k]}", owner, "the only one of times", "another")
             times = values[:, k] * _SECONDS[unit or usual]
             bad = np.flatnonzero(~np.isfinite(times))
@@ -176,6 +172,21 @@ def _cells(path: Path, owner: str) -> tuple[list[str], list[list[str]], list[int
     return header[:n], [row[:n] for row in rows[1:]], [line for line, _ in kept[1:]]
 
 
+def _numbers(rows: Any, header: list[str], lines: list[int], owner: str) -> Array:
+    """Return the numbers in all cells, NaN for those without one."""
+    comma = not any("." in cell for row in rows for cell in row if isinstance(cell, str))
+    values = np.empty((len(rows), len(header)))
+    for k, row in enumerate(rows):
+        c = -1
+        try:
+            for c, cell in enumerate(row):
+                values[k, c] = _number(cell, comma)
+        except (TypeError, ValueError) as error:
+            where = f"{owner}, line {lines[k]}, column {header[c] or 'without a name'},"
+            raise bad_input("cell", where, "a number", repr(row[c])) from error
+    return values
+
+
 def _is_number(text: str) -> bool:
     try:
         float(text)
@@ -185,7 +196,7 @@ def _is_number(text: str) -> bool:
 
 
 def _number(cell: Any, comma: bool) -> float:
-    """Return the number in a cell, NaN if there is none; infinity is none."""
+    """Return the number in a cell, NaN if there is none."""
     if isinstance(cell, str):
         text = cell.strip()
         cell = math.nan if text.lower() in _EMPTY else text.replace(",", ".", 1) if comma else text
@@ -193,8 +204,7 @@ def _number(cell: Any, comma: bool) -> float:
         cell = math.nan
     elif not isinstance(cell, int | float | np.number) or isinstance(cell, bool):
         raise TypeError  # dates and spans of time would be taken for numbers
-    found = float(cell)
-    return found if math.isfinite(found) else math.nan
+    return float(cell)
 
 
 def read_readings(robot: Robot, source: Any) -> Readings:

@@ -176,7 +176,7 @@ REFUSED = {
     ),
     "a time in hours": (
         lines(header=["time [h]", *HEADER[1:]]),
-        "column time [h] must be in s, ms, us or min; instead received h.",
+        "column time [h] must be in s, ms, us, ns or min; instead received h.",
     ),
     "two times": (lines(header=["time_s", "t", "u2_mT", "u3_mT"]), "column t must be the only one of times"),
     "a time that is none": (
