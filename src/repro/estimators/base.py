@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -79,7 +80,19 @@ class Trajectory:
     times
         Time of each row [s].
     q, covariance, u_hat, chi2, dof, missing, details
-        As in :class:`Estimate`.
+        As in :class:`Estimate`. With a monitor, ``missing`` also counts readings that were left out; these are marked
+        in the details ``left_out`` ``[t, ..., s]``, and ``growth`` is the factor by which the covariance grew.
+    status
+        What the monitor says of each row: *consistent*; *left out*: the readings of a part do not fit and were left
+        out, the rest fits; *inconsistent*: they do not fit, and it is not decided why; *frozen*: the board repeats
+        itself; *undetermined*: fewer readings than unknowns. ``None`` without a monitor.
+    suspects
+        Parts that the monitor names ``[t, ..., parts]``, as ``robot.part_names``; without a robot every reading is a
+        part of its own.
+    readings
+        What was read ``[t, ..., s]``, if known.
+    robot
+        Whose shape it is, if known: it names coordinates and readings.
 
     Examples
     --------
@@ -97,6 +110,10 @@ class Trajectory:
     dof: Array
     missing: Array
     details: dict[str, Array] = field(default_factory=dict)
+    status: Array | None = None
+    suspects: Array | None = None
+    readings: Array | None = None
+    robot: Any = None
 
     def __repr__(self) -> str:
         """Return three lines."""
@@ -104,11 +121,82 @@ class Trajectory:
         span = f"{self.times[-1] - self.times[0]:g} s"
         free = np.sum(self.dof)
         fit = f"{np.sum(self.chi2) / free:.3g}" if free and np.isfinite(self.chi2).all() else "not stated"
+        counts = {} if self.status is None else Counter(self.status.ravel().tolist())
+        rows = "".join(f"; {n} rows {name}" for name, n in counts.items())
         return (
             f"Trajectory of {len(self.times)} time steps over {span}, {n} coordinates, {s} readings\n"
             f"chi-square per degree of freedom: {fit}\n"
-            f"{int(np.sum(self.missing))} of {self.u_hat.size} readings missing"
+            f"{int(np.sum(self.missing))} of {self.u_hat.size} readings missing{rows}"
         )
+
+    def units(self) -> list[tuple[str, str, float]]:
+        """Return name, unit in tables and pictures, and factor to it of every coordinate."""
+        if self.robot is None or self.robot.n_q != self.q.shape[-1]:
+            return [(f"q_{k}", "", 1.0) for k in range(1, self.q.shape[-1] + 1)]
+        units = {"kappa": ("rad", 1.0), "phi": ("deg", np.degrees(1.0)), "rotation": ("deg", np.degrees(1.0))}
+        return [(name, *units.get(name.split("_")[0], ("mm", 1e3))) for name in self.robot.coordinates]
+
+    def to_frame(self) -> Any:
+        """Return a data frame with names and units: ``time_s``, coordinates, tip, deviations, fit, status, suspects.
+
+        A coordinate such as ``delta_x_1_mm`` has the standard deviation ``delta_x_1_sd_mm``. The tip is in the base
+        frame: ``tip_x_mm`` and so on.
+
+        Raises
+        ------
+        InputError
+            If these are several robots at a time.
+        """
+        import pandas as pd
+
+        require(self.q.ndim == 2, "shape", "to_frame", "of one robot", f"estimates of shape {self.q.shape}")
+        columns: dict[str, Array] = {"time_s": self.times}
+
+        def add(units: list[tuple[str, str, float]], values: Array, C: Array | None) -> None:
+            names = [(name, f"_{unit}" if unit else "") for name, unit, _ in units]
+            factor = np.array([factor for _, _, factor in units])
+            columns.update(zip([name + unit for name, unit in names], (values * factor).T, strict=True))
+            if C is not None:
+                std = np.sqrt(np.maximum(np.diagonal(C, axis1=1, axis2=2), 0.0)) * factor
+                columns.update(zip([f"{name}_sd{unit}" for name, unit in names], std.T, strict=True))
+
+        add(self.units(), self.q, self.covariance)
+        if self.robot is not None and self.robot.n_q == self.q.shape[-1]:
+            known: Any = np.isfinite(self.q).all(-1)
+            p, G = self.robot.tip_slopes(np.where(known[:, None], self.q, 0.0))
+            p[~known], C = np.nan, None
+            if self.covariance is not None:
+                C = G @ np.where(known[:, None, None], self.covariance, 0.0) @ np.swapaxes(G, 1, 2)
+                C[~known] = np.nan
+            add([(f"tip_{axis}", "mm", 1e3) for axis in "xyz"], p, C)
+        columns |= {"chi2": self.chi2, "dof": self.dof, "missing": self.missing}
+        if self.status is not None:
+            columns["status"] = self.status
+        if self.suspects is not None:
+            n = self.suspects.shape[-1]
+            parts = [f"u{k}" for k in range(1, n + 1)] if self.robot is None else self.robot.part_names
+            columns["suspects"] = np.array(
+                [", ".join(p for p, s in zip(parts, row, strict=True) if s) for row in self.suspects]
+            )
+        return pd.DataFrame(columns)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw coordinates with their 95 % band, readings and residuals over time, and what is suspected.
+
+        Parameters
+        ----------
+        axes
+            As many matplotlib axes as there are panels, one for each unit of coordinates and two for readings; new
+            ones if not given.
+
+        Returns
+        -------
+        numpy.ndarray
+            The axes.
+        """
+        from repro.plots import plot_shape
+
+        return plot_shape(self, axes)
 
 
 def track(
@@ -145,7 +233,8 @@ def track(
     progress
         Label of a progress bar; none if not given.
     monitor
-        ``"auto"`` or ``None``. It watches for sensors that fail; for now it does nothing.
+        ``"auto"``: with least squares, Kalman and rod filters a monitor watches for sensors that fail; see ``status``
+        of a :class:`Trajectory`. ``None``: nobody does.
 
     Raises
     ------
@@ -191,25 +280,41 @@ def run(
             per_row[name] = values = np.asarray(values)
             words = f"one row for each of {len(rows)} time steps"
             require(values.ndim and len(values) == len(rows), name, owner, words, f"shape {values.shape}")
-    state = estimator.init(q0, seed=seed)
+    from repro.estimators.monitor import STATUS, Monitor, watches
+
+    method = Monitor(estimator) if monitor is not None and watches(estimator) else estimator
+    watched = method is not estimator
+    state = method.init(q0, seed=seed)
     states, estimates = [], []
     for k in _with_bar(len(rows), progress):
         given = {name: values[k] for name, values in per_row.items() if values is not None}
-        state, estimate = estimator.step(state, rows[k], float(at[k]), **given)
-        states.append(state)
+        state, estimate = method.step(state, rows[k], float(at[k]), **given)
+        states.append(state.inner if watched else state)
         estimates.append(estimate)
-    q, covariance, u_hat, chi2, dof, missing, details = zip(*estimates, strict=True)
+    q, covariance, u_hat, chi2, dof, missing, rest = zip(*estimates, strict=True)
+    details = {name: _stacked([row[name] for row in rest]) for name in rest[0]}
     trajectory = Trajectory(
         at,
-        np.stack(q),
-        None if covariance[0] is None else np.stack(covariance),
-        np.stack(u_hat),
+        np.array(q),
+        None if covariance[0] is None else np.array(covariance),
+        np.array(u_hat),
         np.array(chi2),
         np.array(dof),
         np.array(missing),
-        {name: np.stack([row[name] for row in details]) for name in details[0]},
+        details,
+        np.array(STATUS)[details.pop("status")] if watched else None,
+        details.pop("suspects", None),
+        rows,
+        getattr(estimator, "robot", None) or getattr(getattr(estimator, "model", None), "robot", None),
     )
     return trajectory, states
+
+
+def _stacked(values: list[Array]) -> Array:
+    """Return equal arrays, the same one as a rule or all different, with a leading dimension."""
+    first = values[0]
+    same = all(value is first for value in values)
+    return np.repeat(first[None], len(values), axis=0) if same else np.array(values)
 
 
 def _times(n: int, times: Any, rate_hz: float | None, owner: str, *, needed: bool) -> Array:
@@ -288,6 +393,15 @@ def fixed_coordinates(lower: Array, upper: Array) -> Array | None:
     """Return what equal bounds fix ``[n_q]``, NaN for the other coordinates; ``None`` if they fix nothing."""
     fixed = lower == upper
     return np.where(fixed, lower, np.nan) if fixed.any() else None
+
+
+def evenly(lower: Array, upper: Array, n: int) -> Array:
+    """Return ``n`` points that fill a box evenly ``[n, n_q]``: an additive recurrence, the middle first."""
+    golden, count = 2.0, len(lower)
+    for _ in range(60):  # the root of x^(n_q + 1) = x + 1
+        golden = (1 + golden) ** (1 / (count + 1))
+    share = (0.5 + np.arange(n)[:, None] * golden ** -np.arange(1.0, count + 1)) % 1.0
+    return lower + share * (upper - lower)
 
 
 def known_coordinates(known: Any, n_q: int, owner: str, fixed: Array | None = None) -> Array | None:

@@ -304,7 +304,7 @@ def _update(x, P, q, C, information):
                 P[k, a, b] = 0.5 * (C[k, a, b] + C[k, b, a])
 
 
-def smoothed(method: Any, states: Sequence[Any]) -> list[Any]:
+def smoothed(method: Any, states: Sequence[Any], restarted: Any = None) -> list[Any]:
     r"""Return what later readings say about earlier states: Rauch, Tung and Striebel.
 
     With the state :math:`x_k, P_k` after its own readings, the transition :math:`F` to the next one and
@@ -321,6 +321,8 @@ def smoothed(method: Any, states: Sequence[Any]) -> list[Any]:
         A Kalman or rod filter: it has ``motion(tau)``.
     states
         After a step, or ``predicted``, in the order of time.
+    restarted
+        Which of them do not come from the one before ``[t, ...]``: nothing goes back from there.
 
     Raises
     ------
@@ -335,6 +337,8 @@ def smoothed(method: Any, states: Sequence[Any]) -> list[Any]:
     P, n = np.stack([state.covariance for state in states]), states[0].q.shape[-1]
     for k in reversed(range(len(t) - 1)):
         gain, mean, before = _link(method.motion(t[k + 1] - t[k]), x[k], P[k])
+        if restarted is not None:
+            gain = gain * ~restarted[k + 1][..., None, None]
         x[k] += (gain @ (x[k + 1] - mean)[..., None])[..., 0]
         P[k] += gain @ (P[k + 1] - before) @ np.swapaxes(gain, -1, -2)
         P[k] = 0.5 * (P[k] + np.swapaxes(P[k], -1, -2))
@@ -373,7 +377,7 @@ def smooth(
 ) -> Trajectory:
     """Run a filter over recorded readings, then backwards: the sibling of :func:`repro.track`.
 
-    The predicted readings, ``chi2`` and the details are those of the filter.
+    The predicted readings, ``chi2``, the details, ``status`` and ``suspects`` are those of the filter.
 
     Parameters
     ----------
@@ -401,9 +405,11 @@ def smooth(
         method, readings, q0, times=times, rate_hz=rate_hz, seed=0, mask=mask, known=known, progress=progress,
         monitor=monitor, owner="smooth",
     )  # fmt: skip
-    back, n = smoothed(method, states), found.q.shape[-1]
+    details = found.details
+    back, n = smoothed(method, states, details.get("restarted")), found.q.shape[-1]
     q = np.stack([state.q[..., :n] for state in back])
     wrapped = getattr(method, "wrapped", None)
     P = np.stack([state.covariance[..., :n, :n] for state in back])
+    P = P * details["growth"][..., None, None] if "growth" in details else P
     values = {**vars(found), "q": q if wrapped is None else wrapped(q), "covariance": P}
     return Trajectory(**values)

@@ -18,6 +18,7 @@ from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import (
     Estimate,
     described,
+    evenly,
     fixed_coordinates,
     incoming,
     known_coordinates,
@@ -220,12 +221,7 @@ class LevenbergMarquardt:
 
     def _searched(self, u: Array, known: Array | None) -> Array:
         """Best of the fits from starts that fill the bounds evenly: an additive recurrence, the middle first."""
-        n = self.n_q
-        golden = 2.0
-        for _ in range(60):  # the root of x^(n + 1) = x + 1
-            golden = (1 + golden) ** (1 / (n + 1))
-        share = (0.5 + np.arange(self.starts)[:, None] * golden ** -np.arange(1.0, n + 1)) % 1.0
-        starts = self.lower + share * (self.upper - self.lower)
+        n, starts = self.n_q, evenly(self.lower, self.upper, self.starts)
         starts = starts.reshape(-1, *(1,) * (u.ndim - 1), n)
         q, _, _, status, _ = self.fit(starts, u, known)
         best = status[:, _COST].reshape(q.shape[:-1]).argmin(0)

@@ -1,0 +1,395 @@
+r"""A monitor: do the readings fit the estimates? If not, it looks for the part at fault, or for another start.
+
+Every row is tried with all its readings. With its squared residuals :math:`\chi^2` and their degrees of freedom
+:math:`\nu` it does not fit if :math:`\chi^2 > \ell(\nu)`, where
+
+.. math:: \ell(\nu) = \nu + 2\sqrt{\nu x} + 2x, \qquad
+   P\Bigl(\sum_i w_i z_i^2 > \ell\bigl(\textstyle\sum_i w_i\bigr)\Bigr) \le e^{-x}
+
+for standard normal :math:`z_i` and weights :math:`0 \le w_i \le 1` (Laurent and Massart 2000, lemma 1). So the bound
+also holds for fading sums over about ten and about a hundred past rows, which show small errors that last.
+
+When a row does not fit, the estimator is stepped again without each part in turn (a sensor, a chip, an IMU), all as
+one batch. These fits go on from row to row while the alarm lasts, and what speaks against each adds up. If the rest
+fits without one part, its readings are left out, and the part is named once that is decided. If nothing fits, a fit
+from another start may. Otherwise the covariance grows by :math:`\chi^2/\nu`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import chdtri
+
+from repro.common import Array
+from repro.estimators.base import Estimate, evenly, incoming
+from repro.estimators.kalman import KalmanFilter
+from repro.estimators.least_squares import LevenbergMarquardt
+from repro.estimators.rod import RodFilter
+
+STATUS = ("consistent", "left out", "inconsistent", "frozen", "undetermined")
+"""Names of what the monitor says of a row."""
+CONSISTENT, LEFT_OUT, INCONSISTENT, FROZEN, UNDETERMINED = range(5)
+_RARE, _STRICT = 18.4, 4.6
+"""Good readings do not fit once in 1e8 rows; after an alarm a part comes back where chance is above 1e-2."""
+_FADE, _FADE_SLOWLY = 0.1, 0.01
+"""What every row takes from the sums of the rows before it."""
+_WINDOW, _FORGOTTEN, _LONGEST = 10, 1000, 160
+"""Rows that are gone through again when an alarm begins; that an alarm is remembered; between two looks elsewhere."""
+_EXPLAINED, _FITS = 1e-3, 3e-3
+"""A fit explains a row, or a sum of rows, unless chance exceeds its residuals more rarely than this."""
+_MUCH_BETTER, _DECISIVE = 25.0, 100.0
+"""How much lower chi-square is from a better start, and without the part at fault than without another one."""
+_HEAVIEST, _KEEP = 300.0, 0.99
+"""Most that a row says against a fit, so that one that was lost recovers; what is left of it one row later."""
+_ENOUGH, _STRONG = 40.0, 400.0
+"""Degrees of freedom before a part is named; least chi-square of a row, times the degrees of freedom that are left
+without the part, before readings are left out. What all sensors share looks like one of them if it is smaller."""
+_SPEED = 0.5
+"""Standard deviation of a velocity where no motion model says another one [widths of the bounds per second]."""
+_FROZEN_S, _FROZEN_ROWS = 0.5, 20
+_STARTS = 8
+
+
+class Case(NamedTuple):
+    """What is known of an alarm: fits with all parts, then without each, and what speaks against them."""
+
+    bank: Any
+    against: Array
+    dof: Array
+    jump: Array
+    """Squared distance of the first fits from the last good one, in units of its variance."""
+    row: int
+    look: int
+    """Row from which other starts are tried again, and how many rows later once more."""
+    wait: int
+    best: int = 0
+    """What was left out last, 0 for nothing."""
+
+
+class MonitorState(NamedTuple):
+    """The state of the estimator, and what the monitor remembers."""
+
+    inner: Any
+    seed: int
+    row: int = 0
+    frame: Any = None
+    equal: Any = 1
+    """How many rows in a row had this frame, and since when [s]."""
+    since: Any = 0.0
+    sums: tuple[Any, ...] = (0.0, 0.0, 0.0, 0.0)
+    """Sums of chi-square over ten rows and a hundred, and of their degrees of freedom."""
+    recent: tuple[Any, ...] = ()
+    """State before, readings, time and known coordinates of the last rows."""
+    good: tuple[Any, Any] = (None, 0.0)
+    """Configuration and time of the last row that fitted."""
+    cases: Any = None
+    last: Any = None
+
+
+class Monitor:
+    r"""An estimator with a monitor: an estimator, too.
+
+    The details of its estimates hold ``status``, the number of a name in ``STATUS``; ``suspects`` ``[..., parts]``,
+    the parts that are named; ``left_out`` ``[..., s]``, readings that were left out, which count as missing;
+    ``growth``, the factor by which the covariance grew; ``restarted``. The parts are those of the robot. Where there
+    is none, every reading is its own.
+
+    A frame that equals the one before, bit for bit, adds nothing. If all readings stay equal for more than 0.5 s and
+    at least 20 rows, the board repeats itself and the row is *frozen*, unless all noise stated is below the
+    resolution. A row is *undetermined* if it has fewer readings than unknowns and no motion model helps.
+
+    Parameters
+    ----------
+    estimator
+        It reports ``chi2`` and ``dof``, takes batches, and leaves out readings that are NaN.
+
+    Examples
+    --------
+    Four sensors read one coordinate, and the last one is unplugged:
+
+    >>> from repro import LevenbergMarquardt
+    >>> watched = Monitor(LevenbergMarquardt(lambda q: q * np.ones(4), [-1.0], [1.0], noise=0.001))
+    >>> state = watched.init([0.5])
+    >>> for k in range(20):
+    ...     state, found = watched.step(state, [0.5, 0.501, 0.499 + 1e-5 * k, 0.0], 0.1 * k)
+    >>> STATUS[found.details["status"]], found.details["suspects"].tolist(), found.q.round(3)
+    ('left out', [False, False, False, True], array([0.5]))
+    """
+
+    parts: Array
+    """Which part every reading belongs to."""
+
+    def __init__(self, estimator: Any) -> None:
+        self.estimator, self._owner = estimator, type(estimator).__name__
+        self.n_q, self.needs_time = estimator.n_q, getattr(estimator, "needs_time", False)
+        self._fit = getattr(estimator, "_update", estimator)  # least squares, in a Kalman filter
+        self._bounds, self._width, self._unknowns = None, np.ones(self.n_q), self.n_q
+        if hasattr(self._fit, "lower"):
+            low, high = self._bounds = self._fit.lower[: self.n_q], self._fit.upper[: self.n_q]
+            self._width, self._unknowns = np.where(low < high, high - low, 1.0), int((low < high).sum())
+        self._turns = getattr(getattr(self._fit, "model", None), "angles", np.zeros(self.n_q, dtype=bool))[
+            : self.n_q
+        ]
+        self._blank: dict[str, Any] = {}
+
+    def init(self, q0: Any = None, seed: int = 0) -> MonitorState:
+        """Return the state of the estimator at ``q0``; nothing is held against any part."""
+        return MonitorState(self.estimator.init(q0, seed=seed), seed, cases={})
+
+    def step(
+        self, state: MonitorState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+    ) -> tuple[MonitorState, Estimate]:
+        """Step the estimator, and say whether its estimate explains the readings.
+
+        Raises
+        ------
+        InputError
+            As the estimator.
+        """
+        u = used = incoming(u, mask, self._owner)
+        if state.frame is None:
+            state = self._begun(state, u)
+        alone, same, equal, since = u.ndim == 1, None, 1, t
+        bits: Any = u.tobytes() if alone else u.view(np.int64)
+        if state.frame is not None and known is None:
+            repeats = bits == state.frame if alone else (bits == state.frame).all(-1)
+            if repeats if alone else repeats.any():
+                same = np.logical_and(repeats, ~np.isnan(u).all(-1))
+        if same is not None:
+            equal, since = np.where(same, state.equal + 1, 1), np.where(same, state.since, t)
+            used = np.where(same[..., None], np.nan, u) if self.needs_time else u
+        inner, found = self.estimator.step(state.inner, used, t, known=known)
+        chi2, dof, few = found.chi2, found.dof, found.missing > self._spare
+        one = not isinstance(chi2, np.ndarray)
+        if one:  # plain numbers are much faster
+            chi2, dof, few = float(chi2), float(dof), bool(few)
+        bad = chi2 > _limit(dof)
+        weight = 1.0 - (bad if same is None else bad | same)  # of a row that fits by itself
+        fast, slow, free, freer = state.sums
+        fast, slow = fast + weight * (chi2 - _FADE * fast), slow + weight * (chi2 - _FADE_SLOWLY * slow)
+        free, freer = free + weight * (dof - _FADE * free), freer + weight * (dof - _FADE_SLOWLY * freer)
+        bad = bad | (fast > _limit(free)) | (slow > _limit(freer))
+        for k, case in state.cases.items():
+            if state.row - case.row <= _WINDOW:
+                bad = np.array(bad)
+                bad[k] |= found.chi2[k] > _limit(found.dof[k], _STRICT)
+        bad = bad if same is None else bad & ~same
+        now = MonitorState(
+            inner, state.seed, state.row + (same is None or not same.all()), bits, equal, since,
+            (fast, slow, free, freer), (*state.recent[1 - _WINDOW :], (state.inner, u, known, t)), (found.q, t),
+            state.cases, found,
+        )  # fmt: skip
+        doubt = bad | few
+        if same is None and not (doubt if one else doubt.any()):
+            found.details.update(self._nothing(found.q.shape[:-1]))
+            return now, found
+        return self._doubted(state, now, u, bad, same, few)
+
+    def _begun(self, state: MonitorState, u: Array) -> MonitorState:
+        """Find out about the parts, and give every robot of a batch a state of its own."""
+        s, robot = u.shape[-1], getattr(self.estimator, "robot", None)
+        rows = getattr(
+            self.estimator, "_rows", np.arange(s + 1)
+        )  # where the readings of a rod's sensors begin
+        self.parts, resolution = np.repeat(np.arange(len(rows) - 1), np.diff(rows)), 0.0
+        if robot is not None and robot.n_readings == s:
+            self.parts, resolution = robot.parts, robot.resolution
+        self._jitters = bool(np.any(getattr(self._fit, "noise", np.inf) >= resolution))
+        self._without = np.arange(self.parts.max() + 2)[:, None] == self.parts + 1
+        self._largest = int(np.bincount(self.parts).max())
+        self._spare = s if self.needs_time else s - self._unknowns
+        q = state.inner.q
+        if q is None or u.ndim == 1:
+            return state
+        q = np.broadcast_to(q[..., : self.n_q], (*np.broadcast_shapes(u.shape[:-1], q.shape[:-1]), self.n_q))
+        return state._replace(inner=self.estimator.init(q, seed=state.seed))
+
+    def _nothing(self, batch: tuple[int, ...]) -> dict[str, Array]:
+        """What is said of rows that fit; nobody changes it."""
+        if not self._blank or self._blank["status"].shape != batch:
+            n, s = len(self._without) - 1, self._without.shape[1]
+            shapes = {"suspects": (*batch, n), "left_out": (*batch, s), "restarted": batch}
+            flags = {name: np.zeros(shape, dtype=bool) for name, shape in shapes.items()}
+            self._blank = {"status": np.zeros(batch, dtype=np.int8), "growth": np.ones(batch), **flags}
+        return self._blank
+
+    def _doubted(
+        self, state: MonitorState, now: MonitorState, u: Array, bad: Array, same: Array | None, few: Array
+    ) -> tuple[MonitorState, Estimate]:
+        """Look at rows that do not fit, that came before, or that have too few readings."""
+        found, inner, cases, sums, t = now.last, now.inner, dict(state.cases), now.sums, now.good[1]
+        batch = found.q.shape[:-1]
+        said = {name: x.copy() for name, x in self._nothing(batch).items()}
+        for k in map(tuple, np.argwhere(np.broadcast_to(bad, batch))):
+            inner_k, found_k, cases[k], words = self._alarm(k, state, now)
+            inner, found = _put(inner, k, inner_k), _put(found, k, found_k)
+            for name, value in words.items():
+                said[name][k] = value
+            if "restarted" in words:
+                sums = tuple(_put(np.broadcast_to(x, batch), k, np.float64(0.0)) for x in sums)
+        if same is not None:
+            before, same = state.last.details, np.broadcast_to(same, batch)
+            for k in map(tuple, np.argwhere(same & np.isin(before["status"], (LEFT_OUT, INCONSISTENT)))):
+                for name in ("status", "suspects", "left_out", "growth"):
+                    said[name][k] = before[name][k]
+                if self.needs_time:
+                    found = _put(found, k, _grown(_pick(found, k), before["growth"][k]))
+                else:
+                    inner, found = _put(inner, k, _pick(state.inner, k)), _put(found, k, _pick(state.last, k))
+            since, equal = (np.broadcast_to(x, batch) for x in (now.since, now.equal))
+            frozen = same & (equal >= _FROZEN_ROWS) & (t - since > _FROZEN_S) & self._jitters
+            said["status"][frozen] = FROZEN
+            for k in map(tuple, np.argwhere(frozen & (not self.needs_time))):
+                moved = np.diag((_SPEED * self._width * (t - since[k])) ** 2)
+                found_k = _pick(found, k)
+                found = _put(found, k, found_k._replace(covariance=found_k.covariance + moved))
+        said["status"][np.broadcast_to(few, batch) & (said["status"] == CONSISTENT)] = UNDETERMINED
+        fits = said["status"] <= LEFT_OUT
+        q = found.q if state.good[0] is None else np.where(fits[..., None], found.q, state.good[0])
+        found = found._replace(details=found.details | said)
+        good = q, np.where(fits, t, state.good[1])
+        return now._replace(inner=inner, cases=cases, sums=sums, good=good, last=found), found
+
+    def _alarm(
+        self, k: tuple[int, ...], state: MonitorState, now: MonitorState
+    ) -> tuple[Any, Estimate, Case, dict[str, Any]]:
+        """Return state, estimate, what is known and what is said of one robot whose readings do not fit."""
+        trial, batch, nan = _pick(now.last, k), now.last.q.shape[:-1], np.nan
+        rows: list[Any] = [
+            (_pick(x, k), *(v if v is None else np.broadcast_to(v, (*batch, v.shape[-1]))[k] for v in uv), t)
+            for x, *uv, t in now.recent
+        ]
+        before, u, known, t = rows[-1]
+        fast, slow, free, freer = (float(np.broadcast_to(x, batch)[k]) for x in now.sums)
+        chi2, dof = float(trial.chi2), max(int(trial.dof), 1)
+        odd = chi2 > _limit(dof, _STRICT)
+        growth = max(chi2 / dof if odd else 1.0, fast / max(free, 1.0), slow / max(freer, 1.0))
+        none, case = np.zeros(len(self._without)), state.cases.get(k)
+        new = case is None or state.row - case.row > _FORGOTTEN
+        if case is None or new:
+            case = Case(None, none, none, none, state.row, state.row + _WINDOW, _WINDOW)
+        began, lasts = not case.dof.any(), state.row - case.row <= _WINDOW
+        good, good_t = (
+            before.q if state.good[0] is None else state.good[0][k],
+            np.broadcast_to(state.good[1], batch)[k],
+        )
+        without, fits, ok = self._without[:1], None, none[1:] > 0
+        spare = max(int(np.isfinite(u).sum()) - self._largest - self._unknowns, 1)
+        if (lasts and not began) or growth * dof * spare >= _STRONG:
+            without, goes_on = self._without, case.row == state.row - 1
+            bank, against, freedom = case.bank if goes_on else None, case.against, case.dof
+            for x, v, kn, at in rows if began and not odd else rows[-1:]:
+                x = x if bank is None else bank
+                bank, fits = self.estimator.step(x, np.where(without, nan, v), at, known=kn)
+                against = _KEEP * against + np.minimum(fits.chi2, _HEAVIEST)
+                freedom = _KEEP * freedom + fits.dof
+            case = case._replace(bank=bank, against=against, dof=freedom)
+            ok = self._explain(case, u)
+        fresh = np.full(len(none), began and fits is not None and not self.needs_time)
+        if odd and not ok.any() and (new or state.row >= case.look):
+            case = case._replace(look=state.row + case.wait, wait=min(2 * case.wait, _LONGEST))
+            states = self._elsewhere(before, good)
+            there, again = self.estimator.step(states, np.where(without, nan, u)[:, None], t, known=known)
+            explains = again.chi2 <= chdtri(np.maximum(again.dof, 1), _EXPLAINED)
+            better = explains[0] & (again.chi2[0] < chi2 - _MUCH_BETTER)
+            if better.any():
+                away = 0.0 if good is None else np.abs((again.q[0] - good) / self._width).max(-1)
+                j = 0, int(np.where(better, away, np.inf).argmin())
+                case = case._replace(bank=None, against=none, dof=none, jump=none, row=state.row)
+                words = {"status": INCONSISTENT, "restarted": True}
+                return _pick(there, j), _pick(again, j), case, words
+            for h in 1 + np.flatnonzero(explains[1:].any(-1)):
+                j = h, again.chi2[h].argmin()
+                share = 1.0 if new else 0.5  # what spoke against a fit that was lost counts half
+                case.against[h] += share * (again.chi2[j] - case.against[h])
+                case.dof[h] += share * (again.dof[j] - case.dof[h])
+                fresh[h] = True
+                case = case._replace(bank=_put(case.bank, (h,), _pick(there, j)))
+                fits = _put(fits, (h,), _pick(again, j))
+            ok = ok if fits is None else self._explain(case, u)
+        if fits is None or not ok.any():
+            words = {"status": INCONSISTENT, "growth": growth}
+            return _pick(now.inner, k), _grown(trial, growth), case._replace(row=state.row), words
+        if fresh.any() and good is not None:  # how far the robot would have jumped
+            moved = np.where(self._turns, 1e3, _SPEED * self._width * (t - good_t))
+            away, C = fits.q - good, fits.covariance + np.diag(moved**2)
+            jump = (away * np.linalg.solve(C, away[..., None])[..., 0]).sum(-1)
+            case = case._replace(jump=np.where(fresh, jump, case.jump))
+        total = np.where(
+            ok, (case.against + case.jump - _MUCH_BETTER * (np.arange(len(none)) == case.best))[1:], np.inf
+        )
+        left = total <= total.min() + _DECISIVE
+        if left.sum() > 2 and len(rows) == _WINDOW:  # a part that repeats itself while others do not
+            moves = np.bincount(self.parts, np.ptp([row[1] for row in rows], axis=0) != 0) > 0
+            left = left & ~moves if (left & ~moves).any() and moves.any() else left
+        best = 1 + int(np.where(left, total, np.inf).argmin())
+        weight = np.exp(np.where(left, (total[best - 1] - total) / 2, -np.inf))
+        off = fits.q[1:] - fits.q[best]
+        found = _pick(fits, best)
+        found = found._replace(covariance=found.covariance + (weight[:, None] * off).T @ off / weight.sum())
+        named = left.sum() <= 2 and case.dof[best] / max(fits.dof[best], 1) * spare >= _ENOUGH
+        words = {"status": LEFT_OUT if named else INCONSISTENT, "suspects": left & named}
+        words["left_out"] = self._without[best] & ~np.isnan(u)
+        return _pick(case.bank, best), found, case._replace(row=state.row, best=best), words
+
+    def _explain(self, case: Case, u: Array) -> Array:
+        """Which parts the rest fits without."""
+        used = np.bincount(self.parts, np.isfinite(u)) > 0
+        return (case.against <= chdtri(np.maximum(case.dof, 1), _FITS))[1:] & used & (used.sum() > 1)
+
+    def _elsewhere(self, before: Any, good: Array | None) -> Any:
+        """States to start anew from: where the robot was, and everywhere within the bounds."""
+        if self._bounds is None:
+            return self.estimator.init(np.zeros((1, self.n_q)))
+        low, high = self._bounds
+        points = [x[: self.n_q] for x in (good, before.q) if x is not None]
+        starts = np.clip(
+            np.concatenate([np.reshape(points, (-1, self.n_q)), evenly(low, high, _STARTS)]), low, high
+        )
+        states, n, m = self.estimator.init(starts), self.n_q, 0 if before.q is None else before.q.shape[-1]
+        if m > n:  # errors of sensors stay as they are known
+            q, P = states.q.copy(), states.covariance.copy()
+            q[:, n:], P[:, n:m, n:m] = before.q[n:], before.covariance[n:m, n:m]
+            states = states._replace(q=q, covariance=P)
+        return states
+
+
+def watches(estimator: Any) -> bool:
+    """Whether the monitor is on unless it is switched off: not for the estimators of papers, which have none."""
+    return isinstance(estimator, LevenbergMarquardt | KalmanFilter | RodFilter)
+
+
+def _limit(dof: Any, x: float = _RARE) -> Any:
+    """Chi-square that good readings exceed with a chance of less than exp(-x)."""
+    return dof + 2 * (x * dof) ** 0.5 + 2 * x
+
+
+def _grown(estimate: Estimate, factor: float) -> Estimate:
+    C = estimate.covariance
+    return estimate if C is None else estimate._replace(covariance=factor * C)
+
+
+def _pick(x: Any, k: Any) -> Any:
+    """Return one robot of a batch of states or estimates."""
+    if isinstance(x, dict):
+        return {name: _pick(y, k) for name, y in x.items()}
+    if isinstance(x, tuple):
+        return type(x)(*(_pick(y, k) for y in x))
+    return x[k] if isinstance(x, np.ndarray) else x
+
+
+def _put(x: Any, k: Any, y: Any) -> Any:
+    """Return a batch with one robot exchanged."""
+    if k == ():
+        return y
+    if isinstance(x, dict):
+        return {name: _put(z, k, y[name]) for name, z in x.items()}
+    if isinstance(x, tuple):
+        return type(x)(*(_put(z, k, v) for z, v in zip(x, y, strict=True)))
+    if isinstance(x, np.ndarray):
+        x = x.copy()
+        x[k] = y
+        return x
+    return y
