@@ -2,23 +2,45 @@
 
 from __future__ import annotations
 
+import math
+import re
+from dataclasses import asdict, replace
+
 import numpy as np
 import pytest
 import torch
 
 from edition1.estimation.calibration import calibrate as calibrate_1
+from edition1.estimation.conformal import conformal_factor, ellipsoid_scores
 from edition1.kinematics.paper_robots import pcc_robot
-from repro import ConstantCurvature, InputError, Magnet, Robot, Sensing, Sensor, Tolerances, calibrate
-from repro.estimators.calibration import _moved, _names, _scale, _slopes
+from repro import (
+    ConstantCurvature,
+    Disc,
+    FreeBody,
+    Imu,
+    InputError,
+    LevenbergMarquardt,
+    Magnet,
+    Robot,
+    Sensing,
+    Sensor,
+    Tolerances,
+    calibrate,
+)
+from repro.estimators.calibration import _priors, _slopes, coverage_factor, placed
 
-from .robots import RELEASED, paper_robot
+from .robots import RELEASED, bounds, paper_robot
 from .test_sensing import MOMENTS
 
 EARTH = [0.03, 0.01, -0.04]
+STATED = Tolerances(
+    magnet_size=2e-4, magnet_polarisation=0.05, sensor_turn=0.02, sensor_along=5e-4, sensor_offset=0.1, earth=0.05
+)  # fmt: skip
+FIXED = Tolerances(**dict.fromkeys(list(asdict(Tolerances()))[:7], 1e-9))
 
 
-def with_chip():
-    chip = Sensor(2, 0.11, radial=0.02, azimuth=1.0, axes=3, orientation=[0.5, 0.5, 0.5, 0.5])
+def with_chip(**of_chip):
+    chip = Sensor(2, 0.07, radial=0.02, azimuth=1.0, axes=3, orientation=[0.5, 0.5, 0.5, 0.5], **of_chip)
     base = Sensor(0, 0.0, position=[0.02, 0.01, -0.01], direction=[1, 1, 3])
     magnets = [Magnet(RELEASED, 1, 0.055), Magnet(RELEASED, 2, 0.05, direction=[0.2, 0, 1])]
     return Robot(
@@ -26,25 +48,50 @@ def with_chip():
     )
 
 
+def off(robot, rng, tolerances=None, size=1.0):
+    """Parameters drawn from their tolerances, by name."""
+    priors = _priors(robot, tolerances or Tolerances(), 5)
+    return {name: size * std * rng.normal() for name, std in priors.items()}
+
+
+def shapes(n, rng, n_b=2):
+    return rng.uniform(-1, 1, (n, 3 * n_b)) * np.tile([0.02, 0.02, 0.003], n_b)
+
+
 def test_slopes_by_every_parameter_are_those_of_the_readings():
-    drawn, rng = Sensing(with_chip(), earth=EARTH), np.random.default_rng(0)
-    scale = _scale(drawn.robot, 5, Tolerances())
-    z, q = 0.5 * rng.normal(size=len(scale)), 0.006 * rng.normal(size=(6, 6))
-    J = _slopes(drawn, _moved(drawn, z * scale), z * scale, q)
-    for k, name in enumerate(_names(drawn.robot, 5)):
-        step = 1e-4 * scale * (np.arange(len(scale)) == k)
-        central = (_moved(drawn, z * scale + step)(q) - _moved(drawn, z * scale - step)(q)) / (
-            2e-4 * scale[k]
-        )
+    stated = {"position": 3e-4, "offset": 0.1, "gain": 0.02}
+    robot, rng = with_chip(tolerance=stated, gain=[1.1, 0.9, 1.0], offset=0.2), np.random.default_rng(0)
+    robot = robot.replaced(earth=EARTH, moments=Sensing(robot).moments)
+    robot = robot.replaced(magnets=[replace(robot.magnets[0], tolerance={"at": 1e-3}), robot.magnets[1]])
+    scale = np.array([std or 1e-2 for std in _priors(robot, STATED, 5).values()])
+    there, q = off(robot, rng, STATED, 0.5), shapes(6, rng)
+    J = _slopes(robot, placed(robot, there).sensing(), there, q)
+    wanted = {
+        "sensor 1 tilt about x",
+        "sensor 1 tilt about z",
+        "sensor 1 y",
+        "sensor 1 gain z",
+        "sensor 1 offset x",
+    }
+    wanted |= {
+        "magnet 1 along",
+        "magnet 2 height",
+        "magnet 1 polarisation",
+        "sensor 2 offset",
+        "sensor 3 along",
+    }
+    assert wanted | {"Earth field along y", "moment A9"} <= there.keys()
+    for k, name in enumerate(there):
+        h = 1e-4 * scale[k]
+        up, down = (placed(robot, {**there, name: there[name] + x}).sensing()(q) for x in (h, -h))
+        central = (up - down) / (2 * h)
         atol = 1e-6 * np.abs(central).max() + 1e-11 / scale[k]
         np.testing.assert_allclose(J[..., k], central, rtol=0, atol=atol, err_msg=name)
 
 
 def test_agrees_with_the_first_edition():
     robot, rng = paper_robot(2, tilt=0.1), np.random.default_rng(0)
-    drawn = Sensing(robot, earth=EARTH)
-    scale = _scale(robot, 5, Tolerances())
-    truth = _moved(drawn, scale * rng.normal(size=len(scale)))
+    truth = placed(robot.replaced(earth=EARTH), off(robot, rng)).sensing()
     q, S = 0.006 * rng.normal(size=(60, 6)), 1e-8 * np.eye(6)
     u = truth(q) + 1e-3 * rng.normal(size=(60, 6))
     found = calibrate(robot, q, u, 1e-3, S, earth=EARTH)
@@ -61,25 +108,339 @@ def test_agrees_with_the_first_edition():
 
 
 def test_a_robot_that_is_off_is_found_within_its_deviations():
-    drawn, rng = Sensing(with_chip(), earth=EARTH), np.random.default_rng(1)
-    scale = _scale(drawn.robot, 5, Tolerances())
-    z = rng.normal(size=len(scale))
-    truth = _moved(drawn, z * scale)
-    q = rng.uniform(-1, 1, (200, 6)) * np.tile([0.02, 0.02, 0.003], 2)
+    robot, rng = with_chip(tolerance={"tilt": 0.03, "at": 5e-4}), np.random.default_rng(1)
+    robot = robot.replaced(earth=EARTH)
+    true = off(robot, rng)
+    truth = placed(robot, true).sensing()
+    q = shapes(200, rng)
     u = truth(q) + 1e-3 * rng.normal(size=(200, 5))
-    found = calibrate(drawn.robot, q, u, 1e-3, earth=EARTH)
-    assert (np.abs(found.estimate - z * scale) < 4.5 * found.deviation).all()
+    found = calibrate(robot, q, u, 1e-3)
+    assert found.names == tuple(true)
+    assert (np.abs(found.estimate - list(true.values())) < 4.5 * found.deviation).all()
     new = 0.5 * q[:50]
-    before, after = (np.abs(s(new) - truth(new)).mean() for s in (drawn, found.sensing()))
+    before, after = (np.abs(s(new) - truth(new)).mean() for s in (robot.sensing(), found.sensing()))
     assert after < 0.02 * before
     assert found.chi2 == pytest.approx(1.0, abs=0.15)
+    assert found.before > 20 > 1.2 > found.after > 0.8
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "stated"),
+    [
+        ("sensor 1 tilt about x", 0.03, {"sensor_turn": 0.03}),
+        ("sensor 1 tilt about z", -0.03, {"sensor_turn": 0.03}),
+        ("sensor 2 tilt about x", 0.02, {"sensor_turn": 0.03}),
+        ("sensor 1 along", 6e-4, {"sensor_along": 5e-4}),
+        ("sensor 3 along", 6e-4, {"sensor_along": 5e-4}),
+        ("sensor 1 gain z", 0.02, {"sensor_gain": 0.02}),
+        ("sensor 3 offset", 0.1, {"sensor_offset": 0.1}),
+        ("magnet 2 polarisation", -0.2, {"magnet_polarisation": 0.1}),
+        ("Earth field along z", 0.05, {"earth": 0.03}),
+    ],
+)
+def test_each_new_parameter_is_recovered_where_nothing_else_is_uncertain(name, value, stated):
+    robot, q = with_chip(), shapes(30, np.random.default_rng(2))
+    u = placed(robot, {name: value}).sensing()(q)
+    found = calibrate(robot, q, u, 1e-3, tolerances=replace(FIXED, **stated), iterations=20)
+    by_name = dict(zip(found.names, found.estimate, strict=True))
+    assert by_name[name] == pytest.approx(value, rel=2e-2)
+    # The prior pulls by the squared ratio of the deviations, and noise-free readings say the rest.
+    k = found.names.index(name)
+    pull = (found.deviation / found.tolerances)[k] ** 2
+    assert by_name[name] == pytest.approx(value * (1 - pull), abs=0.3 * found.deviation[k])
+    others = {x: v for x, v in by_name.items() if x != name}
+    worst = max(others, key=lambda x: abs(others[x]) / found.tolerances[found.names.index(x)])
+    assert abs(others[worst]) < 1.2 * found.deviation[found.names.index(worst)], worst
+    assert np.abs(found.sensing()(q) - u).max() < 2e-3
+
+
+def test_sensors_off_about_two_axes_and_along_the_arm_are_found_from_noise_free_readings():
+    tolerance = {"tilt": math.radians(1.5), "at": 5e-4}
+    sensors = [replace(s, tolerance=tolerance) for s in paper_robot(1, 6).sensors]
+    sensors = [replace(s, at=0.09, direction=s.place.rotation[:, 2], tilt=0.0) for s in sensors]
+    robot, rng = paper_robot(1, 6).replaced(sensors=sensors), np.random.default_rng(3)
+    stated = [f"sensor {k} {name}" for k in range(1, 7) for name in ("tilt", "tilt about x", "along")]
+    true = {name: x for name, x in off(robot, rng).items() if name in stated}
+    q = shapes(60, rng, 1)
+    found = calibrate(robot, q, placed(robot, true).sensing()(q), 1e-6, tolerances=FIXED, iterations=20)
+    by_name = dict(zip(found.names, found.estimate, strict=True))
+    for name, x in true.items():
+        assert by_name[name] == pytest.approx(x, rel=1e-3, abs=1e-6), name
+
+
+def test_a_magnet_of_another_size_and_place_is_found_where_its_tolerance_allows_it():
+    tolerance = {"at": 2e-3, "size": 1e-3, "polarisation": 0.2, "tilt": 0.1}
+    chips = [Sensor(0, 0.0, position=[x, y, -0.02], axes=3) for x in (-0.02, 0.02) for y in (-0.02, 0.02)]
+    drawn = Robot([FreeBody()], [Magnet(Disc(8e-3, 6e-3, 1300.0), 1, 0.0, tolerance=tolerance)], chips)
+    true = {"magnet 1 along": 3e-3, "magnet 1 diameter": 1.5e-3, "magnet 1 polarisation": -0.2}
+    truth = placed(drawn, true)
+    shape = Disc(8e-3 * math.exp(1.5 / 8), 6e-3, 1300.0 * math.exp(-0.2))
+    assert truth.magnets[0].shape == shape
+    np.testing.assert_allclose(truth.moments[0], shape.multipoles(9), rtol=1e-12)
+    q = np.random.default_rng(4).uniform(-1, 1, (60, 6)) * [0.02, 0.02, 0.01, 0.8, 0.8, 0.8]
+    found = calibrate(drawn, q, truth.sensing()(q), 1e-3, iterations=20)
+    assert dict(zip(found.names, found.estimate, strict=True))["magnet 1 along"] == pytest.approx(
+        3e-3, abs=2e-4
+    )
+    assert np.abs(found.sensing()(q) - truth.sensing()(q)).max() < 5e-3
+    tight = drawn.replaced(magnets=[replace(drawn.magnets[0], tolerance={"at": 0.0, "position": 1e-5})])
+    with pytest.raises(InputError, match="a magnet of another size, polarity or place than described"):
+        calibrate(tight, q, truth.sensing()(q), 1e-3, tolerances=replace(FIXED, magnet_position=1e-5))
+
+
+def test_a_part_moves_along_the_curve_and_beyond_its_end_straight_on():
+    robot, q = paper_robot(1), np.array([0.02, -0.01, 0.004])
+    inside = robot.replaced(sensors=[Sensor(1, 0.10, radial=0.013)])
+    for far, at, z in ((4e-3, 0.104, 0.0), (-0.01, 0.09, 0.0), (0.013, 0.11, 3e-3), (-0.102, 0.0, -2e-3)):
+        moved = placed(inside, {"sensor 1 along": far})
+        same = inside.replaced(sensors=[Sensor(1, at, position=[0.013, 0.0, z], direction=[0, 0, -1])])
+        np.testing.assert_allclose(moved.sensing()(q), same.sensing()(q), rtol=1e-9)
+    for far in (-1e-3, 1e-3):  # on the end plate
+        moved = placed(robot, {"sensor 1 along": far}).sensors[0]
+        assert moved.at == 0.11
+        np.testing.assert_allclose(moved.position, [0.013, 0.0, far])
+
+
+def test_a_chip_is_one_part_whose_axes_stay_at_right_angles():
+    robot = with_chip(tolerance={"tilt": 0.02, "at": 5e-4})
+    names = [name for name in _priors(robot, Tolerances(), 5) if name.startswith("sensor 1")]
+    assert [name.removeprefix("sensor 1 ") for name in names] == [
+        "azimuth", "radius", "tilt", "gain x", "gain y", "gain z", "tilt about x", "tilt about z", "along"
+    ]  # fmt: skip
+    moved = placed(robot, off(robot, np.random.default_rng(5))).sensors[0].place.rotation
+    np.testing.assert_allclose(moved.T @ moved, np.eye(3), atol=1e-12)
+    gained = placed(robot, {"sensor 1 gain y": 0.1})
+    u, more = robot.sensing()(np.zeros(6)), gained.sensing()(np.zeros(6))
+    np.testing.assert_allclose(more, u * [1, 1.1, 1, 1, 1], rtol=1e-12)
+
+
+def test_tolerances_of_a_part_come_first_and_what_is_not_stated_is_as_ever():
+    usual = _priors(paper_robot(1), Tolerances(), 5)
+    assert list(usual) == list(
+        calibrate_names := [n for n in _priors(paper_robot(1), STATED, 5) if n in usual]
+    )
+    assert len(calibrate_names) == 5 + 3 * 4 + 5
+    own = {"radius": 2.6e-4, "azimuth": 0.01, "tilt": 0.05, "gain": 0.0, "offset": 0.1, "at": 1e-3}
+    parts = paper_robot(1).sensors
+    robot = paper_robot(1).replaced(sensors=[replace(parts[0], tolerance=own), *parts[1:]])
+    robot = robot.replaced(magnets=[replace(robot.magnets[0], tolerance={"at": 2e-3})])
+    stated = _priors(robot, Tolerances(), 5)
+    assert {name: std for name, std in stated.items() if usual.get(name) != std} == pytest.approx(
+        {
+            "magnet 1 z": 0.0, "magnet 1 along": 2e-3, "sensor 1 azimuth": 0.01, "sensor 1 radius": 0.02,
+            "sensor 1 tilt": 0.05, "sensor 1 tilt about x": 0.05, "sensor 1 gain": 0.0, "sensor 1 offset": 0.1,
+            "sensor 1 along": 1e-3,
+        }
+    )  # fmt: skip
+    q = shapes(20, np.random.default_rng(6), 1)
+    found = calibrate(robot, q, 1.01 * robot.sensing()(q), 1e-3)
+    assert dict(zip(found.names, found.estimate, strict=True))["sensor 1 gain"] == 0.0
+    on_plate = paper_robot(1).replaced(sensors=[replace(parts[0], tolerance={"position": 3e-4})])
+    stated = _priors(on_plate, Tolerances(), 5)
+    assert [stated[f"sensor 1 {name}"] for name in ("azimuth", "radius", "x", "y", "z")] == [
+        0,
+        0,
+        3e-4,
+        3e-4,
+        3e-4,
+    ]
+
+
+def test_magnets_of_several_shapes_have_moments_of_their_own():
+    robot = with_chip()
+    robot = robot.replaced(
+        magnets=[robot.magnets[0], replace(robot.magnets[1], shape=Disc(0.02, 6e-3, 1300.0))]
+    )
+    q = shapes(40, np.random.default_rng(7))
+    u = placed(robot, {"magnet 2 moment A1": 0.04}).sensing()(q)
+    found = calibrate(robot, q, u, 1e-4, tolerances=replace(FIXED, moments=0.02))
+    assert dict(zip(found.names, found.estimate, strict=True))["magnet 2 moment A1"] == pytest.approx(
+        0.04, rel=1e-2
+    )
 
 
 def test_without_information_the_tolerances_remain():
-    robot = paper_robot(1)
-    found = calibrate(robot, np.zeros((1, 3)), Sensing(robot)(np.zeros((1, 3))), noise=1e6)
+    robot = with_chip(tolerance={"tilt": 0.02, "position": 1e-3})
+    found = calibrate(robot, np.zeros((1, 6)), Sensing(robot)(np.zeros((1, 6))), noise=1e6, tolerances=STATED)
     np.testing.assert_allclose(found.covariance, np.eye(len(found.names)), atol=1e-9)
     np.testing.assert_allclose(found.estimate, 0.0, atol=1e-12)
+    np.testing.assert_allclose(found.deviation, found.tolerances)
+
+
+def test_the_order_of_poses_does_not_matter():
+    robot, rng = with_chip(tolerance={"tilt": 0.02, "at": 5e-4}), np.random.default_rng(8)
+    q, covariance = shapes(30, rng), 1e-8 * np.einsum("kij,klj->kil", *[rng.normal(size=(30, 6, 6))] * 2)
+    u, order = (
+        placed(robot, off(robot, rng)).sensing()(q) + 1e-3 * rng.normal(size=(30, 5)),
+        rng.permutation(30),
+    )
+    a = calibrate(robot, q, u, 1e-3, covariance)
+    b = calibrate(robot, q[order], u[order], 1e-3, covariance[order])
+    np.testing.assert_allclose(a.estimate, b.estimate, rtol=0, atol=1e-6 * a.tolerances.max())
+    assert (a.before, a.after) == pytest.approx((b.before, b.after))
+
+
+def test_a_pose_predicted_from_the_others_is_what_a_fit_without_it_predicts():
+    robot, rng = paper_robot(1), np.random.default_rng(9)
+    q = shapes(12, rng, 1)
+    u = placed(robot, off(robot, rng, size=0.2)).sensing()(q) + 1e-3 * rng.normal(size=(12, 3))
+    rms = []
+    for k in range(12):
+        rest = np.arange(12) != k
+        r = (calibrate(robot, q[rest], u[rest], 1e-3).sensing()(q[k]) - u[k]) / 1e-3
+        rms.append(math.sqrt(np.mean(r**2)))
+    assert calibrate(robot, q, u, 1e-3).after == pytest.approx(np.median(rms), rel=0.05)
+
+
+def test_the_calibrated_robot_is_complete():
+    q = shapes(20, np.random.default_rng(10), 1)
+    lower, upper = bounds(1)
+    drawn = paper_robot(1)
+    robot = Robot(
+        drawn.segments, drawn.magnets, drawn.sensors, [Imu(1, 0.11)], lower=lower - 0.01, upper=upper + 0.01,
+        noise=[1e-3] * 3 + [0.01] * 3, rate_hz=25.0, earth=EARTH,
+    )  # fmt: skip
+    u = np.concatenate([1.01 * robot.sensing()(q)[:, :3], np.zeros((20, 3))], axis=1)
+    found = calibrate(robot, q, u)
+    same = calibrate(robot, q, u[:, :3], 1e-3, moments=MOMENTS, earth=EARTH)
+    np.testing.assert_allclose(found.estimate, same.estimate, rtol=1e-9)
+    assert (found.robot.rate_hz, len(found.robot.imus), found.poses) == (25.0, 1, 20)
+    np.testing.assert_array_equal(found.earth, EARTH)
+    again = placed(found.described, dict(zip(found.names, found.estimate.tolist(), strict=True)))
+    np.testing.assert_array_equal(again.sensing()(q), found.sensing()(q))
+    certain = replace(found, covariance=np.zeros_like(found.covariance))
+    method = LevenbergMarquardt(found.robot)
+    known = method.step(method.init(q), found.sensing()(q))[1].covariance
+    np.testing.assert_allclose(certain.q_covariance(q), known, rtol=1e-5)
+    assert (np.linalg.eigvalsh(found.q_covariance(q) - known) > -1e-12 * np.trace(known[0])).all()
+    assert found.q_covariance(q[0]).shape == (3, 3)
+
+
+def test_covariance_of_a_reading_is_that_of_parameters_drawn_from_the_posterior():
+    robot, rng = paper_robot(1), np.random.default_rng(11)
+    q = shapes(15, rng, 1)
+    found = calibrate(robot, q, robot.sensing()(q), 1e-2)
+    root, at, drawn = np.linalg.cholesky(found.covariance), q[:2], []
+    for _ in range(300):
+        z = found.estimate + found.tolerances * (root @ rng.normal(size=len(root)))
+        drawn.append(placed(found.described, dict(zip(found.names, z.tolist(), strict=True))).sensing()(at))
+    std = np.std(drawn, axis=0)
+    np.testing.assert_allclose(std, np.sqrt(np.diagonal(found.reading_covariance(at), 0, -2, -1)), rtol=0.15)
+
+
+def test_ellipsoids_of_calibrated_robots_cover_the_truth():
+    tolerance, held = {"tilt": math.radians(1.5), "at": 5e-4}, []
+    sensors = [replace(s, at=0.105, tolerance=tolerance) for s in paper_robot(2).sensors]
+    sensors = [replace(s, direction=s.place.rotation[:, 2]) for s in sensors]
+    low, high = bounds(2)
+    robot = Robot(
+        paper_robot(2).segments, paper_robot(2).magnets, sensors, lower=low, upper=high, noise=7.1e-4
+    )
+    middle, half = (low + high) / 2, (high - low) / 2
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        truth = placed(robot, off(robot, rng)).sensing()
+        q, new = (middle + s * half * rng.uniform(-1, 1, (n, 6)) for s, n in ((0.95, 30), (0.7, 200)))
+        u, u_new = (truth(x) + 7.1e-4 * rng.normal(size=(len(x), 6)) for x in (q, new))
+        found = calibrate(robot, q + 1e-4 * rng.normal(size=q.shape), u, None, 1e-8 * np.eye(6))
+        method = LevenbergMarquardt(found.sensing(), low - 0.01, high + 0.01, 7.1e-4)
+        at = method.step(method.init(new), u_new)[1].q
+        e, C = at - new, found.q_covariance(at)
+        held.append(
+            float(np.mean(np.einsum("ki,ki->k", e, np.linalg.solve(C, e[..., None])[..., 0]) < 12.592))
+        )
+    assert 0.93 <= np.mean(held) <= 0.98
+    assert min(held) > 0.85, held
+
+
+def _one_pose_wrong(q, u):
+    q[7, 0] *= 1000
+
+
+WRONG = {
+    "polarity": lambda q, u: np.negative(u, out=u),
+    "order of sensors": lambda q, u: u.__setitem__(slice(None), np.roll(u, 1, axis=1)),
+    "unit of poses": lambda q, u: np.divide(q, 10, out=q),
+    "axes exchanged": lambda q, u: q.__setitem__((slice(None), slice(0, 2)), q[:, [1, 0]]),
+    "another order of poses": lambda q, u: q.__setitem__(slice(None), q[::-1].copy()),
+    "one pose in another unit": _one_pose_wrong,
+}
+
+
+@pytest.mark.parametrize("pose_noise", [None, 1e-4, 5e-4])
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_calibration_no_better_than_the_description_is_refused_with_likely_causes(wrong, pose_noise):
+    robot, rng = paper_robot(1), np.random.default_rng(12)
+    q = shapes(30, rng, 1)
+    u = placed(robot, off(robot, rng)).sensing()(q) + 7.1e-4 * rng.normal(size=(30, 3))
+    S = None if pose_noise is None else pose_noise**2 * np.eye(3)
+    assert calibrate(robot, q, u, 7.1e-4, S).after < 1.2
+    WRONG[wrong](q, u)
+    with pytest.raises(
+        InputError, match="must be readings of this robot in these poses .*poses in another unit"
+    ) as e:
+        calibrate(robot, q, u, 7.1e-4, S)
+    assert len(str(e.value).split("received")[1]) < 200
+    if wrong == "one pose in another unit":
+        assert "row 8" in str(e.value)
+    if wrong == "order of sensors" and pose_noise:  # each where another is drawn, a third of a turn away
+        assert re.search("azimuth off by .* times its tolerance", str(e.value))
+
+
+@pytest.mark.parametrize("poses", [1, 2, 4, 8, 30])
+def test_a_robot_that_is_as_described_is_no_reason_to_refuse(poses):
+    robot = with_chip(tolerance={"tilt": 0.02, "at": 5e-4})
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        q = shapes(poses, rng)
+        assert calibrate(robot, q, robot.sensing()(q) + 1e-3 * rng.normal(size=(poses, 5)), 1e-3).chi2 < 2
+
+
+def test_poses_outside_the_bounds_are_named_by_their_row():
+    low, high = bounds(1)
+    robot, rng = paper_robot(1).replaced(lower=low, upper=high, noise=7.1e-4), np.random.default_rng(13)
+    q = low + (high - low) * rng.random((12, 3))
+    q[3, 2] = 0.0
+    u = robot.sensing()(q) + 7.1e-4 * rng.normal(size=(12, 3))
+    q[3, 2] = -1e-4  # measured, by no more than it is uncertain
+    assert calibrate(robot, q, u, None, 1e-9 * np.eye(3)).poses == 12
+    q[3, 2] = 0.0
+    for wrong in (1e3 * q[7, 0], 1e305, -1e305):
+        q[7, 0] = wrong
+        expected = rf"q of calibrate must be within the robot's bounds, for delta_x_1 -0.02073 to 0.02073 .*{wrong:g}"
+        with pytest.raises(InputError, match=expected.replace("+", r"\+") + " in row 8"):
+            calibrate(robot, q, u)
+    turns = Robot(
+        [FreeBody()], [Magnet(Disc(8e-3, 3e-3, 1300.0), 1, 0.0)], [Sensor(0, 0.0, axes=3)], noise=1e-3
+    )
+    turns = turns.replaced(lower=[-0.1] * 3 + [-np.pi] * 3, upper=[0.1] * 3 + [np.pi] * 3)
+    x = np.array([[0.03, 0.04, 0.05, 3.5, 0.0, 0.0], [0.03, -0.04, 0.05, 0.0, -3.4, 0.0]])
+    assert calibrate(turns, x, turns.sensing()(x)).poses == 2
+
+
+def refusal(robot, **given):
+    """What is said against it, or nothing if all that is found is finite."""
+    try:
+        found = calibrate(robot, **given)
+    except InputError as error:
+        return str(error)
+    return "" if np.isfinite([*found.estimate, *found.deviation, found.chi2]).all() else "not finite" * 100
+
+
+@pytest.mark.parametrize("value", [1e305, -1e305, 1e200, 1e100, 1e20])
+@pytest.mark.parametrize("where", ["q", "u", "q_covariance", "noise"])
+def test_no_number_ends_in_anything_but_words(where, value):
+    robot, q = paper_robot(1), shapes(10, np.random.default_rng(14), 1)
+    given = {
+        "q": q,
+        "u": robot.sensing()(q),
+        "noise": np.full(3, 1e-3),
+        "q_covariance": np.tile(1e-8 * np.eye(3), (10, 1, 1)),
+    }
+    given[where].flat[-1] = value
+    words = refusal(robot, **given)
+    assert len(words) < 750
+    assert words or where in ("noise", "q_covariance")
 
 
 @pytest.mark.parametrize(
@@ -90,15 +451,54 @@ def test_without_information_the_tolerances_remain():
         ({"u": np.zeros((4, 2))}, r"u of calibrate must be numbers of shape \(4, 3\)"),
         ({"u": np.full((4, 3), np.nan)}, "u of calibrate must be finite"),
         ({"noise": -1.0}, "noise of calibrate must be positive"),
+        ({"noise": None}, "noise of calibrate must be positive.*received none"),
         ({"noise": [1.0, 2.0]}, "one number or one for each reading"),
         ({"q_covariance": np.eye(2)}, "q_covariance of calibrate must be numbers of shape"),
         ({"iterations": 0}, "iterations of calibrate must be at least 1"),
         ({"robot": Robot([ConstantCurvature(0.1, 0.02)])}, "one with magnets and sensors"),
+        ({"robot": paper_robot(1).replaced(model=lambda xi: xi[..., 1])}, "multipoles of its magnets"),
     ],
 )
 def test_what_cannot_be_is_refused_in_words(change, message):
     good = {"robot": paper_robot(1), "q": np.zeros((4, 3)), "u": np.zeros((4, 3)), "noise": 1e-3}
     with pytest.raises(InputError, match=message):
         calibrate(**{**good, **change})
-    with pytest.raises(InputError, match="tolerances of Tolerances must be positive"):
-        Tolerances(moments=0.0)
+    for wrong in ({"moments": 0.0}, {"sensor_along": -1.0}, {"earth": math.inf}):
+        with pytest.raises(InputError, match="tolerances of Tolerances must be positive, or zero"):
+            Tolerances(**wrong)
+
+
+def test_coverage_factor_is_an_order_statistic_over_its_quantile():
+    errors = np.arange(1.0, 20.0)[:, None]
+    assert coverage_factor(errors[::-1], [[4.0]], 0.95) == pytest.approx(19.0**2 / 4 / 3.841459, rel=1e-6)
+    assert coverage_factor(errors, [[4.0]], 0.9) == pytest.approx(18.0**2 / 4 / 2.705543, rel=1e-6)
+    assert coverage_factor(errors[:18], [[4.0]], 0.95) == math.inf
+    rng = np.random.default_rng(15)
+    e, root = rng.standard_t(4, size=(500, 3)), rng.normal(size=(500, 3, 3))
+    C = root @ np.swapaxes(root, 1, 2) + np.eye(3)
+    first = conformal_factor(ellipsoid_scores(e, C, 0.9), 0.9)
+    assert coverage_factor(e, C, 0.9) == pytest.approx(first**2)
+
+
+def test_the_grown_ellipsoid_holds_as_often_as_it_says():
+    rng, held = np.random.default_rng(16), []
+    for _ in range(200):
+        e = rng.standard_t(3, size=(60, 2))
+        factor = coverage_factor(e[:59], np.eye(2), 0.9)
+        held.append(e[59] @ e[59] < factor * 4.60517)
+    assert 0.85 < np.mean(held) < 0.97
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((np.zeros(3), np.eye(3)), "error of coverage_factor must be numbers of shape"),
+        ((np.zeros((4, 2)), np.eye(3)), "covariance of coverage_factor must be numbers of shape"),
+        ((np.zeros((4, 2)), np.tile(np.eye(2), (3, 1, 1))), "one, or one for each error"),
+        ((np.zeros((4, 2)), np.zeros((2, 2))), "positive definite"),
+        ((np.zeros((4, 2)), np.eye(2), 1.0), "level of coverage_factor must be between 0 and 1"),
+    ],
+)
+def test_coverage_factor_refuses_what_is_no_covariance(arguments, message):
+    with pytest.raises(InputError, match=message):
+        coverage_factor(*arguments)

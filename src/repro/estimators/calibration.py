@@ -27,17 +27,21 @@ from repro.common import Array, InputError, bad_input, numbers, require
 from repro.robot import Place, Robot, point_on
 from repro.sensing import Sensing
 
-_MOST_CHI2, _DOUBTFUL_CHI2, _FAR = 16.0, 2.0, 2.0
-"""Residuals four times as large as stated. Good poses give 0.3 to 1.3, three times worse ones 9 at most; exchanged
-axes, another unit, order or sign give 26 and more, or 3 to 12 with parts off by five tolerances on average."""
-_CHANCE, _OUTLIER = 1.6, 6.0
+_MOST_CHI2, _FARTHEST = 16.0, 10.0
+"""Residuals four times as large as stated: good poses give 0.3 to 1.3, three times worse ones 9 at most; exchanged
+axes, another unit, order or sign give 26 and more, or parts that are off by more than ten of their tolerances."""
+_CHANCE, _DETERMINED, _OUTLIER = 1.6, 2.0, 6.0
 """By how much more than expected a fit to noise may miss the other poses by chance, where the description is right;
-and the standard deviations that the readings of no pose are off by chance."""
+what it is expected to miss them by where they say enough to ask; and what no pose is off by chance."""
 _CAUSES = (
     "poses in another unit or order, or with exchanged axes; sensors in another order or of the wrong sign; a magnet "
     "of another size, polarity or place than described (state a tolerance for it); poses or readings noisier than "
     "stated"
 )
+_DAMPING, _MOST_DAMPING = 1e-3, 1e6
+"""Of Levenberg and Marquardt, where a whole step leads to a worse robot, or to none."""
+_STEP = 1e-6
+"""Of central differences, in every unit."""
 _MAGNET = ("x", "y", "z", "tilt about x", "tilt about y")
 _SENSOR = ("azimuth", "radius", "tilt")
 
@@ -219,14 +223,15 @@ def calibrate(
     earth
         Field of the Earth in the base frame [mT]; the robot's if not given.
     iterations
-        Largest number of iterations; six are enough as a rule.
+        Largest number of steps; six are enough as a rule.
 
     Raises
     ------
     InputError
         If readings, poses and robot do not fit or are not finite, if a pose is outside the bounds, or if the result
-        is no better than the description: residuals are more than four times as large as stated, most poses are
-        predicted from the others no better than by the robot as described, or a single one does not fit the others.
+        is no better than the description: residuals are more than four times as large as stated, a part is off by
+        more than ten times its tolerance, most poses are predicted from the others no better than by the robot as
+        described, or a single one does not fit the others.
 
     Examples
     --------
@@ -272,11 +277,16 @@ def calibrate(
         try:
             r, J = first, _ = _whitened(described, names, z, *data)
             hessian = J.T @ J + np.eye(len(z))
-            for _ in range(iterations):
-                step = np.linalg.solve(hessian, J.T @ r - z)
-                z = z + step
-                r, J = _whitened(described, names, z, *data)
-                hessian = J.T @ J + np.eye(len(z))
+            damping, taken = 0.0, 0
+            while taken < iterations and damping < _MOST_DAMPING:
+                stiff = hessian + damping * np.diag(np.diag(hessian))
+                step = np.linalg.solve(stiff, J.T @ r - z)
+                tried = _tried(described, names, z + step, r @ r + z @ z, data)
+                if tried is None:
+                    damping = max(10 * damping, _DAMPING)
+                    continue
+                (r, J), z, taken = tried, z + step, taken + 1
+                hessian, damping = J.T @ J + np.eye(len(z)), damping / 10 if damping > _DAMPING else 0.0
                 if np.abs(step).max() < 1e-6:
                     break
             covariance = np.linalg.inv(hessian)
@@ -285,13 +295,14 @@ def calibrate(
             raise _refused(f"a fit that ends in no robot ({error})") from error
         chi2 = float(np.mean(r**2))
     worst, mostly = int(np.argmax(own)), max(float(np.median(own)), 1.0)
-    far = float(np.sqrt(np.mean(z**2)))
-    if not chi2 <= (_DOUBTFUL_CHI2 if far > _FAR else _MOST_CHI2):
-        times = (
-            f"{math.sqrt(chi2):.3g} times as large as noise and poses allow (the largest in row {worst + 1})"
-        )
-        raise _refused(f"residuals {times}, and parts off by {far:.3g} of their tolerances")
-    if after > _CHANCE * spread * before or (after >= before and mostly > 2.0):
+    if not chi2 <= _MOST_CHI2:
+        times = f"{math.sqrt(chi2):.3g} times as large as noise and poses allow"
+        raise _refused(f"residuals {times}, the largest in row {worst + 1}")
+    far = int(np.argmax(np.abs(z)))
+    if abs(z[far]) > _FARTHEST:
+        raise _refused(f"{names[far]} off by {abs(z[far]):.3g} times its tolerance")
+    no_better = after > _CHANCE * spread * before or (after >= before and mostly > 2.0)
+    if spread < _DETERMINED and no_better:
         against = f"{after:.3g} standard deviations against {before:.3g} as described"
         raise _refused(f"a fit that predicts a pose from the others to {against}, worst in row {worst + 1}")
     if own[worst] > _OUTLIER * mostly:
@@ -376,10 +387,11 @@ def coverage_factor(error: Any, covariance: Any, level: float = 0.95) -> float:
 
 
 def placed(robot: Robot, parameters: Mapping[str, float]) -> Robot:
-    """Return the robot whose parts are off their drawing by parameters, as :class:`Calibration` names them.
+    r"""Return the robot whose parts are off their drawing by parameters, as :class:`Calibration` names them.
 
     Parts move within the cross-section that they are mounted on. Along the backbone a part follows its curve; at the
-    end of a segment, and beyond it, it goes straight on.
+    end of a segment, and beyond it, it goes straight on. A dimension :math:`d` of a magnet that is off by :math:`x`
+    is :math:`d\,e^{x/d}`, and its polarisation is multiplied by :math:`e^x`: neither changes its sign.
 
     Raises
     ------
@@ -461,8 +473,9 @@ def _strengths(robot: Robot, parameters: Mapping[str, float]) -> tuple[list[Any]
     shapes, orders = [], 2 * rows.shape[1] - 1
     for k, magnet in enumerate(robot.magnets):
         name, shape = f"magnet {k + 1} ", magnet.shape
-        sizes = {x: getattr(shape, x) + parameters.get(name + x, 0.0) for x in _sizes(shape)}
-        stronger, resized = 1 + parameters.get(name + "polarisation", 0.0), replace(shape, **sizes)
+        old = {x: getattr(shape, x) for x in _sizes(shape)}
+        sizes = {x: size * math.exp(parameters.get(name + x, 0.0) / size) for x, size in old.items()}
+        stronger, resized = math.exp(parameters.get(name + "polarisation", 0.0)), replace(shape, **sizes)
         if resized != shape:
             rows[k] += resized.multipoles(orders) - shape.multipoles(orders)
         rows[k] *= stronger
@@ -472,8 +485,8 @@ def _strengths(robot: Robot, parameters: Mapping[str, float]) -> tuple[list[Any]
 
 def _priors(robot: Robot, t: Tolerances, terms: int) -> dict[str, float]:
     """Standard deviations by name: what every calibration has, in the order of files, then what is stated."""
-    always: dict[str, float] = {}
-    stated: dict[str, float] = {}
+    always: dict[str, Any] = {}
+    stated: dict[str, Any] = {}
     for k, part in enumerate(robot.magnets):
         own, name, R = part.tolerance or {}, f"magnet {k + 1} ", part.place.rotation
         position, tilt = own.get("position", t.magnet_position), own.get("tilt", t.magnet_tilt)
@@ -487,18 +500,14 @@ def _priors(robot: Robot, t: Tolerances, terms: int) -> dict[str, float]:
         own, name = part.tolerance or {}, f"sensor {j + 1} "
         position, radial = own.get("position", 0.0), math.hypot(*part.place.position[:2])
         around = 0.0 if position else t.sensor_azimuth
-        outwards = (
-            own["radius"] / radial if radial and "radius" in own else 0.0 if position else t.sensor_radius
-        )
+        outwards = 0.0 if position else t.sensor_radius
+        if "radius" in own:
+            outwards = own["radius"] / radial if radial else 0.0
         tilt, turn = own.get("tilt", t.sensor_tilt), own.get("tilt", t.sensor_turn)
         gains = [name + x for x in _per_axis("gain", part.axes)]
         gain = own.get("gain", t.sensor_gain)
-        always |= {
-            name + "azimuth": own.get("azimuth", around),
-            name + "radius": outwards,
-            name + "tilt": tilt,
-        }
-        always |= {gains[0]: gain}
+        usual = own.get("azimuth", around), outwards, tilt, gain
+        always |= dict(zip([*(name + x for x in _SENSOR), gains[0]], usual, strict=True))
         stated |= dict.fromkeys(gains[1:], gain) | {name + "tilt about x": turn}
         stated[name + "tilt about z"] = turn if part.axes == 3 else 0.0
         stated[name + "along"] = own.get("at", t.sensor_along)
@@ -518,13 +527,9 @@ def _about(axis: int, angle: float) -> Array:
     return R
 
 
-def _reach(robot: Robot, where: Place) -> float:
-    return robot.segments[where.segment - 1].length if where.segment else 0.0
-
-
 def _along(robot: Robot, where: Place, far: float) -> tuple[float, float]:
     """Place along its segment after a move, and how far beyond the end of the segment that is."""
-    reach, at = _reach(robot, where), where.at
+    reach, at = robot.segments[where.segment - 1].length if where.segment else 0.0, where.at
     if 0 < at < reach:
         at = min(max(at + far, 0.0), reach)
     return at, where.at + far - at
@@ -540,6 +545,17 @@ def _by_pose(first: Array, r: Array, J: Array, C: Array, poses: int) -> tuple[fl
     *rms, own = (np.sqrt(np.abs(x.mean(1))) for x in squares)
     before, after, spread = (float(np.median(x)) for x in rms)
     return before, after, spread, own
+
+
+def _tried(
+    described: Robot, names: Iterable[str], z: Array, cost: Any, data: tuple[Any, ...]
+) -> tuple[Array, Array] | None:
+    """Residuals and slopes, or nothing where no robot is like that or it fits worse than before."""
+    try:
+        r, J = _whitened(described, names, z, *data)
+    except (np.linalg.LinAlgError, InputError):
+        return None
+    return (r, J) if r @ r + z @ z <= 1.01 * cost + 1e-6 else None
 
 
 def _whitened(
@@ -567,43 +583,24 @@ def _whitened(
 
 
 def _slopes(described: Robot, moved: Sensing, parameters: Mapping[str, float], q: Array) -> Array:
-    """Slopes of readings by the parameters ``[poses, s, k]``: the wrench of a pair times how the part moves."""
+    """Slopes of readings by the parameters ``[poses, s, k]``.
+
+    The wrench of a pair times how the part moves, for what every calibration has; central differences for the rest.
+    """
     robot, gain = moved.robot, moved.tables.gain
     u, wrench = moved.wrenches(q)
-    columns = {name: np.zeros(u.shape) for name in parameters}
     on_backbone = [point_on(part.place.segment, part.place.at) for part in (*robot.magnets, *robot.sensors)]
-    frames = robot.poses(q, on_backbone)
-    n_m, terms = len(robot.magnets), moved.moments.shape[1]
-    orders, moment_names = 2 * terms - 1, _moment_names(described, terms)
-    relative = 1 + np.array([[parameters[name] for name in names] for names in moment_names])
-    rows_before = _strengths(described, parameters)[1]
-
-    def by_moments(only: Array) -> Array:
-        return Sensing(robot, moments=only)(q)[:, : len(gain)]
-
+    frames, n_m, terms = robot.poses(q, on_backbone), len(robot.magnets), moved.moments.shape[1]
+    columns: dict[str, Array] = {}
     for k, part in enumerate(described.magnets):
-        name, place, F = f"magnet {k + 1} ", robot.magnets[k].place, frames[:, k, :3, :3]
+        name, F = f"magnet {k + 1} ", frames[:, k, :3, :3]
         R = F @ part.place.rotation
-        centre = frames[:, k, :3, 3] + F @ place.position
+        centre = frames[:, k, :3, 3] + F @ robot.magnets[k].place.position
         turns = np.stack([np.eye(3)[:, 0], _about(0, parameters[name + "tilt about x"])[:, 1]], axis=1)
         force = wrench[:, :, k, :3]
         torque = wrench[:, :, k, 3:] - np.cross(centre[:, None], force)
         by = np.concatenate([-force @ R, -torque @ (R @ turns)], axis=-1)
-        columns |= {name + x: by[..., c] for c, x in enumerate(_MAGNET)}
-        if name + "along" in columns:
-            motion, turn = _motion_along(part.place.at, robot, place, q, F)
-            columns[name + "along"] = -_work(force, motion) - _work(torque, turn)
-        shape = robot.magnets[k].shape
-        only = np.zeros_like(moved.moments)
-        for x in _sizes(part.shape):
-            if name + x in columns:
-                h = 1e-4 * getattr(shape, x)
-                up, down = (replace(shape, **{x: getattr(shape, x) + d}).multipoles(orders) for d in (h, -h))
-                only[k] = (up - down) / (2 * h) * relative[k]
-                columns[name + x] = by_moments(only)
-        if name + "polarisation" in columns:
-            only[k] = moved.moments[k] / (1 + parameters[name + "polarisation"])
-            columns[name + "polarisation"] = by_moments(only)
+        columns |= {name + x: by[..., c] * gain for c, x in enumerate(_MAGNET)}
     row = 0
     for j, part in enumerate(described.sensors):
         name, place, F = f"sensor {j + 1} ", robot.sensors[j].place, frames[:, n_m + j, :3, :3]
@@ -614,51 +611,40 @@ def _slopes(described: Robot, moved: Sensing, parameters: Mapping[str, float], q
         force, torque = total[..., :3], total[..., 3:] - np.cross(at[:, None], total[..., :3])
         around = np.cross([0.0, 0.0, 1.0], place.position)
         outwards = turned @ (part.place.position * [1.0, 1.0, 0.0])
-        across = turned @ part.place.rotation
-        tilted = across @ _about(1, -parameters[name + "tilt"])
-        columns[name + "azimuth"][:, rows] = _work(force, F @ around) + _work(torque, F[..., 2])
-        columns[name + "radius"][:, rows] = _work(force, F @ outwards)
-        columns[name + "tilt"][:, rows] = _work(torque, F @ -across[:, 1])
-        turns = {"tilt about x": tilted[:, 0], "tilt about z": place.rotation[:, 2]}
-        moves = dict(zip("xyz", turned.T, strict=True))
-        for x in turns.keys() | moves.keys():
-            if name + x in columns:
-                moving, by = (force, moves[x]) if x in moves else (torque, turns[x])
-                columns[name + x][:, rows] = _work(moving, F @ by)
-        if name + "along" in columns:
-            motion, turn = _motion_along(part.place.at, robot, place, q, F)
-            columns[name + "along"][:, rows] = _work(force, motion) + _work(torque, turn)
-        gains, offsets = _per_axis("gain", part.axes), _per_axis("offset", part.axes)
-        for axis, (g, o) in enumerate(zip(gains, offsets, strict=True), row):
-            columns[name + g][:, axis] = u[:, axis] / (1 + parameters[name + g])
-            if name + o in columns:
-                columns[name + o][:, axis] = 1 / gain[axis]
-            for x, component in zip("xyz", range(3), strict=True):
-                if f"Earth field along {x}" in columns:
-                    own_axis = place.rotation[:, axis - row if part.axes == 3 else 2]
-                    columns[f"Earth field along {x}"][:, axis] = (F @ own_axis)[:, component]
+        across = -(turned @ part.place.rotation)[:, 1]
+        tilted = turned @ part.place.rotation @ _about(1, -parameters[name + "tilt"])
+        slopes = {
+            "azimuth": _work(force, F @ around) + _work(torque, F[..., 2]),
+            "radius": _work(force, F @ outwards),
+            "tilt": _work(torque, F @ across),
+        }
+        slopes |= {x: _work(force, F @ turned[:, c]) for c, x in enumerate("xyz")}
+        slopes["tilt about x"] = _work(torque, F @ tilted[:, 0])
+        slopes["tilt about z"] = _work(torque, F @ place.rotation[:, 2])
+        axes = [_per_axis(x, part.axes) for x in ("gain", "offset")]
+        for axis, x, offset in zip(np.eye(part.axes), *axes, strict=True):
+            slopes[x] = u[:, rows] * axis / (1 + parameters[name + x])
+            slopes[offset] = axis / gain[rows]
+        for x in slopes:
+            if name + x in parameters:
+                columns[name + x] = np.zeros(u.shape)
+                columns[name + x][:, rows] = slopes[x] * gain[rows]
         row += part.axes
+    before = _strengths(described, parameters)[1]
+    names = np.array(_moment_names(described, terms))
     for k in range(terms):
-        names = [of_magnet[k] for of_magnet in moment_names]
-        for name in dict.fromkeys(names):
-            only = np.zeros_like(moved.moments)
-            mine = [n == name for n in names]
-            only[mine, k] = rows_before[mine, k]
-            columns[name] = by_moments(only)
-    return np.stack(list(columns.values()), axis=-1) * gain[:, None]
+        for name in dict.fromkeys(names[:, k].tolist()):
+            one = np.zeros_like(before)
+            one[:, k] = np.where(names[:, k] == name, before[:, k], 0.0)
+            columns[name] = Sensing(robot, moments=one)(q)[:, : len(gain)] * gain
+    for name in parameters.keys() - columns.keys():
+        up, down = (
+            placed(described, {**parameters, name: parameters[name] + h}).sensing()(q)[:, : len(gain)]
+            for h in (_STEP, -_STEP)
+        )
+        columns[name] = (up - down) / (2 * _STEP)
+    return np.stack([columns[name] for name in parameters], axis=-1)
 
 
 def _work(force: Array, motion: Array) -> Array:
     return np.einsum("psi,pi->ps", force, motion)
-
-
-def _motion_along(drawn_at: float, robot: Robot, place: Place, q: Array, F: Array) -> tuple[Array, Array]:
-    """Motion of a place and its turn ``[poses, 3]`` per metre along the backbone."""
-    reach = _reach(robot, place)
-    if not (0 < drawn_at < reach and 0 < place.at < reach):
-        return F[..., 2], np.zeros((len(q), 3))
-    low, high = max(place.at - 1e-4 * reach, 0.0), min(place.at + 1e-4 * reach, reach)
-    T = robot.poses(q, [place._replace(at=at) for at in (low, high)])
-    motion, W = T[:, 1, :3, 3] - T[:, 0, :3, 3], T[:, 1, :3, :3] @ np.swapaxes(T[:, 0, :3, :3], 1, 2)
-    turn = np.stack([W[:, 2, 1] - W[:, 1, 2], W[:, 0, 2] - W[:, 2, 0], W[:, 1, 0] - W[:, 0, 1]], axis=-1) / 2
-    return motion / (high - low), turn / (high - low)
