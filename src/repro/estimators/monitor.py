@@ -37,6 +37,8 @@ _FADE, _FADE_SLOWLY = 0.1, 0.01
 """What every row takes from the sums of the rows before it."""
 _WINDOW, _FORGOTTEN, _LONGEST = 10, 1000, 160
 """Rows that are gone through again when an alarm begins; that an alarm is remembered; between two looks elsewhere."""
+_CALM = 2
+"""Rows that fit before all readings count again."""
 _EXPLAINED, _FITS = 1e-3, 3e-3
 """A fit explains a row, or a sum of rows, unless chance exceeds its residuals more rarely than this."""
 _MUCH_BETTER, _DECISIVE = 25.0, 100.0
@@ -64,6 +66,9 @@ class Case(NamedTuple):
     look: int
     """Row from which other starts are tried again, and how many rows later once more."""
     wait: int
+    since: int
+    """Row at which it began, and the last one that did not fit."""
+    failed: int
     best: int = 0
     """What was left out last, 0 for nothing."""
 
@@ -82,7 +87,7 @@ class MonitorState(NamedTuple):
     """Sums of chi-square over ten rows and a hundred, and of their degrees of freedom."""
     recent: tuple[Any, ...] = ()
     """State before, readings, time and known coordinates of the last rows."""
-    good: tuple[Any, Any] = (None, 0.0)
+    good: tuple[Any, Any] = (np.nan, 0.0)
     """Configuration and time of the last row that fitted."""
     cases: Any = None
     last: Any = None
@@ -129,9 +134,8 @@ class Monitor:
         if hasattr(self._fit, "lower"):
             low, high = self._bounds = self._fit.lower[: self.n_q], self._fit.upper[: self.n_q]
             self._width, self._unknowns = np.where(low < high, high - low, 1.0), int((low < high).sum())
-        self._turns = getattr(getattr(self._fit, "model", None), "angles", np.zeros(self.n_q, dtype=bool))[
-            : self.n_q
-        ]
+        angles = getattr(getattr(self._fit, "model", None), "angles", np.zeros(self.n_q, dtype=bool))
+        self._turns = angles[: self.n_q]
         self._blank: dict[str, Any] = {}
 
     def init(self, q0: Any = None, seed: int = 0) -> MonitorState:
@@ -161,20 +165,22 @@ class Monitor:
             equal, since = np.where(same, state.equal + 1, 1), np.where(same, state.since, t)
             used = np.where(same[..., None], np.nan, u) if self.needs_time else u
         inner, found = self.estimator.step(state.inner, used, t, known=known)
-        chi2, dof, few = found.chi2, found.dof, found.missing > self._spare
+        least = self._spare if known is None else self._spare + np.isfinite(known).sum(-1)
+        chi2, dof, few = found.chi2, found.dof, found.missing > least
         one = not isinstance(chi2, np.ndarray)
         if one:  # plain numbers are much faster
             chi2, dof, few = float(chi2), float(dof), bool(few)
         bad = chi2 > _limit(dof)
-        weight = 1.0 - (bad if same is None else bad | same)  # of a row that fits by itself
+        weight = 1.0 - (bad if same is None else bad | same)  # sums are over rows that fit by themselves
         fast, slow, free, freer = state.sums
         fast, slow = fast + weight * (chi2 - _FADE * fast), slow + weight * (chi2 - _FADE_SLOWLY * slow)
         free, freer = free + weight * (dof - _FADE * free), freer + weight * (dof - _FADE_SLOWLY * freer)
         bad = bad | (fast > _limit(free)) | (slow > _limit(freer))
         for k, case in state.cases.items():
             if state.row - case.row <= _WINDOW:
+                again = case.failed - case.since >= _CALM and state.row - case.failed <= _CALM
                 bad = np.array(bad)
-                bad[k] |= found.chi2[k] > _limit(found.dof[k], _STRICT)
+                bad[k] |= again or found.chi2[k] > _limit(found.dof[k], _STRICT)
         bad = bad if same is None else bad & ~same
         now = MonitorState(
             inner, state.seed, state.row + (same is None or not same.all()), bits, equal, since,
@@ -190,13 +196,12 @@ class Monitor:
     def _begun(self, state: MonitorState, u: Array) -> MonitorState:
         """Find out about the parts, and give every robot of a batch a state of its own."""
         s, robot = u.shape[-1], getattr(self.estimator, "robot", None)
-        rows = getattr(
-            self.estimator, "_rows", np.arange(s + 1)
-        )  # where the readings of a rod's sensors begin
+        rows = getattr(self.estimator, "_rows", np.arange(s + 1))  # first readings of the sensors of a rod
         self.parts, resolution = np.repeat(np.arange(len(rows) - 1), np.diff(rows)), 0.0
         if robot is not None and robot.n_readings == s:
             self.parts, resolution = robot.parts, robot.resolution
-        self._jitters = bool(np.any(getattr(self._fit, "noise", np.inf) >= resolution))
+        noise = getattr(self._fit, "noise", np.inf) if robot is None or robot.noise is None else robot.noise
+        self._jitters = bool(np.any(noise >= resolution))
         self._without = np.arange(self.parts.max() + 2)[:, None] == self.parts + 1
         self._largest = int(np.bincount(self.parts).max())
         self._spare = s if self.needs_time else s - self._unknowns
@@ -216,7 +221,7 @@ class Monitor:
         return self._blank
 
     def _doubted(
-        self, state: MonitorState, now: MonitorState, u: Array, bad: Array, same: Array | None, few: Array
+        self, state: MonitorState, now: MonitorState, u: Array, bad: Any, same: Any, few: Any
     ) -> tuple[MonitorState, Estimate]:
         """Look at rows that do not fit, that came before, or that have too few readings."""
         found, inner, cases, sums, t = now.last, now.inner, dict(state.cases), now.sums, now.good[1]
@@ -247,7 +252,7 @@ class Monitor:
                 found = _put(found, k, found_k._replace(covariance=found_k.covariance + moved))
         said["status"][np.broadcast_to(few, batch) & (said["status"] == CONSISTENT)] = UNDETERMINED
         fits = said["status"] <= LEFT_OUT
-        q = found.q if state.good[0] is None else np.where(fits[..., None], found.q, state.good[0])
+        q = np.where(fits[..., None], found.q, state.good[0])
         found = found._replace(details=found.details | said)
         good = q, np.where(fits, t, state.good[1])
         return now._replace(inner=inner, cases=cases, sums=sums, good=good, last=found), found
@@ -266,19 +271,17 @@ class Monitor:
         chi2, dof = float(trial.chi2), max(int(trial.dof), 1)
         odd = chi2 > _limit(dof, _STRICT)
         growth = max(chi2 / dof if odd else 1.0, fast / max(free, 1.0), slow / max(freer, 1.0))
-        none, case = np.zeros(len(self._without)), state.cases.get(k)
-        new = case is None or state.row - case.row > _FORGOTTEN
+        row, none, case = state.row, np.zeros(len(self._without)), state.cases.get(k)
+        new = case is None or row - case.row > _FORGOTTEN
         if case is None or new:
-            case = Case(None, none, none, none, state.row, state.row + _WINDOW, _WINDOW)
-        began, lasts = not case.dof.any(), state.row - case.row <= _WINDOW
-        good, good_t = (
-            before.q if state.good[0] is None else state.good[0][k],
-            np.broadcast_to(state.good[1], batch)[k],
-        )
+            case = Case(None, none, none, none, row, row + _WINDOW, _WINDOW, row, row)
+        began, lasts = not case.dof.any(), row - case.row <= _WINDOW
+        good, good_t = (np.broadcast_to(x, (*batch, *np.shape(x)[len(batch) :]))[k] for x in state.good)
         without, fits, ok = self._without[:1], None, none[1:] > 0
         spare = max(int(np.isfinite(u).sum()) - self._largest - self._unknowns, 1)
-        if (lasts and not began) or growth * dof * spare >= _STRONG:
-            without, goes_on = self._without, case.row == state.row - 1
+        strong = growth * dof * spare >= _STRONG or (lasts and case.best > 0)
+        if strong or self.needs_time:  # a filter that has followed a fault does not forget it at once
+            without, goes_on = self._without, case.row == row - 1
             bank, against, freedom = case.bank if goes_on else None, case.against, case.dof
             for x, v, kn, at in rows if began and not odd else rows[-1:]:
                 x = x if bank is None else bank
@@ -288,16 +291,16 @@ class Monitor:
             case = case._replace(bank=bank, against=against, dof=freedom)
             ok = self._explain(case, u)
         fresh = np.full(len(none), began and fits is not None and not self.needs_time)
-        if odd and not ok.any() and (new or state.row >= case.look):
-            case = case._replace(look=state.row + case.wait, wait=min(2 * case.wait, _LONGEST))
+        if odd and not ok.any() and (new or row >= case.look):
+            case = case._replace(look=row + case.wait, wait=min(2 * case.wait, _LONGEST))
             states = self._elsewhere(before, good)
             there, again = self.estimator.step(states, np.where(without, nan, u)[:, None], t, known=known)
             explains = again.chi2 <= chdtri(np.maximum(again.dof, 1), _EXPLAINED)
             better = explains[0] & (again.chi2[0] < chi2 - _MUCH_BETTER)
             if better.any():
-                away = 0.0 if good is None else np.abs((again.q[0] - good) / self._width).max(-1)
+                away = np.abs((again.q[0] - np.nan_to_num(good)) / self._width).max(-1)
                 j = 0, int(np.where(better, away, np.inf).argmin())
-                case = case._replace(bank=None, against=none, dof=none, jump=none, row=state.row)
+                case = case._replace(bank=None, against=none, dof=none, jump=none, row=row)
                 words = {"status": INCONSISTENT, "restarted": True}
                 return _pick(there, j), _pick(again, j), case, words
             for h in 1 + np.flatnonzero(explains[1:].any(-1)):
@@ -309,11 +312,17 @@ class Monitor:
                 case = case._replace(bank=_put(case.bank, (h,), _pick(there, j)))
                 fits = _put(fits, (h,), _pick(again, j))
             ok = ok if fits is None else self._explain(case, u)
-        if fits is None or not ok.any():
-            words = {"status": INCONSISTENT, "growth": growth}
-            return _pick(now.inner, k), _grown(trial, growth), case._replace(row=state.row), words
-        if fresh.any() and good is not None:  # how far the robot would have jumped
-            moved = np.where(self._turns, 1e3, _SPEED * self._width * (t - good_t))
+        case = case._replace(
+            row=row, failed=row if odd or max(fast - _limit(free), slow - _limit(freer)) > 0 else case.failed
+        )
+        if fits is None or not strong or not ok.any():
+            inner, words = _pick(now.inner, k), {"status": INCONSISTENT, "growth": growth}
+            if self.needs_time and strong and odd and row - case.since < _WINDOW:  # a glitch of all: wait
+                inner, trial = self.estimator.step(before, np.full(len(u), np.nan), t, known=known)
+                words, growth = {"status": INCONSISTENT, "left_out": np.isfinite(u)}, 1.0
+            return inner, _grown(trial, growth), case, words
+        if fresh.any() and np.isfinite(good).all():  # how far the robot would have jumped
+            moved = np.where(self._turns, 1e3, self._width * (_SPEED * (t - good_t) + 1e-6))
             away, C = fits.q - good, fits.covariance + np.diag(moved**2)
             jump = (away * np.linalg.solve(C, away[..., None])[..., 0]).sum(-1)
             case = case._replace(jump=np.where(fresh, jump, case.jump))
@@ -325,29 +334,29 @@ class Monitor:
             moves = np.bincount(self.parts, np.ptp([row[1] for row in rows], axis=0) != 0) > 0
             left = left & ~moves if (left & ~moves).any() and moves.any() else left
         best = 1 + int(np.where(left, total, np.inf).argmin())
-        weight = np.exp(np.where(left, (total[best - 1] - total) / 2, -np.inf))
-        off = fits.q[1:] - fits.q[best]
+        off = (fits.q[1:] - fits.q[best])[left]  # what is not decided, the covariance holds
         found = _pick(fits, best)
-        found = found._replace(covariance=found.covariance + (weight[:, None] * off).T @ off / weight.sum())
-        named = left.sum() <= 2 and case.dof[best] / max(fits.dof[best], 1) * spare >= _ENOUGH
-        words = {"status": LEFT_OUT if named else INCONSISTENT, "suspects": left & named}
-        words["left_out"] = self._without[best] & ~np.isnan(u)
-        return _pick(case.bank, best), found, case._replace(row=state.row, best=best), words
+        found = found._replace(covariance=found.covariance + off.T @ off / len(off))
+        enough = case.dof[best] / max(fits.dof[best], 1) * spare >= _ENOUGH
+        status = LEFT_OUT if enough and left.sum() == 1 else INCONSISTENT
+        words = {"status": status, "suspects": left & (enough and left.sum() <= 2)}
+        words["left_out"] = self._without[best] & np.isfinite(u)
+        return _pick(case.bank, best), found, case._replace(best=best), words
 
     def _explain(self, case: Case, u: Array) -> Array:
         """Which parts the rest fits without."""
         used = np.bincount(self.parts, np.isfinite(u)) > 0
         return (case.against <= chdtri(np.maximum(case.dof, 1), _FITS))[1:] & used & (used.sum() > 1)
 
-    def _elsewhere(self, before: Any, good: Array | None) -> Any:
+    def _elsewhere(self, before: Any, good: Array) -> Any:
         """States to start anew from: where the robot was, and everywhere within the bounds."""
         if self._bounds is None:
             return self.estimator.init(np.zeros((1, self.n_q)))
         low, high = self._bounds
-        points = [x[: self.n_q] for x in (good, before.q) if x is not None]
-        starts = np.clip(
-            np.concatenate([np.reshape(points, (-1, self.n_q)), evenly(low, high, _STARTS)]), low, high
-        )
+        points = [
+            x[: self.n_q] for x in (good, before.q) if x is not None and np.isfinite(x).all() and np.ndim(x)
+        ]
+        starts = np.clip([*points, *evenly(low, high, _STARTS)], low, high)
         states, n, m = self.estimator.init(starts), self.n_q, 0 if before.q is None else before.q.shape[-1]
         if m > n:  # errors of sensors stay as they are known
             q, P = states.q.copy(), states.covariance.copy()
