@@ -280,7 +280,7 @@ def run(
             per_row[name] = values = np.asarray(values)
             words = f"one row for each of {len(rows)} time steps"
             require(values.ndim and len(values) == len(rows), name, owner, words, f"shape {values.shape}")
-    from repro.estimators.monitor import STATUS, Monitor, watches
+    from repro.estimators.monitor import SAID, STATUS, Monitor, watches
 
     method = Monitor(estimator) if monitor is not None and watches(estimator) else estimator
     watched = method is not estimator
@@ -292,7 +292,9 @@ def run(
         states.append(state.inner if watched else state)
         estimates.append(estimate)
     q, covariance, u_hat, chi2, dof, missing, rest = zip(*estimates, strict=True)
-    details = {name: _stacked([row[name] for row in rest]) for name in rest[0]}
+    details = {name: np.array([row[name] for row in rest]) for name in rest[0] if name not in SAID}
+    if isinstance(method, Monitor):
+        details |= method.stacked(rest)
     trajectory = Trajectory(
         at,
         np.array(q),
@@ -308,13 +310,6 @@ def run(
         getattr(estimator, "robot", None) or getattr(getattr(estimator, "model", None), "robot", None),
     )
     return trajectory, states
-
-
-def _stacked(values: list[Array]) -> Array:
-    """Return equal arrays, the same one as a rule or all different, with a leading dimension."""
-    first = values[0]
-    same = all(value is first for value in values)
-    return np.repeat(first[None], len(values), axis=0) if same else np.array(values)
 
 
 def _times(n: int, times: Any, rate_hz: float | None, owner: str, *, needed: bool) -> Array:

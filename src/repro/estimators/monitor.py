@@ -17,6 +17,7 @@ from another start may. Otherwise the covariance grows by :math:`\chi^2/\nu`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,9 +31,11 @@ from repro.estimators.rod import RodFilter
 
 STATUS = ("consistent", "left out", "inconsistent", "frozen", "undetermined")
 """Names of what the monitor says of a row."""
+SAID = ("status", "suspects", "left_out", "growth", "restarted")
 CONSISTENT, LEFT_OUT, INCONSISTENT, FROZEN, UNDETERMINED = range(5)
 _RARE, _STRICT = 18.4, 4.6
 """Good readings do not fit once in 1e8 rows; after an alarm a part comes back where chance is above 1e-2."""
+_TWICE, _ROOT = 2 * _RARE, 2 * _RARE**0.5
 _FADE, _FADE_SLOWLY = 0.1, 0.01
 """What every row takes from the sums of the rows before it."""
 _WINDOW, _FORGOTTEN, _LONGEST = 10, 1000, 160
@@ -96,10 +99,10 @@ class MonitorState(NamedTuple):
 class Monitor:
     r"""An estimator with a monitor: an estimator, too.
 
-    The details of its estimates hold ``status``, the number of a name in ``STATUS``; ``suspects`` ``[..., parts]``,
-    the parts that are named; ``left_out`` ``[..., s]``, readings that were left out, which count as missing;
-    ``growth``, the factor by which the covariance grew; ``restarted``. The parts are those of the robot. Where there
-    is none, every reading is its own.
+    The details of its estimates hold ``status``, the number of a name in ``STATUS``, and where that is not zero
+    ``suspects`` ``[..., parts]``, the parts that are named; ``left_out`` ``[..., s]``, readings that were left out,
+    which count as missing; ``growth``, the factor by which the covariance grew; ``restarted``. The parts are those of
+    the robot. Where there is none, every reading is its own.
 
     A frame that equals the one before, bit for bit, adds nothing. If all readings stay equal for more than 0.5 s and
     at least 20 rows, the board repeats itself and the row is *frozen*, unless all noise stated is below the
@@ -152,7 +155,9 @@ class Monitor:
         InputError
             As the estimator.
         """
-        u = used = incoming(u, mask, self._owner)
+        if mask is not None or type(u) is not np.ndarray or u.dtype != np.float64:
+            u = incoming(u, mask, self._owner)
+        used = u
         if state.frame is None:
             state = self._begun(state, u)
         alone, same, equal, since = u.ndim == 1, None, 1, t
@@ -167,29 +172,30 @@ class Monitor:
         inner, found = self.estimator.step(state.inner, used, t, known=known)
         least = self._spare if known is None else self._spare + np.isfinite(known).sum(-1)
         chi2, dof, few = found.chi2, found.dof, found.missing > least
-        one = not isinstance(chi2, np.ndarray)
+        one = type(chi2) is not np.ndarray
         if one:  # plain numbers are much faster
             chi2, dof, few = float(chi2), float(dof), bool(few)
-        bad = chi2 > _limit(dof)
+        bad = chi2 > dof + _TWICE + _ROOT * dof**0.5  # the bound, written out for speed
         weight = 1.0 - (bad if same is None else bad | same)  # sums are over rows that fit by themselves
         fast, slow, free, freer = state.sums
         fast, slow = fast + weight * (chi2 - _FADE * fast), slow + weight * (chi2 - _FADE_SLOWLY * slow)
         free, freer = free + weight * (dof - _FADE * free), freer + weight * (dof - _FADE_SLOWLY * freer)
-        bad = bad | (fast > _limit(free)) | (slow > _limit(freer))
-        for k, case in state.cases.items():
+        bad = bad | (fast > free + _TWICE + _ROOT * free**0.5) | (slow > freer + _TWICE + _ROOT * freer**0.5)
+        for k, case in state.cases.items() if state.cases else ():
             if state.row - case.row <= _WINDOW:
                 again = case.failed - case.since >= _CALM and state.row - case.failed <= _CALM
                 bad = np.array(bad)
                 bad[k] |= again or found.chi2[k] > _limit(found.dof[k], _STRICT)
         bad = bad if same is None else bad & ~same
+        row = (state.inner, u, known, t)
         now = MonitorState(
             inner, state.seed, state.row + (same is None or not same.all()), bits, equal, since,
-            (fast, slow, free, freer), (*state.recent[1 - _WINDOW :], (state.inner, u, known, t)), (found.q, t),
+            (fast, slow, free, freer), (*state.recent[1 - _WINDOW :], row) if self.needs_time else (row,), (found.q, t),
             state.cases, found,
         )  # fmt: skip
         doubt = bad | few
         if same is None and not (doubt if one else doubt.any()):
-            found.details.update(self._nothing(found.q.shape[:-1]))
+            found.details["status"] = self._nothing(found.q.shape[:-1])["status"]
             return now, found
         return self._doubted(state, now, u, bad, same, few)
 
@@ -210,6 +216,15 @@ class Monitor:
             return state
         q = np.broadcast_to(q[..., : self.n_q], (*np.broadcast_shapes(u.shape[:-1], q.shape[:-1]), self.n_q))
         return state._replace(inner=self.estimator.init(q, seed=state.seed))
+
+    def stacked(self, details: Sequence[dict[str, Any]]) -> dict[str, Array]:
+        """Return what was said of every row, with a leading dimension of time."""
+        said = {name: np.repeat(x[None], len(details), axis=0) for name, x in self._blank.items()}
+        for k, row in enumerate(details):
+            if "suspects" in row:
+                for name, values in said.items():
+                    values[k] = row[name]
+        return said
 
     def _nothing(self, batch: tuple[int, ...]) -> dict[str, Array]:
         """What is said of rows that fit; nobody changes it."""
@@ -330,10 +345,7 @@ class Monitor:
             ok, (case.against + case.jump - _MUCH_BETTER * (np.arange(len(none)) == case.best))[1:], np.inf
         )
         left = total <= total.min() + _DECISIVE
-        if left.sum() > 2 and len(rows) == _WINDOW:  # a part that repeats itself while others do not
-            moves = np.bincount(self.parts, np.ptp([row[1] for row in rows], axis=0) != 0) > 0
-            left = left & ~moves if (left & ~moves).any() and moves.any() else left
-        best = 1 + int(np.where(left, total, np.inf).argmin())
+        best = 1 + int(total.argmin())
         off = (fits.q[1:] - fits.q[best])[left]  # what is not decided, the covariance holds
         found = _pick(fits, best)
         found = found._replace(covariance=found.covariance + off.T @ off / len(off))
@@ -372,7 +384,7 @@ def watches(estimator: Any) -> bool:
 
 def _limit(dof: Any, x: float = _RARE) -> Any:
     """Chi-square that good readings exceed with a chance of less than exp(-x)."""
-    return dof + 2 * (x * dof) ** 0.5 + 2 * x
+    return dof + 2 * x + 2 * x**0.5 * dof**0.5
 
 
 def _grown(estimate: Estimate, factor: float) -> Estimate:
