@@ -133,7 +133,7 @@ def test_linear_models_make_a_kalman_filter(says_so):
     at = np.cumsum(rng.uniform(0.01, 0.2, size=30))
     u = rng.normal(size=(30, 3))
     u[rng.uniform(size=u.shape) < 0.3] = np.nan
-    found = track(method, u, times=at)
+    found = track(method, u, times=at, monitor=None)
     A = np.diag(np.r_[np.zeros(5), -np.repeat(1 / times, 3), np.full(5, -2 * rate)])
     A[:5, 11:], A[11:, :5] = np.eye(5), -(rate**2) * np.eye(5)
     rest = np.diag(np.r_[std**2, lasting.ravel() ** 2, rate**2 * std**2])

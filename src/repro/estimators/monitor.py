@@ -259,7 +259,7 @@ class Monitor:
                 else:
                     inner, found = _put(inner, k, _pick(state.inner, k)), _put(found, k, _pick(state.last, k))
             since, equal = (np.broadcast_to(x, batch) for x in (now.since, now.equal))
-            frozen = same & (equal >= _FROZEN_ROWS) & (t - since > _FROZEN_S) & self._jitters
+            frozen = same & (equal >= _FROZEN_ROWS) & (t - since > _FROZEN_S + 1e-9) & self._jitters
             said["status"][frozen] = FROZEN
             for k in map(tuple, np.argwhere(frozen & (not self.needs_time))):
                 moved = np.diag((_SPEED * self._width * (t - since[k])) ** 2)

@@ -1,0 +1,287 @@
+"""The monitor: what it says of sensors that fail, and what it leaves alone. All readings are synthetic."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from repro import (
+    Drift,
+    Drifting,
+    GradientDescent,
+    KalmanFilter,
+    LevenbergMarquardt,
+    Rod,
+    RodFilter,
+    RodSensor,
+    Robot,
+    Sensor,
+    example,
+    load_robot,
+    simulated_readings,
+    smooth,
+    track,
+)
+from repro.estimators.monitor import STATUS, Monitor, _limit
+from repro_board.emulate import course, faulty
+
+TWO = load_robot(Path(__file__).parents[2] / "data" / "robots" / "two_segments.toml")
+CHIPS = load_robot(example() / "robot.toml")
+METHODS = {"least squares": LevenbergMarquardt(TWO), "Kalman": KalmanFilter(TWO)}
+RATE = 100.0
+
+
+def moving(robot=TWO, rows=200, seed=7, rate=RATE):
+    """Times, configurations and readings of a robot that moves."""
+    times = np.arange(rows) / rate
+    q = course(robot, times, seed=seed)
+    u = simulated_readings(robot, q, robot.earth)
+    return times, q, u + robot.noise * np.random.default_rng(seed).normal(size=u.shape)
+
+
+TIMES, Q, U = moving()
+
+
+@pytest.fixture(params=METHODS)
+def method(request):
+    return METHODS[request.param]
+
+
+@pytest.mark.parametrize("x", [18.4, 4.6])
+def test_the_bound_is_above_the_quantile_and_not_far(x):
+    dof = np.array([1, 2, 5, 20, 100, 1000])
+    quantile = stats.chi2.isf(np.exp(-x), dof)
+    assert (_limit(dof, x) > quantile).all()
+    assert (_limit(dof, x) < 2.5 * quantile).all()
+
+
+def test_nothing_is_said_of_good_readings_and_nothing_changes(method):
+    found, bare = (track(method, U, times=TIMES, monitor=m) for m in ("auto", None))
+    assert set(found.status) == {"consistent"}
+    assert not found.suspects.any()
+    for name in ("q", "covariance", "u_hat", "chi2", "missing"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(bare, name))
+    assert bare.status is bare.suspects is None
+    assert len(repr(found).splitlines()) == 3
+
+
+def test_sixty_thousand_good_rows_give_no_alarm():
+    A = np.random.default_rng(0).normal(size=(7, 3))
+    fit = LevenbergMarquardt(lambda q: q @ A.T, [-9.0] * 3, [9.0] * 3, noise=0.1)
+    u = 0.1 * np.random.default_rng(1).normal(size=(300, 200, 7))
+    assert set(track(fit, u, np.zeros(3)).status.ravel()) == {"consistent"}
+
+
+@pytest.mark.parametrize("fault", ["unplugged", "stuck", "scaled", "drifting"])
+def test_a_sensor_that_fails_is_named_and_left_out(method, fault):
+    sent = faulty(U, fault, 4, 60, 5e-3 if fault == "drifting" else None)
+    found = track(method, sent, times=TIMES)
+    without = track(method, faulty(U, "missing", 4, 60), times=TIMES, monitor=None)
+    assert set(found.status[:60]) == {"consistent"}
+    assert found.status[-1] == "left out"
+    assert {tuple(np.flatnonzero(row)) for row in found.suspects if row.any()} == {(4,)}
+    late = slice(130, None)
+    std = np.sqrt(np.diagonal(without.covariance, axis1=1, axis2=2))[late]
+    assert (np.abs(found.q - without.q)[late] < 0.5 * std).all()
+    assert found.details["left_out"][late, 4].all()
+    assert (found.missing[late] == 1).all()
+
+
+@pytest.mark.parametrize("fault", ["unplugged", "stuck", "scaled"])
+def test_a_chip_fails_as_one_part(fault):
+    times, _, u = moving(CHIPS, rate=25.0)
+    found = track(LevenbergMarquardt(CHIPS), faulty(u, fault, CHIPS.parts == 2, 60), times=times)
+    assert found.suspects.shape == (200, 4)
+    assert {tuple(np.flatnonzero(row)) for row in found.suspects if row.any()} == {(2,)}
+    assert (found.status[60:] == "left out").mean() > 0.8
+    assert (found.missing[found.status == "left out"] == 3).all()
+
+
+@pytest.mark.parametrize("value", [32.767, -4.096])
+def test_one_impossible_code_changes_one_row(method, value):
+    missing = U.copy()
+    missing[90, 2] = np.nan
+    found, expected = (track(method, u, times=TIMES) for u in (faulty(U, "spike", 2, 90, value), missing))
+    assert list(np.flatnonzero(found.status != "consistent")) == [90]
+    np.testing.assert_allclose(found.q, expected.q, atol=2e-7)
+    np.testing.assert_array_equal(found.missing, expected.missing)
+
+
+def test_the_smoother_says_what_track_says():
+    sent, fit = faulty(U, "unplugged", 2, 80), METHODS["Kalman"]
+    found, told = smooth(fit, sent, times=TIMES), track(fit, sent, times=TIMES)
+    np.testing.assert_array_equal(found.status, told.status)
+    np.testing.assert_array_equal(found.suspects, told.suspects)
+    good = smooth(fit, U, times=TIMES, monitor=None)
+    tip, wrong, usual = (TWO.tip(q)[:, :3, 3] for q in (Q, found.q, good.q))
+    assert np.linalg.norm(wrong - tip, axis=-1).mean() < 2 * np.linalg.norm(usual - tip, axis=-1).mean()
+
+
+def test_a_robot_that_jumps_starts_anew_and_nothing_goes_back_from_there():
+    q = course(TWO, TIMES + np.where(TIMES >= 1.0, 40.0, 0.0), seed=7)
+    u = simulated_readings(TWO, q) + TWO.noise * np.random.default_rng(0).normal(size=U.shape)
+    fit = METHODS["Kalman"]
+    found, back = track(fit, u, times=TIMES), smooth(fit, u, times=TIMES)
+    assert list(np.flatnonzero(found.details["restarted"])) == [100]
+    assert list(np.flatnonzero(found.status != "consistent")) == [100]
+    np.testing.assert_array_equal(back.q[:100], smooth(fit, u[:100], times=TIMES[:100]).q)
+    assert np.abs(track(fit, u, times=TIMES, monitor=None).q - q)[105:].max() > 3 * np.abs(found.q - q)[100:].max()
+
+
+def test_the_covariance_grows_where_no_part_explains_the_readings(method):
+    noisy = U.copy()
+    noisy[60:] += np.sqrt(24) * TWO.noise * np.random.default_rng(3).normal(size=U[60:].shape)
+    found, bare = (track(method, noisy, times=TIMES, monitor=m) for m in ("auto", None))
+    late = found.status == "inconsistent"
+    assert late[70:].mean() > 0.95
+    assert not found.suspects.any()
+    growth = found.details["growth"]
+    assert np.median(growth[late]) == pytest.approx(25, rel=0.5)
+    if isinstance(method, LevenbergMarquardt):
+        kept = ~found.details["left_out"].any(-1)
+        C = growth[:, None, None] * bare.covariance
+        np.testing.assert_allclose(found.covariance[kept], C[kept], rtol=1e-9)
+
+
+@pytest.mark.parametrize(("rate", "first"), [(100.0, 51), (25.0, 19), (400.0, 201)])
+def test_a_board_that_repeats_itself_is_told(rate, first):
+    times = np.arange(60 + 230) / rate
+    u = np.concatenate([moving(rows=60, rate=rate)[2], np.repeat(U[60:61], 230, axis=0)])
+    for method in METHODS.values():
+        found = track(method, u, times=times)
+        assert list(np.flatnonzero(found.status == "frozen")) == list(range(60 + first, 290))
+        std = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2))
+        assert std[-1] > 3 * std[60]
+
+
+@pytest.mark.parametrize("resolution", [0.0, 7.0e-4, 7.2e-4, 0.1])
+def test_a_robot_at_rest_with_coarse_sensors_is_no_frozen_board(resolution):
+    places = [Sensor(s.segment, s.at, s.radial, s.azimuth, resolution=resolution) for s in TWO.sensors]
+    robot = Robot(TWO.segments, TWO.magnets, places, lower=TWO.lower, upper=TWO.upper, noise=7.1e-4)
+    found = track(LevenbergMarquardt(robot), np.repeat(U[:1], 100, axis=0), rate_hz=100)
+    assert ("frozen" in found.status) == (resolution < 7.1e-4)
+    rng, step = np.random.default_rng(0), resolution or 1e-9
+    u = np.round((simulated_readings(robot, Q[100]) + 7.1e-4 * rng.normal(size=(300, 8))) / step) * step
+    assert set(track(LevenbergMarquardt(robot), u, rate_hz=100).status) == {"consistent"}
+
+
+@pytest.mark.parametrize("times_sent", [2, 10])
+def test_a_frame_sent_again_adds_nothing(method, times_sent):
+    n = 200 // times_sent
+    times = np.arange(n * times_sent) / (RATE * times_sent)
+    found = track(method, np.repeat(U[:n], times_sent, axis=0), times=times)
+    once = track(method, U[:n], times=times[::times_sent])
+    assert set(found.status) == {"consistent"}
+    np.testing.assert_allclose(found.q[::times_sent], once.q, atol=1e-12)
+    np.testing.assert_allclose(found.covariance[::times_sent], once.covariance, rtol=1e-9)
+    again = found.missing[1::times_sent]
+    assert set(again) == ({8} if method is METHODS["Kalman"] else {0})
+
+
+def test_a_frame_sent_again_in_an_alarm_says_the_same(method):
+    u = faulty(U, "unplugged", 4, 20)[:100]
+    times = np.arange(200) / (2 * RATE)
+    found, once = track(method, np.repeat(u, 2, axis=0), times=times), track(method, u, times=times[::2])
+    for field in ("status", "suspects"):
+        np.testing.assert_array_equal(getattr(found, field)[::2], getattr(once, field))
+        np.testing.assert_array_equal(getattr(found, field)[1::2], getattr(once, field))
+
+
+def test_infinity_is_a_missing_reading(method):
+    u = U.copy()
+    u[50:, 3] = np.inf
+    missing = np.where(np.isinf(u), np.nan, u)
+    found, expected = (track(method, x, times=TIMES) for x in (u, missing))
+    np.testing.assert_array_equal(found.q, expected.q)
+    assert found.missing.sum() == 150
+    assert set(found.status) == {"consistent"}
+
+
+def test_fewer_readings_than_unknowns_are_told_without_a_motion_model():
+    u = U.copy()
+    u[50:, :3] = np.nan
+    assert set(track(METHODS["least squares"], u).status[50:]) == {"undetermined"}
+    assert set(track(METHODS["Kalman"], u, times=TIMES).status) == {"consistent"}
+    known = np.full((200, 6), np.nan)
+    known[:, 5] = Q[:, 5]
+    assert "undetermined" not in track(METHODS["least squares"], u, known=known).status
+
+
+@pytest.mark.parametrize("kind", ["offset", "gain"])
+def test_one_impossible_code_moves_no_error_of_a_sensor(kind):
+    fit = KalmanFilter(Drifting(TWO.sensing(), [Drift(kind, 0.05)]), TWO.lower, TWO.upper, TWO.noise)
+    found, good, bare = (
+        track(fit, u, times=TIMES, monitor=m)
+        for u, m in ((faulty(U, "spike", 2, 90, 32.767), "auto"), (U, "auto"), (faulty(U, "spike", 2, 90, 32.767), None))
+    )
+    moved, without = (np.abs(x.details["drift"] - good.details["drift"]).max(0) for x in (found, bare))
+    assert (moved < 0.5 * good.details["drift_std"].min(0)).all()
+    assert (without > 10 * good.details["drift_std"].min(0)).any()
+    assert found.details["left_out"].sum() == 1
+
+
+def test_a_restart_keeps_the_errors_of_sensors():
+    offsets = 0.02 * np.random.default_rng(5).normal(size=8)
+    fit = KalmanFilter(Drifting(TWO.sensing(), [Drift("offset", 0.02)]), TWO.lower, TWO.upper, TWO.noise)
+    times, _, u = moving(rows=1000)
+    jump = np.concatenate([u, simulated_readings(TWO, course(TWO, times[:20] + 50, seed=7))]) + offsets
+    found = track(fit, jump, times=np.arange(1020) / RATE)
+    assert found.details["restarted"][1000]
+    before, after, std = found.details["drift"][999], found.details["drift"][1000], found.details["drift_std"]
+    assert (np.abs(after - before) < 2 * std[999]).all()
+    assert std[1000].mean() < 1.5 * std[999].mean()
+
+
+def test_a_batch_says_what_its_members_say_alone(method):
+    kinds = ("missing", "unplugged", "stuck", "frozen", "spike")
+    rows = np.stack([faulty(U, kind, k, 40, 9.0 if kind == "spike" else None) for k, kind in enumerate(kinds)], axis=1)
+    found = track(method, rows[:120], times=TIMES[:120])
+    for k in range(len(kinds)):
+        alone = track(method, rows[:120, k], times=TIMES[:120])
+        np.testing.assert_array_equal(found.status[:, k], alone.status)
+        np.testing.assert_array_equal(found.suspects[:, k], alone.suspects)
+        np.testing.assert_array_equal(found.missing[:, k], alone.missing)
+        np.testing.assert_allclose(found.q[:, k], alone.q, atol=1e-11)
+        np.testing.assert_allclose(found.covariance[:, k], alone.covariance, rtol=1e-6, atol=1e-18)
+
+
+def test_a_state_is_never_changed(method):
+    watched, sent = Monitor(method), faulty(U, "unplugged", 4, 20)
+    state = watched.init()
+    for k in range(40):
+        before = state
+        state, found = watched.step(before, sent[k], TIMES[k])
+        _, again = watched.step(before, sent[k], TIMES[k])
+        np.testing.assert_array_equal(found.q, again.q)
+        assert found.details["status"] == again.details["status"]
+
+
+def test_every_reading_of_a_callable_is_a_part_of_its_own():
+    A = np.random.default_rng(0).normal(size=(8, 3))
+    fit = LevenbergMarquardt(lambda q: q @ A.T, [-9.0] * 3, [9.0] * 3, noise=0.01)
+    u = np.sin(np.arange(60) / 9)[:, None] @ A.sum(-1)[None] + 0.01 * np.random.default_rng(1).normal(size=(60, 8))
+    found = track(fit, faulty(u, "unplugged", 6, 30, 1.0))
+    assert {tuple(np.flatnonzero(row)) for row in found.suspects if row.any()} == {(6,)}
+    assert found.status[-1] == "left out"
+
+
+def test_the_sensors_of_a_rod_are_parts():
+    sensors = [RodSensor("orientation", 1e-3, arc_m=s) for s in (0.4, 0.7, 1.0)]
+    fit = RodFilter(Rod(1.0, bending=1, torsion=0), sensors, strain_std=2.0, rate=0.5)
+    times, rng = np.arange(60) / 20, np.random.default_rng(0)
+    bend = 0.5 * np.sin(times)[:, None] * np.repeat([0.4, 0.7, 1.0], 3) * np.tile([1.0, 0.0, 0.0], 3)
+    u = bend + 1e-3 * rng.normal(size=bend.shape)
+    u[20:, 3:6] += 0.2
+    found = track(fit, u, times=times)
+    assert found.suspects.shape == (60, 3)
+    assert {tuple(np.flatnonzero(row)) for row in found.suspects if row.any()} == {(1,)}
+    assert np.abs(found.q[25:, 0] - 0.5 * np.sin(times[25:])).max() < 0.01
+
+
+def test_what_papers_use_has_no_monitor():
+    descent = GradientDescent(TWO.sensing(), [1e-4] * 6)
+    assert track(descent, U[:3], Q[0]).status is None
+    assert STATUS[0] == "consistent"
