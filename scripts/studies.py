@@ -12,8 +12,12 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
+from magpylib.func import dipole_field
+from scipy import stats
 
+import repro
 from repro import GradientDescent, Sensing, exact_arcs, pcc_extended, track
+from repro_board.emulate import course, faulty
 from repro_companion.papers import baaij, martin, mitchell, rig
 from repro_companion.show import project_folder
 
@@ -121,9 +125,129 @@ def table_1_noise() -> pd.DataFrame:
     return table
 
 
+RATES_HZ = {"two_segments": 100.0, "one_segment": 40.0, "four_chips": 25.0}
+FAULTS = {
+    "no reading": "missing",
+    "unplugged": "unplugged",
+    "stuck": "stuck",
+    "saturated": "saturated",
+    "gain +5 %": "scaled",
+}
+SCENARIOS = ("none", "start bent", "jump", *FAULTS, "magnet near", "noise x 5")
+FAULT_S, LONG_S = 2.0, 6.0
+PATIENCE_S, PATIENCE = 0.25, 10
+"""Time and rows within which a fault is to be noticed: the larger of the two."""
+TIMES, SEEN, CLEAR = 3.0, 5.0, 30.0
+"""How far the tip is off, in half widths of the 95 % interval by noise alone; how large a fault is, in standard
+deviations of what no configuration explains, to be noticed and to be named."""
+
+
+def alarms() -> pd.DataFrame:
+    """Return what the monitor says of faults of emulated robots: twenty minutes.
+
+    One row for each robot, estimator and scenario; numbers of rows after the fault, unless they count trials.
+    """
+    trials, seed = 20, 1000
+    cases = [
+        (robot, k, s) for robot in RATES_HZ for k in ("levenberg_marquardt", "kalman") for s in SCENARIOS
+    ]
+    tasks = [delayed(alarm_trial)(*case, seed + k) for case in cases for k in range(trials)]
+    counts = pd.DataFrame(Parallel(n_jobs=-1, verbose=5)(tasks))
+    sums = counts.groupby(np.repeat(np.arange(len(cases)), trials)).sum()
+    table = pd.DataFrame(cases, columns=["robot", "estimator", "scenario"]).assign(trials=trials)
+    table = pd.concat([table, sums], axis=1)
+    table.attrs = {"rates_hz": RATES_HZ, "estimators": ["levenberg_marquardt", "kalman"]}
+    table.attrs |= {"scenarios": list(SCENARIOS), "trials": trials, "seed": seed}
+    return table
+
+
+def alarm_trial(name: str, estimator: str, scenario: str, seed: int) -> dict[str, int]:
+    """Let an emulated robot move, let a part of it fail, and count what the monitor says."""
+    file = (
+        repro.example() / "robot.toml"
+        if name == "four_chips"
+        else project_folder() / "data" / "robots" / f"{name}.toml"
+    )
+    robot, rate_hz = repro.load_robot(file), RATES_HZ[name]
+    times = np.arange(round(LONG_S * rate_hz)) / rate_hz
+    after, part = times >= FAULT_S, seed % len(robot.part_names)
+    q = course(robot, times + 20.0 * (scenario == "start bent"), seed=seed)
+    if scenario == "jump":
+        q[after] = course(robot, times[after] + 40.0, seed=seed)
+    rng = np.random.default_rng([seed, 1])
+    sound = repro.simulated_readings(robot, q, robot.earth)
+    sound += robot.noise * rng.standard_normal(sound.shape)
+    sent = sound.copy()
+    if scenario in FAULTS:
+        sent = faulty(sent, FAULTS[scenario], robot.parts == part, int(np.argmax(after)))
+    elif scenario == "magnet near":
+        sent[after] += foreign_field(robot, q[after])
+    elif scenario == "noise x 5":
+        sent[after] += robot.noise * np.sqrt(24) * rng.standard_normal(sent[after].shape)
+
+    moves = robot.upper > robot.lower
+    J = robot.sensing().linearise(q)[1][..., moves] / robot.noise[:, None]
+    tip, G = robot.tip_slopes(q)
+    spread = G[..., moves] @ np.linalg.inv(np.swapaxes(J, 1, 2) @ J) @ np.swapaxes(G[..., moves], 1, 2)
+    interval = 1.96 * np.sqrt(np.trace(spread, axis1=1, axis2=2))
+    added = (sent - sound) / robot.noise
+    J = np.where(np.isnan(added)[..., None], 0.0, J)
+    added = np.nan_to_num(added)[..., None]
+    signal = np.linalg.norm(added - J @ (np.linalg.pinv(J) @ added), axis=(1, 2))
+
+    method = (repro.LevenbergMarquardt if estimator == "levenberg_marquardt" else repro.KalmanFilter)(robot)
+    bare, found = (track(method, sent, robot.start, times=times, monitor=m) for m in (None, "auto"))
+    off, wrong = (
+        after & (np.linalg.norm(robot.tip(shape.q)[:, :3, 3] - tip, axis=-1) > TIMES * interval)
+        for shape in (bare, found)
+    )
+    e, C = (found.q - q)[:, moves, None], found.covariance[:, moves][:, :, moves]
+    holds = (np.swapaxes(e, 1, 2) @ np.linalg.solve(C, e))[:, 0, 0] <= stats.chi2.isf(0.05, moves.sum())
+    patience = max(PATIENCE, int(np.ceil(PATIENCE_S * rate_hz)))
+    due, clear = (lasting(off & (signal > size), patience) for size in (SEEN, CLEAR))
+    alarm, named = found.status != "consistent", after & found.suspects.any(axis=-1)
+    right, trusted = (
+        named & found.suspects[:, part],
+        after & np.isin(found.status, ["consistent", "left out"]),
+    )
+    return {
+        "without": off.sum(),
+        "wrong": wrong.sum(),
+        "due": due.sum(),
+        "noticed": (due & alarm).sum(),
+        "unseen": lasting(wrong & (signal <= SEEN), patience).sum(),
+        "clear": clear.any(),
+        "named": named.any(),
+        "named_clear": named.any() & clear.any(),
+        "named_right": named.any() and right[np.flatnonzero(named)[-1]],
+        "named_readings": named.sum(),
+        "named_readings_right": right.sum(),
+        "alarms": (alarm & after).sum(),
+        "alarms_before": (alarm & ~after).sum(),
+        "trusted": trusted.sum(),
+        "trusted_hold": (trusted & holds).sum(),
+        "readings": after.sum(),
+    }
+
+
+def lasting(condition: np.ndarray, rows: int) -> np.ndarray:
+    """Return where a condition has held for more than so many rows, up to and with this one."""
+    here = np.arange(len(condition))
+    return here - np.maximum.accumulate(np.where(condition, -1, here)) > rows
+
+
+def foreign_field(robot: repro.Robot, q: np.ndarray) -> np.ndarray:
+    """Return what a dipole of 1 A m^2 that stands upright 150 mm beside the robot adds to its readings [mT]."""
+    T = robot.poses(q, [sensor.place for sensor in robot.sensors])
+    away = T[..., :3, 3] - [0.15, 0.0, robot.length / 2]
+    field = 1e3 * dipole_field("B", away.reshape(-1, 3), np.array([0.0, 0.0, 1.0])).reshape(away.shape)
+    along = np.einsum("tkji,tkj->tki", T[..., :3, :3], field)
+    return np.concatenate([along[:, k, 3 - s.axes :] for k, s in enumerate(robot.sensors)], axis=1)
+
+
 STUDIES: dict[str, Callable[[], pd.DataFrame]] = {
     study.__name__: study
-    for study in (rig_starts, table_1_best, table_1_noise, particle_filter, martin_calibration)
+    for study in (rig_starts, table_1_best, table_1_noise, particle_filter, martin_calibration, alarms)
 }
 
 

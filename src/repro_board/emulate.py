@@ -44,7 +44,7 @@ def course(robot: Robot, times: Any, *, seed: int = 0) -> Array:
     >>> robot = Robot([ConstantCurvature(0.1, 0.02)], lower=[-0.01, -0.01, 0.0], upper=[0.01, 0.01, 0.01])
     >>> course(robot, [0.0, 10.0]).round(4) + 0.0
     array([[0.    , 0.    , 0.005 ],
-           [0.0039, 0.0072, 0.0087]])
+           [0.0067, 0.0043, 0.0011]])
     """
     if robot.lower is None or robot.upper is None:
         require(False, "robot", "course", "one with bounds", "none stated")

@@ -14,10 +14,10 @@ from repro import (
     GradientDescent,
     KalmanFilter,
     LevenbergMarquardt,
+    Robot,
     Rod,
     RodFilter,
     RodSensor,
-    Robot,
     Sensor,
     example,
     load_robot,
@@ -128,7 +128,10 @@ def test_a_robot_that_jumps_starts_anew_and_nothing_goes_back_from_there():
     assert list(np.flatnonzero(found.details["restarted"])) == [100]
     assert list(np.flatnonzero(found.status != "consistent")) == [100]
     np.testing.assert_array_equal(back.q[:100], smooth(fit, u[:100], times=TIMES[:100]).q)
-    assert np.abs(track(fit, u, times=TIMES, monitor=None).q - q)[105:].max() > 3 * np.abs(found.q - q)[100:].max()
+    assert (
+        np.abs(track(fit, u, times=TIMES, monitor=None).q - q)[105:].max()
+        > 3 * np.abs(found.q - q)[100:].max()
+    )
 
 
 def test_the_covariance_grows_where_no_part_explains_the_readings(method):
@@ -215,7 +218,11 @@ def test_one_impossible_code_moves_no_error_of_a_sensor(kind):
     fit = KalmanFilter(Drifting(TWO.sensing(), [Drift(kind, 0.05)]), TWO.lower, TWO.upper, TWO.noise)
     found, good, bare = (
         track(fit, u, times=TIMES, monitor=m)
-        for u, m in ((faulty(U, "spike", 2, 90, 32.767), "auto"), (U, "auto"), (faulty(U, "spike", 2, 90, 32.767), None))
+        for u, m in (
+            (faulty(U, "spike", 2, 90, 32.767), "auto"),
+            (U, "auto"),
+            (faulty(U, "spike", 2, 90, 32.767), None),
+        )
     )
     moved, without = (np.abs(x.details["drift"] - good.details["drift"]).max(0) for x in (found, bare))
     assert (moved < 0.5 * good.details["drift_std"].min(0)).all()
@@ -237,7 +244,9 @@ def test_a_restart_keeps_the_errors_of_sensors():
 
 def test_a_batch_says_what_its_members_say_alone(method):
     kinds = ("missing", "unplugged", "stuck", "frozen", "spike")
-    rows = np.stack([faulty(U, kind, k, 40, 9.0 if kind == "spike" else None) for k, kind in enumerate(kinds)], axis=1)
+    rows = np.stack(
+        [faulty(U, kind, k, 40, 9.0 if kind == "spike" else None) for k, kind in enumerate(kinds)], axis=1
+    )
     found = track(method, rows[:120], times=TIMES[:120])
     for k in range(len(kinds)):
         alone = track(method, rows[:120, k], times=TIMES[:120])
@@ -262,7 +271,9 @@ def test_a_state_is_never_changed(method):
 def test_every_reading_of_a_callable_is_a_part_of_its_own():
     A = np.random.default_rng(0).normal(size=(8, 3))
     fit = LevenbergMarquardt(lambda q: q @ A.T, [-9.0] * 3, [9.0] * 3, noise=0.01)
-    u = np.sin(np.arange(60) / 9)[:, None] @ A.sum(-1)[None] + 0.01 * np.random.default_rng(1).normal(size=(60, 8))
+    u = np.sin(np.arange(60) / 9)[:, None] @ A.sum(-1)[None] + 0.01 * np.random.default_rng(1).normal(
+        size=(60, 8)
+    )
     found = track(fit, faulty(u, "unplugged", 6, 30, 1.0))
     assert {tuple(np.flatnonzero(row)) for row in found.suspects if row.any()} == {(6,)}
     assert found.status[-1] == "left out"

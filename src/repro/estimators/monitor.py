@@ -120,7 +120,7 @@ class Monitor:
     >>> from repro import LevenbergMarquardt
     >>> watched = Monitor(LevenbergMarquardt(lambda q: q * np.ones(4), [-1.0], [1.0], noise=0.001))
     >>> state = watched.init([0.5])
-    >>> for k in range(20):
+    >>> for k in range(30):
     ...     state, found = watched.step(state, [0.5, 0.501, 0.499 + 1e-5 * k, 0.0], 0.1 * k)
     >>> STATUS[found.details["status"]], found.details["suspects"].tolist(), found.q.round(3)
     ('left out', [False, False, False, True], array([0.5]))
