@@ -275,7 +275,7 @@ def _places(robot: Robot, at: Any, n: int, owner: str) -> list[Place]:
             pair = isinstance(own, Sequence) and len(own) in (2, 3)
             require(pair, "at", owner, "parts, or (segment, at [m]), or (segment, at, position)", item)
             own = place(owner, *list[Any](own))
-        robot._check(own, "at")
+        robot.check_place(own, "at")
         places.append(own)
     require(len(places) == n, "at", owner, f"one place for each of {n} bodies", f"{len(places)}")
     return places

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -21,6 +20,7 @@ import numpy as np
 from repro.common import Array, bad_input, kernel, numbers, require, rows_of
 
 _CONSTANT, _AFFINE, _LINK, _JOINT, _FREE = range(5)
+_KINDS = "of ConstantCurvature, AffineCurvature, Link, BallJoint, FreeBody"
 
 
 class Segment:
@@ -36,8 +36,9 @@ class Segment:
 
     @property
     def sizes(self) -> tuple[float, float]:
-        """Two numbers for the kernels."""
-        return self.length, 0.0
+        """Two numbers for the kernels: length [m], or which axes turn as the bits of a number; and radius [m]."""
+        axes = sum(1 << "xyz".index(axis) for axis in getattr(self, "axes", ""))
+        return float(axes) or self.length, getattr(self, "radius", 0.0)
 
 
 @dataclass(frozen=True)
@@ -81,18 +82,14 @@ class ConstantCurvature(Segment):
 
     def __post_init__(self) -> None:
         for name in ("length", "radius"):
-            size = getattr(self, name)
-            require(0 < size < math.inf, name, "ConstantCurvature", "positive [m]", size)
+            require(
+                0 < vars(self)[name] < math.inf, name, "ConstantCurvature", "positive [m]", vars(self)[name]
+            )
 
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates."""
         return ("delta_x", "delta_y", "delta_L") if self.extensible else ("delta_x", "delta_y")
-
-    @property
-    def sizes(self) -> tuple[float, float]:
-        """Length and radius [m]."""
-        return self.length, self.radius
 
 
 @dataclass(frozen=True)
@@ -193,20 +190,13 @@ class BallJoint(Segment):
     length = 0.0
 
     def __post_init__(self) -> None:
-        expected = "some of 'xyz', in this order"
-        require(
-            self.axes in ("x", "y", "z", "xy", "xz", "yz", "xyz"), "axes", "BallJoint", expected, self.axes
-        )
+        known = self.axes in ("x", "y", "z", "xy", "xz", "yz", "xyz")
+        require(known, "axes", "BallJoint", "some of 'xyz', in this order", self.axes)
 
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates."""
         return tuple(f"rotation_{axis}" for axis in self.axes)
-
-    @property
-    def sizes(self) -> tuple[float, float]:
-        """Axes as the bits of a number, and nothing."""
-        return float(sum(1 << "xyz".index(axis) for axis in self.axes)), 0.0
 
 
 @dataclass(frozen=True)
@@ -221,6 +211,7 @@ class FreeBody(Segment):
     """
 
     kind: ClassVar[int] = _FREE
+    axes: ClassVar[str] = "xyz"
     length = 0.0
 
     @property
@@ -248,7 +239,6 @@ def place(
 ) -> Place:
     """Return a checked place; the rotation is a quaternion XYZW or the shortest turn of z to a direction."""
     require(isinstance(segment, int | np.integer) and segment >= 0, "segment", owner, "0 or above", segment)
-    along = float(numbers(at, "at", owner, ()))
     r = np.zeros(3) if position is None else numbers(position, "position", owner, (3,))
     R = np.eye(3)
     if direction is not None:
@@ -257,7 +247,7 @@ def place(
         R = _turn_of_z_to(z / np.linalg.norm(z))
     elif rotation is not None:
         R = rotation_matrix(unit_quaternions(rotation, "orientation", owner, (4,)))
-    return Place(int(segment), along, r, R)
+    return Place(int(segment), float(numbers(at, "at", owner, ())), r, R)
 
 
 def _turn_of_z_to(z: Array) -> Array:
@@ -307,9 +297,8 @@ def check_tolerance(tolerance: Any, owner: str) -> None:
     """Refuse tolerances of a part that it does not have, or that are no standard deviations."""
     known = TOLERANCES[owner.lower()]
     for name, value in (tolerance or {}).items():
-        near = get_close_matches(str(name), known, 1, 0.5) or [f"one of {', '.join(known)}"]
-        require(name in known, "tolerance", owner, f"by names that exist ({near[0]})", repr(name))
-        std = float(numbers(value, f"tolerance {name}", owner, ()))
+        require(name in known, "tolerance", owner, f"of {', '.join(known)}", repr(name))
+        std = numbers(value, f"tolerance {name}", owner, ())
         require(std >= 0, f"tolerance {name}", owner, "not negative", value)
 
 
@@ -387,25 +376,29 @@ class Sensor:
 
     def __post_init__(self) -> None:
         require(self.axes in (1, 3), "axes", "Sensor", "1 or 3", self.axes)
-        n = 0 if self.channels is None else 1 if isinstance(self.channels, str) else len(self.channels)
-        require(n in (0, self.axes), "channels", "Sensor", f"{self.axes}, one for every axis", self.channels)
-        require(self.range > 0, "range", "Sensor", "positive [mT]", self.range)
+        if self.channels is not None:
+            fits = type(self.channels) is not str and len(self.channels) == self.axes
+            require(fits, "channels", "Sensor", f"a list of {self.axes}, one for every axis", self.channels)
         require(
-            0 <= self.resolution < self.range, "resolution", "Sensor", "within the range", self.resolution
+            0 <= self.resolution < self.range,
+            "resolution",
+            "Sensor",
+            "from 0 to below the range",
+            (self.resolution, self.range),
         )
-        for name in ("gain", "offset", *(("noise",) if self.noise is not None else ())):
-            value = numbers(getattr(self, name), name, "Sensor")
-            expected = f"one number or {self.axes}, one for every axis"
-            require(value.shape in ((), (self.axes,)), name, "Sensor", expected, getattr(self, name))
-            positive = name != "noise" or (value > 0).all()
-            require(positive, name, "Sensor", "positive [mT]", self.noise)
-        require(np.all(self.gain), "gain", "Sensor", "not zero", self.gain)
+        for name in ("gain", "offset", "noise"):
+            value = getattr(self, name)
+            fits = value is None or numbers(value, name, "Sensor").shape in ((), (self.axes,))
+            require(fits, name, "Sensor", f"one number or {self.axes}, one for every axis", value)
+        if self.noise is not None:
+            require(np.greater(self.noise, 0).all(), "noise", "Sensor", "positive [mT]", self.noise)
         require(math.isfinite(self.per_mt) and self.per_mt, "per_mt", "Sensor", "not zero", self.per_mt)
         check_tolerance(self.tolerance, "Sensor")
         require(self.radial >= 0, "radial", "Sensor", "not negative [m]", self.radial)
-        if self.axes == 3 and (self.direction is not None or self.tilt):
-            raise bad_input("direction, tilt", "Sensor", "for one axis; orientation is for three", "both")
-        if self.axes == 1 and self.orientation is not None:
+        if self.axes == 3:
+            one = self.direction is None and not self.tilt
+            require(one, "direction, tilt", "Sensor", "for one axis; orientation is for three", "both")
+        elif self.orientation is not None:
             raise bad_input("orientation", "Sensor", "for three axes; direction is for one", self.orientation)
         _ = self.place
 
@@ -467,9 +460,12 @@ class Imu:
     noise: float | None = None
     world: Any = None
     tolerance: Mapping[str, float] | None = None
+    axes: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
         require(self.noise is None or self.noise > 0, "noise", "Imu", "positive [rad]", self.noise)
+        if self.world is not None:
+            unit_quaternions(self.world, "world", "Imu", (4,))
         check_tolerance(self.tolerance, "Imu")
         _ = self.place
 
@@ -564,18 +560,39 @@ class Robot:
         self.segments, self.magnets = tuple(segments), tuple(magnets)
         self.sensors, self.imus = tuple(sensors), tuple(imus)
         require(self.segments, "segments", "Robot", "at least one segment", "none")
-        kinds = (ConstantCurvature, AffineCurvature, Link, BallJoint, FreeBody)
         for segment in self.segments:
-            expected = f"one of {', '.join(kind.__name__ for kind in kinds)}"
-            require(isinstance(segment, kinds), "segments", "Robot", expected, type(segment).__name__)
+            require(isinstance(segment, Segment), "segments", "Robot", _KINDS, type(segment).__name__)
         for name, parts in (("magnets", self.magnets), ("sensors", self.sensors), ("imus", self.imus)):
             for k, part in enumerate(parts):
-                if not isinstance(getattr(part, "place", None), Place):  # its repr is long to make
-                    raise bad_input(name, "Robot", "parts with a place", repr(part))
-                self._check(part.place, f"{name}, number {k + 1},")
+                require(
+                    isinstance(getattr(part, "place", None), Place),
+                    name,
+                    "Robot",
+                    "parts with a place",
+                    type(part).__name__,
+                )
+                self.check_place(part.place, f"{name}, number {k + 1},")
+        self.coordinates = tuple(
+            f"{name}_{i}" for i, x in enumerate(self.segments, 1) for name in x.coordinates
+        )
+        """Names of the coordinates, numbered by segment from 1: ``delta_x_1`` and so on."""
+        self.n_q = len(self.coordinates)
+        """Number of coordinates."""
+        self.angles = np.array([x.startswith(("phi_", "rotation_")) for x in self.coordinates], dtype=bool)
+        """Which coordinates are angles that come round again after a turn, ``[n_q]``."""
+        self.length = sum(segment.length for segment in self.segments)
+        """Unextended length of the robot [m]."""
+        self.n_readings = sum(part.axes for part in (*self.sensors, *self.imus))
+        """Number of readings: one for every axis of every sensor, then three for every IMU."""
+        self.range = self.per_reading("range", math.inf, math.inf)
+        """Largest reading of either sign ``[s]`` [mT], infinite where not stated."""
+        self.resolution = self.per_reading("resolution", 0.0, 0.0)
+        """Step between two readings ``[s]`` [mT], zero where not stated."""
         self.model, self.moments, self.source = model, moments, source
         self.lower, self.upper = self._bounds(lower, upper)
         """Bounds of the coordinates ``[n_q]``, or None where not stated."""
+        self.fixed = np.zeros(self.n_q, dtype=bool) if self.lower is None else self.lower == self.upper
+        """Which coordinates equal bounds fix ``[n_q]``."""
         self.start = None if start is None else numbers(start, "start", "Robot", (self.n_q,))
         if self.start is not None and self.lower is not None and self.upper is not None:
             free = self.angles & (self.upper - self.lower >= 2 * math.pi - 1e-9)
@@ -600,14 +617,16 @@ class Robot:
                 raise bad_input(name, "Robot", f"finite for {self.coordinates[k]}", f"{bound[k]}")
             found.append(bound)
         for k in np.flatnonzero(~(found[0] <= found[1])):
-            pair = f"{found[0][k]:g} and {found[1][k]:g} for {self.coordinates[k]}"
-            raise bad_input("lower, upper", "Robot", "ordered bounds", pair)
+            expected = f"ordered bounds for {self.coordinates[k]}"
+            raise bad_input("lower, upper", "Robot", expected, (found[0][k], found[1][k]))
         return found[0], found[1]
 
     def _noise(self, noise: Any) -> Array | None:
         given = numbers(np.nan if noise is None else noise, "noise", "Robot", finite=False)
-        expected = f"one number or one for each of {self.n_readings} readings"
-        require(given.shape in ((), (self.n_readings,)), "noise", "Robot", expected, f"shape {given.shape}")
+        n = self.n_readings
+        require(
+            given.shape in ((), (n,)), "noise", "Robot", f"one number or one for each of {n} readings", given
+        )
         require(noise is None or (given > 0).all(), "noise", "Robot", "positive", noise)
         std = self.per_reading("noise", np.nan, np.nan)
         std = np.where(np.isnan(std), given, std)
@@ -616,15 +635,10 @@ class Robot:
     def per_reading(self, name: str, none: float, of_imus: float) -> Array:
         """Return what sensors and IMUs state under a name, for every reading ``[s]``; ``none`` where they do not."""
         found = [np.zeros(0)]
-        for part, size in [*((x, x.axes) for x in self.sensors), *((x, 3) for x in self.imus)]:
+        for part in (*self.sensors, *self.imus):
             value = getattr(part, name, of_imus)
-            found.append(np.full(size, none if value is None else value, dtype=float))
+            found.append(np.full(part.axes, none if value is None else value, dtype=float))
         return np.concatenate(found)
-
-    @cached_property
-    def n_readings(self) -> int:
-        """Number of readings: one for every axis of every sensor, then three for every IMU."""
-        return sum(sensor.axes for sensor in self.sensors) + 3 * len(self.imus)
 
     @cached_property
     def part_names(self) -> tuple[str, ...]:
@@ -636,7 +650,7 @@ class Robot:
     @cached_property
     def parts(self) -> Array:
         """Which sensor or IMU every reading belongs to ``[s]``: an index of :attr:`part_names`."""
-        sizes = [*(sensor.axes for sensor in self.sensors), *(3 for _ in self.imus)]
+        sizes = [part.axes for part in (*self.sensors, *self.imus)]
         return np.repeat(np.arange(len(sizes)), np.array(sizes, dtype=int))
 
     @cached_property
@@ -645,29 +659,11 @@ class Robot:
         names = []
         for part, name in zip((*self.sensors, *self.imus), self.part_names, strict=True):
             channels = part.channels if isinstance(part, Sensor) else None
-            if isinstance(channels, str):
-                channels = [channels]
-            usual = [name] if getattr(part, "axes", 3) == 1 else [f"{name} {axis}" for axis in "xyz"]
-            words = channels is not None and all(isinstance(channel, str) for channel in channels)
-            names += channels if words and channels is not None else usual
+            if channels and all(isinstance(channel, str) for channel in channels):
+                names += channels
+            else:
+                names += [name] if part.axes == 1 else [f"{name} {axis}" for axis in "xyz"]
         return tuple(names)
-
-    @cached_property
-    def range(self) -> Array:
-        """Largest reading of either sign ``[s]`` [mT], infinite where not stated."""
-        return self.per_reading("range", math.inf, math.inf)
-
-    @cached_property
-    def resolution(self) -> Array:
-        """Step between two readings ``[s]`` [mT], zero where not stated."""
-        return self.per_reading("resolution", 0.0, 0.0)
-
-    @cached_property
-    def fixed(self) -> Array:
-        """Which coordinates equal bounds fix ``[n_q]``."""
-        if self.lower is None or self.upper is None:
-            return np.zeros(self.n_q, dtype=bool)
-        return self.lower == self.upper
 
     def sensing(self) -> Any:
         """Return the sensor model with the gain and offset of every sensor and the Earth's field."""
@@ -751,15 +747,16 @@ class Robot:
         25.0
         """
         names = (
-            "segments", "magnets", "sensors", "imus", "lower", "upper", "start", "noise", "rate_hz", "earth",
-            "model", "moments", "source",
+            "segments", "magnets", "sensors", "imus", "lower", "upper", "start", "rate_hz", "earth", "model",
+            "moments", "source",
         )  # fmt: skip
-        own = {name: getattr(self, name) for name in names} | {"noise": self._noise_given}
-        return Robot(**(own | changes))
+        own = {name: getattr(self, name) for name in names}
+        return Robot(**{**own, "noise": self._noise_given, **changes})
 
-    def _check(self, where: Place, name: str) -> None:
-        n = len(self.segments)
-        require(where.segment <= n, name, "Robot", f"on a segment from 0 (base) to {n}", where.segment)
+    def check_place(self, where: Place, name: str) -> None:
+        """Refuse a place on a segment that does not exist, or beyond its end."""
+        expected = f"on a segment from 0 (base) to {len(self.segments)}"
+        require(where.segment <= len(self.segments), name, "Robot", expected, where.segment)
         reach = self.segments[where.segment - 1].length if where.segment else 0.0
         expected = f"between 0 and {reach:g} m along segment {where.segment}"
         require(-1e-12 <= where.at <= reach * (1 + 1e-12), name, "Robot", expected, f"{where.at:g} m")
@@ -769,26 +766,6 @@ class Robot:
         kinds = ", ".join(type(segment).__name__ for segment in self.segments)
         parts = f"{len(self.magnets)} magnets, {len(self.sensors)} sensors, {len(self.imus)} IMUs"
         return f"Robot of {kinds}; {parts}; {self.n_q} coordinates"
-
-    @cached_property
-    def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates, numbered by segment from 1: ``delta_x_1`` and so on."""
-        return tuple(f"{name}_{i}" for i, s in enumerate(self.segments, 1) for name in s.coordinates)
-
-    @cached_property
-    def n_q(self) -> int:
-        """Number of coordinates."""
-        return len(self.coordinates)
-
-    @cached_property
-    def angles(self) -> Array:
-        """Which coordinates are angles that come round again after a turn, ``[n_q]``."""
-        return np.array([name.startswith(("phi_", "rotation_")) for name in self.coordinates], dtype=bool)
-
-    @cached_property
-    def length(self) -> float:
-        """Unextended length of the robot [m]."""
-        return sum(segment.length for segment in self.segments)
 
     def check_q(self, q: Any, owner: str = "Robot") -> Array:
         """Return configurations ``[..., n_q]`` as float64; refuse another width, NaN and infinity."""
@@ -846,7 +823,7 @@ class Robot:
         """
         q = self.check_q(q)
         for where in places:
-            self._check(where, "places")
+            self.check_place(where, "places")
         chain, frame = self.chain(places)
         flat = rows_of(q)
         R, p, X = (np.empty((len(flat), len(chain.v), *own)) for own in ((3, 3), (3,), (self.n_q, 6)))
@@ -933,7 +910,6 @@ def turn(x, y, z, T, J):
     for i in range(3):
         T[i, i] += 1.0 - c * square
         J[i, i] += 1.0 - d * square
-    for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         T[k, j] += s * w[i]
         T[j, k] -= s * w[i]
@@ -1005,31 +981,21 @@ def _in_segment(chain, g, q, v, T, W, J):
     if kind == _AFFINE:
         _affine_curvature(q, first, chain.size[g, 0], v, T, W)
         return
-    for i in range(6):
-        for k in range(6):
-            W[i, k] = 0.0
-            if i < 3 and k < 4:
-                T[i, k] = 0.0
+    T[:, :], W[:, :] = 0.0, 0.0
     if kind == _LINK:
         T[0, 0] = T[1, 1] = T[2, 2] = 1.0
         T[2, 3] = v * chain.size[g, 0]
-    elif kind == _FREE:
-        turn(q[first + 3], q[first + 4], q[first + 5], T, J)
-        for i in range(3):
-            T[i, 3] = q[first + i]
-            W[i, 3 + i] = 1.0
-            for k in range(3):
-                W[3 + i, k] = J[k, i]
     else:
-        axes, x, y, z, c = int(chain.size[g, 0]), 0.0, 0.0, 0.0, 0
-        if axes & 1:
-            x, c = q[first], 1
-        if axes & 2:
-            y, c = q[first + c], c + 1
-        if axes & 4:
-            z = q[first + c]
+        axes, c = int(chain.size[g, 0]), 0
+        if kind == _FREE:
+            for c in range(3):
+                T[c, 3], W[c, 3 + c] = q[first + c], 1.0
+            c = 3
+        second, third = c + (axes & 1), c + (axes & 1) + (axes >> 1 & 1)
+        x = q[first + c] if axes & 1 else 0.0
+        y = q[first + second] if axes & 2 else 0.0
+        z = q[first + third] if axes & 4 else 0.0
         turn(x, y, z, T, J)
-        c = 0
         for i in range(3):
             if axes >> i & 1:
                 for k in range(3):

@@ -8,7 +8,7 @@ import math
 import re
 import tomllib
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from repro.common import Array, InputError, bad_input, require
-from repro.estimators.calibration import Calibration, placed
+from repro.common import InputError, bad_input, numbers, require
+from repro.estimators.calibration import _FARTHEST, Calibration, placed
 from repro.magnets import Cube, Disc, Magnet, Ring
 from repro.networks import load_network
 from repro.robot import (
@@ -28,8 +28,8 @@ from repro.robot import (
     Imu,
     Link,
     Robot,
-    Segment,
     Sensor,
+    point_on,
 )
 
 _SI = {"mm": 1e-3, "deg": math.pi / 180, "percent": 1e-2}
@@ -39,6 +39,7 @@ _MISTAKEN = {"mm": {"metres": 1e3}, "mT": {"tesla": 1e3, "gauss": 0.1}, "deg": {
 """Units that a number is often written in by mistake, and the factor from it."""
 _NEEDED: Any = object()
 _FORMATS = ("csv", "frames", "hall", "millivolts", "quaternions")
+_PARTS = ("segments", "magnets", "sensors", "imus")
 
 
 class Source(NamedTuple):
@@ -50,13 +51,14 @@ class Source(NamedTuple):
 
 
 class _Key(NamedTuple):
-    """What a key takes: in words, as a test, its value when left out, its factor to SI, and what looks wrong."""
+    """What a key takes: words, a test, its value when left out, its factor to SI, what looks wrong, and its rival."""
 
     must_be: str
     fits: Callable[[Any], bool]
     default: Any = _NEEDED
     unit: str = ""
     doubt: Callable[[Any], str] = lambda _: ""
+    not_beside: str = ""
 
 
 def _is_number(x: object) -> bool:
@@ -70,15 +72,15 @@ def _numbers(x: object, n: int) -> bool:
 def _number(
     low: float, high: float, unit: str, default: Any = _NEEDED, *, signed: bool = False, n: int = 1
 ) -> _Key:
-    """Describe a number (or one for each of ``n`` axes) whose magnitude is in a range, or zero if that is allowed."""
-    zero = default == 0 or low == 0
+    """Describe a number (or one for each of ``n`` axes) whose magnitude is in a range, or the default."""
 
     def fits(x: Any) -> bool:
-        if n > 1 and isinstance(x, list):
-            return _numbers(x, n) and all(map(fits, x))
-        return _is_number(x) and (low <= (abs(x) if signed else x) <= high or (zero and x == 0))
+        values = x if n > 1 and _numbers(x, n) else [x]
+        return all(
+            _is_number(v) and (v == default or low <= (abs(v) if signed else v) <= high) for v in values
+        )
 
-    words = "0, or " if zero and low > 0 else ""
+    words = "0, or " if default == 0 < low else ""
     words += f"{'of a magnitude ' if signed else ''}between {low:g} and {high:g}"
     words += f", or {n} of them" if n > 1 else ""
     return _Key(f"{words} [{unit}]", fits, default, unit, _radians if unit == "deg" else lambda _: "")
@@ -91,6 +93,17 @@ def _radians(x: Any) -> str:
         0.01 < abs(v) <= 2 * math.pi + 1e-3 and 2 * v != round(2 * v) for v in values
     )
     return "looks like radians" if small else ""
+
+
+def _noise(unit: str, n: int = 1) -> _Key:
+    """Describe the noise of readings in their unit; doubt what is none of a magnetic sensor."""
+
+    def doubt(x: Any) -> str:
+        noise = np.divide(x, _PER_MT.get(unit, math.nan))
+        wrong = np.min(noise) < 1e-5 or np.max(noise) > 0.5
+        return f"is a noise of {np.max(noise):g} mT, which is doubtful" if wrong else ""
+
+    return _number(1e-9, 1e6, unit, None, n=n)._replace(doubt=doubt)
 
 
 def _bounds(high: float, least: float, unit: str, default: Any = None) -> _Key:
@@ -106,50 +119,44 @@ def _bounds(high: float, least: float, unit: str, default: Any = None) -> _Key:
     return _Key(f"{words} [{unit}]", fits, default, unit, _radians if unit == "deg" else lambda _: "")
 
 
-def _vector(what: str, unit: str, most: float, doubt: float = math.inf, default: Any = None) -> _Key:
+def _vector(what: str, unit: str = "", n: int = 3, most: float = 1e9) -> _Key:
     return _Key(
-        f"three numbers along x, y, z of {what}, together at most {most:g} [{unit}]",
-        lambda x: _numbers(x, 3) and math.hypot(*x) <= most,
-        default,
+        f"{n} numbers, {what}, together at most {most:g} [{unit}]",
+        lambda x: _numbers(x, n) and math.hypot(*x) <= most,
+        None,
         unit,
-        lambda x: (
-            f"has a length of {math.hypot(*x):.2g} {unit}, which is doubtful"
-            if math.hypot(*x) > doubt
-            else ""
-        ),
     )
 
 
 def _quaternion(turn: str) -> _Key:
-    words = f"a unit quaternion [x, y, z, w] within 0.001, {turn}"
-    doubt = "looks as if w came first"
-    return _Key(
-        words,
-        lambda x: _numbers(x, 4) and abs(math.hypot(*x) - 1) <= 1e-3,
-        None,
-        "",
-        lambda x: doubt if abs(x[0]) > 0.999 else "",
-    )
+    def doubt(x: Any) -> str:
+        return "looks as if w came first" if abs(x[0]) > 0.999 else ""
+
+    return _vector(f"a unit quaternion [x, y, z, w] {turn}", n=4)._replace(doubt=doubt)
 
 
-def _whole(x: Any, low: int, high: int) -> bool:
-    return isinstance(x, int) and not isinstance(x, bool) and low <= x <= high
+def _earth() -> _Key:
+    def doubt(x: Any) -> str:
+        size = math.hypot(*x)
+        return f"has a length of {size:.2g} mT, which is doubtful" if size > 0.1 else ""
 
-
-def _count(low: int, high: int, default: Any = _NEEDED) -> _Key:
-    return _Key(f"a whole number from {low} to {high}", lambda x: _whole(x, low, high), default)
+    return _vector("along x, y, z of the base", "mT", most=1.0)._replace(doubt=doubt)
 
 
 def _word(*words: str, default: Any = _NEEDED) -> _Key:
     return _Key(f"one of {', '.join(map(repr, words))}", lambda x: x in words, default)
 
 
+def _are_tables(x: Any) -> bool:
+    return isinstance(x, list) and all(isinstance(table, dict) for table in x)
+
+
 def _is_channel(x: Any) -> bool:
-    return (isinstance(x, str) and x != "") or _whole(x, 1, 255)
+    return isinstance(x, str | int) and bool(x)
 
 
 def _channels(n: int) -> _Key:
-    words = f"the {n} columns of its readings: names, or numbers from 1 to 255"
+    words = f"the {n} columns of its readings: names, or numbers from 1"
     return _Key(words, lambda x: isinstance(x, list) and len(x) == n and all(map(_is_channel, x)), None)
 
 
@@ -157,13 +164,13 @@ _TEXT = _Key("a name", lambda x: isinstance(x, str) and x != "", None)
 _TABLE = _Key("a table { key = number, ... }", lambda x: isinstance(x, dict), {})
 _LENGTH, _SIZE = _number(1.0, 5000.0, "mm"), _number(0.5, 200.0, "mm")
 _STRETCH, _BEND, _TURN = _bounds(1000.0, 0.05, "mm"), _bounds(2000.0, 0.05, "mm"), _bounds(720.0, 0.5, "deg")
-_PLACE = {"segment": _count(0, 10_000), "at_mm": _number(0.1, 5000.0, "mm", 0.0)}
-_POSITION = _vector("the cross-section", "mm", 5000.0)
-_DIRECTION = _Key(
-    "three numbers along x, y, z of the cross-section, not all zero",
-    lambda x: _numbers(x, 3) and 1e-9 <= math.hypot(*x) <= 1e9,
-    None,
-)
+_PLACE = {
+    "segment": _number(0, 10_000, "number of a segment, 0 for the base"),
+    "at_mm": _number(0.1, 5000.0, "mm", 0.0),
+    "tolerance": _TABLE,
+}
+_POSITION = _vector("along x, y, z of the cross-section", "mm", most=5000.0)
+_DIRECTION = _vector("along x, y, z of the cross-section")
 _SEGMENTS: dict[str, tuple[dict[str, _Key], dict[str, _Key]]] = {
     "constant_curvature": (
         {"length_mm": _LENGTH, "radius_mm": _number(0.5, 500.0, "mm")},
@@ -189,6 +196,12 @@ _SEGMENTS: dict[str, tuple[dict[str, _Key], dict[str, _Key]]] = {
     ),
 }
 """Keys of ``[[segments]]`` by their ``kind``: sizes, and coordinates with their bounds."""
+_KINDS = {
+    "constant_curvature": ConstantCurvature,
+    "affine_curvature": AffineCurvature,
+    "link": Link,
+    "free": FreeBody,
+}
 _POLARISATION = _number(10.0, 2000.0, "mT", signed=True)
 _MAGNETS: dict[str, dict[str, _Key]] = {
     "ring": {
@@ -200,24 +213,17 @@ _MAGNETS: dict[str, dict[str, _Key]] = {
     "disc": {"diameter_mm": _SIZE, "height_mm": _SIZE, "polarisation_mt": _POLARISATION},
     "cube": {"edge_mm": _SIZE, "polarisation_mt": _POLARISATION},
 }
+_CUBE_BY_SIDE = {"cube": {"side_mm": _SIZE, "polarisation_mt": _POLARISATION}}
 _STD_MM, _STD_DEG = _number(0.0, 1000.0, "mm", None), _number(0.0, 180.0, "deg", None)
 _STD_PERCENT = _number(0.0, 100.0, "percent", None)
-_SIZES = (
-    "size_mm",
-    "side_mm",
-    "edge_mm",
-    "diameter_mm",
-    "outer_diameter_mm",
-    "inner_diameter_mm",
-    "height_mm",
-)
 _TOLERANCES: dict[str, dict[str, tuple[str, _Key]]] = {
     "magnets": {
         "at_mm": ("at", _STD_MM),
         "position_mm": ("position", _STD_MM),
         "tilt_deg": ("tilt", _STD_DEG),
         "polarisation_percent": ("polarisation", _STD_PERCENT),
-        **dict.fromkeys(_SIZES, ("size", _STD_MM)),
+        "size_mm": ("size", _STD_MM),
+        "side_mm": ("size", _STD_MM),
     },
     "sensors": {
         "at_mm": ("at", _STD_MM),
@@ -238,12 +244,13 @@ _ENTRY = re.compile(r"""\s*["']?([A-Za-z0-9_-]+)["']?\s*[=.]""")
 class _Document:
     """A robot file as it was read, and where everything in it stands."""
 
-    def __init__(self, name: str, text: str) -> None:
+    def __init__(self, name: str, content: bytes) -> None:
         self.name = name
         try:
+            text = content.decode("utf-8-sig")
             self.content: dict[str, Any] = tomllib.loads(text)
         except (ValueError, RecursionError) as error:
-            raise bad_input("file", name, "valid TOML", error) from error
+            raise bad_input("file", name, "valid TOML in UTF-8", error) from error
         self.lines: dict[tuple[Any, ...], int] = {}
         counts: dict[str, int] = {}
         table: Any = ()
@@ -276,38 +283,34 @@ class _Document:
 
     def tables(self, name: str) -> list[dict[str, Any]]:
         """Return the tables ``[[name]]``."""
-        found = self.content.get(name, [])
-        if not isinstance(found, list) or not all(isinstance(table, dict) for table in found):
-            raise self.error((name,), f"tables [[{name}]]", found)
-        return found
+        return self.content.get(name, [])
 
     def read(self, keys: Mapping[str, _Key], *place: Any) -> dict[str, Any]:
         """Return the values of a table in SI units, those left out at their defaults; warn where one looks wrong."""
         table: Any = self.content
         for part in place:
             table = table[part] if isinstance(part, int) or part in table else {}
-        if not isinstance(table, dict):
-            raise self.error(place, f"a table [{place[-1]}]", table)
         for name in table:
             if name not in keys:
-                same = [key for key in keys if key.rpartition("_")[0] == name.rpartition("_")[0] != ""]
-                near = same or get_close_matches(name, keys, n=1, cutoff=0.6)
-                known = near[0] if near else f"one of {', '.join(keys)}"
-                raise self.error((*place, name), known, "a key that does not exist")
+                raise self.error((*place, name), _nearest(name, keys), "a key that does not exist")
         values = {}
         for name, key in keys.items():
-            value = table.get(name, key.default)
+            value = values[name] = table.get(name, key.default)
             if value is _NEEDED:
                 raise self.error((*place, name), f"given: {key.must_be}", "nothing")
-            if name in table:
-                if not key.fits(value):
-                    raise self.error((*place, name), key.must_be, repr(value) + _mistaken(key, value))
-                if doubt := key.doubt(value):
-                    self.warn((*place, name), f"{name} = {value!r} {doubt}")
-                if _is_number(value) or (isinstance(value, list) and all(map(_is_number, value))):
-                    scaled = np.multiply(value, _SI.get(key.unit, 1.0))
-                    value = value if key.unit not in _SI else scaled.tolist()
-            values[name] = value
+            if name not in table:
+                continue
+            if not key.fits(value):
+                raise self.error((*place, name), key.must_be, repr(value) + _mistaken(key, value))
+            if key.not_beside in table:
+                line = self.line(*place, key.not_beside)
+                raise self.error(
+                    (*place, name), f"left out beside {key.not_beside} (line {line})", repr(value)
+                )
+            if doubt := key.doubt(value):
+                warnings.warn(f"{self.where(*place, name)}: {name} = {value!r} {doubt}.", stacklevel=5)
+            if key.unit in _SI:
+                values[name] = np.multiply(value, _SI[key.unit]).tolist()
         return values
 
     def read_kind(
@@ -315,23 +318,9 @@ class _Document:
     ) -> dict[str, Any]:
         """Return the values of a table whose ``kind`` says which keys it has beside others."""
         kind, key = self.tables(place[0])[place[1]].get("kind"), _word(*kinds)
-        if not (isinstance(kind, str) and key.fits(kind)):
-            near = get_close_matches(str(kind), kinds, 1)
-            received = f"{kind!r}{f' (do you mean {near[0]!r}?)' if near else ''}" if kind else "nothing"
-            raise self.error((*place, "kind"), key.must_be, received)
+        if str(kind) not in kinds:
+            raise self.error((*place, "kind"), _nearest(str(kind), kinds), repr(kind) if kind else "nothing")
         return self.read({"kind": key, **others, **kinds[kind]}, *place)
-
-    def warn(self, place: tuple[Any, ...], text: str) -> None:
-        """Say what looks wrong, with its line."""
-        warnings.warn(f"{self.where(*place)}: {text}.", stacklevel=6)
-
-    def apart(self, place: tuple[Any, ...], *pairs: tuple[str, str]) -> None:
-        """Refuse two keys that say the same."""
-        table = self.tables(place[0])[place[1]]
-        for first, second in pairs:
-            if first in table and second in table:
-                expected = f"left out beside {second} (line {self.line(*place, second)})"
-                raise self.error((*place, first), expected, repr(table[first]))
 
     @contextmanager
     def at(self, *place: Any) -> Iterator[None]:
@@ -340,6 +329,10 @@ class _Document:
             yield
         except InputError as error:
             raise InputError(f"{self.where(*place)}: {error}") from error
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    return next(iter(get_close_matches(name, known, 1)), f"one of {', '.join(known)}")
 
 
 def _mistaken(key: _Key, value: Any) -> str:
@@ -379,7 +372,7 @@ def load_robot(path: str | Path, calibration: str | Path | None = None) -> Robot
     path
         The robot file.
     calibration
-        What :func:`save_calibration` or edition 1 wrote for this file.
+        What :func:`save_calibration` wrote for this file.
 
     Returns
     -------
@@ -400,82 +393,57 @@ def load_robot(path: str | Path, calibration: str | Path | None = None) -> Robot
     >>> robot.rate_hz, robot.names[:3]
     (25.0, ('B1x', 'B1y', 'B1z'))
     """
-    require(
-        isinstance(path, str | Path), "path", "load_robot", "the path of a robot file", type(path).__name__
-    )
-    path = Path(path)
-    require(path.is_file(), "path", "load_robot", "a robot file that exists", path)
-    content = path.read_bytes()
-    try:
-        text = content.decode("utf-8-sig").replace("\r\n", "\n")
-    except UnicodeDecodeError as error:
-        raise bad_input("file", path.name, "text in UTF-8", error) from error
-    robot = _robot(_Document(path.name, text), path.parent, hashlib.sha256(content).hexdigest())
+    file = isinstance(path, str | Path) and Path(path).is_file()
+    require(file, "path", "load_robot", "a robot file that exists", path)
+    path, content = Path(path), Path(path).read_bytes()
+    robot = _robot(_Document(path.name, content), path.parent, hashlib.sha256(content).hexdigest())
     return robot if calibration is None else load_calibration(calibration, robot).robot
 
 
 def _robot(document: _Document, folder: Path, sha256: str) -> Robot:
-    parts = ("segments", "magnets", "sensors", "imus")
-    anything = _Key("", lambda _: True, {})
     top = document.read(
         {
-            "earth_mt": _vector("the base", "mT", 1.0, 0.1),
+            "earth_mt": _earth(),
             "base_orientation": _quaternion("from the frame of the base to the world of the IMUs"),
-            **dict.fromkeys((*parts, "stream", "model"), anything),
+            "stream": _TABLE,
+            "model": _TABLE,
+            **{name: _Key(f"tables [[{name}]]", _are_tables, []) for name in _PARTS},
         }
     )
-    segments, limits = [], []
-    for k in range(len(document.tables("segments"))):
-        segment, own = _segment(document, k)
-        segments.append(segment)
-        limits += own
-    if not segments:
+    n = {name: range(len(document.tables(name))) for name in _PARTS}
+    if not n["segments"]:
         raise document.error(("segments",), "given: at least one table [[segments]]", "nothing")
-    n = {name: len(document.tables(name)) for name in parts}
-    unit = document.content.get("stream", {}).get("unit", "mT") if n["sensors"] else "mT"
-    noise = f"noise_{str(unit).lower()}"
-    keys = {"format": _word(*_FORMATS, default="csv"), "rate_hz": _number(1e-3, 1e5, "Hz", None)}
-    keys |= {"noise_deg": _number(1e-3, 30.0, "deg", math.radians(0.2))} if n["imus"] else {}
-    if n["sensors"]:
-        keys |= {
-            "unit": _word(*_PER_MT, "mV", "raw", default="mT"),
-            noise: _number(1e-9, 1e6, str(unit), None),
-        }
-        keys |= {"channels": _count(1, 255, 0)}
+    chain = [_segment(document, k) for k in n["segments"]]
+    bare = Robot([one.segments[0] for one in chain])
+    lower, upper, start = (
+        np.concatenate([getattr(one, x) for one in chain]) for x in ("lower", "upper", "start")
+    )
+    stated = any("start" in table for table in document.tables("segments"))
+    unit = str(top["stream"].get("unit", "mT"))
+    noise = f"noise_{unit.lower()}"
+    keys = {
+        "format": _word(*_FORMATS, default="csv"),
+        "rate_hz": _number(1e-3, 1e5, "Hz", None),
+        "unit": _word(*_PER_MT, "mV", "raw", default="mT"),
+        noise: _noise(unit),
+        "noise_deg": _number(1e-3, 30.0, "deg", math.radians(0.2)),
+    }
     stream = document.read(keys, "stream")
     networks = _networks(document, folder)
-    lengths = [segment.length for segment in segments]
-    magnets = [_magnet(document, k, lengths) for k in range(n["magnets"])]
-    sensors = [
-        _sensor(document, k, lengths, unit, stream[noise], bool(networks)) for k in range(n["sensors"])
-    ]
-    _check_channels(document, sensors, stream)
-    imus = [
-        _imu(document, k, lengths, top["base_orientation"], stream["noise_deg"]) for k in range(n["imus"])
-    ]
-    lower, upper, start = (
-        (np.array(x, dtype=float) for x in zip(*limits, strict=True)) if limits else [None] * 3
-    )
-    if start is not None and lower is not None and upper is not None:
-        middle = np.nan_to_num((lower + upper) / 2)
-        start = None if np.isnan(start).all() else np.where(np.isnan(start), middle, start)
-    std = stream.get(noise)
-    std = std if std is None or unit not in _PER_MT or networks else std / _PER_MT[unit]
-    with document.at("segments"):
-        robot = Robot(
-            segments, magnets, sensors, imus, lower=lower, upper=upper, start=start, noise=std,
-            rate_hz=stream["rate_hz"],
-            earth=top["earth_mt"], model=networks or None, source=Source(document.name, sha256, stream),
-        )  # fmt: skip
-    if sensors:
-        with document.at("sensors", 0):
-            robot.sensing()
-    _check_clear(document, robot)
-    return robot
+    per_mt = 1.0 if networks else _PER_MT.get(unit)
+    sensors = [_sensor(document, k, bare, unit, per_mt, stream[noise]) for k in n["sensors"]]
+    _check_channels(document, sensors)
+    std = None if per_mt is None or stream[noise] is None else stream[noise] / per_mt
+    return bare.replaced(
+        magnets=[_magnet(document, k, bare) for k in n["magnets"]], sensors=sensors,
+        imus=[_imu(document, k, bare, top["base_orientation"], stream["noise_deg"]) for k in n["imus"]],
+        lower=lower, upper=upper, start=start if stated else None, noise=std, rate_hz=stream["rate_hz"],
+        earth=top["earth_mt"], model=networks or None, source=Source(document.name, sha256, stream),
+    )  # fmt: skip
 
 
-def _segment(document: _Document, k: int) -> tuple[Segment, list[tuple[float, float, float]]]:
-    """Return a segment, and lower bound, upper bound and start of its coordinates, NaN where not stated.
+def _segment(document: _Document, k: int) -> Robot:
+    """Return a robot of one segment, with its bounds, and its start or the middle of these.
 
     Without bounds a segment bends by up to 90 degrees (an affine one by its ``kappa_0`` up to that, by its
     ``kappa_1`` up to twice that) and stretches by up to 10 %.
@@ -483,243 +451,148 @@ def _segment(document: _Document, k: int) -> tuple[Segment, list[tuple[float, fl
     place = ("segments", k)
     merged = {kind: {**sizes, **limits} for kind, (sizes, limits) in _SEGMENTS.items()}
     row = document.read_kind(merged, {"start": _TABLE}, *place)
-    kind, length, pi = row["kind"], row.get("length_mm", 0.0), math.pi
-    limits = _SEGMENTS[kind][1]
-    usual = {"kappa_0_rad": pi / 2, "kappa_1_rad": pi, "delta_L_mm": 0.1 * length}
-    segment: Segment
-    if kind == "constant_curvature":
-        segment = ConstantCurvature(length, row["radius_mm"])
-        usual |= dict.fromkeys(("delta_x_mm", "delta_y_mm"), pi / 2 * segment.radius)
-    elif kind == "affine_curvature":
-        segment = AffineCurvature(length)
-    elif kind == "ball_joint":  # the axes that are named, or all
-        named = [name for name in limits if row[name] is not None] or list(limits)
-        limits = {name: limits[name] for name in named}
-        segment = BallJoint("".join(name[1] for name in named))
+    kind, (sizes, keys) = row["kind"], _SEGMENTS[row["kind"]]
+    limits = list(keys)
+    if kind == "ball_joint":  # the axes that are named, or all
+        limits = [name for name in limits if row[name] is not None] or limits
+        segment = BallJoint("".join(name[1] for name in limits))
     else:
-        segment = Link(length) if kind == "link" else FreeBody()
+        segment = _KINDS[kind](*(row[name] for name in sizes))
+    bend, stretch = math.pi / 2, 0.1 * segment.length
+    usual = {"kappa_0_rad": bend, "kappa_1_rad": 2 * bend, "delta_L_mm": stretch}
+    usual |= dict.fromkeys(("delta_x_mm", "delta_y_mm"), bend * row.get("radius_mm", 0.0))
     ends = {
-        name: _Key(f"a number [{key.unit}]", _is_number, math.nan, key.unit) for name, key in limits.items()
+        name: _Key(f"a number [{keys[name].unit}]", _is_number, math.nan, keys[name].unit) for name in limits
     }
-    starts, found = document.read(ends, *place, "start"), []
-    for name in limits:
-        given = row[name]
-        low, high = given if isinstance(given, list) else (given, given)
-        if given is None:
-            low, high = -usual.get(name, math.nan), usual.get(name, math.nan)
-        if name == "delta_L_mm" and not low > -length:
-            raise document.error(
-                (*place, name), f"above {-1e3 * length:g}: a segment is longer than 0 [mm]", given
-            )
-        at = starts[name]
-        if low < high and not (math.isnan(at) or low <= at <= high):
-            raise document.error(
-                (*place, "start"), f"within the bounds of {name}", document.tables("segments")[k]
-            )
-        found.append((low, high, at))
-    return segment, found
+    start = list(document.read(ends, *place, "start").values())
+    without = {name: [-usual.get(name, math.nan), usual.get(name, math.nan)] for name in limits}
+    given = [without[name] if row[name] is None else row[name] for name in limits]
+    lower, upper = np.array([np.broadcast_to(pair, 2) for pair in given]).reshape(-1, 2).T
+    middle = np.nan_to_num((lower + upper) / 2)
+    with document.at(*place, "start"):
+        return Robot([segment], lower=lower, upper=upper, start=np.where(np.isnan(start), middle, start))
 
 
-def _place(
-    document: _Document, name: str, k: int, row: Mapping[str, Any], lengths: Sequence[float]
-) -> dict[str, Any]:
+def _place(document: _Document, name: str, k: int, row: Mapping[str, Any], bare: Robot) -> dict[str, Any]:
     """Return the segment, the place along it and the tolerance of a part; refuse a place that is not there."""
-    segment, at = row["segment"], row["at_mm"]
-    if segment > len(lengths):
-        expected = f"from 0, the base, to {len(lengths)}, the number of segments"
-        raise document.error((name, k, "segment"), expected, segment)
-    reach = lengths[segment - 1] if segment else 0.0
-    if at > reach * (1 + 1e-12):
-        line = document.line("segments", segment - 1, "length_mm")
-        what = f"the length of segment {segment} (line {line})" if segment else "as for all on the base"
-        raise document.error((name, k, "at_mm"), f"at most {1e3 * reach:g}, {what} [mm]", 1e3 * at)
-    if reach and "at_mm" not in document.tables(name)[k]:
-        raise document.error((name, k, "at_mm"), f"given on segment {segment}", "nothing")
+    with document.at(name, k, "at_mm"):
+        bare.check_place(point_on(row["segment"], row["at_mm"]), "segment, at_mm")
+    if (
+        "at_mm" not in document.tables(name)[k]
+        and row["segment"]
+        and bare.segments[row["segment"] - 1].length
+    ):
+        raise document.error((name, k, "at_mm"), f"given on segment {row['segment']}", "nothing")
     known = _TOLERANCES[name]
     given = document.read({key: own for key, (_, own) in known.items()}, name, k, "tolerance")
-    tolerance: dict[str, float] = {}
-    for key, value in given.items():
-        if value is not None:
-            tolerance[known[key][0]] = max(value, tolerance.get(known[key][0], 0.0))
-    return {"segment": segment, "at": at, "tolerance": tolerance or None}
+    tolerance = {known[key][0]: value for key, value in given.items() if value is not None}
+    return {"segment": row["segment"], "at": row["at_mm"], "tolerance": tolerance or None}
 
 
-def _magnet(document: _Document, k: int, lengths: Sequence[float]) -> Magnet:
-    table = document.tables("magnets")[k]
-    if table.get("kind") == "cube" and "side_mm" in table:
-        document.apart(("magnets", k), ("side_mm", "edge_mm"))
-        table["edge_mm"] = table.pop("side_mm")
-        document.lines["magnets", k, "edge_mm"] = document.line("magnets", k, "side_mm")
-    others = {**_PLACE, "position_mm": _POSITION, "direction": _DIRECTION, "tolerance": _TABLE}
-    row = document.read_kind(_MAGNETS, others, "magnets", k)
-    sizes = [row[name] for name in _MAGNETS[row["kind"]]]
-    where = _place(document, "magnets", k, row, lengths)
+def _magnet(document: _Document, k: int, bare: Robot) -> Magnet:
+    others = {**_PLACE, "position_mm": _POSITION, "direction": _DIRECTION}
+    kinds = _MAGNETS | (_CUBE_BY_SIDE if "side_mm" in document.tables("magnets")[k] else {})
+    row = document.read_kind(kinds, others, "magnets", k)
+    sizes = [row[name] for name in kinds[row["kind"]]]
+    where = _place(document, "magnets", k, row, bare)
     with document.at("magnets", k):
         shape = {"ring": Ring, "disc": Disc, "cube": Cube}[row["kind"]](*sizes)
         return Magnet(shape, **where, direction=row["direction"], position=row["position_mm"])
 
 
 def _sensor(
-    document: _Document, k: int, lengths: Sequence[float], unit: str, noise: float | None, network: bool
+    document: _Document, k: int, bare: Robot, unit: str, per_mt: float | None, noise: float | None
 ) -> Sensor:
     """Return a sensor; what its file says in the unit of the readings is in mT then."""
-    table, place = document.tables("sensors")[k], ("sensors", k)
-    axes, low = 3 if table.get("axes") == 3 else 1, unit.lower()
-    own = unit not in _PER_MT and not network
+    place, low, own = ("sensors", k), unit.lower(), per_mt is None
     gain = f"gain_{low}_per_mt" if own else "gain"
+    axes = 3 if document.tables("sensors")[k].get("axes") == 3 else 1
     keys = {
         **_PLACE,
         "name": _TEXT,
         "axes": _Key("1 or 3", lambda x: x in (1, 3) and _is_number(x), 1),
-        "channel": _Key("a column: its name, or a number from 1 to 255", _is_channel, None),
+        "channel": _Key("a column: its name, or a number from 1", _is_channel, None, not_beside="channels"),
         "channels": _channels(axes),
-        "radial_mm": _number(0.1, 500.0, "mm", 0.0),
-        "azimuth_deg": _number(0.0, 360.0, "deg", 0.0, signed=True),
+        "radial_mm": _number(0.1, 500.0, "mm", 0.0)._replace(not_beside="position_mm"),
+        "azimuth_deg": _number(0.0, 360.0, "deg", 0.0, signed=True)._replace(not_beside="position_mm"),
         "position_mm": _POSITION,
-        "tilt_deg": _number(0.0, 180.0, "deg", 0.0, signed=True),
+        "tilt_deg": _number(0.0, 180.0, "deg", 0.0, signed=True)._replace(not_beside="direction"),
         "direction": _DIRECTION,
-        "orientation": _quaternion("from the frame of the chip to that of the cross-section"),
-        "rotation_vector_rad": _vector("the cross-section", "rad", 2 * math.pi),
+        "orientation": _quaternion("from the frame of the chip to that of the cross-section")._replace(
+            not_beside="rotation_vector_rad"
+        ),
+        "rotation_vector_rad": _vector("about x, y, z of the cross-section", "rad", most=2 * math.pi),
         "range_mt": _number(1e-3, 1e4, "mT", math.inf),
         "resolution_mt": _number(0.0, 100.0, "mT", 0.0),
-        f"noise_{low}": _number(1e-9, 1e6, unit, None, n=axes),
+        f"noise_{low}": _noise(unit, axes),
         f"offset_{low}": _number(0.0, 1e9, unit, 0.0, signed=True, n=axes),
         gain: _number(1e-3, 1e9, f"{unit}/mT", _NEEDED if own else 1.0, signed=True, n=1 if own else axes),
-        "tolerance": _TABLE,
     }
-    if network:
-        del keys[gain]
     row = document.read(keys, *place)
-    pairs = (("channel", "channels"), ("tilt_deg", "direction"), ("orientation", "rotation_vector_rad"))
-    document.apart(place, *pairs, ("radial_mm", "position_mm"), ("azimuth_deg", "position_mm"))
-    for name in ("channel", "tilt_deg", "direction") if axes == 3 else ("orientation", "rotation_vector_rad"):
-        if name in table:
-            raise document.error(
-                (*place, name), f"left out for a sensor with axes = {axes}", repr(table[name])
-            )
-    if "direction" in table and "azimuth_deg" in table and not row["radial_mm"]:
-        line = document.line(*place, "direction")
-        expected = f"left out on the backbone: direction (line {line}) does not turn with it"
-        raise document.error((*place, "azimuth_deg"), expected, table["azimuth_deg"])
-    per_mt = row[gain] if own else 1.0 if network else _PER_MT[unit]
-    own_noise = row[f"noise_{low}"] is not None
-    std = row[f"noise_{low}"] if own_noise else noise
-    std = None if std is None else np.divide(std, abs(per_mt)).tolist()
-    if (
-        not network
-        and std is not None
-        and (own_noise or k == 0)
-        and (np.min(std) < 1e-5 or np.max(std) > 0.5)
-    ):
-        at = (*place, f"noise_{low}") if own_noise else ("stream", f"noise_{low}")
-        document.warn(at, f"a noise of {np.max(std):g} mT is doubtful")
-    turn = row["rotation_vector_rad"]
-    if turn is not None:
+    scale = row[gain] if per_mt is None else per_mt
+    std = row[f"noise_{low}"]
+    if std is None and own:  # else that of the robot, which can be replaced
+        std = noise
+    if row["rotation_vector_rad"] is not None:
         from scipy.spatial.transform import Rotation
 
-        row["orientation"] = Rotation.from_rotvec(turn).as_quat()
+        row["orientation"] = Rotation.from_rotvec(row["rotation_vector_rad"]).as_quat()
+    where = _place(document, "sensors", k, row, bare)
     with document.at(*place):
         return Sensor(
-            **_place(document, "sensors", k, row, lengths), radial=row["radial_mm"], azimuth=row["azimuth_deg"],
-            tilt=row["tilt_deg"], position=row["position_mm"], direction=row["direction"], axes=axes,
-            orientation=row["orientation"], name=row["name"], range=row["range_mt"], per_mt=per_mt,
-            noise=std if own or own_noise else None,  # else that of the robot, which can be replaced
-            channels=row["channels"] or (None if row["channel"] is None else [row["channel"]]),
-            resolution=row["resolution_mt"], gain=1.0 if own or network else row[gain],
-            offset=np.divide(row[f"offset_{low}"], per_mt).tolist(),
+            **where, radial=row["radial_mm"], azimuth=row["azimuth_deg"], tilt=row["tilt_deg"],
+            position=row["position_mm"], direction=row["direction"], axes=axes, orientation=row["orientation"],
+            channels=row["channels"] or (None if row["channel"] is None else [row["channel"]]), name=row["name"],
+            range=row["range_mt"], resolution=row["resolution_mt"], per_mt=scale, gain=1.0 if own else row[gain],
+            noise=None if std is None else np.divide(std, abs(scale)).tolist(),
+            offset=np.divide(row[f"offset_{low}"], scale).tolist(),
         )  # fmt: skip
 
 
-def _check_channels(document: _Document, sensors: Sequence[Sensor], stream: Mapping[str, Any]) -> None:
-    """Refuse two readings on one channel, and numbers of channels that the stream does not have."""
+def _check_channels(document: _Document, sensors: Sequence[Sensor]) -> None:
+    """Refuse two readings on one channel."""
     first: dict[Any, int] = {}
     for k, sensor in enumerate(sensors):
-        key = ("sensors", k, "channels" if "channels" in document.tables("sensors")[k] else "channel")
         for channel in sensor.channels or ():
-            if channel in first:
-                line = document.line("sensors", first[channel], key[2])
-                expected = f"another channel than that of sensor {first[channel] + 1} (line {line})"
-                raise document.error(key, expected, channel)
-            if isinstance(channel, int) and stream["channels"] and channel > stream["channels"]:
-                line = document.line("stream", "channels")
-                raise document.error(key, f"at most {stream['channels']} (line {line})", channel)
-            first[channel] = k
+            if first.setdefault(channel, k) != k:
+                other = document.where("sensors", first[channel], "channel")
+                raise document.error(("sensors", k, "channel"), f"another than in {other}", channel)
 
 
-def _imu(document: _Document, k: int, lengths: Sequence[float], world: Any, noise: float) -> Imu:
-    mounted = _quaternion("from the frame of the IMU to that of the cross-section")
+def _imu(document: _Document, k: int, bare: Robot, world: Any, noise: float) -> Imu:
     keys = {
         **_PLACE,
         "name": _TEXT,
-        "stream": _count(0, 255, None),
+        "stream": _number(0, 255, "number of a stream", None)._replace(not_beside="channels"),
         "channels": _channels(4),
-        "mounted": mounted,
-        "orientation": mounted,
-        "heading": _word("absolute", "free", default="absolute"),
+        "mounted": _quaternion("from the frame of the IMU to that of the cross-section"),
         "noise_deg": _number(1e-3, 30.0, "deg", noise),
-        "tolerance": _TABLE,
     }
     row = document.read(keys, "imus", k)
-    document.apart(("imus", k), ("mounted", "orientation"), ("stream", "channels"))
-    where = _place(document, "imus", k, row, lengths)
-    if row["heading"] == "free":
-        where["tolerance"] = {**(where["tolerance"] or {}), "heading": math.pi}
+    where = _place(document, "imus", k, row, bare)
     with document.at("imus", k):
         return Imu(
-            **where, orientation=row["mounted"] or row["orientation"], name=row["name"], world=world,
+            **where, orientation=row["mounted"], name=row["name"], world=world,
             channels=row["channels"] or row["stream"], noise=row["noise_deg"],
         )  # fmt: skip
 
 
 def _networks(document: _Document, folder: Path) -> list[Any]:
     """Return the networks of ``[model]``: safetensors in the folder of the file, which hold numbers only."""
-    if "model" not in document.content:
-        return []
+    words = (
+        "a list of safetensors files (TorchScript is a program, which a file cannot start; load it in Python)"
+    )
 
     def fits(x: Any) -> bool:
-        return isinstance(x, list) and bool(x) and all(isinstance(name, str) for name in x)
+        return isinstance(x, list) and all(str(name).endswith(".safetensors") for name in x)
 
-    words = _word("angles", "cosines", default="angles")
-    model = document.read({"networks": _Key("a list of files", fits), "inputs": words}, "model")
-    place = ("model", "networks")
-    for name in model["networks"]:
+    names = document.read({"networks": _Key(words, fits, [])}, "model")["networks"]
+    for name in names:
         inside = (folder / name).resolve().is_relative_to(folder.resolve())
-        if not name.endswith(".safetensors"):
-            expected = (
-                "safetensors files: TorchScript is a program, which a file cannot start; load it in Python"
-            )
-            raise document.error(place, expected, name)
         if not inside:
-            raise document.error(place, "files in the folder of the robot file", name)
-        if not (folder / name).is_file():
-            raise document.error(place, "files that exist", name)
-    with document.at(*place):
-        return [load_network(folder / name) for name in model["networks"]]
-
-
-def _check_clear(document: _Document, robot: Robot) -> None:
-    """Refuse a sensor within the sphere around a magnet, where the series of its field has no meaning."""
-    if any(isinstance(segment, FreeBody) for segment in robot.segments) or robot.model is not None:
-        return
-    middle = np.zeros(0) if robot.lower is None or robot.upper is None else (robot.lower + robot.upper) / 2
-    places = [part.place for part in (*robot.magnets, *robot.sensors)]
-    p = robot.poses(middle if robot.start is None else robot.start, places)[:, :3, 3]
-    for k, magnet in enumerate(robot.magnets):
-        shape = magnet.shape
-        wide = (
-            shape.edge if isinstance(shape, Cube) else getattr(shape, "diameter", 0.0) or shape.outer_diameter
-        )
-        radius = (
-            math.hypot(wide, wide, wide) / 2
-            if isinstance(shape, Cube)
-            else math.hypot(wide, shape.height) / 2
-        )
-        distances = np.linalg.norm(p[len(robot.magnets) :] - p[k], axis=1)
-        for j in np.flatnonzero(distances <= radius):
-            expected = f"farther than {1e3 * radius:.1f} mm from the centre of magnet {k + 1}"
-            raise document.error(
-                ("sensors", int(j), "at_mm"), expected, f"{1e3 * distances[j]:.1f} mm from it"
-            )
+            raise document.error(("model", "networks"), "files in the folder of the robot file", name)
+    with document.at("model", "networks"):
+        return [load_network(folder / name) for name in names]
 
 
 _SCHEMA = 3
@@ -754,8 +627,7 @@ def save_calibration(path: str | Path, found: Calibration) -> None:
 
 
 def _own_hash(content: Mapping[str, Any]) -> str:
-    rest = {name: value for name, value in content.items() if name != "sha256"}
-    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps({**content, "sha256": ""}, sort_keys=True).encode()).hexdigest()
 
 
 def load_calibration(path: str | Path, robot: Robot) -> Calibration:
@@ -764,7 +636,7 @@ def load_calibration(path: str | Path, robot: Robot) -> Calibration:
     Parameters
     ----------
     path
-        What :func:`save_calibration` wrote, or a calibration of edition 1 (schema 2).
+        What :func:`save_calibration` wrote.
     robot
         From the robot file that was calibrated.
 
@@ -778,91 +650,21 @@ def load_calibration(path: str | Path, robot: Robot) -> Calibration:
     require(path.is_file(), "calibration", "load_calibration", "a file that exists", path)
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise bad_input("file", owner, "JSON that a calibration wrote", error) from error
-    schema = content.get("schema") if isinstance(content, dict) else type(content).__name__
-    require(schema in (2, _SCHEMA), "schema", owner, f"2 or {_SCHEMA}", repr(schema))
-    if schema == _SCHEMA:
-        same = content.get("sha256") == _own_hash(content)
-        require(same, "sha256", owner, "the hash of what the file holds", "another: the file was changed")
-    if source is None or content.get("robot_sha256") != source.sha256:
-        expected = f"made with {source.name if source else 'a robot file'} as it is now"
-        raise bad_input("robot_sha256", owner, expected, f"one made with {content.get('robot')!r}")
-    if schema == 2:
-        content = _from_edition_1(content, robot, owner)
-    names: Any = content.get("names")
-    words = isinstance(names, list) and all(isinstance(name, str) for name in names)
-    require(words, "names", owner, "those of the parameters", names)
-    n = len(names)
-    estimate, tolerances = (_array(content, owner, name, (n,), 1e3) for name in ("estimate", "tolerances"))
-    C = _array(content, owner, "covariance", (n, n), 1.0 + 1e-6)
-    for name, value in zip(names, estimate, strict=True):
-        last = name.rpartition(" ")[2]
-        relative = "moment" in name or name.endswith(("gain", "radius", "polarisation")) or " gain " in name
-        angle = "tilt" in name or last == "azimuth"
-        most = (
-            0.9
-            if relative
-            else math.pi
-            if angle
-            else 1.0
-            if "Earth" in name
-            else 100.0
-            if "offset" in name
-            else 0.1
-        )
-        require(abs(value) <= most, name, owner, f"within {most:g} of zero", f"{value:g}")
-    variance = np.diag(C)
-    std = np.sqrt(np.maximum(variance, 1e-300))
-    values = np.linalg.eigvalsh((C + C.T) / 2 / std / std[:, None])
-    good = (
-        np.allclose(C, C.T)
-        and (variance >= 0).all()
-        and (values > -1e-9 * n).all()
-        and (tolerances >= 0).all()
-    )
-    require(good, "covariance", owner, "that of random numbers", "another matrix, or a negative variance")
-    rest = {name: content.get(name, math.nan) for name in ("chi2", "poses", "before", "after")}
+        same = content["schema"] == _SCHEMA and content["sha256"] == _own_hash(content)
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
+        raise bad_input("file", owner, "JSON that save_calibration wrote", error) from error
+    require(same, "sha256", owner, "the hash of a file as it was written, of schema 3", "another")
+    same = source is not None and content["robot_sha256"] == source.sha256
+    expected = f"made with {source.name if source else 'a robot file'} as it is now"
+    require(same, "robot_sha256", owner, expected, f"one made with {content['robot']!r}")
+    names, n = content["names"], len(content["names"])
+    estimate, tolerances = (numbers(content[name], name, owner, (n,)) for name in ("estimate", "tolerances"))
+    C = numbers(content["covariance"], "covariance", owner, (n, n))
+    known = (np.abs(estimate) <= _FARTHEST * tolerances).all()
+    require(known, "estimate", owner, f"within {_FARTHEST:g} of its tolerances", "more")
+    good = (np.abs(C) <= 1.0 + 1e-6).all() and np.allclose(C, C.T) and np.linalg.eigvalsh(C).min() > -1e-9 * n
+    require(good, "covariance", owner, "that of random numbers, in units of the tolerances", "another matrix")
+    rest = {name: content[name] for name in ("chi2", "poses", "before", "after")}
     moved = placed(robot, dict(zip(names, estimate.tolist(), strict=True)))
-    return Calibration(
-        moved, robot, tuple(names), estimate, np.sqrt(variance) * tolerances, tolerances, C, **rest
-    )
-
-
-def _array(content: Mapping[str, Any], owner: str, name: str, shape: tuple[int, ...], most: float) -> Array:
-    """Return an array of a file; refuse what is none, and numbers that cannot be."""
-    try:
-        found = np.array(content[name], dtype=float)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise bad_input(name, owner, "numbers", repr(content.get(name, "nothing"))) from error
-    require(found.shape == shape, name, owner, f"of shape {shape}", found.shape)
-    wrong = ~(np.abs(found) <= most)
-    require(not wrong.any(), name, owner, f"finite and within {most:g} of zero", found[wrong][:1].tolist())
-    return found
-
-
-def _from_edition_1(content: Mapping[str, Any], robot: Robot, owner: str) -> dict[str, Any]:
-    """Return a calibration of schema 2 in the terms of today: offsets in mT, the Earth's field against the file."""
-    n, m = len(robot.sensors), len(robot.magnets)
-    given: Any = content.get("names")
-    axes = ("x", "y", "z")
-    expected = [f"magnet {k + 1} {x}" for k in range(m) for x in (*axes, "tilt about x", "tilt about y")]
-    expected += [f"sensor {j + 1} {x}" for j in range(n) for x in ("azimuth", "radius", "tilt", "gain")]
-    expected += [f"moment A{2 * i + 1}" for i in range(robot.sensing().moments.shape[1])]
-    k, last = len(expected), [*(f"offset {j + 1}" for j in range(n)), "Bx", "By", "Bz"]
-    require(given == [*expected, *last], "names", owner, "those of this robot's parameters", given)
-    per_mt = robot.per_reading("per_mt", 1.0, 1.0)
-    scale = np.concatenate([np.ones(k), 1 / per_mt, np.ones(3)])
-    earth = np.zeros(3) if robot.earth is None else robot.earth
-    parts = (("parameters", (k,)), ("offset", (n,)), ("earth_mt", (3,)))
-    estimate = np.concatenate([_array(content, owner, name, shape, 1e9) for name, shape in parts]) * scale
-    estimate[-3:] -= earth
-    C = _array(content, owner, "covariance", (len(scale),) * 2, 100.0) * scale * scale[:, None]
-    std = np.sqrt(np.maximum(np.diag(C), 1e-300))
-    names = [
-        *expected,
-        *(f"sensor {j + 1} offset" for j in range(n)),
-        *(f"Earth field along {x}" for x in axes),
-    ]
-    rest = {"tolerances": std.tolist(), "covariance": (C / std / std[:, None]).tolist()}
-    return {**content, "names": names, "estimate": estimate.tolist(), **rest}
+    deviation = np.sqrt(np.diag(C)) * tolerances
+    return Calibration(moved, robot, tuple(names), estimate, deviation, tolerances, C, **rest)

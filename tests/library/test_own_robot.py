@@ -98,23 +98,24 @@ class TestRobot:
     @pytest.mark.parametrize(
         ("made", "message"),
         [
-            (lambda: chip(lower=[-1.0] * 3, upper=[-2.0] * 3), "bounds; instead received -1 and -2 for delta"),
+            (lambda: chip(lower=[-1.0] * 3, upper=[-2.0] * 3), "ordered bounds for delta_x_1; instead received"),
             (lambda: chip(lower=[-1.0] * 3), "upper of Robot must be finite for delta_x_1; instead received nan"),
             (lambda: chip(lower=[-1.0] * 2, upper=[1.0] * 2), "lower of Robot must be numbers of shape (3)"),
             (lambda: chip(lower=[-1] * 3, upper=[1] * 3, start=[2, 0, 0]), "start of Robot must be within the"),
             (lambda: chip(noise=[0.1, 0.2]), "noise of Robot must be one number or one for each of 7 readings"),
             (lambda: chip(noise=-1.0), "noise of Robot must be positive"),
             (lambda: chip(rate_hz=0.0), "rate_hz of Robot must be positive"),
-            (lambda: Sensor(1, 0.1, axes=3, channels=["a"]), "channels of Sensor must be 3, one for every axis"),
-            (lambda: Sensor(1, 0.1, range=-1.0), "range of Sensor must be positive [mT]"),
-            (lambda: Sensor(1, 0.1, range=1.0, resolution=2.0), "resolution of Sensor must be within the range"),
+            (lambda: Sensor(1, 0.1, axes=3, channels=["a"]), "channels of Sensor must be a list of 3, one for"),
+            (lambda: Sensor(1, 0.1, channels="B"), "channels of Sensor must be a list of 1, one for every axis"),
+            (lambda: Sensor(1, 0.1, range=-1.0), "resolution of Sensor must be from 0 to below the range"),
+            (lambda: Sensor(1, 0.1, range=1.0, resolution=2.0), "resolution of Sensor must be from 0 to below the"),
             (lambda: Sensor(1, 0.1, gain=[1.0, 2.0]), "gain of Sensor must be one number or 1"),
-            (lambda: Sensor(1, 0.1, gain=0.0), "gain of Sensor must be not zero"),
             (lambda: Sensor(1, 0.1, noise=0.0), "noise of Sensor must be positive [mT]"),
             (lambda: Sensor(1, 0.1, per_mt=0.0), "per_mt of Sensor must be not zero"),
-            (lambda: Sensor(1, 0.1, tolerance={"tlt": 0.1}), "by names that exist (tilt); instead received 'tlt'"),
+            (lambda: Sensor(1, 0.1, tolerance={"tlt": 0.1}), "azimuth, tilt, gain, offset; instead received 'tlt'"),
             (lambda: Imu(1, 0.1, tolerance={"tilt": -0.1}), "tolerance tilt of Imu must be not negative"),
             (lambda: Imu(1, 0.1, noise=0.0), "noise of Imu must be positive [rad]"),
+            (lambda: Imu(1, 0.1, world=[0, 0, 0, 2]), "world of Imu must be unit quaternions XYZW"),
         ],
     )  # fmt: skip
     def test_what_cannot_be_is_refused(self, made, message):
@@ -142,9 +143,10 @@ class TestEstimators:
 
     def test_a_robot_stands_for_its_model_bounds_and_noise(self, arm, motion):
         u = arm.sensing()(motion[:5])
-        given = LevenbergMarquardt(arm.sensing(), arm.lower, arm.upper, arm.noise)
+        rounding = arm.resolution / np.sqrt(12)
+        given = LevenbergMarquardt(arm.sensing(), arm.lower, arm.upper, np.hypot(arm.noise, rounding))
         shapes = [track(fit, u, motion[0], rate_hz=25).q for fit in (LevenbergMarquardt(arm), given)]
-        np.testing.assert_array_equal(*shapes)
+        np.testing.assert_allclose(*shapes, atol=1e-14)
         with pytest.raises(
             InputError, match="noise of LevenbergMarquardt must be given, or stated by the robot"
         ):

@@ -96,7 +96,7 @@ def test_the_slopes_of_the_tip_are_those_of_its_position():
             "axes of BallJoint must be some of 'xyz', in this order; instead received zx",
         ),
         (lambda: Robot([]), "segments of Robot must be at least one segment"),
-        (lambda: Robot([3]), "segments of Robot must be one of ConstantCurvature, .* instead received int"),
+        (lambda: Robot([3]), "segments of Robot must be of ConstantCurvature, .* instead received int"),
         (
             lambda: Robot([Link(0.1)], sensors=[Sensor(2, 0.0)]),
             "number 1, of Robot must be on a segment from 0",
