@@ -13,21 +13,17 @@ A robot is a chain of segments with magnets, sensors and IMUs on it::
 A sensor model is any callable from a configuration q to readings u::
 
     Sensing                                    magnets by their multipoles or by a trained network, and IMUs
-    relations                                  the relations between sensors and magnets, eq. (1) of Baaij et al.
-    Network, load_network                      a trained network, without torch
     BendSensor                                 one cube over one three-axis sensor, Mitchell et al. 2021
 
 An estimator takes readings one time step after the other and returns q, how sure it is, and how well they fit::
 
     track, smooth                              an estimator over recorded readings; a Kalman filter and back
-    Estimator, Estimate, Trajectory            what every estimator offers and returns
     GradientDescent                            Baaij et al. 2023
     LevenbergMarquardt                         least squares within bounds, with a covariance
     KalmanFilter                               the same, with what the readings before say
     ParticleFilter                             Mitchell et al. 2021
     ImuShape, Arm                              Martin et al. 2022: positions along an arm from orientations of IMUs
     rigid_body, pcc_extended                   its models of the arm; exact_arcs is ours
-    RodFilter, Rod, RodSensor                  a rod from poses, orientations and gyroscopes at any time
     Drift, Drifting                            errors of sensors that wander, estimated on the way
     calibrate                                  a robot that is not as drawn, from readings in measured poses
     calibrate_imus, calibrated                 headings and mountings of IMUs, from motion capture
@@ -35,7 +31,9 @@ An estimator takes readings one time step after the other and returns q, how sur
 
 Lengths are metres, angles radians, times seconds, flux densities millitesla. Arrays, lists and data frames are
 taken, arrays are returned; leading dimensions are a batch. What cannot be used is refused by an ``InputError`` that
-says what was expected and what came instead. Training needs torch: ``repro.training``.
+says what was expected and what came instead. Beside these names there are a rod seen by poses, orientations and
+gyroscopes at any time (``repro.estimators.rod``), trained networks without torch (``repro.networks``), and their
+training, which needs torch (``repro.training``).
 """
 
 from __future__ import annotations
@@ -47,13 +45,9 @@ if TYPE_CHECKING:
         InputError as InputError,
     )
     from repro.estimators.base import (
-        Estimate as Estimate,
-        Estimator as Estimator,
-        Trajectory as Trajectory,
         track as track,
     )
     from repro.estimators.calibration import (
-        Tolerances as Tolerances,
         calibrate as calibrate,
     )
     from repro.estimators.drift import (
@@ -82,11 +76,6 @@ if TYPE_CHECKING:
     from repro.estimators.particle import (
         ParticleFilter as ParticleFilter,
     )
-    from repro.estimators.rod import (
-        Rod as Rod,
-        RodFilter as RodFilter,
-        RodSensor as RodSensor,
-    )
     from repro.magnets import (
         Cube as Cube,
         Disc as Disc,
@@ -96,10 +85,6 @@ if TYPE_CHECKING:
     )
     from repro.motion_capture import (
         fit_shape as fit_shape,
-    )
-    from repro.networks import (
-        Network as Network,
-        load_network as load_network,
     )
     from repro.robot import (
         AffineCurvature as AffineCurvature,
@@ -118,28 +103,25 @@ if TYPE_CHECKING:
     from repro.sensing import (
         BendSensor as BendSensor,
         Sensing as Sensing,
-        relations as relations,
     )
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "common": "InputError",
-    "estimators.base": "Estimate Estimator Trajectory track",
-    "estimators.calibration": "Tolerances calibrate",
+    "estimators.base": "track",
+    "estimators.calibration": "calibrate",
     "estimators.drift": "Drift Drifting",
     "estimators.gradient_descent": "GradientDescent",
     "estimators.imu": "Arm ImuShape calibrate_imus calibrated exact_arcs pcc_extended rigid_body",
     "estimators.kalman": "KalmanFilter smooth",
     "estimators.least_squares": "LevenbergMarquardt",
     "estimators.particle": "ParticleFilter",
-    "estimators.rod": "Rod RodFilter RodSensor",
     "magnets": "Cube Disc Magnet Ring simulated_readings",
     "motion_capture": "fit_shape",
-    "networks": "Network load_network",
     "robot": "AffineCurvature BallJoint ConstantCurvature FreeBody Imu Link Robot Sensor",
     "robot_file": "example load_robot",
-    "sensing": "BendSensor Sensing relations",
+    "sensing": "BendSensor Sensing",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 

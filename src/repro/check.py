@@ -113,7 +113,7 @@ def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCh
     Parameters
     ----------
     robot
-        With bounds, noise, and sensors or IMUs. Parts without tolerances have those of :class:`repro.Tolerances`.
+        With bounds, noise, and sensors or IMUs. Parts without tolerances have those of :class:`.Tolerances`.
     samples
         Number of random shapes.
     seed

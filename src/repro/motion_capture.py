@@ -55,7 +55,7 @@ class Rig:
 
 @dataclass(frozen=True, repr=False)
 class FittedShapes(Trajectory):
-    """Configurations, as over time in a :class:`repro.Trajectory`, and what they leave of the measured poses.
+    """Configurations, as over time in a :class:`.Trajectory`, and what they leave of the measured poses.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class FittedShapes(Trajectory):
         return _size(self.residuals[..., :3], -1)
 
     def to_frame(self) -> Any:
-        """Return the data frame of :meth:`repro.Trajectory.to_frame` with the residual, ``residual_mm``."""
+        """Return the data frame of :meth:`.Trajectory.to_frame` with the residual, ``residual_mm``."""
         return super().to_frame().assign(residual_mm=1e3 * self.residual)
 
     def __repr__(self) -> str:

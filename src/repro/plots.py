@@ -111,12 +111,12 @@ def _draw(ax: Any, robot: Robot, q: Array, colour: str, name: str | None, last: 
 
 
 def plot_shape(shape: Any, axes: Any = None) -> Any:
-    """Draw estimates over time: see :meth:`repro.Trajectory.plot`.
+    """Draw estimates over time: see :meth:`.Trajectory.plot`.
 
     Parameters
     ----------
     shape
-        A :class:`repro.Trajectory`: its coordinates with their 95 % band, one panel for each unit; then readings as
+        A :class:`.Trajectory`: its coordinates with their 95 % band, one panel for each unit; then readings as
         dots with what is predicted as lines, and the residuals. What the monitor suspects is marked.
     axes
         As many matplotlib axes as there are panels; new ones if not given.
@@ -193,7 +193,7 @@ def animate(robot: Robot, shape: Any, *, frames: int = 100, seconds: float = 8.0
     robot
         Whose shape it is.
     shape
-        A :class:`repro.Trajectory`, or configurations ``[t, n_q]``.
+        A :class:`.Trajectory`, or configurations ``[t, n_q]``.
     frames, seconds
         How many shapes are shown, evenly in time, and for how long [s].
     """

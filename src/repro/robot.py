@@ -732,7 +732,7 @@ class Robot:
         return plot_robot(self, q, axes=axes, labels=labels)
 
     def animate(self, shape: Any, *, frames: int = 100, seconds: float = 8.0) -> Any:
-        """Return a matplotlib animation of a :class:`repro.Trajectory`, or of configurations ``[t, n_q]``."""
+        """Return a matplotlib animation of a :class:`.Trajectory`, or of configurations ``[t, n_q]``."""
         from repro.plots import animate
 
         return animate(self, shape, frames=frames, seconds=seconds)

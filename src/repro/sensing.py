@@ -421,7 +421,7 @@ class Sensing:
         With sensors, IMUs, or both.
     model
         How relations become magnetic readings. ``None``: the multipoles of the robot's magnets [mT]. A
-        :class:`repro.Network`, or several: as many as there are readings, or as there are segments with sensors.
+        :class:`.Network`, or several: as many as there are readings, or as there are segments with sensors.
         Or any callable from relations ``[..., s, 1 + 4 m]`` to readings ``[..., s]``; if it has a method
         ``linearise`` that returns readings and slopes ``[..., s, 1 + 4 m]`` this is used, else central differences.
     inputs

@@ -1,7 +1,7 @@
 """Training of networks, and torch modules as sensor models: all of the library that needs torch.
 
 A network maps the relations of one sensor, eq. (1) of Baaij et al. 2023, to its reading. Weights are written as
-safetensors, which :func:`repro.load_network` reads without torch. Training draws from torch's own generator, as the
+safetensors, which :func:`.load_network` reads without torch. Training draws from torch's own generator, as the
 authors' program does, and leaves the generator as it was.
 """
 
@@ -374,7 +374,7 @@ def import_network(path: str | Path) -> nn.Sequential:
     Returns
     -------
     torch.nn.Sequential
-        In evaluation mode; :func:`save_network` writes it for :func:`repro.load_network`.
+        In evaluation mode; :func:`save_network` writes it for :func:`.load_network`.
 
     Raises
     ------

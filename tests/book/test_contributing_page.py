@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import repro
+from repro.estimators.base import Estimator
 
 PAGE = Path(__file__).resolve().parents[2] / "book" / "contributing.md"
 
@@ -42,7 +43,7 @@ def test_the_estimator_is_one_and_lags_less_than_its_low_pass(there):
     errors = {}
     for beta in (0.0, 0.2):
         method = there["AlphaBeta"](there["fit"], beta=beta)
-        assert isinstance(method, repro.Estimator)
+        assert isinstance(method, Estimator)
         errors[beta] = np.abs(repro.track(method, readings, truth[0], rate_hz=100).q - truth)[50:].max()
     assert errors[0.2] < 0.5 * errors[0.0]
     state = method.init(truth[0])

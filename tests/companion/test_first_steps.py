@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import repro
 from repro.robot import point_on
+from repro.sensing import relations
 from repro_companion.papers import baaij
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -79,7 +80,7 @@ def test_the_field_around_a_robot_is_magpylibs(n):
 def test_what_a_reading_is_made_of():
     """One dipole moment gives the first term of the series that the page adds up."""
     robot, q = baaij.robot(1), baaij.planar(1, 70.0)
-    _, d, cos_alpha, cos_beta, cos_theta = repro.relations(robot, q)[0]
+    _, d, cos_alpha, cos_beta, cos_theta = relations(robot, q)[0]
     moment = baaij.RINGS["released"].multipoles(1)[0]
     dipole = moment / d**3 * (3 * cos_theta * cos_beta - cos_alpha)
     np.testing.assert_allclose(repro.Sensing(robot, moments=[moment])(q)[0], dipole, rtol=1e-12)

@@ -24,10 +24,9 @@ from repro import (
     Robot,
     Sensing,
     Sensor,
-    Tolerances,
     calibrate,
 )
-from repro.estimators.calibration import _priors, _slopes, coverage_factor, placed
+from repro.estimators.calibration import Tolerances, _priors, _slopes, coverage_factor, placed
 
 from .robots import RELEASED, bounds, paper_robot
 from .test_sensing import MOMENTS

@@ -13,21 +13,19 @@ from repro import (
     BendSensor,
     Drift,
     Drifting,
-    Estimator,
     GradientDescent,
     ImuShape,
     InputError,
     KalmanFilter,
     LevenbergMarquardt,
     ParticleFilter,
-    Rod,
-    RodFilter,
-    RodSensor,
     Sensing,
     pcc_extended,
     smooth,
     track,
 )
+from repro.estimators.base import Estimator
+from repro.estimators.rod import Rod, RodFilter, RodSensor
 
 from .robots import bounds, paper_robot
 

@@ -20,10 +20,10 @@ from repro import (
     Robot,
     Sensing,
     Sensor,
-    load_network,
     simulated_readings,
     track,
 )
+from repro.networks import load_network
 
 from .robots import RELEASED, bounds, paper_robot
 from .test_sensing import MOMENTS, NETWORKS, paper_networks

@@ -13,6 +13,7 @@ import pytest
 
 import repro
 from repro import InputError, calibrate, load_robot, simulated_readings
+from repro.networks import load_network
 from repro.robot_file import _own_hash, load_calibration, save_calibration
 
 ROOT = Path(__file__).parents[2]
@@ -286,7 +287,7 @@ class TestNetworks:
     def test_a_robot_with_a_trained_network(self, tmp_path):
         shutil.copy(NETWORK, tmp_path / "net.safetensors")
         robot = read(tmp_path, f'{ONE}\n[model]\nnetworks = ["net.safetensors"]\n')
-        expected = repro.Sensing(load_robot(ROBOTS / "one_segment.toml"), repro.load_network(NETWORK))
+        expected = repro.Sensing(load_robot(ROBOTS / "one_segment.toml"), load_network(NETWORK))
         q = [0.005, 0.001, 0.002]
         np.testing.assert_array_equal(robot.sensing()(q), expected(q))
 

@@ -13,8 +13,8 @@ from edition1.estimation.rod_filter import RodFilter as FirstRodFilter
 from edition1.estimation.rod_sensors import RodSensor as FirstRodSensor
 from edition1.kernels._rod import rod_motion
 from edition1.kinematics.strain_series import StrainSeries
-from repro import InputError, Rod, RodFilter, RodSensor, track
-from repro.estimators.rod import _exponential, _logarithm
+from repro import InputError, track
+from repro.estimators.rod import Rod, RodFilter, RodSensor, _exponential, _logarithm
 
 ROD = Rod(0.4, bending=2, torsion=1)
 STD = (3.0, 1.0, 3.0, 1.0, 0.5)

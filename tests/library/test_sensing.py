@@ -23,15 +23,13 @@ from repro import (
     Imu,
     InputError,
     Magnet,
-    Network,
     Robot,
     Sensing,
     Sensor,
-    load_network,
-    relations,
     simulated_readings,
 )
-from repro.networks import network_of
+from repro.networks import Network, load_network, network_of
+from repro.sensing import relations
 
 from .robots import CHAINS, RELEASED, chain, complex_pose, configuration, paper_robot
 

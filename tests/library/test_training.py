@@ -15,7 +15,8 @@ from torch import nn
 from edition1.sensing import training as oracle
 from edition1.sensing.fast_training import train_fast as oracle_fast
 from edition1.sensing.weights import load_paper_network, save_weights
-from repro import InputError, load_network, training
+from repro import InputError, training
+from repro.networks import load_network
 from repro.training import TorchModel, import_network, paper_network, read_manifest, save_network
 from repro_companion.papers import baaij
 from scripts import train as script

@@ -385,7 +385,7 @@ class RodFilter(MotionModel):
     def step(
         self, state: KalmanState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
     ) -> tuple[KalmanState, Estimate]:
-        """Predict to the time ``t`` and take in ``u``; see :class:`repro.Estimator`.
+        """Predict to the time ``t`` and take in ``u``; see :class:`.Estimator`.
 
         Raises
         ------

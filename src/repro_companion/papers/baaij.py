@@ -18,17 +18,16 @@ from repro import (
     GradientDescent,
     LevenbergMarquardt,
     Magnet,
-    Network,
     Ring,
     Robot,
     Sensing,
     Sensor,
-    Tolerances,
     calibrate,
-    load_network,
     simulated_readings,
     track,
 )
+from repro.estimators.calibration import Tolerances
+from repro.networks import Network, load_network
 from repro.robot import Place, point_on
 from repro_companion.show import project_folder
 

@@ -34,11 +34,11 @@ from repro import (
     Robot,
     Sensing,
     Sensor,
-    load_network,
-    relations,
 )
 from repro.common import bad_input, require
+from repro.networks import load_network
 from repro.robot import place
+from repro.sensing import relations
 from repro_board.evaluate import search_lag
 from repro_companion.run import project_folder, recordings_folder
 
