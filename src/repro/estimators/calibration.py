@@ -17,31 +17,29 @@ with the covariance :math:`(I - K_i C K_i^T)^{-1}`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from repro.common import Array, InputError, bad_input, numbers, require
 from repro.robot import Place, Robot, point_on
 from repro.sensing import Sensing
 
-_MOST_CHI2, _FARTHEST = 16.0, 10.0
-"""Residuals four times as large as stated: good poses give 0.3 to 1.3, three times worse ones 9 at most; exchanged
-axes, another unit, order or sign give 26 and more, or parts that are off by more than ten of their tolerances."""
-_CHANCE, _DETERMINED, _OUTLIER = 1.6, 2.0, 6.0
-"""By how much more than expected a fit to noise may miss the other poses by chance, where the description is right;
-what it is expected to miss them by where they say enough to ask; and what no pose is off by chance."""
+_MOST, _OUTLIER, _FARTHEST = 4.0, 5.0, 10.0
+"""By how many of its standard deviations a pose may be off what the others predict, most of them, and any of them in
+units of most. Good poses give 0.5 to 1.2, three times worse ones 3; exchanged axes, another unit, order or sign give
+5 and more, or parts that are off by more than ten of their tolerances."""
 _CAUSES = (
     "poses in another unit or order, or with exchanged axes; sensors in another order or of the wrong sign; a magnet "
     "of another size, polarity or place than described (state a tolerance for it); poses or readings noisier than "
     "stated"
 )
-_DAMPING, _MOST_DAMPING = 1e-3, 1e6
-"""Of Levenberg and Marquardt, where a whole step leads to a worse robot, or to none."""
-_STEP = 1e-6
-"""Of central differences, in every unit."""
+_ITERATIONS, _DAMPING, _STEP = 50, 1e-3, 1e-6
+"""Number of steps, of which six are enough as a rule; damping of Levenberg and Marquardt, where a step leads to a
+worse robot; step of central differences, in every unit."""
 _MAGNET = ("x", "y", "z", "tilt about x", "tilt about y")
 _SENSOR = ("azimuth", "radius", "tilt")
 
@@ -49,6 +47,8 @@ _SENSOR = ("azimuth", "radius", "tilt")
 @dataclass(frozen=True)
 class Tolerances:
     """How far a robot may be from its drawing: standard deviations. What a part states of its own comes first.
+
+    A part may state more than these: place along the backbone, tilt of a sensor about all axes, size of a magnet.
 
     Parameters
     ----------
@@ -59,13 +59,8 @@ class Tolerances:
         of every axis.
     moments
         Every multipole moment, relative; magnets of one shape share it.
-    magnet_size, magnet_polarisation
-        Every dimension of a magnet [m], and its own relative polarisation. Zero: as drawn.
-    sensor_turn, sensor_along, sensor_offset
-        Tilt of a sensor about the second transverse axis, and of a chip also about the third [rad]; place along the
-        backbone [m]; reading without field [mT]. Zero: as drawn.
-    earth
-        Field of the Earth along each axis of the base [mT]. Zero: as stated.
+    sensor_offset, earth
+        Reading without field, and field of the Earth along each axis of the base [mT]. Zero: as stated.
 
     Raises
     ------
@@ -85,10 +80,6 @@ class Tolerances:
     sensor_tilt: float = math.radians(1.0)
     sensor_gain: float = 0.01
     moments: float = 0.02
-    magnet_size: float = 0.0
-    magnet_polarisation: float = 0.0
-    sensor_turn: float = 0.0
-    sensor_along: float = 0.0
     sensor_offset: float = 0.0
     earth: float = 0.0
 
@@ -140,35 +131,12 @@ class Calibration:
     before: float
     after: float
 
-    @property
-    def moments(self) -> Array:
-        """Moments of every magnet ``[m, terms]`` [mT m^(l+2)]."""
-        return self.robot.moments
-
-    @property
-    def gain(self) -> Array:
-        """Gain of every magnetic reading."""
-        return self.sensing().tables.gain
-
-    @property
-    def earth(self) -> Array:
-        """Field of the Earth in the base frame [mT]."""
-        return self.sensing().tables.earth
-
     def sensing(self) -> Sensing:
         """Return the sensor model of the calibrated robot."""
         return self.robot.sensing()
 
-    def reading_covariance(self, q: Any) -> Array:
-        """Return the covariance ``[..., s, s]`` [mT^2] of the magnetic readings predicted at ``q``."""
-        q = self.robot.check_q(q, "Calibration")
-        parameters = dict(zip(self.names, self.estimate.tolist(), strict=True))
-        flat = q.reshape(-1, q.shape[-1])
-        K = _slopes(self.described, self.sensing(), parameters, flat) * self.tolerances
-        return (K @ self.covariance @ np.swapaxes(K, -1, -2)).reshape(*q.shape[:-1], *[K.shape[1]] * 2)
-
     def q_covariance(self, q: Any, noise: Any = None) -> Array:
-        r"""Return the covariance ``[..., n_q, n_q]`` of least squares at ``q``, by noise and by the parameters.
+        r"""Return the covariance ``[k, n_q, n_q]`` of least squares at ``q``, by noise and by the parameters.
 
         With the gain :math:`G = (J^T S^{-1} J)^{-1} J^T S^{-1}` and the covariance :math:`E` of the predicted
         readings it is :math:`G (S + E) G^T`. What the calibration left open lasts: it cannot be averaged away.
@@ -176,15 +144,17 @@ class Calibration:
         Parameters
         ----------
         q
-            Estimated configurations.
+            Estimated configurations ``[k, n_q]``.
         noise
             Standard deviation of a reading [mT; rad for IMUs], one number or one for each; the robot's if not given.
         """
-        sensing = self.sensing()
+        sensing, parameters = self.sensing(), dict(zip(self.names, self.estimate.tolist(), strict=True))
+        q = self.robot.check_q(q, "Calibration")
         std = _noise_of(self.robot, noise, sensing.n_readings, "Calibration")
         J = sensing.linearise(q)[1]
-        E = np.zeros((*J.shape[:-1], J.shape[-2]))
-        E[..., : sensing.n_magnetic, : sensing.n_magnetic] = self.reading_covariance(q)
+        E = np.zeros((*J.shape[:-1], len(self.names)))
+        E[..., : sensing.n_magnetic, :] = _slopes(self.described, sensing, parameters, q) * self.tolerances
+        E = E @ self.covariance @ np.swapaxes(E, -1, -2)
         G = np.linalg.pinv(J / std[:, None]) / std
         return G @ (E + np.diag(std**2)) @ np.swapaxes(G, -1, -2)
 
@@ -197,9 +167,7 @@ def calibrate(
     q_covariance: Any = None,
     *,
     tolerances: Tolerances | None = None,
-    moments: Any = None,
     earth: Any = None,
-    iterations: int = 8,
 ) -> Calibration:
     """Find the places of magnets and sensors, gains and moments, by Gauss-Newton with Gaussian priors.
 
@@ -211,27 +179,22 @@ def calibrate(
     q
         Measured configurations ``[poses, n_q]``, within the robot's bounds if it has any.
     u
-        Readings of its magnetic sensors ``[poses, s]`` [mT]. Those of IMUs behind them are not used.
+        Readings ``[poses, s]`` [mT]. Those of IMUs behind those of the sensors are not used.
     noise
         Standard deviation of a reading, one number or one for each [mT]; the robot's if not given.
     q_covariance
         Covariance of ``q`` ``[n_q, n_q]`` or ``[poses, n_q, n_q]``; exact poses if not given.
     tolerances
         Standard deviations of the priors, of what the parts do not state themselves.
-    moments
-        As drawn ``[terms]`` or ``[m, terms]`` [mT m^(l+2)]; those of the robot or of the shapes if not given.
     earth
         Field of the Earth in the base frame [mT]; the robot's if not given.
-    iterations
-        Largest number of steps; six are enough as a rule.
 
     Raises
     ------
     InputError
         If readings, poses and robot do not fit or are not finite, if a pose is outside the bounds, or if the result
-        is no better than the description: residuals are more than four times as large as stated, a part is off by
-        more than ten times its tolerance, most poses are predicted from the others no better than by the robot as
-        described, or a single one does not fit the others.
+        is no better than the description: poses are predicted from the others no better than by the robot as
+        described, or too badly, or a part is off by more than ten times its tolerance.
 
     Examples
     --------
@@ -243,7 +206,7 @@ def calibrate(
     >>> robot = Robot([ConstantCurvature(0.11, 0.022)], magnets, sensors)
     >>> q = 0.01 * np.random.default_rng(0).random((20, 3))
     >>> found = calibrate(robot, q, 1.02 * simulated_readings(robot, q), noise=1e-3)
-    >>> (found.moments[0, 0] * found.gain / Sensing(robot).moments[0, 0]).round(2)
+    >>> (found.robot.moments[0, 0] * found.sensing().tables.gain / Sensing(robot).moments[0, 0]).round(2)
     array([1.02, 1.02, 1.02])
     """
     owner = "calibrate"
@@ -253,62 +216,61 @@ def calibrate(
     )
     if earth is not None:
         robot = robot.replaced(earth=earth)
-    terms = (robot.sensing() if moments is None else Sensing(robot, moments=moments)).moments
-    robot = robot.replaced(moments=terms)
+    robot = robot.replaced(moments=robot.sensing().moments)
     described = robot.replaced(imus=(), noise=None)
-    drawn = described.sensing()
+    n = described.n_readings
     q = numbers(q, "q", owner, (None, robot.n_q))
     require(len(q), "q", owner, "at least one pose", "none")
-    width = drawn.n_readings if np.shape(u)[-1:] != (robot.n_readings,) else robot.n_readings
-    u = numbers(u, "u", owner, (len(q), width))[:, : drawn.n_readings]
-    std = _noise_of(robot, noise, drawn.n_readings, owner)
+    u = numbers(u, "u", owner, (len(q), robot.n_readings))[:, :n]
+    std = _noise_of(robot, noise, n, owner)
     zero = np.zeros((robot.n_q, robot.n_q))
     sigma = zero if q_covariance is None else numbers(q_covariance, "q_covariance", owner, (..., *zero.shape))
-    require(iterations >= 1, "iterations", owner, "at least 1", iterations)
     check_poses(robot, q, sigma)
-    priors = _priors(described, tolerances or Tolerances(), terms.shape[1])
+    priors = _priors(described, tolerances or Tolerances())
     names, scale = tuple(priors), np.array(list(priors.values()))
-    data = (q, u, std, sigma, scale)
-    z = np.zeros(len(scale))
+
+    def whitened(z: Array) -> tuple[Array, Array]:
+        """Residuals ``[poses * s]`` of unit variance, and the slopes of the prediction by ``z``."""
+        parameters = dict(zip(names, (z * scale).tolist(), strict=True))
+        moved = placed(described, parameters).sensing()
+        u_hat, J_q = moved.linearise(q)
+        J = _slopes(described, moved, parameters, q) * scale
+        noise = np.diag(std**2) + J_q @ sigma @ np.swapaxes(J_q, -1, -2)
+        rows = np.concatenate([(u - u_hat)[..., None], J], axis=-1)
+        rows = np.linalg.solve(np.linalg.cholesky(noise), rows).reshape(-1, 1 + len(z))
+        require(np.isfinite(rows).all(), "numbers", owner, "finite", "infinite ones")
+        return rows[:, 0], rows[:, 1:]
+
+    z, eye = np.zeros(len(scale)), np.eye(len(scale))
     with np.errstate(all="ignore"):
-        wild = np.flatnonzero(~np.isfinite(drawn(q)).all(axis=1))
-        for k in wild:
-            raise bad_input("q", owner, "a shape that the robot can have", f"{q[k].tolist()} in row {k + 1}")
         try:
-            r, J = first, _ = _whitened(described, names, z, *data)
-            hessian = J.T @ J + np.eye(len(z))
-            damping, taken = 0.0, 0
-            while taken < iterations and damping < _MOST_DAMPING:
-                stiff = hessian + damping * np.diag(np.diag(hessian))
-                step = np.linalg.solve(stiff, J.T @ r - z)
-                tried = _tried(described, names, z + step, r @ r + z @ z, data)
-                if tried is None:
+            r, J = first, _ = whitened(z)
+            damping = 0.0
+            for _ in range(_ITERATIONS):
+                hessian = J.T @ J + eye
+                step = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), J.T @ r - z)
+                trial, slopes = whitened(z + step)
+                if trial @ trial + np.square(z + step).sum() <= 1.01 * (r @ r + z @ z) + 1e-6:
+                    r, J, z = trial, slopes, z + step
+                    damping = damping / 10 if damping > _DAMPING else 0.0
+                else:
                     damping = max(10 * damping, _DAMPING)
-                    continue
-                (r, J), z, taken = tried, z + step, taken + 1
-                hessian, damping = J.T @ J + np.eye(len(z)), damping / 10 if damping > _DAMPING else 0.0
                 if np.abs(step).max() < 1e-6:
                     break
-            covariance = np.linalg.inv(hessian)
-            before, after, spread, own = _by_pose(first, r, J, covariance, len(q))
+            covariance = np.linalg.inv(J.T @ J + eye)
+            before, after, own = _by_pose(first, r, J, covariance, len(q))
         except (np.linalg.LinAlgError, InputError) as error:
             raise _refused(f"a fit that ends in no robot ({error})") from error
-        chi2 = float(np.mean(r**2))
-    worst, mostly = int(np.argmax(own)), max(float(np.median(own)), 1.0)
-    if not chi2 <= _MOST_CHI2:
-        times = f"{math.sqrt(chi2):.3g} times as large as noise and poses allow"
-        raise _refused(f"residuals {times}, the largest in row {worst + 1}")
-    far = int(np.argmax(np.abs(z)))
+    worst, far, mostly = int(np.argmax(own)), int(np.argmax(np.abs(z))), float(np.median(own))
+    no_better = mostly > 2.0 and after >= before
+    if no_better or not mostly <= _MOST or own[worst] > _OUTLIER * max(mostly, 0.8):
+        against = f"{after:.3g} standard deviations against {before:.3g} as described"
+        where = f"worst in row {worst + 1}, by {own[worst]:.3g}"
+        raise _refused(f"a fit that predicts a pose from the others to {against}, {where}")
     if abs(z[far]) > _FARTHEST:
         raise _refused(f"{names[far]} off by {abs(z[far]):.3g} times its tolerance")
-    no_better = after > _CHANCE * spread * before or (after >= before and mostly > 2.0)
-    if spread < _DETERMINED and no_better:
-        against = f"{after:.3g} standard deviations against {before:.3g} as described"
-        raise _refused(f"a fit that predicts a pose from the others to {against}, worst in row {worst + 1}")
-    if own[worst] > _OUTLIER * mostly:
-        raise _refused(f"row {worst + 1}, {own[worst]:.3g} standard deviations off what the others predict")
     found = placed(robot, dict(zip(names, (z * scale).tolist(), strict=True)))
-    deviation = np.sqrt(np.diag(covariance)) * scale
+    deviation, chi2 = np.sqrt(np.diag(covariance)) * scale, float(np.mean(r**2))
     return Calibration(
         found, robot, names, z * scale, deviation, scale, covariance, chi2, len(q), before, after
     )  # fmt: skip
@@ -410,27 +372,31 @@ def placed(robot: Robot, parameters: Mapping[str, float]) -> Robot:
         magnets.append(replace(part, shape=shapes[k], at=at, position=position, direction=tilted[:, 2]))
     for j, part in enumerate(robot.sensors):
         name = f"sensor {j + 1} "
-        p = [own(name + x, 0.0) for x in _SENSOR]
-        shift = [own(name + x, 0.0) for x in "xyz"]
+        azimuth, radius, tilt = (own(name + x, 0.0) for x in _SENSOR)
         at, beyond = _along(robot, part.place, own(name + "along", 0.0))
-        position = _about(2, p[0]) @ (part.place.position * [1 + p[1], 1 + p[1], 1.0] + shift)
-        R = _about(2, p[0]) @ part.place.rotation @ _about(1, -p[2])
+        shift = [own(name + x, 0.0) for x in "xyz"]
+        position = _about(2, azimuth) @ (part.place.position * [1 + radius, 1 + radius, 1.0] + shift)
+        R = _about(2, azimuth) @ part.place.rotation @ _about(1, -tilt)
         R = R @ _about(0, own(name + "tilt about x", 0.0)) @ _about(2, own(name + "tilt about z", 0.0))
         turned: dict[str, Any] = {"direction": R[:, 2]}
         if part.axes == 3:
-            from scipy.spatial.transform import Rotation
-
             turned = {"orientation": Rotation.from_matrix(R).as_quat()}
-        factors = [1 + own(name + x, 0.0) for x in _per_axis("gain", part.axes)]
-        offsets = [own(name + x, 0.0) for x in _per_axis("offset", part.axes)]
-        gain, offset = np.multiply(part.gain, factors).tolist(), np.add(part.offset, offsets).tolist()
+        gain = part.gain * np.array([1 + own(name + x, 0.0) for x in _per_axis("gain", part.axes)])
+        offset = part.offset + np.array([own(name + x, 0.0) for x in _per_axis("offset", part.axes)])
         moved = {"at": at, "position": position + np.array([0.0, 0.0, beyond]), **turned}
-        moved |= {"radial": 0.0, "azimuth": 0.0, "tilt": 0.0, "gain": tuple(gain), "offset": tuple(offset)}
+        moved |= {
+            "radial": 0.0,
+            "azimuth": 0.0,
+            "tilt": 0.0,
+            "gain": tuple(gain.tolist()),
+            "offset": tuple(offset.tolist()),
+        }
         sensors.append(replace(part, **moved))
-    relative = np.array([[own(x, 0.0) for x in names] for names in _moment_names(robot, rows.shape[1])])
+    relative = np.vectorize(own)(_moment_names(robot, rows.shape[1]), 0.0)
     earth = np.array([own(f"Earth field along {x}", 0.0) for x in "xyz"])
-    earth = None if robot.earth is None and not earth.any() else _earth(robot) + earth
-    return robot.replaced(magnets=magnets, sensors=sensors, moments=rows * (1 + relative), earth=earth)
+    if earth.any():
+        robot = robot.replaced(earth=earth if robot.earth is None else robot.earth + earth)
+    return robot.replaced(magnets=magnets, sensors=sensors, moments=rows * (1 + relative))
 
 
 def _refused(received: str) -> InputError:
@@ -447,77 +413,61 @@ def _noise_of(robot: Robot, noise: Any, n: int, owner: str) -> Array:
     return np.broadcast_to(std, (n,))
 
 
-def _earth(robot: Robot) -> Array:
-    return np.zeros(3) if robot.earth is None else robot.earth
-
-
-def _sizes(shape: Any) -> list[str]:
+def _sizes(shape: Any) -> dict[str, float]:
     """Dimensions of a magnet that are there."""
-    return [f.name for f in fields(shape) if f.name != "polarisation_mt" and getattr(shape, f.name) > 0]
+    return {name: size for name, size in vars(shape).items() if name != "polarisation_mt" and size > 0}
 
 
 def _per_axis(name: str, axes: int) -> list[str]:
     return [name] if axes == 1 else [f"{name} {axis}" for axis in "xyz"]
 
 
-def _moment_names(robot: Robot, terms: int) -> list[list[str]]:
-    """Names of the relative moments of every magnet: magnets of one shape share theirs."""
+def _moment_names(robot: Robot, terms: int) -> Array:
+    """Names of the relative moments of every magnet ``[m, terms]``: magnets of one shape share theirs."""
     alike = len({magnet.shape for magnet in robot.magnets}) == 1
     owners = ["" if alike else f"magnet {k + 1} " for k in range(len(robot.magnets))]
-    return [[f"{owner}moment A{2 * k + 1}" for k in range(terms)] for owner in owners]
+    return np.array([[f"{owner}moment A{2 * k + 1}" for k in range(terms)] for owner in owners])
 
 
 def _strengths(robot: Robot, parameters: Mapping[str, float]) -> tuple[list[Any], Array]:
     """Shapes of the magnets, and their moments without the relative changes of moments."""
-    rows = np.array(robot.sensing().moments if robot.moments is None else robot.moments)
-    shapes, orders = [], 2 * rows.shape[1] - 1
+    rows, shapes = np.array(robot.sensing().moments if robot.moments is None else robot.moments), []
     for k, magnet in enumerate(robot.magnets):
-        name, shape = f"magnet {k + 1} ", magnet.shape
-        old = {x: getattr(shape, x) for x in _sizes(shape)}
-        sizes = {x: size * math.exp(parameters.get(name + x, 0.0) / size) for x, size in old.items()}
-        stronger, resized = math.exp(parameters.get(name + "polarisation", 0.0)), replace(shape, **sizes)
-        if resized != shape:
-            rows[k] += resized.multipoles(orders) - shape.multipoles(orders)
-        rows[k] *= stronger
-        shapes.append(replace(resized, polarisation_mt=resized.polarisation_mt * stronger))
+        name, old = f"magnet {k + 1} ", magnet.shape
+        own = {x: size * math.exp(parameters.get(name + x, 0.0) / size) for x, size in _sizes(old).items()}
+        own["polarisation_mt"] = old.polarisation_mt * math.exp(parameters.get(name + "polarisation", 0.0))
+        shapes.append(replace(old, **own))
+        if shapes[k] != old:
+            orders = 2 * rows.shape[1] - 1
+            rows[k] += shapes[k].multipoles(orders) - old.multipoles(orders)
     return shapes, rows
 
 
-def _priors(robot: Robot, t: Tolerances, terms: int) -> dict[str, float]:
-    """Standard deviations by name: what every calibration has, in the order of files, then what is stated."""
-    always: dict[str, Any] = {}
-    stated: dict[str, Any] = {}
+def _priors(robot: Robot, t: Tolerances) -> dict[str, float]:
+    """Standard deviations of all that may be off, by name."""
+    priors: dict[str, float] = {}
     for k, part in enumerate(robot.magnets):
-        own, name, R = part.tolerance or {}, f"magnet {k + 1} ", part.place.rotation
-        position, tilt = own.get("position", t.magnet_position), own.get("tilt", t.magnet_tilt)
-        # A stated place along the backbone takes that of the position along it.
-        aside = np.sqrt(1 - R[2] ** 2) if "at" in own and "position" not in own else np.ones(3)
-        always |= dict(zip([name + x for x in _MAGNET], [*(position * aside), tilt, tilt], strict=True))
-        stated[name + "along"] = own.get("at", 0.0)
-        stated |= dict.fromkeys([name + x for x in _sizes(part.shape)], own.get("size", t.magnet_size))
-        stated[name + "polarisation"] = own.get("polarisation", t.magnet_polarisation)
+        own = {"position": t.magnet_position, "tilt": t.magnet_tilt, **(part.tolerance or {})}
+        stds = dict(zip(_MAGNET, [own["position"]] * 3 + [own["tilt"]] * 2, strict=True))
+        stds |= {"along": own.get("at", 0.0), "polarisation": own.get("polarisation", 0.0)}
+        stds |= dict.fromkeys(_sizes(part.shape), own.get("size", 0.0))
+        priors |= {f"magnet {k + 1} {name}": std for name, std in stds.items()}
     for j, part in enumerate(robot.sensors):
-        own, name = part.tolerance or {}, f"sensor {j + 1} "
-        position, radial = own.get("position", 0.0), math.hypot(*part.place.position[:2])
-        around = 0.0 if position else t.sensor_azimuth
-        outwards = 0.0 if position else t.sensor_radius
-        if "radius" in own:
-            outwards = own["radius"] / radial if radial else 0.0
-        tilt, turn = own.get("tilt", t.sensor_tilt), own.get("tilt", t.sensor_turn)
-        gains = [name + x for x in _per_axis("gain", part.axes)]
-        gain = own.get("gain", t.sensor_gain)
-        usual = own.get("azimuth", around), outwards, tilt, gain
-        always |= dict(zip([*(name + x for x in _SENSOR), gains[0]], usual, strict=True))
-        stated |= dict.fromkeys(gains[1:], gain) | {name + "tilt about x": turn}
-        stated[name + "tilt about z"] = turn if part.axes == 3 else 0.0
-        stated[name + "along"] = own.get("at", t.sensor_along)
-        stated |= dict.fromkeys([name + x for x in "xyz"], position)
-        offsets = [name + x for x in _per_axis("offset", part.axes)]
-        stated |= dict.fromkeys(offsets, own.get("offset", t.sensor_offset))
-    for names in _moment_names(robot, terms):
-        always |= dict.fromkeys(names, t.moments)
-    stated |= dict.fromkeys([f"Earth field along {x}" for x in "xyz"], t.earth)
-    return always | {name: std for name, std in stated.items() if std}
+        own, radial = dict(part.tolerance or {}), math.hypot(*part.place.position[:2])
+        usual = 0.0 if "position" in own else 1.0  # a stated position says all about the place
+        outwards = own["radius"] / radial if radial and "radius" in own else usual * t.sensor_radius
+        stds = {"azimuth": own.get("azimuth", usual * t.sensor_azimuth), "radius": outwards}
+        stds["tilt"] = own.get("tilt", t.sensor_tilt)
+        stds |= dict.fromkeys(_per_axis("gain", part.axes), own.get("gain", t.sensor_gain))
+        stds |= dict.fromkeys(["tilt about x", "tilt about z"][: part.axes], own.get("tilt", 0.0))
+        stds |= {"along": own.get("at", 0.0), **dict.fromkeys("xyz", own.get("position", 0.0))}
+        stds |= dict.fromkeys(_per_axis("offset", part.axes), own.get("offset", t.sensor_offset))
+        priors |= {f"sensor {j + 1} {name}": std for name, std in stds.items()}
+    priors |= dict.fromkeys(
+        _moment_names(robot, robot.sensing().moments.shape[1]).ravel().tolist(), t.moments
+    )
+    priors |= dict.fromkeys([f"Earth field along {x}" for x in "xyz"], t.earth)
+    return {name: std for name, std in priors.items() if std}
 
 
 def _about(axis: int, angle: float) -> Array:
@@ -535,51 +485,14 @@ def _along(robot: Robot, where: Place, far: float) -> tuple[float, float]:
     return at, where.at + far - at
 
 
-def _by_pose(first: Array, r: Array, J: Array, C: Array, poses: int) -> tuple[float, float, float, Array]:
-    """Median residual of a pose as described, predicted from the others, as the fit expects it; and in its unit."""
+def _by_pose(first: Array, r: Array, J: Array, C: Array, poses: int) -> tuple[float, float, Array]:
+    """Median residual of a pose as described and as the others predict it; of each in the unit of this prediction."""
     r, K = r.reshape(poses, -1), J.reshape(poses, -1, len(C))
     apart = np.eye(r.shape[1]) - K @ C @ np.swapaxes(K, -1, -2)
     predicted = np.linalg.solve(apart, r[..., None])[..., 0]
-    expected = np.diagonal(np.linalg.inv(apart), 0, -2, -1)
-    squares = first.reshape(r.shape) ** 2, predicted**2, expected, r * predicted
-    *rms, own = (np.sqrt(np.abs(x.mean(1))) for x in squares)
-    before, after, spread = (float(np.median(x)) for x in rms)
-    return before, after, spread, own
-
-
-def _tried(
-    described: Robot, names: Iterable[str], z: Array, cost: Any, data: tuple[Any, ...]
-) -> tuple[Array, Array] | None:
-    """Residuals and slopes, or nothing where no robot is like that or it fits worse than before."""
-    try:
-        r, J = _whitened(described, names, z, *data)
-    except (np.linalg.LinAlgError, InputError):
-        return None
-    return (r, J) if r @ r + z @ z <= 1.01 * cost + 1e-6 else None
-
-
-def _whitened(
-    described: Robot,
-    names: Iterable[str],
-    z: Array,
-    q: Array,
-    u: Array,
-    std: Array,
-    q_covariance: Array,
-    scale: Array,
-) -> tuple[Array, Array]:
-    """Residuals ``[poses * s]`` of unit variance, and the slopes of the prediction by ``z``."""
-    parameters = dict(zip(names, (z * scale).tolist(), strict=True))
-    moved = placed(described, parameters).sensing()
-    u_hat, J_q = moved.linearise(q)
-    J = _slopes(described, moved, parameters, q) * scale
-    noise = np.diag(std**2) + J_q @ q_covariance @ np.swapaxes(J_q, -1, -2)
-    rows = np.concatenate([(u - u_hat)[..., None], J], axis=-1)
-    rows = np.linalg.solve(np.linalg.cholesky(noise), rows)
-    rows = rows.reshape(-1, rows.shape[-1])
-    if not np.isfinite(rows).all():
-        raise bad_input("numbers", "calibrate", "finite", "infinite ones")
-    return rows[:, 0], rows[:, 1:]
+    squares = first.reshape(r.shape) ** 2, predicted**2, r * predicted
+    before, after, own = (np.sqrt(np.abs(x.mean(1))) for x in squares)
+    return float(np.median(before)), float(np.median(after)), own
 
 
 def _slopes(described: Robot, moved: Sensing, parameters: Mapping[str, float], q: Array) -> Array:
@@ -587,16 +500,16 @@ def _slopes(described: Robot, moved: Sensing, parameters: Mapping[str, float], q
 
     The wrench of a pair times how the part moves, for what every calibration has; central differences for the rest.
     """
-    robot, gain = moved.robot, moved.tables.gain
+    robot, gain, own = moved.robot, moved.tables.gain, parameters.get
     u, wrench = moved.wrenches(q)
     on_backbone = [point_on(part.place.segment, part.place.at) for part in (*robot.magnets, *robot.sensors)]
-    frames, n_m, terms = robot.poses(q, on_backbone), len(robot.magnets), moved.moments.shape[1]
+    frames, n_m = robot.poses(q, on_backbone), len(robot.magnets)
     columns: dict[str, Array] = {}
     for k, part in enumerate(described.magnets):
         name, F = f"magnet {k + 1} ", frames[:, k, :3, :3]
         R = F @ part.place.rotation
         centre = frames[:, k, :3, 3] + F @ robot.magnets[k].place.position
-        turns = np.stack([np.eye(3)[:, 0], _about(0, parameters[name + "tilt about x"])[:, 1]], axis=1)
+        turns = np.stack([np.eye(3)[:, 0], _about(0, own(name + "tilt about x", 0.0))[:, 1]], axis=1)
         force = wrench[:, :, k, :3]
         torque = wrench[:, :, k, 3:] - np.cross(centre[:, None], force)
         by = np.concatenate([-force @ R, -torque @ (R @ turns)], axis=-1)
@@ -604,7 +517,7 @@ def _slopes(described: Robot, moved: Sensing, parameters: Mapping[str, float], q
     row = 0
     for j, part in enumerate(described.sensors):
         name, place, F = f"sensor {j + 1} ", robot.sensors[j].place, frames[:, n_m + j, :3, :3]
-        turned = _about(2, parameters[name + "azimuth"])
+        turned = _about(2, own(name + "azimuth", 0.0))
         at = frames[:, n_m + j, :3, 3] + F @ place.position
         rows = slice(row, row + part.axes)
         total = wrench[:, rows].sum(2)
@@ -612,7 +525,7 @@ def _slopes(described: Robot, moved: Sensing, parameters: Mapping[str, float], q
         around = np.cross([0.0, 0.0, 1.0], place.position)
         outwards = turned @ (part.place.position * [1.0, 1.0, 0.0])
         across = -(turned @ part.place.rotation)[:, 1]
-        tilted = turned @ part.place.rotation @ _about(1, -parameters[name + "tilt"])
+        tilted = turned @ part.place.rotation @ _about(1, -own(name + "tilt", 0.0))
         slopes = {
             "azimuth": _work(force, F @ around) + _work(torque, F[..., 2]),
             "radius": _work(force, F @ outwards),
@@ -621,22 +534,16 @@ def _slopes(described: Robot, moved: Sensing, parameters: Mapping[str, float], q
         slopes |= {x: _work(force, F @ turned[:, c]) for c, x in enumerate("xyz")}
         slopes["tilt about x"] = _work(torque, F @ tilted[:, 0])
         slopes["tilt about z"] = _work(torque, F @ place.rotation[:, 2])
-        axes = [_per_axis(x, part.axes) for x in ("gain", "offset")]
-        for axis, x, offset in zip(np.eye(part.axes), *axes, strict=True):
-            slopes[x] = u[:, rows] * axis / (1 + parameters[name + x])
-            slopes[offset] = axis / gain[rows]
-        for x in slopes:
-            if name + x in parameters:
-                columns[name + x] = np.zeros(u.shape)
-                columns[name + x][:, rows] = slopes[x] * gain[rows]
+        for axis, x in zip(np.eye(part.axes), _per_axis("gain", part.axes), strict=True):
+            slopes[x] = u[:, rows] * axis / (1 + own(name + x, 0.0))
+        for x, slope in slopes.items():
+            columns[name + x] = np.zeros(u.shape)
+            columns[name + x][:, rows] = slope * gain[rows]
         row += part.axes
-    before = _strengths(described, parameters)[1]
-    names = np.array(_moment_names(described, terms))
-    for k in range(terms):
-        for name in dict.fromkeys(names[:, k].tolist()):
-            one = np.zeros_like(before)
-            one[:, k] = np.where(names[:, k] == name, before[:, k], 0.0)
-            columns[name] = Sensing(robot, moments=one)(q)[:, : len(gain)] * gain
+    before, names = _strengths(described, parameters)[1], _moment_names(described, moved.moments.shape[1])
+    for name in dict.fromkeys(names.T.ravel().tolist()):
+        one = np.where(names == name, before, 0.0)
+        columns[name] = Sensing(robot, moments=one)(q)[:, : len(gain)] * gain
     for name in parameters.keys() - columns.keys():
         up, down = (
             placed(described, {**parameters, name: parameters[name] + h}).sensing()(q)[:, : len(gain)]
