@@ -78,18 +78,9 @@ class FittedShapes(Trajectory):
         return super().to_frame().assign(residual_mm=1e3 * self.residual)
 
     def __repr__(self) -> str:
-        """Return three lines."""
-        bodies = self.residuals.shape[-2]
-        lost = int(np.isnan(self.residuals[..., 0]).sum())
-        C = np.zeros((1, 1, 1)) if self.covariance is None else self.covariance
-        variances = np.diagonal(C, axis1=-2, axis2=-1)
-        loose = int((variances > 1.0).any(-1).sum())  # a metre or a radian
-        distance, turn = (_size(self.residuals[..., part], None) for part in (slice(3), slice(3, 6)))
-        return (
-            f"{len(self.q)} shapes of {self.q.shape[-1]} coordinates from {bodies} bodies\n"
-            f"residual, root mean square: {1e3 * distance:.2g} mm, {np.degrees(turn):.2g} degrees\n"
-            f"{lost} of {len(self.q) * bodies} bodies missing; {loose} shapes are not determined by theirs"
-        )
+        """Return the lines of a trajectory, and the residual."""
+        distance = 1e3 * _size(self.residuals[..., :3], None)
+        return f"{super().__repr__()}\nresidual, root mean square: {distance:.2g} mm"
 
 
 def _size(vectors: Array, axis: int | None) -> Array:
@@ -252,9 +243,7 @@ def _measured(poses: Any, owner: str) -> Array:
     T[~np.isfinite(T[..., :3, 3]).all(-1), :3] = np.nan
     R = np.where(np.isfinite(T[..., :3, :3]), T[..., :3, :3], np.eye(3))
     off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max((-2, -1))
-    wrong = np.argwhere((off > 1e-2) | (np.linalg.det(R) < 0))
-    if len(wrong):
-        k, body = wrong[0]
+    for k, body in np.argwhere((off > 1e-2) | (np.linalg.det(R) < 0)):
         words = f"a matrix that is none in row {k + 1}, body {body + 1}"
         raise bad_input("poses", owner, "rotations and positions [m]", words)
     T[..., 3, :] = [0.0, 0.0, 0.0, 1.0]
@@ -288,10 +277,10 @@ class _Search:
         self, robot: Robot, places: list[Place], noise: tuple[float, float], start: Any, owner: str
     ) -> None:
         self.robot, self.places, self.noise = robot, places, noise
+        stated: Any = (robot.lower, robot.upper)
         self.known = np.full(robot.n_q, np.nan)
-        if robot.lower is not None and robot.upper is not None:
-            fixed = robot.lower == robot.upper
-            self.known[fixed] = robot.lower[fixed]
+        if robot.lower is not None:
+            self.known = np.where(stated[0] == stated[1], stated[0], np.nan)
         self.free = np.isnan(self.known)
         q0 = robot.start if start is None else robot.check_q(start, owner)
         if q0 is None:  # not quite straight: there the slopes by an azimuth are zero
@@ -329,16 +318,7 @@ class _Search:
         for g in reached[:-1]:
             up_to = [k for k, where in enumerate(places) if where.segment <= g]
             q = self.fit(q, both[:, :, up_to].reshape(len(u), -1), [places[k] for k in up_to], 1.0)[0]
-        found = self.fit(q, u, places, _TOLERANCE)
-        for step in (-1, 1):  # where it fits badly, the shapes before and after are better starts
-            chi2 = found[3]
-            bad = np.flatnonzero(chi2 > 10 * np.median(chi2) + 1e-6)
-            if len(bad):
-                again = self.fit(found[0][np.clip(bad + step, 0, len(u) - 1)], u[bad], places, _TOLERANCE)
-                lower = again[3] < chi2[bad]
-                for old, new in zip(found, again, strict=True):
-                    old[bad[lower]] = new[lower]
-        return found
+        return self.fit(q, u, places, _TOLERANCE)
 
     def rig_of(self, T: Array, rig: Rig, wider: float) -> Rig:
         """Return the rig that suits all shapes: Gauss-Newton with the shapes eliminated."""
@@ -413,13 +393,13 @@ def _readings(T: Array, rig: Rig) -> Array:
 def _first_base(model_T: Array, T: Array, reach: float) -> Array:
     """Return the base frame that brings the robot at its start closest to all measured bodies (Kabsch)."""
     seen = np.isfinite(T[..., 0, 3])
-    points, own = T[seen][:, :3, 3], np.broadcast_to(model_T[:, :3, 3], (*T.shape[:2], 3))[seen]
+    own = np.broadcast_to(model_T, T.shape)
+    points, model_points = T[seen][:, :3, 3], own[seen][:, :3, 3]
     axes = np.isfinite(T[..., 0, 0])
-    H = (points - points.mean(0)).T @ (own - own.mean(0))
-    R_own = np.broadcast_to(model_T[:, :3, :3], (*T.shape[:2], 3, 3))
-    H = H + reach**2 * np.einsum("tij,tkj->ik", T[axes][:, :3, :3], R_own[axes])
-    U, _, V = np.linalg.svd(H)
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+    ours, theirs = (reach * np.swapaxes(X[axes][:, :3, :3], 1, 2).reshape(-1, 3) for X in (own, T))
+    ours = np.concatenate([model_points - model_points.mean(0), ours])
+    theirs = np.concatenate([points - points.mean(0), theirs])
     base = np.eye(4)
-    base[:3, :3], base[:3, 3] = R, points.mean(0) - R @ own.mean(0)
+    base[:3, :3] = Rotation.align_vectors(theirs, ours)[0].as_matrix()
+    base[:3, 3] = points.mean(0) - base[:3, :3] @ model_points.mean(0)
     return base

@@ -61,35 +61,30 @@ def plot_robot(robot: Robot, q: Any = None, *, axes: Any = None, labels: Sequenc
     with mpl.rc_context({"text.usetex": False}):
         ax = plt.figure(figsize=(6.4, 6.0)).add_subplot(projection="3d") if axes is None else axes
         for k, (shape, name) in enumerate(zip(shapes, names, strict=True)):
-            _draw(ax, robot, shape, _COLOURS[k % len(_COLOURS)], name, k == len(shapes) - 1)
+            _draw(ax, robot, shape, _COLOURS[k % len(_COLOURS)], name)
         ax.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
         ax.set_aspect("equal")
         ax.locator_params(nbins=5)
-        if ax.get_legend_handles_labels()[1]:
-            ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize="small")
+        handles, words = ax.get_legend_handles_labels()
+        above: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
+        named = dict(zip(words, handles, strict=True))  # each once
+        ax.legend(named.values(), named, ncols=3, fontsize="small", **above)
     return ax
 
 
-def _draw(ax: Any, robot: Robot, q: Array, colour: str, name: str | None, last: bool) -> None:
+def _draw(ax: Any, robot: Robot, q: Array, colour: str, name: str | None) -> None:
     around = np.linspace(0, 2 * math.pi, 25)
     for g, segment in enumerate(robot.segments, 1):
         share = np.linspace(0, 1, 25) if segment.length else np.ones(1)
         T = robot.poses(q, [point_on(g, v * segment.length) for v in share])
         line = 1e3 * T[:, :3, 3]
         ax.plot(*line.T, color=colour, lw=2, marker="" if segment.length else "o", label=name)
-        name = None
         ring = getattr(segment, "radius", 0.0) * np.stack([np.cos(around), np.sin(around), 0 * around])
         if 0 < np.ptp(ring) < 2 * segment.length:
             tube = line[:, :, None] + 1e3 * T[:, :3, :3] @ ring
             ax.plot_surface(*np.moveaxis(tube, 1, 0), color=colour, alpha=0.12, linewidth=0, shade=False)
             for end in (tube[0], tube[-1]):
                 ax.plot(*end, color=colour, lw=0.8, alpha=0.6)
-    seen: set[str] = set()
-
-    def once(label: str) -> str | None:
-        new = last and label not in seen
-        seen.add(label)
-        return label if new else None
 
     def poses(parts: Sequence[Any]) -> Any:
         found = robot.poses(q, [part.place for part in parts])
@@ -100,14 +95,14 @@ def _draw(ax: Any, robot: Robot, q: Array, colour: str, name: str | None, last: 
         half = 500 * size.get("height", size.get("edge")) * R[:, 2]
         for end, pole in ((half, _NORTH), (-half, _SOUTH)):
             bar = np.stack([at, at + end], axis=1)
-            ax.plot(*bar, color=pole, lw=7, solid_capstyle="butt", label=once("magnet, north red"))
+            ax.plot(*bar, color=pole, lw=7, solid_capstyle="butt", label="magnet, north red")
     arrow = 80 * max(robot.length, 0.05)
     for sensor, at, R in poses(robot.sensors):
         for axis in R.T if sensor.axes == 3 else [R[:, 2]]:
-            ax.quiver(*at, *(arrow * axis), color="#111111", lw=1, label=once("sensor"))
+            ax.quiver(*at, *(arrow * axis), color="#111111", lw=1, label="sensor")
     for _, at, R in poses(robot.imus):
         for axis, tone in zip(R.T, _COLOURS[1:4], strict=True):
-            ax.quiver(*at, *(arrow * axis), color=tone, lw=1.5, label=once("IMU"))
+            ax.quiver(*at, *(arrow * axis), color=tone, lw=1.5, label="IMU")
 
 
 def plot_shape(shape: Any, axes: Any = None) -> Any:

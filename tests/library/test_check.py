@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from repro import (
-    BallJoint,
     ConstantCurvature,
     Cube,
     Disc,
@@ -16,7 +15,6 @@ from repro import (
     Imu,
     InputError,
     LevenbergMarquardt,
-    Link,
     Magnet,
     Robot,
     Sensing,
@@ -168,19 +166,16 @@ def test_undetermined_combinations_are_said_in_words():
         arms, imus=[Imu(2, 0.1)], lower=[-0.02, -0.02, 0] * 2, upper=[0.02, 0.02, 0.004] * 2, noise=1e-3
     )
     found = check_design(at_the_tip)
-    bends = "a combination of delta_x_1, delta_y_1, delta_x_2 and delta_y_2"
+    bends = "combinations of delta_x_1, delta_y_1, delta_x_2 and delta_y_2"
     assert found.undetermined == ("delta_L_1", "delta_L_2", bends)
     assert np.isinf(found.tip).all()
-    assert np.isinf(found.coordinates[:, 2]).all()
     assert "3 readings for 6 unknowns, none to spare: a sensor that fails is never noticed" in found.notes
     plane = at_the_tip.replaced(lower=[-0.02, 0, 0] * 2, upper=[0.02, 0, 0] * 2)
-    bends = "the difference of delta_x_1 and delta_x_2, in units of their ranges"
-    assert check_design(plane).undetermined == (bends,)
+    assert check_design(plane).undetermined == ("combinations of delta_x_1 and delta_x_2",)
     both = check_design(at_the_tip.replaced(imus=[Imu(1, 0.1), Imu(2, 0.1)], noise=1e-3))
     assert both.undetermined == ("delta_L_1", "delta_L_2")
     assert both.can_work  # the bounds hold what the IMUs leave open
-    assert "from one set of readings and the bounds" in both.verdict
-    assert np.isfinite(both.coordinates[:, [0, 1, 3, 4]]).all()
+    assert "from one set of readings within the bounds" in both.verdict
 
 
 def test_a_magnet_that_turns_about_its_own_axis():
@@ -195,26 +190,12 @@ def test_a_magnet_that_turns_about_its_own_axis():
     free = check_design(
         robot.replaced(lower=-turns * [1, 1, 1, 20, 20, 20], upper=turns * [1, 1, 1, 20, 20, 20])
     )
-    assert free.undetermined == (
-        "rotation_x_1, rotation_y_1 and rotation_z_1 in combinations that change with the shape",
-    )
+    assert free.undetermined == ("combinations of rotation_x_1, rotation_y_1 and rotation_z_1",)
 
 
 def test_a_fixed_coordinate_is_known():
     free, fixed = check_design(arm(stretch=0.01)), check_design(arm())
-    assert (fixed.coordinates[:, [2, 5]] == 0).all()
     assert np.median(fixed.tip) < np.median(free.tip)
-
-
-def test_a_magnet_closer_than_its_own_size_is_noted():
-    robot = Robot(
-        [BallJoint("xy"), Link(0.012)], [Magnet(Cube(4e-3, 1300.0), 2, 0.006)],
-        [Sensor(0, 0.0, position=[0.0, 0.0, 0.0035], axes=3, name="chip")],
-        lower=[-0.5, -0.5], upper=[0.5, 0.5], noise=6e-3,
-    )  # fmt: skip
-    (note,) = check_design(robot).notes
-    assert note.startswith("chip x comes within 2.")
-    assert note.endswith("mm of the centre of magnet 1, which reaches 3.5 mm: its field is not known there")
 
 
 def test_a_model_of_ones_own_has_no_tolerances():

@@ -71,13 +71,12 @@ def test_a_robot_is_drawn_where_it_is():
     arrows = [c for c in ax.collections if type(c).__name__ == "Line3DCollection"]
     assert len(arrows) == 3 + 1 + 3
     assert (ax.get_xlabel(), ax.get_zlabel()) == ("x [mm]", "z [mm]")
-    _, labels = ax.get_legend_handles_labels()
-    assert labels == ["magnet, north red", "sensor", "IMU"]
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["magnet, north red", "sensor", "IMU"]
 
 
 def test_several_shapes_on_each_other_and_on_given_axes():
     ax = ROBOT.plot([np.zeros(9), BENT], labels=["straight", "bent"])
-    assert ax.get_legend_handles_labels()[1][:2] == ["straight", "bent"]
+    assert {"straight", "bent"} < {text.get_text() for text in ax.get_legend().get_texts()}
     before = len(ax.lines)
     assert ROBOT.plot(BENT, axes=ax) is ax
     assert len(ax.lines) == before * 3 // 2
