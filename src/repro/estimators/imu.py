@@ -338,37 +338,6 @@ def _exponential(vector: Array) -> Array:
     return np.concatenate([0.5 * _sinc(half) * vector, np.cos(half)], axis=-1)
 
 
-def link_orientations(orientations: Any, along_arm: str = "z") -> Array:
-    """Return orientations of links from IMUs that are mounted with another axis along the arm.
-
-    Parameters
-    ----------
-    orientations
-        Quaternions XYZW of the IMUs ``[..., 4]``.
-    along_arm
-        Axis of the IMUs that points along the arm, base to tip: "x", "y" or "z". The turn about the arm that
-        remains free moves no point.
-
-    Raises
-    ------
-    InputError
-        If the axis is none of these, or quaternions are not unit within 1e-3.
-
-    Examples
-    --------
-    An IMU whose y axis points up, on a link that points up:
-
-    >>> from repro.robot import rotation_matrix
-    >>> y_is_up = [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]
-    >>> rotation_matrix(link_orientations(y_is_up, "y"))[:, 2].round(12) + 0.0
-    array([0., 0., 1.])
-    """
-    turns = {"x": [0, 1, 0, 1], "y": [-1, 0, 0, 1], "z": [0, 0, 0, math.sqrt(2)]}
-    require(along_arm in turns, "along_arm", "link_orientations", '"x", "y" or "z"', along_arm)
-    q = unit_quaternions(orientations, "orientations", "link_orientations", (..., 4))
-    return _product(q, np.array(turns[along_arm]) / math.sqrt(2))
-
-
 @dataclass(frozen=True)
 class ImuCalibration:
     """Frame, headings and mountings that fit motion capture best, from :func:`calibrate_imus`.
@@ -498,9 +467,8 @@ def calibrate_imus(
     # We start at the frame that fits best without priors (Kabsch 1976): tolerances are no bounds.
     z = np.zeros(len(names))
     points = predicted(z)
-    left, _, right = np.linalg.svd((seen_at - seen_at.mean(0)).T @ (points - points.mean(0)))
-    R = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    z[:3], z[3:6] = Rotation.from_matrix(R).as_rotvec(), seen_at.mean(0) - R @ points.mean(0)
+    R = Rotation.align_vectors(seen_at - seen_at.mean(0), points - points.mean(0))[0]
+    z[:3], z[3:6] = R.as_rotvec(), seen_at.mean(0) - R.apply(points.mean(0))
     fit = least_squares(residuals, z / scale, x_scale=1.0, ftol=1e-6, xtol=1e-6)
     covariance = np.linalg.inv(fit.jac.T @ fit.jac) * np.outer(scale, scale)
     rms = np.sqrt(np.mean(np.sum((predicted(fit.x) - seen_at) ** 2, axis=-1)))
@@ -654,7 +622,7 @@ class ImuShape:
         )
         used = np.where(missing[..., None], [0.0, 0.0, 0.0, 1.0], u)
         used = unit_quaternions(used, "u", "ImuShape", (..., imus, 4))
-        gaps, s, there = bool(missing.any()), np.array(arm.imu_arcs), np.arange(imus)
+        gaps, s = bool(missing.any()), np.array(arm.imu_arcs)
         before, after = _neighbours(missing)
         used = _filled(used, before, after, s) if gaps else used
         known = known_coordinates(known, 3 * len(self.arc_lengths), "ImuShape")
@@ -664,15 +632,14 @@ class ImuShape:
         steps = steps.reshape(6, *(1,) * (used.ndim - 2), 4)
         # Slopes of the positions by a turn of every IMU about every axis of the world.
         slopes = np.empty((imus, 3, *q.shape))
-        for some in np.array_split(there, min(imus, 1 + used.size // 4000)):  # all at once, if memory allows
-            turned = np.broadcast_to(used, (len(some), 6, *used.shape)).copy()
-            each = np.moveaxis(used[..., some, :], -2, 0)[:, None]
-            turned[there[: len(some)], ..., some, :] = _product(steps, each)
+        for k in range(imus):
+            turned = np.broadcast_to(used, (6, *used.shape)).copy()
+            turned[..., k, :] = _product(steps, used[..., k, :])
             if gaps:  # an IMU that is there also turns those that are filled from it
-                lost = np.moveaxis(missing[..., some], -1, 0)[:, None, ..., None, None]
+                lost = missing[..., k, None, None]
                 turned = np.where(lost, turned, _filled(turned, before, after, s))
             moved = self._positions(turned)
-            slopes[some] = (moved[:, :3] - moved[:, 3:]) / (2 * _STEP)
+            slopes[k] = (moved[:3] - moved[3:]) / (2 * _STEP)
         base = (np.array(arm.imus) == 0) & (np.ndim(self.noise) == 0)
         noise = np.where(missing | base, 0.0, np.square(self.noise))[..., None] * np.eye(imus)
         turns = noise + self.roughness**2 * _random_walk(before, after, s) if gaps else noise

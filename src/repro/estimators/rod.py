@@ -19,7 +19,7 @@ import numpy as np
 from numpy.polynomial.legendre import legval
 
 from repro.common import Array, kernel, numbers, require
-from repro.estimators.base import Estimate, conditioned, incoming, known_coordinates, start
+from repro.estimators.base import Estimate, conditioned, incoming, known_coordinates, model_of, start
 from repro.estimators.kalman import KalmanState, MotionModel
 from repro.robot import arc_functions
 from repro.sensing import rotation_vector
@@ -30,8 +30,6 @@ _ORIENTATION, _GYROSCOPE = 1, 2
 """Their numbers for the kernels: poses come before, models after."""
 _STILL = 0.01
 """An update ends when no state moves by more than this share of its standard deviation before any reading."""
-_STEP = 1e-5
-"""Step of central differences, as a share of the standard deviation of a term."""
 
 
 @dataclass(frozen=True)
@@ -175,16 +173,12 @@ class RodSensor:
         Distance of the sensor from the base along the rod [m]; without a meaning for a model.
     lasting_std
         Standard deviation of the error that lasts (a mounting or a frame that is off, a bias): one number, or one for
-        each reading; empty for none. With several times, one row for each of them.
+        each reading; empty for none.
     lasting_time_s
-        Correlation time of the lasting error [s]; infinite for a constant. With several times, such as
-        ``(1.0, math.inf)``, so many lasting errors add up.
-    outliers
-        Degrees of freedom of Student's t distribution of the white errors, so that a surprising reading counts less;
-        infinite for the normal distribution.
+        Correlation time of the lasting error [s]; infinite for a constant.
     sensing
-        For a model: a function of the terms ``[terms]`` [rad/m] that returns its readings. If it has
-        ``linearise(terms) -> (readings, slopes [readings, terms])`` we use that, else central differences.
+        For a model: a function of the terms ``[terms]`` [rad/m] that returns its readings, as for
+        :class:`repro.LevenbergMarquardt`.
 
     Raises
     ------
@@ -203,8 +197,7 @@ class RodSensor:
     std: Any
     arc_m: float = 0.0
     lasting_std: Any = ()
-    lasting_time_s: Any = math.inf
-    outliers: float = math.inf
+    lasting_time_s: float = math.inf
     sensing: Callable[[Array], Any] | None = None
 
     def __post_init__(self) -> None:
@@ -217,8 +210,8 @@ class RodSensor:
             self.sensing,
         )
         numbers(self.arc_m, "arc_m", "RodSensor", ())
-        _positive(self.outliers, "outliers", "RodSensor", 1, finite=False)
-        _ = self.lasting
+        require(self.lasting_time_s > 0, "lasting_time_s", "RodSensor", "positive [s]", self.lasting_time_s)
+        _ = self.white, self.lasting
 
     @cached_property
     def white(self) -> Array:
@@ -226,22 +219,10 @@ class RodSensor:
         return _positive(self.std, "std", "RodSensor", _KINDS[self.kind] or max(np.size(self.std), 1))
 
     @cached_property
-    def lasting(self) -> tuple[Array, Array]:
-        """Standard deviations ``[k, readings]`` of the errors that last, and their correlation times ``[k]`` [s]."""
-        count = len(self.white)
-        if np.size(self.lasting_std) == 0:
-            return np.empty((0, count)), np.empty(0)
-        k = max(np.size(self.lasting_time_s), 1)
-        times = _positive(self.lasting_time_s, "lasting_time_s", "RodSensor", k, finite=False)
-        rows = numbers(self.lasting_std, "lasting_std", "RodSensor")
-        require(
-            rows.shape in ((), (count,), (k, count)) and (rows > 0).all(),
-            "lasting_std",
-            "RodSensor",
-            f"positive, one number or one for each of {count} readings, a row for each of {k} times",
-            self.lasting_std,
-        )
-        return np.broadcast_to(rows, (k, count)), times
+    def lasting(self) -> Array:
+        """Standard deviation of the error that lasts, of every reading; empty for none."""
+        count = len(self.white) if np.size(self.lasting_std) else 0
+        return _positive(self.lasting_std, "lasting_std", "RodSensor", count)
 
 
 def _positive(value: Any, name: str, owner: str, count: int, *, finite: bool = True) -> Array:
@@ -339,13 +320,12 @@ class RodFilter(MotionModel):
         self._std = np.append(base, _positive(strain_std, "strain_std", owner, rod.n_q))
         rates = _positive(base_rate, "base_rate", owner, len(base)), _positive(rate, "rate", owner, rod.n_q)
         self._rate, self.n_q = np.concatenate(rates), len(self._std)
-        stds, times = zip(*(sensor.lasting for sensor in self.sensors), strict=True)
-        self._lasting_std = np.concatenate([std.ravel() for std in stds])
-        self._lasting_rate = np.concatenate(
-            [np.repeat(1 / time, std.shape[1]) for std, time in zip(stds, times, strict=True)]
-        )
+        lasting = [sensor.lasting for sensor in self.sensors]
+        rates = [np.full(len(sensor.lasting), 1 / sensor.lasting_time_s) for sensor in self.sensors]
+        self._lasting_std, self._lasting_rate = np.concatenate(lasting), np.concatenate(rates)
         self._scale = np.concatenate([self._std, self._lasting_std, self._std * self._rate])
         self._rows = np.cumsum([0, *(len(sensor.white) for sensor in self.sensors)])
+        self._sensing = [self._model_of(sensor) for sensor in self.sensors]
         # For the kernels. The sums say where the readings of a sensor begin, and its errors among the states.
         self._layout = (
             rod.basis,
@@ -353,9 +333,8 @@ class RodFilter(MotionModel):
             np.array([float(sensor.arc_m) for sensor in self.sensors]),
             np.array([list(_KINDS).index(sensor.kind) for sensor in self.sensors]),
             self._rows,
-            self.n_q + np.cumsum([0, *(std.size for std in stds)]),
+            self.n_q + np.cumsum([0, *(len(std) for std in lasting)]),
             np.concatenate([sensor.white for sensor in self.sensors]) ** 2,
-            np.array([float(sensor.outliers) for sensor in self.sensors]),
         )
 
     def init(self, q0: Any = None, seed: int = 0) -> KalmanState:
@@ -448,22 +427,22 @@ class RodFilter(MotionModel):
         slopes = T[..., :3, :3] @ J[..., :3, :]
         return T[..., :3, 3], slopes @ P[..., None, :, :] @ np.swapaxes(slopes, -1, -2)
 
+    def _model_of(self, sensor: RodSensor) -> Any:
+        if sensor.sensing is None:
+            return None
+        std = self._std[-self.rod.n_q :]
+        model, n = model_of(sensor.sensing, -std, std, "RodSensor"), len(sensor.white)
+        require(model.n_readings == n, "std", "RodSensor", f"of {model.n_readings} readings", n)
+        return model
+
     def _models(self, x: Array) -> tuple[Array, Array]:
         """Return the readings of models, in their places among all readings, and their slopes by the strain."""
         terms = self.rod.n_q
         value, slopes = np.zeros(self._rows[-1]), np.zeros((self._rows[-1], terms))
-        q, steps = x[self.n_q - terms : self.n_q].copy(), _STEP * self._std[-terms:]
-        for sensor, first, stop in zip(self.sensors, self._rows, self._rows[1:], strict=False):
-            sensing: Any = sensor.sensing
-            if sensing is None:
-                continue
-            if hasattr(sensing, "linearise"):
-                u, J = sensing.linearise(q)
-            else:
-                pairs = [(sensing(q + d), sensing(q - d)) for d in np.diag(steps)]
-                u, J = sensing(q), np.stack([np.subtract(*pair) for pair in pairs], axis=-1) / (2 * steps)
-            value[first:stop] = numbers(u, "sensing", "RodSensor", (stop - first,))
-            slopes[first:stop] = numbers(J, "slopes of sensing", "RodSensor", (stop - first, terms))
+        q = x[None, self.n_q - terms : self.n_q]
+        for model, first, stop in zip(self._sensing, self._rows, self._rows[1:], strict=False):
+            if model is not None:
+                (value[first:stop],), (slopes[first:stop],) = model.linearise(q)
         return value, slopes
 
 
@@ -538,16 +517,15 @@ def _compare(layout, n, x, u, value, slopes):
 
     A pose differs by the twist, in the frame of the sensor, from the predicted pose to the pose that was read.
     """
-    basis, piece, arcs, kinds, rows, errors, _, _ = layout
+    basis, piece, arcs, kinds, rows, errors, _ = layout
     u_hat, r, H = np.zeros(len(u)), np.zeros(len(u)), np.zeros((len(u), len(x)))
     poses, jacobians = _along(basis, piece, x[:n], arcs)
     for k in range(len(kinds)):
         first, stop, T, J = rows[k], rows[k + 1], poses[k], jacobians[k]
         error = np.zeros(stop - first)
         for i in range(errors[k], errors[k + 1]):
-            row = (i - errors[k]) % len(error)
-            error[row] += x[i]
-            H[first + row, i] = 1.0
+            error[i - errors[k]] = x[i]
+            H[first + i - errors[k], i] = 1.0
         if kinds[k] <= _ORIENTATION:
             twist, low = np.zeros(6), 6 - len(error)
             twist[low:] = error
@@ -572,19 +550,11 @@ def _compare(layout, n, x, u, value, slopes):
 @kernel(entry=True, allocates=True)
 def _improve(layout, n, x, prior, P, u, value, slopes):
     """Return mean and covariance given readings, linearised at ``x``, and the chi-square of their surprise."""
-    rows, variance, outliers = layout[4], layout[6].copy(), layout[7]
     _, r, H = _compare(layout, n, x, u, value, slopes)
     use = np.flatnonzero(np.isfinite(u))
     r += H @ (x - prior)
-    spread = H @ P @ H.T
-    for k in range(len(outliers)):
-        here = use[(use >= rows[k]) & (use < rows[k + 1])]
-        if outliers[k] < math.inf and len(here):
-            S = spread[here][:, here] + np.diag(variance[here])
-            weight = (outliers[k] + r[here] @ np.linalg.solve(S, r[here])) / (outliers[k] + len(here))
-            variance[rows[k] : rows[k + 1]] *= max(1.0, weight)
-    r, H, R = r[use], H[use], np.diag(variance[use])
-    S = spread[use][:, use] + R
+    r, H, R = r[use], H[use], np.diag(layout[6][use])
+    S = H @ P @ H.T + R
     gain = np.linalg.solve(S, H @ P).T
     # Joseph's form: a covariance stays positive where sensors are far better than the prior.
     rest = np.eye(len(x)) - gain @ H
