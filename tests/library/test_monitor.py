@@ -15,9 +15,6 @@ from repro import (
     KalmanFilter,
     LevenbergMarquardt,
     Robot,
-    Rod,
-    RodFilter,
-    RodSensor,
     Sensor,
     example,
     load_robot,
@@ -26,6 +23,7 @@ from repro import (
     track,
 )
 from repro.estimators.monitor import STATUS, Monitor, _limit
+from repro.estimators.rod import Rod, RodFilter, RodSensor
 from repro_board.emulate import course, faulty
 
 TWO = load_robot(Path(__file__).parents[2] / "data" / "robots" / "two_segments.toml")

@@ -190,8 +190,8 @@ class Monitor:
         row = (state.inner, u, known, t)
         now = MonitorState(
             inner, state.seed, state.row + (same is None or not same.all()), bits, equal, since,
-            (fast, slow, free, freer), (*state.recent[1 - _WINDOW :], row) if self.needs_time else (row,), (found.q, t),
-            state.cases, found,
+            (fast, slow, free, freer), (*state.recent[1 - _WINDOW :], row) if self.needs_time else (row,),
+            (found.q, t), state.cases, found,
         )  # fmt: skip
         doubt = bad | few
         if same is None and not (doubt if one else doubt.any()):
@@ -255,7 +255,7 @@ class Monitor:
                 for name in ("status", "suspects", "left_out", "growth"):
                     said[name][k] = before[name][k]
                 if self.needs_time:
-                    found = _put(found, k, _grown(_pick(found, k), before["growth"][k]))
+                    found = _put(found, k, _grown(_pick(found, k), 0.0, before["growth"][k]))
                 else:
                     inner, found = _put(inner, k, _pick(state.inner, k)), _put(found, k, _pick(state.last, k))
             since, equal = (np.broadcast_to(x, batch) for x in (now.since, now.equal))
@@ -263,8 +263,7 @@ class Monitor:
             said["status"][frozen] = FROZEN
             for k in map(tuple, np.argwhere(frozen & (not self.needs_time))):
                 moved = np.diag((_SPEED * self._width * (t - since[k])) ** 2)
-                found_k = _pick(found, k)
-                found = _put(found, k, found_k._replace(covariance=found_k.covariance + moved))
+                found = _put(found, k, _grown(_pick(found, k), moved))
         said["status"][np.broadcast_to(few, batch) & (said["status"] == CONSISTENT)] = UNDETERMINED
         fits = said["status"] <= LEFT_OUT
         q = np.where(fits[..., None], found.q, state.good[0])
@@ -335,7 +334,7 @@ class Monitor:
             if self.needs_time and strong and odd and row - case.since < _WINDOW:  # a glitch of all: wait
                 inner, trial = self.estimator.step(before, np.full(len(u), np.nan), t, known=known)
                 words, growth = {"status": INCONSISTENT, "left_out": np.isfinite(u)}, 1.0
-            return inner, _grown(trial, growth), case, words
+            return inner, _grown(trial, 0.0, growth), case, words
         if fresh.any() and np.isfinite(good).all():  # how far the robot would have jumped
             moved = np.where(self._turns, 1e3, self._width * (_SPEED * (t - good_t) + 1e-6))
             away, C = fits.q - good, fits.covariance + np.diag(moved**2)
@@ -347,8 +346,7 @@ class Monitor:
         left = total <= total.min() + _DECISIVE
         best = 1 + int(total.argmin())
         off = (fits.q[1:] - fits.q[best])[left]  # what is not decided, the covariance holds
-        found = _pick(fits, best)
-        found = found._replace(covariance=found.covariance + off.T @ off / len(off))
+        found = _grown(_pick(fits, best), off.T @ off / len(off))
         enough = case.dof[best] / max(fits.dof[best], 1) * spare >= _ENOUGH
         status = LEFT_OUT if enough and left.sum() == 1 else INCONSISTENT
         words = {"status": status, "suspects": left & (enough and left.sum() <= 2)}
@@ -360,16 +358,14 @@ class Monitor:
         used = np.bincount(self.parts, np.isfinite(u)) > 0
         return (case.against <= chdtri(np.maximum(case.dof, 1), _FITS))[1:] & used & (used.sum() > 1)
 
-    def _elsewhere(self, before: Any, good: Array) -> Any:
+    def _elsewhere(self, before: Any, good: Any) -> Any:
         """States to start anew from: where the robot was, and everywhere within the bounds."""
         if self._bounds is None:
             return self.estimator.init(np.zeros((1, self.n_q)))
         low, high = self._bounds
-        points = [
-            x[: self.n_q] for x in (good, before.q) if x is not None and np.isfinite(x).all() and np.ndim(x)
-        ]
+        points: Any = (x[: self.n_q] for x in (good, before.q) if np.ndim(x) and np.isfinite(x).all())
         starts = np.clip([*points, *evenly(low, high, _STARTS)], low, high)
-        states, n, m = self.estimator.init(starts), self.n_q, 0 if before.q is None else before.q.shape[-1]
+        states, n, m = self.estimator.init(starts), self.n_q, np.shape(before.q)[-1] if np.ndim(before.q) else 0
         if m > n:  # errors of sensors stay as they are known
             q, P = states.q.copy(), states.covariance.copy()
             q[:, n:], P[:, n:m, n:m] = before.q[n:], before.covariance[n:m, n:m]
@@ -387,30 +383,33 @@ def _limit(dof: Any, x: float = _RARE) -> Any:
     return dof + 2 * x + 2 * x**0.5 * dof**0.5
 
 
-def _grown(estimate: Estimate, factor: float) -> Estimate:
-    C = estimate.covariance
-    return estimate if C is None else estimate._replace(covariance=factor * C)
+def _each(function: Any, x: Any, *others: Any) -> Any:
+    """Apply a function to all arrays and numbers of states or estimates of one kind."""
+    if isinstance(x, dict):
+        return {name: _each(function, y, *(other[name] for other in others)) for name, y in x.items()}
+    if isinstance(x, tuple):
+        return type(x)(*(_each(function, *values) for values in zip(x, *others, strict=True)))
+    return function(x, *others)
 
 
 def _pick(x: Any, k: Any) -> Any:
     """Return one robot of a batch of states or estimates."""
-    if isinstance(x, dict):
-        return {name: _pick(y, k) for name, y in x.items()}
-    if isinstance(x, tuple):
-        return type(x)(*(_pick(y, k) for y in x))
-    return x[k] if isinstance(x, np.ndarray) else x
+    return _each(lambda y: y[k] if isinstance(y, np.ndarray) else y, x)
 
 
 def _put(x: Any, k: Any, y: Any) -> Any:
     """Return a batch with one robot exchanged."""
-    if k == ():
-        return y
-    if isinstance(x, dict):
-        return {name: _put(z, k, y[name]) for name, z in x.items()}
-    if isinstance(x, tuple):
-        return type(x)(*(_put(z, k, v) for z, v in zip(x, y, strict=True)))
-    if isinstance(x, np.ndarray):
-        x = x.copy()
-        x[k] = y
-        return x
-    return y
+
+    def exchanged(old: Any, new: Any) -> Any:
+        if not isinstance(old, np.ndarray):
+            return new
+        old = old.copy()
+        old[k] = new
+        return old
+
+    return y if k == () else _each(exchanged, x, y)
+
+
+def _grown(estimate: Estimate, added: Any, factor: float = 1.0) -> Estimate:
+    C: Any = estimate.covariance
+    return estimate._replace(covariance=factor * C + added)
