@@ -484,10 +484,11 @@ def stills(
 
 
 def alarms(study: pd.DataFrame) -> pd.DataFrame:
-    """Return what an emulated robot with a monitor noticed of faults of its sensors [%]."""
+    """Return what an emulated robot with a monitor noticed of faults of its sensors, and without it [%]."""
     table = study[["robot", "estimator", "scenario"]].copy()
     for name, part, whole in (
         ("off", "wrong", "readings"),
+        ("off_without", "without", "readings"),
         ("alarm", "alarms", "readings"),
         ("alarm_right", "named_readings_right", "readings"),
         ("noticed", "noticed", "due"),
