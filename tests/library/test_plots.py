@@ -22,11 +22,11 @@ from repro import (
     Robot,
     Sensing,
     Sensor,
-    Trajectory,
     fit_shape,
     simulated_readings,
     track,
 )
+from repro.estimators.base import Trajectory
 
 mpl.use("agg")
 
