@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -153,7 +154,7 @@ def alarms() -> pd.DataFrame:
     ]
     tasks = [delayed(alarm_trial)(*case, seed + k) for case in cases for k in range(trials)]
     counts = pd.DataFrame(Parallel(n_jobs=-1, verbose=5)(tasks))
-    sums = counts.groupby(np.repeat(np.arange(len(cases)), trials)).sum()
+    sums: Any = counts.groupby(np.repeat(np.arange(len(cases)), trials)).sum()
     table = pd.DataFrame(cases, columns=["robot", "estimator", "scenario"]).assign(trials=trials)
     table = pd.concat([table, sums], axis=1)
     table.attrs = {"rates_hz": RATES_HZ, "estimators": ["levenberg_marquardt", "kalman"]}
@@ -161,14 +162,15 @@ def alarms() -> pd.DataFrame:
     return table
 
 
-def alarm_trial(name: str, estimator: str, scenario: str, seed: int) -> dict[str, int]:
+def alarm_trial(name: str, estimator: str, scenario: str, seed: int) -> dict[str, Any]:
     """Let an emulated robot move, let a part of it fail, and count what the monitor says."""
     file = (
         repro.example() / "robot.toml"
         if name == "four_chips"
         else project_folder() / "data" / "robots" / f"{name}.toml"
     )
-    robot, rate_hz = repro.load_robot(file), RATES_HZ[name]
+    robot: Any = repro.load_robot(file)
+    rate_hz = RATES_HZ[name]
     times = np.arange(round(LONG_S * rate_hz)) / rate_hz
     after, part = times >= FAULT_S, seed % len(robot.part_names)
     q = course(robot, times + 20.0 * (scenario == "start bent"), seed=seed)
@@ -196,7 +198,8 @@ def alarm_trial(name: str, estimator: str, scenario: str, seed: int) -> dict[str
     signal = np.linalg.norm(added - J @ (np.linalg.pinv(J) @ added), axis=(1, 2))
 
     method = (repro.LevenbergMarquardt if estimator == "levenberg_marquardt" else repro.KalmanFilter)(robot)
-    bare, found = (track(method, sent, robot.start, times=times, monitor=m) for m in (None, "auto"))
+    runs: Any = (track(method, sent, robot.start, times=times, monitor=m) for m in (None, "auto"))
+    bare, found = runs
     off, wrong = (
         after & (np.linalg.norm(robot.tip(shape.q)[:, :3, 3] - tip, axis=-1) > TIMES * interval)
         for shape in (bare, found)

@@ -365,7 +365,7 @@ class Monitor:
         low, high = self._bounds
         points: Any = (x[: self.n_q] for x in (good, before.q) if np.ndim(x) and np.isfinite(x).all())
         starts = np.clip([*points, *evenly(low, high, _STARTS)], low, high)
-        states, n, m = self.estimator.init(starts), self.n_q, np.shape(before.q)[-1] if np.ndim(before.q) else 0
+        states, n, m = self.estimator.init(starts), self.n_q, np.size(before.q)
         if m > n:  # errors of sensors stay as they are known
             q, P = states.q.copy(), states.covariance.copy()
             q[:, n:], P[:, n:m, n:m] = before.q[n:], before.covariance[n:m, n:m]
