@@ -110,6 +110,7 @@ class Figure {
     for (const key of Object.keys(changes)) this.controls[key]?.show(this.state[key]);
     if (this.view.changed) this.view.changed(this, changes);
     this.redraw();
+    if (performance.now() - (this.spoken || 0) > 500) this.speak(); // also while something moves
     clearTimeout(this.later);
     this.later = setTimeout(() => this.settle(), 250);
   }
@@ -122,6 +123,7 @@ class Figure {
   }
 
   speak() {
+    this.spoken = performance.now();
     this.text.textContent = this.view.summary(this);
   }
 
@@ -280,6 +282,7 @@ class Figure {
       if (running) requestAnimationFrame(next);
       made.textContent = running ? "Pause" : label;
       made.setAttribute("aria-pressed", running);
+      this.text.setAttribute("aria-live", running ? "off" : "polite");
     });
     const next = (now) => {
       if (!running || !this.box.isConnected) return;

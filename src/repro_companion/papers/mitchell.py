@@ -251,7 +251,9 @@ def gain_in_words(table: pd.DataFrame) -> str:
     return (
         f"**Our best filter has {held['ratio'].min():.2f} to {held['ratio'].max():.2f} times the error of least"
         " squares on single readings**, on the two curves that had no part in the choice of its noise (ten draws;"
-        f" 95 % intervals within {held['ratio_low'].min():.2f} to {held['ratio_high'].max():.2f}, paired bootstrap)."
+        " paired bootstrap, 95 %: "
+        + " and ".join(f"{r.ratio_low:.2f} to {r.ratio_high:.2f}" for r in held.itertuples())
+        + ")."
         f" A Kalman filter with the same noises has {other['ratio'].min():.2f} to {other['ratio'].max():.2f} times"
         " the error of this filter on them."
     )
@@ -627,7 +629,7 @@ LEAST_BEND_DEG = 20.0
 """Directions are compared from this bend on."""
 METHODS = {
     ("motion capture", "none"): "motion capture",
-    ("paper, as printed", "none"): "paper's filter, as printed",
+    ("paper, printed noise", "none"): "paper's filter, printed noise",
     ("paper, as released", "none"): "paper's filter, as released",
     ("authors' output", "none"): "authors' own output",
     ("ours", "none"): "ratios, not calibrated",
