@@ -298,9 +298,9 @@ def rotation_matrix(q: Array) -> Array:
 class Sensor:
     r"""A magnetic sensor with one measuring axis, or a chip with three.
 
-    A sensor with one axis (Baaij et al. 2023, eq. (2)) measures towards the base, along :math:`R_z(\varphi) (-\sin\psi, 0, -\cos\psi)`: a positive
-    tilt :math:`\psi` points it inwards. ``direction`` says otherwise. A sensor with three axes gives three readings,
-    along the x, y and z axes of its own frame.
+    A sensor with one axis (Baaij et al. 2023, eq. (2)) measures towards the base, along
+    :math:`R_z(\varphi) (-\sin\psi, 0, -\cos\psi)`: a positive tilt :math:`\psi` points it inwards. ``direction`` says
+    otherwise. A sensor with three axes gives three readings, along the x, y and z axes of its own frame.
 
     Parameters
     ----------
