@@ -110,7 +110,6 @@ class Figure {
     for (const key of Object.keys(changes)) this.controls[key]?.show(this.state[key]);
     if (this.view.changed) this.view.changed(this, changes);
     this.redraw();
-    if (performance.now() - (this.spoken || 0) > 500) this.speak(); // also while something moves
     clearTimeout(this.later);
     this.later = setTimeout(() => this.settle(), 250);
   }
@@ -137,6 +136,7 @@ class Figure {
     this.dirty = false;
     this.context.clearRect(0, 0, this.width, this.height);
     this.view.draw(this);
+    if (this.playing && performance.now() - this.spoken > 500) this.speak(); // what has moved on since
   }
 
   // ---- The camera: parallel projection, z upwards ------------------------------------------------------------------
@@ -283,6 +283,7 @@ class Figure {
       made.textContent = running ? "Pause" : label;
       made.setAttribute("aria-pressed", running);
       this.text.setAttribute("aria-live", running ? "off" : "polite");
+      this.playing = running;
     });
     const next = (now) => {
       if (!running || !this.box.isConnected) return;
