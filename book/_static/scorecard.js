@@ -26,7 +26,7 @@ document.addEventListener("DOMContentLoaded", () => {
 
   const apply = () => {
     const words = text.value.toLowerCase().split(/\s+/).filter(Boolean);
-    for (const option of selects[1].options) {  // of the chosen paper only
+    for (const option of selects[1].options) { // of the chosen paper only
       option.hidden = !rows.some((one) => (!selects[0].value || one.paper === selects[0].value) && (!option.value || one.artefact === option.value));
     }
     if (selects[1].selectedOptions[0].hidden) selects[1].value = "";
