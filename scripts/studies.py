@@ -80,7 +80,7 @@ def particle_filter() -> pd.DataFrame:
     """Return errors [mm] of the particle filter on the curves of Mitchell et al.: ten minutes."""
     found = Parallel(n_jobs=-1, verbose=5)(delayed(mitchell.study_rows)(*one) for one in mitchell.study())
     table = pd.DataFrame([line for lines in found for line in lines or []], columns=mitchell.STUDY_COLUMNS)
-    table.attrs = {"seeds": len(mitchell.STUDY_SEEDS), "noise_mt": mitchell.SENSOR_NOISE_MT}
+    table.attrs = {"seeds": sorted(map(int, set(table["seed"]))), "noise_mt": mitchell.SENSOR_NOISE_MT}
     table.attrs |= {"curves": list(mitchell.CURVES), "steps": len(mitchell.times())}
     return table
 

@@ -26,6 +26,10 @@ document.addEventListener("DOMContentLoaded", () => {
 
   const apply = () => {
     const words = text.value.toLowerCase().split(/\s+/).filter(Boolean);
+    for (const option of selects[1].options) { // of the chosen paper only
+      option.hidden = !rows.some((one) => (!selects[0].value || one.paper === selects[0].value) && (!option.value || one.artefact === option.value));
+    }
+    if (selects[1].selectedOptions[0].hidden) selects[1].value = "";
     const filtered = words.length > 0 || selects.some((select) => select.value);
     for (const one of rows) {
       const chosen = selects.every(({ name, value }) => !value || one[name] === value);

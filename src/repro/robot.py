@@ -304,11 +304,11 @@ def check_tolerance(tolerance: Any, owner: str) -> None:
 
 @dataclass(frozen=True)
 class Sensor:
-    r"""A magnetic sensor with one measuring axis or three (Baaij et al. 2023, eq. (2), or a chip as one buys it).
+    r"""A magnetic sensor with one measuring axis, or a chip with three.
 
-    A sensor with one axis measures towards the base, along :math:`R_z(\varphi) (-\sin\psi, 0, -\cos\psi)`: a positive
-    tilt :math:`\psi` points it inwards. ``direction`` says otherwise. A sensor with three axes gives three readings,
-    along the x, y and z axes of its own frame.
+    A sensor with one axis (Baaij et al. 2023, eq. (2)) measures towards the base, along
+    :math:`R_z(\varphi) (-\sin\psi, 0, -\cos\psi)`: a positive tilt :math:`\psi` points it inwards. ``direction`` says
+    otherwise. A sensor with three axes gives three readings, along the x, y and z axes of its own frame.
 
     Parameters
     ----------

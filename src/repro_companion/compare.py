@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import io
 import subprocess
-import tarfile
 import tempfile
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -138,12 +138,14 @@ def compare_with_head(root: Path) -> Comparison:
     ValueError
         If the project is no checkout of git.
     """
-    done = subprocess.run(["git", "-C", root, "archive", "HEAD", "results"], capture_output=True, check=False)
+    done = subprocess.run(
+        ["git", "-C", root, "archive", "--format=zip", "HEAD", "results"], capture_output=True, check=False
+    )
     if done.returncode:
         raise ValueError(f"The committed tables cannot be read: {done.stderr.decode().strip()}")
     with tempfile.TemporaryDirectory() as folder:
-        with tarfile.open(fileobj=io.BytesIO(done.stdout)) as archive:
-            archive.extractall(folder, filter="data")
+        with zipfile.ZipFile(io.BytesIO(done.stdout)) as archive:
+            archive.extractall(folder)
         committed = Path(folder) / "results"
         return compare_folders(committed, root / "results", root, exact=on_reference_processor(root))
 

@@ -89,7 +89,7 @@ BELOW_TABLE_1 = (
     "Pale rows repeat another row. Within the scatter: both means are at most "
     "√3 · √(s<sub>published</sub>² + s<sub>regenerated</sub>²) apart, or half a printed unit. Tint: "
 )
-TABLE_1 = """<style>
+TABLE_1 = """<style class="nohighlight">
 .table-1 { overflow-x: auto; margin: 0 0 0.4rem; --grey: #666d78; }
 .table-1 :is(.better, .differs) { --grey: #4b515b; }
 html[data-theme="dark"] .table-1 { --grey: #9ca4af; }
@@ -890,7 +890,7 @@ def bend_error_by_noise(
         x, label = part["process_noise_pi"], str(name).capitalize()
         top.plot(x, part["rmse_mm"], marker, color=colour, ms=6, label=label)
     top.plot(law.index, law, color="0.5", lw=1, label="law")
-    top.axhspan(min(printed) - 5e-5, max(printed) + 5e-5, color=PUBLISHED, alpha=0.5, lw=0, label="published")
+    top.axhspan(min(printed) - 5e-5, max(printed) + 5e-5, color=YELLOW, alpha=0.8, lw=0, label="published")
     top.axvline(0.02, color="0.5", lw=1, ls=":", label="noise in the paper")
     top.set(yscale="log", title="perfect sensor")
     for name, part in noisy.groupby("setting", sort=False):
@@ -935,10 +935,10 @@ def table_ii(printed: pd.DataFrame, errors: pd.DataFrame, badge: str) -> HTML:
                 cells.append(f"<td><small>{known[f'{marker} {model}', quantity]}</small>{text}</td>")
             head = f"{marker} ({at:.0f} mm), {'median' if quantity == 'median' else 'Q3'}"
             lines.append(f'<tr><th scope="row">{head}</th>{"".join(cells)}</tr>')
-    heads = "".join(f'<th scope="col">{model} [%]</th>' for model in models)
+    heads = "".join(f'<th scope="col">{model}</th>' for model in models)
     mark = f'<span style="border: 1px solid; border-radius: 1em; padding: 0.1em 0.7em">{badge}</span>'
     box = '<div class="table-1" id="fig-table-ii" tabindex="0" role="region" aria-label="Table II">'
-    head = f'<thead><tr><th scope="row">marker</th>{heads}</tr></thead>'
+    head = f'<thead><tr><th scope="row">error [%]</th>{heads}</tr></thead>'
     body = f"<table>{head}<tbody>{''.join(lines)}</tbody></table>"
     words = (
         "Upper: published, hardware. Lower: synthetic trials, mean ± standard deviation over sensor draws."
@@ -998,7 +998,7 @@ def error_hull(hull: pd.DataFrame) -> Figure:
             if not prefix:
                 discs = [Circle(p, r) for p, r in zip(line[1:], part["radius_mm"], strict=True)]
                 panel.add_collection(PatchCollection(discs, color=SKY, alpha=0.25, lw=0))
-        panel.set(title=mode, aspect="equal", xlabel="aside [mm]")
+        panel.set(title=mode, aspect="equal", xlabel="horizontal [mm]")
     np.atleast_1d(panels)[0].set_ylabel("height [mm]")
     lines = [Line2D([], [], color="#1A1A1A", label="arm"), Line2D([], [], color=ORANGE, label="estimate")]
     lines.append(Line2D([], [], color=SKY, lw=6, alpha=0.5, label="within Q3 of the error"))
@@ -1019,7 +1019,7 @@ def links_of_models(chains: dict[str, np.ndarray], arm: np.ndarray, links: int) 
         ends = [x[:: (len(x) - 1) // links] for x in (line, side)]
         panel.plot(*np.stack(ends, axis=1)[1:].T, color="0.45", ls=":")
         panel.plot([], [], color="0.45", ls=":", label="from the end of a link to its place on the arm")
-        panel.set(title=name, xlabel="aside [mm]", aspect="equal")
+        panel.set(title=name, xlabel="horizontal [mm]", aspect="equal")
     panels[0].set_ylabel("height [mm]")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)

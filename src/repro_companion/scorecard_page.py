@@ -12,7 +12,7 @@ from urllib.parse import urlencode
 import pandas as pd
 
 from repro_companion.run import recordings
-from repro_companion.scorecard import COMPARED, KINDS, band, counts, kinds
+from repro_companion.scorecard import COMPARED, HIGHER_IS_BETTER, KINDS, band, counts, kinds
 from repro_companion.show import KEY, number
 
 PAPERS = {
@@ -187,7 +187,7 @@ def rows_page(card: pd.DataFrame, places: Mapping[tuple[str, str], str]) -> str:
             f"{n:.0f} {kind if n == 1 else kind.replace('differs', 'differ')}" for kind, n in total.items()
         )
         caption = f'<a href="{places[name, artefact]}">{name}, {artefact}</a>.'
-        for heading, column in (("Setting", "setting"), ("Our best method", "best_method")):
+        for heading, column in (("Setting", "setting"), ("Our method", "best_method")):
             if given := "; ".join(filter(None, rows[column].unique())):
                 caption += f' <span class="setting">{heading}: {words(given)}.</span>'
         about = f'cards" data-paper="{name}" data-artefact="{artefact}"'
@@ -203,10 +203,13 @@ def _row(row: pd.Series) -> str:
     ours = [number(float(row[name])) for name in ("regenerated", "regenerated_std") if row[name]]
     width = f"±\N{NO-BREAK SPACE}{number(row['width'], 2)}{unit}" if row["verdict"] in COMPARED else "–"
     verdict, kind = row["verdict"].replace("_", " "), row["kind"]
-    apart = f", {kind}" * (kind != verdict) + ", near the edge" * (row["near_edge"] == "true")
+    apart = ", near the edge" * (row["near_edge"] == "true")
+    if kind != verdict:
+        verdict, apart = kind, f" ({verdict})" + apart
     said = words(f"{row['note'][:1].upper()}{row['note'][1:]}. ") if row["note"] else ""
     if row["best"]:
-        said += f" <b>Our best: {number(float(row['best']))}{unit}.</b>"
+        better = (float(row["best"]) < float(row["regenerated"])) != (row["quantity"] in HIGHER_IS_BETTER)
+        said += f" <b>Our {'best' if better else 'method'}: {number(float(row['best']))}{unit}.</b>"
     key = " ".join(["row", *row[KEY]]).lower().replace("-", " minus ")
     cells = [" ± ".join(printed) + unit, " ± ".join(ours) + unit if ours else "–", width]
     cells.append(f'<span class="verdict verdict-{verdict.replace(" ", "-")}">{verdict}</span>{apart}')

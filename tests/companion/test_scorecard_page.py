@@ -202,11 +202,12 @@ def test_a_row_says_why_it_counts_apart_and_what_we_reach(card):
     row = card.iloc[1].to_dict() | {"kind": "weak", "verdict": "reproduced", "near_edge": "true"}
     row |= {"width": 0.25, "best": "0.1234", "note": "of three seeds", "unit": "%"}
     text = page._row(pd.Series(row))
-    assert "reproduced</span>, weak, near the edge</td>" in text
+    assert "weak</span> (reproduced), near the edge</td>" in text
     assert "±\N{NO-BREAK SPACE}0.25\N{NO-BREAK SPACE}%" in text
     assert "Of three seeds. " in text
     assert "Our best: 0.123\N{NO-BREAK SPACE}%." in text
     assert "–</td>" in page._row(pd.Series(row | {"verdict": "not_comparable"})), "without a band"
+    assert "Our method: " in page._row(pd.Series(row | {"best": "1e9"})), "not better"
 
 
 # Home

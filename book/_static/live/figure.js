@@ -122,6 +122,7 @@ class Figure {
   }
 
   speak() {
+    this.spoken = performance.now();
     this.text.textContent = this.view.summary(this);
   }
 
@@ -135,6 +136,7 @@ class Figure {
     this.dirty = false;
     this.context.clearRect(0, 0, this.width, this.height);
     this.view.draw(this);
+    if (this.playing && performance.now() - this.spoken > 500) this.speak(); // what has moved on since
   }
 
   // ---- The camera: parallel projection, z upwards ------------------------------------------------------------------
@@ -280,6 +282,8 @@ class Figure {
       if (running) requestAnimationFrame(next);
       made.textContent = running ? "Pause" : label;
       made.setAttribute("aria-pressed", running);
+      this.text.setAttribute("aria-live", running ? "off" : "polite");
+      this.playing = running;
     });
     const next = (now) => {
       if (!running || !this.box.isConnected) return;

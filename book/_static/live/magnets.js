@@ -205,9 +205,9 @@ function draw(figure) {
     figure.dot(sensor.position, "sensor", 5, { hollow: !found.use[s] });
     if (found.use[s]) figure.line([sensor.position, plus(sensor.position, sensor.axis, 0.014)], "sensor", 2);
   });
-  figure.line(points, "truth", 6);
   const other = state.method === "lm" ? "descent" : "lm", colour = { lm: "estimate", descent: "descent" };
-  figure.line(REPRO.backbone(body, found[other].q, 12), colour[other], 2, { alpha: 0.8, dash: [2, 6] });
+  figure.line(REPRO.backbone(body, found[other].q, 12), colour[other], 11, { alpha: 0.5 }); // seen on both sides of the truth
+  figure.line(points, "truth", 6);
   figure.line(REPRO.backbone(body, found.chosen.q, 12), colour[state.method], 3, { dash: [10, 7] });
   found.ellipsoid = state.method === "lm" && state.noise > 0 && found.ghosts.spread < 0.3 ? drawEllipsoid(figure, found, state.noise) : null;
   figure.tipHandle.place(figure.at(found.tip));
@@ -298,7 +298,7 @@ function summary(figure) {
   const mm = (x) => (x < 1e-4 ? "less than 0.0001 mm" : short(x) + " mm");
   const words = [`${n} segment${n > 1 ? "s" : ""}, ${on} of ${now.use.length} sensors in use, synthetic readings.`];
   words.push(`${state.start === "last" ? "Started at the true shape, then from estimate to estimate" : "Started at the straight pose"}, ${state.evaluations} evaluations: the tip is off by ${mm(now.off_mm(now.lm.q))} by least squares (Levenberg-Marquardt) and by ${mm(now.off_mm(now.descent.q))} by gradient descent.`);
-  if (now.ellipsoid) words.push(`The noise alone allows ${short(now.ellipsoid.worst)} mm along the worst axis.`);
+  if (now.ellipsoid) words.push(`Because of the noise, no estimator can expect less than about ${short(now.ellipsoid.worst)} mm along the worst direction.`);
   if (now.ghosts.shapes.length) words.push(`${now.ghosts.shapes.length} other shapes are drawn that these sensors cannot tell from the estimate: one direction is all but undetermined.`);
   if (figure.waiting) words.push("Calibration is being computed.");
   else if (state.tolerances) words.push(state.calibrated ? `The model is calibrated in ${POSES} known poses.` : "The parts are not where the drawing has them, and the model does not know it.");

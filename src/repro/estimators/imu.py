@@ -138,7 +138,7 @@ ShapeModel = Callable[[Any, Arm, Any], Array]
 
 
 def rigid_body(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
-    r"""Return positions on straight links along the z axes of the IMUs, eq. (2).
+    r"""Return positions on straight links along the z axes of the IMUs, equation (2).
 
     .. math:: \hat x_i = \sum_{j=0}^{i-1} R(q_j)\,(0, 0, L_j)^T
 

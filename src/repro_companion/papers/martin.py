@@ -345,6 +345,24 @@ def marker_errors(trials: Sequence[Trial], chosen: Sequence[Case]) -> pd.DataFra
     return pd.DataFrame(lines, columns=["draw", *KEYS, *QUANTILES])
 
 
+def model_differences(table: pd.DataFrame, trials: Sequence[Trial]) -> pd.DataFrame:
+    """Return median errors at M1 [mm] with eight IMUs, means over the draws, by which chains are compared."""
+    first = table[(table["marker"] == "M1") & table["case"].isin([RIGID_8, PCC_16])]
+    medians = first.pivot_table(index=["draw", "evaluation"], columns="case", values="median_mm").unstack()
+    middle = np.array([np.median(distances(trial, mid_section())[:, 0]) for trial in trials])
+    lines = []
+    for words, evaluation in {
+        "text and Table I": DESCRIBED,
+        "the same, IMUs in the middle of their rigid links": None,
+        "files behind Table II": FILES,
+        "these files, both at the marker": SAME_POINT,
+    }.items():
+        pcc = medians[PCC_16, evaluation or DESCRIBED].to_numpy()
+        rigid = medians[RIGID_8, evaluation].to_numpy() if evaluation else middle
+        lines.append((words, rigid.mean(), pcc.mean(), 100 * (1 - pcc / rigid).mean()))
+    return pd.DataFrame(lines, columns=["chains", "rigid_mm", "pcc_mm", "less_percent"])
+
+
 def by_mode(error: np.ndarray, mode: np.ndarray, arcs: Iterable[float]) -> pd.DataFrame:
     """Return median and third quartile of errors ``[t, points]`` [mm] in all and in each mode of motion."""
     parts = []

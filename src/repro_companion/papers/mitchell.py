@@ -248,10 +248,11 @@ def gain_in_words(table: pd.DataFrame) -> str:
     of = {name: part.set_index("curve") for name, part in table.groupby("setting")}
     held = of[BEST.name].loc[["flower", "seagull"]]
     other = of[KALMAN.name].loc[["flower", "seagull"]]
+    half = ((held["ratio_high"] - held["ratio_low"]) / 2).max()
     return (
         f"**Our best filter has {held['ratio'].min():.2f} to {held['ratio'].max():.2f} times the error of least"
         " squares on single readings**, on the two curves that had no part in the choice of its noise (ten draws;"
-        f" 95 % intervals within {held['ratio_low'].min():.2f} to {held['ratio_high'].max():.2f}, paired bootstrap)."
+        f" the 95 % intervals of a paired bootstrap reach {half:.3f} to either side)."
         f" A Kalman filter with the same noises has {other['ratio'].min():.2f} to {other['ratio'].max():.2f} times"
         " the error of this filter on them."
     )
@@ -627,7 +628,7 @@ LEAST_BEND_DEG = 20.0
 """Directions are compared from this bend on."""
 METHODS = {
     ("motion capture", "none"): "motion capture",
-    ("paper, as printed", "none"): "paper's filter, as printed",
+    ("paper, printed noise", "none"): "paper's filter, printed noise",
     ("paper, as released", "none"): "paper's filter, as released",
     ("authors' output", "none"): "authors' own output",
     ("ours", "none"): "ratios, not calibrated",
