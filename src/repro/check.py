@@ -1,7 +1,8 @@
 r"""Can a design work? What the readings of a robot can tell about its shape, before any reading is taken.
 
 At random shapes within the bounds the information matrix is :math:`J^T S^{-1} J`, with the slopes :math:`J` of the
-readings and the variances :math:`S` of their noise; a reading beyond its range counts nothing. With the slopes
+readings and the variances :math:`S` of their noise; a reading beyond its range, or so close to a magnet that its
+field is not known, counts nothing. With the slopes
 :math:`G` of the tip, :math:`G (J^T S^{-1} J)^{-1} G^T` is the Cramér-Rao bound of its position: no unbiased estimate
 from one set of readings has a smaller covariance. Least squares reach it where it is small against the bends. What
 the parts are off their drawing by, and the steps of the readings, go through the same gain of least squares.
@@ -147,10 +148,11 @@ def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCh
     good = np.isfinite(u).all(-1) & np.isfinite(J).all((-2, -1))
     require(good.sum() > 1, "robot", owner, "one with finite readings", "none in most shapes")
     q, u, J = q[good], u[good], J[good]
+    inside = _within_magnets(robot, sensing, q)
     beyond = np.abs(u) > robot.range
     p, G = robot.tip_slopes(q)
     scale = (upper - lower)[free] / math.sqrt(12)
-    H = np.where(beyond[..., None], 0.0, J[..., free] * scale / noise[:, None])
+    H = np.where((beyond | inside)[..., None], 0.0, J[..., free] * scale / noise[:, None])
     A, tips = np.swapaxes(H, 1, 2) @ H, G[..., free] * scale
     values, vectors = np.linalg.eigh(A)
     empty = values <= 1e-12 * np.maximum(values[:, -1:], 1.0)
@@ -167,15 +169,28 @@ def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCh
     within, spread = np.sqrt(within), float(np.sqrt(np.square(p - p.mean(0)).sum(-1).mean()))
     names = [name for name, is_free in zip(robot.coordinates, free, strict=True) if is_free]
     hardly = np.square(vectors) * (left > _UNDETERMINED**2)[:, None]
-    notes = ()
+    notes = tuple(
+        f"{name} comes so close to a magnet that its field is not known there; its readings count nothing then"
+        for k, name in enumerate(robot.part_names)
+        if inside[:, robot.parts == k].any()
+    )
     if sensing.n_readings <= len(names):
         few = f"{sensing.n_readings} readings for {len(names)} unknowns, none to spare"
-        notes = (f"{few}: a sensor that fails is never noticed",)
+        notes += (f"{few}: a sensor that fails is never noticed",)
     can_work, verdict = _verdict(tip, within, built, spread)
     return DesignCheck(
         q, tip, within, built, spread, _added(robot, H, A), _saturated(robot, u, beyond),
         _combinations(names, hardly.sum(-1).mean(0)), notes, can_work, verdict,
     )  # fmt: skip
+
+
+def _within_magnets(robot: Robot, sensing: Any, q: Array) -> Array:
+    """Which readings are taken where multipoles do not describe the field ``[n, s]``."""
+    inside = np.zeros((len(q), robot.n_readings), dtype=bool)
+    if robot.model is None and robot.magnets:
+        reach = [magnet.shape.reach for magnet in robot.magnets]
+        inside[:, : sensing.n_magnetic] = (sensing.relations(q)[..., 1::4] < reach).any(-1)
+    return inside
 
 
 def _off_drawing(robot: Robot, sensing: Any, q: Array) -> Array:

@@ -82,6 +82,12 @@ def numbers(
     return found
 
 
+def is_table(value: Any) -> bool:
+    """Whether it is the path of a table, or a data frame whose columns have names."""
+    columns = getattr(value, "columns", None)
+    return isinstance(value, str | os.PathLike) or (columns is not None and columns.dtype.kind == "O")
+
+
 def rows_of(values: Array) -> Array:
     """Return an array of any leading dimensions as contiguous rows ``[n, last]``."""
     return np.ascontiguousarray(values.reshape(math.prod(values.shape[:-1]), values.shape[-1]))

@@ -50,6 +50,11 @@ class Ring:
         require(ordered, "dimensions", "Ring", "0 <= inner < outer and a positive height [m]", self)
         _check_polarisation(self.polarisation_mt, "Ring")
 
+    @property
+    def reach(self) -> float:
+        """Radius of the sphere around the ring [m]: its multipoles describe the field beyond it."""
+        return math.hypot(self.outer_diameter, self.height) / 2
+
     def field(self, positions: Any) -> Array:
         """Return the flux density [mT] at positions ``[..., 3]`` [m], both in the frame of the magnet, by magpylib.
 
@@ -123,6 +128,11 @@ class Disc:
             require(0 < getattr(self, name) < math.inf, name, "Disc", "positive [m]", getattr(self, name))
         _check_polarisation(self.polarisation_mt, "Disc")
 
+    @property
+    def reach(self) -> float:
+        """Radius of the sphere around the disc [m]: its multipoles describe the field beyond it."""
+        return math.hypot(self.diameter, self.height) / 2
+
     def field(self, positions: Any) -> Array:
         """Return the flux density [mT] at positions ``[..., 3]`` [m], both in the frame of the magnet."""
         return _field("cylinder_field", (self.diameter, self.height), self.polarisation_mt, positions)
@@ -162,6 +172,11 @@ class Cube:
     def __post_init__(self) -> None:
         require(0 < self.edge < math.inf, "edge", "Cube", "positive [m]", self.edge)
         _check_polarisation(self.polarisation_mt, "Cube")
+
+    @property
+    def reach(self) -> float:
+        """Radius of the sphere around the cube [m]: its multipoles describe the field beyond it."""
+        return math.sqrt(3.0) / 2 * self.edge
 
     def field(self, positions: Any) -> Array:
         """Return the flux density [mT] at positions ``[..., 3]`` [m], both in the frame of the magnet."""

@@ -15,13 +15,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from os import PathLike
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from repro.common import Array, bad_input, numbers, require
+from repro.common import Array, bad_input, is_table, numbers, require
 from repro.estimators.base import Trajectory
 from repro.estimators.least_squares import CHI2, LevenbergMarquardt
 from repro.robot import Place, Robot, place, point_on, rotation_matrix, unit_quaternions, wrap
@@ -183,7 +182,7 @@ def fit_shape(
     array([[0.034558, 0.      , 0.      ]])
     """
     owner = "fit_shape"
-    if isinstance(poses, str | PathLike) or hasattr(poses, "columns"):
+    if is_table(poses):
         poses, times = read_poses(poses)
     T = _measured(poses, owner)
     places = _places(robot, at, T.shape[1], owner)
@@ -318,7 +317,15 @@ class _Search:
         for g in reached[:-1]:
             up_to = [k for k, where in enumerate(places) if where.segment <= g]
             q = self.fit(q, both[:, :, up_to].reshape(len(u), -1), [places[k] for k in up_to], 1.0)[0]
-        return self.fit(q, u, places, _TOLERANCE)
+        found = self.fit(q, u, places, _TOLERANCE)
+        for step in (-1, 1):  # where it fits badly, the shapes before and after are better starts
+            bad = np.flatnonzero(found[3] > 10 * np.median(found[3]) + 1e-6)
+            if len(bad):
+                again = self.fit(found[0][(bad + step) % len(u)], u[bad], places, _TOLERANCE)
+                lower = again[3] < found[3][bad]
+                for old, new in zip(found, again, strict=True):
+                    old[bad[lower]] = new[lower]
+        return found
 
     def rig_of(self, T: Array, rig: Rig, wider: float) -> Rig:
         """Return the rig that suits all shapes: Gauss-Newton with the shapes eliminated."""

@@ -390,6 +390,7 @@ class Sensor:
             value = getattr(self, name)
             fits = value is None or numbers(value, name, "Sensor").shape in ((), (self.axes,))
             require(fits, name, "Sensor", f"one number or {self.axes}, one for every axis", value)
+        require(np.all(self.gain), "gain", "Sensor", "not zero", self.gain)
         if self.noise is not None:
             require(np.greater(self.noise, 0).all(), "noise", "Sensor", "positive [mT]", self.noise)
         require(math.isfinite(self.per_mt) and self.per_mt, "per_mt", "Sensor", "not zero", self.per_mt)

@@ -308,7 +308,8 @@ class _Document:
                     (*place, name), f"left out beside {key.not_beside} (line {line})", repr(value)
                 )
             if doubt := key.doubt(value):
-                warnings.warn(f"{self.where(*place, name)}: {name} = {value!r} {doubt}.", stacklevel=5)
+                said = f"{self.where(*place, name)}: {name} = {value!r} {doubt}."
+                warnings.warn_explicit(said, UserWarning, self.name, self.line(*place, name))
             if key.unit in _SI:
                 values[name] = np.multiply(value, _SI[key.unit]).tolist()
         return values

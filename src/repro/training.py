@@ -333,26 +333,6 @@ def save_network(network: nn.Module, path: str | Path, manifest: Mapping[str, An
             partial.write_bytes(content)
 
 
-def read_manifest(path: str | Path) -> dict[str, Any]:
-    """Return the manifest of the weights at ``path``.
-
-    Raises
-    ------
-    InputError
-        If weights or manifest are not there, or the manifest belongs to other weights.
-    """
-    path = Path(path)
-    beside = path.with_suffix(".json")
-    words = "a file of weights with its manifest (.json) beside it"
-    require(path.is_file() and beside.is_file(), "path", "read_manifest", words, path)
-    manifest = json.loads(beside.read_text(encoding="utf-8"))
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    words = f"of the weights beside it (sha256 {digest})"
-    found = manifest.get("weights_sha256")
-    require(digest == found, "manifest", "read_manifest", words, f"{beside} with {found}")
-    return manifest
-
-
 class _Inert:
     """Stands for every class and function that a checkpoint names beside its weights: nothing of them is run."""
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from repro import (
+    BallJoint,
     ConstantCurvature,
     Cube,
     Disc,
@@ -15,6 +16,7 @@ from repro import (
     Imu,
     InputError,
     LevenbergMarquardt,
+    Link,
     Magnet,
     Robot,
     Sensing,
@@ -235,3 +237,18 @@ def test_the_command(tmp_path, capsys, monkeypatch):
     assert cli.main(["check", str(tmp_path / "no.toml")]) == 2
     assert "no.toml" in capsys.readouterr().err
     assert "jupyter" not in sys.modules
+
+
+def test_a_reading_so_close_to_a_magnet_that_its_field_is_unknown_counts_nothing():
+    """The series of multipoles holds beyond the sphere around a magnet; a ball joint swings this one over a chip."""
+    robot = Robot(
+        [BallJoint("xy"), Link(0.012)], [Magnet(Cube(4e-3, 1300.0), 2, 0.006)],
+        [Sensor(0, 0.0, position=[0.0, 0.0, 0.0035], axes=3, name="chip")],
+        lower=[-0.5, -0.5], upper=[0.5, 0.5], noise=6e-3,
+    )  # fmt: skip
+    found = check_design(robot)
+    assert found.notes[0].startswith("chip comes so close to a magnet")
+    assert not found.can_work
+    lower = robot.replaced(sensors=[Sensor(0, 0.0, position=[0.0, 0.0, -0.006], axes=3, name="chip")])
+    assert check_design(lower).can_work
+    assert not any("close" in note for note in check_design(lower).notes)

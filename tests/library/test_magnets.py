@@ -129,3 +129,16 @@ def test_an_imu_reads_the_rotation_vector_of_its_frame():
 def test_what_cannot_be_is_refused_in_words(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_multipoles_describe_the_field_beyond_the_reach_and_not_within(shape):
+    """On the axis of a magnet the field is the series sum of (l + 1) A_l / z^(l + 2), if that converges."""
+    moments = shape.multipoles(41)
+    orders = np.arange(1, 42, 2)
+    for far, converges in ((1.3, True), (0.6, False)):
+        z = far * shape.reach
+        series = (orders + 1) * moments / z ** (orders + 2)
+        assert (abs(series[-1]) < 1e-3 * abs(series[0])) == converges
+        if converges:
+            np.testing.assert_allclose(series.sum(), shape.field([0, 0, z])[2], rtol=2e-3)

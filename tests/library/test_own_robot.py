@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -271,3 +272,34 @@ class TestMagnetArray:
 
         found = least_squares(residual, shape.q[0], method="lm", x_scale=[0.01] * 3 + [0.5] * 3)
         np.testing.assert_allclose(shape.q[0, :3], found.x[:3], atol=2e-5)
+
+
+def test_files_frames_and_readings_are_one_and_bring_their_times():
+    """Nothing that a robot file or a table says is repeated by hand."""
+    robot, file = load_robot(repro.example() / "robot.toml"), repro.example() / "mine.csv"
+    readings = robot.readings(file)
+    expected = track(repro.KalmanFilter(robot), np.asarray(readings), times=readings.times)
+    for given in (readings, file, str(file), pd.read_csv(file)):
+        found = track(repro.KalmanFilter(robot), given)
+        np.testing.assert_array_equal(found.q, expected.q)
+        np.testing.assert_array_equal(found.times, readings.times)
+    without = pd.read_csv(file).drop(columns="time_s")
+    by_rate = track(repro.KalmanFilter(robot), without)  # 25 Hz, as the robot file says
+    np.testing.assert_allclose(by_rate.times, np.arange(200) / 25)
+
+
+def test_calibration_takes_tables(tmp_path):
+    robot = load_robot(repro.example() / "robot.toml")
+    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (30, robot.n_q))
+    u = simulated_readings(robot, q)
+    free = np.flatnonzero(~robot.fixed)
+    poses = pd.DataFrame({f"{robot.coordinates[c]}_mm": 1e3 * q[:, c] for c in free})
+    readings = pd.DataFrame(dict(zip(robot.names, u.T, strict=True)))
+    poses.to_csv(tmp_path / "poses.csv", index=False)
+    expected = repro.calibrate(robot, q, u)
+    for source in (poses, tmp_path / "poses.csv"):
+        found = repro.calibrate(robot, source, readings)
+        np.testing.assert_allclose(found.estimate, expected.estimate, rtol=0, atol=1e-9)
+    poses.iloc[7, 0] *= 1000
+    with pytest.raises(InputError, match=r"line 8, column delta_x_1_mm, must be within its bounds"):
+        repro.calibrate(robot, poses, readings)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from repro.common import Array, bad_input, numbers, require, say_that_kernels_compile
+from repro.common import Array, bad_input, is_table, numbers, require, say_that_kernels_compile
 from repro.robot import Robot
 
 
@@ -219,13 +219,14 @@ def track(
     estimator
         Any estimator.
     readings
-        One row per time step ``[t, ..., s]``; NaN for a missing reading.
+        One row per time step ``[t, ..., s]``; NaN for a missing reading. If the estimator knows its robot, also a
+        data frame with names or the path of a table, as :meth:`repro.Robot.readings` takes them.
     q0
         Where the estimator starts ``[..., n_q]``; its own choice if not given.
     times
-        Time of each row [s], increasing.
+        Time of each row [s], increasing; that of the table if not given.
     rate_hz
-        Rows per second, instead of ``times``. Filters need one of the two.
+        Rows per second, where there are no times; that of the robot if not given. Filters need one of the two.
     seed
         For estimators that draw random numbers.
     mask, known
@@ -271,6 +272,11 @@ def run(
     """Return the estimates and the states: the loop of ``track`` and of ``smooth``."""
     require(isinstance(estimator, Estimator), "estimator", owner, "an estimator", type(estimator).__name__)
     require(monitor in ("auto", None), "monitor", owner, '"auto" or None', repr(monitor))
+    robot = getattr(estimator, "robot", None) or getattr(getattr(estimator, "model", None), "robot", None)
+    if robot is not None and is_table(readings):
+        readings = robot.readings(readings)
+    if times is None and rate_hz is None:
+        times, rate_hz = getattr(readings, "times", None), getattr(robot, "rate_hz", None)
     rows = numbers(readings, "readings", owner, finite=False)
     require(rows.ndim >= 2 and len(rows), "readings", owner, "of shape (t, ..., s)", f"shape {rows.shape}")
     at = _times(len(rows), times, rate_hz, owner, needed=getattr(estimator, "needs_time", False))
@@ -307,7 +313,7 @@ def run(
         np.array(STATUS)[details.pop("status")] if watched else None,
         details.pop("suspects", None),
         rows,
-        getattr(estimator, "robot", None) or getattr(getattr(estimator, "model", None), "robot", None),
+        robot,
     )
     return trajectory, states
 

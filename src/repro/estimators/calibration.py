@@ -24,9 +24,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from repro.common import Array, InputError, bad_input, numbers, require
+from repro.common import Array, InputError, bad_input, is_table, numbers, require
 from repro.robot import Place, Robot, point_on
 from repro.sensing import Sensing
+from repro.tables import read_configurations
 
 _MOST, _OUTLIER, _FARTHEST = 4.0, 5.0, 10.0
 """By how many of its standard deviations a pose may be off what the others predict, most of them, and any of them in
@@ -177,9 +178,10 @@ def calibrate(
         As described, with magnets and sensors. Parts may state tolerances of their own. A chip with three axes is one
         part, whose axes have gains of their own. Magnets of one shape share what is found of their moments.
     q
-        Measured configurations ``[poses, n_q]``, within the robot's bounds if it has any.
+        Measured configurations ``[poses, n_q]``, within the robot's bounds if it has any; or a table of them, with
+        columns such as ``delta_x_1_mm``.
     u
-        Readings ``[poses, s]`` [mT]. Those of IMUs behind those of the sensors are not used.
+        Readings ``[poses, s]`` [mT], or a table of them. Those of IMUs behind those of the sensors are not used.
     noise
         Standard deviation of a reading, one number or one for each [mT]; the robot's if not given.
     q_covariance
@@ -219,8 +221,9 @@ def calibrate(
     robot = robot.replaced(moments=robot.sensing().moments)
     described = robot.replaced(imus=(), noise=None)
     n = described.n_readings
-    q = numbers(q, "q", owner, (None, robot.n_q))
+    q = read_configurations(robot, q)[0] if is_table(q) else numbers(q, "q", owner, (None, robot.n_q))
     require(len(q), "q", owner, "at least one pose", "none")
+    u = robot.readings(u) if is_table(u) else u
     u = numbers(u, "u", owner, (len(q), robot.n_readings))[:, :n]
     std = _noise_of(robot, noise, n, owner)
     zero = np.zeros((robot.n_q, robot.n_q))
