@@ -304,6 +304,25 @@ def first_edition_rows() -> Rows:
         )
 
 
+def own_robot_rows() -> Rows:
+    """Yield what the monitor costs, and how fast shapes are fitted to motion capture."""
+    from repro.robot import point_on
+
+    for n_b in (1, 3):
+        robot, low, high, q, u = on_t3(n_b, few(1000))
+        for name in ("LevenbergMarquardt", "KalmanFilter"):
+            method = getattr(repro, name)(repro.Sensing(robot), low, high, NOISE_MT)
+            watched = partial(repro.track, method, u, q[0], rate_hz=40)
+            yield (
+                f"track, {name}, n_b = {n_b}, with the monitor, against without [times as fast]",
+                ratio(watched, partial(watched, monitor=None)),
+                ">= 0.8",
+            )
+    poses = robot.poses(q, [point_on(segment, 0.11) for segment in (1, 2, 3)])
+    seconds = fastest(partial(repro.fit_shape, robot, poses))[0]
+    yield "fit_shape, three segments, poses of their tips [shapes/s]", len(q) / seconds, ">= 1000"
+
+
 def operation_rows() -> Rows:
     """Yield what slopes cost, and the operations of an evaluation and of a fit: how many, and how fast."""
     for n_b, paths in ((3, NETWORKS), (1, []), (3, [])):
@@ -417,6 +436,7 @@ def main() -> None:
         solver_rows(),
         filter_rows(),
         first_edition_rows(),
+        own_robot_rows(),
         operation_rows(),
         process_rows(),
         CARRIED,
