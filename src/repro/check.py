@@ -4,8 +4,8 @@ At random shapes within the bounds the information matrix is :math:`J^T S^{-1} J
 readings and the variances :math:`S` of their noise; a reading beyond its range, or so close to a magnet that its
 field is not known, counts nothing. With the slopes
 :math:`G` of the tip, :math:`G (J^T S^{-1} J)^{-1} G^T` is the Cramér-Rao bound of its position: no unbiased estimate
-from one set of readings has a smaller covariance. Least squares reach it where it is small against the bends. What
-the parts are off their drawing by, and the steps of the readings, go through the same gain of least squares.
+from one set of readings has a smaller covariance. Least squares reach it where it is small against the bends. The
+steps of the readings count as noise. What the parts are off their drawing by goes through the gain of least squares.
 
 If only its range :math:`w` is known, a coordinate has the standard deviation :math:`w/\sqrt{12}`. In these units the
 information is :math:`A`, and readings leave the share :math:`(A + I)^{-1}` of the variance. Directions of which they
@@ -40,21 +40,22 @@ class DesignCheck:
     q
         Random shapes within the bounds ``[n, n_q]``.
     tip, tip_within_bounds, tip_as_built
-        Standard deviation of the tip, the root of its three variances' sum, in each of them ``[n]`` [m]. By noise
-        alone, the Cramér-Rao bound, infinite where readings do not determine it; the same with what the bounds say;
-        and with the sensors' steps and the tolerances of all parts too, before a calibration.
+        Standard deviation of the tip, the root of its three variances' sum, in each of them ``[n]`` [m]. By the noise
+        and the steps of the readings alone, the Cramér-Rao bound, infinite where readings do not determine it; the
+        same with what the bounds say; and with the tolerances of all parts too, before a calibration.
     spread
         Standard deviation of the tip over these shapes [m]: how well it is known without a reading.
     added
         Mean information that each sensor or IMU adds to the others [nat], by name.
     saturated
-        Share of shapes where a sensor goes beyond its range, and its largest reading [mT], by name.
+        Share of shapes where a reading goes beyond its range, and its largest value [mT], by name.
     undetermined
         Coordinates, or combinations of them, that readings hardly determine, in words.
     notes
         What else deserves a look.
     can_work, verdict
-        The answer, also as a sentence.
+        The answer, also as a sentence: the readings leave less than 30 % of what is open about the tip within the
+        bounds, in most shapes.
     """
 
     q: Array
@@ -81,15 +82,15 @@ class DesignCheck:
             built = f"more than the bounds allow, {_length(self.spread)}"
         lines = [
             f"Design in {len(self.q)} random shapes: the median, and what the worst twentieth exceeds",
-            f"tip by noise alone: {_in_words(self.tip)}",
-            f"tip with steps and tolerances, before a calibration: {built}",
+            f"tip by the readings alone: {_in_words(self.tip)}",
+            f"tip by readings and bounds, before a calibration: {built}",
         ]
         if self.undetermined:
             lines.append(f"hardly determined: {'; '.join(self.undetermined)}")
         if self.idle:
             lines.append(f"contributes nothing: {', '.join(self.idle)}")
         lines += [
-            f"{name} saturates in {100 * share:.2g} % of the workspace (up to {most:.3g} mT)"
+            f"{name} saturates in {100 * share:.3g} % of the workspace (up to {most:.3g} mT)"
             for name, (share, most) in self.saturated.items()
         ]
         return "\n".join([*lines, *self.notes, self.verdict])
@@ -111,7 +112,8 @@ def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCh
     Parameters
     ----------
     robot
-        With bounds, noise, and sensors or IMUs. Parts without tolerances have those of :class:`.Tolerances`.
+        With bounds, noise, and sensors or IMUs. Magnets and sensors without tolerances have those of
+        :class:`.Tolerances`; IMUs without are as drawn.
     samples
         Number of random shapes.
     seed
@@ -141,6 +143,7 @@ def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCh
     for name, value in (("bounds", lower), ("noise", noise)):
         require(value is not None, name, owner, "stated by the robot", "none")
     require(samples > 1, "samples", owner, "at least 2", samples)
+    noise = np.hypot(noise, robot.resolution / math.sqrt(12))  # as estimators take it
     sensing, free = robot.sensing(), upper > lower
     require(free.any(), "bounds", owner, "such that a coordinate is free", "none that is")
     q = np.random.default_rng(seed).uniform(lower, upper, (samples, robot.n_q))
@@ -164,9 +167,15 @@ def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCh
     left = 1 / (1 + np.maximum(values, 0.0))
     within = (along * left).sum(1)
     gain = tips @ (vectors * left[:, None]) @ np.swapaxes(H @ vectors, 1, 2) / noise
-    built = within + np.square(gain * robot.resolution).sum((1, 2)) / 12
-    built = np.sqrt(built + np.square(gain @ _off_drawing(robot, sensing, q)).sum((1, 2)))
+    built = np.sqrt(within + np.square(gain @ _off_drawing(robot, sensing, q)).sum((1, 2)))
     within, spread = np.sqrt(within), float(np.sqrt(np.square(p - p.mean(0)).sum(-1).mean()))
+    require(
+        spread > 1e-9,
+        "robot",
+        owner,
+        "one whose tip moves (add a link beyond a joint)",
+        "one whose tip stays",
+    )
     names = [name for name, is_free in zip(robot.coordinates, free, strict=True) if is_free]
     hardly = np.square(vectors) * (left > _UNDETERMINED**2)[:, None]
     notes = tuple(
@@ -224,10 +233,8 @@ def _added(robot: Robot, H: Array, A: Array) -> dict[str, float]:
 
 def _saturated(robot: Robot, u: Array, beyond: Array) -> dict[str, tuple[float, float]]:
     found = {}
-    for k, name in enumerate(robot.part_names):
-        rows = robot.parts == k
-        if beyond[:, rows].any():
-            found[name] = float(beyond[:, rows].any(1).mean()), float(np.abs(u[:, rows]).max())
+    for k in np.flatnonzero(beyond.any(0)):
+        found[robot.names[k]] = float(beyond[:, k].mean()), float(np.abs(u[:, k]).max())
     return found
 
 
@@ -252,8 +259,5 @@ def _verdict(tip: Array, within: Array, built: Array, spread: float) -> tuple[bo
     word = "works in part of its workspace" if not worst < _HOPELESS * spread else "can work"
     if not np.median(built) < _HOPELESS * spread:
         word += " once it is calibrated"
-    known = f"{_length(middle)} from one set of readings within the bounds"
-    return (
-        True,
-        f"This robot {word}: the tip is known to {known}, to {_length(worst)} in all but a twentieth.",
-    )
+    known = f"{_length(middle)}, to {_length(worst)} in all but a twentieth of its shapes"
+    return True, f"This robot {word}: the tip is known to {known} (without readings {_length(spread)})."

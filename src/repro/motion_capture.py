@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from repro.common import Array, bad_input, is_table, numbers, require
 from repro.estimators.base import Trajectory
 from repro.estimators.least_squares import CHI2, LevenbergMarquardt
-from repro.robot import Place, Robot, place, point_on, rotation_matrix, unit_quaternions, wrap
+from repro.robot import FreeBody, Place, Robot, place, point_on, rotation_matrix, unit_quaternions, wrap
 from repro.sensing import _batch_difference
 from repro.tables import read_poses
 
@@ -183,11 +183,12 @@ def fit_shape(
     """
     owner = "fit_shape"
     if is_table(poses):
-        poses, times = read_poses(poses)
+        poses, own = read_poses(poses)
+        times = own if times is None else times
     T = _measured(poses, owner)
     places = _places(robot, at, T.shape[1], owner)
-    for name, value in zip(("noise of positions", "noise of rotations"), noise, strict=True):
-        require(0 < value < math.inf, name, owner, "positive", value)
+    require((numbers(noise, "noise", owner, (2,)) > 0).all(), "noise", owner, "positive", noise)
+    require(robot.n_q, "robot", owner, "one with a coordinate", "none")
     for k, where in enumerate(places):
         if where.segment == 0 and np.isfinite(T[:, k, 0, 0]).any():  # all others as if this body never moved
             mount = robot.poses(np.zeros(robot.n_q), [places.pop(k)])[0]
@@ -205,13 +206,19 @@ def fit_shape(
         shown = np.unique(np.linspace(0, len(T) - 1, min(len(T), _RIG_SHAPES)).astype(int))
         rig = search.rig_of(T[shown], rig, 100.0 if first else 1.0)
     u, places = _readings(T, rig), search.mounted(rig)
+    far = float(np.nanmedian(np.linalg.norm(u[:, : 3 * n].reshape(-1, 3), axis=-1)))
+    expected = "in metres and in the frame of the base (or fit_rig=True)"
+    loose = any(isinstance(segment, FreeBody) for segment in robot.segments)
+    require(
+        loose or not far > 3 * robot.length, "poses", owner, expected, f"positions {far:.3g} m from the base"
+    )
     q, u_hat, C, chi2, used = search.best(u, places)
-    dof = np.maximum(used - search.free.sum(), 0)
-    if (dof > 0).any():
-        C *= max(1.0, float(np.median(chi2[dof > 0] / dof[dof > 0])))
     # Coordinates of segments that no body was seen on or beyond.
     last = [where.segment - (where.at == 0 < robot.segments[where.segment - 1].length) for where in places]
     unknown = search.segment > np.where(np.isfinite(u[:, : 3 * n : 3]), last, 0).max(1)[:, None]
+    dof = np.maximum(used - (search.free & ~unknown).sum(1), 0)
+    if (dof > 0).any():
+        C *= max(1.0, float(np.median(chi2[dof > 0] / dof[dof > 0])))
     both = unknown[:, :, None] | unknown[:, None, :]
     q, C = np.where(unknown, np.nan, q), np.where(both, np.where(np.eye(robot.n_q) == 1, np.inf, np.nan), C)
     at_times = np.arange(len(T), dtype=float) if times is None else numbers(times, "times", owner, (len(T),))
@@ -252,10 +259,13 @@ def _measured(poses: Any, owner: str) -> Array:
 def _places(robot: Robot, at: Any, n: int, owner: str) -> list[Place]:
     g = len(robot.segments)
     if at is None:
-        expected = f"given unless there is a body on each of {g} tips, or one more on the base,"
-        require(n in (g, g + 1), "at", owner, expected, f"{n} bodies and none")
+        expected = (
+            f"given unless there are {g} bodies, one on the tip of each segment, or one more on the base"
+        )
+        require(n in (g, g + 1), "at", owner, expected, f"{n} bodies without it")
         tips = [point_on(i, segment.length) for i, segment in enumerate(robot.segments, 1)]
         return tips if n == g else [point_on(0, 0.0), *tips]
+    require(isinstance(at, Sequence), "at", owner, "a list, with a place for each body", at)
     places = []
     for item in at:
         own: Any = getattr(item, "place", item)
@@ -398,7 +408,13 @@ def _readings(T: Array, rig: Rig) -> Array:
 
 
 def _first_base(model_T: Array, T: Array, reach: float) -> Array:
-    """Return the base frame that brings the robot at its start closest to all measured bodies (Kabsch)."""
+    """Return the base frame that brings the robot at its start closest to all measured bodies (Kabsch).
+
+    What is ten times as far from the middle as most does not count.
+    """
+    p = T[..., :3, 3]
+    away = np.linalg.norm(p - np.nanmedian(p, axis=(0, 1)), axis=-1)
+    T = np.where((away <= 10 * np.nanmedian(away) + 1e-9)[..., None, None], T, np.nan)
     seen = np.isfinite(T[..., 0, 3])
     own = np.broadcast_to(model_T, T.shape)
     points, model_points = T[seen][:, :3, 3], own[seen][:, :3, 3]

@@ -13,6 +13,7 @@ from repro.robot import Robot, point_on
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _NORTH, _SOUTH = "#C1272D", "#3B5BA5"
+_BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "fontsize": "x-small"}
 _BAND = 1.96
 """Half of a band that holds 95 % of a normal distribution, in standard deviations."""
 
@@ -58,6 +59,8 @@ def plot_robot(robot: Robot, q: Any = None, *, axes: Any = None, labels: Sequenc
     require(
         len(names) == len(shapes), "labels", "plot", f"one for each of {len(shapes)} shapes", f"{len(names)}"
     )
+    flat = axes is not None and not hasattr(axes, "get_zlim")
+    require(not flat, "axes", "plot", 'matplotlib axes with projection="3d"', type(axes).__name__)
     with mpl.rc_context({"text.usetex": False}):
         ax = plt.figure(figsize=(6.4, 6.0)).add_subplot(projection="3d") if axes is None else axes
         for k, (shape, name) in enumerate(zip(shapes, names, strict=True)):
@@ -125,17 +128,22 @@ def plot_shape(shape: Any, axes: Any = None) -> Any:
     import matplotlib.pyplot as plt
 
     require(shape.q.ndim == 2, "shape", "plot", "of one robot", f"of shape {shape.q.shape}")
-    units = shape.units()
-    kinds = list(dict.fromkeys(unit for _, unit, _ in units))
+    known = shape.robot is not None and shape.robot.n_q == shape.q.shape[-1]
+    units = [(k, *unit) for k, unit in enumerate(shape.units()) if not (known and shape.robot.fixed[k])]
+    kinds = list(dict.fromkeys(unit for _, _, unit, _ in units))
     n_readings = 0 if shape.readings is None else 2
     with mpl.rc_context({"text.usetex": False}):
+        rows = len(kinds) + n_readings
         if axes is None:
-            rows = len(kinds) + n_readings
             axes = plt.subplots(
                 rows, 1, sharex=True, figsize=(8, 2.3 * rows), squeeze=False, layout="constrained"
             )[1][:, 0]
+        axes = np.atleast_1d(axes)
+        require(
+            len(axes) == rows, "axes", "plot", f"{rows} matplotlib axes, one for each panel", f"{len(axes)}"
+        )
         for ax, kind in zip(axes, kinds, strict=False):
-            for k, (name, unit, factor) in enumerate(units):
+            for k, name, unit, factor in units:
                 if unit != kind:
                     continue
                 middle = factor * shape.q[:, k]
@@ -143,13 +151,13 @@ def plot_shape(shape: Any, axes: Any = None) -> Any:
                 if shape.covariance is not None:
                     half = _BAND * factor * np.sqrt(np.maximum(shape.covariance[:, k, k], 0.0))
                     half = np.where(
-                        half < 1e3 * max(np.ptp(middle), 1e-9), half, np.nan
+                        half < 1e3 * (np.nanmax(middle) - np.nanmin(middle) + 1e-9), half, np.nan
                     )  # an open coordinate
                     ax.fill_between(
                         shape.times, middle - half, middle + half, color=line.get_color(), alpha=0.25, lw=0
                     )
             ax.set_ylabel(f"coordinates [{kind}]" if kind else "coordinates")
-            ax.legend(fontsize="small", ncols=3)
+            ax.legend(**_BESIDE)
         if n_readings:
             _readings(shape, *axes[len(kinds) : len(kinds) + 2])
         axes[-1].set_xlabel("time [s]")
@@ -172,9 +180,9 @@ def _readings(shape: Any, above: Any, below: Any) -> None:
             label = None if parts[j] in labelled else f"suspect: {part_names[parts[j]]}"
             labelled.add(parts[j])
             below.plot(shape.times[rows], residuals[rows, j], "x", color=_NORTH, label=label)
-            below.legend(fontsize="small")
+            below.legend(**_BESIDE)
     if s <= 24:
-        above.legend(fontsize="x-small", ncols=6)
+        above.legend(**_BESIDE)
     unit = "" if robot is None else " [mT, rad]" if robot.imus else " [mT]"
     above.set_ylabel(f"readings{unit}")
     below.set_ylabel(f"residuals{unit}")

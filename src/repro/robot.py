@@ -338,8 +338,9 @@ class Sensor:
         Standard deviation of its readings, one number or one for every axis [mT].
     gain, offset
         It reads ``gain`` times the flux density, plus ``offset`` [mT]; one number or one for every axis.
-    per_mt
-        Units of its column for 1 mT, where the column is not in mT: 100 for 0.01 mT per count.
+    per_mt, unit
+        Units of its column for 1 mT, where the column is not a flux density, and what they are called: 100 and
+        ``"raw"`` for 0.01 mT per count.
     tolerance
         Standard deviations by which it may be off its drawing: a mapping with some of ``position``, ``at``,
         ``radius`` [m], ``azimuth``, ``tilt`` [rad], ``gain`` (relative), ``offset`` [mT].
@@ -372,6 +373,7 @@ class Sensor:
     gain: Any = 1.0
     offset: Any = 0.0
     per_mt: float = 1.0
+    unit: str = "mT"
     tolerance: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
@@ -752,6 +754,8 @@ class Robot:
             "moments", "source",
         )  # fmt: skip
         own = {name: getattr(self, name) for name in names}
+        if changes.keys() & {"segments", "magnets", "sensors", "earth", "model", "moments"}:
+            own["source"] = None  # the file describes another robot
         return Robot(**{**own, "noise": self._noise_given, **changes})
 
     def check_place(self, where: Place, name: str) -> None:
@@ -759,8 +763,8 @@ class Robot:
         expected = f"on a segment from 0 (base) to {len(self.segments)}"
         require(where.segment <= len(self.segments), name, "Robot", expected, where.segment)
         reach = self.segments[where.segment - 1].length if where.segment else 0.0
-        expected = f"between 0 and {reach:g} m along segment {where.segment}"
-        require(-1e-12 <= where.at <= reach * (1 + 1e-12), name, "Robot", expected, f"{where.at:g} m")
+        expected = f"between 0 and {1e3 * reach:g} mm along segment {where.segment}"
+        require(-1e-12 <= where.at <= reach * (1 + 1e-12), name, "Robot", expected, f"{1e3 * where.at:g} mm")
 
     def __repr__(self) -> str:
         """Say what it is made of."""

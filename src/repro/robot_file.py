@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
+from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -125,6 +126,7 @@ def _vector(what: str, unit: str = "", n: int = 3, most: float = 1e9) -> _Key:
         lambda x: _numbers(x, n) and math.hypot(*x) <= most,
         None,
         unit,
+        lambda x: "looks like metres" if unit == "mm" and 0 < math.hypot(*x) < 0.1 else "",
     )
 
 
@@ -138,7 +140,7 @@ def _quaternion(turn: str) -> _Key:
 def _earth() -> _Key:
     def doubt(x: Any) -> str:
         size = math.hypot(*x)
-        return f"has a length of {size:.2g} mT, which is doubtful" if size > 0.1 else ""
+        return f"has a length of {size:.2g} mT, which is doubtful" if not 0.01 < size < 0.1 and size else ""
 
     return _vector("along x, y, z of the base", "mT", most=1.0)._replace(doubt=doubt)
 
@@ -156,7 +158,7 @@ def _is_channel(x: Any) -> bool:
 
 
 def _channels(n: int) -> _Key:
-    words = f"the {n} columns of its readings: names, or numbers from 1"
+    words = f"{n} columns, one for every axis: names, or numbers from 1"
     return _Key(words, lambda x: isinstance(x, list) and len(x) == n and all(map(_is_channel, x)), None)
 
 
@@ -214,7 +216,10 @@ _MAGNETS: dict[str, dict[str, _Key]] = {
     "cube": {"edge_mm": _SIZE, "polarisation_mt": _POLARISATION},
 }
 _CUBE_BY_SIDE = {"cube": {"side_mm": _SIZE, "polarisation_mt": _POLARISATION}}
-_STD_MM, _STD_DEG = _number(0.0, 1000.0, "mm", None), _number(0.0, 180.0, "deg", None)
+_STD_MM = _number(0.0, 1000.0, "mm", None)._replace(
+    doubt=lambda x: "looks like metres" if 0 < x < 5e-3 else ""
+)
+_STD_DEG = _number(0.0, 180.0, "deg", None)
 _STD_PERCENT = _number(0.0, 100.0, "percent", None)
 _TOLERANCES: dict[str, dict[str, tuple[str, _Key]]] = {
     "magnets": {
@@ -266,9 +271,9 @@ class _Document:
 
     def line(self, *place: Any) -> int:
         """Return the line of a key; that of its table where the key has none."""
-        while place and place not in self.lines:
+        while place and place not in self.lines and (*place, 0) not in self.lines:
             place = place[:-1]
-        return self.lines.get(place, 1)
+        return self.lines.get(place, self.lines.get((*place, 0), 1))
 
     def where(self, *place: Any) -> str:
         """Return file, line and table of a key."""
@@ -365,15 +370,16 @@ def load_robot(path: str | Path, calibration: str | Path | None = None) -> Robot
 
     The file is TOML, as ``robot.toml`` in ``repro.example()``: tables ``[[segments]]`` from base to tip,
     ``[[magnets]]``, ``[[sensors]]``, ``[[imus]]``, and ``[stream]`` with rate, unit and noise of the readings. Names
-    of keys end in their unit. A coordinate has bounds ``[lowest, highest]``, or one number that fixes it. Networks
-    are safetensors files in the folder of the file. Nothing in it is run.
+    of keys end in their unit. A coordinate has bounds ``[lowest, highest]``, or one number that fixes it; without
+    bounds a segment bends by up to 90 degrees and stretches by up to 10 %. Networks are safetensors files in the
+    folder of the file. Nothing in it is run.
 
     Parameters
     ----------
     path
         The robot file.
     calibration
-        What :func:`save_calibration` wrote for this file.
+        What ``save`` of a :class:`.Calibration` wrote for this file.
 
     Returns
     -------
@@ -420,12 +426,14 @@ def _robot(document: _Document, folder: Path, sha256: str) -> Robot:
         np.concatenate([getattr(one, x) for one in chain]) for x in ("lower", "upper", "start")
     )
     stated = any("start" in table for table in document.tables("segments"))
-    unit = str(top["stream"].get("unit", "mT"))
+    units, unit = _word(*_PER_MT, "mV", "raw", default="mT"), str(top["stream"].get("unit", "mT"))
+    if not units.fits(unit):  # before the names of keys that end in it
+        raise document.error(("stream", "unit"), units.must_be, repr(unit))
     noise = f"noise_{unit.lower()}"
     keys = {
         "format": _word(*_FORMATS, default="csv"),
         "rate_hz": _number(1e-3, 1e5, "Hz", None),
-        "unit": _word(*_PER_MT, "mV", "raw", default="mT"),
+        "unit": units,
         noise: _noise(unit),
         "noise_deg": _number(1e-3, 30.0, "deg", math.radians(0.2)),
     }
@@ -469,6 +477,8 @@ def _segment(document: _Document, k: int) -> Robot:
     without = {name: [-usual.get(name, math.nan), usual.get(name, math.nan)] for name in limits}
     given = [without[name] if row[name] is None else row[name] for name in limits]
     lower, upper = np.array([np.broadcast_to(pair, 2) for pair in given]).reshape(-1, 2).T
+    if "delta_L_mm" in limits and lower[limits.index("delta_L_mm")] <= -segment.length:
+        raise document.error((*place, "delta_L_mm"), "above the length, taken as negative", row["delta_L_mm"])
     middle = np.nan_to_num((lower + upper) / 2)
     with document.at(*place, "start"):
         return Robot([segment], lower=lower, upper=upper, start=np.where(np.isnan(start), middle, start))
@@ -523,7 +533,7 @@ def _sensor(
             not_beside="rotation_vector_rad"
         ),
         "rotation_vector_rad": _vector("about x, y, z of the cross-section", "rad", most=2 * math.pi),
-        "range_mt": _number(1e-3, 1e4, "mT", math.inf),
+        "range_mt": _number(0.05, 1e4, "mT", math.inf),
         "resolution_mt": _number(0.0, 100.0, "mT", 0.0),
         f"noise_{low}": _noise(unit, axes),
         f"offset_{low}": _number(0.0, 1e9, unit, 0.0, signed=True, n=axes),
@@ -544,20 +554,20 @@ def _sensor(
             **where, radial=row["radial_mm"], azimuth=row["azimuth_deg"], tilt=row["tilt_deg"],
             position=row["position_mm"], direction=row["direction"], axes=axes, orientation=row["orientation"],
             channels=row["channels"] or (None if row["channel"] is None else [row["channel"]]), name=row["name"],
-            range=row["range_mt"], resolution=row["resolution_mt"], per_mt=scale, gain=1.0 if own else row[gain],
-            noise=None if std is None else np.divide(std, abs(scale)).tolist(),
+            range=row["range_mt"], resolution=row["resolution_mt"], per_mt=scale, unit=unit,
+            gain=1.0 if own else row[gain], noise=None if std is None else np.divide(std, abs(scale)).tolist(),
             offset=np.divide(row[f"offset_{low}"], scale).tolist(),
         )  # fmt: skip
 
 
 def _check_channels(document: _Document, sensors: Sequence[Sensor]) -> None:
-    """Refuse two readings on one channel."""
+    """Refuse two readings on one channel, and two sensors of one name."""
     first: dict[Any, int] = {}
     for k, sensor in enumerate(sensors):
-        for channel in sensor.channels or ():
-            if first.setdefault(channel, k) != k:
-                other = document.where("sensors", first[channel], "channel")
-                raise document.error(("sensors", k, "channel"), f"another than in {other}", channel)
+        for key, value in [("channel", x) for x in sensor.channels or ()] + [("name", sensor.name)]:
+            if value is not None and first.setdefault((key, value), k) != k:
+                other = document.where("sensors", first[key, value], key)
+                raise document.error(("sensors", k, key), f"another than in {other}", value)
 
 
 def _imu(document: _Document, k: int, bare: Robot, world: Any, noise: float) -> Imu:
@@ -585,7 +595,7 @@ def _networks(document: _Document, folder: Path) -> list[Any]:
     )
 
     def fits(x: Any) -> bool:
-        return isinstance(x, list) and all(str(name).endswith(".safetensors") for name in x)
+        return isinstance(x, list) and all(re.fullmatch(r"[^\0]+\.safetensors", str(name)) for name in x)
 
     names = document.read({"networks": _Key(words, fits, [])}, "model")["networks"]
     for name in names:
@@ -601,7 +611,7 @@ _KEPT = ("names", "estimate", "tolerances", "covariance", "chi2", "poses", "befo
 """What a calibration consists of beside the robot as described."""
 
 
-def save_calibration(path: str | Path, found: Calibration) -> None:
+def save_calibration(path: str | PathLike[str], found: Calibration) -> None:
     """Write what :func:`repro.calibrate` found, as JSON that :func:`load_calibration` reads for the same robot file.
 
     Parameters

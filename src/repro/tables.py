@@ -6,28 +6,35 @@ import csv
 import math
 import re
 from collections.abc import Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from repro.common import Array, bad_input, require
-from repro.robot import Robot
+from repro.robot import Robot, Sensor
 
 _TO_MT = {"T": 1e3, "mT": 1.0, "uT": 1e-3, "nT": 1e-6, "G": 0.1, "gauss": 0.1, "mG": 1e-4}
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 _SI = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "deg": math.pi / 180, "rad": 1.0}
-_OTHER = ("mV", "V", "raw", "counts")
-_UNITS = {unit.lower(): unit for unit in (*_TO_MT, *_SI, *_OTHER)}
+_UNITS = {unit.lower(): unit for unit in (*_TO_MT, *_SI, "mV", "V", "raw")} | {"counts": "raw"}
 _TIMES = ("time", "t", "timestamp", "elapsed time", "elapsed", "zeit", "seconds", "millis", "micros")
 _IN_BRACKETS = re.compile(r"(.*?)[ _]*[(\[] *(.*?) *[)\]]")
 _EMPTY = ("", "nan", "na", "n/a", "null", "none", "-")
 
 
 class Readings(np.ndarray):
-    """Readings ``[t, s]`` with the times of their rows in ``times`` [s], or None; parts of them have no ``times``."""
+    """Readings ``[t, s]`` with the times of their rows in ``times`` [s], or None."""
 
-    times: Array | None
+    times: Array | None = None
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a part; rows keep their times."""
+        found = super().__getitem__(key)
+        if self.times is not None and isinstance(found, Readings) and found.shape[1:] == self.shape[1:]:
+            found.times = self.times[key[0] if isinstance(key, tuple) else key]
+        return found
 
 
 class Table(NamedTuple):
@@ -139,7 +146,7 @@ def _cells(content: bytes, owner: str) -> tuple[list[str], Array, list[int]]:
             if cell.strip().lower() in _EMPTY:
                 continue
             try:
-                values[k, c] = float(cell.replace(",", ".", 1) if comma else cell)
+                values[k, c] = float((cell.replace(",", ".", 1) if comma else cell).replace("_", "?"))
             except ValueError as error:
                 where = f"{owner}, line {lines[k]}, column {header[c] or 'without a name'},"
                 raise bad_input("cell", where, "a number", repr(cell)) from error
@@ -148,18 +155,21 @@ def _cells(content: bytes, owner: str) -> tuple[list[str], Array, list[int]]:
 
 def read_readings(robot: Robot, source: Any) -> Readings:
     """Return the readings of a table ``[t, s]`` for a robot: see :meth:`repro.Robot.readings`."""
-    table = read_table(source)
+    table, used = read_table(source), []
     columns, axes = [np.zeros((len(table.values), 0))], [(x, k) for x in robot.sensors for k in range(x.axes)]
     for j, (sensor, axis) in enumerate(axes):
         channel = j + 1 if sensor.channels is None else sensor.channels[axis]
-        column = _column(table, channel, robot.names[j])
-        columns.append(table.values[:, [column]] * _factor(table, column, sensor.per_mt))
+        used.append(_column(table, channel, robot.names[j]))
+        columns.append(table.values[:, used[-1:]] * _factor(table, used[-1], sensor))
     for k, imu in enumerate(robot.imus):
-        names = imu.channels or k + 1
+        names = k + 1 if imu.channels is None else imu.channels
         if isinstance(names, int | float):
             names = [f"q{axis}_{names:g}" for axis in "xyzw"]
-        q = np.stack([table.values[:, _column(table, name, name)] for name in names], axis=-1)
-        columns.append(_rotation_vectors(table, q, imu.world))
+        used += (own := [_column(table, name, str(name)) for name in names])
+        columns.append(_rotation_vectors(table, table.values[:, own], imu.world))
+    for column in {k for k in used if used.count(k) > 1}:
+        received = f"{table.columns[column]} for {used.count(column)} of them"
+        raise bad_input("channels", table.owner, "another column for every reading", received)
     readings = np.concatenate(columns, axis=1).view(Readings)
     readings.times = table.times
     return readings
@@ -173,22 +183,24 @@ def _column(table: Table, channel: Any, own: str) -> int:
     found = [k for k, names in enumerate(spelt) if wanted & {*names, table.columns[k]}]
     if len(found) != 1:
         words = channel if isinstance(channel, str) else f"u{channel}_mT, channel_{channel}, or {own}"
-        near = [name for name in table.names if name.lower() == str(channel).lower()]
+        low = {name.lower(): name for name in table.names}
+        near = [low[name] for name in get_close_matches(str(channel).lower(), low, 1)]
         words = f"one column for {own}: {words}" + (f" (is it {near[0]}?)" if near else "")
         received = [table.columns[k] for k in found] if found else f"none among {', '.join(table.columns)}"
         raise bad_input("columns", table.owner, words, received)
     return found[0]
 
 
-def _factor(table: Table, column: int, per_mt: float) -> float:
+def _factor(table: Table, column: int, sensor: Sensor) -> float:
     """Return what takes a column to mT."""
     unit = table.units[column]
     if unit in _TO_MT:
         return _TO_MT[unit]
-    own = unit == "" or (unit in _OTHER and per_mt != 1)
-    expected = "in mT or another unit of flux density, or in that of the robot file"
+    expected = "in mT or another unit of flux density"
+    expected += "" if sensor.unit in _TO_MT else f", or in {sensor.unit}"
+    own = unit in ("", sensor.unit) or (unit, sensor.unit) == ("V", "mV")
     require(own, f"column {table.columns[column]}", table.owner, expected, unit)
-    return (1e3 if unit == "V" else 1.0) / per_mt
+    return (1e3 if unit == "V" else 1.0) / sensor.per_mt
 
 
 def _rotation_vectors(table: Table, q: Array, world: Any) -> Array:
@@ -225,6 +237,10 @@ def read_configurations(robot: Robot, source: Any) -> tuple[Array, Array | None]
             continue
         angle = robot.angles[c] or name.startswith("kappa")
         q[:, c], unit = table.scaled(name, ("rad", "deg") if angle else ("mm", "cm", "m"))
+        for row in np.flatnonzero(np.isnan(q[:, c])):
+            raise bad_input(
+                "pose", f"{table.owner}, line {table.lines[int(row)]},", f"a number for {name}", "none"
+            )
         if robot.lower is not None and robot.upper is not None and not robot.angles[c]:
             low, high, slack = robot.lower[c], robot.upper[c], 0.01 * (robot.upper[c] - robot.lower[c]) + 1e-9
             for row in np.flatnonzero((q[:, c] < low - slack) | (q[:, c] > high + slack)):
@@ -246,7 +262,9 @@ def read_poses(source: Any) -> tuple[Array, Array | None]:
         If a column is missing.
     """
     table = read_table(source)
-    bodies = sorted(int(name[2:]) for name in table.names if re.fullmatch(r"x_[0-9]+", name))
+    bodies = sorted(
+        {int(name.split("_")[1]) for name in table.names if re.fullmatch(r"q?[xyzw]_[0-9]+", name)}
+    )
     require(bodies, "columns", table.owner, "x_1_mm, y_1_mm, z_1_mm and so on", ", ".join(table.columns))
     whole = any(f"qx_{body}" in table.names for body in bodies)
     found = []

@@ -25,6 +25,8 @@ from repro import (
     Sensing,
     Sensor,
     calibrate,
+    example,
+    load_robot,
 )
 from repro.estimators.calibration import Tolerances, _priors, _slopes, coverage_factor, placed
 
@@ -383,7 +385,7 @@ def test_a_calibration_no_better_than_the_description_is_refused_with_likely_cau
         assert re.search("azimuth off by .* times its tolerance", str(e.value))
 
 
-@pytest.mark.parametrize("poses", [1, 2, 4, 8, 30])
+@pytest.mark.parametrize("poses", [1, 2, 4, 8, 10, 12, 30])
 def test_a_robot_that_is_as_described_is_no_reason_to_refuse(poses):
     robot = with_chip(tolerance={"tilt": 0.02, "at": 5e-4})
     for seed in range(4):
@@ -497,3 +499,47 @@ def test_the_grown_ellipsoid_holds_as_often_as_it_says():
 def test_coverage_factor_refuses_what_is_no_covariance(arguments, message):
     with pytest.raises(InputError, match=message):
         coverage_factor(*arguments)
+
+
+def test_readings_in_another_unit_are_refused_in_words():
+    robot = with_chip()
+    q = shapes(20, np.random.default_rng(0))
+    with pytest.raises(InputError, match="poses and readings of calibrate must be"):
+        calibrate(robot, q, 1000 * robot.sensing()(q), noise=1e-3)
+
+
+def test_a_fixed_coordinate_has_no_covariance_and_steps_count_as_noise():
+    robot = load_robot(example() / "robot.toml")
+    rng = np.random.default_rng(0)
+    q = rng.uniform(robot.lower, robot.upper, (60, robot.n_q))
+    u = robot.sensing()(q) + robot.noise * rng.normal(size=(60, robot.n_readings))
+    found = calibrate(robot, q, u)
+    C = found.q_covariance(q[:5])
+    assert (np.abs(C[:, robot.fixed]) < 1e-20).all()
+    free = ~robot.fixed
+    J = robot.sensing().linearise(q[:5])[1][..., free] / robot.noise[:, None]
+    bound = np.linalg.inv(np.swapaxes(J, 1, 2) @ J)
+    assert (np.diagonal(C[:, free][:, :, free], 0, 1, 2) > 0.99 * np.diagonal(bound, 0, 1, 2)).all()
+    coarse = robot.replaced(sensors=[replace(sensor, resolution=0.1) for sensor in robot.sensors])
+    assert 0.5 < calibrate(coarse, q, np.round(u / 0.1) * 0.1).chi2 < 1.5
+
+
+def test_a_calibration_belongs_to_the_robot_of_its_file(tmp_path):
+    robot = load_robot(example() / "robot.toml")
+    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (30, robot.n_q))
+    for other in (robot.replaced(earth=[0.02, 0.0, 0.045]), robot.replaced(magnets=robot.magnets[::-1])):
+        found = calibrate(other, q, other.sensing()(q))
+        with pytest.raises(InputError, match="must be a calibration of a robot that load_robot has read"):
+            found.save(tmp_path / "other.json")
+    again = calibrate(calibrate(robot, q, robot.sensing()(q)).robot, q, robot.sensing()(q))
+    with pytest.raises(InputError, match="must be a calibration of a robot that load_robot has read"):
+        again.save(tmp_path / "again.json")
+
+
+def test_one_wrong_cell_among_ten_poses_is_refused():
+    robot = with_chip()
+    q = shapes(10, np.random.default_rng(3))
+    wrong = q.copy()
+    wrong.flat[np.abs(q).argmax()] *= 0.8
+    with pytest.raises(InputError, match="poses and readings of calibrate must be"):
+        calibrate(robot, wrong, robot.sensing()(q), noise=1e-3)

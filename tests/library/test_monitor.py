@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -294,3 +295,51 @@ def test_what_papers_use_has_no_monitor():
     descent = GradientDescent(TWO.sensing(), [1e-4] * 6)
     assert track(descent, U[:3], Q[0]).status is None
     assert STATUS[0] == "consistent"
+
+
+@pytest.mark.parametrize("name", ["least squares", "Kalman"])
+def test_a_chip_that_repeats_itself_is_named_even_if_no_other_reading_contradicts(name):
+    """Six readings, four unknowns: the fit hardly notices that one of two chips stands still, its bits do."""
+    robot = CHIPS.replaced(sensors=[CHIPS.sensors[0], CHIPS.sensors[2]])
+    times, _, u = moving(robot, rate=25.0)
+    u[60:160, 3:] = u[60, 3:]
+    found = track({"least squares": LevenbergMarquardt, "Kalman": KalmanFilter}[name](robot), u, times=times)
+    named = found.suspects[:, 1]
+    first = np.flatnonzero(named)[0]
+    assert 60 + 20 <= first <= 60 + 21 + 8  # we look at every eighth row whether a reading stays
+    assert named[first:160].all()
+    assert not found.suspects[:60].any()
+    assert not named[175:].any()
+    assert found.details["left_out"][first:160, 3:].all()
+    assert (found.missing[first:160] == 3).all()
+    assert "suspects: B3 in " in repr(found)
+
+
+def test_readings_that_stay_within_their_resolution_are_no_failure():
+    times, _, u = moving(CHIPS, rate=25.0)
+    u[60:, 3:6] = u[60, 3:6]
+    coarse = [*CHIPS.sensors]
+    coarse[1] = Sensor(1, 0.09, radial=0.012, azimuth=np.pi, axes=3, resolution=0.1, name="B2")
+    robot = CHIPS.replaced(sensors=coarse, noise=0.02)
+    found = track(LevenbergMarquardt(robot, noise=5.0), u, times=times)  # so that no residual speaks
+    assert set(found.status) == {"consistent"}
+
+
+def test_a_filter_without_any_reading_says_so(method):
+    missing = U.copy()
+    missing[80:120] = np.nan
+    status = track(method, missing, times=TIMES).status
+    assert set(status[80:120]) == {"undetermined"}
+    assert set(status[:80]) == {"consistent"}
+
+
+def test_a_reading_at_the_end_of_its_range_is_missing():
+    sensors = [replace(sensor, range=7.0) for sensor in CHIPS.sensors]
+    robot = CHIPS.replaced(sensors=sensors)
+    times, _, u = moving(CHIPS, rate=25.0)
+    beyond = np.abs(u) >= 7.0 - 0.0025  # half a step
+    assert 0.05 < beyond.mean() < 0.5
+    found = track(LevenbergMarquardt(robot), np.clip(u, -7.0, 7.0), times=times)
+    expected = track(LevenbergMarquardt(CHIPS), np.where(beyond, np.nan, u), times=times)
+    np.testing.assert_array_equal(found.missing, expected.missing)
+    np.testing.assert_allclose(found.q, expected.q, atol=1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -195,7 +196,8 @@ def test_the_rig_is_found_from_many_shapes_even_if_some_are_wrong(wrong):
     assert np.abs(off / found.rig.deviation).max() < 4
     again = fit_shape(robot, T, noise=NOISE, rig=found.rig)
     np.testing.assert_allclose(again.q, found.q, atol=1e-9)
-    assert fit_shape(robot, T, noise=NOISE).residual.mean() > 0.01
+    with pytest.raises(InputError, match="in the frame of the base"):
+        fit_shape(robot, T, noise=NOISE)
 
 
 def test_more_segments_fit_a_rod_better():
@@ -221,14 +223,14 @@ def test_what_cannot_be_used_is_refused():
     expected = "of shape (t, n, 4, 4), (t, n, 7) or (t, n, 3); instead received shape (3, 2)."
     assert str(error.value) == f"Input poses of fit_shape must be {expected}"
     with pytest.raises(
-        InputError, match="at of fit_shape must be given unless there is a body on each of 2 tips"
+        InputError, match="at of fit_shape must be given unless there are 2 bodies, one on the tip of each"
     ):
         fit_shape(robot, T[:, :1])
     with pytest.raises(
         InputError, match="at of fit_shape must be one place for each of 2 bodies; instead .* 1"
     ):
         fit_shape(robot, T, at=[(1, 0.11)])
-    with pytest.raises(InputError, match="must be between 0 and 0.11 m along segment 2"):
+    with pytest.raises(InputError, match="must be between 0 and 110 mm along segment 2"):
         fit_shape(robot, T, at=[(1, 0.11), (2, 0.2)])
     with pytest.raises(InputError, match="a matrix that is none in row 2, body 1"):
         fit_shape(robot, np.where(np.arange(3)[:, None, None, None] == 1, 1.1, 1.0) * T)
@@ -236,3 +238,54 @@ def test_what_cannot_be_used_is_refused():
         fit_shape(robot, T, noise=(1e-3, 0.0))
     with pytest.raises(InputError, match="a body beyond the base"):
         fit_shape(robot, T[:, :1], at=[(0, 0.0)])
+
+
+def test_poses_in_another_unit_or_frame_are_refused():
+    robot = Robot([ConstantCurvature(0.1, 0.02)] * 2)
+    T = robot.poses(0.01 * np.ones((5, 6)), [point_on(1, 0.1), point_on(2, 0.1)])
+    mm = T.copy()
+    mm[..., :3, 3] *= 1000
+    with pytest.raises(InputError, match=r"poses of fit_shape must be in metres .* positions \d+ m from"):
+        fit_shape(robot, mm)
+    T[..., :3, 3] += [3.0, 0.0, 1.0]  # of the cameras
+    with pytest.raises(InputError, match="in the frame of the base .* positions 3.* m from the base"):
+        fit_shape(robot, T)
+    assert fit_shape(robot, T, fit_rig=True).residual.max() < 1e-4
+
+
+def test_coordinates_that_nothing_shows_take_no_freedom():
+    """A body on the first of two segments: the residual counts as if there were one segment."""
+    two, one = (Robot([ConstantCurvature(0.1, 0.02)] * n) for n in (2, 1))
+    rng = np.random.default_rng(0)
+    q = 0.01 * rng.normal(size=(40, 3))
+    T = one.poses(q, [point_on(1, 0.1)])
+    T[..., :3, 3] += 3e-3 * rng.normal(size=T[..., :3, 3].shape)
+    a, b = (fit_shape(r, T, [(1, 0.1)]) for r in (two, one))
+    np.testing.assert_array_equal(a.dof, b.dof)
+    np.testing.assert_allclose(a.covariance[:, :3, :3], b.covariance, rtol=1e-6)
+
+
+def test_one_slip_of_a_unit_does_not_turn_the_base():
+    robot = Robot([ConstantCurvature(0.1, 0.02, extensible=False)] * 2)
+    q = 0.01 * np.random.default_rng(0).normal(size=(60, 4))
+    T = robot.poses(q, [point_on(1, 0.1), point_on(2, 0.1)])
+    T[..., :3, 3] += [1.0, 0.0, 2.0]
+    T[5, 0, :3, 3] *= 1000
+    found = fit_shape(robot, T, fit_rig=True)
+    assert np.median(found.residual) < 1e-3
+
+
+def test_times_of_ones_own_count():
+    T = np.tile(np.eye(4), (3, 1, 1, 1))
+    T[..., 2, 3] = 0.1
+    robot = Robot([ConstantCurvature(0.1, 0.02)])
+    frame = pd.DataFrame({"x_1_mm": [0.0] * 3, "y_1_mm": [0.0] * 3, "z_1_mm": [100.0] * 3})
+    np.testing.assert_array_equal(fit_shape(robot, frame, times=[0.0, 0.2, 0.4]).times, [0.0, 0.2, 0.4])
+    for options, words in (
+        ({"noise": 0.001}, "noise of fit_shape"),
+        ({"at": 3}, "at of fit_shape must be a list"),
+    ):
+        with pytest.raises(InputError, match=words):
+            fit_shape(robot, frame, **options)
+    with pytest.raises(InputError, match="robot of fit_shape must be one with a coordinate"):
+        fit_shape(Robot([Link(0.1)]), frame)

@@ -299,3 +299,25 @@ def test_calibration_takes_tables(tmp_path):
     poses.iloc[7, 0] *= 1000
     with pytest.raises(InputError, match=r"line 8, column delta_x_1_mm, must be within its bounds"):
         repro.calibrate(robot, poses, readings)
+
+
+def test_poses_and_readings_of_two_clocks_are_refused():
+    robot = load_robot(repro.example() / "robot.toml")
+    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (20, robot.n_q))
+    poses = pd.DataFrame({f"{name}_mm": 1e3 * x for name, x in zip(robot.coordinates, q.T, strict=True)})
+    readings = pd.DataFrame(dict(zip(robot.names, simulated_readings(robot, q).T, strict=True)))
+    times = np.arange(20) / 5
+    with pytest.raises(InputError, match="times of calibrate must be those of the poses"):
+        repro.calibrate(robot, poses.assign(time_s=times), readings.assign(time_s=times + 100))
+    poses.iloc[3, 1] = np.nan
+    with pytest.raises(InputError, match="line 4, must be a number for delta_y_1; instead received none"):
+        repro.calibrate(robot, poses, readings)
+
+
+def test_an_impossible_number_ends_nothing():
+    robot = load_robot(repro.example() / "robot.toml")
+    u = np.asarray(robot.readings(repro.example() / "mine.csv")).copy()
+    u[50, 2] = 1e200
+    found = track(LevenbergMarquardt(robot), u)
+    assert found.missing[50] == 1
+    assert np.isfinite(found.q).all()

@@ -103,7 +103,7 @@ def test_the_slopes_of_the_tip_are_those_of_its_position():
         ),
         (
             lambda: Robot([Link(0.1)], imus=[Imu(1, 0.2)]),
-            "between 0 and 0.1 m along segment 1; instead received 0.2",
+            "between 0 and 100 mm along segment 1; instead received 200",
         ),
         (lambda: Robot([Link(0.1)], sensors=[Imu]), "sensors of Robot must be parts with a place"),
         (lambda: Sensor(1, 0.1, radial=-1.0), "radial of Sensor must be not negative"),

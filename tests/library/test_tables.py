@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import repro
-from repro import InputError
+from repro import ConstantCurvature, Imu, InputError, Robot, Sensor
 from repro.tables import name_and_unit, read_configurations, read_poses, read_table
 
 ROWS = np.array([[0.0, -2.125, 3.5, 0.25], [0.05, -2.25, 3.375, 0.5], [0.1, -2.5, 3.25, 0.75]])
@@ -78,10 +78,36 @@ def test_data_frames_and_missing_readings():
         robot().readings(ROWS)
 
 
-def test_parts_of_readings_have_no_times_of_other_rows():
+def test_rows_of_readings_keep_their_times():
     readings = robot().readings(pd.DataFrame(ROWS, columns=HEADER))
-    assert not hasattr(readings[1:], "times")
+    np.testing.assert_array_equal(readings[1:].times, readings.times[1:])
+    np.testing.assert_array_equal(readings[1:, :].times, readings.times[1:])
+    assert readings[:, 1].times is None
+    assert (2 * readings).times is None
     assert readings[1, 2] == 0.5
+
+
+def test_two_readings_never_share_a_column():
+    """A slip in the channels would give two sensors one reading."""
+    frame = pd.DataFrame(ROWS, columns=HEADER)
+    sensors = [Sensor(1, 0.1, channels=[c]) for c in (1, 1, 3)]
+    with pytest.raises(
+        InputError, match="channels of the table must be another column for every reading; .* u1_mT"
+    ):
+        robot().replaced(sensors=sensors).readings(frame)
+    q = Rotation.random(3, rng=0).as_quat()
+    both = pd.DataFrame(np.hstack([q, q[::-1]]), columns=[f"q{x}_{k}" for k in (0, 1) for x in "xyzw"])
+    arm = Robot([ConstantCurvature(0.1, 0.02)], imus=[Imu(1, 0.05, channels=0), Imu(1, 0.1, channels=1)])
+    np.testing.assert_allclose(arm.readings(both)[:, 3:], Rotation.from_quat(q[::-1]).as_rotvec())
+
+
+def test_a_unit_that_nobody_stated_is_refused():
+    frame = pd.DataFrame(ROWS[:, 1:], columns=["u1_raw", "u2_raw", "u3_raw"])
+    with pytest.raises(InputError, match="column u1_raw of the table must be in mT or another unit"):
+        robot().readings(frame)
+    np.testing.assert_allclose(robot(unit="raw").readings(frame), ROWS[:, 1:])
+    with pytest.raises(InputError, match="in mT or another unit of flux density, or in raw; .* received V"):
+        robot(unit="raw").readings(frame.set_axis(["u1_V", "u2_V", "u3_V"], axis=1))
 
 
 @pytest.mark.parametrize("empty", ["", "nan", "NaN", "NA", "null", "-", " ", "inf"])
@@ -98,11 +124,11 @@ def test_a_comma_among_points_is_no_number(tmp_path):
 
 def test_counts_become_mt():
     """A sensor of 100 counts for 1 mT: a column of counts, of no unit, or already in mT."""
-    counts = robot(per_mt=-100.0)
+    counts = robot(per_mt=-100.0, unit="raw")
     for names, factor in ((["u1_raw", "u2", "u3_counts"], -100.0), (["u1_mT", "u2_mT", "u3_mT"], 1.0)):
         readings = counts.readings(pd.DataFrame(factor * ROWS[:, 1:], columns=names))
         np.testing.assert_allclose(readings, ROWS[:, 1:])
-    millivolts = robot(per_mt=50.0).readings(
+    millivolts = robot(per_mt=50.0, unit="mV").readings(
         pd.DataFrame(0.05 * ROWS[:, 1:], columns=["u1_V", "u2_V", "u3_V"])
     )
     np.testing.assert_allclose(millivolts, ROWS[:, 1:])
@@ -170,7 +196,7 @@ REFUSED = {
     ),
     "another unit": (
         lines(header=["time_s", "u1_mV", "u2_mT", "u3_mT"]),
-        "column u1_mV must be in mT or another unit of flux density, or in that of the robot file;",
+        "column u1_mV must be in mT or another unit of flux density;",
     ),
     "a time in hours": (
         lines(header=["time [h]", *HEADER[1:]]),

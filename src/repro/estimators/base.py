@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -123,11 +123,23 @@ class Trajectory:
         fit = f"{np.sum(self.chi2) / free:.3g}" if free and np.isfinite(self.chi2).all() else "not stated"
         counts = {} if self.status is None else Counter(self.status.ravel().tolist())
         rows = "".join(f"; {n} rows {name}" for name, n in counts.items())
+        if self.suspects is not None and self.suspects.any():
+            n_suspect = self.suspects.reshape(-1, self.suspects.shape[-1]).sum(0)
+            rows += "; suspects: " + ", ".join(
+                f"{name} in {k} rows" for name, k in zip(self._parts(), n_suspect, strict=True) if k
+            )
         return (
             f"Trajectory of {len(self.times)} time steps over {span}, {n} coordinates, {s} readings\n"
             f"chi-square per degree of freedom: {fit}\n"
             f"{int(np.sum(self.missing))} of {self.u_hat.size} readings missing{rows}"
         )
+
+    def _parts(self) -> Sequence[str]:
+        """Return names of what the monitor may suspect."""
+        suspects: Any = self.suspects
+        if self.robot is not None and len(self.robot.part_names) == suspects.shape[-1]:
+            return self.robot.part_names
+        return [f"u{k}" for k in range(1, suspects.shape[-1] + 1)]
 
     def units(self) -> list[tuple[str, str, float]]:
         """Return name, unit in tables and pictures, and factor to it of every coordinate."""
@@ -173,10 +185,8 @@ class Trajectory:
         if self.status is not None:
             columns["status"] = self.status
         if self.suspects is not None:
-            n = self.suspects.shape[-1]
-            parts = [f"u{k}" for k in range(1, n + 1)] if self.robot is None else self.robot.part_names
             columns["suspects"] = np.array(
-                [", ".join(p for p, s in zip(parts, row, strict=True) if s) for row in self.suspects]
+                [", ".join(p for p, s in zip(self._parts(), row, strict=True) if s) for row in self.suspects]
             )
         return pd.DataFrame(columns)
 
@@ -220,7 +230,8 @@ def track(
         Any estimator.
     readings
         One row per time step ``[t, ..., s]``; NaN for a missing reading. If the estimator knows its robot, also a
-        data frame with names or the path of a table, as :meth:`repro.Robot.readings` takes them.
+        data frame with names or the path of a table, as :meth:`repro.Robot.readings` takes them. A reading at the end
+        of its sensor's range is missing, too.
     q0
         Where the estimator starts ``[..., n_q]``; its own choice if not given.
     times
@@ -278,6 +289,10 @@ def run(
     if times is None and rate_hz is None:
         times, rate_hz = getattr(readings, "times", None), getattr(robot, "rate_hz", None)
     rows = numbers(readings, "readings", owner, finite=False)
+    most: Any = 1e100
+    if robot is not None and rows.shape[-1:] == (robot.n_readings,):
+        most = np.minimum(robot.range - robot.resolution / 2, most)
+    rows = np.where(np.abs(rows) >= most, np.nan, rows)  # no sensor can tell that
     require(rows.ndim >= 2 and len(rows), "readings", owner, "of shape (t, ..., s)", f"shape {rows.shape}")
     at = _times(len(rows), times, rate_hz, owner, needed=getattr(estimator, "needs_time", False))
     per_row: dict[str, Any] = {"mask": mask, "known": known}
@@ -329,7 +344,7 @@ def _times(n: int, times: Any, rate_hz: float | None, owner: str, *, needed: boo
     if rate_hz is None and needed:
         raise bad_input("times, rate_hz", owner, "given for a filter, one of the two", "neither")
     rate = 1.0 if rate_hz is None else rate_hz
-    require(rate > 0, "rate_hz", owner, "positive", rate)
+    require(0 < numbers(rate, "rate_hz", owner, ()) < np.inf, "rate_hz", owner, "positive", rate)
     return np.arange(n) / rate
 
 
@@ -383,6 +398,7 @@ def described(
     robot = sensing if isinstance(sensing, Robot) else getattr(sensing, "robot", None)
     robot = getattr(getattr(sensing, "sensing", None), "robot", robot)  # of errors that wander
     if isinstance(sensing, Robot):
+        require(robot.n_q, "robot", owner, "one with a coordinate", "none")
         sensing = sensing.sensing()
     found = []
     for name, value in (("lower", lower), ("upper", upper), ("noise", noise)):

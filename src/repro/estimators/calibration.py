@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -90,7 +91,7 @@ class Tolerances:
         require(good, "tolerances", "Tolerances", "positive, or zero for what is as drawn", self)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Calibration:
     """A calibrated robot, and how well it is known.
 
@@ -132,9 +133,32 @@ class Calibration:
     before: float
     after: float
 
+    def __repr__(self) -> str:
+        """Return two lines."""
+        words = f"chi-square per reading: {self.chi2:.3g}" + (
+            " (state tolerances or noise that are larger)" if self.chi2 > 1.5 else ""
+        )
+        against = f"{self.after:.3g} standard deviations, against {self.before:.3g} as described"
+        return (
+            f"Calibration by {self.poses} poses: {len(self.names)} parameters; {words}\n"
+            f"a pose is predicted from the others to {against}"
+        )
+
     def sensing(self) -> Sensing:
         """Return the sensor model of the calibrated robot."""
         return self.robot.sensing()
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write a calibration of a robot from a file, for ``repro.load_robot(robot_file, path)``.
+
+        Raises
+        ------
+        InputError
+            If the robot does not come from a file.
+        """
+        from repro.robot_file import save_calibration
+
+        save_calibration(path, self)
 
     def q_covariance(self, q: Any, noise: Any = None) -> Array:
         r"""Return the covariance ``[k, n_q, n_q]`` of least squares at ``q``, by noise and by the parameters.
@@ -152,7 +176,7 @@ class Calibration:
         sensing, parameters = self.sensing(), dict(zip(self.names, self.estimate.tolist(), strict=True))
         q = self.robot.check_q(q, "Calibration")
         std = _noise_of(self.robot, noise, sensing.n_readings, "Calibration")
-        J = sensing.linearise(q)[1]
+        J = np.where(self.robot.fixed, 0.0, sensing.linearise(q)[1])
         E = np.zeros((*J.shape[:-1], len(self.names)))
         E[..., : sensing.n_magnetic, :] = _slopes(self.described, sensing, parameters, q) * self.tolerances
         E = E @ self.covariance @ np.swapaxes(E, -1, -2)
@@ -218,16 +242,32 @@ def calibrate(
     )
     if earth is not None:
         robot = robot.replaced(earth=earth)
-    robot = robot.replaced(moments=robot.sensing().moments)
+    robot = robot.replaced(moments=robot.sensing().moments, source=robot.source)
     described = robot.replaced(imus=(), noise=None)
     n = described.n_readings
-    q = read_configurations(robot, q)[0] if is_table(q) else numbers(q, "q", owner, (None, robot.n_q))
+    q, at = (
+        read_configurations(robot, q) if is_table(q) else (numbers(q, "q", owner, (None, robot.n_q)), None)
+    )
     require(len(q), "q", owner, "at least one pose", "none")
     u = robot.readings(u) if is_table(u) else u
+    since = getattr(u, "times", None)
+    if at is not None and since is not None and len(at) == len(since):
+        apart = float(np.abs(at - since).max())
+        require(
+            apart < 0.05,
+            "times",
+            owner,
+            "those of the poses, within 0.05 s",
+            f"times up to {apart:.3g} s off",
+        )
     u = numbers(u, "u", owner, (len(q), robot.n_readings))[:, :n]
     std = _noise_of(robot, noise, n, owner)
     zero = np.zeros((robot.n_q, robot.n_q))
     sigma = zero if q_covariance is None else numbers(q_covariance, "q_covariance", owner, (..., *zero.shape))
+    shapes = zero.shape, (len(q), *zero.shape)
+    require(
+        sigma.shape in shapes, "q_covariance", owner, f"one, or one for each of {len(q)} poses", sigma.shape
+    )
     check_poses(robot, q, sigma)
     priors = _priors(described, tolerances or Tolerances())
     names, scale = tuple(priors), np.array(list(priors.values()))
@@ -262,10 +302,11 @@ def calibrate(
                     break
             covariance = np.linalg.inv(J.T @ J + eye)
             before, after, own = _by_pose(first, r, J, covariance, len(q))
-        except (np.linalg.LinAlgError, InputError) as error:
+        except (np.linalg.LinAlgError, OverflowError, InputError) as error:
             raise _refused(f"a fit that ends in no robot ({error})") from error
     worst, far, mostly = int(np.argmax(own)), int(np.argmax(np.abs(z))), float(np.median(own))
-    no_better = mostly > 2.0 and after >= before
+    # Fewer than ten poses hardly predict another one.
+    no_better = after >= before and (mostly > 2.0 or (len(q) >= 10 and after > 1.5))
     if no_better or not mostly <= _MOST or own[worst] > _OUTLIER * max(mostly, 0.8):
         against = f"{after:.3g} standard deviations against {before:.3g} as described"
         where = f"worst in row {worst + 1}, by {own[worst]:.3g}"
@@ -411,7 +452,9 @@ def _noise_of(robot: Robot, noise: Any, n: int, owner: str) -> Array:
     """Standard deviation of every reading ``[n]``, of the robot if not given."""
     expected = "positive, one number or one for each reading"
     require(noise is not None or robot.noise is not None, "noise", owner, expected, "none")
-    std = numbers(noise if robot.noise is None or noise is not None else robot.noise[:n], "noise", owner)
+    if noise is None and robot.noise is not None:
+        noise = np.hypot(robot.noise[:n], robot.resolution[:n] / math.sqrt(12))
+    std = numbers(noise, "noise", owner)
     require(std.shape in ((), (n,)) and (std > 0).all(), "noise", owner, expected, noise)
     return np.broadcast_to(std, (n,))
 

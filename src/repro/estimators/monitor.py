@@ -54,6 +54,8 @@ without the part, before readings are left out. What all sensors share looks lik
 _SPEED = 0.5
 """Standard deviation of a velocity where no motion model says another one [widths of the bounds per second]."""
 _FROZEN_S, _FROZEN_ROWS = 0.5, 20
+_LOOK = 8
+"""Every so many rows we look whether a single reading stays the same."""
 _STARTS = 8
 
 
@@ -94,6 +96,9 @@ class MonitorState(NamedTuple):
     """Configuration and time of the last row that fitted."""
     cases: Any = None
     last: Any = None
+    steps: int = 0
+    still: Any = None
+    """How many rows a reading has not changed, and since when [s]; nothing while all of them change."""
 
 
 class Monitor:
@@ -104,9 +109,10 @@ class Monitor:
     which count as missing; ``growth``, the factor by which the covariance grew; ``restarted``. The parts are those of
     the robot. Where there is none, every reading is its own.
 
-    A frame that equals the one before, bit for bit, adds nothing. If all readings stay equal for more than 0.5 s and
-    at least 20 rows, the board repeats itself and the row is *frozen*, unless all noise stated is below the
-    resolution. A row is *undetermined* if it has fewer readings than unknowns and no motion model helps.
+    A part whose readings stay the same, bit for bit, for more than 0.5 s and at least 20 rows, is named and left out,
+    unless their noise is below their resolution. A frame that equals the one before, bit for bit, adds nothing. If
+    all readings stay equal for so long, the board repeats itself and the row is *frozen*. A row is *undetermined* if
+    it has fewer readings than unknowns and no motion model helps, or none at all.
 
     Parameters
     ----------
@@ -166,12 +172,19 @@ class Monitor:
             repeats = bits == state.frame if alone else (bits == state.frame).all(-1)
             if repeats if alone else repeats.any():
                 same = np.logical_and(repeats, ~np.isnan(u).all(-1))
+        still, stuck = state.still, None
+        if state.frame is not None and (still is not None or state.steps % _LOOK == 0):
+            still = self._still(state, u, t, same)
+            stuck = None if still is None else self._stuck(still, u, t)
+            used = u = u if stuck is None else np.where(stuck[1], np.nan, u)
         if same is not None:
             equal, since = np.where(same, state.equal + 1, 1), np.where(same, state.since, t)
             used = np.where(same[..., None], np.nan, u) if self.needs_time else u
         inner, found = self.estimator.step(state.inner, used, t, known=known)
         least = self._spare if known is None else self._spare + np.isfinite(known).sum(-1)
         chi2, dof, few = found.chi2, found.dof, found.missing > least
+        if same is not None and self.needs_time:
+            few = few & ~same
         one = type(chi2) is not np.ndarray
         if one:  # plain numbers are much faster
             chi2, dof, few = float(chi2), float(dof), bool(few)
@@ -191,13 +204,32 @@ class Monitor:
         now = MonitorState(
             inner, state.seed, state.row + (same is None or not same.all()), bits, equal, since,
             (fast, slow, free, freer), (*state.recent[1 - _WINDOW :], row) if self.needs_time else (row,),
-            (found.q, t), state.cases, found,
+            (found.q, t), state.cases, found, state.steps + 1, still,
         )  # fmt: skip
         doubt = bad | few
-        if same is None and not (doubt if one else doubt.any()):
+        if same is None and stuck is None and not (doubt if one else doubt.any()):
             found.details["status"] = self._nothing(found.q.shape[:-1])["status"]
             return now, found
-        return self._doubted(state, now, u, bad, same, few)
+        return self._doubted(state, now, u, bad, same, few, stuck)
+
+    def _still(self, state: MonitorState, u: Array, t: float, same: Any) -> Any:
+        """Return for how many rows each reading has not changed and since when, or nothing if all of them change."""
+        frame = state.frame
+        before = np.frombuffer(frame) if isinstance(frame, bytes) else frame.view(np.float64)
+        rows, since = state.still or (np.zeros(u.shape, dtype=int), np.full(u.shape, t))
+        stays = (u == before) & self._jitters & ((rows > 0) | (state.steps % _LOOK == 0))
+        found = np.where(stays, rows + 1, 0), np.where(stays & (rows > 0), since, t)
+        if same is not None:  # a frame that is sent again says nothing new
+            found = np.where(same[..., None], rows, found[0]), np.where(same[..., None], since, found[1])
+        return found if found[0].any() else None
+
+    def _stuck(self, still: Any, u: Array, t: float) -> tuple[Array, Array] | None:
+        """Return which parts, and which of their readings, have not changed for too long, or nothing."""
+        rows, since = still
+        there, parts = np.isfinite(u)[..., None, :], self._without[1:]
+        moves = there & ~((rows >= _FROZEN_ROWS) & (t - since > _FROZEN_S + 1e-9))[..., None, :]
+        stuck = (there & parts).any(-1) & ~(moves & parts).any(-1)
+        return (stuck, (stuck[..., None] & parts).any(-2)) if stuck.any() else None
 
     def _begun(self, state: MonitorState, u: Array) -> MonitorState:
         """Find out about the parts, and give every robot of a batch a state of its own."""
@@ -207,10 +239,10 @@ class Monitor:
         if robot is not None and robot.n_readings == s:
             self.parts, resolution = robot.parts, robot.resolution
         noise = getattr(self._fit, "noise", np.inf) if robot is None or robot.noise is None else robot.noise
-        self._jitters = bool(np.any(noise >= resolution))
+        self._jitters = np.broadcast_to(noise >= np.asarray(resolution), (s,))
         self._without = np.arange(self.parts.max() + 2)[:, None] == self.parts + 1
         self._largest = int(np.bincount(self.parts).max())
-        self._spare = s if self.needs_time else s - self._unknowns
+        self._spare = s - 1 if self.needs_time else s - self._unknowns
         q = state.inner.q
         if q is None or u.ndim == 1:
             return state
@@ -236,7 +268,7 @@ class Monitor:
         return self._blank
 
     def _doubted(
-        self, state: MonitorState, now: MonitorState, u: Array, bad: Any, same: Any, few: Any
+        self, state: MonitorState, now: MonitorState, u: Array, bad: Any, same: Any, few: Any, stuck: Any
     ) -> tuple[MonitorState, Estimate]:
         """Look at rows that do not fit, that came before, or that have too few readings."""
         found, inner, cases, sums, t = now.last, now.inner, dict(state.cases), now.sums, now.good[1]
@@ -259,12 +291,16 @@ class Monitor:
                 else:
                     inner, found = _put(inner, k, _pick(state.inner, k)), _put(found, k, _pick(state.last, k))
             since, equal = (np.broadcast_to(x, batch) for x in (now.since, now.equal))
-            frozen = same & (equal >= _FROZEN_ROWS) & (t - since > _FROZEN_S + 1e-9) & self._jitters
+            frozen = same & (equal >= _FROZEN_ROWS) & (t - since > _FROZEN_S + 1e-9) & self._jitters.any()
             said["status"][frozen] = FROZEN
             for k in map(tuple, np.argwhere(frozen & (not self.needs_time))):
                 moved = np.diag((_SPEED * self._width * (t - since[k])) ** 2)
                 found = _put(found, k, _grown(_pick(found, k), moved))
         said["status"][np.broadcast_to(few, batch) & (said["status"] == CONSISTENT)] = UNDETERMINED
+        if stuck is not None:
+            said["suspects"] |= stuck[0]
+            said["left_out"] |= stuck[1]
+            said["status"][stuck[0].any(-1) & (said["status"] == CONSISTENT)] = LEFT_OUT
         fits = said["status"] <= LEFT_OUT
         q = np.where(fits[..., None], found.q, state.good[0])
         found = found._replace(details=found.details | said)
