@@ -128,8 +128,9 @@ def plot_shape(shape: Any, axes: Any = None) -> Any:
     import matplotlib.pyplot as plt
 
     require(shape.q.ndim == 2, "shape", "plot", "of one robot", f"of shape {shape.q.shape}")
-    known = shape.robot is not None and shape.robot.n_q == shape.q.shape[-1]
-    units = [(k, *unit) for k, unit in enumerate(shape.units()) if not (known and shape.robot.fixed[k])]
+    fixed = getattr(shape.robot, "fixed", np.zeros(0, dtype=bool))
+    fixed = fixed if len(fixed) == shape.q.shape[-1] else np.zeros(shape.q.shape[-1], dtype=bool)
+    units = [(k, *unit) for k, unit in enumerate(shape.units()) if not fixed[k]]
     kinds = list(dict.fromkeys(unit for _, _, unit, _ in units))
     n_readings = 0 if shape.readings is None else 2
     with mpl.rc_context({"text.usetex": False}):

@@ -234,7 +234,7 @@ def test_what_cannot_be_used_is_refused():
         fit_shape(robot, T, at=[(1, 0.11), (2, 0.2)])
     with pytest.raises(InputError, match="a matrix that is none in row 2, body 1"):
         fit_shape(robot, np.where(np.arange(3)[:, None, None, None] == 1, 1.1, 1.0) * T)
-    with pytest.raises(InputError, match="Input noise of rotations of fit_shape must be positive"):
+    with pytest.raises(InputError, match="Input noise of fit_shape must be positive"):
         fit_shape(robot, T, noise=(1e-3, 0.0))
     with pytest.raises(InputError, match="a body beyond the base"):
         fit_shape(robot, T[:, :1], at=[(0, 0.0)])

@@ -398,7 +398,7 @@ def described(
     robot = sensing if isinstance(sensing, Robot) else getattr(sensing, "robot", None)
     robot = getattr(getattr(sensing, "sensing", None), "robot", robot)  # of errors that wander
     if isinstance(sensing, Robot):
-        require(robot.n_q, "robot", owner, "one with a coordinate", "none")
+        require(sensing.n_q, "robot", owner, "one with a coordinate", "none")
         sensing = sensing.sensing()
     found = []
     for name, value in (("lower", lower), ("upper", upper), ("noise", noise)):
