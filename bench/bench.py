@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 
 import repro
+from repro.networks import load_network
 
 ROOT = Path(__file__).resolve().parents[1]
 FAST = sys.argv[1:2] == ["--fast"]
@@ -262,7 +263,7 @@ def first_edition_rows() -> Rows:
         yield f"LevenbergMarquardt, n_b = {n_b}, one at a time, {end}", both(one, q[0], u), ">= 6"
 
     gamma, n = np.tile([2e-3, 2e-3, 2e-4], 3), few(100)
-    mine = repro.GradientDescent(repro.Sensing(robot, [repro.load_network(x) for x in NETWORKS]), gamma)
+    mine = repro.GradientDescent(repro.Sensing(robot, [load_network(x) for x in NETWORKS]), gamma)
     # The first edition's networks have a dimension for their seeds.
     model = ensemble.SeedEnsemble(
         [[weights.load_paper_network(x) for x in NETWORKS]], [0] * 3 + [1] * 3 + [2] * 3
@@ -327,7 +328,7 @@ def operation_rows() -> Rows:
     """Yield what slopes cost, and the operations of an evaluation and of a fit: how many, and how fast."""
     for n_b, paths in ((3, NETWORKS), (1, []), (3, [])):
         robot, low, high, q, u = on_t3(n_b, few(2000))
-        sensing = repro.Sensing(robot, [repro.load_network(x) for x in paths] or None)
+        sensing = repro.Sensing(robot, [load_network(x) for x in paths] or None)
         fit = repro.LevenbergMarquardt(sensing, low, high, NOISE_MT, iterations=3, tolerance=1e-12)
         plain, *seconds = fastest(partial(sensing, q), partial(sensing.linearise, q), batch(fit, q, u))
         case = f"{'network' if paths else 'multipoles'}, n_b = {n_b}"

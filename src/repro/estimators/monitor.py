@@ -161,7 +161,7 @@ class Monitor:
         InputError
             As the estimator.
         """
-        if mask is not None or type(u) is not np.ndarray or u.dtype != np.float64:
+        if mask is not None or type(u) is not np.ndarray or u.dtype.char != "d":
             u = incoming(u, mask, self._owner)
         used = u
         if state.frame is None:
@@ -182,12 +182,13 @@ class Monitor:
             used = np.where(same[..., None], np.nan, u) if self.needs_time else u
         inner, found = self.estimator.step(state.inner, used, t, known=known)
         least = self._spare if known is None else self._spare + np.isfinite(known).sum(-1)
-        chi2, dof, few = found.chi2, found.dof, found.missing > least
-        if same is not None and self.needs_time:
-            few = few & ~same
+        chi2, dof, missing = found.chi2, found.dof, found.missing
         one = type(chi2) is not np.ndarray
         if one:  # plain numbers are much faster
-            chi2, dof, few = float(chi2), float(dof), bool(few)
+            chi2, dof, missing = float(chi2), float(dof), int(missing)
+        few = missing > least
+        if same is not None and self.needs_time:
+            few = few & ~same
         bad = chi2 > dof + _TWICE + _ROOT * dof**0.5  # the bound, written out for speed
         weight = 1.0 - (bad if same is None else bad | same)  # sums are over rows that fit by themselves
         fast, slow, free, freer = state.sums
@@ -201,14 +202,14 @@ class Monitor:
                 bad[k] |= again or found.chi2[k] > _limit(found.dof[k], _STRICT)
         bad = bad if same is None else bad & ~same
         row = (state.inner, u, known, t)
-        now = MonitorState(
+        now = tuple.__new__(MonitorState, (  # twice as fast as by its name
             inner, state.seed, state.row + (same is None or not same.all()), bits, equal, since,
             (fast, slow, free, freer), (*state.recent[1 - _WINDOW :], row) if self.needs_time else (row,),
             (found.q, t), state.cases, found, state.steps + 1, still,
-        )  # fmt: skip
+        ))  # fmt: skip
         doubt = bad | few
         if same is None and stuck is None and not (doubt if one else doubt.any()):
-            found.details["status"] = self._nothing(found.q.shape[:-1])["status"]
+            found.details["status"] = (self._blank if one else self._nothing(found.q.shape[:-1]))["status"]
             return now, found
         return self._doubted(state, now, u, bad, same, few, stuck)
 
@@ -216,8 +217,11 @@ class Monitor:
         """Return for how many rows each reading has not changed and since when, or nothing if all of them change."""
         frame = state.frame
         before = np.frombuffer(frame) if isinstance(frame, bytes) else frame.view(np.float64)
+        stays = u == before
+        if state.still is None and not stays.any():
+            return None
         rows, since = state.still or (np.zeros(u.shape, dtype=int), np.full(u.shape, t))
-        stays = (u == before) & self._jitters & ((rows > 0) | (state.steps % _LOOK == 0))
+        stays = stays & self._jitters & ((rows > 0) | (state.steps % _LOOK == 0))
         found = np.where(stays, rows + 1, 0), np.where(stays & (rows > 0), since, t)
         if same is not None:  # a frame that is sent again says nothing new
             found = np.where(same[..., None], rows, found[0]), np.where(same[..., None], since, found[1])
@@ -242,6 +246,7 @@ class Monitor:
         self._jitters = np.broadcast_to(noise >= np.asarray(resolution), (s,))
         self._without = np.arange(self.parts.max() + 2)[:, None] == self.parts + 1
         self._largest = int(np.bincount(self.parts).max())
+        self._nothing(())
         self._spare = s - 1 if self.needs_time else s - self._unknowns
         q = state.inner.q
         if q is None or u.ndim == 1:
