@@ -301,10 +301,11 @@ def run(
             per_row[name] = values = np.asarray(values)
             words = f"one row for each of {len(rows)} time steps"
             require(values.ndim and len(values) == len(rows), name, owner, words, f"shape {values.shape}")
-    from repro.estimators.monitor import SAID, STATUS, Monitor, watches
+    from repro.estimators.monitor import SAID, STATUS, Monitor
 
-    method = Monitor(estimator) if monitor is not None and watches(estimator) else estimator
-    watched = method is not estimator
+    # Not the estimators of papers, which have none.
+    watched = monitor is not None and getattr(estimator, "watched", False)
+    method = Monitor(estimator) if watched else estimator
     state = method.init(q0, seed=seed)
     states, estimates = [], []
     for k in _with_bar(len(rows), progress):

@@ -49,6 +49,7 @@ class MotionModel:
     """What filters with a motion model share: ``motion(tau)`` gives the transition and the noise that it adds."""
 
     needs_time = True
+    watched = True
 
     def motion(self, tau: float) -> tuple[Array, Array]:
         """Return the transition of ``(q, velocity)`` over a time [s], and the covariance that noise adds."""

@@ -81,6 +81,9 @@ class LevenbergMarquardt:
     (array([0.5]), array([[0.005]]))
     """
 
+    watched = True
+    """Whether a monitor goes with it in :func:`repro.track`."""
+
     def __init__(
         self,
         sensing: Any,

@@ -25,9 +25,6 @@ from scipy.special import chdtri
 
 from repro.common import Array
 from repro.estimators.base import Estimate, evenly, incoming
-from repro.estimators.kalman import KalmanFilter
-from repro.estimators.least_squares import LevenbergMarquardt
-from repro.estimators.rod import RodFilter
 
 STATUS = ("consistent", "left out", "inconsistent", "frozen", "undetermined")
 """Names of what the monitor says of a row."""
@@ -412,11 +409,6 @@ class Monitor:
             q[:, n:], P[:, n:m, n:m] = before.q[n:], before.covariance[n:m, n:m]
             states = states._replace(q=q, covariance=P)
         return states
-
-
-def watches(estimator: Any) -> bool:
-    """Whether the monitor is on unless it is switched off: not for the estimators of papers, which have none."""
-    return isinstance(estimator, LevenbergMarquardt | KalmanFilter | RodFilter)
 
 
 def _limit(dof: Any, x: float = _RARE) -> Any:
