@@ -1,1 +1,0 @@
-"""The page `notebooks/constant_curvature_floor.ipynb`."""

@@ -1,1 +1,0 @@
-"""Page: filter and smoother on a real robot."""

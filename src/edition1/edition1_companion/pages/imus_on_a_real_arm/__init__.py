@@ -1,1 +1,0 @@
-"""The page `notebooks/imus_on_a_real_arm.ipynb`."""

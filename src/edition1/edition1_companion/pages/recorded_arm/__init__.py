@@ -1,1 +1,0 @@
-"""The page `notebooks/recorded_arm.ipynb`."""
