@@ -18,13 +18,13 @@ from pty_board import Board
 from edition1.errors import InputError
 from edition1_companion.recordings.baaij2023 import read_readings as read_rig
 from edition1_companion.recordings.martin2022 import read_readings as read_imus
-from edition1_companion.recordings.mitchell2021 import read_hall
 from edition1_live.record.export import export
 from edition1_live.record.recorder import record
 from edition1_live.record.recording import Recording, read_recording
 from edition1_live.record.recording_file import sidecar_path
 from edition1_live.wire.formats import encode
 from edition1_live.wire.frame import Frame
+from repro_companion.papers.mitchell import MODEL_FROM_FILE, read_hall
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
 COMMANDS = """
@@ -335,13 +335,12 @@ def test_hall_lines_reach_their_loader(board, tmp_path):
     recording = read_recording(path)
     export(recording, tmp_path / "hall.csv", "hall")
     take = read_hall(tmp_path / "hall.csv")
-    kept = len(take.readings)
-    assert kept + take.drained == 30
+    kept = len(take.u)
+    assert kept + take.facts["buffered"] == 30
     # Column 0, along the body, is the last field on the wire; one count is 0.01 mT.
-    field = take.readings[["bx_mT", "by_mT", "bz_mT"]].to_numpy()
-    np.testing.assert_allclose(field, counts[-kept:, ::-1] * 0.01, atol=1e-12)
+    np.testing.assert_allclose(take.u @ MODEL_FROM_FILE, counts[-kept:, ::-1] * 0.01, atol=1e-12)
     unix_s = recording.metadata["start_unix_s"] + recording.frames["time_s"].to_numpy()[-kept:]
-    np.testing.assert_allclose(take.start_unix_s + take.readings["time_s"], unix_s, atol=1e-6)
+    np.testing.assert_allclose(take.time_s, unix_s, atol=1e-6)
 
 
 def test_quaternions_reach_their_loader(board, tmp_path):

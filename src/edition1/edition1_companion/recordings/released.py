@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from edition1.errors import require
-from edition1_companion.recordings.sources import RecordedFile, data_dir, read_sources
+from edition1_companion.recordings.sources import RecordedFile, data_dir
 
 
 def unlike_released(
@@ -39,25 +39,6 @@ def unlike_released(
             same = "of the same size" if size == file.size else f"{size} bytes instead of {file.size}"
             unlike[name] = f"other content than the released file, {same}"
     return unlike
-
-
-def not_released(paths: Sequence[Path], paper: str, folder: Path, manifest: Path) -> list[str]:
-    """Names of the files that are not those of the public repository; one that is not listed counts as another.
-
-    Parameters
-    ----------
-    paths
-        Files that exist below ``folder``.
-    paper
-        Name of the paper.
-    folder
-        The paper's folder: files lie in it as in the repository.
-    manifest
-        The list, ``data/sources.json``.
-    """
-    listed = {file.path: file for file in read_sources(manifest, [paper])}
-    found = [(path.name, path, listed.get(path.relative_to(folder).as_posix())) for path in paths]
-    return [name for name, path, file in found if file is None or difference(file, path)]
 
 
 def difference(file: RecordedFile, path: Path) -> str | None:

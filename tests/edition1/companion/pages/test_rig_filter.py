@@ -1,6 +1,5 @@
-"""Our filter of the rig on a toy and blind to the future; recordings under the authors' names; the rig's networks."""
+"""Our filter of the rig on a toy and blind to the future; the rig's networks."""
 
-import hashlib
 import json
 from dataclasses import replace
 from functools import cache
@@ -10,19 +9,17 @@ import pandas as pd
 import pytest
 import torch
 from scipy.signal import lfilter
+from twin_of_the_rig import recorded
 
 from edition1.errors import InputError
 from edition1.estimation.base import track
 from edition1.estimation.kalman_filter import IteratedKalmanFilter
 from edition1.sensing.training import train_paper
 from edition1_companion.book.project import find_project
-from edition1_companion.recordings.baaij2023 import FOLDER, NAMES, Recording, raw_paths
+from edition1_companion.recordings.baaij2023 import Recording
 from edition1_companion.twins import rig_networks as rig_training
 from edition1_companion.twins.compiled_rig_filter import bank_step
-from edition1_companion.twins.pneumatic_rig import record_rig
 from edition1_companion.twins.rig_bank import OursConfig
-from edition1_companion.twins.rig_data import load_recordings
-from edition1_companion.twins.rig_files import write_recording
 from edition1_companion.twins.rig_filter import filtered
 from edition1_companion.twins.rig_map import DEGREE, correlation_s, fit_map, monomials
 from edition1_companion.twins.rig_networks import (
@@ -61,7 +58,7 @@ def noisy(recording, seed=0):
 @cache
 def short_data():
     """Two minutes of T5 and of T3 of the nominal twin; synthetic."""
-    return load_recordings("twin", trajectories=("T3", "T5"), longest_s=60.0)
+    return recorded(("T3", "T5"), longest_s=60.0)
 
 
 def degrees(train, candidates=(2, 3, 4, 5, 6, 7, 8), blocks=5):
@@ -101,9 +98,8 @@ class TestOurs:
         assert run.diagnostics["bias_deviation_mv"][-1] < run.diagnostics["bias_deviation_mv"][0]
 
     def test_future_readings_do_not_enter(self):
-        data = short_data()
-        bend_map = fit_map(data.train)
-        u = data.tests["T3"].u
+        train, tests = short_data()
+        bend_map, u = fit_map(train), tests["T3"].u
         whole, half = filtered(bend_map, u), filtered(bend_map, u[: len(u) // 2])
         np.testing.assert_allclose(half.q, whole.q[: len(half.q)], atol=1e-12)
 
@@ -196,9 +192,9 @@ class TestOurs:
         )
 
     def test_on_the_nominal_twin_it_is_not_lost(self):
-        data = load_recordings("twin", trajectories=("T2", "T5"))
-        part = data.tests["T2"]
-        run = filtered(fit_map(data.train), part.u)
+        train, tests = recorded(("T2", "T5"))
+        part = tests["T2"]
+        run = filtered(fit_map(train), part.u)
         assert 1e3 * np.abs(run.q.numpy() - part.q)[:, :2].max() < 2.0
 
     def test_slopes_are_those_of_the_map(self):
@@ -206,71 +202,6 @@ class TestOurs:
         np.testing.assert_allclose(
             bend_map.slopes(np.zeros((2, 2))), np.stack([1e-3 * SLOPES.T] * 2), atol=1e-6
         )
-
-
-class TestData:
-    def test_parts_of_the_twin(self):
-        data = short_data()
-        assert list(data.tests) == ["T3", "T5"]
-        assert data.twin_sha256 == nominal_twin().sha256
-        assert len(data.train) / len(data.tests["T5"]) == pytest.approx(7 / 3, rel=0.01)
-        assert len(data.shortened(2.0)["T3"]) == 80
-        assert len(data.shortened(0.0)["T3"]) == len(data.tests["T3"])
-
-    @pytest.mark.parametrize(
-        ("options", "message"),
-        [
-            ({"source": "rig"}, "Input source of load_recordings must be one of 'auto'"),
-            ({"trajectories": ("T9",)}, "Input trajectories of load_recordings must be among T0"),
-            ({"source": "recorded"}, "must be recorded: the authors' raw files of T0"),
-        ],
-    )
-    def test_wrong_input_is_refused(self, options, message, tmp_path):
-        with pytest.raises(InputError, match=message):
-            load_recordings(**{"folder": tmp_path} | options)
-
-
-@pytest.fixture
-def found(tmp_path, monkeypatch):
-    """Made-up files of T3 and T5 under the authors' names, where recordings are looked for; and their list."""
-    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
-    listed = []
-    for trajectory in ("T3", "T5"):
-        raw = record_rig(nominal_twin(), trajectory, seed=3, duration_s=30.0)
-        for path in write_recording(tmp_path / FOLDER, NAMES[trajectory], raw.track, raw.readings_mv):
-            place = path.relative_to(tmp_path / FOLDER).as_posix()
-            listed.append({"path": place, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()})
-    source = {"repository": "https://github.com/owner/name", "commit": "0" * 40, "files": listed}
-    manifest = tmp_path / "sources.json"
-    manifest.write_text(json.dumps({FOLDER: source}))
-    return manifest
-
-
-class TestFilesUnderTheAuthorsNames:
-    TRAJECTORIES = ("T3", "T5")
-
-    def test_that_are_not_theirs_get_no_verdict(self, found):
-        data = load_recordings(trajectories=self.TRAJECTORIES, sources=find_project().data / "sources.json")
-        assert data.label == "recordings of your own under these names"
-        assert data.twin_sha256 is None
-        assert len(data.own_files) == 4
-        assert data.remarks[0].startswith(
-            "Not the authors' files, so nothing is compared with print: 2022-05-02_T3"
-        )
-
-    def test_without_a_list_none_are_theirs(self, found):
-        assert load_recordings(trajectories=self.TRAJECTORIES).own_files
-
-    def test_with_their_hashes_are_compared_and_one_other_byte_is_not(self, found):
-        theirs = load_recordings("recorded", trajectories=self.TRAJECTORIES, sources=found)
-        assert theirs.twin_sha256 is None
-        assert theirs.own_files == ()
-        assert theirs.label == "recorded by the authors"
-        assert theirs.remarks == []
-        path = raw_paths(NAMES["T3"])[1]
-        path.write_bytes(path.read_bytes()[:-2] + b"1\n")
-        data = load_recordings("recorded", trajectories=self.TRAJECTORIES, sources=found)
-        assert data.own_files == (path.name,)
 
 
 class TestNetworks:
@@ -285,7 +216,7 @@ class TestNetworks:
 
         monkeypatch.setattr(rig_training, "train_paper", short)
         for sensor in range(3):
-            path = train_rig(RigSpec(sensor, 4), tmp_path, tmp_path, part=short_data().train, progress=False)
+            path = train_rig(RigSpec(sensor, 4), tmp_path, tmp_path, part=short_data()[0], progress=False)
         manifest = json.loads(path.with_suffix(".json").read_text())
         assert manifest["recording"] == "synthetic_T5_train"
         assert manifest["learning_rate"] == 5e-5
@@ -293,7 +224,7 @@ class TestNetworks:
         assert manifest["loss_by_epoch"]["unit"] == "mV^2"
         assert "twin_sha256" not in manifest  # given a recording, it does not know of which twin
         monkeypatch.delattr(rig_training, "train_paper")  # a second call trains nothing
-        assert train_rig(RigSpec(2, 4), tmp_path, tmp_path, part=short_data().train) == path
+        assert train_rig(RigSpec(2, 4), tmp_path, tmp_path, part=short_data()[0]) == path
         assert rig_networks(tmp_path, [4]).n_sensors == 3
         with pytest.raises(InputError, match="must be trained on the twin"):
             rig_networks(tmp_path, [4], twin_sha256=random_twin(0).sha256)
@@ -312,4 +243,4 @@ class TestNetworks:
         assert found.n_seeds == 3
         assert trained_on(own, folder, (0, 1, 2), second=second)
         assert not trained_on(other, folder, (0, 1, 2), second=second)
-        assert not trained_on(short_data().train, folder, (0, 1, 2), second=second)
+        assert not trained_on(short_data()[0], folder, (0, 1, 2), second=second)

@@ -4,19 +4,20 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from twin_of_the_rig import recorded
 
 from edition1.estimation.consistency import WINDOW, Status
+from edition1_companion.recordings.rig_robot import RIG_RATE_HZ
 from edition1_companion.twins.rig_bank import BendBank
-from edition1_companion.twins.rig_data import RigData, load_recordings
 from edition1_companion.twins.rig_filter import LASTING, filtered
 from edition1_companion.twins.rig_map import BendMap, fit_map
 from edition1_companion.twins.rig_twins import random_twin
 
 
 @cache
-def lost_rig() -> RigData:
+def lost_rig():
     """SYNTHETIC rig on which false bends explain the readings well enough to be kept for seconds."""
-    return load_recordings("twin", trajectories=("T1", "T3", "T5"), config=random_twin(9))
+    return recorded(("T1", "T3", "T5"), random_twin(9))
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,8 @@ def apart_mm(bend_mm: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def test_a_wrong_start_is_left_within_a_second_and_is_kept_where_nothing_watches():
-    bend_map, part = fit_map(lost_rig().train), lost_rig().tests["T1"]
+    train, tests = lost_rig()
+    bend_map, part = fit_map(train), tests["T1"]
     u, truth = part.u[:240].copy(), part.q[:240]
     u[0] = bend_map(np.array([[3.63, -6.43]]))[0]  # of a bend that is 4.5 mm off
     run = watched(bend_map, u)
@@ -66,7 +68,8 @@ def test_a_wrong_start_is_left_within_a_second_and_is_kept_where_nothing_watches
 
 
 def test_a_bend_that_fast_motion_loses_is_found_again_from_past_readings_alone():
-    bend_map, part = fit_map(lost_rig().train), lost_rig().tests["T3"]
+    train, tests = lost_rig()
+    bend_map, part = fit_map(train), tests["T3"]
     run, alone = watched(bend_map, part.u), bends_mm(bend_map, part.u)
     assert run.anew[-1] >= 1
     lost = (apart_mm(1e3 * run.q[:, :2], part.q) > 5).mean(), (apart_mm(alone, part.q) > 5).mean()
@@ -80,7 +83,8 @@ def test_a_bend_that_fast_motion_loses_is_found_again_from_past_readings_alone()
 
 def test_where_no_start_explains_the_readings_it_goes_on_and_says_so():
     """One sensor is 60 mV off, six times the widest bias, and no bend makes up for it."""
-    bend_map, part = fit_map(lost_rig().train), lost_rig().tests["T5"]
+    train, tests = lost_rig()
+    bend_map, part = fit_map(train), tests["T5"]
     u = part.u[:400].copy()
     u[200:, 1] += 60.0
     run = watched(bend_map, u)
@@ -91,9 +95,9 @@ def test_where_no_start_explains_the_readings_it_goes_on_and_says_so():
 
 
 def test_on_the_twin_of_the_page_it_is_never_started_anew():
-    data = load_recordings("twin")
-    bend_map = fit_map(data.train)
-    for name, part in data.shortened(15.0).items():
-        run = watched(bend_map, part.u)
+    train, tests = recorded()
+    bend_map = fit_map(train)
+    for name, part in tests.items():
+        run = watched(bend_map, part.u[: round(15 * RIG_RATE_HZ)])
         assert (run.status == Status.CONSISTENT).all(), name
         assert (run.anew == 0).all(), name

@@ -1,13 +1,11 @@
 """Settings against what the papers print and the authors released, and what readings with these settings show.
 
-Released code, read and not copied: Baaij et al., ``promasens``, commit 7f818d3; Mitchell et al., branch
-``parallel-chain``, commit 382a4ae. Where paper and code differ, the line says which of them it is.
+Released code, read and not copied: Baaij et al., ``promasens``, commit 7f818d3.
 """
 
 import pytest
 
 from edition1.sensing.magnetic import EARTH_MT
-from edition1_companion.twins.bend_filters import PAPER_SETTINGS
 from edition1_companion.twins.table_1_rows import ROWS, rows_named, simulate
 
 BY_NAME = {row.name: row for row in ROWS}
@@ -33,13 +31,3 @@ class TestBaaij:
 
     def test_earth_field(self):
         assert float(BY_NAME["n_e=(0,1,0)"].earth_mt()[1]) == EARTH_MT == 0.065
-
-
-class TestMitchell:
-    def test_process_noise_of_the_bend_tests(self):
-        """Printed: 0.002 pi. Released: s pi/2 with s = 0.001, on the transverse field alone, zeroed at rest."""
-        printed, released = (PAPER_SETTINGS[f"paper, as {name}"] for name in ("printed", "released"))
-        assert printed["process_noise_pi"] == 0.002
-        assert released["process_noise_pi"] == pytest.approx(0.001 / 2)
-        assert [x["axial"] for x in (printed, released)] == [True, False]
-        assert [x["zeroed"] for x in (printed, released)] == [False, True]

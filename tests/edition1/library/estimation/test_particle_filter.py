@@ -24,7 +24,6 @@ from edition1.sensing.bend_sensor import BendSensor
 from edition1.sensing.magnetic import MagneticSensing, readings
 from edition1.sensing.magnets import ring
 from edition1.sensing.multipole import MultipoleField
-from edition1_companion.recordings.mitchell2021_conventions import noise_of_sigma
 from edition1_companion.twins.bend_curves import bend_curve, bend_readings
 from edition1_companion.twins.trajectories import lemniscate
 
@@ -264,12 +263,6 @@ def test_best_tenth_turns_with_the_cloud_and_its_angles_are_biased_when_straight
     torch.testing.assert_close(best_tenth(q @ turn.T, log_w), turn @ best_tenth(q, log_w))
     # The mean length of a standard normal vector in the plane is sqrt(pi/2), whatever its mean is.
     assert float(best_tenth(q, log_w).norm()) == pytest.approx(math.sqrt(math.pi / 2), abs=0.15)
-
-
-def test_sigma_of_the_paper_is_not_the_noise():
-    """exp(-d^2/sigma^2) of eq. (1) is the normal likelihood for sigma/sqrt(2)."""
-    sigma, d = 0.01, 0.004
-    assert math.exp(-(d**2) / sigma**2) == pytest.approx(math.exp(-(d**2) / (2 * noise_of_sigma(sigma) ** 2)))
 
 
 def test_is_an_estimator():

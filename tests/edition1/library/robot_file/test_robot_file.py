@@ -26,7 +26,6 @@ from edition1.sensing.linearised import LinearisedSensing
 from edition1.sensing.magnetic import readings
 from edition1.sensing.magnets import B444B, Cube, ring
 from edition1.sensing.weights import read_manifest
-from edition1_companion.recordings.mitchell2021_conventions import file_axes
 from edition1_companion.twins.bend_curves import bend_curve, bend_readings
 from edition1_companion.twins.calibrated_robots import box
 from edition1_companion.twins.takes import open_take
@@ -126,7 +125,7 @@ def test_the_bend_sensor_reads_what_its_board_sends():
     found = load_robot(ROBOTS / "bend_sensor.toml")
     bend = bend_curve("flower")
     q = torch.cat([bend * 10e-3, torch.zeros(len(bend), 1).double()], dim=-1)
-    counts = file_axes(bend_readings(bend)).flip(-1) / 0.01
+    counts = bend_readings(bend)[:, [1, 0, 2]] * torch.tensor([-1.0, 1.0, -1.0]) / 0.01
     assert float((found.values(q) - counts).abs().max()) < 2.0
     assert open_take("flower").format == found.format
 
