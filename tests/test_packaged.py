@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES_OF_THE_BUNDLE = "repro_board/page/"
 """From these `make vendor` makes the script of the viewer; the wheel holds only what it made."""
 BUNDLED = {"shape_viewer.js", "LICENSE.three"}
-SHOW = "import edition1; print(edition1.__file__, tuple(shape.q.shape), tuple(shape.tip(robot).shape))"
+SHOW = "print(repro.__file__, shape.q.shape, found.q.shape)"
 THREE_LINES = """import repro
 robot = repro.Robot([repro.ConstantCurvature(0.11, 0.022), repro.Link(0.02)])
 print(robot.tip([0.01, 0.0, 0.002]))"""
@@ -135,11 +135,8 @@ def test_the_lines_of_the_readme_run_from_the_wheel(called: Called):
     """And the command says in one line that it needs a checkout where it does."""
     (lines,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     done = called(LOCKED, "python", "-c", lines + SHOW)
-    (file, shapes) = done.stdout.rstrip().split(" ", 1)
-    assert (Path(file).parts[-3:], shapes) == (
-        ("site-packages", "edition1", "__init__.py"),
-        "(200, 3) (200, 4, 4)",
-    )
+    (file, shapes) = done.stdout.splitlines()[-1].split(" ", 1)
+    assert (Path(file).parts[-3:], shapes) == (("site-packages", "repro", "__init__.py"), "(200, 6) (40, 6)")
     for command in ("run a.ipynb", "sweep a.ipynb", "scorecard", "fetch", "compare"):
         done = called(LOCKED, "repro", *command.split())
         assert (done.returncode, len(done.stderr.splitlines())) == (2, 1), done

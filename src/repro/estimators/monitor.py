@@ -124,7 +124,8 @@ class Monitor:
     >>> watched = Monitor(LevenbergMarquardt(lambda q: q * np.ones(4), [-1.0], [1.0], noise=0.001))
     >>> state = watched.init([0.5])
     >>> for k in range(30):
-    ...     state, found = watched.step(state, [0.5, 0.501, 0.499 + 1e-5 * k, 0.0], 0.1 * k)
+    ...     e = 1e-5 * k
+    ...     state, found = watched.step(state, [0.5 + e, 0.501 - e, 0.499 + e, 0.0], 0.1 * k)
     >>> STATUS[found.details["status"]], found.details["suspects"].tolist(), found.q.round(3)
     ('left out', [False, False, False, True], array([0.5]))
     """

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ast
-import re
 import shutil
 import subprocess
 import sys
@@ -13,11 +11,8 @@ import pytest
 import torch
 
 import edition1 as repro
-from edition1_companion.twins.trajectories import lemniscate
 
 ROOT = Path(__file__).resolve().parents[3]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-(SNIPPET,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 
 @pytest.mark.parametrize("name", repro.__all__)
@@ -50,25 +45,6 @@ def folder(tmp_path):
     for name in ("robot.toml", "mine.csv"):
         shutil.copyfile(ROOT / "data" / "example" / name, tmp_path / name)
     return tmp_path
-
-
-def test_the_lines_of_the_readme_run_in_any_folder(folder):
-    assert len(SNIPPET.splitlines()) <= 10
-    show = "print(tuple(shape.q.shape), tuple(shape.covariance.shape), tuple(shape.tip(robot).shape))"
-    done = subprocess.run(
-        [sys.executable, "-c", SNIPPET + show], cwd=folder, capture_output=True, text=True, check=True
-    )
-    assert done.stdout == "(200, 3) (200, 3, 3) (200, 4, 4)\n"
-    assert not done.stderr
-
-
-def test_the_example_finds_the_shapes_that_its_readings_were_made_from(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    scope: dict = {}
-    exec(compile(ast.parse(SNIPPET), "README.md", "exec"), scope)
-    q, shape = lemniscate(1)[::2], scope["shape"]
-    squares = torch.einsum("ti,tij,tj->t", shape.q - q, torch.linalg.inv(shape.covariance), shape.q - q)
-    assert float(squares.mean()) == pytest.approx(3.0, rel=0.2)  # chi-square of three coordinates
 
 
 @pytest.mark.parametrize(
