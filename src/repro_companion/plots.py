@@ -1023,3 +1023,30 @@ def links_of_models(chains: dict[str, np.ndarray], arm: np.ndarray, links: int) 
     panels[0].set_ylabel("height [mm]")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)
+
+
+# A real arm
+
+ARM_LOOKS = {
+    "released filter": ("#B0B0B0", "filter, released"),
+    "released window": ("#8A8A8A", "window, released"),
+    "released batch": ("#5E5E5E", "batch, released"),
+    "filter": (SKY, "our filter"),
+    "smoother": (BLUE, "our smoother"),
+}
+
+
+@style()
+def real_arm_errors(errors: pd.DataFrame) -> Figure:
+    """Draw mean errors [mm] by trial as bars, raw readings above calibrated ones."""
+    names = list(errors["trial"].unique())
+    figure, panels = plt.subplots(2, 1, figsize=(WIDTH, 4.6), sharex=True, sharey=True)
+    for panel, (setting, part) in zip(panels, errors.groupby("setting", sort=False), strict=True):
+        for k, (estimator, (colour, label)) in enumerate(ARM_LOOKS.items()):
+            own = part[part["estimator"] == estimator].set_index("trial")["rmse_mm"].reindex(names)
+            panel.bar(np.arange(len(names)) + 0.17 * (k - 2), own, 0.16, color=colour, label=label)
+        panel.set(ylabel="error [mm]", title=f"{setting} readings")
+        panel.grid(visible=False, axis="x")
+    panels[1].set_xticks(range(len(names)), [name.replace("_", " ") for name in names])
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
+    return closed(figure)

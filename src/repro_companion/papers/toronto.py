@@ -1,0 +1,441 @@
+"""A continuum robot under motion capture, recorded by others: readings, filter and smoother, models of its shape.
+
+The recordings were published with two papers of Teetaert et al. under the MIT licence, in
+``data/recordings/continuum_robot``. A trial is a folder with one file for each sensor: the first line names its kind,
+the second its columns; then every row is a time [s], a distance along the robot [m] and the data. A gyroscope gives
+its angular velocity in its own frame [rad/s]. Trackers and motion capture give a pose as its logarithm in se(3), the
+translation part first [m, rad]. The motion capture is the truth and never an input.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+from scipy.optimize import least_squares
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import repro
+from repro.common import bad_input, require
+from repro.estimators.kalman import smoothed
+from repro.estimators.rod import RodFilter
+from repro.robot import point_on
+from repro_companion.run import digest, project_folder, recordings_folder
+
+LENGTH = 0.466
+STATIONS = (0.1165, 0.233, 0.3495, 0.466)
+"""Where errors are computed: the quarters of the arm [m]."""
+WIDTHS = {"aurora0": 6, "aurora1": 6, "gyro_mid": 3, "gyro_ee": 3}
+"""Files of the sensors, in the order of the readings, and how many numbers each reads."""
+TIP_TRACKER = slice(6, 12)
+BODIES = tuple(f"vicon{k}" for k in range(5))
+CHOOSING = "slow_free_space"
+"""The trial on which we choose; all others are only evaluated."""
+WINDOWS_S = {
+    "slow_free_space": (19.0, 29.0),
+    "impulse_1": (20.0, 30.0),
+    "fast_contact": (10.0, 20.0),
+    "impulse_2": (8.0, 18.0),
+    "out_of_bounds": (15.0, 25.0),
+}
+"""The part of each trial that the authors' program estimates and scores."""
+SAME = ("impulse_1", "fast_contact")
+"""Two windows of one recording: their files are the same."""
+NEAR_S = 0.011
+"""A reading of a tracker and a frame of the motion capture within this time belong together."""
+
+
+class Capture(NamedTuple):
+    """What was read in a window, NaN where a sensor was not read, and the poses of the bodies at the stations."""
+
+    name: str
+    time_s: np.ndarray
+    u: np.ndarray
+    truth: tuple[tuple[np.ndarray, np.ndarray], ...]
+    folder: Path
+
+
+class Errors(NamedTuple):
+    """Errors of the sensors: white part and lasting part of position [m] and rotation [rad], its time [s]."""
+
+    base: tuple[float, float, float, float]
+    tip: tuple[float, float, float, float]
+    time_s: float
+    gyroscopes: tuple[float, float]
+
+
+def read(
+    folder: Path, sensor: str, window: tuple[float, float] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return times ``[n]`` and data ``[n, 3 or 6]`` of a file.
+
+    Raises
+    ------
+    InputError
+        If it is not there, or a row is not as described at the head of this module.
+    """
+    path, width = folder / f"{sensor}.csv", WIDTHS.get(sensor, 6)
+    require(path.is_file(), "recording", "the continuum robot", "a file that exists", path)
+    try:
+        table = np.loadtxt(path, delimiter=",", skiprows=2, ndmin=2)
+    except ValueError as error:
+        raise bad_input(path.name, "the continuum robot", "rows of numbers below two lines", error) from error
+    good = table.shape[1:] == (2 + width,) and len(table) and np.isfinite(table).all()
+    require(good, path.name, "the continuum robot", f"rows of {2 + width} numbers", f"shape {table.shape}")
+    require(
+        (np.diff(table[:, 0]) > 0).all(), path.name, "the continuum robot", "later in every row", "others"
+    )
+    if window is not None:
+        table = table[(table[:, 0] >= window[0]) & (table[:, 0] <= window[1])]
+    return table[:, 0], table[:, 2:]
+
+
+def poses(twists: np.ndarray) -> np.ndarray:
+    """Return poses ``[..., 4, 4]`` of logarithms, translation part first."""
+    flat = np.roll(twists.reshape(-1, 6), 3, axis=1)
+    return RigidTransform.from_exp_coords(flat).as_matrix().reshape(*twists.shape[:-1], 4, 4)
+
+
+def logarithms(T: np.ndarray) -> np.ndarray:
+    """Return logarithms ``[..., 6]`` of poses, translation part first."""
+    flat = RigidTransform.from_matrix(T.reshape(-1, 4, 4)).as_exp_coords()
+    return np.roll(flat, 3, axis=1).reshape(*T.shape[:-2], 6)
+
+
+def trials() -> dict[str, tuple[Path, tuple[float, float] | None]]:
+    """Return folder and window of every trial: those of the project, then fetched ones; a window of None is all."""
+    roots = (
+        project_folder() / "data/recordings/continuum_robot",
+        recordings_folder() / "continuum_robot/assets/data",
+    )
+    folders = [path for root in roots for path in sorted(root.glob("*/")) if (path / "aurora0.csv").is_file()]
+    content = {tuple(digest(path / f"{name}.csv") for name in WIDTHS): path for path in reversed(folders)}
+    found = {}
+    for folder in sorted(content.values(), key=folders.index):
+        for name in SAME if folder.name in SAME else (folder.name,):
+            found[name] = folder, WINDOWS_S.get(name)
+    return found
+
+
+def capture(name: str, folder: Path, window: tuple[float, float] | None) -> Capture:
+    """Return what was read in a window, all sensors on one clock."""
+    parts = [read(folder, sensor, window) for sensor in WIDTHS]
+    time_s, place = np.unique(np.concatenate([t for t, _ in parts]), return_inverse=True)
+    u, edges, at = np.full((len(time_s), 18), np.nan), np.cumsum([0, *WIDTHS.values()]), 0
+    for (t, data), (first, stop) in zip(parts, pairwise(edges), strict=True):
+        u[place[at : at + len(t)], first:stop] = data
+        at += len(t)
+    truth = [read(folder, body, window) for body in BODIES[1:]]
+    return Capture(name, time_s, u, tuple((t, poses(x)) for t, x in truth), folder)
+
+
+def tracker_pairs() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Return times, poses of the tracker and of the body beside it, at base and tip, over all of CHOOSING."""
+    folder, pairs = trials()[CHOOSING][0], []
+    for tracker, body in (("aurora0", "vicon0"), ("aurora1", "vicon4")):
+        (t, x), (frames, y) = read(folder, tracker), read(folder, body)
+        near = np.abs(frames[:, None] - t).argmin(1)
+        kept = np.abs(frames - t[near]) < NEAR_S
+        pairs.append((frames[kept], poses(x[near[kept]]), poses(y[kept])))
+    return pairs
+
+
+def moved(constants: np.ndarray, T: np.ndarray, share: float) -> np.ndarray:
+    """Return poses in the frame of the motion capture, of its bodies instead of the trackers'.
+
+    The constants ``[18]`` are twists of the tracker's frame, of the body at the base and of the body at the tip; in
+    between, the body's twist goes with the share of the length.
+    """
+    frame, base, tip = constants.reshape(3, 6)
+    return poses(frame) @ T @ poses((1 - share) * base + share * tip)
+
+
+def calibration_constants() -> np.ndarray:
+    """Fit the 18 constants to all of CHOOSING: a radian counts as much as 0.1 m."""
+    pairs = tracker_pairs()
+
+    def residuals(constants: np.ndarray) -> np.ndarray:
+        parts = [1e-3 * constants]  # what the trackers do not tell apart stays small
+        for share, (_, T, truth) in enumerate(pairs):
+            found = moved(constants, T, share)
+            turned = Rotation.from_matrix(found[:, :3, :3]).inv() * Rotation.from_matrix(truth[:, :3, :3])
+            parts += [(found - truth)[:, :3, 3].ravel(), 0.1 * turned.as_rotvec().ravel()]
+        return np.concatenate(parts)
+
+    return least_squares(residuals, np.zeros(18)).x
+
+
+def calibrated(read_out: Capture, constants: np.ndarray) -> Capture:
+    """Return the same readings with the trackers moved by the constants."""
+    u = read_out.u.copy()
+    for share, columns in enumerate((slice(0, 6), TIP_TRACKER)):
+        there = np.isfinite(u[:, columns]).all(1)
+        u[there, columns] = logarithms(moved(constants, poses(u[there, columns]), share))
+    return read_out._replace(u=u)
+
+
+def tracker_errors(constants: np.ndarray) -> pd.DataFrame:
+    """Return how large the errors of the trackers are, and how they last, over all of CHOOSING.
+
+    A residual is the twist from tracker to motion capture. We take its root mean square, its white part, which has
+    half of the variance of the steps from frame to frame, and the time after which its correlation falls below 1/e.
+    Each is a mean over three axes.
+    """
+    rows = []
+    for share, (t, T, truth) in enumerate(tracker_pairs()):
+        r = logarithms(np.linalg.inv(moved(constants, T, share)) @ truth)
+        near = np.diff(t) < 0.1
+        white = (np.diff(r, axis=0)[near] ** 2).mean(0) / 2
+        for part, columns in (("position_mm", slice(0, 3)), ("rotation_deg", slice(3, 6))):
+            x, factor = r[:, columns], 1e3 if part == "position_mm" else math.degrees(1)
+            steps = range(1, len(x) // 4)
+            fading = [(x[k:] * x[:-k]).mean() / (x**2).mean() for k in steps]
+            lag = next((k for k, c in zip(steps, fading, strict=True) if c < math.exp(-1)), steps[-1])
+            rows.append(
+                {
+                    "tracker": ("base", "tip")[share],
+                    "part": part,
+                    "rms": factor * math.sqrt((x**2).mean()),
+                    "white": factor * math.sqrt(white[columns].mean()),
+                    "lasts_s": float(lag * np.median(np.diff(t))),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def gyroscope_errors() -> tuple[float, float]:
+    """Return the root mean square [rad/s] by which gyroscopes and turning bodies differ over all of CHOOSING."""
+    folder, found = trials()[CHOOSING][0], []
+    for gyroscope, body in (("gyro_mid", "vicon2"), ("gyro_ee", "vicon4")):
+        (t, rate), (frames, x) = read(folder, gyroscope), read(folder, body)
+        R = Rotation.from_matrix(poses(x)[:, :3, :3])
+        turn = (R[:-1].inv() * R[1:]).as_rotvec() / np.diff(frames)[:, None]
+        within = [(t >= a) & (t <= b) for a, b in pairwise(frames)]
+        steps = zip(within, turn, np.diff(frames), strict=True)
+        off = [rate[k].mean(0) - w for k, w, step in steps if k.any() and step < 0.1]
+        found.append(float(np.sqrt(np.mean(np.square(off)))))
+    return found[0], found[1]
+
+
+ERROR_MODELS = ("all white", "not averaged", "estimated")
+TRACKER_HZ = 50.0
+
+
+def errors_of(table: pd.DataFrame, gyroscopes: tuple[float, float], model: str, memory_s: float) -> Errors:
+    """Return errors for the filter by one of three models of what lasts in an error of a tracker.
+
+    "All white" takes the whole error for white, "estimated" follows the rest beside the shape. "Not averaged" counts
+    the rest as often as a tracker is read while the shape remembers: so it stays as large in their mean.
+    """
+    trackers = []
+    for tracker in ("base", "tip"):
+        own = table[table["tracker"] == tracker].set_index("part")
+        whole = own["rms"].to_numpy() * [1e-3, math.radians(1)]
+        white = own["white"].to_numpy() * [1e-3, math.radians(1)]
+        rest = np.sqrt(whole**2 - white**2)
+        often = {"all white": 1.0, "not averaged": max(1.0, TRACKER_HZ * memory_s), "estimated": 0.0}[model]
+        spread = np.sqrt(white**2 + often * rest**2)
+        trackers.append((*spread.tolist(), *((1.0 - bool(often)) * rest).tolist()))
+    return Errors(trackers[0], trackers[1], float(table["lasts_s"].median()), gyroscopes)
+
+
+def estimates(method: RodFilter, readings: Capture) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
+    """Return errors ``[k, 3]`` [m] of filter and smoother and their covariances at each station's own frames.
+
+    At a frame the filter says what the readings until then make of the shape; the smoother knows all readings.
+    """
+    asked = np.unique(np.concatenate([t for t, _ in readings.truth]))
+    events = [(t, 0, k) for k, t in enumerate(readings.time_s)] + [(t, 1, 0) for t in asked]
+    state, states, frames = method.init(), [], []
+    for t, is_frame, k in sorted(events):
+        if is_frame:
+            state = method.predicted(state, t)
+            frames.append(len(states))
+        else:
+            state, _ = method.step(state, readings.u[k], t)
+        states.append(state)
+    found = {}
+    for name, passed in (("filter", states), ("smoother", smoothed(method, states))):
+        q, C = (np.stack([getattr(passed[k], part) for k in frames]) for part in ("q", "covariance"))
+        n = method.n_q
+        p, spread = method.positions(q[:, :n], C[:, :n, :n], STATIONS)
+        rows = [np.searchsorted(asked, t) for t, _ in readings.truth]
+        found[name] = [
+            (p[row, k] - T[:, :3, 3], spread[row, k])
+            for k, (row, (_, T)) in enumerate(zip(rows, readings.truth, strict=True))
+        ]
+    return found
+
+
+def released(readings: Capture, estimator: str, constants: np.ndarray) -> list[np.ndarray] | None:
+    """Return errors [m] of the authors' program at each station, moved by the constants; None without its file."""
+    folder = project_folder() / "data/recordings/continuum_robot/released_estimates"
+    path = folder / f"{readings.name}_{estimator}.csv"
+    if not path.is_file():
+        return None
+    table, found = np.loadtxt(path, delimiter=",", skiprows=1), []
+    for arc, (t, T) in zip(STATIONS, readings.truth, strict=True):
+        own = table[np.abs(table[:, 1] - arc) < 1e-3]
+        near = np.abs(t[:, None] - own[:, 0]).argmin(1)
+        kept = np.abs(t - own[near, 0]) < 1e-3
+        at = moved(constants, poses(own[near, 2:8]), arc / LENGTH)
+        found.append((at[:, :3, 3] - T[:, :3, 3])[kept])
+    return found
+
+
+def error_rows(name: str, setting: str, estimator: str, errors: Sequence[np.ndarray]) -> list[dict[str, Any]]:
+    """Return the root mean square error [mm] at every station."""
+    return [
+        {"trial": name, "setting": setting, "estimator": estimator, "station_mm": 1e3 * arc}
+        | {"rmse_mm": 1e3 * math.sqrt((e**2).sum(-1).mean())}
+        for arc, e in zip(STATIONS, errors, strict=True)
+    ]
+
+
+def fast_tip(readings: Capture, parts: Sequence[tuple[np.ndarray, np.ndarray]], above: float = 0.5) -> float:
+    """Return the error of the tip [mm] where it moves faster than so many m/s; NaN where it never does."""
+    (t, T), (error, _) = readings.truth[-1], parts[-1]
+    fast = np.linalg.norm(np.gradient(T[:, :3, 3], t, axis=0), axis=1) > above
+    return 1e3 * float(np.sqrt((error[fast] ** 2).sum(-1).mean())) if fast.any() else math.nan
+
+
+def scores(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Return squared errors in units of the stated covariance, all stations one after the other."""
+    return np.concatenate(
+        [np.einsum("ni,ni->n", e, np.linalg.solve(C, e[..., None])[..., 0]) for e, C in parts]
+    )
+
+
+def coverage(scored: dict[str, np.ndarray], level: float = 0.9) -> pd.DataFrame:
+    """Return how often bands hold the truth [%], as stated and widened by the factor that CHOOSING needs."""
+    edge = stats.chi2(3).ppf(level)
+    factor = np.quantile(scored[CHOOSING], level) / edge
+    return pd.DataFrame(
+        [
+            {"trial": name, "stated_percent": 100 * (s < edge).mean()}
+            | {"widened_percent": 100 * (s < factor * edge).mean(), "factor": math.sqrt(factor)}
+            for name, s in scored.items()
+        ]
+    )
+
+
+# Models of the shape, fitted to the motion capture itself
+
+
+def body_poses(name: str, whole: bool = False) -> np.ndarray:
+    """Return poses ``[frames, 5, 4, 4]`` of all bodies in the frame of the first, where all were seen at one time."""
+    folder, window = trials()[name]
+    seen = [read(folder, body, None if whole else window) for body in BODIES]
+    common = seen[0][0]
+    for t, _ in seen[1:]:
+        common = np.intersect1d(common, t)
+    T = np.stack([poses(x[np.searchsorted(t, common)]) for t, x in seen], axis=1)
+    return np.linalg.inv(T[:, :1]) @ T
+
+
+def shape_models() -> dict[str, repro.Robot]:
+    """Return arms of one, two and three arcs, and of affine curvature; none of them lengthens."""
+    arcs = {
+        f"{word} arc{'s' * (n > 1)}": repro.Robot(
+            [repro.ConstantCurvature(LENGTH / n, 1.0, extensible=False)] * n
+        )
+        for n, word in enumerate(("one", "two", "three"), 1)
+    }
+    turn = [-20.0, -40.0, -math.pi, 0.0], [20.0, 40.0, math.pi, 0.0]
+    affine = repro.Robot(
+        [repro.AffineCurvature(LENGTH)], lower=turn[0], upper=turn[1], start=[0.3, 0.1, 0.1, 0.0]
+    )
+    return {**arcs, "affine curvature": affine}
+
+
+def at_stations(robot: repro.Robot) -> list[tuple[int, float]]:
+    """Return segment and place along it of every station."""
+    length, found = robot.segments[0].length, []
+    for arc in STATIONS:
+        segment = max(1, math.ceil(arc / length - 1e-9))
+        found.append((segment, min(arc - (segment - 1) * length, length)))
+    return found
+
+
+SEEN = {"tip": (3,), "middle and tip": (1, 3)}
+"""Stations whose poses a fit is given."""
+
+
+def floors(names: Sequence[str], every: int) -> pd.DataFrame:
+    """Return how far models of the shape are from the bodies [mm], where a fit to some poses does not see them.
+
+    The bodies sit beside the arm, which is a part of these errors. Their turn about the arm is not used: their
+    rotation is the shortest one to their direction.
+    """
+    rows = []
+    for name in names:
+        T = body_poses(name)[::every, 1:]
+        x, y, z = np.moveaxis(T[..., :3, 2], -1, 0)
+        across = np.hypot(x, y)
+        turn = (np.arctan2(across, z) / across)[..., None] * np.stack([-y, x, 0 * z], axis=-1)
+        T[..., :3, :3] = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(*turn.shape, 3)
+        for model, robot in shape_models().items():
+            places = at_stations(robot)
+            for given, seen in SEEN.items():
+                shown = [places[k] for k in seen]
+                q = repro.fit_shape(robot, T[:, list(seen)], shown, noise=(1e-3, math.radians(1.0))).q
+                p = robot.poses(q, [point_on(*place) for place in places])[..., :3, 3]
+                off = np.linalg.norm(p - T[..., :3, 3], axis=-1)[:, [k for k in range(4) if k not in seen]]
+                error = 1e3 * float(np.sqrt((off**2).mean(0)).mean())
+                rows.append({"trial": name, "model": model, "given": given, "error_mm": error})
+    return pd.DataFrame(rows)
+
+
+def imu_arm(n: int, where: str) -> repro.Arm:
+    """Return an arm with ideal IMUs at its base and at n - 1 stations, links ending at them or centred on them."""
+    arcs = LENGTH * np.arange(5) / 4
+    imus = {5: (0, 1, 2, 3, 4), 3: (0, 2, 4), 2: (0, 4)}[n]
+    at, link = arcs[list(imus)], LENGTH / (n - 1)
+    if where == "end":
+        return repro.Arm(imus[1:], at[1:], [link] * (n - 1), STATIONS)
+    if where == "middle":
+        return repro.Arm(imus, at, [link / 2, *[link] * (n - 2), link / 2], STATIONS)
+    return repro.Arm(imus, at, [link] * (n - 1), STATIONS, sub_segments=2)
+
+
+IMU_MODELS: dict[str, tuple[Any, str]] = {
+    "rigid links that end at their IMU": (repro.rigid_body, "end"),
+    "rigid links centred on their IMU": (repro.rigid_body, "middle"),
+    "PCC-extended, two sub-segments": (repro.pcc_extended, "between"),
+    "exact arcs": (repro.exact_arcs, "between"),
+}
+
+
+def imu_errors(names: Sequence[str], every: int) -> pd.DataFrame:
+    """Return errors of the IMU models [mm] on this arm: as they are, and calibrated on CHOOSING.
+
+    Orientations and positions are those of the motion capture: ideal IMUs, as far as it is ideal.
+    """
+    rows, known = [], {name: body_poses(name) for name in names}
+    for n in (2, 3, 5):
+        for model, (function, where) in IMU_MODELS.items():
+            arm = imu_arm(n, where)
+            whole = body_poses(CHOOSING, whole=True)[::every]
+            found = repro.calibrate_imus(_orientations(whole, arm), whole[:, 1:, :3, 3], function, arm)
+            for name, T in known.items():
+                q, p = _orientations(T, arm), T[:, 1:, :3, 3]
+                shapes = {"as they are": function(q, arm, STATIONS)}
+                turned = repro.calibrated(q, found)
+                shapes["calibrated"] = function(turned, arm, STATIONS) + found.translation
+                for setting, shape in shapes.items():
+                    rmse = np.sqrt(((shape - p) ** 2).sum(-1).mean(0)).mean()
+                    rows.append(
+                        {"trial": name, "imus": n, "model": model, "setting": setting, "error_mm": 1e3 * rmse}
+                    )
+    return pd.DataFrame(rows)
+
+
+def _orientations(T: np.ndarray, arm: repro.Arm) -> np.ndarray:
+    R = Rotation.from_matrix(T[:, list(arm.imus), :3, :3].reshape(-1, 3, 3))
+    return R.as_quat().reshape(len(T), len(arm.imus), 4)
