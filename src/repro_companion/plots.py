@@ -1050,3 +1050,20 @@ def real_arm_errors(errors: pd.DataFrame) -> Figure:
     panels[1].set_xticks(range(len(names)), [name.replace("_", " ") for name in names])
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
     return closed(figure)
+
+
+@style()
+def real_arm_still(points: pd.DataFrame) -> Figure:
+    """Draw the arm from two sides at one moment: motion capture and estimates at the base and four stations [mm]."""
+    looks = {"motion capture": TRUTH, "our smoother": {"color": BLUE, "marker": "o", "ms": 4}}
+    looks["window, released"] = {"color": "#5E5E5E", "marker": "s", "ms": 4, "ls": "--"}
+    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6), sharey=True)
+    for panel, axis in zip(panels, "xy", strict=True):
+        for name, part in points.groupby("line", sort=False):
+            along, up = np.append(0.0, part[f"{axis}_mm"]), np.append(0.0, part["z_mm"])
+            panel.plot(along, up, label=name, **looks[str(name)])
+        panel.set(xlabel=f"{axis} [mm]", aspect="equal")
+        panel.margins(x=0.3)
+    panels[0].set_ylabel("z [mm]")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
+    return closed(figure)

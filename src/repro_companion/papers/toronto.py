@@ -47,6 +47,9 @@ WINDOWS_S = {
 """The part of each trial that the authors' program estimates and scores."""
 SAME = ("impulse_1", "fast_contact")
 """Two windows of one recording: their files are the same."""
+RECORDINGS = project_folder() / "data/recordings/continuum_robot"
+RELEASED = RECORDINGS / "released_estimates"
+"""What the authors' released program made of these trials, run by us."""
 NEAR_S = 0.011
 """A reading of a tracker and a frame of the motion capture within this time belong together."""
 
@@ -61,13 +64,12 @@ class Capture(NamedTuple):
     folder: Path
 
 
-class Errors(NamedTuple):
-    """Errors of the sensors: white part and lasting part of position [m] and rotation [rad], its time [s]."""
+class TrackerErrors(NamedTuple):
+    """Standard deviations of position [m] and rotation [rad], new at every reading, and of what lasts a time [s]."""
 
-    base: tuple[float, float, float, float]
-    tip: tuple[float, float, float, float]
+    white: tuple[float, float]
+    lasting: tuple[float, ...]
     time_s: float
-    gyroscopes: tuple[float, float]
 
 
 def read(
@@ -109,7 +111,7 @@ def logarithms(T: np.ndarray) -> np.ndarray:
 
 
 def trials() -> dict[str, tuple[Path, tuple[float, float] | None]]:
-    """Return folder and window of every trial: those of the project, then fetched ones; a window of None is all."""
+    """Return folder and window of every trial, CHOOSING first, fetched ones last; a window of None is all."""
     roots = (
         project_folder() / "data/recordings/continuum_robot",
         recordings_folder() / "continuum_robot/assets/data",
@@ -120,7 +122,7 @@ def trials() -> dict[str, tuple[Path, tuple[float, float] | None]]:
     for folder in sorted(content.values(), key=folders.index):
         for name in SAME if folder.name in SAME else (folder.name,):
             found[name] = folder, WINDOWS_S.get(name)
-    return found
+    return {name: found[name] for name in sorted(found, key=lambda name: name != CHOOSING)}
 
 
 def capture(name: str, folder: Path, window: tuple[float, float] | None) -> Capture:
@@ -184,8 +186,8 @@ def tracker_errors(constants: np.ndarray) -> pd.DataFrame:
     """Return how large the errors of the trackers are, and how they last, over all of CHOOSING.
 
     A residual is the twist from tracker to motion capture. We take its root mean square, its white part, which has
-    half of the variance of the steps from frame to frame, and the time after which its correlation falls below 1/e.
-    Each is a mean over three axes.
+    half of the variance of the steps from frame to frame, and the time after which its correlation falls below 1/e,
+    infinite if it does not in a quarter of the trial. Each is for one axis, a mean over three.
     """
     rows = []
     for share, (t, T, truth) in enumerate(tracker_pairs()):
@@ -196,7 +198,7 @@ def tracker_errors(constants: np.ndarray) -> pd.DataFrame:
             x, factor = r[:, columns], 1e3 if part == "position_mm" else math.degrees(1)
             steps = range(1, len(x) // 4)
             fading = [(x[k:] * x[:-k]).mean() / (x**2).mean() for k in steps]
-            lag = next((k for k, c in zip(steps, fading, strict=True) if c < math.exp(-1)), steps[-1])
+            lag = next((k for k, c in zip(steps, fading, strict=True) if c < math.exp(-1)), math.inf)
             rows.append(
                 {
                     "tracker": ("base", "tip")[share],
@@ -223,26 +225,27 @@ def gyroscope_errors() -> tuple[float, float]:
     return found[0], found[1]
 
 
-ERROR_MODELS = ("all white", "not averaged", "estimated")
+ERROR_MODELS = ("white", "inflated", "estimated")
 TRACKER_HZ = 50.0
 
 
-def errors_of(table: pd.DataFrame, gyroscopes: tuple[float, float], model: str, memory_s: float) -> Errors:
-    """Return errors for the filter by one of three models of what lasts in an error of a tracker.
+def errors_of(table: pd.DataFrame, model: str, memory_s: float) -> list[TrackerErrors]:
+    """Return the errors of the trackers at base and tip for a filter, by one of three models of what lasts in them.
 
-    "All white" takes the whole error for white, "estimated" follows the rest beside the shape. "Not averaged" counts
-    the rest as often as a tracker is read while the shape remembers: so it stays as large in their mean.
+    "White" takes the whole error for white, "estimated" follows what lasts beside the shape. "Inflated" counts what
+    lasts as often as a tracker is read while the shape remembers, so that it keeps its size in their mean.
     """
-    trackers = []
+    found = []
     for tracker in ("base", "tip"):
         own = table[table["tracker"] == tracker].set_index("part")
-        whole = own["rms"].to_numpy() * [1e-3, math.radians(1)]
-        white = own["white"].to_numpy() * [1e-3, math.radians(1)]
-        rest = np.sqrt(whole**2 - white**2)
-        often = {"all white": 1.0, "not averaged": max(1.0, TRACKER_HZ * memory_s), "estimated": 0.0}[model]
-        spread = np.sqrt(white**2 + often * rest**2)
-        trackers.append((*spread.tolist(), *((1.0 - bool(often)) * rest).tolist()))
-    return Errors(trackers[0], trackers[1], float(table["lasts_s"].median()), gyroscopes)
+        rms, white = (own[name].to_numpy() * [1e-3, math.radians(1)] for name in ("rms", "white"))
+        lasting = np.sqrt(rms**2 - white**2)
+        if model == "estimated":
+            found.append(TrackerErrors(tuple(white), tuple(lasting), float(own["lasts_s"].mean())))
+        else:
+            often = max(1.0, TRACKER_HZ * memory_s) if model == "inflated" else 1.0
+            found.append(TrackerErrors(tuple(np.sqrt(white**2 + often * lasting**2)), (), math.inf))
+    return found
 
 
 def estimates(method: RodFilter, readings: Capture) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
@@ -275,8 +278,7 @@ def estimates(method: RodFilter, readings: Capture) -> dict[str, list[tuple[np.n
 
 def released(readings: Capture, estimator: str, constants: np.ndarray) -> list[np.ndarray] | None:
     """Return errors [m] of the authors' program at each station, moved by the constants; None without its file."""
-    folder = project_folder() / "data/recordings/continuum_robot/released_estimates"
-    path = folder / f"{readings.name}_{estimator}.csv"
+    path = RELEASED / f"{readings.name}_{estimator}.csv"
     if not path.is_file():
         return None
     table, found = np.loadtxt(path, delimiter=",", skiprows=1), []
@@ -393,7 +395,10 @@ def floors(names: Sequence[str], every: int) -> pd.DataFrame:
 
 
 def imu_arm(n: int, where: str) -> repro.Arm:
-    """Return an arm with ideal IMUs at its base and at n - 1 stations, links ending at them or centred on them."""
+    """Return an arm with IMUs at its base and at n - 1 stations, links ending at them or centred on them.
+
+    Links that end at their IMU have no use for the one on the base.
+    """
     arcs = LENGTH * np.arange(5) / 4
     imus = {5: (0, 1, 2, 3, 4), 3: (0, 2, 4), 2: (0, 4)}[n]
     at, link = arcs[list(imus)], LENGTH / (n - 1)
@@ -412,30 +417,44 @@ IMU_MODELS: dict[str, tuple[Any, str]] = {
 }
 
 
-def imu_errors(names: Sequence[str], every: int) -> pd.DataFrame:
-    """Return errors of the IMU models [mm] on this arm: as they are, and calibrated on CHOOSING.
-
-    Orientations and positions are those of the motion capture: ideal IMUs, as far as it is ideal.
-    """
-    rows, known = [], {name: body_poses(name) for name in names}
-    for n in (2, 3, 5):
-        for model, (function, where) in IMU_MODELS.items():
-            arm = imu_arm(n, where)
-            whole = body_poses(CHOOSING, whole=True)[::every]
-            found = repro.calibrate_imus(_orientations(whole, arm), whole[:, 1:, :3, 3], function, arm)
-            for name, T in known.items():
-                q, p = _orientations(T, arm), T[:, 1:, :3, 3]
-                shapes = {"as they are": function(q, arm, STATIONS)}
-                turned = repro.calibrated(q, found)
-                shapes["calibrated"] = function(turned, arm, STATIONS) + found.translation
-                for setting, shape in shapes.items():
-                    rmse = np.sqrt(((shape - p) ** 2).sum(-1).mean(0)).mean()
-                    rows.append(
-                        {"trial": name, "imus": n, "model": model, "setting": setting, "error_mm": 1e3 * rmse}
-                    )
+def imu_errors(names: Sequence[str]) -> pd.DataFrame:
+    """Return errors of the IMU models [mm] on this arm, with orientations and positions of the motion capture."""
+    rows = []
+    for name in names:
+        T = body_poses(name)
+        for n in (2, 3, 5):
+            for model, (function, where) in IMU_MODELS.items():
+                arm = imu_arm(n, where)
+                R = Rotation.from_matrix(T[:, list(arm.imus), :3, :3].reshape(-1, 3, 3))
+                shape = function(R.as_quat().reshape(len(T), -1, 4), arm, STATIONS)
+                error = 1e3 * np.sqrt(((shape - T[:, 1:, :3, 3]) ** 2).sum(-1).mean(0)).mean()
+                rows.append({"trial": name, "bodies": n, "model": model, "error_mm": error})
     return pd.DataFrame(rows)
 
 
-def _orientations(T: np.ndarray, arm: repro.Arm) -> np.ndarray:
-    R = Rotation.from_matrix(T[:, list(arm.imus), :3, :3].reshape(-1, 3, 3))
-    return R.as_quat().reshape(len(T), len(arm.imus), 4)
+def still(
+    readings: Capture, parts: Sequence[tuple[np.ndarray, np.ndarray]], constants: np.ndarray
+) -> pd.DataFrame:
+    """Return positions [mm] by motion capture, our smoother and the released window, where the middle errs most."""
+    common = readings.truth[0][0]
+    for t, _ in readings.truth[1:]:
+        common = np.intersect1d(common, t)
+    rows = [np.searchsorted(t, common) for t, _ in readings.truth]
+    off = np.stack([error[row] for row, (error, _) in zip(rows, parts, strict=True)], axis=1)
+    p = np.stack([T[row, :3, 3] for row, (_, T) in zip(rows, readings.truth, strict=True)], axis=1)
+    k = int(np.linalg.norm(off[:, 1], axis=-1).argmax())
+    lines = {"motion capture": p[k], "our smoother": p[k] + off[k]}
+    path = RELEASED / f"{readings.name}_window.csv"
+    if path.is_file():
+        table = np.loadtxt(path, delimiter=",", skiprows=1)
+        own = table[np.abs(table[:, 0] - common[k]) < 1e-3]
+        arcs = [own[np.abs(own[:, 1] - arc).argmin()] for arc in STATIONS]
+        lines["window, released"] = np.stack(
+            [moved(constants, poses(row[2:8]), row[1] / LENGTH)[:3, 3] for row in arcs]
+        )
+    points = [
+        {"line": name, "station_mm": 1e3 * arc, **dict(zip(("x_mm", "y_mm", "z_mm"), 1e3 * x, strict=True))}
+        for name, line in lines.items()
+        for arc, x in zip(STATIONS, line, strict=True)
+    ]
+    return pd.DataFrame(points).assign(time_s=common[k])
