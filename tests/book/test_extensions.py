@@ -116,7 +116,7 @@ def test_names_in_cells_lead_to_the_reference():
             "cell_type": "code",
             "source": ["from repro import GradientDescent, track as follow\n", "import numpy as np"],
         },
-        {"cell_type": "code", "source": ["from edition1_companion.pages.fusion import figures\n"]},
+        {"cell_type": "code", "source": ["from edition1_companion.pages.live import figures\n"]},
         {"cell_type": "markdown", "source": ["from nowhere"]},
     ]
     assert links.imported_names(cells) == {"GradientDescent": "GradientDescent", "follow": "track"}

@@ -6,9 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from edition1.sensing.magnetic import readings as readings_1
-from edition1.sensing.magnets import ring as ring_1
-from edition1_companion.twins import table_1_rows, trajectories
 from repro_companion import plots
 from repro_companion.papers import baaij
 from repro_companion.scorecard import scorecard
@@ -25,18 +22,6 @@ def row(name: str) -> baaij.Row:
 def test_readings_have_the_range_of_the_released_data(n, ranges):
     u = baaij.simulate(baaij.robot(n), baaij.lemniscate(n)).reshape(baaij.STEPS, n, 3)
     assert np.ptp(u, axis=(0, 2)) == pytest.approx(ranges, abs=5e-5)
-
-
-@pytest.mark.parametrize("name", [row.name for row in baaij.ROWS if not row.same_as])
-def test_robots_and_readings_are_those_of_the_first_edition(name):
-    old = table_1_rows.rows_named([name])[0]
-    q = trajectories.lemniscate(old.n_segments, steps=7)
-    assert baaij.lemniscate(old.n_segments, steps=7) == pytest.approx(q.numpy(), abs=1e-16)
-    u = readings_1(old.robot(), q, ring_1("released"), earth_mt=old.earth_mt())
-    own = row(name)
-    assert baaij.simulate(own.robot(), q.numpy(), earth_mt=own.earth_mt()) == pytest.approx(
-        u.numpy(), abs=1e-12
-    )
 
 
 def test_trajectories_stay_within_45_degrees_and_five_percent():

@@ -82,21 +82,6 @@ def test_other_arms_are_refused(given, message):
     assert message in str(caught.value)
 
 
-@pytest.mark.parametrize("case", martin.cases(), ids=lambda case: f"{case.figure}, {case.name}")
-def test_chains_are_those_of_the_first_edition(case):
-    from edition1_companion.twins.arm_markers import Case
-
-    old = Case(*case)
-    assert case.name == old.name
-    for way, ours in case.arms().items():
-        theirs = old.chain(way)
-        assert (ours.imus, ours.interpolation) == (theirs.imus, theirs.interpolation)
-        assert ours.sub_segments == theirs.sub_links
-        for name in ("link_lengths", "markers", "base_turn"):
-            np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), atol=1e-12)
-        np.testing.assert_allclose(ours.origin, theirs.origin_m)
-
-
 def test_the_models_of_the_page_are_those_of_the_library(short):
     cells = json.loads((project_folder() / "notebooks" / "imu_markers.ipynb").read_text(encoding="utf-8"))[
         "cells"
@@ -133,24 +118,6 @@ def test_what_a_link_gets_wrong_on_an_arc(beta, n):
 # The synthetic trial
 
 
-def test_motion_and_trial_are_those_of_the_first_edition(moved, trial):
-    from edition1_companion.twins.arm_trial import draw
-    from edition1_companion.twins.soft_arm import load_soft_arm
-
-    arm = load_soft_arm(project_folder() / "data" / "soft_arm.npz")
-    np.testing.assert_allclose(moved.positions, arm.positions, atol=1e-12)
-    np.testing.assert_allclose(moved.orientations, arm.orientations, atol=1e-12)
-    old = draw(arm, 0)
-    np.testing.assert_allclose(trial.time_s, old.trial.time_s, atol=1e-12)
-    same = np.abs((trial.orientations * old.trial.orientations).sum(axis=-1))
-    np.testing.assert_allclose(same, 1, atol=1e-12)
-    np.testing.assert_allclose(
-        trial.points, old.trial.points, atol=1e-8
-    )  # the lag to rounding, times the speed
-    np.testing.assert_allclose(trial.truth(moved, [0.2, 0.6], 99), old.truth(arm, (0.2, 0.6), 99), atol=1e-9)
-    assert (trial.mode == old.trial.mode).all()
-
-
 def test_perfect_sensors_and_cameras_see_the_arm(moved):
     seen = martin.draw(moved, 3, martin.Errors(0, 0, 0, 0, 0, 0))
     off = 1e3 * np.linalg.norm(seen.points - seen.truth(moved, martin.SEEN), axis=-1)
@@ -184,24 +151,6 @@ def test_lag_of_a_bump(lag_s):
 
 
 # Errors, scorecard, calibration
-
-
-def test_errors_are_those_of_the_first_edition(short, table):
-    from edition1_companion.recordings.alignment import Lag
-    from edition1_companion.twins import arm_markers
-    from edition1_companion.twins.arm_trial import ArmTrial
-
-    same = ArmTrial(
-        short.time_s,
-        short.orientations,
-        short.points,
-        martin.SEEN,
-        short.mode,
-        pd.DataFrame(),
-        Lag(0, 1, 1, 1),
-    )
-    old = arm_markers.marker_errors([same], arm_markers.cases())
-    pd.testing.assert_frame_equal(table, old, rtol=1e-9)
 
 
 def test_hull_is_the_third_quartile_around_the_arm(moved, short):

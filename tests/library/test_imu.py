@@ -1,10 +1,8 @@
 """Positions along an arm from orientations: closed forms, printed sums, the first edition, released files."""
 
 import math
-import os
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation, Slerp
 
 from edition1.estimation import imu_models, imu_selection, imu_shape
-from edition1_companion.recordings import martin2022
 from repro import (
     Arm,
     BallJoint,
@@ -38,8 +35,6 @@ FIRST_EDITION[rigid_body] = imu_models.rigid_links
 UNEVEN = Arm([0, 1, 3, 4], [0.0, 0.08, 0.24, 0.32], [0.08, 0.16, 0.08], sub_segments=3)
 EIGHT = Arm(range(9), 0.08 * np.arange(9), [0.08] * 8, markers=[0.36, 0.6], sub_segments=2)
 POINTS = [0.0, 0.013, 0.08, 0.1, 0.2, 0.24, 0.3, 0.32]
-RECORDINGS = Path(os.environ.get("REPRO_DATA_DIR") or "none") / "martin2022"
-recorded = pytest.mark.skipif(not RECORDINGS.is_dir(), reason="no recordings in REPRO_DATA_DIR")
 
 
 def bent(seed, samples, imus, size=0.3):
@@ -167,28 +162,6 @@ def test_bad_input_of_a_model(model, change, message):
     for bad, words in ((change, message), ({"arm": arms[1]}, "arm of {} must be one with")):
         with pytest.raises(InputError, match=words.format(model.__name__)):
             model(*(given | bad).values())
-
-
-@recorded
-@pytest.mark.parametrize(("marker", "at"), [(0, 0.3564), (1, 0.6044)])
-def test_markers_of_the_fresh_bag(marker, at):
-    """A message follows from the readings of a moment close to it; the first from readings nobody has."""
-    path = RECORDINGS / "ros_packages/sesa/bags/freshly_recorded_data.bag"
-    readings, sent = martin2022.read_readings(path), martin2022.read_messages(path, "markers")
-    sent, ids = sent[sent["ID"] == marker], readings["imu"].to_numpy()
-    newest = np.maximum.accumulate(
-        np.where(ids[:, None] == np.arange(8), np.arange(len(ids))[:, None], -1)
-    )  # of each IMU, after every reading
-    whole = np.flatnonzero((newest >= 0).all(axis=1))
-    along = Rotation.from_quat(readings[list("xyzw")]) * Rotation.from_euler("x", -90, degrees=True)
-    nine = np.insert(along.as_quat()[newest[whole]], 0, [0, 0, 0, 1], axis=1)
-    links = {"link_lengths": [0.0622] + [0.08] * 7, "sub_segments": [4, 4, 2, 1, 5, 2, 4, 2]}
-    arm = replace(EIGHT, base_turn=[0, 0, 1, 0], **links)
-    ours = pcc_extended(arm.select(nine), arm, at)[:, 0]
-    latest = np.searchsorted(readings["time_s"].to_numpy()[whole], sent["time_s"]) - 1
-    near = np.clip(latest[:, None] + np.arange(-4, 3), 0, len(ours) - 1)
-    off = np.linalg.norm(ours[near] - sent[["x", "y", "z"]].to_numpy()[:, None], axis=-1).min(axis=1)
-    assert off[8:].max() < 1e-6
 
 
 SCALE = np.array([math.radians(10)] * 3 + [0.05] * 3 + [math.radians(x) for x in (10, 5, 5)] * 7)

@@ -510,7 +510,6 @@ def calibration_ratios(table: pd.DataFrame) -> pd.DataFrame:
 
 FOLDER = "martin2022"
 TABLES = "data analysis/data"
-BAGS = "ros_packages/sesa/bags"
 RIGID_FILE, PCC_1, PCC_2 = "elephant/rigid/rigid.csv", "elephant/pcc/pcc1.csv", "elephant/pcc/pcc2.csv"
 PCC_16_2 = "fly/pcc16/pcc16_2.csv"
 NEEDED = (RIGID_FILE, PCC_1, PCC_2, PCC_16_2)

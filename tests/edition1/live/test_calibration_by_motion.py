@@ -20,14 +20,12 @@ from test_calibrate import built, noisy, random_poses
 
 from edition1.errors import InputError
 from edition1.estimation.levenberg_marquardt import jacobian
-from edition1.estimation.wander import Wander
 from edition1.robot_file.calibration_file import RobotCalibration
 from edition1.robot_file.load import load_robot
 from edition1.sensing.placement import Tolerances
 from edition1_companion.cli_calibrate import calibrate as command
-from edition1_companion.pages.forty_five_minutes.twin import FAST_TILT, MINUTES, Sizes
 from edition1_live.emulate.robot_readings import course, readings_along, true_robot
-from edition1_live.own.motion import Beginning, at_elongation, filter_of
+from edition1_live.own.motion import Beginning, at_elongation
 from edition1_live.own.samples import timed_readings
 from edition1_live.own.self_calibration import PRIORS, report, self_calibrate
 from edition1_live.record.recording import read_recording
@@ -193,16 +191,6 @@ def test_a_unit_does_not_change_what_is_found(tmp_path):
     torch.testing.assert_close(ours.parameters, theirs.parameters, rtol=1e-6, atol=1e-9)
     torch.testing.assert_close(ours.offset, 500 * theirs.offset, rtol=1e-6, atol=1e-9)
     torch.testing.assert_close(ours.deviation[-6:-3], 500 * theirs.deviation[-6:-3], rtol=1e-6, atol=0)
-
-
-def test_imus_are_assumed_to_drift_as_on_the_page_of_45_minutes(tmp_path):
-    """Written twice: the page's twin is frozen, and must not change with what is assumed of the robots of others."""
-    wanders = filter_of(described(tmp_path, TEXT + IMU), PRIORS, 1.0).wanders
-    heading, *tilts = (one for one in wanders if one.kind in ("heading", "tilt"))
-    assert heading.walk * (60 * MINUTES) ** 0.5 == pytest.approx(Sizes().heading_rad, rel=1e-12)
-    assert tilts == [
-        Wander.fading("tilt", *size) for size in (FAST_TILT, (Sizes().tilt_rad, Sizes().tilt_time_s))
-    ]
 
 
 def test_a_length_that_is_known_tells_the_moment_from_it(tmp_path):

@@ -17,7 +17,6 @@ from pty_board import Board
 
 from edition1.errors import InputError
 from edition1_companion.recordings.baaij2023 import read_readings as read_rig
-from edition1_companion.recordings.martin2022 import read_readings as read_imus
 from edition1_live.record.export import export
 from edition1_live.record.recorder import record
 from edition1_live.record.recording import Recording, read_recording
@@ -341,23 +340,6 @@ def test_hall_lines_reach_their_loader(board, tmp_path):
     np.testing.assert_allclose(take.u @ MODEL_FROM_FILE, counts[-kept:, ::-1] * 0.01, atol=1e-12)
     unix_s = recording.metadata["start_unix_s"] + recording.frames["time_s"].to_numpy()[-kept:]
     np.testing.assert_allclose(take.time_s, unix_s, atol=1e-6)
-
-
-def test_quaternions_reach_their_loader(board, tmp_path):
-    rng = np.random.default_rng(3)
-    quaternions = rng.normal(size=(24, 4))
-    quaternions = np.round(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True), 6)
-    lines = coded([Frame(k % 8, None, None, tuple(row)) for k, row in enumerate(quaternions)], "quaternions")
-    recording = recorded(board, "quaternions", b"0.1\r\n" + lines, tmp_path / "a.rec")
-    with pytest.raises(InputError, match=r"must be a CSV \(--as quaternions writes a bag\)"):
-        export(recording, tmp_path / "imus.bag")
-    remarks = export(recording, tmp_path / "imus.bag", "quaternions")
-    found = read_imus(tmp_path / "imus.bag")
-    np.testing.assert_allclose(found[["x", "y", "z", "w"]].to_numpy(), quaternions, atol=6e-8)
-    assert found["imu"].tolist() == [k % 8 for k in range(24)]
-    assert found["sequence"].tolist() == list(range(24))
-    assert (np.diff(found["time_s"]) > 0).all()
-    assert "arrived together are written 1 µs apart" in remarks[0]
 
 
 def test_frames_are_exported_only_as_what_they_are_said_to_be(board, tmp_path):

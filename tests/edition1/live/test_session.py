@@ -11,8 +11,8 @@ import pytest
 
 from edition1.errors import InputError
 from edition1.estimation.imu_models import exact_arcs
+from edition1.estimation.imu_selection import Selection
 from edition1.robot_file.load import load_robot
-from edition1_companion.recordings.martin2022_models import selection
 from edition1_companion.twins.played import played
 from edition1_companion.twins.takes import open_take
 from edition1_live.emulate.board import Reading, passages
@@ -146,7 +146,9 @@ def test_imus_give_positions_and_one_that_is_silent_is_filled(arm):
     _, second = follower.step(silent)
     tips = [e.q[-3:] for e in (first, second)]
     quaternions = np.array([(0.0, 0.0, 0.0, 1.0), *(f.values for f in whole.frames)])
-    expected = exact_arcs(quaternions, selection("pcc", 8), [0.64])  # IMUs as in table I of the paper
+    expected = exact_arcs(
+        quaternions, Selection(tuple(range(9)), tuple(0.08 * np.arange(9)), (0.08,) * 8, 1), [0.64]
+    )  # IMUs as in table I of the paper
     np.testing.assert_allclose(tips[0], expected[0], atol=1e-12)
     assert float((tips[1] - tips[0]).norm()) < 0.05
     spread = [float(e.covariance[-3:, -3:].trace()) for e in (first, second)]

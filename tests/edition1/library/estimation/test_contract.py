@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from linear_rig import linear_map, segment
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -30,8 +29,6 @@ from edition1.kinematics.strain_series import StrainSeries
 from edition1.sensing.magnetic import MagneticSensing, readings
 from edition1.sensing.magnets import ring
 from edition1.sensing.multipole import MultipoleField
-from edition1_companion.pages.closed_loop.filter import CommandAlone, LoopFilter
-from edition1_companion.twins.rig_filter import BendFilter
 from edition1_companion.twins.trajectories import lemniscate
 
 ROBOT = pcc_robot(1)
@@ -111,14 +108,6 @@ class ImuCase(Case):
         torch.testing.assert_close(torch.from_numpy(positions[:, 0]), estimate.q)
 
 
-class RigCase(Case):
-    def check(self, estimate):
-        """The elongation does not change these readings; all of what they have in common is the bias."""
-        bias = estimate.diagnostics.get("bias_mv", torch.zeros(6))
-        expected = torch.from_numpy(RIG(1e3 * estimate.q[:, :2].numpy())) + bias[:, None]
-        torch.testing.assert_close(estimate.u_hat, expected)
-
-
 # A rod of one arc that twists, read by the positions of two points of it.
 class RodCase(Case):
     def check(self, estimate):
@@ -137,21 +126,10 @@ STRAINS = torch.stack([2 + PHASE.sin(), 3 - PHASE, 1 + PHASE.cos()], -1)
 POINTS = two_points(STRAINS)
 ROD_FILTER = RodFilter(ROD, (RodSensor("model", (1e-6,) * 6, sensing=two_points),), (10.0,) * 3, rate=5.0)
 
-# A segment that starts to follow a command; readings without a lag, with what is commanded up to each and from it.
-RIG, SEGMENT = linear_map(), segment(across=np.zeros((2, 3)))
-TORQUE = np.tile([0.3, -0.2], (6, 2))
-BENDS_MM = 7.0 * TORQUE[:, :2] * (1 - SEGMENT.fading ** np.arange(1, 7)[:, None])
-BENT_RIG = torch.from_numpy(1e-3 * np.column_stack([BENDS_MM, RIG.elongation(BENDS_MM)]))
-COMMANDED = torch.from_numpy(np.column_stack([RIG(BENDS_MM), TORQUE]))
 
 CASES = {name: Case(estimator, LEMNISCATE, MAGNETIC, 1e-3, 3) for name, estimator in ESTIMATORS.items()}
 CASES["IMUs"] = ImuCase(ImuShape(exact_arcs, ARM, (0.64,), noise_rad=0.02), TIPS, QUATERNIONS, 1e-4, 12)
-CASES["bend filter"] = RigCase(BendFilter(RIG), BENT_RIG, COMMANDED[:, :3], 1e-3, 3)
-for follows in (False, True):
-    loop = LoopFilter(RIG, SEGMENT, follows=follows)
-    CASES[f"loop filter, follows={follows}"] = RigCase(loop, BENT_RIG, COMMANDED, 1e-3, 3)
 CASES["rod filter"] = RodCase(ROD_FILTER, STRAINS, POINTS, 1e-4, 6)
-CASES["command alone"] = RigCase(CommandAlone(RIG, SEGMENT), BENT_RIG, COMMANDED, 1e-3, 3)
 
 
 @pytest.fixture(params=CASES.values(), ids=CASES)

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from edition1.errors import InputError
-from edition1.estimation.drift_filter import Drift, DriftFilter
 from edition1.estimation.kalman_filter import IteratedKalmanFilter
 from edition1.estimation.rod_filter import RodFilter
 from edition1.estimation.rod_sensors import RodSensor
@@ -36,20 +35,10 @@ ROD = RodFilter(
     rate=2.0,
 )
 KALMAN = IteratedKalmanFilter(seen, -FAR, FAR, 2.0 * ONE, 3.0 * ONE, noise_mt=NOISE)
-DRIFT = DriftFilter(
-    seen_with_bias,
-    -FAR,
-    FAR,
-    2.0 * ONE,
-    3.0 * ONE,
-    Drift(torch.full((3,), 0.2).double(), torch.tensor([0.7, 2.0, math.inf]).double()),
-    noise_mt=NOISE,
-)
 # Each with the derivative of its readings by its states: configuration, lasting errors, velocity.
 FILTERS = {
     "rod": (ROD, torch.cat([A, torch.eye(3).double(), 0 * A], 1)),
     "Kalman": (KALMAN, torch.cat([A, 0 * A], 1)),
-    "drift": (DRIFT, torch.cat([A, torch.eye(3).double(), torch.zeros(3, 5).double()], 1)),
 }
 U = torch.from_numpy(np.random.default_rng(0).normal(size=(len(TIMES), 3)))
 U[2, 1] = U[4, 0] = math.nan

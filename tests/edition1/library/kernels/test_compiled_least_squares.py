@@ -16,7 +16,6 @@ from edition1.sensing.magnetic import MagneticSensing, readings
 from edition1.sensing.magnets import ring
 from edition1.sensing.multipole import MultipoleField
 from edition1.sensing.network import CosineNetwork
-from edition1_companion.twins.calibrated_robots import box, start
 from edition1_companion.twins.trajectories import flower, lemniscate
 
 MOMENTS = torch.from_numpy(ring("released").multipoles(9))
@@ -25,6 +24,17 @@ NOISE = 7.1e-4
 
 def noisy(u, seed=0):
     return u + NOISE * torch.randn(u.shape, generator=torch.Generator().manual_seed(seed), dtype=u.dtype)
+
+
+def box(n):
+    bend = 22e-3 * math.radians(54)
+    return tuple(
+        torch.tensor(side * n, dtype=torch.float64) for side in ([-bend, -bend, 0.0], [bend, bend, 6.6e-3])
+    )
+
+
+def start(n):
+    return torch.tensor([0.0, 0.0, 2.75e-3] * n, dtype=torch.float64)
 
 
 def both(sensing, bounds, u, q0, *, iterations=10, **inputs):

@@ -257,7 +257,7 @@ def test_bad_input(act, message):
 
 def test_numba_is_imported_only_where_kernels_are():
     code = (
-        "import sys, edition1_companion.twins.table_1_rows, edition1.estimation.levenberg_marquardt; "
+        "import sys, edition1.estimation.base, edition1.estimation.levenberg_marquardt; "
         "sys.exit('numba' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

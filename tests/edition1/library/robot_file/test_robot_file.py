@@ -27,7 +27,6 @@ from edition1.sensing.magnetic import readings
 from edition1.sensing.magnets import B444B, Cube, ring
 from edition1.sensing.weights import read_manifest
 from edition1_companion.twins.bend_curves import bend_curve, bend_readings
-from edition1_companion.twins.calibrated_robots import box
 from edition1_companion.twins.takes import open_take
 from edition1_companion.twins.trajectories import lemniscate
 from edition1_live.wire.formats import FORMATS
@@ -93,9 +92,9 @@ def test_shipped_robots_are_those_of_the_paper(name, n):
     found = load_robot(ROBOTS / f"{name}.toml")
     assert_same_robot(found.robot, pcc_robot(n))
     assert found.magnet == ring("released")
-    torch.testing.assert_close(
-        torch.stack([found.lower, found.upper]), torch.stack(box(n)), rtol=0, atol=5e-6
-    )
+    bend, stretch = 22e-3 * math.radians(54), 6.6e-3
+    box = torch.tensor([[-bend, -bend, 0] * n, [bend, bend, stretch] * n], dtype=torch.float64)
+    torch.testing.assert_close(torch.stack([found.lower, found.upper]), box, rtol=0, atol=5e-6)
     assert found.start.tolist() == [0.0, 0.0, 0.0033] * n
     assert found.channel == tuple(range(3 * n))
     assert (found.channels, found.unit, found.notes) == (3 * n, "mT", ())

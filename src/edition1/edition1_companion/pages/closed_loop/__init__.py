@@ -1,1 +1,0 @@
-"""The page `notebooks/closed_loop.ipynb`."""

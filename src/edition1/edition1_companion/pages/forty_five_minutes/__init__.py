@@ -1,1 +1,0 @@
-"""The page `notebooks/forty_five_minutes.ipynb`."""

@@ -1,1 +1,0 @@
-"""The page `notebooks/how_many_imus.ipynb`."""

@@ -1,1 +1,0 @@
-"""The page `notebooks/sensor_placement.ipynb`."""
