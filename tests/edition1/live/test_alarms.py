@@ -4,7 +4,6 @@ import math
 import threading
 import time
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from scipy import stats
 
 from edition1.estimation.consistency import Status
 from edition1.robot_file.load import load_robot
-from edition1_companion.book.studies import read_study
 from edition1_live.emulate.links import HAS_PTY
 from edition1_live.emulate.robot_readings import course, readings_along
 from edition1_live.emulate.sensor_faults import SensorFaults, with_sensor_faults
@@ -71,13 +69,6 @@ def test_what_reaches_all_sensors_is_no_single_one(name):
     assert all(verdict.status == Status.CONSISTENT for verdict in verdicts[:80])
     assert sum(verdict.status > Status.CONSISTENT for verdict in verdicts) > 20
     assert not any(verdict.suspects for verdict in verdicts)
-
-
-def test_the_committed_table_has_a_row_for_every_case():
-    table, settings = read_study("alarms")
-    cases = product(settings["rates_hz"], settings["estimators"], settings["scenarios"])
-    assert list(table[["robot", "estimator", "scenario"]].itertuples(index=False, name=None)) == list(cases)
-    assert (table["trials"] == settings["trials"]).all()
 
 
 @pytest.mark.skipif(not HAS_PTY, reason="no pseudo-terminals on this system")
