@@ -138,12 +138,11 @@ def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCh
     False
     """
     owner = "check"
-    stated: Any = (robot.lower, robot.upper, robot.noise)
+    stated: Any = (robot.lower, robot.upper, robot.total_noise)
     lower, upper, noise = stated
     for name, value in (("bounds", lower), ("noise", noise)):
         require(value is not None, name, owner, "stated by the robot", "none")
     require(samples > 1, "samples", owner, "at least 2", samples)
-    noise = np.hypot(noise, robot.resolution / math.sqrt(12))  # as estimators take it
     sensing, free = robot.sensing(), upper > lower
     require(free.any(), "bounds", owner, "such that a coordinate is free", "none that is")
     q = np.random.default_rng(seed).uniform(lower, upper, (samples, robot.n_q))

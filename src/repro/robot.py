@@ -635,6 +635,11 @@ class Robot:
         std = np.where(np.isnan(std), given, std)
         return None if np.isnan(std).any() else std
 
+    @property
+    def total_noise(self) -> Array | None:
+        """Standard deviation of every reading ``[s]``, with the error of rounding to its resolution."""
+        return None if self.noise is None else np.sqrt(self.noise**2 + self.resolution**2 / 12)
+
     def per_reading(self, name: str, none: float, of_imus: float) -> Array:
         """Return what sensors and IMUs state under a name, for every reading ``[s]``; ``none`` where they do not."""
         found = [np.zeros(0)]

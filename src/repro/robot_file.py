@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
-from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -611,30 +610,15 @@ _KEPT = ("names", "estimate", "tolerances", "covariance", "chi2", "poses", "befo
 """What a calibration consists of beside the robot as described."""
 
 
-def save_calibration(path: str | PathLike[str], found: Calibration) -> None:
-    """Write what :func:`repro.calibrate` found, as JSON that :func:`load_calibration` reads for the same robot file.
-
-    Parameters
-    ----------
-    path
-        The file to write, whole or not at all.
-    found
-        The calibration of a robot that :func:`repro.load_robot` has read.
-
-    Raises
-    ------
-    InputError
-        If the robot does not come from a file.
-    """
+def calibration_text(found: Calibration) -> str:
+    """Return a calibration as the JSON that :func:`load_calibration` reads for the same robot file."""
     source = found.described.source
-    expected = "a calibration of a robot that load_robot has read"
-    require(isinstance(source, Source), "found", "save_calibration", expected, "one of another robot")
+    expected = "of a robot that load_robot has read"
+    require(isinstance(source, Source), "calibration", "save", expected, "one of another robot")
     content = {"schema": _SCHEMA, "robot": source.name, "robot_sha256": source.sha256}
     content |= {name: np.asarray(getattr(found, name)).tolist() for name in _KEPT}
     content["sha256"] = _own_hash(content)
-    partial = Path(path).with_name(Path(path).name + ".part")
-    partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    partial.replace(path)
+    return json.dumps(content, indent=1) + "\n"
 
 
 def _own_hash(content: Mapping[str, Any]) -> str:
@@ -647,7 +631,7 @@ def load_calibration(path: str | Path, robot: Robot) -> Calibration:
     Parameters
     ----------
     path
-        What :func:`save_calibration` wrote.
+        What :meth:`Calibration.save` wrote.
     robot
         From the robot file that was calibrated.
 
@@ -663,7 +647,7 @@ def load_calibration(path: str | Path, robot: Robot) -> Calibration:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
         same = content["schema"] == _SCHEMA and content["sha256"] == _own_hash(content)
     except (ValueError, LookupError, TypeError, RecursionError) as error:
-        raise bad_input("file", owner, "JSON that save_calibration wrote", error) from error
+        raise bad_input("file", owner, "JSON that Calibration.save wrote", error) from error
     require(same, "sha256", owner, "the hash of a file as it was written, of schema 3", "another")
     same = source is not None and content["robot_sha256"] == source.sha256
     expected = f"made with {source.name if source else 'a robot file'} as it is now"

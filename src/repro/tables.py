@@ -218,8 +218,8 @@ def _rotation_vectors(table: Table, q: Array, world: Any) -> Array:
     return turns
 
 
-def read_configurations(robot: Robot, source: Any) -> tuple[Array, Array | None]:
-    """Return measured configurations ``[t, n_q]`` [m, rad] of a table, and their times [s] or None.
+def read_configurations(robot: Robot, source: Any) -> tuple[Array, Array | None, list[str]]:
+    """Return measured configurations ``[t, n_q]`` [m, rad] of a table, their times [s] or None, names of rows.
 
     Columns are named after the coordinates, with a unit: ``delta_x_1_mm``, ``phi_2_deg``. Coordinates that the robot
     fixes may be left out.
@@ -227,27 +227,20 @@ def read_configurations(robot: Robot, source: Any) -> tuple[Array, Array | None]
     Raises
     ------
     InputError
-        If a column is missing or in no unit, or a coordinate is outside of its bounds; with the file and the line.
+        If a column is missing or in no unit, or a number is missing; with the file and the line.
     """
     table = read_table(source)
+    rows = [f"{table.owner}, line {line}" for line in table.lines]
     q = np.zeros((len(table.values), robot.n_q))
     for c, name in enumerate(robot.coordinates):
         if name not in table.names and robot.fixed[c] and robot.lower is not None:
             q[:, c] = robot.lower[c]
             continue
         angle = robot.angles[c] or name.startswith("kappa")
-        q[:, c], unit = table.scaled(name, ("rad", "deg") if angle else ("mm", "cm", "m"))
+        q[:, c], _ = table.scaled(name, ("rad", "deg") if angle else ("mm", "cm", "m"))
         for row in np.flatnonzero(np.isnan(q[:, c])):
-            raise bad_input(
-                "pose", f"{table.owner}, line {table.lines[int(row)]},", f"a number for {name}", "none"
-            )
-        if robot.lower is not None and robot.upper is not None and not robot.angles[c]:
-            low, high, slack = robot.lower[c], robot.upper[c], 0.01 * (robot.upper[c] - robot.lower[c]) + 1e-9
-            for row in np.flatnonzero((q[:, c] < low - slack) | (q[:, c] > high + slack)):
-                where = f"{table.owner}, line {table.lines[int(row)]}, column {name}_{unit},"
-                words = f"within its bounds, {low / _SI[unit]:g} to {high / _SI[unit]:g}"
-                raise bad_input("pose", where, words, f"{q[row, c] / _SI[unit]:g} {unit}")
-    return q, table.times
+            raise bad_input("pose", f"{rows[row]},", f"a number for {name}", "none")
+    return q, table.times, rows
 
 
 def read_poses(source: Any) -> tuple[Array, Array | None]:

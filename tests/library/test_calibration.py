@@ -529,10 +529,10 @@ def test_a_calibration_belongs_to_the_robot_of_its_file(tmp_path):
     q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (30, robot.n_q))
     for other in (robot.replaced(earth=[0.02, 0.0, 0.045]), robot.replaced(magnets=robot.magnets[::-1])):
         found = calibrate(other, q, other.sensing()(q))
-        with pytest.raises(InputError, match="must be a calibration of a robot that load_robot has read"):
+        with pytest.raises(InputError, match="must be of a robot that load_robot has read"):
             found.save(tmp_path / "other.json")
     again = calibrate(calibrate(robot, q, robot.sensing()(q)).robot, q, robot.sensing()(q))
-    with pytest.raises(InputError, match="must be a calibration of a robot that load_robot has read"):
+    with pytest.raises(InputError, match="must be of a robot that load_robot has read"):
         again.save(tmp_path / "again.json")
 
 

@@ -298,8 +298,12 @@ def test_calibration_takes_tables(tmp_path):
         found = repro.calibrate(robot, source, readings)
         np.testing.assert_allclose(found.estimate, expected.estimate, rtol=0, atol=1e-9)
     poses.iloc[7, 0] *= 1000
-    with pytest.raises(InputError, match=r"line 8, column delta_x_1_mm, must be within its bounds"):
-        repro.calibrate(robot, poses, readings)
+    poses.to_csv(tmp_path / "poses.csv", index=False)
+    for source, where in ((poses, "the table, line 8"), (tmp_path / "poses.csv", "poses.csv, line 9")):
+        with pytest.raises(
+            InputError, match=rf"must be within the robot's bounds, for delta_x_1 .* in {where}"
+        ):
+            repro.calibrate(robot, source, readings)
 
 
 def test_poses_and_readings_of_two_clocks_are_refused():

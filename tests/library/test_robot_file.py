@@ -14,7 +14,7 @@ import pytest
 import repro
 from repro import InputError, calibrate, load_robot, simulated_readings
 from repro.networks import load_network
-from repro.robot_file import _own_hash, load_calibration, save_calibration
+from repro.robot_file import _own_hash, load_calibration
 
 ROOT = Path(__file__).parents[2]
 ROBOTS = ROOT / "data" / "robots"
@@ -328,7 +328,7 @@ class TestCalibrationFile:
         q = robot.lower + (robot.upper - robot.lower) * np.random.default_rng(1).random((15, 3))
         found = calibrate(robot, q, 1.01 * simulated_readings(robot, q), robot.noise)
         path = tmp_path_factory.mktemp("calibration") / "calibration.json"
-        save_calibration(path, found)
+        found.save(path)
         return path, found
 
     def test_it_comes_back_as_it_was(self, written):
@@ -357,10 +357,8 @@ class TestCalibrationFile:
         changed.write_text("[", encoding="utf-8")
         with pytest.raises(InputError, match="file of changed.json must be JSON"):
             load_robot(ROBOTS / "one_segment.toml", changed)
-        with pytest.raises(InputError, match="must be a calibration of a robot that load_robot has read"):
-            save_calibration(
-                changed, replace(written[1], described=written[1].described.replaced(source=None))
-            )
+        with pytest.raises(InputError, match="must be of a robot that load_robot has read"):
+            replace(written[1], described=written[1].described.replaced(source=None)).save(changed)
 
     @pytest.mark.parametrize(
         ("changes", "message"),

@@ -389,8 +389,6 @@ def described(
 ) -> tuple[Robot | None, Any, Any, Any, Any]:
     """Return the robot behind a sensor model if there is one, the model, and what is not given as the robot has it.
 
-    To the noise of a robot belongs the error of rounding to its resolution, a twelfth of the square.
-
     Raises
     ------
     InputError
@@ -403,9 +401,8 @@ def described(
         sensing = sensing.sensing()
     found = []
     for name, value in (("lower", lower), ("upper", upper), ("noise", noise)):
-        if value is None and name == "noise" and robot is not None and robot.noise is not None:
-            value = np.sqrt(robot.noise**2 + robot.resolution**2 / 12)
-        value = getattr(robot, name, None) if value is None else value
+        stated = "total_noise" if name == "noise" else name
+        value = getattr(robot, stated, None) if value is None else value
         found.append(value)
         require(value is not None, name, owner, "given, or stated by the robot", "neither")
     return robot, sensing, *found

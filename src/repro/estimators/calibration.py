@@ -17,9 +17,10 @@ with the covariance :math:`(I - K_i C K_i^T)^{-1}`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -156,9 +157,11 @@ class Calibration:
         InputError
             If the robot does not come from a file.
         """
-        from repro.robot_file import save_calibration
+        from repro.robot_file import calibration_text
 
-        save_calibration(path, self)
+        text, partial = calibration_text(self), Path(path).with_name(Path(path).name + ".part")
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)  # the file is written whole or not at all
 
     def q_covariance(self, q: Any, noise: Any = None) -> Array:
         r"""Return the covariance ``[k, n_q, n_q]`` of least squares at ``q``, by noise and by the parameters.
@@ -245,9 +248,10 @@ def calibrate(
     robot = robot.replaced(moments=robot.sensing().moments, source=robot.source)
     described = robot.replaced(imus=(), noise=None)
     n = described.n_readings
-    q, at = (
-        read_configurations(robot, q) if is_table(q) else (numbers(q, "q", owner, (None, robot.n_q)), None)
-    )
+    at, rows = None, None
+    if is_table(q):
+        q, at, rows = read_configurations(robot, q)
+    q = numbers(q, "q", owner, (None, robot.n_q))
     require(len(q), "q", owner, "at least one pose", "none")
     u = robot.readings(u) if is_table(u) else u
     since = getattr(u, "times", None)
@@ -268,7 +272,7 @@ def calibrate(
     require(
         sigma.shape in shapes, "q_covariance", owner, f"one, or one for each of {len(q)} poses", sigma.shape
     )
-    check_poses(robot, q, sigma)
+    check_poses(robot, q, sigma, rows)
     priors = _priors(described, tolerances or Tolerances())
     names, scale = tuple(priors), np.array(list(priors.values()))
 
@@ -320,8 +324,8 @@ def calibrate(
     )  # fmt: skip
 
 
-def check_poses(robot: Robot, q: Array, q_covariance: Any = 0.0) -> None:
-    """Refuse measured poses ``[poses, n_q]`` outside the robot's bounds, by row from 1 and coordinate.
+def check_poses(robot: Robot, q: Array, q_covariance: Any = 0.0, rows: Sequence[str] | None = None) -> None:
+    """Refuse measured poses ``[poses, n_q]`` outside the robot's bounds, by the name of the row and coordinate.
 
     A measured pose may be outside by five of its standard deviations and a hundredth of the range. Angles with bounds
     a whole turn apart have none.
@@ -339,7 +343,9 @@ def check_poses(robot: Robot, q: Array, q_covariance: Any = 0.0) -> None:
     for row, c in np.argwhere((q < robot.lower - slack) | (q > robot.upper + slack)):
         name = robot.coordinates[c]
         expected = f"within the robot's bounds, for {name} {robot.lower[c]:g} to {robot.upper[c]:g} (unit?)"
-        raise bad_input("q", "calibrate", expected, f"{q[row, c]:g} in row {row + 1}")
+        raise bad_input(
+            "q", "calibrate", expected, f"{q[row, c]:g} in {rows[row] if rows else f'row {row + 1}'}"
+        )
 
 
 def coverage_factor(error: Any, covariance: Any, level: float = 0.95) -> float:
@@ -452,8 +458,8 @@ def _noise_of(robot: Robot, noise: Any, n: int, owner: str) -> Array:
     """Standard deviation of every reading ``[n]``, of the robot if not given."""
     expected = "positive, one number or one for each reading"
     require(noise is not None or robot.noise is not None, "noise", owner, expected, "none")
-    if noise is None and robot.noise is not None:
-        noise = np.hypot(robot.noise[:n], robot.resolution[:n] / math.sqrt(12))
+    if noise is None and robot.total_noise is not None:
+        noise = robot.total_noise[:n]
     std = numbers(noise, "noise", owner)
     require(std.shape in ((), (n,)) and (std > 0).all(), "noise", owner, expected, noise)
     return np.broadcast_to(std, (n,))
