@@ -19,7 +19,7 @@ OURS = (LIBRARY, "edition1")
 GLOSSARY = "notation"
 TRAJECTORIES = f"{GLOSSARY}.html#glossary-trajectories"
 TRAJECTORY = re.compile(r"\bT[0-5]\b")
-PLACES = ("notebooks/", "chapters/", "which_one")
+PLACES = ("notebooks/", "chapters/")
 """Pages whose words are linked."""
 _NOT_WITHIN = (
     nodes.reference,

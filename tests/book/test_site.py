@@ -172,7 +172,7 @@ def test_formulas_open_at_their_left_end(name, browser):
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_first_column_stays_while_a_table_is_scrolled(scheme, browser):
     """So that a number keeps the name of its row; nothing is seen through it."""
-    page, _ = open_page(browser, url_of("notebooks/one_robot.html"), width=390)
+    page, _ = open_page(browser, url_of("notebooks/live.html"), width=390)
     try:
         page.emulate_media(color_scheme=scheme)
         moved = page.evaluate(
@@ -233,7 +233,7 @@ def test_pages_say_what_a_person_would(name):
 
 @no_site
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("name", ["notebooks/fusion.html", "own_robot.html", "chapters/speed.html"])
+@pytest.mark.parametrize("name", ["notebooks/closed_loop.html", "own_robot.html", "notebooks/table_1.html"])
 def test_code_has_contrast(name, scheme, browser):
     """Seven to one, as for small text that is read for long."""
     page, _ = open_page(browser, url_of(name))
@@ -250,7 +250,7 @@ def test_code_has_contrast(name, scheme, browser):
 
 
 @no_site
-@pytest.mark.parametrize("name", ["notebooks/fusion.html", "notebooks/table_1.html"])
+@pytest.mark.parametrize("name", ["notebooks/real_arm.html", "notebooks/table_1.html"])
 def test_a_figure_opens_its_file(name, browser):
     """By keys alone, from disk; its alternative text stays."""
     page, _ = open_page(browser, url_of(name), width=390)

@@ -70,12 +70,12 @@ def test_a_run_beyond_the_range_is_refused():
         "-m",
         "edition1_companion.cli",
         "run",
-        "notebooks/sensor_count.ipynb",
+        "notebooks/live.ipynb",
         "-p",
-        "n_segments",
+        "seed",
         "-4",
     ]
     done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    said = "Input parameter n_segments of sensor_count.ipynb must be at least 1; instead received -4."
+    said = "Input parameter seed of live.ipynb must be at least 0; instead received -4."
     assert done.stderr.startswith(f"repro: {said}\n")
