@@ -147,7 +147,7 @@ def test_imus_give_positions_and_one_that_is_silent_is_filled(arm):
     tips = [e.q[-3:] for e in (first, second)]
     quaternions = np.array([(0.0, 0.0, 0.0, 1.0), *(f.values for f in whole.frames)])
     expected = exact_arcs(
-        quaternions, Selection(tuple(range(9)), tuple(0.08 * np.arange(9)), (0.08,) * 8, 1), [0.64]
+        quaternions, Selection(tuple(range(9)), tuple(0.08 * np.arange(9)), (0.08,) * 8, sub_links=2), [0.64]
     )  # IMUs as in table I of the paper
     np.testing.assert_allclose(tips[0], expected[0], atol=1e-12)
     assert float((tips[1] - tips[0]).norm()) < 0.05
