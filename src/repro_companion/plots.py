@@ -1081,7 +1081,7 @@ def sensors_and_noise(table: pd.DataFrame) -> Figure:
     figure, panels = plt.subplots(1, len(segments), figsize=(WIDTH, 3.5), sharey=True, squeeze=False)
     for panel, (n, part) in zip(panels[0], table.groupby("n_segments"), strict=True):
         for colour, (noise, own) in zip(NOISE_COLOURS, part.groupby("noise_mt"), strict=False):
-            label = f"{noise:g} mT".replace("e-05", " × 10⁻⁵")
+            label = f"{np.format_float_positional(noise, trim='-')} mT"
             panel.plot(own["n_sensors"], own["mean_percent"], "o-", color=colour, ms=5, label=label)
             known = own[np.isfinite(own["bound_percent"])]
             panel.plot(known["n_sensors"], known["bound_percent"], "--", color="0.2", lw=1)
@@ -1161,9 +1161,8 @@ def imus_and_errors(table: pd.DataFrame) -> Figure:
             own["n_imus"], own["rms_mm"], marker=marker, color=ORANGE, ms=6, ls="none", label=f"{deg:g}°"
         )
         right.plot(own["n_imus"], own["rule_mm"], color="0.5", lw=1)
-    counts = sorted(table["n_imus"].unique())
     for panel, title in ((left, "perfect IMUs"), (right, "errors of the IMUs")):
-        panel.set(xscale="log", yscale="log", title=title, xticks=counts[:: max(1, len(counts) // 4)])
+        panel.set(xscale="log", yscale="log", title=title, xticks=[1, 2, 4, 8, 16])
         panel.xaxis.set_major_formatter("{x:g}")
         panel.xaxis.set_minor_formatter("")
     left.yaxis.set_major_formatter("{x:g}")
