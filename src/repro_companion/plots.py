@@ -17,7 +17,7 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Circle, Polygon
-from matplotlib.ticker import MaxNLocator, MultipleLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator
 
 from repro import Ring
 
@@ -1133,6 +1133,7 @@ def sensor_places(table: pd.DataFrame, marked: dict[str, tuple[float, float]]) -
         wide = table.pivot(index="above_mm", columns="radial_mm", values=column)
         colours = panel.pcolormesh(wide.columns, wide.index, wide, norm=LogNorm(), shading="nearest")
         bar = figure.colorbar(colours, ax=panel, location="bottom", label="± of the tip [mm]")
+        bar.ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         bar.ax.xaxis.set_major_formatter("{x:g}")
         bar.ax.xaxis.set_minor_formatter("")
         for marker, (name, place) in zip("so^", marked.items(), strict=False):

@@ -182,21 +182,20 @@ def test_independent_errors_of_imus_move_a_straight_arm_by_the_rule():
 
 
 def test_needed_numbers_keep_the_tolerance_and_one_less_does_not(curves):
-    table = sensor_count.imus_needed(curves, [0.01, 0.04]).set_index(["model", "tolerance_mm"])
+    table = sensor_count.imus_needed(curves, LIMITS[1:], [0.01, 0.04]).set_index(["model", "tolerance_mm"])
     assert (table["by_curves"].dropna() <= table["by_rule"][table["by_curves"].notna()]).all()
     for model in (MIDDLE, PCC):
         n, own = int(table.loc[(model, 10.0), "by_curves"]), table.loc[(model, 10.0), "by_bound"]
         assert sensor_count.tip_errors(curves, model, n).max() <= 0.01
         assert sensor_count.tip_errors(curves, model, n - 1).max() > 0.01
-        limits = curves.curvature.max(), curves.slope.max()
-        assert sensor_count.imu_bound(model, int(own), curves.length, *limits) <= 0.01
-        assert sensor_count.imu_bound(model, int(own) - 1, curves.length, *limits) > 0.01
-    nobody = sensor_count.imus_needed(curves, [1e-4]).set_index("model")
+        assert sensor_count.imu_bound(model, int(own), *LIMITS) <= 0.01
+        assert sensor_count.imu_bound(model, int(own) - 1, *LIMITS) > 0.01
+    nobody = sensor_count.imus_needed(curves, LIMITS[1:], [1e-4]).set_index("model")
     assert np.isnan(nobody.loc[END, "by_curves"]), "more than we try"
 
 
 def test_errors_of_imus_have_a_bound_if_they_are_perfect_and_a_rule_if_not(curves):
-    table = sensor_count.imu_errors(curves, [2, 8], [0.0, 3.0], seed=0)
+    table = sensor_count.imu_errors(curves, LIMITS[1:], [2, 8], [0.0, 3.0], seed=0)
     perfect = table["sensor_deg"] == 0
     assert (perfect == table["bound_mm"].notna()).all()
     assert (perfect == table["rule_mm"].isna()).all()

@@ -294,35 +294,41 @@ def _commutator(k: float, a: float) -> float:
     return math.inf
 
 
-def imu_errors(curves: Curves, counts: Sequence[int], sensor_deg: Sequence[float], seed: int) -> pd.DataFrame:
-    """Return errors of the tip over all curves [mm] by model, errors of the IMUs and their number, with the bound."""
-    limits, rows = (curves.length, curves.curvature.max(), curves.slope.max()), []
+def imu_errors(
+    curves: Curves, limits: tuple[float, float], counts: Sequence[int], sensor_deg: Sequence[float], seed: int
+) -> pd.DataFrame:
+    """Return errors of the tip over all curves [mm] by model, errors of the IMUs and their number.
+
+    The bound is for curves of these limits, curvature and its slope.
+    """
+    rows = []
     for model in IMU_MODELS:
         for deg in sensor_deg:
             for n in counts:
                 off = 1e3 * tip_errors(curves, model, n, math.radians(deg), seed)
                 own = {"rms_mm": math.sqrt((off**2).mean()), "largest_mm": off.max()}
-                own["bound_mm"] = np.nan if deg else 1e3 * imu_bound(model, n, *limits)
+                own["bound_mm"] = np.nan if deg else 1e3 * imu_bound(model, n, curves.length, *limits)
                 own["rule_mm"] = 1e3 * math.radians(deg) * curves.length * math.sqrt(2 / n) if deg else np.nan
                 rows.append({"model": model, "sensor_deg": deg, "n_imus": n, **own})
     return pd.DataFrame(rows)
 
 
-def imus_needed(curves: Curves, tolerances: Sequence[float]) -> pd.DataFrame:
+def imus_needed(curves: Curves, limits: tuple[float, float], tolerances: Sequence[float]) -> pd.DataFrame:
     """Return numbers of IMUs by the rule, by the whole bound, and as the curves need them; empty above 64."""
-    limits = curves.curvature.max(), curves.slope.max()
     rows = []
     for model in IMU_MODELS:
         counts = range(1, LARGEST + 1)
         worst = np.array([tip_errors(curves, model, n).max() for n in counts])
         bound = np.array([imu_bound(model, n, curves.length, *limits) for n in range(1, 1001)])
         for tolerance in tolerances:
-            # The smallest number from which on nothing is off by more.
-            enough = [1 + len(x) - int(np.argmax(x[::-1] > tolerance)) if (x > tolerance).any() else 1
-                      for x in (bound, worst)]  # fmt: skip
-            by_bound, by_curves = (
-                n if n <= len(x) else np.nan for n, x in zip(enough, (bound, worst), strict=True)
-            )
             by_rule = imu_rule(model, curves.length, tolerance, *limits)
-            rows.append((model, 1e3 * tolerance, by_rule, by_bound, by_curves))
+            enough = _enough(bound, tolerance), _enough(worst, tolerance)
+            rows.append((model, 1e3 * tolerance, by_rule, *enough))
     return pd.DataFrame(rows, columns=["model", "tolerance_mm", "by_rule", "by_bound", "by_curves"])
+
+
+def _enough(errors: np.ndarray, tolerance: float) -> float:
+    """Return the number, from 1, from which on no error is above a tolerance; NaN if the last one is."""
+    above = np.flatnonzero(errors > tolerance)
+    n = above[-1] + 2 if len(above) else 1
+    return n if n <= len(errors) else np.nan
