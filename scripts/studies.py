@@ -282,13 +282,13 @@ def noise() -> pd.DataFrame:
             ("gradient descent", "ground truth", descent, np.nan),
         ):
             percent = baaij.relative_errors(estimate, q).reshape(len(levels), n_b, 3)
-            means = percent.mean((1, 2)), percent[..., :2].mean((1, 2)), percent[..., 2].mean(1), at
-            row = {**own, "solver": solver, "start": start, **dict(zip(MEASURES, means, strict=True))}
+            values = percent.mean((1, 2)), percent[..., :2].mean((1, 2)), percent[..., 2].mean(1), at
+            row = {**own, "solver": solver, "start": start, **dict(zip(MEASURES, values, strict=True))}
             parts.append(pd.DataFrame(row))
     keys = ["n_b", "model", "solver", "start", "noise_mt"]
-    table = pd.concat(parts).groupby(keys, sort=False)[[*MEASURES, "bound_percent"]].mean().reset_index()
-    order = table["solver"].map({"Levenberg-Marquardt": 0, "gradient descent": 1})
-    table = table.iloc[order.argsort(kind="stable")].reset_index(drop=True)
+    means: Any = pd.concat(parts).groupby(keys, sort=False)[[*MEASURES, "bound_percent"]].mean()
+    table = means.reset_index()
+    table = table.sort_values("solver", ascending=True, kind="stable", ignore_index=True)
     table = table.assign(of_bound=table["mean_percent"] / table["bound_percent"])
     table.attrs = {"noise_mt": list(NOISE_MT), "seeds": list(baaij.SEEDS), "steps": baaij.STEPS}
     return table
