@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,9 @@ from scipy import stats
 
 import repro
 from repro import GradientDescent, Sensing, exact_arcs, pcc_extended, track
+from repro.networks import load_network
 from repro_board.emulate import course, faulty
-from repro_companion.papers import baaij, martin, mitchell, rig
+from repro_companion.papers import baaij, martin, mitchell, rig, sensor_count
 from repro_companion.show import project_folder
 
 
@@ -248,9 +250,53 @@ def foreign_field(robot: repro.Robot, q: np.ndarray) -> np.ndarray:
     return np.concatenate([along[:, k, 3 - s.axes :] for k, s in enumerate(robot.sensors)], axis=1)
 
 
+NOISE_MT = (1e-5, 4.8e-5, 2e-4, 7.1e-4, 2e-3, 5e-3, 2e-2, 1e-1)
+"""Noise of a reading [mT]; 4.8e-5 and 7.1e-4 are inferred from what section 5.2 of Baaij et al. prints."""
+NETWORKS = {"network of the paper": "pcc", "fast network": "fast", "multipole": ""}
+"""Sensor models, and how the files of their networks begin."""
+MEASURES = ["mean_percent", "bending_percent", "elongation_percent", "at_bound_percent"]
+
+
+def noise() -> pd.DataFrame:
+    """Return mean errors on T3 by sensor model, estimator and noise of the sensors, beside the bound: three minutes.
+
+    A seed names a network and the noise. Levenberg-Marquardt starts straight at every time step, gradient descent is
+    the paper's and starts at the truth. There is a fast network for one segment only.
+    """
+    parts, folder, levels = [], project_folder() / "data" / "networks", np.array(NOISE_MT)
+    for n_b, seed, (model, kind) in product((1, 2, 3), baaij.SEEDS, NETWORKS.items()):
+        if kind == "fast" and n_b > 1:
+            continue
+        robot, q = baaij.robot(n_b), baaij.lemniscate(n_b, steps=baaij.STEPS)
+        names = [f"{kind}_nb{n_b}_segment{k}_seed{seed}.safetensors" for k in range(1, n_b + 1)]
+        sensing = Sensing(robot, [load_network(folder / name) for name in names] if kind else None)
+        clean = baaij.simulate(robot, q)
+        normal = np.random.default_rng(seed).standard_normal(clean.shape)
+        u = clean[:, None] + levels[:, None] * normal[:, None]
+        found, held = sensor_count.fit(sensing, u, levels.min(), iterations=20)
+        descent = track(baaij.descent(sensing, n_b), u, np.tile(q[0], (len(levels), 1))).q
+        own = {"n_b": n_b, "model": model, "noise_mt": levels}
+        own["bound_percent"] = sensor_count.bound_percent(Sensing(robot), q, 1.0) * levels
+        for solver, start, estimate, at in (
+            ("Levenberg-Marquardt", "straight", found, 100 * held.mean(0)),
+            ("gradient descent", "ground truth", descent, np.nan),
+        ):
+            percent = baaij.relative_errors(estimate, q).reshape(len(levels), n_b, 3)
+            values = percent.mean((1, 2)), percent[..., :2].mean((1, 2)), percent[..., 2].mean(1), at
+            row = {**own, "solver": solver, "start": start, **dict(zip(MEASURES, values, strict=True))}
+            parts.append(pd.DataFrame(row))
+    keys = ["n_b", "model", "solver", "start", "noise_mt"]
+    means: Any = pd.concat(parts).groupby(keys, sort=False)[[*MEASURES, "bound_percent"]].mean()
+    table = means.reset_index()
+    table = table.sort_values("solver", ascending=True, kind="stable", ignore_index=True)
+    table = table.assign(of_bound=table["mean_percent"] / table["bound_percent"])
+    table.attrs = {"noise_mt": list(NOISE_MT), "seeds": list(baaij.SEEDS), "steps": baaij.STEPS}
+    return table
+
+
 STUDIES: dict[str, Callable[[], pd.DataFrame]] = {
     study.__name__: study
-    for study in (rig_starts, table_1_best, table_1_noise, particle_filter, martin_calibration, alarms)
+    for study in (rig_starts, table_1_best, table_1_noise, particle_filter, martin_calibration, alarms, noise)
 }
 
 

@@ -17,7 +17,7 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Circle, Polygon
-from matplotlib.ticker import MaxNLocator, MultipleLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator
 
 from repro import Ring
 
@@ -1066,4 +1066,109 @@ def real_arm_still(points: pd.DataFrame) -> Figure:
         panel.margins(x=0.3)
     panels[0].set_ylabel("z [mm]")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
+    return closed(figure)
+
+
+# How many sensors
+
+NOISE_COLOURS = (SKY, BLUE, ORANGE, PINK, GREEN, YELLOW)
+
+
+@style()
+def sensors_and_noise(table: pd.DataFrame) -> Figure:
+    """Draw errors [%] over sensors per segment, a panel for each number of segments; dashed: the bound."""
+    segments = table["n_segments"].unique()
+    figure, panels = plt.subplots(1, len(segments), figsize=(WIDTH, 3.5), sharey=True, squeeze=False)
+    for panel, (n, part) in zip(panels[0], table.groupby("n_segments"), strict=True):
+        for colour, (noise, own) in zip(NOISE_COLOURS, part.groupby("noise_mt"), strict=False):
+            label = f"{np.format_float_positional(noise, trim='-')} mT"
+            panel.plot(own["n_sensors"], own["mean_percent"], "o-", color=colour, ms=5, label=label)
+            known = own[np.isfinite(own["bound_percent"])]
+            panel.plot(known["n_sensors"], known["bound_percent"], "--", color="0.2", lw=1)
+        panel.set(yscale="log", xticks=sorted(part["n_sensors"].unique()))
+        panel.set_title(f"{n} segment" + "s" * int(n > 1))
+    panels[0, 0].set_ylabel("mean error [% of the range]")
+    panels[0, 0].yaxis.set_major_formatter("{x:g}")
+    figure.supxlabel("sensors on each segment")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    handles.append(Line2D([], [], color="0.2", lw=1, ls="--"))
+    figure.legend(handles, [*labels, "bound"], loc="outside upper center", ncols=3, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def noise_study(table: pd.DataFrame) -> Figure:
+    """Draw errors [%] over the noise by sensor model; a row for each estimator, a column by number of segments."""
+    looks = {"network of the paper": (BLUE, "o"), "fast network": (GREEN, "s"), "multipole": (ORANGE, "D")}
+    solvers, segments = table["solver"].unique(), table["n_b"].unique()
+    size = (WIDTH, 0.8 + 2.1 * len(solvers))
+    grid = {"sharex": True, "sharey": True, "squeeze": False}
+    figure, panels = plt.subplots(len(solvers), len(segments), figsize=size, **grid)
+    for row, solver in zip(panels, solvers, strict=True):
+        for panel, n in zip(row, segments, strict=True):
+            own = table[(table["solver"] == solver) & (table["n_b"] == n)]
+            for model, part in own.groupby("model", sort=False):
+                colour, marker = looks[str(model)]
+                x, y = part["noise_mt"], part["mean_percent"]
+                panel.plot(x, y, marker=marker, color=colour, ms=4, label=model)
+            limit = own.drop_duplicates("noise_mt")
+            panel.plot(limit["noise_mt"], limit["bound_percent"], "--", color="0.2", lw=1, label="bound")
+            panel.set(xscale="log", yscale="log")
+            panel.set_xticks([1e-4, 1e-2], ["10⁻⁴", "10⁻²"])
+        row[0].set_ylabel(f"{solver}\nerror [%]")
+        row[0].yaxis.set_major_formatter("{x:g}")
+    for panel, n in zip(panels[0], segments, strict=True):
+        panel.set_title(f"{n} segment" + "s" * int(n > 1))
+    figure.supxlabel("noise of a reading [mT]")
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def sensor_places(table: pd.DataFrame, marked: dict[str, tuple[float, float]]) -> Figure:
+    """Draw deviations of the tip [mm] over radius and height of the sensors: by noise, and before calibration."""
+    columns = {"noise_mm": "noise alone", "off_mm": "noise and tolerances"}
+    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.0), sharex=True, sharey=True)
+    for panel, (column, title) in zip(panels, columns.items(), strict=True):
+        wide = table.pivot(index="above_mm", columns="radial_mm", values=column)
+        colours = panel.pcolormesh(wide.columns, wide.index, wide, norm=LogNorm(), shading="nearest")
+        bar = figure.colorbar(colours, ax=panel, location="bottom", label="± of the tip [mm]")
+        bar.ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        bar.ax.xaxis.set_major_formatter("{x:g}")
+        bar.ax.xaxis.set_minor_formatter("")
+        for marker, (name, place) in zip("so^", marked.items(), strict=False):
+            look = {"mfc": "white", "mec": "black", "ms": 9, "ls": "none"}
+            panel.plot(*place, marker=marker, label=name, **look)
+        panel.set(title=title, xlabel="radius [mm]")
+        panel.grid(visible=False)
+    panels[0].set_ylabel("height above the magnet [mm]")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=3, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def imus_and_errors(table: pd.DataFrame) -> Figure:
+    """Draw errors of the tip [mm] over the number of IMUs: perfect ones by model, and with errors of their own."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharex=True, sharey=True)
+    perfect, models = table[table["sensor_deg"] == 0], table["model"].unique()
+    for model, colour in zip(models, (PINK, ORANGE, BLUE, GREEN), strict=True):
+        own = perfect[perfect["model"] == model]
+        left.plot(own["n_imus"], own["largest_mm"], "o-", color=colour, ms=4, label=model)
+        left.plot(own["n_imus"], own["bound_mm"], "--", color=colour, lw=1)
+    real = table[(table["model"] == models[1]) & (table["sensor_deg"] > 0)]
+    for (deg, own), marker in zip(real.groupby("sensor_deg"), "svP*", strict=False):
+        right.plot(
+            own["n_imus"], own["rms_mm"], marker=marker, color=ORANGE, ms=6, ls="none", label=f"{deg:g}°"
+        )
+        right.plot(own["n_imus"], own["rule_mm"], color="0.5", lw=1)
+    for panel, title in ((left, "perfect IMUs"), (right, "errors of the IMUs")):
+        panel.set(xscale="log", yscale="log", title=title, xticks=[1, 2, 4, 8, 16])
+        panel.xaxis.set_major_formatter("{x:g}")
+        panel.xaxis.set_minor_formatter("")
+    left.yaxis.set_major_formatter("{x:g}")
+    left.set_ylabel("error of the tip [mm]")
+    figure.supxlabel("number of IMUs")
+    right.legend(loc="lower left", **BESIDE)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)

@@ -1,0 +1,334 @@
+r"""How many sensors a robot needs: bounds of magnetic sensors by their information, and a rule for IMUs.
+
+**Magnets.** Readings with the slopes :math:`J` and white noise :math:`\sigma` carry the information
+:math:`J^T J/\sigma^2`. Its inverse is the Cramér-Rao bound: no unbiased estimate from one set of readings has a
+smaller covariance. All data are synthetic, by magpylib.
+
+**IMUs.** Between perfect IMUs, a model of the arm is off because it does not know how the arm bends there. The arm
+has the length :math:`L` and does not stretch. Its curvature is at most :math:`\kappa`, and the derivative of the
+curvature along the arm at most :math:`\kappa'`, without twist. There are :math:`n` links of length :math:`h = L/n`,
+and the bound of one link counts :math:`n` times.
+
+A rigid link that ends at its IMU has the direction of its far end, so at the distance :math:`x` from there its
+direction is off by at most :math:`\kappa x`: by :math:`\kappa h^2/2` over the link. If the IMU is in the middle, the
+errors of both halves cancel but for the second derivative of the tangent, at most
+:math:`M = \sqrt{\kappa'^2 + \kappa^4}`, and Taylor's formula leaves :math:`M h^3/24`.
+
+An arc has the right direction at both ends. Its mean rate differs from the rate of the arm by at most
+:math:`\kappa'(x^2 + (h - x)^2)/2h`, whose integral from the nearer end, integrated over the link, is
+:math:`3\kappa' h^3/32`. That rates at different places do not commute adds :math:`D h^2/4`, where :math:`Dh` is the
+smallest solution of
+
+.. math:: Dh = \kappa h\,(3\kappa'h^2/32 + Dh/4) + g\,(\kappa'h^2/3 + Dh), \qquad
+          g = 1 - \tfrac{e}{2}\cot\tfrac{e}{2}, \quad e = \kappa'h^2/6 + Dh/2 .
+
+In the PCC-extended chain with :math:`m` sub-segments each link is longer than its arc by the factor
+:math:`1/\mathrm{sinc}(\kappa h/2m) \approx 1 + \kappa^2 h^2/24m^2`. The leading terms give the rule. A direction that
+is off by independent errors :math:`\sigma` about two axes moves the tip by :math:`\sqrt2\,\sigma h`, and :math:`n` of
+them add as squares.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from repro import (
+    Arm,
+    LevenbergMarquardt,
+    Robot,
+    Sensing,
+    calibrate,
+    exact_arcs,
+    pcc_extended,
+    rigid_body,
+)
+from repro_companion.papers import baaij, martin
+
+# Magnetic sensors
+
+
+def fit(
+    sensing: Sensing, u: np.ndarray, noise_mt: float, iterations: int = 12
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return least-squares estimates of readings ``[..., s]``, each from the straight pose, and which bounds hold."""
+    low, high = baaij.bounds(len(sensing.robot.segments))
+    start = (low + high) / 2
+    start[2::3] = baaij.ELONGATION
+    method = LevenbergMarquardt(sensing, low, high, noise_mt, iterations=iterations, tolerance=1e-7)
+    found = method.step(method.init(np.broadcast_to(start, (*u.shape[:-1], len(low)))), u)[1]
+    return found.q, found.details["at_bound"]
+
+
+def covariance(sensing: Sensing, q: np.ndarray, noise_mt: float) -> np.ndarray:
+    """Return Cramér-Rao bounds of configurations ``[t, n_q, n_q]``; infinite where readings leave one open."""
+    J = sensing.linearise(q)[1] / noise_mt
+    A = np.swapaxes(J, -1, -2) @ J
+    determined = np.linalg.matrix_rank(J) == q.shape[-1]
+    bound = np.full(A.shape, np.inf)
+    bound[determined] = np.linalg.inv(A[determined])
+    return bound
+
+
+def bound_percent(sensing: Sensing, q: np.ndarray, noise_mt: float) -> float:
+    """Return the bound of the mean error of eq. (13) along a trajectory [%]."""
+    variance = np.diagonal(covariance(sensing, q, noise_mt), axis1=-2, axis2=-1)
+    return float((100 * np.sqrt(variance.mean(0)) / np.ptp(q, axis=0)).mean())
+
+
+def errors(n_segments: int, n_sensors: int, noise_mt: float, normal: np.ndarray) -> pd.DataFrame:
+    """Return errors along T3, one row for each draw of the noise; ``normal`` are its numbers ``[t, draw, s]``."""
+    robot, q = baaij.robot(n_segments, n_sensors), baaij.lemniscate(n_segments, steps=len(normal))
+    found, held = fit(Sensing(robot), baaij.simulate(robot, q)[:, None] + noise_mt * normal, noise_mt)
+    off = np.linalg.norm((robot.tip(found) - robot.tip(q)[:, None])[..., :3, 3], axis=-1)
+    return pd.DataFrame({
+        "draw": np.arange(normal.shape[1]),
+        "mean_percent": baaij.relative_errors(found, q).mean(-1),
+        "tip_mm": 1e3 * np.sqrt((off**2).mean(0)),
+        "at_bound_percent": 100 * held.mean(0),
+        "bound_percent": bound_percent(Sensing(robot), q, noise_mt),
+    })  # fmt: skip
+
+
+def grid(
+    segments: Sequence[int],
+    sensors: Sequence[int],
+    noise_mt: Sequence[float],
+    draws: int,
+    steps: int,
+    seed: int,
+) -> pd.DataFrame:
+    """Return means of :func:`errors` over the draws at every point of a grid.
+
+    *Ratio* is the error over the error of three sensors, *averaging* what a mean of n readings would gain on three.
+    """
+    parts = []
+    for n_b in segments:
+        for n_s in sensors:
+            normal = np.random.default_rng(seed).standard_normal((steps, draws, n_b * n_s))
+            for noise in noise_mt:
+                own = errors(n_b, n_s, noise, normal).drop(columns="draw").mean()
+                parts.append({"n_segments": n_b, "noise_mt": noise, "n_sensors": n_s, **own})
+    table = pd.DataFrame(parts).sort_values(["n_segments", "noise_mt", "n_sensors"], ignore_index=True)
+    three = (
+        table["mean_percent"].where(table["n_sensors"] == 3).groupby([table["n_segments"], table["noise_mt"]])
+    )
+    averaging = np.sqrt(3 / table["n_sensors"].where(table["n_sensors"] >= 3))
+    return table.assign(ratio=table["mean_percent"] / three.transform("max"), averaging=averaging)
+
+
+# Where the sensors are
+
+
+def moved(above: float, radius: float, n_sensors: int = 3) -> Robot:
+    """Return the robot of one segment with its plane of sensors so far above the magnet, and so wide [m].
+
+    It states bounds, noise, and tolerances: the standard deviations of what :func:`simulated` draws evenly.
+    """
+    robot, limits, even = baaij.robot(1, n_sensors, radial=radius), baaij.ERRORS, 1 / math.sqrt(3)
+    magnet = {"position": even * limits.magnet_position, "tilt": even * limits.magnet_tilt}
+    sensor = {"azimuth": even * limits.sensor_azimuth, "radius": even * limits.sensor_radius * radius}
+    sensor |= {"tilt": 0.0, "gain": 0.0}
+    return robot.replaced(
+        magnets=[replace(part, tolerance=magnet) for part in robot.magnets],
+        sensors=[replace(s, at=baaij.MAGNET_AT + above, tolerance=sensor) for s in robot.sensors],
+        **dict(zip(("lower", "upper"), baaij.bounds(1), strict=True)),
+        noise=baaij.NOISE_MT,
+    )
+
+
+def places(heights_mm: Sequence[float], radii_mm: Sequence[float], samples: int) -> pd.DataFrame:
+    """Return the median deviation of the tip [mm] over random shapes, by noise alone and not calibrated."""
+    rows = []
+    for above, radial in product(heights_mm, radii_mm):
+        check = moved(above / 1e3, radial / 1e3).check(samples=samples)
+        tips = 1e3 * np.median(check.tip), 1e3 * np.median(check.tip_as_built)
+        rows.append((above, radial, *tips))
+    return pd.DataFrame(rows, columns=["above_mm", "radial_mm", "noise_mm", "off_mm"])
+
+
+def tip_bound(robot: Robot, q: np.ndarray, noise_mt: float) -> float:
+    """Return the bound of the root mean square error of the tip along a trajectory [mm]."""
+    G = robot.tip_slopes(q)[1]
+    variance = np.trace(
+        G @ covariance(Sensing(robot), q, noise_mt) @ np.swapaxes(G, -1, -2), axis1=-2, axis2=-1
+    )
+    return 1e3 * math.sqrt(variance.mean())
+
+
+def simulated(robot: Robot, draws: int, steps: int) -> dict[str, float]:
+    """Return mean errors of the tip along T3 [mm] with the noise of the robot, and the bound.
+
+    The robot is as drawn, or off by the limits of Table 1's own study: used as drawn, or calibrated in 100 poses.
+    """
+    q, box, noise = baaij.lemniscate(1, steps=steps), baaij.bounds(1), baaij.NOISE_MT
+    bare, rows = Robot(robot.segments, robot.magnets, robot.sensors), []
+    for draw in range(draws):
+        measured = baaij.measured_draw(bare, q, box, draw)
+        poses, spread = baaij.configurations(bare, measured.poses)
+        model = calibrate(bare, poses, measured.pose_readings, noise, spread).sensing()
+        settings = {
+            "drawn_mm": (Sensing(bare), baaij.simulate(bare, q, noise_mt=noise, seed=draw)),
+            "off_mm": (Sensing(bare), measured.readings),
+            "calibrated_mm": (model, measured.readings),
+        }
+        found = {name: fit(sensing, u, noise)[0] for name, (sensing, u) in settings.items()}
+        rows.append(
+            {name: baaij.pose_errors(bare, estimate, q)["tip_mm"] for name, estimate in found.items()}
+        )
+    return {"bound_mm": tip_bound(bare, q, noise), **pd.DataFrame(rows).mean()}
+
+
+# IMUs
+
+END, MIDDLE = "rigid-body, IMU at the end", "rigid-body, IMU in the middle"
+PCC, ARCS = "PCC-extended", "exact arcs"
+IMU_MODELS = {END: rigid_body, MIDDLE: rigid_body, PCC: pcc_extended, ARCS: exact_arcs}
+SUB_SEGMENTS, STEPS, LARGEST = 2, 1280, 64
+"""Sub-segments of every link, steps of a curve, and the largest number of IMUs that we try on curves."""
+
+
+class Curves(NamedTuple):
+    """Curves of one length [m] from an upright base: orientations ``[curve, 1281, 4]`` along them and their tips.
+
+    And the largest curvature [rad/m] and its largest derivative [rad/m^2] of each.
+    """
+
+    length: float
+    frames: np.ndarray
+    tips: np.ndarray
+    curvature: np.ndarray
+    slope: np.ndarray
+
+
+def random_curves(count: int, length: float, curvature: float, slope: float, seed: int) -> Curves:
+    """Return smooth curves, a sum of four cosines about each axis, that use up one of two limits."""
+    waves = np.pi * np.arange(4)
+    amplitudes = np.random.default_rng(seed).normal(size=(count, 2, 4)) / (1 + np.arange(4))
+    s = (np.arange(STEPS) + 0.5)[:, None] / STEPS
+    rates = np.einsum("cam,sm->csa", amplitudes, np.cos(waves * s))
+    slopes = np.einsum("cam,sm->csa", amplitudes, -waves / length * np.sin(waves * s))
+    largest, steepest = (np.linalg.norm(x, axis=-1).max(axis=1) for x in (rates, slopes))
+    scale = np.minimum(curvature / largest, slope / steepest)
+    h = length / STEPS
+    turns = h * scale[:, None, None] * np.concatenate([rates, np.zeros_like(rates[..., :1])], axis=-1)
+    whole, half = (
+        Rotation.from_rotvec(x.reshape(-1, 3)).as_quat().reshape(count, STEPS, 4) for x in (turns, turns / 2)
+    )
+    frames = [np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))]
+    for turn in np.moveaxis(whole, 1, 0):
+        frames.append(martin.product(frames[-1], turn))
+    frames = np.stack(frames, axis=1)
+    x, y, z, w = np.moveaxis(martin.product(frames[:, :-1], half), -1, 0)
+    chords = h * np.sinc(np.linalg.norm(turns, axis=-1) / (2 * np.pi))
+    along = np.stack([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)], axis=-1)
+    return Curves(length, frames, (chords[..., None] * along).sum(1), scale * largest, scale * steepest)
+
+
+def imu_arm(model: str, n: int, length: float) -> Arm:
+    """Return ``n`` even links with the IMUs where the model wants them, to the step of a curve."""
+    ends = np.round(STEPS * np.arange(n + 1) / n) * length / STEPS
+    if model not in (END, MIDDLE):
+        return Arm(range(n + 1), ends, np.diff(ends), sub_segments=SUB_SEGMENTS)
+    arcs = ends[1:]
+    if model == MIDDLE:
+        arcs = np.round((ends[1:] + ends[:-1]) / 2 * STEPS / length) * length / STEPS
+    return Arm(range(1, n + 1), arcs, np.diff(ends))
+
+
+def tip_errors(curves: Curves, model: str, n: int, sigma: float = 0.0, seed: int = 0) -> np.ndarray:
+    """Return errors of the tip [m] of every curve, with independent errors of the IMUs about each axis [rad]."""
+    arm = imu_arm(model, n, curves.length)
+    q = curves.frames[:, np.round(np.array(arm.imu_arcs) * STEPS / curves.length).astype(int)]
+    off = sigma * np.random.default_rng(seed).standard_normal((*q.shape[:-1], 3))
+    off *= np.array(arm.imus)[:, None] > 0  # the base is known
+    q = martin.product(Rotation.from_rotvec(off.reshape(-1, 3)).as_quat().reshape(q.shape), q)
+    tips = IMU_MODELS[model](q, arm, curves.length)[:, 0]
+    return np.linalg.norm(tips - curves.tips, axis=-1)
+
+
+def imu_rule(model: str, length: float, tolerance: float, curvature: float, slope: float) -> int:
+    """Return a number of perfect IMUs that keeps the tip within a tolerance [m], by the leading terms."""
+    per_link = {
+        MIDDLE: math.hypot(slope, curvature**2) / 24,
+        PCC: 3 * slope / 32 + curvature**2 / (24 * SUB_SEGMENTS**2),
+        ARCS: 3 * slope / 32,
+    }
+    if model == END:
+        return max(1, math.ceil(curvature * length**2 / (2 * tolerance) - 1e-9))
+    return max(1, math.ceil(length * math.sqrt(length * per_link[model] / tolerance) - 1e-9))
+
+
+def imu_bound(model: str, n: int, length: float, curvature: float, slope: float) -> float:
+    """Return the whole bound of the error of the tip [m] with ``n`` even links, see the head of this module."""
+    h = length / n
+    k, a = curvature * h, slope * h**2
+    links = {
+        END: k * h / 2,
+        MIDDLE: min(k / 4, math.hypot(a, k**2) / 24) * h,
+        ARCS: min(k / 2, 3 * a / 32 + _commutator(k, a) / 4) * h,
+    }
+    links[PCC] = links[ARCS] + h / np.sinc(min(k, math.pi) / (2 * math.pi * SUB_SEGMENTS)) - h
+    return float(min(n * links[model], 2 * length))
+
+
+def _commutator(k: float, a: float) -> float:
+    """Return the smallest solution D h of the equation at the head of this module; infinite if there is none."""
+    D = 0.0
+    for _ in range(1000):
+        e = a / 6 + D / 2
+        if k >= math.pi or e >= math.pi / 2:
+            return math.inf
+        g = 1 - (e / 2) / math.tan(e / 2) if e > 1e-4 else e * e / 12
+        new = k * (3 * a / 32 + D / 4) + g * (a / 3 + D)
+        if new - D <= 1e-13 * new:
+            return new
+        D = new
+    return math.inf
+
+
+def imu_errors(
+    curves: Curves, limits: tuple[float, float], counts: Sequence[int], sensor_deg: Sequence[float], seed: int
+) -> pd.DataFrame:
+    """Return errors of the tip over all curves [mm] by model, errors of the IMUs and their number.
+
+    The bound is for curves of these limits, curvature and its slope.
+    """
+    rows = []
+    for model in IMU_MODELS:
+        for deg in sensor_deg:
+            for n in counts:
+                off = 1e3 * tip_errors(curves, model, n, math.radians(deg), seed)
+                own = {"rms_mm": math.sqrt((off**2).mean()), "largest_mm": off.max()}
+                own["bound_mm"] = np.nan if deg else 1e3 * imu_bound(model, n, curves.length, *limits)
+                own["rule_mm"] = 1e3 * math.radians(deg) * curves.length * math.sqrt(2 / n) if deg else np.nan
+                rows.append({"model": model, "sensor_deg": deg, "n_imus": n, **own})
+    return pd.DataFrame(rows)
+
+
+def imus_needed(curves: Curves, limits: tuple[float, float], tolerances: Sequence[float]) -> pd.DataFrame:
+    """Return numbers of IMUs by the rule, by the whole bound, and as the curves need them; empty above 64."""
+    rows = []
+    for model in IMU_MODELS:
+        counts = range(1, LARGEST + 1)
+        worst = np.array([tip_errors(curves, model, n).max() for n in counts])
+        bound = np.array([imu_bound(model, n, curves.length, *limits) for n in range(1, 1001)])
+        for tolerance in tolerances:
+            by_rule = imu_rule(model, curves.length, tolerance, *limits)
+            enough = _enough(bound, tolerance), _enough(worst, tolerance)
+            rows.append((model, 1e3 * tolerance, by_rule, *enough))
+    return pd.DataFrame(rows, columns=["model", "tolerance_mm", "by_rule", "by_bound", "by_curves"])
+
+
+def _enough(errors: np.ndarray, tolerance: float) -> float:
+    """Return the number, from 1, from which on no error is above a tolerance; NaN if the last one is."""
+    above = np.flatnonzero(errors > tolerance)
+    n = above[-1] + 2 if len(above) else 1
+    return n if n <= len(errors) else np.nan
