@@ -1,4 +1,4 @@
-"""Martin et al.: Table I, the synthetic trial, errors, calibration, released files; edition 1 as an oracle."""
+"""Martin et al.: Table I, the synthetic trial, errors, calibration, released files."""
 
 import json
 from dataclasses import replace
