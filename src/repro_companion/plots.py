@@ -1067,3 +1067,23 @@ def real_arm_still(points: pd.DataFrame) -> Figure:
     panels[0].set_ylabel("z [mm]")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
     return closed(figure)
+
+
+# Filtering over time, and closing the loop
+
+
+@style()
+def filter_over_time(table: pd.DataFrame) -> Figure:
+    """Draw the error of one bend [mm] over time with the stated band, one panel for each method."""
+    methods = list(table.groupby("method", sort=False))
+    figure, panels = plt.subplots(len(methods), 1, figsize=(WIDTH, 3.8), sharex=True, sharey=True)
+    for panel, (name, part), colour in zip(panels, methods, (ORANGE, BLUE), strict=True):
+        band = part["two_sigma_mm"]
+        panel.fill_between(part["time_s"], -band, band, color=colour, alpha=0.2, lw=0)
+        panel.plot(part["time_s"], part["error_mm"], lw=1, color=colour)
+        panel.set(title=name, ylabel="error [mm]")
+        panel.margins(x=0)
+    reach = 1.2 * table["two_sigma_mm"][table["method"] == methods[0][0]].iloc[1:].max()
+    panels[0].set_ylim(-reach, reach)
+    panels[-1].set_xlabel("time [s]")
+    return closed(figure)
