@@ -1087,3 +1087,26 @@ def filter_over_time(table: pd.DataFrame) -> Figure:
     panels[0].set_ylim(-reach, reach)
     panels[-1].set_xlabel("time [s]")
     return closed(figure)
+
+
+@style()
+def loop_over_time(series: pd.DataFrame) -> Figure:
+    """Draw paths of the bend [mm] for every estimate that is fed back, and their distance to the reference."""
+    runs = list(series.groupby("feedback", sort=False))
+    figure = plt.figure(figsize=(WIDTH, 4.6))
+    grid = figure.add_gridspec(2, len(runs) - 1, height_ratios=(1.25, 1))
+    below, first = figure.add_subplot(grid[1, :]), None
+    for k, ((name, part), colour) in enumerate(zip(runs, ("0.45", ORANGE, PINK, BLUE), strict=True)):
+        away = np.hypot(*(part[f"delta_{axis}_mm"] - part[f"reference_{axis}_mm"] for axis in "xy"))
+        below.plot(part["time_s"], away, lw=1.2, color=colour, label=name)
+        if k:
+            panel = figure.add_subplot(grid[0, k - 1], sharex=first, sharey=first)
+            first = first or panel
+            panel.plot(part["reference_x_mm"], part["reference_y_mm"], **TRUTH)
+            panel.plot(part["delta_x_mm"], part["delta_y_mm"], lw=1, color=colour)
+            panel.set(aspect="equal", xlabel="bend in x [mm]")
+            panel.set_ylabel("bend in y [mm]") if k == 1 else panel.tick_params(labelleft=False)
+    below.set(xlabel="time [s]", ylabel="distance [mm]", ylim=(0, None))
+    below.margins(x=0)
+    figure.legend(*below.get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
+    return closed(figure)
