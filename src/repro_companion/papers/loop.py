@@ -13,6 +13,7 @@ from scipy.stats import chi2
 
 from repro import KalmanFilter, LevenbergMarquardt, Sensing, simulated_readings, track
 from repro_companion.papers.baaij import BEND, RATE_HZ, STEPS, bounds, lemniscate, robot
+from repro_companion.show import number
 
 # Filtering over time
 
@@ -224,8 +225,7 @@ def disturbances(seed: int, noise_mt: float, load_mm: float, steps: int) -> tupl
 
 def tracking_ratios(errors: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     """Return means over seeds, and the tracking error over the error of the loop that is fed the truth."""
-    lines = []
-    columns = ["tracking_mm", "tracking_truth_mm", "estimate_mm", "offset_mm"]
+    lines, columns = [], ["tracking_mm", "tracking_truth_mm", "estimate_mm", "offset_mm"]
     for values, part in errors.groupby(list(keys), sort=False):
         by_seed = part.groupby("seed")[columns].mean()
         line = dict(zip(keys, values, strict=True)) | {"seeds": len(by_seed)} | by_seed.mean().to_dict()
@@ -239,7 +239,7 @@ def beside_truth(means: pd.DataFrame, session: str) -> pd.DataFrame:
     words = [
         f"{row.tracking_mm:.2f} mm"
         if row.estimator == "truth"
-        else f"{row.ratio:.2f} ({row.low:.2f} to {row.high:.2f})"
+        else f"{number(row.ratio, 2)} ({number(row.low, 2)}–{number(row.high, 2)})"
         for row in part.itertuples()
     ]
     wide = part.assign(words=words).pivot(index="estimator", columns="controller", values="words")
@@ -259,7 +259,8 @@ def in_words(gains: pd.DataFrame, means: pd.DataFrame) -> str:
     high, forward = at.loc["high gain"], at.loc["PI and feed-forward"]
     return (
         "*Upper row: tracking error with the truth fed back. Others: the error with an estimate fed back over the"
-        " upper row (95 % interval over the draws). Arm as modelled, synthetic.*\n\n"
+        " upper row (95 % interval over the draws). Last column: the largest of the three loops. Arm as modelled,"
+        " synthetic.*\n\n"
         f"**What to see.** On smooth motion a Kalman filter has {between(smooth)} times the error of least squares,"
         f" on random motion {between(random)} times. If a controller with high gain acts on the estimate, the"
         f" tracking error is {high[FILTER]:.0f} times the error with the truth for such a filter,"
@@ -275,7 +276,7 @@ def claim(ratios: pd.DataFrame) -> str:
     met = part[part["ratio"] <= 1.3]
     return (
         f"With the command the ratio is at most 1.3 in {len(met)} of {len(part)} combinations of controller, arm and"
-        f" reference, {(met['controller'] == 'PI').sum()} of them without feed-forward. So the claim"
+        f" reference, {(met['controller'] == 'PI').sum()} of them with the plain PI controller. So the claim"
         f" {'holds here' if len(met) == len(part) else 'does not hold in general'}. The filter needs some readings to"
         " notice a load, and the truth shows it at once."
     )
