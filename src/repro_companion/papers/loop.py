@@ -1,0 +1,282 @@
+"""Motions, loads and errors for the page on filtering over time and on the estimate in a control loop."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import chi2
+
+from repro import KalmanFilter, LevenbergMarquardt, Sensing, simulated_readings, track
+from repro_companion.papers.baaij import BEND, RATE_HZ, STEPS, bounds, lemniscate, robot
+from repro_companion.show import number
+
+# Filtering over time
+
+TRAJECTORIES = ("T0", "T1", "T2", "T3")
+METHODS = ("Levenberg-Marquardt", "Kalman filter")
+REST = np.array([0.0, 0.0, 2.75e-3])
+"""A straight segment at the middle of its elongation [m]: where all runs begin, known to no estimator of part one."""
+
+
+def trajectory(name: str, n_segments: int) -> np.ndarray:
+    """Return a motion of every segment ``[400, 3 n_segments]`` [m], 10 s long.
+
+    T0 is random: each coordinate a sum of five sines of random phase, 0.1 to 0.5 Hz. T1 bends in a plane, T2 is half
+    a lemniscate, T3 a whole one.
+    """
+    s = np.linspace(0, 1, STEPS)
+    if name == "T0":
+        phase = 2 * math.pi * np.random.default_rng(0).random((3 * n_segments, 5))
+        waves = np.sin(2 * math.pi * np.arange(1, 6) * s[:, None, None] + phase).sum(-1)
+        size = np.tile([BEND, BEND, REST[2]], n_segments)
+        return np.tile(REST, n_segments) + 0.75 * size * waves / np.abs(waves).max(0)
+    if name == "T1":
+        return np.tile(np.stack([BEND * s, 0 * s, REST[2] + 0 * s], axis=-1), n_segments)
+    return lemniscate(n_segments, half=name == "T2")
+
+
+def temporal_errors(
+    segments: Sequence[int],
+    names: Sequence[str],
+    seeds: Sequence[int],
+    noise_mt: float,
+    share: float,
+    steps: int,
+) -> pd.DataFrame:
+    """Return errors and coverage of least squares at every step and of the filter, by robot, trajectory and seed.
+
+    ``error_percent`` is relative to the range of T3, the mean over the coordinates. ``nees`` is the squared error
+    over its covariance, one if that is right. ``score`` is the mean negative logarithm of the density at the truth.
+    ``share`` is the process noise, in ranges between the bounds per s^1.5.
+    """
+    lines = []
+    for n_segments, name in itertools.product(segments, names):
+        arm, (low, high), q = (
+            robot(n_segments),
+            bounds(n_segments),
+            trajectory(name, n_segments)[:steps, None],
+        )
+        sensing, start = Sensing(arm), np.tile(REST, (len(seeds), n_segments))
+        alone = LevenbergMarquardt(sensing, low, high, noise_mt)
+        kalman = KalmanFilter(sensing, low, high, noise_mt, acceleration=share * (high - low))
+        clean = simulated_readings(arm, q)
+        draws = [noise_mt * np.random.default_rng(seed).standard_normal(clean[:, 0].shape) for seed in seeds]
+        u, span = clean + np.stack(draws, axis=1), np.ptp(lemniscate(n_segments), axis=0)
+        fits = alone.step(alone.init(np.broadcast_to(start, (len(q), *start.shape))), u)[1]
+        filtered = track(kalman, u, start, rate_hz=RATE_HZ, monitor=None)
+        for method, found in zip(METHODS, (fits, filtered), strict=True):
+            C, error = np.asarray(found.covariance), found.q - q
+            distance = (error * np.linalg.solve(C, error[..., None])[..., 0]).sum(-1)
+            size = np.linalg.slogdet(2 * math.pi * C / np.outer(span, span))[1]
+            keys = {"n_b": n_segments, "trajectory": name, "method": method, "seed": list(seeds)}
+            columns = {
+                "error_percent": 100 * (np.sqrt((error**2).mean(0)) / span).mean(-1),
+                "covered_percent": 100 * (distance <= chi2.ppf(0.95, len(span))).mean(0),
+                "nees": distance.mean(0) / len(span),
+                "score": (distance + size).mean(0) / 2,
+            }
+            lines.append(pd.DataFrame(keys | columns))
+    return pd.concat(lines, ignore_index=True)
+
+
+def temporal_gains(table: pd.DataFrame) -> pd.DataFrame:
+    """Return filter beside least squares by robot and trajectory, means over seeds; T2 chose the process noise."""
+    lines = []
+    for (n_b, name), part in table.groupby(["n_b", "trajectory"], sort=False):
+        wide = part.drop(columns=["n_b", "trajectory"]).pivot(index="seed", columns="method")
+        alone, kalman = (wide["error_percent"][method].to_numpy() for method in METHODS)
+        line = {"n_b": n_b, "trajectory": name, "chosen_here": name == "T2"}
+        line |= {"lm_percent": alone.mean(), "filter_percent": kalman.mean()} | ratio(kalman, alone)
+        for value in ("covered_percent", "nees"):
+            line |= {
+                f"lm_{value}": wide[value][METHODS[0]].mean(),
+                f"filter_{value}": wide[value][METHODS[1]].mean(),
+            }
+        lines.append(line)
+    return pd.DataFrame(lines)
+
+
+def ratio(values: np.ndarray, reference: np.ndarray) -> dict[str, float]:
+    """Return the ratio of two means over the same seeds, with a paired bootstrap (95 %)."""
+    again = np.random.default_rng(0).integers(len(values), size=(4_000, len(values)))
+    low, high = np.quantile(values[again].mean(1) / reference[again].mean(1), [0.025, 0.975])
+    return {"ratio": values.mean() / reference.mean(), "ratio_low": low, "ratio_high": high}
+
+
+def one_bend(q: np.ndarray, found: dict[str, tuple[np.ndarray, np.ndarray]]) -> pd.DataFrame:
+    """Return the error of the first bend over time and twice its stated deviation [mm], by method."""
+    lines = []
+    for method, (mean, covariance) in found.items():
+        values = {"error_mm": 1e3 * (mean - q)[:, 0], "two_sigma_mm": 2e3 * np.sqrt(covariance[:, 0, 0])}
+        lines.append(pd.DataFrame({"time_s": np.arange(len(q)) / RATE_HZ, "method": method} | values))
+    return pd.concat(lines, ignore_index=True)
+
+
+# Closing the loop
+
+CONTROLLERS = {"PI": (2.0, 8.0, 0.0), "PI and feed-forward": (2.0, 8.0, 1.0), "high gain": (6.0, 30.0, 1.0)}
+"""Gains: proportional, integral [1/s], feed-forward."""
+ARMS = {"as modelled": 1.0, "softer by a fifth": 1.2}
+"""How far the arm bends, over what is commanded."""
+REFERENCES = ("step", "circle", "lemniscate")
+ALONE, FILTER, INFORMED = "least squares", "Kalman filter", "Kalman filter with command"
+VELOCITY, LOAD = 6.4, 0.1
+"""Process noise of the filters in the loop, in ranges per s^1.5 and per s^0.5: the best ones on the ellipse."""
+RISE_S, SETTLED_S = 0.5, 2.0
+"""Time that a step takes, and time from which on errors count [s]."""
+
+
+def reference(name: str, time_s: np.ndarray) -> np.ndarray:
+    """Return a configuration to follow ``[t, 3]`` [m]; the ellipse is there to choose the process noise."""
+    turns = 2 * math.pi * time_s
+    if name == "step":
+        corners = 9e-3 * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+        k, since = (time_s // 2).astype(int), time_s % 2
+        done = (1 - np.cos(math.pi * np.minimum(since / RISE_S, 1))[:, None]) / 2
+        bend = (1 - done) * corners[k - 1 & 3] + done * corners[k & 3]
+    elif name == "circle":
+        bend = 10e-3 * np.stack([np.cos(turns / 4), np.sin(turns / 4)], axis=-1)
+    elif name == "lemniscate":
+        bend = 12e-3 * np.stack([np.sin(turns / 4), np.sin(turns / 8)], axis=-1)
+    else:
+        bend = np.stack([11e-3 * np.cos(turns / 5), 6e-3 * np.sin(turns / 5)], axis=-1)
+    return np.column_stack([bend, np.full(len(bend), REST[2])])
+
+
+Run = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""The bend, what was fed back, and the command, each ``[t, case, 3]`` [m]."""
+
+
+class Cases:
+    """All loops that run side by side: every controller, arm, reference and seed; arrays are ``[case, 3]``."""
+
+    def __init__(
+        self, seeds: Sequence[int], noise_mt: float, load_mm: float, steps: int, references=REFERENCES
+    ) -> None:
+        names = ["controller", "session", "reference", "seed"]
+        self.table = pd.DataFrame(itertools.product(CONTROLLERS, ARMS, references, seeds), columns=names)
+        gains = np.array([CONTROLLERS[name] for name in self.table["controller"]])
+        self.k_p, self.k_i, self.phi = gains.T[..., None]
+        self.softness = np.ones((len(gains), 3))
+        self.softness[:, :2] = self.table["session"].map(ARMS).to_numpy()[:, None]
+        time_s = np.arange(steps + 1) / RATE_HZ
+        self.reference = np.stack([reference(name, time_s) for name in self.table["reference"]], axis=1)
+        draw = {seed: disturbances(seed, noise_mt, load_mm, steps) for seed in seeds}
+        noise, load = zip(*(draw[seed] for seed in self.table["seed"]), strict=True)
+        self.noise, self.load = np.stack(noise, axis=1), np.stack(load, axis=1)
+
+    def errors(self, runs: dict[str, Run]) -> pd.DataFrame:
+        """Return errors [mm] of the bend by estimator and case, the loop that is fed the truth among the runs."""
+        late, (low, high), parts = round(SETTLED_S * RATE_HZ), bounds(1), []
+
+        def rms(difference: np.ndarray) -> np.ndarray:
+            return 1e3 * np.sqrt((difference[late:, :, :2] ** 2).sum(-1).mean(0))
+
+        for estimator, (q, fed_back, command) in runs.items():
+            r, bounded = self.reference[: len(q)], ((command <= low) | (command >= high))[late:, :, :2]
+            columns = {
+                "tracking_mm": rms(r - q),
+                "tracking_truth_mm": rms(r - runs["truth"][0]),
+                "estimate_mm": rms(fed_back - q),
+                "offset_mm": 1e3 * np.linalg.norm((fed_back - q)[late:, :, :2].mean(0), axis=-1),
+                "apparent_mm": rms(r - fed_back),
+                "bounded_%": 100 * bounded.any(-1).mean(0),
+            }
+            parts.append(self.table.assign(**columns, estimator=estimator))
+        return pd.concat(parts, ignore_index=True)
+
+
+def over_time(cases: Cases, runs: dict[str, Run], controller: str, name: str) -> pd.DataFrame:
+    """Return reference, bend and what was fed back [mm] of the first run with a controller and a reference."""
+    table, lines = cases.table, []
+    [case] = np.flatnonzero((table["controller"] == controller) & (table["reference"] == name))[:1]
+    for feedback in ("truth", ALONE, FILTER, INFORMED):
+        q, fed_back, _ = runs[feedback]
+        line: dict[str, Any] = {
+            "reference": name,
+            "feedback": feedback,
+            "time_s": np.arange(len(q)) / RATE_HZ,
+        }
+        for k, axis in enumerate("xy"):
+            for column, values in (
+                ("reference", cases.reference[: len(q)]),
+                ("delta", q),
+                ("fed_back", fed_back),
+            ):
+                line[f"{column}_{axis}_mm"] = (1e3 * values[:, case, k]).round(4)
+        lines.append(pd.DataFrame(line))
+    return pd.concat(lines, ignore_index=True)
+
+
+def disturbances(seed: int, noise_mt: float, load_mm: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the noise of three readings [mT], and a load on the bend ``[t, 3]`` [m] that forgets within a second."""
+    rng, load, kept = np.random.default_rng(seed), np.zeros((steps, 3)), math.exp(-1 / RATE_HZ)
+    noise, pushes = noise_mt * rng.standard_normal((steps + 1, 3)), rng.standard_normal((steps, 2))
+    load[0, :2] = pushes[0]
+    for k in range(1, steps):
+        load[k, :2] = kept * load[k - 1, :2] + math.sqrt(1 - kept**2) * pushes[k]
+    return noise, 1e-3 * load_mm * load
+
+
+def tracking_ratios(errors: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
+    """Return means over seeds, and the tracking error over the error of the loop that is fed the truth."""
+    lines, columns = [], ["tracking_mm", "tracking_truth_mm", "estimate_mm", "offset_mm"]
+    for values, part in errors.groupby(list(keys), sort=False):
+        by_seed = part.groupby("seed")[columns].mean()
+        line = dict(zip(keys, values, strict=True)) | {"seeds": len(by_seed)} | by_seed.mean().to_dict()
+        lines.append(line | ratio(*by_seed[columns[:2]].to_numpy().T))
+    return pd.DataFrame(lines).rename(columns={"ratio_low": "low", "ratio_high": "high"})
+
+
+def beside_truth(means: pd.DataFrame, session: str) -> pd.DataFrame:
+    """Return ratios in words, a row for what is fed back, a column for each controller; for the truth the error."""
+    part = means[means["session"] == session]
+    words = [
+        f"{row.tracking_mm:.2f} mm"
+        if row.estimator == "truth"
+        else f"{number(row.ratio, 2)} ({number(row.low, 2)}–{number(row.high, 2)})"
+        for row in part.itertuples()
+    ]
+    wide = part.assign(words=words).pivot(index="estimator", columns="controller", values="words")
+    wide = wide.loc[part["estimator"].unique(), list(CONTROLLERS)].rename_axis(columns=None)
+    return wide.assign(error=part.groupby("estimator")["estimate_mm"].max()).reset_index()
+
+
+def in_words(gains: pd.DataFrame, means: pd.DataFrame) -> str:
+    """Return what the two tables of the page show."""
+
+    def between(values: pd.Series) -> str:
+        return " to ".join(dict.fromkeys(f"{x:.1f}" for x in (values.min(), values.max())))
+
+    smooth, random = (gains[gains["trajectory"].isin(names)]["ratio"] for names in (["T1", "T3"], ["T0"]))
+    nominal = means[(means["session"] == "as modelled") & ~means["estimator"].str.startswith("truth")]
+    at = nominal.pivot(index="controller", columns="estimator", values="ratio")
+    high, forward = at.loc["high gain"], at.loc["PI and feed-forward"]
+    return (
+        "*Upper row: tracking error with the truth fed back. Others: the error with an estimate fed back over the"
+        " upper row (95 % interval over the draws). Last column: the largest of the three loops. Arm as modelled,"
+        " synthetic.*\n\n"
+        f"**What to see.** On smooth motion a Kalman filter has {between(smooth)} times the error of least squares,"
+        f" on random motion {between(random)} times. If a controller with high gain acts on the estimate, the"
+        f" tracking error is {high[FILTER]:.0f} times the error with the truth for such a filter,"
+        f" {high[ALONE]:.0f} times for least squares, and {high[INFORMED]:.0f} times for a filter that"
+        f" knows the command. With moderate gain and feed-forward the four estimators have"
+        f" {between(forward)} times the error."
+    )
+
+
+def claim(ratios: pd.DataFrame) -> str:
+    """Return how often the filter that knows the command is nearly as good as the truth."""
+    part = ratios[ratios["estimator"] == INFORMED]
+    met = part[part["ratio"] <= 1.3]
+    return (
+        f"With the command the ratio is at most 1.3 in {len(met)} of {len(part)} combinations of controller, arm and"
+        f" reference, {(met['controller'] == 'PI').sum()} of them with the plain PI controller. So the claim"
+        f" {'holds here' if len(met) == len(part) else 'does not hold in general'}. The filter needs some readings to"
+        " notice a load, and the truth shows it at once."
+    )

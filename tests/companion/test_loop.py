@@ -1,0 +1,223 @@
+"""The page on filtering over time and on closed loops: its filter, its loop, motions, loads and ratios."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import solve_ivp
+
+import repro
+from repro_companion.papers import baaij, loop
+from repro_companion.show import project_folder
+
+METHOD = [
+    "noise_mt: float",
+    "robot = baaij",
+    "def dot",
+    "def constant_velocity",
+    "def closed_loop",
+    "def kalman",
+]
+
+
+@pytest.fixture(scope="module")
+def page():
+    """Return the names that the cells of the page define; the loops themselves do not run."""
+    text = Path(project_folder(), "notebooks", "closed_loop.ipynb").read_text(encoding="utf-8")
+    cells = ["".join(c["source"]) for c in json.loads(text)["cells"] if c["cell_type"] == "code"]
+    space = {
+        "np": np,
+        "repro": repro,
+        "baaij": baaij,
+        "loop": loop,
+        "seeds": range(2),
+        "tau": 1 / baaij.RATE_HZ,
+    }
+    for words in METHOD:
+        [cell] = [cell for cell in cells if words in cell]
+        exec(compile(cell, words, "exec"), space)
+        space["fast"] = True
+    return space
+
+
+def follow(page, cases, estimator=None, **options):
+    """Run the loop of the page over other cases, the truth fed back if there is no estimator."""
+    r = cases.reference
+    page |= {"cases": cases, "steps": len(r) - 1, "r": r, "velocity": np.diff(r, axis=0) / page["tau"]}
+    truth = {"read": lambda q, k: q, "late": 0}
+    return page["closed_loop"](
+        *([estimator()] if estimator else [lambda q, c: q]), **({} if estimator else truth) | options
+    )
+
+
+def rms_mm(difference):
+    return 1e3 * np.sqrt((difference[80:, :, :2] ** 2).sum(-1).mean())
+
+
+def test_the_filter_of_the_page_is_the_filter_of_the_library(page):
+    width = page["width"]
+    method = repro.KalmanFilter(
+        page["h"], page["low"], page["high"], page["noise_mt"], 0.1 * width, tolerance=1e-12
+    )
+    shape = repro.track(method, page["u"], loop.REST, rate_hz=baaij.RATE_HZ, monitor=None)
+    found, C = (np.array(part) for part in zip(*page["filtered"], strict=True))
+    inside = np.cumsum(shape.details["at_bound"]) == 0  # the page has no bounds
+    assert inside.sum() > 50
+    np.testing.assert_allclose(found[inside], shape.q[inside], atol=1e-8)
+    np.testing.assert_allclose(C[inside], shape.covariance[inside], rtol=1e-4, atol=1e-13)
+
+
+def test_a_linear_update_is_the_textbook_one(page, monkeypatch):
+    rng = np.random.default_rng(1)
+    H, A = rng.normal(size=(3, 3)), rng.normal(size=(6, 6))
+    x, P, u = rng.normal(size=6), A @ A.T, rng.normal(size=3)
+    linear = type("Linear", (), {"linearise": staticmethod(lambda q: (H @ q, H))})
+    monkeypatch.setitem(page, "h", linear)
+    wide = np.hstack([H, np.zeros((3, 3))])
+    K = P @ wide.T @ np.linalg.inv(wide @ P @ wide.T + 0.3**2 * np.eye(3))
+    mean, covariance = page["update"](x, P, u, 0.3)
+    np.testing.assert_allclose(mean, x + K @ (u - wide @ x), rtol=1e-7)
+    np.testing.assert_allclose(covariance, P - K @ wide @ P, atol=1e-8)
+
+
+def test_the_motion_of_the_arm_solves_its_equation(page):
+    """T dq/dt = c + d - q with a constant load: the transition of the filter, and the step of the loop."""
+    c, d, T, tau = 3.0, 1.0, page["lag_s"], page["tau"]
+    exact = solve_ivp(lambda t, q: (c + d - q) / T, (0, tau), [0.5], rtol=1e-10, atol=1e-12).y[0, -1]
+    F, Q = page["following"](np.ones(3))
+    x, _ = page["predict"](
+        np.repeat([0.5, d], 3), np.eye(6), (F, Q), np.repeat([(1 - page["lag"]) * c, 0], 3)
+    )
+    np.testing.assert_allclose(x, np.repeat([exact, d], 3), rtol=1e-8)
+    np.testing.assert_allclose(np.diag(Q), np.repeat([0, tau], 3))
+
+
+def test_without_load_and_noise_feed_forward_follows_and_pi_lags(page):
+    cases = loop.Cases([0], 0.0, 0.0, 400, ["circle"])
+    q, fed_back, _ = follow(page, cases)
+    np.testing.assert_array_equal(q, fed_back)
+    own = cases.table["session"] == "as modelled"
+    error = {
+        name: rms_mm((cases.reference[:400] - q)[:, own & (cases.table["controller"] == name)])
+        for name in loop.CONTROLLERS
+    }
+    # What is left of the feed-forward is half a sample of hold.
+    half_a_sample = 10 * 2 * math.pi / 4 * page["tau"] / 2
+    assert error["PI and feed-forward"] < half_a_sample < error["PI"]
+
+
+def test_the_late_truth_is_the_truth_of_the_sample_before(page):
+    cases = loop.Cases([3], 0.0, 2.0, 60)
+    q, fed_back, _ = follow(page, cases, late=1)
+    np.testing.assert_array_equal(fed_back[1:], q[:-1])
+
+
+def test_with_exact_readings_the_filter_with_the_command_predicts_the_present(page, monkeypatch):
+    """Without a load the late reading and the command determine where the arm is now."""
+    monkeypatch.setitem(page, "loop_noise_mt", 1e-4)
+    cases = loop.Cases([0], 1e-4, 0.0, 160, ["lemniscate"])
+    own = (cases.table["session"] == "as modelled").to_numpy()
+    motion = page["following"](page["width"] * loop.LOAD)
+    q, fed_back, _ = follow(page, cases, lambda: page["kalman"](motion, 1 - page["lag"]))
+    off = rms_mm((q - fed_back)[:, own])
+    late = rms_mm((q[1:] - q[:-1])[:, own])
+    assert off < 0.1 * late
+    assert (
+        off < 1.5 * 1e3 * 0.051 * 1e-4 * math.sqrt(2) * 3
+    )  # 51 mm per mT, some of it by the gain of the loop
+
+
+def test_the_process_noise_in_the_loop_is_the_best_on_the_ellipse(page, monkeypatch):
+    monkeypatch.setattr(loop, "ARMS", {"as modelled": 1.0})
+    seeds, factors = [1000, 1001, 1002, 1003], np.array([0.5, 1.0, 2.0])
+    cases = loop.Cases(seeds * 3, page["loop_noise_mt"], page["load_mm"], 400, ["ellipse"])
+    own = factors.repeat(4)[np.arange(len(cases.table)) % 12]
+    for motion, share, push in (
+        (page["constant_velocity"], loop.VELOCITY, 0.0),
+        (page["following"], loop.LOAD, 1 - page["lag"]),
+    ):
+        F, Q = motion(share * page["width"])
+        both = F, Q * own[:, None, None] ** 2  # a variance
+        run = follow(page, cases, lambda motion=both, push=push: page["kalman"](motion, push))
+        errors = cases.errors({"truth": run})["tracking_mm"]
+        assert errors.groupby(own).mean().idxmin() == 1.0
+
+
+@pytest.mark.parametrize("n_segments", [1, 3])
+def test_the_process_noise_over_time_is_the_best_on_half_a_lemniscate(n_segments):
+    scores = []
+    for share in (0.05, 0.1, 0.2):
+        table = loop.temporal_errors([n_segments], ["T2"], range(100, 103), 0.005, share, baaij.STEPS)
+        by_method = table.groupby("method")
+        scores.append(by_method["score"].mean()["Kalman filter"])
+        # The covariance of least squares is right: a share of 95 %, a normalised error of one.
+        assert by_method["covered_percent"].mean()["Levenberg-Marquardt"] == pytest.approx(95, abs=2)
+        assert by_method["nees"].mean()["Levenberg-Marquardt"] == pytest.approx(1, abs=0.1)
+    assert np.argmin(scores) == 1
+
+
+@pytest.mark.parametrize("name", loop.TRAJECTORIES)
+def test_motions_stay_within_the_bounds(name):
+    q = loop.trajectory(name, 2)
+    low, high = baaij.bounds(2)
+    assert q.shape == (400, 6)
+    assert ((q >= low) & (q <= high)).all()
+    assert np.abs(np.diff(q, axis=0)).max() < 1.2e-3  # smooth: a few centimetres a second
+
+
+@pytest.mark.parametrize("name", [*loop.REFERENCES, "ellipse"])
+def test_references_are_smooth_and_start_again(name):
+    period = {"step": 8.0, "circle": 4.0, "lemniscate": 8.0, "ellipse": 5.0}[name]
+    r = loop.reference(name, np.linspace(period, 2 * period, 2001))
+    np.testing.assert_allclose(r[0], r[-1], atol=1e-12)
+    speed = np.linalg.norm(np.diff(r, axis=0), axis=1) * 2000 / period
+    farthest = 9e-3 * math.sqrt(2) * math.pi / 2 / loop.RISE_S  # a cosine over the rise
+    assert speed.max() <= farthest * 1.001
+    np.testing.assert_array_equal(r[:, 2], loop.REST[2])
+
+
+def test_steps_rest_at_their_corners():
+    r = 1e3 * loop.reference("step", np.array([1.99, 2.0, 2.25, 2.5, 3.9, 7.9]))
+    np.testing.assert_allclose(r[:, :2], [[9, 0], [9, 0], [4.5, 4.5], [0, 9], [0, 9], [0, -9]], atol=1e-9)
+
+
+def test_a_load_has_its_size_and_forgets_within_a_second():
+    noise, load = loop.disturbances(5, 0.02, 2.0, 40_000)
+    assert load[:, :2].std() == pytest.approx(2e-3, rel=0.1)
+    assert noise.std() == pytest.approx(0.02, rel=0.02)
+    x = load[:, 0] / load[:, 0].std()
+    assert (x[40:] * x[:-40]).mean() == pytest.approx(math.exp(-1), abs=0.1)
+    assert not load[:, 2].any()
+
+
+def test_errors_of_a_loop_by_hand():
+    cases = loop.Cases([0], 0.0, 0.0, 100, ["circle"])
+    q = cases.reference[:100].copy()
+    command = q.copy()
+    command[90:, :, 0] = baaij.bounds(1)[1][0]
+    table = cases.errors({"truth": (q + np.array([3e-3, 0, 9]), q + np.array([3e-3, 4e-3, 9]), command)})
+    columns = ["tracking_mm", "estimate_mm", "offset_mm", "apparent_mm", "bounded_%"]
+    np.testing.assert_allclose(table[columns], np.tile([3, 4, 4, 5, 50], (len(table), 1)))
+
+
+def test_a_ratio_of_means_is_paired():
+    truth = np.array([1.0, 2.0, 4.0, 8.0])
+    found = loop.ratio(1.5 * truth, truth)
+    np.testing.assert_allclose(list(found.values()), 1.5)
+    spread = loop.ratio(truth[::-1], truth)
+    assert spread["ratio_low"] < spread["ratio"] == 1 < spread["ratio_high"]
+
+
+def test_sentences_count_and_name_what_occurs():
+    ratios = pd.DataFrame(
+        {"estimator": loop.INFORMED, "controller": ["PI", "PI", "high gain"], "ratio": [1.3, 1, 2]}
+    )
+    assert "2 of 3" in loop.claim(ratios)
+    assert "2 of them" in loop.claim(ratios)
+    assert "does not hold" in loop.claim(ratios)
+    assert "claim holds" in loop.claim(ratios[:2])
