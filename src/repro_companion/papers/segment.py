@@ -39,16 +39,14 @@ NODES = np.linspace(0, LENGTH, ELEMENTS + 1)
 RING, CUBE = baaij.RINGS["released"], Cube(6.35e-3, 1320.0)
 HALL_AT, APART = 0.0475, 0.015
 """Where the Hall sensor is, and how far beyond it the cube: on either side of the middle [m]."""
-CUBE_AT_BASE = APART
-"""Where the cube is on a robot that carries ring and cube: in the middle there is no room for both [m]."""
 RING_NOISE, HALL_NOISE, HALL_STEP = baaij.NOISE_MT, 0.025, 0.01
 """Noise of the ring's sensors; noise and resolution of the Hall sensor in the takes of Mitchell et al. [mT]."""
 ELONGATION = baaij.ELONGATION
 """Elongation that is assumed where nothing sees it: half of the largest of a trajectory [m]."""
 FORCE_N, SECTION, MODULUS = 0.5, 0.011, 1e6
 """Sideways force on the tip; radius [m] and Young's modulus [Pa] of the rod, a soft silicone: all assumed."""
-IMU_LATENCY_S, IMU_SKEW_S = 0.010, 0.0038
-"""Age of a reading, and time from one IMU to the next: assumed."""
+IMU_NOISE = math.sqrt(2) * np.radians([1.0, 1.0, 2.0])
+"""Errors of two IMUs that vary: tilt and heading of one as seen from the other [rad]."""
 
 
 # How the segment moves
@@ -74,47 +72,40 @@ def motion(name: str, steps: int = baaij.STEPS, force_n: float = FORCE_N) -> np.
 
 def backbone(robot: Robot, q: np.ndarray, every: int = 1) -> np.ndarray:
     """Return poses at every n-th node of a robot of one or more segments that together are as long as ours."""
-    n, places = len(robot.segments), []
-    for arc in NODES[::every]:
-        k = min(int(arc / LENGTH * n + 1e-9), n - 1)
-        places.append(point_on(k + 1, arc - k * LENGTH / n))
+    n, arcs = len(robot.segments), NODES[::every]
+    before = np.minimum((arcs / LENGTH * n + 1e-9).astype(int), n - 1)
+    places = [point_on(k + 1, arc - k * LENGTH / n) for k, arc in zip(before, arcs, strict=True)]
     return robot.poses(q, places)
 
 
 def rod(
     bend: np.ndarray, stretch: np.ndarray, force_n: Any, section: float = SECTION, modulus: float = MODULUS
 ) -> np.ndarray:
-    r"""Return poses ``[t, nodes, 4, 4]`` of a Cosserat rod at rest that is clamped and pulled at its tip.
+    r"""Return poses ``[t, nodes, 4, 4]`` of an elastic rod at rest that is clamped and pulled at its tip.
 
-    Its rest shape is an arc by the bend vector ``[t, 2]`` [rad], ``stretch`` ``[t]`` times as long as the rod. In the
-    frame of the rod the curvature is off its rest by :math:`K^{-1} R^T (p_\mathrm{tip} - p) \times F` and the strain
-    by :math:`S^{-1} R^T F`. We repeat this from the last shape until the shape is its own answer.
+    Its rest shape is an arc by the bend vector ``[t, 2]`` [rad], ``stretch`` ``[t]`` times as long as the segment. In
+    the frame of the rod the curvature is off its rest by :math:`K^{-1} R^T (p_\mathrm{tip} - p) \times F`. We repeat
+    this from the last shape until the shape is its own answer. Shear and stretch by the force are left out.
     """
-    force, h, area = np.asarray(force_n, dtype=float), LENGTH / ELEMENTS, math.pi * section**2
-    bending = modulus * area * section**2 / 4 * np.array([1.0, 1.0, 2 / 3])  # incompressible: G = E/3
-    stretching = modulus * area * np.array([9 / 28, 9 / 28, 1.0])  # 27/28 of a round section count in shear
-    shape, zero = (len(bend), ELEMENTS, 3), np.zeros(len(bend))
-    rest_turn = np.stack([-bend[:, 1], bend[:, 0], zero], axis=-1)[:, None] / ELEMENTS
-    rest_step = np.stack([zero, zero, h * stretch], axis=-1)[:, None]
-    turn, step = np.broadcast_to(rest_turn, shape), np.broadcast_to(rest_step, shape)
+    force, shape, zero = np.asarray(force_n, dtype=float), (len(bend), ELEMENTS, 3), np.zeros(len(bend))
+    stiffness = modulus * math.pi / 4 * section**4 * np.array([1.0, 1.0, 2 / 3])  # incompressible: G = E/3
+    rest = np.stack([-bend[:, 1], bend[:, 0], zero], axis=-1)[:, None] / ELEMENTS
+    h = LENGTH / ELEMENTS * stretch[:, None, None]
+    turn = np.broadcast_to(rest, shape)
     T = np.broadcast_to(np.eye(4), (len(bend), ELEMENTS + 1, 4, 4)).copy()
-    element = np.broadcast_to(np.eye(4), (*shape[:2], 4, 4)).copy()
+    element = T[:, 1:].copy()
     for _ in range(300):
-        half, whole = (
-            Rotation.from_rotvec(turn.reshape(-1, 3) * x).as_matrix().reshape(*shape, 3) for x in (0.5, 1.0)
-        )
-        short = np.sinc(np.linalg.norm(turn, axis=-1, keepdims=True) / (2 * math.pi))  # chord of an arc
-        element[..., :3, :3], element[..., :3, 3] = whole, short * (half @ step[..., None])[..., 0]
+        half = Rotation.from_rotvec(turn.reshape(-1, 3) / 2)
+        chord = h * np.sinc(np.linalg.norm(turn, axis=-1, keepdims=True) / (2 * math.pi))  # of an arc
+        element[..., :3, :3] = (half * half).as_matrix().reshape(*shape, 3)
+        element[..., :3, 3] = chord * half.as_matrix()[:, :, 2].reshape(shape)
         for k in range(ELEMENTS):
             T[:, k + 1] = T[:, k] @ element[:, k]
-        to_middle = np.swapaxes(T[:, :-1, :3, :3] @ half, -1, -2)
-        middle = (T[:, 1:, :3, 3] + T[:, :-1, :3, 3]) / 2
-        moment = np.cross(T[:, -1:, :3, 3] - middle, force)
-        new_turn = rest_turn + h * (to_middle @ moment[..., None])[..., 0] / bending
-        new_step = rest_step + h * (to_middle @ force) / stretching
-        change = max(np.abs(new_turn - turn).max(), np.abs(new_step - step).max() / h)
-        turn, step = (turn + new_turn) / 2, (step + new_step) / 2
-        if change < 1e-12:
+        to_middle = half.inv().as_matrix().reshape(*shape, 3) @ np.swapaxes(T[:, :-1, :3, :3], -1, -2)
+        arm = T[:, -1:, :3, 3] - (T[:, 1:, :3, 3] + T[:, :-1, :3, 3]) / 2
+        change = rest + h * (to_middle @ np.cross(arm, force)[..., None])[..., 0] / stiffness - turn
+        turn = turn + change / 2
+        if np.abs(change).max() < 1e-12:
             return T
     raise ValueError(
         f"A force of {np.linalg.norm(force):.3g} N is too large for this rod: no shape at rest found."
@@ -145,8 +136,11 @@ class Readings(NamedTuple):
     imus: np.ndarray
 
 
-PLACES = (CUBE_AT_BASE, HALL_AT, baaij.MAGNET_AT, HALL_AT + APART, LENGTH)
-"""Where something magnetic is mounted; each place has a free body of its own, numbered from 1."""
+PLACES = (APART, HALL_AT, baaij.MAGNET_AT, HALL_AT + APART, LENGTH)
+"""Where something magnetic is mounted; each place has a free body of its own, numbered from 1.
+
+The cube is at the first one if it is on board together with the ring: in the middle there is no room for both.
+"""
 
 
 def built(rng: np.random.Generator, size: float = 1.0) -> Built:
@@ -161,18 +155,17 @@ def built(rng: np.random.Generator, size: float = 1.0) -> Built:
 
     def around_tip(sensor: Sensor) -> Sensor:
         azimuth, radial, tilt, gain = n(4) * [t.sensor_azimuth, t.sensor_radius, t.sensor_tilt, t.sensor_gain]
-        own = {"radial": sensor.radial * (1 + radial), "azimuth": sensor.azimuth + azimuth}
-        return replace(sensor, segment=5, at=0.0, tilt=sensor.tilt + tilt, gain=1 + gain, **own)
+        return Sensor(
+            5, 0.0, sensor.radial * (1 + radial), sensor.azimuth + azimuth, sensor.tilt + tilt, gain=1 + gain
+        )
 
-    bodies, drawn = [FreeBody()] * len(PLACES), baaij.robot(1)
-    turn = Rotation.from_rotvec(n(3) * [t.sensor_tilt, t.sensor_tilt, t.sensor_azimuth]).as_quat()
-    hall = Sensor(2, 0.0, axes=3, orientation=turn, gain=tuple(1 + t.sensor_gain * n(3)))
+    bodies = [FreeBody()] * len(PLACES)
+    turn = Rotation.from_rotvec(n(3) * [t.sensor_tilt, t.sensor_tilt, t.sensor_azimuth])
+    hall = Sensor(2, 0.0, axes=3, orientation=turn.as_quat(), gain=tuple(1 + t.sensor_gain * n(3)))
     ring, cube = magnet(RING, 3), magnet(CUBE, 4)
-    errors = martin.Errors()
-    world = np.radians([errors.tilt_deg, errors.tilt_deg, errors.heading_deg]) * n(2, 3)
-    mounting = np.radians(errors.mounting_deg) * n(2, 3)
+    world, mounting = np.radians([1.0, 1.0, 6.0]) * n(2, 3), np.radians(3.0) * n(2, 3)
     return Built(
-        Robot(bodies, [ring], [around_tip(sensor) for sensor in drawn.sensors]),
+        Robot(bodies, [ring], [around_tip(sensor) for sensor in baaij.robot(1).sensors]),
         Robot(bodies, [cube], [hall]),
         replace(cube, segment=1),
         Rotation.from_rotvec(world),
@@ -188,13 +181,10 @@ def read(
     Errors that vary are multiplied by ``size``; without them nothing is rounded. The latency of the IMUs stays.
     """
     time_s = np.arange(len(T)) * (baaij.STEPS / baaij.RATE_HZ / len(T))
-    start, skew = -2 / martin.RATE_HZ - IMU_LATENCY_S, IMU_SKEW_S * np.arange(2)
-    rounds = int((time_s[-1] - start) * martin.RATE_HZ) + 1
-    seen_s = np.clip(start + np.arange(rounds)[:, None] / martin.RATE_HZ + skew, 0.0, time_s[-1])
-    tip = Slerp(time_s, Rotation.from_matrix(T[:, -1, :3, :3]))(seen_s[:, 1])
-    imus = _imus(robot, tip, 1 / martin.RATE_HZ, rng, size)
-    latest = np.floor((time_s[:, None] - IMU_LATENCY_S - skew - start) * martin.RATE_HZ + 1e-9).astype(int)
-    imus = np.stack([imus[latest[:, k], k] for k in range(2)], axis=1)
+    seen_s = np.arange(-2, time_s[-1] * martin.RATE_HZ) / martin.RATE_HZ  # when what is read was true
+    tip = Slerp(time_s, Rotation.from_matrix(T[:, -1, :3, :3]))(np.maximum(seen_s, 0.0))
+    latest = np.searchsorted(seen_s + martin.LATENCY_S, time_s + 1e-9) - 1
+    imus = _imus(robot, tip, 1 / martin.RATE_HZ, rng, size)[latest]
     both = robot.ring.replaced(magnets=[*robot.ring.magnets, robot.at_base])
     noise = rng.standard_normal((len(T), 6))
     alone, together = (_magnetic(robot._replace(ring=ring), T, noise, size) for ring in (robot.ring, both))
@@ -227,18 +217,17 @@ def _magnetic(robot: Built, T: np.ndarray, noise: np.ndarray, size: float) -> tu
         one.per_reading("gain", 1.0, 1.0) * simulated_readings(one, q) for one in (robot.ring, robot.cube)
     )
     hall = hall + size * HALL_NOISE * noise[:, 3:]
-    hall = np.round(hall / HALL_STEP) * HALL_STEP if size else hall
-    return ring + size * RING_NOISE * noise[:, :3], hall
+    return ring + size * RING_NOISE * noise[:, :3], np.round(hall / HALL_STEP) * HALL_STEP if size else hall
 
 
 def _imus(
     robot: Built, tip: Rotation, interval_s: float, rng: np.random.Generator, size: float
 ) -> np.ndarray:
     """Return quaternions ``[t, 2, 4]`` of both IMUs at even intervals: the base stays, the tip turns."""
-    errors, ticks, columns = martin.Errors(), interval_s * martin.RATE_HZ, []
+    ticks, columns = interval_s * martin.RATE_HZ, []
     for k, true in enumerate((Rotation.identity(len(tip)), tip)):
-        heading = np.radians(errors.heading_wander_deg) * martin.wandering(len(tip), (1,), 40.0 / ticks, rng)
-        tilt = np.radians(errors.tilt_deg) * martin.wandering(len(tip), (2,), 3.0 / ticks, rng)
+        heading = np.radians(2.0) * martin.wandering(len(tip), (1,), 40.0 / ticks, rng)
+        tilt = np.radians(1.0) * martin.wandering(len(tip), (2,), 3.0 / ticks, rng)
         varying = Rotation.from_rotvec(size * np.concatenate([tilt, heading], axis=-1))
         columns.append((varying * robot.world[k] * true * robot.mounting[k]).as_quat())
     q = np.stack(columns, axis=1)
@@ -260,23 +249,11 @@ class Known(NamedTuple):
     offset: np.ndarray
     world: Rotation
     mounting: Rotation
-    imu_noise: np.ndarray
-    """Error of the tip's orientation as seen from the base, about each axis [rad]: what the design expects."""
 
 
 def nominal() -> Known:
     """Return what the drawing says."""
-    return Known(
-        baaij.robot(1), np.eye(2), np.zeros(2), Rotation.identity(2), Rotation.identity(2), imu_noise(False)
-    )
-
-
-def imu_noise(calibrated: bool) -> np.ndarray:
-    """Return the assumed errors of two IMUs together about each axis [rad]; constant ones go by calibration."""
-    errors = martin.Errors()
-    varying = np.array([errors.tilt_deg, errors.tilt_deg, errors.heading_wander_deg])
-    constant = np.hypot([errors.tilt_deg, errors.tilt_deg, errors.heading_deg], errors.mounting_deg)
-    return np.radians(math.sqrt(2) * (varying if calibrated else np.hypot(varying, constant)))
+    return Known(baaij.robot(1), np.eye(2), np.zeros(2), Rotation.identity(2), Rotation.identity(2))
 
 
 def of_arcs(robot: Robot, arcs: int) -> Robot:
@@ -296,6 +273,7 @@ def of_arcs(robot: Robot, arcs: int) -> Robot:
     )  # fmt: skip
 
 
+KEYS = ["trajectory", "method", "calibrated", "condition"]
 CONDITIONS = ("all sensors", "one sensor failed", "other magnet on board")
 QUANTITIES = ("tip_mm", "orientation_deg", "shape_mm")
 PARTS = {
@@ -311,10 +289,6 @@ EVERY = 4
 
 Shape = tuple[np.ndarray, np.ndarray]
 """Points ``[t, 12, 3]`` [m] along the segment, and how the tip is turned ``[t, 3, 3]``."""
-
-
-Estimator = Callable[[list[tuple[Known, Readings]]], Sequence[Shape]]
-"""From what is known and what is read, of all runs, to their shapes."""
 
 
 class Run(NamedTuple):
@@ -341,10 +315,10 @@ def runs(
     for draw in range(draws):
         rng = np.random.default_rng([seed, draw])
         robot = built(rng)
-        known = calibrated(*session(robot, poses, rng))
+        models = {True: calibrated(*session(robot, poses, rng)), False: nominal()}
         for name, T in trajectories.items():
             seen = read(robot, T, np.random.default_rng([seed, draw, 1]))
-            found += [Run(name, True, draw, known, *seen, T), Run(name, False, draw, nominal(), *seen, T)]
+            found += [Run(name, known, draw, model, *seen, T) for known, model in models.items()]
     return found
 
 
@@ -356,12 +330,10 @@ def shape(robot: Robot, q: np.ndarray) -> Shape:
 
 def shape_errors(found: Shape, T: np.ndarray) -> dict[str, float]:
     """Return the root mean squares over time of the errors at the tip, of its orientation, and along the segment."""
-    points, tip = found
-    squares = ((points - T[:, ::EVERY, :3, 3]) ** 2).sum(-1)
-    angles = Rotation.from_matrix(np.swapaxes(T[:, -1, :3, :3], -1, -2) @ tip).magnitude()
-    rms = math.degrees(math.sqrt((angles**2).mean()))
-    values = 1e3 * math.sqrt(squares[:, -1].mean()), rms, 1e3 * math.sqrt(squares.mean())
-    return dict(zip(QUANTITIES, values, strict=True))
+    squares = ((found[0] - T[:, ::EVERY, :3, 3]) ** 2).sum(-1)
+    angles = Rotation.from_matrix(np.swapaxes(T[:, -1, :3, :3], -1, -2) @ found[1]).magnitude()
+    means = [1e6 * squares[:, -1].mean(), (np.degrees(angles) ** 2).mean(), 1e6 * squares.mean()]
+    return dict(zip(QUANTITIES, np.sqrt(means), strict=True))
 
 
 def without(seen: Readings, part: str, k: int) -> Readings:
@@ -371,14 +343,9 @@ def without(seen: Readings, part: str, k: int) -> Readings:
     return seen._replace(**{part: found})
 
 
-def one_by_one(estimator: Callable[[Known, Readings], Shape]) -> Estimator:
-    """Return an estimator of all runs from an estimator of one."""
-    return lambda some: [estimator(*one) for one in some]
-
-
 def errors(
     runs: Sequence[Run],
-    estimators: Mapping[str, Estimator],
+    estimators: Mapping[str, Callable[[list[tuple[Known, Readings]]], Sequence[Shape]]],
 ) -> pd.DataFrame:
     """Return the errors of every method in every run: with all sensors, without one of them, with the other magnet.
 
@@ -399,49 +366,41 @@ def errors(
             pairs = [[(run.known, seen) for run, seen in zip(some, own, strict=True)] for own in variants]
             for run, *shapes in zip(some, *map(estimator, pairs), strict=True):
                 worst = pd.DataFrame([shape_errors(one, run.T) for one in shapes]).max().to_dict()
-                key = {"trajectory": run.trajectory, "method": method, "calibrated": run.calibrated}
-                lines.append({**key, "condition": condition, "draw": run.draw, **worst})
+                key = (run.trajectory, method, run.calibrated, condition, run.draw)
+                lines.append({**dict(zip([*KEYS, "draw"], key, strict=True)), **worst})
     return pd.DataFrame(lines)
 
 
-def _resampled(draws: int) -> np.ndarray:
-    return np.random.default_rng(0).integers(draws, size=(2000, draws))
+def _resampled(table: pd.DataFrame) -> np.ndarray:
+    """Return the means over the robots, one column for each, resampled 2000 times ``[2000, rows]``."""
+    n = table.shape[1]
+    return table.to_numpy()[:, np.random.default_rng(0).integers(n, size=(2000, n))].mean(-1).T
 
 
 def mean_errors(table: pd.DataFrame) -> pd.DataFrame:
     """Return the mean tip error over the robots with the ends of its bootstrap interval (95 %)."""
-    lines = []
-    keys = ["trajectory", "method", "calibrated", "condition"]
-    for key, part in table.groupby(keys, sort=False):
-        tip = part["tip_mm"].to_numpy()
-        low, high = np.quantile(tip[_resampled(len(tip))].mean(-1), [0.025, 0.975])
-        line = dict(zip(keys, key, strict=True))
-        lines.append({**line, "tip_mm": tip.mean(), "low_mm": low, "high_mm": high})
-    return pd.DataFrame(lines)
+    wide = table.pivot_table(index=KEYS, columns="draw", values="tip_mm", sort=False)
+    low, high = np.quantile(_resampled(wide), [0.025, 0.975], axis=0)
+    return pd.DataFrame({"tip_mm": wide.mean(axis=1), "low_mm": low, "high_mm": high}).reset_index()
 
 
 def ratios(table: pd.DataFrame, over: str = "2 IMUs") -> pd.DataFrame:
     """Return how many times the tip error of one method the calibrated others have; paired over the robots."""
-    chosen = table[table["calibrated"] & (table["condition"] == CONDITIONS[0])]
-    lines = []
-    for name, part in chosen.groupby("trajectory", sort=False):
-        tips = part.pivot(index="draw", columns="method", values="tip_mm")
-        again = _resampled(len(tips))
-        for method in [method for method in part["method"].unique() if method != over]:
-            above, below = tips[method].to_numpy(), tips[over].to_numpy()
-            low, high = np.quantile(above[again].mean(-1) / below[again].mean(-1), [0.025, 0.975])
-            lines.append((name, method, above.mean() / below.mean(), low, high))
-    return pd.DataFrame(lines, columns=["trajectory", "method", "ratio", "low", "high"])
+    healthy = table[table["calibrated"] & (table["condition"] == CONDITIONS[0])]
+    wide = healthy.pivot_table(index=KEYS[:2], columns="draw", values="tip_mm", sort=False)
+    below = wide.xs(over, level=1).loc[wide.index.get_level_values(0)]
+    low, high = np.quantile(_resampled(wide) / _resampled(below), [0.025, 0.975], axis=0)
+    ratio = wide.mean(axis=1) / below.mean(axis=1).to_numpy()
+    found = pd.DataFrame({"ratio": ratio, "low": low, "high": high})
+    return found.drop(over, level=1).reset_index()
 
 
 def still(run: Run, found: Mapping[str, Shape]) -> pd.DataFrame:
     """Return truth and estimates [mm] at the moment at which all of them together are farthest off at the tip."""
-    T, names = run.T[:, ::EVERY, :3, 3], list(found)
-    off = sum(np.linalg.norm(found[name][0][:, -1] - T[:, -1], axis=-1) for name in names)
-    k = int(np.argmax(off))
-    lines = {"truth": T[k], **{name: found[name][0][k] for name in names}}
+    points = {"truth": run.T[:, ::EVERY, :3, 3], **{name: one[0] for name, one in found.items()}}
+    k = int(np.argmax(sum(np.linalg.norm(x - points["truth"], axis=-1)[:, -1] for x in points.values())))
     frames = [
-        pd.DataFrame(1e3 * xyz, columns=["x_mm", "y_mm", "z_mm"]).assign(line=name)
-        for name, xyz in lines.items()
+        pd.DataFrame(1e3 * x[k], columns=["x_mm", "y_mm", "z_mm"]).assign(line=name)
+        for name, x in points.items()
     ]
     return pd.concat(frames, ignore_index=True)
