@@ -1105,19 +1105,3 @@ def segment_errors(means: pd.DataFrame) -> Figure:
     handles = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in SEGMENT_LOOKS.items()]
     figure.legend(handles=[*handles, *more], loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)
-
-
-@style()
-def segment_still(points: pd.DataFrame) -> Figure:
-    """Draw the segment at one moment, seen from two sides: truth and estimates every 10 mm."""
-    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6), sharey=True)
-    for panel, axis in zip(panels, "xy", strict=True):
-        for name, part in points.groupby("line", sort=False):
-            colour, marker = SEGMENT_LOOKS.get(name, ("", ""))
-            look = {"color": colour, "marker": marker, "ms": 3.5} if colour else {**TRUTH, "lw": 7}
-            panel.plot(part[f"{axis}_mm"], part["z_mm"], label=name, **look)
-        panel.set(xlabel=f"{axis} [mm]", aspect="equal")
-        panel.margins(x=0.2)
-    panels[0].set_ylabel("z [mm]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)

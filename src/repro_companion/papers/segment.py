@@ -36,13 +36,10 @@ MOTIONS = ("constant curvature", "affine curvature", "rod under load")
 ELEMENTS = 44
 NODES = np.linspace(0, LENGTH, ELEMENTS + 1)
 """Where the shape is known: distances along the straight segment [m]."""
-RING, CUBE = baaij.RINGS["released"], Cube(6.35e-3, 1320.0)
 HALL_AT, APART = 0.0475, 0.015
 """Where the Hall sensor is, and how far beyond it the cube: on either side of the middle [m]."""
 RING_NOISE, HALL_NOISE, HALL_STEP = baaij.NOISE_MT, 0.025, 0.01
 """Noise of the ring's sensors; noise and resolution of the Hall sensor in the takes of Mitchell et al. [mT]."""
-ELONGATION = baaij.ELONGATION
-"""Elongation that is assumed where nothing sees it: half of the largest of a trajectory [m]."""
 FORCE_N, SECTION, MODULUS = 0.5, 0.011, 1e6
 """Sideways force on the tip; radius [m] and Young's modulus [Pa] of the rod, a soft silicone: all assumed."""
 IMU_NOISE = math.sqrt(2) * np.radians([1.0, 1.0, 2.0])
@@ -61,13 +58,8 @@ def motion(name: str, steps: int = baaij.STEPS, force_n: float = FORCE_N) -> np.
         return backbone(baaij.robot(1), q)
     s = np.linspace(0, 1, steps)
     c, turn = (1 - np.cos(6 * math.pi * s)) / 2, 2 * math.pi * s
-    flower = [
-        c * math.pi / 12,
-        math.pi * (0.1 + 0.9 * c) / 3,
-        turn,
-        q[:, 2],
-    ]  # a third of the paper's curvatures
-    return backbone(Robot([AffineCurvature(LENGTH)]), np.stack(flower, axis=-1))
+    curvatures = c * math.pi / 12, math.pi * (0.1 + 0.9 * c) / 3  # a third of the paper's
+    return backbone(Robot([AffineCurvature(LENGTH)]), np.stack([*curvatures, turn, q[:, 2]], axis=-1))
 
 
 def backbone(robot: Robot, q: np.ndarray, every: int = 1) -> np.ndarray:
@@ -81,31 +73,36 @@ def backbone(robot: Robot, q: np.ndarray, every: int = 1) -> np.ndarray:
 def rod(
     bend: np.ndarray, stretch: np.ndarray, force_n: Any, section: float = SECTION, modulus: float = MODULUS
 ) -> np.ndarray:
-    r"""Return poses ``[t, nodes, 4, 4]`` of an elastic rod at rest that is clamped and pulled at its tip.
+    r"""Return poses ``[t, nodes, 4, 4]`` of a Cosserat rod at rest that is clamped and pulled at its tip.
 
-    Its rest shape is an arc by the bend vector ``[t, 2]`` [rad], ``stretch`` ``[t]`` times as long as the segment. In
-    the frame of the rod the curvature is off its rest by :math:`K^{-1} R^T (p_\mathrm{tip} - p) \times F`. We repeat
-    this from the last shape until the shape is its own answer. Shear and stretch by the force are left out.
+    Its rest shape is an arc by the bend vector ``[t, 2]`` [rad], ``stretch`` ``[t]`` times as long as the rod. In the
+    frame of the rod the curvature is off its rest by :math:`K^{-1} R^T (p_\mathrm{tip} - p) \times F` and the strain
+    by :math:`S^{-1} R^T F`. We repeat this from the last shape until the shape is its own answer.
     """
     force, shape, zero = np.asarray(force_n, dtype=float), (len(bend), ELEMENTS, 3), np.zeros(len(bend))
-    stiffness = modulus * math.pi / 4 * section**4 * np.array([1.0, 1.0, 2 / 3])  # incompressible: G = E/3
+    h, axial = LENGTH / ELEMENTS, modulus * math.pi * section**2
+    bending = axial * section**2 / 4 * np.array([1.0, 1.0, 2 / 3])  # incompressible: G = E/3
+    stretching = axial * np.array([9 / 28, 9 / 28, 1.0])  # 27/28 of a round section count in shear
     rest = np.stack([-bend[:, 1], bend[:, 0], zero], axis=-1)[:, None] / ELEMENTS
-    h = LENGTH / ELEMENTS * stretch[:, None, None]
     turn = np.broadcast_to(rest, shape)
+    step = rest_step = h * np.stack([zero, zero, stretch], axis=-1)[:, None]
     T = np.broadcast_to(np.eye(4), (len(bend), ELEMENTS + 1, 4, 4)).copy()
     element = T[:, 1:].copy()
     for _ in range(300):
         half = Rotation.from_rotvec(turn.reshape(-1, 3) / 2)
-        chord = h * np.sinc(np.linalg.norm(turn, axis=-1, keepdims=True) / (2 * math.pi))  # of an arc
+        short = np.sinc(np.linalg.norm(turn, axis=-1, keepdims=True) / (2 * math.pi))  # chord of an arc
+        to_end = half.as_matrix().reshape(*shape, 3)
         element[..., :3, :3] = (half * half).as_matrix().reshape(*shape, 3)
-        element[..., :3, 3] = chord * half.as_matrix()[:, :, 2].reshape(shape)
+        element[..., :3, 3] = short * (to_end @ step[..., None])[..., 0]
         for k in range(ELEMENTS):
             T[:, k + 1] = T[:, k] @ element[:, k]
-        to_middle = half.inv().as_matrix().reshape(*shape, 3) @ np.swapaxes(T[:, :-1, :3, :3], -1, -2)
+        to_middle = np.swapaxes(T[:, :-1, :3, :3] @ to_end, -1, -2)
         arm = T[:, -1:, :3, 3] - (T[:, 1:, :3, 3] + T[:, :-1, :3, 3]) / 2
-        change = rest + h * (to_middle @ np.cross(arm, force)[..., None])[..., 0] / stiffness - turn
-        turn = turn + change / 2
-        if np.abs(change).max() < 1e-12:
+        change = rest + h * (to_middle @ np.cross(arm, force)[..., None])[..., 0] / bending - turn
+        strained = rest_step + h * (to_middle @ force) / stretching
+        off = max(np.abs(change).max(), np.abs(strained - step).max() / h)
+        turn, step = turn + change / 2, strained
+        if off < 1e-12:
             return T
     raise ValueError(
         f"A force of {np.linalg.norm(force):.3g} N is too large for this rod: no shape at rest found."
@@ -162,14 +159,13 @@ def built(rng: np.random.Generator, size: float = 1.0) -> Built:
     bodies = [FreeBody()] * len(PLACES)
     turn = Rotation.from_rotvec(n(3) * [t.sensor_tilt, t.sensor_tilt, t.sensor_azimuth])
     hall = Sensor(2, 0.0, axes=3, orientation=turn.as_quat(), gain=tuple(1 + t.sensor_gain * n(3)))
-    ring, cube = magnet(RING, 3), magnet(CUBE, 4)
-    world, mounting = np.radians([1.0, 1.0, 6.0]) * n(2, 3), np.radians(3.0) * n(2, 3)
+    ring, cube = magnet(baaij.RINGS["released"], 3), magnet(Cube(6.35e-3, 1320.0), 4)
     return Built(
         Robot(bodies, [ring], [around_tip(sensor) for sensor in baaij.robot(1).sensors]),
         Robot(bodies, [cube], [hall]),
         replace(cube, segment=1),
-        Rotation.from_rotvec(world),
-        Rotation.from_rotvec(mounting),
+        Rotation.from_rotvec(np.radians([1.0, 1.0, 6.0]) * n(2, 3)),
+        Rotation.from_rotvec(np.radians(3.0) * n(2, 3)),
     )
 
 
@@ -211,8 +207,7 @@ def _magnetic(robot: Built, T: np.ndarray, noise: np.ndarray, size: float) -> tu
         T[:, round(arc / LENGTH * ELEMENTS)] for arc in PLACES
     ]
     steps = [np.linalg.solve(before, after) for before, after in itertools.pairwise(at)]
-    q = [(T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()) for T in steps]
-    q = np.concatenate([part for pair in q for part in pair], axis=-1)
+    q = np.hstack([x for T in steps for x in (T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec())])
     ring, hall = (
         one.per_reading("gain", 1.0, 1.0) * simulated_readings(one, q) for one in (robot.ring, robot.cube)
     )
@@ -261,7 +256,7 @@ def of_arcs(robot: Robot, arcs: int) -> Robot:
 
     Of two arcs the first has its elongation fixed: no magnetic sensor sees it.
     """
-    bend, longer, piece = RADIUS * math.pi / 2, ELONGATION / arcs, LENGTH / arcs
+    bend, longer, piece = RADIUS * math.pi / 2, baaij.ELONGATION / arcs, LENGTH / arcs
     low, high = [-bend, -bend, 0.0], [bend, bend, 6.6e-3 / arcs]
     fixed = [[-bend, -bend, longer], [bend, bend, longer]]
     magnets = [replace(magnet, segment=1) for magnet in robot.magnets]
@@ -275,7 +270,6 @@ def of_arcs(robot: Robot, arcs: int) -> Robot:
 
 KEYS = ["trajectory", "method", "calibrated", "condition"]
 CONDITIONS = ("all sensors", "one sensor failed", "other magnet on board")
-QUANTITIES = ("tip_mm", "orientation_deg", "shape_mm")
 PARTS = {
     "ring and 3 sensors": {"ring": 3},
     "cube and Hall sensor, middle": {"hall": 1},
@@ -333,7 +327,7 @@ def shape_errors(found: Shape, T: np.ndarray) -> dict[str, float]:
     squares = ((found[0] - T[:, ::EVERY, :3, 3]) ** 2).sum(-1)
     angles = Rotation.from_matrix(np.swapaxes(T[:, -1, :3, :3], -1, -2) @ found[1]).magnitude()
     means = [1e6 * squares[:, -1].mean(), (np.degrees(angles) ** 2).mean(), 1e6 * squares.mean()]
-    return dict(zip(QUANTITIES, np.sqrt(means), strict=True))
+    return dict(zip(("tip_mm", "orientation_deg", "shape_mm"), np.sqrt(means), strict=True))
 
 
 def without(seen: Readings, part: str, k: int) -> Readings:
@@ -391,16 +385,4 @@ def ratios(table: pd.DataFrame, over: str = "2 IMUs") -> pd.DataFrame:
     below = wide.xs(over, level=1).loc[wide.index.get_level_values(0)]
     low, high = np.quantile(_resampled(wide) / _resampled(below), [0.025, 0.975], axis=0)
     ratio = wide.mean(axis=1) / below.mean(axis=1).to_numpy()
-    found = pd.DataFrame({"ratio": ratio, "low": low, "high": high})
-    return found.drop(over, level=1).reset_index()
-
-
-def still(run: Run, found: Mapping[str, Shape]) -> pd.DataFrame:
-    """Return truth and estimates [mm] at the moment at which all of them together are farthest off at the tip."""
-    points = {"truth": run.T[:, ::EVERY, :3, 3], **{name: one[0] for name, one in found.items()}}
-    k = int(np.argmax(sum(np.linalg.norm(x - points["truth"], axis=-1)[:, -1] for x in points.values())))
-    frames = [
-        pd.DataFrame(1e3 * x[k], columns=["x_mm", "y_mm", "z_mm"]).assign(line=name)
-        for name, x in points.items()
-    ]
-    return pd.concat(frames, ignore_index=True)
+    return pd.DataFrame({"ratio": ratio, "low": low, "high": high}).drop(over, level=1).reset_index()
