@@ -56,10 +56,10 @@ def motion(name: str, steps: int = baaij.STEPS, force_n: float = FORCE_N) -> np.
         return rod(q[:, :2] / RADIUS, 1 + q[:, 2] / LENGTH, [force_n, 0.0, 0.0])
     if name == MOTIONS[0]:
         return backbone(baaij.robot(1), q)
-    s = np.linspace(0, 1, steps)
-    c, turn = (1 - np.cos(6 * math.pi * s)) / 2, 2 * math.pi * s
-    curvatures = c * math.pi / 12, math.pi * (0.1 + 0.9 * c) / 3  # a third of the paper's
-    return backbone(Robot([AffineCurvature(LENGTH)]), np.stack([*curvatures, turn, q[:, 2]], axis=-1))
+    turn = np.linspace(0, 2 * math.pi, steps)
+    c = (1 - np.cos(3 * turn)) / 2
+    flower = [c * math.pi / 12, math.pi * (0.1 + 0.9 * c) / 3, turn, q[:, 2]]  # 1/3 of the paper's
+    return backbone(Robot([AffineCurvature(LENGTH)]), np.stack(flower, axis=-1))
 
 
 def backbone(robot: Robot, q: np.ndarray, every: int = 1) -> np.ndarray:
@@ -97,8 +97,8 @@ def rod(
         for k in range(ELEMENTS):
             T[:, k + 1] = T[:, k] @ element[:, k]
         to_middle = np.swapaxes(T[:, :-1, :3, :3] @ to_end, -1, -2)
-        arm = T[:, -1:, :3, 3] - (T[:, 1:, :3, 3] + T[:, :-1, :3, 3]) / 2
-        change = rest + h * (to_middle @ np.cross(arm, force)[..., None])[..., 0] / bending - turn
+        moment = np.cross(T[:, -1:, :3, 3] - (T[:, 1:, :3, 3] + T[:, :-1, :3, 3]) / 2, force)
+        change = rest + h * (to_middle @ moment[..., None])[..., 0] / bending - turn
         strained = rest_step + h * (to_middle @ force) / stretching
         off = max(np.abs(change).max(), np.abs(strained - step).max() / h)
         turn, step = turn + change / 2, strained
@@ -181,16 +181,16 @@ def read(
     tip = Slerp(time_s, Rotation.from_matrix(T[:, -1, :3, :3]))(np.maximum(seen_s, 0.0))
     latest = np.searchsorted(seen_s + martin.LATENCY_S, time_s + 1e-9) - 1
     imus = _imus(robot, tip, 1 / martin.RATE_HZ, rng, size)[latest]
-    both = robot.ring.replaced(magnets=[*robot.ring.magnets, robot.at_base])
     noise = rng.standard_normal((len(T), 6))
-    alone, together = (_magnetic(robot._replace(ring=ring), T, noise, size) for ring in (robot.ring, both))
+    rings = robot.ring, robot.ring.replaced(magnets=[*robot.ring.magnets, robot.at_base])
+    alone, together = (_magnetic(robot._replace(ring=ring), T, noise, size) for ring in rings)
     return Readings(*alone, imus), Readings(*together, imus)
 
 
 def session(robot: Built, poses: int, rng: np.random.Generator) -> tuple[np.ndarray, Readings]:
     """Return measured poses of the tip ``[poses, 4, 4]`` of arcs, a second apart, and what is read there."""
     T = backbone(baaij.robot(1), rng.uniform(*baaij.bounds(1), (poses, 3)))
-    tip = T[:, -1].copy()
+    tip = np.copy(T[:, -1])
     seen = Readings(
         *_magnetic(robot, T, rng.standard_normal((poses, 6)), 1.0),
         _imus(robot, Rotation.from_matrix(tip[:, :3, :3]), 1.0, rng, 1.0),
@@ -219,14 +219,17 @@ def _imus(
     robot: Built, tip: Rotation, interval_s: float, rng: np.random.Generator, size: float
 ) -> np.ndarray:
     """Return quaternions ``[t, 2, 4]`` of both IMUs at even intervals: the base stays, the tip turns."""
-    ticks, columns = interval_s * martin.RATE_HZ, []
+    ticks, columns = (
+        interval_s * martin.RATE_HZ,
+        [],
+    )  # steps of a wandering error are those of the IMUs' own rate
     for k, true in enumerate((Rotation.identity(len(tip)), tip)):
         heading = np.radians(2.0) * martin.wandering(len(tip), (1,), 40.0 / ticks, rng)
         tilt = np.radians(1.0) * martin.wandering(len(tip), (2,), 3.0 / ticks, rng)
         varying = Rotation.from_rotvec(size * np.concatenate([tilt, heading], axis=-1))
-        columns.append((varying * robot.world[k] * true * robot.mounting[k]).as_quat())
-    q = np.stack(columns, axis=1)
-    return np.round(q * 2.0**14) / 2.0**14 if size else q  # datasheet BST-BNO055-DS000
+        q = (varying * robot.world[k] * true * robot.mounting[k]).as_quat()
+        columns.append(np.round(q * 2.0**14) / 2.0**14 if size else q)  # datasheet BST-BNO055-DS000
+    return np.stack(columns, axis=1)
 
 
 # What estimators know, and how far off they are
@@ -307,8 +310,7 @@ def runs(
     """Return all robots on all trajectories, calibrated and as drawn; a robot's noise is the same on each of them."""
     found = []
     for draw in range(draws):
-        rng = np.random.default_rng([seed, draw])
-        robot = built(rng)
+        robot = built(rng := np.random.default_rng([seed, draw]))
         models = {True: calibrated(*session(robot, poses, rng)), False: nominal()}
         for name, T in trajectories.items():
             seen = read(robot, T, np.random.default_rng([seed, draw, 1]))
@@ -346,8 +348,7 @@ def errors(
     Mishaps happen to calibrated robots. The sensor that is missing is the one that costs most, for each quantity by
     itself. The field of the cube is in no model, and we let it reach the ring's sensors only.
     """
-    lines = []
-    known = [run for run in runs if run.calibrated]
+    lines, known = [], [run for run in runs if run.calibrated]
     for method, estimator in estimators.items():
         lost = [(part, k) for part, n in PARTS[method].items() for k in range(n)]
         cases = [
@@ -367,8 +368,8 @@ def errors(
 
 def _resampled(table: pd.DataFrame) -> np.ndarray:
     """Return the means over the robots, one column for each, resampled 2000 times ``[2000, rows]``."""
-    n = table.shape[1]
-    return table.to_numpy()[:, np.random.default_rng(0).integers(n, size=(2000, n))].mean(-1).T
+    again = np.random.default_rng(0).integers(table.shape[1], size=(2000, table.shape[1]))
+    return table.to_numpy()[:, again].mean(-1).T
 
 
 def mean_errors(table: pd.DataFrame) -> pd.DataFrame:
