@@ -1207,4 +1207,39 @@ def loop_over_time(series: pd.DataFrame) -> Figure:
     below.set(xlabel="time [s]", ylabel="distance [mm]", ylim=(0, None))
     below.margins(x=0)
     figure.legend(*below.get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
+# Which sensors
+
+SEGMENT_LOOKS: Any = {
+    "ring and 3 sensors": (BLUE, "o"),
+    "cube and Hall sensor, middle": (PINK, "v"),
+    "2 IMUs": (ORANGE, "s"),
+    "ring and IMUs, one arc": (SKY, "^"),
+    "ring and IMUs, two arcs": (GREEN, "D"),
+}
+
+
+@style()
+def segment_errors(means: pd.DataFrame) -> Figure:
+    """Draw mean tip errors [mm] by trajectory and method with their intervals: filled if calibrated, else open."""
+    names = list(means["trajectory"].unique())
+    figure, panel = plt.subplots(figsize=(WIDTH, 4.2))
+    for k, (method, (colour, marker)) in enumerate(SEGMENT_LOOKS.items()):
+        for calibrated, part in means[means["method"] == method].groupby("calibrated"):
+            at = np.arange(len(names)) + 0.16 * (k - 2) + (0.0 if calibrated else 0.05)
+            part = part.set_index("trajectory").loc[names]
+            ends = [part["tip_mm"] - part["low_mm"], part["high_mm"] - part["tip_mm"]]
+            fill = {"mfc": colour if calibrated else "none", "label": method if calibrated else ""}
+            panel.errorbar(
+                at, part["tip_mm"], ends, fmt=marker, color=colour, ms=6, capsize=2, lw=1.0, **fill
+            )
+    panel.set(yscale="log", ylabel="error at the tip [mm]")
+    ticks = [0.1, 0.3, 1, 3, 10, 30, 100]
+    panel.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    panel.minorticks_off()
+    panel.set_xticks(range(len(names)), names)
+    panel.grid(visible=False, axis="x")
+    grey: Any = {"color": "#767676", "marker": "o", "ls": ""}
+    more = [Line2D([], [], label="calibrated", **grey), Line2D([], [], mfc="none", label="as drawn", **grey)]
+    handles = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in SEGMENT_LOOKS.items()]
+    figure.legend(handles=[*handles, *more], loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)

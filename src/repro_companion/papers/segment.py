@@ -1,0 +1,389 @@
+"""One simulated segment that carries the sensors of all three papers: how it moves, what is read, how far off we are.
+
+The segment is that of Baaij et al. 2023. It carries their ring and three sensors, the cube and the Hall sensor of
+Mitchell et al. 2021, and an IMU at either end as in Martin et al. 2022. All data are synthetic.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation, Slerp
+
+from repro import (
+    AffineCurvature,
+    ConstantCurvature,
+    Cube,
+    FreeBody,
+    Imu,
+    Magnet,
+    Robot,
+    Sensor,
+    simulated_readings,
+)
+from repro.estimators.calibration import Tolerances
+from repro.robot import point_on
+from repro_companion.papers import baaij, martin
+from repro_companion.papers.baaij import LENGTH, RADIUS
+
+MOTIONS = ("constant curvature", "affine curvature", "rod under load")
+ELEMENTS = 44
+NODES = np.linspace(0, LENGTH, ELEMENTS + 1)
+"""Where the shape is known: distances along the straight segment [m]."""
+HALL_AT, APART = 0.0475, 0.015
+"""Where the Hall sensor is, and how far beyond it the cube: on either side of the middle [m]."""
+RING_NOISE, HALL_NOISE, HALL_STEP = baaij.NOISE_MT, 0.025, 0.01
+"""Noise of the ring's sensors; noise and resolution of the Hall sensor in the takes of Mitchell et al. [mT]."""
+FORCE_N, SECTION, MODULUS = 0.5, 0.011, 1e6
+"""Sideways force on the tip; radius [m] and Young's modulus [Pa] of the rod, a soft silicone: all assumed."""
+IMU_NOISE = math.sqrt(2) * np.radians([1.0, 1.0, 2.0])
+"""Errors of two IMUs that vary: tilt and heading of one as seen from the other [rad]."""
+
+
+# How the segment moves
+
+
+def motion(name: str, steps: int = baaij.STEPS, force_n: float = FORCE_N) -> np.ndarray:
+    """Return poses ``[steps, nodes, 4, 4]`` along the segment, over 10 s."""
+    q = baaij.lemniscate(1, steps=steps)
+    if name == MOTIONS[2]:
+        return rod(q[:, :2] / RADIUS, 1 + q[:, 2] / LENGTH, [force_n, 0.0, 0.0])
+    if name == MOTIONS[0]:
+        return backbone(baaij.robot(1), q)
+    turn = np.linspace(0, 2 * math.pi, steps)
+    c = (1 - np.cos(3 * turn)) / 2
+    flower = [c * math.pi / 12, math.pi * (0.1 + 0.9 * c) / 3, turn, q[:, 2]]  # 1/3 of the paper's
+    return backbone(Robot([AffineCurvature(LENGTH)]), np.stack(flower, axis=-1))
+
+
+def backbone(robot: Robot, q: np.ndarray, every: int = 1) -> np.ndarray:
+    """Return poses at every n-th node of a robot of one or more segments that together are as long as ours."""
+    n, arcs = len(robot.segments), NODES[::every]
+    before = np.minimum((arcs / LENGTH * n + 1e-9).astype(int), n - 1)
+    places = [point_on(k + 1, arc - k * LENGTH / n) for k, arc in zip(before, arcs, strict=True)]
+    return robot.poses(q, places)
+
+
+def rod(
+    bend: np.ndarray, stretch: np.ndarray, force_n: Any, section: float = SECTION, modulus: float = MODULUS
+) -> np.ndarray:
+    r"""Return poses ``[t, nodes, 4, 4]`` of a Cosserat rod at rest that is clamped and pulled at its tip.
+
+    Its rest shape is an arc by the bend vector ``[t, 2]`` [rad], ``stretch`` ``[t]`` times as long as the rod. In the
+    frame of the rod the curvature is off its rest by :math:`K^{-1} R^T (p_\mathrm{tip} - p) \times F` and the strain
+    by :math:`S^{-1} R^T F`. We repeat this from the last shape until the shape is its own answer.
+    """
+    force, shape, zero = np.asarray(force_n, dtype=float), (len(bend), ELEMENTS, 3), np.zeros(len(bend))
+    h, axial = LENGTH / ELEMENTS, modulus * math.pi * section**2
+    bending = axial * section**2 / 4 * np.array([1.0, 1.0, 2 / 3])  # incompressible: G = E/3
+    stretching = axial * np.array([9 / 28, 9 / 28, 1.0])  # 27/28 of a round section count in shear
+    rest = np.stack([-bend[:, 1], bend[:, 0], zero], axis=-1)[:, None] / ELEMENTS
+    turn = np.broadcast_to(rest, shape)
+    step = rest_step = h * np.stack([zero, zero, stretch], axis=-1)[:, None]
+    T = np.broadcast_to(np.eye(4), (len(bend), ELEMENTS + 1, 4, 4)).copy()
+    element = T[:, 1:].copy()
+    for _ in range(300):
+        half = Rotation.from_rotvec(turn.reshape(-1, 3) / 2)
+        short = np.sinc(np.linalg.norm(turn, axis=-1, keepdims=True) / (2 * math.pi))  # chord of an arc
+        to_end = half.as_matrix().reshape(*shape, 3)
+        element[..., :3, :3] = (half * half).as_matrix().reshape(*shape, 3)
+        element[..., :3, 3] = short * (to_end @ step[..., None])[..., 0]
+        for k in range(ELEMENTS):
+            T[:, k + 1] = T[:, k] @ element[:, k]
+        to_middle = np.swapaxes(T[:, :-1, :3, :3] @ to_end, -1, -2)
+        moment = np.cross(T[:, -1:, :3, 3] - (T[:, 1:, :3, 3] + T[:, :-1, :3, 3]) / 2, force)
+        change = rest + h * (to_middle @ moment[..., None])[..., 0] / bending - turn
+        strained = rest_step + h * (to_middle @ force) / stretching
+        off = max(np.abs(change).max(), np.abs(strained - step).max() / h)
+        turn, step = turn + change / 2, strained
+        if off < 1e-12:
+            return T
+    raise ValueError(
+        f"A force of {np.linalg.norm(force):.3g} N is too large for this rod: no shape at rest found."
+    )
+
+
+# Robots with manufacturing errors, and what is read
+
+
+class Built(NamedTuple):
+    """A robot as it was built: magnets and sensors on free bodies, and how its IMUs and their worlds are turned."""
+
+    ring: Robot
+    cube: Robot
+    at_base: Magnet
+    world: Rotation
+    mounting: Rotation
+
+
+class Readings(NamedTuple):
+    """Readings of the ring's sensors ``[t, 3]`` and the Hall sensor ``[t, 3]`` [mT], and of the IMUs at base and tip.
+
+    An IMU reads the quaternion XYZW ``[t, 2, 4]`` that turns its own frame to the world.
+    """
+
+    ring: np.ndarray
+    hall: np.ndarray
+    imus: np.ndarray
+
+
+PLACES = (APART, HALL_AT, baaij.MAGNET_AT, HALL_AT + APART, LENGTH)
+"""Where something magnetic is mounted; each place has a free body of its own, numbered from 1.
+
+The cube is at the first one if it is on board together with the ring: in the middle there is no room for both.
+"""
+
+
+def built(rng: np.random.Generator, size: float = 1.0) -> Built:
+    """Draw a robot whose parts are off by their tolerances, times ``size``."""
+    t, n = Tolerances(), lambda *shape: size * rng.standard_normal(shape)
+
+    def magnet(shape: Any, body: int) -> Magnet:
+        shape = replace(shape, polarisation_mt=shape.polarisation_mt * (1 + t.moments * float(n())))
+        a, b = t.magnet_tilt * n(2)
+        axis = [math.sin(b), -math.sin(a) * math.cos(b), math.cos(a) * math.cos(b)]
+        return Magnet(shape, body, 0.0, axis, t.magnet_position * n(3))
+
+    def around_tip(sensor: Sensor) -> Sensor:
+        azimuth, radial, tilt, gain = n(4) * [t.sensor_azimuth, t.sensor_radius, t.sensor_tilt, t.sensor_gain]
+        return Sensor(
+            5, 0.0, sensor.radial * (1 + radial), sensor.azimuth + azimuth, sensor.tilt + tilt, gain=1 + gain
+        )
+
+    bodies = [FreeBody()] * len(PLACES)
+    turn = Rotation.from_rotvec(n(3) * [t.sensor_tilt, t.sensor_tilt, t.sensor_azimuth])
+    hall = Sensor(2, 0.0, axes=3, orientation=turn.as_quat(), gain=tuple(1 + t.sensor_gain * n(3)))
+    ring, cube = magnet(baaij.RINGS["released"], 3), magnet(Cube(6.35e-3, 1320.0), 4)
+    return Built(
+        Robot(bodies, [ring], [around_tip(sensor) for sensor in baaij.robot(1).sensors]),
+        Robot(bodies, [cube], [hall]),
+        replace(cube, segment=1),
+        Rotation.from_rotvec(np.radians([1.0, 1.0, 6.0]) * n(2, 3)),
+        Rotation.from_rotvec(np.radians(3.0) * n(2, 3)),
+    )
+
+
+def read(
+    robot: Built, T: np.ndarray, rng: np.random.Generator, size: float = 1.0
+) -> tuple[Readings, Readings]:
+    """Return what is read along a motion of 10 s, and the same where cube and ring are on board together.
+
+    Errors that vary are multiplied by ``size``; without them nothing is rounded. The latency of the IMUs stays.
+    """
+    time_s = np.arange(len(T)) * (baaij.STEPS / baaij.RATE_HZ / len(T))
+    seen_s = np.arange(-2, time_s[-1] * martin.RATE_HZ) / martin.RATE_HZ  # when what is read was true
+    tip = Slerp(time_s, Rotation.from_matrix(T[:, -1, :3, :3]))(np.maximum(seen_s, 0.0))
+    latest = np.searchsorted(seen_s + martin.LATENCY_S, time_s + 1e-9) - 1
+    imus = _imus(robot, tip, 1 / martin.RATE_HZ, rng, size)[latest]
+    noise = rng.standard_normal((len(T), 6))
+    rings = robot.ring, robot.ring.replaced(magnets=[*robot.ring.magnets, robot.at_base])
+    alone, together = (_magnetic(robot._replace(ring=ring), T, noise, size) for ring in rings)
+    return Readings(*alone, imus), Readings(*together, imus)
+
+
+def session(robot: Built, poses: int, rng: np.random.Generator) -> tuple[np.ndarray, Readings]:
+    """Return measured poses of the tip ``[poses, 4, 4]`` of arcs, a second apart, and what is read there."""
+    T = backbone(baaij.robot(1), rng.uniform(*baaij.bounds(1), (poses, 3)))
+    tip = np.copy(T[:, -1])
+    seen = Readings(
+        *_magnetic(robot, T, rng.standard_normal((poses, 6)), 1.0),
+        _imus(robot, Rotation.from_matrix(tip[:, :3, :3]), 1.0, rng, 1.0),
+    )
+    turn = Rotation.from_euler("XYZ", baaij.ROTATION * rng.standard_normal((poses, 3)))
+    tip[:, :3, :3] = tip[:, :3, :3] @ turn.as_matrix()
+    tip[:, :3, 3] += baaij.POSITION * rng.standard_normal((poses, 3))
+    return tip, seen
+
+
+def _magnetic(robot: Built, T: np.ndarray, noise: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return readings of the ring's sensors and the Hall sensor, by magpylib at the true poses."""
+    at = [np.broadcast_to(np.eye(4), T[:, 0].shape)] + [
+        T[:, round(arc / LENGTH * ELEMENTS)] for arc in PLACES
+    ]
+    steps = [np.linalg.solve(before, after) for before, after in itertools.pairwise(at)]
+    q = np.hstack([x for T in steps for x in (T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec())])
+    ring, hall = (
+        one.per_reading("gain", 1.0, 1.0) * simulated_readings(one, q) for one in (robot.ring, robot.cube)
+    )
+    hall = hall + size * HALL_NOISE * noise[:, 3:]
+    return ring + size * RING_NOISE * noise[:, :3], np.round(hall / HALL_STEP) * HALL_STEP if size else hall
+
+
+def _imus(
+    robot: Built, tip: Rotation, interval_s: float, rng: np.random.Generator, size: float
+) -> np.ndarray:
+    """Return quaternions ``[t, 2, 4]`` of both IMUs at even intervals: the base stays, the tip turns."""
+    ticks, columns = (
+        interval_s * martin.RATE_HZ,
+        [],
+    )  # steps of a wandering error are those of the IMUs' own rate
+    for k, true in enumerate((Rotation.identity(len(tip)), tip)):
+        heading = np.radians(2.0) * martin.wandering(len(tip), (1,), 40.0 / ticks, rng)
+        tilt = np.radians(1.0) * martin.wandering(len(tip), (2,), 3.0 / ticks, rng)
+        varying = Rotation.from_rotvec(size * np.concatenate([tilt, heading], axis=-1))
+        q = (varying * robot.world[k] * true * robot.mounting[k]).as_quat()
+        columns.append(np.round(q * 2.0**14) / 2.0**14 if size else q)  # datasheet BST-BNO055-DS000
+    return np.stack(columns, axis=1)
+
+
+# What estimators know, and how far off they are
+
+
+class Known(NamedTuple):
+    """What is known of one robot.
+
+    Magnet and sensors of the ring stand in a robot; the transverse field at the Hall sensor is ``matrix`` times the
+    nominal field plus ``offset``; IMUs read ``world`` times their orientation times ``mounting``.
+    """
+
+    ring: Robot
+    matrix: np.ndarray
+    offset: np.ndarray
+    world: Rotation
+    mounting: Rotation
+
+
+def nominal() -> Known:
+    """Return what the drawing says."""
+    return Known(baaij.robot(1), np.eye(2), np.zeros(2), Rotation.identity(2), Rotation.identity(2))
+
+
+def of_arcs(robot: Robot, arcs: int) -> Robot:
+    """Return the robot as one arc or as two with the ring between them, with bounds and an IMU at its tip.
+
+    Of two arcs the first has its elongation fixed: no magnetic sensor sees it.
+    """
+    bend, longer, piece = RADIUS * math.pi / 2, baaij.ELONGATION / arcs, LENGTH / arcs
+    low, high = [-bend, -bend, 0.0], [bend, bend, 6.6e-3 / arcs]
+    fixed = [[-bend, -bend, longer], [bend, bend, longer]]
+    magnets = [replace(magnet, segment=1) for magnet in robot.magnets]
+    sensors = [replace(sensor, segment=arcs, at=piece) for sensor in robot.sensors]
+    return Robot(
+        [ConstantCurvature(piece, RADIUS)] * arcs, magnets, sensors, [Imu(arcs, piece)], moments=robot.moments,
+        lower=[*fixed[0][: 3 * (arcs - 1)], *low], upper=[*fixed[1][: 3 * (arcs - 1)], *high],
+        start=[0.0, 0.0, longer] * arcs,
+    )  # fmt: skip
+
+
+KEYS = ["trajectory", "method", "calibrated", "condition"]
+CONDITIONS = ("all sensors", "one sensor failed", "other magnet on board")
+PARTS = {
+    "ring and 3 sensors": {"ring": 3},
+    "cube and Hall sensor, middle": {"hall": 1},
+    "2 IMUs": {"imus": 2},
+    "ring and IMUs, one arc": {"ring": 3, "imus": 2},
+    "ring and IMUs, two arcs": {"ring": 3, "imus": 2},
+}
+"""Methods, and how many sensors each has to lose."""
+EVERY = 4
+"""Shapes are compared at every fourth node, every 10 mm."""
+
+Shape = tuple[np.ndarray, np.ndarray]
+"""Points ``[t, 12, 3]`` [m] along the segment, and how the tip is turned ``[t, 3, 3]``."""
+
+
+class Run(NamedTuple):
+    """One robot on one trajectory: what is known, what is read, the same with the other magnet, and the truth."""
+
+    trajectory: str
+    calibrated: bool
+    draw: int
+    known: Known
+    seen: Readings
+    together: Readings
+    T: np.ndarray
+
+
+def runs(
+    calibrated: Callable[[np.ndarray, Readings], Known],
+    trajectories: Mapping[str, np.ndarray],
+    draws: int,
+    poses: int,
+    seed: int = 0,
+) -> list[Run]:
+    """Return all robots on all trajectories, calibrated and as drawn; a robot's noise is the same on each of them."""
+    found = []
+    for draw in range(draws):
+        robot = built(rng := np.random.default_rng([seed, draw]))
+        models = {True: calibrated(*session(robot, poses, rng)), False: nominal()}
+        for name, T in trajectories.items():
+            seen = read(robot, T, np.random.default_rng([seed, draw, 1]))
+            found += [Run(name, known, draw, model, *seen, T) for known, model in models.items()]
+    return found
+
+
+def shape(robot: Robot, q: np.ndarray) -> Shape:
+    """Return the shape of configurations."""
+    T = backbone(robot, q, EVERY)
+    return T[..., :3, 3], T[..., -1, :3, :3]
+
+
+def shape_errors(found: Shape, T: np.ndarray) -> dict[str, float]:
+    """Return the root mean squares over time of the errors at the tip, of its orientation, and along the segment."""
+    squares = ((found[0] - T[:, ::EVERY, :3, 3]) ** 2).sum(-1)
+    angles = Rotation.from_matrix(np.swapaxes(T[:, -1, :3, :3], -1, -2) @ found[1]).magnitude()
+    means = [1e6 * squares[:, -1].mean(), (np.degrees(angles) ** 2).mean(), 1e6 * squares.mean()]
+    return dict(zip(("tip_mm", "orientation_deg", "shape_mm"), np.sqrt(means), strict=True))
+
+
+def without(seen: Readings, part: str, k: int) -> Readings:
+    """Return readings without one sensor: one of the ring's sensors, the whole Hall sensor, or one IMU."""
+    found = getattr(seen, part).copy()
+    found[:, slice(None) if part == "hall" else k] = np.nan
+    return seen._replace(**{part: found})
+
+
+def errors(
+    runs: Sequence[Run],
+    estimators: Mapping[str, Callable[[list[tuple[Known, Readings]]], Sequence[Shape]]],
+) -> pd.DataFrame:
+    """Return the errors of every method in every run: with all sensors, without one of them, with the other magnet.
+
+    Mishaps happen to calibrated robots. The sensor that is missing is the one that costs most, for each quantity by
+    itself. The field of the cube is in no model, and we let it reach the ring's sensors only.
+    """
+    lines, known = [], [run for run in runs if run.calibrated]
+    for method, estimator in estimators.items():
+        lost = [(part, k) for part, n in PARTS[method].items() for k in range(n)]
+        cases = [
+            (CONDITIONS[0], runs, [[run.seen for run in runs]]),
+            (CONDITIONS[1], known, [[without(run.seen, *one) for run in known] for one in lost]),
+        ]
+        if method == "ring and 3 sensors":
+            cases.append((CONDITIONS[2], known, [[run.together for run in known]]))
+        for condition, some, variants in cases:
+            pairs = [[(run.known, seen) for run, seen in zip(some, own, strict=True)] for own in variants]
+            for run, *shapes in zip(some, *map(estimator, pairs), strict=True):
+                worst = pd.DataFrame([shape_errors(one, run.T) for one in shapes]).max().to_dict()
+                key = (run.trajectory, method, run.calibrated, condition, run.draw)
+                lines.append({**dict(zip([*KEYS, "draw"], key, strict=True)), **worst})
+    return pd.DataFrame(lines)
+
+
+def _resampled(table: pd.DataFrame) -> np.ndarray:
+    """Return the means over the robots, one column for each, resampled 2000 times ``[2000, rows]``."""
+    again = np.random.default_rng(0).integers(table.shape[1], size=(2000, table.shape[1]))
+    return table.to_numpy()[:, again].mean(-1).T
+
+
+def mean_errors(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the mean tip error over the robots with the ends of its bootstrap interval (95 %)."""
+    wide = table.pivot_table(index=KEYS, columns="draw", values="tip_mm", sort=False)
+    low, high = np.quantile(_resampled(wide), [0.025, 0.975], axis=0)
+    return pd.DataFrame({"tip_mm": wide.mean(axis=1), "low_mm": low, "high_mm": high}).reset_index()
+
+
+def ratios(table: pd.DataFrame, over: str = "2 IMUs") -> pd.DataFrame:
+    """Return how many times the tip error of one method the calibrated others have; paired over the robots."""
+    healthy = table[table["calibrated"] & (table["condition"] == CONDITIONS[0])]
+    wide = healthy.pivot_table(index=KEYS[:2], columns="draw", values="tip_mm", sort=False)
+    below = wide.xs(over, level=1).loc[wide.index.get_level_values(0)]
+    low, high = np.quantile(_resampled(wide) / _resampled(below), [0.025, 0.975], axis=0)
+    ratio = wide.mean(axis=1) / below.mean(axis=1).to_numpy()
+    return pd.DataFrame({"ratio": ratio, "low": low, "high": high}).drop(over, level=1).reset_index()
