@@ -1093,23 +1093,6 @@ def sensors_and_noise(table: pd.DataFrame) -> Figure:
     handles, labels = panels[0, 0].get_legend_handles_labels()
     handles.append(Line2D([], [], color="0.2", lw=1, ls="--"))
     figure.legend(handles, [*labels, "bound"], loc="outside upper center", ncols=3, **BESIDE)
-# Filtering over time, and closing the loop
-
-
-@style()
-def filter_over_time(table: pd.DataFrame) -> Figure:
-    """Draw the error of one bend [mm] over time with the stated band, one panel for each method."""
-    methods = list(table.groupby("method", sort=False))
-    figure, panels = plt.subplots(len(methods), 1, figsize=(WIDTH, 3.8), sharex=True, sharey=True)
-    for panel, (name, part), colour in zip(panels, methods, (ORANGE, BLUE), strict=True):
-        band = part["two_sigma_mm"]
-        panel.fill_between(part["time_s"], -band, band, color=colour, alpha=0.2, lw=0)
-        panel.plot(part["time_s"], part["error_mm"], lw=1, color=colour)
-        panel.set(title=name, ylabel="error [mm]")
-        panel.margins(x=0)
-    reach = 1.2 * table["two_sigma_mm"][table["method"] == methods[0][0]].iloc[1:].max()
-    panels[0].set_ylim(-reach, reach)
-    panels[-1].set_xlabel("time [s]")
     return closed(figure)
 
 
@@ -1188,6 +1171,30 @@ def imus_and_errors(table: pd.DataFrame) -> Figure:
     figure.supxlabel("number of IMUs")
     right.legend(loc="lower left", **BESIDE)
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
+    return closed(figure)
+
+
+# Filtering over time, and closing the loop
+
+
+@style()
+def filter_over_time(table: pd.DataFrame) -> Figure:
+    """Draw the error of one bend [mm] over time with the stated band, one panel for each method."""
+    methods = list(table.groupby("method", sort=False))
+    figure, panels = plt.subplots(len(methods), 1, figsize=(WIDTH, 3.8), sharex=True, sharey=True)
+    for panel, (name, part), colour in zip(panels, methods, (ORANGE, BLUE), strict=True):
+        band = part["two_sigma_mm"]
+        panel.fill_between(part["time_s"], -band, band, color=colour, alpha=0.2, lw=0)
+        panel.plot(part["time_s"], part["error_mm"], lw=1, color=colour)
+        panel.set(title=name, ylabel="error [mm]")
+        panel.margins(x=0)
+    reach = 1.2 * table["two_sigma_mm"][table["method"] == methods[0][0]].iloc[1:].max()
+    panels[0].set_ylim(-reach, reach)
+    panels[-1].set_xlabel("time [s]")
+    return closed(figure)
+
+
+@style()
 def loop_over_time(series: pd.DataFrame) -> Figure:
     """Draw paths of the bend [mm] for every estimate that is fed back, and their distance to the reference."""
     runs = list(series.groupby("feedback", sort=False))
@@ -1207,6 +1214,9 @@ def loop_over_time(series: pd.DataFrame) -> Figure:
     below.set(xlabel="time [s]", ylabel="distance [mm]", ylim=(0, None))
     below.margins(x=0)
     figure.legend(*below.get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
+    return closed(figure)
+
+
 # Which sensors
 
 SEGMENT_LOOKS: Any = {
