@@ -1,7 +1,7 @@
 """One simulated segment with the sensors of each of the three papers: how it moves, what is read, how far off we are.
 
-The segment of Baaij et al. 2023 carries, one set at a time, their ring and three sensors, the cube and the Hall sensor
-of Mitchell et al. 2021, and an IMU at each end as in Martin et al. 2022. All data are synthetic.
+The segment of Baaij et al. 2023 carries, one set at a time, their ring and three sensors, the cube and the Hall
+sensor of Mitchell et al. 2021, and an IMU at each end as in Martin et al. 2022. All data are synthetic.
 """
 
 from __future__ import annotations
