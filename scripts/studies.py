@@ -19,7 +19,7 @@ from scipy import stats
 import repro
 from repro import GradientDescent, Sensing, exact_arcs, pcc_extended, track
 from repro_board.emulate import course, faulty
-from repro_companion.papers import baaij, martin, mitchell, rig
+from repro_companion.papers import baaij, martin, mitchell, rig, wandering
 from repro_companion.show import project_folder
 
 
@@ -248,9 +248,26 @@ def foreign_field(robot: repro.Robot, q: np.ndarray) -> np.ndarray:
     return np.concatenate([along[:, k, 3 - s.axes :] for k, s in enumerate(robot.sensors)], axis=1)
 
 
+def drift() -> pd.DataFrame:
+    """Return errors of the tip by minute for 20 robots whose sensors drift, and five methods: eight minutes.
+
+    A run that is finished stands in runs/drift and is not computed again.
+    """
+    folder, parts = project_folder() / "runs" / "drift", []
+    folder.mkdir(parents=True, exist_ok=True)
+    for seed in range(20):
+        path = folder / f"{seed}.csv"
+        if not path.is_file():
+            wandering.minutes_of(seed).to_csv(path, index=False, float_format="%.4g")
+        parts.append(pd.read_csv(path))
+    table = pd.concat(parts, ignore_index=True)
+    table.attrs = {"twins": 20, "minutes": wandering.MINUTES, "methods": list(table["method"].unique())}
+    return table
+
+
 STUDIES: dict[str, Callable[[], pd.DataFrame]] = {
     study.__name__: study
-    for study in (rig_starts, table_1_best, table_1_noise, particle_filter, martin_calibration, alarms)
+    for study in (rig_starts, table_1_best, table_1_noise, particle_filter, martin_calibration, alarms, drift)
 }
 
 
