@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -55,8 +54,7 @@ def robot() -> Robot:
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Run:
+class Run(NamedTuple):
     """Readings of 45 minutes, and the truth behind them."""
 
     times: np.ndarray
@@ -141,14 +139,7 @@ def foreign_readings(
 
 # Following the robot
 
-METHODS = (
-    "IMU only",
-    "magnets only",
-    "fused",
-    "self-calibrating",
-    "oracle",
-    "self-calibrating, monitor only",
-)
+METHODS = ("IMU only", "magnets only", "fused", "self-calibrating", "oracle")
 CHANCE, AGREES, CALM_S = 1e-8, 1e-3, 10.0
 """Chance of a false alarm at a row; Hall sensors agree with the IMUs above this chance, and must for so long [s]."""
 SWAYING = Drift("tilt", SWAY, SWAY * math.sqrt(2 / SWAY_S), time_s=SWAY_S)
@@ -170,11 +161,10 @@ def drifts(believed: float = 1.0) -> list[Drift]:
 
 def kalman_filter(wander: Sequence[Drift]) -> KalmanFilter:
     """Return a filter of the robot; if nothing wanders, the sway of the IMUs counts as white noise."""
-    arm = robot()
+    arm, (low, high) = robot(), baaij.bounds(3)
     sensing: Any = Drifting(arm.sensing(), wander) if wander else arm.sensing()
     noise = np.repeat([baaij.NOISE_MT, IMU_NOISE if wander else SWAY], 9)
-    wide = arm.upper - arm.lower
-    return KalmanFilter(sensing, arm.lower, arm.upper, noise, acceleration=0.3 * wide, velocity=0.5 * wide)
+    return KalmanFilter(sensing, low, high, noise, 0.3 * (high - low), 0.5 * (high - low))
 
 
 def follow(method: KalmanFilter, run: Run) -> Trajectory:
@@ -185,36 +175,36 @@ def follow(method: KalmanFilter, run: Run) -> Trajectory:
     agreed with them for a while.
     """
     watched, only_imus, rows = Monitor(method), np.arange(18) >= 9, []
-    state, before = watched.init(START), 0.0
-    calm_s: float | None = None
+    state, agreed_s, before = watched.init(START), CALM_S, 0.0
     fresh, lasting = state.inner, slice(method.n_q, method.n_q + len(method.drift_std) - 6)
     for u, t in zip(run.readings, run.times.tolist(), strict=True):
-        if calm_s is None:
-            after, found = watched.step(state, u, t)
-            sway = (found.details["drift"][-6:] / SWAY) ** 2
-            if found.details["status"] == INCONSISTENT or sway.sum() > chi2.isf(CHANCE, 6):
-                q, P, calm_s = fresh.q.copy(), fresh.covariance.copy(), 0.0
-                q[lasting] = state.inner.q[lasting]
-                P[lasting, lasting] = state.inner.covariance[lasting, lasting]
-                state = state._replace(inner=state.inner._replace(q=q, velocity=fresh.velocity, covariance=P))
-        flag = calm_s is not None
-        if calm_s is not None:
-            surprise = method.step(state.inner, u, t)[1].chi2
+        count = agreed_s >= CALM_S  # the Hall sensors do
+        after, found = watched.step(state, u, t, mask=None if count else only_imus)
+        sway = (found.details["drift"][-6:] / SWAY) ** 2
+        if count and (found.details["status"] == INCONSISTENT or sway.sum() > chi2.isf(CHANCE, 6)):
+            q, P, count, agreed_s = fresh.q.copy(), fresh.covariance.copy(), False, 0.0
+            q[lasting] = state.inner.q[lasting]
+            P[lasting, lasting] = state.inner.covariance[lasting, lasting]
+            state = state._replace(inner=state.inner._replace(q=q, velocity=fresh.velocity, covariance=P))
             after, found = watched.step(state, u, t, mask=only_imus)
-            calm_s = calm_s + t - before if surprise - found.chi2 <= chi2.isf(AGREES, 9) else 0.0
-            calm_s = None if calm_s >= CALM_S else calm_s
+        if not count:
+            surprise = method.step(state.inner, u, t)[1].chi2 - found.chi2
+            agreed_s = agreed_s + t - before if surprise <= chi2.isf(AGREES, 9) else 0.0
         state, before = after, t
-        told = (found.details["drift"], found.details["drift_std"], "left out" if flag else "consistent")
+        told = (found.details["drift"], found.details["drift_std"], "consistent" if count else "left out")
         rows.append((*found[:6], *told))
     *fields, drifted, std, status = (np.array(x) for x in zip(*rows, strict=True))
     return Trajectory(run.times, *fields, {"drift": drifted, "drift_std": std}, status)
 
 
 def tip_errors(run: Run, found: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the error of the tip, the deviation that is stated for it [% of the length], and its NEES over 3."""
+    """Return the error of the tip, the deviation that is stated for it [% of the length], and its NEES over 3.
+
+    The estimates may end before the run.
+    """
     arm = robot()
     tip, G = arm.tip_slopes(found.q)
-    off, C = tip - arm.tip(run.q)[:, :3, 3], G @ found.covariance @ np.swapaxes(G, 1, 2)
+    off, C = tip - arm.tip(run.q[: len(tip)])[:, :3, 3], G @ found.covariance @ np.swapaxes(G, 1, 2)
     nees = (off * np.linalg.solve(C, off[..., None])[..., 0]).sum(-1) / 3
     percent = 100 / arm.length
     return percent * np.linalg.norm(off, axis=-1), percent * np.sqrt(np.trace(C, axis1=1, axis2=2)), nees
