@@ -170,29 +170,35 @@ def kalman_filter(wander: Sequence[Drift]) -> KalmanFilter:
 def follow(method: KalmanFilter, run: Run) -> Trajectory:
     """Follow a robot, and leave its Hall sensors out while a field that no error explains bends the shape.
 
-    That is so if the monitor finds the readings inconsistent, or if the sway that they ask for is beyond chance. What
-    was learnt of lasting errors stays, and everything else begins anew from the IMUs, until the Hall sensors have
-    agreed with them for a while.
+    That is so if the sway that the readings ask for is beyond chance, or if the monitor finds them inconsistent twice
+    within ten seconds; once may be a glitch. Then lasting errors stay as they were known, and everything else begins
+    anew from the IMUs at every row, until the Hall sensors have agreed with them for a while.
     """
     watched, only_imus, rows = Monitor(method), np.arange(18) >= 9, []
-    state, agreed_s, before = watched.init(START), CALM_S, 0.0
-    fresh, lasting = state.inner, slice(method.n_q, method.n_q + len(method.drift_std) - 6)
+    state, agreed_s, before, odd_s = watched.init(START), CALM_S, 0.0, -CALM_S
+    fresh, errors = state.inner, slice(method.n_q, method.n_q + len(method.drift_std))
+    lasting = slice(method.n_q, errors.stop - 6)
     for u, t in zip(run.readings, run.times.tolist(), strict=True):
         count = agreed_s >= CALM_S  # the Hall sensors do
         after, found = watched.step(state, u, t, mask=None if count else only_imus)
-        sway = (found.details["drift"][-6:] / SWAY) ** 2
-        if count and (found.details["status"] == INCONSISTENT or sway.sum() > chi2.isf(CHANCE, 6)):
-            q, P, count, agreed_s = fresh.q.copy(), fresh.covariance.copy(), False, 0.0
-            q[lasting] = state.inner.q[lasting]
-            P[lasting, lasting] = state.inner.covariance[lasting, lasting]
-            state = state._replace(inner=state.inner._replace(q=q, velocity=fresh.velocity, covariance=P))
-            after, found = watched.step(state, u, t, mask=only_imus)
+        sway, odd = (found.details["drift"][-6:] / SWAY) ** 2, found.details["status"] == INCONSISTENT
+        if count and (sway.sum() > chi2.isf(CHANCE, 6) or (odd and t - odd_s < CALM_S)):
+            count, agreed_s = False, 0.0
+        odd_s = t if odd else odd_s
         if not count:
-            surprise = method.step(state.inner, u, t)[1].chi2 - found.chi2
+            known = method.predicted(state.inner, t)
+            q, P = fresh.q.copy(), fresh.covariance.copy()
+            q[lasting], P[lasting, lasting] = known.q[lasting], known.covariance[lasting, lasting]
+            anew = fresh._replace(q=q, covariance=P)
+            found = method.step(anew, u, t, mask=only_imus)[1]
+            after = after._replace(inner=anew._replace(t=t))
+            surprise = method.step(anew, u, t)[1].chi2 - found.chi2
             agreed_s = agreed_s + t - before if surprise <= chi2.isf(AGREES, 9) else 0.0
+        elif odd:  # the monitor goes on without a reading, and the IMUs know more than that
+            found = method.step(state.inner, u, t, mask=only_imus)[1]
         state, before = after, t
-        told = (found.details["drift"], found.details["drift_std"], "consistent" if count else "left out")
-        rows.append((*found[:6], *told))
+        std = np.sqrt(np.diagonal(state.inner.covariance))[errors]
+        rows.append((*found[:6], state.inner.q[errors], std, "consistent" if count else "left out"))
     *fields, drifted, std, status = (np.array(x) for x in zip(*rows, strict=True))
     return Trajectory(run.times, *fields, {"drift": drifted, "drift_std": std}, status)
 
