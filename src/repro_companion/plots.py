@@ -1096,6 +1096,7 @@ def drift_errors(minutes: pd.DataFrame, last: int) -> Figure:
         yscale="log", xlabel="time [min]", ylabel="error of the tip\n[% of the length]", xlim=(0.5, None)
     )
     panel.set_xticks([1, *range(5, end + 1, 5)])
+    panel.set_yticks([0.2, 0.5, 1, 2, 5])
     panel.yaxis.set_major_formatter("{x:g}")
     panel.yaxis.set_minor_formatter("")
     figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
@@ -1131,7 +1132,7 @@ def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
         panel.plot(
             alarm["time_s"], np.full(len(alarm), 0.06), "s", color=ORANGE, ms=3, label="alarm", clip_on=False
         )
-        panel.set(title=name, yscale="log", ylabel="error of the tip\n[% of the length]", ylim=(0.05, None))
+        panel.set(title=name, yscale="log", ylabel="error of the tip\n[% of the length]", ylim=(0.05, 20))
         panel.yaxis.set_major_formatter("{x:g}")
         panel.yaxis.set_minor_formatter("")
     panels[-1].set_xlabel("time [s]")
