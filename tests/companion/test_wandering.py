@@ -111,6 +111,12 @@ def test_iron_is_noticed_and_spoils_nothing_that_lasts(run, found):
     assert stated[alarm].min() > 2 * np.median(stated[~alarm])
 
 
+def test_a_sway_beyond_chance_leaves_the_hall_sensors_out(run, monkeypatch):
+    monkeypatch.setattr(wandering, "CHANCE", 1.0)  # then any sway is
+    first = run._replace(times=run.times[:20], readings=run.readings[:20])
+    assert set(wandering.follow(METHOD, first).status) == {"left out"}
+
+
 def test_lasting_errors_stay_while_the_hall_sensors_are_left_out(found):
     alarm = np.flatnonzero(found.status == "left out")
     alarm = alarm[np.flatnonzero(np.diff(alarm) == 1) + 1]  # all but the first row of each
