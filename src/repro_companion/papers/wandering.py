@@ -26,10 +26,8 @@ RATE_HZ, MINUTES, EVERY = 4.0, 45.0, 4
 """Readings per second, and which of them a filter takes: on seed 100 all of them gained a few percent."""
 SIZE_S = 60 * MINUTES
 """Time after which a random walk has the size that is stated [s]."""
-EARTH = (baaij.EARTH_MT, 0.0, 0.0)
-IMU_NOISE = 1e-3
-START = np.array([0.0, 0.0, 2.75e-3] * 3)
-PERIODS_S = (4.0, 40.0)
+EARTH, IMU_NOISE = (baaij.EARTH_MT, 0.0, 0.0), 1e-3
+START, PERIODS_S = np.array([0.0, 0.0, 2.75e-3] * 3), (4.0, 40.0)
 WARMING = -0.0011 * 10.0
 """Relative loss of all moments over 45 minutes: 10 K at the coefficient of sintered NdFeB."""
 OFFSET, GAIN, HEADING = 0.01, 0.001, math.radians(10.0 * math.sqrt(0.75))
