@@ -21,7 +21,7 @@ import repro
 from repro import GradientDescent, Sensing, exact_arcs, pcc_extended, track
 from repro.networks import load_network
 from repro_board.emulate import course, faulty
-from repro_companion.papers import baaij, martin, mitchell, rig, sensor_count
+from repro_companion.papers import baaij, martin, mitchell, rig, sensor_count, wandering
 from repro_companion.show import project_folder
 
 
@@ -291,12 +291,37 @@ def noise() -> pd.DataFrame:
     table = table.sort_values("solver", ascending=True, kind="stable", ignore_index=True)
     table = table.assign(of_bound=table["mean_percent"] / table["bound_percent"])
     table.attrs = {"noise_mt": list(NOISE_MT), "seeds": list(baaij.SEEDS), "steps": baaij.STEPS}
+
+
+def drift() -> pd.DataFrame:
+    """Return errors of the tip by minute for 20 robots whose sensors drift, and five methods: eight minutes.
+
+    A run that is finished stands in runs/drift and is not computed again.
+    """
+    folder, parts = project_folder() / "runs" / "drift", []
+    folder.mkdir(parents=True, exist_ok=True)
+    for seed in range(20):
+        path = folder / f"{seed}.csv"
+        if not path.is_file():
+            wandering.minutes_of(seed).to_csv(path, index=False, float_format="%.4g")
+        parts.append(pd.read_csv(path))
+    table = pd.concat(parts, ignore_index=True)
+    table.attrs = {"twins": 20, "minutes": wandering.MINUTES, "methods": list(table["method"].unique())}
     return table
 
 
 STUDIES: dict[str, Callable[[], pd.DataFrame]] = {
     study.__name__: study
-    for study in (rig_starts, table_1_best, table_1_noise, particle_filter, martin_calibration, alarms, noise)
+    for study in (
+        rig_starts,
+        table_1_best,
+        table_1_noise,
+        particle_filter,
+        martin_calibration,
+        alarms,
+        noise,
+        drift,
+    )
 }
 
 

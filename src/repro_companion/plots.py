@@ -1253,3 +1253,74 @@ def segment_errors(means: pd.DataFrame) -> Figure:
     handles = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in SEGMENT_LOOKS.items()]
     figure.legend(handles=[*handles, *more], loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)
+
+
+# Sensors that drift
+
+DRIFT_LOOKS = {
+    "IMU only": (ORANGE, "-", "IMUs only"),
+    "magnets only": (SKY, "-", "magnets only"),
+    "fused": (PINK, "-", "calibrated once"),
+    "self-calibrating": (GREEN, "-", "drift in the state"),
+    "oracle": ("#767676", "--", "knows the drift"),
+}
+
+
+@style()
+def drift_errors(minutes: pd.DataFrame, last: int) -> Figure:
+    """Draw the median error of the tip [% of the length] of all runs by minute; two bands hold all runs."""
+    figure, panel = plt.subplots(figsize=(WIDTH, 3.2))
+    end = int(minutes["minute"].max())
+    panel.axvspan(end - last + 0.5, end + 0.5, color="#808080", alpha=0.12, lw=0)
+    for method, (colour, line, label) in DRIFT_LOOKS.items():
+        by_minute = minutes[minutes["method"] == method].groupby("minute")["tip_rmse_percent"]
+        middle = by_minute.median()
+        panel.plot(middle.index, middle, line, color=colour, label=label)
+        if method in ("fused", "self-calibrating"):
+            panel.fill_between(middle.index, by_minute.min(), by_minute.max(), color=colour, alpha=0.15, lw=0)
+    panel.set(
+        yscale="log", xlabel="time [min]", ylabel="error of the tip\n[% of the length]", xlim=(0.5, None)
+    )
+    panel.set_xticks([1, *range(5, end + 1, 5)])
+    panel.set_yticks([0.2, 0.5, 1, 2, 5])
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.yaxis.set_minor_formatter("")
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def drift_learnt(learnt: pd.DataFrame) -> Figure:
+    """Draw true and estimated errors of sensors over time, with two standard deviations to either side."""
+    figure, panels = plt.subplots(learnt["error"].nunique(), 1, figsize=(WIDTH, 5.2), sharex=True)
+    for panel, (name, part) in zip(panels, learnt.groupby("error", sort=False), strict=True):
+        time, middle, wide = part["minute"], part["estimate"], 2 * part["std"]
+        panel.plot(time, part["truth"], label="truth", **TRUTH)
+        panel.plot(time, middle, color=GREEN, label="estimate")
+        panel.fill_between(time, middle - wide, middle + wide, color=GREEN, alpha=0.2, lw=0)
+        panel.set(ylabel=str(name).replace(" [", "\n["))
+    panels[-1].set_xlabel("time [min]")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
+    return closed(figure)
+
+
+@style()
+def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
+    """Draw the error of the tip [% of the length] and twice what is stated while iron is near, and alarms below."""
+    figure, panels = plt.subplots(2, 1, figsize=(WIDTH, 5.0), sharex=True, sharey=True)
+    for panel, (name, part) in zip(panels, rows.groupby("method", sort=False), strict=True):
+        panel.axvspan(*iron_s, color="#808080", alpha=0.12, lw=0, label="iron near")
+        panel.plot(part["time_s"], part["error_percent"], color=GREEN, label="error")
+        panel.plot(
+            part["time_s"], 2 * part["stated_percent"], ":", color="#767676", label="two stated deviations"
+        )
+        alarm = part[part["alarm"]]
+        panel.plot(
+            alarm["time_s"], np.full(len(alarm), 0.06), "s", color=ORANGE, ms=3, label="alarm", clip_on=False
+        )
+        panel.set(title=name, yscale="log", ylabel="error of the tip\n[% of the length]", ylim=(0.05, 20))
+        panel.yaxis.set_major_formatter("{x:g}")
+        panel.yaxis.set_minor_formatter("")
+    panels[-1].set_xlabel("time [s]")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, **BESIDE)
+    return closed(figure)

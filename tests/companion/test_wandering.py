@@ -1,0 +1,179 @@
+"""The robot whose sensors drift: its readings, the filter that follows it, and the study of the page."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from repro import simulated_readings
+from repro.estimators.drift import DriftModel
+from repro_companion.papers import wandering
+from repro_companion.show import project_folder
+
+METHOD = wandering.kalman_filter(wandering.drifts())
+ROWS = 150
+Q_OLD = [
+    [-0.007696241172340496, 0.0038079746462989167],
+    [-0.0032258418414248297, 0.002426124444119575],
+    [-0.012513907259072525, 0.00320507085993985],
+]
+U_OLD = [
+    [-4.196420777175881, -4.55266359220277, 0.5718646657382187, 0.05023012234608744],
+    [-4.465475125359874, -4.052852044452191, -0.09719461924545103, -0.22357833609097497],
+    [-4.052729883848208, -4.28264179249832, -0.20296723153944024, -0.004300806213778191],
+]
+ERRORS_OLD = [
+    [0.0, 0.0, 0.0, 0.0, 0.0],
+    [
+        -0.0008962962962962839,
+        0.0005028032000682359,
+        -0.00314512455393971,
+        -0.04906878889074811,
+        0.0009518656589423563,
+    ],
+    [
+        -0.002195925925925879,
+        0.0007887235754369115,
+        -0.0050213796715646965,
+        -0.05736313605545644,
+        9.575235788215875e-05,
+    ],
+]
+IRON_OLD = (237.13072187400954, 297.1307218740095)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return wandering.draw(100, minutes=9.0)
+
+
+@pytest.fixture(scope="module")
+def found(run):
+    return wandering.follow(METHOD, run)
+
+
+def test_readings_are_those_of_the_first_edition(run):
+    """Numbers that the code of the first edition drew for the seed 100 and nine minutes: first, middle, last row."""
+    rows = [0, 220, 539]
+    np.testing.assert_allclose(run.q[rows][:, [0, 8]], Q_OLD, atol=1e-12)
+    np.testing.assert_allclose(run.readings[rows][:, [0, 4, 9, 17]], U_OLD, atol=1e-10)
+    np.testing.assert_allclose(run.errors[rows][:, [0, 1, 10, 19, 22]], ERRORS_OLD, atol=1e-12)
+    assert run.iron_s == pytest.approx(IRON_OLD)
+
+
+def test_the_filter_and_the_simulation_mean_the_same_errors(run):
+    """Without noise, sway and iron the sensor model of the filter reads what the run does, to the multipoles."""
+    arm, k = wandering.robot(), 100  # before the iron comes
+    model = DriftModel(wandering.Drifting(arm.sensing(), wandering.drifts()), arm.lower, arm.upper, "test")
+    x = np.concatenate([run.q[k], run.errors[k], np.zeros(6)])
+    still = np.concatenate([run.q[k], np.zeros(34)])
+    off = run.readings[k] - model(x[None])[0]
+    assert np.abs(off[:9]).max() < 5 * 7.1e-4
+    assert np.abs(off[9:]).max() < 5 * wandering.SWAY
+    exact = simulated_readings(arm, run.q[k], wandering.EARTH)
+    np.testing.assert_allclose(model(still[None])[0], exact, atol=1e-4)
+
+
+def test_walks_end_with_the_size_that_is_stated():
+    steps = round(wandering.SIZE_S * wandering.RATE_HZ)
+    ends = np.array([wandering.drift(steps, np.random.default_rng(k))[-1] for k in range(100)])
+    assert ends[:, 0] == pytest.approx(wandering.WARMING, rel=1e-3)
+    for columns, size in ((slice(1, 10), 0.001), (slice(10, 19), 0.01), (slice(19, 22), wandering.HEADING)):
+        assert ends[:, columns].std() == pytest.approx(size, rel=0.15)
+    # A tilt less what it was at the start has up to twice its variance.
+    expected = wandering.TILT * np.sqrt(2 * (1 - np.exp(-wandering.SIZE_S / wandering.TILT_S)))
+    assert ends[:, 22:].std() == pytest.approx(expected, rel=0.15)
+
+
+def test_the_filter_believes_the_walks_of_the_simulation():
+    walk = np.sqrt(wandering.SIZE_S) * METHOD.drift_walk
+    assert walk[1] == pytest.approx(wandering.GAIN)
+    assert walk[10] == pytest.approx(wandering.OFFSET)
+    assert walk[19] == pytest.approx(wandering.HEADING)
+    lasting, sway = METHOD.drift_walk[22:28] ** 2, METHOD.drift_walk[28:] ** 2
+    rates = METHOD.drift_rate[22:28], METHOD.drift_rate[28:]
+    np.testing.assert_allclose(lasting / (2 * rates[0]), 2 * wandering.TILT**2)  # stationary variances
+    np.testing.assert_allclose(sway / (2 * rates[1]), wandering.SWAY**2)
+    assert (METHOD.drift_std == np.repeat([0, wandering.SWAY], [28, 6])).all()
+
+
+def test_iron_is_noticed_and_spoils_nothing_that_lasts(run, found):
+    error, stated, nees = wandering.tip_errors(run, found)
+    alarm = found.status == "left out"
+    near = (run.times >= run.iron_s[0]) & (run.times < run.iron_s[1])
+    assert alarm[near].sum() >= 15
+    assert not alarm[run.times < run.iron_s[0]].any()
+    later = run.times > run.iron_s[1] + 15
+    assert np.sqrt((error[later] ** 2).mean()) < 0.5
+    assert 0.3 < nees[later].mean() < 2
+    assert 0.3 < nees[alarm].mean() < 3
+    assert stated[alarm].min() > 2 * np.median(stated[~alarm])
+
+
+def test_a_sway_beyond_chance_leaves_the_hall_sensors_out(run, monkeypatch):
+    monkeypatch.setattr(wandering, "CHANCE", 1.0)  # then any sway is
+    first = run._replace(times=run.times[:20], readings=run.readings[:20])
+    assert set(wandering.follow(METHOD, first).status) == {"left out"}
+
+
+def test_lasting_errors_stay_while_the_hall_sensors_are_left_out(found):
+    alarm = np.flatnonzero(found.status == "left out")
+    alarm = alarm[np.flatnonzero(np.diff(alarm) == 1) + 1]  # all but the first row of each
+    b, std = found.details["drift"][:, :22], found.details["drift_std"][:, :22]
+    np.testing.assert_array_equal(b[alarm], b[alarm - 1])  # of walks; tilts fade
+    assert (std[alarm] > std[alarm - 1]).all()
+
+
+@pytest.mark.parametrize("sensor", [0, 4])
+def test_one_impossible_code_moves_nothing_by_its_deviation(run, found, sensor):
+    spiked = run.readings[:ROWS].copy()
+    spiked[120, sensor] = 32.767
+    other = wandering.follow(METHOD, run._replace(times=run.times[:ROWS], readings=spiked))
+    change = np.abs(other.details["drift"] - found.details["drift"][:ROWS])[120:, :28]
+    assert (change < 0.5 * found.details["drift_std"][120:ROWS, :28]).all()
+    assert change.max() > 0
+
+
+def test_nees_of_errors_as_stated_is_one(run):
+    """Estimates that are drawn from the covariance that they state."""
+    rng, arm = np.random.default_rng(0), wandering.robot()
+    C = np.diag(np.full(9, 1e-10))
+    q = run.q[:ROWS] + 1e-5 * rng.standard_normal((ROWS, 9))
+    drawn = wandering.Trajectory(run.times[:ROWS], q, np.broadcast_to(C, (ROWS, 9, 9)), *(np.zeros(1),) * 4)
+    error, stated, nees = wandering.tip_errors(run, drawn)
+    assert nees.mean() == pytest.approx(1, abs=0.2)
+    assert np.sqrt((error**2).mean()) == pytest.approx(np.sqrt((stated**2).mean()), rel=0.2)
+    tip = arm.tip(q)[:, :3, 3] - arm.tip(run.q[:ROWS])[:, :3, 3]
+    np.testing.assert_allclose(error, 100 / 0.33 * np.linalg.norm(tip, axis=1))
+
+
+def test_minutes_add_up(run, found):
+    table = wandering.by_minute(run, found)
+    assert list(table["minute"]) == list(range(1, 10))
+    assert table["iron_s"].sum() == 60
+    error = wandering.tip_errors(run, found)[0]
+    assert (table["tip_rmse_percent"] ** 2).mean() == pytest.approx((error**2).mean())
+    alarm = run.times[found.status == "left out"]
+    assert table["flag_iron_s"].sum() == (alarm < run.iron_s[1]).sum()
+    assert table["flag_else_s"].sum() == (alarm >= run.iron_s[1] + 15).sum()
+
+
+def test_the_study_meets_what_it_claims():
+    study = pd.read_csv(project_folder() / "data" / "studies" / "drift.csv")
+    runs = wandering.by_run(study)
+    assert set(study["minute"]) == set(range(1, 46))
+    by_method = runs.groupby("method")
+    tip, nees = by_method["tip_rmse_percent"].median(), by_method["nees"].mean()
+    assert tip["self-calibrating"] < 0.5 < 1 < tip["fused"]
+    assert 0.6 < nees["self-calibrating"] < 1.5
+    assert tip["oracle"] < tip["self-calibrating"]
+
+
+def test_the_run_of_the_page_is_a_row_of_the_study():
+    own = pd.read_csv(project_folder() / "results" / "forty_five_minutes_run.csv")
+    runs = pd.read_csv(project_folder() / "results" / "forty_five_minutes.csv")
+    both = own.merge(runs, on=["twin", "method"], suffixes=("", "_study"))
+    assert len(both) == 1
+    for name in ("tip_rmse_percent", "nees"):
+        np.testing.assert_allclose(both[name], both[f"{name}_study"], rtol=1e-3)
