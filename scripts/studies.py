@@ -291,6 +291,7 @@ def noise() -> pd.DataFrame:
     table = table.sort_values("solver", ascending=True, kind="stable", ignore_index=True)
     table = table.assign(of_bound=table["mean_percent"] / table["bound_percent"])
     table.attrs = {"noise_mt": list(NOISE_MT), "seeds": list(baaij.SEEDS), "steps": baaij.STEPS}
+    return table
 
 
 def drift() -> pd.DataFrame:
