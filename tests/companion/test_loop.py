@@ -214,10 +214,13 @@ def test_a_ratio_of_means_is_paired():
 
 
 def test_sentences_count_and_name_what_occurs():
-    ratios = pd.DataFrame(
-        {"estimator": loop.INFORMED, "controller": ["PI", "PI", "high gain"], "ratio": [1.3, 1, 2]}
-    )
+    rows = [("PI", 1.3, 9.0), ("PI", 1.0, 9.0), ("high gain", 2.0, 9.0)]
+    names = ["controller", "ratio", "tracking_mm"]
+    truth = pd.DataFrame([("high gain", 1.0, 0.4), ("PI", 1.0, 5.0)], columns=names).assign(estimator="truth")
+    found = pd.DataFrame(rows, columns=names).assign(estimator=loop.INFORMED)
+    ratios = pd.concat([found, truth])
     assert "2 of 3" in loop.claim(ratios)
     assert "2 of them" in loop.claim(ratios)
     assert "does not hold" in loop.claim(ratios)
-    assert "claim holds" in loop.claim(ratios[:2])
+    assert "0.4 mm" in loop.claim(ratios)
+    assert "claim holds" in loop.claim(pd.concat([found[:2], truth]))
