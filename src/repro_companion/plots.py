@@ -1249,7 +1249,10 @@ def segment_errors(means: pd.DataFrame) -> Figure:
     panel.set_xticks(range(len(names)), names)
     panel.grid(visible=False, axis="x")
     grey: Any = {"color": "#767676", "marker": "o", "ls": ""}
-    more = [Line2D([], [], label="calibrated", **grey), Line2D([], [], mfc="none", label="as drawn", **grey)]
+    more = [
+        Line2D([], [], label="calibrated", **grey),
+        Line2D([], [], mfc="none", label="not calibrated", **grey),
+    ]
     handles = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in SEGMENT_LOOKS.items()]
     figure.legend(handles=[*handles, *more], loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)

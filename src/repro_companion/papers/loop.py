@@ -13,7 +13,6 @@ from scipy.stats import chi2
 
 from repro import KalmanFilter, LevenbergMarquardt, Sensing, simulated_readings, track
 from repro_companion.papers.baaij import BEND, RATE_HZ, STEPS, bounds, lemniscate, robot
-from repro_companion.show import number
 
 # Filtering over time
 
@@ -237,9 +236,7 @@ def beside_truth(means: pd.DataFrame, session: str) -> pd.DataFrame:
     """Return ratios in words, a row for what is fed back, a column for each controller; for the truth the error."""
     part = means[means["session"] == session]
     words = [
-        f"{row.tracking_mm:.2f} mm"
-        if row.estimator == "truth"
-        else "{} ({}–{})".format(*(number(x, 2 + (x < 2)) for x in (row.ratio, row.low, row.high)))
+        f"{row.tracking_mm:.2f} mm" if row.estimator == "truth" else f"{row.ratio:.2f}"
         for row in part.itertuples()
     ]
     wide = part.assign(words=words).pivot(index="estimator", columns="controller", values="words")
@@ -260,8 +257,8 @@ def in_words(gains: pd.DataFrame, means: pd.DataFrame) -> str:
     high, forward = at.loc["high gain"], at.loc["PI and feed-forward"]
     return (
         "*Upper row: tracking error with the truth fed back. Others: the error with an estimate fed back over the"
-        " upper row (95 % interval over the draws). Last columns: the largest of the three loops. Arm as modelled,"
-        " synthetic.*\n\n"
+        " upper row; their 95 % intervals are below, in the table of all numbers. Last columns: the largest of the"
+        " three loops. Arm as modelled, synthetic.*\n\n"
         f"**What to see.** On smooth motion a Kalman filter has {between(smooth)} times the error of least squares,"
         f" on random motion {between(random)} times. If a controller with high gain acts on the estimate, the"
         f" tracking error is {high[FILTER]:.0f} times the error with the truth for such a filter,"
