@@ -275,10 +275,11 @@ def claim(ratios: pd.DataFrame) -> str:
         part[part["ratio"] <= 1.3],
         ratios[(ratios["estimator"] == "truth") & (ratios["controller"] != "PI")],
     )
+    plain = (met["controller"] == "PI").sum()
     holds = "holds here" if len(met) == len(part) else "does not hold in general"
     return (
         f"With the command the ratio is at most 1.3 in {len(met)} of {len(part)} combinations of controller, arm and"
-        f" reference, {(met['controller'] == 'PI').sum()} of them with the plain PI controller. So the claim {holds}."
-        " A ratio depends on its denominator. With feed-forward the truth tracks to"
-        f" {truth['tracking_mm'].max():.1f} mm or better, so noise, the late reading and the load all show."
+        f" reference, {'all' if plain == len(met) else plain} of them with the plain PI controller. So the claim {holds}."
+        " A ratio depends on its denominator. With feed-forward the error with the truth is at most about"
+        f" {truth['tracking_mm'].max():.1f} mm, so noise, the late reading and the load all show."
     )
