@@ -14,8 +14,6 @@ from sphinx.application import Sphinx
 
 LIBRARY = "repro"
 """The library that the reference describes."""
-OURS = (LIBRARY, "edition1")
-"""What the names of our packages begin with."""
 GLOSSARY = "notation"
 TRAJECTORIES = f"{GLOSSARY}.html#glossary-trajectories"
 TRAJECTORY = re.compile(r"\bT[0-5]\b")
@@ -126,7 +124,7 @@ def linked_code(html: str, uris: dict[str, str]) -> str:
 
 def name_as_text(app: Sphinx, env, node: pending_xref, contnode: nodes.Element) -> nodes.Element | None:
     """Write a name of ours that the reference does not describe as text; one that does not exist stays broken."""
-    if node.get("refdomain") == "py" and node["reftarget"].startswith(OURS):
+    if node.get("refdomain") == "py" and node["reftarget"].startswith(LIBRARY):
         try:
             pkgutil.resolve_name(node["reftarget"])
         except (AttributeError, ImportError):
