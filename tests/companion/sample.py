@@ -45,7 +45,6 @@ def project(folder: Path) -> Path:
     for name, text in {
         "requirements.lock": "numpy==2.0\n",
         "src/repro/module.py": "x = 1\n",
-        "src/edition1/edition1/module.py": "x = 1\n",
         "data/published/published.csv": "paper,artefact,row,quantity,unit,value,std\n",
     }.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
