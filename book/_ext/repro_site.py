@@ -8,7 +8,6 @@ import shutil
 import tomllib
 from pathlib import Path
 
-from docutils import nodes
 from fontTools import subset
 from page_access import accessible, schematics_in_full
 from sphinx.application import Sphinx
@@ -180,9 +179,6 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.connect("html-page-context", drop_numbers)
     app.connect("source-read", make_page)
     app.connect("source-read", fill_values)
-    # a number of a paper, a setting: so that every other digit in prose is known to be loose
-    for role in ("paper", "setting"):
-        app.add_generic_role(role, nodes.inline)
     app.connect("build-finished", add_viewer)
     app.connect("build-finished", cut_icons)
     app.connect("build-finished", tidy)
