@@ -114,17 +114,31 @@ def test_names_in_cells_lead_to_the_reference():
     cells = [
         {
             "cell_type": "code",
-            "source": ["from repro import GradientDescent, track as follow\n", "import numpy as np"],
+            "source": [
+                "from repro import GradientDescent, track as follow\n",
+                "import repro\n",
+                "repro.smooth(1)",
+            ],
         },
         {"cell_type": "code", "source": ["from repro_companion.papers import baaij\n"]},
         {"cell_type": "markdown", "source": ["from nowhere"]},
     ]
-    assert links.imported_names(cells) == {"GradientDescent": "GradientDescent", "follow": "track"}
+    found = {"GradientDescent": "GradientDescent", "follow": "track", "repro.smooth": "smooth"}
+    assert links.names_used(cells) == found
     html = '<span class="n">follow</span><span class="p">(</span><span class="n">followed</span>'
     linked = links.linked_code(html, {"follow": "../api.html#track"})
     assert linked.startswith('<a class="api-link" href="../api.html#track"><span class="n">follow</span></a>')
     assert linked.count("<a ") == 1
     assert links.linked_code(linked, {"follow": "../api.html#track"}) == linked
+    smooth = '<span class="n">repro</span><span class="o">.</span><span class="n">smooth</span>'
+    linked = links.linked_code(f'{smooth}<span class="n">smooth</span>', {"repro.smooth": "#s"})
+    assert (
+        linked
+        == smooth.replace(
+            '<span class="n">smooth</span>', '<a class="api-link" href="#s"><span class="n">smooth</span></a>'
+        )
+        + '<span class="n">smooth</span>'
+    )
 
 
 def test_words_lead_to_the_glossary_once(tmp_path):
