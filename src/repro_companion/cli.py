@@ -1,4 +1,4 @@
-"""The command ``repro``: what is rewritten is here, every other command is the first edition's."""
+"""The command ``repro``: those of the book are here, those for a robot and a board in ``repro_board.cli``."""
 
 from __future__ import annotations
 
@@ -9,25 +9,22 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
-from cyclopts import App, Parameter, Token
+from cyclopts import App, CycloptsError, Group, Parameter, Token
 
-from edition1_companion.cli import app as first_edition
-from edition1_companion.cli import main as run_command
 from repro_board import cli as board
 
-NEEDS = {
-    "record export import emulate calibrate live track smooth fit": ["edition1"],
-    "run": ["book"],
-    "sweep": ["book", "cluster"],
-    "fetch": ["book", "edition1"],
-}
-"""The extras that commands need. A command that is not here runs with the required packages alone."""
+NEEDS = {"run": ["book"], "sweep": ["book", "cluster"], "fetch": ["book"]}
+"""The extras that our commands need. One that is not here runs with the required packages alone."""
 PACKAGES = {
-    "book": ["papermill", "nbformat", "ipykernel", "yaml", "joblib", "pooch", "requests"],
+    "book": ["papermill", "nbformat", "ipykernel", "joblib", "requests"],
     "cluster": ["distributed"],
-    "edition1": ["torch", "jaxtyping", "tqdm", "rosbags", "PIL", "serial", "cobs", "mcap"],
 }
 """By these we see whether an extra is installed."""
+ROBOT, BOARD, BOOK = (
+    Group(title, sort_key=k)
+    for k, title in enumerate(["A robot of your own", "A board on a wire", "The book"])
+)
+GROUPS = dict.fromkeys(("check", "track", "calibrate", "evaluate"), ROBOT)
 
 
 def named(extras: Sequence[str]) -> str:
@@ -53,13 +50,18 @@ NAME_AND_VALUE = Parameter(
 Given = Annotated[list[tuple[str, str]] | None, NAME_AND_VALUE]
 Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
 
-app = App(name="repro", help=first_edition.help, version_flags=[], help_format="plaintext")
-for name in " ".join(NEEDS).split():
-    if name not in ("run", "sweep"):
-        app.command(first_edition[name], name=name)
+app = App(
+    name="repro",
+    help="The shape of a soft robot from its sensors, and the tables and figures of three papers about it.",
+    version_flags=[],
+    help_format="plaintext",
+)
+app["--help"].group = Group("Help", sort_key=9)
+for order, (name, words) in enumerate(board.COMMANDS.items()):  # for the list: their own module runs them
+    app.command(App(name=name, help=words, sort_key=order, group=GROUPS.get(name, BOARD)))
 
 
-@app.command
+@app.command(group=BOOK, sort_key=1)
 def run(
     notebook: Path | None = None,
     /,
@@ -107,7 +109,7 @@ def run(
     return 0
 
 
-@app.command
+@app.command(group=BOOK, sort_key=2)
 def sweep(
     notebook: Path,
     /,
@@ -153,7 +155,7 @@ def sweep(
     return 1 if failures else 0
 
 
-@app.command
+@app.command(group=BOOK, sort_key=3)
 def scorecard(*, require: Path | None = None, write_reference: Path | None = None) -> int:
     """Compare the book's results with every number of the papers; write results/scorecard.csv.
 
@@ -185,7 +187,7 @@ def scorecard(*, require: Path | None = None, write_reference: Path | None = Non
     return 0
 
 
-@app.command
+@app.command(group=BOOK, sort_key=4)
 def compare(old: Path | None = None, new: Path | None = None, /) -> int:
     """Compare tables of results: repro compare [OLD NEW]. Without folders, results/ with what is committed.
 
@@ -217,34 +219,65 @@ def compare(old: Path | None = None, new: Path | None = None, /) -> int:
     return 1 if result.found else 0
 
 
-for name, words in board.COMMANDS.items():  # for the list of commands: they are run by their own module
-    app.command(App(name=name, help=words))
-for names, extras in NEEDS.items():
-    for name in names.split():
-        app[name].group = f"Commands that need {named(extras)}"
+@app.command(group=BOOK, sort_key=5)
+def fetch(
+    paper: str = "",
+    /,
+    *,
+    mirror: Annotated[str, Parameter(env_var="REPRO_MIRROR")] = "",
+    list_only: Annotated[bool, Parameter(name="--list", negative="")] = False,
+) -> int:
+    """Download the authors' public recordings that are not in REPRO_DATA_DIR yet; go on where it stopped.
+
+    Parameters
+    ----------
+    paper
+        One paper, such as mitchell2021; all by default.
+    mirror
+        Download from MIRROR/PAPER/PATH, such as a folder of recordings served over HTTP, instead of GitHub.
+    list_only
+        Download nothing; print what there is, how much of it is here, and where it comes from.
+    """
+    from repro_companion import run as tool
+    from repro_companion.papers import fetch as files
+
+    sources = files.read_sources(tool.project_folder() / "data" / "sources.json", paper)
+    folder = tool.recordings_folder()
+    if list_only:
+        print(f"{files.listing(sources, folder)}\nFolder: {tool.shown(folder)}")
+        return 0
+    tool.stop_on_termination()
+    said, complete = files.fetch(sources, folder, mirror, show=sys.stderr.isatty())
+    print(said, file=sys.stdout if complete else sys.stderr)
+    return 0 if complete else 1
 
 
 def main() -> int:
-    """Run the command line. Where an extra is missing, say in one line which, before anything else is asked for."""
+    """Run the command line; return 0, 1 where a notebook, a download or a comparison failed, 2 for wrong input.
+
+    Where an extra is missing, it says in one line which, before it asks for anything else.
+    """
     words = sys.argv[1:]
     command = words[0] if words else ""
     if command in board.COMMANDS:
         return board.main(words)
-    extras = next((extras for names, extras in NEEDS.items() if command in names.split()), [])
-    missing = [extra for extra in extras if not all(map(find_spec, PACKAGES[extra]))]
+    missing = [extra for extra in NEEDS.get(command, ()) if not all(map(find_spec, PACKAGES[extra]))]
     if missing and not {"--help", "-h"} & set(words):
         brings = f'pip install "repro-soft-robots[{",".join(missing)}]"'
         print(f"repro {command} needs {named(missing)}: {brings}", file=sys.stderr)
         return 2
-    from repro_companion.run import InputError, is_first_edition
+    from repro.common import InputError
 
-    notebook = next((Path(word) for word in words if word.endswith(".ipynb")), None)
-    old = command == "run" and notebook is not None and is_first_edition(notebook)
     try:
-        return run_command(first_edition if old else app)
-    except (InputError, FileNotFoundError) as error:
+        return app(words, exit_on_error=False, print_error=False, result_action="return_value") or 0
+    except (InputError, FileNotFoundError, CycloptsError) as error:
         print(f"repro {command}: {error}", file=sys.stderr)
         return 2
+    except OSError as error:
+        print(f"repro {command}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
 
 
 if __name__ == "__main__":
