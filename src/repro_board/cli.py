@@ -18,7 +18,7 @@ from cyclopts import App, CycloptsError, Group, Parameter, Token
 from repro.common import InputError, require
 
 ROBOT, BOARD, BOOK = (
-    Group(name, sort_key=k) for k, name in enumerate(("Your robot", "A board on a wire", "The book"))
+    Group(name, sort_key=k) for k, name in enumerate(("A robot of your own", "A board on a wire", "The book"))
 )
 """How ``repro --help`` lists the commands."""
 PACKAGES = {"serial": "board", "mcap": "board", "tornado": "board", "pyarrow": "parquet"}
@@ -30,6 +30,7 @@ app = App(
     version_flags=[],
     help_format="plaintext",
 )
+app["--help"].group = Group("Help", sort_key=9)
 
 
 def as_typed(_: Any, tokens: Sequence[Token]) -> list[tuple[str, str]]:
@@ -59,7 +60,7 @@ Names = Annotated[list[str] | None, Parameter(negative="", metavar="NAME")]
 Faults = Annotated[list[tuple[str, str]] | None, pairs("--fault")]
 
 
-@app.command(group=ROBOT)
+@app.command(group=ROBOT, sort_key=1)
 def check(robot: Path, /, *, samples: int = 400) -> int:
     """Say whether a robot can work, before any reading is taken.
 
@@ -78,7 +79,7 @@ def check(robot: Path, /, *, samples: int = 400) -> int:
     return 0 if found.can_work else 1
 
 
-@app.command(group=ROBOT)
+@app.command(group=ROBOT, sort_key=2)
 def track(
     readings: Path,
     /,
@@ -125,7 +126,7 @@ def track(
     return 0
 
 
-@app.command(group=ROBOT)
+@app.command(group=ROBOT, sort_key=3)
 def calibrate(
     readings: Path,
     poses: Path | None = None,
@@ -168,7 +169,7 @@ def calibrate(
     return 0
 
 
-@app.command(group=ROBOT)
+@app.command(group=ROBOT, sort_key=4)
 def evaluate(
     readings: Path,
     poses: Path,
@@ -219,7 +220,7 @@ def evaluate(
     return 0
 
 
-@app.command(group=BOARD)
+@app.command(group=BOARD, sort_key=1)
 def record(
     port: str = "",
     /,
@@ -267,7 +268,7 @@ def record(
     return 0
 
 
-@app.command(group=BOARD)
+@app.command(group=BOARD, sort_key=2)
 def live(
     port: str,
     /,
@@ -324,7 +325,7 @@ def live(
     return 0
 
 
-@app.command(group=BOARD)
+@app.command(group=BOARD, sort_key=3)
 def export(
     recording: Path,
     /,
@@ -361,7 +362,7 @@ def export(
     return 0
 
 
-@app.command(group=BOARD)
+@app.command(group=BOARD, sort_key=4)
 def emulate(
     source: Path,
     /,
@@ -397,9 +398,9 @@ def emulate(
     hold
         For so many seconds in each pose.
     fault
-        A fault and its value, such as --fault flips 1e-4; may be repeated. Of bytes: flips, drops, duplicates, bursts,
-        stalls, disconnects, reboots, drift_ppm. Of a sensor, by its number: unplug, stick, saturate, gain, nan. A
-        foreign magnet at so many mm; and noise, times that of the file.
+        A fault and its value, such as --fault flips 1e-4; may be repeated. Chances: flips, drops, duplicates, bursts,
+        stalls, disconnects, reboots. Number of a sensor: unplug, stick, saturate, gain, nan. Distance of a foreign
+        magnet in mm: magnet. Times the noise of the file: noise. Of the clock: drift_ppm.
     fault_from
         The faults begin so many seconds after the first reading.
     seed

@@ -1,64 +1,33 @@
-"""The command ``repro``: those of the book are here, those for a robot and a board in ``repro_board.cli``."""
+"""The command ``repro``: the commands of the book, beside those for a robot and a board of ``repro_board.cli``."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from cyclopts import App, CycloptsError, Group, Parameter, Token
+from cyclopts import Parameter
 
-from repro_board import cli as board
+from repro_board.cli import BOOK, Output, app, pairs
+from repro_board.cli import main as run_command
 
-NEEDS = {"run": ["book"], "sweep": ["book", "cluster"], "fetch": ["book"]}
-"""The extras that our commands need. One that is not here runs with the required packages alone."""
+NEEDS = {
+    "record": ["board"],
+    "live": ["board"],
+    "run": ["book"],
+    "sweep": ["book", "cluster"],
+    "fetch": ["book"],
+}
+"""The extras that commands need. A command that is not here runs with the required packages alone."""
 PACKAGES = {
+    "board": ["serial", "rich", "tornado"],
     "book": ["papermill", "nbformat", "ipykernel", "joblib", "requests"],
     "cluster": ["distributed"],
 }
 """By these we see whether an extra is installed."""
-ROBOT, BOARD, BOOK = (
-    Group(title, sort_key=k)
-    for k, title in enumerate(["A robot of your own", "A board on a wire", "The book"])
-)
-GROUPS = dict.fromkeys(("check", "track", "calibrate", "evaluate"), ROBOT)
-
-
-def named(extras: Sequence[str]) -> str:
-    """Return extras as a sentence names them."""
-    return f"the extra{'s' if len(extras) > 1 else ''} " + " and ".join(f'"{extra}"' for extra in extras)
-
-
-def _as_typed(_: Any, tokens: Sequence[Token]) -> list[tuple[str, str]]:
-    """Return names and values as they were typed: a value may start with a hyphen or look like JSON."""
-    words = [token.value for token in tokens]
-    return list(zip(words[::2], words[1::2], strict=True))
-
-
-NAME_AND_VALUE = Parameter(
-    name=["-p", "--parameter"],
-    metavar="NAME VALUE",
-    allow_leading_hyphen=True,
-    negative="",
-    json_list=False,
-    json_dict=False,
-    converter=_as_typed,
-)
-Given = Annotated[list[tuple[str, str]] | None, NAME_AND_VALUE]
-Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
-
-app = App(
-    name="repro",
-    help="The shape of a soft robot from its sensors, and the tables and figures of three papers about it.",
-    version_flags=[],
-    help_format="plaintext",
-)
-app["--help"].group = Group("Help", sort_key=9)
-for order, (name, words) in enumerate(board.COMMANDS.items()):  # for the list: their own module runs them
-    app.command(App(name=name, help=words, sort_key=order, group=GROUPS.get(name, BOARD)))
+Given = Annotated[list[tuple[str, str]] | None, pairs("-p", "--parameter")]
 
 
 @app.command(group=BOOK, sort_key=1)
@@ -253,31 +222,16 @@ def fetch(
 
 
 def main() -> int:
-    """Run the command line; return 0, 1 where a notebook, a download or a comparison failed, 2 for wrong input.
-
-    Where an extra is missing, it says in one line which, before it asks for anything else.
-    """
+    """Run the command line; where an extra is missing, say in one line which, before anything else is asked for."""
     words = sys.argv[1:]
     command = words[0] if words else ""
-    if command in board.COMMANDS:
-        return board.main(words)
     missing = [extra for extra in NEEDS.get(command, ()) if not all(map(find_spec, PACKAGES[extra]))]
     if missing and not {"--help", "-h"} & set(words):
+        named = f"the extra{'s' if len(missing) > 1 else ''} " + " and ".join(f'"{name}"' for name in missing)
         brings = f'pip install "repro-soft-robots[{",".join(missing)}]"'
-        print(f"repro {command} needs {named(missing)}: {brings}", file=sys.stderr)
+        print(f"repro {command} needs {named}: {brings}", file=sys.stderr)
         return 2
-    from repro.common import InputError
-
-    try:
-        return app(words, exit_on_error=False, print_error=False, result_action="return_value") or 0
-    except (InputError, FileNotFoundError, CycloptsError) as error:
-        print(f"repro {command}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"repro {command}: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 130
+    return run_command(words, app)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("JOBS", "2")
     notebook(tmp_path / "notebooks/other.ipynb", "o")
     for name, text in {
-        "pyproject.toml": "[tool.repro]\n",
+        "pyproject.toml": "",
         "data/published/published.csv": PUBLISHED,
         "data/published/index.csv": "paper,kind,artefact,shows,status,page,anchor,code,note\n"
         "a2020,table,Table 1,errors,regenerated,notebooks/a,,,\n",
