@@ -5,10 +5,11 @@ The page "Wire formats" of the book states every byte of a frame, every form of 
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 import struct
-from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, NamedTuple
 from zlib import crc32
 
@@ -57,6 +58,10 @@ class _Packets:
         self._rest, self._end = b"", 0
         self._oversized, self._opened = False, True
         self._clocks: dict[int, tuple[int, int]] = {}  # by stream: time as sent and without wraps [µs]
+
+    def close(self) -> None:
+        """Forget a packet begun: it has no end."""
+        self.drop_rest()
 
     def drop_rest(self) -> None:
         """Forget a packet begun, as after the port was opened again."""
@@ -166,10 +171,6 @@ class _Frames(_Packets):
             counters["frames"] += len(found)
         return found
 
-    def close(self) -> list[Sample]:
-        self.drop_rest()
-        return []
-
     def _discard(self, packet: bytes, counter: str = "") -> None:
         super()._discard(packet, counter)
         if printed := _PRINTED.search(packet):
@@ -228,86 +229,67 @@ _AGREEING, _MOST_HELD = 3, 32
 _AGREEING_PAIRS = 20
 """The same where whole numbers in pairs may be numbers with decimal commas: one digit in ten is a zero."""
 _LATEST_US = 1e16
+_TIMES = {"time": "", "t": "", "timestamp": "", "seconds": "s", "sec": "s", "millis": "ms", "ms": "ms"}
+_TIMES |= {"milliseconds": "ms", "micros": "us", "microseconds": "us", "us": "us"}
+"""Names of a column of times, and the unit that a name says."""
 _TIME_UNITS = {"s": 1e6, "sec": 1e6, "seconds": 1e6, "ms": 1e3, "us": 1.0, "ns": 1e-3, "min": 6e7}
 """Microseconds of a unit of time."""
-_TIME_NAMES = {
-    **dict.fromkeys(("time", "t", "timestamp"), ""),
-    **dict.fromkeys(("seconds", "sec"), "s"),
-    **dict.fromkeys(("millis", "milliseconds", "ms"), "ms"),
-    **dict.fromkeys(("micros", "microseconds", "us"), "us"),
-}
+_MARK = "\0"
+"""Stands for a number in the form of a line: all of it but its numbers."""
+_NUMBER = re.compile(  # no whole number begins with a zero, but the digits behind a decimal comma may
+    r"(?<![\w.#+-])(?:[+-]?(?i:nan|inf|infinity|ovf)|1\.#[A-Z]+|#?N/?A|n/a|na|(?i:null|none))(?![\w.])"
+    r"|(?<![\w.])[+-]?(?:[0-9]+\.[0-9]*|0|[1-9][0-9]*|\.[0-9]+)(?![0-9])(?:[eE][+-]?[0-9]{1,3}(?![0-9.]))?"
+    r"|(?<![^\s,;:=])-{1,2}(?=[\s,;]|$)"
+)
+_IS_NUMBER = re.compile(r"[+-]?\.?[0-9][^#]*")
+_EMPTY = re.compile(r"(?<=[,;\t:=])(?=[,;\t])|^(?=[,;\t])")
+_BLANKS = re.compile(r" *([;,\t:=]) *| +(?= )")
 _LETTER = "A-Za-zµμΩ°%"
-# A leading zero is in no whole number that a sketch prints, but may stand behind a decimal comma.
-_NUMBER = r"[+-]?(?:[0-9]+\.[0-9]*|0|[1-9][0-9]*|\.[0-9]+)(?![0-9])(?:[eE][+-]?[0-9]{1,3})?"
-_WORD = r"(?i:[+-]?(?:nan|inf|infinity|ovf)|1\.#[a-z]+|#?n/?a|null|none|-)(?![A-Za-z0-9])"
-"""A reading that is missing."""
 _UNIT = (
     rf"(?![xXbB][0-9]|[eE](?![{_LETTER}])|(?i:nan|inf|ovf)(?![{_LETTER}]))"  # 0x10, 1.5e, and no numbers
     rf"[{_LETTER}][{_LETTER}/²³^*]*(?:[0-9](?![0-9{_LETTER}]))?"
 )
-_LABEL = r"(?:([^\W\d][\w{}.()\[\]/#°%-]*?)[ ]*[:=][ ]*)?"
-_FIELD = re.compile(rf"{_LABEL.format(' ')}({_NUMBER}|{_WORD}|)[ ]*({_UNIT})?")
-_ITEM = re.compile(rf"{_LABEL.format('')}({_NUMBER}|{_WORD})(?:[ ]*({_UNIT})(?![ ]*[:=]))?(?:[ ]+|$)")
+_BETWEEN = re.compile(rf"(?: ?({_UNIT}))?([ ,;\t]?)(?:([^\W\d][\w .()\[\]/#°%-]*?)[:=])?")
 _NAME = re.compile(r"[^\W\d][\w .()\[\]/²³^*#°%-]*")
-_MISSING = re.compile(f"{_WORD}|")
 _COMMAS = re.compile(r"[+-]?[0-9]+,[0-9]+(?:(?:,?[ ]+|[ ]*[;\t][ ]*)[+-]?[0-9]+,[0-9]+)+[;,]?")
 _PAIRS = re.compile(r"[+-]?[0-9]+,[0-9]{2,}(?:,[+-]?[0-9]+,[0-9]{2,})*")
 _WRAPPED = re.compile(r"b'(.*?)(?:\\r)?(?:\\n)?'|[(\[{](.*)[)\]}],?")
 """How Python prints bytes and tuples, and JSON objects."""
-_TELEPLOT = re.compile(rf">([^:,|]+):({_NUMBER}|{_WORD})(?:§([^|]*))?(?:\|.*)?")
+_TELEPLOT = re.compile(r">([^:,|]+):([^:§|]*)(?:§([^|]*))?(?:\|.*)?")
 
-_WHOLE, _DECIMAL = r"(?:0|-?[1-9][0-9]{0,3})", r"-?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]{1,3})?"
-_RANGES = {"hall": (-8192.0, 8191.0), "millivolts": (0.0, 2048.0), "quaternions": (-1.001, 1.001)}
-"""Of the lines of the papers: 14 bits of an MLX90363 [counts]; Baaij et al., section 5.1 [mV]; a unit quaternion."""
-_COLUMNS = {"hall": ("z", "y", "x"), "quaternions": ("x", "y", "z", "w")}
-_UNITS = {"hall": "counts", "millivolts": "mV", "quaternions": ""}
+_DECIMAL = r"-?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]{1,3})?"
+_PAPERS = {
+    "hall": (r"(?:(?:^|,)(?:0|-?[1-9][0-9]{0,3}))+", -8192.0, 8191.0, ("z", "y", "x"), "counts"),
+    "millivolts": (rf"(?:(?:^|,){_DECIMAL})+", 0.0, 2048.0, (), "mV"),
+    "quaternions": (rf"(?:0|[1-9][0-9]{{0,2}})(?:, ?{_DECIMAL})*", -1.001, 1.001, ("x", "y", "z", "w"), ""),
+}
+"""Of the lines of the papers: form, range (14 bits of an MLX90363; Baaij et al., section 5.1), names, unit."""
 NORM_TOLERANCE = 1e-3
 """How far the norm of a quaternion may be from 1: four decimals stay within, two do not."""
-
-
-class _Form(NamedTuple):
-    """All of a line but its numbers; ``trailing``: a separator stands behind the last one."""
-
-    separator: str
-    labels: tuple[str, ...]
-    units: tuple[str, ...]
-    trailing: bool
-
-
-class _Held(NamedTuple):
-    """A line that waits for others of its form."""
-
-    form: _Form
-    values: list[float]
-    start: int
-    packet: bytes
 
 
 class _Lines(_Packets):
     """Lines of numbers as sketches print them, whose form is that of the first that agree; or those of a paper."""
 
     def __init__(self, format: str | None, channels: int | None) -> None:
-        paper = _RANGES.get(format or "")
-        n = channels or len(_COLUMNS.get(format or "", "123"))
-        super().__init__(b"\n", _LONGEST_FIELD * (n + (n == 4)) if paper else _LONGEST_LINE)
-        self._channels, self._paper = channels, None
-        self._form: _Form | None = None
-        self._header: tuple[str, ...] = ()
-        self._header_separator = ""
-        self._closed = False  # after another header or decimal commas nothing is accepted
-        self._held: list[_Held] = []
-        self._group: list[tuple[str, str]] = []  # lines of one number each: name and field
-        self._group_start = 0
+        super().__init__(b"\n", _LONGEST_LINE)
+        self._channels = channels
+        self._form, self._header, self._separator = "", (), ""
+        self._closed = ""  # why nothing is accepted any more
+        self._paper = re.compile(b"")
+        self._held: list[tuple[str, list[float], int, bytes]] = []
+        self._group: dict[str, str] = {}  # lines of one number each, which make one line
         self._time: tuple[int, float] | None = None  # column of the times, and its unit [µs]
-        self._commas = 0
-        self._seen_newline = False
-        if paper:
-            self._read_as(str(format), n)
+        self._commas, self._seen_newline = 0, False
+        if format in _PAPERS:
+            self._read_as(str(format), channels or 3)
 
     def _read_as(self, format: str, n: int) -> None:
-        self.format, self._paper = format, _paper_line(format, n)
-        self.names = _COLUMNS.get(format, tuple(f"u{k + 1}" for k in range(n)))
-        self.units = (_UNITS[format],) * n
+        form, *_, names, unit = _PAPERS[format]
+        self.format, self._paper = format, re.compile(form.encode())
+        self.names = names or tuple(f"u{k + 1}" for k in range(n))
+        self.units = (unit,) * len(self.names)
+        self._longest = _LONGEST_FIELD * (len(self.names) + (format == "quaternions"))
 
     def feed(self, data: bytes) -> list[Sample]:
         found: list[Sample] = []
@@ -315,153 +297,153 @@ class _Lines(_Packets):
         if not self._seen_newline and (self._rest + data).count(b"\r") > _AGREEING:
             self._delimiter, self._seen_newline = b"\r", True
         for start, packet, cut in self._split(data):
+            text = _plain(packet)
             if cut:
                 self._discard(packet, "first_partial")
-                if not self._paper:
-                    self._take_names(_plain(packet), cut=True)
-            elif self._paper:
-                found += self._sample_of_paper(packet, start)
-            elif text := _plain(packet):
+                self._take_names(text, cut=True)
+            elif self.format in _PAPERS:
+                found += self._of_paper(packet, start)
+            elif text:
                 found += self._line(text, packet, start)
         self.counters["frames"] += len(found)
         return found
 
     def drop_rest(self) -> None:
         super().drop_rest()
-        self._closed, self._group, held = False, [], self._held
-        self._held = []
-        for line in held:
-            self._drop(line.packet, f"fewer than {_AGREEING} lines of one form")
+        held, self._held, self._group, self._closed = self._held, [], {}, ""
+        for *_, packet in held:
+            self._drop(packet, f"fewer than {_AGREEING} lines of one form")
 
-    def close(self) -> list[Sample]:
+    def close(self) -> None:
         if last := _plain(self._rest):
             self._remark(f"The last line has no end and was left out: {last[:80]!r}.")
-        self.drop_rest()
-        return []
+        super().close()
 
-    def _sample_of_paper(self, packet: bytes, start: int) -> list[Sample]:
-        found = self._paper(packet) if self._paper else None
-        if found is None:
-            self._drop(packet, f"no line of {self.format}")
-            return []
-        return [Sample(found[0], None, None, start, found[1])]
+    def _of_paper(self, packet: bytes, start: int) -> list[Sample]:
+        line, stream = packet.removesuffix(b"\r"), 0
+        low, high = _PAPERS[str(self.format)][1:3]
+        if self._paper.fullmatch(line):
+            values = np.array(line.split(b","), dtype=np.float64)
+            possible = True
+            if self.format == "quaternions":  # number, w, x, y, z
+                stream, values = int(values[0]), np.roll(values[1:], -1)
+                possible = stream <= 255 and abs(np.linalg.norm(values) - 1) <= NORM_TOLERANCE
+            if possible and len(values) == len(self.names) and low <= values.min() and values.max() <= high:
+                return [Sample(stream, None, None, start, values)]
+        norm = f", of norm 1 within {NORM_TOLERANCE:g}" if self.format == "quaternions" else ""
+        self._drop(packet, f"no line of {self.format}{norm}")
+        return []
 
     def _line(self, text: str, packet: bytes, start: int) -> list[Sample]:
         """Return the samples that a line completes."""
         if single := _TELEPLOT.fullmatch(text):
-            name, group = single[1].strip(), self._group
-            whole = any(name == other for other, _ in group)
-            line = ", ".join(field for _, field in group)
-            begun = self._group_start
-            self._group = [*([] if whole else group), (name, f"{name}: {single[2]} {single[3] or ''}")]
-            self._group_start = begun if group and not whole else start
-            return self._line(line, line.encode(), begun) if whole else []
-        n = len(self._form.labels) if self._form else len(self._header)
-        line = _read_line(text, n)
-        if _COMMAS.fullmatch(text) or (isinstance(line, str) and _PAIRS.fullmatch(text)):
-            self._drop(packet, "numbers must have decimal points, not commas")
+            name, line = single[1].strip(), ",".join(self._group.values())
+            whole = name in self._group
+            self._group = ({} if whole else self._group) | {name: f"{name}:{single[2]} {single[3] or ''}"}
+            return self._line(line, line.encode(), start) if whole else []
+        form, values = _read_line(text)
+        if f"{form}{_MARK}" == self._form:  # the last field is empty
+            form, values = self._form, [*values, math.nan]
+        if form == self._form and not self._closed:
+            return self._sample(values, start, packet)
+        columns = _columns(form)
+        if not columns and self._take_names(text):
+            return []
+        if _COMMAS.fullmatch(text) or (not columns and _PAIRS.fullmatch(text)):
+            self._drop(packet, why := "numbers must have decimal points, not commas")
             self._commas += 1
             if self._commas >= _AGREEING and 100 * self._commas > self.counters["frames"]:
-                self._closed, self._form, self._held = True, None, []
-                self._remark(
-                    "Numbers must have decimal points: the lines have decimal commas, nothing is read."
-                )
-        elif isinstance(line, str):
-            if not self._take_names(text):
-                self._drop(packet, line)
-        elif self._closed:
-            self._drop(packet, "after other names or decimal commas")
-        elif self._form is None:
-            return self._hold(_Held(*line, start, packet))
-        elif line[0] != self._form:
-            self._drop(packet, _difference(line[0], self._form))
+                self._closed = why
+                self._remark(f"Nothing is read: {why}.")
+        elif self._closed or self._form or not columns:
+            same = f"{len(columns)} numbers in another form than the lines before"
+            self._drop(packet, self._closed or (same if columns else "not a line of numbers"))
         else:
-            return self._sample(line[1], start, packet)
+            return self._hold(columns, (form, values, start, packet))
         return []
 
-    def _hold(self, line: _Held) -> list[Sample]:
+    def _hold(self, columns: list[Any], line: tuple[str, list[float], int, bytes]) -> list[Sample]:
         """Keep a line; when enough agree, their form is that of the board."""
-        clock = self._columns(line.form)[2]
-        n = len(line.values) - (clock is not None)
-        if not 1 <= n <= MOST_VALUES or self._channels not in (None, n) or all(map(math.isnan, line.values)):
-            self._drop(line.packet, f"{n} numbers, not {self._channels or f'1 to {MOST_VALUES}'}")
+        form, values, _, packet = line
+        clock = self._named(columns, form)[1]
+        n = len(columns) - (clock is not None)
+        if not 1 <= n <= MOST_VALUES or self._channels not in (None, n) or all(map(math.isnan, values)):
+            self._drop(packet, f"{n} numbers, not {self._channels or f'1 to {MOST_VALUES}'}")
             return []
         self._held.append(line)
-        agreeing = [other for other in self._held if other.form == line.form]
-        texts = [_plain(other.packet) for other in agreeing]
+        texts = [_plain(other) for *_, other in self._held if _read_line(_plain(other))[0] == form]
         pairs = self._channels is None and all(map(_PAIRS.fullmatch, texts))
-        pairs = pairs and len({len(field) for text in texts for field in text.split(",")[1::2]}) == 1
-        if len(agreeing) < (_AGREEING_PAIRS if pairs else _AGREEING):
+        widths = {len(field) for text in texts for field in text.split(",")[1::2]}
+        if len(texts) < (_AGREEING_PAIRS if pairs and len(widths) == 1 else _AGREEING):
             if len(self._held) > _MOST_HELD:
-                self._drop(self._held.pop(0).packet, f"no {_AGREEING} of the first lines have one form")
+                self._drop(self._held.pop(0)[3], f"no {_AGREEING} of the first lines have one form")
             return []
-        held, self._held, found = self._held, [], []
-        quaternion = _paper_line("quaternions", 4)
-        if self._channels in (None, 4) and all(quaternion(other.packet) for other in agreeing):
+        held, self._held = self._held, []
+        quaternions = _Lines("quaternions", 4)
+        if self._channels in (None, 4) and all(quaternions._of_paper(x.encode(), 0) for x in texts):
             self._read_as("quaternions", 4)
-        else:
-            self._fix(line.form)
-        for other in held:
-            if other.form != line.form:
-                self._drop(other.packet, _difference(other.form, line.form))
-            elif self._paper:
-                found += self._sample_of_paper(other.packet, other.start)
-            else:
-                found += self._sample(other.values, other.start, other.packet)
-        return found
+            return [sample for *_, start, packet in held for sample in self._of_paper(packet, start)]
+        self._fix(columns, form)
+        return [
+            sample for _, _, start, packet in held for sample in self._line(_plain(packet), packet, start)
+        ]
 
-    def _columns(self, form: _Form) -> tuple[list[str], list[str], int | None]:
-        """Return names and units of the columns, and which of them is the time."""
-        fits = self._header_separator == form.separator and len(self._header) == len(form.labels)
-        split = [name_and_unit(x) for x in (form.labels if any(form.labels) or not fits else self._header)]
-        units = [own or unit for own, (_, unit) in zip(form.units, split, strict=True)]
-        clocks = (k for k, (name, _) in enumerate(split) if _time_scale(name, units[k]) is not None)
-        return [name for name, _ in split], units, next(clocks, None)
+    def _named(self, columns: list[Any], form: str) -> tuple[list[tuple[str, str]], int | None]:
+        """Return names and units of the columns, by labels or a header, and which of them is the time."""
+        names = [label for label, _ in columns]
+        if not any(names) and len(self._header) == len(names) and self._separator == _separator(form):
+            names = list(self._header)
+        split = [(name_and_unit(name), unit) for name, (_, unit) in zip(names, columns, strict=True)]
+        named = [(name, said or unit) for (name, unit), said in split]
+        return named, next((k for k, x in enumerate(named) if _time_scale(*x) is not None), None)
 
-    def _fix(self, form: _Form) -> None:
-        names, units, clock = self._columns(form)
+    def _fix(self, columns: list[Any], form: str) -> None:
+        named, clock = self._named(columns, form)
         self.format, self._form = "csv", form
-        if self._header and len(self._header) != len(names) and self._header_separator != " ":
-            self._remark(f"{len(self._header)} names stand before lines of {len(names)} numbers: not used.")
+        if self._header and len(self._header) != len(named) and self._separator != " ":
+            self._remark(f"{len(self._header)} names stand before lines of {len(named)} numbers: not used.")
         if clock is not None:
-            scale = _time_scale(names.pop(clock), units.pop(clock))
-            self._time = clock, scale or 0.0
+            scale = _time_scale(*named.pop(clock)) or 0.0
+            self._time = clock, scale
             if not scale:
                 self._remark("The column of times has no unit and is left out; times are those of arrival.")
-        if units[-1] and not any(units[:-1]):
+        names, units = zip(*named, strict=True)
+        if units[-1] and not any(units[:-1]):  # a unit behind the last number is that of all
             units = units[-1:] * len(units)
-        if not all(names) or len(set(names)) < len(names):
-            names = [f"u{k + 1}" for k in range(len(names))] if any(names) or any(units) else []
-        self.names, self.units = tuple(names), tuple(units) if names else ()
+        if "" in names or len(set(names)) < len(names):
+            names = tuple(f"u{k + 1}" for k in range(len(names))) if any((*names, *units)) else ()
+        self.names, self.units = names, units[: len(names)]
 
     def _sample(self, values: list[float], start: int, packet: bytes) -> list[Sample]:
-        """Return the sample of a line of the right form; none if its time is impossible."""
-        sent_us = None
+        """Return the sample of a line of the right form; none if a number is impossible."""
+        sent_us, scale = None, 0.0
         if self._time is not None:
             clock, scale = self._time
-            time = values.pop(clock)
-            if not 0 <= time * scale <= _LATEST_US:
-                self._drop(packet, "no time")
-                return []
-            sent_us = self._unwrapped(0, round(time * scale), False) if scale else None
-        return [Sample(0, None, sent_us, start, np.array(values))]
+            sent_us = values.pop(clock) * scale
+        if any(map(math.isinf, values)) or not 0 <= (sent_us or 0.0) <= _LATEST_US:
+            self._drop(packet, "a number is too large, or no time")
+            return []
+        time_us = self._unwrapped(0, round(sent_us), False) if sent_us is not None and scale else None
+        return [Sample(0, None, time_us, start, np.array(values))]
 
     def _take_names(self, text: str, *, cut: bool = False) -> bool:
         """Take a header; return whether a line is one. One cut off in front tells the other columns only."""
-        names, separator = _read_names(text), _separator(text)
-        if self._form is None:
-            if names and not (cut and _may_be_cut(names[0])):
-                self._header, self._header_separator = names, separator
-                for line in self._held if separator != " " else []:
-                    self._drop(line.packet, "before the names of the columns")
-                self._held = self._held if separator == " " else []
-            return bool(names)
-        if len(names) != len(self._form.labels) or separator != self._form.separator:
+        separator = _separator(text)
+        fields = text.split() if separator == " " else text.rstrip(separator + " ").split(separator)
+        names = tuple(field.strip() for field in fields)
+        if not names or not all(_NAME.fullmatch(name) and not _NUMBER.fullmatch(name) for name in names):
             return False
-        self._closed = bool(self._header) and names[int(cut) :] != self._header[int(cut) :]
-        if not cut and not self._closed:
-            self.counters["restarts"] += 1
-        return not self._closed
+        if self._form and (len(names), separator) == (self._form.count(_MARK), _separator(self._form)):
+            same = names[int(cut) :] == self._header[int(cut) :] or not self._header
+            self._closed = "" if same else "after a header with other names"
+            self.counters["restarts"] += same and not cut
+            return same
+        if not self._form and not (cut and _may_be_cut(names[0])):
+            self._header, self._separator = names, separator
+            while self._held and separator != " ":
+                self._drop(self._held.pop()[3], "before the names of the columns")
+            return True
+        return False
 
     def _drop(self, packet: bytes, why: str) -> None:
         self._discard(packet, "malformed")
@@ -473,7 +455,7 @@ class _Lines(_Packets):
 
 def _plain(packet: bytes) -> str:
     """Return the text of a line without quotes and what Python or JSON put round it."""
-    text = packet.decode(errors="replace").strip().replace('"', "")
+    text = packet.decode(errors="replace").strip().replace('"', "").replace(_MARK, "�")
     wrapped = _WRAPPED.fullmatch(text)
     return (wrapped[1] or wrapped[2] or "").strip() if wrapped else text
 
@@ -482,88 +464,42 @@ def _separator(text: str) -> str:
     return next((mark for mark in ";,\t" if mark in text), " ")
 
 
-def _read_line(text: str, n: int) -> tuple[_Form, list[float]] | str:
-    """Return form and numbers of a line, NaN where one is missing; or in words why it is none.
-
-    Behind the last separator stands nothing, unless ``n`` fields are expected: then the last one is missing.
-    """
-    separator, trailing, found, at = _separator(text), False, [], 0
-    if separator == " ":
-        while at < len(text):
-            match = _ITEM.match(text, at)
-            if match is None:
-                return f"{text[at:]!r} is no number"
-            found.append(match.groups(default=""))
-            at = match.end()
-    else:
-        fields = [field.strip() for field in text.split(separator)]
-        trailing = not fields[-1] and len(fields) != n
-        for field in fields[:-1] if trailing else fields:
-            match = _FIELD.fullmatch(field)
-            if match is None or (match[3] and not match[2]):
-                return f"{field!r} is no number"
-            found.append(match.groups(default=""))
-    labels, printed, units = zip(*found, strict=True)
-    values = [math.nan if _MISSING.fullmatch(x) else float(x) for x in printed]
-    if any(labels) and not all(labels):
-        return "some numbers have a label, others have none"
-    if any(map(math.isinf, values)):
-        return "a number is too large"
-    return _Form(separator, labels, units, trailing), values
+def _read_line(text: str) -> tuple[str, list[float]]:
+    """Return the form of a line and its numbers, NaN where one is missing."""
+    text = _EMPTY.sub("nan", _BLANKS.sub(r"\1", text))
+    values = [float(x) if _IS_NUMBER.fullmatch(x) else math.nan for x in _NUMBER.findall(text)]
+    return _NUMBER.sub(_MARK, text), values
 
 
-def _read_names(text: str) -> tuple[str, ...]:
-    """Return the names of columns in a line; none if it is no header."""
-    separator = _separator(text)
-    fields = text.split() if separator == " " else text.rstrip(separator + " ").split(separator)
-    names = tuple(field.strip() for field in fields)
-    return names if all(_NAME.fullmatch(name) and not _MISSING.fullmatch(name) for name in names) else ()
-
-
-def _difference(form: _Form, usual: _Form) -> str:
-    """Say why a line does not have the form of the others."""
-    counts = len(form.labels), len(usual.labels)
-    if counts[0] != counts[1]:
-        return f"{counts[0]} numbers, not {counts[1]}"
-    words = ("another separator", "other labels", "other units", "another end")
-    return (
-        next(word for word, a, b in zip(words, form, usual, strict=True) if a != b) + " than the lines before"
-    )
+@functools.lru_cache(64)
+def _columns(form: str) -> list[tuple[str, str]]:
+    """Return label and unit of every number; nothing if the form is not that of a line of numbers."""
+    between = [_BETWEEN.fullmatch(part) for part in f",{form}".split(_MARK)]
+    whole = all(between) and all(x[2] for x in between[:-1] if x)
+    if len(between) < 2 or not whole or (between[-1] or "123")[3]:
+        return []
+    found = [(a[3] or "", b[1] or "") for a, b in pairwise(between) if a and b]
+    separators = {x[2] for x in between[1:-1] if x}
+    labels = {bool(label) for label, _ in found}
+    return found if len(labels) == 1 and len(separators) < 2 else []
 
 
 def _time_scale(name: str, unit: str) -> float | None:
     """Return the microseconds of a unit of a column of times, 0 if it is not said; None if the column is no time."""
-    if name == "T" or name.lower() not in _TIME_NAMES:  # T is a temperature or a field
+    if name == "T" or name.lower() not in _TIMES:  # T is a temperature or a field
         return None
-    return _TIME_UNITS.get(unit or _TIME_NAMES[name.lower()], 0.0)
+    return _TIME_UNITS.get(unit or _TIMES[name.lower()], 0.0)
 
 
 def _may_be_cut(name: str) -> bool:
     """Whether a name may be the end of that of a column of times, with another meaning."""
-    whole = [*_TIME_NAMES, *(f"{time}_{unit}" for time in ("time", "t", "timestamp") for unit in _TIME_UNITS)]
+    whole = [*_TIMES, *(f"{time}_{unit}" for time in ("time", "t", "timestamp") for unit in _TIME_UNITS)]
     return _time_scale(*name_and_unit(name)) is None and any(x.endswith(name.lower()) for x in whole)
 
 
-def _paper_line(format: str, n: int) -> Callable[[bytes], tuple[int, Array] | None]:
-    """Return what reads a line of a paper: stream and values, or None where a character or a value is impossible."""
-    low, high = _RANGES[format]
-    first, field = {"hall": (_WHOLE, f",{_WHOLE}"), "millivolts": (_DECIMAL, f",{_DECIMAL}")}.get(
-        format, ("(?:0|[1-9][0-9]{0,2})", f",[ ]?{_DECIMAL}")
-    )
-    form = re.compile(f"{first}(?:{field}){{{n - (format != 'quaternions')}}}".encode())
-
-    def read(line: bytes) -> tuple[int, Array] | None:
-        line = line.removesuffix(b"\r")
-        if not form.fullmatch(line):
-            return None
-        values, stream = np.array(line.split(b","), dtype=np.float64), 0
-        if format == "quaternions":
-            stream, values = int(values[0]), np.roll(values[1:], -1)  # w, x, y, z on the line
-            if stream > 255 or abs(np.linalg.norm(values) - 1) > NORM_TOLERANCE:
-                return None
-        return (stream, values) if (low <= values).all() and (values <= high).all() else None
-
-    return read
+@functools.cache
+def _reader_of(format: str, n: int) -> _Lines:
+    return _Lines(format, n)
 
 
 def text_line(values: Any, format: str, stream: int = 0) -> bytes:
@@ -572,7 +508,7 @@ def text_line(values: Any, format: str, stream: int = 0) -> bytes:
     Parameters
     ----------
     values
-        Numbers, NaN where a reading is missing: as many and as large as the format has. ``millivolts`` has four
+        Numbers, as many and as large as the format has; in ``csv`` NaN is a missing reading. ``millivolts`` has four
         decimals, ``quaternions`` (x, y, z, w) six, ``csv`` all digits.
     format
         ``csv``, ``hall``, ``millivolts`` or ``quaternions``.
@@ -592,19 +528,33 @@ def text_line(values: Any, format: str, stream: int = 0) -> bytes:
     owner = f"a line of {format}"
     require(format in FORMATS[1:], "format", "text_line", " or ".join(FORMATS[1:]), repr(format))
     given = numbers(values, "values", owner, (None,), finite=False)
-    require(stream == 0 or format == "quaternions", "stream", owner, "0, the only one", stream)
     if format == "csv":
-        fits = 1 <= len(given) <= MOST_VALUES and not np.isinf(given).any()
-        require(fits, "values", owner, f"1 to {MOST_VALUES} numbers, none infinite", given)
+        fits = 1 <= len(given) <= MOST_VALUES and not np.isinf(given).any() and stream == 0
+        require(fits, "values", owner, f"1 to {MOST_VALUES} numbers of stream 0, none infinite", given)
         return ",".join(map(repr, given.tolist())).encode() + b"\r\n"
     decimals = {"hall": 0, "millivolts": 4, "quaternions": 6}[format]
     fields = [f"{value + 0.0:.{decimals}f}" for value in given.round(decimals)]
     if format == "quaternions":
         fields = [str(stream), *fields[-1:], *fields[:-1]]
-    line, n = ",".join(fields).encode(), len(_COLUMNS.get(format, given))
-    read = _paper_line(format, n)(line) if len(given) == n else None
-    same = read is not None and np.abs(read[1] - given).max() <= 0.51 * 10.0**-decimals * (decimals > 0)
-    require(same, "values", owner, f"{n} from {_RANGES[format][0]:g} to {_RANGES[format][1]:g}", given)
+    line = ",".join(fields).encode()
+    read = _reader_of(format, len(given))._of_paper(line, 0)
+    same = (
+        read
+        and read[0].stream == stream
+        and np.abs(read[0].values - given).max() <= (decimals > 0) * 0.1**decimals
+    )
+    words = {
+        "hall": "three whole",
+        "millivolts": "1 or more",
+        "quaternions": "a stream to 255, four of norm 1, ",
+    }
+    require(
+        same,
+        "values",
+        owner,
+        f"{words[format]} numbers from {_PAPERS[format][1]:g} to {_PAPERS[format][2]:g}",
+        given,
+    )
     return line + b"\r\n"
 
 
@@ -624,6 +574,17 @@ class Parser:
     channels
         Values that every sample must have; any number by default.
 
+    Attributes
+    ----------
+    format
+        What arrives; None until it is known.
+    names, units
+        Of the values, if header or labels say them.
+    counters
+        Samples, and what was dropped: the page "Wire formats" explains each.
+    remarks
+        What a user should know, one sentence each.
+
     Raises
     ------
     InputError
@@ -640,57 +601,34 @@ class Parser:
 
     def __init__(self, format: str | None = None, channels: int | None = None) -> None:
         require(format in (None, *FORMATS), "format", "Parser", f"one of {', '.join(FORMATS)}", repr(format))
-        own = len(_COLUMNS.get(format or "", ()))
+        own = len(_PAPERS[format][3]) if format in _PAPERS else 0
         fits = channels is None or (channels == own if own else channels in range(1, MOST_VALUES + 1))
-        require(fits, "channels", f"{format or 'Parser'}", str(own or f"1 to {MOST_VALUES}"), channels)
-        frames = [_Frames(channels)] if format in (None, "frames") else []
-        self._readers: list[_Frames | _Lines] = (
-            frames if format == "frames" else [*frames, _Lines(format, channels)]
-        )
+        require(fits, "channels", format or "Parser", str(own or f"1 to {MOST_VALUES}"), channels)
+        self._readers: list[_Frames | _Lines] = []
+        if format in (None, "frames"):
+            self._readers.append(_Frames(channels))
+        if format != "frames":
+            self._readers.append(_Lines(format, channels))
         self._format = format
+        self._take(self._readers[-1])
 
-    @property
-    def _reader(self) -> _Frames | _Lines:
-        return self._readers[-1]
-
-    @property
-    def format(self) -> str | None:
-        """What arrives; None until it is known."""
-        return self._format or self._reader.format
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the values, if header or labels say them."""
-        return self._reader.names
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Units of the values, empty where none is said."""
-        return self._reader.units
-
-    @property
-    def counters(self) -> dict[str, int]:
-        """Samples, and what was dropped: the page "Wire formats" explains each."""
-        return self._reader.counters
-
-    @property
-    def remarks(self) -> list[str]:
-        """What a user should know, one sentence each."""
-        dropped = self.counters["discarded_bytes"]
-        if self.format is None and dropped > _UNKNOWN_BYTES:
-            unknown = f"No frame and no lines of numbers in {dropped} bytes: are baud rate and format right?"
-            return [unknown, *self._reader.remarks]
-        return self._reader.remarks
+    def _take(self, reader: _Frames | _Lines) -> None:
+        self.format, self.names, self.units = self._format or reader.format, reader.names, reader.units
+        self.counters, self.remarks = reader.counters, reader.remarks
 
     def feed(self, data: bytes) -> list[Sample]:
         """Take the next bytes; return the samples that they complete, in order."""
+        found: list[Sample] = []
         for reader in self._readers:
             found = reader.feed(data)
-            if found and len(self._readers) > 1:
-                self._readers = [reader]
             if found:
-                return found
-        return []
+                self._readers = [reader]
+                break
+        self._take(self._readers[-1])
+        if self.format is None and self.counters["discarded_bytes"] > _UNKNOWN_BYTES:
+            words = "No frame and no lines of numbers arrive: are baud rate and format right?"
+            self.remarks += [words] * (words not in self.remarks)
+        return found
 
     def reopened(self) -> None:
         """Forget what was begun: the port was opened again, and the next bytes may be the end of something only."""
@@ -698,5 +636,6 @@ class Parser:
             reader.drop_rest()
 
     def close(self) -> list[Sample]:
-        """End: return the samples that waited. A last line without its end may be cut off, and is none."""
-        return self._reader.close()
+        """End. A last line without its end may be cut off: it is no sample, so that none is returned."""
+        self._readers[-1].close()
+        return []
