@@ -49,31 +49,27 @@ class _Packets:
     """Bytes cut at a delimiter. Every byte is in a sample, a delimiter, discarded, or in a packet not complete."""
 
     def __init__(self, delimiter: bytes, longest: int) -> None:
-        self.counters = dict.fromkeys(COUNTERS, 0)
+        self.counters: dict[str, int] = dict.fromkeys(COUNTERS, 0)
         self.remarks: list[str] = []
         self.format: str | None = None
         self.names: tuple[str, ...] = ()
         self.units: tuple[str, ...] = ()
         self._delimiter, self._longest = delimiter, longest
-        self._rest, self._end = b"", 0
+        self.rest, self._end = b"", 0
         self._oversized, self._opened = False, True
         self._clocks: dict[int, tuple[int, int]] = {}  # by stream: time as sent and without wraps [µs]
 
-    def close(self) -> None:
-        """Forget a packet begun: it has no end."""
-        self.drop_rest()
-
     def drop_rest(self) -> None:
         """Forget a packet begun, as after the port was opened again."""
-        self._discard(self._rest)
-        self._rest, self._oversized, self._opened = b"", False, True
+        self._discard(self.rest)
+        self.rest, self._oversized, self._opened = b"", False, True
 
     def _split(self, data: bytes) -> list[tuple[int, bytes, bool]]:
         """Return the packets that the bytes complete: place, content, whether its beginning may be cut off."""
-        packets = (self._rest + data).split(self._delimiter)
-        at = self._end - len(self._rest)
+        packets = (self.rest + data).split(self._delimiter)
+        at = self._end - len(self.rest)
         self._end += len(data)
-        self._rest = packets.pop()
+        self.rest = packets.pop()
         found = []
         for packet in packets:
             if self._oversized:  # the end of a run that is counted already
@@ -84,9 +80,9 @@ class _Packets:
                 found.append((at, packet, self._opened))
             at += len(packet) + 1
             self._oversized = self._opened = False
-        if self._oversized or len(self._rest) > self._longest:
-            self._discard(self._rest, "" if self._oversized else "oversized")
-            self._rest, self._oversized = b"", True
+        if self._oversized or len(self.rest) > self._longest:
+            self._discard(self.rest, "" if self._oversized else "oversized")
+            self.rest, self._oversized = b"", True
         return found
 
     def _discard(self, packet: bytes, counter: str = "") -> None:
@@ -150,9 +146,8 @@ class _Frames(_Packets):
             size, kind, n = self._layouts.get(body[2:4], (0, None, 0))
             if size != len(body) or body[0] != _VERSION:
                 self._discard(packet, "malformed")
-                known = body[0] == _VERSION and _LAYOUTS.get(body[2:4], (0,))[0] == len(body)
-                what = f"{body[3]} values in stream {body[1]}" if known else "another version or length"
-                self._remark(f"Left out were frames of {what}.")
+                words = f"of another version or number of values ({body[3]} in stream {body[1]})"
+                self._remark(f"Left out were frames {words}.")
                 continue
             stream = body[1]
             sequence, sent_us = _READ_HEAD(body)
@@ -166,18 +161,13 @@ class _Frames(_Packets):
             self._last[stream] = sequence, packet
             values = np.frombuffer(body, kind, n, _HEAD.size).astype(np.float64)
             found.append(Sample(stream, sequence, self._unwrapped(stream, sent_us, anew), start, values))
-        if found:
-            self.format = "frames"
-            counters["frames"] += len(found)
+        self.format = "frames" if found else self.format
         return found
 
     def _discard(self, packet: bytes, counter: str = "") -> None:
         super()._discard(packet, counter)
-        if printed := _PRINTED.search(packet):
-            line = printed[0].decode().strip()[:60]
-            words = f"Text arrives where frames should, such as {line!r}"
-            if not any(text.startswith(words[:12]) for text in self.remarks):
-                self._remark(f"{words}: a board that prints lines has the format csv.")
+        if _PRINTED.search(packet):
+            self._remark("Text arrives among the frames: a board that prints lines has the format csv.")
 
 
 def encode(
@@ -224,24 +214,26 @@ def encode(
 
 # ------------------------------------------------------------------------------------------------- lines of numbers
 _LONGEST_LINE, _LONGEST_FIELD = 4096, 25
-_AGREEING, _MOST_HELD = 3, 32
-"""Lines of one form that fix it, and lines that wait for that at most."""
-_AGREEING_PAIRS = 20
-"""The same where whole numbers in pairs may be numbers with decimal commas: one digit in ten is a zero."""
-_LATEST_US = 1e16
-_TIMES = {"time": "", "t": "", "timestamp": "", "seconds": "s", "sec": "s", "millis": "ms", "ms": "ms"}
-_TIMES |= {"milliseconds": "ms", "micros": "us", "microseconds": "us", "us": "us"}
+_AGREEING, _AGREEING_PAIRS, _MOST_HELD = 3, 20, 32
+"""Lines of one form that fix it; more where pairs of whole numbers may have decimal commas, since one decimal in ten
+begins with a zero; and lines that wait for that at most."""
+_MOST_COMMAS = 2.5
+"""Of the last hundred lines with decimal commas: fewer may be damage."""
+_TIMES = {
+    "time": "", "t": "", "timestamp": "", "seconds": "s", "sec": "s", "millis": "ms", "milliseconds": "ms",
+    "ms": "ms", "micros": "us", "microseconds": "us", "us": "us",
+}  # fmt: skip
 """Names of a column of times, and the unit that a name says."""
 _TIME_UNITS = {"s": 1e6, "sec": 1e6, "seconds": 1e6, "ms": 1e3, "us": 1.0, "ns": 1e-3, "min": 6e7}
 """Microseconds of a unit of time."""
+_LATEST_US = 1e16
 _MARK = "\0"
 """Stands for a number in the form of a line: all of it but its numbers."""
-_NUMBER = re.compile(  # no whole number begins with a zero, but the digits behind a decimal comma may
+_NUMBER = re.compile(  # words for a missing one; no whole number begins with a zero, as decimals behind a comma may
     r"(?<![\w.#+-])(?:[+-]?(?i:nan|inf|infinity|ovf)|1\.#[A-Z]+|#?N/?A|n/a|na|(?i:null|none))(?![\w.])"
-    r"|(?<![\w.])[+-]?(?:[0-9]+\.[0-9]*|0|[1-9][0-9]*|\.[0-9]+)(?![0-9])(?:[eE][+-]?[0-9]{1,3}(?![0-9.]))?"
     r"|(?<![^\s,;:=])-{1,2}(?=[\s,;]|$)"
+    r"|(?<![\w.])([+-]?(?:[0-9]+\.[0-9]*|0|[1-9][0-9]*|\.[0-9]+)(?![0-9])(?:[eE][+-]?[0-9]{1,3}(?![0-9.]))?)"
 )
-_IS_NUMBER = re.compile(r"[+-]?\.?[0-9][^#]*")
 _EMPTY = re.compile(r"(?<=[,;\t:=])(?=[,;\t])|^(?=[,;\t])")
 _BLANKS = re.compile(r" *([;,\t:=]) *| +(?= )")
 _LETTER = "A-Za-zµμΩ°%"
@@ -256,7 +248,6 @@ _PAIRS = re.compile(r"[+-]?[0-9]+,[0-9]{2,}(?:,[+-]?[0-9]+,[0-9]{2,})*")
 _WRAPPED = re.compile(r"b'(.*?)(?:\\r)?(?:\\n)?'|[(\[{](.*)[)\]}],?")
 """How Python prints bytes and tuples, and JSON objects."""
 _TELEPLOT = re.compile(r">([^:,|]+):([^:§|]*)(?:§([^|]*))?(?:\|.*)?")
-
 _DECIMAL = r"-?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]{1,3})?"
 _PAPERS = {
     "hall": (r"(?:(?:^|,)(?:0|-?[1-9][0-9]{0,3}))+", -8192.0, 8191.0, ("z", "y", "x"), "counts"),
@@ -273,39 +264,35 @@ class _Lines(_Packets):
 
     def __init__(self, format: str | None, channels: int | None) -> None:
         super().__init__(b"\n", _LONGEST_LINE)
-        self._channels = channels
-        self._form, self._header, self._separator = "", (), ""
+        self._channels, self._paper = channels, re.compile(b"")
+        self._form, self._separator, self._header = "", "", ()
         self._closed = ""  # why nothing is accepted any more
-        self._paper = re.compile(b"")
-        self._held: list[tuple[str, list[float], int, bytes]] = []
+        self._held: list[tuple[str, str, int, bytes]] = []  # lines that wait: form, text, place and bytes
         self._group: dict[str, str] = {}  # lines of one number each, which make one line
         self._time: tuple[int, float] | None = None  # column of the times, and its unit [µs]
-        self._commas, self._seen_newline = 0, False
+        self._commas, self._seen_newline = 0.0, False
         if format in _PAPERS:
             self._read_as(str(format), channels or 3)
 
     def _read_as(self, format: str, n: int) -> None:
         form, *_, names, unit = _PAPERS[format]
-        self.format, self._paper = format, re.compile(form.encode())
-        self.names = names or tuple(f"u{k + 1}" for k in range(n))
+        self.format, self._paper, self.names = format, re.compile(form.encode()), names or _numbered(n)
         self.units = (unit,) * len(self.names)
         self._longest = _LONGEST_FIELD * (len(self.names) + (format == "quaternions"))
 
     def feed(self, data: bytes) -> list[Sample]:
         found: list[Sample] = []
         self._seen_newline = self._seen_newline or b"\n" in data
-        if not self._seen_newline and (self._rest + data).count(b"\r") > _AGREEING:
+        if not self._seen_newline and (self.rest + data).count(b"\r") > _AGREEING:
             self._delimiter, self._seen_newline = b"\r", True
         for start, packet, cut in self._split(data):
-            text = _plain(packet)
+            text = plain(packet)
             if cut:
                 self._discard(packet, "first_partial")
                 self._take_names(text, cut=True)
-            elif self.format in _PAPERS:
-                found += self._of_paper(packet, start)
             elif text:
-                found += self._line(text, packet, start)
-        self.counters["frames"] += len(found)
+                read = self._of_paper if self.format in _PAPERS else self._line
+                found += read(text, packet, start)
         return found
 
     def drop_rest(self) -> None:
@@ -314,24 +301,19 @@ class _Lines(_Packets):
         for *_, packet in held:
             self._drop(packet, f"fewer than {_AGREEING} lines of one form")
 
-    def close(self) -> None:
-        if last := _plain(self._rest):
-            self._remark(f"The last line has no end and was left out: {last[:80]!r}.")
-        super().close()
-
-    def _of_paper(self, packet: bytes, start: int) -> list[Sample]:
-        line, stream = packet.removesuffix(b"\r"), 0
+    def _of_paper(self, _: str, packet: bytes, start: int) -> list[Sample]:
+        line, stream, norm = packet.removesuffix(b"\r"), 0, 1.0
         low, high = _PAPERS[str(self.format)][1:3]
         if self._paper.fullmatch(line):
             values = np.array(line.split(b","), dtype=np.float64)
-            possible = True
             if self.format == "quaternions":  # number, w, x, y, z
                 stream, values = int(values[0]), np.roll(values[1:], -1)
-                possible = stream <= 255 and abs(np.linalg.norm(values) - 1) <= NORM_TOLERANCE
-            if possible and len(values) == len(self.names) and low <= values.min() and values.max() <= high:
+                norm = float(np.linalg.norm(values))
+            fits = len(values) == len(self.names) and stream <= 255 and abs(norm - 1) <= NORM_TOLERANCE
+            if fits and low <= values.min() and values.max() <= high:
                 return [Sample(stream, None, None, start, values)]
-        norm = f", of norm 1 within {NORM_TOLERANCE:g}" if self.format == "quaternions" else ""
-        self._drop(packet, f"no line of {self.format}{norm}")
+        of_norm = f", of norm 1 within {NORM_TOLERANCE:g}" if self.format == "quaternions" else ""
+        self._drop(packet, f"no line of {self.format}{of_norm}")
         return []
 
     def _line(self, text: str, packet: bytes, start: int) -> list[Sample]:
@@ -339,56 +321,56 @@ class _Lines(_Packets):
         if single := _TELEPLOT.fullmatch(text):
             name, line = single[1].strip(), ",".join(self._group.values())
             whole = name in self._group
-            self._group = ({} if whole else self._group) | {name: f"{name}:{single[2]} {single[3] or ''}"}
+            self._group = ({} if whole else self._group) | {name: f"{name}:{single[2]}{single[3] or ''}"}
             return self._line(line, line.encode(), start) if whole else []
         form, values = _read_line(text)
         if f"{form}{_MARK}" == self._form:  # the last field is empty
             form, values = self._form, [*values, math.nan]
         if form == self._form and not self._closed:
-            return self._sample(values, start, packet)
+            return self._sample(values, packet, start)
         columns = _columns(form)
         if not columns and self._take_names(text):
             return []
         if _COMMAS.fullmatch(text) or (not columns and _PAIRS.fullmatch(text)):
             self._drop(packet, why := "numbers must have decimal points, not commas")
             self._commas += 1
-            if self._commas >= _AGREEING and 100 * self._commas > self.counters["frames"]:
+            if self._commas > _MOST_COMMAS:
                 self._closed = why
                 self._remark(f"Nothing is read: {why}.")
         elif self._closed or self._form or not columns:
-            same = f"{len(columns)} numbers in another form than the lines before"
-            self._drop(packet, self._closed or (same if columns else "not a line of numbers"))
+            other = f"{len(columns)} numbers in another form than the lines before"
+            self._drop(packet, self._closed or (other if columns else "not a line of numbers"))
         else:
-            return self._hold(columns, (form, values, start, packet))
+            return self._hold(columns, (form, text, start, packet))
         return []
 
-    def _hold(self, columns: list[Any], line: tuple[str, list[float], int, bytes]) -> list[Sample]:
+    def _hold(self, columns: list[tuple[str, str]], line: tuple[str, str, int, bytes]) -> list[Sample]:
         """Keep a line; when enough agree, their form is that of the board."""
-        form, values, _, packet = line
-        clock = self._named(columns, form)[1]
+        form, text, _, packet = line
+        named, clock = self._named(columns, form)
         n = len(columns) - (clock is not None)
-        if not 1 <= n <= MOST_VALUES or self._channels not in (None, n) or all(map(math.isnan, values)):
+        if not 1 <= n <= MOST_VALUES or self._channels not in (None, n) or not any(_NUMBER.findall(text)):
             self._drop(packet, f"{n} numbers, not {self._channels or f'1 to {MOST_VALUES}'}")
             return []
         self._held.append(line)
-        texts = [_plain(other) for *_, other in self._held if _read_line(_plain(other))[0] == form]
+        texts = [text for other, text, *_ in self._held if other == form]
         pairs = self._channels is None and all(map(_PAIRS.fullmatch, texts))
         widths = {len(field) for text in texts for field in text.split(",")[1::2]}
         if len(texts) < (_AGREEING_PAIRS if pairs and len(widths) == 1 else _AGREEING):
             if len(self._held) > _MOST_HELD:
                 self._drop(self._held.pop(0)[3], f"no {_AGREEING} of the first lines have one form")
             return []
-        held, self._held = self._held, []
-        quaternions = _Lines("quaternions", 4)
-        if self._channels in (None, 4) and all(quaternions._of_paper(x.encode(), 0) for x in texts):
+        held, self._held, read = self._held, [], self._line
+        if self._channels in (None, 4) and all(
+            _reader_of("quaternions", 4)._of_paper("", x.encode(), 0) for x in texts
+        ):
             self._read_as("quaternions", 4)
-            return [sample for *_, start, packet in held for sample in self._of_paper(packet, start)]
-        self._fix(columns, form)
-        return [
-            sample for _, _, start, packet in held for sample in self._line(_plain(packet), packet, start)
-        ]
+            read = self._of_paper
+        else:
+            self._fix(named, clock, form)
+        return [sample for _, text, start, packet in held for sample in read(text, packet, start)]
 
-    def _named(self, columns: list[Any], form: str) -> tuple[list[tuple[str, str]], int | None]:
+    def _named(self, columns: list[tuple[str, str]], form: str) -> tuple[list[tuple[str, str]], int | None]:
         """Return names and units of the columns, by labels or a header, and which of them is the time."""
         names = [label for label, _ in columns]
         if not any(names) and len(self._header) == len(names) and self._separator == _separator(form):
@@ -397,33 +379,35 @@ class _Lines(_Packets):
         named = [(name, said or unit) for (name, unit), said in split]
         return named, next((k for k, x in enumerate(named) if _time_scale(*x) is not None), None)
 
-    def _fix(self, columns: list[Any], form: str) -> None:
-        named, clock = self._named(columns, form)
+    def _fix(self, named: list[tuple[str, str]], clock: int | None, form: str) -> None:
         self.format, self._form = "csv", form
         if self._header and len(self._header) != len(named) and self._separator != " ":
             self._remark(f"{len(self._header)} names stand before lines of {len(named)} numbers: not used.")
         if clock is not None:
-            scale = _time_scale(*named.pop(clock)) or 0.0
-            self._time = clock, scale
-            if not scale:
+            self._time = clock, _time_scale(*named.pop(clock)) or 0.0
+            if not self._time[1]:
                 self._remark("The column of times has no unit and is left out; times are those of arrival.")
         names, units = zip(*named, strict=True)
         if units[-1] and not any(units[:-1]):  # a unit behind the last number is that of all
             units = units[-1:] * len(units)
         if "" in names or len(set(names)) < len(names):
-            names = tuple(f"u{k + 1}" for k in range(len(names))) if any((*names, *units)) else ()
+            names = _numbered(len(names)) if any((*names, *units)) else ()
         self.names, self.units = names, units[: len(names)]
 
-    def _sample(self, values: list[float], start: int, packet: bytes) -> list[Sample]:
+    def _sample(self, values: list[float], packet: bytes, start: int) -> list[Sample]:
         """Return the sample of a line of the right form; none if a number is impossible."""
-        sent_us, scale = None, 0.0
+        time_us = None
         if self._time is not None:
             clock, scale = self._time
             sent_us = values.pop(clock) * scale
-        if any(map(math.isinf, values)) or not 0 <= (sent_us or 0.0) <= _LATEST_US:
-            self._drop(packet, "a number is too large, or no time")
+            if not 0 <= sent_us <= _LATEST_US:
+                values.append(math.inf)
+            elif scale:
+                time_us = self._unwrapped(0, round(sent_us), False)
+        if any(map(math.isinf, values)):
+            self._drop(packet, "a number is too large, or the time is missing")
             return []
-        time_us = self._unwrapped(0, round(sent_us), False) if sent_us is not None and scale else None
+        self._commas *= 0.99
         return [Sample(0, None, time_us, start, np.array(values))]
 
     def _take_names(self, text: str, *, cut: bool = False) -> bool:
@@ -433,31 +417,39 @@ class _Lines(_Packets):
         names = tuple(field.strip() for field in fields)
         if not names or not all(_NAME.fullmatch(name) and not _NUMBER.fullmatch(name) for name in names):
             return False
-        if self._form and (len(names), separator) == (self._form.count(_MARK), _separator(self._form)):
+        if self._form:
+            if (len(names), separator) != (self._form.count(_MARK), _separator(self._form)):
+                return False
             same = names[int(cut) :] == self._header[int(cut) :] or not self._header
             self._closed = "" if same else "after a header with other names"
             self.counters["restarts"] += same and not cut
             return same
-        if not self._form and not (cut and _may_be_cut(names[0])):
+        if not (cut and _may_be_cut(names[0])):
             self._header, self._separator = names, separator
             while self._held and separator != " ":
                 self._drop(self._held.pop()[3], "before the names of the columns")
-            return True
-        return False
+        return True
 
     def _drop(self, packet: bytes, why: str) -> None:
         self._discard(packet, "malformed")
         if self.counters["malformed"] == 1:
-            self._remark(
-                f"Left out were lines such as {packet[:80].decode(errors='replace').strip()!r}: {why}."
-            )
+            self._remark(f"Left out were lines such as {plain(packet)[:80]!r}: {why}.")
 
 
-def _plain(packet: bytes) -> str:
+@functools.cache
+def _reader_of(format: str, n: int) -> _Lines:
+    return _Lines(format, n)
+
+
+def plain(packet: bytes) -> str:
     """Return the text of a line without quotes and what Python or JSON put round it."""
-    text = packet.decode(errors="replace").strip().replace('"', "").replace(_MARK, "�")
+    text = packet.decode(errors="replace").strip().replace('"', "").replace(_MARK, "\ufffd")
     wrapped = _WRAPPED.fullmatch(text)
     return (wrapped[1] or wrapped[2] or "").strip() if wrapped else text
+
+
+def _numbered(n: int) -> tuple[str, ...]:
+    return tuple(f"u{k + 1}" for k in range(n))
 
 
 def _separator(text: str) -> str:
@@ -467,21 +459,20 @@ def _separator(text: str) -> str:
 def _read_line(text: str) -> tuple[str, list[float]]:
     """Return the form of a line and its numbers, NaN where one is missing."""
     text = _EMPTY.sub("nan", _BLANKS.sub(r"\1", text))
-    values = [float(x) if _IS_NUMBER.fullmatch(x) else math.nan for x in _NUMBER.findall(text)]
-    return _NUMBER.sub(_MARK, text), values
+    return _NUMBER.sub(_MARK, text), [float(number or "nan") for number in _NUMBER.findall(text)]
 
 
 @functools.lru_cache(64)
 def _columns(form: str) -> list[tuple[str, str]]:
     """Return label and unit of every number; nothing if the form is not that of a line of numbers."""
-    between = [_BETWEEN.fullmatch(part) for part in f",{form}".split(_MARK)]
-    whole = all(between) and all(x[2] for x in between[:-1] if x)
-    if len(between) < 2 or not whole or (between[-1] or "123")[3]:
+    first, *between = [_BETWEEN.fullmatch(part) for part in f",{form}".split(_MARK)]
+    parts = [part for part in between if part]
+    if not first or not first[2] or not parts or len(parts) < len(between) or parts[-1][3]:
         return []
-    found = [(a[3] or "", b[1] or "") for a, b in pairwise(between) if a and b]
-    separators = {x[2] for x in between[1:-1] if x}
-    labels = {bool(label) for label, _ in found}
-    return found if len(labels) == 1 and len(separators) < 2 else []
+    found = [(before[3] or "", behind[1] or "") for before, behind in pairwise([first, *parts])]
+    separators = {part[2] for part in parts[:-1]}
+    whole = "" not in separators and len(separators) < 2
+    return found if whole and len({bool(label) for label, _ in found}) == 1 else []
 
 
 def _time_scale(name: str, unit: str) -> float | None:
@@ -495,11 +486,6 @@ def _may_be_cut(name: str) -> bool:
     """Whether a name may be the end of that of a column of times, with another meaning."""
     whole = [*_TIMES, *(f"{time}_{unit}" for time in ("time", "t", "timestamp") for unit in _TIME_UNITS)]
     return _time_scale(*name_and_unit(name)) is None and any(x.endswith(name.lower()) for x in whole)
-
-
-@functools.cache
-def _reader_of(format: str, n: int) -> _Lines:
-    return _Lines(format, n)
 
 
 def text_line(values: Any, format: str, stream: int = 0) -> bytes:
@@ -537,22 +523,19 @@ def text_line(values: Any, format: str, stream: int = 0) -> bytes:
     if format == "quaternions":
         fields = [str(stream), *fields[-1:], *fields[:-1]]
     line = ",".join(fields).encode()
-    read = _reader_of(format, len(given))._of_paper(line, 0)
-    same = (
-        read
-        and read[0].stream == stream
-        and np.abs(read[0].values - given).max() <= (decimals > 0) * 0.1**decimals
-    )
+    back = _reader_of(format, len(given))._of_paper("", line, 0)
+    off = np.abs(back[0].values - given).max() if back and back[0].stream == stream else math.inf
     words = {
-        "hall": "three whole",
-        "millivolts": "1 or more",
-        "quaternions": "a stream to 255, four of norm 1, ",
+        "hall": "3 whole numbers",
+        "millivolts": "numbers",
+        "quaternions": "a stream to 255 and a unit quaternion",
     }
+    low, high = _PAPERS[format][1:3]
     require(
-        same,
+        off <= 0.1**decimals * (decimals > 0),
         "values",
         owner,
-        f"{words[format]} numbers from {_PAPERS[format][1]:g} to {_PAPERS[format][2]:g}",
+        f"{words[format]} from {low:g} to {high:g}",
         given,
     )
     return line + b"\r\n"
@@ -604,27 +587,25 @@ class Parser:
         own = len(_PAPERS[format][3]) if format in _PAPERS else 0
         fits = channels is None or (channels == own if own else channels in range(1, MOST_VALUES + 1))
         require(fits, "channels", format or "Parser", str(own or f"1 to {MOST_VALUES}"), channels)
-        self._readers: list[_Frames | _Lines] = []
-        if format in (None, "frames"):
-            self._readers.append(_Frames(channels))
-        if format != "frames":
-            self._readers.append(_Lines(format, channels))
-        self._format = format
+        frames = [_Frames(channels)] if format in (None, "frames") else []
+        lines = [_Lines(format, channels)] if format != "frames" else []
+        self._readers: list[_Frames | _Lines] = [*frames, *lines]
+        self._given = format
         self._take(self._readers[-1])
 
     def _take(self, reader: _Frames | _Lines) -> None:
-        self.format, self.names, self.units = self._format or reader.format, reader.names, reader.units
+        self.format, self.names, self.units = self._given or reader.format, reader.names, reader.units
         self.counters, self.remarks = reader.counters, reader.remarks
 
     def feed(self, data: bytes) -> list[Sample]:
         """Take the next bytes; return the samples that they complete, in order."""
         found: list[Sample] = []
         for reader in self._readers:
-            found = reader.feed(data)
-            if found:
+            if found := reader.feed(data):
                 self._readers = [reader]
                 break
         self._take(self._readers[-1])
+        self.counters["frames"] += len(found)
         if self.format is None and self.counters["discarded_bytes"] > _UNKNOWN_BYTES:
             words = "No frame and no lines of numbers arrive: are baud rate and format right?"
             self.remarks += [words] * (words not in self.remarks)
@@ -637,5 +618,9 @@ class Parser:
 
     def close(self) -> list[Sample]:
         """End. A last line without its end may be cut off: it is no sample, so that none is returned."""
-        self._readers[-1].close()
+        reader = self._readers[-1]
+        last = plain(reader.rest) if isinstance(reader, _Lines) else ""
+        if last:
+            self.remarks.append(f"The last line has no end and was left out: {last[:80]!r}.")
+        reader.drop_rest()
         return []
