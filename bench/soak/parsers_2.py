@@ -14,7 +14,7 @@ import numpy as np
 from edition1_live.emulate.board import Reading, passages
 from edition1_live.emulate.faults import Faults
 from edition1_live.wire.formats import parser
-from repro_board.wire import WRAP, Parser
+from repro_board.wire import WRAP, Parser, encode
 
 FAULTS = Faults(
     flips=2e-4, drops=2e-4, duplicates=2e-4, bursts=2e-5, stalls=1e-3, disconnects=1e-4, reboots=1e-4
@@ -36,13 +36,23 @@ def compare(frames: int, *, streams: int = 3, seed: int = 0, channels: int | Non
         0,
     )
     found = dict.fromkeys(("intact", "different", "lost"), 0)
+    extras = (
+        b"",
+        b"",
+        b"Sensor 2 does not answer\r\n",
+        b"\1" * 300,
+        b"\0\0",
+        encode([0.5]),
+        encode([0.5] * 59),
+    )
     for passage in passages(readings(frames, streams), "frames", FAULTS, seed=seed):
         if passage.connection != connection:
             connection = passage.connection
             old.reopened()
             new.reopened()
         ends = np.sort(rng.integers(0, len(passage.data) + 1, len(passage.data) // 500))
-        chunks = np.split(np.frombuffer(passage.data, np.uint8), ends)
+        extra = extras[rng.integers(len(extras))] * int(rng.integers(1, 3))
+        chunks = [*np.split(np.frombuffer(passage.data, np.uint8), ends), np.frombuffer(extra, np.uint8)]
         before = [frame for chunk in chunks for frame in old.feed(chunk.tobytes())]
         samples = [sample for chunk in chunks for sample in new.feed(chunk.tobytes())]
         after = [(x.stream, x.sequence, (x.time_us or 0) % WRAP, tuple(x.values)) for x in samples]

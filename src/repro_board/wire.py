@@ -232,7 +232,7 @@ _MARK = "\0"
 _NUMBER = re.compile(  # words for a missing one; no whole number begins with a zero, as decimals behind a comma may
     r"(?<![\w.#+-])(?:[+-]?(?i:nan|inf|infinity|ovf)|1\.#[A-Z]+|#?N/?A|n/a|na|(?i:null|none))(?![\w.])"
     r"|(?<![^\s,;:=])-{1,2}(?=[\s,;]|$)"
-    r"|(?<![\w.])([+-]?(?:[0-9]+\.[0-9]*|0|[1-9][0-9]*|\.[0-9]+)(?![0-9])(?:[eE][+-]?[0-9]{1,3}(?![0-9.]))?)"
+    r"|(?<![\w.^])([+-]?(?:[0-9]+\.[0-9]*|0|[1-9][0-9]*|\.[0-9]+)(?![0-9])(?:[eE][+-]?[0-9]{1,3}(?![0-9.]))?)"
 )
 _EMPTY = re.compile(r"(?<=[,;\t:=])(?=[,;\t])|^(?=[,;\t])")
 _BLANKS = re.compile(r" *([;,\t:=]) *| +(?= )")
@@ -247,11 +247,12 @@ _COMMAS = re.compile(r"[+-]?[0-9]+,[0-9]+(?:(?:,?[ ]+|[ ]*[;\t][ ]*)[+-]?[0-9]+,
 _PAIRS = re.compile(r"[+-]?[0-9]+,[0-9]{2,}(?:,[+-]?[0-9]+,[0-9]{2,})*")
 _WRAPPED = re.compile(r"b'(.*?)(?:\\r)?(?:\\n)?'|[(\[{](.*)[)\]}],?")
 """How Python prints bytes and tuples, and JSON objects."""
+_QUOTED = re.compile(r'"([^"]*)"')
 _TELEPLOT = re.compile(r">([^:,|]+):([^:§|]*)(?:§([^|]*))?(?:\|.*)?")
-_DECIMAL = r"-?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]{1,3})?"
+_COUNT, _DECIMAL = r"(?:0|-?[1-9][0-9]{0,3})", r"-?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]{1,3})?"
 _PAPERS = {
-    "hall": (r"(?:(?:^|,)(?:0|-?[1-9][0-9]{0,3}))+", -8192.0, 8191.0, ("z", "y", "x"), "counts"),
-    "millivolts": (rf"(?:(?:^|,){_DECIMAL})+", 0.0, 2048.0, (), "mV"),
+    "hall": (f"{_COUNT}(?:,{_COUNT})*", -8192.0, 8191.0, ("z", "y", "x"), "counts"),
+    "millivolts": (f"{_DECIMAL}(?:,{_DECIMAL})*", 0.0, 2048.0, (), "mV"),
     "quaternions": (rf"(?:0|[1-9][0-9]{{0,2}})(?:, ?{_DECIMAL})*", -1.001, 1.001, ("x", "y", "z", "w"), ""),
 }
 """Of the lines of the papers: form, range (14 bits of an MLX90363; Baaij et al., section 5.1), names, unit."""
@@ -443,7 +444,8 @@ def _reader_of(format: str, n: int) -> _Lines:
 
 def plain(packet: bytes) -> str:
     """Return the text of a line without quotes and what Python or JSON put round it."""
-    text = packet.decode(errors="replace").strip().replace('"', "").replace(_MARK, "\ufffd")
+    text = packet.decode(errors="replace").strip().replace(_MARK, "\ufffd")
+    text = _QUOTED.sub(r"\1", text)
     wrapped = _WRAPPED.fullmatch(text)
     return (wrapped[1] or wrapped[2] or "").strip() if wrapped else text
 
