@@ -602,7 +602,9 @@ def _qualisys(rows: list[list[str]], path: Path) -> Motion:
     names, block = header.get("BODY_NAMES", []), ["X", "Y", "Z"]
     whole = axes and all(rows[axes][2 + 16 * n :][:3] == block for n in range(len(names)))
     if not (names and whole and "Rot[0]" in rows[axes]):
-        words = "of Qualisys 6D: BODY_NAMES, then Frame, Time, and X, Y, Z, 3 angles, Residual, Rot[0] to Rot[8] of each"
+        words = (
+            "of Qualisys 6D: BODY_NAMES, then Frame, Time, and X, Y, Z, angles, Residual, Rot[0] to Rot[8]"
+        )
         raise bad_input("header", path.name, words, "another")
     wanted = [1, *(2 + 16 * n + c for n in range(len(names)) for c in (0, 1, 2, *range(7, 16)))]
     table, lines = _numbers_of(rows, axes + 1, len(rows), wanted, path.name)
@@ -713,8 +715,8 @@ class Poses(NamedTuple):
     remarks: tuple[str, ...]
     """What was left out."""
     known: dict[str, Any]
-    """``window_s`` ``[t, 2]`` of rows that say when they start and end [s]; from bodies the measured ``tip`` ``[t, 3]``
-    [m], ``residual`` ``[t]`` [m], ``covariance``, and the :class:`Motion`."""
+    """``window_s`` ``[t, 2]`` of rows that say when they start and end [s]; from bodies the measured ``tip``
+    ``[t, 3]`` [m], ``residual`` ``[t]`` [m], ``covariance``, and the :class:`Motion`."""
 
 
 def read_poses(robot: Robot, path: Any, *, bodies: Sequence[str] = (), straight_s: float = 0.0) -> Poses:

@@ -581,15 +581,12 @@ def _rotation_vectors(table: Table, q: Array, world: Any, name: str, remarks: li
     there = np.isfinite(norm) & (norm > 0)
     off = there & (np.abs(norm - 1) > 2e-3)
     if off.sum() > 0.01 * there.sum() + 2:
-        typical = float(np.median(norm[off]))
+        typical, line = float(np.median(norm[off])), table.lines[int(off.argmax())]
         need = (
-            "of norm 1: divide raw counts by their scale" if typical > 2 else "with four decimals, of norm 1"
+            "of norm 1: divide raw counts by their scale" if typical > 2 else "of norm 1, with four decimals"
         )
-                raise bad_input(
-            "quaternions of",
-            where,
-            need,
-            f"norms such as {typical:.5g} in line {table.lines[int(off.argmax())]}",
+        raise bad_input(
+            f"quaternions of {name}", table.owner, need, f"norms such as {typical:.5g}, from line {line}"
         )
     _missing(
         (~there | off).sum(), len(q), f"quaternions of {name}", ": empty, zero or not of norm 1", remarks
