@@ -7,7 +7,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
-from datetime import date
+from datetime import UTC, datetime
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,25 +26,9 @@ _TIMES = ("t", "elapsed", "elapsed time", "millis", "micros", *_DATES)
 _TIME_BEGINS = ("time", "zeit", "seconds")
 _UNIT_BY_NAME = {"millis": "ms", "micros": "us", "seconds": "s", "seconds_elapsed": "s"}
 _IN_BRACKETS = re.compile(r"(.*?)[ _]*[(\[] *(.*?) *[)\]]")
-_MISSING = {
-    "",
-    "nan",
-    "na",
-    "n/a",
-    "#n/a",
-    "null",
-    "none",
-    "-",
-    "--",
-    "ovf",
-    "1.#qnan",
-    "-1.#qnan",
-    "1.#ind",
-    "-1.#ind",
-}
-_INFINITE = {"1.#inf", "-1.#inf"}
+_MISSING = re.compile(r"|nan|#?na|#?n/a|null|none|--?|ovf|-?1\.#\w+", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
-_CLOCK = re.compile(r"(?=\d)(\d{4}-\d\d-\d\d)?[T ]?(\d\d?:\d\d:\d\d(?:[.,]\d+)?)? *(?:Z|[+-]\d\d:?\d\d)?")
+_CLOCK = re.compile(r"(?=\d)(\d{4}-\d\d-\d\d)?[T ]?(\d\d:\d\d:\d\d\S*)?", re.ASCII)
 _LABEL = re.compile(r"([^\W\d][\w./()\[\]]*) *[:=] *([^\s,;:=]*)(?: *([^\W\d]\w*)(?=[\s,;]|$))?[\s,;]*")
 
 
@@ -153,29 +137,18 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
         frame = source.infer_objects()
         header, lines = [str(name) for name in frame.columns], range(1, len(frame) + 1)
         split = [name_and_unit(column) for column in header]
-        for k, dtype in enumerate(frame.dtypes):
-            if dtype.kind == "M" and _is_time(split[k][0]):
-                ticks = frame.iloc[:, k].to_numpy("datetime64[ns]").astype(np.int64)
-                frame, split[k] = frame.assign(**{header[k]: ticks / 1e9}), (split[k][0], "s")
-            else:
-                require(dtype.kind in "fiu", f"column {header[k]}", owner, "of numbers", f"{dtype} values")
+        for name, dtype in zip(header, frame.dtypes, strict=True):
+            require(dtype.kind in "fiu", f"column {name}", owner, "of numbers", f"{dtype} values")
         values = frame.to_numpy(dtype=float, na_value=np.nan)
     require(len(values), "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
-    if infinite := int(np.isinf(values).sum()):
-        remarks.append(f"{infinite} numbers of {owner} are infinite: they are missing.")
-        values = np.where(np.isinf(values), np.nan, values)
+    _count(int(np.isinf(values).sum()), values.size, f"numbers of {owner}", "missing: infinite", remarks)
+    values = np.where(np.isinf(values), np.nan, values)
     clock = [k for k, (name, _) in enumerate(split) if _is_time(name)]
     times = _times(values, header, split, clock, lines, owner, remarks) if clock else None
     keep = [k for k, name in enumerate(header) if k not in clock and (k or name.strip())]
-    columns, names, units = (
-        [header[k] for k in keep],
-        [split[k][0] for k in keep],
-        [split[k][1] for k in keep],
-    )
+    columns, names, units = ([x[k] for k in keep] for x in (header, *map(list, zip(*split, strict=True))))
     table = Table(owner, tuple(columns), tuple(names), tuple(units), values[:, keep], lines, times)
-    table, rows = _put_together(table), len(values)
-    if len(table.values) < rows:
-        remarks.append(f"{rows} rows of {owner} take turns: they are put together to {len(table.values)}.")
+    table = _put_together(table, remarks)
     times = table.times
     if times is not None:
         times = _increasing(times, decimals, table.lines, owner, remarks)
@@ -209,37 +182,39 @@ def _file(
     if text[-1] not in "\r\n" and len(kept) > 2:
         parts = [re.split(r"[.,;:\s]+", line) for _, line in kept[-100:]]
         if {len(part[-1]) for part in parts[:-1] if len(part) == len(parts[-1])} != {len(parts[-1][-1])}:
+            line, _ = kept.pop()
             remarks.append(
-                f"Line {kept.pop()[0]} of {owner} does not end, and its last cell may be cut: it is left out."
+                f"Line {line} of {owner} does not end, and its last cell may be cut: it is left out."
             )
-    found = Counter(_separator(line) for _, line in kept[:: 1 + len(kept) // 500])
-    separator = found.most_common(1)[0][0]
-    lines = [k for k, _ in kept]
+    marks = Counter(_separator(line) for _, line in kept[:: 1 + len(kept) // 500])
+    separator, lines = marks.most_common(1)[0][0], [k for k, _ in kept]
     if separator == ":":
-        names, units, rows, lines = _labelled(kept, owner, remarks)
+        rows, lines = _labelled(kept), [0, *lines]
     else:
         rows = [_cells(line, separator, owner) for _, line in kept]
-        names, units, rows, lines = _named(rows, lines, separator, owner, remarks)
+    names, units, rows, lines = _named(rows, lines, separator, owner, remarks)
     header = names or [f"column {k}" for k in range(1, len(rows[0]) + 1)]
     split = [name_and_unit(name) for name in header]
     if names is None:
         first = int(_CLOCK.fullmatch(rows[0][0]) is not None)
         split = [("time", "s")] * first + [(f"u{k}", "") for k in range(1, len(header) + 1 - first)]
         remarks.append(f"{owner} has no line of names: its columns are {split[first][0]} to {split[-1][0]}.")
-    for k, unit in enumerate(units):
-        clock = "s" if ":" in rows[0][k] else ""
-        split[k] = split[k][0], split[k][1] or _UNITS.get(unit.lower(), unit) or clock
+    split = [
+        (name, own or _UNITS.get(unit.lower(), unit) or ("s" if ":" in cell else ""))
+        for (name, own), unit, cell in zip(split, units, rows[0], strict=True)
+    ]
     at = [k for k, (name, _) in enumerate(split) if _is_time(name)]
     comma = not any("." in cell and ":" not in cell for row in rows for cell in row)
     values = np.full((len(rows), len(header)), np.nan)
     for k, row in enumerate(rows):
         for c, cell in enumerate(row):
-            try:
-                plain = cell.replace(",", ".", 1) if comma else cell
-                values[k, c] = _seconds(cell) if c in at and _CLOCK.fullmatch(cell) else _number(plain)
-            except ValueError as error:
+            if _NUMBER.fullmatch(cell) and (comma or "," not in cell):
+                values[k, c] = float(cell.replace(",", "."))
+            elif c in at and _CLOCK.fullmatch(cell):
+                values[k, c] = _seconds(cell)
+            elif not _MISSING.fullmatch(cell):
                 where = f"{owner}, line {lines[k]}, column {header[c] or 'without a name'},"
-                raise bad_input("cell", where, "a number", repr(cell)) from error
+                raise bad_input("cell", where, "a number", repr(cell))
     decimals = max((len(re.split("[.,]", row[k] + ".")[1]) for row in rows for k in at), default=9)
     return header, split, values, lines, decimals
 
@@ -253,52 +228,40 @@ def _bare(line: str) -> str:
 
 
 def _separator(line: str) -> str:
-    if _labels(line):
-        return ":"
-    return next((mark for mark in "\t;," if mark in line), " ")
+    return ":" if _labels(line) else next((mark for mark in "\t;," if mark in line), " ")
 
 
-def _labels(line: str) -> list[tuple[str, str, str]]:
-    """Return label, number and unit of everything in a line that consists of them; none in another one."""
+def _labels(line: str) -> dict[str, str]:
+    """Return the numbers in a line by their labels, with units; none if there is anything else in it."""
     stamp, arrow, rest = line.replace('"', "").rpartition(" -> ")
     found = [] if _LABEL.sub("", rest).strip() else _LABEL.findall(rest)
-    return [("time", stamp, "s"), *found] if arrow and found else found
+    named = {f"{name} [{unit}]" if unit else name: cell for name, cell, unit in found}
+    return {"time": stamp, **named} if arrow and found else named
 
 
-def _labelled(kept: list[tuple[int, str]], owner: str, remarks: list[str]) -> tuple[Any, Any, Any, list[int]]:
-    """Return names, units, cells and lines of lines with labels; what hardly any line has is no label."""
-    found = [(k, _labels(line)) for k, line in kept]
-    times = Counter(name for _, labels in found for name, *_ in labels)
+def _labelled(kept: list[tuple[int, str]]) -> list[list[str]]:
+    """Return lines with labels as a table with names; a label that hardly any line has is none."""
+    found = [(line, _labels(line)) for _, line in kept]
+    times = Counter(name for _, labels in found for name in labels)
     names = [name for name, n in times.items() if n > len(kept) / 50]
-    units = {name: unit for _, labels in reversed(found) for name, _, unit in labels if unit}
-    rows = [(k, {name: cell for name, cell, _ in labels}) for k, labels in found]
-    rows = [(k, row) for k, row in rows if row.keys() & set(names)]
-    _left_out(len(kept) - len(rows), owner, remarks)
-    cells = [[row.get(name, "") for name in names] for _, row in rows]
-    return names, [units.get(name, "") for name in names], cells, [k for k, _ in rows]
-
-
-def _left_out(n: int, owner: str, remarks: list[str]) -> None:
-    if n:
-        remarks.append(f"{n} lines of {owner} hold text and no numbers: they are left out.")
+    rows = [
+        [row.get(name, "") for name in names] if row.keys() & {*names} else [line, ""] for line, row in found
+    ]
+    return [names, *rows]
 
 
 def _cells(line: str, separator: str, owner: str) -> list[str]:
     stamp, arrow, line = line.rpartition(" -> ")
     try:
-        found = (
-            line.split()
-            if separator == " "
-            else next(csv.reader([line], delimiter=separator, skipinitialspace=True))
-        )
+        by_mark = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
     except csv.Error as error:
         raise bad_input("file", owner, "a table", error) from error
+    found = line.split() if separator == " " else by_mark
     return [cell.strip() for cell in ([stamp, *found] if arrow else found)]
 
 
 def _is_number(cell: str) -> bool:
-    found = _NUMBER.fullmatch(cell) or _CLOCK.fullmatch(cell) or cell.lower() in _MISSING | _INFINITE
-    return bool(found)
+    return any(kind.fullmatch(cell) for kind in (_NUMBER, _CLOCK, _MISSING))
 
 
 def _filled(row: Sequence[str]) -> int:
@@ -308,71 +271,52 @@ def _filled(row: Sequence[str]) -> int:
 
 def _named(
     rows: list[list[str]], lines: list[int], separator: str, owner: str, remarks: list[str]
-) -> tuple[Any, ...]:
+) -> tuple[list[str] | None, list[str], list[list[str]], list[int]]:
     """Return names (None if there are none), units, cells and lines of a table; refuse lines of another form."""
-    width = Counter(len(row) for row in rows).most_common(1)[0][0]
+    width = Counter(map(len, rows)).most_common(1)[0][0]
     whole = [len(row) == width and all(map(_is_number, row)) and any(row) for row in rows]
     first = j = whole.index(True) if True in whole else min(1, len(rows))
     names, units = None, []
-    if j and {cell.lower() for cell in rows[j - 1]} <= {*_UNITS, *_SECONDS, "", "-"} and any(rows[j - 1]):
+    if j and any(rows[j - 1]) and {cell.lower() for cell in rows[j - 1]} <= {*_UNITS, *_SECONDS, "", "-"}:
         j, units = j - 1, rows[j - 1]
     if j and (len(rows[j - 1]) > 1 or width == 1) and not all(map(_is_number, rows[j - 1])):
         j, names = j - 1, rows[j - 1]
-        words = [cell for cell in names if not _is_number(cell)]
         if any(re.fullmatch(r"[+-]?\d*[.,]\d+", cell) for cell in names):
+            word = next(cell for cell in names if not _is_number(cell))
             raise bad_input(
-                "cell", f"{owner}, line {lines[j]},", "a number, or all of them names", repr(words[0])
+                "cell", f"{owner}, line {lines[j]},", "a number, or all of them names", repr(word)
             )
-    if j:
-        remarks.append(f"The first {j} lines of {owner} are no part of the table: they are left out.")
-    body = [k for k in range(first, len(rows)) if any(map(_is_number, filter(None, rows[k]))) or (
-        len(rows[k]) == width and rows[k] != names)]  # fmt: skip
-    _left_out(len(rows) - first - len(body), owner, remarks)
+    _count(j, len(rows), f"lines of {owner}", "above the table and left out", remarks)
+    body = [
+        k
+        for k in range(first, len(rows))
+        if any(map(_is_number, filter(None, rows[k]))) or (len(rows[k]) == width and rows[k] != names)
+    ]
+    _count(len(rows) - first - len(body), len(rows), f"lines of {owner}", "text and left out", remarks)
     require(body, "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
     rows, lines = [rows[k] for k in body], [lines[k] for k in body]
-    cells = [cell for row in rows for cell in row]
-    comma = any(re.fullmatch(r"0\d+", cell) for cell in cells) and not any("." in cell for cell in cells)
+    own, n = _filled(names or []), max(_filled(row) for row in [names or [], *rows])
     hint = "; decimal commas need another separator, such as ;"
-    n = max(map(_filled, rows))
-    if names is not None:
-        own = _filled(names)
-        if own == n - 1 and all(row[0].strip('"').isdecimal() for row in rows) and _is_counter(rows):
-            names = ["", *names]  # R leaves out the name of its index
-        elif own < n:
-            raise bad_input(
-                f"line {lines[0]}", owner, f"of {own} cells, as the line of names{hint * comma}", n
-            )
-        n = max(n, own if all(len(row) >= own for row in rows) else 0)
-    elif comma and separator == ",":
+    for line, row in zip(lines, rows, strict=True):
+        if len(row) < n or (names and own < n):
+            words = "as the line of names" + hint * (own < n) if names else "as the others"
+            raise bad_input(f"line {line}", owner, f"of {own or n} cells, {words}", len(row))
+    cells = [cell for row in rows for cell in row] if separator == "," and not names else []
+    if any(re.fullmatch(r"0\d+", cell) for cell in cells) and not any("." in cell for cell in cells):
         raise bad_input("file", owner, f"of numbers with decimal points{hint}", "numbers such as 0123")
-    for k, row in enumerate(rows):
-        if len(row) < n or any(row[n:]):
-            raise bad_input(f"line {lines[k]}", owner, f"of {n} cells, as the others{hint * comma}", len(row))
-    return names and names[:n], (units + n * [""])[:n], [row[:n] for row in rows], lines
+    return names and names[:n], [*units, *n * [""]][:n], [row[:n] for row in rows], lines
 
 
-def _is_counter(rows: Sequence[Sequence[str]]) -> bool:
-    first = int(rows[0][0])
-    return [row[0] for row in rows] == [str(first + k) for k in range(len(rows))]
-
-
-def _number(cell: str) -> float:
-    if cell.lower() in _MISSING:
-        return math.nan
-    if cell.lower() in _INFINITE:
-        return math.inf
-    if not _NUMBER.fullmatch(cell):
-        raise ValueError(cell)
-    return float(cell)
+def _count(n: int, of: int, what: str, why: str, remarks: list[str]) -> None:
+    """Add a remark if there are any."""
+    if n:
+        remarks.append(f"{n} of {of} {what} {'is' if n == 1 else 'are'} {why}.")
 
 
 def _seconds(cell: str) -> float:
     """Return seconds since 1970, or since midnight if there is no date, by the clock that wrote them."""
-    found = _CLOCK.fullmatch(cell)
-    day, clock = found.groups() if found else (None, None)
-    days = date.fromisoformat(day).toordinal() - date(1970, 1, 1).toordinal() if day else 0
-    hours, minutes, seconds = clock.replace(",", ".").split(":") if clock else (0, 0, 0)
-    return 86400.0 * days + 3600 * int(hours) + 60 * int(minutes) + float(seconds)
+    moment = datetime.fromisoformat(cell if "-" in cell[:5] else f"1970-01-01T{cell}")
+    return moment.replace(tzinfo=UTC).timestamp()
 
 
 def _times(
@@ -388,67 +332,56 @@ def _times(
     days = [k for k in clock if split[k][0].lower() in _DATES]
     rest = [k for k in clock if k not in days] or days
     stated = [k for k in rest if split[k][1]] or rest
-    require(len(stated) == 1, f"column {header[stated[-1]]}", owner, "the only one of times", "another")
     k = stated[0]
+    require(len(stated) == 1, f"column {header[stated[-1]]}", owner, "the only one of times", "another")
     if other := [header[c] for c in rest if c != k]:
         remarks.append(f"Column {', '.join(other)} of {owner} is left out: times are those of {header[k]}.")
-    unit = split[k][1]
-    require(unit in _SECONDS or not unit, f"column {header[k]}", owner, "in s, ms, us, ns or min", unit)
+    unit, name = split[k][1], f"column {header[k]}"
+    require(unit in _SECONDS or not unit, name, owner, "in s, ms, us, ns or min", unit)
     times = values[:, k] * _SECONDS.get(unit, 1.0)
-    bad = [lines[i] for i in np.flatnonzero(np.isnan(times))]
-    require(not bad, f"column {header[k]}", owner, "times", f"none in line {bad[:1]}")
-    step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    require(
-        unit or step <= 1,
-        f"column {header[k]}",
-        owner,
-        "named with its unit, such as time_ms",
-        f"steps of {step:g}",
-    )
-    period = {"ms": 2**32 * 1e-3, "us": 2**32 * 1e-6, "s": 86400.0 if times.max() < 86400 else math.inf}.get(
-        unit, math.inf
-    )
-    if days and days != rest:
-        times = times + values[:, days[0]]
-    elif (again := np.diff(times) < -period / 2).any():
+    bad = [lines[i] for i in np.flatnonzero(np.isnan(times)).tolist()]
+    require(not bad, name, owner, "times", f"none in line {bad[:1]}")
+    step = np.diff(times)
+    plausible = unit or not len(step) or np.median(step) <= 1
+    require(plausible, name, owner, "named with its unit, such as time_ms", f"steps such as {step[:1]}")
+    ticks = 2**32 * _SECONDS.get(
+        unit, 1.0
+    )  # a clock starts again at midnight, a counter of the board after 32 bits
+    period = ticks if unit in ("ms", "us") else 86400.0 if unit == "s" and times.max() < 86400 else math.inf
+    if days != rest:
+        times = times + values[:, days].sum(axis=1)
+    if not days and (again := step < -period / 2).any():
         times[1:] += period * np.cumsum(again)
-        remarks.append(
-            f"Times of {owner} start again from 0 at line {lines[int(again.argmax()) + 1]}: they are put on."
-        )
+        line = list(lines)[int(again.argmax()) + 1]
+        remarks.append(f"Times of {owner} start again from 0 in line {line}: they are put on.")
     return times
 
 
 def _increasing(times: Array, decimals: int, lines: Sequence[int], owner: str, remarks: list[str]) -> Array:
     """Return times that increase; those that were rounded to equal ones are spread evenly, others are refused."""
     step = np.diff(times)
-    for k in np.flatnonzero((step < 0) | ((step == 0) & (decimals > 2))) + 1:
-        again = (
-            "again (are rows there twice, or do times need more decimals?)" if step[k - 1] == 0 else "after"
-        )
-        received = (
-            f"{times[k]:.10g} s {again} {times[k - 1]:.10g} s"
-            if step[k - 1]
-            else f"{times[k]:.10g} s {again}"
-        )
-        raise bad_input(f"time in line {lines[k]}", owner, "later than the one before", received)
-    if not (step == 0).any():
-        return times
-    remarks.append(
-        f"{int((step == 0).sum())} rows of {owner} have the time before them: they are spread evenly."
-    )
+    for k in np.flatnonzero((step < 0) | ((step == 0) & (decimals > 2))).tolist():
+        received = f"{times[k + 1]:.10g} s after {times[k]:.10g} s (rows there twice, or a board that started again?)"
+        raise bad_input(f"time in line {lines[k + 1]}", owner, "later than the one before", received)
     first = np.flatnonzero(np.r_[True, step > 0])
-    require(len(first) > 1, "times", owner, "more than one", f"{times[0]:g} s in every row")
-    known = times[first]
-    return np.interp(
-        np.arange(len(times)),
-        np.r_[first, 2 * first[-1] - first[-2]],
-        np.r_[known, 2 * known[-1] - known[-2]],
+    if len(first) == len(times):
+        return times
+    _count(
+        len(times) - len(first),
+        len(times),
+        f"times of {owner}",
+        "rounded to the one before: spread evenly",
+        remarks,
     )
+    require(len(first) > 1, "times", owner, "more than one", f"{times[0]:g} s in every row")
+    at, known = np.r_[first, 2 * first[-1] - first[-2]], times[first]
+    return np.interp(np.arange(len(times)), at, np.r_[known, 2 * known[-1] - known[-2]])
 
 
-def _put_together(table: Table) -> Table:
+def _put_together(table: Table, remarks: list[str]) -> Table:
     """Return one row for each turn of streams, or of columns of which every row has one."""
-    values, names = table.values, list(table.names)
+    values, names, times = table.values, list(table.names), table.times
+    there = np.isfinite(values)
     if len(names) == 5 and table.columns[0] == "column 1" and _are_quaternions(values[:, 1:]):
         names = [
             "stream",
@@ -457,38 +390,29 @@ def _put_together(table: Table) -> Table:
             "qy",
             "qz",
         ]  # as boards print them: number of the IMU, then the quaternion
-    there = np.isfinite(values)
     if "stream" in names:
-        k = names.index("stream")
-        turn, n = np.delete(values, k, axis=1), len(names) - 1
-        streams, which = np.unique(values[:, k], return_inverse=True)
-        labels = [
-            (name if len(name) > 1 else f"q{name}", unit)
-            for name, unit in zip(names, table.units, strict=True)
-        ]
-        del labels[k]
-        names = [
-            f"{name}_{stream:g}" if len(streams) > 1 else name for stream in streams for name, _ in labels
-        ]
-        columns, units = names, [unit for _ in streams for _, unit in labels]
+        own = [k for k, name in enumerate(names) if name != "stream"]
+        streams, which = np.unique(values[:, names.index("stream")], return_inverse=True)
+        short = [names[k] if len(names[k]) > 1 else f"q{names[k]}" for k in own]
+        columns = names = [f"{name}_{x:g}" if len(streams) > 1 else name for x in streams for name in short]
+        units, turn = [table.units[k] for k in own] * len(streams), values[:, own]
     elif len(values) >= 2 * len(names) > 2 and (there.sum(1) == 1).all():
-        which, n, turn = there.argmax(1), 1, values[there][:, None]
-        columns, units = table.columns, table.units
+        which, turn, columns, units = there.argmax(1), values[there][:, None], table.columns, table.units
     else:
         return table
-    times, lines = table.times, table.lines
     together = times is not None and len(times) > 1 and (np.diff(times) == 0).any()
     group, seen = np.zeros(len(values), dtype=int), set[int]()
     for i, key in enumerate(which.tolist()):
-        new = key in seen or (together and times is not None and i and times[i] != times[i - 1])
+        new = i > 0 and (key in seen or (together and times is not None and times[i] != times[i - 1]))
         seen = {key} if new else seen | {key}
         group[i] = group[i - 1] + new if i else 0
-    found = np.full((group[-1] + 1, len(names) // n, n), np.nan)
+    found = np.full((group[-1] + 1, len(names) // turn.shape[1], turn.shape[1]), np.nan)
     found[group, which] = turn
-    last = np.flatnonzero(np.diff(group, append=group[-1] + 1))
+    _count(len(values), len(values), f"rows of {table.owner}", f"put together to {len(found)}", remarks)
+    last = np.flatnonzero(np.diff(group, append=-1)).tolist()
     return Table(
         table.owner, tuple(columns), tuple(names), tuple(units), found.reshape(len(found), -1),
-        [lines[k] for k in last], None if times is None else times[last],
+        [table.lines[k] for k in last], None if times is None else times[last],
     )  # fmt: skip
 
 
@@ -508,26 +432,37 @@ def read_readings(robot: Robot, source: Any) -> Readings:
     for j, (sensor, axis) in enumerate(axes):
         channel = j + 1 if sensor.channels is None else sensor.channels[axis]
         used.append(_column(table, channel, robot.names[j]))
-        bare += [table.columns[used[-1]]] if not table.units[used[-1]] and sensor.unit == "mT" else []
+        bare += [table.names[used[-1]]] if not table.units[used[-1]] and sensor.unit == "mT" else []
         u = table.values[:, used[-1]] * _factor(table, used[-1], sensor)
         beyond = np.abs(u) >= sensor.range
-        _missing(beyond.sum(), n_t, f"readings of {robot.names[j]}", ": at the end of its range", remarks)
-        _missing(np.isnan(u).sum(), n_t, f"readings of {robot.names[j]}", "", remarks)
+        what = f"readings of {robot.names[j]}"
+        _count(int(beyond.sum()), n_t, what, "missing: at the end of its range", remarks)
+        _count(int(np.isnan(u).sum()), n_t, what, "missing", remarks)
         columns.append(np.where(beyond, np.nan, u)[:, None])
     if bare:
         remarks.append(f"Columns without a unit are taken as mT: {', '.join(bare)}.")
     u = np.concatenate(columns, axis=1)
     if u.shape[1] > 2 and 0 < (silent := (u == 0).all(axis=1)).sum() < n_t / 2:
         u[silent] = np.nan
-        _missing(silent.sum(), n_t, "rows", ": all their readings are zero", remarks)
-    columns = [u]
+        _count(int(silent.sum()), n_t, "rows", "missing: all readings are zero", remarks)
+    columns, swapped = [u], []
     for k, imu in enumerate(robot.imus):
         names = k + 1 if imu.channels is None else imu.channels
         if isinstance(names, int | float):
             names = [f"q{axis}_{names:g}" for axis in "xyzw"]
         used += (own := [_column(table, name, str(name)) for name in names])
-        name = robot.part_names[len(robot.sensors) + k]
-        columns.append(_rotation_vectors(table, table.values[:, own], imu.world, name, remarks))
+        q, name = table.values[:, own], robot.part_names[len(robot.sensors) + k]
+        columns.append(_rotation_vectors(table, q, imu.world, name, remarks))
+        drawn = robot.poses(np.zeros(robot.n_q), [imu.place])[0, :3, :3]
+        away = [
+            _typical_turn(x, drawn)
+            for x in (columns[-1], _rotation_vectors(table, q[:, [1, 2, 3, 0]], imu.world, name, []))
+        ]
+        swapped.append(away[0] > 2.2 and away[1] < away[0] / 2)
+    if swapped and all(swapped):
+        expected = "in the order of their names, x, y, z, w, of IMUs that are mounted as the robot file says"
+        received = "turns by about 180 degrees everywhere, which would be small if w came first"
+        raise bad_input("quaternions", table.owner, expected, received)
     for column in {k for k in used if used.count(k) > 1}:
         received = f"{table.columns[column]} for {used.count(column)} of them"
         raise bad_input("channels", table.owner, "another column for every reading", received)
@@ -536,9 +471,16 @@ def read_readings(robot: Robot, source: Any) -> Readings:
     return readings
 
 
-def _missing(n: int, of: int, what: str, why: str, remarks: list[str]) -> None:
-    if n:
-        remarks.append(f"{n} of {of} {what} are missing{why}.")
+def _typical_turn(turns: Array, drawn: Array) -> float:
+    """Return by how much an IMU is mostly turned against the straight robot [rad]."""
+    from scipy.spatial.transform import Rotation
+
+    there = turns[np.isfinite(turns[:, 0])]
+    return (
+        float(np.median((Rotation.from_matrix(drawn).inv() * Rotation.from_rotvec(there)).magnitude()))
+        if len(there)
+        else 0.0
+    )
 
 
 def _column(table: Table, channel: Any, own: str) -> int:
@@ -588,9 +530,8 @@ def _rotation_vectors(table: Table, q: Array, world: Any, name: str, remarks: li
         raise bad_input(
             f"quaternions of {name}", table.owner, need, f"norms such as {typical:.5g}, from line {line}"
         )
-    _missing(
-        (~there | off).sum(), len(q), f"quaternions of {name}", ": empty, zero or not of norm 1", remarks
-    )
+    lost = int((~there | off).sum())
+    _count(lost, len(q), f"quaternions of {name}", "missing: empty, zero or not of norm 1", remarks)
     there &= ~off
     base = Rotation.identity() if world is None else Rotation.from_quat(world).inv()
     turns = np.full((len(q), 3), np.nan)
