@@ -42,7 +42,8 @@ def bad_input(name: str, owner: str, must_be: str, received: object) -> InputErr
 
 
 def printable(text: str) -> str:
-    """Return a text with everything escaped that is not printable."""
+    """Return a text in one line, with everything escaped that is not printable."""
+    text = text.replace("\n", " ")
     return "".join(x if x.isprintable() else x.encode("unicode_escape").decode() for x in text)
 
 

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from repro.common import Array, bad_input, is_table, numbers, require
+from repro.common import Array, bad_input, is_table, numbers, printable, require
 from repro.estimators.base import Trajectory
 from repro.estimators.least_squares import CHI2, LevenbergMarquardt
 from repro.robot import FreeBody, Place, Robot, place, point_on, rotation_matrix, unit_quaternions, wrap
@@ -527,6 +527,7 @@ def read_motion(path: Path | str) -> Motion:
         remarks.append(
             f"{owner} has {len(motion.times)} frames, {motion.missing} fewer than its header says."
         )
+    motion = motion._replace(bodies={printable(name): poses for name, poses in motion.bodies.items()})
     for name, poses in motion.bodies.items():
         _clear_lost(poses, f"{name} in {owner}", motion.lines, remarks)
     return motion._replace(remarks=tuple(remarks))
@@ -746,10 +747,10 @@ def read_poses(robot: Robot, path: Any, *, bodies: Sequence[str] = (), straight_
     """
     require(0 <= straight_s < math.inf, "straight_s", "read_poses", "0 or above", straight_s)
     if isinstance(path, str | Path) and Path(path).is_file() and text_of(Path(path), []).startswith(_EXPORTS):
-        return _fitted(robot, read_motion(path), bodies, straight_s)
+        return _fitted(robot, read_motion(path), Path(path).name, bodies, straight_s)
     table = read_table(path)
     if not set(robot.coordinates) & set(table.names):
-        return _fitted(robot, _motion_of(table), bodies, straight_s)
+        return _fitted(robot, _motion_of(table), table.owner, bodies, straight_s)
     given = "coordinates of the robot, and bodies or a straight start beside them"
     require(not (straight_s or bodies), "poses", table.owner, "bodies", given)
     q, times, remarks, known = (
@@ -762,10 +763,11 @@ def read_poses(robot: Robot, path: Any, *, bodies: Sequence[str] = (), straight_
         window = np.stack([table.scaled(name)[0] for name in ("start_s", "end_s")], axis=1)
         known, times = {"window_s": window}, window.mean(axis=1)
     elif times is not None and len(times) > 1 and np.median(np.diff(times)) < _FRAME_S:
-        zero = (q == 0).all(axis=1) & (robot.n_q > 1)
-        q[zero & (zero.mean() < 0.5)] = np.nan
+        zero = np.asarray((q == 0).all(axis=1))
+        if robot.n_q > 1 and zero.mean() < 0.5:
+            q[zero] = np.nan
         _clear_frozen(q, f"rows of {table.owner}", table.lines, remarks)
-    _say(np.isnan(q).any(axis=1), f"rows of {table.owner} have no pose", table.lines, remarks)
+    _say(np.asarray(np.isnan(q).any(axis=1)), f"rows of {table.owner} have no pose", table.lines, remarks)
     _clear_outside(robot, q, table.owner, table.lines, remarks)
     return Poses(times, q, table.lines, tuple(remarks), known)
 
@@ -777,7 +779,7 @@ def _clear_outside(robot: Robot, q: Array, owner: str, lines: Sequence[int], rem
     width = robot.upper - robot.lower
     slack = np.where(robot.angles & (width >= 2 * math.pi - 1e-9), np.inf, _SLACK * width + 1e-9)
     far = (q < robot.lower - slack) | (q > robot.upper + slack)
-    rows, c = far.any(axis=1), int(far.sum(axis=0).argmax())
+    rows, c = np.asarray(far.any(axis=1)), int(far.sum(axis=0).argmax())
     name = robot.coordinates[c]
     bounds = f"{robot.lower[c]:.4g} to {robot.upper[c]:.4g}"
     if rows.sum() > max(1, _OUTSIDE * len(q)):
@@ -792,9 +794,9 @@ def _clear_outside(robot: Robot, q: Array, owner: str, lines: Sequence[int], rem
     )
 
 
-def _fitted(robot: Robot, motion: Motion, bodies: Sequence[str], straight_s: float) -> Poses:
+def _fitted(robot: Robot, motion: Motion, owner: str, bodies: Sequence[str], straight_s: float) -> Poses:
     """Return the configurations that fit bodies best."""
-    owner, n, there = motion.name, len(robot.segments), list(motion.bodies)
+    n, there = len(robot.segments), list(motion.bodies)
     short = {name.rpartition(":")[2]: name for name in there}  # Vicon: subject:segment
     names = [short.get(name, name) for name in bodies] or there
     known = len(names) in (n, n + 1) and len({*names}) == len(names) and {*names} <= {*there}

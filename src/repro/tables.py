@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from repro.common import Array, bad_input, require
+from repro.common import Array, bad_input, printable, require
 from repro.robot import Robot, Sensor
 
 _TO_MT = {"T": 1e3, "mT": 1.0, "uT": 1e-3, "nT": 1e-6, "G": 0.1, "gauss": 0.1, "mG": 1e-4}
@@ -29,7 +29,11 @@ _IN_BRACKETS = re.compile(r"(.*?)[ _]*[(\[] *(.*?) *[)\]]")
 _MISSING = re.compile(r"|nan|#?na|#?n/a|null|none|--?|ovf|-?1\.#\w+", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
 _CLOCK = re.compile(r"(?=\d)(\d{4}-\d\d-\d\d)?[T ]?(\d\d:\d\d:\d\d\S*)?", re.ASCII)
-_LABEL = re.compile(r"([^\W\d][\w./()\[\]]*) *[:=] *([^\s,;:=]*)(?: *([^\W\d]\w*)(?=[\s,;]|$))?[\s,;]*")
+_LABEL = re.compile(
+    r"([^\W\d][\w./()\[\]]*) *[:=] *([+-]?[\d.]+(?:[eE][+-]?\d+)?(?=[^\W\d]*(?:[\s,;]|$))|[^\s,;:=]*)"
+    r"(?: *([^\W\d]+)(?=[\s,;]|$))?[\s,;]*"
+)
+"""A label, its number and perhaps a unit, such as ``x: 1.5 uT``."""
 
 
 class Readings(np.ndarray):
@@ -46,7 +50,7 @@ class Readings(np.ndarray):
         """Return a part; rows keep their times and lines."""
         found = super().__getitem__(key)
         if isinstance(found, Readings) and found.shape[1:] == self.shape[1:]:
-            rows = key[0] if isinstance(key, tuple) else key
+            rows = key[0] if isinstance(key, tuple) and key else key
             found.times = None if self.times is None else self.times[rows]
             found.lines = None if self.lines is None else self.lines[rows]
         return found
@@ -128,7 +132,7 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
     remarks: list[str] = []
     lines: Sequence[int]
     if isinstance(source, str | Path):
-        owner = Path(source).name
+        owner = printable(Path(source).name)
         require(Path(source).is_file(), "table", "read_table", "a file that exists", source)
         header, split, values, lines, decimals = _file(text_of(Path(source), remarks), owner, remarks)
     else:
@@ -193,7 +197,7 @@ def _file(
     else:
         rows = [_cells(line, separator, owner) for _, line in kept]
     names, units, rows, lines = _named(rows, lines, separator, owner, remarks)
-    header = names or [f"column {k}" for k in range(1, len(rows[0]) + 1)]
+    header = [printable(name) for name in names or ()] or [f"column {k}" for k in range(1, len(rows[0]) + 1)]
     split = [name_and_unit(name) for name in header]
     if names is None:
         first = int(_CLOCK.fullmatch(rows[0][0]) is not None)
@@ -445,7 +449,7 @@ def read_readings(robot: Robot, source: Any) -> Readings:
     if u.shape[1] > 2 and 0 < (silent := (u == 0).all(axis=1)).sum() < n_t / 2:
         u[silent] = np.nan
         _count(int(silent.sum()), n_t, "rows", "missing: all readings are zero", remarks)
-    columns, swapped = [u], []
+    columns = [u]
     for k, imu in enumerate(robot.imus):
         names = k + 1 if imu.channels is None else imu.channels
         if isinstance(names, int | float):
@@ -453,16 +457,16 @@ def read_readings(robot: Robot, source: Any) -> Readings:
         used += (own := [_column(table, name, str(name)) for name in names])
         q, name = table.values[:, own], robot.part_names[len(robot.sensors) + k]
         columns.append(_rotation_vectors(table, q, imu.world, name, remarks))
-        drawn = robot.poses(np.zeros(robot.n_q), [imu.place])[0, :3, :3]
-        away = [
-            _typical_turn(x, drawn)
-            for x in (columns[-1], _rotation_vectors(table, q[:, [1, 2, 3, 0]], imu.world, name, []))
-        ]
-        swapped.append(away[0] > 2.2 and away[1] < away[0] / 2)
-    if swapped and all(swapped):
-        expected = "in the order of their names, x, y, z, w, of IMUs that are mounted as the robot file says"
-        received = "turns by about 180 degrees everywhere, which would be small if w came first"
-        raise bad_input("quaternions", table.owner, expected, received)
+        if k == 0:
+            drawn = robot.poses(np.zeros(robot.n_q), [imu.place])[0, :3, :3]
+            w_first = _rotation_vectors(table, q[:, [1, 2, 3, 0]], imu.world, name, [])
+            as_read, other = (_typical_turn(turns, drawn) for turns in (columns[-1], w_first))
+            if as_read > 2.8 and other < as_read / 2:
+                expected = "in the order x, y, z, w, of an IMU that is mounted as the robot file says"
+                received = (
+                    f"turns by {math.degrees(as_read):.0f} deg, and {math.degrees(other):.0f} with w first"
+                )
+                raise bad_input(f"quaternions of {name}", table.owner, expected, received)
     for column in {k for k in used if used.count(k) > 1}:
         received = f"{table.columns[column]} for {used.count(column)} of them"
         raise bad_input("channels", table.owner, "another column for every reading", received)
@@ -476,11 +480,9 @@ def _typical_turn(turns: Array, drawn: Array) -> float:
     from scipy.spatial.transform import Rotation
 
     there = turns[np.isfinite(turns[:, 0])]
-    return (
-        float(np.median((Rotation.from_matrix(drawn).inv() * Rotation.from_rotvec(there)).magnitude()))
-        if len(there)
-        else 0.0
-    )
+    if not len(there):
+        return 0.0
+    return float(np.median((Rotation.from_matrix(drawn).inv() * Rotation.from_rotvec(there)).magnitude()))
 
 
 def _column(table: Table, channel: Any, own: str) -> int:
