@@ -37,10 +37,12 @@ _RIG_POSITION, _RIG_ROTATION = 10e-3, 0.2
 _RIG_SHAPES, _RIG_ITERATIONS, _TOLERANCE = 400, 60, 1e-6
 _LENGTH_UNITS = {"Millimeters": 1e-3, "Centimeters": 1e-2, "Meters": 1.0}
 _POSE = [("Rotation", axis) for axis in "XYZW"] + [("Position", axis) for axis in "XYZ"]
+_POSITION_FIRST = [4, 5, 6, 0, 1, 2, 3]
 _EXPORTS = ("Format Version", "Segments", "Objects", "NO_OF_FRAMES")
 """What files of Motive, Vicon and Qualisys begin with."""
-_FROZEN, _FRAME_S = 20, 0.5
-"""Equal frames in a row that no camera sees; rows that are farther apart [s] are no frames."""
+_FROZEN, _JUMP_STEPS, _FRAME_S, _ORIGIN = 20, 5.0, 0.5, 5e-3
+"""Frames are frozen if more are equal in a row and the next step is so many usual ones; rows farther apart than this
+are no frames [s]; a body that is mostly farther from the origin does not go there [m]."""
 _SLACK, _OUTSIDE, _MISFIT = 0.1, 0.05, 0.1
 """Poses may be outside the bounds by this share of their width, this share of the poses farther, and the kinematics
 may miss them by this share of the robot's length."""
@@ -197,8 +199,9 @@ def fit_shape(
     """
     owner = "fit_shape"
     if is_table(poses):
-        own = read_table(poses)
-        poses, times = np.stack(list(bodies_of(own).values()), axis=1), own.times if times is None else times
+        table = read_table(poses)
+        poses = np.stack(list(bodies_of(table).values()), axis=1)[..., _POSITION_FIRST]
+        times = table.times if times is None else times
     T = _measured(poses, owner)
     places = _places(robot, at, T.shape[1], owner)
     require((numbers(noise, "noise", owner, (2,)) > 0).all(), "noise", owner, "positive", noise)
@@ -472,7 +475,8 @@ def read_motion(path: Path | str) -> Motion:
     segments), Qualisys (TSV with bodies, "6D"), or a table with the columns ``time_s, x_1_mm, y_1_mm, z_1_mm, qx_1,
     qy_1, qz_1, qw_1`` for body "1" and so on. Quaternions lead from the body to the axes of the file; in Motive y
     points up. A frame is lost where cells are empty, where a body has no orientation, or lies in the origin without a
-    turn; more than 20 frames that are equal bit for bit are frozen and lost too.
+    turn; more than 20 frames that are equal bit for bit and
+    end in a jump are frozen and lost too.
 
     Parameters
     ----------
@@ -668,29 +672,31 @@ def _clear_lost(poses: Array, owner: str, lines: Sequence[int], remarks: list[st
     size = np.ones(len(q)) if markers else np.linalg.norm(q, axis=1)
     lost = ~np.isfinite(p).all(axis=1) | ~np.isfinite(size) | (size == 0)
     off = np.abs(size[~lost] - 1).max(initial=0)
-    require(off < 0.01, f"quaternions of {owner}", "the file", "unit within 0.01", f"an error of {off:.3g}")
+    name, _, file = owner.rpartition(" in ")
+    require(off < 0.01, f"quaternions of {name}", file, "unit within 0.01", f"an error of {off:.3g}")
     origin = (p == 0).all(axis=1) & (markers | (np.abs(q[:, 3]) == 1))
-    if origin.mean() < 0.5:  # else the axes are its own
+    away = np.linalg.norm(p[~origin & ~lost], axis=1)
+    if len(away) and np.median(away) > _ORIGIN:  # else the body may be there
         lost |= origin
     poses[lost] = np.nan
     _say(lost, f"frames of {owner} have no pose", lines, remarks)
-    _clear_frozen(poses, f"frames of {owner}", lines, remarks)
+    _clear_frozen(poses, p, f"frames of {owner}", lines, remarks)
 
 
-def _clear_frozen(values: Array, what: str, lines: Sequence[int], remarks: list[str]) -> None:
-    """Make rows NaN that only repeat the one before, many times; what hardly ever moves may stay."""
-    equal = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
-    same = np.r_[False, equal.all(axis=1) & ~np.isnan(values[1:]).all(axis=1)]
-    run = np.cumsum(~same)
-    frozen = same & (np.bincount(run)[run] > _FROZEN)
-    if frozen.mean() < 0.5:
-        values[frozen] = np.nan
-        _say(
-            frozen,
-            f"{what} only repeat the one before, more than {_FROZEN} in a row: left out",
-            lines,
-            remarks,
-        )
+def _clear_frozen(values: Array, place: Array, what: str, lines: Sequence[int], remarks: list[str]) -> None:
+    """Make rows NaN that only repeat the one before, many times, until they jump: what rests goes on slowly."""
+    seen = np.flatnonzero(np.isfinite(place).all(axis=1))
+    rows, x = np.nan_to_num(values[seen]), place[seen] / np.maximum(np.nanstd(place, axis=0), 1e-12)
+    last = np.flatnonzero(
+        (rows[1:] != rows[:-1]).any(axis=1)
+    )  # of each run of equal rows, but the one at the end
+    step, length = np.linalg.norm(x[last + 1] - x[last], axis=1), np.diff(last, prepend=-1)
+    frozen = np.zeros(len(values), dtype=bool)
+    for k in np.flatnonzero(length > _FROZEN):
+        if step[k] > _JUMP_STEPS * np.median(step):
+            frozen[seen[last[k] - length[k] + 2 : last[k] + 1]] = True
+    values[frozen] = np.nan
+    _say(frozen, f"{what} only repeat the one before, more than {_FROZEN} in a row: left out", lines, remarks)
 
 
 def _say(rows: Array, what: str, lines: Sequence[int], remarks: list[str]) -> None:
@@ -766,7 +772,7 @@ def read_poses(robot: Robot, path: Any, *, bodies: Sequence[str] = (), straight_
         zero = np.asarray((q == 0).all(axis=1))
         if robot.n_q > 1 and zero.mean() < 0.5:
             q[zero] = np.nan
-        _clear_frozen(q, f"rows of {table.owner}", table.lines, remarks)
+        _clear_frozen(q, q, f"rows of {table.owner}", table.lines, remarks)
     _say(np.asarray(np.isnan(q).any(axis=1)), f"rows of {table.owner} have no pose", table.lines, remarks)
     _clear_outside(robot, q, table.owner, table.lines, remarks)
     return Poses(times, q, table.lines, tuple(remarks), known)
@@ -804,7 +810,7 @@ def _fitted(robot: Robot, motion: Motion, owner: str, bodies: Sequence[str], str
         f"{n} different bodies of {', '.join(there)}, from base to tip, or {n + 1} with one on the base first"
     )
     require(known, "bodies", owner, expected, ", ".join(names) or "none")
-    poses = np.stack([motion.bodies[name] for name in names], axis=1)[..., [4, 5, 6, 0, 1, 2, 3]]
+    poses = np.stack([motion.bodies[name] for name in names], axis=1)[..., _POSITION_FIRST]
     if motion.up == "y":
         poses = poses[..., [0, 2, 1, 3, 5, 4, 6]] * [1, -1, 1, 1, -1, 1, 1]
     T = _measured(poses, owner)
