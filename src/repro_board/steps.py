@@ -174,7 +174,7 @@ class Steps:
             self._before = self._first_s - usual_s, self._first_s - usual_s, None
         time_s, before_s, before_us = self._before
         if steps > _LEAST_STEPS:  # by a rate that is stated too low time would run ahead
-            usual_s = min(usual_s, (time_s - self._first_s) / steps)
+            usual_s = min(usual_s, (time_s - self._first_s) / (steps - 1))
         gap_s = arrived_s - before_s
         spread_s = min(max((arrived_s - time_s) / n, usual_s / 4), usual_s) if gap_s > 0 else usual_s
         end_s = max(arrived_s, time_s + n * spread_s)
