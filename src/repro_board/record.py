@@ -124,24 +124,20 @@ def _open(address: str, baud: int) -> Any:
 def open_port(address: str, baud: int = 115200) -> Port:
     """Open a port for this process alone: ``/dev/ttyACM0`` or ``socket://HOST:PORT``; refuse it in words."""
     must = "a rate that the port can be set to"
-    require(0 < baud < 2**31, "baud", "the port", must, baud)
+    require(0 < baud < 2**31, "baud", "the board", must, baud)
     try:
         return Port(address, baud)
     except (OSError, ValueError) as error:
         if isinstance(error, ValueError) and "baud" in str(error).lower():
-            raise bad_input("baud", "the port", must, baud) from error
-        number = getattr(error, "errno", None)
-        busy = "free (close the program that has it open)"
-        must = (
-            {
+            raise bad_input("baud", "the board", must, baud) from error
+        must = "socket://HOST:PORT of a program that listens"
+        if not address.startswith("socket:"):
+            must = {
                 errno.ENOENT: f"one that is there; found: {ports()}",
-                errno.EACCES: "one that you may read and write (sudo usermod -aG dialout $USER, then log in again)",
-                errno.EAGAIN: busy,
-                errno.EBUSY: busy,
-            }.get(number, "a serial port")
-            if ":" not in address
-            else "socket://HOST:PORT of a program that listens"
-        )
+                errno.EACCES: "one that you may use (sudo usermod -aG dialout $USER, then log in again)",
+                errno.EAGAIN: "free (close the program that has it open)",
+                errno.EBUSY: "free (close the program that has it open)",
+            }.get(getattr(error, "errno", None) or 0, "a serial port")
         why = getattr(error, "strerror", None) or error
         raise bad_input("port", "the board", must, f"{address} ({why})") from error
 
@@ -182,7 +178,11 @@ class Writer:
             raise bad_input("output", "the recording", must, f"{path} ({error.strerror})") from error
         self._thread = threading.Thread(target=self._keep_in_sync, daemon=True)
         self._thread.start()
-        self._append(b"A", time.time_ns(), json.dumps(about).encode())
+        try:
+            self._append(b"A", time.time_ns(), json.dumps(about).encode())
+        except OSError:
+            self.close()
+            raise
 
     def write(self, unix_ns: int, data: bytes) -> None:
         """Append bytes that arrived at a time [ns since 1970]."""
@@ -210,12 +210,6 @@ class Writer:
             os.close(self._file)
             if not self.received:
                 self.path.unlink(missing_ok=True)
-
-    def __enter__(self) -> Writer:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _append(self, kind: bytes, unix_ns: int, content: bytes) -> None:
         head = _HEAD.pack(MAGIC + b"2", kind, self._id, self._blocks, len(content), unix_ns)
@@ -303,7 +297,8 @@ def record(
     stop, parser, samples = stop or threading.Event(), Parser(format, channels), 0
     about = {"port": port, "baud": baud, "format": format, "channels": channels, "version": repro.__version__}
     about["started"] = datetime.now(UTC).isoformat(timespec="seconds")
-    with Writer(path, about) as file, contextlib.closing(open_port(port, baud)) as line, stopping(stop):
+    closing = contextlib.closing
+    with closing(Writer(path, about)) as file, closing(open_port(port, baud)) as line, stopping(stop):
         # The clock of the day may be set while we record, so it is read once.
         start = time.monotonic()
         unix_ns, opened, shown = time.time_ns() - time.monotonic_ns(), line.opened, start
@@ -367,9 +362,11 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
     require(blocks, "file", path.name, must, f"{len(data)} bytes without one")
     damaged = len(data) - sum(block.length for block in blocks)
     remarks = [f"{damaged} bytes are damaged or cut off, and were left out"] if damaged else []
+    if doubled := len(blocks) - len(once := list(dict.fromkeys(blocks))):
+        remarks.append(f"{doubled} blocks are there twice, and were read once")
     if first_edition:
-        return _read_first_edition(path, blocks, remarks)
-    of_it = [block for block in blocks if block.head[2] == blocks[0].head[2]]
+        return _read_first_edition(path, once, remarks)
+    of_it = [block for block in once if block.head[2] == once[0].head[2]]
     order = [block.head[3] for block in of_it]
     kept = dict(sorted(zip(order, of_it, strict=True)))
     last = max(order)
@@ -378,12 +375,10 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
     if gaps:
         words = ", ".join(f"{n} from number {a}" for a, n in gaps[:10]) + ", ..." * (len(gaps) > 10)
         remarks.append(f"{sum(n for _, n in gaps)} of {last + 1} blocks are missing ({words})")
-    if len(kept) < len(of_it):
-        remarks.append(f"{len(of_it) - len(kept)} blocks are there twice, and were read once")
     if sorted(order) != order:
         remarks.append("blocks are not in the order in which they were written, and were read in that order")
-    if len(of_it) < len(blocks):
-        remarks.append(f"{len(blocks) - len(of_it)} blocks of another recording were left out")
+    if len(of_it) < len(once):
+        remarks.append(f"{len(once) - len(of_it)} blocks of another recording were left out")
     if kept[last].head[1] != b"E":
         remarks.append("it has no end: the recorder still runs or was killed, or the file was cut")
     said, n = about.get("format"), about.get("channels")
@@ -445,19 +440,19 @@ def _read_first_edition(path: Path, blocks: list[_Block], remarks: list[str]) ->
     about = next((_json(block.content) for block in blocks if block.head[1] == b"H"), {})
     beside = path.with_name(f"{path.name}.json")
     counted = _json(beside.read_bytes()) if beside.is_file() else {}
+    if blocks[0].head[1] != b"H":
+        remarks.append("its first block is missing or not the first")
     if not about or counted.get("start_host_ns") == about.get("start_host_ns"):
         about = counted | about
     frames = [block for block in blocks if block.head[1] == b"F"]
     for k, block in enumerate(frames):
         require(block.head[2], f"width of block {k + 1}", path.name, "1 value or more", 0)
-    # A block begins with its arrival in nanoseconds: blocks that are equal are one.
-    kept = dict.fromkeys((block.content, block.head[2]) for block in frames)
-    in_order = sorted(kept, key=lambda key: struct.unpack_from("<q", key[0]))
-    if len(kept) < len(frames):
-        remarks.append(f"{len(frames) - len(kept)} blocks are there twice, and were read once")
-    if list(kept) != in_order:
+    in_order = sorted(frames, key=lambda block: struct.unpack_from("<q", block.content))
+    if frames != in_order:
         remarks.append("blocks are not in the order in which they were written, and were read in that order")
-    rows = [row for content, n in in_order for row in struct.iter_unpack(f"<qIIHBB{n}d", content)]
+    rows = [
+        row for block in in_order for row in struct.iter_unpack(f"<qIIHBB{block.head[2]}d", block.content)
+    ]
     counters = about.get("counters")
     counters = counters if isinstance(counters, dict) else {}
     if about.get("ended") and counters.get("frames") != len(rows):
@@ -531,11 +526,11 @@ def board_times(arrived: Array, board: Array) -> tuple[Array | None, float]:
     times, ppm, longest = np.empty_like(board), 0.0, 10.0
     for part in np.split(np.arange(len(board)), resets):
         least = np.array([k[np.argmin(late[k])] for k in np.array_split(part, min(64, len(part)))])
-        span, slope, offset = np.ptp(board[part]), 0.0, np.median(late[least])
+        span, slope, offset = float(np.ptp(board[part])), 0.0, float(np.median(late[least]))
         if np.ptp(late[least]) > 1 + 0.05 * span:
             return None, 0.0
         if span >= 10 and len(least) > 2:
-            slope, offset = theilslopes(late[least], board[least])[:2]
+            slope, offset, *_ = np.asarray(theilslopes(late[least], board[least])).tolist()
         if span >= longest:
             ppm, longest = -1e6 * slope, span
         times[part] = board[part] * (1 + slope) + offset
