@@ -88,6 +88,7 @@ def damaged(data: bytes, rng: np.random.Generator) -> tuple[str, bytes]:
         "beginning cut off": data[place:],
         "bytes lost": data[:place] + data[place + size :],
         "bytes put in": data[:place] + rng.bytes(size) + data[place:],
+        "another behind it": data + data[: bounds[k]].replace(data[8:12], b"else"),
         "zeros at the end": data + bytes(size),
         "block lost": b"".join(blocks[:j] + blocks[j + 1 :]),
         "block doubled": b"".join(blocks[:k] + blocks[j:]),

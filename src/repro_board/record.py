@@ -45,7 +45,6 @@ from urllib.parse import urlsplit
 from zlib import crc32
 
 import numpy as np
-from scipy.stats import theilslopes
 
 import repro
 from repro.common import Array, bad_input, require
@@ -62,6 +61,8 @@ MOST_BYTES = 65536
 _HEAD, _CRC = struct.Struct("<4sc3xIIIq"), struct.Struct("<I")
 _HEAD_OF_FIRST_EDITION = struct.Struct("<4scxHI")
 _WRAP_S = 2**32 / 1e6
+_AT_ONCE = 512
+"""Samples of a recording that are put together at once; the first alone, because it says when time begins."""
 
 
 class Port:
@@ -504,8 +505,9 @@ def arrival_times(arrived: Array) -> Array:
     They are as far apart as samples usually are, but no further than there is time since the block before them.
     """
     _, first, count = np.unique(arrived, return_index=True, return_counts=True)
-    room = np.diff(arrived[first], prepend=arrived[:1]) / count
-    step = np.minimum(room, np.median(room[1:])) if len(room) > 1 else room
+    room = np.diff(arrived[first]) / count[1:]
+    usual = np.median(room) if len(room) else 0.0
+    step = np.minimum(np.append(usual, room)[: len(count)], usual)
     behind = np.repeat(first + count, count) - 1 - np.arange(len(arrived))
     apart = 1e-6 * np.arange(len(arrived))
     return np.maximum.accumulate(arrived - behind * np.repeat(step, count) - apart) + apart
@@ -518,6 +520,8 @@ def board_times(arrived: Array, board: Array) -> tuple[Array | None, float]:
     latenesses of all parts of a recording, by the median of slopes. Where the board began anew, the line does too.
     Without a common passage of time there are no times.
     """
+    from scipy.stats import theilslopes  # takes half a second, for which no recorder should wait
+
     late = arrived - board
     late -= _WRAP_S * np.rint((late - late[0]) / _WRAP_S)
     board = arrived - late
@@ -532,7 +536,7 @@ def board_times(arrived: Array, board: Array) -> tuple[Array | None, float]:
         if span >= 10 and len(least) > 2:
             slope, offset, *_ = np.asarray(theilslopes(late[least], board[least])).tolist()
         if span >= longest:
-            ppm, longest = -1e6 * slope, span
+            ppm, longest = 1e6 * (1 / (1 + slope) - 1), span
         times[part] = board[part] * (1 + slope) + offset
     return np.maximum.accumulate(times), ppm
 
@@ -545,20 +549,23 @@ def readings_of(robot: Robot, source: Any) -> Readings:
     InputError
         If it is neither, or does not belong to the robot.
     """
-    if not isinstance(source, str | Path) or not Path(source).is_file():
+    if isinstance(source, str | Path) and Path(source).is_file():
+        with Path(source).open("rb") as file:
+            source = read_recording(source) if file.read(len(MAGIC)) == MAGIC else source
+    if not isinstance(source, Recording):
         return read_readings(robot, source)
-    with Path(source).open("rb") as file:
-        if file.read(len(MAGIC)) != MAGIC:
-            return read_readings(robot, source)
-    recording = read_recording(source)
-    # Its times are the board's already, on the computer's clock.
-    steps, found = Steps(robot, times="arrival"), []
-    for sample, time_s in zip(recording.samples, recording.times, strict=True):
-        found += steps.add(sample, float(time_s))
-    name = recording.path.name
-    require(found, "recording", name, "one with readings of the robot", f"{len(recording.samples)} samples")
+    # What is fitted to the computer's clock stands in for the board's.
+    times = source.times.tolist()
+    samples = [x._replace(time_us=round(1e6 * t)) for x, t in zip(source.samples, times, strict=True)]
+    steps, found, first = Steps(robot, source=source), [], 0
+    while first < len(samples):
+        end = min(len(samples), first + (_AT_ONCE if found else 1))
+        found += steps.feed(samples[first:end], times[end - 1])
+        first = end
+    received = f"{len(samples)} samples"
+    require(found, "recording", source.path.name, "one with readings of the robot", received)
     readings = np.array([step.u for step in found]).view(Readings)
     readings.times = np.array([step.time_s for step in found])
     readings.lines = range(1, len(found) + 1)
-    readings.remarks = (*recording.remarks, *steps.remarks)
+    readings.remarks = (*source.remarks, *steps.remarks)
     return readings
