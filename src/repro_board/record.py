@@ -30,7 +30,6 @@ import itertools
 import json
 import math
 import os
-import secrets
 import select
 import signal
 import socket
@@ -38,7 +37,6 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
@@ -124,21 +122,18 @@ def _open(address: str, baud: int) -> Any:
 
 def open_port(address: str, baud: int = 115200) -> Port:
     """Open a port for this process alone: ``/dev/ttyACM0`` or ``socket://HOST:PORT``; refuse it in words."""
-    must = "a rate that the port can be set to"
-    require(0 < baud < 2**31, "baud", "the board", must, baud)
+    require(0 < baud < 2**31, "baud", "the board", "a rate above zero", baud)
     try:
         return Port(address, baud)
     except (OSError, ValueError) as error:
-        if isinstance(error, ValueError) and "baud" in str(error).lower():
-            raise bad_input("baud", "the board", must, baud) from error
-        must = "socket://HOST:PORT of a program that listens"
-        if not address.startswith("socket:"):
-            must = {
-                errno.ENOENT: f"one that is there; found: {ports()}",
-                errno.EACCES: "one that you may use (sudo usermod -aG dialout $USER, then log in again)",
-                errno.EAGAIN: "free (close the program that has it open)",
-                errno.EBUSY: "free (close the program that has it open)",
-            }.get(getattr(error, "errno", None) or 0, "a serial port")
+        must = {
+            errno.ENOENT: f"one that is there; found: {ports()}",
+            errno.EACCES: "one that you may use (sudo usermod -aG dialout $USER, then log in again)",
+            errno.EAGAIN: "free (close the program that has it open)",
+            errno.EBUSY: "free (close the program that has it open)",
+        }.get(
+            getattr(error, "errno", None) or 0, "a serial port, or socket://HOST:PORT of a listening program"
+        )
         why = getattr(error, "strerror", None) or error
         raise bad_input("port", "the board", must, f"{address} ({why})") from error
 
@@ -166,16 +161,13 @@ class Writer:
 
     def __init__(self, path: str | Path, about: dict[str, Any]) -> None:
         self.path, self.received = Path(path), 0
-        self._id, self._blocks, self._size = secrets.randbits(32), 0, 0
+        self._id, self._blocks, self._size = int.from_bytes(os.urandom(4)), 0, 0
         self._failure: OSError | None = None
         self._closing = threading.Event()
         try:
             self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o666)
         except OSError as error:
-            there = isinstance(error, FileExistsError)
-            must = (
-                "a new file (give another name, or move the old one)" if there else "a file that can be made"
-            )
+            must = "a new file that can be made (give another name, or move the old one)"
             raise bad_input("output", "the recording", must, f"{path} ({error.strerror})") from error
         self._thread = threading.Thread(target=self._keep_in_sync, daemon=True)
         self._thread.start()
@@ -297,7 +289,7 @@ def record(
     require(duration_s > 0, "duration", "repro record", "a time above zero [s]", duration_s)
     stop, parser, samples = stop or threading.Event(), Parser(format, channels), 0
     about = {"port": port, "baud": baud, "format": format, "channels": channels, "version": repro.__version__}
-    about["started"] = datetime.now(UTC).isoformat(timespec="seconds")
+    about["started"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     closing = contextlib.closing
     with closing(Writer(path, about)) as file, closing(open_port(port, baud)) as line, stopping(stop):
         # The clock of the day may be set while we record, so it is read once.
@@ -308,7 +300,7 @@ def record(
             lost = [f"{port} is away ({line.lost}); waiting for it"] if line.lost else []
             return Summary(
                 file.path if file.received else None, time.monotonic() - start, file.received, samples,
-                line.reconnects, parser.format, dict(parser.counters), (*lost, *parser.remarks),
+                line.reconnects, parser.format, {**parser.counters}, (*lost, *parser.remarks),
             )  # fmt: skip
 
         while not stop.is_set() and (left := start + duration_s - time.monotonic()) > 0:
@@ -398,7 +390,7 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
     began = np.searchsorted(offsets, [sample.start for sample in samples], side="right") - 1
     arrived = np.array(stamps, dtype=np.int64)[began] / 1e9
     return _recording(
-        path, about, samples, arrived, parser.format, parser.names, parser.units, parser.counters,
+        path, about, samples, arrived, parser.format, parser.names, parser.units, {**parser.counters},
         [*remarks, *parser.remarks],
     )  # fmt: skip
 
@@ -504,6 +496,7 @@ def arrival_times(arrived: Array) -> Array:
 
     They are as far apart as samples usually are, but no further than there is time since the block before them.
     """
+    arrived = np.maximum.accumulate(arrived)
     _, first, count = np.unique(arrived, return_index=True, return_counts=True)
     room = np.diff(arrived[first]) / count[1:]
     usual = np.median(room) if len(room) else 0.0
