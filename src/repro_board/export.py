@@ -14,7 +14,8 @@ import numpy as np
 
 from repro.common import bad_input, require
 from repro.robot import Robot
-from repro_board.record import Recording, readings_of
+from repro.robot_file import load_robot
+from repro_board.record import Recording, read_recording, readings_of
 
 FORMS = ("csv", "parquet", "mcap")
 _LATE_S, _LATE_SHARE = 1.0, 1e-3
@@ -22,11 +23,11 @@ _LATE_S, _LATE_SHARE = 1.0, 1e-3
 
 
 def export(
-    recording: Recording,
+    recording: Recording | str | Path,
     output: str | Path,
     *,
     to: str = "",
-    robot: Robot | None = None,
+    robot: Robot | str | Path | None = None,
     estimates: str | Path | None = None,
 ) -> list[str]:
     """Write a recording as a new file, whole or not at all; return what a user should know.
@@ -34,7 +35,7 @@ def export(
     Parameters
     ----------
     recording
-        As it was read.
+        As it was read, or its path.
     output
         A new file.
     to
@@ -42,7 +43,7 @@ def export(
         `table_of`. Messages of MCAP are JSON: ``/readings`` has the rows of the table, ``/readings/3`` those of
         stream 3 where there are several, and ``/estimate`` those of the estimates, without what is missing.
     robot
-        Write its readings, one row a time step, instead of the samples of the board.
+        Write its readings, one row a time step, instead of the samples of the board; or the path of its file.
     estimates
         For MCAP: the table that ``repro track`` made of this recording.
 
@@ -57,6 +58,9 @@ def export(
     require(estimates is None or form == "mcap", "estimates", "the export", "left out, but for mcap", form)
     must = "a new file (give another name, or move the old one)"
     require(not output.exists(), "output", "the export", must, output)
+    if not isinstance(recording, Recording):
+        recording = read_recording(recording)
+    robot = load_robot(robot) if isinstance(robot, str | Path) else robot
     table, remarks = table_of(recording, robot)
     estimated = None if estimates is None else _estimates(Path(estimates), float(recording.times[-1]))
     with _whole(output) as temporary:

@@ -251,7 +251,7 @@ class Summary(NamedTuple):
     def __str__(self) -> str:
         """Return a line of numbers, and one for each remark."""
         counted = {"reconnects": self.reconnects} | self.counters
-        others = [f"{n} {name.replace('_', ' ')}" for name, n in counted.items() if n]
+        others = [f"{n} {name.replace('_', ' ')}" for name, n in counted.items() if n and name != "frames"]
         rate = f"{self.samples} samples of {self.format or 'no known format'}"
         rate += f" ({self.samples / self.seconds:.1f}/s)" if self.seconds >= 1 else ""
         numbers = [f"{self.seconds:.0f} s: {self.received} bytes", rate, *others]
@@ -354,38 +354,44 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
     must = "a recording with a whole block (it begins with RRB)"
     require(blocks, "file", path.name, must, f"{len(data)} bytes without one")
     damaged = len(data) - sum(block.length for block in blocks)
-    remarks = [f"{damaged} bytes are damaged or cut off, and were left out"] if damaged else []
-    if doubled := len(blocks) - len(once := list(dict.fromkeys(blocks))):
-        remarks.append(f"{doubled} blocks are there twice, and were read once")
+    remarks = [f"bytes that are damaged or cut off, and left out: {damaged}"] if damaged else []
+    count = len(blocks)
+    blocks = list(dict.fromkeys(blocks))
+    if len(blocks) < count:
+        remarks.append(f"blocks that are there twice, and read once: {count - len(blocks)}")
     if first_edition:
-        return _read_first_edition(path, once, remarks)
-    of_it = [block for block in once if block.head[2] == once[0].head[2]]
-    order = [block.head[3] for block in of_it]
-    kept = dict(sorted(zip(order, of_it, strict=True)))
+        return _read_first_edition(path, blocks, remarks)
+    others = [block for block in blocks if block.head[2] != blocks[0].head[2]]
+    if others:
+        remarks.append(f"blocks of another recording, left out: {len(others)}")
+        blocks = [block for block in blocks if block.head[2] == blocks[0].head[2]]
+    order = [block.head[3] for block in blocks]
+    kept = dict(sorted(zip(order, blocks, strict=True)))
+    blocks.clear()  # of a long recording only what is still to be read stays in memory
     last = max(order)
     about = _json(kept[0].content) if 0 in kept else {}
     gaps = [(a + 1, b - a - 1) for a, b in itertools.pairwise([-1, *kept]) if b > a + 1]
     if gaps:
         words = ", ".join(f"{n} from number {a}" for a, n in gaps[:10]) + ", ..." * (len(gaps) > 10)
-        remarks.append(f"{sum(n for _, n in gaps)} of {last + 1} blocks are missing ({words})")
+        remarks.append(f"blocks that are missing: {sum(n for _, n in gaps)} of {last + 1} ({words})")
     if sorted(order) != order:
         remarks.append("blocks are not in the order in which they were written, and were read in that order")
-    if len(of_it) < len(once):
-        remarks.append(f"{len(once) - len(of_it)} blocks of another recording were left out")
     if kept[last].head[1] != b"E":
         remarks.append("it has no end: the recorder still runs or was killed, or the file was cut")
     said, n = about.get("format"), about.get("channels")
     format = format or (said if said in FORMATS else None)
     parser = Parser(format, channels or (n if isinstance(n, int) and n > 0 else None))
-    samples, size, offsets, stamps = [], 0, [], []
-    for number, block in kept.items():
-        if block.head[1] == b"O" or number - 1 not in kept:  # half a line before a gap is no number
+    samples, size, offsets, stamps, previous = [], 0, [], [], 0
+    for number in list(kept):
+        block = kept.pop(number)
+        if block.head[1] == b"O" or number > previous + 1:  # half a line before a gap is no number
             parser.reopened()
         if block.head[1] == b"B":
             offsets.append(size)
             stamps.append(block.head[5])
             samples += parser.feed(block.content)
             size += len(block.content)
+        previous = number
     samples += parser.close()
     began = np.searchsorted(offsets, [sample.start for sample in samples], side="right") - 1
     arrived = np.array(stamps, dtype=np.int64)[began] / 1e9
@@ -449,7 +455,7 @@ def _read_first_edition(path: Path, blocks: list[_Block], remarks: list[str]) ->
     counters = about.get("counters")
     counters = counters if isinstance(counters, dict) else {}
     if about.get("ended") and counters.get("frames") != len(rows):
-        found = f"{len(rows)} frames are here, and {beside.name} counts {counters.get('frames')}"
+        found = f"frames: {len(rows)} are here, {beside.name} counts {counters.get('frames')}"
         remarks.append(f"{found}: whole blocks are missing")
     samples = [
         Sample(stream, sequence if known & 1 else None, us if known & 2 else None, k, np.array(values[:n]))
@@ -547,15 +553,16 @@ def readings_of(robot: Robot, source: Any) -> Readings:
             source = read_recording(source) if file.read(len(MAGIC)) == MAGIC else source
     if not isinstance(source, Recording):
         return read_readings(robot, source)
-    # What is fitted to the computer's clock stands in for the board's.
-    times = source.times.tolist()
-    samples = [x._replace(time_us=round(1e6 * t)) for x, t in zip(source.samples, times, strict=True)]
     steps, found, first = Steps(robot, source=source), [], 0
-    while first < len(samples):
-        end = min(len(samples), first + (_AT_ONCE if found else 1))
-        found += steps.feed(samples[first:end], times[end - 1])
-        first = end
-    received = f"{len(samples)} samples"
+    while first < len(source.samples):
+        part = slice(first, first + (_AT_ONCE if found else 1))
+        times = source.times[part].tolist()
+        # What is fitted to the computer's clock stands in for the board's.
+        us = [round(1e6 * time_s) for time_s in times]
+        samples = [x._replace(time_us=t) for x, t in zip(source.samples[part], us, strict=True)]
+        found += steps.feed(samples, times[-1])
+        first += len(samples)
+    received = f"{len(source.samples)} samples"
     require(found, "recording", source.path.name, "one with readings of the robot", received)
     readings = np.array([step.u for step in found]).view(Readings)
     readings.times = np.array([step.time_s for step in found])

@@ -184,15 +184,15 @@ def test_blocks_that_are_missing_are_named_by_their_numbers(tmp_path):
 
     no_end = "it has no end: the recorder still runs or was killed, or the file was cut"
     order = "blocks are not in the order in which they were written, and were read in that order"
-    gap = "4 of 11 blocks are missing (3 from number 2, 1 from number 7)"
+    gap = "blocks that are missing: 4 of 11 (3 from number 2, 1 from number 7)"
     assert remarks(blocks[:2] + blocks[5:7] + blocks[8:])[0][0] == gap
     assert remarks(blocks[:6]) == ((no_end,), 5)
-    assert remarks([*blocks, blocks[4]]) == (("1 blocks are there twice, and were read once",), 9)
+    assert remarks([*blocks, blocks[4]]) == (("blocks that are there twice, and read once: 1",), 9)
     assert remarks([*blocks[:3], blocks[4], blocks[3], *blocks[5:]]) == ((order,), 9)
     other = written(tmp_path / "b.rec", frames(range(5))).read_bytes()
-    assert remarks([*blocks, other]) == (("7 blocks of another recording were left out",), 9)
-    assert remarks([*blocks, bytes(40)]) == (("40 bytes are damaged or cut off, and were left out",), 9)
-    assert remarks(blocks[1:])[0][0] == "1 of 11 blocks are missing (1 from number 0)"
+    assert remarks([*blocks, other]) == (("blocks of another recording, left out: 7",), 9)
+    assert remarks([*blocks, bytes(40)]) == (("bytes that are damaged or cut off, and left out: 40",), 9)
+    assert remarks(blocks[1:])[0][0] == "blocks that are missing: 1 of 11 (1 from number 0)"
 
 
 def test_half_a_line_before_a_missing_block_is_no_number(tmp_path):
@@ -273,7 +273,7 @@ def test_its_count_tells_what_is_missing_and_a_width_of_zero_is_refused(tmp_path
     block = rows(6 * SECOND, [1.5, 2.0])
     counted = ABOUT | {"ended": "stopped", "counters": {"frames": 4}}
     recording = read_recording(first_edition(tmp_path / "a.rec", ABOUT, [block], counted))
-    assert recording.remarks == ("1 frames are here, and a.rec.json counts 4: whole blocks are missing",)
+    assert recording.remarks == ("frames: 1 are here, a.rec.json counts 4: whole blocks are missing",)
     # The count of another recording, and one of a recorder that was killed, say nothing.
     for other in ({"start_host_ns": 7, **counted}, counted | {"start_host_ns": 7}, counted | {"ended": None}):
         path = first_edition(tmp_path / "b.rec", ABOUT, [block], other)
@@ -289,6 +289,7 @@ def test_times_of_the_board_are_on_the_computers_clock_whatever_the_delays(ppm):
     rng = np.random.default_rng(0)
     sent = np.arange(0.0, 600.0, 0.05)
     board = (4000.0 + sent * (1 + 1e-6 * ppm)) % 4294.967296  # wraps on its way
+    board[1::2] += 4294.967296  # a stream that was there at the wrap before
     delay = 0.001 + rng.exponential(0.004, len(sent)) + 0.5 * (rng.random(len(sent)) < 0.01)
     times, found = board_times(sent + delay, board)
     assert times is not None
