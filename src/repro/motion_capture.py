@@ -551,7 +551,7 @@ def _numbers_of(
 
 def _motive(rows: list[list[str]], path: Path) -> Motion:
     owner, header = path.name, dict(zip(rows[0][::2], rows[0][1::2], strict=False))
-    version = header["Format Version"]
+    version = header.get("Format Version", "nothing")
     require(re.fullmatch(r"1\.2\d", version), "Format Version", owner, "1.20 to 1.29", version)
     for key, known in {"Rotation Type": ("Quaternion",), "Length Units": tuple(_LENGTH_UNITS)}.items():
         require(header.get(key) in known, key, owner, " or ".join(known), header.get(key, "nothing"))
