@@ -551,7 +551,7 @@ def _numbers_of(
 
 def _motive(rows: list[list[str]], path: Path) -> Motion:
     owner, header = path.name, dict(zip(rows[0][::2], rows[0][1::2], strict=False))
-    version = header["Format Version"]
+    version = header.get("Format Version", "nothing")
     require(re.fullmatch(r"1\.2\d", version), "Format Version", owner, "1.20 to 1.29", version)
     for key, known in {"Rotation Type": ("Quaternion",), "Length Units": tuple(_LENGTH_UNITS)}.items():
         require(header.get(key) in known, key, owner, " or ".join(known), header.get(key, "nothing"))
@@ -679,8 +679,8 @@ def _clear_lost(poses: Array, owner: str, lines: Sequence[int], remarks: list[st
     if len(away) and np.median(away) > _ORIGIN:  # else the body may be there
         lost |= origin
     poses[lost] = np.nan
-    _say(lost, f"frames of {owner} have no pose", lines, remarks)
-    _clear_frozen(poses, p, f"frames of {owner}", lines, remarks)
+    _say(lost, f"Frames of {owner} without a pose", lines, remarks)
+    _clear_frozen(poses, p, f"Frames of {owner}", lines, remarks)
 
 
 def _clear_frozen(values: Array, place: Array, what: str, lines: Sequence[int], remarks: list[str]) -> None:
@@ -696,7 +696,12 @@ def _clear_frozen(values: Array, place: Array, what: str, lines: Sequence[int], 
         if step[k] > _JUMP_STEPS * np.median(step):
             frozen[seen[last[k] - length[k] + 2 : last[k] + 1]] = True
     values[frozen] = np.nan
-    _say(frozen, f"{what} only repeat the one before, more than {_FROZEN} in a row: left out", lines, remarks)
+    _say(
+        frozen,
+        f"{what} left out, which only repeat the one before, more than {_FROZEN} in a row",
+        lines,
+        remarks,
+    )
 
 
 def _say(rows: Array, what: str, lines: Sequence[int], remarks: list[str]) -> None:
@@ -707,7 +712,7 @@ def _say(rows: Array, what: str, lines: Sequence[int], remarks: list[str]) -> No
         words = [f"{lines[x[0]]} to {lines[x[-1]]}" if len(x) > 1 else f"{lines[x[0]]}" for x in parts[:4]]
         more = ", and so on" if len(parts) > 4 else ""
         where = f"line{'s' * (len(at) > 1)} {', '.join(words)}{more}"
-        remarks.append(f"{len(at)} of {len(rows)} {what} ({where}).")
+        remarks.append(f"{what}: {len(at)} of {len(rows)} ({where}).")
 
 
 class Poses(NamedTuple):
@@ -772,8 +777,8 @@ def read_poses(robot: Robot, path: Any, *, bodies: Sequence[str] = (), straight_
         zero = np.asarray((q == 0).all(axis=1))
         if robot.n_q > 1 and zero.mean() < 0.5:
             q[zero] = np.nan
-        _clear_frozen(q, q, f"rows of {table.owner}", table.lines, remarks)
-    _say(np.asarray(np.isnan(q).any(axis=1)), f"rows of {table.owner} have no pose", table.lines, remarks)
+        _clear_frozen(q, q, f"Rows of {table.owner}", table.lines, remarks)
+    _say(np.asarray(np.isnan(q).any(axis=1)), f"Rows of {table.owner} without a pose", table.lines, remarks)
     _clear_outside(robot, q, table.owner, table.lines, remarks)
     return Poses(times, q, table.lines, tuple(remarks), known)
 
@@ -794,7 +799,7 @@ def _clear_outside(robot: Robot, q: Array, owner: str, lines: Sequence[int], rem
     q[rows] = np.nan
     _say(
         rows,
-        f"poses of {owner} are far outside the robot's bounds, for {name} {bounds}",
+        f"Poses of {owner} left out, far outside the robot's bounds, for {name} {bounds}",
         lines,
         remarks,
     )
@@ -840,7 +845,7 @@ def _fitted(robot: Robot, motion: Motion, owner: str, bodies: Sequence[str], str
     require(typical < most, "poses", owner, expected, f"poses {1e3 * typical:.3g} mm from the nearest shape")
     far = miss > most
     q[far] = np.nan
-    _say(far, f"poses of {owner} are none that the robot can take", motion.lines, remarks)
+    _say(far, f"Poses of {owner} left out, which the robot cannot take", motion.lines, remarks)
     _clear_outside(robot, q, owner, motion.lines, remarks)
     found = {"tip": T[:, -1, :3, 3], "residual": miss, "covariance": shapes.covariance, "motion": motion}
     return Poses(motion.times, q, motion.lines, tuple(remarks), found)

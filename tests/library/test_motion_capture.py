@@ -459,7 +459,7 @@ def test_files_of_other_systems(tmp_path, text, name, line, started):
     poses[poses[:, 3] < 0, :4] *= -1
     np.testing.assert_allclose(poses[[0, 2, 3]], POSES[[0, 2, 3]], atol=1e-8)
     assert np.isnan(poses[1]).all()
-    assert f"have no pose (line {line})." in take.remarks[0]
+    assert f"without a pose: 1 of 4 (line {line})." in take.remarks[0]
     assert take.lines[1] == line
 
 
@@ -503,16 +503,16 @@ def test_timecode_and_parents_of_motive(tmp_path):
 def test_frozen_frames_are_lost_and_a_body_that_rests_is_not(tmp_path):
     """A body that moves, rests exactly and moves on; then it is frozen for 22 frames, and for 20."""
     t = np.r_[np.arange(60), np.full(50, 60), np.arange(60, 200)] / 100
-    half = 0.3 * np.sin(np.pi * (t - 0.6)) ** 2
+    half = 0.1 + 0.3 * np.sin(np.pi * (t - 0.6)) ** 2
     moving = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half), half, 0 * half, 0 * half], axis=1)
-    moving[150:172], moving[200:220] = moving[150], moving[200]
+    moving[125:147], moving[200:220] = moving[125], moving[200]
     resting = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(t), 1))
     take = read_motion(write_motive(tmp_path / "a.csv", {"Ground": resting, "Module": moving}))
-    assert np.flatnonzero(np.isnan(take.bodies["Module"]).all(axis=1)).tolist() == list(range(151, 172))
+    assert np.flatnonzero(np.isnan(take.bodies["Module"]).all(axis=1)).tolist() == list(range(126, 147))
     assert np.isfinite(take.bodies["Ground"]).all()
     assert take.remarks == (
-        "21 of 250 frames of Module in a.csv only repeat the one before, more than 20 in a row: left out "
-        "(lines 159 to 179).",
+        "Frames of Module in a.csv left out, which only repeat the one before, more than 20 in a row: 21 of 250 "
+        "(lines 134 to 154).",
     )
 
 
@@ -582,10 +582,11 @@ class TestMeasuredPoses:
         assert np.flatnonzero(np.isnan(found.q).all(axis=1)).tolist() == expected
         np.testing.assert_allclose(np.delete(found.q, expected, 0), np.delete(q, expected, 0))
         assert found.remarks == (
-            "21 of 120 rows of the table only repeat the one before, more than 20 in a row: left out "
+            "Rows of the table left out, which only repeat the one before, more than 20 in a row: 21 of 120 "
             "(lines 82 to 102).",
-            "24 of 120 rows of the table have no pose (lines 51 to 52, 61, 82 to 102).",
-            "1 of 120 poses of the table are far outside the robot's bounds, for delta_x_1 -0.03 to 0.03 (line 71).",
+            "Rows of the table without a pose: 24 of 120 (lines 51 to 52, 61, 82 to 102).",
+            "Poses of the table left out, far outside the robot's bounds, for delta_x_1 -0.03 to 0.03: 1 of 120 "
+            "(line 71).",
         )
 
     def test_poses_that_were_held_for_a_while(self):
