@@ -14,7 +14,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from repro.common import Array, InputError, require
 from repro.estimators.base import Estimate, Trajectory
 from repro.estimators.monitor import FROZEN, INCONSISTENT, LEFT_OUT, SAID, STATUS, UNDETERMINED, Monitor
 from repro.robot import Robot
-from repro_board.record import Writer, open_port
+from repro_board.record import Writer, open_port, stopping
 from repro_board.steps import Steps
 from repro_board.wire import Parser
 
@@ -72,7 +72,7 @@ class Follower:
         """Forget everything."""
         self.state: Any = (self.monitor or self.estimator).init()
         self.said: dict[str, Any] = {"status": 0}
-        self._inner, self._burst, self._looked, self._t = None, BURST, -math.inf, -math.inf
+        self._inner, self._burst, self._looked = None, BURST, -math.inf
 
     def warm(self) -> None:
         """Compile and load what an estimate or an alarm needs, so that no reading waits for it."""
@@ -87,11 +87,9 @@ class Follower:
         self.begin()
 
     def step(self, u: Array, t: float) -> Estimate:
-        """Estimate a time step. Times that go back are those of a board that was started again."""
+        """Estimate a time step."""
         u = np.where(self._unused | ~(np.abs(u) < self._most), np.nan, u)
-        if t <= self._t:
-            self.begin()
-        self._t, alarm = t, self.said["status"] in (LEFT_OUT, INCONSISTENT)
+        alarm = self.said["status"] in (LEFT_OUT, INCONSISTENT)
         if self.monitor is None:
             self.state, found = self.estimator.step(self.state, u, t)
         elif alarm and self._burst <= 0 and t - self._looked < LOOK_S:
@@ -301,7 +299,7 @@ def _alarms(session: Session) -> list[str]:
         "something magnetic nearby, several sensors, or a robot that is not as described (repro calibrate)"
     )
     words = {
-        LEFT_OUT: f"{who or 'A sensor'} does not fit the other readings and is left out{leave}.",
+        LEFT_OUT: f"What {who or 'a sensor'} reads does not fit the other readings and is left out{leave}.",
         INCONSISTENT: f"Do not trust the shape: it does not explain the readings. The cause may be {who or causes}.",
         FROZEN: "Do not trust the shape: the board repeats itself, all its readings stay the same.",
         UNDETERMINED: "Do not trust the shape: there are fewer readings than unknowns.",
@@ -309,7 +307,7 @@ def _alarms(session: Session) -> list[str]:
     there = np.bincount(follower.robot.parts, np.isfinite(last[1]), len(names)) > 0
     gone = [k for k in np.flatnonzero(~there) if k not in follower.failed]
     said = [words[status]] if status else []
-    return said + [f"{names[k]} gives no reading and is left out." for k in gone]
+    return said + [f"There is no reading of {names[k]}; it is left out." for k in gone]
 
 
 def notes(session: Session) -> list[str]:
@@ -466,12 +464,12 @@ def live(
     )
     follower.warm()
     with ExitStack() as open_now:
-        opened = open_port(port, baud)
-        open_now.callback(opened.close)
+        opened = open_now.enter_context(closing(open_port(port, baud)))
         about = {"port": port, "baud": baud, "format": format}
-        writer = None if output is None else open_now.enter_context(Writer(output, about))
+        writer = None if output is None else open_now.enter_context(closing(Writer(output, about)))
         session = Session(follower, opened, writer, format)
         session.stop = stop or session.stop
+        open_now.enter_context(stopping(session.stop))
         if estimates is not None:
             open_now.enter_context(Table(estimates, session))
         if browser:

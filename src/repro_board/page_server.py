@@ -11,14 +11,15 @@ import asyncio
 import hmac
 import json
 import secrets
+import socket
 import threading
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tornado import httpserver, iostream, netutil, web
+from tornado import httpserver, iostream, web
 
-from repro.common import Array, bad_input
+from repro.common import Array, bad_input, require
 from repro.estimators.base import evenly
 from repro_board.live import STATUS, Session, notes, numbers, sentences, summary
 from repro_board.view import view
@@ -50,11 +51,14 @@ class PageServer:
     """A server for the pages of one session; use it in a ``with`` statement. ``address`` is what to open."""
 
     def __init__(self, session: Session, port: int = 0) -> None:
+        require(0 <= port <= 65535, "browser_socket", "live", "0 to 65535", port)
         try:
-            self._sockets = netutil.bind_sockets(port, "127.0.0.1")
-        except (OSError, OverflowError) as error:
-            raise bad_input("browser_socket", "live", "a free port, or 0", f"{port} ({error})") from error
-        self.port: int = self._sockets[0].getsockname()[1]
+            self._socket = socket.create_server(("127.0.0.1", port), backlog=128)
+        except OSError as error:
+            raise bad_input(
+                "browser_socket", "live", "a free port, or 0", f"{port}: {error.strerror}"
+            ) from error
+        self.port: int = self._socket.getsockname()[1]
         self.token = secrets.token_urlsafe(24)
         self.address = f"http://127.0.0.1:{self.port}/?token={self.token}"
         at = "" if self.port == 80 else f":{self.port}"  # browsers leave out what is usual
@@ -86,7 +90,8 @@ class PageServer:
         server = httpserver.HTTPServer(
             application, idle_connection_timeout=ASK_S, body_timeout=ASK_S, **limits
         )
-        server.add_sockets(self._sockets)
+        self._socket.setblocking(False)
+        server.add_socket(self._socket)
         while not self.over.is_set():
             if self.pages:
                 self.latest = json.dumps(message(self.session), separators=(",", ":"))
@@ -181,7 +186,13 @@ def scene(session: Session) -> dict[str, Any]:
     C = np.zeros((len(q), robot.n_q, robot.n_q)) if session.follower.monitor else None
     label = f"The estimated shape of {name} at the moment."
     shape = view(robot, q, np.arange(len(q)), label, covariance=C, frames=200).data
-    more = {"time_s": [], "tallest": 640, "suspects": {"name": "suspected"}, "widest": 2 * shape["radius"]}
+    more = {
+        "time_s": [],
+        "tallest": 640,
+        "zoom": 1.4,
+        "suspects": {"name": "suspected"},
+        "widest": 2 * shape["radius"],
+    }
     unit = "mT, rad" if robot.imus else "mT"
     return {"robot": name, "readings": robot.names, "unit": unit, "shape": shape | more}
 

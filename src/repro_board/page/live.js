@@ -123,7 +123,7 @@ function begin(scene) {
     const now = latest;
     latest = null;
     if (handle && now.shape) handle.update(now.shape);
-    fill(byId("numbers"), now.numbers);
+    fill(byId("numbers"), now.numbers.map((text) => text.replace(" -", " −")));
     fill(byId("notes"), now.notes);
     fill(byId("alarms"), now.alarms, "p");
     const rows = Object.entries(now.summary).flat();

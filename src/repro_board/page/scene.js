@@ -87,7 +87,7 @@ export function gridStep(reach) {
  *
  * `box` holds two corners around everything that will be drawn, `radius` is that of the body [mm].
  */
-export function createScene(canvas, { box, radius, widest = Infinity }, palette) {
+export function createScene(canvas, { box, radius, widest = Infinity, zoom = 1 }, palette) {
   const context = canvas.getContext("webgl2", { alpha: true, antialias: true });
   if (!context) return null;
   const renderer = new WebGLRenderer({ canvas, context, alpha: true, antialias: true });
@@ -135,7 +135,7 @@ export function createScene(canvas, { box, radius, widest = Infinity }, palette)
   }
 
   function resetView() {
-    const distance = distanceOf(FIRST_VIEW);
+    const distance = distanceOf(FIRST_VIEW) / zoom;
     controls.target.copy(centre);
     camera.position.copy(FIRST_VIEW).multiplyScalar(distance).add(centre);
     camera.near = distance / 100;

@@ -12,6 +12,7 @@
 //   magnets, sensors     {points, directions, name?}, for all frames
 //   suspects             {name}, if sensors may be marked
 //   widest               largest radius of a tube of deviations [mm]; any if not given
+//   zoom                 how many times nearer the eye is than where all of the floor is in the picture
 //   tallest              most pixels that the picture is high; 440 if not given
 //   traces               [{title, unit, series: [{name, values, estimate?}]}], one value per frame, null where missing
 // Many numbers arrive as base64 of 16-bit integers: tenths of a millimetre, or ten-thousandths of a direction.
