@@ -189,7 +189,7 @@ def scene(session: Session) -> dict[str, Any]:
     more = {
         "time_s": [],
         "tallest": 640,
-        "zoom": 1.4,
+        "zoom": 1.25,
         "suspects": {"name": "suspected"},
         "widest": 2 * shape["radius"],
     }
