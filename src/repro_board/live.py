@@ -271,16 +271,14 @@ def sentences(session: Session) -> list[str]:
     steady = counters["time_steps"] > recent["time_steps"] > 0 and now - session.heard < max(
         SAMPLE_S, apart_s
     )
+    word = "More" if rate > stated else "Fewer"
     another = stated and steady and not damaged and not 0.8 < rate / stated < 1.25
     also = [
         (
             share > 0.05,
             f"About {10 * round(10 * share) or 5} % of the frames are damaged: look at cable and --baud.",
         ),
-        (
-            another,
-            f"About {float(f'{rate:.2g}'):g} time steps a second arrive; the robot file says {stated:g}.",
-        ),
+        (another, f"{word} than the {stated:g} time steps of the robot file arrive in a second."),
         (recent["skipped"], "The estimator is slower than the board: time steps are left out."),
     ]
     return [text for holds, text in also if holds] + _alarms(session)
@@ -345,9 +343,11 @@ def numbers(session: Session) -> list[str]:
     ).units()
     said = []
     for (name, unit, factor), x, s, w in zip(units, values, sd, widths, strict=True):
+        if w == 0:  # fixed by its bounds
+            continue
         digits = 4 if unit == "rad" else 2
         spread = f" ± {factor * s:.{digits}f}" if math.isfinite(s) else ""
-        said.append(f"{name} undetermined" if s > w > 0 else f"{name} {factor * x:.{digits}f}{spread} {unit}")
+        said.append(f"{name} undetermined" if s > w else f"{name} {factor * x:.{digits}f}{spread} {unit}")
     return said
 
 
@@ -356,7 +356,7 @@ def summary(session: Session) -> dict[str, str]:
     (recent, span_s), counters, fit = session.recent(), session.counters(), "no estimate yet"
     if session.last is not None:
         chi2, dof = float(session.last[2].chi2), float(session.last[2].dof)
-        fit = STATUS[session.status()]
+        fit = STATUS[session.status()] if session.follower.monitor else "not watched"
         if chi2 >= 0 and dof > 0:
             fit += f", residuals {math.sqrt(chi2 / dof):.1f} times the noise"
     age_s, latencies = session.age_s(), list(session.latencies)

@@ -166,7 +166,8 @@ class _Events(_File):
             while not server.over.is_set():
                 self.write(f"data: {server.latest}\n\n" if server.latest else ":\n\n")
                 if not await _within(self.flush(), STALLED_S):
-                    break
+                    self.detach().close()
+                    return
                 self.new.clear()
                 await self.new.wait()
             self.finish("event: end\ndata:\n\n")

@@ -22,6 +22,7 @@ import repro
 from repro import ConstantCurvature, InputError, KalmanFilter, Magnet, Ring, Robot, Sensor, track
 from repro.estimators.monitor import LEFT_OUT
 from repro_board import live as module
+from repro_board import page_server as server_module
 from repro_board.emulate import course, faulty
 from repro_board.live import BURST, LOOK_S, Follower, Session, live, notes, numbers, sentences, summary
 from repro_board.page_server import FILES, MOST_PAGES, PageServer, message
@@ -286,6 +287,18 @@ def test_imus_are_followed_and_a_silent_one_is_named():
     assert sentences(session) == ["There is no reading of imu 3; it is left out."]
 
 
+def test_particles_follow_without_a_monitor():
+    robot = Robot(
+        ROBOT.segments[:1], ROBOT.magnets[:1], ROBOT.sensors[:4], lower=ROBOT.lower[:3], upper=ROBOT.upper[:3],
+        start=[0.0, 0.0, 0.001], noise=0.05, rate_hz=100.0,
+    )  # fmt: skip
+    u = robot.sensing()(robot.start) + np.zeros((40, 4))
+    session = session_of(sent(faulty(u, "unplugged", 1, since=30)), robot=robot, name="particle_filter")
+    assert summary(session)["fit"].startswith("not watched")
+    assert session.own["estimates"] == 40
+    assert len(numbers(session)) == 6
+
+
 def test_silence_and_a_lost_port_are_told_apart():
     session = session_of(sent(U[:20]))
     session.heard = session.estimated_at = time.monotonic() - 1.5
@@ -303,7 +316,8 @@ def test_another_rate_than_stated_is_said(factor, wrong):
     session.counts.clear()
     session.counts.append((now - 1.0, session.counters()))
     session.own["time_steps"] += round(factor * RATE_HZ)
-    expected = f"About {factor * RATE_HZ:g} time steps a second arrive; the robot file says 1000."
+    word = "More" if factor > 1 else "Fewer"
+    expected = f"{word} than the 1000 time steps of the robot file arrive in a second."
     assert sentences(session) == [expected] * wrong
 
 
@@ -489,6 +503,18 @@ def test_a_page_that_takes_nothing_delays_no_other_and_too_many_are_refused(page
     while len(page.pages) == MOST_PAGES and time.monotonic() < deadline:
         time.sleep(0.02)
     assert stream(page).status == 200
+
+
+def test_a_page_that_takes_nothing_for_long_is_given_up(page, stream, monkeypatch):
+    monkeypatch.setattr(server_module, "STALLED_S", 0.3)
+    monkeypatch.setattr(server_module, "message", lambda _: {"long": "x" * 1_000_000})
+    stream(page)  # takes nothing, and its buffers are full soon
+    other = stream(page)
+    deadline = time.monotonic() + 8
+    while len(page.pages) > 1 and time.monotonic() < deadline:
+        event(other)
+    assert len(page.pages) == 1
+    assert event(other)["long"]
 
 
 def test_pages_are_told_of_the_end(stream):
