@@ -256,9 +256,7 @@ def faults_named(
 
 
 def _fields(robot: Robot, q: Array) -> Array:
-    """Return readings without noise ``[t, s]`` [mT, rad]; trained networks say what those of their robot are."""
-    if robot.model:
-        return robot.sensing()(q)
+    """Return readings without noise ``[t, s]`` [mT, rad]."""
     gain, offset = robot.per_reading("gain", 1.0, 1.0), robot.per_reading("offset", 0.0, 0.0)
     return gain * simulated_readings(robot, q, robot.earth) + offset
 
@@ -293,26 +291,34 @@ def _blocks(
         yield times, u[1:]
 
 
+def _channels(robot: Robot) -> list[Any]:
+    """Return the channel of each value of stream 0, None where a sensor states none: all but IMUs with a stream."""
+    found = [x for sensor in robot.sensors for x in sensor.channels or [None] * sensor.axes]
+    return found + [x for imu in robot.imus if isinstance(imu.channels, list | tuple) for x in imu.channels]
+
+
 def _readings(
     robot: Robot, form: str, blocks: Iterable[tuple[Array, Array]]
 ) -> Iterator[tuple[float, int, Array]]:
-    """Yield time, stream and values of readings: all magnetic ones in one stream, those of every IMU in its own."""
+    """Yield time, stream and values of readings."""
     n = sum(sensor.axes for sensor in robot.sensors)
-    given = [x for sensor in robot.sensors for x in sensor.channels or [None] * sensor.axes]
-    places = [x - 1 if isinstance(x, int) else k for k, x in enumerate(given)]
+    places = [x - 1 if isinstance(x, int) else k for k, x in enumerate(_channels(robot))]
     low, high, decimals = _CARRIED.get(form, (-math.inf, math.inf, 15))
     for times, u in blocks:
         values = np.zeros((len(u), max(places, default=-1) + 1))
-        values[:, places] = (
-            (u[:, :n] * robot.per_reading("per_mt", 1.0, 1.0)[:n]).clip(low, high).round(decimals)
-        )
-        streams = [(0, values)] if n else []
+        columns = [(u[:, :n] * robot.per_reading("per_mt", 1.0, 1.0)[:n]).clip(low, high).round(decimals)]
+        streams = []
         for k, imu in enumerate(robot.imus):
             turns = u[:, n + 3 * k : n + 3 * k + 3]
             world = Rotation.from_quat([0, 0, 0, 1] if imu.world is None else imu.world)
             sent = (world * Rotation.from_rotvec(np.nan_to_num(turns))).as_quat()
-            stream = imu.channels if isinstance(imu.channels, int | float) else k + 1
-            streams.append((int(stream), np.where(np.isnan(turns[:, :1]), np.nan, sent)))
+            sent[np.isnan(turns[:, 0])] = np.nan
+            if isinstance(imu.channels, list | tuple):
+                columns.append(sent)
+            else:
+                streams.append((k + 1 if imu.channels is None else int(imu.channels), sent))
+        values[:, places] = np.hstack(columns)
+        streams += [(0, values)] if places else []  # last: beside what IMUs read at the same time
         for i, time_s in enumerate(times.tolist()):
             for stream, rows in streams:
                 if rows is values or not np.isnan(rows[i, 0]):  # an IMU that is unplugged sends nothing
@@ -381,7 +387,7 @@ def board_bytes(
         fault_from,
         seed,
     )
-    names = [x for sensor in source.sensors for x in sensor.channels or () if isinstance(x, str)]
+    names = [x for x in _channels(source) if isinstance(x, str)]
     return _sent(_readings(source, form, blocks), form, names, fails, fault_from, seed)
 
 
@@ -549,6 +555,7 @@ def emulate(
     from repro_board.record import read_recording
 
     require(speed > 0, "speed", "emulate", "above zero", speed)
+    require(hold_s is None or hold_poses, "hold", "emulate", "left out without hold_poses", hold_s)
     require(socket is None or port_file is None, "port_file", "emulate", "left out with socket", port_file)
     is_robot = Path(source).suffix == ".toml"
     require(is_robot or not hold_poses, "hold_poses", "emulate", "left out for a recording", hold_poses)
