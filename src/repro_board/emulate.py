@@ -550,7 +550,8 @@ def emulate(
 
     The port is the pseudo-terminal ``port_file``, or the TCP port ``socket`` of this computer, a free one if neither
     is given. With ``hold_poses`` the robot is held for ``hold_s`` (2 s if not given) in one pose after the other, and
-    these are written to that table. Everything else is as of :func:`board_bytes` and :class:`Emulator`.
+    these are written to that new table; it stays in the last one. Everything else is as of :func:`board_bytes` and
+    :class:`Emulator`.
     """
     from repro_board.record import read_recording
 
@@ -566,10 +567,10 @@ def emulate(
         fault_from=fault_from, seed=seed,
     )  # fmt: skip
     first = next(sent)  # what cannot be sent is refused before there is a port
-    if hold_poses and poses is not None:
-        write_poses(Path(hold_poses), played, poses, hold_s)
     board = Emulator(chain([first], sent), port_file or socket or 0, speed=speed)
     with contextlib.suppress(KeyboardInterrupt), board:
+        if hold_poses and poses is not None:
+            write_poses(Path(hold_poses), played, poses, hold_s)
         print(f"{Path(source).name}{', SYNTHETIC' * is_robot}\nPort: {board.address}", flush=True)
         while not board.ended.is_set():  # in short sleeps: an interruption in a wait may leave its lock
             time.sleep(_POLL_S)
