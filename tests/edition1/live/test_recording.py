@@ -16,7 +16,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.soak.kills import kill_soak
 from edition1.errors import InputError
 from edition1_live.record.export import export
 from edition1_live.record.recording import read_recording
@@ -475,11 +474,3 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(WriteFailed, match=r"a\.rec cannot be written: (File exists|Not a directory)\."):
         RecordingFile(tmp_path / "file" / "a.rec", HEAD)
-
-
-@pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
-def test_ten_killed_recorders_leave_recordings_that_lack_less_than_a_second():
-    for killed in kill_soak(10, seed=int(time.time())):
-        assert killed.in_order, killed
-        assert killed.damaged_bytes == 0, killed
-        assert killed.missing_s < 1.0, killed
