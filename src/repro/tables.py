@@ -363,11 +363,10 @@ def _times(
     bad = [lines[i] for i in np.flatnonzero(np.isnan(times)).tolist()]
     require(not bad, name, owner, "times", f"none in line {bad[:1]}")
     step = np.diff(times)
-    plausible = unit or not len(step) or np.median(step) <= 1
-    require(plausible, name, owner, "named with its unit, such as time_ms", f"steps such as {step[:1]}")
-    ticks = 2**32 * _SECONDS.get(
-        unit, 1.0
-    )  # a clock starts again at midnight, a counter of the board after 32 bits
+    usual = float(np.median(step)) if len(step) else 0.0
+    require(unit or usual <= 1, name, owner, "named with its unit, such as time_ms", f"steps of {usual:g}")
+    # A clock starts again at midnight, a counter of the board after 32 bits.
+    ticks = 2**32 * _SECONDS.get(unit, 1.0)
     period = ticks if unit in ("ms", "us") else 86400.0 if unit == "s" and times.max() < 86400 else math.inf
     if days != rest:
         times = times + values[:, days].sum(axis=1)
@@ -387,13 +386,8 @@ def _increasing(times: Array, decimals: int, lines: Sequence[int], owner: str, r
     first = np.flatnonzero(np.r_[True, step > 0])
     if len(first) == len(times):
         return times
-    _count(
-        len(times) - len(first),
-        len(times),
-        f"times of {owner}",
-        "rounded to the one before: spread evenly",
-        remarks,
-    )
+    n = len(times) - len(first)
+    _count(n, len(times), f"times of {owner}", "rounded to the one before: spread evenly", remarks)
     require(len(first) > 1, "times", owner, "more than one", f"{times[0]:g} s in every row")
     at, known = np.r_[first, 2 * first[-1] - first[-2]], times[first]
     return np.interp(np.arange(len(times)), at, np.r_[known, 2 * known[-1] - known[-2]])
@@ -403,15 +397,10 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
     """Return one row for each turn of streams, or of columns of which every row has one."""
     values, names, times = table.values, list(table.names), table.times
     there = np.isfinite(values)
+    # Boards print the number of an IMU, then its quaternion.
     headless = len(names) == 5 and table.columns[0] == "column 1"
     if headless and 0.9 < np.nanmedian(np.linalg.norm(values[:, 1:], axis=1)) < 1.1:
-        names = [
-            "stream",
-            "qw",
-            "qx",
-            "qy",
-            "qz",
-        ]  # as boards print them: number of the IMU, then the quaternion
+        names = ["stream", "qw", "qx", "qy", "qz"]
     if "stream" in names:
         own = [k for k, name in enumerate(names) if name != "stream"]
         streams, which = np.unique(values[:, names.index("stream")], return_inverse=True)
