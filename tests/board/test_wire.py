@@ -567,6 +567,20 @@ ho 0 tail 12 room 4|entry 0x400805e4|Calibrating... 10 20 30|Temp: 23.5, Hum: 41
     assert parser.counters["restarts"] == 1
 
 
+@pytest.mark.parametrize("names", [["millis,x"], []])
+def test_numbers_that_a_board_prints_before_its_data_do_not_keep_them_away(names):
+    parser, samples = lines(
+        "Attempt: 1", "Attempt: 2", "Attempt: 3", *names, *(f"{k},{k}.5" for k in range(99))
+    )
+    assert rows(samples)[-1] == ([98.5] if names else [98, 98.5])
+    assert len(samples) == (102 if names else 69)
+    assert parser.names == ("x",) * len(names)
+    parser = Parser()
+    parser.feed(b"\nAttempt: 1\nAttempt: 2\nAttempt: 3\n")
+    assert sequences(parser.feed(sent(3))) == [0, 1, 2]
+    assert (parser.format, parser.counters["frames"]) == ("frames", 3)
+
+
 def test_lines_that_never_agree_are_counted_and_few_are_kept():
     parser, samples = lines(*(f"x{chr(97 + k % 26)}{k}=1" for k in range(100)))
     assert samples == []
