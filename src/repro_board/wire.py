@@ -233,13 +233,14 @@ _NUMBER = re.compile(  # words for a missing one; no whole number begins with a 
     r"(?<![\w.#+-])(?:[+-]?(?i:nan|inf|infinity|ovf)|1\.#[A-Z]+|#?N/?A|n/a|na|(?i:null|none))(?![\w.])"
     r"|(?<![^\s,;:=])-{1,2}(?=[\s,;]|$)"
     r"|(?<![\w.^])([+-]?(?:[0-9]+\.[0-9]*|0|[1-9][0-9]*|\.[0-9]+)(?![0-9])(?:[eE][+-]?[0-9]{1,3}(?![0-9.]))?)"
+    r"(?! *[:=\])])"  # a number in a label
 )
 _EMPTY = re.compile(r"(?<=[,;\t:=])(?=[,;\t])|^(?=[,;\t])")
 _BLANKS = re.compile(r" *([;,\t:=]) *| +(?= )")
 _LETTER = "A-Za-zµμΩ°%"
 _UNIT = (
     rf"(?![xXbB][0-9]|[eE](?![{_LETTER}])|(?i:nan|inf|ovf)(?![{_LETTER}]))"  # 0x10, 1.5e, and no numbers
-    rf"[{_LETTER}][{_LETTER}/²³^*]*(?:[0-9](?![0-9{_LETTER}]))?"
+    rf"[{_LETTER}][{_LETTER}/²³^*]*[0-9]?(?![0-9{_LETTER}])"
 )
 _BETWEEN = re.compile(rf"(?: ?({_UNIT}))?([ ,;\t]?)(?:([^\W\d][\w .()\[\]/#°%-]*?)[:=])?")
 _NAME = re.compile(r"[^\W\d][\w .()\[\]/²³^*#°%-]*")

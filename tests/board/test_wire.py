@@ -422,6 +422,8 @@ def test_how_often_damage_passes(format, flipped, lost, doubled):
         ("X: 0.12 \tY: 3.4 \tZ: 1.2 m/s^2 ", [0.12, 3.4, 1.2], ("X", "Y", "Z"), ("m/s^2",) * 3),
         ("Mag X: 1 uT; Mag Y: 2 uT", [1, 2], ("Mag X", "Mag Y"), ("uT", "uT")),
         ("Bx (mT) = .5, By (mT) = -1", [0.5, -1], ("Bx", "By"), ("mT", "mT")),
+        ("Sensor 1: 5.2, Sensor 2: 3", [5.2, 3], ("Sensor 1", "Sensor 2"), ("", "")),
+        ("Sensor 1: 5.2 Sensor 2: 3", [5.2, 3], ("Sensor 1", "Sensor 2"), ("", "")),
         ("1.2 mT 3 mT", [1.2, 3], ("u1", "u2"), ("mT", "mT")),
         ("a=1,a=2", [1, 2], ("u1", "u2"), ("", "")),
         ("(-2.1, 3)", [-2.1, 3], (), ()),
