@@ -233,13 +233,14 @@ _NUMBER = re.compile(  # words for a missing one; no whole number begins with a 
     r"(?<![\w.#+-])(?:[+-]?(?i:nan|inf|infinity|ovf)|1\.#[A-Z]+|#?N/?A|n/a|na|(?i:null|none))(?![\w.])"
     r"|(?<![^\s,;:=])-{1,2}(?=[\s,;]|$)"
     r"|(?<![\w.^])([+-]?(?:[0-9]+\.[0-9]*|0|[1-9][0-9]*|\.[0-9]+)(?![0-9])(?:[eE][+-]?[0-9]{1,3}(?![0-9.]))?)"
+    r"(?! *[:=\])])"  # a number in a label
 )
 _EMPTY = re.compile(r"(?<=[,;\t:=])(?=[,;\t])|^(?=[,;\t])")
 _BLANKS = re.compile(r" *([;,\t:=]) *| +(?= )")
 _LETTER = "A-Za-zµμΩ°%"
 _UNIT = (
     rf"(?![xXbB][0-9]|[eE](?![{_LETTER}])|(?i:nan|inf|ovf)(?![{_LETTER}]))"  # 0x10, 1.5e, and no numbers
-    rf"[{_LETTER}][{_LETTER}/²³^*]*(?:[0-9](?![0-9{_LETTER}]))?"
+    rf"[{_LETTER}][{_LETTER}/²³^*]*[0-9]?(?![0-9{_LETTER}])"
 )
 _BETWEEN = re.compile(rf"(?: ?({_UNIT}))?([ ,;\t]?)(?:([^\W\d][\w .()\[\]/#°%-]*?)[:=])?")
 _NAME = re.compile(r"[^\W\d][\w .()\[\]/²³^*#°%-]*")
@@ -272,6 +273,9 @@ class _Lines(_Packets):
         self._group: dict[str, str] = {}  # lines of one number each, which make one line
         self._time: tuple[int, float] | None = None  # column of the times, and its unit [µs]
         self._commas, self._seen_newline = 0.0, False
+        self._accepted = self._misfits = (
+            0  # lines since the form was fixed, and how many in a row have another
+        )
         if format in _PAPERS:
             self._read_as(str(format), channels or 3)
 
@@ -339,6 +343,9 @@ class _Lines(_Packets):
                 self._closed = why
                 self._remark(f"Nothing is read: {why}.")
         elif self._closed or self._form or not columns:
+            self._misfits += bool(columns and self._accepted <= _MOST_HELD)
+            if self._misfits > _MOST_HELD:  # what fixed the form was printed before the data
+                self._form, self._misfits, self._accepted = "", 0, 0
             other = f"{len(columns)} numbers in another form than the lines before"
             self._drop(packet, self._closed or (other if columns else "not a line of numbers"))
         else:
@@ -381,7 +388,7 @@ class _Lines(_Packets):
         return named, next((k for k, x in enumerate(named) if _time_scale(*x) is not None), None)
 
     def _fix(self, named: list[tuple[str, str]], clock: int | None, form: str) -> None:
-        self.format, self._form = "csv", form
+        self.format, self._form, self._time = "csv", form, None
         if self._header and len(self._header) != len(named) and self._separator != " ":
             self._remark(f"{len(self._header)} names stand before lines of {len(named)} numbers: not used.")
         if clock is not None:
@@ -409,6 +416,7 @@ class _Lines(_Packets):
             self._drop(packet, "a number is too large, or the time is missing")
             return []
         self._commas *= 0.99
+        self._misfits, self._accepted = 0, self._accepted + 1
         return [Sample(0, None, time_us, start, np.array(values))]
 
     def _take_names(self, text: str, *, cut: bool = False) -> bool:
@@ -420,7 +428,9 @@ class _Lines(_Packets):
             return False
         if self._form:
             if (len(names), separator) != (self._form.count(_MARK), _separator(self._form)):
-                return False
+                if separator != " " and self._accepted <= _MOST_HELD:  # the data begin here
+                    self._form, self._header, self._separator = "", names, separator
+                return not self._form
             same = names[int(cut) :] == self._header[int(cut) :] or not self._header
             self._closed = "" if same else "after a header with other names"
             self.counters["restarts"] += same and not cut
@@ -604,7 +614,10 @@ class Parser:
         found: list[Sample] = []
         for reader in self._readers:
             if found := reader.feed(data):
-                self._readers = [reader]
+                if isinstance(
+                    reader, _Frames
+                ):  # lines of numbers may be what a board prints before its frames
+                    self._readers = [reader]
                 break
         self._take(self._readers[-1])
         self.counters["frames"] += len(found)

@@ -1,8 +1,12 @@
 """Frames and lines of text: laws over any bytes and any chunks, damage, and what boards print."""
 
+import ctypes
 import itertools
 import math
 import re
+import shutil
+import subprocess
+from pathlib import Path
 from zlib import crc32
 
 import numpy as np
@@ -205,6 +209,8 @@ def test_the_longest_frame_passes_and_a_run_without_delimiters_hides_none_behind
         parser.feed(b"\1" * 300)
     assert sequences(parser.feed(b"\1\0" + sent(2, 1))) == [1, 2]
     assert parser.counters == counted(frames=3, oversized=1, discarded_bytes=30_001)
+    parser.feed(b"\1" * 254 + b"\0" + b"\1" * 253 + b"\0")
+    assert (parser.counters["oversized"], parser.counters["checksum_errors"]) == (2, 1)
 
 
 def test_the_first_packet_after_an_opening_may_be_a_part():
@@ -222,6 +228,30 @@ def test_text_among_frames_is_told_and_costs_none():
     assert sequences(parser.feed(sent(2) + b"Sensor 3 does not answer\r\n" + sent(2, 2))) == [0, 1, 2, 3]
     assert parser.counters["checksum_errors"] == 1
     assert parser.remarks == ["Text arrives among the frames: a board that prints lines has the format csv."]
+
+
+def test_the_encoder_in_c_writes_the_same_bytes(tmp_path):
+    compiler = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
+    if compiler is None:
+        pytest.skip("there is no compiler")
+    source, library = (
+        Path(__file__).parents[2] / "firmware" / "frame_encoder.c",
+        tmp_path / "frame_encoder.so",
+    )
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-shared", "-fPIC"]
+    subprocess.run([compiler, *flags, str(source), "-o", str(library)], check=True)
+    encode_frame = ctypes.CDLL(str(library)).encode_frame
+    encode_frame.restype = ctypes.c_size_t
+    u8, u32 = ctypes.c_uint8, ctypes.c_uint32
+    encode_frame.argtypes = [ctypes.c_char_p, u8, u8, ctypes.c_void_p, u8, u32, u32]
+    rng = np.random.default_rng(0)
+    for code, kind, most in ((1, np.float32, 59), (2, np.int16, 118)):
+        for n in (1, 2, 7, most, most + 1):
+            values = (rng.normal(size=n) * 1000 * rng.integers(0, 2, n)).astype(kind)
+            out = ctypes.create_string_buffer(300)
+            length = encode_frame(out, 200, code, values.ctypes.data, n, 257, WRAP - 1)
+            expected = encode(values, 200, 257, WRAP - 1, np.dtype(kind).name) if n <= most else b""
+            assert out.raw[:length] == expected
 
 
 # ---- which format ----
@@ -392,6 +422,8 @@ def test_how_often_damage_passes(format, flipped, lost, doubled):
         ("X: 0.12 \tY: 3.4 \tZ: 1.2 m/s^2 ", [0.12, 3.4, 1.2], ("X", "Y", "Z"), ("m/s^2",) * 3),
         ("Mag X: 1 uT; Mag Y: 2 uT", [1, 2], ("Mag X", "Mag Y"), ("uT", "uT")),
         ("Bx (mT) = .5, By (mT) = -1", [0.5, -1], ("Bx", "By"), ("mT", "mT")),
+        ("Sensor 1: 5.2, Sensor 2: 3", [5.2, 3], ("Sensor 1", "Sensor 2"), ("", "")),
+        ("Sensor 1: 5.2 Sensor 2: 3", [5.2, 3], ("Sensor 1", "Sensor 2"), ("", "")),
         ("1.2 mT 3 mT", [1.2, 3], ("u1", "u2"), ("mT", "mT")),
         ("a=1,a=2", [1, 2], ("u1", "u2"), ("", "")),
         ("(-2.1, 3)", [-2.1, 3], (), ()),
@@ -431,7 +463,7 @@ def test_times_have_a_name_and_a_unit(header, line, values, time_us):
 
 def test_a_clock_of_milliseconds_wraps_where_its_32_bits_end():
     _, samples = lines("millis,x", f"{WRAP - 100},1", f"{WRAP - 50},2", "0,3", "50,4")
-    assert np.diff([sample.time_us for sample in samples]).tolist() == [50_000] * 3
+    assert [x.time_us for x in samples] == [1000 * (WRAP - 100 + 50 * k) for k in range(4)]
     _, samples = lines("millis,x", "70000,1", "70050,2", "20,3", "70,4")  # a reset
     assert [sample.time_us for sample in samples] == [70_000_000, 70_050_000, 20_000, 70_000]
 
@@ -537,6 +569,20 @@ ho 0 tail 12 room 4|entry 0x400805e4|Calibrating... 10 20 30|Temp: 23.5, Hum: 41
     assert parser.counters["restarts"] == 1
 
 
+@pytest.mark.parametrize("names", [["millis,x"], []])
+def test_numbers_that_a_board_prints_before_its_data_do_not_keep_them_away(names):
+    parser, samples = lines(
+        "Attempt: 1", "Attempt: 2", "Attempt: 3", *names, *(f"{k},{k}.5" for k in range(99))
+    )
+    assert rows(samples)[-1] == ([98.5] if names else [98, 98.5])
+    assert len(samples) == (102 if names else 69)
+    assert parser.names == ("x",) * len(names)
+    parser = Parser()
+    parser.feed(b"\nAttempt: 1\nAttempt: 2\nAttempt: 3\n")
+    assert sequences(parser.feed(sent(3))) == [0, 1, 2]
+    assert (parser.format, parser.counters["frames"]) == ("frames", 3)
+
+
 def test_lines_that_never_agree_are_counted_and_few_are_kept():
     parser, samples = lines(*(f"x{chr(97 + k % 26)}{k}=1" for k in range(100)))
     assert samples == []
@@ -611,6 +657,28 @@ def test_lines_of_one_name_each_make_a_line():
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=118))
 def test_values_are_exactly_those_printed(row):
     assert rows(Parser("csv").feed(b"\n" + 3 * text_line(row, "csv"))) == [row] * 3
+
+
+@given(
+    st.sampled_from([", ", ";", "\t", "  "]),
+    st.sampled_from(["", "{}:", "{}: ", "{} ="]),
+    st.sampled_from(["", " uT", "mV", " m/s^2"]),
+    st.lists(
+        st.from_regex(r"[+-]?(0|[1-9][0-9]{0,5}|[0-9]{0,3}\.[0-9]{1,4})(e-?[0-9]{1,2})?", fullmatch=True),
+        min_size=1, max_size=20,
+    ),
+)  # fmt: skip
+def test_any_form_gives_the_numbers_and_their_names(separator, label, unit, printed):
+    fields = [label.format(f"c{k}") + number + unit for k, number in enumerate(printed)]
+    if label.endswith(" =") and separator == "  ":
+        return  # a blank separates there
+    parser, samples = lines(*[separator.join(fields)] * 3, channels=len(printed))
+    assert rows(samples) == [list(map(float, printed))] * 3
+    n = len(printed)
+    assert parser.names == (
+        tuple(f"{'c' if label else 'u'}{k + (not label)}" for k in range(n)) if label or unit else ()
+    )
+    assert parser.units == ((unit.strip(),) * n if label or unit else ())
 
 
 ALPHABET = st.text("0123456789.,;:= \t-+eExXyTnaifsmuµ()_\r\n\x00é", max_size=60)
