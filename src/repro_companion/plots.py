@@ -1331,7 +1331,9 @@ def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
 
 def live_failures(table: pd.DataFrame, fails_at_s: float) -> Figure:
     """Draw error and stated deviation of the tip when a chip fails, for each number of chips."""
-    figure, panels = plt.subplots(table["sensors"].nunique(), 1, figsize=(WIDTH, 5.4), sharex=True, sharey=True)
+    figure, panels = plt.subplots(
+        table["sensors"].nunique(), 1, figsize=(WIDTH, 5.4), sharex=True, sharey=True
+    )
     for panel, (chips, part) in zip(panels, table.groupby("sensors", sort=False), strict=True):
         for failure, rows in part.groupby("failure", sort=False):
             (line,) = panel.plot(rows["time_s"], rows["tip_error_mm"], label=failure, lw=1.2)

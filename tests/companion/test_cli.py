@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-
 from .sample import project
 
 BOOK = ["run", "sweep", "scorecard", "compare", "fetch"]
