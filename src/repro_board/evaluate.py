@@ -1,211 +1,413 @@
-"""Estimates against motion capture: its files, exchanged markers, and whether readings and poses are of one time."""
+"""What ``track``, ``calibrate`` and ``evaluate`` do with files, and the lag between readings and a motion.
+
+Each function takes files, writes new files only, and returns a :class:`Report`. An evaluation finds the lag between
+the clocks, calibrates the robot on the first part of the recording, estimates the rest from a cold start, and
+compares with the measured poses, which enter no estimate.
+"""
 
 from __future__ import annotations
 
-import csv
-import re
-from datetime import datetime
-from itertools import pairwise
+import io
+import math
+import shutil
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2 as chi_square
 
 from repro.common import Array, bad_input, numbers, require
+from repro.estimators.base import Trajectory, track
+from repro.estimators.calibration import Calibration, Tolerances, calibrate, check_poses, placed
+from repro.estimators.drift import Drift, Drifting, DriftModel
+from repro.estimators.gradient_descent import GradientDescent
+from repro.estimators.kalman import KalmanFilter
+from repro.estimators.kalman import smooth as smoothed
+from repro.estimators.least_squares import LevenbergMarquardt
+from repro.estimators.particle import ParticleFilter
+from repro.robot import Robot
+from repro.robot_file import calibration_text, load_calibration, load_robot
+from repro.tables import read_table
 
-LENGTH_UNITS = {"Millimeters": 1e-3, "Centimeters": 1e-2, "Meters": 1.0}
-"""Units that Motive exports, in metres."""
-POSE = [("Rotation", axis) for axis in "XYZW"] + [("Position", axis) for axis in "XYZ"]
+ESTIMATORS = ("levenberg_marquardt", "kalman", "gradient_descent", "particle_filter")
+TOLERANCES = Tolerances(sensor_gain=0.05, sensor_offset=0.5, earth=0.05)
+"""How far a robot may be from its file, where the file states nothing."""
+_COVERED = 0.95
+_SPIKE = 6.0
+"""A sample farther from the median than so many deviations is left out."""
+_WINDOW_S = 0.5
+"""Readings are averaged over this time around a pose with one time."""
+_MODEL_ERROR, _MOST_ROWS, _ROUNDS = 0.003, 4000, 40
+"""Without poses: share of a reading that its model is off; rows that are used, and most rounds."""
+_CAUSES = "axes exchanged or of the wrong sign, another unit or robot, iron or magnets nearby"
+_GAP_STEPS, _LEAST_S, _APART_S = 2.5, 5.0, 1.0
+"""Longest gap over which is interpolated, in usual steps; shortest part of an evaluation, and time between the two
+parts [s]."""
+_MOST_POSES = 100
 
 
-class MotionCapture(NamedTuple):
-    """Poses of rigid bodies over time, in the axes of the motion capture."""
+@dataclass(frozen=True)
+class Report:
+    """What a command did: ``str`` gives the words for its user, ``found`` the numbers."""
 
-    name: str
-    """Of the take."""
-    started: datetime | None
-    """When it started, by the clock of the computer that recorded; ``None`` if the file does not say."""
-    rate_hz: float
-    """Frames per second in the file."""
-    times: Array
-    """Time of each frame after the start ``[t]`` [s]."""
-    bodies: dict[str, Array]
-    """By name ``[t, 7]``: quaternion X, Y, Z, W, then position X, Y, Z [m]; NaN where the body is lost."""
-    missing: int
-    """Frames that the header announces and the file does not have."""
+    text: str
+    found: Any
+
+    def __str__(self) -> str:
+        """Return the words."""
+        return self.text
 
 
-def read_motive(path: Path | str) -> MotionCapture:
-    """Read rigid bodies from a CSV file of OptiTrack Motive.
-
-    The file is an export with quaternions, format versions 1.20 to 1.29 (we know files of 1.21 and 1.23), in
-    millimetres, centimetres or metres. In Motive the y axis points up, and the axes of a body are those of the world
-    at the moment when the body is defined. Quaternions lead from the body to the world. A frame in which a body is
-    lost has empty cells or a quaternion of zeros. Columns of single markers are left out.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    InputError
-        If it is no such file, has another version, unit or type of rotation, no body, times that do not increase, or
-        quaternions that are not unit within 0.01.
-
-    Examples
-    --------
-    One body, which is lost in the second of three frames:
-
-    >>> import tempfile
-    >>> first = "Format Version,1.23,Export Frame Rate,40,Total Exported Frames,3"
-    >>> text = f'''{first},Rotation Type,Quaternion,Length Units,Millimeters
-    ...
-    ... ,Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body
-    ... ,Name,Tip,Tip,Tip,Tip,Tip,Tip,Tip
-    ... ,ID,1,1,1,1,1,1,1
-    ... ,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position
-    ... Frame,Time (Seconds),X,Y,Z,W,X,Y,Z
-    ... 0,0.000,0,0,0,1,5,110,-3
-    ... 1,0.025,,,,,,,
-    ... 2,0.050,0.6,0,0,0.8,5,90,-60
-    ... '''
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder, "tilt.csv")
-    ...     _ = file.write_text(text)
-    ...     take = read_motive(file)
-    >>> take.name, take.rate_hz, list(take.bodies)
-    ('tilt', 40.0, ['Tip'])
-    >>> take.bodies["Tip"][:, 4:]
-    array([[ 0.005,  0.11 , -0.003],
-           [   nan,    nan,    nan],
-           [ 0.005,  0.09 , -0.06 ]])
-    """
+def _new(path: Path | str, owner: str) -> Path:
     path = Path(path)
-    owner = path.name
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = list(csv.reader(stream))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise bad_input("content", owner, "a table in UTF-8", error) from error
-    header = dict(zip(rows[0][::2], rows[0][1::2], strict=False)) if rows else {}
-    version = header.get("Format Version", "nothing")
-    require(re.fullmatch(r"1\.2\d", version), "Format Version", owner, "1.20 to 1.29", version)
-    for key, known in {"Rotation Type": ("Quaternion",), "Length Units": tuple(LENGTH_UNITS)}.items():
-        require(header.get(key) in known, key, owner, " or ".join(known), header.get(key, "nothing"))
-    space = header.get("Coordinate Space", "Global")
-    require(space == "Global", "Coordinate Space", owner, "Global", space)
-    try:
-        rate_hz, announced = float(header["Export Frame Rate"]), int(header["Total Exported Frames"])
-        axes = next(k for k, row in enumerate(rows) if row[:1] == ["Frame"])
-        began = header.get("Capture Start Time")
-        started = None if began is None else datetime.strptime(began, "%Y-%m-%d %I.%M.%S.%f %p")
-    except (KeyError, ValueError, StopIteration) as error:
-        words = (
-            "one with frame rate, number of frames and, if any, start time, and a line that begins with Frame"
-        )
-        raise bad_input("header", owner, words, error or "another") from error
-    # Older versions do not say which line is which: there the names are in the fourth.
-    names = next((row for row in rows[:axes] if row[1:2] == ["Name"]), rows[min(3, axes)])
-    columns = list(zip(names, rows[axes - 1], rows[axes], strict=False))
-    keys = {name: [(name, *key) for key in POSE] for name, kind, _ in columns if kind == "Rotation"}
-    picked = {name: [columns.index(key) for key in own] for name, own in keys.items() if {*own} <= {*columns}}
-    require(picked, "rigid bodies", owner, "there with rotation and position", "none")
-    try:
-        wanted = [1, *(k for own in picked.values() for k in own)]
-        frames = [[float(row[k] or "nan") for k in wanted] for row in rows[axes + 1 :] if row]
-    except (ValueError, IndexError) as error:
-        raise bad_input("frames", owner, "rows of numbers", error) from error
-    table = np.array(frames).reshape(-1, len(wanted))
-    increasing = len(table) and np.all(np.diff(table[:, 0]) > 0)
-    require(increasing, "times", owner, "increasing from frame to frame", "others, or no frame")
-    poses = table[:, 1:].reshape(len(table), -1, 7).swapaxes(0, 1).copy()
-    size = np.linalg.norm(poses[..., :4], axis=-1)
-    poses[~np.isfinite(poses).all(axis=-1) | (size == 0)] = np.nan
-    off = float(np.nanmax(np.abs(np.where(size == 0, np.nan, size) - 1), initial=0))
-    require(off < 0.01, "quaternions", owner, "unit within 0.01", f"an error of {off:.3g}")
-    poses[..., 4:] *= LENGTH_UNITS[header["Length Units"]]
-    bodies = dict(zip(picked, poses, strict=True))
-    take = header.get("Take Name", path.stem)
-    return MotionCapture(take, started, rate_hz, table[:, 0], bodies, max(announced - len(table), 0))
+    expected = "one that does not exist yet"
+    require(not (path.exists() or path.is_symlink()), "output", owner, expected, path.name)
+    require(path.parent.is_dir(), "output", owner, "in a folder that exists", path)
+    return path
 
 
-JUMP, HALF_TURN, ALIKE, REST = np.radians([90.0, 170.0, 15.0, 5.0])
-"""Turns [rad]: from frame to frame that no body makes; least turn of exchanged markers; largest one between exchanges
-that count as equal, and at the ends of a stretch that was turned back."""
+def _written(path: Path, text: str) -> str:
+    with path.open(
+        "x", encoding="utf-8", newline="\n"
+    ) as stream:  # another process may have made it meanwhile
+        stream.write(text)
+    return f"Written: {path.name}"
 
 
-def undo_exchanges(quaternions: Any) -> tuple[Array, Array]:
-    """Turn a rigid body back in the frames in which motion capture took its markers for each other.
+def _csv(frame: Any) -> str:
+    """Return a table as text; times keep their microseconds however large they are."""
+    frame = frame.assign(time_s=frame["time_s"].map("{:.6f}".format)) if "time_s" in frame else frame
+    return frame.to_csv(index=False, lineterminator="\n", float_format="%.7g")
 
-    Markers that lie nearly symmetrically are now and then exchanged. The body is then seen turned by a half turn in
-    its own axes, always the same one, from one frame to the next, and back again later. The jumps themselves tell the
-    half turn, if there are two of them or more. A stretch of turned frames is turned back if that joins it to its
-    neighbours within 5 degrees. The first frame counts as right.
 
-    Parameters
-    ----------
-    quaternions
-        Orientations X, Y, Z, W of the body ``[t, 4]``, NaN where it is lost.
+def _some(words: Sequence[Any], most: int = 5) -> str:
+    rest = f" and {len(words) - most} more" if len(words) > most else ""
+    return ", ".join(map(str, words[:most])) + rest
 
-    Returns
-    -------
-    tuple
-        The orientations, NaN also where the body is turned and cannot be turned back; and which frames were turned
-        back.
 
-    Raises
-    ------
-    InputError
-        If there is no orientation.
+def _readings(robot: Robot, source: Path | str, rate_hz: float | None = None) -> Any:
+    from repro_board.record import readings_of
 
-    Examples
-    --------
-    A body that stands still, with a half turn about x in three frames:
+    return readings_of(robot, source if rate_hz is None else read_table(source, rate_hz))
 
-    >>> seen = np.tile([0.0, 0.0, 0.0, 1.0], (8, 1))
-    >>> seen[[2, 5, 6]] = [1.0, 0.0, 0.0, 0.0]
-    >>> found, undone = undo_exchanges(seen)
-    >>> np.abs(found @ [0.0, 0.0, 0.0, 1.0]), np.flatnonzero(undone)
-    (array([1., 1., 1., 1., 1., 1., 1., 1.]), array([2, 5, 6]))
-    """
-    rows = numbers(quaternions, "quaternions", "undo_exchanges", (None, 4), finite=False)
-    there = np.flatnonzero(np.isfinite(rows).all(axis=1))
-    require(
-        len(there), "quaternions", "undo_exchanges", "there in one frame or more", f"{len(rows)} lost frames"
+
+def estimator_of(robot: Robot, name: str = "") -> Any:
+    """Return the estimator of a name for a robot: least squares if none is given."""
+    name = name or ESTIMATORS[0]
+    require(name in ESTIMATORS, "estimator", "repro track", f"one of {', '.join(ESTIMATORS)}", name)
+    if name == "kalman":
+        return KalmanFilter(robot)
+    if name == "particle_filter":
+        free = int((~robot.fixed).sum())
+        require(free <= 4, "estimator", "repro track", "another one for more than four coordinates", name)
+        return ParticleFilter(robot)
+    if name == "gradient_descent":
+        # Stable at the ends of every coordinate: with n of them the loss curves by at most n in any direction.
+        middle: Any = (robot.lower + robot.upper) / 2 if robot.start is None else robot.start
+        ends = [np.where(np.eye(robot.n_q) == 1, bound, middle) for bound in (robot.lower, robot.upper)]
+        J = robot.sensing().linearise(np.concatenate([*ends, middle[None]]))[1]
+        curvature = 2 * np.square(J).mean(1).max(0)
+        return GradientDescent(robot.sensing(), 1 / (robot.n_q * np.maximum(curvature, 1e-300)))
+    return LevenbergMarquardt(robot)
+
+
+def with_calibration(shape: Trajectory, calibration: Calibration | None) -> Trajectory:
+    """Return estimates whose covariances hold what the calibration left open, too."""
+    if calibration is None or shape.covariance is None:
+        return shape
+    noise: Any = calibration.robot.total_noise
+    parts = np.array_split(shape.q, 1 + len(shape.q) // 2000)  # of bounded memory
+    lasting = np.concatenate([calibration.q_covariance(part, 1e-6 * noise) for part in parts])
+    return replace(shape, covariance=shape.covariance + lasting)
+
+
+def track_file(
+    readings: Path | str,
+    robot: Path | str,
+    *,
+    output: Path | str | None = None,
+    calibration: Path | str | None = None,
+    estimator: str = "",
+    smooth: bool = False,
+    failed: Sequence[int] = (),
+    rate_hz: float | None = None,
+) -> Report:
+    """Estimate the shape from a recording or a table of readings, and write the estimates as a table."""
+    owner = "repro track"
+    path = None if output is None else _new(output, owner)
+    described = load_robot(robot)
+    known = None if calibration is None else load_calibration(calibration, described)
+    arm = described if known is None else known.robot
+    if smooth:
+        require(estimator in ("", "kalman"), "estimator", owner, "kalman with --smooth", estimator)
+    method = estimator_of(arm, "kalman" if smooth else estimator)
+    u = _readings(arm, readings, rate_hz)
+    for number in failed:
+        parts = arm.part_names
+        require(1 <= number <= len(parts), "failed", owner, f"numbers of sensors, 1 to {len(parts)}", number)
+        u[:, arm.parts == number - 1] = np.nan
+    run_over = smoothed if smooth else track
+    shape = with_calibration(run_over(method, u), known)
+    lines = [*u.remarks, repr(shape)]
+    frame = shape.to_frame()
+    if shape.covariance is not None:
+        tip = np.sqrt(np.square(frame[[f"tip_{axis}_sd_mm" for axis in "xyz"]].to_numpy()).sum(1))
+        lines.append(f"tip: known to ±{np.median(tip):.2g} mm, in the worst row ±{tip.max():.2g} mm")
+    if path is not None:
+        lines.append(_written(path, _csv(frame)))
+    return Report("\n".join([*lines, *suspicions(shape)]), shape)
+
+
+def suspicions(shape: Trajectory) -> list[str]:
+    """Say in sentences which sensors do not fit the others, and what else the monitor found."""
+    if shape.status is None or shape.suspects is None:
+        return ["Nothing watches this estimator: a sensor that fails is not noticed."]
+    n, counts, lines = len(shape.times), Counter(shape.status.tolist()), []
+    names = shape.robot.part_names if shape.robot is not None else range(1, 1 + shape.suspects.shape[1])
+    for name, rows in zip(names, shape.suspects.T, strict=True):
+        if rows.any():
+            first, last = shape.times[rows][[0, -1]]
+            when = f"at {first:.3f} s" if rows.sum() == 1 else f"from {first:.3f} to {last:.3f} s"
+            lines.append(
+                f"Suspected: {name} does not fit the other sensors in {rows.sum()} of {n} rows, {when}."
+            )
+    words = {
+        "inconsistent": "the readings do not fit together, and no single sensor explains it (calibrate first?)",
+        "frozen": "the board repeats itself: all readings stay the same",
+        "undetermined": "there are fewer readings than unknowns",
+    }
+    lines += [f"In {counts[name]} of {n} rows {text}." for name, text in words.items() if counts[name]]
+    return lines or ["All rows are consistent, and no sensor is suspected."]
+
+
+def pose_covariance(robot: Robot, noise_mm: float, noise_deg: float) -> Array:
+    """Return the covariance ``[n_q, n_q]`` of poses whose lengths and angles are known so well."""
+    given = f"{noise_mm:g} mm and {noise_deg:g} deg"
+    good = 0 < noise_mm < math.inf and 0 < noise_deg < math.inf
+    require(good, "pose noise", "the command", "positive", given)
+    angle = [name.startswith(("kappa", "phi", "rotation")) for name in robot.coordinates]
+    return np.diag(np.where(angle, math.radians(noise_deg), 1e-3 * noise_mm) ** 2)
+
+
+def _holds(measured: Any, u: Any, owner: str) -> Array | None:
+    """Return beginning and end of every held pose ``[poses, 2]`` [s], or nothing where each has a row of readings."""
+    if "window_s" in measured.known:
+        return measured.known["window_s"]
+    alike = len(u) == len(measured.q)
+    timed = measured.times is not None and u.times is not None
+    if alike and (not timed or np.abs(measured.times - u.times).max() < 0.05):
+        return None
+    expected = "held from start_s to end_s, or at time_s, or as many as the readings have rows"
+    require(timed, "poses", owner, expected, f"{len(measured.q)} poses for {len(u)} rows")
+    return measured.times[:, None] + np.array([-0.5, 0.5]) * _WINDOW_S
+
+
+def _averaged(robot: Robot, u: Any, windows: Array, where: Sequence[str]) -> tuple[Array, list[str]]:
+    """Return the mean readings of every held pose, NaN where there are none, and what was left out."""
+    means, remarks, spikes, moved = [], [], [], []
+    noise = 0.0 if robot.total_noise is None else robot.total_noise
+    for (begin, end), place in zip(windows, where, strict=True):
+        rows = np.flatnonzero((u.times >= begin - 1e-9) & (u.times <= end + 1e-9))
+        span = f"within the readings, {u.times[0]:g} to {u.times[-1]:g} s"
+        require(len(rows), "pose", f"{place},", span, f"none from {begin:g} to {end:g} s")
+        x = np.array(u[rows])
+        there = np.isfinite(x).any(0)
+        x[:, ~there] = 0.0
+        middle = np.nanmedian(x, axis=0)
+        off = np.abs(x - middle)
+        # Steps of the readings alone move no sample by more than two of them.
+        most = _SPIKE * np.maximum(1.4826 * np.nanmedian(off, axis=0), noise)
+        for row, j in np.argwhere(off > most):
+            spikes.append(
+                f"{robot.names[j]} at {u.times[rows[row]]:g} s ({x[row, j]:.4g}, not {middle[j]:.4g})"
+            )
+        x[off > most] = np.nan
+        if (there & (np.nanstd(x, axis=0) > 5 * noise)).any() and np.any(noise):
+            moved.append(place)
+        means.append(np.where(there, np.nanmean(x, axis=0), np.nan))
+    if spikes:
+        remarks.append(f"{len(spikes)} readings do not fit their hold and are left out: {_some(spikes)}.")
+    if moved:
+        remarks.append(f"{len(moved)} poses were not still: {_some(moved)}.")
+    return np.array(means), remarks
+
+
+def calibrate_files(
+    readings: Path | str,
+    poses: Path | str | None,
+    robot: Path | str,
+    output: Path | str,
+    *,
+    self_: bool = False,
+    elongation_mm: float | None = None,
+    straight_mm: float | None = None,
+    pose_noise_mm: float = 0.2,
+    pose_noise_deg: float = 0.5,
+    rate_hz: float | None = None,
+) -> Report:
+    """Calibrate a robot from readings in held poses, or without poses from its motion, and write a calibration."""
+    from repro.motion_capture import read_poses
+
+    owner = "repro calibrate"
+    path, arm = _new(output, owner), load_robot(robot)
+    u = _readings(arm, readings, rate_hz)
+    if self_:
+        require(poses is None, "poses", owner, "left out with --self", poses)
+        text, found = _by_motion(arm, u, elongation_mm, straight_mm)
+        return Report("\n".join([*u.remarks, text, _written(path, calibration_text(found))]), found)
+    for name, value in (("elongation", elongation_mm), ("straight", straight_mm)):
+        require(value is None, name, owner, "left out without --self", value)
+    if poses is None:
+        raise bad_input("poses", owner, "given (--poses POSES.csv), or --self", "neither")
+    name, measured = Path(poses).name, read_poses(arm, poses)
+    where = [f"{name}, line {line}" for line in measured.lines]
+    sigma = pose_covariance(arm, pose_noise_mm, pose_noise_deg)
+    check_poses(arm, measured.q, sigma, where)
+    windows, remarks = _holds(measured, u, name), [*u.remarks, *measured.remarks]
+    values = np.array(u)
+    if windows is not None:
+        values, more = _averaged(arm, u, windows, where)
+        remarks += more
+    n = sum(sensor.axes for sensor in arm.sensors)
+    whole = np.isfinite(values[:, :n]).all(1) & np.isfinite(measured.q).all(1)
+    if not whole.all():
+        lost = [place for place, use in zip(where, whole, strict=True) if not use]
+        remarks.append(f"{len(lost)} poses lack a reading or a coordinate and are left out: {_some(lost)}.")
+    require(whole.any(), "poses", name, "complete in one row or more", "none")
+    rows = np.nan_to_num(values[whole])  # orientations are not calibrated here
+    found = calibrate(arm, measured.q[whole], rows, q_covariance=sigma, tolerances=TOLERANCES)
+    text = _calibration_report(found, measured.q[whole], rows)
+    return Report("\n".join([*remarks, text, _written(path, calibration_text(found))]), found)
+
+
+def _calibration_report(found: Calibration, q: Array, u: Array) -> str:
+    n = sum(sensor.axes for sensor in found.robot.sensors)
+    before, after = (
+        np.sqrt(np.square(u - x.sensing()(q))[:, :n].mean()) for x in (found.described, found.robot)
     )
-    q, n = rows[there], len(there)
-    seen: Any = Rotation.from_quat(q)
-    right, last = np.ones(n, dtype=bool), q[0]
-    for k, x in enumerate(q):
-        right[k] = abs(x @ last) > np.cos(JUMP / 2)  # q and -q are one rotation
-        last = x if right[k] else last
-    edge, steps = right[1:] != right[:-1], (seen[:-1].inv() * seen[1:]).magnitude()
-    k = np.flatnonzero(edge)
-    jumps = seen[np.where(right[k], k, k + 1)].inv() * seen[np.where(right[k], k + 1, k)]
-    turns, left = [], jumps[jumps.magnitude() > HALF_TURN]
-    while len(left):
-        alike = (left[0].inv() * left).magnitude() < ALIKE
-        if alike.sum() > 1:  # seen once, nothing says that it is always the same
-            turns.append(left[alike].mean())
-        left = left[~alike]
-    undone = np.zeros(n, dtype=bool)
-    for a, b in pairwise([0, *np.flatnonzero(edge | (steps > JUMP)) + 1, n]):
-        least = REST
-        for turn in () if right[a] else turns:
-            back = seen[a:b] * turn.inv()
-            for inner, outer in ((0, a - 1), (-1, b)):
-                if outer < n and (right | undone)[outer]:
-                    rest = (Rotation.from_quat(q[outer]).inv() * back[inner]).magnitude()
-                    if rest < least:
-                        least, q[a:b], undone[a:b] = rest, back.as_quat(), True
-    q[~right & ~undone] = np.nan
-    found, which = np.full(rows.shape, np.nan), np.zeros(len(rows), dtype=bool)
-    found[there], which[there] = q, undone
-    return found, which
+    kept = [
+        name
+        for name, now, prior in zip(found.names, found.deviation, found.tolerances, strict=True)
+        if now > 0.9 * prior
+    ]
+    undetermined = f"{len(kept)} parameters stay as uncertain as before: {_some(kept)}." if kept else ""
+    lines = [
+        repr(found),
+        f"Residual of the readings: {before:.3g} mT as described, {after:.3g} mT calibrated.",
+        undetermined or "The poses determine every parameter better than its tolerance.",
+    ]
+    return "\n".join(lines)
+
+
+def _by_motion(robot: Robot, u: Any, elongation_mm: Any, straight_mm: Any) -> tuple[str, Calibration]:
+    r"""Find moments, gains and offsets while the robot moves: least squares over all rows, the shapes eliminated.
+
+    Every row has its own shape, so only what is left of its readings across all shapes tells anything. A filter would
+    also count the smoothness of the motion, and states far too much.
+    """
+    owner = "repro calibrate --self"
+    fits = robot.magnets and robot.sensors and robot.model is None
+    require(fits, "robot", owner, "one with magnets and sensors, and without networks", "another")
+    alike = len({magnet.shape for magnet in robot.magnets}) == 1
+    drifts = [Drift("moment", 0.05, shared=alike), Drift("gain", 0.05), Drift("offset", 0.5)]
+    if robot.imus:  # found on the way, and forgotten
+        drifts += [Drift("heading", 0.2), Drift("tilt", 0.1)]
+    model = DriftModel(Drifting(robot.sensing(), drifts), robot.lower, robot.upper, owner)
+    u, n, start = np.array(u)[:: 1 + len(u) // _MOST_ROWS], robot.n_q, model.states[0]
+    along = np.array([name.startswith("delta_L") for name in robot.coordinates])
+    known = np.full((len(u), n + len(start)), np.nan)
+    if elongation_mm is not None:
+        known[:, :n][:, along] = 1e-3 * elongation_mm
+    if straight_mm is not None:
+        known[0, :n] = np.where(along, 1e-3 * straight_mm, 0.0)
+    # Shapes of the model and places of its parts are not better than that.
+    noise = np.hypot(robot.total_noise, _MODEL_ERROR * np.sqrt(np.nanmean(np.square(u), axis=0)))
+    noise[model.n_hall :] = robot.total_noise[model.n_hall :]
+    q = track(LevenbergMarquardt(robot, noise=noise), u, rate_hz=1.0, monitor=None).q
+    bounds = (np.concatenate([x, y * 1e3 * start]) for x, y in ((robot.lower, -1), (robot.upper, 1)))
+    method = LevenbergMarquardt(model, *bounds, noise)
+    theta, step, damping, best, first = 0 * start, 0 * start, 1e-3, math.inf, math.nan
+    H, g, x, dof, chi2 = np.diag(start**-2), step, q, np.ones(len(u)), np.ones(len(u))
+    for _ in range(_ROUNDS):
+        known[:, n:] = theta + step
+        estimate = method.step(method.init(np.concatenate([q, known[:, n:]], axis=1)), u, known=known)[1]
+        x, chi2 = estimate.q, estimate.chi2
+        u_hat, J = model.linearise(x)
+        r, J = model.difference(u, u_hat) / noise, J / noise[:, None]
+        there = np.isfinite(r)
+        held = (x[:, :n] <= robot.lower) | (x[:, :n] >= robot.upper) | np.isfinite(known[:, :n])
+        dof = np.maximum(there.sum(1) - (~held).sum(1), 1)
+        use = chi2 <= _SPIKE**2 * dof
+        first = float(np.median(chi2 / dof)) if math.isnan(first) else first
+        cost = np.minimum(chi2, _SPIKE**2 * dof).sum() + np.square((theta + step) / start).sum()
+        if cost < best:
+            settled = best - cost < 1e-3
+            theta, q, best, damping = theta + step, x[:, :n], cost, damping / 10
+            J, r = np.where(there[..., None], J, 0.0), np.where(there, r, 0.0)
+            A, B = np.where(held[:, None], 0.0, J[..., :n]), J[..., n:]
+            by_shape = np.linalg.pinv(np.swapaxes(A, 1, 2) @ A, rcond=1e-9, hermitian=True)
+            across = (B - A @ (by_shape @ (np.swapaxes(A, 1, 2) @ B))) * use[:, None, None]
+            H = np.einsum("tsk,tsl->kl", across, across) + np.diag(start**-2)
+            g = np.einsum("tsk,ts->k", across, r) - theta / start**2
+            if settled:
+                break
+        else:
+            damping *= 10
+        step = np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
+    spread, prior = max(1.0, float(np.median(chi2 / dof))), np.diag(start**-2)
+    A = _parameters(robot, model.names, alike)
+    rows, tolerance = np.array(list(A.values())), np.sqrt(np.square(list(A.values())) @ start**2)
+    C = rows @ np.linalg.inv((H - prior) / spread + prior) @ rows.T / np.outer(tolerance, tolerance)
+    estimate, deviation = rows @ theta, np.sqrt(np.diag(C)) * tolerance
+    names, far, after = list(A), np.abs(estimate) / tolerance, math.sqrt(spread)
+    worst = int(far.argmax())
+    if far[worst] > 5.0 or spread > 16.0:
+        expected = f"those of this robot in motion (usual causes if not: {_CAUSES})"
+        seen = f"{names[worst]} {far[worst]:.3g} times as far off as assumed, and residuals {after:.3g} times the noise"
+        raise bad_input("readings", owner, expected, seen)
+    moved = placed(robot, dict(zip(names, estimate.tolist(), strict=True)))
+    found = Calibration(
+        moved, robot, tuple(names), estimate, deviation, tolerance, C, float(np.median(chi2 / dof)), len(u),
+        math.sqrt(first), after,
+    )  # fmt: skip
+    lines = [f"{len(u)} rows of readings in motion."]
+    if gated := int((chi2 > _SPIKE**2 * dof).sum()):
+        lines.append(f"{gated} of them do not fit (a spike, a sensor that failed) and are left out.")
+    for k, name in enumerate(names):
+        now, unit = (1.0, "mT") if "offset" in name else (100.0, "%"), ""
+        scale, unit = now[0], now[1]
+        open_ = ", not determined" if deviation[k] > 0.9 * tolerance[k] else ""
+        doubt = "; DOUBT: beyond twice what was assumed" if far[k] > 2 else ""
+        values = f"{scale * estimate[k]:+.2g} ± {scale * deviation[k]:.2g} {unit}"
+        lines.append(f"  {name}: {values} (before ± {scale * tolerance[k]:.2g}){open_}{doubt}")
+    lines.append("The places of magnets and sensors are taken as described: only poses (--poses) tell these.")
+    return "\n".join(lines), found
+
+
+def _parameters(robot: Robot, errors: Sequence[str], alike: bool) -> dict[str, Array]:
+    """Return by how much every parameter of a calibration changes with the errors that a drift model has."""
+    rows, one = {}, dict(zip(errors, np.eye(len(errors)), strict=True))
+    for m in range(1, 1 if alike else 1 + len(robot.magnets)):
+        rows |= dict.fromkeys(_moments(robot, f"magnet {m} "), one[f"moment {m}"])
+    if alike:
+        rows |= dict.fromkeys(_moments(robot, ""), one["moment of all"])
+    reading, offsets = 0, robot.per_reading("offset", 0.0, 0.0)
+    for j, sensor in enumerate(robot.sensors, 1):
+        for axis in [""] if sensor.axes == 1 else [" x", " y", " z"]:
+            reading += 1
+            gain = rows[f"sensor {j} gain{axis}"] = one[f"gain {reading}"]
+            # The drifting gain is that of the whole reading, the calibrated one that of the field alone.
+            rows[f"sensor {j} offset{axis}"] = one[f"offset {reading}"] + offsets[reading - 1] * gain
+    return rows
+
+
+def _moments(robot: Robot, owner: str) -> list[str]:
+    return [f"{owner}moment A{2 * k + 1}" for k in range(robot.sensing().moments.shape[1])]
 
 
 class Lag(NamedTuple):
@@ -219,9 +421,11 @@ class Lag(NamedTuple):
     """The same at the best lag."""
     spread: float
     """Root mean square of the readings about their means."""
+    other: float
+    """The least residual at any lag that is not next to the best one."""
 
 
-def search_lag(motion: Any, readings: Any, rate_hz: float) -> Lag:
+def search_lag(motion: Any, readings: Any, rate_hz: float, longest_s: float = math.inf) -> Lag:
     """Find the lag between readings and a motion, over the whole recording.
 
     The readings of an instant are a smooth function of the shape. So we fit them by a quadratic function of the
@@ -239,11 +443,13 @@ def search_lag(motion: Any, readings: Any, rate_hz: float) -> Lag:
         Readings ``[t, s]`` of the same frames, if there is no lag; NaN where one is missing.
     rate_hz
         Frames per second.
+    longest_s
+        Largest lag that is tried [s].
 
     Raises
     ------
     InputError
-        If there are not as many readings as poses, or less than two seconds of them.
+        If there are not as many readings as poses, less than two seconds of them, or at no lag enough of both.
 
     Examples
     --------
@@ -274,7 +480,8 @@ def search_lag(motion: Any, readings: Any, rate_hz: float) -> Lag:
     low, up = np.triu_indices(len(x))
     columns = np.vstack([seen, x, x[low] * x[up]])
     i, j = np.triu_indices(len(columns))
-    size, lags = next_fast_len(2 * n, real=True), np.arange(-(n // 2), n // 2 + 1)
+    most = int(min(n // 2, longest_s * rate_hz))
+    size, lags = next_fast_len(2 * n, real=True), np.arange(-most, most + 1)
     of_read, of_v = np.fft.rfft(read, size), np.fft.rfft(v, size)
 
     def sums(series: Array, spectrum: Array) -> Array:
@@ -290,7 +497,433 @@ def search_lag(motion: Any, readings: Any, rate_hz: float) -> Lag:
     fitted = np.linalg.solve(np.moveaxis(A, -1, 0), np.moveaxis(b, -1, 0).swapaxes(1, 2))
     left = total - np.einsum("skl,lks->l", b, fitted)
     residual = np.sqrt(np.maximum(left, 0.0) / np.maximum(len(v) * count, 1.0))
-    equal = np.flatnonzero(residual <= residual.min() * (1 + 1e-6))
+    residual[~(count > max(2 * k, n / 8))] = math.inf  # a few frames fit any function
+    least = float(residual.min())
+    require(
+        math.isfinite(least), "motion and readings", owner, "there together at some lag", "too few frames"
+    )
+    equal = np.flatnonzero(residual <= least * (1 + 1e-6))
     best = int(equal[np.argmin(np.abs(lags[equal]))])
     spread = float(np.sqrt((v[:, read] ** 2).mean()))
-    return Lag(float(lags[best] / rate_hz), float(residual[n // 2]), float(residual[best]), spread)
+    high = np.flatnonzero(residual > least + 0.2 * max(spread - least, 0.0))
+    left_of, right_of = high[high < best].max(initial=-1), high[high > best].min(initial=len(lags))
+    apart = np.concatenate([residual[: left_of + 1], residual[right_of:]])
+    other = float(apart.min(initial=math.inf))
+    return Lag(float(lags[best] / rate_hz), float(residual[most]), float(residual[best]), spread, other)
+
+
+class Signal(NamedTuple):
+    """Values over time ``[t, k]``; between two samples that are farther apart than ``gap`` nothing is known."""
+
+    times: Array
+    values: Array
+    gap: float
+
+    @classmethod
+    def of(cls, times: Array, values: Array) -> Signal:
+        """Leave out rows that are not complete."""
+        there = np.isfinite(values).all(1)
+        return cls(times[there], values[there], _GAP_STEPS * float(np.median(np.diff(times))))
+
+    def at(self, when: Array) -> Array:
+        """Return values ``[len(when), k]``, linearly between samples; NaN in gaps."""
+        t = self.times
+        after = np.clip(np.searchsorted(t, when), 1, len(t) - 1)
+        near = (when >= t[0]) & (when <= t[-1]) & (t[after] - t[after - 1] <= self.gap)
+        found = np.stack([np.interp(when, t, column) for column in self.values.T], axis=-1)
+        return np.where(near[:, None], found, np.nan)
+
+
+def _repeats(q: Array) -> Array:
+    """Return which poses ``[t]`` equal the one before."""
+    return np.concatenate([[False], (q[1:] == q[:-1]).all(1)])
+
+
+def _frozen(q: Array, times: Array, t: Array, u: Array, noise: Array) -> Array:
+    """Return which poses ``[t]`` repeat the one before while the readings move."""
+    repeats, frozen = _repeats(q), np.zeros(len(q), dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([repeats, [False]]).astype(int), prepend=0))
+    for begin, end in edges.reshape(-1, 2):
+        first, last = np.searchsorted(t, [times[begin - 1], times[end - 1]])
+        x = u[max(first - 1, 0) : last + 1]
+        x = x[np.isfinite(x).all(1)]
+        frozen[begin:end] = len(x) > 1 and (np.ptp(x, axis=0) > _SPIKE * noise).any()
+    return frozen
+
+
+class Model(NamedTuple):
+    """A calibrated robot; headings ``T_base_measured`` of its IMUs, which are to be undone in the readings."""
+
+    robot: Robot
+    calibration: Calibration | None
+    headings: Sequence[Rotation]
+
+    def corrected(self, u: Array) -> Array:
+        """Return readings ``[t, s]`` with the headings of the IMUs undone."""
+        u = u.copy()
+        for k, heading in enumerate(self.headings):
+            rows, columns = _imu(self.robot, u, k)
+            u[rows, columns] = (heading.inv() * Rotation.from_rotvec(u[rows, columns])).as_rotvec()
+        return u
+
+
+def _imu(robot: Robot, u: Array, k: int) -> tuple[Array, slice]:
+    """Return rows and columns of what an IMU has measured."""
+    first = robot.n_readings - 3 * (len(robot.imus) - k)
+    columns = slice(first, first + 3)
+    return np.flatnonzero(np.isfinite(u[:, columns]).all(1)), columns
+
+
+def calibrated_robot(robot: Robot, q: Array, u: Array, covariance: Array) -> tuple[Model, list[str]]:
+    """Calibrate magnets, sensors and IMUs with rows of measured poses, without those that do not go with readings."""
+    remarks, n = [], sum(sensor.axes for sensor in robot.sensors)
+    keep = _alike(q, _unwrapped(robot, u))
+    found, headings, imus = None, [], []
+    if robot.sensors:
+        for _ in range(2):
+            rows = np.flatnonzero(keep & np.isfinite(u[:, :n]).all(1))
+            rows = rows[_spread(q[rows] / np.ptp(q[rows], axis=0).clip(1e-9))]
+            found = calibrate(
+                robot, q[rows], np.nan_to_num(u[rows]), None, covariance[rows], tolerances=TOLERANCES
+            )
+            size = np.linalg.norm((u - found.sensing()(q))[:, :n], axis=1)
+            keep &= ~(size > _SPIKE * np.nanmedian(size))
+            if keep[rows].all():
+                break
+        remarks.append(repr(found))
+    moved = robot if found is None else found.robot
+    for k, imu in enumerate(robot.imus):
+        rows, columns = _imu(robot, u, k)
+        rows = rows[keep[rows]]
+        require(len(rows), imu.name or f"imu {k + 1}", "repro evaluate", "there in the first part", "nothing")
+        measured = Rotation.from_rotvec(u[rows, columns])
+        expected = Rotation.from_matrix(robot.poses(q[rows], [imu.place])[:, 0, :3, :3])
+        heading, mounting = Rotation.identity(), Rotation.identity()
+        for _ in range(100):  # each is the mean of what the other leaves
+            mounting = (expected.inv() * heading.inv() * measured).mean()
+            heading = (measured * mounting.inv() * expected.inv()).mean()
+        turned = Rotation.from_matrix(imu.place.rotation) * mounting
+        headings.append(heading)
+        imus.append(replace(imu, orientation=turned.as_quat()))
+        words = ", ".join(f"{x:.4f}" for x in turned.as_quat())
+        angles = [math.degrees(x.magnitude()) for x in (mounting, heading)]
+        remarks.append(
+            f"{robot.part_names[len(robot.sensors) + k]}: mounting off by {angles[0]:.2g} deg, frame by {angles[1]:.2g} deg; "
+            f"in the robot file: mounted = [{words}]"
+        )
+    if (~keep).any():
+        remarks.append(
+            f"{(~keep).sum()} rows of the first part do not go with their poses and are not fitted."
+        )
+    return Model(moved.replaced(imus=imus, source=moved.source), found, headings), remarks
+
+
+def _unwrapped(robot: Robot, u: Array) -> Array:
+    """Return readings with orientations relative to their mean: no rotation vector jumps by a turn."""
+    u = u.copy()
+    for k in range(len(robot.imus)):
+        rows, columns = _imu(robot, u, k)
+        if len(rows):
+            turns = Rotation.from_rotvec(u[rows, columns])
+            u[rows, columns] = (turns.mean().inv() * turns).as_rotvec()
+    return u
+
+
+def _alike(q: Array, u: Array) -> Array:
+    """Return which rows go with the others: their readings are a smooth function of the pose."""
+    x = (q - q.mean(0)) / np.maximum(q.std(0), 1e-12)
+    low, up = np.triu_indices(q.shape[1])
+    columns = np.column_stack([np.ones(len(q)), x, x[:, low] * x[:, up]])
+    columns = columns[:, : len(q) // 4]
+    there = np.isfinite(u).all(1)
+    keep = there.copy()
+    for _ in range(5):
+        fit = np.linalg.lstsq(columns[keep], u[keep] / u[keep].std(0).clip(1e-12))[0]
+        size = np.linalg.norm(u / u[keep].std(0).clip(1e-12) - columns @ fit, axis=1)
+        keep = there & ~(size > _SPIKE * np.median(size[keep]))
+    return keep | ~there
+
+
+def _spread(x: Array) -> Array:
+    """Return which of the points ``[t, n]`` spread: each is the farthest from those chosen before."""
+    chosen = [int(np.square(x - x.mean(0)).sum(1).argmin())]
+    distance = np.full(len(x), math.inf)
+    while len(chosen) < _MOST_POSES and distance.max() > 0:
+        distance = np.minimum(distance, np.square(x - x[chosen[-1]]).sum(1))
+        chosen.append(int(distance.argmax()))
+    return np.unique(chosen)
+
+
+def clock_lag(motion: Signal, readings: Signal, longest_s: float) -> float:
+    """Return by how much the readings are later than the motion [s], to a sample, or refuse what is no one motion."""
+    owner = "repro evaluate"
+    start, end = max(motion.times[0], readings.times[0]), min(motion.times[-1], readings.times[-1])
+    columns = (motion.values.shape[1] + 1) * (motion.values.shape[1] + 2) / 2
+    step = max(min(motion.gap, readings.gap) / _GAP_STEPS, (end - start) * columns**2 / 1e7)
+    when = np.arange(start, end, step)
+    u = readings.at(when) / np.nanstd(readings.values, axis=0).clip(1e-12)
+    found = search_lag(motion.at(when), u, 1 / step, longest_s)
+    best = f"{found.best / found.spread:.0%} of the readings unexplained at {found.lag_s:+.3f} s"
+    require(found.best < 0.6 * found.spread, "readings and poses", owner, "of one motion", f"{best}, at best")
+    inside = abs(found.lag_s) < min(longest_s, (end - start) / 2) - 2 * step
+    expected = f"of clocks that differ by less than {longest_s:g} s (--longest-lag)"
+    require(inside, "readings and poses", owner, expected, f"{best}, at the end of the search")
+    expected = "alike at one lag only (a motion that repeats itself needs a smaller --longest-lag)"
+    require(
+        found.other > 1.1 * found.best, "readings and poses", owner, expected, f"{best}, and elsewhere too"
+    )
+    return found.lag_s
+
+
+def fine_lag(sensing: Any, motion: Signal, t: Array, u: Array, near: float) -> tuple[float, float]:
+    """Return the lag at which a calibrated robot predicts the readings best, and its standard deviation [s].
+
+    Twelve blocks of time, which tell equally much, have a lag each; the median hardly moves with a bad one.
+    """
+    h, scale, shifts = 2 * motion.gap / _GAP_STEPS, 1 / np.nanstd(u, axis=0).clip(1e-12), np.zeros(1)
+    for _ in range(20):
+        rows = [u, *(motion.at(t - near + x) for x in (0.0, h, -h))]
+        use = np.isfinite(np.concatenate(rows, axis=1)).all(1)
+        require(
+            use.sum() >= 48, "readings and poses", "repro evaluate", "in 48 rows together", int(use.sum())
+        )
+        v, ahead, behind = (sensing(q[use]) for q in rows[1:])
+        r = sensing.difference(u[use], v)
+        r, rate = scale * (r - r.mean(0)), scale * sensing.difference(ahead, behind) / (2 * h)
+        told = np.cumsum(np.square(rate).sum(1))
+        edges = np.searchsorted(told, told[-1] * np.arange(1, 12) / 12)
+        blocks = zip(np.split(r, edges), np.split(rate, edges), strict=True)
+        shifts = np.array([-(a * b).sum() / max((b * b).sum(), 1e-300) for a, b in blocks])
+        near += float(np.median(shifts))
+        if abs(np.median(shifts)) < 1e-6:
+            break
+    require(math.isfinite(near), "lag", "repro evaluate", "finite", near)
+    return near, float(1.2533 * shifts.std() / math.sqrt(12))
+
+
+class Estimates(NamedTuple):
+    """Estimates of the second part, by one model of the robot and one estimator."""
+
+    model: str
+    estimator: str
+    q: Array
+    covariance: Array | None
+
+
+def evaluate_files(
+    readings: Path | str,
+    poses: Path | str,
+    robot: Path | str,
+    output: Path | str,
+    *,
+    bodies: Sequence[str] = (),
+    straight_s: float = 0.0,
+    pose_noise_mm: float = 0.2,
+    pose_noise_deg: float = 0.5,
+    share: float = 0.4,
+    longest_lag_s: float = 10.0,
+    rate_hz: float | None = None,
+) -> Report:
+    """Compare estimates with measured poses: lag, calibration on the first part, errors on the rest, a new folder."""
+    from repro.motion_capture import read_poses
+
+    owner = "repro evaluate"
+    folder, arm = _new(output, owner), load_robot(robot)
+    require(0 < share < 1, "share", owner, "between 0 and 1", share)
+    require(0 < longest_lag_s < math.inf, "longest-lag", owner, "positive and finite", longest_lag_s)
+    sigma = pose_covariance(arm, pose_noise_mm, pose_noise_deg)
+    u, measured = (
+        _readings(arm, readings, rate_hz),
+        read_poses(arm, poses, bodies=bodies, straight_s=straight_s),
+    )
+    for name, times in (("readings", u.times), ("poses", measured.times)):
+        require(times is not None and len(times) > 2, "times", owner, f"given with the {name}", "none")
+    q, remarks = np.array(measured.q), [*u.remarks, *measured.remarks]
+    t, times, values = np.array(u.times), np.array(measured.times), np.array(u)
+    if t[0] > times[-1] or times[0] > t[-1]:
+        t, times = t - t[0], times - times[0]
+        remarks.append("The clocks have no time in common: each is counted from its first row.")
+    repeats = _repeats(q)  # frozen or at rest: the readings say so once the lag is known
+    moving = np.where(repeats[:, None] & (repeats.mean() < 0.5), np.nan, q)
+    lag = clock_lag(Signal.of(times, moving), Signal.of(t, _unwrapped(arm, values)), longest_lag_s)
+    frozen = _frozen(q, times + lag, t, values, arm.total_noise)
+    if frozen.any():
+        when = _some([f"{x:.2f} s" for x in times[frozen & ~np.roll(frozen, 1)]])
+        remarks.append(
+            f"{frozen.sum()} frames repeat the one before while the readings move, from {when}: left out."
+        )
+        q[frozen] = np.nan
+    motion = Signal.of(times, q)
+    motion.values[:, arm.angles] = np.unwrap(motion.values[:, arm.angles], axis=0)
+    known = np.isfinite(motion.at(t - lag)).all(1)
+    begin, end = t[known][[0, -1]]
+    border = begin + share * (end - begin)
+    seen = f"{end - begin:.1f} s in common, a share of {share:g} of them"
+    expected = f"of {_LEAST_S:g} s for the calibration and for the rest"
+    require(
+        min(border - begin, end - border - _APART_S) >= _LEAST_S, "readings and poses", owner, expected, seen
+    )
+    first, rest = (t >= begin) & (t <= border), (t >= border + _APART_S) & (t <= end)
+    step, error, fit, words = motion.gap / _GAP_STEPS, 0.0, None, []
+    for _ in range(4):  # a better robot tells the lag better, and that the robot
+        at = motion.at(t - lag)
+        use = first & np.isfinite(at).all(1)
+        speed = np.nan_to_num(motion.at(t - lag + step) - motion.at(t - lag - step))[use] / (2 * step)
+        C = sigma + error**2 * speed[:, :, None] * speed[:, None, :]
+        fit, words = calibrated_robot(arm, at[use], values[use], C)
+        before, corrected = lag, fit.corrected(values)
+        lag, error = fine_lag(fit.robot.sensing(), motion, t[first], corrected[first], lag)
+        if abs(lag - before) < max(0.5 * error, 1e-4):
+            break
+    assert fit is not None
+    corrected, sensing = fit.corrected(values), fit.robot.sensing()
+    later, later_error = fine_lag(sensing, motion, t[rest], corrected[rest], lag)
+    truth, t_rest = motion.at(t - lag), t[rest]
+    found = []
+    for name, model, x in (("as described", Model(arm, None, ()), values), ("calibrated", fit, corrected)):
+        for estimator in ESTIMATORS[:2]:
+            shape = track(estimator_of(model.robot, estimator), x[rest], times=t_rest)
+            shape = with_calibration(shape, model.calibration)
+            found.append(Estimates(name, estimator, shape.q, shape.covariance))
+    use = first & np.isfinite(truth).all(1) & np.isfinite(values).all(1)
+    moves = np.ptp(truth[use], axis=0) > 10 * np.sqrt(np.diag(sigma))
+    if 0 < moves.sum() <= 2:
+        found.append(
+            Estimates("interpolated", "from readings", _interpolated(values, truth, use, rest), None)
+        )
+    unknown = int((~np.isfinite(truth[rest]).all(1)).sum())
+    apart = later - lag
+    lines = [
+        *remarks,
+        f"Lag: {1e3 * lag:+.2f} ± {1e3 * error:.2f} ms to be added to the times of the poses.",
+        f"First part {begin:.2f} to {border:.2f} s; evaluated {border + _APART_S:.2f} to {end:.2f} s: {rest.sum()} rows, "
+        f"of which {unknown} ({unknown / rest.sum():.1%}) have no pose and are not compared.",
+    ]
+    if abs(apart) > max(step / 2, 4 * math.hypot(error, later_error)):
+        ppm = 1e6 * apart / ((border + _APART_S + end) / 2 - (begin + border) / 2)
+        lines.append(
+            f"DOUBT: the lag of the rest differs by {1e3 * apart:+.1f} ms: the clocks drift ({ppm:+.0f} ppm)."
+        )
+    table = errors_table(arm, truth[rest], sigma, found)
+    text = "\n".join([*lines, *words, "", _errors_text(table)])
+    _write_folder(folder, arm, fit, t_rest, truth[rest], found, table, text)
+    return Report(f"{text}\n\nWritten: {folder.name}", table)
+
+
+def _interpolated(u: Array, q: Array, use: Array, rest: Array) -> Array:
+    """Return configurations of the rest by a plain interpolation of what was read in known poses."""
+    from scipy.interpolate import RBFInterpolator
+
+    scale = u[use].std(0).clip(1e-12)
+    rows = np.flatnonzero(use)
+    rows = rows[:: 1 + len(rows) // 2000]
+    plain = RBFInterpolator(u[rows] / scale, q[rows], neighbors=50, smoothing=1e-6, kernel="linear")
+    there, found = np.isfinite(u[rest]).all(1), np.full((int(rest.sum()), q.shape[1]), np.nan)
+    found[there] = plain(u[rest][there] / scale)
+    return found
+
+
+def errors_table(robot: Robot, truth: Array, sigma: Array, found: Sequence[Estimates]) -> Any:
+    """Return errors by model, estimator and quantity, and how often the 95 % ellipsoids hold the measured pose."""
+    import pandas as pd
+
+    rows, free = [], np.flatnonzero(~robot.fixed)
+    units = Trajectory(*[truth] * 7, robot=robot).units()
+    known = np.isfinite(truth).all(1)
+    p, _ = robot.tip_slopes(np.where(known[:, None], truth, 0.0))
+    for one in found:
+        use = known & np.isfinite(one.q).all(1)
+        tip, G = robot.tip_slopes(np.where(use[:, None], one.q, 0.0))
+        e = (one.q - truth)[use]
+        e[:, robot.angles] = (e[:, robot.angles] + math.pi) % (2 * math.pi) - math.pi
+        C = None if one.covariance is None else one.covariance[use] + sigma
+        tip_C = None if C is None else G[use] @ C @ np.swapaxes(G[use], 1, 2)
+        parts = [(units[c][0], units[c][1], units[c][2] * e[:, [c]], units[c][2] ** 2, [c]) for c in free]
+        parts = [(*part[:3], None if C is None else part[3] * C[:, part[4]][:, :, part[4]]) for part in parts]
+        parts.append(("tip", "mm", 1e3 * (tip - p)[use], None if tip_C is None else 1e6 * tip_C))
+        for name, unit, error, covariance in parts:
+            away = np.linalg.norm(error, axis=1)
+            stated = {"mean": away.mean(), "rmse": math.sqrt(np.square(away).mean())}
+            stated |= {"p95": np.quantile(away, 0.95), "largest": away.max(), "coverage_percent": math.nan}
+            if covariance is not None:
+                inverse = np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
+                inside = np.einsum("ti,tij,tj->t", error, inverse, error)
+                limit = chi_square.ppf(_COVERED, min(error.shape[1], len(free)))
+                stated["coverage_percent"] = 100 * (inside <= limit).mean()
+            rows.append(
+                {"model": one.model, "estimator": one.estimator, "quantity": name, "unit": unit, **stated}
+            )
+            rows[-1]["frames"] = len(away)
+    return pd.DataFrame(rows)
+
+
+def _errors_text(table: Any) -> str:
+    tip = table[table["quantity"] == "tip"].drop(columns=["quantity", "unit"])
+    head = "Error of the tip [mm], and per cent of rows whose 95 % ellipsoid holds the measured tip:"
+    return f"{head}\n{tip.to_string(index=False, float_format='{:.3g}'.format, na_rep='-')}"
+
+
+def _write_folder(
+    folder: Path, robot: Robot, fit: Model, t: Array, truth: Array, found: Any, table: Any, text: str
+) -> None:
+    """Write all results; the folder appears when they are complete."""
+    import pandas as pd
+    from matplotlib import style
+    from matplotlib.figure import Figure
+
+    units = Trajectory(*[truth] * 7, robot=robot).units()
+    columns: dict[str, Array] = {"time_s": t}
+    for c, (name, unit, factor) in enumerate(units):
+        columns[f"measured_{name}_{unit}"] = factor * truth[:, c]
+    known = np.isfinite(truth).all(1)
+    with style.context("default", after_reset=True):  # whatever the user has set
+        panels = [c for c in range(robot.n_q) if not robot.fixed[c]]
+        figure = Figure(figsize=(8.0, 1.6 * len(panels) + 2.6), layout="constrained")
+        axes = figure.subplots(len(panels) + 1, 1, sharex=True)
+        for ax, c in zip(axes, panels, strict=False):
+            ax.plot(t, units[c][2] * truth[:, c], color="0.7", lw=3, label="measured")
+            ax.set_ylabel(f"{units[c][0]}\n[{units[c][1]}]")
+        p = robot.tip(np.where(known[:, None], truth, 0.0))[..., :3, 3]
+        for k, one in enumerate(found):
+            name = f"{one.model}, {one.estimator.replace('_', ' ')}"
+            look = {
+                "color": f"C{k}",
+                "lw": 1,
+                "ls": ":" if one.model == "as described" else "-",
+                "label": name,
+            }
+            there = known & np.isfinite(one.q).all(1)
+            away = np.linalg.norm(robot.tip(np.where(there[:, None], one.q, 0.0))[..., :3, 3] - p, axis=-1)
+            columns[f"{one.model}_{one.estimator}_tip_error_mm".replace(" ", "_")] = np.where(
+                there, 1e3 * away, np.nan
+            )
+            axes[-1].semilogy(t, np.where(there, 1e3 * away, np.nan), **look)
+            for ax, c in zip(axes, panels, strict=False):
+                head = f"{one.model}_{one.estimator}_{units[c][0]}".replace(" ", "_")
+                columns[f"{head}_{units[c][1]}"] = units[c][2] * one.q[:, c]
+                if one.covariance is not None:
+                    std = units[c][2] * np.sqrt(np.maximum(one.covariance[:, c, c], 0.0))
+                    columns[f"{head}_sd_{units[c][1]}"] = std
+                if one.model == "calibrated":
+                    ax.plot(t, units[c][2] * one.q[:, c], **look)
+        axes[-1].set(xlabel="time of the readings [s]", ylabel="error of the tip\n[mm]")
+        handles, names = axes[-1].get_legend_handles_labels()
+        figure.legend([axes[0].lines[0], *handles], ["measured", *names], loc="outside upper center", ncols=2)
+        picture = io.BytesIO()
+        figure.savefig(picture, dpi=150, metadata={"Software": None})
+    stage = folder.with_name(f".{folder.name}.part")
+    stage.mkdir()
+    try:
+        (stage / "estimates.png").write_bytes(picture.getvalue())
+        files = {
+            "errors.csv": _csv(table),
+            "estimates.csv": _csv(pd.DataFrame(columns)),
+            "report.txt": f"{text}\n",
+        }
+        if fit.calibration is not None:
+            files["calibration.json"] = calibration_text(fit.calibration)
+        for name, content in files.items():
+            _ = _written(stage / name, content)
+        stage.rename(folder)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
