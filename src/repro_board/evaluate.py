@@ -11,7 +11,7 @@ import io
 import math
 import shutil
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -48,7 +48,7 @@ _CAUSES = "axes exchanged or of the wrong sign, another unit or robot, iron or m
 _GAP_STEPS, _LEAST_S, _APART_S = 2.5, 5.0, 1.0
 """Longest gap over which is interpolated, in usual steps; shortest part of an evaluation, and time between the two
 parts [s]."""
-_MOST_POSES = 100
+_MOST_POSES = 150
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,7 @@ def _new(path: Path | str, owner: str) -> Path:
 
 
 def _written(path: Path, text: str) -> str:
-    with path.open(
-        "x", encoding="utf-8", newline="\n"
-    ) as stream:  # another process may have made it meanwhile
+    with path.open("x", encoding="utf-8", newline="\n") as stream:  # made by another process meanwhile?
         stream.write(text)
     return f"Written: {path.name}"
 
@@ -90,13 +88,20 @@ def _some(words: Sequence[Any], most: int = 5) -> str:
     return ", ".join(map(str, words[:most])) + rest
 
 
+def _robot(path: Path | str, owner: str) -> Any:
+    robot = load_robot(path)
+    stated = robot.total_noise is not None and robot.lower is not None
+    require(stated, "robot", owner, "one whose file states the noise of its readings", "none")
+    return robot
+
+
 def _readings(robot: Robot, source: Path | str, rate_hz: float | None = None) -> Any:
     from repro_board.record import readings_of
 
     return readings_of(robot, source if rate_hz is None else read_table(source, rate_hz))
 
 
-def estimator_of(robot: Robot, name: str = "") -> Any:
+def estimator_of(robot: Any, name: str = "") -> Any:
     """Return the estimator of a name for a robot: least squares if none is given."""
     name = name or ESTIMATORS[0]
     require(name in ESTIMATORS, "estimator", "repro track", f"one of {', '.join(ESTIMATORS)}", name)
@@ -140,7 +145,7 @@ def track_file(
     """Estimate the shape from a recording or a table of readings, and write the estimates as a table."""
     owner = "repro track"
     path = None if output is None else _new(output, owner)
-    described = load_robot(robot)
+    described = _robot(robot, owner)
     known = None if calibration is None else load_calibration(calibration, described)
     arm = described if known is None else known.robot
     if smooth:
@@ -157,7 +162,8 @@ def track_file(
     frame = shape.to_frame()
     if shape.covariance is not None:
         tip = np.sqrt(np.square(frame[[f"tip_{axis}_sd_mm" for axis in "xyz"]].to_numpy()).sum(1))
-        lines.append(f"tip: known to ±{np.median(tip):.2g} mm, in the worst row ±{tip.max():.2g} mm")
+        words = [f"±{x:.2g} mm" if x < 1e3 else "nothing" for x in (np.median(tip), tip.max())]
+        lines.append(f"tip: known to {words[0]} in most rows, to {words[1]} in the worst")
     if path is not None:
         lines.append(_written(path, _csv(frame)))
     return Report("\n".join([*lines, *suspicions(shape)]), shape)
@@ -198,43 +204,35 @@ def _holds(measured: Any, u: Any, owner: str) -> Array | None:
     """Return beginning and end of every held pose ``[poses, 2]`` [s], or nothing where each has a row of readings."""
     if "window_s" in measured.known:
         return measured.known["window_s"]
-    alike = len(u) == len(measured.q)
-    timed = measured.times is not None and u.times is not None
-    if alike and (not timed or np.abs(measured.times - u.times).max() < 0.05):
+    alike, times = len(u) == len(measured.q), measured.times
+    if times is None or u.times is None:
+        expected = "held from start_s to end_s, or at time_s, or as many as the readings have rows"
+        require(alike, "poses", owner, expected, f"{len(measured.q)} poses for {len(u)} rows")
         return None
-    expected = "held from start_s to end_s, or at time_s, or as many as the readings have rows"
-    require(timed, "poses", owner, expected, f"{len(measured.q)} poses for {len(u)} rows")
-    return measured.times[:, None] + np.array([-0.5, 0.5]) * _WINDOW_S
+    if alike and np.abs(times - u.times).max() < _WINDOW_S / 10:
+        return None
+    return times[:, None] + np.array([-0.5, 0.5]) * _WINDOW_S
 
 
-def _averaged(robot: Robot, u: Any, windows: Array, where: Sequence[str]) -> tuple[Array, list[str]]:
+def _averaged(robot: Any, u: Any, windows: Array, where: Sequence[str]) -> tuple[Array, list[str]]:
     """Return the mean readings of every held pose, NaN where there are none, and what was left out."""
-    means, remarks, spikes, moved = [], [], [], []
-    noise = 0.0 if robot.total_noise is None else robot.total_noise
+    means, spikes, moved, noise = [], [], [], np.nan_to_num(robot.total_noise)
     for (begin, end), place in zip(windows, where, strict=True):
         rows = np.flatnonzero((u.times >= begin - 1e-9) & (u.times <= end + 1e-9))
         span = f"within the readings, {u.times[0]:g} to {u.times[-1]:g} s"
         require(len(rows), "pose", f"{place},", span, f"none from {begin:g} to {end:g} s")
-        x = np.array(u[rows])
-        there = np.isfinite(x).any(0)
-        x[:, ~there] = 0.0
-        middle = np.nanmedian(x, axis=0)
+        x = np.ma.masked_invalid(np.array(u[rows]))
+        middle = np.ma.median(x, axis=0)
         off = np.abs(x - middle)
-        # Steps of the readings alone move no sample by more than two of them.
-        most = _SPIKE * np.maximum(1.4826 * np.nanmedian(off, axis=0), noise)
-        for row, j in np.argwhere(off > most):
-            spikes.append(
-                f"{robot.names[j]} at {u.times[rows[row]]:g} s ({x[row, j]:.4g}, not {middle[j]:.4g})"
-            )
-        x[off > most] = np.nan
-        if (there & (np.nanstd(x, axis=0) > 5 * noise)).any() and np.any(noise):
-            moved.append(place)
-        means.append(np.where(there, np.nanmean(x, axis=0), np.nan))
-    if spikes:
-        remarks.append(f"{len(spikes)} readings do not fit their hold and are left out: {_some(spikes)}.")
-    if moved:
-        remarks.append(f"{len(moved)} poses were not still: {_some(moved)}.")
-    return np.array(means), remarks
+        x[off > _SPIKE * np.maximum(1.4826 * np.ma.median(off, axis=0), noise)] = np.ma.masked
+        for row, j in np.argwhere(x.mask & np.isfinite(u[rows])):
+            seen = f"{u[rows[row], j]:.4g}, not {middle[j]:.4g}"
+            spikes.append(f"{robot.names[j]} at {u.times[rows[row]]:g} s ({seen})")
+        moved += [place] if (x.std(axis=0) > 5 * noise).any() else []
+        means.append(x.mean(axis=0).filled(np.nan))
+    remarks = {f"Readings that do not fit their hold, and are left out: {len(spikes)}": spikes}
+    remarks |= {f"Poses in which the readings were not still: {len(moved)}": moved}
+    return np.array(means), [f"{text}: {_some(names)}." for text, names in remarks.items() if names]
 
 
 def calibrate_files(
@@ -244,8 +242,6 @@ def calibrate_files(
     output: Path | str,
     *,
     self_: bool = False,
-    elongation_mm: float | None = None,
-    straight_mm: float | None = None,
     pose_noise_mm: float = 0.2,
     pose_noise_deg: float = 0.5,
     rate_hz: float | None = None,
@@ -254,14 +250,12 @@ def calibrate_files(
     from repro.motion_capture import read_poses
 
     owner = "repro calibrate"
-    path, arm = _new(output, owner), load_robot(robot)
+    path, arm = _new(output, owner), _robot(robot, owner)
     u = _readings(arm, readings, rate_hz)
     if self_:
         require(poses is None, "poses", owner, "left out with --self", poses)
-        text, found = _by_motion(arm, u, elongation_mm, straight_mm)
+        text, found = _by_motion(arm, np.array(u))
         return Report("\n".join([*u.remarks, text, _written(path, calibration_text(found))]), found)
-    for name, value in (("elongation", elongation_mm), ("straight", straight_mm)):
-        require(value is None, name, owner, "left out without --self", value)
     if poses is None:
         raise bad_input("poses", owner, "given (--poses POSES.csv), or --self", "neither")
     name, measured = Path(poses).name, read_poses(arm, poses)
@@ -274,7 +268,7 @@ def calibrate_files(
         values, more = _averaged(arm, u, windows, where)
         remarks += more
     n = sum(sensor.axes for sensor in arm.sensors)
-    whole = np.isfinite(values[:, :n]).all(1) & np.isfinite(measured.q).all(1)
+    whole: Any = np.isfinite(values[:, :n]).all(1) & np.isfinite(measured.q).all(1)
     if not whole.all():
         lost = [place for place, use in zip(where, whole, strict=True) if not use]
         remarks.append(f"{len(lost)} poses lack a reading or a coordinate and are left out: {_some(lost)}.")
@@ -304,87 +298,73 @@ def _calibration_report(found: Calibration, q: Array, u: Array) -> str:
     return "\n".join(lines)
 
 
-def _by_motion(robot: Robot, u: Any, elongation_mm: Any, straight_mm: Any) -> tuple[str, Calibration]:
+def _by_motion(robot: Any, u: Array) -> tuple[str, Calibration]:
     r"""Find moments, gains and offsets while the robot moves: least squares over all rows, the shapes eliminated.
 
-    Every row has its own shape, so only what is left of its readings across all shapes tells anything. A filter would
-    also count the smoothness of the motion, and states far too much.
+    Every row has a shape of its own, so only what no shape explains tells anything of the errors. A Kalman filter
+    with the same errors in its state takes the smoothness of the motion for knowledge and states far too little.
     """
     owner = "repro calibrate --self"
     fits = robot.magnets and robot.sensors and robot.model is None
     require(fits, "robot", owner, "one with magnets and sensors, and without networks", "another")
     alike = len({magnet.shape for magnet in robot.magnets}) == 1
     drifts = [Drift("moment", 0.05, shared=alike), Drift("gain", 0.05), Drift("offset", 0.5)]
-    if robot.imus:  # found on the way, and forgotten
-        drifts += [Drift("heading", 0.2), Drift("tilt", 0.1)]
+    drifts += [Drift("heading", 0.2), Drift("tilt", 0.1)] if robot.imus else []  # found, and forgotten
     model = DriftModel(Drifting(robot.sensing(), drifts), robot.lower, robot.upper, owner)
-    u, n, start = np.array(u)[:: 1 + len(u) // _MOST_ROWS], robot.n_q, model.states[0]
-    along = np.array([name.startswith("delta_L") for name in robot.coordinates])
-    known = np.full((len(u), n + len(start)), np.nan)
-    if elongation_mm is not None:
-        known[:, :n][:, along] = 1e-3 * elongation_mm
-    if straight_mm is not None:
-        known[0, :n] = np.where(along, 1e-3 * straight_mm, 0.0)
-    # Shapes of the model and places of its parts are not better than that.
-    noise = np.hypot(robot.total_noise, _MODEL_ERROR * np.sqrt(np.nanmean(np.square(u), axis=0)))
-    noise[model.n_hall :] = robot.total_noise[model.n_hall :]
+    u, n, start = u[:: 1 + len(u) // _MOST_ROWS], robot.n_q, model.states[0]
+    # The model and the places of parts are no better than a share of the reading.
+    size = np.sqrt(np.nanmean(np.square(u), axis=0)) * (np.arange(u.shape[1]) < model.n_hall)
+    noise = np.hypot(robot.total_noise, _MODEL_ERROR * size)
     q = track(LevenbergMarquardt(robot, noise=noise), u, rate_hz=1.0, monitor=None).q
-    bounds = (np.concatenate([x, y * 1e3 * start]) for x, y in ((robot.lower, -1), (robot.upper, 1)))
-    method = LevenbergMarquardt(model, *bounds, noise)
+    lower, upper = (np.concatenate([x, c * start]) for x, c in ((robot.lower, -1e3), (robot.upper, 1e3)))
+    method, prior = LevenbergMarquardt(model, lower, upper, noise), np.diag(start**-2)
     theta, step, damping, best, first = 0 * start, 0 * start, 1e-3, math.inf, math.nan
-    H, g, x, dof, chi2 = np.diag(start**-2), step, q, np.ones(len(u)), np.ones(len(u))
+    H, g, fit, gated = prior, step, np.ones(len(u)), 0
     for _ in range(_ROUNDS):
-        known[:, n:] = theta + step
-        estimate = method.step(method.init(np.concatenate([q, known[:, n:]], axis=1)), u, known=known)[1]
+        errors = np.tile(theta + step, (len(q), 1))
+        known = np.concatenate([np.full(q.shape, np.nan), errors], axis=1)
+        estimate = method.step(method.init(np.concatenate([q, errors], axis=1)), u, known=known)[1]
         x, chi2 = estimate.q, estimate.chi2
         u_hat, J = model.linearise(x)
         r, J = model.difference(u, u_hat) / noise, J / noise[:, None]
-        there = np.isfinite(r)
-        held = (x[:, :n] <= robot.lower) | (x[:, :n] >= robot.upper) | np.isfinite(known[:, :n])
-        dof = np.maximum(there.sum(1) - (~held).sum(1), 1)
-        use = chi2 <= _SPIKE**2 * dof
-        first = float(np.median(chi2 / dof)) if math.isnan(first) else first
-        cost = np.minimum(chi2, _SPIKE**2 * dof).sum() + np.square((theta + step) / start).sum()
+        held = (x[:, :n] <= robot.lower) | (x[:, :n] >= robot.upper)
+        fit = chi2 / np.maximum(np.isfinite(r).sum(1) - (~held).sum(1), 1)
+        weight = chi2 / np.maximum(fit, 1e-300)
+        cost = (weight * np.minimum(fit, _SPIKE**2)).sum() + np.square((theta + step) / start).sum()
+        first = float(np.median(fit)) if math.isnan(first) else first
         if cost < best:
-            settled = best - cost < 1e-3
-            theta, q, best, damping = theta + step, x[:, :n], cost, damping / 10
-            J, r = np.where(there[..., None], J, 0.0), np.where(there, r, 0.0)
+            settled, theta, q, best, damping = best - cost < 1e-3, theta + step, x[:, :n], cost, damping / 10
+            J, r = np.where(np.isfinite(r)[..., None], J, 0.0), np.nan_to_num(r)
             A, B = np.where(held[:, None], 0.0, J[..., :n]), J[..., n:]
             by_shape = np.linalg.pinv(np.swapaxes(A, 1, 2) @ A, rcond=1e-9, hermitian=True)
-            across = (B - A @ (by_shape @ (np.swapaxes(A, 1, 2) @ B))) * use[:, None, None]
-            H = np.einsum("tsk,tsl->kl", across, across) + np.diag(start**-2)
-            g = np.einsum("tsk,ts->k", across, r) - theta / start**2
+            across = (B - A @ (by_shape @ (np.swapaxes(A, 1, 2) @ B))) * (fit <= _SPIKE**2)[:, None, None]
+            gated = int((fit > _SPIKE**2).sum())
+            H, g = np.einsum("tsk,tsl->kl", across, across) + prior, np.einsum("tsk,ts->k", across, r)
             if settled:
                 break
         else:
             damping *= 10
-        step = np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
-    spread, prior = max(1.0, float(np.median(chi2 / dof))), np.diag(start**-2)
-    A = _parameters(robot, model.names, alike)
-    rows, tolerance = np.array(list(A.values())), np.sqrt(np.square(list(A.values())) @ start**2)
+        step = np.linalg.solve(H + damping * np.diag(np.diag(H)), g - theta / start**2)
+    spread, changes = max(1.0, float(np.median(fit))), _parameters(robot, model.names, alike)
+    rows = np.array(list(changes.values()))
+    estimate, tolerance = rows @ theta, np.sqrt(np.square(rows) @ start**2)
     C = rows @ np.linalg.inv((H - prior) / spread + prior) @ rows.T / np.outer(tolerance, tolerance)
-    estimate, deviation = rows @ theta, np.sqrt(np.diag(C)) * tolerance
-    names, far, after = list(A), np.abs(estimate) / tolerance, math.sqrt(spread)
-    worst = int(far.argmax())
-    if far[worst] > 5.0 or spread > 16.0:
+    deviation, far = np.sqrt(np.diag(C)) * tolerance, np.abs(estimate) / tolerance
+    if far.max() > 5.0 or spread > 16.0:
         expected = f"those of this robot in motion (usual causes if not: {_CAUSES})"
-        seen = f"{names[worst]} {far[worst]:.3g} times as far off as assumed, and residuals {after:.3g} times the noise"
+        worst = f"{list(changes)[int(far.argmax())]} {far.max():.3g} times as far off as assumed"
+        seen = f"{worst}, and a chi-square per reading of {spread:.3g}"
         raise bad_input("readings", owner, expected, seen)
-    moved = placed(robot, dict(zip(names, estimate.tolist(), strict=True)))
-    found = Calibration(
-        moved, robot, tuple(names), estimate, deviation, tolerance, C, float(np.median(chi2 / dof)), len(u),
-        math.sqrt(first), after,
-    )  # fmt: skip
-    lines = [f"{len(u)} rows of readings in motion."]
-    if gated := int((chi2 > _SPIKE**2 * dof).sum()):
-        lines.append(f"{gated} of them do not fit (a spike, a sensor that failed) and are left out.")
-    for k, name in enumerate(names):
-        now, unit = (1.0, "mT") if "offset" in name else (100.0, "%"), ""
-        scale, unit = now[0], now[1]
-        open_ = ", not determined" if deviation[k] > 0.9 * tolerance[k] else ""
-        doubt = "; DOUBT: beyond twice what was assumed" if far[k] > 2 else ""
-        values = f"{scale * estimate[k]:+.2g} ± {scale * deviation[k]:.2g} {unit}"
-        lines.append(f"  {name}: {values} (before ± {scale * tolerance[k]:.2g}){open_}{doubt}")
+    moved = placed(robot, dict(zip(changes, estimate.tolist(), strict=True)))
+    quality = (spread, len(u), math.sqrt(first), math.sqrt(spread))
+    found = Calibration(moved, robot, tuple(changes), estimate, deviation, tolerance, C, *quality)
+    lines = [f"{len(u)} rows of readings in motion; {gated} do not fit (spikes, failures) and are left out."]
+    for name, value, now, before in zip(changes, estimate, deviation, tolerance, strict=True):
+        scale, unit = (1.0, "mT") if "offset" in name else (100.0, "%")
+        words = ", not determined" if now > 0.9 * before else ""
+        words += "; DOUBT: beyond twice what was assumed" if abs(value) > 2 * before else ""
+        change = f"{scale * value:+.2g} ± {scale * now:.2g} {unit}"
+        lines.append(f"  {name}: {change} (before ± {scale * before:.2g}){words}")
     lines.append("The places of magnets and sensors are taken as described: only poses (--poses) tell these.")
     return "\n".join(lines), found
 
@@ -392,10 +372,9 @@ def _by_motion(robot: Robot, u: Any, elongation_mm: Any, straight_mm: Any) -> tu
 def _parameters(robot: Robot, errors: Sequence[str], alike: bool) -> dict[str, Array]:
     """Return by how much every parameter of a calibration changes with the errors that a drift model has."""
     rows, one = {}, dict(zip(errors, np.eye(len(errors)), strict=True))
-    for m in range(1, 1 if alike else 1 + len(robot.magnets)):
-        rows |= dict.fromkeys(_moments(robot, f"magnet {m} "), one[f"moment {m}"])
-    if alike:
-        rows |= dict.fromkeys(_moments(robot, ""), one["moment of all"])
+    for m in ["of all"] if alike else range(1, 1 + len(robot.magnets)):
+        names = [f"moment A{2 * k + 1}" for k in range(robot.sensing().moments.shape[1])]
+        rows |= {name if alike else f"magnet {m} {name}": one[f"moment {m}"] for name in names}
     reading, offsets = 0, robot.per_reading("offset", 0.0, 0.0)
     for j, sensor in enumerate(robot.sensors, 1):
         for axis in [""] if sensor.axes == 1 else [" x", " y", " z"]:
@@ -404,10 +383,6 @@ def _parameters(robot: Robot, errors: Sequence[str], alike: bool) -> dict[str, A
             # The drifting gain is that of the whole reading, the calibrated one that of the field alone.
             rows[f"sensor {j} offset{axis}"] = one[f"offset {reading}"] + offsets[reading - 1] * gain
     return rows
-
-
-def _moments(robot: Robot, owner: str) -> list[str]:
-    return [f"{owner}moment A{2 * k + 1}" for k in range(robot.sensing().moments.shape[1])]
 
 
 class Lag(NamedTuple):
@@ -539,90 +514,31 @@ def _repeats(q: Array) -> Array:
     return np.concatenate([[False], (q[1:] == q[:-1]).all(1)])
 
 
-def _frozen(q: Array, times: Array, t: Array, u: Array, noise: Array) -> Array:
+def _frozen(q: Array, times: Array, t: Array, u: Array, noise: Any) -> Array:
     """Return which poses ``[t]`` repeat the one before while the readings move."""
     repeats, frozen = _repeats(q), np.zeros(len(q), dtype=bool)
     edges = np.flatnonzero(np.diff(np.concatenate([repeats, [False]]).astype(int), prepend=0))
     for begin, end in edges.reshape(-1, 2):
         first, last = np.searchsorted(t, [times[begin - 1], times[end - 1]])
-        x = u[max(first - 1, 0) : last + 1]
+        beside = int(last - first < 3)  # a short hold has too few readings of its own
+        x = u[max(first - beside, 0) : last + beside]
         x = x[np.isfinite(x).all(1)]
         frozen[begin:end] = len(x) > 1 and (np.ptp(x, axis=0) > _SPIKE * noise).any()
     return frozen
 
 
-class Model(NamedTuple):
-    """A calibrated robot; headings ``T_base_measured`` of its IMUs, which are to be undone in the readings."""
-
-    robot: Robot
-    calibration: Calibration | None
-    headings: Sequence[Rotation]
-
-    def corrected(self, u: Array) -> Array:
-        """Return readings ``[t, s]`` with the headings of the IMUs undone."""
-        u = u.copy()
-        for k, heading in enumerate(self.headings):
-            rows, columns = _imu(self.robot, u, k)
-            u[rows, columns] = (heading.inv() * Rotation.from_rotvec(u[rows, columns])).as_rotvec()
-        return u
-
-
-def _imu(robot: Robot, u: Array, k: int) -> tuple[Array, slice]:
+def _orientations(robot: Robot, u: Array, k: int) -> tuple[Array, slice]:
     """Return rows and columns of what an IMU has measured."""
     first = robot.n_readings - 3 * (len(robot.imus) - k)
     columns = slice(first, first + 3)
     return np.flatnonzero(np.isfinite(u[:, columns]).all(1)), columns
 
 
-def calibrated_robot(robot: Robot, q: Array, u: Array, covariance: Array) -> tuple[Model, list[str]]:
-    """Calibrate magnets, sensors and IMUs with rows of measured poses, without those that do not go with readings."""
-    remarks, n = [], sum(sensor.axes for sensor in robot.sensors)
-    keep = _alike(q, _unwrapped(robot, u))
-    found, headings, imus = None, [], []
-    if robot.sensors:
-        for _ in range(2):
-            rows = np.flatnonzero(keep & np.isfinite(u[:, :n]).all(1))
-            rows = rows[_spread(q[rows] / np.ptp(q[rows], axis=0).clip(1e-9))]
-            found = calibrate(
-                robot, q[rows], np.nan_to_num(u[rows]), None, covariance[rows], tolerances=TOLERANCES
-            )
-            size = np.linalg.norm((u - found.sensing()(q))[:, :n], axis=1)
-            keep &= ~(size > _SPIKE * np.nanmedian(size))
-            if keep[rows].all():
-                break
-        remarks.append(repr(found))
-    moved = robot if found is None else found.robot
-    for k, imu in enumerate(robot.imus):
-        rows, columns = _imu(robot, u, k)
-        rows = rows[keep[rows]]
-        require(len(rows), imu.name or f"imu {k + 1}", "repro evaluate", "there in the first part", "nothing")
-        measured = Rotation.from_rotvec(u[rows, columns])
-        expected = Rotation.from_matrix(robot.poses(q[rows], [imu.place])[:, 0, :3, :3])
-        heading, mounting = Rotation.identity(), Rotation.identity()
-        for _ in range(100):  # each is the mean of what the other leaves
-            mounting = (expected.inv() * heading.inv() * measured).mean()
-            heading = (measured * mounting.inv() * expected.inv()).mean()
-        turned = Rotation.from_matrix(imu.place.rotation) * mounting
-        headings.append(heading)
-        imus.append(replace(imu, orientation=turned.as_quat()))
-        words = ", ".join(f"{x:.4f}" for x in turned.as_quat())
-        angles = [math.degrees(x.magnitude()) for x in (mounting, heading)]
-        remarks.append(
-            f"{robot.part_names[len(robot.sensors) + k]}: mounting off by {angles[0]:.2g} deg, frame by {angles[1]:.2g} deg; "
-            f"in the robot file: mounted = [{words}]"
-        )
-    if (~keep).any():
-        remarks.append(
-            f"{(~keep).sum()} rows of the first part do not go with their poses and are not fitted."
-        )
-    return Model(moved.replaced(imus=imus, source=moved.source), found, headings), remarks
-
-
 def _unwrapped(robot: Robot, u: Array) -> Array:
     """Return readings with orientations relative to their mean: no rotation vector jumps by a turn."""
     u = u.copy()
     for k in range(len(robot.imus)):
-        rows, columns = _imu(robot, u, k)
+        rows, columns = _orientations(robot, u, k)
         if len(rows):
             turns = Rotation.from_rotvec(u[rows, columns])
             u[rows, columns] = (turns.mean().inv() * turns).as_rotvec()
@@ -631,27 +547,60 @@ def _unwrapped(robot: Robot, u: Array) -> Array:
 
 def _alike(q: Array, u: Array) -> Array:
     """Return which rows go with the others: their readings are a smooth function of the pose."""
-    x = (q - q.mean(0)) / np.maximum(q.std(0), 1e-12)
-    low, up = np.triu_indices(q.shape[1])
-    columns = np.column_stack([np.ones(len(q)), x, x[:, low] * x[:, up]])
-    columns = columns[:, : len(q) // 4]
-    there = np.isfinite(u).all(1)
-    keep = there.copy()
+    x, low, up = (q - q.mean(0)) / np.maximum(q.std(0), 1e-12), *np.triu_indices(q.shape[1])
+    columns = np.column_stack([np.ones(len(q)), x, x[:, low] * x[:, up]])[:, : len(q) // 4]
+    there: Any = np.isfinite(u).all(1)
+    keep, v = there, u / u[there].std(0).clip(1e-12)
     for _ in range(5):
-        fit = np.linalg.lstsq(columns[keep], u[keep] / u[keep].std(0).clip(1e-12))[0]
-        size = np.linalg.norm(u / u[keep].std(0).clip(1e-12) - columns @ fit, axis=1)
-        keep = there & ~(size > _SPIKE * np.median(size[keep]))
+        size = np.linalg.norm(v - columns @ np.linalg.lstsq(columns[keep], v[keep])[0], axis=1)
+        keep = there & (size <= _SPIKE * np.median(size[keep]))
     return keep | ~there
 
 
-def _spread(x: Array) -> Array:
-    """Return which of the points ``[t, n]`` spread: each is the farthest from those chosen before."""
-    chosen = [int(np.square(x - x.mean(0)).sum(1).argmin())]
-    distance = np.full(len(x), math.inf)
-    while len(chosen) < _MOST_POSES and distance.max() > 0:
-        distance = np.minimum(distance, np.square(x - x[chosen[-1]]).sum(1))
-        chosen.append(int(distance.argmax()))
-    return np.unique(chosen)
+def calibrated_with(
+    robot: Robot, q: Array, u: Array, covariance: Array
+) -> tuple[Robot, Calibration | None, Array, list[str]]:
+    """Calibrate magnets, sensors and IMUs with the rows whose pose ``q`` ``[t, n_q]`` is not NaN.
+
+    Returns the robot, what was found of its magnets and sensors, all readings with the frames of the IMUs undone, and
+    the words for it.
+    """
+    found, words, n = None, [], sum(sensor.axes for sensor in robot.sensors)
+    known = np.flatnonzero(np.isfinite(q).all(1))
+    known = known[_alike(q[known], _unwrapped(robot, u[known]))]
+    for _ in range(2 if robot.sensors else 0):
+        rows = known[np.isfinite(u[known, :n]).all(1)]
+        rows = rows[:: 1 + len(rows) // _MOST_POSES]
+        found = calibrate(
+            robot, q[rows], np.nan_to_num(u[rows]), None, covariance[rows], tolerances=TOLERANCES
+        )
+        size = np.linalg.norm((u[known] - found.sensing()(q[known]))[:, :n], axis=1)
+        known = known[~(size > _SPIKE * np.nanmedian(size))]
+    imus, u = [], u.copy()
+    for k, imu in enumerate(robot.imus):
+        rows, columns = _orientations(robot, u, k)
+        own = np.intersect1d(rows, known)
+        name = robot.part_names[len(robot.sensors) + k]
+        require(len(own), name, "repro evaluate", "there in the first part", "nothing")
+        measured, mounting, frame = (
+            Rotation.from_rotvec(u[own, columns]),
+            Rotation.identity(),
+            Rotation.identity(),
+        )
+        expected = Rotation.from_matrix(robot.poses(q[own], [imu.place])[:, 0, :3, :3])
+        for _ in range(100):  # each is the mean of what the other leaves
+            mounting = (expected.inv() * frame.inv() * measured).mean()
+            frame = (measured * mounting.inv() * expected.inv()).mean()
+        u[rows, columns] = (frame.inv() * Rotation.from_rotvec(u[rows, columns])).as_rotvec()
+        mounted = (Rotation.from_matrix(imu.place.rotation) * mounting).as_quat()
+        imus.append(replace(imu, orientation=mounted))
+        angles = " and ".join(f"{math.degrees(x.magnitude()):.2g}" for x in (mounting, frame))
+        words.append(f"{name}: mounting and frame off by {angles} deg; mounted = {mounted.round(4).tolist()}")
+    moved = robot if found is None else found.robot
+    words += [] if found is None else [repr(found)]
+    if left := int(np.isfinite(q).all(1).sum()) - len(known):
+        words.append(f"{left} rows of the first part do not go with their poses and are not fitted.")
+    return moved.replaced(imus=imus, source=moved.source), found, u, words
 
 
 def clock_lag(motion: Signal, readings: Signal, longest_s: float) -> float:
@@ -701,15 +650,6 @@ def fine_lag(sensing: Any, motion: Signal, t: Array, u: Array, near: float) -> t
     return near, float(1.2533 * shifts.std() / math.sqrt(12))
 
 
-class Estimates(NamedTuple):
-    """Estimates of the second part, by one model of the robot and one estimator."""
-
-    model: str
-    estimator: str
-    q: Array
-    covariance: Array | None
-
-
 def evaluate_files(
     readings: Path | str,
     poses: Path | str,
@@ -725,10 +665,12 @@ def evaluate_files(
     rate_hz: float | None = None,
 ) -> Report:
     """Compare estimates with measured poses: lag, calibration on the first part, errors on the rest, a new folder."""
+    import pandas as pd
+
     from repro.motion_capture import read_poses
 
     owner = "repro evaluate"
-    folder, arm = _new(output, owner), load_robot(robot)
+    folder, arm = _new(output, owner), _robot(robot, owner)
     require(0 < share < 1, "share", owner, "between 0 and 1", share)
     require(0 < longest_lag_s < math.inf, "longest-lag", owner, "positive and finite", longest_lag_s)
     sigma = pose_covariance(arm, pose_noise_mm, pose_noise_deg)
@@ -738,84 +680,98 @@ def evaluate_files(
     )
     for name, times in (("readings", u.times), ("poses", measured.times)):
         require(times is not None and len(times) > 2, "times", owner, f"given with the {name}", "none")
-    q, remarks = np.array(measured.q), [*u.remarks, *measured.remarks]
+    q, lines = np.array(measured.q), [*u.remarks, *measured.remarks]
     t, times, values = np.array(u.times), np.array(measured.times), np.array(u)
     if t[0] > times[-1] or times[0] > t[-1]:
         t, times = t - t[0], times - times[0]
-        remarks.append("The clocks have no time in common: each is counted from its first row.")
+        lines.append("The clocks have no time in common: each is counted from its first row.")
     repeats = _repeats(q)  # frozen or at rest: the readings say so once the lag is known
     moving = np.where(repeats[:, None] & (repeats.mean() < 0.5), np.nan, q)
     lag = clock_lag(Signal.of(times, moving), Signal.of(t, _unwrapped(arm, values)), longest_lag_s)
     frozen = _frozen(q, times + lag, t, values, arm.total_noise)
     if frozen.any():
         when = _some([f"{x:.2f} s" for x in times[frozen & ~np.roll(frozen, 1)]])
-        remarks.append(
-            f"{frozen.sum()} frames repeat the one before while the readings move, from {when}: left out."
+        lines.append(
+            f"{frozen.sum()} poses repeat the one before while the readings move: left out, from {when}."
         )
         q[frozen] = np.nan
     motion = Signal.of(times, q)
     motion.values[:, arm.angles] = np.unwrap(motion.values[:, arm.angles], axis=0)
-    known = np.isfinite(motion.at(t - lag)).all(1)
-    begin, end = t[known][[0, -1]]
+    begin, end = t[np.isfinite(motion.at(t - lag)).all(1)][[0, -1]]
     border = begin + share * (end - begin)
-    seen = f"{end - begin:.1f} s in common, a share of {share:g} of them"
-    expected = f"of {_LEAST_S:g} s for the calibration and for the rest"
+    expected = f"together for {_LEAST_S:g} s in the first part and in the rest"
+    seen = f"{end - begin:.1f} s, a share of {share:g} of them first"
     require(
         min(border - begin, end - border - _APART_S) >= _LEAST_S, "readings and poses", owner, expected, seen
     )
     first, rest = (t >= begin) & (t <= border), (t >= border + _APART_S) & (t <= end)
-    step, error, fit, words = motion.gap / _GAP_STEPS, 0.0, None, []
+    step, error, words, tuned, known, corrected = motion.gap / _GAP_STEPS, 0.0, [], arm, None, values
     for _ in range(4):  # a better robot tells the lag better, and that the robot
-        at = motion.at(t - lag)
-        use = first & np.isfinite(at).all(1)
-        speed = np.nan_to_num(motion.at(t - lag + step) - motion.at(t - lag - step))[use] / (2 * step)
-        C = sigma + error**2 * speed[:, :, None] * speed[:, None, :]
-        fit, words = calibrated_robot(arm, at[use], values[use], C)
-        before, corrected = lag, fit.corrected(values)
-        lag, error = fine_lag(fit.robot.sensing(), motion, t[first], corrected[first], lag)
+        at, ahead, behind = (motion.at(t - lag + x) for x in (0.0, step, -step))
+        speed = np.nan_to_num(ahead - behind) / (2 * step)
+        C, before = sigma + error**2 * speed[:, :, None] * speed[:, None, :], lag
+        tuned, known, corrected, words = calibrated_with(arm, np.where(first[:, None], at, np.nan), values, C)
+        lag, error = fine_lag(tuned.sensing(), motion, t[first], corrected[first], lag)
         if abs(lag - before) < max(0.5 * error, 1e-4):
             break
-    assert fit is not None
-    corrected, sensing = fit.corrected(values), fit.robot.sensing()
-    later, later_error = fine_lag(sensing, motion, t[rest], corrected[rest], lag)
-    truth, t_rest = motion.at(t - lag), t[rest]
-    found = []
-    for name, model, x in (("as described", Model(arm, None, ()), values), ("calibrated", fit, corrected)):
-        for estimator in ESTIMATORS[:2]:
-            shape = track(estimator_of(model.robot, estimator), x[rest], times=t_rest)
-            shape = with_calibration(shape, model.calibration)
-            found.append(Estimates(name, estimator, shape.q, shape.covariance))
+    later, later_error = fine_lag(tuned.sensing(), motion, t[rest], corrected[rest], lag)
+    truth, no = motion.at(t - lag), np.full(int(rest.sum()), np.nan)
+    shapes = {}
+    for name in ESTIMATORS[:2]:
+        for which, model, x, c in (
+            ("as described", arm, values, None),
+            ("calibrated", tuned, corrected, known),
+        ):
+            shape = track(estimator_of(model, name), x[rest], times=t[rest])
+            shapes[f"{which}, {name.replace('_', ' ')}"] = with_calibration(shape, c)
     use = first & np.isfinite(truth).all(1) & np.isfinite(values).all(1)
     moves = np.ptp(truth[use], axis=0) > 10 * np.sqrt(np.diag(sigma))
     if 0 < moves.sum() <= 2:
-        found.append(
-            Estimates("interpolated", "from readings", _interpolated(values, truth, use, rest), None)
+        plain = _interpolated(values, truth, use, rest)
+        shapes["readings interpolated"] = Trajectory(
+            t[rest], plain, None, values[rest], no, no, no, robot=arm
         )
     unknown = int((~np.isfinite(truth[rest]).all(1)).sum())
-    apart = later - lag
-    lines = [
-        *remarks,
+    lines += [
         f"Lag: {1e3 * lag:+.2f} ± {1e3 * error:.2f} ms to be added to the times of the poses.",
-        f"First part {begin:.2f} to {border:.2f} s; evaluated {border + _APART_S:.2f} to {end:.2f} s: {rest.sum()} rows, "
-        f"of which {unknown} ({unknown / rest.sum():.1%}) have no pose and are not compared.",
+        f"First part {begin:.2f} to {border:.2f} s; evaluated {border + _APART_S:.2f} to {end:.2f} s.",
+        f"{unknown} of its {len(no)} rows have no pose and are not compared.",
+        *words,
     ]
-    if abs(apart) > max(step / 2, 4 * math.hypot(error, later_error)):
-        ppm = 1e6 * apart / ((border + _APART_S + end) / 2 - (begin + border) / 2)
-        lines.append(
-            f"DOUBT: the lag of the rest differs by {1e3 * apart:+.1f} ms: the clocks drift ({ppm:+.0f} ppm)."
-        )
-    table = errors_table(arm, truth[rest], sigma, found)
-    text = "\n".join([*lines, *words, "", _errors_text(table)])
-    _write_folder(folder, arm, fit, t_rest, truth[rest], found, table, text)
-    return Report(f"{text}\n\nWritten: {folder.name}", table)
+    if abs(later - lag) > max(step / 2, 4 * math.hypot(error, later_error)):
+        drift = 1e6 * (later - lag) / ((end + _APART_S - begin) / 2)
+        longer = f"DOUBT: the lag of the rest is longer by {1e3 * (later - lag):+.1f} ms"
+        lines.append(f"{longer}: the clocks drift ({drift:+.0f} ppm), or the robot has changed.")
+    shape = Trajectory(t[rest], truth[rest], None, values[rest], no, no, no, robot=arm)
+    table = errors_table(shape, sigma, shapes)
+    tip = table[table["quantity"] == "tip"].drop(columns=["quantity", "unit"])
+    lines += ["Errors of the tip [mm], and in how many rows the 95 % ellipsoid holds the measured tip [%]:"]
+    lines += [tip.to_string(index=False, float_format="{:.3g}".format, na_rep="-")]
+    frames = {name: x.to_frame() for name, x in {"measured": shape, **shapes}.items()}
+    joined = pd.concat([frame.add_prefix(f"{name}: ") for name, frame in frames.items()], axis=1)
+    files = {"errors.csv": _csv(table), "estimates.csv": _csv(joined), "report.txt": "\n".join(lines) + "\n"}
+    if known is not None:
+        files["calibration.json"] = calibration_text(known)
+    picture = _picture(
+        frames, [unit for unit, fixed in zip(shape.units(), arm.fixed, strict=True) if not fixed]
+    )
+    stage = folder.with_name(f".{folder.name}.part")
+    stage.mkdir()
+    try:  # the folder appears when it is complete
+        (stage / "estimates.png").write_bytes(picture)
+        for name, content in files.items():
+            _ = _written(stage / name, content)
+        stage.rename(folder)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+    return Report("\n".join([*lines, f"Written: {folder.name}"]), table)
 
 
 def _interpolated(u: Array, q: Array, use: Array, rest: Array) -> Array:
     """Return configurations of the rest by a plain interpolation of what was read in known poses."""
     from scipy.interpolate import RBFInterpolator
 
-    scale = u[use].std(0).clip(1e-12)
-    rows = np.flatnonzero(use)
+    rows, scale = np.flatnonzero(use), u[use].std(0).clip(1e-12)
     rows = rows[:: 1 + len(rows) // 2000]
     plain = RBFInterpolator(u[rows] / scale, q[rows], neighbors=50, smoothing=1e-6, kernel="linear")
     there, found = np.isfinite(u[rest]).all(1), np.full((int(rest.sum()), q.shape[1]), np.nan)
@@ -823,107 +779,53 @@ def _interpolated(u: Array, q: Array, use: Array, rest: Array) -> Array:
     return found
 
 
-def errors_table(robot: Robot, truth: Array, sigma: Array, found: Sequence[Estimates]) -> Any:
-    """Return errors by model, estimator and quantity, and how often the 95 % ellipsoids hold the measured pose."""
+def errors_table(measured: Trajectory, sigma: Array, shapes: Mapping[str, Trajectory]) -> Any:
+    """Return errors by estimate and quantity, and how often 95 % regions hold the measured pose, itself uncertain."""
     import pandas as pd
 
-    rows, free = [], np.flatnonzero(~robot.fixed)
-    units = Trajectory(*[truth] * 7, robot=robot).units()
-    known = np.isfinite(truth).all(1)
-    p, _ = robot.tip_slopes(np.where(known[:, None], truth, 0.0))
-    for one in found:
-        use = known & np.isfinite(one.q).all(1)
-        tip, G = robot.tip_slopes(np.where(use[:, None], one.q, 0.0))
-        e = (one.q - truth)[use]
+    rows, robot, units = [], measured.robot, measured.units()
+    for name, shape in shapes.items():
+        use = np.isfinite(measured.q).all(1) & np.isfinite(shape.q).all(1)
+        e = (shape.q - measured.q)[use]
         e[:, robot.angles] = (e[:, robot.angles] + math.pi) % (2 * math.pi) - math.pi
-        C = None if one.covariance is None else one.covariance[use] + sigma
-        tip_C = None if C is None else G[use] @ C @ np.swapaxes(G[use], 1, 2)
-        parts = [(units[c][0], units[c][1], units[c][2] * e[:, [c]], units[c][2] ** 2, [c]) for c in free]
-        parts = [(*part[:3], None if C is None else part[3] * C[:, part[4]][:, :, part[4]]) for part in parts]
-        parts.append(("tip", "mm", 1e3 * (tip - p)[use], None if tip_C is None else 1e6 * tip_C))
-        for name, unit, error, covariance in parts:
-            away = np.linalg.norm(error, axis=1)
-            stated = {"mean": away.mean(), "rmse": math.sqrt(np.square(away).mean())}
-            stated |= {"p95": np.quantile(away, 0.95), "largest": away.max(), "coverage_percent": math.nan}
-            if covariance is not None:
-                inverse = np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
-                inside = np.einsum("ti,tij,tj->t", error, inverse, error)
-                limit = chi_square.ppf(_COVERED, min(error.shape[1], len(free)))
-                stated["coverage_percent"] = 100 * (inside <= limit).mean()
-            rows.append(
-                {"model": one.model, "estimator": one.estimator, "quantity": name, "unit": unit, **stated}
-            )
-            rows[-1]["frames"] = len(away)
+        tip, G = robot.tip_slopes(shape.q[use])
+        away = tip - robot.tip_slopes(measured.q[use])[0]
+        parts = [("tip", "mm", 1e3 * away, 1e3 * G)]
+        for c in np.flatnonzero(~robot.fixed):
+            quantity, unit, factor = units[c]
+            parts.append((quantity, unit, factor * e[:, [c]], factor * np.eye(robot.n_q)[[c]]))
+        for quantity, unit, error, slopes in parts:
+            size, inside = np.linalg.norm(error, axis=1), math.nan
+            if shape.covariance is not None:
+                C = slopes @ (shape.covariance[use] + sigma) @ np.swapaxes(slopes, -1, -2)
+                score = np.einsum("ti,tij,tj->t", error, np.linalg.pinv(C, rcond=1e-9, hermitian=True), error)
+                limit = chi_square.ppf(_COVERED, min(error.shape[1], (~robot.fixed).sum()))
+                inside = 100 * float((score <= limit).mean())
+            numbers_of = {"mean": size.mean(), "rmse": np.sqrt(np.square(size).mean()), "largest": size.max()}
+            numbers_of |= {"p95": np.quantile(size, 0.95), "coverage": inside, "rows": len(size)}
+            rows.append({"estimate": name, "quantity": quantity, "unit": unit, **numbers_of})
     return pd.DataFrame(rows)
 
 
-def _errors_text(table: Any) -> str:
-    tip = table[table["quantity"] == "tip"].drop(columns=["quantity", "unit"])
-    head = "Error of the tip [mm], and per cent of rows whose 95 % ellipsoid holds the measured tip:"
-    return f"{head}\n{tip.to_string(index=False, float_format='{:.3g}'.format, na_rep='-')}"
-
-
-def _write_folder(
-    folder: Path, robot: Robot, fit: Model, t: Array, truth: Array, found: Any, table: Any, text: str
-) -> None:
-    """Write all results; the folder appears when they are complete."""
-    import pandas as pd
+def _picture(frames: Mapping[str, Any], units: Sequence[tuple[str, str, float]]) -> bytes:
+    """Draw measured and estimated coordinates, and the error of the tip, over time."""
     from matplotlib import style
     from matplotlib.figure import Figure
 
-    units = Trajectory(*[truth] * 7, robot=robot).units()
-    columns: dict[str, Array] = {"time_s": t}
-    for c, (name, unit, factor) in enumerate(units):
-        columns[f"measured_{name}_{unit}"] = factor * truth[:, c]
-    known = np.isfinite(truth).all(1)
     with style.context("default", after_reset=True):  # whatever the user has set
-        panels = [c for c in range(robot.n_q) if not robot.fixed[c]]
-        figure = Figure(figsize=(8.0, 1.6 * len(panels) + 2.6), layout="constrained")
-        axes = figure.subplots(len(panels) + 1, 1, sharex=True)
-        for ax, c in zip(axes, panels, strict=False):
-            ax.plot(t, units[c][2] * truth[:, c], color="0.7", lw=3, label="measured")
-            ax.set_ylabel(f"{units[c][0]}\n[{units[c][1]}]")
-        p = robot.tip(np.where(known[:, None], truth, 0.0))[..., :3, 3]
-        for k, one in enumerate(found):
-            name = f"{one.model}, {one.estimator.replace('_', ' ')}"
-            look = {
-                "color": f"C{k}",
-                "lw": 1,
-                "ls": ":" if one.model == "as described" else "-",
-                "label": name,
-            }
-            there = known & np.isfinite(one.q).all(1)
-            away = np.linalg.norm(robot.tip(np.where(there[:, None], one.q, 0.0))[..., :3, 3] - p, axis=-1)
-            columns[f"{one.model}_{one.estimator}_tip_error_mm".replace(" ", "_")] = np.where(
-                there, 1e3 * away, np.nan
-            )
-            axes[-1].semilogy(t, np.where(there, 1e3 * away, np.nan), **look)
-            for ax, c in zip(axes, panels, strict=False):
-                head = f"{one.model}_{one.estimator}_{units[c][0]}".replace(" ", "_")
-                columns[f"{head}_{units[c][1]}"] = units[c][2] * one.q[:, c]
-                if one.covariance is not None:
-                    std = units[c][2] * np.sqrt(np.maximum(one.covariance[:, c, c], 0.0))
-                    columns[f"{head}_sd_{units[c][1]}"] = std
-                if one.model == "calibrated":
-                    ax.plot(t, units[c][2] * one.q[:, c], **look)
+        figure = Figure(figsize=(8.0, 1.6 * len(units) + 2.6), layout="constrained")
+        axes, tip = figure.subplots(len(units) + 1, 1, sharex=True), [f"tip_{axis}_mm" for axis in "xyz"]
+        for k, (name, frame) in enumerate(frames.items()):
+            look = {"lw": 1.0 if k else 3.0, "color": f"C{k - 1}" if k else "0.7", "label": name}
+            look["ls"] = ":" if name.startswith("as described") else "-"
+            for ax, (quantity, unit, _) in zip(axes, units, strict=False):
+                ax.set_ylabel(f"{quantity}\n[{unit}]")
+                if k == 0 or name.startswith("calibrated"):
+                    ax.plot(frame["time_s"], frame[f"{quantity}_{unit}" if unit else quantity], **look)
+            away = np.linalg.norm(frame[tip].to_numpy() - frames["measured"][tip].to_numpy(), axis=1)
+            axes[-1].semilogy(frame["time_s"], np.where(away > 0, away, np.nan), **look)
         axes[-1].set(xlabel="time of the readings [s]", ylabel="error of the tip\n[mm]")
-        handles, names = axes[-1].get_legend_handles_labels()
-        figure.legend([axes[0].lines[0], *handles], ["measured", *names], loc="outside upper center", ncols=2)
+        figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2)
         picture = io.BytesIO()
         figure.savefig(picture, dpi=150, metadata={"Software": None})
-    stage = folder.with_name(f".{folder.name}.part")
-    stage.mkdir()
-    try:
-        (stage / "estimates.png").write_bytes(picture.getvalue())
-        files = {
-            "errors.csv": _csv(table),
-            "estimates.csv": _csv(pd.DataFrame(columns)),
-            "report.txt": f"{text}\n",
-        }
-        if fit.calibration is not None:
-            files["calibration.json"] = calibration_text(fit.calibration)
-        for name, content in files.items():
-            _ = _written(stage / name, content)
-        stage.rename(folder)
-    finally:
-        shutil.rmtree(stage, ignore_errors=True)
+    return picture.getvalue()
