@@ -56,7 +56,7 @@ azimuth_deg = {azimuth}
 """
     for azimuth in (0.0, 90.0, 180.0, 270.0)
 )
-ARM = "[stream]\nrate_hz = 40.0\nnoise_deg = 0.1\n" + "".join(
+ARM = "[stream]\nrate_hz = 40.0\n" + "".join(
     f"""
 [[segments]]
 kind = "constant_curvature"
@@ -253,9 +253,7 @@ def test_what_is_no_one_motion_or_no_one_lag_is_refused(good, tmp_path):
     frame, robot = pd.read_csv(poses), repro.load_robot(path)
     times, names = frame["time_s"].to_numpy(), list(frame.columns[1:])
     other = write_table(tmp_path / "other.csv", times, names, 1e3 * shapes(robot, times, seed=9))
-    with pytest.raises(
-        InputError, match="readings and poses of repro evaluate must be (of one motion|of clocks)"
-    ):
+    with pytest.raises(InputError, match="readings and poses of repro evaluate must be of one motion"):
         evaluate_files(readings, other, path, tmp_path / "out")
     with pytest.raises(
         InputError, match="of clocks that differ by less than 0.5 s.*at the end of the search"
@@ -305,7 +303,7 @@ def test_mountings_and_frames_of_imus_are_calibrated(tmp_path):
     for k, imu in enumerate(robot.imus, 1):
         mounted = Rotation.from_euler("xyz", [4 * k, -3, 5], degrees=True)
         R = Rotation.from_matrix(robot.poses(shapes(robot, t), [imu.place])[:, 0, :3, :3])
-        noise = Rotation.from_rotvec(np.radians(0.1) * rng.normal(size=(len(t), 3)))
+        noise = Rotation.from_rotvec(np.radians(0.2) * rng.normal(size=(len(t), 3)))
         columns.append((frame * R * mounted * noise).as_quat())
         names += [f"q{axis}_{k}" for axis in "xyzw"]
     readings = write_table(tmp_path / "u.csv", t, names, np.concatenate(columns, axis=1))
@@ -369,9 +367,13 @@ def test_an_unplugged_chip_is_named_in_a_sentence_and_left_out(tmp_path, smooth)
 
     report = track_file(rewritten(path, unplug), EXAMPLE, smooth=smooth, output=tmp_path / "shape.csv")
     last = str(report).splitlines()[-1]
-    assert last.startswith("Suspected: B2 does not fit the other sensors in 2") or "B2" in last
+    assert last.startswith("Suspected: B2 does not fit the other sensors in ")
+    assert last.endswith(" s.")
+    assert 8.0 <= float(last.split("from ")[1].split(" to ")[0]) < 9.0
+    assert "to 15.960 s" in last
     away = np.linalg.norm(robot.tip(report.found.q)[:, :3, 3] - robot.tip(q)[:, :3, 3], axis=1)
-    assert away.max() < 3e-3
+    assert np.median(away[200:400]) < 2.5e-3
+    assert away.max() < 15e-3
     frame = pd.read_csv(tmp_path / "shape.csv", keep_default_na=False)
     assert len(frame) == 500
     assert "B2" in set(frame["suspects"])
@@ -523,7 +525,7 @@ def test_poses_and_readings_row_by_row_or_at_one_time(tmp_path):
     )
     held = calibrate_files(readings, poses, path, tmp_path / "a.json").found
     by_row = calibrate_files(rows, tmp_path / "rows.csv", path, tmp_path / "b.json").found
-    np.testing.assert_allclose(by_row.estimate, held.estimate, atol=1e-6)
+    np.testing.assert_allclose(by_row.estimate, held.estimate, atol=1e-5)
     only.assign(time_s=frame["start_s"] + 0.19).to_csv(tmp_path / "times.csv", index=False)
     at = calibrate_files(readings, tmp_path / "times.csv", path, tmp_path / "c.json").found
     np.testing.assert_allclose(at.estimate / at.tolerances, held.estimate / at.tolerances, atol=0.1)
