@@ -32,10 +32,19 @@ class InputError(ValueError):
 
 
 def bad_input(name: str, owner: str, must_be: str, received: object) -> InputError:
-    """Return the error to raise for the input ``name`` of ``owner``; long values are cut at 200 characters."""
+    """Return the error to raise for the input ``name`` of ``owner``; long values are cut at 200 characters.
+
+    What is not printable is escaped: words of a file must not control the terminal that shows them.
+    """
     text = str(received)
     text = text if len(text) <= 200 else text[:197] + "..."
-    return InputError(f"Input {name} of {owner} must be {must_be}; instead received {text}.")
+    return InputError(printable(f"Input {name} of {owner} must be {must_be}; instead received {text}."))
+
+
+def printable(text: str) -> str:
+    """Return a text in one line, with everything escaped that is not printable."""
+    text = text.replace("\n", " ")
+    return "".join(x if x.isprintable() else x.encode("unicode_escape").decode() for x in text)
 
 
 def require(holds: object, name: str, owner: str, must_be: str, received: object) -> None:

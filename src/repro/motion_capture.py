@@ -12,24 +12,40 @@ them is at its own optimum, and only its Schur complement counts.
 
 from __future__ import annotations
 
+import csv
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from repro.common import Array, bad_input, is_table, numbers, require
+from repro.common import Array, bad_input, is_table, numbers, printable, require
 from repro.estimators.base import Trajectory
 from repro.estimators.least_squares import CHI2, LevenbergMarquardt
 from repro.robot import FreeBody, Place, Robot, place, point_on, rotation_matrix, unit_quaternions, wrap
 from repro.sensing import _batch_difference
-from repro.tables import read_poses
+from repro.tables import Table, configurations_of, read_table, text_of
 
 _RIG_POSITION, _RIG_ROTATION = 10e-3, 0.2
 """Priors of a frame's place and rotation [m, rad]; those of an unknown base are a hundred times as wide."""
 _RIG_SHAPES, _RIG_ITERATIONS, _TOLERANCE = 400, 60, 1e-6
+_LENGTH_UNITS = {"Millimeters": 1e-3, "Centimeters": 1e-2, "Meters": 1.0}
+_POSE = [("Rotation", axis) for axis in "XYZW"] + [("Position", axis) for axis in "XYZ"]
+_POSITION_FIRST = [4, 5, 6, 0, 1, 2, 3]
+_EXPORTS = ("Format Version", "Segments", "Objects", "NO_OF_FRAMES")
+"""What files of Motive, Vicon and Qualisys begin with."""
+_FROZEN, _JUMP_STEPS, _FRAME_S, _ORIGIN = 20, 5.0, 0.5, 5e-3
+"""Frames are frozen if more are equal in a row and the next step is so many usual ones; rows farther apart than this
+are no frames [s]; a body that is mostly farther from the origin does not go there [m]."""
+_SLACK, _OUTSIDE, _MISFIT = 0.1, 0.05, 0.1
+"""Poses may be outside the bounds by this share of their width, this share of the poses farther, and the kinematics
+may miss them by this share of the robot's length."""
 
 
 @dataclass(frozen=True)
@@ -183,8 +199,9 @@ def fit_shape(
     """
     owner = "fit_shape"
     if is_table(poses):
-        poses, own = read_poses(poses)
-        times = own if times is None else times
+        table = read_table(poses)
+        poses = np.stack(list(bodies_of(table).values()), axis=1)[..., _POSITION_FIRST]
+        times = table.times if times is None else times
     T = _measured(poses, owner)
     places = _places(robot, at, T.shape[1], owner)
     require((numbers(noise, "noise", owner, (2,)) > 0).all(), "noise", owner, "positive", noise)
@@ -426,3 +443,484 @@ def _first_base(model_T: Array, T: Array, reach: float) -> Array:
     base[:3, :3] = Rotation.align_vectors(theirs, ours)[0].as_matrix()
     base[:3, 3] = points.mean(0) - base[:3, :3] @ model_points.mean(0)
     return base
+
+
+class Motion(NamedTuple):
+    """Poses of rigid bodies over time, in the axes of the motion capture."""
+
+    name: str
+    """Of the take."""
+    started: datetime | None
+    """When it started, by the clock of the computer that recorded; ``None`` if the file does not say."""
+    rate_hz: float
+    """Frames per second in the file."""
+    times: Array
+    """Time of each frame after the start ``[t]`` [s]."""
+    bodies: dict[str, Array]
+    """By name ``[t, 7]``: quaternion X, Y, Z, W, then position X, Y, Z [m]; NaN where the body is lost."""
+    lines: Sequence[int] = ()
+    """Line of each frame in the file."""
+    remarks: tuple[str, ...] = ()
+    """What was left out."""
+    missing: int = 0
+    """Frames that the header announces and the file does not have."""
+    up: str = "z"
+    """The axis that points up."""
+
+
+def read_motion(path: Path | str) -> Motion:
+    """Read the rigid bodies of a file of motion capture.
+
+    The file is an export of OptiTrack Motive (CSV with quaternions, versions 1.20 to 1.29), Vicon (CSV with
+    segments), Qualisys (TSV with bodies, "6D"), or a table with the columns ``time_s, x_1_mm, y_1_mm, z_1_mm, qx_1,
+    qy_1, qz_1, qw_1`` for body "1" and so on. Quaternions lead from the body to the axes of the file; in Motive y
+    points up. A frame is lost where cells are empty, where a body has no orientation, or lies in the origin without a
+    turn; more than 20 frames that are equal bit for bit and
+    end in a jump are frozen and lost too.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If it is no such file, has another version, unit or type of rotation, no body, times that do not increase, or
+        quaternions that are not unit within 0.01.
+
+    Examples
+    --------
+    One body, which is lost in the second of three frames:
+
+    >>> import tempfile
+    >>> first = "Format Version,1.23,Export Frame Rate,40,Total Exported Frames,3"
+    >>> text = f'''{first},Rotation Type,Quaternion,Length Units,Millimeters
+    ...
+    ... ,Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body
+    ... ,Name,Tip,Tip,Tip,Tip,Tip,Tip,Tip
+    ... ,ID,1,1,1,1,1,1,1
+    ... ,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position
+    ... Frame,Time (Seconds),X,Y,Z,W,X,Y,Z
+    ... 0,0.000,0,0,0,1,5,110,-3
+    ... 1,0.025,,,,,,,
+    ... 2,0.050,0.6,0,0,0.8,5,90,-60
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "tilt.csv")
+    ...     _ = file.write_text(text)
+    ...     take = read_motion(file)
+    >>> take.name, take.rate_hz, list(take.bodies)
+    ('tilt', 40.0, ['Tip'])
+    >>> take.bodies["Tip"][:, 4:]
+    array([[ 0.005,  0.11 , -0.003],
+           [   nan,    nan,    nan],
+           [ 0.005,  0.09 , -0.06 ]])
+    """
+    path, remarks = Path(path), list[str]()
+    require(path.is_file(), "path", "read_motion", "a file that exists", path)
+    text, owner = text_of(path, remarks), path.name
+    if not text.startswith(_EXPORTS):
+        return _motion_of(read_table(path))
+    read = _motive if text.startswith("Format") else _qualisys if text.startswith("NO") else _vicon
+    separator = "\t" if read is _qualisys else ","
+    motion = read([next(csv.reader([line], delimiter=separator), []) for line in text.splitlines()], path)
+    increasing = len(motion.times) and np.all(np.diff(motion.times) > 0)
+    require(increasing, "times", owner, "increasing from frame to frame", "others, or no frame")
+    if motion.missing:
+        remarks.append(
+            f"{owner} has {len(motion.times)} frames, {motion.missing} fewer than its header says."
+        )
+    motion = motion._replace(bodies={printable(name): poses for name, poses in motion.bodies.items()})
+    for name, poses in motion.bodies.items():
+        _clear_lost(poses, f"{name} in {owner}", motion.lines, remarks)
+    return motion._replace(remarks=tuple(remarks))
+
+
+def _numbers_of(
+    rows: Sequence[Sequence[str]], header: int, end: int, wanted: Sequence[int], owner: str
+) -> tuple[Array, list[int]]:
+    """Return the wanted columns of the rows below a header ``[t, n]``, NaN where a cell is empty, and their lines."""
+    lines = [k + 1 for k in range(header, end) if any(rows[k])]
+    try:
+        values = [[float(rows[k - 1][c] or "nan") for c in wanted] for k in lines]
+    except (ValueError, IndexError) as error:
+        raise bad_input("frames", owner, "rows of numbers", error) from error
+    return np.array(values).reshape(-1, len(wanted)), lines
+
+
+def _motive(rows: list[list[str]], path: Path) -> Motion:
+    owner, header = path.name, dict(zip(rows[0][::2], rows[0][1::2], strict=False))
+    version = header.get("Format Version", "nothing")
+    require(re.fullmatch(r"1\.2\d", version), "Format Version", owner, "1.20 to 1.29", version)
+    for key, known in {"Rotation Type": ("Quaternion",), "Length Units": tuple(_LENGTH_UNITS)}.items():
+        require(header.get(key) in known, key, owner, " or ".join(known), header.get(key, "nothing"))
+    space = header.get("Coordinate Space", "Global")
+    require(space == "Global", "Coordinate Space", owner, "Global", space)
+    try:
+        rate_hz, announced = float(header["Export Frame Rate"]), int(header["Total Exported Frames"])
+        axes = next(k for k, row in enumerate(rows) if row[:1] == ["Frame"])
+        began = header.get("Capture Start Time")
+        started = None if began is None else datetime.strptime(began, "%Y-%m-%d %I.%M.%S.%f %p")
+    except (KeyError, ValueError, StopIteration) as error:
+        words = (
+            "one with frame rate, number of frames and, if any, start time, and a line that begins with Frame"
+        )
+        raise bad_input("header", owner, words, error or "another") from error
+    # Older versions do not say which line is which: there the names are in the fourth.
+    names = next((row for row in rows[:axes] if row[1:2] == ["Name"]), rows[min(3, axes)])
+    columns = list(zip(names, rows[axes - 1], rows[axes], strict=False))
+    keys = {name: [(name, *key) for key in _POSE] for name, kind, _ in columns if kind == "Rotation"}
+    picked = {name: [columns.index(key) for key in own] for name, own in keys.items() if {*own} <= {*columns}}
+    require(picked, "rigid bodies", owner, "there with rotation and position", "none")
+    wanted = [1, *(k for own in picked.values() for k in own)]
+    table, lines = _numbers_of(rows, axes + 1, len(rows), wanted, owner)
+    poses = table[:, 1:].reshape(len(table), -1, 7).swapaxes(0, 1).copy()
+    poses[..., 4:] *= _LENGTH_UNITS[header["Length Units"]]
+    bodies, name = dict(zip(picked, poses, strict=True)), header.get("Take Name", path.stem)
+    return Motion(name, started, rate_hz, table[:, 0], bodies, lines, (), max(announced - len(table), 0), "y")
+
+
+def _vicon(rows: list[list[str]], path: Path) -> Motion:
+    owner, end = path.name, next((k for k, row in enumerate(rows) if k > 5 and not any(row)), len(rows))
+    header, wanted = [*rows[:5], *5 * [[""]]], ["RX", "RY", "RZ", "TX", "TY", "TZ"]
+    starts = [k for k in range(len(header[3])) if header[3][k : k + 6] == wanted]
+    units = {"rad": 1.0, "deg": math.pi / 180, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
+    known = all(unit in units for k in starts for unit in header[4][k : k + 6])
+    if not (starts and known and re.fullmatch(r"[\d.]+", header[1][0])):
+        words = "of Vicon: a rate, names, RX, RY, RZ, TX, TY, TZ of each segment, and their units"
+        raise bad_input("header", owner, words, "another")
+    table, lines = _numbers_of(rows, 5, end, [0, *(k + c for k in starts for c in range(6))], owner)
+    bodies, rate_hz = dict[str, Array](), float(header[1][0])
+    for n, k in enumerate(starts):
+        own = table[:, 1 + 6 * n : 7 + 6 * n] * [units[unit] for unit in header[4][k : k + 6]]
+        q = np.zeros((len(own), 4))
+        there = np.isfinite(own).all(1)
+        q[there] = Rotation.from_rotvec(own[there, :3]).as_quat()
+        bodies[header[2][k]] = np.concatenate([q, own[:, 3:]], axis=1)
+    return Motion(path.stem, None, rate_hz, (table[:, 0] - 1) / rate_hz, bodies, lines)
+
+
+def _qualisys(rows: list[list[str]], path: Path) -> Motion:
+    axes = next((k for k, row in enumerate(rows) if row[:2] == ["Frame", "Time"]), 0)
+    header = {row[0]: row[1:] for row in rows[:axes] if row}
+    names, block = header.get("BODY_NAMES", []), ["X", "Y", "Z"]
+    whole = axes and all(rows[axes][2 + 16 * n :][:3] == block for n in range(len(names)))
+    if not (names and whole and "Rot[0]" in rows[axes]):
+        words = (
+            "of Qualisys 6D: BODY_NAMES, then Frame, Time, and X, Y, Z, angles, Residual, Rot[0] to Rot[8]"
+        )
+        raise bad_input("header", path.name, words, "another")
+    wanted = [1, *(2 + 16 * n + c for n in range(len(names)) for c in (0, 1, 2, *range(7, 16)))]
+    table, lines = _numbers_of(rows, axes + 1, len(rows), wanted, path.name)
+    bodies = dict[str, Array]()
+    for n, name in enumerate(names):
+        own = table[:, 1 + 12 * n : 13 + 12 * n]
+        R, q = own[:, 3:].reshape(-1, 3, 3).swapaxes(1, 2), np.zeros((len(own), 4))  # by columns
+        there = np.isfinite(R).all((1, 2)) & (np.abs(np.linalg.det(np.nan_to_num(R)) - 1) < 0.01)
+        q[there] = Rotation.from_matrix(R[there]).as_quat()
+        bodies[name] = np.concatenate([q, 1e-3 * own[:, :3]], axis=1)
+    try:
+        started = datetime.strptime(header["TIME_STAMP"][0], "%Y-%m-%d, %H:%M:%S.%f")
+    except (KeyError, ValueError, IndexError):
+        started = None
+    rate_hz = float(header.get("FREQUENCY", ["nan"])[0])
+    return Motion(path.stem, started, rate_hz, table[:, 0], bodies, lines)
+
+
+def bodies_of(table: Table) -> dict[str, Array]:
+    """Return the bodies of a table ``[t, 7]``, as in a :class:`Motion`; markers have no quaternion.
+
+    Body k has the columns ``x_k_mm, y_k_mm, z_k_mm`` (or ``_m``, ``_cm``) and the quaternion ``qx_k, qy_k, qz_k,
+    qw_k``. Bodies are in the order of their numbers.
+
+    Raises
+    ------
+    InputError
+        If a column is missing.
+    """
+    found = sorted(
+        {int(name.split("_")[1]) for name in table.names if re.fullmatch(r"q?[xyzw]_[0-9]+", name)}
+    )
+    require(found, "columns", table.owner, "x_1_mm, y_1_mm, z_1_mm and so on", ", ".join(table.columns))
+    whole, bodies = any(name.startswith("qx_") for name in table.names), dict[str, Array]()
+    for body in found:
+        q = [
+            table.scaled(f"q{axis}_{body}")[0] if whole else np.full(len(table.values), np.nan)
+            for axis in "xyzw"
+        ]
+        p = [table.scaled(f"{axis}_{body}", ("mm", "cm", "m"))[0] for axis in "xyz"]
+        bodies[str(body)] = np.stack([*q, *p], axis=1)
+    return bodies
+
+
+def _motion_of(table: Table) -> Motion:
+    bodies, remarks = bodies_of(table), list(table.remarks)
+    if table.times is None or len(table.times) < 2:
+        expected = "there: a column time_s, or a file of Motive, Vicon or Qualisys"
+        raise bad_input("times", table.owner, expected, "none")
+    for name, poses in bodies.items():
+        _clear_lost(poses, f"body {name} in {table.owner}", table.lines, remarks)
+    rate_hz = 1 / float(np.median(np.diff(table.times)))
+    return Motion(Path(table.owner).stem, None, rate_hz, table.times, bodies, table.lines, tuple(remarks))
+
+
+def _clear_lost(poses: Array, owner: str, lines: Sequence[int], remarks: list[str]) -> None:
+    """Make frames NaN in which a body was lost or frozen; refuse what is no orientation."""
+    q, p = poses[:, :4], poses[:, 4:]
+    markers = bool(np.isnan(q).all())
+    size = np.ones(len(q)) if markers else np.linalg.norm(q, axis=1)
+    lost = ~np.isfinite(p).all(axis=1) | ~np.isfinite(size) | (size == 0)
+    off = np.abs(size[~lost] - 1).max(initial=0)
+    name, _, file = owner.rpartition(" in ")
+    require(off < 0.01, f"quaternions of {name}", file, "unit within 0.01", f"an error of {off:.3g}")
+    origin = (p == 0).all(axis=1) & (markers | (np.abs(q[:, 3]) == 1))
+    away = np.linalg.norm(p[~origin & ~lost], axis=1)
+    if len(away) and np.median(away) > _ORIGIN:  # else the body may be there
+        lost |= origin
+    poses[lost] = np.nan
+    _say(lost, f"Frames of {owner} without a pose", lines, remarks)
+    _clear_frozen(poses, p, f"Frames of {owner}", lines, remarks)
+
+
+def _clear_frozen(values: Array, place: Array, what: str, lines: Sequence[int], remarks: list[str]) -> None:
+    """Make rows NaN that only repeat the one before, many times, until they jump: what rests goes on slowly."""
+    seen = np.flatnonzero(np.isfinite(place).all(axis=1))
+    rows, x = np.nan_to_num(values[seen]), place[seen] / np.maximum(np.nanstd(place, axis=0), 1e-12)
+    last = np.flatnonzero(
+        (rows[1:] != rows[:-1]).any(axis=1)
+    )  # of each run of equal rows, but the one at the end
+    step, length = np.linalg.norm(x[last + 1] - x[last], axis=1), np.diff(last, prepend=-1)
+    frozen = np.zeros(len(values), dtype=bool)
+    for k in np.flatnonzero(length > _FROZEN):
+        if step[k] > _JUMP_STEPS * np.median(step):
+            frozen[seen[last[k] - length[k] + 2 : last[k] + 1]] = True
+    values[frozen] = np.nan
+    _say(
+        frozen,
+        f"{what} left out, which only repeat the one before, more than {_FROZEN} in a row",
+        lines,
+        remarks,
+    )
+
+
+def _say(rows: Array, what: str, lines: Sequence[int], remarks: list[str]) -> None:
+    """Add a remark on some rows: how many they are, and where."""
+    at = np.flatnonzero(rows)
+    if len(at):
+        parts = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
+        words = [f"{lines[x[0]]} to {lines[x[-1]]}" if len(x) > 1 else f"{lines[x[0]]}" for x in parts[:4]]
+        more = ", and so on" if len(parts) > 4 else ""
+        where = f"line{'s' * (len(at) > 1)} {', '.join(words)}{more}"
+        remarks.append(f"{what}: {len(at)} of {len(rows)} ({where}).")
+
+
+class Poses(NamedTuple):
+    """Measured configurations."""
+
+    times: Array | None
+    """Of the rows [s]; None if they have none."""
+    q: Array
+    """Configurations ``[t, n_q]`` [m, rad]; NaN where the pose is not known."""
+    lines: Sequence[int]
+    """Where the rows stand in the file."""
+    remarks: tuple[str, ...]
+    """What was left out."""
+    known: dict[str, Any]
+    """``window_s`` ``[t, 2]`` of rows that say when they start and end [s]; from bodies the measured ``tip``
+    ``[t, 3]`` [m], ``residual`` ``[t]`` [m], ``covariance``, and the :class:`Motion`."""
+
+
+def read_poses(robot: Robot, path: Any, *, bodies: Sequence[str] = (), straight_s: float = 0.0) -> Poses:
+    """Read measured poses of a robot: from its coordinates, or from bodies on the ends of its segments.
+
+    Coordinates are columns with a unit (``delta_x_1_mm, delta_y_1_mm``), with ``time_s``, or ``start_s`` and
+    ``end_s``, or neither. Bodies are those of :func:`read_motion`; z points along the straight robot to its tip, but
+    for Motive, where y does. Rows that cannot be right are NaN and told.
+
+    Parameters
+    ----------
+    robot
+        The robot.
+    path
+        The file, or a data frame.
+    bodies
+        Names of the bodies from base to tip, one on the end of every segment; with one more, the first is on the
+        base. All bodies of the file, in their order, if not given.
+    straight_s
+        The robot stands straight and unstretched for the first so many seconds: shifts and turns of bodies against
+        the ends of the segments are taken from there [s]. With 0 there are none.
+
+    Raises
+    ------
+    InputError
+        If the file has no poses of this robot, or most of them are outside its bounds.
+    """
+    require(0 <= straight_s < math.inf, "straight_s", "read_poses", "0 or above", straight_s)
+    if isinstance(path, str | Path) and Path(path).is_file() and text_of(Path(path), []).startswith(_EXPORTS):
+        return _fitted(robot, read_motion(path), Path(path).name, bodies, straight_s)
+    table = read_table(path)
+    if not set(robot.coordinates) & set(table.names):
+        return _fitted(robot, _motion_of(table), table.owner, bodies, straight_s)
+    given = "coordinates of the robot, and bodies or a straight start beside them"
+    require(not (straight_s or bodies), "poses", table.owner, "bodies", given)
+    q, times, remarks, known = (
+        configurations_of(robot, table),
+        table.times,
+        list(table.remarks),
+        dict[str, Any](),
+    )
+    if {"start_s", "end_s"} <= {*table.names}:
+        window = np.stack([table.scaled(name)[0] for name in ("start_s", "end_s")], axis=1)
+        known, times = {"window_s": window}, window.mean(axis=1)
+    elif times is not None and len(times) > 1 and np.median(np.diff(times)) < _FRAME_S:
+        zero = np.asarray((q == 0).all(axis=1))
+        if robot.n_q > 1 and zero.mean() < 0.5:
+            q[zero] = np.nan
+        _clear_frozen(q, q, f"Rows of {table.owner}", table.lines, remarks)
+    _say(np.asarray(np.isnan(q).any(axis=1)), f"Rows of {table.owner} without a pose", table.lines, remarks)
+    _clear_outside(robot, q, table.owner, table.lines, remarks)
+    return Poses(times, q, table.lines, tuple(remarks), known)
+
+
+def _clear_outside(robot: Robot, q: Array, owner: str, lines: Sequence[int], remarks: list[str]) -> None:
+    """Make poses NaN that are far outside the robot's bounds; refuse them if they are many."""
+    if robot.lower is None or robot.upper is None:
+        return
+    width = robot.upper - robot.lower
+    slack = np.where(robot.angles & (width >= 2 * math.pi - 1e-9), np.inf, _SLACK * width + 1e-9)
+    far = (q < robot.lower - slack) | (q > robot.upper + slack)
+    rows, c = np.asarray(far.any(axis=1)), int(far.sum(axis=0).argmax())
+    name = robot.coordinates[c]
+    bounds = f"{robot.lower[c]:.4g} to {robot.upper[c]:.4g}"
+    if rows.sum() > max(1, _OUTSIDE * len(q)):
+        received = f"{np.nanmin(q[:, c]):.4g} to {np.nanmax(q[:, c]):.4g}, {rows.sum()} of {len(q)} poses far outside"
+        raise bad_input(name, owner, f"within the robot's bounds, {bounds} (units, axes, bounds?)", received)
+    q[rows] = np.nan
+    _say(
+        rows,
+        f"Poses of {owner} left out, far outside the robot's bounds, for {name} {bounds}",
+        lines,
+        remarks,
+    )
+
+
+def _fitted(robot: Robot, motion: Motion, owner: str, bodies: Sequence[str], straight_s: float) -> Poses:
+    """Return the configurations that fit bodies best."""
+    n, there = len(robot.segments), list(motion.bodies)
+    short = {name.rpartition(":")[2]: name for name in there}  # Vicon: subject:segment
+    names = [short.get(name, name) for name in bodies] or there
+    known = len(names) in (n, n + 1) and len({*names}) == len(names) and {*names} <= {*there}
+    expected = (
+        f"{n} different bodies of {', '.join(there)}, from base to tip, or {n + 1} with one on the base first"
+    )
+    require(known, "bodies", owner, expected, ", ".join(names) or "none")
+    poses = np.stack([motion.bodies[name] for name in names], axis=1)[..., _POSITION_FIRST]
+    if motion.up == "y":
+        poses = poses[..., [0, 2, 1, 3, 5, 4, 6]] * [1, -1, 1, 1, -1, 1, 1]
+    T = _measured(poses, owner)
+    if len(names) > n:
+        T = np.linalg.inv(T[:, :1]) @ T[:, 1:]
+    if straight_s > 0:
+        straight = robot.poses(np.zeros(robot.n_q), _places(robot, None, n, owner))
+        for k in range(n):
+            rest = T[(motion.times < motion.times[0] + straight_s) & np.isfinite(T[:, k, 0]).all(axis=1), k]
+            require(
+                len(rest), "bodies", owner, f"seen in the first {straight_s:g} s", f"no pose of {names[k]}"
+            )
+            mean = np.eye(4)
+            mean[:3, :3], mean[:3, 3] = (
+                Rotation.from_matrix(rest[:, :3, :3]).mean().as_matrix(),
+                rest[:, :3, 3].mean(0),
+            )
+            T[:, k] = T[:, k] @ np.linalg.inv(mean) @ straight[k]
+    require(np.isfinite(T[:, :, 0, 3]).any(), "poses", owner, "seen in some frame", "none")
+    shapes = fit_shape(robot, T, times=motion.times)
+    remarks, q, miss = list(motion.remarks), shapes.q.copy(), shapes.residual
+    typical, most = float(np.sqrt(np.nanmedian(miss**2))), _MISFIT * robot.length
+    remarks.append(f"The robot's kinematics miss the poses of {owner} by {1e3 * typical:.2f} mm (median).")
+    expected = (
+        "those that the robot can take, with z along the straight robot (units, axes, order of bodies?)"
+    )
+    require(typical < most, "poses", owner, expected, f"poses {1e3 * typical:.3g} mm from the nearest shape")
+    far = miss > most
+    q[far] = np.nan
+    _say(far, f"Poses of {owner} left out, which the robot cannot take", motion.lines, remarks)
+    _clear_outside(robot, q, owner, motion.lines, remarks)
+    found = {"tip": T[:, -1, :3, 3], "residual": miss, "covariance": shapes.covariance, "motion": motion}
+    return Poses(motion.times, q, motion.lines, tuple(remarks), found)
+
+
+JUMP, HALF_TURN, ALIKE, REST = np.radians([90.0, 170.0, 15.0, 5.0])
+"""Turns [rad]: from frame to frame that no body makes; least turn of exchanged markers; largest one between exchanges
+that count as equal, and at the ends of a stretch that was turned back."""
+
+
+def undo_exchanges(quaternions: Any) -> tuple[Array, Array]:
+    """Turn a rigid body back in the frames in which motion capture took its markers for each other.
+
+    Markers that lie nearly symmetrically are now and then exchanged. The body is then seen turned by a half turn in
+    its own axes, always the same one, from one frame to the next, and back again later. The jumps themselves tell the
+    half turn, if there are two of them or more. A stretch of turned frames is turned back if that joins it to its
+    neighbours within 5 degrees. The first frame counts as right.
+
+    Parameters
+    ----------
+    quaternions
+        Orientations X, Y, Z, W of the body ``[t, 4]``, NaN where it is lost.
+
+    Returns
+    -------
+    tuple
+        The orientations, NaN also where the body is turned and cannot be turned back; and which frames were turned
+        back.
+
+    Raises
+    ------
+    InputError
+        If there is no orientation.
+
+    Examples
+    --------
+    A body that stands still, with a half turn about x in three frames:
+
+    >>> seen = np.tile([0.0, 0.0, 0.0, 1.0], (8, 1))
+    >>> seen[[2, 5, 6]] = [1.0, 0.0, 0.0, 0.0]
+    >>> found, undone = undo_exchanges(seen)
+    >>> np.abs(found @ [0.0, 0.0, 0.0, 1.0]), np.flatnonzero(undone)
+    (array([1., 1., 1., 1., 1., 1., 1., 1.]), array([2, 5, 6]))
+    """
+    rows = numbers(quaternions, "quaternions", "undo_exchanges", (None, 4), finite=False)
+    there = np.flatnonzero(np.isfinite(rows).all(axis=1))
+    require(
+        len(there), "quaternions", "undo_exchanges", "there in one frame or more", f"{len(rows)} lost frames"
+    )
+    q, n = rows[there], len(there)
+    seen: Any = Rotation.from_quat(q)
+    right, last = np.ones(n, dtype=bool), q[0]
+    for k, x in enumerate(q):
+        right[k] = abs(x @ last) > np.cos(JUMP / 2)  # q and -q are one rotation
+        last = x if right[k] else last
+    edge, steps = right[1:] != right[:-1], (seen[:-1].inv() * seen[1:]).magnitude()
+    k = np.flatnonzero(edge)
+    jumps = seen[np.where(right[k], k, k + 1)].inv() * seen[np.where(right[k], k + 1, k)]
+    turns, left = [], jumps[jumps.magnitude() > HALF_TURN]
+    while len(left):
+        alike = (left[0].inv() * left).magnitude() < ALIKE
+        if alike.sum() > 1:  # seen once, nothing says that it is always the same
+            turns.append(left[alike].mean())
+        left = left[~alike]
+    undone = np.zeros(n, dtype=bool)
+    for a, b in pairwise([0, *np.flatnonzero(edge | (steps > JUMP)) + 1, n]):
+        least = REST
+        for turn in () if right[a] else turns:
+            back = seen[a:b] * turn.inv()
+            for inner, outer in ((0, a - 1), (-1, b)):
+                if outer < n and (right | undone)[outer]:
+                    rest = (Rotation.from_quat(q[outer]).inv() * back[inner]).magnitude()
+                    if rest < least:
+                        least, q[a:b], undone[a:b] = rest, back.as_quat(), True
+    q[~right & ~undone] = np.nan
+    found, which = np.full(rows.shape, np.nan), np.zeros(len(rows), dtype=bool)
+    found[there], which[there] = q, undone
+    return found, which

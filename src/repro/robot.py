@@ -685,8 +685,13 @@ class Robot:
         """Return the readings of a table ``[t, s]``: flux densities in mT, rotation vectors of IMUs in rad.
 
         Columns are found by the names of channels, or by their numbers (``u1_mT``, ``ch2``, ``channel_3``), and their
-        units are taken from their names. An IMU has the four columns of its quaternion. A cell without a number and
-        infinity are NaN, a missing reading. Where there is a column of times the result has ``times`` [s].
+        units are taken from their names; without a unit they are in mT. What a board has printed is read too, with
+        commas, tabs, blanks or labels: without names its columns are those of the readings, in their order. An IMU
+        has the four columns of its quaternion (``qx_1`` to ``qw_1``), or rows with the number of its ``stream``.
+
+        A cell without a number, infinity, a reading at the end of its sensor's range, a row of zeros and a quaternion
+        of zeros are NaN, a missing reading. The result has the ``times`` of the rows [s], or None, the ``lines``
+        where they stand, and ``remarks``: sentences that say what is missing, left out or put together.
 
         Parameters
         ----------
@@ -696,7 +701,8 @@ class Robot:
         Raises
         ------
         InputError
-            If a column is missing, there twice, or of another unit; with the file and the line of a bad cell.
+            If a column is missing, there twice, or of another unit; if a cell is no number, times do not increase or
+            quaternions are no orientations; with the file and the line.
         """
         from repro.tables import read_readings
 

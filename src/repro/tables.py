@@ -1,46 +1,68 @@
-"""Tables of readings and poses: text files and data frames with names and units in their first line."""
+"""Tables of readings and poses: text files, logs of boards and data frames, with names and units of their columns."""
 
 from __future__ import annotations
 
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from repro.common import Array, bad_input, require
+from repro.common import Array, bad_input, printable, require
 from repro.robot import Robot, Sensor
 
 _TO_MT = {"T": 1e3, "mT": 1.0, "uT": 1e-3, "nT": 1e-6, "G": 0.1, "gauss": 0.1, "mG": 1e-4}
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 _SI = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "deg": math.pi / 180, "rad": 1.0}
 _UNITS = {unit.lower(): unit for unit in (*_TO_MT, *_SI, "mV", "V", "raw")} | {"counts": "raw"}
-_TIMES = ("time", "t", "timestamp", "elapsed time", "elapsed", "zeit", "seconds", "millis", "micros")
+_DATES = ("date", "datum")
+_TIMES = ("t", "elapsed", "elapsed time", "millis", "micros", *_DATES)
+_TIME_BEGINS = ("time", "zeit", "seconds")
+_UNIT_BY_NAME = {"millis": "ms", "micros": "us", "seconds": "s", "seconds_elapsed": "s"}
 _IN_BRACKETS = re.compile(r"(.*?)[ _]*[(\[] *(.*?) *[)\]]")
-_EMPTY = ("", "nan", "na", "n/a", "null", "none", "-")
+_DIGITS = re.compile(r"[-+.0-9eE]*")
+_MISSING = re.compile(r"|nan|#?na|#?n/a|null|none|--?|ovf|-?1\.#\w+", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
+_CLOCK = re.compile(r"(?=\d)(\d{4}-\d\d-\d\d)?[T ]?(\d\d:\d\d:\d\d\S*)?", re.ASCII)
+_LABEL = re.compile(
+    r"([^\W\d][\w./()\[\]]*) *[:=] *([+-]?[\d.]+(?:[eE][+-]?\d+)?(?=[^\W\d]*(?:[\s,;]|$))|[^\s,;:=]*)"
+    r"(?: *([^\W\d]+)(?=[\s,;]|$))?[\s,;]*"
+)
+"""A label, its number and perhaps a unit, such as ``x: 1.5 uT``."""
 
 
 class Readings(np.ndarray):
-    """Readings ``[t, s]`` with the times of their rows in ``times`` [s], or None."""
+    """Readings ``[t, s]``.
+
+    ``times`` are those of their rows [s], or None; ``lines`` say where they stand; ``remarks`` what is missing.
+    """
 
     times: Array | None = None
+    lines: Any = None
+    remarks: tuple[str, ...] = ()
 
     def __getitem__(self, key: Any) -> Any:
-        """Return a part; rows keep their times."""
+        """Return a part; rows keep their times and lines."""
         found = super().__getitem__(key)
-        if self.times is not None and isinstance(found, Readings) and found.shape[1:] == self.shape[1:]:
-            found.times = self.times[key[0] if isinstance(key, tuple) else key]
+        if isinstance(found, Readings) and found.shape[1:] == self.shape[1:]:
+            rows = key[0] if isinstance(key, tuple) and key else key
+            found.times = None if self.times is None else self.times[rows]
+            found.lines = None if self.lines is None else self.lines[rows]
         return found
 
 
 class Table(NamedTuple):
     """Numbers of a table, NaN where there is none, with the names and units of their columns.
 
-    ``lines`` are the lines of a file, or the rows of a data frame from 1; times are in seconds.
+    ``lines`` are the lines of a file, or the rows of a data frame from 1; times are in seconds. ``remarks`` say what
+    was left out or put together.
     """
 
     owner: str
@@ -50,6 +72,7 @@ class Table(NamedTuple):
     values: Array
     lines: Sequence[int]
     times: Array | None
+    remarks: tuple[str, ...] = ()
 
     def scaled(self, name: str, units: Sequence[str] = ("",)) -> tuple[Array, str]:
         """Return the column of a name in SI units, and its own unit; refuse other units than those named."""
@@ -64,120 +87,428 @@ def name_and_unit(column: str) -> tuple[str, str]:
 
     Examples
     --------
-    >>> name_and_unit("Mag X (uT)"), name_and_unit("u1_mT"), name_and_unit("time_ms"), name_and_unit("x_1")
+    >>> name_and_unit("Mag X (uT)"), name_and_unit("/board/u1_mT"), name_and_unit("time_ms"), name_and_unit("x_1")
     (('Mag X', 'uT'), ('u1', 'mT'), ('time', 'ms'), ('x_1', ''))
     """
     text = column.strip().replace("µ", "u").replace("μ", "u")
+    text = text.rsplit("/", 1)[-1] if text.startswith("/") else text
     if found := _IN_BRACKETS.fullmatch(text):
         return found[1], _UNITS.get(found[2].lower(), found[2])
     name, _, unit = text.rpartition("_")
+    if _is_time(name) and unit.lower() in _SECONDS:
+        return name, unit.lower()
     if name and unit.lower() in _UNITS:
         return name, _UNITS[unit.lower()]
-    return (name, unit) if name.lower() in _TIMES and unit.lower() in _SECONDS else (text, "")
+    return text, _UNIT_BY_NAME.get(text.lower(), "")
 
 
-def read_table(source: Any) -> Table:
-    """Read a data frame, or a text file with the names of its columns in the first line.
+def _is_time(name: str) -> bool:
+    low = name.lower().strip("_ ")
+    return low in _TIMES or low.startswith(_TIME_BEGINS)
 
-    A file is in UTF-8 or UTF-16, separated by commas, semicolons or tabs; numbers have points, or commas throughout.
-    Lines that begin with ``#`` or ``%`` are comments. A first column without a name is an index and is left out.
+
+def read_table(source: Any, rate_hz: float | None = None) -> Table:
+    """Read a data frame, or a text file: a table with a line of names, or what a board has printed.
+
+    A file is in UTF-8 or UTF-16. Cells are separated by commas, semicolons, tabs or blanks, or have labels
+    (``x: 1.5 uT y: 2``); decimal commas are read between semicolons and tabs. Lines that begin with ``#`` or ``%``
+    are comments, text above the names is left out, and a line of units below them is read. Without names the columns
+    are u1, u2 and so on. A first column without a name is an index and is left out. Times are numbers or those of a
+    clock; counters of 32 bits that start again from 0 are put on. Streams that take turns (a column ``stream``, or
+    one number a line) are put together to one row for each turn.
 
     Parameters
     ----------
     source
-        A data frame, or a path.
+        A data frame, a path, or a table that was read.
+    rate_hz
+        Rows per second, for a table without times.
 
     Raises
     ------
     InputError
-        If it is not a table, or a cell is no number; with the file and the line.
+        If it is not a table, a cell is no number, or times do not increase; with the file and the line.
     """
+    if isinstance(source, Table):
+        return source
+    remarks: list[str] = []
+    lines: Sequence[int]
     if isinstance(source, str | Path):
-        owner = Path(source).name
+        owner = printable(Path(source).name)
         require(Path(source).is_file(), "table", "read_table", "a file that exists", source)
-        header, values, lines = _cells(Path(source).read_bytes(), owner)
+        header, split, values, lines, decimals = _file(text_of(Path(source), remarks), owner, remarks)
     else:
-        owner, kind = "the table", type(source).__name__
+        owner, kind, decimals = "the table", type(source).__name__, 9
         require(hasattr(source, "infer_objects"), "table", "read_table", "a data frame or a path", kind)
         frame = source.infer_objects()
         header, lines = [str(name) for name in frame.columns], range(1, len(frame) + 1)
+        split = [name_and_unit(column) for column in header]
         for name, dtype in zip(header, frame.dtypes, strict=True):
             require(dtype.kind in "fiu", f"column {name}", owner, "of numbers", f"{dtype} values")
         values = frame.to_numpy(dtype=float, na_value=np.nan)
     require(len(values), "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
-    values = np.where(np.isfinite(values), values, np.nan)
-    split = [name_and_unit(column) for column in header]
-    clock = [k for k, (name, _) in enumerate(split) if name.lower() in _TIMES]
-    times = None
-    for k in clock:
-        require(times is None, f"column {header[k]}", owner, "the only one of times", "another")
-        unit = split[k][1] or {"millis": "ms", "micros": "us"}.get(split[k][0].lower(), "s")
-        require(unit in _SECONDS, f"column {header[k]}", owner, "in s, ms, us, ns or min", unit)
-        times = values[:, k] * _SECONDS[unit]
-        bad = [lines[i] for i in np.flatnonzero(np.isnan(times))]
-        require(not bad, f"column {header[k]}", owner, "times", f"none in line {bad[:1]}")
+    _count(int(np.isinf(values).sum()), values.size, f"numbers of {owner}", "missing: infinite", remarks)
+    values = np.where(np.isinf(values), np.nan, values)
+    clock = [k for k, (name, _) in enumerate(split) if _is_time(name)]
+    times = _times(values, header, split, clock, lines, owner, remarks) if clock else None
     keep = [k for k, name in enumerate(header) if k not in clock and (k or name.strip())]
+    columns, names, units = ([x[k] for k in keep] for x in (header, *map(list, zip(*split, strict=True))))
+    table = Table(owner, tuple(columns), tuple(names), tuple(units), values[:, keep], lines, times)
+    table = _put_together(table, remarks)
+    times = table.times
+    if times is not None:
+        times = _increasing(times, decimals, table.lines, owner, remarks)
+    elif rate_hz is not None:
+        times = np.arange(len(table.values)) / rate_hz
+    return table._replace(times=times, remarks=tuple(remarks))
+
+
+def text_of(path: Path, remarks: list[str]) -> str:
+    """Return the text of a file; other than UTF-8 and UTF-16 with a byte order mark it is told or refused."""
+    content = path.read_bytes()
+    marked = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    try:
+        if b"\0" in content[:1000] and not marked:
+            words = "bytes that are zero (a binary file, or UTF-16 without a mark: save it as UTF-8)"
+            raise bad_input("file", path.name, "text in UTF-8, or in UTF-16 with a byte order mark", words)
+        return content.decode("utf-16" if marked else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        remarks.append(f"{path.name} is not in UTF-8 (line {line}): it is read as Windows-1252.")
+        return content.decode("cp1252", errors="replace")
+
+
+def _file(
+    text: str, owner: str, remarks: list[str]
+) -> tuple[list[str], list[tuple[str, str]], Array, list[int], int]:
+    """Return the columns, their names and units, the numbers, their lines, and the decimals of times."""
+    kept = [(k, _bare(line)) for k, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1)]
+    kept = [(k, line) for k, line in kept if line.strip() and not line.startswith(("#", "%", "sep="))]
+    require(kept, "file", owner, "a table", "nothing")
+    if text[-1] not in "\r\n" and len(kept) > 2:
+        parts = [re.split(r"[.,;:\s]+", line) for _, line in kept[-100:]]
+        if {len(part[-1]) for part in parts[:-1] if len(part) == len(parts[-1])} != {len(parts[-1][-1])}:
+            line, _ = kept.pop()
+            remarks.append(
+                f"Line {line} of {owner} does not end, and its last cell may be cut: it is left out."
+            )
+    marks = Counter(_separator(line) for _, line in kept[:: 1 + len(kept) // 500])
+    separator, lines = marks.most_common(1)[0][0], [k for k, _ in kept]
+    if separator == ":":
+        rows, lines = _labelled(kept), [0, *lines]
+    else:
+        rows = [_cells(line, separator, owner) for _, line in kept]
+    names, units, rows, lines = _named(rows, lines, separator, owner, remarks)
+    header = [printable(name) for name in names or ()] or [f"column {k}" for k in range(1, len(rows[0]) + 1)]
+    split = [name_and_unit(name) for name in header]
+    if names is None:
+        first = int(_CLOCK.fullmatch(rows[0][0]) is not None)
+        split = [("time", "s")] * first + [(f"u{k}", "") for k in range(1, len(header) + 1 - first)]
+        require(len(header) > first, "table", owner, "of times and numbers", "times alone")
+        remarks.append(f"{owner} has no line of names: its columns are {split[first][0]} to {split[-1][0]}.")
+    split = [
+        (name, own or _UNITS.get(unit.lower(), unit) or ("s" if ":" in cell else ""))
+        for (name, own), unit, cell in zip(split, units, rows[0], strict=True)
+    ]
+    at = [k for k, (name, _) in enumerate(split) if _is_time(name)]
+    comma = not any("." in cell and ":" not in cell for row in rows for cell in row)
+    values = np.full((len(rows), len(header)), np.nan)
+    for k, row in enumerate(rows):
+        with suppress(ValueError):  # most rows are plain numbers, and this is four times as fast
+            if _DIGITS.fullmatch("".join(row)):
+                values[k] = [float(cell) for cell in row]
+                continue
+        for c, cell in enumerate(row):
+            try:
+                clock = c in at and _CLOCK.fullmatch(cell)
+                values[k, c] = _seconds(cell) if clock else _number(cell.replace(",", ".") if comma else cell)
+            except ValueError as error:
+                where = f"{owner}, line {lines[k]}, column {header[c] or 'without a name'},"
+                raise bad_input("cell", where, "a time" if c in at else "a number", repr(cell)) from error
+    decimals = max((len(re.split("[.,]", row[k] + ".")[1]) for row in rows for k in at), default=9)
+    return header, split, values, lines, decimals
+
+
+def _bare(line: str) -> str:
+    """Return a line without what Python, JSON and plotters put around the numbers."""
+    line = line.strip(" ").removeprefix(">")
+    if line[:2] in ("b'", 'b"'):
+        line = re.sub(r"(\\r)?(\\n)?['\"]$", "", line[2:])
+    return line[1:-1] if line[:1] in ("(", "[", "{") and line[-1:] in (")", "]", "}") else line
+
+
+def _separator(line: str) -> str:
+    return ":" if _labels(line) else next((mark for mark in "\t;," if mark in line), " ")
+
+
+def _labels(line: str) -> dict[str, str]:
+    """Return the numbers in a line by their labels, with units; none if there is anything else in it."""
+    stamp, arrow, rest = line.replace('"', "").rpartition(" -> ")
+    found = [] if _LABEL.sub("", rest).strip() else _LABEL.findall(rest)
+    named = {f"{name} [{unit}]" if unit else name: cell for name, cell, unit in found}
+    return {"time": stamp, **named} if arrow and found else named
+
+
+def _labelled(kept: list[tuple[int, str]]) -> list[list[str]]:
+    """Return lines with labels as a table with names; a label that hardly any line has is none."""
+    found = [(line, _labels(line)) for _, line in kept]
+    times = Counter(name for _, labels in found for name in labels)
+    names = [name for name, n in times.items() if n > len(kept) / 50]
+    rows = [
+        [row.get(name, "") for name in names] if row.keys() & {*names} else [line, ""] for line, row in found
+    ]
+    return [names, *rows]
+
+
+def _cells(line: str, separator: str, owner: str) -> list[str]:
+    stamp, arrow, line = line.rpartition(" -> ")
+    try:
+        by_mark = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    except csv.Error as error:
+        raise bad_input("file", owner, "a table", error) from error
+    found = line.split() if separator == " " else by_mark
+    return [cell.strip() for cell in ([stamp, *found] if arrow else found)]
+
+
+def _is_number(cell: str) -> bool:
+    return any(kind.fullmatch(cell) for kind in (_NUMBER, _CLOCK, _MISSING))
+
+
+def _filled(row: Sequence[str]) -> int:
+    """Return the number of cells without the empty ones at the end."""
+    n = len(row)
+    while n and not row[n - 1]:
+        n -= 1
+    return n
+
+
+def _named(
+    rows: list[list[str]], lines: list[int], separator: str, owner: str, remarks: list[str]
+) -> tuple[list[str] | None, list[str], list[list[str]], list[int]]:
+    """Return names (None if there are none), units, cells and lines of a table; refuse lines of another form."""
+    width = Counter(map(len, rows)).most_common(1)[0][0]
+    whole = (k for k, row in enumerate(rows) if len(row) == width and all(map(_is_number, row)) and any(row))
+    first = j = next(whole, min(1, len(rows)))
+    names, units = None, []
+    if j and any(rows[j - 1]) and {cell.lower() for cell in rows[j - 1]} <= {*_UNITS, *_SECONDS, "", "-"}:
+        j, units = j - 1, rows[j - 1]
+    if j and (len(rows[j - 1]) > 1 or width == 1) and not all(map(_is_number, rows[j - 1])):
+        j, names = j - 1, rows[j - 1]
+        if any(re.fullmatch(r"[+-]?\d*[.,]\d+", cell) for cell in names):
+            word = next(cell for cell in names if not _is_number(cell))
+            raise bad_input(
+                "cell", f"{owner}, line {lines[j]},", "a number, or all of them names", repr(word)
+            )
+    _count(j, len(rows), f"lines of {owner}", "above the table and left out", remarks)
+    body = [
+        k
+        for k in range(first, len(rows))
+        if any(map(_is_number, filter(None, rows[k]))) or (len(rows[k]) == width and rows[k] != names)
+    ]
+    _count(len(rows) - first - len(body), len(rows), f"lines of {owner}", "text and left out", remarks)
+    require(body, "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
+    rows, lines = [rows[k] for k in body], [lines[k] for k in body]
+    own, n = _filled(names or []), max(_filled(row) for row in [names or [], *rows])
+    hint = "; decimal commas need another separator, such as ;"
+    for line, row in zip(lines, rows, strict=True):
+        if len(row) < n or (names and own < n):
+            words = "as the line of names" + hint * (own < n) if names else "as the others"
+            raise bad_input(f"line {line}", owner, f"of {own or n} cells, {words}", len(row))
+    cells = [cell for row in rows for cell in row] if separator == "," and not names else []
+    if any(re.fullmatch(r"0\d+", cell) for cell in cells) and not any("." in cell for cell in cells):
+        raise bad_input("file", owner, f"of numbers with decimal points{hint}", "numbers such as 0123")
+    return names and names[:n], [*units, *n * [""]][:n], [row[:n] for row in rows], lines
+
+
+def _count(n: int, of: int, what: str, why: str, remarks: list[str]) -> None:
+    """Add a remark if there are any."""
+    if n:
+        remarks.append(f"{n} of {of} {what} {'is' if n == 1 else 'are'} {why}.")
+
+
+def _number(cell: str) -> float:
+    if _MISSING.fullmatch(cell):
+        return math.nan
+    if "," in cell or not _NUMBER.fullmatch(cell):  # float would take digits of any script, and underscores
+        raise ValueError(cell)
+    return float(cell)
+
+
+def _seconds(cell: str) -> float:
+    """Return seconds since 1970, or since midnight if there is no date, by the clock that wrote them."""
+    moment = datetime.fromisoformat(cell if "-" in cell[:5] else f"1970-01-01T{cell}")
+    return moment.replace(tzinfo=UTC).timestamp()
+
+
+def _times(
+    values: Array,
+    header: Sequence[str],
+    split: Any,
+    clock: list[int],
+    lines: Sequence[int],
+    owner: str,
+    remarks: list[str],
+) -> Array:
+    """Return the times of the rows [s]."""
+    days = [k for k in clock if split[k][0].lower() in _DATES]
+    rest = [k for k in clock if k not in days] or days
+    stated = [k for k in rest if split[k][1]] or rest
+    k = stated[0]
+    require(len(stated) == 1, f"column {header[stated[-1]]}", owner, "the only one of times", "another")
+    if other := [header[c] for c in rest if c != k]:
+        remarks.append(f"Column {', '.join(other)} of {owner} is left out: times are those of {header[k]}.")
+    unit, name = split[k][1], f"column {header[k]}"
+    require(unit in _SECONDS or not unit, name, owner, "in s, ms, us, ns or min", unit)
+    times = values[:, k] * _SECONDS.get(unit, 1.0)
+    bad = [lines[i] for i in np.flatnonzero(np.isnan(times)).tolist()]
+    require(not bad, name, owner, "times", f"none in line {bad[:1]}")
+    step = np.diff(times)
+    plausible = unit or not len(step) or np.median(step) <= 1
+    require(plausible, name, owner, "named with its unit, such as time_ms", f"steps such as {step[:1]}")
+    ticks = 2**32 * _SECONDS.get(
+        unit, 1.0
+    )  # a clock starts again at midnight, a counter of the board after 32 bits
+    period = ticks if unit in ("ms", "us") else 86400.0 if unit == "s" and times.max() < 86400 else math.inf
+    if days != rest:
+        times = times + values[:, days].sum(axis=1)
+    if not days and (again := step < -period / 2).any():
+        times[1:] += period * np.cumsum(again)
+        line = list(lines)[int(again.argmax()) + 1]
+        remarks.append(f"Times of {owner} start again from 0 in line {line}: they are put on.")
+    return times
+
+
+def _increasing(times: Array, decimals: int, lines: Sequence[int], owner: str, remarks: list[str]) -> Array:
+    """Return times that increase; those that were rounded to equal ones are spread evenly, others are refused."""
+    step = np.diff(times)
+    for k in np.flatnonzero((step < 0) | ((step == 0) & (decimals > 2))).tolist():
+        received = f"{times[k + 1]:.10g} s after {times[k]:.10g} s (rows there twice, or a board that started again?)"
+        raise bad_input(f"time in line {lines[k + 1]}", owner, "later than the one before", received)
+    first = np.flatnonzero(np.r_[True, step > 0])
+    if len(first) == len(times):
+        return times
+    _count(
+        len(times) - len(first),
+        len(times),
+        f"times of {owner}",
+        "rounded to the one before: spread evenly",
+        remarks,
+    )
+    require(len(first) > 1, "times", owner, "more than one", f"{times[0]:g} s in every row")
+    at, known = np.r_[first, 2 * first[-1] - first[-2]], times[first]
+    return np.interp(np.arange(len(times)), at, np.r_[known, 2 * known[-1] - known[-2]])
+
+
+def _put_together(table: Table, remarks: list[str]) -> Table:
+    """Return one row for each turn of streams, or of columns of which every row has one."""
+    values, names, times = table.values, list(table.names), table.times
+    there = np.isfinite(values)
+    if len(names) == 5 and table.columns[0] == "column 1" and _are_quaternions(values[:, 1:]):
+        names = [
+            "stream",
+            "qw",
+            "qx",
+            "qy",
+            "qz",
+        ]  # as boards print them: number of the IMU, then the quaternion
+    if "stream" in names:
+        own = [k for k, name in enumerate(names) if name != "stream"]
+        streams, which = np.unique(values[:, names.index("stream")], return_inverse=True)
+        short = [names[k] if len(names[k]) > 1 else f"q{names[k]}" for k in own]
+        columns = names = [f"{name}_{x:g}" if len(streams) > 1 else name for x in streams for name in short]
+        units, turn = [table.units[k] for k in own] * len(streams), values[:, own]
+    elif len(values) >= 2 * len(names) > 2 and (there.sum(1) == 1).all():
+        which, turn, columns, units = there.argmax(1), values[there][:, None], table.columns, table.units
+    else:
+        return table
+    together = times is not None and len(times) > 1 and (np.diff(times) == 0).any()
+    group, seen = np.zeros(len(values), dtype=int), set[int]()
+    for i, key in enumerate(which.tolist()):
+        new = i > 0 and (key in seen or (together and times is not None and times[i] != times[i - 1]))
+        seen = {key} if new else seen | {key}
+        group[i] = group[i - 1] + new if i else 0
+    found = np.full((group[-1] + 1, len(names) // turn.shape[1], turn.shape[1]), np.nan)
+    found[group, which] = turn
+    _count(len(values), len(values), f"rows of {table.owner}", f"put together to {len(found)}", remarks)
+    last = np.flatnonzero(np.diff(group, append=-1)).tolist()
     return Table(
-        owner, tuple(header[k] for k in keep), tuple(split[k][0] for k in keep), tuple(split[k][1] for k in keep),
-        values[:, keep], lines, times,
+        table.owner, tuple(columns), tuple(names), tuple(units), found.reshape(len(found), -1),
+        [table.lines[k] for k in last], None if times is None else times[last],
     )  # fmt: skip
 
 
-def _cells(content: bytes, owner: str) -> tuple[list[str], Array, list[int]]:
-    """Return the names of the columns, the numbers of the rows, NaN for cells without one, and their lines."""
-    try:
-        text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise bad_input("file", owner, "text in UTF-8", error) from error
-    numbered = enumerate(text.splitlines(), start=1)
-    kept = [(k, line) for k, line in numbered if line.strip() and not line.startswith(("#", "%", "sep="))]
-    require(kept, "file", owner, "a table", "nothing")
-    separator = next((mark for mark in "\t;" if mark in kept[0][1]), ",")
-    rows = [next(csv.reader([line], delimiter=separator)) for _, line in kept]
-    header, lines = [name.strip() for name in rows[0]], [line for line, _ in kept[1:]]
-    n = len(header) - (header[-1] == "")  # a separator at the end of every line
-    comma = not any("." in line for _, line in kept[1:])
-    values = np.full((len(lines), n), np.nan)
-    for k, row in enumerate(rows[1:]):
-        if len(row) < n or any(row[n:]):
-            hint = "; decimal commas need another separator, such as ;" if len(row) > n else ""
-            raise bad_input(f"line {lines[k]}", owner, f"of {n} cells, as the first line{hint}", len(row))
-        for c, cell in enumerate(row[:n]):
-            if cell.strip().lower() in _EMPTY:
-                continue
-            try:
-                values[k, c] = float((cell.replace(",", ".", 1) if comma else cell).replace("_", "?"))
-            except ValueError as error:
-                where = f"{owner}, line {lines[k]}, column {header[c] or 'without a name'},"
-                raise bad_input("cell", where, "a number", repr(cell)) from error
-    return header[:n], values, lines
+def _are_quaternions(q: Array) -> bool:
+    return abs(float(np.nanmedian(np.linalg.norm(q, axis=1))) - 1) < 0.1
 
 
 def read_readings(robot: Robot, source: Any) -> Readings:
     """Return the readings of a table ``[t, s]`` for a robot: see :meth:`repro.Robot.readings`."""
     table, used = read_table(source), []
-    columns, axes = [np.zeros((len(table.values), 0))], [(x, k) for x in robot.sensors for k in range(x.axes)]
+    remarks, n_t = list(table.remarks), len(table.values)
+    columns, axes = [np.zeros((n_t, 0))], [(x, k) for x in robot.sensors for k in range(x.axes)]
+    if table.columns[:1] == ("column 1",) and not robot.imus:
+        words = f"{len(axes)} columns, one for every reading (a line of names above them says which is which)"
+        require(len(table.columns) == len(axes), "table", table.owner, words, f"{len(table.columns)}")
+    bare = []
     for j, (sensor, axis) in enumerate(axes):
         channel = j + 1 if sensor.channels is None else sensor.channels[axis]
         used.append(_column(table, channel, robot.names[j]))
-        columns.append(table.values[:, used[-1:]] * _factor(table, used[-1], sensor))
+        bare += [table.names[used[-1]]] if not table.units[used[-1]] and sensor.unit == "mT" else []
+        u = table.values[:, used[-1]] * _factor(table, used[-1], sensor)
+        beyond = np.abs(u) >= sensor.range
+        what = f"readings of {robot.names[j]}"
+        _count(int(beyond.sum()), n_t, what, "missing: at the end of its range", remarks)
+        _count(int(np.isnan(u).sum()), n_t, what, "missing", remarks)
+        columns.append(np.where(beyond, np.nan, u)[:, None])
+    if bare:
+        remarks.append(f"Columns without a unit are taken as mT: {', '.join(bare)}.")
+    u = np.concatenate(columns, axis=1)
+    if u.shape[1] > 2 and 0 < (silent := (u == 0).all(axis=1)).sum() < n_t / 2:
+        u[silent] = np.nan
+        _count(int(silent.sum()), n_t, "rows", "missing: all readings are zero", remarks)
+    columns = [u]
     for k, imu in enumerate(robot.imus):
         names = k + 1 if imu.channels is None else imu.channels
         if isinstance(names, int | float):
             names = [f"q{axis}_{names:g}" for axis in "xyzw"]
         used += (own := [_column(table, name, str(name)) for name in names])
-        columns.append(_rotation_vectors(table, table.values[:, own], imu.world))
+        q, name = table.values[:, own], robot.part_names[len(robot.sensors) + k]
+        columns.append(_rotation_vectors(table, q, imu.world, name, remarks))
+        if k == 0:
+            drawn = robot.poses(np.zeros(robot.n_q), [imu.place])[0, :3, :3]
+            w_first = _rotation_vectors(table, q[:, [1, 2, 3, 0]], imu.world, name, [])
+            as_read, other = (_typical_turn(turns, drawn) for turns in (columns[-1], w_first))
+            if as_read > 2.8 and other < as_read / 2:
+                expected = "in the order x, y, z, w, of an IMU that is mounted as the robot file says"
+                received = (
+                    f"turns by {math.degrees(as_read):.0f} deg, and {math.degrees(other):.0f} with w first"
+                )
+                raise bad_input(f"quaternions of {name}", table.owner, expected, received)
     for column in {k for k in used if used.count(k) > 1}:
         received = f"{table.columns[column]} for {used.count(column)} of them"
         raise bad_input("channels", table.owner, "another column for every reading", received)
     readings = np.concatenate(columns, axis=1).view(Readings)
-    readings.times = table.times
+    readings.times, readings.lines, readings.remarks = table.times, np.asarray(table.lines), tuple(remarks)
     return readings
+
+
+def _typical_turn(turns: Array, drawn: Array) -> float:
+    """Return by how much an IMU is mostly turned against the straight robot [rad]."""
+    from scipy.spatial.transform import Rotation
+
+    there = turns[np.isfinite(turns[:, 0])]
+    if not len(there):
+        return 0.0
+    return float(np.median((Rotation.from_matrix(drawn).inv() * Rotation.from_rotvec(there)).magnitude()))
 
 
 def _column(table: Table, channel: Any, own: str) -> int:
     """Return the column of a channel: by its name, or by its number, or by the name of its reading."""
-    wanted = [channel] if isinstance(channel, str) else [f"u{channel}", f"ch{channel}", f"channel{channel}"]
+    wanted = (
+        [channel]
+        if isinstance(channel, str)
+        else [f"{channel}", f"u{channel}", f"ch{channel}", f"channel{channel}"]
+    )
     wanted = {own, own.replace(" ", ""), *wanted}
     spelt = [{name, re.sub("[ _]", "", name.lower())} for name in table.names]
     found = [k for k, names in enumerate(spelt) if wanted & {*names, table.columns[k]}]
@@ -203,15 +534,24 @@ def _factor(table: Table, column: int, sensor: Sensor) -> float:
     return (1e3 if unit == "V" else 1.0) / sensor.per_mt
 
 
-def _rotation_vectors(table: Table, q: Array, world: Any) -> Array:
-    """Return rotation vectors ``[t, 3]`` of quaternions XYZW in the base frame, NaN for those of norm zero."""
+def _rotation_vectors(table: Table, q: Array, world: Any, name: str, remarks: list[str]) -> Array:
+    """Return rotation vectors ``[t, 3]`` of quaternions XYZW in the base frame, NaN for those that are none."""
     from scipy.spatial.transform import Rotation
 
     norm = np.linalg.norm(q, axis=-1)
     there = np.isfinite(norm) & (norm > 0)
-    for row in np.flatnonzero(there & (np.abs(norm - 1) > 0.02)):
-        where = f"{table.owner}, line {table.lines[int(row)]},"
-        raise bad_input("quaternion", where, "of norm 1 (raw counts?)", f"one of norm {norm[row]:.4g}")
+    off = there & (np.abs(norm - 1) > 2e-3)
+    if off.sum() > 0.01 * there.sum() + 2:
+        typical, line = float(np.median(norm[off])), table.lines[int(off.argmax())]
+        need = (
+            "of norm 1: divide raw counts by their scale" if typical > 2 else "of norm 1, with four decimals"
+        )
+        raise bad_input(
+            f"quaternions of {name}", table.owner, need, f"norms such as {typical:.5g}, from line {line}"
+        )
+    lost = int((~there | off).sum())
+    _count(lost, len(q), f"quaternions of {name}", "missing: empty, zero or not of norm 1", remarks)
+    there &= ~off
     base = Rotation.identity() if world is None else Rotation.from_quat(world).inv()
     turns = np.full((len(q), 3), np.nan)
     turns[there] = (base * Rotation.from_quat(q[there])).as_rotvec()
@@ -230,7 +570,14 @@ def read_configurations(robot: Robot, source: Any) -> tuple[Array, Array | None,
         If a column is missing or in no unit, or a number is missing; with the file and the line.
     """
     table = read_table(source)
-    rows = [f"{table.owner}, line {line}" for line in table.lines]
+    rows, q = [f"{table.owner}, line {line}" for line in table.lines], configurations_of(robot, table)
+    for row, c in np.argwhere(np.isnan(q)):
+        raise bad_input("pose", f"{rows[row]},", f"a number for {robot.coordinates[c]}", "none")
+    return q, table.times, rows
+
+
+def configurations_of(robot: Robot, table: Table) -> Array:
+    """Return the configurations ``[t, n_q]`` [m, rad] that the columns of a table state, NaN where one is missing."""
     q = np.zeros((len(table.values), robot.n_q))
     for c, name in enumerate(robot.coordinates):
         if name not in table.names and robot.fixed[c] and robot.lower is not None:
@@ -238,30 +585,4 @@ def read_configurations(robot: Robot, source: Any) -> tuple[Array, Array | None,
             continue
         angle = robot.angles[c] or name.startswith("kappa")
         q[:, c], _ = table.scaled(name, ("rad", "deg") if angle else ("mm", "cm", "m"))
-        for row in np.flatnonzero(np.isnan(q[:, c])):
-            raise bad_input("pose", f"{rows[row]},", f"a number for {name}", "none")
-    return q, table.times, rows
-
-
-def read_poses(source: Any) -> tuple[Array, Array | None]:
-    """Return measured poses of bodies ``[t, n, 7]``, or of markers ``[t, n, 3]``, and their times [s] or None.
-
-    Body k has the columns ``x_k_mm, y_k_mm, z_k_mm`` (or ``_m``, ``_cm``) and the quaternion ``qx_k, qy_k, qz_k,
-    qw_k``; markers have no quaternion. Bodies are in the order of their numbers.
-
-    Raises
-    ------
-    InputError
-        If a column is missing.
-    """
-    table = read_table(source)
-    bodies = sorted(
-        {int(name.split("_")[1]) for name in table.names if re.fullmatch(r"q?[xyzw]_[0-9]+", name)}
-    )
-    require(bodies, "columns", table.owner, "x_1_mm, y_1_mm, z_1_mm and so on", ", ".join(table.columns))
-    whole = any(f"qx_{body}" in table.names for body in bodies)
-    found = []
-    for body in bodies:
-        found += [table.scaled(f"{axis}_{body}", ("mm", "cm", "m"))[0] for axis in "xyz"]
-        found += [table.scaled(f"q{axis}_{body}")[0] for axis in "xyzw"] if whole else []
-    return np.stack(found, -1).reshape(len(table.values), len(bodies), -1), table.times
+    return q

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from repro import InputError
-from repro_board.evaluate import MotionCapture
+from repro.motion_capture import Motion as MotionCapture
 from repro_companion.papers import mitchell
 from repro_companion.run import recordings_folder
 

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 import repro
 from repro import ConstantCurvature, Imu, InputError, Robot, Sensor
-from repro.tables import name_and_unit, read_configurations, read_poses, read_table
+from repro.common import bad_input
+from repro.tables import name_and_unit, read_configurations, read_table
 
 ROWS = np.array([[0.0, -2.125, 3.5, 0.25], [0.05, -2.25, 3.375, 0.5], [0.1, -2.5, 3.25, 0.75]])
 HEADER = ["time_s", "u1_mT", "u2_mT", "u3_mT"]
@@ -53,6 +54,33 @@ SPELLINGS = {
         header=["Zeit_ms", "u1 (µT)", "u2_uT", "u3_uT"], rows=ROWS * [1e3, 1e3, 1e3, 1e3]
     ),
     "another order": lines(header=["u3_mT", "time_s", "u1_mT", "u2_mT"], rows=ROWS[:, [3, 0, 1, 2]]),
+    "an index of R": "\n".join(f'"{k or ""}",{line}' for k, line in enumerate(lines().splitlines())) + "\n",
+    "text above the names": "Logger v1.2\nSerial No: 4711\nStart: 2024-05-03 14:02\n\n" + lines(),
+    "a header of LabVIEW": "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n\t\t\t\n"
+    + lines("\t"),
+    "units below the names": lines(header=["time", "u1", "u2", "u3"]).replace("u3\n", "u3\ns,mT,mT,mT\n"),
+    "names of a message": lines(header=["__time", "/board/u1_mT", "/board/u2_mT", "/board/u3_mT"]).replace(
+        "__time", "__time_s"
+    ),
+    "numbers as names": lines(header=["time_s", "1", "2", "3"]),
+    "a separator at the end of the names": lines().replace("mT\n", "mT,\n"),
+    "a separator at the end of the numbers": lines().replace("0\n", "0,\n"),
+    "empty columns": lines().replace("\n", ",,,\n"),
+    "blanks": lines("  "),
+    "lines that end with CR": lines().replace("\n", "\r"),
+    "labels": "".join(f"t_s: {t} u1: {a:g} mT, u2={b} mT u3:{c}mT\n" for t, a, b, c in ROWS),
+    "JSON": "".join(f'{{"t_s": {t}, "u1": {a}, "u2": {b}, "u3": {c}}}\n' for t, a, b, c in ROWS),
+    "one number a line": "".join(
+        f"{t:.5f},{x},,\n{t + 0.001:.5f},,{y},\n{t + 0.002:.5f},,,{z}\n"
+        for t, x, y, z in ROWS - [0.002, 0, 0, 0]
+    ).join([",".join(HEADER) + "\n", ""]),
+    "counters": lines(header=["millis", *HEADER[1:]], rows=ROWS * [1e3, 1, 1, 1]),
+    "two times, one without a unit": lines(
+        header=["time", "seconds_elapsed", *HEADER[1:]],
+        rows=np.column_stack([1.7e18 + 1e9 * ROWS[:, 0], ROWS]),
+    ),
+    "a line that started before the log": "125,3.5,0.25\n" + lines(),
+    "a stream": lines(header=[*HEADER, "stream"], rows=np.column_stack([ROWS, [0, 0, 0]])),
     "a column that nobody needs": lines(
         header=[*HEADER, "room [C]"], rows=np.column_stack([ROWS, [20.0, 21.0, 22.0]])
     ),
@@ -110,10 +138,160 @@ def test_a_unit_that_nobody_stated_is_refused():
         robot(unit="raw").readings(frame.set_axis(["u1_V", "u2_V", "u3_V"], axis=1))
 
 
-@pytest.mark.parametrize("empty", ["", "nan", "NaN", "NA", "null", "-", " ", "inf"])
+LOGS = {
+    "commas": "{},{},{}\n",
+    "commas and blanks": "{}, {}, {}\r\n",
+    "blanks": "{} {}  {}\n",
+    "brackets": "[{}, {}, {}]\n",
+    "tuples": "({}, {}, {})\n",
+    "Python's bytes": "b'{},{},{}\\r\\n'\n",
+    "JSON": '{{"u1": {}, "u2": {}, "u3": {}}}\n',
+    "labels": "u1: {} u2: {} u3: {}\n",
+    "a label a line": ">u1:{}\n>u2:{}\n>u3:{}\n",
+}
+
+
+@pytest.mark.parametrize("line", LOGS.values(), ids=LOGS)
+def test_what_boards_print(tmp_path, line):
+    text = "".join(line.format(*row) for row in ROWS[:, 1:])
+    readings = robot().readings(written(tmp_path, text))
+    np.testing.assert_allclose(readings, ROWS[:, 1:])
+    assert readings.times is None
+    assert "Columns without a unit are taken as mT: u1, u2, u3." in readings.remarks
+    assert read_table(tmp_path / "mine.csv", rate_hz=20.0).times.tolist() == [0.0, 0.05, 0.1]
+
+
+CLOCKS = {
+    "a clock": ("time,u1,u2,u3\n", "14:02:11.{:03.0f},{},{},{}\n", 50531.0),
+    "the old Arduino IDE": ("", "14:02:11.{:03.0f} -> {},{},{}\n", 50531.0),
+    "the old Arduino IDE with labels": ("", "14:02:11.{:03.0f} -> u1: {} u2: {} u3: {}\n", 50531.0),
+    "the new Arduino IDE": ("", "14:02:11.{:03.0f},{},{},{}\n", 50531.0),
+    "ISO": ("timestamp,u1,u2,u3\n", "1970-01-03T14:02:11.{:03.0f},{},{},{}\n", 223331.0),
+    "a date and a time": ("Date,Time,u1,u2,u3\n", "1970-01-03,14:02:11.{:03.0f},{},{},{}\n", 223331.0),
+    "a counter that wraps": ("micros,u1,u2,u3\n", "{:.0f},{},{},{}\n", 4294.947296),
+}
+
+
+@pytest.mark.parametrize(("header", "line", "first"), CLOCKS.values(), ids=CLOCKS)
+def test_times_of_clocks(tmp_path, header, line, first):
+    ms = ROWS[:, 0] * 1e3
+    ms = (4294947296 + 1e3 * ms) % 2**32 if "micros" in header else ms
+    text = header + "".join(line.format(t, *row) for t, row in zip(ms, ROWS[:, 1:], strict=True))
+    readings = robot().readings(written(tmp_path, text))
+    np.testing.assert_allclose(readings.times, first + ROWS[:, 0], atol=1e-6)
+    np.testing.assert_allclose(readings, ROWS[:, 1:])
+    again = "Times of mine.csv start again from 0 in line 3: they are put on."
+    assert (again in readings.remarks) == ("micros" in header)
+
+
+def test_midnight(tmp_path):
+    text = "time,u1_mT\n23:59:59.900,1\n00:00:00.000,2\n"
+    np.testing.assert_allclose(read_table(written(tmp_path, text)).times, [86399.9, 86400.0])
+
+
+MISSING = [
+    "",
+    "nan",
+    "NaN",
+    "NA",
+    "N/A",
+    "#N/A",
+    "null",
+    "NULL",
+    "-",
+    " ",
+    "ovf",
+    "1.#QNAN",
+    "inf",
+    "-inf",
+    "1e400",
+]
+
+
+@pytest.mark.parametrize("empty", MISSING)
 def test_cells_without_a_number_are_missing(tmp_path, empty):
-    text = lines().replace("3.37500", empty)
-    assert np.argwhere(np.isnan(robot().readings(written(tmp_path, text)))).tolist() == [[1, 1]]
+    readings = robot().readings(written(tmp_path, lines().replace("3.37500", empty)))
+    assert np.argwhere(np.isnan(readings)).tolist() == [[1, 1]]
+    assert "1 of 3 readings of sensor 2 is missing." in readings.remarks
+
+
+@pytest.mark.parametrize("cell", ["-2_113.4", "-２.１１", "−2.11340", "0x7f", "1.2.3", "high", "12:00:00"])
+def test_cells_that_are_no_numbers_are_refused(tmp_path, cell):
+    with pytest.raises(InputError, match="cell of mine.csv, line 3, column u2_mT, must be a number; instead"):
+        robot().readings(written(tmp_path, lines().replace("3.37500", cell)))
+
+
+def test_a_last_line_that_may_be_cut_is_left_out(tmp_path):
+    """Without a newline, and with fewer digits than the lines before; the same number of digits is whole."""
+    table = read_table(written(tmp_path, lines()[:-3]))
+    assert len(table.values) == 2
+    assert table.remarks == (
+        "Line 4 of mine.csv does not end, and its last cell may be cut: it is left out.",
+    )
+    assert len(read_table(written(tmp_path, lines()[:-1])).values) == 3
+    assert len(read_table(written(tmp_path, lines()[:-10])).values) == 2
+
+
+def test_text_of_the_board_between_numbers_is_left_out(tmp_path):
+    boot = "ets Jul 29 2019 12:21:46\nrst:0x1 (POWERON_RESET),boot:0x13\nconfigsip: 0, SPIWP:0xee\n"
+    row = "0.20000,-2.50000,3.25000,0.75000\n"
+    table = read_table(written(tmp_path, lines() + boot + ",".join(HEADER) + "\n" + row))
+    assert table.times.tolist() == [0.0, 0.05, 0.1, 0.2]
+    assert table.remarks == ("4 of 9 lines of mine.csv are text and left out.",)
+
+
+def test_other_encodings(tmp_path):
+    path = written(tmp_path, lines(header=["time_s", "u1 [µT]", "u2 [µT]", "u3 [µT]"]), "cp1252")
+    readings = robot().readings(path)
+    np.testing.assert_allclose(readings, 1e-3 * ROWS[:, 1:])
+    assert readings.remarks == ("mine.csv is not in UTF-8 (line 1): it is read as Windows-1252.",)
+    with pytest.raises(
+        InputError, match="must be text in UTF-8, or in UTF-16 with a byte order mark; instead"
+    ):
+        read_table(written(tmp_path, lines(), "utf-16-le"))
+
+
+def test_equal_times(tmp_path):
+    """Two decimals of a board at 200 Hz are spread; five decimals are rows that are there twice."""
+    text = "time_s,u1_mT\n0.00,1\n0.00,2\n0.01,3\n0.01,4\n0.02,5\n0.02,6\n"
+    table = read_table(written(tmp_path, text))
+    np.testing.assert_allclose(table.times, np.arange(6) * 0.005)
+    assert table.remarks == ("3 of 6 times of mine.csv are rounded to the one before: spread evenly.",)
+    with pytest.raises(
+        InputError, match="time in line 3 of mine.csv must be later than the one before; .* 0 s after"
+    ):
+        read_table(written(tmp_path, text.replace("0.00", "0.00000")))
+    with pytest.raises(InputError, match=r"time in line 4 .* received 0\.01 s after 0\.05 s"):
+        read_table(written(tmp_path, text.replace("0.00,2", "0.05,2")))
+    with pytest.raises(
+        InputError, match="column time of mine.csv must be named with its unit, such as time_ms"
+    ):
+        read_table(written(tmp_path, "time,u1_mT\n0,1\n50,2\n100,3\n"))
+
+
+def test_readings_at_the_end_of_the_range_are_missing():
+    frame = pd.DataFrame(np.tile(ROWS, (3, 1)), columns=HEADER).drop(columns="time_s")
+    frame.loc[1, "u2_mT"], frame.loc[2, "u3_mT"], frame.loc[4] = 32.767, -5.0, 0.0
+    readings = robot(range=5.0).readings(frame)
+    assert np.argwhere(np.isnan(readings)).tolist() == [[1, 1], [2, 2], [4, 0], [4, 1], [4, 2]]
+    expected = [f"1 of 9 readings of sensor {k} is missing: at the end of its range." for k in (2, 3)]
+    assert readings.remarks == (*expected, "1 of 9 rows is missing: all readings are zero.")
+    assert np.isnan(robot().readings(frame)).sum() == 3  # no range is stated: the monitor has to see it
+
+
+def test_a_log_with_another_number_of_columns_is_refused(tmp_path):
+    """The first column may be a time: it must not become the reading of a sensor."""
+    with pytest.raises(InputError, match="table of mine.csv must be 3 columns, one for every reading"):
+        robot().readings(written(tmp_path, "".join(lines().splitlines(keepends=True)[1:])))
+
+
+def test_words_of_a_file_do_not_reach_the_terminal(tmp_path):
+    with pytest.raises(InputError) as refused:
+        robot().readings(written(tmp_path, lines(header=["time_s", "\x1b]0;owned\x07", "u2_mT", "u3_mT"])))
+    assert str(refused.value).isprintable()
+    assert str(bad_input("a\x1b[2J", "b", "c\nd", "Höhe")) == (
+        "Input a\\x1b[2J of b must be c d; instead received Höhe."
+    )
 
 
 def test_a_comma_among_points_is_no_number(tmp_path):
@@ -160,10 +338,64 @@ def test_imus_have_columns_of_quaternions():
     np.testing.assert_allclose(readings[:, :3], expected, atol=1e-14)
     np.testing.assert_allclose(readings[0, 3:], turns[0])
     assert np.isnan(readings[1, 3:]).all()
-    with pytest.raises(
-        InputError, match="quaternion of the table, line 1, must be of norm 1 .* of norm 1.638e"
-    ):
-        arm.readings(frame * 16384)
+    assert readings.remarks == ("1 of 2 quaternions of imu 2 is missing: empty, zero or not of norm 1.",)
+
+
+class TestQuaternions:
+    """An arm of two IMUs, in tables of one row for each of them."""
+
+    @staticmethod
+    def arm() -> repro.Robot:
+        segment = repro.ConstantCurvature(0.1, 1.0, extensible=False)
+        return Robot([segment, segment], imus=[Imu(1, 0.1, channels=3), Imu(2, 0.1, channels=7)])
+
+    @staticmethod
+    def turns() -> np.ndarray:
+        bend = np.linspace(0, 1, 40)[:, None]
+        return np.hstack([bend * [1.0, 0.3, 0.0], 2 * bend * [1.0, 0.3, 0.0]])
+
+    def table(self, scale=1.0, decimals=6, order="xyzw", header="time_s,stream,{},{},{},{}\n") -> str:
+        q = Rotation.from_rotvec(self.turns().reshape(-1, 3)).as_quat()
+        q = np.round(scale * q[:, ["xyzw".index(axis) for axis in order]], decimals)
+        rows = [
+            f"{0.03 * (k // 2):.5f},{3 + 4 * (k % 2)}," * bool(header) + ",".join(map(str, x))
+            for k, x in enumerate(q)
+        ]
+        return header.format(*"xyzw") + "\n".join(rows) + "\n"
+
+    def test_rows_of_one_time_are_put_together(self, tmp_path):
+        readings = self.arm().readings(written(tmp_path, self.table()))
+        np.testing.assert_allclose(readings, self.turns(), atol=1e-5)
+        np.testing.assert_allclose(readings.times, 0.03 * np.arange(40))
+        assert readings.remarks == ("80 of 80 rows of mine.csv are put together to 40.",)
+
+    def test_a_row_that_is_lost_is_one_missing_reading(self, tmp_path):
+        kept = self.table().splitlines(keepends=True)
+        readings = self.arm().readings(written(tmp_path, "".join(kept[:11] + kept[12:])))
+        assert np.argwhere(np.isnan(readings)).tolist() == [[5, 0], [5, 1], [5, 2]]
+        np.testing.assert_allclose(readings[6], self.turns()[6], atol=1e-5)
+
+    def test_lines_as_boards_print_them(self, tmp_path):
+        text = self.table(order="wxyz").splitlines()[1:]
+        text = "\n".join(line.partition(",")[2] for line in text) + "\n"
+        readings = self.arm().readings(written(tmp_path, text))
+        np.testing.assert_allclose(readings, self.turns(), atol=1e-5)
+        assert readings.times is None
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            (
+                {"scale": 16384, "decimals": 0},
+                "of norm 1: divide raw counts by their scale; .* such as 16384",
+            ),
+            ({"decimals": 2}, "of norm 1, with four decimals; instead received norms such as"),
+            ({"order": "wxyz"}, "in the order x, y, z, w, of an IMU that is mounted as .* turns by 180 deg"),
+        ],
+    )
+    def test_what_is_no_orientation_is_refused(self, tmp_path, changes, message):
+        with pytest.raises(InputError, match=f"quaternions of imu 1 of mine.csv must be {message}"):
+            self.arm().readings(written(tmp_path, self.table(**changes)))
 
 
 REFUSED = {
@@ -174,11 +406,11 @@ REFUSED = {
     ),
     "commas in commas": (
         lines(comma=True),
-        "line 2 must be of 4 cells, as the first line; decimal commas need another separator, such",
+        "line 2 must be of 4 cells, as the line of names; decimal commas need another separator, such",
     ),
     "a short line": (
         lines().replace(",0.50000", ""),
-        "line 3 must be of 4 cells, as the first line; instead received 3.",
+        "line 3 must be of 4 cells, as the line of names; instead received 3.",
     ),
     "names alone": ("time_s,u1_mT\n", "file must be a line of names and lines of numbers"),
     "nothing": ("\n\n", "file must be a table; instead received nothing."),
@@ -202,14 +434,25 @@ REFUSED = {
         lines(header=["time [h]", *HEADER[1:]]),
         "column time [h] must be in s, ms, us, ns or min; instead received h.",
     ),
-    "two times": (lines(header=["time_s", "t", "u2_mT", "u3_mT"]), "column t must be the only one of times"),
+    "two times": (
+        lines(header=["time_s", "t_ms", "u2_mT", "u3_mT"]),
+        "column t_ms must be the only one of times",
+    ),
+    "a time of another name": (
+        lines(header=["time_of_day", *HEADER[1:]], rows=100 * ROWS),
+        "named with its unit",
+    ),
+    "decimal commas without names": (
+        "-2,10978,-2,04614\n-2,12096,-2,10341\n",
+        "file must be of numbers with decimal points; decimal commas need another separator, such as ;",
+    ),
+    "names and numbers in one line": (
+        lines(header=["0.05", "-2.1", "high", "3.2"]),
+        "cell, line 1, must be a number, or all of them names; instead received 'high'.",
+    ),
     "a time that is none": (
         lines().replace("0.05000", ""),
         "column time_s must be times; instead received none in line [3].",
-    ),
-    "no names": (
-        "1,2,3\n5,6,7\n",
-        "columns must be one column for sensor 1: u1_mT, channel_1, or sensor 1 (is it 1?); instead",
     ),
 }
 
@@ -260,22 +503,6 @@ class TestPoses:
             read_configurations(self.bounded(), frame)
         with pytest.raises(InputError, match="must be one column for delta_y_1"):
             read_configurations(self.bounded(), frame[["delta_x_1_mm"]])
-
-    def test_bodies_and_markers(self):
-        names = ["x_10_mm", "y_10_mm", "z_10_mm", "x_2_m", "y_2_m", "z_2_m"]
-        frame = pd.DataFrame([[1.0, 2.0, 3.0, 4.0, 5.0, np.nan]], columns=names)
-        poses, times = read_poses(frame)
-        np.testing.assert_allclose(poses, [[[4.0, 5.0, np.nan], [1e-3, 2e-3, 3e-3]]])
-        assert times is None
-        poses, times = read_poses(repro.example() / "poses.csv")
-        assert poses.shape == (40, 2, 7)
-        assert np.isnan(poses[10:12, 0]).all()
-        with pytest.raises(InputError, match="columns of the table must be x_1_mm, y_1_mm, z_1_mm and so on"):
-            read_poses(pd.DataFrame({"height": [1.0]}))
-        with pytest.raises(
-            InputError, match="column x_2 of the table must be in mm or cm or m; instead received ."
-        ):
-            read_poses(frame.rename(columns={"x_2_m": "x_2"}))
 
 
 def test_names_and_units():

@@ -31,7 +31,9 @@ from repro import (
 from repro.common import bad_input, require
 from repro.estimators.base import Estimate
 from repro.estimators.particle import BendDisc
-from repro_board.evaluate import MotionCapture, read_motive, search_lag, undo_exchanges
+from repro.motion_capture import Motion as MotionCapture
+from repro.motion_capture import read_motion, undo_exchanges
+from repro_board.evaluate import search_lag
 from repro_companion.run import digest, project_folder, recordings_folder
 
 LENGTH = 15e-3
@@ -497,7 +499,7 @@ def recorded_takes() -> list[Take]:
         log = folder / f"filter_readings/bend_{name}.csv"
         if hall.is_file() and capture.is_file():
             logged = pd.read_csv(log) if log.is_file() else None
-            found.append(aligned(f"bend_{name}", read_hall(hall), motion(read_motive(capture)), logged))
+            found.append(aligned(f"bend_{name}", read_hall(hall), motion(read_motion(capture)), logged))
     return found
 
 
