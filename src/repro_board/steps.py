@@ -1,0 +1,189 @@
+"""From the samples of a board's streams to time steps of a robot: the readings of one moment together."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from repro import Robot
+from repro.common import Array, InputError, require
+from repro.tables import Table, read_readings
+from repro_board.wire import WRAP, Sample
+
+_NUMBERED = re.compile(r"(u|ch|channel|sensor)[ _]?[0-9]+", re.IGNORECASE)
+_EARLY_S, _LATE_S = 1.0, 2.0
+"""A board whose clock differs from arrival by more than these, since the step before, began anew [s]."""
+_SHORTEST_S = 1e-6
+_LEAST_STEPS = 20
+"""So many steps tell how many there are per second."""
+
+
+class Step(NamedTuple):
+    """Readings ``[s]`` of a robot at one time [s]; NaN where nothing came."""
+
+    time_s: float
+    u: Array
+
+
+class Steps:
+    """Puts the samples of a robot's streams together.
+
+    Stream 0 has the readings of magnetic sensors: each of its samples is a step, beside which IMUs keep what they
+    said last. Of IMUs alone a step is complete when all have sent, or when one sends again. An IMU that misses three
+    of its turns is silent: its readings are missing. What the values of stream 0 mean is found as in a table.
+
+    Times begin with the first arrival that is given, and increase. Samples that arrived together belong in one call
+    of `feed`, which spreads them where they have no time of their own.
+
+    Parameters
+    ----------
+    robot
+        Whose readings they are. The number of an IMU's stream is in its ``channels``; 1, 2 and so on if not given.
+    times
+        ``board``: by its clock, where it sends one; or ``arrival``.
+    source
+        What the samples come from, whose ``names`` and ``units`` say what the values are: a parser or a recording.
+        Without it they are the channels 1, 2, 3 and so on, in the unit of the robot.
+
+    Attributes
+    ----------
+    counters
+        Steps, and samples of other streams or with another number of values, which are left out.
+    remarks
+        What a user should know, one sentence each.
+
+    Examples
+    --------
+    >>> import repro
+    >>> robot = repro.Robot([repro.Link(0.1)], imus=[repro.Imu(1, 0.05), repro.Imu(1, 0.1)])
+    >>> steps = Steps(robot)
+    >>> upright = np.array([0.0, 0.0, 0.0, 1.0])
+    >>> [len(steps.add(Sample(k, None, None, 0, upright), 0.1 * k)) for k in (1, 2, 1, 2)]
+    [0, 1, 0, 1]
+    """
+
+    def __init__(self, robot: Robot, times: str = "board", source: Any = None) -> None:
+        require(times in ("board", "arrival"), "times", "Steps", "board or arrival", repr(times))
+        self.counters = {"steps": 0, "other_streams": 0, "other_widths": 0}
+        self.remarks: list[str] = []
+        self._robot, self._by_board, self._source = robot, times == "board", source
+        channels = [k if imu.channels is None else imu.channels for k, imu in enumerate(robot.imus, 1)]
+        own = {int(x): 4 for x in channels if isinstance(x, int | float)}
+        self._magnetic = bool(robot.sensors) or len(own) < len(channels)
+        if self._magnetic:
+            require(0 not in own, "stream", "an IMU", "above 0, which is that of magnetic sensors", 0)
+        self._widths: dict[int, int] = {0: 0, **own} if self._magnetic else own  # 0: not known yet
+        self._leaders = {0} if self._magnetic else set(own)
+        self._values: dict[int, Array] = {stream: np.full(4, np.nan) for stream in own}
+        self._fresh: set[int] = set()
+        self._age = dict.fromkeys(self._widths, 1)  # steps since a stream sent, and how many are usual
+        self._usual = dict.fromkeys(self._widths, 1.0)
+        self._table: Table | None = None
+        self._sent_us: int | None = None  # time of the last sample
+        self._before: tuple[float, float, int | None] | None = (
+            None  # step before: time, arrival [s], board [µs]
+        )
+        self._first_s = 0.0
+
+    def add(self, sample: Sample, arrived_s: float) -> list[Step]:
+        """Take a sample and when it arrived [s]; return the steps that it completes."""
+        return self.feed([sample], arrived_s)
+
+    def feed(self, samples: Sequence[Sample], arrived_s: float) -> list[Step]:
+        """Take samples that arrived together [s]; return the steps that they complete.
+
+        Raises
+        ------
+        InputError
+            If the robot has a reading that the board does not send, or sends in another unit.
+        """
+        rows = [row for sample in samples for row in self._put(sample)]
+        if not rows:
+            return []
+        values = np.array([row for row, _ in rows])
+        first = self._table is None
+        table = self._named(values) if self._table is None else self._table
+        self._table = table._replace(values=values, lines=range(1, len(rows) + 1))
+        u = read_readings(self._robot, self._table)
+        self.remarks += u.remarks if first else ()
+        times = self._when([sent_us for _, sent_us in rows], arrived_s)
+        self.counters["steps"] += len(rows)
+        return [Step(time_s, row) for time_s, row in zip(times, np.asarray(u), strict=True)]
+
+    def _put(self, sample: Sample) -> list[tuple[Array, int | None]]:
+        """Take the values of a sample; return what is complete, with the time of its last sample."""
+        stream, width = sample.stream, self._widths.get(sample.stream)
+        fits = width is not None and len(sample.values) == (width or len(sample.values))
+        if not fits:
+            self.counters["other_streams" if width is None else "other_widths"] += 1
+            other = f"have other than {width} values" if width else "are none of the robot's"
+            if (text := f"Samples of stream {stream} {other}: left out.") not in self.remarks:
+                self.remarks.append(text)
+            return []
+        rows = [self._row()] if stream in self._fresh else []
+        self._widths[stream], self._values[stream] = len(sample.values), sample.values
+        usual = self._usual[stream]
+        self._usual[stream] += (min(self._age[stream], 4 * usual) - usual) / 8
+        self._age[stream], self._sent_us = 0, sample.time_us
+        self._fresh |= {stream} & self._leaders
+        if all(leader in self._fresh or self._silent(leader) for leader in self._leaders):
+            rows.append(self._row())
+        return rows
+
+    def _silent(self, stream: int) -> bool:
+        return self._age[stream] > 2 * self._usual[stream]
+
+    def _row(self) -> tuple[Array, int | None]:
+        parts = [np.full(n, np.nan) if self._silent(k) else self._values[k] for k, n in self._widths.items()]
+        self._age = {stream: age + 1 for stream, age in self._age.items()}
+        self._fresh = set()
+        return np.concatenate(parts), self._sent_us
+
+    def _named(self, rows: Array) -> Table:
+        """Return a table of rows. Names that mean no channel are those of channels or readings in their order."""
+        n = self._widths[0] if self._magnetic else 0
+        said, units = (tuple(getattr(self._source, x, ())) for x in ("names", "units"))
+        units = tuple("raw" if unit == "counts" else unit for unit in units) if len(units) == n else ("",) * n
+        imus = [f"q{axis}_{stream}" for stream in list(self._widths)[self._magnetic :] for axis in "xyzw"]
+        numbered = tuple(f"u{k + 1}" for k in range(n))
+        names = said if len(said) == n else numbered
+        lines, units = range(1, len(rows) + 1), (*units, *[""] * len(imus))
+        table = Table("the board", (*names, *imus), (*names, *imus), units, rows, lines, None)
+        others = [numbered, self._robot.names[:n]]
+        in_order = n == sum(x.axes for x in self._robot.sensors) and not any(map(_NUMBERED.fullmatch, said))
+        while in_order and others:
+            try:
+                read_readings(self._robot, table)
+                break
+            except InputError:
+                other = (*others.pop(0), *imus)
+                table = table._replace(columns=other, names=other)
+                words = f"{', '.join(names)} are taken for {', '.join(other[:n])}, in this order."
+                self.remarks = [words] if names != other[:n] else []
+        return table
+
+    def _when(self, sent_us: Sequence[int | None], arrived_s: float) -> list[float]:
+        """Return the times of steps that arrived together: they increase, whatever the clocks do."""
+        n, steps, found = len(sent_us), self.counters["steps"], []
+        usual_s = 1.0 / (self._robot.rate_hz or 100.0)
+        if self._before is None:
+            self._first_s = arrived_s - (n - 1) * usual_s
+            self._before = self._first_s - usual_s, self._first_s - usual_s, None
+        time_s, before_s, before_us = self._before
+        if steps > _LEAST_STEPS:  # by a rate that is stated too low time would run ahead
+            usual_s = min(usual_s, (time_s - self._first_s) / (steps - 1))
+        gap_s = arrived_s - before_s
+        spread_s = min(max((arrived_s - time_s) / n, usual_s / 4), usual_s) if gap_s > 0 else usual_s
+        end_s = max(arrived_s, time_s + n * spread_s)
+        for behind, time_us in zip(reversed(range(n)), sent_us, strict=True):
+            passed_s = end_s - behind * spread_s - time_s
+            if self._by_board and time_us is not None and before_us is not None:
+                by_board_s = 1e-6 * ((time_us - before_us + WRAP // 2) % WRAP - WRAP // 2)
+                passed_s = by_board_s if -_EARLY_S < by_board_s < gap_s + _LATE_S else passed_s
+            time_s, before_us = time_s + max(passed_s, _SHORTEST_S), time_us
+            found.append(time_s)
+        self._before = time_s, arrived_s, before_us
+        return found

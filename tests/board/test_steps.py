@@ -1,0 +1,192 @@
+"""Samples of a robot's streams put together: which make a step, what they read, and when it was."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from repro import Imu, InputError, Link, Robot, Sensor
+from repro_board.steps import Steps
+from repro_board.wire import WRAP, Parser, Sample, encode
+
+CHIP = Robot([Link(0.1)], sensors=[Sensor(1, 0.05, 0.01, axes=3)], rate_hz=100.0)
+ARM = Robot([Link(0.1)], imus=[Imu(1, 0.02), Imu(1, 0.05), Imu(1, 0.1)], rate_hz=100.0)
+BOTH = Robot([Link(0.1)], sensors=[Sensor(1, 0.05, 0.01)], imus=[Imu(1, 0.1)], rate_hz=100.0)
+TURN = np.array([math.sin(0.1), 0.0, 0.0, math.cos(0.1)])
+
+
+def sample(stream, *values, time_us=None):
+    return Sample(stream, None, time_us, 0, np.array(values, dtype=float))
+
+
+def turned(stream, angle=0.2):
+    return sample(stream, math.sin(angle / 2), 0.0, 0.0, math.cos(angle / 2))
+
+
+def readings(steps, samples):
+    return [step.u.tolist() for k, x in enumerate(samples) for step in steps.add(x, 0.01 * k)]
+
+
+# ---- what makes a step ----
+
+
+def test_every_sample_of_magnetic_sensors_is_a_step_in_mt():
+    steps = Steps(CHIP)
+    assert readings(steps, [sample(0, 1, 2, 3), sample(0, 4, math.nan, -math.inf)])[0] == [1, 2, 3]
+    assert repr(readings(Steps(CHIP), [sample(0, 4, math.nan, -math.inf)])) == "[[4.0, nan, nan]]"
+    named = SimpleNamespace(names=("u1", "u3", "u2"), units=("uT", "mT", "uT"))
+    assert readings(Steps(CHIP, source=named), [sample(0, 1000, 2, 3000)]) == [[1, 3, 2]]
+
+
+def test_labels_that_mean_no_channel_are_channels_in_their_order():
+    steps = Steps(CHIP, source=SimpleNamespace(names=("X", "Y", "Z"), units=("uT",) * 3))
+    assert readings(steps, [sample(0, 1000, 2000, 3000)]) == [[1, 2, 3]]
+    assert steps.remarks[0] == "X, Y, Z are taken for u1, u2, u3, in this order."
+    by_name = CHIP.replaced(sensors=[Sensor(1, 0.05, 0.01, axes=3, channels=["Bx", "By", "Bz"])])
+    assert readings(Steps(by_name), [sample(0, 1, 2, 3)]) == [[1, 2, 3]]  # frames have no names
+    swapped = SimpleNamespace(names=("By", "Bx", "Bz"), units=("mT",) * 3)
+    assert readings(Steps(by_name, source=swapped), [sample(0, 1, 2, 3)]) == [[2, 1, 3]]
+
+
+@pytest.mark.parametrize(
+    ("names", "units", "message"),
+    [
+        (("u1", "u2", "u4"), ("mT",) * 3, "one column for sensor 1 z"),
+        (("u1", "u2", "u3"), ("mV",) * 3, "in mT or another unit of flux density"),
+        (("a", "b"), ("", ""), "none among a, b"),
+    ],
+)
+def test_a_board_that_is_not_the_robots_is_refused(names, units, message):
+    with pytest.raises(InputError, match=message):
+        Steps(CHIP, source=SimpleNamespace(names=names, units=units)).add(sample(0, *range(len(names))), 0.0)
+
+
+def test_imus_make_a_step_when_all_have_sent_or_one_sends_again():
+    steps = Steps(ARM)
+    found = readings(steps, [turned(k, 0.1 * k) for k in (1, 2, 3)])
+    np.testing.assert_allclose(found, [[0.1, 0, 0, 0.2, 0, 0, 0.3, 0, 0]], atol=1e-15)
+    assert [len(steps.add(turned(k, 0.4), 1.0 + k)) for k in (1, 2, 1)] == [0, 0, 1]  # the third was lost
+    assert len(steps.add(turned(3, 0.4), 5.0)) == 0
+    assert len(steps.add(turned(2, 0.4), 6.0)) == 1
+
+
+def test_a_silent_imu_is_missing_and_comes_back():
+    steps = Steps(ARM)
+    readings(steps, [turned(k) for k in (1, 2, 3)] * 5)
+    without = np.array(readings(steps, [turned(k) for k in (1, 2)] * 10))
+    silent = np.asarray(np.isnan(without[:, 6:]).all(axis=1))
+    assert 2 <= np.argmax(silent) <= 3  # what it said last is kept for two turns
+    assert silent[4:].all()
+    assert np.isfinite(without[:, :6]).all()
+    again = np.array(readings(steps, [turned(k) for k in (3, 1, 2)] * 3))
+    assert np.isfinite(again[-2:]).all()
+
+
+def test_an_imu_that_never_sends_costs_no_step():
+    found = readings(Steps(ARM), [turned(k) for k in (1, 3)] * 10)
+    assert len(found) >= 9
+    assert np.isnan(np.array(found)[:, 3:6]).all()
+
+
+def test_imus_beside_magnetic_sensors_keep_what_they_said():
+    steps = Steps(BOTH)
+    cycle = [sample(0, 1.0), sample(0, 2.0), sample(0, 3.0)]
+    assert np.isnan(readings(steps, [sample(0, 1.0)] * 4)[3][1:]).all()  # not heard yet
+    found = np.array(readings(steps, [turned(1), *cycle] * 10))
+    assert found[:, 0].tolist() == [1, 2, 3] * 10
+    assert np.isfinite(found).all()
+    alone = np.array(readings(steps, cycle * 10))
+    assert np.isfinite(alone[:3]).all()
+    assert np.isnan(alone[10:, 1:]).all()
+
+
+def test_other_streams_and_widths_are_counted_and_said():
+    steps = Steps(BOTH)
+    readings(steps, [sample(0, 1.0), sample(255, 1.0), sample(1, 1.0), sample(0, 1.0, 2.0), sample(255, 2.0)])
+    assert steps.counters == {"steps": 1, "other_streams": 2, "other_widths": 2}
+    assert "Samples of stream 255 are none of the robot's: left out." in steps.remarks
+    assert "Samples of stream 1 have other than 4 values: left out." in steps.remarks
+
+
+def test_a_stream_for_imus_and_magnetic_sensors_at_once_is_refused():
+    with pytest.raises(InputError, match="stream of an IMU must be above 0"):
+        Steps(BOTH.replaced(imus=[Imu(1, 0.1, channels=0)]))
+
+
+def test_readings_are_those_of_a_table_with_the_same_columns():
+    world = [0.0, math.sin(0.3), 0.0, math.cos(0.3)]
+    robot = BOTH.replaced(imus=[Imu(1, 0.1, channels=7, world=world)])
+    rng = np.random.default_rng(0)
+    q = rng.normal(size=(20, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    u = rng.normal(size=20)
+    steps = Steps(robot)
+    samples = [x for k in range(20) for x in (sample(7, *q[k]), sample(0, u[k]))]
+    frame = pd.DataFrame({"u1_mT": u} | {f"q{axis}_7": q[:, k] for k, axis in enumerate("xyzw")})
+    np.testing.assert_array_equal([step.u for step in steps.feed(samples, 1.0)], robot.readings(frame))
+
+
+def test_frames_of_a_board_become_steps():
+    parser = Parser()
+    data = b"".join(encode([k, 2, 3], sequence=k, time_us=10_000 * k) for k in range(50))
+    steps = Steps(CHIP, source=parser).feed(parser.feed(data), 5.0)
+    assert [step.u[0] for step in steps] == list(range(50))
+    np.testing.assert_allclose(np.diff([step.time_s for step in steps]), 0.01, atol=1e-9)
+
+
+# ---- when it was ----
+
+
+def timed(steps, *calls):
+    """Times of steps whose samples came in calls of (arrival, times of the board...)."""
+    return [
+        x.time_s
+        for arrived, *sent in calls
+        for x in steps.feed([sample(0, 1, 2, 3, time_us=t) for t in sent], arrived)
+    ]
+
+
+def test_the_boards_clock_counts_over_wraps_and_resets():
+    sent = [WRAP - 20_000, WRAP - 10_000, 0, 10_000]  # as of streams that wrapped at other times
+    times = timed(Steps(CHIP), *((7.0 + 0.013 * k, t) for k, t in enumerate(sent)))
+    np.testing.assert_allclose(times, [7.0, 7.01, 7.02, 7.03], atol=1e-9)
+    times = timed(Steps(CHIP), (7.0, 90_000_000), (7.01, 90_010_000), (8.0, 5000), (8.01, 15_000))
+    np.testing.assert_allclose(times, [7.0, 7.01, 8.0, 8.01], atol=1e-9)
+    times = timed(Steps(CHIP, "arrival"), (7.0, 10), (7.5, 20))
+    np.testing.assert_allclose(times, [7.0, 7.5])
+
+
+def test_samples_that_arrive_together_are_spread_over_the_time_since_the_ones_before():
+    steps = Steps(CHIP)
+    regular = timed(steps, *((0.04 * k, *[None] * 4) for k in range(1, 50)))
+    np.testing.assert_allclose(np.diff(regular), 0.01, atol=1e-9)
+    assert regular[-1] == pytest.approx(0.04 * 49)
+    held_up = timed(steps, (2.96, *[None] * 100))  # a second was held up and comes at once
+    np.testing.assert_allclose(np.diff([regular[-1], *held_up]), 0.01, atol=1e-9)
+    assert timed(steps, (3.96, None)) == [3.96]  # a pause is a pause
+
+
+def test_a_stated_rate_that_is_too_low_does_not_make_time_run_ahead():
+    steps = Steps(CHIP.replaced(rate_hz=5.0))
+    times = timed(steps, *((0.04 * k, *[None] * 4) for k in range(1, 500)))
+    assert abs(times[-1] - 0.04 * 499) < 0.05
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(0, 1e4),
+            st.lists(st.one_of(st.none(), st.integers(0, 2 * WRAP)), min_size=1, max_size=5),
+        ),
+        max_size=20,
+    ),
+    st.sampled_from(["board", "arrival"]),
+)
+def test_times_increase_whatever_the_clocks_do(calls, times):
+    found = timed(Steps(CHIP, times), *((arrived, *sent) for arrived, sent in calls))
+    assert (np.diff(found) > 0).all()
+    assert np.isfinite(found).all()
