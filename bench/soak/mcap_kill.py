@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 
-from edition1_live.record.recording import read_recording
+from repro_board.record import read_recording
 
 RATE_HZ = 40
 _MCAP = """
@@ -30,12 +30,11 @@ def write(k):
     writer.add_message(channel, time.time_ns(), json.dumps(content).encode(), time.time_ns())
 """
 _OWN = """
-from edition1_live.record.recording_file import RecordingFile
-from edition1_live.wire.frame import Frame
-from pathlib import Path
-file = RecordingFile(Path(sys.argv[1]), {"format": "frames", "start_host_ns": time.monotonic_ns()})
+from repro_board.record import Writer
+from repro_board.wire import encode
+file = Writer(sys.argv[1], {})
 def write(k):
-    file.append(time.monotonic_ns(), [Frame(0, k, None, (k % 1000, 0.5, -1.0))])
+    file.write(time.time_ns(), encode([k % 1000, 0.5, -1.0], sequence=k, time_us=k * 25000))
 """
 _LOOP = f"""
 start, k = time.monotonic(), 0
@@ -69,7 +68,7 @@ def left(program: str, path: Path, seconds: float) -> tuple[int, int]:
         written = 1 + len(process.stdout.read().split())
     if path.suffix == ".mcap":
         return written, len(list(_left_by_mcap(path)))
-    return written, len(read_recording(path).frames)
+    return written, len(read_recording(path).samples)
 
 
 def main() -> int:

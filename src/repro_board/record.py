@@ -1,0 +1,571 @@
+"""Recordings: what a port sends goes into a file as it comes, and is understood when the file is read.
+
+A recording is a row of blocks. Each is written by one call and never touched again:
+
+====== ======= ===========================================================================================
+offset bytes   content (little endian)
+====== ======= ===========================================================================================
+0      4       ``RRB2``
+4      1       ``A``: about the recording (JSON); ``B``: bytes from the port; ``O``: the port was opened again,
+               no content; ``E``: the end (JSON with all counters)
+5      3       0
+8      4       a random number, the same in all blocks of a recording
+12     4       number of the block, from 0
+16     4       bytes of the content, at most 65536
+20     8       time of arrival since 1970 [ns]
+28     4       CRC-32 (``zlib.crc32``) of the 28 bytes before and of the content
+32     ...     the content
+====== ======= ===========================================================================================
+
+A wrong format spoils nothing, because the parser runs again whenever the file is read. A damaged block costs its own
+bytes; the numbers say which blocks are missing, doubled or exchanged. Recordings of the first edition (``RRB1``, with
+values instead of bytes) are read too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import itertools
+import json
+import math
+import os
+import select
+import signal
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+from zlib import crc32
+
+import numpy as np
+
+import repro
+from repro.common import Array, bad_input, require
+from repro.robot import Robot
+from repro.tables import Readings, name_and_unit, read_readings
+from repro_board.steps import Steps
+from repro_board.wire import FORMATS, Parser, Sample
+
+MAGIC = b"RRB"
+SYNC_S = 0.25
+"""A power cut costs at most this time [s], and what the disk itself holds back."""
+MOST_BYTES = 65536
+"""Bytes taken from a port at once, and of a block."""
+_HEAD, _CRC = struct.Struct("<4sc3xIIIq"), struct.Struct("<I")
+_HEAD_OF_FIRST_EDITION = struct.Struct("<4scxHI")
+_WRAP_S = 2**32 / 1e6
+_AT_ONCE = 512
+"""Samples of a recording that are put together at once; the first alone, because it says when time begins."""
+
+
+class Port:
+    """A serial port or a socket that is opened again, as often as it must, whenever it is lost.
+
+    ``opened`` counts how often it was opened; ``lost`` says why it is away, and is empty while it is there.
+    """
+
+    def __init__(self, address: str, baud: int) -> None:
+        self.address, self.baud = address, baud
+        self._line = _open(address, baud)
+        self.opened, self.lost = 1, ""
+        self._wait_s = self._due = 0.0
+
+    @property
+    def reconnects(self) -> int:
+        """How often it was opened again."""
+        return self.opened - 1
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has arrived; nothing after the time, or where the port had to be opened again."""
+        try:
+            if self.lost:
+                self._reopen(timeout_s)
+            elif select.select([self._line], [], [], timeout_s)[0]:
+                data = os.read(self._line.fileno(), MOST_BYTES)
+                if data:
+                    return data
+                raise ConnectionResetError(0, "closed at the other side")
+        except BlockingIOError:
+            pass
+        except (OSError, ValueError) as error:
+            self._wait_s = min(1.0, 2 * self._wait_s or 0.05) if self.lost else 0.0
+            self._due = time.monotonic() + self._wait_s
+            self.lost = getattr(error, "strerror", None) or str(error)
+            self.close()
+        return b""
+
+    def _reopen(self, timeout_s: float) -> None:
+        time.sleep(min(timeout_s, max(0.0, self._due - time.monotonic())))
+        if time.monotonic() >= self._due:
+            self._line = _open(self.address, self.baud)
+            self.opened, self.lost = self.opened + 1, ""
+
+    def close(self) -> None:
+        """Close it, also when it has disappeared."""
+        with contextlib.suppress(OSError):
+            self._line.close()
+
+
+def _open(address: str, baud: int) -> Any:
+    if address.startswith("socket:"):
+        where = urlsplit(address)
+        return socket.create_connection((where.hostname or "", where.port or 0), timeout=2.0)
+    import serial
+
+    return serial.Serial(address, baud, timeout=0, exclusive=True)
+
+
+def open_port(address: str, baud: int = 115200) -> Port:
+    """Open a port for this process alone: ``/dev/ttyACM0`` or ``socket://HOST:PORT``; refuse it in words."""
+    require(0 < baud < 2**31, "baud", "the board", "a rate above zero", baud)
+    try:
+        return Port(address, baud)
+    except (OSError, ValueError) as error:
+        must = {
+            errno.ENOENT: f"one that is there; found: {ports()}",
+            errno.EACCES: "one that you may use (sudo usermod -aG dialout $USER, then log in again)",
+            errno.EAGAIN: "free (close the program that has it open)",
+            errno.EBUSY: "free (close the program that has it open)",
+        }.get(
+            getattr(error, "errno", None) or 0, "a serial port, or socket://HOST:PORT of a listening program"
+        )
+        why = getattr(error, "strerror", None) or error
+        raise bad_input("port", "the board", must, f"{address} ({why})") from error
+
+
+def ports() -> str:
+    """Return the serial ports of this computer, with what they say they are, one a line."""
+    from serial.tools import list_ports
+
+    found = [f"{port.device}  {port.description}" for port in sorted(list_ports.comports())]
+    return "\n".join(found) or "no serial port (plug a board in; socket://HOST:PORT works without one)"
+
+
+class Writer:
+    """A recording that grows. What it has taken survives the process, and `SYNC_S` later a power cut.
+
+    A recording without a byte from the port leaves no file. On a full disk the file ends with its last whole block.
+
+    Raises
+    ------
+    InputError
+        If the file is there, or cannot be made.
+    OSError
+        If the disk is full or refuses: from then on nothing is recorded.
+    """
+
+    def __init__(self, path: str | Path, about: dict[str, Any]) -> None:
+        self.path, self.received = Path(path), 0
+        self._id, self._blocks, self._size = int.from_bytes(os.urandom(4)), 0, 0
+        self._failure: OSError | None = None
+        self._closing = threading.Event()
+        try:
+            self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o666)
+        except OSError as error:
+            must = "a new file that can be made (give another name, or move the old one)"
+            raise bad_input("output", "the recording", must, f"{path} ({error.strerror})") from error
+        self._thread = threading.Thread(target=self._keep_in_sync, daemon=True)
+        self._thread.start()
+        try:
+            self._append(b"A", time.time_ns(), json.dumps(about).encode())
+        except OSError:
+            self.close()
+            raise
+
+    def write(self, unix_ns: int, data: bytes) -> None:
+        """Append bytes that arrived at a time [ns since 1970]."""
+        for first in range(0, len(data), MOST_BYTES):
+            self._append(b"B", unix_ns, data[first : first + MOST_BYTES])
+        self.received += len(data)
+
+    def opened(self, unix_ns: int) -> None:
+        """Mark that the port was opened again: what comes next need not follow what came before."""
+        self._append(b"O", unix_ns, b"")
+
+    def close(self, end: dict[str, Any] | None = None) -> None:
+        """Write the end, wait for the disk, close; may be called again."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        self._thread.join()
+        try:
+            if self.received and not self._failure:
+                self._append(
+                    b"E", time.time_ns(), json.dumps({"bytes": self.received} | (end or {})).encode()
+                )
+                os.fsync(self._file)
+        finally:
+            os.close(self._file)
+            if not self.received:
+                self.path.unlink(missing_ok=True)
+
+    def _append(self, kind: bytes, unix_ns: int, content: bytes) -> None:
+        head = _HEAD.pack(MAGIC + b"2", kind, self._id, self._blocks, len(content), unix_ns)
+        block = head + _CRC.pack(crc32(content, crc32(head))) + content
+        try:
+            if self._failure:
+                raise self._failure
+            done = 0
+            while done < len(block):
+                done += os.write(self._file, block[done:])
+        except OSError as error:
+            self._failure = error
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file, self._size)
+            raise OSError(
+                f"Writing {self.path} failed: {error.strerror}. What came before is kept."
+            ) from error
+        self._size += len(block)
+        self._blocks += 1
+
+    def _keep_in_sync(self) -> None:
+        """Ask the disk apart from the reader, who must not wait for it; the next block raises a failure."""
+        synced = 0
+        while not self._closing.wait(SYNC_S):
+            if self._size > synced and not self._failure:
+                size = self._size
+                try:
+                    os.fsync(self._file)
+                except OSError as error:
+                    self._failure = error
+                synced = size
+
+
+class Summary(NamedTuple):
+    """What `record` has done so far, or in the end; ``path`` is None where there is no file."""
+
+    path: Path | None
+    seconds: float
+    received: int
+    samples: int
+    reconnects: int
+    format: str | None
+    counters: dict[str, int]
+    remarks: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Return a line of numbers, and one for each remark."""
+        counted = {"reconnects": self.reconnects} | self.counters
+        others = [f"{n} {name.replace('_', ' ')}" for name, n in counted.items() if n and name != "frames"]
+        rate = f"{self.samples} samples of {self.format or 'no known format'}"
+        rate += f" ({self.samples / self.seconds:.1f}/s)" if self.seconds >= 1 else ""
+        numbers = [f"{self.seconds:.0f} s: {self.received} bytes", rate, *others]
+        return "\n".join([", ".join(numbers), *self.remarks])
+
+
+@contextlib.contextmanager
+def stopping(stop: threading.Event) -> Iterator[None]:
+    """Let Ctrl-C and signals to end set an event, so that nothing is interrupted in its middle."""
+    main = threading.current_thread() is threading.main_thread()
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if main else ()
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def record(
+    port: str,
+    path: str | Path,
+    *,
+    baud: int = 115200,
+    duration_s: float = math.inf,
+    format: str | None = None,
+    channels: int | None = None,
+    stop: threading.Event | None = None,
+    show: Callable[[Summary], None] | None = None,
+) -> Summary:
+    """Record a port until the time is over, ``stop`` is set, or Ctrl-C; wait for a port that is lost.
+
+    Format and channels are for what is shown, and for readers to try first. ``show`` gets the state once per second.
+    """
+    require(duration_s > 0, "duration", "repro record", "a time above zero [s]", duration_s)
+    stop, parser, samples = stop or threading.Event(), Parser(format, channels), 0
+    about = {"port": port, "baud": baud, "format": format, "channels": channels, "version": repro.__version__}
+    about["started"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    closing = contextlib.closing
+    with closing(Writer(path, about)) as file, closing(open_port(port, baud)) as line, stopping(stop):
+        # The clock of the day may be set while we record, so it is read once.
+        start = time.monotonic()
+        unix_ns, opened, shown = time.time_ns() - time.monotonic_ns(), line.opened, start
+
+        def state() -> Summary:
+            lost = [f"{port} is away ({line.lost}); waiting for it"] if line.lost else []
+            return Summary(
+                file.path if file.received else None, time.monotonic() - start, file.received, samples,
+                line.reconnects, parser.format, {**parser.counters}, (*lost, *parser.remarks),
+            )  # fmt: skip
+
+        while not stop.is_set() and (left := start + duration_s - time.monotonic()) > 0:
+            data = line.read(min(0.1, left))
+            if line.opened > opened:
+                opened = line.opened
+                file.opened(unix_ns + time.monotonic_ns())
+                parser.reopened()
+            file.write(unix_ns + time.monotonic_ns(), data)
+            samples += len(parser.feed(data))
+            if show and time.monotonic() >= shown + 1:
+                shown = time.monotonic()
+                show(state())
+        file.close(state()._asdict() | {"path": None})
+        return state()
+
+
+class Recording(NamedTuple):
+    """A recording as it was read.
+
+    ``arrived`` are times since 1970 [s]. ``times`` [s] begin at 0, which was at ``unix_s``. They are the board's, if
+    it sends any, on the computer's clock; else those of arrival, with samples that came together spread before it.
+    """
+
+    path: Path
+    about: dict[str, Any]
+    samples: list[Sample]
+    arrived: Array
+    times: Array
+    unix_s: float
+    format: str | None
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    counters: dict[str, int]
+    remarks: tuple[str, ...]
+
+
+def read_recording(path: str | Path, *, format: str | None = None, channels: int | None = None) -> Recording:
+    """Read a recording, finished or not, whole or damaged; its remarks tell what is missing.
+
+    Raises
+    ------
+    InputError
+        If no block is whole.
+    """
+    path = Path(path)
+    require(path.is_file(), "recording", "read_recording", "a file that exists", path)
+    data = path.read_bytes()
+    first_edition = not (blocks := list(_blocks(data, _HEAD)))
+    blocks = blocks or list(_blocks(data, _HEAD_OF_FIRST_EDITION))
+    must = "a recording with a whole block (it begins with RRB)"
+    require(blocks, "file", path.name, must, f"{len(data)} bytes without one")
+    damaged = len(data) - sum(block.length for block in blocks)
+    remarks = [f"bytes that are damaged or cut off, and left out: {damaged}"] if damaged else []
+    count = len(blocks)
+    blocks = list(dict.fromkeys(blocks))
+    if len(blocks) < count:
+        remarks.append(f"blocks that are there twice, and read once: {count - len(blocks)}")
+    if first_edition:
+        return _read_first_edition(path, blocks, remarks)
+    others = [block for block in blocks if block.head[2] != blocks[0].head[2]]
+    if others:
+        remarks.append(f"blocks of another recording, left out: {len(others)}")
+        blocks = [block for block in blocks if block.head[2] == blocks[0].head[2]]
+    order = [block.head[3] for block in blocks]
+    kept = dict(sorted(zip(order, blocks, strict=True)))
+    blocks.clear()  # of a long recording only what is still to be read stays in memory
+    last = max(order)
+    about = _json(kept[0].content) if 0 in kept else {}
+    gaps = [(a + 1, b - a - 1) for a, b in itertools.pairwise([-1, *kept]) if b > a + 1]
+    if gaps:
+        words = ", ".join(f"{n} from number {a}" for a, n in gaps[:10]) + ", ..." * (len(gaps) > 10)
+        remarks.append(f"blocks that are missing: {sum(n for _, n in gaps)} of {last + 1} ({words})")
+    if sorted(order) != order:
+        remarks.append("blocks are not in the order in which they were written, and were read in that order")
+    if kept[last].head[1] != b"E":
+        remarks.append("it has no end: the recorder still runs or was killed, or the file was cut")
+    said, n = about.get("format"), about.get("channels")
+    format = format or (said if said in FORMATS else None)
+    parser = Parser(format, channels or (n if isinstance(n, int) and n > 0 else None))
+    samples, size, offsets, stamps, previous = [], 0, [], [], 0
+    for number in list(kept):
+        block = kept.pop(number)
+        if block.head[1] == b"O" or number > previous + 1:  # half a line before a gap is no number
+            parser.reopened()
+        if block.head[1] == b"B":
+            offsets.append(size)
+            stamps.append(block.head[5])
+            samples += parser.feed(block.content)
+            size += len(block.content)
+        previous = number
+    samples += parser.close()
+    began = np.searchsorted(offsets, [sample.start for sample in samples], side="right") - 1
+    arrived = np.array(stamps, dtype=np.int64)[began] / 1e9
+    return _recording(
+        path, about, samples, arrived, parser.format, parser.names, parser.units, {**parser.counters},
+        [*remarks, *parser.remarks],
+    )  # fmt: skip
+
+
+class _Block(NamedTuple):
+    head: tuple[Any, ...]
+    content: bytes
+    length: int
+
+
+def _blocks(data: bytes, form: struct.Struct) -> Iterator[_Block]:
+    """Yield the whole blocks of an edition, in the order of the file."""
+    magic, view = MAGIC + (b"2" if form is _HEAD else b"1"), memoryview(data)
+    at = data.find(magic)
+    while 0 <= at <= len(data) - form.size - _CRC.size:
+        head, begin = form.unpack_from(data, at), at + form.size + _CRC.size
+        per_item = 20 + 8 * head[2] if form is not _HEAD and head[1] == b"F" else 1
+        end = begin + per_item * head[4 if form is _HEAD else 3]
+        found = crc32(view[begin:end], crc32(view[at : at + form.size])) if end <= len(data) else -1
+        if whole := found == _CRC.unpack_from(data, begin - _CRC.size)[0]:
+            yield _Block(head, data[begin:end], end - at)
+        at = data.find(magic, end if whole else at + 1)
+
+
+def _json(content: bytes) -> dict[str, Any]:
+    try:
+        found = json.loads(content)
+    except (ValueError, RecursionError):
+        found = None
+    return found if isinstance(found, dict) else {}
+
+
+def _number(about: dict[str, Any], name: str) -> float:
+    found = about.get(name)
+    return float(found) if isinstance(found, int | float) and abs(found) < 1e19 else 0.0
+
+
+def _read_first_edition(path: Path, blocks: list[_Block], remarks: list[str]) -> Recording:
+    """Read values in blocks without numbers; a file beside the recording has their count."""
+    about = next((_json(block.content) for block in blocks if block.head[1] == b"H"), {})
+    beside = path.with_name(f"{path.name}.json")
+    counted = _json(beside.read_bytes()) if beside.is_file() else {}
+    if blocks[0].head[1] != b"H":
+        remarks.append("its first block is missing or not the first")
+    if not about or counted.get("start_host_ns") == about.get("start_host_ns"):
+        about = counted | about
+    frames = [block for block in blocks if block.head[1] == b"F"]
+    for k, block in enumerate(frames):
+        require(block.head[2], f"width of block {k + 1}", path.name, "1 value or more", 0)
+    in_order = sorted(frames, key=lambda block: struct.unpack_from("<q", block.content))
+    if frames != in_order:
+        remarks.append("blocks are not in the order in which they were written, and were read in that order")
+    rows = [
+        row for block in in_order for row in struct.iter_unpack(f"<qIIHBB{block.head[2]}d", block.content)
+    ]
+    counters = about.get("counters")
+    counters = counters if isinstance(counters, dict) else {}
+    if about.get("ended") and counters.get("frames") != len(rows):
+        found = f"frames: {len(rows)} are here, {beside.name} counts {counters.get('frames')}"
+        remarks.append(f"{found}: whole blocks are missing")
+    samples = [
+        Sample(stream, sequence if known & 1 else None, us if known & 2 else None, k, np.array(values[:n]))
+        for k, (_, us, sequence, stream, n, known, *values) in enumerate(rows)
+    ]
+    start_s = _number(about, "start_unix_s") - _number(about, "start_host_ns") / 1e9
+    channels = about.get("channels")
+    named = [name_and_unit(str(name)) for name in (channels if isinstance(channels, list) else [])]
+    names, units = zip(*named, strict=True) if named else ((), ())
+    arrived = start_s + np.array([row[0] for row in rows], dtype=float) / 1e9
+    return _recording(path, about, samples, arrived, about.get("format"), names, units, counters, remarks)
+
+
+def _recording(
+    path: Path,
+    about: dict[str, Any],
+    samples: list[Sample],
+    arrived: Array,
+    format: Any,
+    names: Any,
+    units: Any,
+    counters: dict[str, int],
+    remarks: list[str],
+) -> Recording:
+    start = float(arrived.min(initial=math.inf)) if len(arrived) else 0.0
+    board_us = [sample.time_us for sample in samples]
+    times = None
+    if samples and None not in board_us:
+        times, ppm = board_times(arrived - start, np.array(board_us) / 1e6)
+        if times is None:
+            remarks.append("the times that the board sends do not pass as the computer's, and were not used")
+        elif abs(ppm) > 200:
+            remarks.append(f"the board's clock is {ppm:+.0f} ppm fast, which was corrected")
+    times = arrival_times(arrived - start) if times is None else times
+    first = float(times.min()) if len(times) else 0.0
+    return Recording(
+        path, about, samples, arrived, times - first, start + first, format, tuple(names), tuple(units),
+        dict(counters), tuple(remarks),
+    )  # fmt: skip
+
+
+def arrival_times(arrived: Array) -> Array:
+    """Return strictly increasing times [s]: samples that arrived together are spread over the time before.
+
+    They are as far apart as samples usually are, but no further than there is time since the block before them.
+    """
+    arrived = np.maximum.accumulate(arrived)
+    _, first, count = np.unique(arrived, return_index=True, return_counts=True)
+    room = np.diff(arrived[first]) / count[1:]
+    usual = np.median(room) if len(room) else 0.0
+    step = np.minimum(np.append(usual, room)[: len(count)], usual)
+    behind = np.repeat(first + count, count) - 1 - np.arange(len(arrived))
+    apart = 1e-6 * np.arange(len(arrived))
+    return np.maximum.accumulate(arrived - behind * np.repeat(step, count) - apart) + apart
+
+
+def board_times(arrived: Array, board: Array) -> tuple[Array | None, float]:
+    """Return the board's times [s] on the computer's clock, and by how much the board's is fast [ppm].
+
+    A sample arrives late by what cable, driver and computer take, and never early. So we lay a line through the least
+    latenesses of all parts of a recording, by the median of slopes. Where the board began anew, the line does too.
+    Without a common passage of time there are no times.
+    """
+    from scipy.stats import theilslopes  # takes half a second, for which no recorder should wait
+
+    late = arrived - board
+    late -= _WRAP_S * np.rint((late - late[0]) / _WRAP_S)
+    board = arrived - late
+    # A reset takes the board's time back, or leaves a step of at least the time that it ran before.
+    resets = np.flatnonzero((np.diff(board) < -0.1) | (np.abs(np.diff(late)) > 1.0)) + 1
+    times, ppm, longest = np.empty_like(board), 0.0, 10.0
+    for part in np.split(np.arange(len(board)), resets):
+        least = np.array([k[np.argmin(late[k])] for k in np.array_split(part, min(64, len(part)))])
+        span, slope, offset = float(np.ptp(board[part])), 0.0, float(np.median(late[least]))
+        if np.ptp(late[least]) > 1 + 0.05 * span:
+            return None, 0.0
+        if span >= 10 and len(least) > 2:
+            slope, offset, *_ = np.asarray(theilslopes(late[least], board[least])).tolist()
+        if span >= longest:
+            ppm, longest = 1e6 * (1 / (1 + slope) - 1), span
+        times[part] = board[part] * (1 + slope) + offset
+    return np.maximum.accumulate(times), ppm
+
+
+def readings_of(robot: Robot, source: Any) -> Readings:
+    """Return the readings ``[t, s]`` of a robot from a recording, or from a table: a path or a data frame.
+
+    Raises
+    ------
+    InputError
+        If it is neither, or does not belong to the robot.
+    """
+    if isinstance(source, str | Path) and Path(source).is_file():
+        with Path(source).open("rb") as file:
+            source = read_recording(source) if file.read(len(MAGIC)) == MAGIC else source
+    if not isinstance(source, Recording):
+        return read_readings(robot, source)
+    steps, found, first = Steps(robot, source=source), [], 0
+    while first < len(source.samples):
+        part = slice(first, first + (_AT_ONCE if found else 1))
+        times = source.times[part].tolist()
+        # What is fitted to the computer's clock stands in for the board's.
+        us = [round(1e6 * time_s) for time_s in times]
+        samples = [x._replace(time_us=t) for x, t in zip(source.samples[part], us, strict=True)]
+        found += steps.feed(samples, times[-1])
+        first += len(samples)
+    received = f"{len(source.samples)} samples"
+    require(found, "recording", source.path.name, "one with readings of the robot", received)
+    readings = np.array([step.u for step in found]).view(Readings)
+    readings.times = np.array([step.time_s for step in found])
+    readings.lines = range(1, len(found) + 1)
+    readings.remarks = (*source.remarks, *steps.remarks)
+    return readings

@@ -1,0 +1,532 @@
+"""Recordings, written and read: whole, damaged, cut; ports that are lost; the clock of a board."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import os
+import resource
+import signal
+import socket
+import struct
+import threading
+import time
+import tty
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.soak import damaged, kills
+from repro import ConstantCurvature, Imu, InputError, Robot, Sensor
+from repro_board.record import (
+    Writer,
+    arrival_times,
+    board_times,
+    open_port,
+    ports,
+    read_recording,
+    readings_of,
+    record,
+)
+from repro_board.wire import encode
+
+SECOND = 10**9
+START = 17 * 10**17
+
+
+def frames(numbers, period_us: int = 1000) -> list[bytes]:
+    return [encode([k + 0.5, -1.0], sequence=k, time_us=period_us * k) for k in numbers]
+
+
+def written(path: Path, parts: list[bytes], step_ns: int = 10**7) -> Path:
+    writer = Writer(path, {"port": "a board"})
+    for k, part in enumerate(parts):
+        writer.write(START + k * step_ns, part)
+    writer.close()
+    return path
+
+
+# ------------------------------------------------------------------------------------------------ what is written
+@settings(max_examples=40)
+@given(st.lists(st.binary(max_size=300), max_size=8), st.lists(st.booleans(), min_size=8, max_size=8))
+def test_the_bytes_are_those_of_the_table(tmp_path_factory, parts, again):
+    """Decoded by nothing but struct and zlib, from the table at the head of the module."""
+    path = tmp_path_factory.mktemp("a") / "a.rec"
+    writer = Writer(path, {"port": "COM3"})
+    for k, part in enumerate(parts):
+        if again[k]:
+            writer.opened(START + k)
+        writer.write(START + k, part)
+    writer.close({"samples": 3})
+    if not any(parts):
+        assert not path.exists()
+        return
+    data, at, found = path.read_bytes(), 0, []
+    while at < len(data):
+        magic, kind, identity, number, size, unix_ns = struct.unpack_from("<4sc3xIIIq", data, at)
+        content = data[at + 32 : at + 32 + size]
+        assert struct.unpack_from("<I", data, at + 28)[0] == zlib.crc32(data[at : at + 28] + content)
+        assert (magic, number, identity) == (b"RRB2", len(found), struct.unpack_from("<I", data, 8)[0])
+        found.append((kind, unix_ns, content))
+        at += 32 + size
+    assert (found[0][0], json.loads(found[0][2])) == (b"A", {"port": "COM3"})
+    assert (found[-1][0], json.loads(found[-1][2])) == (b"E", {"bytes": len(b"".join(parts)), "samples": 3})
+    expected = []
+    for k, part in enumerate(parts):
+        expected += [(b"O", START + k, b"")] * again[k] + [(b"B", START + k, part)] * bool(part)
+    assert found[1:-1] == expected
+
+
+@settings(max_examples=25)
+@given(st.integers(1, 30), st.lists(st.integers(0, 800), max_size=12), st.sampled_from(["frames", "csv"]))
+def test_whatever_is_written_is_read_wherever_it_was_cut(tmp_path_factory, n, cuts, form):
+    lines = [f"{k + 0.5},{-k}\n".encode() for k in range(n + 2)]
+    data = b"".join(frames(range(n))) if form == "frames" else b"\n" + b"".join(lines)
+    cuts = sorted(min(cut, len(data)) for cut in cuts)
+    parts = [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
+    recording = read_recording(written(tmp_path_factory.mktemp("b") / "a.rec", parts))
+    n += 2 * (form == "csv")
+    assert recording.format == form
+    assert [sample.values.tolist() for sample in recording.samples] == [
+        [k + 0.5, -1.0 if form == "frames" else -k] for k in range(n)
+    ]
+    assert recording.remarks == ()
+    assert recording.about == {"port": "a board"}
+    ends = np.cumsum([len(part) for part in parts])
+    block = np.searchsorted(ends, [sample.start for sample in recording.samples], side="right")
+    np.testing.assert_allclose(recording.arrived, START / 1e9 + 0.01 * block, atol=1e-6)
+    assert recording.times[0] == 0.0
+
+
+def test_long_bytes_are_cut_into_blocks(tmp_path):
+    data = b"".join(frames(range(5000)))
+    recording = read_recording(written(tmp_path / "a.rec", [data]))
+    assert [sample.sequence for sample in recording.samples] == list(range(5000))
+    assert [block[3] for block in struct_heads(tmp_path / "a.rec")] == [0, 1, 2, 3, 4]
+
+
+def struct_heads(path: Path) -> list[tuple]:
+    data = path.read_bytes()
+    return [damaged.HEAD.unpack_from(data, at) for at in damaged.starts(data)[:-1]]
+
+
+def test_a_recording_is_never_written_over(tmp_path):
+    path = written(tmp_path / "a.rec", frames(range(9)))
+    before = path.read_bytes()
+    message = r"output of the recording must be a new file .*received .*a\.rec \(File exists\)"
+    with pytest.raises(InputError, match=message):
+        Writer(path, {})
+    with pytest.raises(InputError, match=r"must be a new file .*\(No such file or directory\)"):
+        Writer(tmp_path / "none" / "a.rec", {})
+    assert path.read_bytes() == before
+
+
+def test_it_is_read_while_it_is_written(tmp_path):
+    writer = Writer(tmp_path / "a.rec", {})
+    for k, frame in enumerate(frames(range(5))):
+        writer.write(START, frame)
+        recording = read_recording(tmp_path / "a.rec")
+        assert len(recording.samples) == k + 1
+        assert recording.remarks == (
+            "it has no end: the recorder still runs or was killed, or the file was cut",
+        )
+    writer.close()
+    writer.close()  # again
+    assert read_recording(tmp_path / "a.rec").remarks == ()
+
+
+def test_a_full_disk_is_told_and_the_file_ends_with_a_whole_block(tmp_path):
+    """A limit of the file size, which the operating system enforces as it does a full disk."""
+    before, writer = resource.getrlimit(resource.RLIMIT_FSIZE), Writer(tmp_path / "a.rec", {})
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    sent = iter(frames(range(100)))
+    try:
+        message = r"a\.rec failed: File too large\. What came before is kept\."
+        with pytest.raises(OSError, match=message):
+            [writer.write(START, frame) for frame in sent]
+        with pytest.raises(OSError, match="failed"):
+            writer.write(START, b"more")
+        writer.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    taken = 99 - len(list(sent))
+    recording = read_recording(tmp_path / "a.rec")
+    assert len(recording.samples) == taken > 10
+    assert len(recording.remarks) == 1
+    assert damaged.starts((tmp_path / "a.rec").read_bytes())  # ends where a block ends
+
+
+def test_a_killed_recorder_leaves_all_that_it_has_taken(tmp_path):
+    killed = kills.soak(1, tmp_path, seed=1)
+    assert all(one.good and one.samples for one in killed), killed
+
+
+# ----------------------------------------------------------------------------------------------- what is damaged
+def test_damaged_recordings_hold_no_wrong_value_and_tell_what_is_missing(tmp_path):
+    assert sum(damaged.soak(300, 7, tmp_path).values()) == 300
+
+
+def test_blocks_that_are_missing_are_named_by_their_numbers(tmp_path):
+    path = written(tmp_path / "a.rec", frames(range(9)))
+    data = path.read_bytes()
+    cuts = damaged.starts(data)
+    blocks = [data[a:b] for a, b in itertools.pairwise(cuts)]  # about, nine of bytes, end
+
+    def remarks(kept: list[bytes]) -> tuple[tuple[str, ...], int]:
+        path.write_bytes(b"".join(kept))
+        recording = read_recording(path)
+        return recording.remarks, len(recording.samples)
+
+    no_end = "it has no end: the recorder still runs or was killed, or the file was cut"
+    order = "blocks are not in the order in which they were written, and were read in that order"
+    gap = "blocks that are missing: 4 of 11 (3 from number 2, 1 from number 7)"
+    assert remarks(blocks[:2] + blocks[5:7] + blocks[8:])[0][0] == gap
+    assert remarks(blocks[:6]) == ((no_end,), 5)
+    assert remarks([*blocks, blocks[4]]) == (("blocks that are there twice, and read once: 1",), 9)
+    assert remarks([*blocks[:3], blocks[4], blocks[3], *blocks[5:]]) == ((order,), 9)
+    other = written(tmp_path / "b.rec", frames(range(5))).read_bytes()
+    assert remarks([*blocks, other]) == (("blocks of another recording, left out: 7",), 9)
+    assert remarks([*blocks, bytes(40)]) == (("bytes that are damaged or cut off, and left out: 40",), 9)
+    assert remarks(blocks[1:])[0][0] == "blocks that are missing: 1 of 11 (1 from number 0)"
+
+
+def test_half_a_line_before_a_missing_block_is_no_number(tmp_path):
+    path = written(
+        tmp_path / "a.rec", [b"\n", *[b"1.5,2.5\n"] * 4, b"1.5,2", b"2.5\n1.5,", b"77.5\n1.5,2.5\n"]
+    )
+    data = path.read_bytes()
+    cuts = damaged.starts(data)
+    path.write_bytes(data[: cuts[7]] + data[cuts[8] :])
+    recording = read_recording(path)
+    assert {tuple(sample.values) for sample in recording.samples} == {(1.5, 2.5)}
+    assert len(recording.samples) == 5
+
+
+@pytest.mark.parametrize("content", [b"", b"RRB2", b"RRB1" * 99, b"time_s,u1\n0,1\n", bytes(999)])
+def test_what_has_no_whole_block_is_refused(tmp_path, content):
+    (tmp_path / "a.rec").write_bytes(content)
+    with pytest.raises(
+        InputError, match=rf"file of a\.rec must be a recording .* received {len(content)} bytes"
+    ):
+        read_recording(tmp_path / "a.rec")
+    with pytest.raises(InputError, match="must be a file that exists"):
+        read_recording(tmp_path / "none.rec")
+
+
+@pytest.mark.parametrize("about", [b"{", b"[1]", b"[" * 50_000, b'{"format": 7, "channels": "x"}', b"\xff"])
+def test_a_first_block_that_says_nothing_usable_costs_nothing(tmp_path, about):
+    head = struct.pack("<4sc3xIIIq", b"RRB2", b"A", 5, 0, len(about), 0)
+    data = head + struct.pack("<I", zlib.crc32(head + about)) + about
+    for k, content in enumerate(frames(range(3)), 1):
+        head = struct.pack("<4sc3xIIIq", b"RRB2", b"B", 5, k, len(content), START)
+        data += head + struct.pack("<I", zlib.crc32(head + content)) + content
+    (tmp_path / "a.rec").write_bytes(data)
+    assert len(read_recording(tmp_path / "a.rec").samples) == 3
+
+
+# ------------------------------------------------------------------------------------------------ first edition
+def first_edition(
+    path: Path, about: dict, blocks: list[tuple[int, bytes]], beside: dict | None = None
+) -> Path:
+    text = json.dumps(about).encode()
+    data = [damaged.old_block(b"H", 0, len(text), text)]
+    data += [damaged.old_block(b"F", n, len(rows) // (20 + 8 * n) if n else 1, rows) for n, rows in blocks]
+    path.write_bytes(b"".join(data))
+    if beside is not None:
+        path.with_name(f"{path.name}.json").write_text(json.dumps(beside))
+    return path
+
+
+def rows(host_ns: int, *values: list[float], known: int = 0) -> tuple[int, bytes]:
+    n = max(map(len, values))
+    packed = [
+        struct.pack(f"<qIIHBB{n}d", host_ns, 2**32 - 500, k, 3, len(x), known, *x, *[0.0] * (n - len(x)))
+        for k, x in enumerate(values)
+    ]
+    return n, b"".join(packed)
+
+
+ABOUT = {"format": "csv", "channels": ["x_uT", "y"], "start_unix_s": 1.7e9, "start_host_ns": 5 * SECOND}
+
+
+def test_a_recording_of_the_first_edition_is_read(tmp_path):
+    blocks = [rows(6 * SECOND, [1.5, 2.0], [2.5, 3.0]), rows(7 * SECOND, [9.0])]
+    counted = ABOUT | {"ended": "stopped", "counters": {"frames": 3, "gaps": 1}}
+    recording = read_recording(first_edition(tmp_path / "a.rec", ABOUT, blocks, counted))
+    assert [sample.values.tolist() for sample in recording.samples] == [[1.5, 2.0], [2.5, 3.0], [9.0]]
+    assert [sample[:3] for sample in recording.samples] == [(3, None, None)] * 3
+    assert (recording.names, recording.units, recording.format) == (("x", "y"), ("uT", ""), "csv")
+    np.testing.assert_allclose(recording.arrived, 1.7e9 + np.array([1, 1, 2]), atol=1e-6)
+    assert (recording.remarks, recording.counters["gaps"]) == ((), 1)
+    known = read_recording(
+        first_edition(tmp_path / "b.rec", ABOUT, [rows(6 * SECOND, [1.0], [2.0], known=3)])
+    )
+    assert [sample[:3] for sample in known.samples] == [(3, 0, 2**32 - 500), (3, 1, 2**32 - 500)]
+
+
+def test_its_count_tells_what_is_missing_and_a_width_of_zero_is_refused(tmp_path):
+    block = rows(6 * SECOND, [1.5, 2.0])
+    counted = ABOUT | {"ended": "stopped", "counters": {"frames": 4}}
+    recording = read_recording(first_edition(tmp_path / "a.rec", ABOUT, [block], counted))
+    assert recording.remarks == ("frames: 1 are here, a.rec.json counts 4: whole blocks are missing",)
+    # The count of another recording, and one of a recorder that was killed, say nothing.
+    for other in ({"start_host_ns": 7, **counted}, counted | {"start_host_ns": 7}, counted | {"ended": None}):
+        path = first_edition(tmp_path / "b.rec", ABOUT, [block], other)
+        assert read_recording(path).remarks == () or other.get("start_host_ns") != 7
+    message = r"width of block 1 of c\.rec must be 1 value or more; instead received 0"
+    with pytest.raises(InputError, match=message):
+        read_recording(first_edition(tmp_path / "c.rec", ABOUT, [(0, bytes(20))]))
+
+
+# ------------------------------------------------------------------------------------------------------ clocks
+@pytest.mark.parametrize("ppm", [0.0, 50.0, -400.0, 5000.0])
+def test_times_of_the_board_are_on_the_computers_clock_whatever_the_delays(ppm):
+    rng = np.random.default_rng(0)
+    sent = np.arange(0.0, 600.0, 0.05)
+    board = (4000.0 + sent * (1 + 1e-6 * ppm)) % 4294.967296  # wraps on its way
+    board[1::2] += 4294.967296  # a stream that was there at the wrap before
+    delay = 0.001 + rng.exponential(0.004, len(sent)) + 0.5 * (rng.random(len(sent)) < 0.01)
+    times, found = board_times(sent + delay, board)
+    assert times is not None
+    np.testing.assert_allclose(times - times[0], sent, atol=0.5e-3)
+    assert found == pytest.approx(ppm, abs=2.0)
+
+
+def test_a_board_that_begins_anew_goes_on_in_time():
+    sent = np.concatenate(
+        [np.arange(0.0, 30.0, 0.01), np.arange(32.0, 60.0, 0.01), np.arange(75.0, 80.0, 0.01)]
+    )
+    board = np.concatenate([sent[:3000] + 100.0, sent[3000:5800] - 31.5, sent[5800:] - 74.0])
+    times, _ = board_times(sent + 0.002, board)
+    np.testing.assert_allclose(times, sent + 0.002, atol=1e-6)
+
+
+@pytest.mark.parametrize("board", [np.zeros(500), np.arange(500) / 1e5, np.arange(500) * 1.0])
+def test_a_clock_that_is_none_is_told_and_not_used(tmp_path, board):
+    assert board_times(np.arange(500) / 100, board)[0] is None
+    parts = [encode([1.0], sequence=k, time_us=round(1e6 * board[k])) for k in range(500)]
+    recording = read_recording(written(tmp_path / "a.rec", parts))
+    assert (
+        "the times that the board sends do not pass as the computer's, and were not used" in recording.remarks
+    )
+    np.testing.assert_allclose(recording.times, np.arange(500) / 100, atol=2e-6)
+
+
+def test_a_clock_beyond_200_ppm_is_told(tmp_path):
+    parts = [encode([1.0], sequence=k, time_us=round(10_000 * k * (1 + 3e-4))) for k in range(2000)]
+    recording = read_recording(written(tmp_path / "a.rec", parts))
+    assert recording.remarks == ("the board's clock is +300 ppm fast, which was corrected",)
+    np.testing.assert_allclose(recording.times, np.arange(2000) / 100, atol=1e-5)
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 5.0), st.integers(1, 9)), min_size=1, max_size=20))
+def test_times_of_arrival_increase_and_stay_between_the_blocks(blocks):
+    ends = np.cumsum([gap for gap, _ in blocks])
+    arrived = np.repeat(ends, [n for _, n in blocks])
+    times = arrival_times(arrived)
+    assert (np.diff(times) > 0).all()
+    spread = arrived - times
+    assert (spread >= -1e-6 * len(times) - 1e-9).all()
+    for end, before in zip(ends[1:], ends[:-1], strict=True):
+        assert (times[(arrived == end) & (end > before)] > before - 1e-9).all()
+
+
+def test_samples_that_arrive_together_are_spread():
+    times = arrival_times(np.repeat([1.0, 1.2, 1.4, 9.4], 4))
+    expected = [end - 0.05 * behind for end in (1.0, 1.2, 1.4, 9.4) for behind in (3, 2, 1, 0)]
+    np.testing.assert_allclose(times, expected, atol=1e-9)
+
+
+# ------------------------------------------------------------------------------------------------------- ports
+class Board:
+    """A board on a pseudo-terminal behind a link, so that it can be plugged out and in."""
+
+    def __init__(self, folder: Path) -> None:
+        self.port = folder / "port"
+        self.plug_in()
+
+    def plug_in(self) -> None:
+        self.board, self.line = os.openpty()
+        tty.setraw(self.line)
+        self.port.symlink_to(os.ttyname(self.line))
+
+    def unplug(self) -> None:
+        self.port.unlink()
+        os.close(self.board)
+        os.close(self.line)
+
+    def send(self, data: bytes) -> None:
+        os.write(self.board, data)
+
+
+@pytest.fixture
+def board(tmp_path):
+    board = Board(tmp_path)
+    yield board
+    with contextlib.suppress(OSError):
+        board.unplug()
+
+
+def until(holds, longest_s: float = 5.0) -> None:
+    end = time.monotonic() + longest_s
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def test_a_port_gives_what_a_board_sends_and_comes_back_after_it_was_lost(board):
+    port = open_port(str(board.port))
+    assert port.read(0.01) == b""
+    for data in (b"\x00\xff\r\n\x03\x04\x11\x13", bytes(range(256))):  # what a terminal would act on
+        board.send(data)
+        assert port.read(1.0) == data
+    with pytest.raises(InputError, match=r"must be free \(close the program that has it open\)"):
+        open_port(str(board.port))
+    board.unplug()
+    until(lambda: port.read(0.01) == b"" and port.lost)
+    assert (port.opened, port.read(0.01)) == (1, b"")
+    board.plug_in()
+    until(lambda: port.read(0.05) == b"" and port.opened == 2)
+    assert (port.lost, port.reconnects) == ("", 1)
+    board.send(b"again")
+    assert port.read(1.0) == b"again"
+    port.close()
+    port.close()
+
+
+def test_a_socket_is_a_port():
+    with socket.create_server(("localhost", 0)) as server:
+        port = open_port(f"socket://localhost:{server.getsockname()[1]}")
+        peer, _ = server.accept()
+        peer.sendall(b"x" * 1000)
+        assert port.read(1.0) == b"x" * 1000
+        peer.close()
+        assert port.read(1.0) == b""
+        assert port.lost == "closed at the other side"
+        until(lambda: port.read(0.05) == b"" and port.opened == 2)
+        peer, _ = server.accept()
+        peer.sendall(b"y")
+        assert port.read(1.0) == b"y"
+        port.close()
+        peer.close()
+
+
+@pytest.mark.parametrize(
+    ("address", "baud", "message"),
+    [
+        ("/dev/ttyNone", 9600, r"port of the board must be one that is there; found: "),
+        ("socket://localhost:1", 9600, r"or socket://HOST:PORT of a listening .*\(Connection refused\)"),
+        ("socket://localhost:x", 9600, "must be a serial port, or socket://HOST:PORT"),
+        ("socket://localhost", 9600, "must be a serial port, or socket://HOST:PORT"),
+        ("/dev", 9600, "must be a serial port"),
+        ("/dev/null", 9600, "must be a serial port"),
+        ("/dev/ttyNone", 0, "baud of the board must be a rate above zero; instead received 0"),
+    ],
+)  # fmt: skip
+def test_ports_that_cannot_be_are_refused_in_words(address, baud, message):
+    with pytest.raises(InputError, match=message):
+        open_port(address, baud)
+    assert ports()
+
+
+def test_a_port_is_recorded_until_ctrl_c(board, tmp_path):
+    shown = []
+
+    def play() -> None:
+        for frame in frames(range(120), 10_000):
+            board.send(frame)
+            time.sleep(0.01)
+        time.sleep(0.1)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    player = threading.Thread(target=play)
+    threading.Timer(0.3, player.start).start()
+    done = record(str(board.port), tmp_path / "a.rec", format="frames", show=shown.append)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    recording = read_recording(tmp_path / "a.rec")
+    assert [sample.sequence for sample in recording.samples] == list(range(120))
+    assert (done.samples, done.received, done.path) == (120, 120 * len(frames([0])[0]), tmp_path / "a.rec")
+    assert recording.about["format"] == "frames"
+    assert recording.about["port"] == str(board.port)
+    assert recording.remarks == ()
+    assert shown
+    assert "samples of frames" in str(shown[-1])
+
+
+def test_a_lost_port_is_waited_for_and_marked(board, tmp_path):
+    stop, shown = threading.Event(), []
+
+    def play() -> None:
+        parts = frames(range(20))
+        time.sleep(0.3)
+        board.send(b"".join(parts[:10]) + parts[10][:5])
+        time.sleep(0.2)
+        board.unplug()
+        time.sleep(0.3)
+        board.plug_in()
+        until(lambda: any(block[1] == b"O" for block in struct_heads(tmp_path / "a.rec")))
+        board.send(b"".join(parts[11:]))
+        time.sleep(0.3)
+        stop.set()
+
+    player = threading.Thread(target=play)
+    player.start()
+    done = record(str(board.port), tmp_path / "a.rec", stop=stop, show=shown.append)
+    player.join()
+    recording = read_recording(tmp_path / "a.rec")
+    assert [sample.sequence for sample in recording.samples] == [*range(10), *range(11, 20)]
+    assert (done.reconnects, done.samples) == (1, 19)
+
+
+def test_a_recording_of_nothing_leaves_no_file(board, tmp_path):
+    done = record(str(board.port), tmp_path / "a.rec", duration_s=0.05)
+    assert (done.path, done.received) == (None, 0)
+    with pytest.raises(InputError):
+        record("/dev/ttyNone", tmp_path / "a.rec")
+    with pytest.raises(InputError, match="duration of repro record must be a time above zero"):
+        record(str(board.port), tmp_path / "a.rec", duration_s=-1)
+    assert not (tmp_path / "a.rec").exists()
+
+
+# ---------------------------------------------------------------------------------------------------- readings
+def test_a_recording_and_a_table_give_the_same_readings(tmp_path):
+    sensors = [Sensor(1, 0.05, 0.01) for _ in range(2)]
+    robot = Robot([ConstantCurvature(0.1, 0.02)], sensors=sensors)
+    u = np.random.default_rng(0).normal(size=(1500, 2)).astype(np.float32)
+    parts = [encode(row, sequence=k, time_us=10_000 * k) for k, row in enumerate(u)]
+    readings = readings_of(robot, written(tmp_path / "a.rec", parts))
+    np.testing.assert_array_equal(readings, u)
+    np.testing.assert_allclose(readings.times, np.arange(1500) / 100, atol=2e-6)
+    text = "time_s,u1_mT,u2_mT\n" + "".join(f"{k / 100},{x!r},{y!r}\n" for k, (x, y) in enumerate(u.tolist()))
+    (tmp_path / "a.csv").write_text(text)
+    table = readings_of(robot, tmp_path / "a.csv")
+    np.testing.assert_array_equal(table, readings)
+    np.testing.assert_allclose(table.times, readings.times, atol=2e-6)
+
+
+def test_streams_of_imus_become_time_steps(tmp_path):
+    robot = Robot([ConstantCurvature(0.1, 0.02)] * 2, imus=[Imu(1, 0.1), Imu(2, 0.1)])
+    parts = [
+        encode([0.0, 0.0, np.sin(angle / 2), np.cos(angle / 2)], stream=1 + k % 2, sequence=k // 2, time_us=5000 * k)
+        for k, angle in enumerate(np.linspace(0.0, 0.5, 400))
+    ]  # fmt: skip
+    readings = readings_of(robot, written(tmp_path / "a.rec", parts, 5_000_000))
+    assert readings.shape == (200, 6)
+    np.testing.assert_allclose(
+        np.asarray(readings)[:, [2, 5]], np.linspace(0.0, 0.5, 400).reshape(200, 2), atol=1e-6
+    )
+    np.testing.assert_allclose(np.diff(readings.times), 0.01, atol=1e-5)
+
+
+def test_a_recording_without_readings_is_refused(tmp_path):
+    robot = Robot([ConstantCurvature(0.1, 0.02)], imus=[Imu(1, 0.1)])
+    path = written(tmp_path / "a.rec", [b"nothing that is a sample"])
+    with pytest.raises(
+        InputError, match=r"recording of a\.rec must be one with readings of the robot; .* 0 samples"
+    ):
+        readings_of(robot, path)
