@@ -1,10 +1,619 @@
-"""The search for a lag between readings and motion capture."""
+"""What track, calibrate and evaluate do with files; the lag between readings and a motion."""
+
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
+import repro
 from repro import InputError
-from repro_board.evaluate import search_lag
+from repro_board import evaluate
+from repro_board.evaluate import (
+    Signal,
+    calibrate_files,
+    evaluate_files,
+    fine_lag,
+    pose_covariance,
+    search_lag,
+    track_file,
+)
+
+DATA = Path(__file__).parent / "data"
+RAW = DATA / "robot_raw.toml"
+EXAMPLE = repro.example() / "robot.toml"
+RATE_HZ, POSES_HZ, LAG_S = 40.0, 100.0, 0.73
+RING = """
+[stream]
+rate_hz = 40.0
+unit = "mT"
+noise_mt = 2e-3
+
+[[segments]]
+kind = "constant_curvature"
+length_mm = 110.0
+radius_mm = 22.0
+delta_x_mm = [-20.0, 20.0]
+delta_y_mm = [-20.0, 20.0]
+delta_L_mm = LONGER
+
+[[magnets]]
+kind = "ring"
+segment = 1
+at_mm = 55.0
+outer_diameter_mm = 24.0
+inner_diameter_mm = 12.0
+height_mm = 6.0
+polarisation_mt = 1450.0
+""" + "".join(
+    f"""
+[[sensors]]
+segment = 1
+at_mm = 110.0
+radial_mm = 13.0
+azimuth_deg = {azimuth}
+"""
+    for azimuth in (0.0, 90.0, 180.0, 270.0)
+)
+ARM = "[stream]\nrate_hz = 40.0\n" + "".join(
+    f"""
+[[segments]]
+kind = "constant_curvature"
+length_mm = 80.0
+radius_mm = 12.0
+delta_x_mm = [-9.0, 9.0]
+delta_y_mm = [-9.0, 9.0]
+delta_L_mm = 0.0
+
+[[imus]]
+segment = {k}
+at_mm = 60.0
+channels = ["qx_{k}", "qy_{k}", "qz_{k}", "qw_{k}"]
+"""
+    for k in (1, 2)
+)
+
+
+def robot_file(folder: Path, text: str = RING, longer: str = "[0.0, 8.0]") -> Path:
+    path = folder / "robot.toml"
+    path.write_text(text.replace("LONGER", longer), encoding="utf-8")
+    return path
+
+
+def shapes(robot: repro.Robot, t: np.ndarray, seed: int = 0) -> np.ndarray:
+    """A motion without a period, over most of the bounds."""
+    rng = np.random.default_rng(seed)
+    waves = [
+        np.sin(rng.uniform(0.5, 2.2, robot.n_q) * t[:, None] + rng.uniform(0, 6, robot.n_q)) for _ in range(4)
+    ]
+    return (robot.lower + robot.upper) / 2 + (robot.upper - robot.lower) / 2 * np.mean(waves, axis=0)
+
+
+def write_table(path: Path, times: np.ndarray | None, columns: list[str], values: np.ndarray) -> Path:
+    frame = pd.DataFrame(values, columns=columns)
+    if times is not None:
+        frame.insert(0, "time_s", times)
+    frame.to_csv(path, index=False, float_format="%.7g")
+    return path
+
+
+def read(robot: repro.Robot, q: np.ndarray, seed: int = 1) -> np.ndarray:
+    """Readings of a robot whose gains and offsets are off."""
+    rng = np.random.default_rng(seed)
+    u = robot.sensing()(q)
+    off = 1 + 0.03 * rng.normal(size=u.shape[1])
+    return off * u + 0.1 * rng.normal(size=u.shape[1]) + robot.noise * rng.normal(size=u.shape)
+
+
+def recording(folder: Path, robot: repro.Robot, seconds: float = 30.0) -> tuple[Path, Path]:
+    """Readings, and poses by a clock that is behind by the lag; pose noise of 0.1 mm."""
+    t, times = np.arange(0, seconds, 1 / RATE_HZ), np.arange(0, seconds, 1 / POSES_HZ)
+    readings = write_table(
+        folder / "readings.csv", t, [f"u{k}_mT" for k in range(1, robot.n_readings + 1)],
+        read(robot, shapes(robot, t)),
+    )  # fmt: skip
+    names = [f"{name}_mm" for name in robot.coordinates]
+    noise = np.random.default_rng(2).normal(size=(len(times), robot.n_q)) * 0.1 * ~robot.fixed
+    return readings, write_table(
+        folder / "poses.csv", times, names, 1e3 * shapes(robot, times + LAG_S) + noise
+    )
+
+
+def tip_error(table: pd.DataFrame, name: str) -> float:
+    rows = table[(table["estimate"] == name) & (table["quantity"] == "tip")]
+    return float(rows["mean"].iloc[0])
+
+
+LM = "calibrated, levenberg marquardt"
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory) -> tuple[Path, Path, Path, evaluate.Report]:
+    folder = tmp_path_factory.mktemp("good")
+    path = robot_file(folder)
+    readings, poses = recording(folder, repro.load_robot(path))
+    return path, readings, poses, evaluate_files(readings, poses, path, folder / "out")
+
+
+def test_an_evaluation_finds_the_lag_and_what_is_off(good):
+    path, _, _, report = good
+    table, folder = report.found, path.parent / "out"
+    lag, error = (float(x) for x in str(report).split("Lag: ")[1].split(" ms")[0].split(" ± "))
+    assert lag == pytest.approx(1e3 * LAG_S, abs=max(4 * error, 0.5))
+    assert error < 2.0
+    assert tip_error(table, LM) < 0.3 * tip_error(table, "as described, levenberg marquardt")
+    coverage = table[table["estimate"] == LM]["coverage"]
+    assert coverage.min() > 90.0
+    assert {x.name for x in folder.iterdir()} == {
+        "calibration.json", "errors.csv", "estimates.csv", "estimates.png", "report.txt",
+    }  # fmt: skip
+    assert (folder / "report.txt").read_text(encoding="utf-8").strip() in str(report)
+    moved = repro.load_robot(path, folder / "calibration.json")
+    assert moved.sensors[0].gain != repro.load_robot(path).sensors[0].gain
+    estimates = pd.read_csv(folder / "estimates.csv")
+    assert f"{LM}: delta_x_1_mm" in estimates
+    assert len(estimates) == table["rows"].max()
+
+
+def gaps(q: np.ndarray) -> np.ndarray:
+    """Two per cent of the frames are lost, in gaps of four."""
+    for start in np.random.default_rng(3).choice(len(q) // 8, len(q) // 200, replace=False) * 8:
+        q[start : start + 4] = np.nan
+    return q
+
+
+def short_holds(q: np.ndarray) -> np.ndarray:
+    for start in np.random.default_rng(3).choice(len(q) // 8, len(q) // 200, replace=False) * 8:
+        q[start : start + 4] = q[start]
+    return q
+
+
+def frozen(q: np.ndarray) -> np.ndarray:
+    q[1900:2200] = q[1900]
+    return q
+
+
+def frozen_first(q: np.ndarray) -> np.ndarray:
+    q[500:800] = q[500]
+    return q
+
+
+def one_spike(q: np.ndarray) -> np.ndarray:
+    q[400] += [9.0, -9.0, 0.0]
+    return q
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "words"),
+    [(gaps, "have no pose"), (short_holds, "while the readings move"), (frozen, "repeat the one before"),
+     (frozen_first, "repeat the one before"), (one_spike, "do not go with their poses")],
+)  # fmt: skip
+def test_bad_samples_of_the_motion_capture_change_the_error_by_less_than_a_twentieth(
+    good, spoilt, words, tmp_path
+):
+    path, readings, poses, report = good
+    frame = pd.read_csv(poses)
+    values = spoilt(frame.iloc[:, 1:].to_numpy().copy())
+    spoilt_poses = write_table(tmp_path / "p.csv", frame["time_s"], list(frame.columns[1:]), values)
+    found = evaluate_files(readings, spoilt_poses, path, tmp_path / "out")
+    assert tip_error(found.found, LM) == pytest.approx(tip_error(report.found, LM), rel=0.05)
+    assert words in str(found)
+
+
+def test_a_robot_at_rest_is_not_taken_for_a_frozen_capture(good, tmp_path):
+    path, _, poses, _ = good
+    frame, robot = pd.read_csv(poses), repro.load_robot(path)
+    t = np.arange(0, 30, 1 / RATE_HZ)
+    stop = np.where(t < 12, t, np.maximum(t - 1, 12))  # stands for a second
+    readings = write_table(
+        tmp_path / "u.csv", t, [f"u{k}_mT" for k in range(1, 5)], read(robot, shapes(robot, stop))
+    )
+    at = frame["time_s"].to_numpy() + LAG_S
+    at = np.where(at < 12, at, np.maximum(at - 1, 12))
+    poses = write_table(
+        tmp_path / "p.csv", frame["time_s"], list(frame.columns[1:]), (1e3 * shapes(robot, at)).round(4)
+    )
+    q = pd.read_csv(poses).iloc[:, 1:].to_numpy() / 1e3
+    u = pd.read_csv(readings).iloc[:, 1:].to_numpy()
+    repeats = evaluate._repeats(q)
+    assert repeats.sum() > 90
+    assert not evaluate._frozen(q, frame["time_s"].to_numpy() + LAG_S, t, u, robot.noise).any()
+    held = q.copy()
+    held[1500:1530] = held[1500]
+    found = evaluate._frozen(held, frame["time_s"].to_numpy() + LAG_S, t, u, robot.noise)
+    np.testing.assert_array_equal(np.flatnonzero(found), np.arange(1501, 1530))
+
+
+def test_clocks_that_drift_are_told(good, tmp_path):
+    path, readings, poses, _ = good
+    frame = pd.read_csv(poses)
+    slow = write_table(
+        tmp_path / "p.csv", 1.001 * frame["time_s"], list(frame.columns[1:]), frame.iloc[:, 1:].to_numpy()
+    )
+    text = str(evaluate_files(readings, slow, path, tmp_path / "out"))
+    drift = float(text.split("clocks drift (")[1].split(" ppm")[0])
+    assert drift == pytest.approx(-1000, rel=0.15)
+
+
+def test_clocks_without_a_time_in_common_are_counted_from_their_first_rows(good, tmp_path):
+    path, readings, poses, report = good
+    frame = pd.read_csv(poses)
+    late = write_table(
+        tmp_path / "p.csv", frame["time_s"], list(frame.columns[1:]), frame.iloc[:, 1:].to_numpy()
+    )
+    late.write_text(frame.assign(time_s=frame["time_s"] + 1000).to_csv(index=False), encoding="utf-8")
+    found = evaluate_files(readings, late, path, tmp_path / "out")
+    assert "no time in common" in str(found)
+    assert tip_error(found.found, LM) == pytest.approx(tip_error(report.found, LM), rel=0.02)
+
+
+def test_what_is_no_one_motion_or_no_one_lag_is_refused(good, tmp_path):
+    path, readings, poses, _ = good
+    frame, robot = pd.read_csv(poses), repro.load_robot(path)
+    times, names = frame["time_s"].to_numpy(), list(frame.columns[1:])
+    other = write_table(tmp_path / "other.csv", times, names, 1e3 * shapes(robot, times, seed=9))
+    with pytest.raises(InputError, match="readings and poses of repro evaluate must be of one motion"):
+        evaluate_files(readings, other, path, tmp_path / "out")
+    with pytest.raises(
+        InputError, match="of clocks that differ by less than 0.5 s.*at the end of the search"
+    ):
+        evaluate_files(readings, poses, path, tmp_path / "out", longest_lag_s=0.5)
+    with pytest.raises(InputError, match="together for 5 s in the first part"):
+        evaluate_files(readings, poses, path, tmp_path / "out", share=0.05)
+    again = np.stack([np.sin(2 * np.pi * times / 4 + x) for x in (0, 1, 2)], axis=1) * [9, 9, 3] + [0, 0, 4]
+    t = np.arange(0, 30, 1 / RATE_HZ)
+    q = np.stack([np.interp(t, times, x) for x in again.T / 1e3], axis=1)
+    u = write_table(tmp_path / "u.csv", t, [f"u{k}_mT" for k in range(1, 5)], read(robot, q))
+    circle = write_table(tmp_path / "circle.csv", times, names, again)
+    with pytest.raises(InputError, match="alike at one lag only.*--longest-lag.*and elsewhere too"):
+        evaluate_files(u, circle, path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_figures_do_not_follow_the_settings_of_the_user(good, tmp_path):
+    import matplotlib as mpl
+
+    path, readings, poses, _ = good
+    with mpl.rc_context(
+        {"text.usetex": True, "font.family": ["no such font"], "axes.prop_cycle": mpl.cycler(lw=[1])}
+    ):
+        evaluate_files(readings, poses, path, tmp_path / "out")
+    assert (tmp_path / "out" / "estimates.png").read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "out" / "estimates.png").read_bytes() == (
+        path.parent / "out" / "estimates.png"
+    ).read_bytes()
+
+
+def test_where_two_coordinates_move_readings_are_interpolated_too(tmp_path):
+    path = robot_file(tmp_path, longer="3.0")
+    readings, poses = recording(tmp_path, repro.load_robot(path), seconds=40.0)
+    table = evaluate_files(readings, poses, path, tmp_path / "out").found
+    plain, ours = tip_error(table, "readings interpolated"), tip_error(table, LM)
+    assert 0.5 * ours < plain < 3 * ours
+    assert set(table["quantity"]) == {"tip", "delta_x_1", "delta_y_1"}
+
+
+def test_mountings_and_frames_of_imus_are_calibrated(tmp_path):
+    path = robot_file(tmp_path, ARM)
+    robot = repro.load_robot(path)
+    t, times = np.arange(0, 30, 1 / RATE_HZ), np.arange(0, 30, 1 / POSES_HZ)
+    rng, columns, names = np.random.default_rng(0), [], []
+    frame = Rotation.from_euler("z", 25, degrees=True)  # magnetic north is elsewhere
+    for k, imu in enumerate(robot.imus, 1):
+        mounted = Rotation.from_euler("xyz", [4 * k, -3, 5], degrees=True)
+        R = Rotation.from_matrix(robot.poses(shapes(robot, t), [imu.place])[:, 0, :3, :3])
+        noise = Rotation.from_rotvec(np.radians(0.2) * rng.normal(size=(len(t), 3)))
+        columns.append((frame * R * mounted * noise).as_quat())
+        names += [f"q{axis}_{k}" for axis in "xyzw"]
+    readings = write_table(tmp_path / "u.csv", t, names, np.concatenate(columns, axis=1))
+    q = 1e3 * shapes(robot, times + LAG_S)
+    poses = write_table(tmp_path / "p.csv", times, [f"{name}_mm" for name in robot.coordinates], q)
+    report = evaluate_files(readings, poses, path, tmp_path / "out")
+    assert tip_error(report.found, LM) < 0.5
+    assert tip_error(report.found, "as described, levenberg marquardt") > 10
+    stated = str(report).split("mounted = [")[2].split("]")[0]  # of the second
+    off = (
+        Rotation.from_quat([float(x) for x in stated.split(",")])
+        * Rotation.from_euler("xyz", [8, -3, 5], degrees=True).inv()
+    )
+    assert np.degrees(off.magnitude()) < 0.5
+    assert not (tmp_path / "out" / "calibration.json").exists()
+
+
+def test_the_refined_lag_ignores_a_bad_second_and_noise():
+    robot = repro.load_robot(EXAMPLE)
+    t, times = np.arange(0, 30, 0.04), np.arange(0, 30, 0.01)
+    u = robot.sensing()(shapes(robot, t)) + 0.005 * np.random.default_rng(0).normal(size=(len(t), 12))
+    q = shapes(robot, times + 0.123)
+    q[1000:1100] = q[1000]
+    lag, error = fine_lag(robot.sensing(), Signal.of(times, q), t, u, 0.11)
+    assert lag == pytest.approx(0.123, abs=4e-4)
+    assert error < 5e-3
+
+
+def test_signals_are_not_interpolated_over_gaps():
+    signal = Signal.of(np.arange(6) / 10, np.array([[0.0], [1.0], [np.nan], [3.0], [np.nan], [np.nan]]))
+    np.testing.assert_allclose(
+        signal.at(np.array([-0.01, 0.05, 0.2, 0.3, 0.31]))[:, 0], [np.nan, 0.5, 2.0, 3.0, np.nan]
+    )
+    wide = Signal.of(np.arange(8) / 10, np.array([[0.0], [1], [np.nan], [np.nan], [4], [5], [6], [7]]))
+    assert np.isnan(wide.at(np.array([0.25]))).all()
+    assert wide.at(np.array([0.45]))[0, 0] == pytest.approx(4.5)
+
+
+def example_readings(folder: Path, seconds: float = 20.0) -> tuple[Path, np.ndarray, np.ndarray]:
+    robot = repro.load_robot(EXAMPLE)
+    t = np.arange(0, seconds, 1 / 25)
+    q = shapes(robot, t)
+    u = robot.sensing()(q) + 0.005 * np.random.default_rng(0).normal(size=(len(t), 12))
+    return write_table(folder / "u.csv", t, list(robot.names), u), q, u
+
+
+def rewritten(path: Path, change) -> Path:
+    frame = pd.read_csv(path)
+    change(frame)
+    frame.to_csv(path, index=False)
+    return path
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_an_unplugged_chip_is_named_in_a_sentence_and_left_out(tmp_path, smooth):
+    path, q, _ = example_readings(tmp_path)
+    robot = repro.load_robot(EXAMPLE)
+
+    def unplug(frame):
+        frame.loc[200:399, ["B2x", "B2y", "B2z"]] = 0.0
+
+    report = track_file(rewritten(path, unplug), EXAMPLE, smooth=smooth, output=tmp_path / "shape.csv")
+    last = str(report).splitlines()[-1]
+    assert last.startswith("Suspected: B2 does not fit the other sensors in ")
+    assert last.endswith(" s.")
+    assert 8.0 <= float(last.split("from ")[1].split(" to ")[0]) < 9.0
+    assert "to 15.960 s" in last
+    away = np.linalg.norm(robot.tip(report.found.q)[:, :3, 3] - robot.tip(q)[:, :3, 3], axis=1)
+    assert np.median(away[200:400]) < 2.5e-3
+    assert away.max() < 15e-3
+    frame = pd.read_csv(tmp_path / "shape.csv", keep_default_na=False)
+    assert len(frame) == 500
+    assert "B2" in set(frame["suspects"])
+    assert set(frame["status"]) <= {"consistent", "left out", "inconsistent"}
+
+
+def test_one_spike_changes_one_row_also_when_smoothed(tmp_path):
+    path, _, _ = example_readings(tmp_path)
+    before = track_file(path, EXAMPLE, smooth=True).found
+
+    def spike(frame):
+        frame.loc[100, "B3y"] = 32.767
+
+    report = track_file(rewritten(path, spike), EXAMPLE, smooth=True)
+    assert np.abs(report.found.q - before.q).max() < 3e-4
+    assert "1 of 6000 readings missing" in str(report) or "B3" in str(report)
+
+
+@pytest.mark.parametrize("name", ["", "kalman", "gradient_descent", "particle_filter"])
+def test_every_estimator_follows_the_robot(tmp_path, name):
+    path, q, _ = example_readings(tmp_path, 8.0)
+    robot = repro.load_robot(EXAMPLE)
+    report = track_file(path, EXAMPLE, estimator=name)
+    away = np.linalg.norm(robot.tip(report.found.q)[50:, :3, 3] - robot.tip(q)[50:, :3, 3], axis=1)
+    assert np.median(away) < {"gradient_descent": 10e-3, "particle_filter": 10e-3}.get(name, 1e-3)
+    watched = name in ("", "kalman")
+    assert ("Nothing watches" in str(report)) == (not watched)
+
+
+def test_failed_sensors_are_not_used(tmp_path):
+    path, _, u = example_readings(tmp_path, 4.0)
+    found = track_file(path, EXAMPLE, failed=[2]).found
+    np.testing.assert_array_equal(np.isnan(found.readings).any(0), np.arange(12) // 3 == 1)
+    with pytest.raises(
+        InputError, match="failed of repro track must be numbers of sensors, 1 to 4; instead received 5"
+    ):
+        track_file(path, EXAMPLE, failed=[5])
+    assert u.shape == (100, 12)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"estimator": "magic"}, "estimator of repro track must be one of levenberg_marquardt"),
+     ({"estimator": "particle_filter", "smooth": True}, "must be kalman with --smooth; instead received particle"),
+     ({"output": "u.csv"}, "output of repro track must be one that does not exist yet; instead received u.csv"),
+     ({"output": "no/such/shape.csv"}, "must be in a folder that exists")],
+)  # fmt: skip
+def test_options_of_tracking_that_cannot_be_are_refused(tmp_path, options, message):
+    path, _, _ = example_readings(tmp_path, 2.0)
+    if "output" in options:
+        options = {"output": tmp_path / options["output"]}
+    with pytest.raises(InputError) as caught:
+        track_file(path, EXAMPLE, **options)
+    assert message in str(caught.value)
+
+
+def test_tables_keep_large_times_and_are_never_written_over(tmp_path):
+    path, _, _ = example_readings(tmp_path, 2.0)
+    rewritten(path, lambda frame: frame.insert(0, "time_s", 1.7e9 + frame.pop("time_s")))
+    track_file(path, EXAMPLE, output=tmp_path / "shape.csv")
+    times = (tmp_path / "shape.csv").read_text(encoding="utf-8").splitlines()[1:3]
+    assert [line.split(",")[0] for line in times] == ["1700000000.000000", "1700000000.040000"]
+
+
+def held_poses(folder: Path, robot: repro.Robot, n: int = 20) -> tuple[Path, Path, np.ndarray]:
+    """Held poses of 0.4 s, one each second, and readings of a robot whose gains and offsets are off."""
+    q = robot.lower + (robot.upper - robot.lower) * np.random.default_rng(4).uniform(
+        0.05, 0.95, (n, robot.n_q)
+    )
+    u = read(robot, np.repeat(q, 10, axis=0))
+    t = (np.arange(n)[:, None] + 0.04 * np.arange(10)).ravel()
+    readings = write_table(folder / "u.csv", t, [f"u{k}_mT" for k in range(1, robot.n_readings + 1)], u)
+    frame = pd.DataFrame(1e3 * q, columns=[f"{name}_mm" for name in robot.coordinates])
+    frame.insert(0, "start_s", np.arange(n) - 0.01)
+    frame.insert(1, "end_s", np.arange(n) + 0.39)
+    frame.to_csv(folder / "poses.csv", index=False)
+    return readings, folder / "poses.csv", u
+
+
+def test_calibration_finds_offsets_and_a_tracked_robot_states_what_it_left_open(tmp_path):
+    path = robot_file(tmp_path)
+    robot = repro.load_robot(path)
+    readings, poses, _ = held_poses(tmp_path, robot)
+    report = calibrate_files(readings, poses, path, tmp_path / "c.json")
+    found = report.found
+    rng = np.random.default_rng(1)
+    gains, offsets = 0.03 * rng.normal(size=4), 0.1 * rng.normal(size=4)
+    estimate = dict(zip(found.names, zip(found.estimate, found.deviation, strict=True), strict=True))
+    for k in range(4):
+        for name, truth in ((f"sensor {k + 1} gain", gains[k]), (f"sensor {k + 1} offset", offsets[k])):
+            value, deviation = estimate[name]
+            assert abs(value - truth) < 4 * deviation
+    assert "as described" in str(report)
+    assert "stay as uncertain as before" in str(report)
+    bare = track_file(readings, path, calibration=tmp_path / "c.json").found
+    sensing = found.q_covariance(bare.q[:1])[0]
+    np.testing.assert_allclose(bare.covariance[0], sensing, rtol=0.05, atol=1e-12)
+
+
+def test_a_spike_in_a_hold_is_left_out_named_and_changes_nothing(tmp_path):
+    """One 0x7FFF among 1280 rows of held poses."""
+    poses = DATA / "held_poses.csv"
+    text = (DATA / "held_one_spike.csv").read_text(encoding="utf-8")
+    assert text.count("32767") == 1
+    good = tmp_path / "good.csv"
+    good.write_text(text.replace("32767", "-2230"), encoding="utf-8")
+    before = calibrate_files(good, poses, RAW, tmp_path / "good.json")
+    found = calibrate_files(DATA / "held_one_spike.csv", poses, RAW, tmp_path / "c.json")
+    np.testing.assert_allclose(found.found.estimate / found.found.tolerances,
+                               before.found.estimate / before.found.tolerances, atol=0.02)  # fmt: skip
+    assert "left out: 1: sensor 2 at 9 s (32.77, not -2.23)." in str(found)
+    assert "left out" not in str(before)
+
+
+def test_poses_that_cannot_be_or_lack_a_sensor_are_left_out_and_named(tmp_path):
+    path = robot_file(tmp_path)
+    readings, poses, _ = held_poses(tmp_path, repro.load_robot(path))
+
+    def too_far(frame):
+        frame.loc[7, "delta_x_1_mm"] = 1e305
+
+    def no_reading(frame):
+        frame.loc[30:39, "u2_mT"] = np.nan
+
+    rewritten(poses, too_far)
+    rewritten(readings, no_reading)
+    report = calibrate_files(readings, poses, path, tmp_path / "c.json")
+    assert report.found.poses == 18
+    assert (
+        "2 poses lack a reading or a coordinate and are left out: poses.csv, line 5, poses.csv, line 9."
+        in str(report)
+    )
+
+    def a_little(frame):
+        frame.loc[7, "delta_x_1_mm"] = 22.5
+
+    with pytest.raises(InputError, match=r"within the robot's bounds.*0\.0225 in poses\.csv, line 9"):
+        calibrate_files(readings, rewritten(poses, a_little), path, tmp_path / "d.json")
+
+
+def test_poses_and_readings_row_by_row_or_at_one_time(tmp_path):
+    path = robot_file(tmp_path)
+    readings, poses, u = held_poses(tmp_path, repro.load_robot(path))
+    frame = pd.read_csv(poses)
+    only = frame.drop(columns=["start_s", "end_s"])
+    only.to_csv(tmp_path / "rows.csv", index=False)
+    rows = write_table(
+        tmp_path / "means.csv", None, [f"u{k}_mT" for k in range(1, 5)], u.reshape(20, 10, 4).mean(1)
+    )
+    held = calibrate_files(readings, poses, path, tmp_path / "a.json").found
+    by_row = calibrate_files(rows, tmp_path / "rows.csv", path, tmp_path / "b.json").found
+    np.testing.assert_allclose(by_row.estimate, held.estimate, atol=1e-5)
+    only.assign(time_s=frame["start_s"] + 0.19).to_csv(tmp_path / "times.csv", index=False)
+    at = calibrate_files(readings, tmp_path / "times.csv", path, tmp_path / "c.json").found
+    np.testing.assert_allclose(at.estimate / at.tolerances, held.estimate / at.tolerances, atol=0.1)
+    with pytest.raises(
+        InputError, match=r"poses of rows\.csv must be held from start_s.*20 poses for 200 rows"
+    ):
+        calibrate_files(readings, tmp_path / "rows.csv", path, tmp_path / "d.json")
+    late = frame.assign(start_s=frame["start_s"] + 50, end_s=frame["end_s"] + 50)
+    late.to_csv(tmp_path / "late.csv", index=False)
+    with pytest.raises(
+        InputError, match=r"pose of late\.csv, line 2, must be within the readings, 0 to 19\.36 s"
+    ):
+        calibrate_files(readings, tmp_path / "late.csv", path, tmp_path / "d.json")
+    with pytest.raises(InputError, match="poses of repro calibrate must be given"):
+        calibrate_files(readings, None, path, tmp_path / "d.json")
+
+
+def in_motion(folder: Path, spike: bool = False) -> tuple[Path, np.ndarray, np.ndarray]:
+    """The example arm: 12 readings and four coordinates, all gains and offsets off."""
+    robot, rng = repro.load_robot(EXAMPLE), np.random.default_rng(5)
+    t = np.arange(0, 40, 1 / 25)
+    gains, offsets = 0.03 * rng.normal(size=12), 0.2 * rng.normal(size=12)
+    u = (1 + gains) * robot.sensing()(shapes(robot, t)) + offsets + 0.005 * rng.normal(size=(len(t), 12))
+    if spike:
+        u[300, 4] = 32.767
+    return write_table(folder / "motion.csv", t, list(robot.names), u), gains, offsets
+
+
+@pytest.mark.parametrize("spike", [False, True])
+def test_motion_alone_tells_gains_and_offsets_as_well_as_stated(tmp_path, spike):
+    path, gains, offsets = in_motion(tmp_path, spike)
+    report = calibrate_files(path, None, EXAMPLE, tmp_path / "c.json", self_=True)
+    found = report.found
+    truth = dict.fromkeys(found.names, 0.0)
+    for k, name in enumerate(f"{j} {{}} {axis}" for j in range(1, 5) for axis in "xyz"):
+        truth[f"sensor {name.format('gain')}"], truth[f"sensor {name.format('offset')}"] = (
+            gains[k],
+            offsets[k],
+        )
+    off = (found.estimate - np.array(list(truth.values()))) / found.deviation
+    assert np.abs(off).max() < 3.5
+    is_offset = np.array(["offset" in name for name in found.names])
+    assert (
+        np.abs(found.estimate - np.array(list(truth.values())))[is_offset].mean()
+        < 0.5 * np.abs(offsets).mean()
+    )
+    assert f"1000 rows of readings in motion; {int(spike)} do not fit" in str(report)
+    assert repro.load_robot(EXAMPLE, tmp_path / "c.json").sensors[0].gain == found.robot.sensors[0].gain
+
+
+def test_motion_tells_nothing_where_every_reading_is_needed_for_the_shape(tmp_path):
+    """Three readings and three coordinates: a spike is written as no offset."""
+    robot = repro.load_robot(RAW)
+    u = 1e3 * robot.sensing()(shapes(robot, np.arange(0, 10, 0.025)))
+    u[200, 1] = 32767
+    path = write_table(tmp_path / "u.csv", np.arange(0, 10, 0.025), ["u1", "u2", "u3"], u.round())
+    report = calibrate_files(path, None, RAW, tmp_path / "c.json", self_=True)
+    assert np.abs(report.found.estimate / report.found.tolerances).max() < 0.2
+    assert str(report).count("not determined") == len(report.found.names)
+    assert "; 1 do not fit" in str(report)
+
+
+def test_motion_of_another_robot_is_refused_and_a_doubtful_one_told(tmp_path):
+    path, _, _ = in_motion(tmp_path)
+    with pytest.raises(
+        InputError, match="readings of repro calibrate --self must be those of this robot in motion"
+    ):
+        calibrate_files(rewritten(path, lambda frame: frame.update(-frame[["B1x", "B2y"]])), None, EXAMPLE,
+                        tmp_path / "c.json", self_=True)  # fmt: skip
+    path, _, _ = in_motion(tmp_path)
+    off = rewritten(path, lambda frame: frame.update(frame["B1x"] + 1.4))
+    text = str(calibrate_files(off, None, EXAMPLE, tmp_path / "c.json", self_=True))
+    assert [line.split(":")[0].strip() for line in text.splitlines() if "DOUBT" in line] == [
+        "sensor 1 offset x"
+    ]
+    with pytest.raises(InputError, match="poses of repro calibrate must be left out with --self"):
+        calibrate_files(path, DATA / "held_poses.csv", EXAMPLE, tmp_path / "d.json", self_=True)
+
+
+def test_pose_noise_by_the_kind_of_coordinate():
+    robot = repro.Robot(
+        [repro.ConstantCurvature(0.1, 0.02), repro.AffineCurvature(0.2), repro.BallJoint("xy")]
+    )
+    found = np.sqrt(np.diag(pose_covariance(robot, 0.2, 0.5)))
+    lengths = [name.startswith("delta") for name in robot.coordinates]
+    np.testing.assert_allclose(found, np.where(lengths, 0.2e-3, np.radians(0.5)))
+    with pytest.raises(InputError, match="pose noise of the command must be positive"):
+        pose_covariance(robot, 0.0, 0.5)
 
 
 def motion(n: int, seed: int = 0) -> np.ndarray:
@@ -71,3 +680,30 @@ def test_mostly_missing_poses_are_refused():
     q[:120] = np.nan
     with pytest.raises(InputError, match="motion of search_lag must be there in most frames.*120 of 200"):
         search_lag(q, readings(motion(200)), 40)
+
+
+def test_a_lag_that_is_not_known_is_refused():
+    """No frame has both a pose and a reading, at any lag that is tried."""
+    q, u = motion(400), readings(motion(400))
+    q[:190], u[210:] = np.nan, np.nan
+    with pytest.raises(
+        InputError, match="motion and readings of search_lag must be there together at some lag"
+    ):
+        search_lag(q, u, 40, longest_s=0.2)
+
+
+def test_a_lag_is_searched_no_farther_than_asked():
+    q = motion(2000)
+    assert abs(search_lag(q[80:], readings(q)[:-80], 40, longest_s=1.0).lag_s) <= 1.0
+    assert search_lag(q[80:], readings(q)[:-80], 40, longest_s=3.0).lag_s == 2.0
+
+
+def test_the_least_residual_elsewhere_tells_a_motion_that_repeats_itself():
+    t = np.arange(4000) / 40
+    q = np.stack([np.sin(2 * np.pi * t / 5), np.cos(4 * np.pi * t / 5)], axis=-1)
+    again, once = (
+        search_lag(q, q @ [[1.0, 2.0], [3.0, 1.0]], 40),
+        search_lag(motion(4000), readings(motion(4000)), 40),
+    )
+    assert again.other < again.best + 1e-4 * again.spread
+    assert once.other > 0.2 * once.spread
