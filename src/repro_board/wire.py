@@ -249,7 +249,7 @@ _PAIRS = re.compile(r"[+-]?[0-9]+,[0-9]{2,}(?:,[+-]?[0-9]+,[0-9]{2,})*")
 _WRAPPED = re.compile(r"b'(.*?)(?:\\r)?(?:\\n)?'|[(\[{](.*)[)\]}],?")
 """How Python prints bytes and tuples, and JSON objects."""
 _QUOTED = re.compile(r'"([^"]*)"')
-_TELEPLOT = re.compile(r">([^:,|]+):([^:§|]*)(?:§([^|]*))?(?:\|.*)?")
+_TELEPLOT = re.compile(r">([^>:,|]+):([^:§|]*)(?:§([^|]*))?(?:\|.*)?")
 _COUNT, _DECIMAL = r"(?:0|-?[1-9][0-9]{0,3})", r"-?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]{1,3})?"
 _PAPERS = {
     "hall": (f"{_COUNT}(?:,{_COUNT})*", -8192.0, 8191.0, ("z", "y", "x"), "counts"),
@@ -291,7 +291,7 @@ class _Lines(_Packets):
         if not self._seen_newline and (self.rest + data).count(b"\r") > _AGREEING:
             self._delimiter, self._seen_newline = b"\r", True
         for start, packet, cut in self._split(data):
-            text = plain(packet)
+            text = _plain(packet)
             if cut:
                 self._discard(packet, "first_partial")
                 self._take_names(text, cut=True)
@@ -325,7 +325,7 @@ class _Lines(_Packets):
         """Return the samples that a line completes."""
         if single := _TELEPLOT.fullmatch(text):
             name, line = single[1].strip(), ",".join(self._group.values())
-            whole = name in self._group
+            whole = name in self._group or len(self._group) > MOST_VALUES
             self._group = ({} if whole else self._group) | {name: f"{name}:{single[2]}{single[3] or ''}"}
             return self._line(line, line.encode(), start) if whole else []
         form, values = _read_line(text)
@@ -369,9 +369,8 @@ class _Lines(_Packets):
                 self._drop(self._held.pop(0)[3], f"no {_AGREEING} of the first lines have one form")
             return []
         held, self._held, read = self._held, [], self._line
-        if self._channels in (None, 4) and all(
-            _reader_of("quaternions", 4)._of_paper("", x.encode(), 0) for x in texts
-        ):
+        quaternion = _Lines("quaternions", 4)._of_paper
+        if self._channels in (None, 4) and all(quaternion("", text.encode(), 0) for text in texts):
             self._read_as("quaternions", 4)
             read = self._of_paper
         else:
@@ -444,15 +443,10 @@ class _Lines(_Packets):
     def _drop(self, packet: bytes, why: str) -> None:
         self._discard(packet, "malformed")
         if self.counters["malformed"] == 1:
-            self._remark(f"Left out were lines such as {plain(packet)[:80]!r}: {why}.")
+            self._remark(f"Left out were lines such as {_plain(packet)[:80]!r}: {why}.")
 
 
-@functools.cache
-def _reader_of(format: str, n: int) -> _Lines:
-    return _Lines(format, n)
-
-
-def plain(packet: bytes) -> str:
+def _plain(packet: bytes) -> str:
     """Return the text of a line without quotes and what Python or JSON put round it."""
     text = packet.decode(errors="replace").strip().replace(_MARK, "\ufffd")
     text = _QUOTED.sub(r"\1", text)
@@ -535,7 +529,7 @@ def text_line(values: Any, format: str, stream: int = 0) -> bytes:
     if format == "quaternions":
         fields = [str(stream), *fields[-1:], *fields[:-1]]
     line = ",".join(fields).encode()
-    back = _reader_of(format, len(given))._of_paper("", line, 0)
+    back = _Lines(format, len(given))._of_paper("", line, 0)
     off = np.abs(back[0].values - given).max() if back and back[0].stream == stream else math.inf
     words = {
         "hall": "3 whole numbers",
@@ -634,8 +628,7 @@ class Parser:
     def close(self) -> list[Sample]:
         """End. A last line without its end may be cut off: it is no sample, so that none is returned."""
         reader = self._readers[-1]
-        last = plain(reader.rest) if isinstance(reader, _Lines) else ""
-        if last:
+        if isinstance(reader, _Lines) and (last := _plain(reader.rest)):
             self.remarks.append(f"The last line has no end and was left out: {last[:80]!r}.")
         reader.drop_rest()
         return []
