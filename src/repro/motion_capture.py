@@ -812,7 +812,7 @@ def _fitted(robot: Robot, motion: Motion, owner: str, bodies: Sequence[str], str
     names = [short.get(name, name) for name in bodies] or there
     known = len(names) in (n, n + 1) and len({*names}) == len(names) and {*names} <= {*there}
     expected = (
-        f"{n} different bodies of {', '.join(there)}, from base to tip, or {n + 1} with one on the base first"
+        f"{n} of the bodies {', '.join(there)}, from base to tip, or {n + 1} with one on the base first"
     )
     require(known, "bodies", owner, expected, ", ".join(names) or "none")
     poses = np.stack([motion.bodies[name] for name in names], axis=1)[..., _POSITION_FIRST]
