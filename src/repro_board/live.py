@@ -254,7 +254,7 @@ def sentences(session: Session) -> list[str]:
             counters["bytes"] and silent,
             "Nothing arrives any more. Has the board lost its power or its wires?",
         ),
-        (late and not frames, f"Bytes arrive, but no readings. {remarks[-1] or ask}"),
+        (late and recent["bytes"] and not frames, f"Bytes arrive, but no readings. {remarks[-1] or ask}"),
         (
             frames and not recent["time_steps"] and late,
             f"What arrives does not fit this robot. {session.refusal or remarks[-1]}",

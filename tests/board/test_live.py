@@ -299,6 +299,14 @@ def test_particles_follow_without_a_monitor():
     assert len(numbers(session)) == 6
 
 
+def test_a_slow_board_is_not_taken_for_a_silent_one():
+    session = session_of(sent(U[:3]), robot=ROBOT.replaced(rate_hz=0.3), since_s=4)
+    session.counts[0] = time.monotonic() - 2, session.counters()
+    session.heard = session.estimated_at = time.monotonic() - 3
+    assert sentences(session) == []
+    assert session.age_s() == 0
+
+
 def test_silence_and_a_lost_port_are_told_apart():
     session = session_of(sent(U[:20]))
     session.heard = session.estimated_at = time.monotonic() - 1.5
