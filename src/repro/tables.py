@@ -431,26 +431,17 @@ def read_readings(robot: Robot, source: Any) -> Readings:
     """Return the readings of a table ``[t, s]`` for a robot: see :meth:`repro.Robot.readings`."""
     from scipy.spatial.transform import Rotation
 
-    table, used = read_table(source), []
+    table = read_table(source)
     remarks, n_t = list(table.remarks), len(table.values)
-    columns, axes = [np.zeros((n_t, 0))], [(x, k) for x in robot.sensors for k in range(x.axes)]
-    if table.columns[:1] == ("column 1",) and not robot.imus:
-        words = f"{len(axes)} columns, one for every reading (a line of names above them says which is which)"
-        require(len(table.columns) == len(axes), "table", table.owner, words, f"{len(table.columns)}")
-    bare = []
-    for j, (sensor, axis) in enumerate(axes):
-        channel = j + 1 if sensor.channels is None else sensor.channels[axis]
-        used.append(_column(table, channel, robot.names[j]))
-        bare += [table.names[used[-1]]] if not table.units[used[-1]] and sensor.unit == "mT" else []
-        u = table.values[:, used[-1]] * _factor(table, used[-1], sensor)
-        beyond = np.abs(u) >= sensor.range
-        what = f"readings of {robot.names[j]}"
-        _count(int(beyond.sum()), n_t, what, "missing: at the end of its range", remarks)
-        _count(int(np.isnan(u).sum()), n_t, what, "missing", remarks)
-        columns.append(np.where(beyond, np.nan, u)[:, None])
-    if bare:
-        remarks.append(f"Columns without a unit are taken as mT: {', '.join(bare)}.")
-    u = np.concatenate(columns, axis=1)
+    used, factors = magnetic_columns(robot, table, remarks)
+    u = table.values[:, used] * factors
+    beyond = np.abs(u) >= robot.range[: len(used)]
+    u[beyond] = np.nan
+    for name, more, missing in zip(
+        robot.names, beyond.sum(0).tolist(), np.isnan(u).sum(0).tolist(), strict=False
+    ):
+        _count(more, n_t, f"readings of {name}", "missing: at the end of its range", remarks)
+        _count(missing - more, n_t, f"readings of {name}", "missing", remarks)
     if u.shape[1] > 2 and 0 < (silent := (u == 0).all(axis=1)).sum() < n_t / 2:
         u[silent] = np.nan
         _count(int(silent.sum()), n_t, "rows", "missing: all readings are zero", remarks)
@@ -482,6 +473,23 @@ def read_readings(robot: Robot, source: Any) -> Readings:
     readings = np.concatenate(columns, axis=1).view(Readings)
     readings.times, readings.lines, readings.remarks = table.times, np.asarray(table.lines), tuple(remarks)
     return readings
+
+
+def magnetic_columns(robot: Robot, table: Table, remarks: list[str]) -> tuple[list[int], Array]:
+    """Return which column has each magnetic reading, and the factors that take these to mT."""
+    axes = [(sensor, k) for sensor in robot.sensors for k in range(sensor.axes)]
+    if table.columns[:1] == ("column 1",) and not robot.imus:
+        words = f"{len(axes)} columns, one for every reading (a line of names above them says which is which)"
+        require(len(table.columns) == len(axes), "table", table.owner, words, f"{len(table.columns)}")
+    used, factors, bare = [], [], []
+    for j, (sensor, axis) in enumerate(axes):
+        channel = j + 1 if sensor.channels is None else sensor.channels[axis]
+        used.append(_column(table, channel, robot.names[j]))
+        factors.append(_factor(table, used[-1], sensor))
+        bare += [table.names[used[-1]]] if not table.units[used[-1]] and sensor.unit == "mT" else []
+    if bare:
+        remarks.append(f"Columns without a unit are taken as mT: {', '.join(bare)}.")
+    return used, np.array(factors)
 
 
 def _column(table: Table, channel: Any, own: str) -> int:

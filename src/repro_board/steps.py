@@ -10,7 +10,7 @@ import numpy as np
 
 from repro import Robot
 from repro.common import Array, InputError, require
-from repro.tables import Table, read_readings
+from repro.tables import Table, magnetic_columns, read_readings
 from repro_board.wire import WRAP, Sample
 
 _NUMBERED = re.compile(r"(u|ch|channel|sensor)[ _]?[0-9]+", re.IGNORECASE)
@@ -82,6 +82,7 @@ class Steps:
         self._age = dict.fromkeys(self._widths, 1)  # steps since a stream sent, and how many are usual
         self._usual = dict.fromkeys(self._widths, 1.0)
         self._table: Table | None = None
+        self._linear: tuple[list[int], Array] | None = None  # column and factor of every reading
         self._sent_us: int | None = None  # time of the last sample
         self._before: tuple[float, float, int | None] | None = (
             None  # step before: time, arrival [s], board [µs]
@@ -104,11 +105,18 @@ class Steps:
         if not rows:
             return []
         values = np.array([row for row, _ in rows])
-        first = self._table is None
-        table = self._named(values) if self._table is None else self._table
-        self._table = table._replace(values=values, lines=range(1, len(rows) + 1))
-        u = read_readings(self._robot, self._table)
-        self.remarks += u.remarks if first else ()
+        if self._linear is None:
+            table = self._named(values) if self._table is None else self._table
+            u = read_readings(self._robot, table._replace(values=values, lines=range(1, len(rows) + 1)))
+            if self._table is None:
+                self.remarks += u.remarks
+            if not self._robot.imus:  # a table for every row would cost ten times as much as an estimate
+                self._linear = magnetic_columns(self._robot, table, [])
+            self._table = table
+        else:
+            used, factors = self._linear
+            u = values[:, used] * factors
+            u[np.abs(u) >= self._robot.range] = np.nan
         times = self._when([sent_us for _, sent_us in rows], arrived_s)
         self.counters["steps"] += len(rows)
         return [Step(time_s, row) for time_s, row in zip(times, np.asarray(u), strict=True)]
@@ -147,7 +155,10 @@ class Steps:
         """Return a table of rows. Names that mean no channel are those of channels or readings in their order."""
         n = self._widths[0] if self._magnetic else 0
         said, units = (tuple(getattr(self._source, x, ())) for x in ("names", "units"))
-        units = tuple("raw" if unit == "counts" else unit for unit in units) if len(units) == n else ("",) * n
+        bare = "mT" if all(sensor.unit == "mT" for sensor in self._robot.sensors) else ""
+        units = (
+            tuple("raw" if x == "counts" else x or bare for x in units) if len(units) == n else (bare,) * n
+        )
         imus = [f"q{axis}_{stream}" for stream in list(self._widths)[self._magnetic :] for axis in "xyzw"]
         numbered = tuple(f"u{k + 1}" for k in range(n))
         names = said if len(said) == n else numbered
