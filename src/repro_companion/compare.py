@@ -2,7 +2,7 @@
 
 On one kind of processor the same sources give the same bytes. Another kind adds numbers in another order, so last
 digits move, and more than these where a descent is chaotic. ``data/tolerances.csv`` says which cells move, how far
-and why; ``data/thinned.csv`` lists tables of which ``results/`` keeps only some rows.
+and why.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def compare_folders(old: Path, new: Path, root: Path, *, exact: bool = False) ->
     old, new
         Folders with tables (``*.csv``).
     root
-        The project, with ``data/tolerances.csv`` and ``data/thinned.csv``.
+        The project, with ``data/tolerances.csv``.
     exact
         Whether every table must be the same byte for byte.
 
@@ -62,7 +62,6 @@ def compare_folders(old: Path, new: Path, root: Path, *, exact: bool = False) ->
         not at all.
     """
     tolerances = pd.read_csv(root / "data" / "tolerances.csv", comment="#", dtype={"tolerance": float})
-    thinned = pd.read_csv(root / "data" / "thinned.csv").set_index("table")
     result = Comparison()
     for name in sorted({path.name for folder in (old, new) for path in folder.glob("*.csv")}):
         missing = [folder for folder in (old, new) if not (folder / name).is_file()]
@@ -73,16 +72,13 @@ def compare_folders(old: Path, new: Path, root: Path, *, exact: bool = False) ->
         elif exact:
             result.found.append(f"{name} is not the same byte for byte")
         elif name != "scorecard.csv":
-            keys, every = thinned.loc[name[:-4]] if name[:-4] in thinned.index else ("", 1)
-            found = compare_tables(old / name, new / name, tolerances, keys.split(), int(every))
+            found = compare_tables(old / name, new / name, tolerances)
             result.close += not found
             result.found += found
     return result
 
 
-def compare_tables(
-    old: Path, new: Path, tolerances: pd.DataFrame, thinned_by: Sequence[str] = (), every: int = 1
-) -> list[str]:
+def compare_tables(old: Path, new: Path, tolerances: pd.DataFrame) -> list[str]:
     """Return one line for each column of a table that differs by more than it may.
 
     Parameters
@@ -93,20 +89,16 @@ def compare_tables(
         Columns ``table, row, column, tolerance, reason``; the last line whose patterns fit a cell counts. ``row`` is
         a pattern for the texts and whole numbers of a row, with blanks between them. A tolerance is in parts of the
         largest number of the column; 1 and more also lets words differ.
-    thinned_by, every
-        Columns that tell rows apart, and which share of the rows one of the two files has at least, for a table of
-        which ``results/`` keeps every k-th row.
     """
     first, second = _read(old), _read(new)
     if set(first) != set(second):
         return [f"{old.name}: only one of the two has {', '.join(sorted(set(first) ^ set(second)))}"]
-    keys = list(thinned_by) or _keys(first, second)
+    keys = _keys(first, second)
     first, second = (_by_keys(table, keys) for table in (first, second))
     common = first.index.intersection(second.index, sort=False)
-    few, many = sorted((len(first), len(second)))
-    lost = (few if thinned_by else many) - len(common)
-    if lost or few * (every + 1) < many:
-        return [f"{old.name} has {lost or many - few} rows that only one of the two has"]
+    lost = max(len(first), len(second)) - len(common)
+    if lost:
+        return [f"{old.name} has {lost} rows that only one of the two has"]
     first, second = first.loc[common], second.loc[common]
     texts = first.columns[[not is_float_dtype(first[column]) for column in first]]
     rows = [" ".join(map(str, row)) for row in first[texts].itertuples(index=False)]

@@ -39,7 +39,6 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "data/published/published.csv": PUBLISHED,
         "data/published/index.csv": "paper,kind,artefact,shows,status,page,anchor,code,note\n"
         "a2020,table,Table 1,errors,regenerated,notebooks/a,,,\n",
-        "data/thinned.csv": "table,keys,every\n",
         "book/_config.yml": CONFIG,
         "book/_toc.yml": "format: jb-book\nroot: index\nchapters:\n- file: notebooks/a\n- file: notebooks/other\n",
         "book/index.md": "# Small\n\nA page.\n",
