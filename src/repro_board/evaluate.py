@@ -338,7 +338,7 @@ def _by_motion(robot: Any, u: Array) -> tuple[str, Calibration]:
             J, r = np.where(np.isfinite(r)[..., None], J, 0.0), np.nan_to_num(r)
             A, B = np.where(held[:, None], 0.0, J[..., :n]), J[..., n:]
             by_shape = np.linalg.pinv(np.swapaxes(A, 1, 2) @ A, rcond=1e-9, hermitian=True)
-            across = B * (fit <= gate)[:, None, None]
+            across = (B - A @ (by_shape @ (np.swapaxes(A, 1, 2) @ B))) * (fit <= gate)[:, None, None]
             H, g = np.einsum("tsk,tsl->kl", across, across) + prior, np.einsum("tsk,ts->k", across, r)
             if settled:
                 break
@@ -525,7 +525,7 @@ def _frozen(q: Array, times: Array, t: Array, u: Array, noise: Any) -> Array:
         beside = int(last - first < 3)  # a short hold has too few readings of its own
         x = u[max(first - beside, 0) : last + beside]
         x = x[np.isfinite(x).all(1)]
-        frozen[begin:end] = len(x) > 1 and (np.ptp(x, axis=0) > 0 * noise).any()
+        frozen[begin:end] = len(x) > 1 and (np.ptp(x, axis=0) > _SPIKE * noise).any()
     return frozen
 
 
