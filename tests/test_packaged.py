@@ -19,7 +19,7 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES_OF_THE_BUNDLE = "repro_board/page/"
 """From these `make vendor` makes the script of the viewer; the wheel holds only what it made."""
-BUNDLED = {"shape_viewer.js", "LICENSE.three"}
+BUNDLED = {"shape_viewer.js", "LICENSE.three", "live.html", "live.css", "live.js"}
 SHOW = "print(repro.__file__, shape.q.shape, found.q.shape)"
 THREE_LINES = """import repro
 robot = repro.Robot([repro.ConstantCurvature(0.11, 0.022), repro.Link(0.02)])
@@ -49,7 +49,7 @@ def wheel(tmp_path_factory) -> Path:
 def test_the_wheel_holds_the_packages_and_nothing_else(wheel):
     src = ROOT / "src"
     files = {
-        path.relative_to(src).as_posix().removeprefix("edition1/")
+        path.relative_to(src).as_posix()
         for path in src.rglob("*")
         if path.is_file() and "__pycache__" not in path.parts and ".egg-info" not in path.as_posix()
     }
@@ -121,14 +121,14 @@ def test_a_bare_installation_has_the_library(called: Called, required):
 def test_a_bare_installation_says_which_extra_a_command_needs(called: Called, required):
     """In one line, before it asks for anything else; help works."""
     for command, said in {
-        "track x": 'repro track needs the extra "edition1": pip install "repro-soft-robots[edition1]"\n',
         "run": 'repro run needs the extra "book": pip install "repro-soft-robots[book]"\n',
+        "fetch": 'repro fetch needs the extra "book": pip install "repro-soft-robots[book]"\n',
     }.items():
         done = called(required, "repro", *command.split())
         assert (done.returncode, done.stdout, done.stderr) == (2, "", said)
     done = called(required, "repro", "--help")
     assert (done.returncode, done.stderr) == (0, "")
-    assert 'Commands that need the extra "edition1"' in done.stdout
+    assert "A robot of your own" in done.stdout
 
 
 def test_the_lines_of_the_readme_run_from_the_wheel(called: Called):

@@ -18,7 +18,6 @@ from packaging.utils import canonicalize_name
 from pybtex.database import parse_string
 
 import repro
-from bench.size import unreached
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -52,11 +51,6 @@ def locked() -> dict[str, list[Requirement]]:
             requirement = Requirement(line.rstrip("\\ "))
             found.setdefault(requirement.name.lower(), []).append(requirement)
     return found
-
-
-def test_every_module_of_the_first_edition_is_used():
-    """A module goes with the last page or command that needs it."""
-    assert unreached() == []
 
 
 def test_python_versions_agree():
@@ -211,7 +205,7 @@ def test_named_paths_and_links_exist(name):
 def test_dead_paths_are_found():
     """In links, in code and in commands; what is made, patterns and other hosts are left alone."""
     text = """[a](book/none.md#x) [b](README.md#x) [c](#x) [d](https://example.org/x.md)
-    `data/none.csv`, `src/edition1/edition1/*.py`, `data/*.none`, `none.toml`, `pyproject.toml`, `runs/none.csv`
+    `data/none.csv`, `src/repro/*.py`, `data/*.none`, `none.toml`, `pyproject.toml`, `runs/none.csv`
     ```bash
     .venv/bin/repro run notebooks/none.ipynb -p n 3
     .venv/bin/repro run notebooks/first_steps.ipynb -o out/none.ipynb

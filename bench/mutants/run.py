@@ -34,14 +34,10 @@ def outcome(root: Path, work: Path, tests: list[str], change: dict[str, Any] | N
         if (count := text.count(change["old"])) != 1 or change["old"] == change["new"]:
             return f"refused: the old expression is there {count} times"
         path.write_text(text.replace(change["old"], change["new"]), encoding="utf-8")
-    sources = [work / "src", work / "src" / "edition1"]
-    places = {
-        "PYTHONPATH": ":".join(map(str, sources)),
-        "NUMBA_CACHE_DIR": str(work / "kernels"),
-        "SHAPES": "1",
-    }
+    sources = work / "src"
+    places = {"PYTHONPATH": str(sources), "NUMBA_CACHE_DIR": str(work / "kernels")}
     # pytest puts the project's own sources first, unless it is told to take the copy.
-    copied = f"pythonpath={root} " + " ".join(map(str, sources))
+    copied = f"pythonpath={root} {sources}"
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-o", copied, *tests]
     try:
         done = subprocess.run(

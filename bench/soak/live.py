@@ -18,8 +18,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import torch
-
-from bench.soak.parsers import _peak_bytes
 from edition1.robot_file.load import load_robot
 from edition1_companion.book.project import find_project
 from edition1_companion.twins.played import PERIOD_S, played
@@ -30,6 +28,8 @@ from edition1_live.follow.live_state import LiveState
 from edition1_live.follow.robot_estimator import robot_estimator
 from edition1_live.follow.session import follow
 from edition1_live.record.recording import read_recording
+
+from bench.soak.parsers import _peak_bytes
 
 SETTLED = 0.1
 """Memory is compared from this part of the time on."""

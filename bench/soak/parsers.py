@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-
 from edition1.errors import InputError, bad_input
 from edition1_live.emulate.board import Passage, Reading, passages
 from edition1_live.emulate.emulator import Emulator

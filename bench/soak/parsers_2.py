@@ -10,10 +10,10 @@ import time
 from collections.abc import Iterator
 
 import numpy as np
-
 from edition1_live.emulate.board import Reading, passages
 from edition1_live.emulate.faults import Faults
 from edition1_live.wire.formats import parser
+
 from repro_board.wire import WRAP, Parser, encode
 
 FAULTS = Faults(

@@ -14,8 +14,6 @@ from sphinx.application import Sphinx
 
 LIBRARY = "repro"
 """The library that the reference describes."""
-OURS = (LIBRARY, "edition1")
-"""What the names of our packages begin with."""
 GLOSSARY = "notation"
 TRAJECTORIES = f"{GLOSSARY}.html#glossary-trajectories"
 TRAJECTORY = re.compile(r"\bT[0-5]\b")
@@ -76,16 +74,16 @@ def _link(word: str, uri: str) -> nodes.reference:
     return nodes.reference("", word, internal=True, refuri=uri, classes=["glossary-link"])
 
 
-def imported_names(cells: list[dict]) -> dict[str, str]:
-    """Return the names that cells import from the library, by the names that are used for them there."""
+def names_used(cells: list[dict]) -> dict[str, str]:
+    """Return the names of the library in cells, by how they stand there: ``repro.track``, or as they are imported."""
     code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
-    imports = [node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.ImportFrom)]
-    return {
-        name.asname or name.name: name.name
-        for node in imports
-        if f"{node.module}.".startswith(f"{LIBRARY}.")
-        for name in node.names
-    }
+    found = {}
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and f"{node.module}.".startswith(f"{LIBRARY}."):
+            found |= {name.asname or name.name: name.name for name in node.names}
+        elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == LIBRARY:
+            found[f"{LIBRARY}.{node.attr}"] = node.attr
+    return found
 
 
 def link_calls(app: Sphinx, exception: Exception | None) -> None:
@@ -102,7 +100,7 @@ def link_calls(app: Sphinx, exception: Exception | None) -> None:
         source = Path(app.env.doc2path(docname))
         if not docname.startswith("notebooks/") or source.suffix != ".ipynb":
             continue
-        names = imported_names(json.loads(source.read_text(encoding="utf-8"))["cells"])
+        names = names_used(json.loads(source.read_text(encoding="utf-8"))["cells"])
         known = {name: public[home] for name, home in names.items() if home in public}
         page = Path(app.outdir) / f"{docname}.html"
         if known and page.is_file():
@@ -116,17 +114,20 @@ def link_calls(app: Sphinx, exception: Exception | None) -> None:
 
 def linked_code(html: str, uris: dict[str, str]) -> str:
     """Return a page whose highlighted code links names; what is linked already stays."""
-    name = re.compile(
-        rf'(?<!<a class="api-link" )<span class="n">({"|".join(map(re.escape, uris))})</span>(?!</a>)'
-    )
-    return name.sub(
-        lambda m: f'<a class="api-link" href="{uris[m[1]]}"><span class="n">{m[1]}</span></a>', html
-    )
+    names = "|".join({re.escape(name.rpartition(".")[2]) for name in uris})
+    of_library = rf'<span class="n">{LIBRARY}</span><span class="o">\.</span>'
+
+    def link(match: re.Match[str]) -> str:
+        uri = uris.get(f"{LIBRARY}.{match[2]}" if match[1] else match[2])
+        word = f'<span class="n">{match[2]}</span>'
+        return f'{match[1] or ""}<a class="api-link" href="{uri}">{word}</a>' if uri else match[0]
+
+    return re.sub(rf'({of_library})?<span class="n">({names})</span>(?!</a>)', link, html)
 
 
 def name_as_text(app: Sphinx, env, node: pending_xref, contnode: nodes.Element) -> nodes.Element | None:
     """Write a name of ours that the reference does not describe as text; one that does not exist stays broken."""
-    if node.get("refdomain") == "py" and node["reftarget"].startswith(OURS):
+    if node.get("refdomain") == "py" and node["reftarget"].startswith(LIBRARY):
         try:
             pkgutil.resolve_name(node["reftarget"])
         except (AttributeError, ImportError):

@@ -8,17 +8,12 @@ import shutil
 import tomllib
 from pathlib import Path
 
-from docutils import nodes
 from fontTools import subset
 from page_access import accessible, schematics_in_full
 from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
 
-from edition1.files import write_whole
-from edition1_companion.book.after.page_notes import with_notes, write_page_files
-from edition1_companion.book.project import Project
-from edition1_companion.book.values import filled
 from repro_companion.build import page_of
-from repro_companion.run import is_first_edition
 
 VIEWER = "shape_viewer.js"
 VIEWER_IN_PACKAGE = f"src/repro_board/page/vendor/{VIEWER}"
@@ -44,7 +39,6 @@ USED_BY = {
     "scorecard.js": 'class="scorecard-filter"',
     "live/live.css": "data-live=",
     "mathjax/": 'class="math ',
-    "page_notes.css": 'class="page-summary"',
     "mystnb.": 'class="cell',
     "sphinx-design.min.css": "sd-",
     "design-tabs.js": "sd-tab",
@@ -63,6 +57,7 @@ NOT_SERVED = (
 LIVE_FIRST = ("model", "figure")
 """What every live figure is made of, in the order in which it is loaded; its own script comes last."""
 NOTEBOOKS = "notebooks/"
+PLACE = re.compile(r"\{\{\s*([a-z_][\w.]*)\s*\}\}")
 LIVE = re.compile(r'data-live="(\w+)"')
 
 
@@ -89,29 +84,34 @@ def select_files(app: Sphinx, pagename: str, templatename: str, context: dict, d
     kept += [f"_static/live/{stem}.js" for stem in ((*LIVE_FIRST, *live) if live else ())]
 
 
-def add_notes(app: Sphinx, docname: str, source: list[str]) -> None:
+def is_notebook(app: Sphinx, docname: str) -> bool:
+    """Return whether a page is made from an executed notebook."""
+    return docname.startswith(NOTEBOOKS) and str(app.env.doc2path(docname)).endswith(".ipynb")
+
+
+def make_page(app: Sphinx, docname: str, source: list[str]) -> None:
     """Make the page of an executed notebook; the notebook itself stays as it is."""
-    place = Path(app.env.doc2path(docname))
-    if docname.startswith(NOTEBOOKS) and place.suffix == ".ipynb":
-        project, name = Project(Path(app.srcdir).parent), docname.removeprefix(NOTEBOOKS)
-        page = json.loads(source[0])
-        old = is_first_edition(place)
-        source[0] = json.dumps(with_notes(page, project, name) if old else page_of(page, project.root, name))
+    if is_notebook(app, docname):
+        name = docname.removeprefix(NOTEBOOKS)
+        source[0] = json.dumps(page_of(json.loads(source[0]), Path(app.srcdir).parent, name))
 
 
 def fill_values(app: Sphinx, docname: str, source: list[str]) -> None:
     """Put results into the text of pages that are no notebooks, where ``{{home.ring_best}}`` names one."""
     if docname.startswith(NOTEBOOKS) or "{{" not in source[0]:
         return
-    project = Project(Path(app.srcdir).parent)
-    values = {"source": source_of(project.root)}
-    found = project.book / "generated" / "values.json"
+    book = Path(app.srcdir)
+    values = {"source": source_of(book.parent)}
+    found = book / "generated" / "values.json"
     if found.is_file():
         values |= json.loads(found.read_text(encoding="utf-8"))
-    for path in sorted(project.executed.glob("*.ipynb")):  # of the first edition
-        given = json.loads(path.read_text(encoding="utf-8"))["metadata"].get("repro", {}).get("values", {})
-        values |= {f"{path.stem}.{name}": value for name, value in given.items()}
-    source[0] = filled(source[0], values, docname)
+
+    def value(match: re.Match[str]) -> str:
+        if match[1] not in values:
+            raise ExtensionError(f"{docname} names {match[0]}; there is {', '.join(sorted(values))}.")
+        return values[match[1]]
+
+    source[0] = PLACE.sub(value, source[0])
 
 
 def source_of(root: Path) -> str:
@@ -123,23 +123,10 @@ def source_of(root: Path) -> str:
 
 
 def drop_numbers(app: Sphinx, pagename: str, templatename: str, context: dict, doctree) -> None:
-    """Take our numbers off the figures of rewritten pages: these name the figures of the paper."""
-    if doctree is not None and pagename.startswith(NOTEBOOKS):
-        place = Path(app.env.doc2path(pagename))
-        if place.suffix == ".ipynb" and not is_first_edition(place):
-            number = r'<span class="caption-number">.*?</span>'
-            context["body"] = re.sub(number, "", context["body"], flags=re.S)
-
-
-def add_downloads(app: Sphinx, exception: Exception | None) -> None:
-    """Put the files that pages of the first edition's notebooks offer where these look for them."""
-    if exception is None and app.builder.format == "html":
-        for docname in sorted(app.env.found_docs):
-            place = Path(app.env.doc2path(docname))
-            if docname.startswith(NOTEBOOKS) and place.suffix == ".ipynb" and is_first_edition(place):
-                write_page_files(
-                    Project(Path(app.srcdir).parent), docname.removeprefix(NOTEBOOKS), Path(app.outdir)
-                )
+    """Take our numbers off the figures of notebooks: these name the figures of the paper."""
+    if doctree is not None and is_notebook(app, pagename):
+        number = r'<span class="caption-number">.*?</span>'
+        context["body"] = re.sub(number, "", context["body"], flags=re.S)
 
 
 def add_viewer(app: Sphinx, exception: Exception | None) -> None:
@@ -175,7 +162,8 @@ def tidy(app: Sphinx, exception: Exception | None) -> None:
         images = "../" * (len(page.parts) - 1) + "_images/"
         new, drawn = schematics_in_full(new, "-".join(page.with_suffix("").parts), images)
         for name, picture in drawn.items():
-            write_whole(out / "_images" / name, picture)
+            (out / "_images").mkdir(exist_ok=True)
+            (out / "_images" / name).write_text(picture, encoding="utf-8")
         if new != text:
             path.write_text(new, encoding="utf-8")
     for pattern in NOT_SERVED:
@@ -189,13 +177,9 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.add_config_value("comments_config", {}, "html")
     app.connect("html-page-context", select_files, priority=900)
     app.connect("html-page-context", drop_numbers)
-    app.connect("source-read", add_notes)
+    app.connect("source-read", make_page)
     app.connect("source-read", fill_values)
-    # a number of a paper, a setting: so that every other digit in prose is known to be loose
-    for role in ("paper", "setting"):
-        app.add_generic_role(role, nodes.inline)
     app.connect("build-finished", add_viewer)
     app.connect("build-finished", cut_icons)
-    app.connect("build-finished", add_downloads)
     app.connect("build-finished", tidy)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

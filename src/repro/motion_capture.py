@@ -586,7 +586,7 @@ def _vicon(rows: list[list[str]], path: Path) -> Motion:
     header, wanted = [*rows[:5], *5 * [[""]]], ["RX", "RY", "RZ", "TX", "TY", "TZ"]
     starts = [k for k in range(len(header[3])) if header[3][k : k + 6] == wanted]
     units = {"rad": 1.0, "deg": math.pi / 180, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
-    known = all(unit in units for k in starts for unit in header[4][k : k + 6])
+    known = all(len(own := header[4][k : k + 6]) == 6 and {*own} <= {*units} for k in starts)
     if not (starts and known and re.fullmatch(r"[\d.]+", header[1][0])):
         words = "of Vicon: a rate, names, RX, RY, RZ, TX, TY, TZ of each segment, and their units"
         raise bad_input("header", owner, words, "another")
@@ -812,7 +812,7 @@ def _fitted(robot: Robot, motion: Motion, owner: str, bodies: Sequence[str], str
     names = [short.get(name, name) for name in bodies] or there
     known = len(names) in (n, n + 1) and len({*names}) == len(names) and {*names} <= {*there}
     expected = (
-        f"{n} different bodies of {', '.join(there)}, from base to tip, or {n + 1} with one on the base first"
+        f"{n} of the bodies {', '.join(there)}, from base to tip, or {n + 1} with one on the base first"
     )
     require(known, "bodies", owner, expected, ", ".join(names) or "none")
     poses = np.stack([motion.bodies[name] for name in names], axis=1)[..., _POSITION_FIRST]

@@ -363,11 +363,10 @@ def _times(
     bad = [lines[i] for i in np.flatnonzero(np.isnan(times)).tolist()]
     require(not bad, name, owner, "times", f"none in line {bad[:1]}")
     step = np.diff(times)
-    plausible = unit or not len(step) or np.median(step) <= 1
-    require(plausible, name, owner, "named with its unit, such as time_ms", f"steps such as {step[:1]}")
-    ticks = 2**32 * _SECONDS.get(
-        unit, 1.0
-    )  # a clock starts again at midnight, a counter of the board after 32 bits
+    usual = float(np.median(step)) if len(step) else 0.0
+    require(unit or usual <= 1, name, owner, "named with its unit, such as time_ms", f"steps of {usual:g}")
+    # A clock starts again at midnight, a counter of the board after 32 bits.
+    ticks = 2**32 * _SECONDS.get(unit, 1.0)
     period = ticks if unit in ("ms", "us") else 86400.0 if unit == "s" and times.max() < 86400 else math.inf
     if days != rest:
         times = times + values[:, days].sum(axis=1)
@@ -387,13 +386,8 @@ def _increasing(times: Array, decimals: int, lines: Sequence[int], owner: str, r
     first = np.flatnonzero(np.r_[True, step > 0])
     if len(first) == len(times):
         return times
-    _count(
-        len(times) - len(first),
-        len(times),
-        f"times of {owner}",
-        "rounded to the one before: spread evenly",
-        remarks,
-    )
+    n = len(times) - len(first)
+    _count(n, len(times), f"times of {owner}", "rounded to the one before: spread evenly", remarks)
     require(len(first) > 1, "times", owner, "more than one", f"{times[0]:g} s in every row")
     at, known = np.r_[first, 2 * first[-1] - first[-2]], times[first]
     return np.interp(np.arange(len(times)), at, np.r_[known, 2 * known[-1] - known[-2]])
@@ -403,14 +397,10 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
     """Return one row for each turn of streams, or of columns of which every row has one."""
     values, names, times = table.values, list(table.names), table.times
     there = np.isfinite(values)
-    if len(names) == 5 and table.columns[0] == "column 1" and _are_quaternions(values[:, 1:]):
-        names = [
-            "stream",
-            "qw",
-            "qx",
-            "qy",
-            "qz",
-        ]  # as boards print them: number of the IMU, then the quaternion
+    # Boards print the number of an IMU, then its quaternion.
+    headless = len(names) == 5 and table.columns[0] == "column 1"
+    if headless and 0.9 < np.nanmedian(np.linalg.norm(values[:, 1:], axis=1)) < 1.1:
+        names = ["stream", "qw", "qx", "qy", "qz"]
     if "stream" in names:
         own = [k for k, name in enumerate(names) if name != "stream"]
         streams, which = np.unique(values[:, names.index("stream")], return_inverse=True)
@@ -437,12 +427,10 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
     )  # fmt: skip
 
 
-def _are_quaternions(q: Array) -> bool:
-    return abs(float(np.nanmedian(np.linalg.norm(q, axis=1))) - 1) < 0.1
-
-
 def read_readings(robot: Robot, source: Any) -> Readings:
     """Return the readings of a table ``[t, s]`` for a robot: see :meth:`repro.Robot.readings`."""
+    from scipy.spatial.transform import Rotation
+
     table, used = read_table(source), []
     remarks, n_t = list(table.remarks), len(table.values)
     columns, axes = [np.zeros((n_t, 0))], [(x, k) for x in robot.sensors for k in range(x.axes)]
@@ -474,10 +462,14 @@ def read_readings(robot: Robot, source: Any) -> Readings:
         used += (own := [_column(table, name, str(name)) for name in names])
         q, name = table.values[:, own], robot.part_names[len(robot.sensors) + k]
         columns.append(_rotation_vectors(table, q, imu.world, name, remarks))
-        if k == 0:
-            drawn = robot.poses(np.zeros(robot.n_q), [imu.place])[0, :3, :3]
-            w_first = _rotation_vectors(table, q[:, [1, 2, 3, 0]], imu.world, name, [])
-            as_read, other = (_typical_turn(turns, drawn) for turns in (columns[-1], w_first))
+        good = q[np.isfinite(columns[-1][:, 0])]
+        if k == 0 and len(good):
+            drawn = Rotation.from_matrix(robot.poses(np.zeros(robot.n_q), [imu.place])[0, :3, :3])
+            seen = (Rotation.from_quat([0, 0, 0, 1] if imu.world is None else imu.world) * drawn).as_quat()
+            as_read, other = (
+                2 * math.acos(min(1.0, float(np.median(np.abs(order @ seen)))))
+                for order in (good, good[:, [1, 2, 3, 0]])
+            )
             if as_read > 2.8 and other < as_read / 2:
                 expected = "in the order x, y, z, w, of an IMU that is mounted as the robot file says"
                 received = (
@@ -490,16 +482,6 @@ def read_readings(robot: Robot, source: Any) -> Readings:
     readings = np.concatenate(columns, axis=1).view(Readings)
     readings.times, readings.lines, readings.remarks = table.times, np.asarray(table.lines), tuple(remarks)
     return readings
-
-
-def _typical_turn(turns: Array, drawn: Array) -> float:
-    """Return by how much an IMU is mostly turned against the straight robot [rad]."""
-    from scipy.spatial.transform import Rotation
-
-    there = turns[np.isfinite(turns[:, 0])]
-    if not len(there):
-        return 0.0
-    return float(np.median((Rotation.from_matrix(drawn).inv() * Rotation.from_rotvec(there)).magnitude()))
 
 
 def _column(table: Table, channel: Any, own: str) -> int:

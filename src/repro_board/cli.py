@@ -1,39 +1,468 @@
-"""The commands for a robot of one's own; ``repro`` includes them."""
+"""The commands for a robot and for a board; ``repro`` adds those of the book to them.
+
+Each command imports what it needs when it runs, so that help comes at once.
+"""
 
 from __future__ import annotations
 
-import argparse
+import math
+import signal
 import sys
+import threading
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
 
-from repro.common import InputError
+from cyclopts import App, CycloptsError, Group, Parameter, Token
 
-COMMANDS = {"check": "Say whether a robot can work, before any reading is taken."}
-"""Names, and what they do in one line."""
+from repro.common import InputError, require
+
+ROBOT, BOARD, BOOK = (
+    Group(name, sort_key=k) for k, name in enumerate(("A robot of your own", "A board on a wire", "The book"))
+)
+"""How ``repro --help`` lists the commands."""
+PACKAGES = {"serial": "board", "mcap": "board", "tornado": "board", "pyarrow": "parquet"}
+"""The extra that brings a package; the book brings all others."""
+
+app = App(
+    name="repro",
+    help="The shape of a soft robot from its sensors, and the results of three papers on it.",
+    version_flags=[],
+    help_format="plaintext",
+)
+app["--help"].group = Group("Help", sort_key=9)
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Run a command, and return its exit status: 1 for a robot that cannot work, 2 for input that cannot be used."""
-    parser = argparse.ArgumentParser(prog="repro", description="The shape of a soft robot from its sensors.")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    check = commands.add_parser("check", help=COMMANDS["check"], description=COMMANDS["check"])
-    check.add_argument("robot", help="a robot file (TOML)")
-    check.add_argument("--samples", type=int, default=400, metavar="N", help="random shapes (default: 400)")
-    given = parser.parse_args(words)
-    try:
-        return _check(given.robot, given.samples)
-    except (InputError, OSError) as error:
-        print(f"repro {given.command}: {error}", file=sys.stderr)
-        return 2
+def as_typed(_: Any, tokens: Sequence[Token]) -> list[tuple[str, str]]:
+    """Return names and values as they were typed: a value may start with a hyphen or look like JSON."""
+    words = [token.value for token in tokens]
+    return list(zip(words[::2], words[1::2], strict=True))
 
 
-def _check(path: str, samples: int) -> int:
+def pairs(*names: str) -> Parameter:
+    """Return an option of a name and a value that may be given several times."""
+    return Parameter(
+        name=names,
+        metavar="NAME VALUE",
+        allow_leading_hyphen=True,
+        negative="",
+        json_list=False,
+        json_dict=False,
+        converter=as_typed,
+    )
+
+
+Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
+NewFile = Annotated[Path, Parameter(name=["-o", "--output"])]
+Flag = Annotated[bool, Parameter(negative="")]
+Numbers = Annotated[list[int] | None, Parameter(negative="", metavar="NUMBER")]
+Names = Annotated[list[str] | None, Parameter(negative="", metavar="NAME")]
+Faults = Annotated[list[tuple[str, str]] | None, pairs("--fault")]
+
+
+@app.command(group=ROBOT, sort_key=1)
+def check(robot: Path, /, *, samples: int = 400) -> int:
+    """Say whether a robot can work, before any reading is taken.
+
+    Parameters
+    ----------
+    robot
+        A robot file (TOML).
+    samples
+        How many random shapes are tried.
+    """
     from repro.check import check_design
     from repro.robot_file import load_robot
 
-    found = check_design(load_robot(path), samples=samples)
+    found = check_design(load_robot(robot), samples=samples)
     print(found)
     return 0 if found.can_work else 1
+
+
+@app.command(group=ROBOT, sort_key=2)
+def track(
+    readings: Path,
+    /,
+    *,
+    robot: Path,
+    output: Output = None,
+    calibration: Path | None = None,
+    estimator: str = "",
+    smooth: Flag = False,
+    failed: Numbers = None,
+    rate: float | None = None,
+    grown: float = 1.0,
+) -> int:
+    """Estimate the shape from readings: repro track READINGS --robot ROBOT.toml -o SHAPE.csv.
+
+    Parameters
+    ----------
+    readings
+        A recording of repro record, or a table: a column for each reading, by name or number.
+    robot
+        The robot file.
+    output
+        The estimates, a new CSV file.
+    calibration
+        From repro calibrate.
+    estimator
+        levenberg_marquardt (the default), kalman, gradient_descent or particle_filter.
+    smooth
+        Let later readings count as well: a Kalman filter, and back over it.
+    failed
+        Number of a sensor not to use, from 1; may be repeated.
+    rate
+        Readings per second, where the table has no times.
+    grown
+        State every ± so many times as large; repro evaluate says how large it has to be to hold.
+    """
+    from repro_board.evaluate import track_file
+
+    done = track_file(
+        readings, robot, output=output, calibration=calibration, estimator=estimator, smooth=smooth,
+        failed=failed or (), rate_hz=rate, grown=grown,
+    )  # fmt: skip
+    print(done)
+    return 0
+
+
+@app.command(group=ROBOT, sort_key=3)
+def calibrate(
+    readings: Path,
+    poses: Path | None = None,
+    /,
+    *,
+    robot: Path,
+    output: NewFile,
+    by_motion: Annotated[bool, Parameter(name="--self", negative="")] = False,
+    calibration: Path | None = None,
+    pose_noise_mm: float = 0.2,
+    pose_noise_deg: float = 0.5,
+) -> int:
+    """Calibrate a robot: repro calibrate READINGS POSES.csv --robot ROBOT.toml -o CALIBRATION.json.
+
+    Parameters
+    ----------
+    readings
+        A recording or a table of readings, taken while the robot is held in known poses.
+    poses
+        A table with a column for each coordinate, and from when to when the robot was held so.
+    robot
+        The robot file.
+    output
+        The calibration, a new JSON file.
+    by_motion
+        Without measured poses: find moments, gains and offsets while the robot bends every way.
+    calibration
+        With --self, an earlier calibration in poses.
+    pose_noise_mm, pose_noise_deg
+        How well the poses are known: standard deviation of lengths, and of angles.
+    """
+    from repro_board.evaluate import calibrate_files
+
+    require(by_motion == (poses is None), "POSES", "repro calibrate", "given, or --self", "both or neither")
+    done = calibrate_files(
+        readings, poses, robot, output, calibration=calibration,
+        pose_noise_mm=pose_noise_mm, pose_noise_deg=pose_noise_deg,
+    )  # fmt: skip
+    print(done)
+    return 0
+
+
+@app.command(group=ROBOT, sort_key=4)
+def evaluate(
+    readings: Path,
+    poses: Path,
+    /,
+    *,
+    robot: Path,
+    output: NewFile,
+    body: Names = None,
+    straight_s: float = 0.0,
+    pose_noise_mm: float = 0.2,
+    pose_noise_deg: float = 0.5,
+    share: float = 0.4,
+    longest_lag: float = 10.0,
+) -> int:
+    """Compare estimates with motion capture: repro evaluate READINGS POSES --robot ROBOT.toml -o FOLDER.
+
+    Finds the lag between the two clocks, calibrates the robot on the first part of the recording, estimates the shape
+    in the rest from a cold start, and says how far that is from the measured poses, before and after.
+
+    Parameters
+    ----------
+    readings
+        A recording or a table of readings.
+    poses
+        A table of coordinates or of poses over time, or a file of Motive, Vicon or Qualisys.
+    robot
+        The robot file.
+    output
+        A new folder: errors.csv, estimates.csv, estimates.png, report.txt, calibration.json.
+    body
+        The rigid body on the end of a segment, from base to tip; may be repeated. One more, given first, is the base.
+    straight_s
+        The robot stands straight for the first so many seconds; there, the bodies are aligned with the segments.
+    pose_noise_mm, pose_noise_deg
+        How well the poses are known: standard deviation of lengths, and of angles.
+    share
+        Of the time, for the first part.
+    longest_lag
+        Largest difference between the clocks that is tried, in seconds.
+    """
+    from repro_board.evaluate import evaluate_files
+
+    done = evaluate_files(
+        readings, poses, robot, output, bodies=body or (), straight_s=straight_s, pose_noise_mm=pose_noise_mm,
+        pose_noise_deg=pose_noise_deg, share=share, longest_lag_s=longest_lag,
+    )  # fmt: skip
+    print(f"{done}\n\nWritten: {output}")
+    return 0
+
+
+@app.command(group=BOARD, sort_key=1)
+def record(
+    port: str = "",
+    /,
+    *,
+    output: Output = None,
+    baud: int = 115200,
+    format: str = "",
+    channels: int | None = None,
+    duration: float = math.inf,
+    list_only: Annotated[bool, Parameter(name="--list", negative="")] = False,
+) -> int:
+    """Record a port: repro record PORT -o FILE.rec; stop with Ctrl-C.
+
+    Parameters
+    ----------
+    port
+        Such as /dev/ttyACM0, COM3 or socket://localhost:7000.
+    output
+        The recording, a new file with every byte that came and when.
+    baud
+        Bits per second; means nothing to a board that is itself a USB device.
+    format
+        What the board sends, for the counts that are shown: frames, csv, hall, millivolts or quaternions. Found by
+        itself if not given.
+    channels
+        How many values a frame has, for the counts that are shown.
+    duration
+        Stop after this many seconds.
+    list_only
+        Record nothing; list the ports.
+    """
+    from repro_board import record as tool
+
+    if list_only:
+        print(tool.ports())
+        return 0
+    require(port, "PORT", "repro record", "given (repro record --list shows them)", "none")
+    if output is None:
+        raise InputError("Input output of repro record must be given (-o FILE.rec); instead received none.")
+    done = tool.record(
+        port, output, baud=baud, format=format or None, channels=channels, duration_s=duration,
+        stop=stopped_by_signals(), show=show_in_place(),
+    )  # fmt: skip
+    print(done)
+    return 0
+
+
+@app.command(group=BOARD, sort_key=2)
+def live(
+    port: str,
+    /,
+    *,
+    robot: Path,
+    calibration: Path | None = None,
+    estimator: str = "",
+    output: Output = None,
+    estimates: Path | None = None,
+    browser: Flag = False,
+    browser_socket: int = 0,
+    failed: Numbers = None,
+    baud: int = 115200,
+    duration: float = math.inf,
+    grown: float = 1.0,
+) -> int:
+    """Estimate the shape from a port: repro live PORT --robot ROBOT.toml; stop with Ctrl-C.
+
+    Parameters
+    ----------
+    port
+        Such as /dev/ttyACM0, COM3 or socket://localhost:7000.
+    robot
+        The robot file.
+    calibration
+        From repro calibrate.
+    estimator
+        levenberg_marquardt (the default), kalman, gradient_descent or particle_filter.
+    output
+        Also record everything that arrives, as repro record does; a new file.
+    estimates
+        Also write the estimates as they come, as repro track does; a new CSV file.
+    browser
+        Show shape and readings on a page for the browser of this computer; its address is printed.
+    browser_socket
+        Number of a TCP port of this computer for that page; 0 for a free one.
+    failed
+        Number of a sensor not to use, from 1; may be repeated.
+    baud
+        Bits per second of the port.
+    duration
+        Stop after this many seconds.
+    grown
+        State every ± so many times as large; repro evaluate says how large it has to be to hold.
+    """
+    from repro_board.live import live as follow
+
+    done = follow(
+        port, robot, calibration=calibration, estimator=estimator, output=output, estimates=estimates,
+        browser=browser, browser_socket=browser_socket, failed=failed or (), baud=baud, duration_s=duration,
+        grown=grown, stop=stopped_by_signals(),
+    )  # fmt: skip
+    print(done)
+    return 0
+
+
+@app.command(group=BOARD, sort_key=3)
+def export(
+    recording: Path,
+    /,
+    *,
+    output: NewFile,
+    to: str = "",
+    robot: Path | None = None,
+    estimates: Path | None = None,
+) -> int:
+    """Write a recording for other programs: repro export RECORDING -o FILE.csv, .parquet or .mcap.
+
+    Parameters
+    ----------
+    recording
+        From repro record.
+    output
+        A new file.
+    to
+        csv, parquet or mcap (for Foxglove and PlotJuggler); by default as the name of the file says.
+    robot
+        The robot file that names the readings and their unit.
+    estimates
+        A table that repro track or live wrote of this recording; it stands beside the readings.
+    """
+    from repro.robot_file import load_robot
+    from repro_board.export import export as export_to
+    from repro_board.record import read_recording
+
+    described = None if robot is None else load_robot(robot)
+    read = read_recording(recording)
+    for remark in (*read.remarks, *export_to(read, output, to=to, robot=described, estimates=estimates)):
+        print(remark, file=sys.stderr)
+    print(f"{output}  ({len(read.samples)} samples)")
+    return 0
+
+
+@app.command(group=BOARD, sort_key=4)
+def emulate(
+    source: Path,
+    /,
+    *,
+    rate: float | None = None,
+    speed: float = 1.0,
+    loop: Flag = False,
+    tolerances: float = 0.0,
+    hold_poses: Path | None = None,
+    hold: float | None = None,
+    fault: Faults = None,
+    fault_from: float = 0.0,
+    seed: int = 0,
+    port_file: Path | None = None,
+    socket: int | None = None,
+) -> int:
+    """Play readings into a port as a board would: repro emulate ROBOT.toml or RECORDING; stop with Ctrl-C.
+
+    Parameters
+    ----------
+    source
+        A robot file, whose robot moves and reads what its sensors would (synthetic); or a recording.
+    rate
+        Readings per second.
+    speed
+        Times real time; inf: as fast as it is read.
+    loop
+        Begin a recording again at its end.
+    tolerances
+        How far the robot is from its file: 0 as described, 1 as repro calibrate assumes.
+    hold_poses
+        Hold the robot in one pose after the other, and write them to this new table.
+    hold
+        For so many seconds in each pose.
+    fault
+        A fault and its value, such as --fault flips 1e-4; may be repeated. Chances: flips, drops, duplicates, bursts,
+        stalls, disconnects, reboots. Number of a sensor: unplug, stick, saturate, gain, nan. Distance of a foreign
+        magnet in mm: magnet. Times the noise of the file: noise. Of the clock: drift_ppm.
+    fault_from
+        The faults begin so many seconds after the first reading.
+    seed
+        Of motion, readings and faults.
+    port_file
+        Name of the port, a symbolic link.
+    socket
+        Number of a TCP port of this computer instead, 0 for a free one.
+    """
+    from repro_board.emulate import emulate as play
+
+    return play(
+        source, rate_hz=rate, speed=speed, loop=loop, tolerances=tolerances, hold_poses=hold_poses, hold_s=hold,
+        faults=fault or (), fault_from=fault_from, seed=seed, port_file=port_file, socket=socket,
+    )  # fmt: skip
+
+
+def stopped_by_signals() -> threading.Event:
+    """Return an event that an interruption, a request to end and the end of the terminal set."""
+    stop = threading.Event()
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)  # Windows has no SIGHUP
+        if number is not None and signal.getsignal(number) != signal.SIG_IGN:  # as nohup asks
+            # Not here: the main thread may have been stopped while it holds the lock of the event.
+            signal.signal(number, lambda *_: threading.Thread(target=stop.set, daemon=True).start())
+    return stop
+
+
+def show_in_place() -> Any:
+    """Return what shows a state: in one place on a terminal, else not at all."""
+    from rich.console import Console
+    from rich.live import Live
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        return None
+    place = Live(console=console, auto_refresh=False, transient=True)
+    place.start()
+    return lambda state: place.update(str(state), refresh=True)
+
+
+def main(words: Sequence[str] | None = None, commands: App = app) -> int:
+    """Run a command; return its status: 1 where something came out badly, 2 for input that cannot be used."""
+    words = sys.argv[1:] if words is None else list(words)
+    name = f"repro {words[0]}" if words and not words[0].startswith("-") else "repro"
+    try:
+        return commands(words, exit_on_error=False, print_error=False, result_action="return_value") or 0
+    except (InputError, CycloptsError) as error:
+        print(f"{name}: {error}", file=sys.stderr)
+    except ModuleNotFoundError as missing:
+        package = str(missing.name).partition(".")[0]
+        if package.startswith("repro"):
+            raise
+        extra = PACKAGES.get(package, "book")
+        brings = f'pip install "repro-soft-robots[{extra}]"'
+        print(f'{name} needs the extra "{extra}": {brings}', file=sys.stderr)
+    except OSError as error:
+        what = f"{error.filename}: {error.strerror}" if error.filename else error
+        print(f"{name}: a file cannot be read or written: {what}", file=sys.stderr)
+    except KeyboardInterrupt:
+        return 130
+    return 2
 
 
 if __name__ == "__main__":

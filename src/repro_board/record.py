@@ -415,7 +415,8 @@ def _blocks(data: bytes, form: struct.Struct) -> Iterator[_Block]:
         head, begin = form.unpack_from(data, at), at + form.size + _CRC.size
         per_item = 20 + 8 * head[2] if form is not _HEAD and head[1] == b"F" else 1
         end = begin + per_item * head[4 if form is _HEAD else 3]
-        found = crc32(view[begin:end], crc32(view[at : at + form.size])) if end <= len(data) else -1
+        fits = end <= min(len(data), begin + (MOST_BYTES if form is _HEAD else 1 << 24))
+        found = crc32(view[begin:end], crc32(view[at : at + form.size])) if fits else -1
         if whole := found == _CRC.unpack_from(data, begin - _CRC.size)[0]:
             yield _Block(head, data[begin:end], end - at)
         at = data.find(magic, end if whole else at + 1)
@@ -541,7 +542,7 @@ def board_times(arrived: Array, board: Array) -> tuple[Array | None, float]:
 
 
 def readings_of(robot: Robot, source: Any) -> Readings:
-    """Return the readings ``[t, s]`` of a robot from a recording, or from a table: a path or a data frame.
+    """Return the readings ``[t, s]`` of a robot from a recording or a table: a path, or what was read of it.
 
     Raises
     ------

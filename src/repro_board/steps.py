@@ -116,10 +116,11 @@ class Steps:
     def _put(self, sample: Sample) -> list[tuple[Array, int | None]]:
         """Take the values of a sample; return what is complete, with the time of its last sample."""
         stream, width = sample.stream, self._widths.get(sample.stream)
-        fits = width is not None and len(sample.values) == (width or len(sample.values))
+        expected = width or len(getattr(self._source, "names", ())) or len(sample.values)
+        fits = width is not None and len(sample.values) == expected
         if not fits:
             self.counters["other_streams" if width is None else "other_widths"] += 1
-            other = f"have other than {width} values" if width else "are none of the robot's"
+            other = "are none of the robot's" if width is None else f"have other than {expected} values"
             if (text := f"Samples of stream {stream} {other}: left out.") not in self.remarks:
                 self.remarks.append(text)
             return []

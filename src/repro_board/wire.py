@@ -233,13 +233,14 @@ _NUMBER = re.compile(  # words for a missing one; no whole number begins with a 
     r"(?<![\w.#+-])(?:[+-]?(?i:nan|inf|infinity|ovf)|1\.#[A-Z]+|#?N/?A|n/a|na|(?i:null|none))(?![\w.])"
     r"|(?<![^\s,;:=])-{1,2}(?=[\s,;]|$)"
     r"|(?<![\w.^])([+-]?(?:[0-9]+\.[0-9]*|0|[1-9][0-9]*|\.[0-9]+)(?![0-9])(?:[eE][+-]?[0-9]{1,3}(?![0-9.]))?)"
+    r"(?! *[:=\])])"  # a number in a label
 )
 _EMPTY = re.compile(r"(?<=[,;\t:=])(?=[,;\t])|^(?=[,;\t])")
 _BLANKS = re.compile(r" *([;,\t:=]) *| +(?= )")
 _LETTER = "A-Za-zµμΩ°%"
 _UNIT = (
     rf"(?![xXbB][0-9]|[eE](?![{_LETTER}])|(?i:nan|inf|ovf)(?![{_LETTER}]))"  # 0x10, 1.5e, and no numbers
-    rf"[{_LETTER}][{_LETTER}/²³^*]*(?:[0-9](?![0-9{_LETTER}]))?"
+    rf"[{_LETTER}][{_LETTER}/²³^*]*[0-9]?(?![0-9{_LETTER}])"
 )
 _BETWEEN = re.compile(rf"(?: ?({_UNIT}))?([ ,;\t]?)(?:([^\W\d][\w .()\[\]/#°%-]*?)[:=])?")
 _NAME = re.compile(r"[^\W\d][\w .()\[\]/²³^*#°%-]*")
@@ -248,7 +249,7 @@ _PAIRS = re.compile(r"[+-]?[0-9]+,[0-9]{2,}(?:,[+-]?[0-9]+,[0-9]{2,})*")
 _WRAPPED = re.compile(r"b'(.*?)(?:\\r)?(?:\\n)?'|[(\[{](.*)[)\]}],?")
 """How Python prints bytes and tuples, and JSON objects."""
 _QUOTED = re.compile(r'"([^"]*)"')
-_TELEPLOT = re.compile(r">([^:,|]+):([^:§|]*)(?:§([^|]*))?(?:\|.*)?")
+_TELEPLOT = re.compile(r">([^>:,|]+):([^:§|]*)(?:§([^|]*))?(?:\|.*)?")
 _COUNT, _DECIMAL = r"(?:0|-?[1-9][0-9]{0,3})", r"-?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]{1,3})?"
 _PAPERS = {
     "hall": (f"{_COUNT}(?:,{_COUNT})*", -8192.0, 8191.0, ("z", "y", "x"), "counts"),
@@ -272,6 +273,9 @@ class _Lines(_Packets):
         self._group: dict[str, str] = {}  # lines of one number each, which make one line
         self._time: tuple[int, float] | None = None  # column of the times, and its unit [µs]
         self._commas, self._seen_newline = 0.0, False
+        self._accepted = self._misfits = (
+            0  # lines since the form was fixed, and how many in a row have another
+        )
         if format in _PAPERS:
             self._read_as(str(format), channels or 3)
 
@@ -287,7 +291,7 @@ class _Lines(_Packets):
         if not self._seen_newline and (self.rest + data).count(b"\r") > _AGREEING:
             self._delimiter, self._seen_newline = b"\r", True
         for start, packet, cut in self._split(data):
-            text = plain(packet)
+            text = _plain(packet)
             if cut:
                 self._discard(packet, "first_partial")
                 self._take_names(text, cut=True)
@@ -321,7 +325,7 @@ class _Lines(_Packets):
         """Return the samples that a line completes."""
         if single := _TELEPLOT.fullmatch(text):
             name, line = single[1].strip(), ",".join(self._group.values())
-            whole = name in self._group
+            whole = name in self._group or len(self._group) > MOST_VALUES
             self._group = ({} if whole else self._group) | {name: f"{name}:{single[2]}{single[3] or ''}"}
             return self._line(line, line.encode(), start) if whole else []
         form, values = _read_line(text)
@@ -339,6 +343,9 @@ class _Lines(_Packets):
                 self._closed = why
                 self._remark(f"Nothing is read: {why}.")
         elif self._closed or self._form or not columns:
+            self._misfits += bool(columns and self._accepted <= _MOST_HELD)
+            if self._misfits > _MOST_HELD:  # what fixed the form was printed before the data
+                self._form, self._misfits, self._accepted = "", 0, 0
             other = f"{len(columns)} numbers in another form than the lines before"
             self._drop(packet, self._closed or (other if columns else "not a line of numbers"))
         else:
@@ -362,9 +369,8 @@ class _Lines(_Packets):
                 self._drop(self._held.pop(0)[3], f"no {_AGREEING} of the first lines have one form")
             return []
         held, self._held, read = self._held, [], self._line
-        if self._channels in (None, 4) and all(
-            _reader_of("quaternions", 4)._of_paper("", x.encode(), 0) for x in texts
-        ):
+        quaternion = _Lines("quaternions", 4)._of_paper
+        if self._channels in (None, 4) and all(quaternion("", text.encode(), 0) for text in texts):
             self._read_as("quaternions", 4)
             read = self._of_paper
         else:
@@ -381,7 +387,7 @@ class _Lines(_Packets):
         return named, next((k for k, x in enumerate(named) if _time_scale(*x) is not None), None)
 
     def _fix(self, named: list[tuple[str, str]], clock: int | None, form: str) -> None:
-        self.format, self._form = "csv", form
+        self.format, self._form, self._time = "csv", form, None
         if self._header and len(self._header) != len(named) and self._separator != " ":
             self._remark(f"{len(self._header)} names stand before lines of {len(named)} numbers: not used.")
         if clock is not None:
@@ -409,6 +415,7 @@ class _Lines(_Packets):
             self._drop(packet, "a number is too large, or the time is missing")
             return []
         self._commas *= 0.99
+        self._misfits, self._accepted = 0, self._accepted + 1
         return [Sample(0, None, time_us, start, np.array(values))]
 
     def _take_names(self, text: str, *, cut: bool = False) -> bool:
@@ -420,7 +427,9 @@ class _Lines(_Packets):
             return False
         if self._form:
             if (len(names), separator) != (self._form.count(_MARK), _separator(self._form)):
-                return False
+                if separator != " " and self._accepted <= _MOST_HELD:  # the data begin here
+                    self._form, self._header, self._separator = "", names, separator
+                return not self._form
             same = names[int(cut) :] == self._header[int(cut) :] or not self._header
             self._closed = "" if same else "after a header with other names"
             self.counters["restarts"] += same and not cut
@@ -434,15 +443,10 @@ class _Lines(_Packets):
     def _drop(self, packet: bytes, why: str) -> None:
         self._discard(packet, "malformed")
         if self.counters["malformed"] == 1:
-            self._remark(f"Left out were lines such as {plain(packet)[:80]!r}: {why}.")
+            self._remark(f"Left out were lines such as {_plain(packet)[:80]!r}: {why}.")
 
 
-@functools.cache
-def _reader_of(format: str, n: int) -> _Lines:
-    return _Lines(format, n)
-
-
-def plain(packet: bytes) -> str:
+def _plain(packet: bytes) -> str:
     """Return the text of a line without quotes and what Python or JSON put round it."""
     text = packet.decode(errors="replace").strip().replace(_MARK, "\ufffd")
     text = _QUOTED.sub(r"\1", text)
@@ -525,7 +529,7 @@ def text_line(values: Any, format: str, stream: int = 0) -> bytes:
     if format == "quaternions":
         fields = [str(stream), *fields[-1:], *fields[:-1]]
     line = ",".join(fields).encode()
-    back = _reader_of(format, len(given))._of_paper("", line, 0)
+    back = _Lines(format, len(given))._of_paper("", line, 0)
     off = np.abs(back[0].values - given).max() if back and back[0].stream == stream else math.inf
     words = {
         "hall": "3 whole numbers",
@@ -604,7 +608,10 @@ class Parser:
         found: list[Sample] = []
         for reader in self._readers:
             if found := reader.feed(data):
-                self._readers = [reader]
+                if isinstance(
+                    reader, _Frames
+                ):  # lines of numbers may be what a board prints before its frames
+                    self._readers = [reader]
                 break
         self._take(self._readers[-1])
         self.counters["frames"] += len(found)
@@ -621,8 +628,7 @@ class Parser:
     def close(self) -> list[Sample]:
         """End. A last line without its end may be cut off: it is no sample, so that none is returned."""
         reader = self._readers[-1]
-        last = plain(reader.rest) if isinstance(reader, _Lines) else ""
-        if last:
+        if isinstance(reader, _Lines) and (last := _plain(reader.rest)):
             self.remarks.append(f"The last line has no end and was left out: {last[:80]!r}.")
         reader.drop_rest()
         return []

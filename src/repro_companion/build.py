@@ -1,7 +1,6 @@
 """Build the book: run the notebooks whose inputs changed, compute the scorecard, make the pages and the site.
 
 ``python -m repro_companion.build`` is what ``make book`` runs, and with the name of a notebook ``make page P=NAME``.
-Notebooks that use the first edition are run by its tools, and so are the parts of pages that these still write.
 """
 
 from __future__ import annotations
@@ -31,7 +30,6 @@ LONGEST = 60
 
 def build(root: Path, jobs: int) -> str:
     """Build the book; return what was done, in a sentence."""
-    from edition1_companion.book.after import build as first_edition
     from repro_companion.scorecard_page import write_pages
 
     executed, results = root / "book" / "notebooks", results_folder(root)
@@ -39,14 +37,11 @@ def build(root: Path, jobs: int) -> str:
     for leftover in executed.glob("*"):
         if leftover.name.partition(".")[0] not in notebooks:
             shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
-    old = [name for name, path in notebooks.items() if tool.is_first_edition(path)]
     inputs = tool.inputs_of(root)
-    points = [page_point(root, path, inputs) for name, path in notebooks.items() if name not in old]
+    points = [page_point(root, path, inputs) for path in notebooks.values()]
     due = [point for point in points if not point.finished]
-    failures = run_pages(due, jobs)
-    count, more = first_edition.run(root, old, jobs)
-    if failures + more:
-        raise RunFailed("\n".join(failures + more))
+    if failures := run_pages(due, jobs):
+        raise RunFailed("\n".join(failures))
     keep_told_apart(executed, results, notebooks)
     done, key = root / ".cache" / "book" / "site", site_key(root)
     done.parent.mkdir(parents=True, exist_ok=True)
@@ -56,22 +51,16 @@ def build(root: Path, jobs: int) -> str:
         write_pages(root, write_scorecard(root, results))
         seconds = build_site(root, root / "book" / "_build" / "html", "-W", "-n", "--keep-going")
         done.write_text(site_key(root))
-    current = f"{len(notebooks) - len(due) - count} of {len(notebooks)} notebooks were up to date"
+    current = f"{len(notebooks) - len(due)} of {len(notebooks)} notebooks were up to date"
     return f"{current}; the site {f'was built in {seconds:.0f} s' if seconds else 'was too'}."
 
 
-def build_page(root: Path, name: str, jobs: int) -> str:
+def build_page(root: Path, name: str) -> str:
     """Run one notebook if it is due and build its page alone; return where that lies."""
     notebook = root / "notebooks" / f"{name}.ipynb"
     tool.require(notebook.is_file(), "P", "make page", "the name of a notebook, such as table_1", name)
-    if tool.is_first_edition(notebook):
-        from edition1_companion.book.after import build as first_edition
-
-        _, failures = first_edition.run(root, [name], jobs)
-    else:
-        point = page_point(root, notebook, tool.inputs_of(root))
-        failures = run_pages([] if point.finished else [point], 1)
-    if failures:
+    point = page_point(root, notebook, tool.inputs_of(root))
+    if failures := run_pages([] if point.finished else [point], 1):
         raise RunFailed("\n".join(failures))
     contents = root / ".cache" / "book" / "page.yml"
     contents.parent.mkdir(parents=True, exist_ok=True)
@@ -319,7 +308,7 @@ def main(names: Sequence[str]) -> int:
         jobs = int(asked) if asked.isdecimal() else 0
         tool.require(jobs > 0, "JOBS", "the build", "a whole number of 1 or more", asked)
         for name in names:
-            print(build_page(root, name, jobs))
+            print(build_page(root, name))
         if not names:
             print(build(root, jobs))
     except InputError as error:

@@ -1,65 +1,36 @@
-"""The command ``repro``: what is rewritten is here, every other command is the first edition's."""
+"""The command ``repro``: the commands of the book, beside those for a robot and a board of ``repro_board.cli``."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from cyclopts import App, Parameter, Token
+from cyclopts import Parameter
 
-from edition1_companion.cli import app as first_edition
-from edition1_companion.cli import main as run_command
-from repro_board import cli as board
+from repro_board.cli import BOOK, Output, app, pairs
+from repro_board.cli import main as run_command
 
 NEEDS = {
-    "record export import emulate calibrate live track smooth fit": ["edition1"],
+    "record": ["board"],
+    "live": ["board"],
     "run": ["book"],
     "sweep": ["book", "cluster"],
-    "fetch": ["book", "edition1"],
+    "fetch": ["book"],
 }
 """The extras that commands need. A command that is not here runs with the required packages alone."""
 PACKAGES = {
-    "book": ["papermill", "nbformat", "ipykernel", "yaml", "joblib", "pooch", "requests"],
+    "board": ["serial", "rich", "tornado"],
+    "book": ["papermill", "nbformat", "ipykernel", "joblib", "requests"],
     "cluster": ["distributed"],
-    "edition1": ["torch", "jaxtyping", "tqdm", "rosbags", "PIL", "serial", "cobs", "mcap"],
 }
 """By these we see whether an extra is installed."""
+Given = Annotated[list[tuple[str, str]] | None, pairs("-p", "--parameter")]
 
 
-def named(extras: Sequence[str]) -> str:
-    """Return extras as a sentence names them."""
-    return f"the extra{'s' if len(extras) > 1 else ''} " + " and ".join(f'"{extra}"' for extra in extras)
-
-
-def _as_typed(_: Any, tokens: Sequence[Token]) -> list[tuple[str, str]]:
-    """Return names and values as they were typed: a value may start with a hyphen or look like JSON."""
-    words = [token.value for token in tokens]
-    return list(zip(words[::2], words[1::2], strict=True))
-
-
-NAME_AND_VALUE = Parameter(
-    name=["-p", "--parameter"],
-    metavar="NAME VALUE",
-    allow_leading_hyphen=True,
-    negative="",
-    json_list=False,
-    json_dict=False,
-    converter=_as_typed,
-)
-Given = Annotated[list[tuple[str, str]] | None, NAME_AND_VALUE]
-Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
-
-app = App(name="repro", help=first_edition.help, version_flags=[], help_format="plaintext")
-for name in " ".join(NEEDS).split():
-    if name not in ("run", "sweep"):
-        app.command(first_edition[name], name=name)
-
-
-@app.command
+@app.command(group=BOOK, sort_key=1)
 def run(
     notebook: Path | None = None,
     /,
@@ -107,7 +78,7 @@ def run(
     return 0
 
 
-@app.command
+@app.command(group=BOOK, sort_key=2)
 def sweep(
     notebook: Path,
     /,
@@ -153,7 +124,7 @@ def sweep(
     return 1 if failures else 0
 
 
-@app.command
+@app.command(group=BOOK, sort_key=3)
 def scorecard(*, require: Path | None = None, write_reference: Path | None = None) -> int:
     """Compare the book's results with every number of the papers; write results/scorecard.csv.
 
@@ -185,7 +156,7 @@ def scorecard(*, require: Path | None = None, write_reference: Path | None = Non
     return 0
 
 
-@app.command
+@app.command(group=BOOK, sort_key=4)
 def compare(old: Path | None = None, new: Path | None = None, /) -> int:
     """Compare tables of results: repro compare [OLD NEW]. Without folders, results/ with what is committed.
 
@@ -217,34 +188,50 @@ def compare(old: Path | None = None, new: Path | None = None, /) -> int:
     return 1 if result.found else 0
 
 
-for name, words in board.COMMANDS.items():  # for the list of commands: they are run by their own module
-    app.command(App(name=name, help=words))
-for names, extras in NEEDS.items():
-    for name in names.split():
-        app[name].group = f"Commands that need {named(extras)}"
+@app.command(group=BOOK, sort_key=5)
+def fetch(
+    paper: str = "",
+    /,
+    *,
+    mirror: Annotated[str, Parameter(env_var="REPRO_MIRROR")] = "",
+    list_only: Annotated[bool, Parameter(name="--list", negative="")] = False,
+) -> int:
+    """Download the authors' public recordings that are not in REPRO_DATA_DIR yet; go on where it stopped.
+
+    Parameters
+    ----------
+    paper
+        One paper, such as mitchell2021; all by default.
+    mirror
+        Download from MIRROR/PAPER/PATH, such as a folder of recordings served over HTTP, instead of GitHub.
+    list_only
+        Download nothing; print what there is, how much of it is here, and where it comes from.
+    """
+    from repro_companion import run as tool
+    from repro_companion.papers import fetch as files
+
+    sources = files.read_sources(tool.project_folder() / "data" / "sources.json", paper)
+    folder = tool.recordings_folder()
+    if list_only:
+        print(f"{files.listing(sources, folder)}\nFolder: {tool.shown(folder)}")
+        return 0
+    tool.stop_on_termination()
+    said, complete = files.fetch(sources, folder, mirror, show=sys.stderr.isatty())
+    print(said, file=sys.stdout if complete else sys.stderr)
+    return 0 if complete else 1
 
 
 def main() -> int:
-    """Run the command line. Where an extra is missing, say in one line which, before anything else is asked for."""
+    """Run the command line; where an extra is missing, say in one line which, before anything else is asked for."""
     words = sys.argv[1:]
     command = words[0] if words else ""
-    if command in board.COMMANDS:
-        return board.main(words)
-    extras = next((extras for names, extras in NEEDS.items() if command in names.split()), [])
-    missing = [extra for extra in extras if not all(map(find_spec, PACKAGES[extra]))]
+    missing = [extra for extra in NEEDS.get(command, ()) if not all(map(find_spec, PACKAGES[extra]))]
     if missing and not {"--help", "-h"} & set(words):
+        named = f"the extra{'s' if len(missing) > 1 else ''} " + " and ".join(f'"{name}"' for name in missing)
         brings = f'pip install "repro-soft-robots[{",".join(missing)}]"'
-        print(f"repro {command} needs {named(missing)}: {brings}", file=sys.stderr)
+        print(f"repro {command} needs {named}: {brings}", file=sys.stderr)
         return 2
-    from repro_companion.run import InputError, is_first_edition
-
-    notebook = next((Path(word) for word in words if word.endswith(".ipynb")), None)
-    old = command == "run" and notebook is not None and is_first_edition(notebook)
-    try:
-        return run_command(first_edition if old else app)
-    except (InputError, FileNotFoundError) as error:
-        print(f"repro {command}: {error}", file=sys.stderr)
-        return 2
+    return run_command(words, app)
 
 
 if __name__ == "__main__":

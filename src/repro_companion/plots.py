@@ -1327,3 +1327,19 @@ def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
     panels[-1].set_xlabel("time [s]")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, **BESIDE)
     return closed(figure)
+
+
+def live_failures(table: pd.DataFrame, fails_at_s: float) -> Figure:
+    """Draw error and stated deviation of the tip when a chip fails, for each number of chips."""
+    figure, panels = plt.subplots(
+        table["sensors"].nunique(), 1, figsize=(WIDTH, 5.4), sharex=True, sharey=True
+    )
+    for panel, (chips, part) in zip(panels, table.groupby("sensors", sort=False), strict=True):
+        for failure, rows in part.groupby("failure", sort=False):
+            (line,) = panel.plot(rows["time_s"], rows["tip_error_mm"], label=failure, lw=1.2)
+            panel.plot(rows["time_s"], rows["tip_std_mm"], color=line.get_color(), ls="--", lw=1.2)
+        panel.axvline(fails_at_s, color=PUBLISHED, lw=4, alpha=0.5, zorder=0)
+        panel.set(yscale="log", title=f"{chips} chips", ylabel="tip [mm]")
+    panels[-1].set_xlabel("time [s]")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return closed(figure)

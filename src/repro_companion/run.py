@@ -96,11 +96,6 @@ def check_place(output: Path, root: Path, notebook: Path | None = None) -> None:
     require(notebook is None or named, "output", "repro", "another file whose name ends in .ipynb", output)
 
 
-def is_first_edition(notebook: Path) -> bool:
-    """Return whether a notebook uses the first edition, by whose tools it is then run."""
-    return notebook.is_file() and b"edition1" in notebook.read_bytes()
-
-
 def declared(notebook: Path) -> dict[str, Parameter]:
     """Return the parameters that a notebook declares."""
     from papermill import inspect_notebook
@@ -294,7 +289,6 @@ def run(
         tables.mkdir()
         own = {f"{name}_THREADS": "1" for name in _ONE_THREAD} | {
             "REPRO_RESULTS": str(tables.absolute()),
-            "REPRO_RESULTS_DIR": str(tables.absolute()),  # of pages of the first edition
             "REPRO_DATA_DIR": str(recordings_folder()),
             "PYDEVD_DISABLE_FILE_VALIDATION": "1",  # the debugger of ipykernel would warn at every start
         }

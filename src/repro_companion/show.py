@@ -1,4 +1,4 @@
-"""What a page writes and shows: tables and sentences."""
+"""What a page writes and shows: tables, intervals, and sentences."""
 
 from __future__ import annotations
 
@@ -62,6 +62,12 @@ def rows(frame: pd.DataFrame, name: str) -> pd.DataFrame:
     full["n_seeds"] = full["n_seeds"].astype("Int64")
     full["comparable"] = ["false" if value is False else "true" for value in full["comparable"]]
     return save(full, f"{name}.rows")
+
+
+def ratio_interval(values: np.ndarray, reference: np.ndarray, resamples: int = 10_000) -> np.ndarray:
+    """Return the interval (95 %) ``[2, ...]`` of a ratio of means over draws ``[draw, ...]``: a paired bootstrap."""
+    again = np.random.default_rng(0).integers(len(values), size=(resamples, len(values)))
+    return np.quantile(values[again].mean(1) / reference[again].mean(1), [0.025, 0.975], axis=0)
 
 
 def number(value: Any, digits: int = 3) -> str:

@@ -422,6 +422,8 @@ def test_how_often_damage_passes(format, flipped, lost, doubled):
         ("X: 0.12 \tY: 3.4 \tZ: 1.2 m/s^2 ", [0.12, 3.4, 1.2], ("X", "Y", "Z"), ("m/s^2",) * 3),
         ("Mag X: 1 uT; Mag Y: 2 uT", [1, 2], ("Mag X", "Mag Y"), ("uT", "uT")),
         ("Bx (mT) = .5, By (mT) = -1", [0.5, -1], ("Bx", "By"), ("mT", "mT")),
+        ("Sensor 1: 5.2, Sensor 2: 3", [5.2, 3], ("Sensor 1", "Sensor 2"), ("", "")),
+        ("Sensor 1: 5.2 Sensor 2: 3", [5.2, 3], ("Sensor 1", "Sensor 2"), ("", "")),
         ("1.2 mT 3 mT", [1.2, 3], ("u1", "u2"), ("mT", "mT")),
         ("a=1,a=2", [1, 2], ("u1", "u2"), ("", "")),
         ("(-2.1, 3)", [-2.1, 3], (), ()),
@@ -565,6 +567,20 @@ ho 0 tail 12 room 4|entry 0x400805e4|Calibrating... 10 20 30|Temp: 23.5, Hum: 41
     assert rows(samples) == [[2, 3], [2, 4], [2, 5], [2, 6]]
     assert parser.counters["malformed"] == 17
     assert parser.counters["restarts"] == 1
+
+
+@pytest.mark.parametrize("names", [["millis,x"], []])
+def test_numbers_that_a_board_prints_before_its_data_do_not_keep_them_away(names):
+    parser, samples = lines(
+        "Attempt: 1", "Attempt: 2", "Attempt: 3", *names, *(f"{k},{k}.5" for k in range(99))
+    )
+    assert rows(samples)[-1] == ([98.5] if names else [98, 98.5])
+    assert len(samples) == (102 if names else 69)
+    assert parser.names == ("x",) * len(names)
+    parser = Parser()
+    parser.feed(b"\nAttempt: 1\nAttempt: 2\nAttempt: 3\n")
+    assert sequences(parser.feed(sent(3))) == [0, 1, 2]
+    assert (parser.format, parser.counters["frames"]) == ("frames", 3)
 
 
 def test_lines_that_never_agree_are_counted_and_few_are_kept():

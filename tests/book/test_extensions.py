@@ -47,7 +47,7 @@ def test_a_name_that_is_not_described_becomes_text(tmp_path):
         f"extensions = ['sphinx.ext.autodoc', 'repro_links']\nnitpicky = {settings['nitpicky']}\n"
         f"nitpick_ignore_regex = {settings['nitpick_ignore_regex']}\n"
     )
-    names = ("edition1.se3.inverse", "repro.no_such_name", "numpy.array")
+    names = ("repro.robot.place", "repro.no_such_name", "numpy.array")
     (tmp_path / "index.rst").write_text("T\n=\n\n" + "\n".join(f":py:func:`{name}`" for name in names))
     warnings = io.StringIO()
     app = SphinxTestApp("html", srcdir=tmp_path, confoverrides={"html_theme": "basic"}, warning=warnings)
@@ -86,7 +86,7 @@ def test_a_script_comes_once():
 )
 def test_a_style_comes_where_a_page_has_use_for_it(body, names):
     site = importlib.import_module("repro_site")
-    every = ["mystnb.0f.css", "sphinx-design.min.css", "page_notes.css", "live/live.css", "repro.css"]
+    every = ["mystnb.0f.css", "sphinx-design.min.css", "live/live.css", "repro.css"]
     context = {"body": body, "css_files": [script(name) for name in every]}
     site.select_files(None, "page", "page.html", context, None)
     assert [item.filename for item in context["css_files"]] == [f"_static/{name}" for name in names]
@@ -114,17 +114,31 @@ def test_names_in_cells_lead_to_the_reference():
     cells = [
         {
             "cell_type": "code",
-            "source": ["from repro import GradientDescent, track as follow\n", "import numpy as np"],
+            "source": [
+                "from repro import GradientDescent, track as follow\n",
+                "import repro\n",
+                "repro.smooth(1)",
+            ],
         },
-        {"cell_type": "code", "source": ["from edition1_companion.pages.live import figures\n"]},
+        {"cell_type": "code", "source": ["from repro_companion.papers import baaij\n"]},
         {"cell_type": "markdown", "source": ["from nowhere"]},
     ]
-    assert links.imported_names(cells) == {"GradientDescent": "GradientDescent", "follow": "track"}
+    found = {"GradientDescent": "GradientDescent", "follow": "track", "repro.smooth": "smooth"}
+    assert links.names_used(cells) == found
     html = '<span class="n">follow</span><span class="p">(</span><span class="n">followed</span>'
     linked = links.linked_code(html, {"follow": "../api.html#track"})
     assert linked.startswith('<a class="api-link" href="../api.html#track"><span class="n">follow</span></a>')
     assert linked.count("<a ") == 1
     assert links.linked_code(linked, {"follow": "../api.html#track"}) == linked
+    smooth = '<span class="n">repro</span><span class="o">.</span><span class="n">smooth</span>'
+    linked = links.linked_code(f'{smooth}<span class="n">smooth</span>', {"repro.smooth": "#s"})
+    assert (
+        linked
+        == smooth.replace(
+            '<span class="n">smooth</span>', '<a class="api-link" href="#s"><span class="n">smooth</span></a>'
+        )
+        + '<span class="n">smooth</span>'
+    )
 
 
 def test_words_lead_to_the_glossary_once(tmp_path):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from .sample import notebook, project
+from .sample import project
+
+BOOK = ["run", "sweep", "scorecard", "compare", "fetch"]
 
 
 def repro(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -31,11 +33,27 @@ def test_starting_imports_neither_jupyter_nor_torch():
     assert done.stderr.strip() == "set()"
 
 
-def test_help_lists_the_commands_of_both_editions():
+def test_help_lists_the_commands_in_three_groups():
     done = repro("--help")
     assert done.returncode == 0
-    for name in ("run", "sweep", "scorecard", "compare", "fetch", "record", "track", "check"):
-        assert f" {name} " in done.stdout
+    found = re.findall(r"─ (.+?) ─|^│ ([a-z]+) ", done.stdout, re.M)
+    assert [title or name for title, name in found] == [
+        "A robot of your own", "check", "track", "calibrate", "evaluate", "A board on a wire", "record", "live",
+        "export", "emulate", "The book", "run", "sweep", "scorecard", "compare", "fetch", "Help",
+    ]  # fmt: skip
+
+
+def test_an_unknown_command_and_an_unknown_paper_end_with_2():
+    done = repro("fetc")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert 'Did you mean "fetch"?' in done.stderr
+    Path("data/sources.json").write_text('{"p2020": {}}')
+    done = repro("fetch", "none")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert (
+        done.stderr
+        == "repro fetch: Input paper of repro fetch must be one of p2020; instead received none.\n"
+    )
 
 
 def test_a_run_writes_tables_beside_its_output():
@@ -80,12 +98,3 @@ def test_a_failure_ends_with_1_and_names_the_partial_notebook():
     cause, place = done.stderr.splitlines()
     assert cause.endswith("RuntimeError: too much noise")
     assert Path(place.removeprefix("The partial notebook is ")).is_file()
-
-
-def test_a_notebook_of_the_first_edition_goes_to_its_runner(root):
-    (root / "pyproject.toml").write_text("[tool.repro]\n")
-    notebook(root / "notebooks/old.ipynb", "t", "import edition1")
-    done = repro("run", "notebooks/old.ipynb", "-p", "nonsense", "1")
-    assert done.returncode == 2
-    assert "must be one of the parameters listed below" in done.stderr
-    assert os.listdir(root / "notebooks") != []

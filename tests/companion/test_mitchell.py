@@ -16,6 +16,8 @@ from repro_companion.papers import mitchell
 from repro_companion.scorecard import scorecard
 from repro_companion.show import KEY, project_folder, published
 
+from .sample import STORED
+
 STUDY = pd.read_csv(project_folder() / "data" / "studies" / "particle_filter.csv")
 
 
@@ -25,12 +27,9 @@ def rmse(error):
 
 @pytest.mark.parametrize("name", mitchell.CURVES)
 def test_curves_and_readings_are_those_of_the_first_edition(name):
-    from edition1_companion.twins.bend_curves import bend_curve, bend_readings
-
-    q = mitchell.curve(name)
-    np.testing.assert_allclose(q, bend_curve(name).numpy(), rtol=0, atol=1e-14)
-    old = bend_readings(bend_curve(name)[::100], 14e-3).numpy()
-    np.testing.assert_allclose(mitchell.readings(q[::100], 14e-3), old, rtol=0, atol=1e-11)
+    q, old = mitchell.curve(name)[::100], STORED[f"curve_{name}_readings"]
+    np.testing.assert_allclose(q, STORED[f"curve_{name}"], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(mitchell.readings(q, 14e-3), old, rtol=0, atol=1e-11)
 
 
 def test_a_quarter_circle_ends_where_the_paper_has_it():
@@ -56,13 +55,11 @@ def test_noise_is_that_of_the_real_sensor():
 
 @pytest.mark.parametrize("name", ["PRINTED", "FITS", "NOISY", "BEST"])
 def test_settings_are_those_of_the_first_edition(name):
-    from edition1_companion.twins.bend_curves import LENGTH_M, SENSOR_NOISE_MT
-
     own = getattr(mitchell, name)
     noise_pi = {"PRINTED": 0.02, "FITS": 0.01 / 2, "NOISY": 0.02, "BEST": 0.0005}[name]
     np.testing.assert_allclose(own.method().process_noise, [[noise_pi * math.pi] * 2])
-    assert own.length == (14e-3 if name == "FITS" else LENGTH_M)
-    assert own.noise_mt == (SENSOR_NOISE_MT if name in ("NOISY", "BEST") else 0.0)
+    assert own.length == (14e-3 if name == "FITS" else 15e-3)
+    assert own.noise_mt == (0.025 if name in ("NOISY", "BEST") else 0.0)
 
 
 def test_the_law_is_the_error_of_a_mean_over_the_best_tenth():

@@ -127,7 +127,7 @@ def test_the_key_follows_all_that_a_result_depends_on(root):
         path.write_text((path.read_text() if path.is_file() else "") + " ")
         keys.append(key())
     assert len(set(keys)) == len(keys)
-    for name in ("src/edition1/edition1/module.py", "src/repro/__pycache__/x.pyc", "results/t.csv"):
+    for name in ("src/other/module.py", "src/repro/__pycache__/x.pyc", "results/t.csv"):
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text("other")
     assert key() == keys[-1]

@@ -8,7 +8,7 @@ import pytest
 
 from repro.common import InputError
 from repro_companion import show as module
-from repro_companion.show import KEY, number, published, rows, save, show
+from repro_companion.show import KEY, number, published, ratio_interval, rows, save, show
 
 
 @pytest.fixture(autouse=True)
@@ -97,3 +97,13 @@ def test_tables_need_a_checkout(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match="inside a checkout of the project"):
         module.project_folder()
+
+
+def test_the_interval_of_a_ratio_is_paired():
+    truth = np.array([1.0, 2.0, 4.0, 8.0])
+    assert ratio_interval(1.5 * truth, truth).tolist() == [1.5, 1.5]
+    low, high = ratio_interval(truth[::-1], truth)
+    assert low < 1 < high
+    columns = np.stack([truth[::-1], 3 * truth], axis=1)
+    both = ratio_interval(columns, np.stack([truth, truth], axis=1))
+    np.testing.assert_allclose(both, [[low, 3], [high, 3]], rtol=1e-12)

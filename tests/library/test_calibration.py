@@ -8,11 +8,8 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-import torch
+from scipy.stats import chi2
 
-from edition1.estimation.calibration import calibrate as calibrate_1
-from edition1.estimation.conformal import conformal_factor, ellipsoid_scores
-from edition1.kinematics.paper_robots import pcc_robot
 from repro import (
     ConstantCurvature,
     Disc,
@@ -30,8 +27,7 @@ from repro import (
 )
 from repro.estimators.calibration import Tolerances, _priors, _slopes, coverage_factor, placed
 
-from .robots import RELEASED, bounds, paper_robot
-from .test_sensing import MOMENTS
+from .robots import RELEASED, STORED, bounds, paper_robot
 
 EARTH = [0.03, 0.01, -0.04]
 STATED = Tolerances(sensor_offset=0.1, earth=0.05)
@@ -92,22 +88,17 @@ def test_slopes_by_every_parameter_are_those_of_the_readings():
         np.testing.assert_allclose(J[..., k], central, rtol=0, atol=atol, err_msg=name)
 
 
-def test_agrees_with_the_first_edition():
+def test_parameters_and_deviations_are_those_of_the_first_edition():
     robot, rng = paper_robot(2, tilt=0.1), np.random.default_rng(0)
     truth = placed(robot.replaced(earth=EARTH), off(robot, rng)).sensing()
     q, S = 0.006 * rng.normal(size=(60, 6)), 1e-8 * np.eye(6)
     u = truth(q) + 1e-3 * rng.normal(size=(60, 6))
     found = calibrate(robot, q, u, 1e-3, S, earth=EARTH)
-    tensors = (torch.from_numpy(x) for x in (q, S, u, MOMENTS))
-    first = calibrate_1(
-        pcc_robot(2, 3, tilt=0.1), *tensors, noise_mt=1e-3, earth_mt=torch.tensor(EARTH).double()
-    )
-    np.testing.assert_allclose(
-        found.estimate / found.deviation, first.estimate.numpy() / found.deviation, rtol=0, atol=1e-5
-    )
-    np.testing.assert_allclose(found.deviation, first.deviation.numpy(), rtol=1e-6)
-    assert found.chi2 == pytest.approx(float(first.chi2), rel=1e-6)
-    assert found.names == first.names
+    estimate, deviation = STORED["calibration_estimate"], STORED["calibration_deviation"]
+    np.testing.assert_allclose((found.estimate - estimate) / deviation, 0.0, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(found.deviation, deviation, rtol=1e-6)
+    assert found.chi2 == pytest.approx(float(STORED["calibration_chi2"]), rel=1e-6)
+    assert list(found.names) == STORED["calibration_names"].tolist()
 
 
 def test_a_robot_that_is_off_is_found_within_its_deviations():
@@ -473,8 +464,8 @@ def test_coverage_factor_is_an_order_statistic_over_its_quantile():
     rng = np.random.default_rng(15)
     e, root = rng.standard_t(4, size=(500, 3)), rng.normal(size=(500, 3, 3))
     C = root @ np.swapaxes(root, 1, 2) + np.eye(3)
-    first = conformal_factor(ellipsoid_scores(e, C, 0.9), 0.9)
-    assert coverage_factor(e, C, 0.9) == pytest.approx(first**2)
+    scores = np.sort([x @ np.linalg.solve(S, x) for x, S in zip(e, C, strict=True)]) / chi2.ppf(0.9, 3)
+    assert coverage_factor(e, C, 0.9) == pytest.approx(scores[math.ceil(501 * 0.9) - 1])
 
 
 def test_the_grown_ellipsoid_holds_as_often_as_it_says():

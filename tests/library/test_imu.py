@@ -1,4 +1,4 @@
-"""Positions along an arm from orientations: closed forms, printed sums, the first edition, released files."""
+"""Positions along an arm from orientations: closed forms, printed sums, laws."""
 
 import math
 from dataclasses import replace
@@ -6,13 +6,11 @@ from functools import partial
 
 import numpy as np
 import pytest
-import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation, Slerp
 
-from edition1.estimation import imu_models, imu_selection, imu_shape
 from repro import (
     Arm,
     BallJoint,
@@ -29,9 +27,7 @@ from repro import (
 )
 from repro.robot import point_on
 
-BETWEEN = (pcc_extended, exact_arcs)
-FIRST_EDITION = {model: getattr(imu_models, model.__name__) for model in BETWEEN}
-FIRST_EDITION[rigid_body] = imu_models.rigid_links
+MODELS = (pcc_extended, exact_arcs, rigid_body)
 UNEVEN = Arm([0, 1, 3, 4], [0.0, 0.08, 0.24, 0.32], [0.08, 0.16, 0.08], sub_segments=3)
 EIGHT = Arm(range(9), 0.08 * np.arange(9), [0.08] * 8, markers=[0.36, 0.6], sub_segments=2)
 POINTS = [0.0, 0.013, 0.08, 0.1, 0.2, 0.24, 0.3, 0.32]
@@ -47,34 +43,8 @@ def bent(seed, samples, imus, size=0.3):
     return np.stack(frames, axis=1)
 
 
-def selection(arm):
-    names = ("imus", "link_lengths", "interpolation", "base_turn")
-    same = {name: getattr(arm, name) for name in names} | ({"markers": arm.markers} if arm.markers else {})
-    return imu_selection.Selection(arcs=arm.imu_arcs, sub_links=arm.sub_segments, origin_m=arm.origin, **same)
-
-
 def rotated(turn, points):
     return turn.apply(points.reshape(-1, 3)).reshape(points.shape)
-
-
-@given(
-    st.integers(0, 2**32 - 1),
-    st.integers(1, 9),
-    st.sampled_from(["midpoints", "inner points"]),
-    st.sampled_from([0.0, 1e-9, 1e-4, 0.3, 3.0]),
-)
-def test_models_of_the_first_edition(seed, n, interpolation, size):
-    rng = np.random.default_rng(seed)
-    imus = int(rng.integers(2, 10))
-    lengths = rng.uniform(0.01, 0.2, imus)
-    kind = {"origin": rng.normal(size=3), "interpolation": interpolation}
-    q, points = bent(seed, 4, imus, size), np.sort(rng.uniform(0, lengths[1:].sum(), 6))
-    arms = {rigid_body: Arm(range(1, imus + 1), np.cumsum(lengths), lengths, **kind)}
-    arc = Arm(range(imus), np.append(0, np.cumsum(lengths[1:])), lengths[1:], sub_segments=n, **kind)
-    for model, theirs in FIRST_EDITION.items():
-        arm = arms.get(model, arc)
-        found = model(q, arm, points)
-        np.testing.assert_allclose(found, theirs(q, selection(arm), points), rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, (4, 1, 3)])
@@ -122,7 +92,7 @@ def test_rigid_body_is_exact_on_rigid_links():
     np.testing.assert_allclose(rigid_body(q, arm, [0.1, 0.25]), T[..., :3, 3], atol=1e-15)
 
 
-@pytest.mark.parametrize("model", FIRST_EDITION)
+@pytest.mark.parametrize("model", MODELS)
 @given(seed=st.integers(0, 2**32 - 1), base=st.tuples(*[st.floats(-3, 3)] * 3))
 def test_turned_worlds_signs_and_batches(model, seed, base):
     arm = Arm([1, 2, 3, 4], [0.04, 0.12, 0.2, 0.28], [0.08] * 4) if model is rigid_body else UNEVEN
@@ -137,10 +107,13 @@ def test_turned_worlds_signs_and_batches(model, seed, base):
 def test_orientations_of_an_arm():
     q, turn = bent(4, 3, 9), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
     arm = replace(UNEVEN, base_turn=turn)
-    np.testing.assert_array_equal(arm.select(q), selection(arm).of(q))
+    expected = Rotation.from_quat(q[:, [0, 1, 3, 4]].reshape(-1, 4)).as_matrix().reshape(3, 4, 3, 3)
+    expected[:, 0] = expected[:, 0] @ Rotation.from_quat(turn).as_matrix()  # the first IMU holds the base
+    found = Rotation.from_quat(arm.select(q).reshape(-1, 4)).as_matrix().reshape(3, 4, 3, 3)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("model", FIRST_EDITION)
+@pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -218,22 +191,18 @@ def test_known_parameters_and_the_least_squares_of_the_docstring():
 METHOD = ImuShape(exact_arcs, EIGHT, [0.36, 0.6], noise=0.02)
 
 
-@pytest.mark.parametrize("model", [pcc_extended, exact_arcs])
-@settings(max_examples=20)
-@given(st.integers(0, 2**32 - 1), st.sets(st.integers(0, 8), max_size=8), st.booleans())
-def test_estimator_of_the_first_edition(model, seed, lost, first_known):
-    q = bent(seed, 2, 9)
-    q[0, list(lost)] = np.nan
-    u, known = q.reshape(2, 36), np.full(6, np.nan)
-    known[:3] = [0.1, 0.0, 0.3] if first_known else np.nan
-    _, ours = ImuShape(model, EIGHT, [0.36, 0.6], noise=0.02).step(None, u, known=known)
-    method = imu_shape.ImuShape(FIRST_EDITION[model], selection(EIGHT), (0.36, 0.6), 0.02)
-    state = method.init(torch.zeros(2, 6).double())
-    _, theirs = method.step(state, torch.tensor(u), 0.0, known=torch.tensor(known))
-    np.testing.assert_allclose(ours.u_hat, theirs.u_hat, atol=1e-12)
-    np.testing.assert_allclose(ours.q, theirs.q, atol=1e-10 if not first_known else 1e-8)
-    np.testing.assert_allclose(ours.covariance, theirs.covariance, atol=1e-9)
-    assert ours.missing.tolist() == [4 * len(lost), 0]
+@given(st.integers(0, 2**32 - 1))
+def test_known_coordinates_move_the_others_by_their_covariance(seed):
+    """The mean and covariance of a Gaussian given three of its six coordinates."""
+    u = bent(seed, 1, 9).reshape(36)
+    _, free = METHOD.step(None, u)
+    _, found = METHOD.step(None, u, known=[0.1, 0.0, 0.3, *[np.nan] * 3])
+    K = free.covariance[3:, :3] @ np.linalg.inv(free.covariance[:3, :3])
+    np.testing.assert_array_equal(found.q[:3], [0.1, 0.0, 0.3])
+    np.testing.assert_allclose(found.q[3:], free.q[3:] + K @ (found.q - free.q)[:3], atol=1e-8)
+    rest = free.covariance[3:, 3:] - K @ free.covariance[:3, 3:]
+    np.testing.assert_allclose(found.covariance[3:, 3:], rest, atol=1e-8)
+    assert not found.covariance[:3].any()
 
 
 def test_covariance_is_what_noisy_sensors_scatter():

@@ -1,15 +1,11 @@
-"""Gradient descent and Levenberg-Marquardt against closed forms, SciPy and the first edition."""
+"""Gradient descent and Levenberg-Marquardt against closed forms, SciPy and stored answers."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 from scipy.optimize import least_squares
 
-import edition1
-from edition1.kinematics.paper_robots import pcc_robot
-from edition1.sensing.network import PerSensor
 from repro import (
     AffineCurvature,
     ConstantCurvature,
@@ -25,8 +21,8 @@ from repro import (
 )
 from repro.networks import load_network
 
-from .robots import RELEASED, bounds, paper_robot
-from .test_sensing import MOMENTS, NETWORKS, paper_networks
+from .robots import RELEASED, STORED, bounds, paper_robot
+from .test_sensing import NETWORKS, paper_networks
 
 
 def lemniscate(n_b, n):
@@ -40,29 +36,24 @@ def lemniscate(n_b, n):
 
 
 @pytest.mark.parametrize("n_b", [1, 2, 3])
-def test_agrees_with_the_first_edition(n_b):
+def test_shapes_and_covariances_are_those_of_the_first_edition(n_b):
     q = lemniscate(n_b, 60)
     sensing = Sensing(paper_robot(n_b))
     u = simulated_readings(sensing.robot, q) + 1e-3 * np.random.default_rng(0).normal(size=(60, 3 * n_b))
     u[3, 0] = np.nan
     low, high = bounds(n_b)
     method = LevenbergMarquardt(sensing, low, high, noise=1e-3, tolerance=1e-12)
-    first = edition1.LevenbergMarquardt(
-        edition1.compiled(edition1.LinearisedSensing(pcc_robot(n_b), torch.from_numpy(MOMENTS))),
-        torch.from_numpy(low), torch.from_numpy(high), noise_mt=1e-3,
-    )  # fmt: skip
     start = np.clip(q + 1e-3, low, high)
     _, mine = method.step(method.init(start), u)
-    _, theirs = first.step(first.init(torch.from_numpy(start)), torch.from_numpy(u), 0.0)
     inside = ~mine.details["at_bound"]
-    np.testing.assert_allclose(mine.q[inside], theirs.q.numpy()[inside], rtol=0, atol=1e-10)
-    scale = np.abs(theirs.covariance.numpy()).max((1, 2), keepdims=True)
-    difference = (mine.covariance - theirs.covariance.numpy()) / scale
-    assert np.abs(difference[inside]).max() < 1e-6
-    np.testing.assert_allclose(
-        mine.chi2[inside], theirs.diagnostics["chi2"].numpy()[inside], rtol=1e-8, atol=1e-9
+    q, covariance, chi2, dof = (
+        STORED[f"least_squares_{n_b}_{name}"][inside] for name in ("q", "covariance", "chi2", "dof")
     )
-    np.testing.assert_array_equal(mine.dof[inside], theirs.diagnostics["dof"].numpy()[inside])
+    np.testing.assert_allclose(mine.q[inside], q, rtol=0, atol=1e-10)
+    difference = (mine.covariance[inside] - covariance) / np.abs(covariance).max((1, 2), keepdims=True)
+    assert np.abs(difference).max() < 1e-6
+    np.testing.assert_allclose(mine.chi2[inside], chi2, rtol=1e-8, atol=1e-9)
+    np.testing.assert_array_equal(mine.dof[inside], dof)
 
 
 @pytest.mark.parametrize("network", [False, True])
@@ -72,19 +63,12 @@ def test_the_descent_agrees_with_the_first_edition_to_rounding_where_it_is_stabl
     robot = paper_robot(2)
     u, gamma = simulated_readings(robot, q), np.tile([3e-3, 3e-3, 3e-4], 2)
     if network:
-        modules, mine = paper_networks(files, double=True)
-        first = edition1.MagneticSensing(pcc_robot(2), PerSensor(modules, [0] * 3 + [1] * 3), inputs="angles")
-        sensing, tolerance = Sensing(robot, mine), 1e-12
+        sensing, tolerance = Sensing(robot, paper_networks(files, double=True)[1]), 1e-12
     else:
-        first = edition1.LinearisedSensing(pcc_robot(2), torch.from_numpy(MOMENTS))
         sensing, tolerance = Sensing(robot), 1e-13
-    mine = track(GradientDescent(sensing, gamma), u, q[0])
-    theirs = edition1.track(
-        edition1.GradientDescent(first, torch.from_numpy(gamma)),
-        torch.from_numpy(u),
-        torch.from_numpy(q[0]),
-    )
-    np.testing.assert_allclose(mine.q, theirs.q.numpy(), rtol=0, atol=tolerance)
+    found = track(GradientDescent(sensing, gamma), u, q[0])
+    expected = STORED["descent_network" if network else "descent_multipoles"]
+    np.testing.assert_allclose(found.q, expected, rtol=0, atol=tolerance)
 
 
 def test_the_descent_on_a_parabola_is_its_recurrence():

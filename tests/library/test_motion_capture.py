@@ -489,6 +489,22 @@ def test_files_of_other_systems_that_are_none(tmp_path, text, message):
     assert message in str(refused.value)
 
 
+def test_damaged_files_of_motion_capture_are_refused_in_words(tmp_path):
+    rng, path = np.random.default_rng(0), tmp_path / "a.csv"
+    motive = write_motive(path, turning(5), version="1.23").read_text(encoding="utf-8")
+    texts = [motive, *(text for text, *_ in FILES.values())]
+    bits = [b",", b"\t", b'"', b"\n", b"-", b"1e999", b"Name", b"RX", b"X", b"\0", b"\xff"]
+    for _ in range(200):
+        content = bytearray(texts[rng.integers(len(texts))].encode())
+        for at in rng.integers(min(len(content), 600), size=rng.integers(1, 8)):
+            content[at : at + rng.integers(3) * rng.integers(10)] = bits[rng.integers(len(bits))]
+        path.write_bytes(content)
+        try:
+            read_motion(path)
+        except InputError as error:
+            assert str(error).isprintable()  # noqa: PT017
+
+
 def test_timecode_and_parents_of_motive(tmp_path):
     """A column of times as text, and a line of parents, which version 1.25 writes."""
     path = write_motive(tmp_path / "a.csv", turning(), version="1.25", unit="Meters")
@@ -548,7 +564,7 @@ class TestMeasuredPoses:
         swapped = read_poses(robot, tmp_path / "a.csv", bodies=["1", "2"])
         np.testing.assert_array_equal(swapped.q, found.q)
         with pytest.raises(
-            InputError, match="bodies of a.csv must be 2 different bodies of 1, 2, from base to tip"
+            InputError, match="bodies of a.csv must be 2 of the bodies 1, 2, from base to tip"
         ):
             read_poses(robot, tmp_path / "a.csv", bodies=["1"])
 

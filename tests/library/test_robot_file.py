@@ -1,4 +1,4 @@
-"""Robot files: old ones as the first edition reads them, parts as people buy them, what is refused or doubted."""
+"""Robot files: old ones as the first edition read them, parts as people buy them, what is refused or doubted."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ import repro
 from repro import InputError, calibrate, load_robot, simulated_readings
 from repro.networks import load_network
 from repro.robot_file import _own_hash, load_calibration
+
+from .robots import STORED
 
 ROOT = Path(__file__).parents[2]
 ROBOTS = ROOT / "data" / "robots"
@@ -55,21 +57,20 @@ def read(folder: Path, text: str, name: str = "robot.toml") -> repro.Robot:
 
 
 @pytest.mark.parametrize("path", sorted(ROBOTS.glob("*.toml")), ids=lambda path: path.stem)
-def test_old_files_say_what_the_first_edition_reads(path):
+def test_old_files_say_what_the_first_edition_read(path):
     """Bounds, noise and readings in the unit of the file; the new library has all of them in mT."""
-    edition1 = pytest.importorskip("edition1")
-    torch = pytest.importorskip("torch")
-    old, robot = edition1.load_robot(path), load_robot(path)
-    np.testing.assert_array_equal([robot.lower, robot.upper], [old.lower, old.upper])
-    assert robot.rate_hz == old.rate_hz
+    robot = load_robot(path)
+    old = {name: STORED[f"file_{path.stem}_{name}"] for name in ("bounds", "rate", "noise", "streams")}
+    np.testing.assert_array_equal([robot.lower, robot.upper], old["bounds"])
+    assert robot.rate_hz == old["rate"]
     assert robot.noise is not None
     if robot.sensors:
         q = robot.lower + (robot.upper - robot.lower) * np.random.default_rng(0).random((20, robot.n_q))
         per_mt = robot.per_reading("per_mt", 1.0, 1.0)
-        expected = old.sensing()(torch.from_numpy(q)).numpy() / per_mt
+        expected = STORED[f"file_{path.stem}_readings"] / per_mt
         np.testing.assert_allclose(robot.sensing()(q), expected, rtol=1e-11, atol=1e-12)
-        np.testing.assert_allclose(robot.noise * np.abs(per_mt), old.noise)
-    assert [imu.channels for imu in robot.imus] == [imu.stream for imu in old.imus]
+        np.testing.assert_allclose(robot.noise * np.abs(per_mt), old["noise"])
+    assert [imu.channels for imu in robot.imus] == old["streams"].tolist()
 
 
 def test_parts_as_people_buy_them():

@@ -1,4 +1,4 @@
-"""Readings with slopes: against magpylib, the first edition, torch's autograd and complex steps."""
+"""Readings with slopes: against magpylib, complex steps, torch's autograd and stored answers."""
 
 from __future__ import annotations
 
@@ -10,15 +10,7 @@ import torch
 from safetensors.torch import load_file
 from scipy.spatial.transform import Rotation
 
-from edition1.kinematics.paper_robots import affine_robot, pcc_robot
-from edition1.sensing.ensemble import SeedEnsemble
-from edition1.sensing.linearised import LinearisedSensing
-from edition1.sensing.magnetic import MagneticSensing
-from edition1.sensing.multipole import MultipoleField
-from edition1.sensing.network import CosineNetwork, PerSensor, paper_network
-from edition1.sensing.relations import relations as relations_1
 from repro import (
-    AffineCurvature,
     ConstantCurvature,
     Imu,
     InputError,
@@ -30,11 +22,11 @@ from repro import (
 )
 from repro.networks import Network, load_network, network_of
 from repro.sensing import relations
+from repro.training import FastNetwork, paper_network
 
-from .robots import CHAINS, RELEASED, chain, complex_pose, configuration, paper_robot
+from .robots import CHAINS, RELEASED, STORED, chain, complex_pose, configuration, paper_robot
 
 NETWORKS = Path(__file__).parents[2] / "data" / "networks"
-MOMENTS = RELEASED.multipoles(9)
 
 
 def by_complex_poses(robot: Robot, q: np.ndarray, moments: np.ndarray, earth: np.ndarray) -> np.ndarray:
@@ -81,33 +73,12 @@ def test_readings_and_slopes_agree_with_complex_steps(names, scale):
         np.testing.assert_allclose(J[rows], X[0, :, :3].T, rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("n_b", [1, 2, 3])
-def test_agrees_with_the_first_edition_and_with_autograd(n_b):
-    q = np.random.default_rng(n_b).normal(size=(6, 3 * n_b)) * 0.008
-    q[0] = 0.0
-    sensing = Sensing(paper_robot(n_b, tilt=0.1), gain=1.1)
-    u, J = sensing.linearise(q)
-    first = LinearisedSensing(
-        pcc_robot(n_b, 3, tilt=0.1), torch.from_numpy(MOMENTS), 1.1 * torch.ones(3 * n_b).double()
-    )
-    u_1, J_1 = (x.numpy() for x in first.linearise(torch.from_numpy(q)))
-    np.testing.assert_allclose(u, u_1, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(J, J_1, rtol=0, atol=1e-12 * np.abs(J_1).max())
-    plain = MagneticSensing(pcc_robot(n_b, 3, tilt=0.1), MultipoleField(torch.from_numpy(MOMENTS)))
-    by_autograd = torch.func.jacrev(plain)(torch.from_numpy(q[3])).numpy()
-    np.testing.assert_allclose(J[3], 1.1 * by_autograd, rtol=0, atol=1e-12 * np.abs(J_1).max())
-
-
-def test_the_affine_robot_of_the_paper_agrees_with_the_first_edition():
-    """Its magnets are moved by -3 mm along their own axes; the relations keep their places as printed."""
-    sensors = [Sensor(1, (0.0, 0.1, 0.2)[j % 3], radial=0.013, azimuth=np.radians(40 * j)) for j in range(9)]
-    magnets = [Magnet(RELEASED, 1, at, position=[0, 0, -0.003]) for at in (0.05, 0.15)]
-    q = np.random.default_rng(0).uniform(-1, 1, (5, 4)) * [0.9, 3.7, 3.1, 0.005]
-    u, J = Sensing(Robot([AffineCurvature(0.2)], magnets, sensors)).linearise(q)
-    first = LinearisedSensing(affine_robot(), torch.from_numpy(MOMENTS))
-    u_1, J_1 = (x.numpy() for x in first.linearise(torch.from_numpy(q)))
-    np.testing.assert_allclose(u, u_1, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(J, J_1, rtol=0, atol=1e-12 * np.abs(J_1).max())
+def test_a_gain_scales_readings_and_slopes():
+    sensing, gain = Sensing(paper_robot(1)), np.array([1.1, 0.9, -1.0])
+    q = [0.004, -0.003, 0.002]
+    (u, J), (plain, slopes) = Sensing(paper_robot(1), gain=gain).linearise(q), sensing.linearise(q)
+    np.testing.assert_allclose(u, gain * plain, rtol=1e-14)
+    np.testing.assert_allclose(J, gain[:, None] * slopes, rtol=1e-14)
 
 
 def test_readings_agree_with_magpylib_within_the_tail_of_the_series():
@@ -119,23 +90,33 @@ def test_readings_agree_with_magpylib_within_the_tail_of_the_series():
 
 
 @pytest.mark.parametrize("inputs", ["angles", "cosines"])
-def test_relations_are_those_of_the_first_edition(inputs):
+def test_relations_are_those_of_the_poses(inputs):
+    """Eqs (4) to (6), and lambda for the Earth, from the poses of both parts."""
+    robot, earth = paper_robot(2, tilt=0.1), np.array([0.3, -0.1, 0.9])
     q = np.random.default_rng(0).normal(size=(4, 6)) * 0.008
     q[0] = 0.0
-    earth = np.array([0.3, -0.1, 0.9])
-    first = relations_1(pcc_robot(2), torch.from_numpy(q), torch.from_numpy(earth))
-    expected = (first.angles() if inputs == "angles" else first.cosines()).numpy()
-    np.testing.assert_allclose(
-        relations(paper_robot(2), q, inputs=inputs, earth=earth), expected, rtol=0, atol=1e-14
-    )
+    T_s, T_m = (robot.poses(q, [part.place for part in parts]) for parts in (robot.sensors, robot.magnets))
+    o, m = T_s[..., :3, 2], T_m[..., :3, 2]
+    apart = T_s[:, :, None, :3, 3] - T_m[:, None, :, :3, 3]
+    d = np.linalg.norm(apart, axis=-1)
+    cosines = [
+        np.einsum("tsi,tmi->tsm", o, m),
+        np.einsum("tsi,tsmi->tsm", o, apart) / d,
+        np.einsum("tmi,tsmi->tsm", m, apart) / d,
+    ]
+    turned = np.arccos if inputs == "angles" else np.array
+    of_magnets = np.stack([d, *map(turned, cosines)], axis=-1).reshape(4, 6, -1)
+    expected = np.concatenate([turned(o @ earth / np.linalg.norm(earth))[..., None], of_magnets], axis=-1)
+    found = relations(robot, q, inputs=inputs, earth=earth)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
 def paper_networks(files, *, double):
-    """The networks in files of weights as torch modules of the first edition, and as ours."""
+    """The networks in files of weights, as torch modules and as ours."""
     modules, mine = [], []
     for path in files:
         state = load_file(path)
-        module = paper_network(len(state["0.weight"]), torch.Generator())
+        module = paper_network(len(state["0.weight"]))
         module.load_state_dict(state)
         modules.append(module.eval().double() if double else module.eval())
         mine.append(network_of({name: x.numpy() for name, x in module.state_dict().items()}))
@@ -147,23 +128,24 @@ def test_networks_of_the_paper_predict_what_torch_predicts(double):
     files = sorted(NETWORKS.glob("*nb2*seed0*.safetensors"))[:2]
     modules, mine = paper_networks(files, double=double)
     q = np.random.default_rng(0).normal(size=(6, 6)) * 0.008
-    sensing, per_sensor = Sensing(paper_robot(2), mine), PerSensor(modules, [0, 0, 0, 1, 1, 1])
+    sensing = Sensing(paper_robot(2), mine)
     u, J = sensing.linearise(q)
     xi = torch.from_numpy(sensing.relations(q)).to(torch.float64 if double else torch.float32)
-    np.testing.assert_allclose(u, per_sensor(xi).detach().numpy(), rtol=0, atol=1e-12 if double else 3e-6)
-    if double:
-        first = MagneticSensing(pcc_robot(2), per_sensor, inputs="angles")
-        for k in range(len(q)):
-            slope = torch.func.jacrev(first)(torch.from_numpy(q[k])).detach().numpy()
-            np.testing.assert_allclose(J[k], slope, rtol=0, atol=1e-12 * np.abs(J).max())
+    expected = [modules[j // 3](xi[:, j]).detach().numpy() for j in range(6)]
+    np.testing.assert_allclose(u.T, expected, rtol=0, atol=1e-12 if double else 3e-6)
+    if double:  # by autograd through the first edition's robot
+        np.testing.assert_allclose(J, STORED["network_slopes"], rtol=0, atol=1e-12 * np.abs(J).max())
     else:
         np.testing.assert_array_equal(Sensing(paper_robot(2), [load_network(path) for path in files])(q), u)
 
 
 def test_the_fast_network_predicts_what_torch_predicts():
-    module = CosineNetwork(5, torch.Generator().manual_seed(0)).double()
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        module = FastNetwork(5).double()
     xi = torch.rand(50, 5, generator=torch.Generator().manual_seed(1)).double()
-    module.standardise(xi, xi.sum(1))
+    module.centre, module.spread = xi.mean(0), xi.std(0)
+    module.offset, module.scale = xi.sum(1).mean(), xi.sum(1).std()
     network = network_of({name: x.numpy() for name, x in module.state_dict().items()})
     u, slopes = network.linearise(xi.numpy())
     np.testing.assert_allclose(u, module(xi).detach().numpy(), rtol=0, atol=1e-13)
@@ -283,16 +265,3 @@ SMALL = Network([(np.zeros((1, 5)), np.zeros(1))], "relu", "angles")
 def test_what_cannot_be_is_refused_in_words(make, message):
     with pytest.raises(InputError, match=message):
         make()
-
-
-def test_an_ensemble_of_the_first_edition_is_the_same_network(tmp_path):
-    """Folding batch norms into linear layers gives the same single-precision weights in both editions."""
-    path = sorted(NETWORKS.glob("*.safetensors"))[0]
-    state = load_file(path)
-    module = paper_network(state["0.weight"].shape[0], torch.Generator())
-    module.load_state_dict(state)
-    first = SeedEnsemble([[module.eval()]], [0])
-    mine = load_network(path)
-    for k, (W, b) in enumerate(mine.layers):
-        np.testing.assert_array_equal(W.T, first.get_buffer(f"weight_{k}")[0].double().numpy())
-        np.testing.assert_array_equal(b, first.get_buffer(f"bias_{k}")[0, 0].double().numpy())

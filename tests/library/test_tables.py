@@ -465,6 +465,41 @@ def test_what_is_refused(tmp_path, text, message):
     assert message in str(refused.value).replace(" of mine.csv", "")
 
 
+def test_damaged_files_are_refused_in_words(tmp_path):
+    """Whatever is cut out, put in or doubled: a table, or an error in one line of printable words."""
+    rng, path = np.random.default_rng(0), tmp_path / "mine.csv"
+    texts = [
+        *SPELLINGS.values(),
+        *(header + 5 * line.format(0, 1.5, 2.5, 3.5) for header, line, _ in CLOCKS.values()),
+    ]
+    bits = [
+        b",",
+        b";",
+        b'"',
+        b"\n",
+        b"-",
+        b"nan",
+        b"1e999",
+        b"time_s",
+        b":",
+        b"->",
+        b"\0",
+        b"\xff",
+        b"(",
+        b"\x1b[2J",
+    ]
+    for _ in range(600):
+        content = bytearray(texts[rng.integers(len(texts))].encode())
+        for at in rng.integers(len(content), size=rng.integers(1, 20)):
+            part = bits[rng.integers(len(bits))] if rng.random() < 0.5 else content[at : at + 10]
+            content[at : at + rng.integers(3) * rng.integers(10)] = part
+        path.write_bytes(content)
+        try:
+            read_table(path)
+        except InputError as error:
+            assert str(error).isprintable()  # noqa: PT017
+
+
 def test_dates_and_truths_are_no_numbers():
     for values in (
         pd.to_datetime(["2024-01-01"] * 3),

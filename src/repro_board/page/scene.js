@@ -87,7 +87,7 @@ export function gridStep(reach) {
  *
  * `box` holds two corners around everything that will be drawn, `radius` is that of the body [mm].
  */
-export function createScene(canvas, { box, radius }, palette) {
+export function createScene(canvas, { box, radius, widest = Infinity, zoom = 1 }, palette) {
   const context = canvas.getContext("webgl2", { alpha: true, antialias: true });
   if (!context) return null;
   const renderer = new WebGLRenderer({ canvas, context, alpha: true, antialias: true });
@@ -135,7 +135,7 @@ export function createScene(canvas, { box, radius }, palette) {
   }
 
   function resetView() {
-    const distance = distanceOf(FIRST_VIEW);
+    const distance = distanceOf(FIRST_VIEW) / zoom;
     controls.target.copy(centre);
     camera.position.copy(FIRST_VIEW).multiplyScalar(distance).add(centre);
     camera.near = distance / 100;
@@ -197,7 +197,7 @@ export function createScene(canvas, { box, radius }, palette) {
   ];
   const cylinder = [new CylinderGeometry(0.5 * size, 0.5 * size, 0.27 * size, 28)];
 
-  /** Draw a frame: `shapes` with `role`, `points` and perhaps `deviation`, then `magnets` and `sensors`. */
+  /** Draw a frame: `shapes` with `role`, `points` and perhaps `deviation`, then `magnets`, `sensors` and `suspects`. */
   function draw(frame) {
     clear(robot);
     frame.shapes.forEach(({ role, points, deviation }, i) => {
@@ -210,12 +210,17 @@ export function createScene(canvas, { box, radius }, palette) {
       robot.add(new Mesh(tube(points, thickness), paint), tip);
       if (i === 0) robot.add(new Mesh(tube(points, radius), material(palette.body, 0.2)));
       if (deviation) {
-        const around = Array.from(deviation, (sigma) => 2 * sigma);
+        const around = Array.from(deviation, (sigma) => Math.min(2 * sigma, widest));
         robot.add(new Mesh(tube(points, around), material(palette.deviation, 0.4)));
       }
     });
     if (frame.magnets) addMarkers(frame.magnets, cylinder, palette.magnets);
     if (frame.sensors) addMarkers(frame.sensors, arrow, palette.sensors);
+    for (const k of frame.suspects ?? []) {
+      const ball = new Mesh(new SphereGeometry(0.6 * size, 20, 14), material(palette.suspects, 0.6));
+      ball.position.fromArray(frame.sensors.points, 3 * k);
+      robot.add(ball);
+    }
     render();
   }
 

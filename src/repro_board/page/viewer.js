@@ -10,11 +10,15 @@
 //   shapes               [{name, role: "truth" | "estimate", points, deviation?}]: x, y, z of the points of all frames,
 //                        and for each point a standard deviation, drawn as a tube of two of them
 //   magnets, sensors     {points, directions, name?}, for all frames
+//   suspects             {name}, if sensors may be marked
+//   widest               largest radius of a tube of deviations [mm]; any if not given
+//   zoom                 how many times nearer the eye is than where all of the floor is in the picture
+//   tallest              most pixels that the picture is high; 440 if not given
 //   traces               [{title, unit, series: [{name, values, estimate?}]}], one value per frame, null where missing
 // Many numbers arrive as base64 of 16-bit integers: tenths of a millimetre, or ten-thousandths of a direction.
 //
-// The handle: setFrame(i); update(frame), which draws one shape that is not part of `data` (fields as above, plain
-// numbers); dispose(). Without WebGL there is no handle but null, and the image inside `element` stays.
+// The handle: setFrame(i); update(frame), which draws one shape that is not part of `data` (fields as above, and in
+// `suspects` numbers of sensors that are marked); dispose(). Without WebGL there is no handle but null, and the image inside `element` stays.
 
 import { colours, onThemeChange } from "./colours.js";
 import { createScene } from "./scene.js";
@@ -66,7 +70,7 @@ function legend(data, step) {
   const list = make("ul", { class: "shape-view-legend" });
   const entries = data.shapes.map((shape) => [shape.role, shape.name]);
   if (data.shapes.some((shape) => shape.deviation)) entries.push(["deviation", "± 2 standard deviations"]);
-  for (const role of ["magnets", "sensors"]) if (data[role]) entries.push([role, data[role].name ?? role]);
+  for (const role of ["magnets", "sensors", "suspects"]) if (data[role]) entries.push([role, data[role].name ?? role]);
   for (const [role, name] of entries) list.append(make("li", {}, make("i", { "data-role": role }), name));
   list.append(make("li", {}, `floor: squares of ${shown(step)} mm`));
   list.append(make("li", {}, "turn: drag, or arrow keys and + −"));
@@ -168,7 +172,7 @@ export function mount(element, data) {
   });
   const resizing = new ResizeObserver(() => {
     const width = view.clientWidth;
-    if (width) scene.resize(width, Math.round(Math.min(Math.max(0.62 * width, 240), 440)));
+    if (width) scene.resize(width, Math.round(Math.min(Math.max(0.62 * width, 240), data.tallest ?? 440)));
   });
 
   if (data.traces?.length && time.length > 1) {
@@ -185,7 +189,8 @@ export function mount(element, data) {
   return {
     setFrame,
     update(next) {
-      frame = { ...next, shapes: next.shapes.map((shape, i) => ({ role: data.shapes[i].role, ...shape })) };
+      const shapes = next.shapes.map((shape, i) => ({ ...data.shapes[i], ...shape }));
+      frame = { ...unpacked({ ...next, shapes, time_s: [0] })(0), suspects: next.suspects };
       scene.draw(frame);
     },
     dispose() {

@@ -26,10 +26,11 @@ from repro import (
     simulated_readings,
     track,
 )
+from repro.estimators.base import Estimate
 from repro.estimators.calibration import Tolerances
 from repro.networks import Network, load_network
 from repro.robot import Place, point_on
-from repro_companion.show import project_folder
+from repro_companion.show import project_folder, ratio_interval
 
 LENGTH, RADIUS = 0.110, 0.022
 """Length of a segment, and distance of its actuators from the backbone [m]."""
@@ -226,11 +227,9 @@ def gain(best: pd.DataFrame) -> pd.DataFrame:
             own = part if quantity == "mean" else part[part["quantity"] == quantity]
             errors = own.pivot_table(index="draw", columns="calibrated", values="error_percent")
             errors = errors.reindex(columns=[True, False]).to_numpy()
-            again = np.random.default_rng(0).integers(len(errors), size=(10_000, len(errors)))
-            yes, no = errors[again].mean(1).T
             columns = np.stack([errors.mean(0), errors.std(0, ddof=1)], axis=1).ravel()
-            ratios = columns[0] / columns[2], *np.quantile(yes / no, [0.025, 0.975])
-            lines.append((row, quantity, *columns, *ratios))
+            interval = ratio_interval(errors, errors[:, ::-1])[:, 0]  # of the first column over the second
+            lines.append((row, quantity, *columns, columns[0] / columns[2], *interval))
     names = [f"{method}_percent{of}" for method in ("calibrated", "uncalibrated") for of in ("", "_std")]
     return pd.DataFrame(lines, columns=["row", "quantity", *names, "ratio", "ratio_low", "ratio_high"])
 
@@ -351,7 +350,7 @@ def models(seeds: Sequence[int], steps: int = STEPS, noise_mt: float = 0.0, jobs
         seen = u + noise(noise_mt, seed, *u.shape)
         found = {
             ("gradient descent", "ground truth"): track(descent(sensing, 1), seen, q[0]).q,
-            ("Levenberg-Marquardt", "straight"): least_squares(sensing, seen, max(noise_mt, 1e-6), 30),
+            ("Levenberg-Marquardt", "straight"): least_squares(sensing, seen, max(noise_mt, 1e-6), 30).q,
         }
         return [
             {"n_b": 1, "model": name, "solver": solver, "start": start, "seed": seed}
@@ -595,13 +594,18 @@ def configurations(
 
 
 def least_squares(
-    sensing: Sensing, u: np.ndarray, noise_mt: float = NOISE_MT, iterations: int = 5
-) -> np.ndarray:
-    """Return the least-squares estimate of every row of readings, each from the straight pose at mid elongation."""
+    sensing: Sensing,
+    u: np.ndarray,
+    noise_mt: float = NOISE_MT,
+    iterations: int = 5,
+    tolerance: float = 1e-4,
+) -> Estimate:
+    """Return the least-squares estimate of readings ``[..., s]``, each from the straight pose at mid elongation."""
     low, high = bounds(len(sensing.robot.segments))
-    fit, start = LevenbergMarquardt(sensing, low, high, noise_mt, iterations=iterations), (low + high) / 2
-    start[2::3] = 2.75e-3
-    return fit.step(fit.init(np.broadcast_to(start, (*u.shape[:-1], len(low)))), u)[1].q
+    fit = LevenbergMarquardt(sensing, low, high, noise_mt, iterations=iterations, tolerance=tolerance)
+    start = (low + high) / 2
+    start[2::3] = ELONGATION
+    return fit.step(fit.init(np.broadcast_to(start, (*u.shape[:-1], len(low)))), u)[1]
 
 
 def errors_of_draw(row: Row, draw: int, noise_mt: float = NOISE_MT) -> list[np.ndarray]:
@@ -610,7 +614,7 @@ def errors_of_draw(row: Row, draw: int, noise_mt: float = NOISE_MT) -> list[np.n
     q, covariance = configurations(drawn, measured.poses)
     found = calibrate(drawn, q, measured.pose_readings, noise_mt, covariance, earth=earth)
     models = found.sensing(), Sensing(drawn, earth=earth)
-    estimates = [least_squares(model, measured.readings, noise_mt) for model in models]
+    estimates = [least_squares(model, measured.readings, noise_mt).q for model in models]
     return [relative_errors(estimate, measured.q) for estimate in estimates]
 
 

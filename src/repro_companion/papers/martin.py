@@ -21,6 +21,7 @@ from repro import Arm, calibrate_imus, calibrated, pcc_extended, rigid_body
 from repro.common import require
 from repro.estimators.imu import ShapeModel
 from repro_companion.run import digest, project_folder, recordings_folder
+from repro_companion.show import ratio_interval
 
 # The arm and Table I
 
@@ -497,11 +498,11 @@ def calibration_ratios(table: pd.DataFrame) -> pd.DataFrame:
     medians = whole.pivot_table(
         index="draw", columns=["method", "mode", "point"], values="median_mm", sort=False
     )
-    again, lines = np.random.default_rng(0).integers(len(medians), size=(2000, len(medians))), []
+    lines = []
     for method, *where in medians:
         ours, base = (medians[name, *where].to_numpy() for name in (method, BASELINE))
-        low, high = np.quantile(ours[again].mean(axis=1) / base[again].mean(axis=1), [0.025, 0.975])
-        lines.append((method, *where, ours.mean(), ours.mean() / base.mean(), low, high, len(ours)))
+        interval = ratio_interval(ours, base, 2000)
+        lines.append((method, *where, ours.mean(), ours.mean() / base.mean(), *interval, len(ours)))
     columns = ["method", "mode", "point", "median_mm", "ratio", "ratio_low", "ratio_high", "draws"]
     return pd.DataFrame(lines, columns=columns)
 

@@ -35,6 +35,7 @@ from repro.motion_capture import Motion as MotionCapture
 from repro.motion_capture import read_motion, undo_exchanges
 from repro_board.evaluate import search_lag
 from repro_companion.run import digest, project_folder, recordings_folder
+from repro_companion.show import ratio_interval
 
 LENGTH = 15e-3
 """Length of the arc from sensor to magnet, section III-A [m]; 14 mm in the released simulations."""
@@ -239,9 +240,7 @@ def gain(table: pd.DataFrame, method: str, other: str) -> pd.DataFrame:
     for name in CURVES:
         own = table[table["curve"] == name].pivot_table(index="seed", columns="setting", values="rmse_mm")
         a, b = own[method].dropna().to_numpy(), own[other].dropna().to_numpy()
-        again = np.random.default_rng(0).integers(len(a), size=(10_000, len(a)))
-        low, high = np.quantile(a[again].mean(1) / b[again].mean(1), [0.025, 0.975])
-        lines.append((name, method, other, a.mean() / b.mean(), low, high))
+        lines.append((name, method, other, a.mean() / b.mean(), *ratio_interval(a, b)))
     return pd.DataFrame(lines, columns=["curve", "setting", "than", "ratio", "ratio_low", "ratio_high"])
 
 

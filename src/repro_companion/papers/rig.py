@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -624,12 +624,41 @@ def _train(train: Recording, sensor: int, seed: int, path: Path) -> None:
     from repro.training import save_network, train_paper
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    xi = relations(robot(), train.q, inputs="angles", earth=EARTH)[:, sensor]
     checkpoint = path.with_suffix(".state")
-    network, errors, _ = train_paper(
-        xi, train.u[:, sensor], seed, LEARNING_RATE, checkpoint, progress=path.stem
-    )
+    xi, u = training_rows(train, sensor)
+    network, errors, _ = train_paper(xi, u, seed, LEARNING_RATE, checkpoint, progress=path.stem)
     save_network(network, path, {"recipe": "paper", "sensor": sensor, "seed": seed, "rmse_mv": errors})
+
+
+def training_rows(train: Recording, sensor: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return relations as angles, of the robot as drawn, and readings [mV] of one sensor, counted from 0."""
+    return relations(robot(), train.q, inputs="angles", earth=EARTH)[:, sensor], train.u[:, sensor]
+
+
+@dataclass(frozen=True)
+class RigNetwork:
+    """A network of section 5.4 for the simulated rig: it predicts one sensor, counted from 0."""
+
+    sensor: int
+    seed: int
+    learning_rate: ClassVar[float] = LEARNING_RATE
+
+    @property
+    def name(self) -> str:
+        """File name without its ending."""
+        return f"rig_sensor{self.sensor + 1}_seed{self.seed}"
+
+    @property
+    def origin(self) -> dict[str, Any]:
+        """What a manifest says of the recording: its name, its seed, and the hash of the rig's parameters."""
+        parameters = hashlib.sha256(json.dumps(vars(RIG), sort_keys=True).encode()).hexdigest()
+        return {"recording": "synthetic_T5_train", "recording_seed": 0, "twin_sha256": parameters}
+
+    def rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return relations as angles and readings [mV] of T5.train, as they are trained on."""
+        whole = simulated("T5")
+        xi, u = training_rows(whole.cut(0, _first_of_test(whole)), self.sensor)
+        return xi.astype(np.float32), u.astype(np.float32)
 
 
 # Our filter

@@ -31,6 +31,7 @@ from repro.estimators.calibration import Tolerances
 from repro.robot import point_on
 from repro_companion.papers import baaij, martin
 from repro_companion.papers.baaij import LENGTH, RADIUS
+from repro_companion.show import ratio_interval
 
 MOTIONS = ("constant curvature", "affine curvature", "rod under load")
 ELEMENTS = 44
@@ -281,8 +282,8 @@ PARTS = {
     "ring and IMUs, two arcs": {"ring": 3, "imus": 2},
 }
 """Methods, and how many sensors each has to lose."""
-EVERY = 4
-"""Shapes are compared at every fourth node, every 10 mm."""
+EVERY, RESAMPLES = 4, 2000
+"""Shapes are compared at every fourth node, every 10 mm; resamples of a bootstrap interval."""
 
 Shape = tuple[np.ndarray, np.ndarray]
 """Points ``[t, 12, 3]`` [m] along the segment, and how the tip is turned ``[t, 3, 3]``."""
@@ -366,16 +367,11 @@ def errors(
     return pd.DataFrame(lines)
 
 
-def _resampled(table: pd.DataFrame) -> np.ndarray:
-    """Return the means over the robots, one column for each, resampled 2000 times ``[2000, rows]``."""
-    again = np.random.default_rng(0).integers(table.shape[1], size=(2000, table.shape[1]))
-    return table.to_numpy()[:, again].mean(-1).T
-
-
 def mean_errors(table: pd.DataFrame) -> pd.DataFrame:
     """Return the mean tip error over the robots with the ends of its bootstrap interval (95 %)."""
     wide = table.pivot_table(index=KEYS, columns="draw", values="tip_mm", sort=False)
-    low, high = np.quantile(_resampled(wide), [0.025, 0.975], axis=0)
+    errors = wide.to_numpy().T
+    low, high = ratio_interval(errors, np.ones_like(errors), RESAMPLES)
     return pd.DataFrame({"tip_mm": wide.mean(axis=1), "low_mm": low, "high_mm": high}).reset_index()
 
 
@@ -384,6 +380,6 @@ def ratios(table: pd.DataFrame, over: str = "2 IMUs") -> pd.DataFrame:
     healthy = table[table["calibrated"] & (table["condition"] == CONDITIONS[0])]
     wide = healthy.pivot_table(index=KEYS[:2], columns="draw", values="tip_mm", sort=False)
     below = wide.xs(over, level=1).loc[wide.index.get_level_values(0)]
-    low, high = np.quantile(_resampled(wide) / _resampled(below), [0.025, 0.975], axis=0)
+    low, high = ratio_interval(wide.to_numpy().T, below.to_numpy().T, RESAMPLES)
     ratio = wide.mean(axis=1) / below.mean(axis=1).to_numpy()
     return pd.DataFrame({"ratio": ratio, "low": low, "high": high}).drop(over, level=1).reset_index()

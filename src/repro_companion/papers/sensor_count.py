@@ -42,7 +42,6 @@ from scipy.spatial.transform import Rotation
 
 from repro import (
     Arm,
-    LevenbergMarquardt,
     Robot,
     Sensing,
     calibrate,
@@ -54,17 +53,8 @@ from repro_companion.papers import baaij, martin
 
 # Magnetic sensors
 
-
-def fit(
-    sensing: Sensing, u: np.ndarray, noise_mt: float, iterations: int = 12
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return least-squares estimates of readings ``[..., s]``, each from the straight pose, and which bounds hold."""
-    low, high = baaij.bounds(len(sensing.robot.segments))
-    start = (low + high) / 2
-    start[2::3] = baaij.ELONGATION
-    method = LevenbergMarquardt(sensing, low, high, noise_mt, iterations=iterations, tolerance=1e-7)
-    found = method.step(method.init(np.broadcast_to(start, (*u.shape[:-1], len(low)))), u)[1]
-    return found.q, found.details["at_bound"]
+ITERATIONS, TOLERANCE = 12, 1e-7
+"""Where least squares ends: next to the minimum, to compare its errors with the bound."""
 
 
 def covariance(sensing: Sensing, q: np.ndarray, noise_mt: float) -> np.ndarray:
@@ -86,13 +76,15 @@ def bound_percent(sensing: Sensing, q: np.ndarray, noise_mt: float) -> float:
 def errors(n_segments: int, n_sensors: int, noise_mt: float, normal: np.ndarray) -> pd.DataFrame:
     """Return errors along T3, one row for each draw of the noise; ``normal`` are its numbers ``[t, draw, s]``."""
     robot, q = baaij.robot(n_segments, n_sensors), baaij.lemniscate(n_segments, steps=len(normal))
-    found, held = fit(Sensing(robot), baaij.simulate(robot, q)[:, None] + noise_mt * normal, noise_mt)
+    u = baaij.simulate(robot, q)[:, None] + noise_mt * normal
+    fit = baaij.least_squares(Sensing(robot), u, noise_mt, ITERATIONS, TOLERANCE)
+    found = fit.q
     off = np.linalg.norm((robot.tip(found) - robot.tip(q)[:, None])[..., :3, 3], axis=-1)
     return pd.DataFrame({
         "draw": np.arange(normal.shape[1]),
         "mean_percent": baaij.relative_errors(found, q).mean(-1),
         "tip_mm": 1e3 * np.sqrt((off**2).mean(0)),
-        "at_bound_percent": 100 * held.mean(0),
+        "at_bound_percent": 100 * fit.details["at_bound"].mean(0),
         "bound_percent": bound_percent(Sensing(robot), q, noise_mt),
     })  # fmt: skip
 
@@ -179,7 +171,10 @@ def simulated(robot: Robot, draws: int, steps: int) -> dict[str, float]:
             "off_mm": (Sensing(bare), measured.readings),
             "calibrated_mm": (model, measured.readings),
         }
-        found = {name: fit(sensing, u, noise)[0] for name, (sensing, u) in settings.items()}
+        found = {
+            name: baaij.least_squares(sensing, u, noise, ITERATIONS, TOLERANCE).q
+            for name, (sensing, u) in settings.items()
+        }
         rows.append(
             {name: baaij.pose_errors(bare, estimate, q)["tip_mm"] for name, estimate in found.items()}
         )

@@ -1,1 +1,0 @@
-"""From readings to configurations: estimators and chains of links."""

@@ -1,1 +1,0 @@
-"""Configuration to poses along the backbone: segments, robots, mounts."""

@@ -1,1 +1,0 @@
-"""A robot in a file: its parts, sensors, noise and limits, read and checked."""

@@ -1,1 +1,0 @@
-"""Poses to readings: magnets, relations between sensors and magnets, sensor models."""

@@ -1,1 +1,0 @@
-"""A module or folder for each notebook, which nothing else imports."""

@@ -1,1 +1,0 @@
-"""Readers of the papers' files, and where these come from."""

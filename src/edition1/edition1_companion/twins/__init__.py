@@ -1,1 +1,0 @@
-"""Synthetic robots, motions and readings, and what several pages do with them."""

@@ -1,1 +1,0 @@
-"""A board on a wire: its formats, recorder, live view, emulator and calibration at the board."""

@@ -1,1 +1,0 @@
-"""An emulated board, its faults and what it plays."""

@@ -1,1 +1,0 @@
-"""Estimates while readings come in, and their page."""

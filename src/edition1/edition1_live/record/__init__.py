@@ -1,1 +1,0 @@
-"""The recorder, its files, and their export."""

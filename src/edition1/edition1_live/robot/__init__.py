@@ -1,1 +1,0 @@
-"""Commands on a robot file that read recordings or a board."""

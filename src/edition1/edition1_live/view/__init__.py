@@ -1,1 +1,0 @@
-"""Shapes in space, as the book and the live page show them."""

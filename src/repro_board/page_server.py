@@ -1,0 +1,229 @@
+"""The page of a live session: a server for the browser of this computer alone.
+
+It binds the loopback address. The address that it prints holds a secret, which becomes a cookie; requests that name
+another host, come from another site or do not know the secret are refused. All files are in memory. A request must
+come soon and be small. Every page takes updates at its own pace, so a slow one delays no other.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import secrets
+import socket
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tornado import httpserver, iostream, web
+
+from repro.common import Array, bad_input, require
+from repro.estimators.base import evenly
+from repro_board.live import STATUS, Session, notes, numbers, sentences, summary
+from repro_board.view import view
+
+_PAGE = Path(__file__).with_name("page")
+_SCRIPT = "text/javascript; charset=utf-8"
+FILES = {
+    "/": ("live.html", "text/html; charset=utf-8"),
+    "/live.css": ("live.css", "text/css; charset=utf-8"),
+    "/live.js": ("live.js", _SCRIPT),
+    "/viewer.js": ("vendor/shape_viewer.js", _SCRIPT),
+}
+"""All files that are served."""
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+    "Server": "repro",
+}
+UPDATE_S, STALLED_S, ASK_S = 0.05, 10.0, 2.0
+"""Time between two updates; that a page may take nothing; within which a request must be there [s]."""
+MOST_PAGES = 8
+
+
+class PageServer:
+    """A server for the pages of one session; use it in a ``with`` statement. ``address`` is what to open."""
+
+    def __init__(self, session: Session, port: int = 0) -> None:
+        require(0 <= port <= 65535, "browser_socket", "live", "0 to 65535", port)
+        try:
+            self._socket = socket.create_server(("127.0.0.1", port), backlog=128)
+        except OSError as error:
+            raise bad_input(
+                "browser_socket", "live", "a free port, or 0", f"{port}: {error.strerror}"
+            ) from error
+        self.port: int = self._socket.getsockname()[1]
+        self.token = secrets.token_urlsafe(24)
+        self.address = f"http://127.0.0.1:{self.port}/?token={self.token}"
+        at = "" if self.port == 80 else f":{self.port}"  # browsers leave out what is usual
+        self.hosts = (f"127.0.0.1{at}", f"localhost{at}")
+        self.contents = {path: ((_PAGE / name).read_bytes(), kind) for path, (name, kind) in FILES.items()}
+        self.contents["/scene.json"] = json.dumps(scene(session)).encode(), "application/json"
+        self.session, self.pages, self.latest = session, set[_Events](), ""
+        self._loop, self.over = asyncio.new_event_loop(), asyncio.Event()
+        self._thread = threading.Thread(
+            target=self._loop.run_until_complete, args=(self._serve(),), daemon=True
+        )
+
+    def __enter__(self) -> PageServer:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._loop.call_soon_threadsafe(self.over.set)
+        self._thread.join()
+        self._loop.close()
+
+    def _run(self) -> None:
+        self._loop.run_until_complete(self._serve())
+
+    async def _serve(self) -> None:
+        routes = [("/events", _Events, {"server": self}), ("/.*", _File, {"server": self})]
+        application = web.Application(routes, log_function=lambda _: None)
+        limits: dict[str, Any] = {"max_header_size": 8192, "max_body_size": 1024}
+        server = httpserver.HTTPServer(
+            application, idle_connection_timeout=ASK_S, body_timeout=ASK_S, **limits
+        )
+        self._socket.setblocking(False)
+        server.add_socket(self._socket)
+        while not self.over.is_set():
+            if self.pages:
+                self.latest = json.dumps(message(self.session), separators=(",", ":"))
+            self._wake()
+            await _within(self.over.wait(), UPDATE_S)
+        server.stop()
+        self._wake()
+        await asyncio.sleep(0.2 * bool(self.pages))  # they are told that it is over
+        await server.close_all_connections()
+
+    def _wake(self) -> None:
+        for page in self.pages:
+            page.new.set()
+
+
+async def _within(work: Any, seconds: float) -> bool:
+    """Return whether something was done in time."""
+    try:
+        await asyncio.wait_for(work, seconds)
+    except TimeoutError:
+        return False
+    return True
+
+
+class _File(web.RequestHandler):
+    """Answers with a file, if the request comes from a page of this address that knows the secret."""
+
+    def initialize(self, server: PageServer) -> None:
+        self.server = server
+
+    def set_default_headers(self) -> None:
+        for name, value in _HEADERS.items():
+            self.set_header(name, value)
+
+    def prepare(self) -> None:
+        server, headers = self.server, self.request.headers
+        origins = [f"http://{host}" for host in server.hosts]
+        here = headers.get("Host", "").lower() in server.hosts  # two of them arrive as one text with a comma
+        here = here and headers.get("Origin", origins[0]) in origins
+        if not here or headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
+            raise web.HTTPError(403)
+        cookie = f"repro_{server.port}"  # all ports of a host share their cookies
+        if self.request.path == "/" and self._is_token(self.get_query_argument("token", "")):
+            self.set_cookie(cookie, server.token, httponly=True, samesite="Strict")
+            self.redirect("/")
+        elif not self._is_token(self.get_cookie(cookie, "") or ""):
+            raise web.HTTPError(403)
+
+    def _is_token(self, text: str) -> bool:
+        return hmac.compare_digest(text.encode(), self.server.token.encode())
+
+    def get(self) -> Any:
+        """Answer."""
+        content, kind = self.server.contents.get(self.request.uri or "", (None, ""))
+        if content is None:
+            raise web.HTTPError(404)
+        self.set_header("Content-Type", kind)
+        self.finish(content)
+
+
+class _Events(_File):
+    """Sends the newest state whenever there is one and the page has taken the one before."""
+
+    async def get(self) -> None:
+        """Answer until the page leaves, or the session is over."""
+        server, self.new = self.server, asyncio.Event()
+        if len(server.pages) >= MOST_PAGES:
+            raise web.HTTPError(503)
+        self.set_header("Content-Type", "text/event-stream")
+        server.pages.add(self)
+        try:
+            while not server.over.is_set():
+                self.write(f"data: {server.latest}\n\n" if server.latest else ":\n\n")
+                if not await _within(self.flush(), STALLED_S):
+                    self.detach().close()
+                    return
+                self.new.clear()
+                await self.new.wait()
+            self.finish("event: end\ndata:\n\n")
+        except iostream.StreamClosedError:  # the page has left
+            pass
+        finally:
+            server.pages.discard(self)
+
+
+def scene(session: Session) -> dict[str, Any]:
+    """Return what the page needs once: names of the readings, and what the viewer draws in."""
+    robot = session.follower.robot
+    name, q = robot.source.name if robot.source else "robot", np.zeros((1, robot.n_q))
+    if robot.lower is not None and robot.upper is not None:
+        middle = (robot.lower + robot.upper) / 2
+        q = middle + 0.6 * (evenly(robot.lower, robot.upper, 200) - middle)  # nearly all that it does
+    C = np.zeros((len(q), robot.n_q, robot.n_q)) if session.follower.monitor else None
+    label = f"The estimated shape of {name} at the moment."
+    shape = view(robot, q, np.arange(len(q)), label, covariance=C, frames=200).data
+    more = {
+        "time_s": [],
+        "tallest": 640,
+        "zoom": 1.25,
+        "suspects": {"name": "suspected"},
+        "widest": 2 * shape["radius"],
+    }
+    unit = "mT, rad" if robot.imus else "mT"
+    return {"robot": name, "readings": robot.names, "unit": unit, "shape": shape | more}
+
+
+def message(session: Session) -> dict[str, Any]:
+    """Return what a page is told of the moment."""
+    follower, last, age_s = session.follower, session.last, session.age_s()
+    named = follower.suspects(last[2] if last else None)
+    told: dict[str, Any] = {
+        "doubt": "old" if age_s else STATUS[session.status()] if session.status() else "",
+        "numbers": numbers(session),
+        "summary": summary(session),
+        "alarms": sentences(session),
+        "notes": notes(session),
+        "suspects": np.flatnonzero(np.isin(follower.robot.parts, named)).tolist(),
+    }
+    if last is not None and np.isfinite(last[2].q).all():
+        t, u, found = last
+        noise: Any = follower.robot.total_noise
+        told |= {
+            "time_s": t,
+            "age_s": age_s,
+            "readings": _cells(u),
+            "residuals": _cells((u - found.u_hat) / noise),
+        }
+        C = None if found.covariance is None else found.covariance[None]
+        told["shape"] = view(follower.robot, found.q[None], [0.0], "now", covariance=C).data
+        told["shape"]["suspects"] = [k for k in named if k < len(follower.robot.sensors)]
+    return told
+
+
+def _cells(values: Array) -> list[float | None]:
+    return [float(f"{x:.5g}") if np.isfinite(x) else None for x in values]

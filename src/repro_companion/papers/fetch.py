@@ -1,0 +1,185 @@
+"""The authors' public recordings: which files there are, and their download, each verified by its hash.
+
+``data/sources.json`` names for each paper the repository, the commit, and per file its path there and its hash.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from urllib.parse import quote
+
+from repro.common import bad_input, require
+
+FILES = "https://raw.githubusercontent.com"
+LARGE_FILES = "https://media.githubusercontent.com/media"
+"""Where GitHub has the content of a repository, and that of its Git-LFS files."""
+SILENCE_S = 30.0
+"""For how long a server may send nothing."""
+SLOWEST_B_PER_S, EXTRA_S = 20e3, 60.0
+"""A file may take the time of this rate, and so much more."""
+LARGEST = 100_000_000
+"""Most bytes of a file whose size is not listed."""
+NO_ANSWER, SILENT_IN_A_ROW = "the server did not answer in time", 3
+"""After so many files for which nothing answered, the others are not tried: each would cost its time-out."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """One file of a public repository at one commit; it lies at ``paper/path`` below the folder of recordings."""
+
+    paper: str
+    path: str
+    repository: str
+    commit: str
+    sha256: str
+    git_blob: str
+    """The hash by which git knows the content; one of both hashes may be empty."""
+    size: int | None
+    large: bool
+    """Whether the content is in Git LFS."""
+
+    @property
+    def name(self) -> str:
+        """Paper and path."""
+        return f"{self.paper}/{self.path}"
+
+    def address(self, mirror: str = "") -> str:
+        """Return where it is downloaded from: below a mirror it lies as in the folder of recordings."""
+        if mirror:
+            return f"{mirror.rstrip('/')}/{quote(self.name)}"
+        host = LARGE_FILES if self.large else FILES
+        return f"{host}/{self.repository}/{self.commit}/{quote(self.path)}"
+
+    def is_at(self, path: Path) -> bool:
+        """Return whether a file has the content that was released."""
+        if not path.is_file():
+            return False
+        content = path.read_bytes()
+        if self.sha256:
+            return hashlib.sha256(content).hexdigest() == self.sha256
+        blob = b"blob %d\0" % len(content) + content
+        return hashlib.sha1(blob, usedforsecurity=False).hexdigest() == self.git_blob
+
+
+def read_sources(path: Path, paper: str = "") -> list[Source]:
+    """Return the files of one paper, or of all; an entry that could lead elsewhere is refused."""
+    require(path.is_file(), "list", "repro fetch", "an existing file", path)
+    listed = json.loads(path.read_text(encoding="utf-8"))
+    require(not paper or paper in listed, "paper", "repro fetch", f"one of {', '.join(listed)}", paper)
+    return [
+        _source(name, listed[name], entry, path.name)
+        for name in ([paper] if paper else listed)
+        for entry in listed[name]["files"]
+    ]
+
+
+def _source(paper: str, about: dict, entry: dict, owner: str) -> Source:
+    repository = re.fullmatch(r"https://github\.com/([\w.-]+/[\w.-]+)", about["repository"])
+    if not repository:
+        raise bad_input("repository", owner, "https://github.com/OWNER/NAME", about["repository"])
+    commit, path = about["commit"], entry["path"]
+    require(re.fullmatch(r"[0-9a-f]{40}", commit), "commit", owner, "40 hexadecimal digits", commit)
+    # A backslash or a drive letter would lead elsewhere on Windows.
+    within = path == str(PurePosixPath(path)) and not re.search(r"^/|^\.|(^|/)\.\.(/|$)|[\\:\0]", path)
+    require(re.fullmatch(r"\w+", paper) and within, "path", owner, "inside the paper's folder", repr(path))
+    sha256, git_blob = entry.get("sha256", ""), entry.get("git_blob", "")
+    hashed = re.fullmatch(r"[0-9a-f]{64}" if sha256 else r"[0-9a-f]{40}", sha256 or git_blob)
+    require(hashed, f"hash of {path}", owner, "a SHA-256 or that of a git blob", sha256 or git_blob)
+    large = about.get("storage") == "git-lfs"
+    return Source(paper, path, repository[1], commit, sha256, git_blob, entry.get("size"), large)
+
+
+def listing(sources: Sequence[Source], folder: Path) -> str:
+    """Return one line for each paper: how many files, how many of them are here, and where they come from."""
+    lines = []
+    for paper in dict.fromkeys(source.paper for source in sources):
+        files = [source for source in sources if source.paper == paper]
+        here = sum(source.is_at(folder / source.name) for source in files)
+        megabytes = 1e-6 * sum(source.size or 0 for source in files)
+        origin = f"github.com/{files[0].repository} at {files[0].commit[:7]}"
+        lines.append(f"{paper}: {len(files)} files, {megabytes:.1f} MB, {here} here; from {origin}")
+    return "\n".join(lines)
+
+
+def fetch(sources: Sequence[Source], folder: Path, mirror: str = "", show: bool = False) -> tuple[str, bool]:
+    """Download the files that are not here yet; return what became of them, and whether all are here.
+
+    A file takes its place only when it is whole and verified. One that fails does not stop the others, and what is
+    here is not asked for again, so that calling again goes on.
+    """
+    must_be = "an address that starts with http:// or https://"
+    require(not mirror or re.match(r"https?://[^/]", mirror), "mirror", "repro fetch", must_be, mirror)
+    kept, failed, silent = 0, [], 0
+    for number, source in enumerate(sources, 1):
+        place = folder / source.name
+        if source.is_at(place):
+            kept += 1
+            continue
+        if show:
+            print(f"{number} of {len(sources)}: {source.name}", flush=True)
+        address, why = source.address(mirror), "not tried, because nothing answered for those before"
+        if silent < SILENT_IN_A_ROW:
+            why = _download(source, address, place)
+            silent = silent + 1 if why == NO_ANSWER else 0
+        if why:
+            failed.append(
+                f"{source.path} of {source.paper} was not fetched: {why}.\n  Its address: {address}\n"
+                f"  A copy downloaded by hand is found as: {place}"
+            )
+    counts = f"{len(sources) - kept - len(failed)} fetched, {kept} already here, {len(failed)} failed"
+    return "\n".join([*failed, counts]), not failed
+
+
+def _download(source: Source, address: str, place: Path) -> str:
+    """Bring one file to its place; return why that failed, or nothing."""
+    import requests
+    import urllib3
+
+    partial = place.with_name(f".{place.name}.partial")
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if why := _receive(address, partial, source.size or LARGEST):
+            return why
+        if not source.is_at(partial):
+            return "what arrived is not the released file, by its hash"
+        partial.replace(place)
+    except (requests.Timeout, urllib3.exceptions.TimeoutError):
+        return NO_ANSWER
+    except requests.ConnectionError:
+        return "no connection"
+    except (requests.RequestException, urllib3.exceptions.HTTPError) as error:
+        return f"the download broke off ({type(error).__name__})"
+    except OSError as error:
+        return f"it cannot be written ({error.strerror})"
+    finally:
+        with suppress(OSError):  # not there, or nor is its folder
+            partial.unlink()
+    return ""
+
+
+def _receive(address: str, path: Path, most: int) -> str:
+    """Write what a server sends, up to so many bytes and for as long as these may take; return why it ends."""
+    import requests
+
+    start, received = time.monotonic(), 0
+    headers = {"Accept-Encoding": "identity"}  # packed, a few bytes could become very many
+    with requests.get(address, stream=True, timeout=SILENCE_S, headers=headers) as answer:
+        if not answer.ok:
+            return f"the server answered {answer.status_code} {answer.reason}"
+        with path.open("wb") as file:
+            # We take what has arrived, however little: in full blocks, a server that drips would never end.
+            while block := answer.raw.read1(65536):
+                received += file.write(block)
+                seconds = time.monotonic() - start
+                if received > most:
+                    return f"more than {most} bytes arrived"
+                if seconds > EXTRA_S + most / SLOWEST_B_PER_S:
+                    return f"after {seconds:.0f} s only {received} of {most} bytes had arrived"
+    return ""

@@ -1,0 +1,574 @@
+"""A robot followed live over a real port, what is said when something is wrong, and the page's server."""
+
+import http.client
+import io
+import json
+import math
+import os
+import pty
+import socket
+import threading
+import time
+import tty
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+import repro
+from repro import ConstantCurvature, InputError, KalmanFilter, Magnet, Ring, Robot, Sensor, track
+from repro.estimators.monitor import LEFT_OUT
+from repro_board import live as module
+from repro_board import page_server as server_module
+from repro_board.emulate import course, faulty
+from repro_board.live import BURST, LOOK_S, Follower, Session, live, notes, numbers, sentences, summary
+from repro_board.page_server import FILES, MOST_PAGES, PageServer, message
+from repro_board.record import Writer, open_port, read_recording
+from repro_board.wire import encode
+
+RATE_HZ = 1000.0
+ROBOT = Robot(
+    [ConstantCurvature(0.11, 0.022)] * 2,
+    [Magnet(Ring(24e-3, 12e-3, 6e-3, 1450.0), i, 0.055) for i in (1, 2)],
+    [Sensor(i, 0.11, radial=0.013, azimuth=k * np.pi / 2) for i in (1, 2) for k in range(4)],
+    lower=np.tile([-0.02073, -0.02073, 0.0], 2),
+    upper=np.tile([0.02073, 0.02073, 0.0066], 2),
+    noise=0.005,
+    rate_hz=RATE_HZ,
+)
+N = 1500
+TIMES = np.arange(N) / RATE_HZ
+Q = course(ROBOT, TIMES)
+U = ROBOT.sensing()(Q) + 0.005 * np.random.default_rng(0).normal(size=(N, 8))
+LEFT = "What sensor 3 reads does not fit the other readings and is left out (--failed 3)."
+
+
+def sent(u: np.ndarray) -> list[bytes]:
+    """Frames of a board that reads this."""
+    return [encode(row, sequence=k, time_us=round(1e6 * k / RATE_HZ)) for k, row in enumerate(u)]
+
+
+def off_mm(found, q) -> float:
+    return 1e3 * float(np.linalg.norm(ROBOT.tip(found.q)[:3, 3] - ROBOT.tip(q)[:3, 3]))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _warm():
+    Follower(ROBOT, "kalman").warm()
+
+
+@pytest.fixture
+def wire():
+    """The two ends of a serial line: a file that the board writes to, and the name of the port."""
+    board, port = pty.openpty()
+    tty.setraw(board)
+    tty.setraw(port)
+    yield board, os.ttyname(port)
+    os.close(board)
+    os.close(port)
+
+
+def play(board: int, frames: list[bytes], apart_s: float = 1 / RATE_HZ) -> threading.Thread:
+    """Send frames in a thread, at their times."""
+
+    def send() -> None:
+        began = time.monotonic()
+        for k, frame in enumerate(frames):
+            time.sleep(max(0.0, began + k * apart_s - time.monotonic()))
+            os.write(board, frame)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    return thread
+
+
+def session_of(frames=(), *, robot=ROBOT, name="", since_s: float = 0.0, port=None, format=None) -> Session:
+    """A session that has taken frames in, and began some time ago."""
+    port = port or SimpleNamespace(opened=1, lost="")
+    session = Session(Follower(robot, name), port, format=format)
+    session.began = session.heard = session.estimated_at = time.monotonic() - since_s
+    for frame in frames:
+        session.arrivals.put((time.monotonic(), frame))
+        session.turn()
+        while session.pending:
+            session.turn()
+    return session
+
+
+# --------------------------------------------------------------------------------------------------------- the loop
+def test_every_frame_of_a_serial_line_is_estimated_and_recorded(wire, tmp_path):
+    board, name = wire
+    port, writer = open_port(name), Writer(tmp_path / "a.rec", {})
+    session, rows = Session(Follower(ROBOT), port, writer), []
+    session.follower.warm()
+    session.each = rows.append
+    thread = play(board, sent(U[:400]))
+    session.run(0.4 + 0.6)
+    thread.join()
+    port.close()
+    writer.close()
+    assert session.own["bytes"] == sum(map(len, sent(U[:400])))
+    assert session.own["time_steps"] == session.own["estimates"] + session.own["skipped"] == 400
+    assert (
+        session.own["estimates"] == len(rows) == len(session.latencies) > 200
+    )  # all but where the computer stops
+    rows = [row for row in rows if row[0] > 0.05]
+    assert max(off_mm(found, Q[round(t * RATE_HZ)]) for t, _, found in rows) < 12
+    samples = read_recording(tmp_path / "a.rec").samples
+    np.testing.assert_array_equal([x.values for x in samples], U[:400].astype(np.float32))
+    assert 0 < min(session.latencies) <= np.median(session.latencies) < 0.1
+
+
+def test_estimates_are_those_of_track():
+    session, rows = session_of(name="kalman"), []
+    session.each = rows.append
+    for k, frame in enumerate(sent(U[:200])):
+        session.arrivals.put((session.began + TIMES[k], frame))
+        session.turn()
+    expected = track(
+        KalmanFilter(ROBOT), U[:200].astype(np.float32).astype(float), times=[t for t, _, _ in rows]
+    )
+    np.testing.assert_allclose([found.q for *_, found in rows], expected.q, atol=1e-12)
+    np.testing.assert_allclose(rows[-1][2].covariance, expected.covariance[-1])
+
+
+def test_a_session_that_is_behind_takes_the_newest_and_counts_the_others():
+    session = session_of()
+    late = time.monotonic() - 2 * module.BEHIND_S
+    for frame in sent(U[:50]):
+        session.arrivals.put((late, frame))
+    session.turn()
+    assert session.own["skipped"] == 49
+    assert session.own["estimates"] == 1
+    np.testing.assert_array_equal(session.last[1], U[49].astype(np.float32))
+    assert "slower than the board" in sentences(session)[0]
+    assert notes(session)[-1].startswith("49 time steps were left out")
+
+
+def test_a_packet_of_many_frames_is_no_reason_to_leave_any_out():
+    session = session_of([b"".join(sent(U[:50]))])
+    assert session.own["estimates"] == 50
+    assert not session.own["skipped"]
+
+
+@pytest.mark.parametrize("name", ["levenberg_marquardt", "kalman"])
+def test_an_alarm_is_named_and_a_long_one_costs_little(name):
+    follower, looks = Follower(ROBOT, name), []
+    step = follower.monitor.step
+    follower.monitor.step = lambda *given: looks.append(1) or step(*given)
+    u = faulty(U, "scaled", 2, since=300, size=1.0)
+    for k in range(1300):
+        found = follower.step(u[k], TIMES[k])
+        if k == 299:
+            looks.clear()
+        if k >= 400:
+            assert found.details["status"] == LEFT_OUT
+            assert follower.suspects(found) == [2]
+            assert found.missing == 1
+            assert off_mm(found, Q[k]) < 12
+    assert len(looks) <= BURST + 2 + 1.0 / LOOK_S
+    for k in range(1300, N):
+        found = follower.step(U[k], TIMES[k])
+    for k in range(500):  # the robot stays, and the sensor is back
+        found = follower.step(
+            U[-1] + 0.005 * np.random.default_rng(k).normal(size=8), N / RATE_HZ + k / RATE_HZ
+        )
+    assert found.details["status"] == 0
+
+
+def test_deviations_are_grown_and_failed_sensors_not_used():
+    plain, grown = Follower(ROBOT, "kalman"), Follower(ROBOT, "kalman", failed=[3], grown=2.0)
+    other = Follower(ROBOT, "kalman", failed=[3])
+    u = U[0].copy()
+    u[2] = 1e3
+    one, two, three = plain.step(U[0], 0.0), grown.step(u, 0.0), other.step(u, 0.0)
+    assert one.missing == 0
+    assert two.missing == 1
+    np.testing.assert_allclose(two.covariance, 4 * three.covariance)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"failed": [9]}, "failed of live must be numbers of sensors, 1 to 8; instead received [9]"),
+        ({"failed": [0]}, "failed of live must be"),
+        ({"grown": 0.0}, "grown of live must be positive"),
+        ({"grown": math.inf}, "grown of live must be positive"),
+        (
+            {"name": "kalmann"},
+            "one of levenberg_marquardt, kalman, particle_filter; instead received kalmann",
+        ),
+    ],
+)
+def test_what_cannot_be_used_is_refused(given, words):
+    with pytest.raises(InputError) as caught:
+        Follower(ROBOT, **given)
+    assert words in str(caught.value)
+
+
+# ----------------------------------------------------------------------------------------------- what is said of it
+def damaged(frames: list[bytes], every: int) -> list[bytes]:
+    return [f[:9] + bytes([f[9] ^ 1 or 2]) + f[10:] if k % every == 0 else f for k, f in enumerate(frames)]
+
+
+def text(n: int) -> list[bytes]:
+    return [b"Temperature: 21.5 C, all is well\r\n"] * n
+
+
+CASES = {
+    "nothing yet": (lambda: session_of(since_s=2), "Nothing arrives yet."),
+    "garbage": (
+        lambda: session_of([bytes(range(1, 256)) * 4], format="frames", since_s=2),
+        "Bytes arrive, but no readings. Is --baud",
+    ),
+    "text on a port of frames": (
+        lambda: session_of(text(20), format="frames", since_s=2),
+        "no readings. Text arrives",
+    ),
+    "a third damaged": (lambda: session_of(damaged(sent(U[:90]), 3)), "About 30 % of the frames are damaged"),
+    "half damaged": (lambda: session_of(damaged(sent(U[:90]), 2)), "About 50 % of the frames are damaged"),
+    "another robot": (
+        lambda: session_of(sent(U[:20, :6]), since_s=2),
+        "What arrives does not fit this robot.",
+    ),
+    "an alarm": (lambda: session_of(sent(faulty(U[:400], "unplugged", 2, since=200))), LEFT),
+    "no chip": (
+        lambda: session_of(sent(faulty(U[:60], "missing", 4, since=9))),
+        "There is no reading of sensor 5",
+    ),
+    "all frozen": (
+        lambda: session_of(sent(faulty(U[:800], "frozen", 0, since=50))),
+        "the board repeats itself",
+    ),
+    "undetermined": (
+        lambda: session_of(sent(faulty(U[:60], "missing", [0, 1, 2], since=9))),
+        "Do not trust the shape: there are fewer readings than unknowns.",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_wrong_is_said(case):
+    make, words = CASES[case]
+    said = sentences(make())
+    assert any(words in text for text in said), said
+
+
+def test_all_is_well_and_nothing_is_said():
+    session = session_of(sent(U[:100]))
+    assert sentences(session) == []
+    assert summary(session)["fit"].startswith("consistent, residuals ")
+    assert numbers(session)[0].startswith("tip x ")
+    assert numbers(session)[3].endswith(" mm")
+
+
+@pytest.mark.parametrize("since_s", [0.2, 0.9])
+def test_the_first_second_of_garbage_is_no_silence(since_s):
+    assert sentences(session_of([b"\x01\x02\x03" * 9], format="frames", since_s=since_s)) == []
+
+
+def test_imus_are_followed_and_a_silent_one_is_named():
+    imus = [repro.Imu(1, at, channels=k) for k, at in enumerate((0.03, 0.06, 0.09), 1)]
+    robot = Robot(
+        ROBOT.segments[:1], imus=imus, lower=[-0.03, -0.03, 0.0], upper=[0.03, 0.03, 0.0], noise=0.01
+    )
+    q = np.array([0.01, -0.005, 0.0])
+    turns = Rotation.from_matrix(robot.poses(q, [imu.place for imu in imus])[:, :3, :3]).as_quat()
+    rng, frames = np.random.default_rng(0), []
+    for k in range(60):
+        noisy = (Rotation.from_quat(turns) * Rotation.from_rotvec(0.01 * rng.normal(size=(3, 3)))).as_quat()
+        senders = [1, 2, 3] if k < 30 else [1, 2]
+        frames += [encode(noisy[i - 1], i, k, 10_000 * k + 100 * i) for i in senders]
+    session = session_of(frames, robot=robot, name="kalman")
+    assert 1e3 * np.linalg.norm(robot.tip(session.last[2].q)[:3, 3] - robot.tip(q)[:3, 3]) < 3
+    assert sentences(session) == ["There is no reading of imu 3; it is left out."]
+
+
+def test_particles_follow_without_a_monitor():
+    robot = Robot(
+        ROBOT.segments[:1], ROBOT.magnets[:1], ROBOT.sensors[:4], lower=ROBOT.lower[:3], upper=ROBOT.upper[:3],
+        start=[0.0, 0.0, 0.001], noise=0.05, rate_hz=100.0,
+    )  # fmt: skip
+    u = robot.sensing()(robot.start) + np.zeros((40, 4))
+    session = session_of(sent(faulty(u, "unplugged", 1, since=30)), robot=robot, name="particle_filter")
+    assert summary(session)["fit"].startswith("not watched")
+    assert session.own["estimates"] == 40
+    assert len(numbers(session)) == 6
+
+
+def test_a_slow_board_is_not_taken_for_a_silent_one():
+    session = session_of(sent(U[:3]), robot=ROBOT.replaced(rate_hz=0.3), since_s=4)
+    session.counts[0] = time.monotonic() - 2, session.counters()
+    session.heard = session.estimated_at = time.monotonic() - 3
+    assert sentences(session) == []
+    assert session.age_s() == 0
+
+
+def test_silence_and_a_lost_port_are_told_apart():
+    session = session_of(sent(U[:20]))
+    session.heard = session.estimated_at = time.monotonic() - 1.5
+    assert sentences(session)[0].startswith("Nothing arrives any more.")
+    assert summary(session)["fit"].startswith("2 s old; ")
+    session.port.lost = "unplugged"
+    assert sentences(session) == ["The port is gone; we wait until it is there again."]
+
+
+@pytest.mark.parametrize(
+    ("factor", "wrong"), [(2.0, True), (1.5, True), (1.1, False), (0.9, False), (0.5, True)]
+)
+def test_another_rate_than_stated_is_said(factor, wrong):
+    session, now = session_of(sent(U[:10])), time.monotonic()
+    session.counts.clear()
+    session.counts.append((now - 1.0, session.counters()))
+    session.own["time_steps"] += round(factor * RATE_HZ)
+    word = "More" if factor > 1 else "Fewer"
+    expected = f"{word} than the 1000 time steps of the robot file arrive in a second."
+    assert sentences(session) == [expected] * wrong
+
+
+def test_what_was_asked_for_and_what_cannot_be_told_is_noted():
+    session = session_of()
+    session.follower = Follower(ROBOT, failed=[2], grown=1.5)
+    assert notes(session) == [
+        "Not used, as asked: sensor 2.",
+        "Every ± is 1.5 times what the estimator states.",
+    ]
+    session.follower = Follower(ROBOT.replaced(sensors=ROBOT.sensors[:6]))
+    assert notes(session) == [
+        "There are no more readings than unknowns: a wrong sensor looks like another shape."
+    ]
+
+
+def test_a_whole_session_by_its_files(tmp_path):
+    """The command: a board behind a socket, a robot file, a recording, and a table as that of a trajectory."""
+    robot = repro.load_robot(repro.example() / "robot.toml")
+    u = robot.sensing()(course(robot, np.arange(40) / 25.0))
+    lines = ["time_s," + ",".join(f"{name}_mT" for name in robot.names)]
+    lines += [f"{k / 25}," + ",".join(f"{x:.4f}" for x in row) for k, row in enumerate(u)]
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def board() -> None:
+            line, _ = server.accept()
+            with line:
+                for text in lines:
+                    line.sendall(f"{text}\r\n".encode())
+                    time.sleep(0.01)
+                stop.wait(5)
+
+        stop = threading.Event()
+        threading.Thread(target=board, daemon=True).start()
+        threading.Timer(1.2, stop.set).start()
+        address = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        paths = {"output": tmp_path / "a.rec", "estimates": tmp_path / "a.csv"}
+        end = live(address, repro.example() / "robot.toml", stop=stop, **paths)
+    table = pd.read_csv(tmp_path / "a.csv")
+    assert list(table.columns) == list(track(Follower(robot).estimator, u).to_frame().columns)
+    assert len(table) == 40
+    assert (table["status"] == "consistent").all()
+    assert len(read_recording(tmp_path / "a.rec").samples) == 40
+    assert "40 estimates by levenberg_marquardt" in end
+    with pytest.raises(InputError, match="output of live must be a new file"):
+        live(address, repro.example() / "robot.toml", **paths)
+
+
+# ---------------------------------------------------------------------------------------------------------- the page
+@pytest.fixture
+def page():
+    with PageServer(session_of(sent(U[:50]))) as server:
+        yield server
+
+
+def ask(page, path="/", method="GET", *, token=True, **headers: str) -> tuple[int, dict[str, str], bytes]:
+    """Send one request as it stands; return status, headers and content."""
+    link = http.client.HTTPConnection("127.0.0.1", page.port, timeout=10)
+    own = {"Host": f"127.0.0.1:{page.port}"} | (
+        {"Cookie": f"repro_{page.port}={page.token}"} if token else {}
+    )
+    try:
+        link.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
+        for name, value in (own | {name.replace("_", "-"): value for name, value in headers.items()}).items():
+            if value:
+                link.putheader(name, value)
+        link.endheaders()
+        answer = link.getresponse()
+        return answer.status, dict(answer.getheaders()), answer.read()
+    finally:
+        link.close()
+
+
+@pytest.fixture
+def stream():
+    """A function that opens the stream of events of a page."""
+    links = []
+
+    def opened(page) -> http.client.HTTPResponse:
+        links.append(http.client.HTTPConnection("127.0.0.1", page.port, timeout=10))
+        links[-1].request("GET", "/events", headers={"Cookie": f"repro_{page.port}={page.token}"})
+        answer = links[-1].getresponse()
+        answer.link = links[-1]
+        return answer
+
+    yield opened
+    for link in links:
+        link.close()
+
+
+def event(answer) -> dict:
+    while not (line := answer.readline()).startswith(b"data: {"):
+        assert line, "the stream has ended"
+    return json.loads(line[6:])
+
+
+def test_the_address_opens_the_page_once_and_for_all(page):
+    assert page.address.startswith(f"http://127.0.0.1:{page.port}/?token=")
+    status, headers, _ = ask(page, page.address.partition(str(page.port))[2], token=False)
+    assert (status, headers["Location"]) == (302, "/")
+    assert "HttpOnly" in headers["Set-Cookie"]
+    assert "SameSite=Strict" in headers["Set-Cookie"]
+    cookie = headers["Set-Cookie"].partition(";")[0]
+    for path in (*FILES, "/scene.json"):
+        status, headers, content = ask(page, path, token=False, Cookie=cookie)
+        assert status == 200
+        assert content
+        assert headers["Content-Security-Policy"].startswith("default-src 'none'")
+        assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
+        assert b"://" not in content or path == "/viewer.js"  # it asks no other host
+
+
+HOSTILE = [
+    *[
+        {"Host": x}
+        for x in ("", "evil.example", "127.0.0.1", "127.0.0.1:1", "localhost.evil.example", "[::1]", "x, y")
+    ],
+    *[
+        {"Origin": x}
+        for x in ("http://evil.example", "null", "https://127.0.0.1", "http://127.0.0.1", "file://")
+    ],
+    *[{"Sec_Fetch_Site": x} for x in ("cross-site", "same-site")],
+    *[{"Cookie": x} for x in ("", "repro=1", "repro_1=abc", "repro_PORT=", "repro_PORT=abc", "repro_PORT=é")],
+]
+
+
+@pytest.mark.parametrize("path", ["/", "/viewer.js", "/scene.json", "/events", "/?token=abc"])
+@pytest.mark.parametrize("headers", HOSTILE, ids=str)
+def test_requests_from_elsewhere_get_nothing(page, path, headers):
+    headers = {name: value.replace("PORT", str(page.port)) for name, value in headers.items()}
+    try:
+        status, given, content = ask(page, path, **headers)
+    except http.client.HTTPException:  # it was closed without an answer
+        return
+    assert status in (400, 403)
+    assert b"estimate" not in content
+    assert "Set-Cookie" not in given
+
+
+@pytest.mark.parametrize(
+    "path", ["/../live.py", "/live", "/live.js?x", "/%2e%2e/", "http://x/", "/vendor/", "//", "/é"]
+)
+@pytest.mark.parametrize("method", ["GET", "POST", "PUT", "DELETE", "HEAD", "OPTIONS"])
+def test_nothing_else_is_served_and_nothing_can_be_sent(page, path, method):
+    path = path.encode().decode("latin-1") if path == "/é" else path
+    try:
+        status, _, content = ask(page, path, method)
+    except (http.client.HTTPException, UnicodeError):
+        return
+    assert status in (400, 403, 404, 405)
+    assert b"import" not in content
+
+
+def test_slow_and_silent_connections_are_given_up_and_delay_nobody(page):
+    address = ("127.0.0.1", page.port)
+    links = [socket.create_connection(address) for _ in range(40)]
+    for k, link in enumerate(links):
+        link.sendall(
+            (b"", b"G", b"GET / HTTP/1.1\r\n", b"POST / HTTP/1.1\r\nContent-Length: 999\r\n\r\n")[k % 4]
+        )
+    began = time.monotonic()
+    assert ask(page)[0] == 200
+    assert time.monotonic() - began < 1
+    for link in links:
+        link.settimeout(5)
+        while link.recv(4096):
+            pass
+        link.close()
+    assert time.monotonic() - began < 4
+
+
+def test_a_page_that_takes_nothing_delays_no_other_and_too_many_are_refused(page, stream):
+    stuck, other = [stream(page) for _ in range(MOST_PAGES - 1)], stream(page)
+    began = time.monotonic()
+    shown = [event(other) for _ in range(20)]
+    assert time.monotonic() - began < 4
+    assert len(stuck) < len(page.pages)
+    assert shown[-1]["shape"]["shapes"]
+    assert ask(page, "/events")[0] == 503
+    other.link.close()
+    other.close()
+    deadline = time.monotonic() + 5
+    while len(page.pages) == MOST_PAGES and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert stream(page).status == 200
+
+
+def test_a_page_that_takes_nothing_for_long_is_given_up(page, stream, monkeypatch):
+    monkeypatch.setattr(server_module, "STALLED_S", 0.3)
+    monkeypatch.setattr(server_module, "message", lambda _: {"long": "x" * 1_000_000})
+    stream(page)  # takes nothing, and its buffers are full soon
+    other = stream(page)
+    deadline = time.monotonic() + 8
+    while len(page.pages) > 1 and time.monotonic() < deadline:
+        event(other)
+    assert len(page.pages) == 1
+    assert event(other)["long"]
+
+
+def test_pages_are_told_of_the_end(stream):
+    with PageServer(session_of(sent(U[:50]))) as server:
+        answer = stream(server)
+        event(answer)
+    assert b"event: end\n" in answer.read()
+
+
+def test_a_message_names_the_suspect_and_is_json():
+    told = message(session_of(sent(faulty(U[:400], "unplugged", 2, since=200))))
+    assert told["suspects"] == told["shape"]["suspects"] == [2]
+    assert told["alarms"] == [LEFT]
+    assert told["doubt"] == "left out"
+    assert abs(told["residuals"][2]) > 100
+    for case in ("nothing yet", "no chip", "undetermined", "all frozen"):
+        json.dumps(message(CASES[case][0]()), allow_nan=False)
+
+
+def test_a_port_that_there_is_not_is_refused(page):
+    for port, words in ((-1, "0 to 65535"), (65536, "0 to 65535"), (page.port, "a free port, or 0")):
+        with pytest.raises(
+            InputError, match=f"browser_socket of live must be {words}; instead received {port}"
+        ):
+            PageServer(page.session, port)
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (390, "dark")])
+def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, width, scheme):
+    session = session_of(sent(faulty(U[:400], "unplugged", 2, since=200)))
+    session.heard = session.estimated_at = time.monotonic() + 60  # and it goes on like this
+    with PageServer(session) as server:
+        page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        asked, failed = [], []
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("pageerror", lambda error: failed.append(error))
+        page.goto(server.address)
+        page.wait_for_selector("#numbers li")
+        page.wait_for_selector("#alarms p")
+        assert page.inner_text("#alarms p") == LEFT
+        assert page.inner_text("#values li.suspect").startswith("sensor 3")
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        canvas = page.locator("#shape canvas")
+        picture = np.asarray(Image.open(io.BytesIO(canvas.screenshot())).convert("RGB")).astype(int)
+        red = (picture[..., 0] > 90) & (picture[..., 0] > 2 * picture[..., 1:].max(-1))
+        assert red.sum() > 50  # the sensor that is suspected
+        page.close()
+    assert all(url.startswith(f"http://127.0.0.1:{server.port}/") for url in asked)
+    assert not failed

@@ -1,0 +1,164 @@
+"""The download of recordings, from a server of every temper."""
+
+from __future__ import annotations
+
+import hashlib
+import http.server
+import json
+import re
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from repro.common import InputError
+from repro_companion.papers import fetch as tool
+from repro_companion.run import project_folder
+
+CONTENT = b"time,x\n0,1\n"
+COMMIT = "a1" * 20
+SHA256 = hashlib.sha256(CONTENT).hexdigest()
+BLOB = hashlib.sha1(b"blob %d\0" % len(CONTENT) + CONTENT).hexdigest()
+ENTRY = {"path": "data/a b.csv", "sha256": SHA256, "git_blob": BLOB, "size": len(CONTENT)}
+
+
+def listed(path: Path, *entries: dict, **about: str) -> Path:
+    """Write a list of recordings of one paper."""
+    about = {"repository": "https://github.com/o/n", "commit": COMMIT} | about
+    path.write_text(json.dumps({"p2020": {**about, "files": entries or [ENTRY]}}))
+    return path
+
+
+@pytest.fixture
+def sources(tmp_path: Path) -> list[tool.Source]:
+    return tool.read_sources(listed(tmp_path / "sources.json"))
+
+
+class Server(http.server.BaseHTTPRequestHandler):
+    """It answers as the first word of the address says."""
+
+    def do_GET(self) -> None:
+        temper, _, file = self.path.lstrip("/").partition("/")
+        sent = CONTENT if file == "p2020/data/a%20b.csv" else b""
+        self.send_response({"missing": 404, "file": 302}.get(temper, 200))
+        if temper == "file":
+            self.send_header("Location", "file:///etc/passwd")
+        if temper == "short":
+            self.send_header("Content-Length", str(len(sent) + 5))
+        self.end_headers()
+        try:
+            for _ in range(10_000):
+                block = {"flood": b"x" * 65536, "drip": b"x", "other": b"x" * len(sent)}.get(temper, sent)
+                self.wfile.write(block if temper not in ("missing", "file") else b"")
+                self.wfile.flush()
+                if temper not in ("flood", "drip"):
+                    return
+                time.sleep(0.02 if temper == "drip" else 0.0)
+        except OSError:
+            pass
+
+    def log_message(self, *_: object) -> None:
+        """Be silent."""
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[str]:
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Server) as served:
+        served.daemon_threads = True
+        threading.Thread(target=served.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{served.server_address[1]}"
+        served.shutdown()
+
+
+def test_what_is_here_is_not_asked_for_again(sources, tmp_path, server):
+    folder = tmp_path / "recordings"
+    assert tool.fetch(sources, folder, f"{server}/good") == ("1 fetched, 0 already here, 0 failed", True)
+    assert (folder / "p2020/data/a b.csv").read_bytes() == CONTENT
+    assert tool.fetch(sources, folder, f"{server}/missing") == ("0 fetched, 1 already here, 0 failed", True)
+    (folder / "p2020/data/a b.csv").write_bytes(b"edited")
+    assert tool.fetch(sources, folder, f"{server}/good/")[0] == "1 fetched, 0 already here, 0 failed"
+    assert tool.listing(sources, folder) == "p2020: 1 files, 0.0 MB, 1 here; from github.com/o/n at a1a1a1a"
+
+
+@pytest.mark.parametrize(
+    ("temper", "said"),
+    [
+        ("missing", "the server answered 404 Not Found"),
+        ("other", "what arrived is not the released file, by its hash"),
+        ("short", "what arrived is not|broke off"),
+        ("flood", f"more than {len(CONTENT)} bytes arrived"),
+        ("file", "broke off .InvalidSchema."),
+    ],
+)
+def test_a_file_that_fails_leaves_nothing(sources, tmp_path, server, temper, said):
+    folder = tmp_path / "recordings"
+    if temper == "short":  # the connection ends before all that was announced has come
+        sources = [tool.Source(**{**vars(sources[0]), "size": 100, "sha256": "0" * 64})]
+    text, complete = tool.fetch(sources, folder, f"{server}/{temper}")
+    assert not complete
+    assert re.search(rf"^data/a b.csv of p2020 was not fetched: .*({said})", text)
+    assert f"A copy downloaded by hand is found as: {folder}/p2020/data/a b.csv" in text
+    assert [path for path in folder.rglob("*") if path.is_file()] == []
+
+
+def test_a_server_that_drips_is_left(sources, tmp_path, server, monkeypatch):
+    monkeypatch.setattr(tool, "EXTRA_S", 0.3)
+    slow = [tool.Source(**{**vars(sources[0]), "size": 400})]
+    start = time.monotonic()
+    text, _ = tool.fetch(slow, tmp_path / "recordings", f"{server}/drip")
+    assert re.search(r"after \d+ s only \d+ of 400 bytes had arrived", text)
+    assert time.monotonic() - start < 5
+
+
+def test_after_some_silence_no_other_file_is_tried(sources, tmp_path, monkeypatch):
+    monkeypatch.setattr(tool, "_download", lambda *_: tool.NO_ANSWER)
+    text, _ = tool.fetch(sources * 5, tmp_path)
+    assert text.count("did not answer in time") == 3
+    assert text.count("not tried, because nothing answered for those before") == 2
+    with pytest.raises(InputError, match="mirror of repro fetch must be an address that starts with http"):
+        tool.fetch(sources, tmp_path, "ftp://x/y")
+
+
+def test_where_github_has_a_file(tmp_path):
+    (plain,) = tool.read_sources(listed(tmp_path / "a.json"))
+    (large,) = tool.read_sources(listed(tmp_path / "b.json", storage="git-lfs"))
+    assert plain.address() == f"https://raw.githubusercontent.com/o/n/{COMMIT}/data/a%20b.csv"
+    assert large.address() == f"https://media.githubusercontent.com/media/o/n/{COMMIT}/data/a%20b.csv"
+    only_git = {"path": "x", "git_blob": BLOB}
+    (by_git,) = tool.read_sources(listed(tmp_path / "c.json", only_git))
+    (tmp_path / "x").write_bytes(CONTENT)
+    assert by_git.is_at(tmp_path / "x")
+    (tmp_path / "x").write_bytes(CONTENT + b"\n")
+    assert not by_git.is_at(tmp_path / "x")
+
+
+@pytest.mark.parametrize("path", ["/etc/x", "../x", "a/../../x", "a\\b", "C:x", "a//b", "./a", ".", ""])
+def test_paths_that_lead_elsewhere_are_refused(tmp_path, path):
+    with pytest.raises(InputError, match="path of sources.json must be inside the paper's folder"):
+        tool.read_sources(listed(tmp_path / "sources.json", {**ENTRY, "path": path}))
+
+
+@pytest.mark.parametrize(
+    ("about", "entry", "message"),
+    [
+        ({"repository": "https://example.org/o/n"}, {}, "repository of sources.json must be https://github"),
+        ({"commit": "main"}, {}, "commit of sources.json must be 40 hexadecimal digits"),
+        ({}, {"sha256": "", "git_blob": ""}, "hash of data/a b.csv of sources.json must be a SHA-256 or"),
+        ({}, {"sha256": "ab"}, "hash of data/a b.csv of sources.json must be a SHA-256 or"),
+    ],
+)
+def test_entries_that_cannot_be_used_are_refused(tmp_path, about, entry, message):
+    with pytest.raises(InputError, match=message):
+        tool.read_sources(listed(tmp_path / "sources.json", {**ENTRY, **entry}, **about))
+
+
+def test_the_list_of_the_project_can_be_used():
+    path = project_folder() / "data/sources.json"
+    names = [source.name for source in tool.read_sources(path)]
+    assert len(names) == len(set(names)) == 246
+    with pytest.raises(InputError, match="must be one of baaij2023, .*; instead received none"):
+        tool.read_sources(path, "none")
+    with pytest.raises(InputError, match="list of repro fetch must be an existing file"):
+        tool.read_sources(path.with_name("none.json"))
