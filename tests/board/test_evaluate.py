@@ -1,6 +1,7 @@
 """What track, calibrate and evaluate do with files; the lag between readings and a motion."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -81,7 +82,7 @@ def robot_file(folder: Path, text: str = RING, longer: str = "[0.0, 8.0]") -> Pa
     return path
 
 
-def shapes(robot: repro.Robot, t: np.ndarray, seed: int = 0) -> np.ndarray:
+def shapes(robot: Any, t: np.ndarray, seed: int = 0) -> np.ndarray:
     """A motion without a period, over most of the bounds."""
     rng = np.random.default_rng(seed)
     waves = [
@@ -90,7 +91,7 @@ def shapes(robot: repro.Robot, t: np.ndarray, seed: int = 0) -> np.ndarray:
     return (robot.lower + robot.upper) / 2 + (robot.upper - robot.lower) / 2 * np.mean(waves, axis=0)
 
 
-def write_table(path: Path, times: np.ndarray | None, columns: list[str], values: np.ndarray) -> Path:
+def write_table(path: Path, times: Any, columns: list[str], values: np.ndarray) -> Path:
     frame = pd.DataFrame(values, columns=columns)
     if times is not None:
         frame.insert(0, "time_s", times)
@@ -120,7 +121,7 @@ def recording(folder: Path, robot: repro.Robot, seconds: float = 30.0) -> tuple[
     )
 
 
-def tip_error(table: pd.DataFrame, name: str) -> float:
+def tip_error(table: Any, name: str) -> float:
     rows = table[(table["estimate"] == name) & (table["quantity"] == "tip")]
     return float(rows["mean"].iloc[0])
 
@@ -273,10 +274,11 @@ def test_what_is_no_one_motion_or_no_one_lag_is_refused(good, tmp_path):
 
 def test_figures_do_not_follow_the_settings_of_the_user(good, tmp_path):
     import matplotlib as mpl
+    from cycler import cycler
 
     path, readings, poses, _ = good
     with mpl.rc_context(
-        {"text.usetex": True, "font.family": ["no such font"], "axes.prop_cycle": mpl.cycler(lw=[1])}
+        {"text.usetex": True, "font.family": ["no such font"], "axes.prop_cycle": cycler(lw=[1])}
     ):
         evaluate_files(readings, poses, path, tmp_path / "out")
     assert (tmp_path / "out" / "estimates.png").read_bytes()[:4] == b"\x89PNG"
@@ -355,6 +357,28 @@ def rewritten(path: Path, change) -> Path:
     change(frame)
     frame.to_csv(path, index=False)
     return path
+
+
+def test_a_recording_is_tracked_as_its_table_is(tmp_path):
+    """Frames of the example's board, whose values are rounded to float32."""
+    from repro_board.record import Writer
+    from repro_board.wire import encode
+
+    table, _, u = example_readings(tmp_path, 4.0)
+    writer = Writer(tmp_path / "a.rec", {"format": "frames"})
+    for k, row in enumerate(u):
+        frame = encode(row, sequence=k, time_us=40_000 * k)
+        writer.write(1_700_000_000_000_000_000 + 40_000_000 * k, frame)
+    writer.close()
+    numbered = EXAMPLE.read_text(encoding="utf-8").replace('format = "csv"', 'format = "frames"')
+    for chip in range(4):
+        names = str([f"B{chip + 1}{axis}" for axis in "xyz"]).replace("'", '"')
+        assert names in numbered
+        numbered = numbered.replace(names, str([3 * chip + k for k in (1, 2, 3)]))
+    (tmp_path / "robot.toml").write_text(numbered, encoding="utf-8")
+    found = track_file(tmp_path / "a.rec", tmp_path / "robot.toml").found
+    np.testing.assert_allclose(found.q, track_file(table, EXAMPLE).found.q, atol=2e-6)
+    np.testing.assert_allclose(np.diff(found.times), 0.04, atol=1e-3)
 
 
 @pytest.mark.parametrize("smooth", [False, True])
@@ -438,7 +462,7 @@ def test_tables_keep_large_times_and_are_never_written_over(tmp_path):
     assert [line.split(",")[0] for line in times] == ["1700000000.000000", "1700000000.040000"]
 
 
-def held_poses(folder: Path, robot: repro.Robot, n: int = 20) -> tuple[Path, Path, np.ndarray]:
+def held_poses(folder: Path, robot: Any, n: int = 20) -> tuple[Path, Path, np.ndarray]:
     """Held poses of 0.4 s, one each second, and readings of a robot whose gains and offsets are off."""
     q = robot.lower + (robot.upper - robot.lower) * np.random.default_rng(4).uniform(
         0.05, 0.95, (n, robot.n_q)
