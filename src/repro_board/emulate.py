@@ -206,7 +206,7 @@ def held(poses: Array, hold_s: float, times: Array) -> Array:
 
 
 def write_poses(path: Path, robot: Robot, poses: Array, hold_s: float) -> None:
-    """Write the table of poses that are held to a new file: number, coordinates, from when until when it stands."""
+    """Write the table of poses that are held to a new file: coordinates, and from when until when it stands."""
     units = [
         ("mm", 1e3) if "delta" in name else ("deg", 180 / math.pi) if angle else ("rad", 1.0)
         for name, angle in zip(robot.coordinates, robot.angles, strict=True)
@@ -214,10 +214,9 @@ def write_poses(path: Path, robot: Robot, poses: Array, hold_s: float) -> None:
     names = [f"{name}_{unit}" for name, (unit, _) in zip(robot.coordinates, units, strict=True)]
     k = np.arange(len(poses))[:, None]
     windows = k * (hold_s + MOVE_S) + hold_s * np.array(WINDOW)
-    table = np.hstack([k + 1, poses * [factor for _, factor in units], windows])
+    table = np.hstack([poses * [factor for _, factor in units], windows])
     with path.open("x", encoding="utf-8") as file:
-        header = ",".join(["name", *names, "from_s", "until_s"])
-        np.savetxt(file, table, ["%d"] + ["%.6f"] * (len(names) + 2), ",", header=header, comments="")
+        np.savetxt(file, table, "%.6f", ",", header=",".join([*names, "start_s", "end_s"]), comments="")
 
 
 def built(robot: Robot, tolerances: float, *, seed: int = 0) -> Robot:

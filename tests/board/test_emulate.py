@@ -404,11 +404,11 @@ def test_a_robot_stands_still_in_every_pose_of_its_table(tmp_path):
         assert np.ptp(poses[:, k]) > 0.75 * width
     write_poses(tmp_path / "held.csv", EXACT, poses, 0.4)
     table = pd.read_csv(tmp_path / "held.csv")
-    assert list(table) == ["name", *(f"{name}_mm" for name in EXACT.coordinates), "from_s", "until_s"]
+    assert list(table) == [*(f"{name}_mm" for name in EXACT.coordinates), "start_s", "end_s"]
     for row in table.itertuples():
-        inside = np.linspace(row.from_s, row.until_s, 5)
+        inside = np.linspace(row.start_s, row.end_s, 5)
         q = held(poses, 0.4, inside)
-        np.testing.assert_allclose(q, np.broadcast_to(np.array(row[2:8]) / 1e3, (5, 6)), atol=1e-9)
+        np.testing.assert_allclose(q, np.broadcast_to(np.array(row[1:7]) / 1e3, (5, 6)), atol=1e-9)
     times = np.arange(0.0, 25.0, 0.001)
     speed = np.abs(np.diff(held(poses, 0.4, times), axis=0)).max(axis=0) * 1000
     assert (speed < 1.9 * (EXACT.upper - EXACT.lower) / MOVE_S).all()
