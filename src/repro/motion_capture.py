@@ -788,7 +788,8 @@ def _clear_outside(robot: Robot, q: Array, owner: str, lines: Sequence[int], rem
     if robot.lower is None or robot.upper is None:
         return
     width = robot.upper - robot.lower
-    slack = np.where(robot.angles & (width >= 2 * math.pi - 1e-9), np.inf, _SLACK * width + 1e-9)
+    free = robot.fixed | (robot.angles & (width >= 2 * math.pi - 1e-9))  # nobody measures a fixed one exactly
+    slack = np.where(free, np.inf, _SLACK * width + 1e-9)
     far = (q < robot.lower - slack) | (q > robot.upper + slack)
     rows, c = np.asarray(far.any(axis=1)), int(far.sum(axis=0).argmax())
     name = robot.coordinates[c]

@@ -567,6 +567,6 @@ def readings_of(robot: Robot, source: Any) -> Readings:
     require(found, "recording", source.path.name, "one with readings of the robot", received)
     readings = np.array([step.u for step in found]).view(Readings)
     readings.times = np.array([step.time_s for step in found])
-    readings.lines = range(1, len(found) + 1)
+    readings.lines = np.arange(1, len(found) + 1)
     readings.remarks = (*source.remarks, *steps.remarks)
     return readings
