@@ -11,7 +11,6 @@ from repro_companion import cli
 PAGE = (Path(__file__).parents[1] / "book" / "commands.md").read_text(encoding="utf-8")
 COMMANDS = [name for name in cli.app if not name.startswith("-")]
 SECTIONS = dict(re.findall(r"^### `repro (\w+)`\n(.*?)(?=^##|\Z)", PAGE, re.DOTALL | re.MULTILINE))
-pytestmark = pytest.mark.skipif("evaluate" not in COMMANDS, reason="the commands are not rewritten yet")
 
 
 def options(command: str) -> set[str]:

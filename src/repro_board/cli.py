@@ -6,9 +6,7 @@ Each command imports what it needs when it runs, so that help comes at once.
 from __future__ import annotations
 
 import math
-import signal
 import sys
-import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -91,7 +89,6 @@ def track(
     smooth: Flag = False,
     failed: Numbers = None,
     rate: float | None = None,
-    grown: float = 1.0,
 ) -> int:
     """Estimate the shape from readings: repro track READINGS --robot ROBOT.toml -o SHAPE.csv.
 
@@ -113,14 +110,12 @@ def track(
         Number of a sensor not to use, from 1; may be repeated.
     rate
         Readings per second, where the table has no times.
-    grown
-        State every ± so many times as large; repro evaluate says how large it has to be to hold.
     """
     from repro_board.evaluate import track_file
 
     done = track_file(
         readings, robot, output=output, calibration=calibration, estimator=estimator, smooth=smooth,
-        failed=failed or (), rate_hz=rate, grown=grown,
+        failed=failed or (), rate_hz=rate,
     )  # fmt: skip
     print(done)
     return 0
@@ -135,9 +130,9 @@ def calibrate(
     robot: Path,
     output: NewFile,
     by_motion: Annotated[bool, Parameter(name="--self", negative="")] = False,
-    calibration: Path | None = None,
     pose_noise_mm: float = 0.2,
     pose_noise_deg: float = 0.5,
+    rate: float | None = None,
 ) -> int:
     """Calibrate a robot: repro calibrate READINGS POSES.csv --robot ROBOT.toml -o CALIBRATION.json.
 
@@ -153,17 +148,16 @@ def calibrate(
         The calibration, a new JSON file.
     by_motion
         Without measured poses: find moments, gains and offsets while the robot bends every way.
-    calibration
-        With --self, an earlier calibration in poses.
     pose_noise_mm, pose_noise_deg
         How well the poses are known: standard deviation of lengths, and of angles.
+    rate
+        Readings per second, where their table has no times.
     """
     from repro_board.evaluate import calibrate_files
 
-    require(by_motion == (poses is None), "POSES", "repro calibrate", "given, or --self", "both or neither")
     done = calibrate_files(
-        readings, poses, robot, output, calibration=calibration,
-        pose_noise_mm=pose_noise_mm, pose_noise_deg=pose_noise_deg,
+        readings, poses, robot, output, self_=by_motion, pose_noise_mm=pose_noise_mm,
+        pose_noise_deg=pose_noise_deg, rate_hz=rate,
     )  # fmt: skip
     print(done)
     return 0
@@ -183,6 +177,7 @@ def evaluate(
     pose_noise_deg: float = 0.5,
     share: float = 0.4,
     longest_lag: float = 10.0,
+    rate: float | None = None,
 ) -> int:
     """Compare estimates with motion capture: repro evaluate READINGS POSES --robot ROBOT.toml -o FOLDER.
 
@@ -209,14 +204,16 @@ def evaluate(
         Of the time, for the first part.
     longest_lag
         Largest difference between the clocks that is tried, in seconds.
+    rate
+        Readings per second, where their table has no times.
     """
     from repro_board.evaluate import evaluate_files
 
     done = evaluate_files(
         readings, poses, robot, output, bodies=body or (), straight_s=straight_s, pose_noise_mm=pose_noise_mm,
-        pose_noise_deg=pose_noise_deg, share=share, longest_lag_s=longest_lag,
+        pose_noise_deg=pose_noise_deg, share=share, longest_lag_s=longest_lag, rate_hz=rate,
     )  # fmt: skip
-    print(f"{done}\n\nWritten: {output}")
+    print(done)
     return 0
 
 
@@ -262,7 +259,7 @@ def record(
         raise InputError("Input output of repro record must be given (-o FILE.rec); instead received none.")
     done = tool.record(
         port, output, baud=baud, format=format or None, channels=channels, duration_s=duration,
-        stop=stopped_by_signals(), show=show_in_place(),
+        show=show_in_place(),
     )  # fmt: skip
     print(done)
     return 0
@@ -282,6 +279,7 @@ def live(
     browser_socket: int = 0,
     failed: Numbers = None,
     baud: int = 115200,
+    format: str = "",
     duration: float = math.inf,
     grown: float = 1.0,
 ) -> int:
@@ -296,7 +294,7 @@ def live(
     calibration
         From repro calibrate.
     estimator
-        levenberg_marquardt (the default), kalman, gradient_descent or particle_filter.
+        levenberg_marquardt (the default), kalman or particle_filter.
     output
         Also record everything that arrives, as repro record does; a new file.
     estimates
@@ -309,6 +307,8 @@ def live(
         Number of a sensor not to use, from 1; may be repeated.
     baud
         Bits per second of the port.
+    format
+        What the board sends, if not what the robot file says.
     duration
         Stop after this many seconds.
     grown
@@ -318,8 +318,8 @@ def live(
 
     done = follow(
         port, robot, calibration=calibration, estimator=estimator, output=output, estimates=estimates,
-        browser=browser, browser_socket=browser_socket, failed=failed or (), baud=baud, duration_s=duration,
-        grown=grown, stop=stopped_by_signals(),
+        browser=browser, browser_socket=browser_socket, failed=failed or (), baud=baud, duration=duration,
+        grown=grown, format=format or None,
     )  # fmt: skip
     print(done)
     return 0
@@ -416,17 +416,6 @@ def emulate(
         source, rate_hz=rate, speed=speed, loop=loop, tolerances=tolerances, hold_poses=hold_poses, hold_s=hold,
         faults=fault or (), fault_from=fault_from, seed=seed, port_file=port_file, socket=socket,
     )  # fmt: skip
-
-
-def stopped_by_signals() -> threading.Event:
-    """Return an event that an interruption, a request to end and the end of the terminal set."""
-    stop = threading.Event()
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)  # Windows has no SIGHUP
-        if number is not None and signal.getsignal(number) != signal.SIG_IGN:  # as nohup asks
-            # Not here: the main thread may have been stopped while it holds the lock of the event.
-            signal.signal(number, lambda *_: threading.Thread(target=stop.set, daemon=True).start())
-    return stop
 
 
 def show_in_place() -> Any:

@@ -1,0 +1,151 @@
+"""The commands for a robot and a board, as a user types them: from a robot file to an evaluated robot."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import repro
+from repro_board import emulate
+from repro_board.cli import main
+from repro_board.record import Writer
+
+SEED = 3
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Return a folder with a robot, a recording of its motion and one of held poses, and measured poses."""
+    folder = tmp_path_factory.mktemp("robot")
+    shutil.copy(repro.example() / "robot.toml", folder)
+    robot = repro.load_robot(folder / "robot.toml")
+    poses = emulate.spread_poses(robot, seed=SEED)
+    emulate.write_poses(folder / "poses.csv", robot, poses, hold_s=1.0)
+    held = {"poses": poses, "hold_s": 1.0}
+    for name, seconds, options in (("motion.rec", 30.0, {}), ("held.rec", 1.5 * len(poses), held)):
+        with closing(Writer(folder / name, {"port": "emulated"})) as writer:
+            for time_s, data in emulate.board_bytes(robot, tolerances=1, seed=SEED, **options):
+                if time_s > seconds:
+                    break
+                writer.write(round(1e9 * time_s), data)
+    times = np.arange(0.0, 30.0, 0.025)
+    q = 1e3 * emulate.course(robot, times, seed=SEED)
+    captured = pd.DataFrame(q, columns=[f"{name}_mm" for name in robot.coordinates])
+    captured.assign(time_s=times + 0.7).to_csv(folder / "captured.csv", index=False)
+    return folder
+
+
+@contextmanager
+def emulated(folder: Path, *options: str) -> Iterator[str]:
+    command = [
+        sys.executable,
+        "-m",
+        "repro_board.cli",
+        "emulate",
+        "robot.toml",
+        "--port-file",
+        "board",
+        *options,
+    ]
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as board:
+        assert board.stdout is not None
+        assert "SYNTHETIC" in board.stdout.readline()
+        board.stdout.readline()
+        try:
+            yield "board"
+        finally:
+            board.terminate()
+
+
+def test_from_a_robot_file_to_an_evaluation(folder, monkeypatch, capsys):
+    """The robot is not as its file says: only a calibration makes its estimates right."""
+    monkeypatch.chdir(folder)
+    assert main(["check", "robot.toml"]) == 0
+    assert "can work once it is calibrated" in capsys.readouterr().out
+    robot = ["--robot", "robot.toml"]
+    assert main(["track", "motion.rec", *robot, "-o", "first.csv"]) == 0
+    assert "the readings do not fit together" in capsys.readouterr().out
+    assert main(["calibrate", "held.rec", "poses.csv", *robot, "-o", "calibration.json"]) == 0
+    assert main(["track", "motion.rec", *robot, "--calibration", "calibration.json", "-o", "shape.csv"]) == 0
+    truth = emulate.course(
+        described := repro.load_robot("robot.toml"), (t := pd.read_csv("shape.csv"))["time_s"], seed=SEED
+    )
+    error = np.linalg.norm(
+        t[["tip_x_mm", "tip_y_mm", "tip_z_mm"]] - 1e3 * described.tip(truth)[:, :3, 3], axis=1
+    )
+    assert np.median(error) < 1.5
+    assert main(["export", "motion.rec", "-o", "motion.csv", *robot]) == 0
+    assert (
+        main(
+            [
+                "track",
+                "motion.csv",
+                *robot,
+                "--smooth",
+                "--calibration",
+                "calibration.json",
+                "-o",
+                "smooth.csv",
+            ]
+        )
+        == 0
+    )
+    capsys.readouterr()
+    assert main(["evaluate", "motion.rec", "captured.csv", *robot, "-o", "evaluated"]) == 0
+    lag_ms = re.search(r"Lag: (\S+) ± ", capsys.readouterr().out)
+    assert lag_ms is not None
+    assert float(lag_ms[1]) == pytest.approx(-700, abs=3)
+    assert {path.name for path in Path("evaluated").iterdir()} >= {
+        "report.txt",
+        "errors.csv",
+        "estimates.png",
+    }
+
+
+def test_a_port_is_recorded_and_followed(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    with emulated(folder) as port:
+        time.sleep(0.2)
+        assert main(["record", port, "-o", "port.rec", "--duration", "1"]) == 0
+        assert (
+            main(["live", port, "--robot", "robot.toml", "--estimates", "live.csv", "--duration", "2"]) == 0
+        )
+    assert len(pd.read_csv("live.csv")) > 20
+    assert main(["track", "port.rec", "--robot", "robot.toml", "-o", "port.csv"]) == 0
+    assert {"time_s", "tip_x_mm", "status", "suspects"} <= {*pd.read_csv("port.csv")}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("track none.csv --robot robot.toml", "none.csv"),
+        ("track motion.rec --robot none.toml", "none.toml"),
+        ("track motion.rec", "parameter --robot requires an argument"),
+        ("track motion.rec --robot robot.toml --estimator best", "must be one of levenberg_marquardt"),
+        ("track motion.rec --robot robot.toml -o robot.toml", "must be one that does not exist yet"),
+        ("calibrate held.rec --robot robot.toml -o c.json", "must be given"),
+        ("record -o x.rec", "must be given (repro record --list shows them)"),
+        ("record nowhere -o x.rec", "nowhere"),
+        ("emulate none.toml", "none.toml"),
+        ("emulate robot.toml --fault gravity 1", "must be one of"),
+        ("export robot.toml -o x.csv", "robot.toml"),
+        ("weigh robot.toml", "weigh"),
+    ],
+)
+def test_wrong_input_ends_with_2_and_one_line(words, said, folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert main(words.split()) == 2
+    line = capsys.readouterr().err
+    assert said in line
+    assert len(line.splitlines()) == 1
+    assert line.startswith("repro")
