@@ -40,7 +40,7 @@ help:
 	@echo 'make bench       how fast the library is beside what a user would take instead: data/benchmark.csv (some minutes)'
 	@echo 'make size        count statements, and list what nothing uses any more'
 	@echo 'make train       train the networks of the paper that data/networks/ does not have yet (hours, resumable)'
-	@echo 'make soak        ten million frames through a faulty port, a hundred killed recorders, ten minutes live (half an hour)'
+	@echo 'make soak        ten thousand damaged recordings, a hundred killed recorders, minutes and hours live (half an hour)'
 	@echo 'make vendor      bundle the 3-D viewer (needs node and npm)'
 	@echo 'make env         set up .venv only (every target above does this by itself; make book needs less)'
 	@echo 'make lock        write requirements.lock anew'
@@ -87,9 +87,9 @@ train: env
 	nice -n 19 $(PY) scripts/train.py
 
 soak: env
-	$(PY) -m bench.soak.parsers 10000000
+	$(PY) -m bench.soak.damaged 10000
 	$(PY) -m bench.soak.kills 100
-	$(PY) -m bench.soak.live 10 1000
+	$(PY) -m bench.soak.live 10 10
 
 vendor: env
 	node src/repro_board/page/bundle.mjs .cache/viewer
