@@ -220,7 +220,7 @@ def test_what_a_robot_must_state():
 
 def test_the_command(tmp_path, capsys, monkeypatch):
     answers = {"good": good(), "bad": arm(at=(0.045, 0.035))}
-    monkeypatch.setattr("repro.robot_file.load_robot", lambda path: answers[path])
+    monkeypatch.setattr("repro.robot_file.load_robot", lambda path: answers[str(path)])
     assert cli.main(["check", "good"]) == 0
     assert capsys.readouterr().out.splitlines()[-1].startswith("This robot can work")
     assert cli.main(["check", "bad", "--samples", "50"]) == 1
