@@ -42,7 +42,6 @@ CONTRAST_OF_CODE = """async () => {
   };
 }"""
 LANDING_LIMIT_BYTES = 1_000_000
-CHAPTER_LIMIT_BYTES = 1_200_000
 PAGE_LIMIT_BYTES = 2_000_000
 """Without 3-D views and MathJax, which many pages share; the theme included."""
 
@@ -88,7 +87,7 @@ def test_page(name, browser, record_property):
 def _limit(name: str) -> int:
     if name == "index.html":
         return LANDING_LIMIT_BYTES
-    return CHAPTER_LIMIT_BYTES if name.startswith("chapters/") else PAGE_LIMIT_BYTES
+    return PAGE_LIMIT_BYTES
 
 
 def _check_images_and_formulas(seen: Visit) -> None:
@@ -153,7 +152,7 @@ def test_from_the_landing_page_to_a_table_of_a_paper(browser):
 
 
 @no_site
-@pytest.mark.parametrize("name", [page for page in WRITTEN if page.startswith(("chapters/", "notation"))])
+@pytest.mark.parametrize("name", [page for page in WRITTEN if page.startswith("notation")])
 def test_formulas_open_at_their_left_end(name, browser):
     """One that is wider than the screen begins where its box does."""
     page, _ = open_page(browser, url_of(name), width=390)
@@ -233,7 +232,7 @@ def test_pages_say_what_a_person_would(name):
 
 @no_site
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("name", ["notebooks/closed_loop.html", "own_robot.html", "notebooks/table_1.html"])
+@pytest.mark.parametrize("name", ["notebooks/closed_loop.html", "notebooks/own_robot.html", "notebooks/table_1.html"])
 def test_code_has_contrast(name, scheme, browser):
     """Seven to one, as for small text that is read for long."""
     page, _ = open_page(browser, url_of(name))
