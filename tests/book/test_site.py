@@ -232,7 +232,9 @@ def test_pages_say_what_a_person_would(name):
 
 @no_site
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("name", ["notebooks/closed_loop.html", "notebooks/own_robot.html", "notebooks/table_1.html"])
+@pytest.mark.parametrize(
+    "name", ["notebooks/closed_loop.html", "notebooks/own_robot.html", "notebooks/table_1.html"]
+)
 def test_code_has_contrast(name, scheme, browser):
     """Seven to one, as for small text that is read for long."""
     page, _ = open_page(browser, url_of(name))
