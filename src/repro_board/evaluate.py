@@ -737,7 +737,7 @@ def evaluate_files(
     lines += [
         f"Lag: {1e3 * lag:+.2f} ± {1e3 * error:.2f} ms to be added to the times of the poses.",
         f"First part {begin:.2f} to {border:.2f} s; evaluated {border + _APART_S:.2f} to {end:.2f} s.",
-        f"{unknown} of its {len(no)} rows have no pose and are not compared.",
+        *([f"{unknown} of its {len(no)} rows have no pose and are not compared."] if unknown else []),
         *words,
     ]
     if abs(later - lag) > max(step / 2, 4 * math.hypot(error, later_error)):
