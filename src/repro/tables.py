@@ -136,9 +136,9 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
     if isinstance(source, str | Path):
         owner = printable(Path(source).name)
         require(Path(source).is_file(), "table", "read_table", "a file that exists", source)
-        header, split, values, lines, decimals = _file(text_of(Path(source), remarks), owner, remarks)
+        header, split, values, lines = _file(text_of(Path(source), remarks), owner, remarks)
     else:
-        owner, kind, decimals = "the table", type(source).__name__, 9
+        owner, kind = "the table", type(source).__name__
         require(hasattr(source, "infer_objects"), "table", "read_table", "a data frame or a path", kind)
         frame = source.infer_objects()
         header, lines = [str(name) for name in frame.columns], range(1, len(frame) + 1)
@@ -157,7 +157,7 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
     table = _put_together(table, remarks)
     times = table.times
     if times is not None:
-        times = _increasing(times, decimals, table.lines, owner, remarks)
+        times = _increasing(times, table.lines, owner, remarks)
     elif rate_hz is not None:
         times = np.arange(len(table.values)) / rate_hz
     return table._replace(times=times, remarks=tuple(remarks))
@@ -180,8 +180,8 @@ def text_of(path: Path, remarks: list[str]) -> str:
 
 def _file(
     text: str, owner: str, remarks: list[str]
-) -> tuple[list[str], list[tuple[str, str]], Array, list[int], int]:
-    """Return the columns, their names and units, the numbers, their lines, and the decimals of times."""
+) -> tuple[list[str], list[tuple[str, str]], Array, list[int]]:
+    """Return the columns, their names and units, the numbers, and their lines."""
     kept = [(k, _bare(line)) for k, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1)]
     kept = [(k, line) for k, line in kept if line.strip() and not line.startswith(("#", "%", "sep="))]
     require(kept, "file", owner, "a table", "nothing")
@@ -225,8 +225,7 @@ def _file(
             except ValueError as error:
                 where = f"{owner}, line {lines[k]}, column {header[c] or 'without a name'},"
                 raise bad_input("cell", where, "a time" if c in at else "a number", repr(cell)) from error
-    decimals = max((len(re.split("[.,]", row[k] + ".")[1]) for row in rows for k in at), default=9)
-    return header, split, values, lines, decimals
+    return header, split, values, lines
 
 
 def _bare(line: str) -> str:
@@ -377,17 +376,17 @@ def _times(
     return times
 
 
-def _increasing(times: Array, decimals: int, lines: Sequence[int], owner: str, remarks: list[str]) -> Array:
-    """Return times that increase; those that were rounded to equal ones are spread evenly, others are refused."""
+def _increasing(times: Array, lines: Sequence[int], owner: str, remarks: list[str]) -> Array:
+    """Return times that increase: rows of one time are spread evenly, and a time that goes back is refused."""
     step = np.diff(times)
-    for k in np.flatnonzero((step < 0) | ((step == 0) & (decimals > 2))).tolist():
-        received = f"{times[k + 1]:.10g} s after {times[k]:.10g} s (rows there twice, or a board that started again?)"
+    for k in np.flatnonzero(step < 0).tolist():
+        received = f"{times[k + 1]:.10g} s after {times[k]:.10g} s (did the board start again?)"
         raise bad_input(f"time in line {lines[k + 1]}", owner, "later than the one before", received)
     first = np.flatnonzero(np.r_[True, step > 0])
     if len(first) == len(times):
         return times
     n = len(times) - len(first)
-    _count(n, len(times), f"times of {owner}", "rounded to the one before: spread evenly", remarks)
+    _count(n, len(times), f"times of {owner}", "equal to the one before: spread evenly", remarks)
     require(len(first) > 1, "times", owner, "more than one", f"{times[0]:g} s in every row")
     at, known = np.r_[first, 2 * first[-1] - first[-2]], times[first]
     return np.interp(np.arange(len(times)), at, np.r_[known, 2 * known[-1] - known[-2]])
