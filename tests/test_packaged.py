@@ -122,6 +122,7 @@ def test_a_bare_installation_says_which_extra_a_command_needs(called: Called, re
     """In one line, before it asks for anything else; help works."""
     for command, said in {
         "run": 'repro run needs the extra "book": pip install "repro-soft-robots[book]"\n',
+        "record x -o y.rec": 'repro record needs the extra "board": pip install "repro-soft-robots[board]"\n',
         "fetch": 'repro fetch needs the extra "book": pip install "repro-soft-robots[book]"\n',
     }.items():
         done = called(required, "repro", *command.split())
@@ -129,6 +130,8 @@ def test_a_bare_installation_says_which_extra_a_command_needs(called: Called, re
     done = called(required, "repro", "--help")
     assert (done.returncode, done.stderr) == (0, "")
     assert "A robot of your own" in done.stdout
+    done = called(required, "repro", "track", "mine.csv", "--robot", "robot.toml", "-o", "shape.csv")
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_lines_of_the_readme_run_from_the_wheel(called: Called):

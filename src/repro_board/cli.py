@@ -19,7 +19,7 @@ ROBOT, BOARD, BOOK = (
     Group(name, sort_key=k) for k, name in enumerate(("A robot of your own", "A board on a wire", "The book"))
 )
 """How ``repro --help`` lists the commands."""
-PACKAGES = {"serial": "board", "mcap": "board", "tornado": "board", "pyarrow": "parquet"}
+PACKAGES = dict.fromkeys(("serial", "cobs", "mcap", "tornado"), "board") | {"pyarrow": "parquet"}
 """The extra that brings a package; the book brings all others."""
 
 app = App(

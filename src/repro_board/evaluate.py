@@ -255,7 +255,7 @@ def calibrate_files(
         text, found = _by_motion(arm, np.array(u))
         return Report("\n".join([*u.remarks, text, _written(path, calibration_text(found))]), found)
     if poses is None:
-        raise bad_input("poses", owner, "given (--poses POSES.csv), or --self", "neither")
+        raise bad_input("poses", owner, "given (repro calibrate READINGS POSES.csv), or --self", "neither")
     name, measured = Path(poses).name, read_poses(arm, poses)
     where = [f"{name}, line {line}" for line in measured.lines]
     sigma = pose_covariance(arm, pose_noise_mm, pose_noise_deg)
@@ -367,7 +367,7 @@ def _by_motion(robot: Any, u: Array) -> tuple[str, Calibration]:
         words += "; DOUBT: beyond twice what was assumed" if abs(value) > 2 * before else ""
         change = f"{scale * value:+.2g} ± {scale * now:.2g} {unit}"
         lines.append(f"  {name}: {change} (before ± {scale * before:.2g}){words}")
-    lines.append("The places of magnets and sensors are taken as described: only poses (--poses) tell these.")
+    lines.append("The places of magnets and sensors are taken as described: only measured poses tell these.")
     return "\n".join(lines), found
 
 

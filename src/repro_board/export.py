@@ -70,7 +70,7 @@ def export(
             try:
                 table.to_parquet(temporary, index=False)
             except ImportError as error:
-                must = "csv or mcap, unless pyarrow is installed (pip install pyarrow)"
+                must = 'csv or mcap, unless pyarrow is installed (the extra "parquet")'
                 raise bad_input("to", "the export", must, form) from error
         else:
             _write_mcap(temporary, recording, table, estimated)

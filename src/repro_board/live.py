@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from repro.common import Array, InputError, require
-from repro.estimators.base import Estimate, Trajectory
+from repro.estimators.base import Estimate, Trajectory, evenly
 from repro.estimators.monitor import FROZEN, INCONSISTENT, LEFT_OUT, SAID, STATUS, UNDETERMINED, Monitor
 from repro.robot import Robot
 from repro_board.record import Writer, open_port, stopping
@@ -34,8 +34,9 @@ ESTIMATORS = {
     "particle_filter": "ParticleFilter",
 }
 """Estimators that a robot's own bounds, noise and rate are enough for; the first is used where none is named."""
-BURST, LOOK_S = 64, 0.05
-"""Rows of an alarm that the monitor sees at once; afterwards it looks once in so many seconds."""
+BURST, LOOK_S, SHAPES = 64, 0.05, 200
+"""Rows of an alarm that the monitor sees at once; afterwards it looks once in so many seconds [s]; shapes for which
+what a calibration left open is known beforehand."""
 BEHIND_S = 0.1
 """A time step that has waited longer [s] is left out if there is a newer one."""
 WINDOW_S, SAMPLE_S, SILENT_S = 2.0, 0.25, 1.0
@@ -53,7 +54,14 @@ class Follower:
     that it left out last.
     """
 
-    def __init__(self, robot: Robot, name: str = "", failed: Sequence[int] = (), grown: float = 1.0) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        name: str = "",
+        failed: Sequence[int] = (),
+        grown: float = 1.0,
+        calibration: Any = None,
+    ) -> None:
         import repro
 
         owner, n = "live", len(robot.part_names)
@@ -62,6 +70,11 @@ class Follower:
         require(set(failed) <= set(range(1, n + 1)), "failed", owner, f"numbers of sensors, 1 to {n}", failed)
         require(0 < grown < math.inf, "grown", owner, "positive", grown)
         self.robot, self.failed, self.grown = robot, [k - 1 for k in failed], grown
+        self._shapes = self._open = None
+        if calibration is not None:  # what it left open, in shapes between which it hardly changes
+            noise: Any = robot.total_noise
+            self._shapes = evenly(np.asarray(robot.lower), np.asarray(robot.upper), SHAPES)
+            self._open = calibration.q_covariance(self._shapes, 1e-6 * noise)
         self.estimator = getattr(repro, ESTIMATORS[self.name])(robot)
         self.monitor = Monitor(self.estimator) if getattr(self.estimator, "watched", False) else None
         self._unused = np.isin(robot.parts, self.failed)
@@ -102,8 +115,13 @@ class Follower:
             self.state, found = self.monitor.step(self.state, u, t)
             self._inner, self.said, self._looked = self.state.inner, found.details, t
             self._burst = min(self._burst + (-1 if alarm else 1), BURST)
-        C = found.covariance
-        return found if C is None or self.grown == 1.0 else found._replace(covariance=self.grown**2 * C)
+        total: Any = found.covariance
+        if total is None or (self._shapes is None and self.grown == 1.0):
+            return found
+        if self._shapes is not None and self._open is not None:
+            width = np.where(self.robot.fixed, 1.0, np.ptp(self._shapes, axis=0))
+            total = total + self._open[np.square((self._shapes - found.q) / width).sum(axis=1).argmin()]
+        return found._replace(covariance=self.grown**2 * total)
 
     def suspects(self, found: Estimate | None) -> list[int]:
         """Return the parts that the monitor names."""
@@ -453,13 +471,15 @@ def live(
     from rich.console import Console
     from rich.live import Live
 
-    from repro.robot_file import load_robot
+    from repro.robot_file import load_calibration, load_robot
 
     require(duration > 0, "duration", "live", "above zero [s]", duration)
     for name, path in (("output", output), ("estimates", estimates)):
         require(path is None or not path.exists(), name, "live", "a new file", path)
+    described = load_robot(robot)
+    known = None if calibration is None else load_calibration(calibration, described)
     follower, console = (
-        Follower(load_robot(robot, calibration), estimator, failed, grown),
+        Follower(described if known is None else known.robot, estimator, failed, grown, known),
         Console(stderr=True),
     )
     follower.warm()

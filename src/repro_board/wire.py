@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
-from cobs import cobs
 
 from repro.common import Array, numbers, require
 from repro.tables import name_and_unit
@@ -127,7 +126,10 @@ class _Frames(_Packets):
     """Frames: COBS between two zero bytes, with sequence number, device time and CRC-32."""
 
     def __init__(self, channels: int | None) -> None:
+        from cobs import cobs
+
         super().__init__(b"\0", _LONGEST_PACKET)
+        self._cobs = cobs
         self._layouts = {key: x for key, x in _LAYOUTS.items() if channels in (None, key[1])}
         self._last: dict[int, tuple[int, bytes]] = {}  # by stream: number and bytes of the last frame
 
@@ -137,8 +139,8 @@ class _Frames(_Packets):
             if not packet:
                 continue
             try:
-                body = cobs.decode(packet)
-            except cobs.DecodeError:
+                body = self._cobs.decode(packet)
+            except self._cobs.DecodeError:
                 body = b""
             if crc32(body) != _RESIDUE:
                 self._discard(packet, "first_partial" if cut else "checksum_errors")
@@ -209,6 +211,8 @@ def encode(
         fits = (sent == values) if kind == "int16" else np.isfinite(sent) | ~np.isfinite(values)
     require(fits.all(), "values", owner, f"numbers that {kind} holds", values)
     body = _HEAD.pack(_VERSION, stream, code, len(values), sequence % WRAP, time_us % WRAP) + sent.tobytes()
+    from cobs import cobs
+
     return b"\0" + cobs.encode(body + crc32(body).to_bytes(4, "little")) + b"\0"
 
 

@@ -16,8 +16,11 @@ import pandas as pd
 import pytest
 
 import repro
+from repro.robot_file import load_calibration
 from repro_board import emulate
 from repro_board.cli import main
+from repro_board.evaluate import calibrate_files, track_file
+from repro_board.live import Follower
 from repro_board.record import Writer
 
 SEED = 3
@@ -110,6 +113,20 @@ def test_from_a_robot_file_to_an_evaluation(folder, monkeypatch, capsys):
         "errors.csv",
         "estimates.png",
     }
+
+
+def test_live_states_what_a_calibration_leaves_open(folder):
+    """As track does, which computes it for every row."""
+    robot, file = repro.load_robot(folder / "robot.toml"), folder / "calibration.json"
+    if not file.exists():
+        calibrate_files(folder / "held.rec", folder / "poses.csv", folder / "robot.toml", file)
+    calibration = load_calibration(file, robot)
+    tracked = track_file(folder / "motion.rec", folder / "robot.toml", calibration=file).found
+    follower = Follower(calibration.robot, calibration=calibration)
+    rows = zip(tracked.readings, tracked.times, strict=True)
+    covariances = np.array([follower.step(u, t).covariance for u, t in rows])
+    stated, tip = (np.sqrt(np.trace(C, axis1=1, axis2=2)) for C in (covariances, tracked.covariance))
+    assert np.median(stated / tip) == pytest.approx(1.0, abs=0.15)
 
 
 def test_a_port_is_recorded_and_followed(folder, monkeypatch, capsys):
