@@ -312,7 +312,7 @@ def live(
     duration
         Stop after this many seconds.
     grown
-        State every ± so many times as large; repro evaluate says how large it has to be to hold.
+        State every ± so many times as large, if repro evaluate finds the truth outside too often.
     """
     from repro_board.live import live as follow
 
@@ -348,7 +348,7 @@ def export(
     robot
         The robot file that names the readings and their unit.
     estimates
-        A table that repro track or live wrote of this recording; it stands beside the readings.
+        For mcap: a table that repro track or live wrote of this recording.
     """
     from repro.robot_file import load_robot
     from repro_board.export import export as export_to
@@ -388,11 +388,11 @@ def emulate(
     rate
         Readings per second.
     speed
-        Times real time; inf: as fast as it is read.
+        Speed relative to real time; inf: as fast as the reader takes it.
     loop
         Begin a recording again at its end.
     tolerances
-        How far the robot is from its file: 0 as described, 1 as repro calibrate assumes.
+        How far the robot is from its file: 0 as described, 1 as repro check assumes.
     hold_poses
         Hold the robot in one pose after the other, and write them to this new table.
     hold
