@@ -8,6 +8,7 @@ import pytest
 
 from repro import InputError, load_robot, robot_file
 from repro.estimators.calibration import Tolerances
+from repro_board.evaluate import TOLERANCES
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "book" / "robot_file.md").read_text(encoding="utf-8")
@@ -87,6 +88,10 @@ def test_usual_tolerances_are_those_of_the_library():
     )
     assert rows["position_mm"].startswith(f"magnets {1e3 * usual.magnet_position:g},")
     assert rows["radial_mm"] == f"{100 * usual.sensor_radius:g} % of the distance, 3.6°"
-    assert rows["gain_percent"] == f"{100 * usual.sensor_gain:g}"
+    gains = (
+        f"{100 * usual.sensor_gain:g} in `repro check`, {100 * TOLERANCES.sensor_gain:g} in `repro calibrate`"
+    )
+    assert rows["gain_percent"] == gains
+    assert rows["offset_mt"] == f"none in `repro check`, {TOLERANCES.sensor_offset:g} in `repro calibrate`"
     assert usual.sensor_azimuth == pytest.approx(3.6 * 3.141592653589793 / 180)
     assert f"differ by {100 * usual.moments:g} %" in rows["polarisation_percent"]
