@@ -43,6 +43,7 @@ def folder(tmp_path_factory) -> Path:
                 writer.write(round(1e9 * time_s), data)
     times = np.arange(0.0, 30.0, 0.025)
     q = 1e3 * emulate.course(robot, times, seed=SEED)
+    q += 0.05 * np.random.default_rng(SEED).standard_normal(q.shape)  # a fixed coordinate is measured, too
     captured = pd.DataFrame(q, columns=[f"{name}_mm" for name in robot.coordinates])
     captured.assign(time_s=times + 0.7).to_csv(folder / "captured.csv", index=False)
     return folder
