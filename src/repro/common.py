@@ -132,7 +132,7 @@ def kernel(
 
     config: Any = numba.config  # type: ignore[attr-defined]
     before = config.CACHE_DIR
-    folder = Path(before) if before else _cache_folder()
+    folder = Path(before) if before else cache_folder() / "numba"
     # Set for this function only: other users of numba keep their own place.
     config.CACHE_DIR = str(folder / f"repro-{_digest()}")
     try:
@@ -150,15 +150,19 @@ def say_that_kernels_compile() -> None:
     """Print one line, once, if this machine has no compiled kernels yet: the first call then takes some seconds."""
     import numba
 
-    folder = Path(numba.config.CACHE_DIR or _cache_folder()) / f"repro-{_digest()}"  # type: ignore[attr-defined]
+    folder = Path(numba.config.CACHE_DIR or cache_folder() / "numba") / f"repro-{_digest()}"  # type: ignore[attr-defined]
     if not any(folder.rglob("*.nbi")):
         print("repro: compiling for this machine, once; this takes some seconds.", file=sys.stderr)
 
 
-def _cache_folder() -> Path:
+def cache_folder() -> Path:
+    """Return the folder for what can be made again; one where nothing can be written, for a user without a home."""
     import platformdirs
 
-    return platformdirs.user_cache_path("repro") / "numba"
+    try:
+        return platformdirs.user_cache_path("repro")
+    except RuntimeError:
+        return Path(os.devnull, "repro")
 
 
 @functools.cache

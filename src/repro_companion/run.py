@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from repro.common import InputError, bad_input, require
+from repro.common import InputError, bad_input, cache_folder, require
 
 PACKAGES = ("repro", "repro_board", "repro_companion")
 LIBRARIES = ("numpy", "numba", "scipy", "magpylib", "matplotlib", "pandas", "papermill", "torch")
@@ -200,9 +200,7 @@ def combined(content: Any) -> str:
 
 def recordings_folder() -> Path:
     """Return where the authors' recordings lie: REPRO_DATA_DIR, else the user's cache."""
-    import platformdirs
-
-    chosen = os.environ.get("REPRO_DATA_DIR") or platformdirs.user_cache_dir("repro", appauthor=False)
+    chosen = os.environ.get("REPRO_DATA_DIR") or cache_folder()
     return Path(chosen).expanduser().absolute()
 
 

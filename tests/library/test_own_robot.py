@@ -326,3 +326,27 @@ def test_an_impossible_number_ends_nothing():
     found = track(LevenbergMarquardt(robot), u)
     assert found.missing[50] == 1
     assert np.isfinite(found.q).all()
+
+
+@pytest.mark.skipif(
+    not hasattr(os, "getuid") or os.getuid() != 0, reason="only root can become somebody else"
+)
+def test_a_user_without_a_home_can_work(tmp_path):
+    """As in some containers: no HOME and no entry among the users. Kernels are then compiled for the process alone."""
+    code = (
+        "import os; os.setgroups([]); os.setresgid(12345, 12345, 12345); os.setresuid(12345, 12345, 12345)\n"
+        "from repro.common import cache_folder, kernel\n"
+        "assert str(cache_folder()).startswith(os.devnull), cache_folder()\n"
+        "@kernel(entry=True)\ndef twice(x):\n    return 2 * x\nassert twice(21) == 42"
+    )
+    file = tmp_path / "homeless.py"
+    file.write_text(code)
+    kept = {name: value for name, value in os.environ.items() if name in ("PATH", "PYTHONPATH")}
+    environment = kept | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    # Its modules are loaded before it changes: they may lie in a folder of root's.
+    preload = "import numba, platformdirs, repro.common; numba.njit(lambda x: x)(1)\n"
+    file.write_text(preload + code)
+    done = subprocess.run(
+        [sys.executable, file], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
