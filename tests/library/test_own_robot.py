@@ -332,7 +332,7 @@ def test_an_impossible_number_ends_nothing():
     not hasattr(os, "getuid") or os.getuid() != 0, reason="only root can become somebody else"
 )
 def test_a_user_without_a_home_can_work(tmp_path):
-    """As in some containers: no HOME and no entry among the users. Kernels are then compiled for the process alone."""
+    """As in some containers: no HOME, no entry among the users. Kernels are compiled for the process alone."""
     code = (
         "import os; os.setgroups([]); os.setresgid(12345, 12345, 12345); os.setresuid(12345, 12345, 12345)\n"
         "from repro.common import cache_folder, kernel\n"
