@@ -240,7 +240,7 @@ def test_every_cell_of_table_1_shows_the_printed_number_and_ours(card):
         assert "±0.0<" not in line
     assert "<small>15±2</small>12±7<" in lines[0]
     assert html.count('title="differs"') == 1
-    assert html.count('title="smaller"') == 2
+    assert html.count('title="better"') == 2
 
 
 def test_the_counts_are_said_in_whole_sentences(card):
