@@ -285,9 +285,13 @@ def in_words(card: pd.DataFrame, bias: pd.DataFrame) -> str:
     words = (
         f"**{within.sum()} of {len(own)} distinct numbers lie within the scatter of the trainings**,"
         f" {counted(own['verdict'] == 'better', 'is', 'are')} smaller and"
-        f" {counted(own['verdict'] == 'differs', 'differs', 'differ')}. Of those within it"
-        f" {counted(within & (own['weak'] == 'true'), 'is', 'are')} so weak that an error of zero would pass too."
+        f" {counted(own['verdict'] == 'differs', 'differs', 'differ')}."
     )
+    if n := int((within & (own["weak"] == "true")).sum()):
+        words += (
+            f" For {n} of the {within.sum()} the scatter is so wide that even an error of zero would pass, so"
+            " their agreement says little. (The scorecard counts more of such weak numbers, because it also lists repeated rows.)"
+        )
     if total["cells"]:
         words += (
             f" Of the {total['cells']} relative errors (without six sensors) {total['below']} are smaller than"
