@@ -78,17 +78,19 @@ def style() -> Iterator[None]:
 
 COORDINATES = ("delta_x", "delta_y", "delta_L")
 VERDICTS = {
-    "reproduced": "within the scatter",
+    "reproduced": "reproduced",
     "weak": "weak, zero would pass too",
-    "better": "smaller",
+    "better": "better",
     "differs": "differs",
 }
 BELOW_TABLE_1 = (
     "Upper: published. Lower: regenerated. Both: mean and standard deviation s over three trainings. "
     "e<sub>u</sub>: error of the predicted readings at the true shape, mean over the sensors. "
-    "Pale rows repeat another row. Within the scatter: both means are at most "
-    "√3 · √(s<sub>published</sub>² + s<sub>regenerated</sub>²) apart, or half a printed unit. Tint: "
+    "Pale rows repeat another row. Reproduced: both means are at most "
+    "√3 · √(s<sub>published</sub>² + s<sub>regenerated</sub>²) apart, or half a printed unit. "
+    "Better: farther apart, and ours is smaller. Tint: "
 )
+SCROLL = '<p class="table-1-scroll">Scroll the table sideways: {} follow on the right.</p>'
 TABLE_1 = """<style class="nohighlight">
 .table-1 { overflow-x: auto; margin: 0 0 0.4rem; --grey: #666d78; }
 .table-1 :is(.better, .differs) { --grey: #4b515b; }
@@ -110,6 +112,8 @@ html[data-theme="dark"] .table-1 :is(.better, .differs) { --grey: #ced6dd; }
 .table-1 .differs { background: rgb(213 94 0 / 28%); font-weight: 600; }
 .table-1.table-1.table-1 table tr.again td { background: none; }
 .table-1 span { padding: 0 0.2rem; }
+.table-1-scroll { display: none; font-size: 0.8rem; }
+@media (max-width: 600px) { .table-1-scroll { display: block; } }
 </style>"""
 
 
@@ -130,7 +134,8 @@ def table_1(card: pd.DataFrame, rows: Sequence[Any]) -> HTML:
     label = 'id="fig-table-1" aria-label="Table 1, published and regenerated"'
     box = f'<div class="table-1" tabindex="0" role="region" {label}>'
     table = f"<table><thead>{''.join(lines)}</tbody></table>"
-    return HTML(f'{TABLE_1}{box}{table}</div><p class="table-1">{BELOW_TABLE_1}{legend}.</p>')
+    below = f'{SCROLL.format("the bends")}<p class="table-1">{BELOW_TABLE_1}{legend}.</p>'
+    return HTML(f"{TABLE_1}{box}{table}</div>{below}")
 
 
 def _edge(column: str) -> str:
@@ -521,10 +526,11 @@ def table_2(printed: pd.DataFrame, errors: pd.DataFrame, moved: pd.DataFrame, ba
             cells.append(f"<td><small>{text}</td>")
         lines.append(f'<tr><th scope="row">{str(row).replace("->", " → ")}</th>{"".join(cells)}</tr>')
     box = '<div class="table-1" tabindex="0" role="region" aria-label="Table 2, published and regenerated">'
-    words = "Upper: published. Lower: regenerated. ~ : rounding decides the error of at least one network, see below."
+    words = "Upper: published. Lower: regenerated. ~: rounding changes the error of at least one network, see below."
     mark = f'<span style="border: 1px solid; border-radius: 1em; padding: 0.1em 0.7em">{badge}</span>'
     return HTML(
-        f"{TABLE_1}<p>{mark}</p>{box}<table><thead>{''.join(lines)}</tbody></table></div><p>{words}</p>"
+        f"{TABLE_1}<p>{mark}</p>{box}<table><thead>{''.join(lines)}</tbody></table></div>"
+        f"{SCROLL.format('the errors of the bend')}<p>{words}</p>"
     )
 
 

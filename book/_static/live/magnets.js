@@ -298,7 +298,7 @@ function summary(figure) {
   const mm = (x) => (x < 1e-4 ? "less than 0.0001 mm" : short(x) + " mm");
   const words = [`${n} segment${n > 1 ? "s" : ""}, ${on} of ${now.use.length} sensors in use, synthetic readings.`];
   words.push(`${state.start === "last" ? "Started at the true shape, then from estimate to estimate" : "Started at the straight pose"}, ${state.evaluations} evaluations: the tip is off by ${mm(now.off_mm(now.lm.q))} by least squares (Levenberg-Marquardt) and by ${mm(now.off_mm(now.descent.q))} by gradient descent.`);
-  if (now.ellipsoid) words.push(`Because of the noise, no estimator can expect less than about ${short(now.ellipsoid.worst)} mm along the worst direction.`);
+  if (now.ellipsoid) words.push(`The noise limits every unbiased estimator: along the worst direction its standard deviation is at least about ${short(now.ellipsoid.worst)} mm. A single estimate can be closer by luck.`);
   if (now.ghosts.shapes.length) words.push(`${now.ghosts.shapes.length} other shapes are drawn that these sensors cannot tell from the estimate: one direction is all but undetermined.`);
   if (figure.waiting) words.push("Calibration is being computed.");
   else if (state.tolerances) words.push(state.calibrated ? `The model is calibrated in ${POSES} known poses.` : "The parts are not where the drawing has them, and the model does not know it.");

@@ -30,6 +30,7 @@ from repro.estimators.base import Estimate
 from repro.estimators.calibration import Tolerances
 from repro.networks import Network, load_network
 from repro.robot import Place, point_on
+from repro_companion.scorecard import kinds
 from repro_companion.show import project_folder, ratio_interval
 
 LENGTH, RADIUS = 0.110, 0.022
@@ -285,9 +286,14 @@ def in_words(card: pd.DataFrame, bias: pd.DataFrame) -> str:
     words = (
         f"**{within.sum()} of {len(own)} distinct numbers lie within the scatter of the trainings**,"
         f" {counted(own['verdict'] == 'better', 'is', 'are')} smaller and"
-        f" {counted(own['verdict'] == 'differs', 'differs', 'differ')}. Of those within it"
-        f" {counted(within & (own['weak'] == 'true'), 'is', 'are')} so weak that an error of zero would pass too."
+        f" {counted(own['verdict'] == 'differs', 'differs', 'differ')}."
     )
+    if n := int((within & (own["weak"] == "true")).sum()):
+        words += (
+            f" For {n} of the {within.sum()} the scatter is so wide that even an error of zero would pass, so"
+            " their agreement says little. (The scorecard counts more weak numbers, because it lists repeated rows,"
+            " too.)"
+        )
     if total["cells"]:
         words += (
             f" Of the {total['cells']} relative errors (without six sensors) {total['below']} are smaller than"
@@ -754,14 +760,16 @@ def affine_rows(errors: pd.DataFrame, setting: str, best: pd.DataFrame | None = 
 
 def affine_beside_print(card: pd.DataFrame) -> pd.DataFrame:
     """Return section 4.4 of a scorecard as it is read: what is printed, ours and the verdict."""
-    lines = []
+    lines, card = [], card.assign(kind=kinds(card))
     for row in card.query("paper == 'baaij2023' and artefact == 'Section 4.4'").to_dict("records"):
         digits = len(row["published"].partition(".")[2])
         numbers = [row["regenerated"], row["regenerated_std"]]
         ours = " ± ".join(f"{float(text):.{digits}f}" for text in numbers if text)
         name = f"{SYMBOLS.get(row['quantity'], 'readings')} [{row['unit'].replace('^2', '²')}]"
         printed = f"{row['published']} ± {row['published_std']}"
-        lines.append((name, printed, ours, row["verdict"].replace("_", " ")))
+        verdict = row["verdict"].replace("_", " ")
+        said = f"weak ({verdict})" if row["kind"] == "weak" else verdict
+        lines.append((name, printed, ours, said))
     return pd.DataFrame(lines, columns=["error of", "published", "regenerated", "verdict"])
 
 
