@@ -232,12 +232,13 @@ def _parameters(parameters: Mapping[str, Parameter], record: Mapping[str, Any], 
 
 def _provenance(record: Mapping[str, Any], name: str) -> str:
     """Return the fold that says what the page was made from."""
+    none = "none fetched; those committed with the book are in `data/recordings`"
     facts = {
         "Notebook": f"`{record['notebook']}`, {{download}}`executed <{name}.ipynb>`",
         "Record": f"{{download}}`{name}.provenance.json`",
         "Commit": record["commit"] or "none",
         "Key of all inputs": f"`{record['key'][:16]}`",
-        "Recordings": f"{len(record['recordings'])} files" if record["recordings"] else "none found",
+        "Recordings": f"{len(record['recordings'])} files" if record["recordings"] else none,
         "Run": f"{record['started'][:10]}, {record['seconds']:.1f} s",
         "Versions": ", ".join(" ".join(one) for one in record["versions"].items()),
     }

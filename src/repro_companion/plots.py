@@ -1084,8 +1084,9 @@ NOISE_COLOURS = (SKY, BLUE, ORANGE, PINK, GREEN, YELLOW)
 def sensors_and_noise(table: pd.DataFrame) -> Figure:
     """Draw errors [%] over sensors per segment, a panel for each number of segments; dashed: the bound."""
     segments = table["n_segments"].unique()
-    figure, panels = plt.subplots(1, len(segments), figsize=(WIDTH, 3.5), sharey=True, squeeze=False)
-    for panel, (n, part) in zip(panels[0], table.groupby("n_segments"), strict=True):
+    size = (WIDTH, 1.0 + 2.1 * len(segments))
+    figure, panels = plt.subplots(len(segments), figsize=size, sharex=True, sharey=True, squeeze=False)
+    for panel, (n, part) in zip(panels[:, 0], table.groupby("n_segments"), strict=True):
         for colour, (noise, own) in zip(NOISE_COLOURS, part.groupby("noise_mt"), strict=False):
             label = f"{np.format_float_positional(noise, trim='-')} mT"
             panel.plot(own["n_sensors"], own["mean_percent"], "o-", color=colour, ms=5, label=label)
@@ -1093,9 +1094,9 @@ def sensors_and_noise(table: pd.DataFrame) -> Figure:
             panel.plot(known["n_sensors"], known["bound_percent"], "--", color="0.2", lw=1)
         panel.set(yscale="log", xticks=sorted(part["n_sensors"].unique()))
         panel.set_title(f"{n} segment" + "s" * int(n > 1))
-    panels[0, 0].set_ylabel("mean error [% of the range]")
     panels[0, 0].yaxis.set_major_formatter("{x:g}")
-    figure.supxlabel("sensors on each segment")
+    figure.supylabel("mean error [% of the range]")
+    panels[-1, 0].set_xlabel("sensors on each segment")
     handles, labels = panels[0, 0].get_legend_handles_labels()
     handles.append(Line2D([], [], color="0.2", lw=1, ls="--"))
     figure.legend(handles, [*labels, "bound"], loc="outside upper center", ncols=3, **BESIDE)
@@ -1104,14 +1105,14 @@ def sensors_and_noise(table: pd.DataFrame) -> Figure:
 
 @style()
 def noise_study(table: pd.DataFrame) -> Figure:
-    """Draw errors [%] over the noise by sensor model; a row for each estimator, a column by number of segments."""
+    """Draw errors [%] over the noise by sensor model; a column for each estimator, a row by number of segments."""
     looks = {"network of the paper": (BLUE, "o"), "fast network": (GREEN, "s"), "multipole": (ORANGE, "D")}
     solvers, segments = table["solver"].unique(), table["n_b"].unique()
-    size = (WIDTH, 0.8 + 2.1 * len(solvers))
+    size = (WIDTH, 1.0 + 2.1 * len(segments))
     grid = {"sharex": True, "sharey": True, "squeeze": False}
-    figure, panels = plt.subplots(len(solvers), len(segments), figsize=size, **grid)
-    for row, solver in zip(panels, solvers, strict=True):
-        for panel, n in zip(row, segments, strict=True):
+    figure, panels = plt.subplots(len(segments), len(solvers), figsize=size, **grid)
+    for row, n in zip(panels, segments, strict=True):
+        for panel, solver in zip(row, solvers, strict=True):
             own = table[(table["solver"] == solver) & (table["n_b"] == n)]
             for model, part in own.groupby("model", sort=False):
                 colour, marker = looks[str(model)]
@@ -1121,10 +1122,10 @@ def noise_study(table: pd.DataFrame) -> Figure:
             panel.plot(limit["noise_mt"], limit["bound_percent"], "--", color="0.2", lw=1, label="bound")
             panel.set(xscale="log", yscale="log")
             panel.set_xticks([1e-4, 1e-2], ["10⁻⁴", "10⁻²"])
-        row[0].set_ylabel(f"{solver}\nerror [%]")
+        row[0].set_ylabel(f"{n} segment" + "s" * int(n > 1) + "\nerror [%]")
         row[0].yaxis.set_major_formatter("{x:g}")
-    for panel, n in zip(panels[0], segments, strict=True):
-        panel.set_title(f"{n} segment" + "s" * int(n > 1))
+    for panel, solver in zip(panels[0], solvers, strict=True):
+        panel.set_title(solver)
     figure.supxlabel("noise of a reading [mT]")
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)
@@ -1156,27 +1157,27 @@ def sensor_places(table: pd.DataFrame, marked: dict[str, tuple[float, float]]) -
 @style()
 def imus_and_errors(table: pd.DataFrame) -> Figure:
     """Draw errors of the tip [mm] over the number of IMUs: perfect ones by model, and with errors of their own."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharex=True, sharey=True)
+    figure, (upper, lower) = plt.subplots(2, figsize=(WIDTH, 6.6), sharex=True, sharey=True)
     perfect, models = table[table["sensor_deg"] == 0], table["model"].unique()
     for model, colour in zip(models, (PINK, ORANGE, BLUE, GREEN), strict=True):
         own = perfect[perfect["model"] == model]
-        left.plot(own["n_imus"], own["largest_mm"], "o-", color=colour, ms=4, label=model)
-        left.plot(own["n_imus"], own["bound_mm"], "--", color=colour, lw=1)
+        upper.plot(own["n_imus"], own["largest_mm"], "o-", color=colour, ms=4, label=model)
+        upper.plot(own["n_imus"], own["bound_mm"], "--", color=colour, lw=1)
     real = table[(table["model"] == models[1]) & (table["sensor_deg"] > 0)]
     for (deg, own), marker in zip(real.groupby("sensor_deg"), "svP*", strict=False):
-        right.plot(
+        lower.plot(
             own["n_imus"], own["rms_mm"], marker=marker, color=ORANGE, ms=6, ls="none", label=f"{deg:g}°"
         )
-        right.plot(own["n_imus"], own["rule_mm"], color="0.5", lw=1)
-    for panel, title in ((left, "perfect IMUs"), (right, "errors of the IMUs")):
+        lower.plot(own["n_imus"], own["rule_mm"], color="0.5", lw=1)
+    for panel, title in ((upper, "perfect IMUs"), (lower, "errors of the IMUs")):
         panel.set(xscale="log", yscale="log", title=title, xticks=[1, 2, 4, 8, 16])
         panel.xaxis.set_major_formatter("{x:g}")
         panel.xaxis.set_minor_formatter("")
-    left.yaxis.set_major_formatter("{x:g}")
-    left.set_ylabel("error of the tip [mm]")
-    figure.supxlabel("number of IMUs")
-    right.legend(loc="lower left", **BESIDE)
-    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
+        panel.set_ylabel("error of the tip [mm]")
+    upper.yaxis.set_major_formatter("{x:g}")
+    lower.set_xlabel("number of IMUs")
+    lower.legend(loc="lower left", **BESIDE)
+    figure.legend(*upper.get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)
 
 
@@ -1327,7 +1328,8 @@ def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
         panel.plot(
             alarm["time_s"], np.full(len(alarm), 0.06), "s", color=ORANGE, ms=3, label="alarm", clip_on=False
         )
-        panel.set(title=name, yscale="log", ylabel="error of the tip\n[% of the length]", ylim=(0.05, 20))
+        title = name.replace("question", "test")  # the table keeps the word it always had
+        panel.set(title=title, yscale="log", ylabel="error of the tip\n[% of the length]", ylim=(0.05, 20))
         panel.yaxis.set_major_formatter("{x:g}")
         panel.yaxis.set_minor_formatter("")
     panels[-1].set_xlabel("time [s]")

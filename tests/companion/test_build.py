@@ -178,4 +178,4 @@ def test_what_a_page_shows(root):
     assert "{download}`t.csv <../../results/t.csv>`, 1 rows" in folds[0]
     assert "| `noise_mt` | `0.0` | noise of a sensor [mT], at least 0 |" in folds[1]
     assert ".venv/bin/repro run notebooks/a.ipynb -p fast true -o runs/a.ipynb" in folds[1]
-    assert "Recordings: none found" in folds[2]
+    assert "Recordings: none fetched" in folds[2]

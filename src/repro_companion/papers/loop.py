@@ -254,16 +254,17 @@ def in_words(gains: pd.DataFrame, means: pd.DataFrame) -> str:
     nominal = means[(means["session"] == "as modelled") & ~means["estimator"].str.startswith("truth")]
     at = nominal.pivot(index="controller", columns="estimator", values="ratio")
     high, forward = at.loc["high gain"], at.loc["PI and feed-forward"]
+    worse = "makes things worse than" if high[FILTER] > high[ALONE] else "is no worse than"
+    best = "does best, but" if high[INFORMED] == high.min() else "is not the best either, and"
     return (
-        "*Upper row: tracking error with the truth fed back. Others: the error with an estimate fed back over the"
-        " upper row; their 95 % intervals are below, in the table of all numbers. Last columns: the largest of the"
-        " three loops. Arm as modelled, synthetic.*\n\n"
+        "*In the columns of ratios the first row is the tracking error in mm when the true bend is fed back. All"
+        " other rows are ratios to it; their 95 % intervals are below, in the table of all numbers. The last two"
+        " columns show the largest value of the three loops. Arm as modelled, synthetic.*\n\n"
         f"**What to see.** On smooth motion a Kalman filter has {between(smooth)} times the error of least squares,"
-        f" on random motion {between(random)} times. If a controller with high gain acts on the estimate, the"
-        f" tracking error is {high[FILTER]:.0f} times the error with the truth for such a filter,"
-        f" {high[ALONE]:.0f} times for least squares, and {high[INFORMED]:.0f} times for a filter that"
-        f" knows the command. With moderate gain and feed-forward the four estimators have"
-        f" {between(forward)} times the error."
+        f" on random motion {between(random)} times. In a loop with high gain this filter {worse} least squares. A"
+        f" filter that knows the command {best} its tracking error is about {high[INFORMED]:.0f} times the error with"
+        f" the true bend. With moderate gain and feed-forward the factor is {between(forward)} for the four"
+        " estimators."
     )
 
 
