@@ -257,9 +257,9 @@ def in_words(gains: pd.DataFrame, means: pd.DataFrame) -> str:
     worse = "makes things worse than" if high[FILTER] > high[ALONE] else "is no worse than"
     best = "does best, but" if high[INFORMED] == high.min() else "is not the best either, and"
     return (
-        "*In the columns of the three loops the first row is the tracking error in mm when the true bend is fed back. All"
-        " other rows are ratios to it; their 95 % intervals are below, in the table of all numbers. The last two"
-        " columns show the largest error of the estimate in the three loops, and how often the command was at its"
+        "*In the columns of the three loops the first row is the tracking error in mm when the true bend is fed back."
+        " All other rows are ratios to it; their 95 % intervals are below, in the table of all numbers. The last"
+        " two columns show the largest error of the estimate in the three loops, and how often the command was at its"
         " bound. Arm as modelled, synthetic.*\n\n"
         f"**What to see.** On smooth motion a Kalman filter has {between(smooth)} times the error of least squares,"
         f" on random motion {between(random)} times. In a loop with high gain this filter {worse} least squares. A"
