@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,8 +20,13 @@ ROBOT, BOARD, BOOK = (
     Group(name, sort_key=k) for k, name in enumerate(("A robot of your own", "A board on a wire", "The book"))
 )
 """How ``repro --help`` lists the commands."""
-PACKAGES = dict.fromkeys(("serial", "cobs", "mcap", "tornado"), "board") | {"pyarrow": "parquet"}
-"""The extra that brings a package; the book brings all others."""
+EXTRAS = {
+    "board": ("serial", "cobs", "mcap", "rich", "tornado"),
+    "book": ("papermill", "nbformat", "ipykernel", "joblib", "requests"),
+    "cluster": ("distributed",),
+    "parquet": ("pyarrow",),
+}
+"""Which packages the extras bring."""
 
 app = App(
     name="repro",
@@ -257,12 +263,14 @@ def record(
     require(port, "PORT", "repro record", "given (repro record --list shows them)", "none")
     if output is None:
         raise InputError("Input output of repro record must be given (-o FILE.rec); instead received none.")
-    done = tool.record(
-        port, output, baud=baud, format=format or None, channels=channels, duration_s=duration,
-        show=show_in_place(),
-    )  # fmt: skip
+    with shown_in_place() as show:
+        done = tool.record(
+            port, output, baud=baud, format=format or None, channels=channels, duration_s=duration, show=show
+        )
     print(done)
-    return 0
+    if done.path is None:
+        print("Nothing came, and no file was written.", file=sys.stderr)
+    return int(done.path is None)
 
 
 @app.command(group=BOARD, sort_key=2)
@@ -294,7 +302,7 @@ def live(
     calibration
         From repro calibrate.
     estimator
-        levenberg_marquardt (the default), kalman or particle_filter.
+        levenberg_marquardt (the default), kalman, gradient_descent or particle_filter.
     output
         Also record everything that arrives, as repro record does; a new file.
     estimates
@@ -318,7 +326,7 @@ def live(
 
     done = follow(
         port, robot, calibration=calibration, estimator=estimator, output=output, estimates=estimates,
-        browser=browser, browser_socket=browser_socket, failed=failed or (), baud=baud, duration=duration,
+        browser=browser, browser_socket=browser_socket, failed=failed or (), baud=baud, duration_s=duration,
         grown=grown, format=format or None,
     )  # fmt: skip
     print(done)
@@ -418,17 +426,27 @@ def emulate(
     )  # fmt: skip
 
 
-def show_in_place() -> Any:
-    """Return what shows a state: in one place on a terminal, else not at all."""
+@contextmanager
+def shown_in_place() -> Iterator[Any]:
+    """Give what shows a state: in one place on a terminal, else not at all."""
     from rich.console import Console
     from rich.live import Live
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        return None
-    place = Live(console=console, auto_refresh=False, transient=True)
-    place.start()
-    return lambda state: place.update(str(state), refresh=True)
+        yield None
+        return
+    with Live(
+        console=console, auto_refresh=False, transient=True
+    ) as place:  # at its end the cursor is seen again
+        yield lambda state: place.update(str(state), refresh=True)
+
+
+def says_extras(name: str, extras: Sequence[str]) -> int:
+    """Say which extras a command lacks, and return its status."""
+    named = f"the extra{'s' if len(extras) > 1 else ''} " + " and ".join(f'"{extra}"' for extra in extras)
+    print(f'{name} needs {named}: pip install "repro-soft-robots[{",".join(extras)}]"', file=sys.stderr)
+    return 2
 
 
 def main(words: Sequence[str] | None = None, commands: App = app) -> int:
@@ -443,9 +461,7 @@ def main(words: Sequence[str] | None = None, commands: App = app) -> int:
         package = str(missing.name).partition(".")[0]
         if package.startswith("repro"):
             raise
-        extra = PACKAGES.get(package, "book")
-        brings = f'pip install "repro-soft-robots[{extra}]"'
-        print(f'{name} needs the extra "{extra}": {brings}', file=sys.stderr)
+        return says_extras(name, [next((x for x, brought in EXTRAS.items() if package in brought), "book")])
     except OSError as error:
         what = f"{error.filename}: {error.strerror}" if error.filename else error
         print(f"{name}: a file cannot be read or written: {what}", file=sys.stderr)

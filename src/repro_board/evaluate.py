@@ -101,15 +101,15 @@ def _readings(robot: Robot, source: Path | str, rate_hz: float | None = None) ->
     return readings_of(robot, source if rate_hz is None else read_table(source, rate_hz))
 
 
-def estimator_of(robot: Any, name: str = "") -> Any:
+def estimator_of(robot: Any, name: str = "", owner: str = "repro track") -> Any:
     """Return the estimator of a name for a robot: least squares if none is given."""
     name = name or ESTIMATORS[0]
-    require(name in ESTIMATORS, "estimator", "repro track", f"one of {', '.join(ESTIMATORS)}", name)
+    require(name in ESTIMATORS, "estimator", owner, f"one of {', '.join(ESTIMATORS)}", name)
     if name == "kalman":
         return KalmanFilter(robot)
     if name == "particle_filter":
         free = int((~robot.fixed).sum())
-        require(free <= 4, "estimator", "repro track", "another one for more than four coordinates", name)
+        require(free <= 4, "estimator", owner, "another one for more than four coordinates", name)
         return ParticleFilter(robot)
     if name == "gradient_descent":
         # Stable at the ends of every coordinate: with n of them the loss curves by at most n in any direction.

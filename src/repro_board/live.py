@@ -24,16 +24,11 @@ from repro.common import Array, InputError, require
 from repro.estimators.base import Estimate, Trajectory, evenly
 from repro.estimators.monitor import FROZEN, INCONSISTENT, LEFT_OUT, SAID, STATUS, UNDETERMINED, Monitor
 from repro.robot import Robot
+from repro_board.evaluate import ESTIMATORS, estimator_of
 from repro_board.record import Writer, open_port, stopping
 from repro_board.steps import Steps
 from repro_board.wire import Parser
 
-ESTIMATORS = {
-    "levenberg_marquardt": "LevenbergMarquardt",
-    "kalman": "KalmanFilter",
-    "particle_filter": "ParticleFilter",
-}
-"""Estimators that a robot's own bounds, noise and rate are enough for; the first is used where none is named."""
 BURST, LOOK_S, SHAPES = 64, 0.05, 200
 """Rows of an alarm that the monitor sees at once; afterwards it looks once in so many seconds [s]; shapes for which
 what a calibration left open is known beforehand."""
@@ -62,11 +57,8 @@ class Follower:
         grown: float = 1.0,
         calibration: Any = None,
     ) -> None:
-        import repro
-
         owner, n = "live", len(robot.part_names)
-        self.name = name or next(iter(ESTIMATORS))
-        require(self.name in ESTIMATORS, "estimator", owner, f"one of {', '.join(ESTIMATORS)}", name)
+        self.name, self.estimator = name or ESTIMATORS[0], estimator_of(robot, name, owner)
         require(set(failed) <= set(range(1, n + 1)), "failed", owner, f"numbers of sensors, 1 to {n}", failed)
         require(0 < grown < math.inf, "grown", owner, "positive", grown)
         self.robot, self.failed, self.grown = robot, [k - 1 for k in failed], grown
@@ -75,7 +67,6 @@ class Follower:
             noise: Any = robot.total_noise
             self._shapes = evenly(np.asarray(robot.lower), np.asarray(robot.upper), SHAPES)
             self._open = calibration.q_covariance(self._shapes, 1e-6 * noise)
-        self.estimator = getattr(repro, ESTIMATORS[self.name])(robot)
         self.monitor = Monitor(self.estimator) if getattr(self.estimator, "watched", False) else None
         self._unused = np.isin(robot.parts, self.failed)
         self._most = np.minimum(robot.range - robot.resolution / 2, 1e100)  # a sensor beyond it says nothing
@@ -461,7 +452,7 @@ def live(
     browser_socket: int = 0,
     failed: Sequence[int] = (),
     baud: int = 115200,
-    duration: float = math.inf,
+    duration_s: float = math.inf,
     estimates: Path | None = None,
     grown: float = 1.0,
     format: str | None = None,
@@ -473,7 +464,7 @@ def live(
 
     from repro.robot_file import load_calibration, load_robot
 
-    require(duration > 0, "duration", "live", "above zero [s]", duration)
+    require(duration_s > 0, "duration", "live", "above zero [s]", duration_s)
     for name, path in (("output", output), ("estimates", estimates)):
         require(path is None or not path.exists(), name, "live", "a new file", path)
     described = load_robot(robot)
@@ -499,5 +490,5 @@ def live(
             console.print(f"Open {page.address} in a browser of this computer.", soft_wrap=True, markup=False)
         show = Live(get_renderable=lambda: terminal(session), console=console, refresh_per_second=4)
         open_now.enter_context(show)
-        session.run(duration)
+        session.run(duration_s)
     return "\n".join([*(f"{name}: {text}" for name, text in summary(session).items()), *notes(session)])

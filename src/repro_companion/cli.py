@@ -10,7 +10,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from repro_board.cli import BOOK, Output, app, pairs
+from repro_board.cli import BOOK, EXTRAS, Output, app, pairs, says_extras
 from repro_board.cli import main as run_command
 
 NEEDS = {
@@ -21,12 +21,6 @@ NEEDS = {
     "fetch": ["book"],
 }
 """The extras that commands need. A command that is not here runs with the required packages alone."""
-PACKAGES = {
-    "board": ["serial", "rich", "tornado"],
-    "book": ["papermill", "nbformat", "ipykernel", "joblib", "requests"],
-    "cluster": ["distributed"],
-}
-"""By these we see whether an extra is installed."""
 Given = Annotated[list[tuple[str, str]] | None, pairs("-p", "--parameter")]
 
 
@@ -225,12 +219,9 @@ def main() -> int:
     """Run the command line; where an extra is missing, say in one line which, before anything else is asked for."""
     words = sys.argv[1:]
     command = words[0] if words else ""
-    missing = [extra for extra in NEEDS.get(command, ()) if not all(map(find_spec, PACKAGES[extra]))]
+    missing = [extra for extra in NEEDS.get(command, ()) if not all(map(find_spec, EXTRAS[extra]))]
     if missing and not {"--help", "-h"} & set(words):
-        named = f"the extra{'s' if len(missing) > 1 else ''} " + " and ".join(f'"{name}"' for name in missing)
-        brings = f'pip install "repro-soft-robots[{",".join(missing)}]"'
-        print(f"repro {command} needs {named}: {brings}", file=sys.stderr)
-        return 2
+        return says_extras(f"repro {command}", missing)
     return run_command(words, app)
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import pty
 import re
 import shutil
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -167,3 +169,26 @@ def test_wrong_input_ends_with_2_and_one_line(words, said, folder, monkeypatch, 
     assert said in line
     assert len(line.splitlines()) == 1
     assert line.startswith("repro")
+
+
+def test_a_silent_port_leaves_no_file_and_the_terminal_as_it_was(tmp_path):
+    """The numbers are shown in one place, for which the cursor is hidden meanwhile."""
+    board, port = pty.openpty()
+    terminal, end = pty.openpty()
+    words = ["record", os.ttyname(port), "-o", "none.rec", "--duration", "0.5"]
+    command = [sys.executable, "-m", "repro_board.cli", *words]
+    environment = os.environ | {"TERM": "xterm"}
+    done = subprocess.run(
+        command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=end, env=environment, check=False
+    )
+    os.close(end)
+    said = b""
+    with suppress(OSError):  # the end of a terminal is an error
+        while part := os.read(terminal, 4096):
+            said += part
+    for descriptor in (board, port, terminal):
+        os.close(descriptor)
+    assert done.returncode == 1
+    assert b"Nothing came" in said
+    assert said.rfind(b"\x1b[?25h") > said.rfind(b"\x1b[?25l") >= 0
+    assert list(tmp_path.iterdir()) == []

@@ -199,7 +199,7 @@ def test_deviations_are_grown_and_failed_sensors_not_used():
         ({"grown": math.inf}, "grown of live must be positive"),
         (
             {"name": "kalmann"},
-            "one of levenberg_marquardt, kalman, particle_filter; instead received kalmann",
+            "one of levenberg_marquardt, kalman, gradient_descent, particle_filter; instead",
         ),
     ],
 )
@@ -287,13 +287,14 @@ def test_imus_are_followed_and_a_silent_one_is_named():
     assert sentences(session) == ["There is no reading of imu 3; it is left out."]
 
 
-def test_particles_follow_without_a_monitor():
+@pytest.mark.parametrize("name", ["particle_filter", "gradient_descent"])
+def test_some_estimators_follow_without_a_monitor(name):
     robot = Robot(
         ROBOT.segments[:1], ROBOT.magnets[:1], ROBOT.sensors[:4], lower=ROBOT.lower[:3], upper=ROBOT.upper[:3],
         start=[0.0, 0.0, 0.001], noise=0.05, rate_hz=100.0,
     )  # fmt: skip
     u = robot.sensing()(robot.start) + np.zeros((40, 4))
-    session = session_of(sent(faulty(u, "unplugged", 1, since=30)), robot=robot, name="particle_filter")
+    session = session_of(sent(faulty(u, "unplugged", 1, since=30)), robot=robot, name=name)
     assert summary(session)["fit"].startswith("not watched")
     assert session.own["estimates"] == 40
     assert len(numbers(session)) == 6
