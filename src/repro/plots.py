@@ -187,31 +187,3 @@ def _readings(shape: Any, above: Any, below: Any) -> None:
     unit = "" if robot is None else " [mT, rad]" if robot.imus else " [mT]"
     above.set_ylabel(f"readings{unit}")
     below.set_ylabel(f"residuals{unit}")
-
-
-def animate(robot: Robot, shape: Any, *, frames: int = 100, seconds: float = 8.0) -> Any:
-    """Return a matplotlib animation of a robot over time: see :meth:`repro.Robot.animate`.
-
-    Parameters
-    ----------
-    robot
-        Whose shape it is.
-    shape
-        A :class:`.Trajectory`, or configurations ``[t, n_q]``.
-    frames, seconds
-        How many shapes are shown, evenly in time, and for how long [s].
-    """
-    from matplotlib.animation import FuncAnimation
-
-    q = robot.check_q(getattr(shape, "q", shape), "animate")
-    chosen = q[np.unique(np.linspace(0, len(q) - 1, frames).astype(int))]
-    ax = plot_robot(robot, chosen[:: max(1, len(chosen) // 8)])
-    box = ax.get_xlim(), ax.get_ylim(), ax.get_zlim()  # of shapes from all of its motion
-
-    def show(k: int) -> list[Any]:
-        ax.clear()
-        plot_robot(robot, chosen[k], axes=ax)
-        ax.set(xlim=box[0], ylim=box[1], zlim=box[2])
-        return []
-
-    return FuncAnimation(ax.figure, show, frames=len(chosen), interval=1e3 * seconds / len(chosen))

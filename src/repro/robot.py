@@ -745,12 +745,6 @@ class Robot:
 
         return plot_robot(self, q, axes=axes, labels=labels)
 
-    def animate(self, shape: Any, *, frames: int = 100, seconds: float = 8.0) -> Any:
-        """Return a matplotlib animation of a :class:`.Trajectory`, or of configurations ``[t, n_q]``."""
-        from repro.plots import animate
-
-        return animate(self, shape, frames=frames, seconds=seconds)
-
     def replaced(self, **changes: Any) -> Robot:
         """Return this robot with other parts or numbers, by the names of the arguments of :class:`Robot`.
 
@@ -871,13 +865,6 @@ class Robot:
             for share in np.linspace(0, 1, points)
         ]
         return self.poses(q, places)[..., :3, 3]
-
-    def wrapped(self, q: Any) -> Array:
-        """Return the same shapes with azimuths in (-pi, pi] and rotation vectors of at most half a turn."""
-        q = self.check_q(q).copy()
-        chain, _ = self.chain([])
-        wrap(chain, q.reshape(math.prod(q.shape[:-1]), self.n_q))
-        return q
 
 
 def point_on(segment: int, at: float) -> Place:

@@ -547,24 +547,6 @@ def _rotation_vectors(table: Table, q: Array, world: Any, name: str, remarks: li
     return turns
 
 
-def read_configurations(robot: Robot, source: Any) -> tuple[Array, Array | None, list[str]]:
-    """Return measured configurations ``[t, n_q]`` [m, rad] of a table, their times [s] or None, names of rows.
-
-    Columns are named after the coordinates, with a unit: ``delta_x_1_mm``, ``phi_2_deg``. Coordinates that the robot
-    fixes may be left out.
-
-    Raises
-    ------
-    InputError
-        If a column is missing or in no unit, or a number is missing; with the file and the line.
-    """
-    table = read_table(source)
-    rows, q = [f"{table.owner}, line {line}" for line in table.lines], configurations_of(robot, table)
-    for row, c in np.argwhere(np.isnan(q)):
-        raise bad_input("pose", f"{rows[row]},", f"a number for {robot.coordinates[c]}", "none")
-    return q, table.times, rows
-
-
 def configurations_of(robot: Robot, table: Table) -> Array:
     """Return the configurations ``[t, n_q]`` [m, rad] that the columns of a table state, NaN where one is missing."""
     q = np.zeros((len(table.values), robot.n_q))

@@ -333,51 +333,6 @@ def save_network(network: nn.Module, path: str | Path, manifest: Mapping[str, An
             partial.write_bytes(content)
 
 
-class _Inert:
-    """Stands for every class and function that a checkpoint names beside its weights: nothing of them is run."""
-
-    def __init__(self, *_: Any) -> None: ...
-
-
-def import_network(path: str | Path) -> nn.Sequential:
-    """Return the network of the paper from a checkpoint that others trained; no code in it is run.
-
-    It may be a plain state dict or a checkpoint of PyTorch Lightning, as the authors released them. Its layers must
-    be those of :func:`paper_network` in their order; their names do not matter, and dropout and ReLU leave no trace.
-    What was released as TorchScript is for :class:`TorchModel`.
-
-    Parameters
-    ----------
-    path
-        File that ``torch.save`` or Lightning has written.
-
-    Returns
-    -------
-    torch.nn.Sequential
-        In evaluation mode; :func:`save_network` writes it for :func:`.load_network`.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, or it holds another network.
-    """
-    words = "a checkpoint with the layers of the paper's network"
-    try:
-        named = torch.serialization.get_unsafe_globals_in_checkpoint(path)
-        with torch.serialization.safe_globals([(_Inert, name) for name in named]):
-            found = torch.load(path, map_location="cpu", weights_only=True)
-        state = found.get("state_dict", found)
-        network = paper_network(len(next(iter(state.values()))))
-        layouts = [
-            [(key.rpartition(".")[2], x.shape) for key, x in s.items()] for s in (state, network.state_dict())
-        ]
-    except Exception as error:  # what can be wrong with a file of others has many types
-        raise bad_input("path", "import_network", words, f"{path} ({type(error).__name__})") from error
-    require(layouts[0] == layouts[1], "path", "import_network", words, f"{path} with {', '.join(state)}")
-    network.load_state_dict(dict(zip(network.state_dict(), state.values(), strict=True)))
-    return network.eval()
-
-
 class TorchModel:
     """A network of one's own in torch as a sensor model of relations, with slopes by automatic differentiation.
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from repro.common import Array, InputError, require
-from repro.estimators.base import Estimate, Trajectory, evenly
+from repro.estimators.base import Estimate, evenly, trajectory
 from repro.estimators.monitor import FROZEN, INCONSISTENT, LEFT_OUT, SAID, STATUS, UNDETERMINED, Monitor
 from repro.robot import Robot
 from repro_board.evaluate import ESTIMATORS, estimator_of
@@ -337,7 +337,8 @@ def numbers(session: Session) -> list[str]:
     robot = session.follower.robot
     if session.last is None or not np.isfinite(session.last[2].q).all():
         return []
-    q, C = session.last[2].q, session.last[2].covariance
+    t, u, found = session.last
+    q, C = found.q, found.covariance
     p, G = robot.tip_slopes(q)
     values, slopes = np.concatenate([p, q]), np.concatenate([G, np.eye(len(q))])
     sd = (
@@ -347,9 +348,8 @@ def numbers(session: Session) -> list[str]:
     )
     low, high = (np.full(len(q), np.nan) if x is None else x for x in (robot.lower, robot.upper))
     widths = np.concatenate([np.full(3, robot.length), high - low])
-    units = [(f"tip {axis}", "mm", 1e3) for axis in "xyz"] + _trajectory(
-        session.follower, [session.last]
-    ).units()
+    units = [(f"tip {axis}", "mm", 1e3) for axis in "xyz"]
+    units += trajectory([t], [u], [found], robot, None).units()
     said = []
     for (name, unit, factor), x, s, w in zip(units, values, sd, widths, strict=True):
         if w == 0:  # fixed by its bounds
@@ -397,25 +397,6 @@ def terminal(session: Session) -> Any:
     )
 
 
-def _trajectory(follower: Follower, rows: Sequence[tuple[float, Array, Estimate]]) -> Trajectory:
-    times, u, found = zip(*rows, strict=True)
-    q, C, u_hat, chi2, dof, missing, details = zip(*found, strict=True)
-    none, watched = np.zeros(len(follower.robot.part_names), dtype=bool), follower.monitor is not None
-    return Trajectory(
-        np.array(times),
-        np.array(q),
-        None if C[0] is None else np.array(C),
-        np.array(u_hat),
-        np.array(chi2),
-        np.array(dof),
-        np.array(missing),
-        status=np.array([STATUS[x["status"]] for x in details]) if watched else None,
-        suspects=np.array([x.get("suspects", none) for x in details]) if watched else None,
-        readings=np.array(u),
-        robot=follower.robot,
-    )
-
-
 class Table:
     """A new CSV with the columns of ``Trajectory.to_frame``; a thread writes whole lines as estimates come."""
 
@@ -436,7 +417,9 @@ class Table:
         while not last:
             last = self.session.stop.wait(0.2)
             if rows := [self.waiting.popleft() for _ in range(len(self.waiting))]:
-                frame = _trajectory(self.session.follower, rows).to_frame()
+                times, u, found = zip(*rows, strict=True)
+                follower = self.session.follower
+                frame = trajectory(times, u, found, follower.robot, follower.monitor).to_frame()
                 frame.to_csv(self.path, index=False, mode="x" if first else "a", header=first)
                 first = False
 

@@ -8,7 +8,6 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from repro import (
     ConstantCurvature,
@@ -25,7 +24,7 @@ from repro import (
     example,
     load_robot,
 )
-from repro.estimators.calibration import Tolerances, _priors, _slopes, coverage_factor, placed
+from repro.estimators.calibration import Tolerances, _priors, _slopes, placed
 
 from .robots import RELEASED, STORED, bounds, paper_robot
 
@@ -454,42 +453,6 @@ def test_what_cannot_be_is_refused_in_words(change, message):
     for wrong in ({"moments": 0.0}, {"sensor_offset": -1.0}, {"earth": math.inf}):
         with pytest.raises(InputError, match="tolerances of Tolerances must be positive, or zero"):
             Tolerances(**wrong)
-
-
-def test_coverage_factor_is_an_order_statistic_over_its_quantile():
-    errors = np.arange(1.0, 20.0)[:, None]
-    assert coverage_factor(errors[::-1], [[4.0]], 0.95) == pytest.approx(19.0**2 / 4 / 3.841459, rel=1e-6)
-    assert coverage_factor(errors, [[4.0]], 0.9) == pytest.approx(18.0**2 / 4 / 2.705543, rel=1e-6)
-    assert coverage_factor(errors[:18], [[4.0]], 0.95) == math.inf
-    rng = np.random.default_rng(15)
-    e, root = rng.standard_t(4, size=(500, 3)), rng.normal(size=(500, 3, 3))
-    C = root @ np.swapaxes(root, 1, 2) + np.eye(3)
-    scores = np.sort([x @ np.linalg.solve(S, x) for x, S in zip(e, C, strict=True)]) / chi2.ppf(0.9, 3)
-    assert coverage_factor(e, C, 0.9) == pytest.approx(scores[math.ceil(501 * 0.9) - 1])
-
-
-def test_the_grown_ellipsoid_holds_as_often_as_it_says():
-    rng, held = np.random.default_rng(16), []
-    for _ in range(200):
-        e = rng.standard_t(3, size=(60, 2))
-        factor = coverage_factor(e[:59], np.eye(2), 0.9)
-        held.append(e[59] @ e[59] < factor * 4.60517)
-    assert 0.85 < np.mean(held) < 0.97
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((np.zeros(3), np.eye(3)), "error of coverage_factor must be numbers of shape"),
-        ((np.zeros((4, 2)), np.eye(3)), "covariance of coverage_factor must be numbers of shape"),
-        ((np.zeros((4, 2)), np.tile(np.eye(2), (3, 1, 1))), "one, or one for each error"),
-        ((np.zeros((4, 2)), np.zeros((2, 2))), "positive definite"),
-        ((np.zeros((4, 2)), np.eye(2), 1.0), "level of coverage_factor must be between 0 and 1"),
-    ],
-)
-def test_coverage_factor_refuses_what_is_no_covariance(arguments, message):
-    with pytest.raises(InputError, match=message):
-        coverage_factor(*arguments)
 
 
 def test_readings_in_another_unit_are_refused_in_words():

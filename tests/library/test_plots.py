@@ -211,10 +211,3 @@ def test_residuals_of_imus_are_rotations():
     below = shape.plot()[-1]
     assert below.get_ylabel() == "residuals [mT, rad]"
     assert below.lines[2].get_ydata()[0] == pytest.approx(6.2 - 2 * np.pi)
-
-
-def test_a_motion_is_animated(tmp_path):
-    robot = arm()
-    animation = robot.animate(motion(robot)[1], frames=3, seconds=1.5)
-    animation.save(tmp_path / "motion.gif", writer="pillow", dpi=30)
-    assert (tmp_path / "motion.gif").stat().st_size > 0

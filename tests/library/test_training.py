@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from torch import nn
 
 from repro import InputError, training
 from repro.networks import load_network
-from repro.training import TorchModel, import_network, paper_network, save_network
+from repro.training import TorchModel, paper_network, save_network
 from repro_companion.papers import baaij, rig
 from scripts import train as script
 
@@ -148,40 +147,6 @@ def test_weights_that_are_written_are_read_and_the_manifest_names_their_hash(tra
             load_network(path)(XI), expected, rtol=0, atol=1e-5 * np.abs(expected).max()
         )
     assert len(list(tmp_path.iterdir())) == 2
-
-
-class Other:
-    """What a program of others may put into a checkpoint: reading it must not run it."""
-
-    def __init__(self, function, argument):
-        self.call = function, (argument,)
-
-    def __reduce__(self):
-        return self.call
-
-
-def test_checkpoints_of_others_are_read_without_running_them(trained, tmp_path):
-    numbers = (0, 2, 4, 6, 8, 10, 12, 14, 16, 17)
-    layers = [(f"nn.layer_{'abcdefghij'[k]}", trained[0][n].state_dict()) for k, n in enumerate(numbers)]
-    theirs = {f"{name}.{key}": x for name, state in layers for key, x in state.items()}
-    for name, more in (
-        ("class", Other),
-        ("call", Other(np.testing.assert_, False)),
-        ("system", Other(os.mkdir, "run")),
-    ):
-        torch.save({"state_dict": theirs, "hyper_parameters": {"nn_class": more}}, tmp_path / name)
-    torch.save(trained[0].state_dict(), tmp_path / "plain")
-    for name in ("class", "call", "plain"):
-        found = import_network(tmp_path / name)
-        assert same(found, trained[0])
-    torch.save(dict(list(theirs.items())[:-1]), tmp_path / "short")
-    for name, received in (
-        ("system", "UnpicklingError"),
-        ("short", "with nn.layer_a."),
-        ("none", "FileNotFound"),
-    ):
-        with pytest.raises(InputError, match=f"a checkpoint with the layers .* received .*{received}"):
-            import_network(tmp_path / name)
 
 
 class Function(nn.Module):

@@ -301,7 +301,7 @@ def run(
             per_row[name] = values = np.asarray(values)
             words = f"one row for each of {len(rows)} time steps"
             require(values.ndim and len(values) == len(rows), name, owner, words, f"shape {values.shape}")
-    from repro.estimators.monitor import SAID, STATUS, Monitor
+    from repro.estimators.monitor import Monitor
 
     # Not the estimators of papers, which have none.
     watched = monitor is not None and getattr(estimator, "watched", False)
@@ -313,12 +313,19 @@ def run(
         state, estimate = method.step(state, rows[k], float(at[k]), **given)
         states.append(state.inner if watched else state)
         estimates.append(estimate)
+    return trajectory(at, rows, estimates, robot, method if isinstance(method, Monitor) else None), states
+
+
+def trajectory(at: Any, readings: Any, estimates: Sequence[Estimate], robot: Any, monitor: Any) -> Trajectory:
+    """Put estimates of rows together, with what a monitor said of them."""
+    from repro.estimators.monitor import SAID, STATUS
+
     q, covariance, u_hat, chi2, dof, missing, rest = zip(*estimates, strict=True)
     details = {name: np.array([row[name] for row in rest]) for name in rest[0] if name not in SAID}
-    if isinstance(method, Monitor):
-        details |= method.stacked(rest)
-    trajectory = Trajectory(
-        at,
+    if monitor is not None:
+        details |= monitor.stacked(rest)
+    return Trajectory(
+        np.array(at),
         np.array(q),
         None if covariance[0] is None else np.array(covariance),
         np.array(u_hat),
@@ -326,12 +333,11 @@ def run(
         np.array(dof),
         np.array(missing),
         details,
-        np.array(STATUS)[details.pop("status")] if watched else None,
+        None if monitor is None else np.array(STATUS)[details.pop("status")],
         details.pop("suspects", None),
-        rows,
+        np.array(readings),
         robot,
     )
-    return trajectory, states
 
 
 def _times(n: int, times: Any, rate_hz: float | None, owner: str, *, needed: bool) -> Array:

@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 from repro.common import Array, InputError, bad_input, is_table, numbers, require
 from repro.robot import Place, Robot, point_on
 from repro.sensing import Sensing
-from repro.tables import read_configurations
+from repro.tables import configurations_of, read_table
 
 _MOST, _OUTLIER, _FARTHEST = 4.0, 5.0, 10.0
 """By how many of its standard deviations a pose may be off what the others predict, most of them, and any of them in
@@ -250,7 +250,11 @@ def calibrate(
     n = described.n_readings
     at, rows = None, None
     if is_table(q):
-        q, at, rows = read_configurations(robot, q)
+        table = read_table(q)
+        q, at = configurations_of(robot, table), table.times
+        rows = [f"{table.owner}, line {line}" for line in table.lines]
+        for row, c in np.argwhere(np.isnan(q)):
+            raise bad_input("pose", f"{rows[row]},", f"a number for {robot.coordinates[c]}", "none")
     q = numbers(q, "q", owner, (None, robot.n_q))
     require(len(q), "q", owner, "at least one pose", "none")
     u = robot.readings(u) if is_table(u) else u
@@ -346,56 +350,6 @@ def check_poses(robot: Robot, q: Array, q_covariance: Any = 0.0, rows: Sequence[
         raise bad_input(
             "q", "calibrate", expected, f"{q[row, c]:g} in {rows[row] if rows else f'row {row + 1}'}"
         )
-
-
-def coverage_factor(error: Any, covariance: Any, level: float = 0.95) -> float:
-    r"""Return by how much stated covariances must grow to hold the truth as often as they say: split conformal.
-
-    With :math:`e_i` the error of an estimate and :math:`C_i` its stated covariance, the factor is the
-    :math:`\lceil (k+1)\,p \rceil`-th smallest of :math:`k` values :math:`e_i^T C_i^{-1} e_i`, over the quantile of
-    the chi-square distribution with :math:`n` degrees of freedom. The ellipsoid of the next estimate, its covariance
-    times this factor, then holds the truth with a probability of at least :math:`p`, whatever the errors are
-    distributed like, if the next one might as well have been one of these (Vovk, Gammerman, Shafer 2005).
-
-    Parameters
-    ----------
-    error
-        Estimates less the truth ``[k, n]``.
-    covariance
-        Stated covariances ``[n, n]`` or ``[k, n, n]``.
-    level
-        How often the ellipsoid is to hold, between 0 and 1.
-
-    Returns
-    -------
-    float
-        Infinite where there are too few errors to say: fewer than ``level / (1 - level)``.
-
-    Raises
-    ------
-    InputError
-        If the numbers do not fit, or a covariance is none.
-
-    Examples
-    --------
-    Nine errors in one coordinate, of which all are twice as large as stated at the edge of the 90 % interval:
-
-    >>> round(coverage_factor(np.full((9, 1), 2 * 1.6449), [[1.0]], 0.9), 3)
-    4.0
-    """
-    from scipy.stats import chi2
-
-    owner = "coverage_factor"
-    require(0 < level < 1, "level", owner, "between 0 and 1", level)
-    e = numbers(error, "error", owner, (None, None))
-    C = numbers(covariance, "covariance", owner, (..., e.shape[1], e.shape[1]))
-    require(
-        C.ndim == 2 or C.shape[:-2] == (len(e),), "covariance", owner, "one, or one for each error", C.shape
-    )
-    require((np.linalg.eigvalsh(C) > 0).all(), "covariance", owner, "positive definite", "one that is not")
-    scores = np.sort((e * np.linalg.solve(C, e[..., None])[..., 0]).sum(-1))
-    rank = math.ceil((len(e) + 1) * level * (1 - 1e-12))
-    return float(scores[rank - 1] / chi2(e.shape[1]).ppf(level)) if rank <= len(e) else math.inf
 
 
 def placed(robot: Robot, parameters: Mapping[str, float]) -> Robot:
