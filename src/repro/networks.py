@@ -1,7 +1,7 @@
 """Trained networks without torch: their weights, the readings that they predict, and the slopes of these.
 
 A network maps the relations of one sensor, eq. (1) of Baaij et al. 2023, to its reading. Training is in
-:mod:`repro.training`.
+``repro.training``.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Network:
 
 
 def load_network(path: str | Path) -> Network:
-    """Read a network from a safetensors file that :mod:`repro.training` has written; no code in it is run.
+    """Read a network from a safetensors file that ``repro.training`` has written; no code in it is run.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
 from itertools import product
@@ -29,6 +29,16 @@ from repro.common import Array, bad_input, numbers, require
 
 PAPER_BATCH, FAST_BATCH = 650, 1000
 DTYPES = (torch.float64, torch.float32)
+
+
+def uniform_draws(seed: int) -> Callable[..., Array]:
+    """Return a function ``(low, high, *shape)`` that draws evenly from torch's generator, as the authors' program."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def uniform(low: float, high: float, *shape: int) -> Array:
+        return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64).numpy()
+
+    return uniform
 
 
 def paper_network(n_inputs: int) -> nn.Sequential:

@@ -16,10 +16,11 @@ PAGE = Path(__file__).resolve().parents[2] / "book" / "contributing.md"
 
 
 @pytest.fixture(scope="module")
-def there() -> dict:
+def there(tmp_path_factory) -> dict:
     """Return the names that the examples make."""
     found: dict = {}
-    with warnings.catch_warnings():
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+        patch.setenv("REPRO_RESULTS", str(tmp_path_factory.mktemp("results")))
         warnings.simplefilter("ignore", np.exceptions.ComplexWarning)  # a robot's poses are real
         exec(
             "\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)), found
@@ -49,3 +50,8 @@ def test_the_estimator_is_one_and_lags_less_than_its_low_pass(there):
     state = method.init(truth[0])
     first = [method.step(state, readings[k], 0.01)[1].q for k in (1, 50, 1)]
     np.testing.assert_array_equal(first[0], first[2])
+
+
+def test_the_paper_with_one_number_is_reproduced(there):
+    """Half a unit of the last printed digit is the tolerance."""
+    assert there["card"][["row", "verdict"]].to_numpy().tolist() == [["slow", "reproduced"]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -796,7 +796,9 @@ class SegmentNetwork:
 
     def rows(self, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
         """Return relations as angles and readings: three rows for each random shape and placement of the sensors."""
-        uniform, n, axis = _uniform(DATA_SEED), self.n_segments, None
+        from repro.training import uniform_draws
+
+        uniform, n, axis = uniform_draws(DATA_SEED), self.n_segments, None
         bend = bounds(1)[1][0]
         bends, longer = uniform(-bend, bend, samples, n, 2), uniform(0.0, bounds(1)[1][2], samples, n, 1)
         turn = uniform(0.0, 2 * math.pi / 3, samples)
@@ -828,7 +830,9 @@ class AffineNetwork:
 
     def rows(self, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
         """Return relations as angles and readings; only the readings know of the shift of the magnets."""
-        uniform = _uniform(DATA_SEED)
+        from repro.training import uniform_draws
+
+        uniform = uniform_draws(DATA_SEED)
         high = (*CURVATURE, 2 * math.pi, bounds(1)[1][2])
         q = np.stack(
             [uniform(a, b, samples) for a, b in zip((-high[0], -high[1], 0.0, 0.0), high, strict=True)], -1
@@ -843,17 +847,6 @@ def trained_networks() -> Iterator[SegmentNetwork | AffineNetwork]:
     robots = ((1, False), (2, False), (3, False), (3, True))
     yield from (SegmentNetwork(n, k, earth, seed) for n, earth in robots for seed in SEEDS for k in range(n))
     yield from (AffineNetwork(sensor, seed) for seed in SEEDS for sensor in range(9))
-
-
-def _uniform(seed: int) -> Callable[..., np.ndarray]:
-    import torch
-
-    generator = torch.Generator().manual_seed(seed)
-
-    def uniform(low: float, high: float, *shape: int) -> np.ndarray:
-        return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64).numpy()
-
-    return uniform
 
 
 def _training_rows(

@@ -14,6 +14,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
@@ -621,6 +622,10 @@ def networks(data: Data, seed: int) -> list[Any]:
 
 
 def _train(train: Recording, sensor: int, seed: int, path: Path) -> None:
+    there = find_spec("torch") is not None
+    require(
+        there, "torch", "networks for these recordings", "installed (make env)", "no package of this name"
+    )
     from repro.training import save_network, train_paper
 
     path.parent.mkdir(parents=True, exist_ok=True)
