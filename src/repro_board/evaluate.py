@@ -747,7 +747,8 @@ def evaluate_files(
     shape = Trajectory(t[rest], truth[rest], None, values[rest], no, no, no, robot=arm)
     table = errors_table(shape, sigma, shapes)
     tip = table[table["quantity"] == "tip"].drop(columns=["quantity", "unit"])
-    lines += ["Errors of the tip [mm], and in how many rows the 95 % ellipsoid holds the measured tip [%]:"]
+    lines += ["Errors of the tip [mm], in how many rows the 95 % ellipsoid holds the measured tip [%], and how many"]
+    lines += ["times larger every ± must be for 95 % (grown; repro live --grown takes it):"]
     lines += [tip.to_string(index=False, float_format="{:.3g}".format, na_rep="-")]
     frames = {name: x.to_frame() for name, x in {"measured": shape, **shapes}.items()}
     joined = pd.concat([frame.add_prefix(f"{name}: ") for name, frame in frames.items()], axis=1)
@@ -782,7 +783,10 @@ def _interpolated(u: Array, q: Array, use: Array, rest: Array) -> Array:
 
 
 def errors_table(measured: Trajectory, sigma: Array, shapes: Mapping[str, Trajectory]) -> Any:
-    """Return errors by estimate and quantity, and how often 95 % regions hold the measured pose, itself uncertain."""
+    """Return errors by estimate and quantity, and how often 95 % regions hold the measured pose, itself uncertain.
+
+    ``grown`` is how many times larger every ± must be stated for them to hold it in 95 % of the rows.
+    """
     import pandas as pd
 
     rows, robot, units = [], measured.robot, measured.units()
@@ -797,14 +801,20 @@ def errors_table(measured: Trajectory, sigma: Array, shapes: Mapping[str, Trajec
             quantity, unit, factor = units[c]
             parts.append((quantity, unit, factor * e[:, [c]], factor * np.eye(robot.n_q)[[c]]))
         for quantity, unit, error, slopes in parts:
-            size, inside = np.linalg.norm(error, axis=1), math.nan
+            size, inside, grown = np.linalg.norm(error, axis=1), math.nan, math.nan
             if shape.covariance is not None:
                 C = slopes @ (shape.covariance[use] + sigma) @ np.swapaxes(slopes, -1, -2)
                 score = np.einsum("ti,tij,tj->t", error, np.linalg.pinv(C, rcond=1e-9, hermitian=True), error)
                 limit = chi_square.ppf(_COVERED, min(error.shape[1], (~robot.fixed).sum()))
                 inside = 100 * float((score <= limit).mean())
+                grown = math.sqrt(np.quantile(score, _COVERED) / limit)
             numbers_of = {"mean": size.mean(), "rmse": np.sqrt(np.square(size).mean()), "largest": size.max()}
-            numbers_of |= {"p95": np.quantile(size, 0.95), "coverage": inside, "rows": len(size)}
+            numbers_of |= {
+                "p95": np.quantile(size, 0.95),
+                "coverage": inside,
+                "grown": grown,
+                "rows": len(size),
+            }
             rows.append({"estimate": name, "quantity": quantity, "unit": unit, **numbers_of})
     return pd.DataFrame(rows)
 

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import repro
 from repro import InputError
+from repro.estimators.base import Trajectory
 from repro_board import evaluate
 from repro_board.evaluate import (
     Signal,
@@ -155,6 +156,19 @@ def test_an_evaluation_finds_the_lag_and_what_is_off(good):
     estimates = pd.read_csv(folder / "estimates.csv")
     assert f"{LM}: delta_x_1_mm" in estimates
     assert len(estimates) == table["rows"].max()
+
+
+def test_a_deviation_that_is_stated_half_too_small_must_grow_twofold():
+    rng, robot = np.random.default_rng(1), repro.Robot([repro.ConstantCurvature(0.11, 0.022)])
+    q, n = 0.005 + 1e-3 * rng.standard_normal((4000, 3)), np.full(4000, np.nan)
+    error = rng.multivariate_normal(np.zeros(3), C := np.diag([1e-4, 2e-4, 3e-4]) ** 2, 4000)
+    of = {"times": np.arange(4000.0), "u_hat": q, "chi2": n, "dof": n, "missing": n, "robot": robot}
+    truth, found = (
+        Trajectory(q=q, covariance=None, **of),
+        Trajectory(q=q + error, covariance=C[None] / 4 + 0 * q[..., None], **of),
+    )
+    table = evaluate.errors_table(truth, np.zeros((3, 3)), {"one": found})
+    assert table["grown"].to_numpy() == pytest.approx(2.0, rel=0.06)
 
 
 def gaps(q: np.ndarray) -> np.ndarray:
