@@ -38,11 +38,6 @@ FAST = sys.argv[1:2] == ["--fast"]
 NOISE_MT = 5e-3
 RING = repro.Ring(24e-3, 12e-3, 6e-3, 1450.0)
 NETWORKS = [ROOT / f"data/networks/pcc_nb3_segment{i}_seed0.safetensors" for i in (1, 2, 3)]
-CARRIED = [
-    ("first edition: particle filter, N = 1000 [updates/s]", 6740.0, ""),
-    ("first edition: PCC-extended chain, 8 IMUs, 16 segments [samples/s]", 3.099e6, ""),
-]
-"""Rates that two pages of the first edition print; its own benchmark measured them once."""
 Rows = Iterator[tuple[str, float, str]]
 """Capability, figure, and target such as ``>= 1``; NaN says that a package is not installed."""
 
@@ -221,6 +216,19 @@ def filter_rows() -> Rows:
         yield f"{name} [times its error]", error, ""
 
 
+def paper_rows() -> Rows:
+    """Yield the rates beside those that two papers print: Mitchell et al. 2021, Martin et al. 2022."""
+    q = flower(few(200))
+    method = repro.ParticleFilter(repro.BendSensor(0.015), [0.02 * np.pi] * 2, 0.1)
+    seconds = fastest(partial(repro.track, method, repro.BendSensor(0.015)(q), q[0]))[0]
+    yield "ParticleFilter, N = 1000 [updates/s]", len(q) / seconds, ""
+    turns = np.random.default_rng(0).normal(size=(few(8000), 9, 4))
+    arm = repro.Arm(range(9), 0.08 * np.arange(9), [0.08] * 8, [0.36, 0.6], sub_segments=2)
+    turns /= np.linalg.norm(turns, axis=-1)[..., None]
+    seconds = fastest(partial(repro.pcc_extended, turns, arm, [0.36, 0.6]))[0]
+    yield "pcc_extended, 8 IMUs, 16 segments [samples/s]", len(turns) / seconds, ""
+
+
 def batch(method: Any, start: Any, readings: Any, *at: float) -> Callable[[], Any]:
     """Return a job: one step of many robots."""
     return partial(method.step, method.init(start), readings, *at)
@@ -357,10 +365,10 @@ def main() -> None:
     for part in (
         solver_rows(),
         filter_rows(),
+        paper_rows(),
         own_robot_rows(),
         operation_rows(),
         process_rows(),
-        CARRIED,
     ):
         for capability, figure, target in part:
             above, bound = target.startswith(">="), float(target[3:] or "nan")

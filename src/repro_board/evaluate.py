@@ -747,7 +747,9 @@ def evaluate_files(
     shape = Trajectory(t[rest], truth[rest], None, values[rest], no, no, no, robot=arm)
     table = errors_table(shape, sigma, shapes)
     tip = table[table["quantity"] == "tip"].drop(columns=["quantity", "unit"])
-    lines += ["Errors of the tip [mm], in how many rows the 95 % ellipsoid holds the measured tip [%], and how many"]
+    lines += [
+        "Errors of the tip [mm], in how many rows the 95 % ellipsoid holds the measured tip [%], and how many"
+    ]
     lines += ["times larger every ± must be for 95 % (grown; repro live --grown takes it):"]
     lines += [tip.to_string(index=False, float_format="{:.3g}".format, na_rep="-")]
     frames = {name: x.to_frame() for name, x in {"measured": shape, **shapes}.items()}

@@ -420,6 +420,12 @@ def fixed_coordinates(lower: Array, upper: Array) -> Array | None:
     return np.where(fixed, lower, np.nan) if fixed.any() else None
 
 
+def each(x: Array, batch: tuple[int, ...], *own: int) -> Array:
+    """Return what every member of a batch has, in one row ``[members, *own]``; ``x`` itself where nothing is shared."""
+    shape = (*batch, *own)
+    return (x if x.shape == shape else np.broadcast_to(x, shape)).reshape(-1, *own)
+
+
 def evenly(lower: Array, upper: Array, n: int) -> Array:
     """Return ``n`` points that fill a box evenly ``[n, n_q]``: an additive recurrence, the middle first."""
     golden, count = 2.0, len(lower)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from repro.common import Array, bad_input, kernel, numbers, require
-from repro.estimators.base import Estimate, incoming, known_coordinates, model_of, start
+from repro.estimators.base import Estimate, each, incoming, known_coordinates, model_of, start
 from repro.sensing import difference, evaluate, room_for, unpack
 
 
@@ -95,12 +95,12 @@ class GradientDescent:
         held = None if known is None else ~np.isnan(known)
         n, s = self.n_q, u.shape[-1]
         batch = np.broadcast_shapes(state.q.shape[:-1], u.shape[:-1])
-        q, b = (np.broadcast_to(x, (*batch, n)).reshape(-1, n).copy() for x in state)
-        rows = np.ascontiguousarray(np.broadcast_to(u, (*batch, s)).reshape(-1, s))
+        q, b = (each(x, batch, n).copy() for x in state)
+        rows = np.ascontiguousarray(each(u, batch, s))
         moves = np.broadcast_to(self.step_size, q.shape).copy()
         if held is not None and known is not None:
-            fixed = np.broadcast_to(held, (*batch, n)).reshape(-1, n)
-            q = np.where(fixed, np.broadcast_to(known, (*batch, n)).reshape(-1, n), q)
+            fixed = each(held, batch, n)
+            q = np.where(fixed, each(known, batch, n), q)
             moves[fixed], b = 0.0, np.where(fixed, 0.0, b)
         n_used = np.isfinite(rows).sum(-1)
         require((n_used > 0).all(), "u", "GradientDescent", "at least one reading that is finite", "none")

@@ -19,7 +19,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from repro.common import Array, bad_input, kernel, numbers, require
-from repro.estimators.base import Estimate, Trajectory, described, incoming, known_coordinates, run, start
+from repro.estimators.base import (
+    Estimate,
+    Trajectory,
+    described,
+    each,
+    incoming,
+    known_coordinates,
+    run,
+    start,
+)
 from repro.estimators.drift import Drifting, DriftModel
 from repro.estimators.least_squares import BOUND, CHI2, TURN, LevenbergMarquardt, cholesky, solve
 
@@ -178,7 +187,7 @@ class KalmanFilter(MotionModel):
         n, k = self.n_q, len(self.drift_std)
         F, Q = np.eye(2 * n + k), np.zeros((2 * n + k, 2 * n + k))
         i, e, v = np.arange(n), np.arange(n, n + k), np.arange(n + k, 2 * n + k)
-        F[i, v], F[e, e] = tau, np.exp(-self.drift_rate * tau)
+        F[i, v] = tau
         density = self.acceleration**2
         Q[i, i], Q[i, v], Q[v, i], Q[v, v] = (
             tau**3 / 3 * density,
@@ -186,9 +195,10 @@ class KalmanFilter(MotionModel):
             tau**2 / 2 * density,
             tau * density,
         )
-        rate = np.where(self.drift_rate > 0, self.drift_rate, 1.0)
-        grown = np.where(self.drift_rate > 0, -np.expm1(-2 * self.drift_rate * tau) / (2 * rate), tau)
-        Q[e, e] = self.drift_walk**2 * grown
+        if k:
+            rate = np.where(self.drift_rate > 0, self.drift_rate, 1.0)
+            grown = np.where(self.drift_rate > 0, -np.expm1(-2 * self.drift_rate * tau) / (2 * rate), tau)
+            F[e, e], Q[e, e] = np.exp(-self.drift_rate * tau), self.drift_walk**2 * grown
         return F, Q
 
     def wrapped(self, q: Array) -> Array:
@@ -217,7 +227,7 @@ class KalmanFilter(MotionModel):
         before = self.predicted(state, t)
         batch = np.broadcast_shapes(before.q.shape[:-1], u.shape[:-1])
         n, m = fit.n_q, before.covariance.shape[-1]
-        P = np.broadcast_to(before.covariance, (*batch, m, m)).reshape(-1, m, m).copy()
+        P = each(before.covariance, batch, m, m).copy()
         fixed = np.diagonal(P, axis1=1, axis2=2)[:, :n] <= 0  # what is certain does not move
         information = np.empty((len(P), n, n))
         _prior_information(P, information)
@@ -226,11 +236,9 @@ class KalmanFilter(MotionModel):
         if known is not None:
             values[..., : self.n_q] = np.where(np.isnan(known), values[..., : self.n_q], known)
         given = None if np.isnan(values).all() else values
-        q = np.clip(np.broadcast_to(before.q, (*batch, n)), fit._low, fit._high)
+        q = before.q.clip(fit._low, fit._high)
         q, u_hat, C, status, n_used = fit.fit(q, u, given, prior, wrapped=False)
-        x = np.empty((len(P), m))
-        x[:, :n] = np.broadcast_to(before.q, (*batch, n)).reshape(-1, n)
-        x[:, n:] = np.broadcast_to(before.velocity, (*batch, m - n)).reshape(-1, m - n)
+        x = np.concatenate([each(before.q, batch, n), each(before.velocity, batch, m - n)], axis=1)
         _update(x, P, q.reshape(-1, n), C.reshape(-1, n, n), information)
         velocity = x[:, n:].reshape(*batch, m - n)
         after = KalmanState(q, velocity, P.reshape(*batch, m, m), t)

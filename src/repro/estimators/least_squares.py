@@ -18,6 +18,7 @@ from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import (
     Estimate,
     described,
+    each,
     evenly,
     fixed_coordinates,
     incoming,
@@ -171,17 +172,13 @@ class LevenbergMarquardt:
         held = None if known is None else ~np.isnan(known)
         if held is not None and known is not None:
             q = np.where(held, known, q)
-        if q.ndim == 1 and u.ndim == 1:
-            batch, flat, rows = (), q.reshape(1, n).copy(), u.reshape(1, s)
-        else:
-            batch = np.broadcast_shapes(q.shape[:-1], u.shape[:-1])
-            flat = np.broadcast_to(q, (*batch, n)).reshape(-1, n).copy()
-            rows = np.ascontiguousarray(np.broadcast_to(u, (*batch, s)).reshape(-1, s))
+        batch = np.broadcast_shapes(q.shape[:-1], u.shape[:-1])
+        flat, rows = each(q, batch, n).copy(), np.ascontiguousarray(each(u, batch, s))
         mean, information = _NO_PRIOR if prior is None else prior
         if prior is not None:
-            mean = np.ascontiguousarray(np.broadcast_to(mean, (*batch, n)).reshape(-1, n))
-            information = np.ascontiguousarray(np.broadcast_to(information, (*batch, n, n)).reshape(-1, n, n))
-        fixed = _NONE_HELD if held is None else np.broadcast_to(held, (*batch, n)).reshape(-1, n).copy()
+            mean = np.ascontiguousarray(each(mean, batch, n))
+            information = np.ascontiguousarray(each(information, batch, n, n))
+        fixed = _NONE_HELD if held is None else each(held, batch, n).copy()
         u_hat, C = np.empty((len(flat), s)), np.empty((len(flat), n, n))
         status = np.empty((len(flat), 9))
         arrays = (mean, information, fixed, flat, u_hat, C, status)
