@@ -79,9 +79,9 @@ class DesignCheck:
         """Return a few lines, the verdict last."""
         built = _in_words(self.tip_as_built)
         if np.median(self.tip_as_built) > self.spread:
-            built = f"more than the bounds allow, {_length(self.spread)}"
+            built = f"no better than without readings, {_length(self.spread)}"
         lines = [
-            f"Design in {len(self.q)} random shapes: the median, and what the worst twentieth exceeds",
+            f"Tip in {len(self.q)} random shapes, ± one standard deviation: the median, and the worst twentieth",
             f"tip by the readings alone: {_in_words(self.tip)}",
             f"tip by readings and bounds, before a calibration: {built}",
         ]

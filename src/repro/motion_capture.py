@@ -812,9 +812,8 @@ def _fitted(robot: Robot, motion: Motion, owner: str, bodies: Sequence[str], str
     short = {name.rpartition(":")[2]: name for name in there}  # Vicon: subject:segment
     names = [short.get(name, name) for name in bodies] or there
     known = len(names) in (n, n + 1) and len({*names}) == len(names) and {*names} <= {*there}
-    expected = (
-        f"{n} of the bodies {', '.join(there)}, from base to tip, or {n + 1} with one on the base first"
-    )
+    expected = f"one on the end of each of {n} segments, from base to tip, or {n + 1} with the base first"
+    expected += f" (the file has {', '.join(there)})"
     require(known, "bodies", owner, expected, ", ".join(names) or "none")
     poses = np.stack([motion.bodies[name] for name in names], axis=1)[..., _POSITION_FIRST]
     if motion.up == "y":

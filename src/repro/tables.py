@@ -503,8 +503,10 @@ def _column(table: Table, channel: Any, own: str) -> int:
     found = [k for k, names in enumerate(spelt) if wanted & {*names, table.columns[k]}]
     if len(found) != 1:
         words = channel if isinstance(channel, str) else f"u{channel}_mT, channel_{channel}, or {own}"
-        low = {name.lower(): name for name in table.names}
-        near = [low[name] for name in get_close_matches(str(channel).lower(), low, 1)]
+        low, word = {name.lower(): name for name in table.names}, str(channel).lower()
+        near = [low[name] for name in get_close_matches(word, low, 1)]
+        # Names that differ in one letter or digit are those of two readings, such as x_1 and y_1.
+        near = [x for x in near if len(x) != len(word) or sum(map(str.__ne__, x.lower(), word)) != 1]
         words = f"one column for {own}: {words}" + (f" (is it {near[0]}?)" if near else "")
         received = [table.columns[k] for k in found] if found else f"none among {', '.join(table.columns)}"
         raise bad_input("columns", table.owner, words, received)

@@ -59,7 +59,6 @@ def pairs(*names: str) -> Parameter:
 Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
 NewFile = Annotated[Path, Parameter(name=["-o", "--output"])]
 Flag = Annotated[bool, Parameter(negative="")]
-Numbers = Annotated[list[int] | None, Parameter(negative="", metavar="NUMBER")]
 Names = Annotated[list[str] | None, Parameter(negative="", metavar="NAME")]
 Faults = Annotated[list[tuple[str, str]] | None, pairs("--fault")]
 
@@ -93,7 +92,7 @@ def track(
     calibration: Path | None = None,
     estimator: str = "",
     smooth: Flag = False,
-    failed: Numbers = None,
+    failed: Names = None,
     rate: float | None = None,
 ) -> int:
     """Estimate the shape from readings: repro track READINGS --robot ROBOT.toml -o SHAPE.csv.
@@ -113,7 +112,7 @@ def track(
     smooth
         Let later readings count as well: a Kalman filter, and back over it.
     failed
-        Number of a sensor not to use, from 1; may be repeated.
+        Name of a sensor not to use, or its number from 1 in the robot file; may be repeated.
     rate
         Readings per second, where the table has no times.
     """
@@ -270,7 +269,7 @@ def record(
     print(done)
     if done.path is None:
         print("Nothing came, and no file was written.", file=sys.stderr)
-    return int(done.path is None)
+    return int(not done.samples)
 
 
 @app.command(group=BOARD, sort_key=2)
@@ -285,7 +284,7 @@ def live(
     estimates: Path | None = None,
     browser: Flag = False,
     browser_socket: int = 0,
-    failed: Numbers = None,
+    failed: Names = None,
     baud: int = 115200,
     format: str = "",
     duration: float = math.inf,
@@ -312,7 +311,7 @@ def live(
     browser_socket
         Number of a TCP port of this computer for that page; 0 for a free one.
     failed
-        Number of a sensor not to use, from 1; may be repeated.
+        Name of a sensor not to use, or its number from 1 in the robot file; may be repeated.
     baud
         Bits per second of the port.
     format
@@ -407,8 +406,8 @@ def emulate(
         For so many seconds in each pose.
     fault
         A fault and its value, such as --fault flips 1e-4; may be repeated. Chances: flips, drops, duplicates, bursts,
-        stalls, disconnects, reboots. Number of a sensor: unplug, stick, saturate, gain, nan. Distance of a foreign
-        magnet in mm: magnet. Times the noise of the file: noise. Of the clock: drift_ppm.
+        stalls, disconnects, reboots. Name or number of a sensor: unplug, stick, saturate, gain, nan. Distance of a
+        foreign magnet in mm: magnet. Times the noise of the file: noise. Of the clock: drift_ppm.
     fault_from
         The faults begin so many seconds after the first reading.
     seed

@@ -245,6 +245,8 @@ def faults_named(
     found = OF_THE_LINE | (of_a_robot if robot else {})
     for name, value in dict(given).items():
         require(name in found, "fault", "emulate", f"one of {', '.join(found)}", name)
+        if robot and name in OF_SENSORS:
+            value = robot.part(value, "emulate") + 1
         found[name] = float(numbers(value, f"fault {name}", "emulate", ()))
         expected, fits = "not negative", found[name] >= 0 or name == "drift_ppm"
         if robot and name in OF_SENSORS:

@@ -44,7 +44,10 @@ _WINDOW_S = 0.5
 """Readings are averaged over this time around a pose with one time."""
 _MODEL_ERROR, _MOST_ROWS, _ROUNDS = 0.003, 4000, 40
 """Without poses: share of a reading that its model is off; rows that are used, and most rounds."""
-_CAUSES = "axes exchanged or of the wrong sign, another unit or robot, iron or magnets nearby"
+_CAUSES = (
+    "parts that are not where the file says, which poses would tell; axes exchanged or of the wrong sign; another "
+    "unit or robot; iron or magnets nearby"
+)
 _GAP_STEPS, _LEAST_S, _APART_S = 2.5, 5.0, 1.0
 """Longest gap over which is interpolated, in usual steps; shortest part of an evaluation, and time between the two
 parts [s]."""
@@ -98,7 +101,26 @@ def _robot(path: Path | str, owner: str) -> Any:
 def _readings(robot: Robot, source: Path | str, rate_hz: float | None = None) -> Any:
     from repro_board.record import readings_of
 
-    return readings_of(robot, source if rate_hz is None else read_table(source, rate_hz))
+    u = readings_of(robot, source if rate_hz is None else read_table(source, rate_hz))
+    u.remarks = (*u.remarks, *_pace(robot, u.times))
+    return u
+
+
+def _pace(robot: Robot, times: Array | None) -> list[str]:
+    """Say what is odd about the times of readings."""
+    if times is None:
+        unknown = "There are neither times nor a rate: rows count as one second each (give --rate)."
+        return [] if robot.rate_hz else [unknown]
+    if len(times) < 3:
+        return []
+    steps, found = np.diff(times), []
+    usual, k = float(np.median(steps)), int(steps.argmax())
+    if robot.rate_hz and not 0.2 < usual * robot.rate_hz < 5.0:
+        stated = f"the robot file says {robot.rate_hz:g} readings in a second"
+        found.append(f"The readings are {usual:.3g} s apart, but {stated}: is the unit of the times right?")
+    if steps[k] > max(_GAP_STEPS * usual, 0.2):
+        found.append(f"The longest gap without a reading is {steps[k]:.3g} s, after {times[k]:.3f} s.")
+    return found
 
 
 def estimator_of(robot: Any, name: str = "", owner: str = "repro track") -> Any:
@@ -139,7 +161,7 @@ def track_file(
     calibration: Path | str | None = None,
     estimator: str = "",
     smooth: bool = False,
-    failed: Sequence[int] = (),
+    failed: Sequence[Any] = (),
     rate_hz: float | None = None,
 ) -> Report:
     """Estimate the shape from a recording or a table of readings, and write the estimates as a table."""
@@ -152,19 +174,24 @@ def track_file(
         require(estimator in ("", "kalman"), "estimator", owner, "kalman with --smooth", estimator)
     method = estimator_of(arm, "kalman" if smooth else estimator)
     u = _readings(arm, readings, rate_hz)
-    for number in failed:
-        parts = arm.part_names
-        require(1 <= number <= len(parts), "failed", owner, f"numbers of sensors, 1 to {len(parts)}", number)
-        u[:, arm.parts == number - 1] = np.nan
+    for name in failed:
+        u[:, arm.parts == arm.part(name, owner)] = np.nan
     run_over = smoothed if smooth else track
     shape = with_calibration(run_over(method, u), known)
     lines = [*u.remarks, repr(shape)]
     frame = shape.to_frame()
     if shape.covariance is not None:
         tip = np.sqrt(np.square(frame[[f"tip_{axis}_sd_mm" for axis in "xyz"]].to_numpy()).sum(1))
-        words = [f"±{x:.2g} mm" if x < 1e3 else "nothing" for x in (np.median(tip), tip.max())]
-        lines.append(f"tip: known to {words[0]} in most rows, to {words[1]} in the worst")
-    if path is not None:
+        middle, worst = float(np.median(tip)), float(tip.max())
+        known_to = f"known to ±{middle:.2g} mm in most rows" if middle < 1e3 else "not known in most rows"
+        known_to += f", ±{worst:.2g} mm in the worst" if middle < 1e3 and worst < 1e3 else ""
+        built = (
+            "" if known else f", if the robot is built exactly as {Path(robot).name} says (not calibrated)"
+        )
+        lines.append(f"tip: {known_to}{built}")
+    if path is None:
+        lines.append("No table is written (-o shape.csv writes one).")
+    else:
         lines.append(_written(path, _csv(frame)))
     return Report("\n".join([*lines, *suspicions(shape)]), shape)
 
@@ -175,7 +202,8 @@ def suspicions(shape: Trajectory) -> list[str]:
         return ["Nothing watches this estimator: a sensor that fails is not noticed."]
     n, counts = len(shape.times), Counter(shape.status.tolist())
     words = {
-        "inconsistent": "the readings do not fit together, and no single sensor explains it (calibrate first?)",
+        "inconsistent": "the readings do not fit together, and no single sensor explains it "
+        "(unit, order or sign of the columns wrong, or not calibrated?)",
         "frozen": "the board repeats itself: all readings stay the same",
         "undetermined": "there are fewer readings than unknowns",
     }
@@ -186,6 +214,8 @@ def suspicions(shape: Trajectory) -> list[str]:
             first, last = shape.times[rows][[0, -1]]
             when = f"{rows.sum()} of {n} rows, from {first:.3f} to {last:.3f} s"
             lines.append(f"Suspected: {name} does not fit the other sensors in {when}.")
+    if not np.any(shape.dof):
+        return [*lines, "There are no more readings than unknowns: a wrong sensor looks like another shape."]
     return lines or ["All rows are consistent, and no sensor is suspected."]
 
 
@@ -616,7 +646,11 @@ def clock_lag(motion: Signal, readings: Signal, longest_s: float) -> float:
     found = search_lag(motion.at(when), u, 1 / step, longest_s)
     best = f"{found.best / found.spread:.0%} of the readings unexplained at {found.lag_s:+.3f} s"
     require(found.best < 0.5 * found.spread, "readings and poses", owner, "of one motion", f"{best}, at best")
-    inside = abs(found.lag_s) < min(longest_s, (end - start) / 2) - 2 * step
+    longest = min(longest_s, (end - start) / 2)
+    inside = abs(found.lag_s) < longest - 2 * step
+    if longest < longest_s and not inside:
+        expected = f"together for {2 * longest_s:g} s, to find the lag between their clocks (--longest-lag)"
+        raise bad_input("readings and poses", owner, expected, f"{end - start:.3g} s")
     expected = f"of clocks that differ by less than {longest_s:g} s (--longest-lag)"
     require(inside, "readings and poses", owner, expected, f"{best}, at the end of the search")
     expected = "alike at one lag only (a motion that repeats itself needs a smaller --longest-lag)"

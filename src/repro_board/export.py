@@ -39,9 +39,9 @@ def export(
     output
         A new file.
     to
-        ``csv``, ``parquet`` or ``mcap``; by default what the name of the file says, or CSV. A table is that of
-        `table_of`. Messages of MCAP are JSON: ``/readings`` has the rows of the table, ``/readings/3`` those of
-        stream 3 where there are several, and ``/estimate`` those of the estimates, without what is missing.
+        ``csv``, ``parquet`` or ``mcap``; by default what the ending of the file says, CSV without one. A table is
+        that of `table_of`. Messages of MCAP are JSON: ``/readings`` has the rows of the table, ``/readings/3``
+        those of stream 3 where there are several, and ``/estimate`` those of the estimates, without what is missing.
     robot
         Write its readings, one row a time step, instead of the samples of the board; or the path of its file.
     estimates
@@ -53,8 +53,10 @@ def export(
         If the file exists or cannot be made, the recording is empty, or the estimates are not of this recording.
     """
     output = Path(output)
-    form = to or (suffix if (suffix := output.suffix[1:].lower()) in FORMS else "csv")
-    require(form in FORMS, "to", "the export", f"one of {', '.join(FORMS)}", repr(to))
+    form = to or output.suffix[1:].lower() or "csv"
+    require(
+        form in FORMS, "to", "the export", f"one of {', '.join(FORMS)} (--to, or the file's ending)", form
+    )
     require(estimates is None or form == "mcap", "estimates", "the export", "left out, but for mcap", form)
     must = "a new file (give another name, or move the old one)"
     require(not output.exists(), "output", "the export", must, output)

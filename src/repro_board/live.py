@@ -53,15 +53,14 @@ class Follower:
         self,
         robot: Robot,
         name: str = "",
-        failed: Sequence[int] = (),
+        failed: Sequence[Any] = (),
         grown: float = 1.0,
         calibration: Any = None,
     ) -> None:
-        owner, n = "live", len(robot.part_names)
+        owner = "live"
         self.name, self.estimator = name or ESTIMATORS[0], estimator_of(robot, name, owner)
-        require(set(failed) <= set(range(1, n + 1)), "failed", owner, f"numbers of sensors, 1 to {n}", failed)
         require(0 < grown < math.inf, "grown", owner, "positive", grown)
-        self.robot, self.failed, self.grown = robot, [k - 1 for k in failed], grown
+        self.robot, self.failed, self.grown = robot, [robot.part(x, owner) for x in failed], grown
         self._shapes = self._open = None
         if calibration is not None:  # what it left open, in shapes between which it hardly changes
             noise: Any = robot.total_noise
@@ -433,7 +432,7 @@ def live(
     output: Path | None = None,
     browser: bool = False,
     browser_socket: int = 0,
-    failed: Sequence[int] = (),
+    failed: Sequence[Any] = (),
     baud: int = 115200,
     duration_s: float = math.inf,
     estimates: Path | None = None,
@@ -474,4 +473,6 @@ def live(
         show = Live(get_renderable=lambda: terminal(session), console=console, refresh_per_second=4)
         open_now.enter_context(show)
         session.run(duration_s)
+    if session.refusal and not session.own["estimates"]:
+        raise InputError(session.refusal)
     return "\n".join([*(f"{name}: {text}" for name, text in summary(session).items()), *notes(session)])

@@ -167,7 +167,8 @@ class Writer:
         try:
             self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o666)
         except OSError as error:
-            must = "a new file that can be made (give another name, or move the old one)"
+            old = self.path.exists()
+            must = "a new file (give another name, or move the old one)" if old else "a file that can be made"
             raise bad_input("output", "the recording", must, f"{path} ({error.strerror})") from error
         self._thread = threading.Thread(target=self._keep_in_sync, daemon=True)
         self._thread.start()
@@ -341,6 +342,8 @@ class Recording(NamedTuple):
 def read_recording(path: str | Path, *, format: str | None = None, channels: int | None = None) -> Recording:
     """Read a recording, finished or not, whole or damaged; its remarks tell what is missing.
 
+    What is not given is as the recording says. Where that gives nothing, or with an empty format, the bytes tell.
+
     Raises
     ------
     InputError
@@ -377,10 +380,11 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
     if sorted(order) != order:
         remarks.append("blocks are not in the order in which they were written, and were read in that order")
     if kept[last].head[1] != b"E":
-        remarks.append("it has no end: the recorder still runs or was killed, or the file was cut")
-    said, n = about.get("format"), about.get("channels")
-    format = format or (said if said in FORMATS else None)
-    parser = Parser(format, channels or (n if isinstance(n, int) and n > 0 else None))
+        remarks.append(f"{path.name} has no end: the recorder still runs or was killed, or the file was cut")
+    said, n, given = about.get("format"), about.get("channels"), (format, channels) != (None, None)
+    if not given:
+        format, channels = said if said in FORMATS else None, n if isinstance(n, int) and n > 0 else None
+    parser = Parser(format or None, channels)
     samples, size, offsets, stamps, previous = [], 0, [], [], 0
     for number in list(kept):
         block = kept.pop(number)
@@ -393,6 +397,12 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
             size += len(block.content)
         previous = number
     samples += parser.close()
+    if not (samples or given or (format, channels) == (None, None)):
+        stated = " ".join([*([format] if format else []), *([f"of {channels} values"] if channels else [])])
+        found = read_recording(path, format="")
+        if found.samples:
+            remark = f"it was recorded as {stated}, but its bytes are {found.format}, and are read so"
+            return found._replace(remarks=(*found.remarks, remark))
     began = np.searchsorted(offsets, [sample.start for sample in samples], side="right") - 1
     arrived = np.array(stamps, dtype=np.int64)[began] / 1e9
     return _recording(

@@ -443,11 +443,10 @@ def test_every_estimator_follows_the_robot(tmp_path, name):
 
 def test_failed_sensors_are_not_used(tmp_path):
     path, _, u = example_readings(tmp_path, 4.0)
-    found = track_file(path, EXAMPLE, failed=[2]).found
+    found = track_file(path, EXAMPLE, failed=["B2"]).found
     np.testing.assert_array_equal(np.isnan(found.readings).any(0), np.arange(12) // 3 == 1)
-    with pytest.raises(
-        InputError, match="failed of repro track must be numbers of sensors, 1 to 4; instead received 5"
-    ):
+    np.testing.assert_array_equal(found.q, track_file(path, EXAMPLE, failed=["2"]).found.q)
+    with pytest.raises(InputError, match=r"sensor of repro track must be one of B1 \(1\), .*B4 \(4\); .* 5"):
         track_file(path, EXAMPLE, failed=[5])
     assert u.shape == (100, 12)
 
@@ -466,6 +465,28 @@ def test_options_of_tracking_that_cannot_be_are_refused(tmp_path, options, messa
     with pytest.raises(InputError) as caught:
         track_file(path, EXAMPLE, **options)
     assert message in str(caught.value)
+
+
+def test_odd_times_and_a_robot_without_spare_readings_are_told(tmp_path):
+    """A unit of times that is wrong, a hole, no times at all; and that nothing can be checked."""
+    path = robot_file(tmp_path)
+    robot = repro.load_robot(path)
+    t = np.arange(60) / RATE_HZ
+    u, names = robot.sensing()(shapes(robot, t)), [f"u{k}_mT" for k in range(1, 5)]
+    for times, words in (
+        (1e-3 * t, "are 2.5e-05 s apart, but the robot file says 40 readings in a second: is the unit"),
+        (np.where(t > t[30], t + 2, t), "The longest gap without a reading is 2.02 s, after 0.750 s."),
+    ):
+        assert words in str(track_file(write_table(tmp_path / "a.csv", times, names, u), path))
+    slow = robot_file(tmp_path, RING.replace("rate_hz", "# rate_hz"))
+    assert "rows count as one second" in str(
+        track_file(write_table(tmp_path / "a.csv", None, names, u), slow)
+    )
+    assert (
+        "All rows are consistent" in evaluate.suspicions(repro.track(repro.LevenbergMarquardt(robot), u))[-1]
+    )
+    alone = repro.LevenbergMarquardt(robot.replaced(sensors=robot.sensors[:3], noise=0.01))
+    assert "no more readings than unknowns" in evaluate.suspicions(repro.track(alone, u[:, :3]))[-1]
 
 
 def test_tables_keep_large_times_and_are_never_written_over(tmp_path):

@@ -52,6 +52,13 @@ def test_a_csv_has_every_sample_bit_for_bit(recording, tmp_path):
     np.testing.assert_allclose(table["unix_s"], START_S + 0.02 * np.arange(40), atol=1e-6)
 
 
+def test_an_ending_that_is_no_form_is_refused(recording, tmp_path):
+    with pytest.raises(
+        InputError, match="to of the export must be one of csv, parquet, mcap .* received xlsx"
+    ):
+        export(recording, tmp_path / "a.xlsx")
+
+
 def test_parquet_has_the_same_table(recording, tmp_path):
     pytest.importorskip("pyarrow")
     export(recording, tmp_path / "a.parquet")

@@ -193,8 +193,8 @@ def test_deviations_are_grown_and_failed_sensors_not_used():
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"failed": [9]}, "failed of live must be numbers of sensors, 1 to 8; instead received [9]"),
-        ({"failed": [0]}, "failed of live must be"),
+        ({"failed": [9]}, "sensor of live must be one of sensor 1 (1), sensor 2 (2)"),
+        ({"failed": [0]}, "sensor 8 (8); instead received 0"),
         ({"grown": 0.0}, "grown of live must be positive"),
         ({"grown": math.inf}, "grown of live must be positive"),
         (

@@ -103,6 +103,22 @@ def test_whatever_is_written_is_read_wherever_it_was_cut(tmp_path_factory, n, cu
     assert recording.times[0] == 0.0
 
 
+def test_a_format_that_was_wrong_when_recorded_spoils_nothing(tmp_path):
+    for about, words in (
+        ({"format": "csv"}, "csv"),
+        ({"format": "frames", "channels": 5}, "frames of 5 values"),
+    ):
+        path = tmp_path / f"{words}.rec"
+        writer = Writer(path, about)
+        writer.write(START, b"".join(frames(range(20))))
+        writer.close()
+        recording = read_recording(path)
+        assert [sample.sequence for sample in recording.samples] == list(range(20))
+        assert (
+            recording.remarks[-1] == f"it was recorded as {words}, but its bytes are frames, and are read so"
+        )
+
+
 def test_long_bytes_are_cut_into_blocks(tmp_path):
     data = b"".join(frames(range(5000)))
     recording = read_recording(written(tmp_path / "a.rec", [data]))
@@ -121,7 +137,7 @@ def test_a_recording_is_never_written_over(tmp_path):
     message = r"output of the recording must be a new file .*received .*a\.rec \(File exists\)"
     with pytest.raises(InputError, match=message):
         Writer(path, {})
-    with pytest.raises(InputError, match=r"must be a new file .*\(No such file or directory\)"):
+    with pytest.raises(InputError, match=r"must be a file that can be made.*\(No such file or directory\)"):
         Writer(tmp_path / "none" / "a.rec", {})
     assert path.read_bytes() == before
 
@@ -133,7 +149,7 @@ def test_it_is_read_while_it_is_written(tmp_path):
         recording = read_recording(tmp_path / "a.rec")
         assert len(recording.samples) == k + 1
         assert recording.remarks == (
-            "it has no end: the recorder still runs or was killed, or the file was cut",
+            "a.rec has no end: the recorder still runs or was killed, or the file was cut",
         )
     writer.close()
     writer.close()  # again
@@ -182,7 +198,7 @@ def test_blocks_that_are_missing_are_named_by_their_numbers(tmp_path):
         recording = read_recording(path)
         return recording.remarks, len(recording.samples)
 
-    no_end = "it has no end: the recorder still runs or was killed, or the file was cut"
+    no_end = "a.rec has no end: the recorder still runs or was killed, or the file was cut"
     order = "blocks are not in the order in which they were written, and were read in that order"
     gap = "blocks that are missing: 4 of 11 (3 from number 2, 1 from number 7)"
     assert remarks(blocks[:2] + blocks[5:7] + blocks[8:])[0][0] == gap

@@ -564,7 +564,7 @@ class TestMeasuredPoses:
         swapped = read_poses(robot, tmp_path / "a.csv", bodies=["1", "2"])
         np.testing.assert_array_equal(swapped.q, found.q)
         with pytest.raises(
-            InputError, match="bodies of a.csv must be 2 of the bodies 1, 2, from base to tip"
+            InputError, match="bodies of a.csv must be one on the end of each of 2 segments, from base to tip"
         ):
             read_poses(robot, tmp_path / "a.csv", bodies=["1"])
 

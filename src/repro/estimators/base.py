@@ -128,10 +128,12 @@ class Trajectory:
             rows += "; suspects: " + ", ".join(
                 f"{name} in {k} rows" for name, k in zip(self._parts(), n_suspect, strict=True) if k
             )
+        left = int(np.sum(self.details.get("left_out", 0)))
+        lost = f"{int(np.sum(self.missing)) - left} of {self.u_hat.size} readings missing"
         return (
             f"Trajectory of {len(self.times)} time steps over {span}, {n} coordinates, {s} readings\n"
             f"chi-square per degree of freedom: {fit}\n"
-            f"{int(np.sum(self.missing))} of {self.u_hat.size} readings missing{rows}"
+            f"{lost}{f', {left} left out' * (left > 0)}{rows}"
         )
 
     def _parts(self) -> Sequence[str]:
@@ -421,7 +423,7 @@ def fixed_coordinates(lower: Array, upper: Array) -> Array | None:
 
 
 def each(x: Array, batch: tuple[int, ...], *own: int) -> Array:
-    """Return what every member of a batch has, in one row ``[members, *own]``; ``x`` itself where nothing is shared."""
+    """Return what each member of a batch has, one after the other ``[members, *own]``; copied only if shared."""
     shape = (*batch, *own)
     return (x if x.shape == shape else np.broadcast_to(x, shape)).reshape(-1, *own)
 
