@@ -19,13 +19,16 @@ from repro.common import Array, bad_input, printable, require
 from repro.robot import Robot, Sensor
 
 _TO_MT = {"T": 1e3, "mT": 1.0, "uT": 1e-3, "nT": 1e-6, "G": 0.1, "gauss": 0.1, "mG": 1e-4}
-_SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 _SI = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "deg": math.pi / 180, "rad": 1.0}
 _UNITS = {unit.lower(): unit for unit in (*_TO_MT, *_SI, "mV", "V", "raw")} | {"counts": "raw"}
 _DATES = ("date", "datum")
-_TIMES = ("t", "elapsed", "elapsed time", "millis", "micros", *_DATES)
-_TIME_BEGINS = ("time", "zeit", "seconds")
-_UNIT_BY_NAME = {"millis": "ms", "micros": "us", "seconds": "s", "seconds_elapsed": "s"}
+TIMES = {
+    "t": "", "time": "", "timestamp": "", "elapsed": "", "elapsed time": "", "seconds": "s", "sec": "s",
+    "seconds_elapsed": "s", "millis": "ms", "milliseconds": "ms", "ms": "ms", "micros": "us", "microseconds": "us",
+    "us": "us", **dict.fromkeys(_DATES, ""),
+}  # fmt: skip
+"""Names of a column of times, and the unit that a name says."""
 _IN_BRACKETS = re.compile(r"(.*?)[ _]*[(\[] *(.*?) *[)\]]")
 _DIGITS = re.compile(r"[-+.0-9eE]*")
 _MISSING = re.compile(r"|nan|#?na|#?n/a|null|none|--?|ovf|-?1\.#\w+", re.IGNORECASE)
@@ -95,16 +98,17 @@ def name_and_unit(column: str) -> tuple[str, str]:
     if found := _IN_BRACKETS.fullmatch(text):
         return found[1], _UNITS.get(found[2].lower(), found[2])
     name, _, unit = text.rpartition("_")
-    if _is_time(name) and unit.lower() in _SECONDS:
+    if is_time(name) and unit.lower() in SECONDS:
         return name, unit.lower()
     if name and unit.lower() in _UNITS:
         return name, _UNITS[unit.lower()]
-    return text, _UNIT_BY_NAME.get(text.lower(), "")
+    return text, TIMES.get(text.lower(), "")
 
 
-def _is_time(name: str) -> bool:
+def is_time(name: str) -> bool:
+    """Return whether a column of this name has times."""
     low = name.lower().strip("_ ")
-    return low in _TIMES or low.startswith(_TIME_BEGINS)
+    return name != "T" and (low in TIMES or low.startswith(("time", "zeit", "seconds")))  # T is a temperature
 
 
 def read_table(source: Any, rate_hz: float | None = None) -> Table:
@@ -149,7 +153,7 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
     require(len(values), "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
     _count(int(np.isinf(values).sum()), values.size, f"numbers of {owner}", "missing: infinite", remarks)
     values = np.where(np.isinf(values), np.nan, values)
-    clock = [k for k, (name, _) in enumerate(split) if _is_time(name)]
+    clock = [k for k, (name, _) in enumerate(split) if is_time(name)]
     times = _times(values, header, split, clock, lines, owner, remarks) if clock else None
     keep = [k for k, name in enumerate(header) if k not in clock and (k or name.strip())]
     columns, names, units = ([x[k] for k in keep] for x in (header, *map(list, zip(*split, strict=True))))
@@ -210,7 +214,7 @@ def _file(
         (name, own or _UNITS.get(unit.lower(), unit) or ("s" if ":" in cell else ""))
         for (name, own), unit, cell in zip(split, units, rows[0], strict=True)
     ]
-    at = [k for k, (name, _) in enumerate(split) if _is_time(name)]
+    at = [k for k, (name, _) in enumerate(split) if is_time(name)]
     comma = not any("." in cell and ":" not in cell for row in rows for cell in row)
     values = np.full((len(rows), len(header)), np.nan)
     for k, row in enumerate(rows):
@@ -289,7 +293,7 @@ def _named(
     whole = (k for k, row in enumerate(rows) if len(row) == width and all(map(_is_number, row)) and any(row))
     first = j = next(whole, min(1, len(rows)))
     names, units = None, []
-    if j and any(rows[j - 1]) and {cell.lower() for cell in rows[j - 1]} <= {*_UNITS, *_SECONDS, "", "-"}:
+    if j and any(rows[j - 1]) and {cell.lower() for cell in rows[j - 1]} <= {*_UNITS, *SECONDS, "", "-"}:
         j, units = j - 1, rows[j - 1]
     if j and (len(rows[j - 1]) > 1 or width == 1) and not all(map(_is_number, rows[j - 1])):
         j, names = j - 1, rows[j - 1]
@@ -357,15 +361,15 @@ def _times(
     if other := [header[c] for c in rest if c != k]:
         remarks.append(f"Column {', '.join(other)} of {owner} is left out: times are those of {header[k]}.")
     unit, name = split[k][1], f"column {header[k]}"
-    require(unit in _SECONDS or not unit, name, owner, "in s, ms, us, ns or min", unit)
-    times = values[:, k] * _SECONDS.get(unit, 1.0)
+    require(unit in SECONDS or not unit, name, owner, "in s, ms, us, ns or min", unit)
+    times = values[:, k] * SECONDS.get(unit, 1.0)
     bad = [lines[i] for i in np.flatnonzero(np.isnan(times)).tolist()]
     require(not bad, name, owner, "times", f"none in line {bad[:1]}")
     step = np.diff(times)
     usual = float(np.median(step)) if len(step) else 0.0
     require(unit or usual <= 1, name, owner, "named with its unit, such as time_ms", f"steps of {usual:g}")
     # A clock starts again at midnight, a counter of the board after 32 bits.
-    ticks = 2**32 * _SECONDS.get(unit, 1.0)
+    ticks = 2**32 * SECONDS.get(unit, 1.0)
     period = ticks if unit in ("ms", "us") else 86400.0 if unit == "s" and times.max() < 86400 else math.inf
     if days != rest:
         times = times + values[:, days].sum(axis=1)

@@ -16,7 +16,7 @@ from zlib import crc32
 import numpy as np
 
 from repro.common import Array, numbers, require
-from repro.tables import name_and_unit
+from repro.tables import SECONDS, TIMES, is_time, name_and_unit
 
 FORMATS = ("frames", "csv", "hall", "millivolts", "quaternions")
 COUNTERS = (
@@ -223,13 +223,6 @@ _AGREEING, _AGREEING_PAIRS, _MOST_HELD = 3, 20, 32
 begins with a zero; and lines that wait for that at most."""
 _MOST_COMMAS = 2.5
 """Of the last hundred lines with decimal commas: fewer may be damage."""
-_TIMES = {
-    "time": "", "t": "", "timestamp": "", "seconds": "s", "sec": "s", "millis": "ms", "milliseconds": "ms",
-    "ms": "ms", "micros": "us", "microseconds": "us", "us": "us",
-}  # fmt: skip
-"""Names of a column of times, and the unit that a name says."""
-_TIME_UNITS = {"s": 1e6, "sec": 1e6, "seconds": 1e6, "ms": 1e3, "us": 1.0, "ns": 1e-3, "min": 6e7}
-"""Microseconds of a unit of time."""
 _LATEST_US = 1e16
 _MARK = "\0"
 """Stands for a number in the form of a line: all of it but its numbers."""
@@ -487,14 +480,12 @@ def _columns(form: str) -> list[tuple[str, str]]:
 
 def _time_scale(name: str, unit: str) -> float | None:
     """Return the microseconds of a unit of a column of times, 0 if it is not said; None if the column is no time."""
-    if name == "T" or name.lower() not in _TIMES:  # T is a temperature or a field
-        return None
-    return _TIME_UNITS.get(unit or _TIMES[name.lower()], 0.0)
+    return 1e6 * SECONDS.get(unit, 0.0) if is_time(name) else None
 
 
 def _may_be_cut(name: str) -> bool:
     """Whether a name may be the end of that of a column of times, with another meaning."""
-    whole = [*_TIMES, *(f"{time}_{unit}" for time in ("time", "t", "timestamp") for unit in _TIME_UNITS)]
+    whole = [*TIMES, *(f"{time}_{unit}" for time in ("time", "t", "timestamp") for unit in SECONDS)]
     return _time_scale(*name_and_unit(name)) is None and any(x.endswith(name.lower()) for x in whole)
 
 

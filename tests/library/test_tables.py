@@ -547,6 +547,12 @@ def test_names_and_units():
     ]
 
 
+def test_a_temperature_is_no_time(tmp_path):
+    table = read_table(written(tmp_path, "time_s,u1_mT,T\n0.0,1.5,25.1\n0.1,1.6,25.2\n0.2,1.7,25.0\n"))
+    assert table.columns == ("u1_mT", "T")
+    assert table.remarks == ()
+
+
 def test_the_table_says_where_its_cells_stand(tmp_path):
     table = read_table(written(tmp_path, "# one\n" + lines()))
     assert (table.columns, table.units, table.lines) == (tuple(HEADER[1:]), ("mT",) * 3, [3, 4, 5])
