@@ -153,8 +153,10 @@ def calibrate(
         The calibration, a new JSON file.
     by_motion
         Without measured poses: find moments, gains and offsets while the robot bends every way.
-    pose_noise_mm, pose_noise_deg
-        How well the poses are known: standard deviation of lengths, and of angles.
+    pose_noise_mm
+        How well the poses are known: standard deviation of their lengths.
+    pose_noise_deg
+        The same of their angles.
     rate
         Readings per second, where their table has no times.
     """
@@ -203,8 +205,10 @@ def evaluate(
         The rigid body on the end of a segment, from base to tip; may be repeated. One more, given first, is the base.
     straight_s
         The robot stands straight for the first so many seconds; there, the bodies are aligned with the segments.
-    pose_noise_mm, pose_noise_deg
-        How well the poses are known: standard deviation of lengths, and of angles.
+    pose_noise_mm
+        How well the poses are known: standard deviation of their lengths.
+    pose_noise_deg
+        The same of their angles.
     share
         Of the time, for the first part.
     longest_lag
