@@ -174,8 +174,8 @@ def test_what_is_known_without_a_sensor():
     assert base.approx_equal(tip).all()
     assert np.isnan(segment.turn_of_tip(known, lost)).all()
     assert segment.turn_of_tip(known, seen)[0] == pytest.approx((turns[0].inv() * turns[1]).as_rotvec())
-    assert np.isnan(segment.fixed(seen)).all()
-    assert segment.fixed(segment.without(seen, "ring", 1))[2] == baaij.ELONGATION
+    assert np.isnan(segment.fixed_coordinates(seen)).all()
+    assert segment.fixed_coordinates(segment.without(seen, "ring", 1))[2] == baaij.ELONGATION
 
 
 def test_shape_errors_of_a_shifted_and_turned_shape():

@@ -255,13 +255,13 @@ def nominal() -> Known:
     return Known(baaij.robot(1), np.eye(2), np.zeros(2), Rotation.identity(2), Rotation.identity(2))
 
 
-def fixed(seen: Readings) -> np.ndarray:
+def fixed_coordinates(seen: Readings) -> np.ndarray:
     """Return what the ring's coordinates are fixed at, NaN if free: two readings do not tell all three."""
     return np.array([np.nan, np.nan, ELONGATION if np.isnan(seen.ring).any() else np.nan])
 
 
 def orientations(known: Known, seen: Readings) -> tuple[Rotation, Rotation]:
-    """Return how base and tip are turned: the base upright without its IMU, the tip like the base without the other."""
+    """Return how base and tip are turned: the base upright without its IMU, the tip as the base without the other."""
     ends, missing = [], np.isnan(seen.imus).any(axis=(0, 2))
     for k in range(2):
         reading = Rotation.from_quat(np.nan_to_num(seen.imus[:, k], nan=0.5))
