@@ -1053,7 +1053,7 @@ def real_arm_errors(errors: pd.DataFrame) -> Figure:
             panel.bar(np.arange(len(names)) + 0.17 * (k - 2), own, 0.16, color=colour, label=label)
         panel.set(ylabel="error [mm]", title=f"{setting} readings")
         panel.grid(visible=False, axis="x")
-    panels[1].set_xticks(range(len(names)), [name.replace("_", " ") for name in names])
+    panels[1].set_xticks(range(len(names)), names)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
     return closed(figure)
 

@@ -162,6 +162,22 @@ def test_a_session_measures_the_tip_of_the_poses_in_which_it_reads():
     assert 0.3 < np.degrees(angle).mean() < 6
 
 
+def test_what_is_known_without_a_sensor():
+    turns = Rotation.from_rotvec([[0.1, 0.0, 0.0], [0.1, 0.4, 0.0]])
+    seen = segment.Readings(np.ones((2, 3)), np.ones((2, 3)), np.stack([turns.as_quat()] * 2))
+    known = segment.nominal()
+    base, tip = segment.orientations(known, segment.without(seen, "imus", 0))
+    assert base.magnitude() == pytest.approx([0, 0])
+    assert tip.approx_equal(Rotation.concatenate([turns[1]] * 2)).all()
+    lost = segment.without(seen, "imus", 1)
+    base, tip = segment.orientations(known, lost)
+    assert base.approx_equal(tip).all()
+    assert np.isnan(segment.turn_of_tip(known, lost)).all()
+    assert segment.turn_of_tip(known, seen)[0] == pytest.approx((turns[0].inv() * turns[1]).as_rotvec())
+    assert np.isnan(segment.fixed_coordinates(seen)).all()
+    assert segment.fixed_coordinates(segment.without(seen, "ring", 1))[2] == baaij.ELONGATION
+
+
 def test_shape_errors_of_a_shifted_and_turned_shape():
     T = segment.motion(segment.MOTIONS[0], 5)
     points, tip = T[:, :: segment.EVERY, :3, 3] + [3e-3, 4e-3, 0.0], T[:, -1, :3, :3]

@@ -30,7 +30,7 @@ from repro import (
 from repro.estimators.calibration import Tolerances
 from repro.robot import point_on
 from repro_companion.papers import baaij, martin
-from repro_companion.papers.baaij import LENGTH, RADIUS
+from repro_companion.papers.baaij import ELONGATION, LENGTH, RADIUS
 from repro_companion.show import ratio_interval
 
 MOTIONS = ("constant curvature", "affine curvature", "rod under load")
@@ -255,12 +255,33 @@ def nominal() -> Known:
     return Known(baaij.robot(1), np.eye(2), np.zeros(2), Rotation.identity(2), Rotation.identity(2))
 
 
+def fixed_coordinates(seen: Readings) -> np.ndarray:
+    """Return what the ring's coordinates are fixed at, NaN if free: two readings do not tell all three."""
+    return np.array([np.nan, np.nan, ELONGATION if np.isnan(seen.ring).any() else np.nan])
+
+
+def orientations(known: Known, seen: Readings) -> tuple[Rotation, Rotation]:
+    """Return how base and tip are turned: the base upright without its IMU, the tip as the base without the other."""
+    ends, missing = [], np.isnan(seen.imus).any(axis=(0, 2))
+    for k in range(2):
+        reading = Rotation.from_quat(np.nan_to_num(seen.imus[:, k], nan=0.5))
+        ends.append(known.world[k].inv() * reading * known.mounting[k].inv())
+    base = Rotation.identity(len(seen.imus)) if missing[0] else ends[0]
+    return base, base if missing[1] else ends[1]
+
+
+def turn_of_tip(known: Known, seen: Readings) -> np.ndarray:
+    """Return the rotation vector ``[t, 3]`` of the tip as seen from the base, NaN without the IMU at the tip."""
+    base, tip = orientations(known, seen)
+    return np.where(np.isnan(seen.imus[:, 1]).any(), np.nan, (base.inv() * tip).as_rotvec())
+
+
 def of_arcs(robot: Robot, arcs: int) -> Robot:
     """Return the robot as one arc or as two with the ring between them, with bounds and an IMU at its tip.
 
     Of two arcs the first has its elongation fixed: no magnetic sensor sees it.
     """
-    bend, longer, piece = RADIUS * math.pi / 2, baaij.ELONGATION / arcs, LENGTH / arcs
+    bend, longer, piece = RADIUS * math.pi / 2, ELONGATION / arcs, LENGTH / arcs
     low, high = [-bend, -bend, 0.0], [bend, bend, 6.6e-3 / arcs]
     fixed = [[-bend, -bend, longer], [bend, bend, longer]]
     magnets = [replace(magnet, segment=1) for magnet in robot.magnets]

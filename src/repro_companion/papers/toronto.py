@@ -10,7 +10,7 @@ translation part first [m, rad]. The motion capture is the truth and never an in
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,7 +25,6 @@ import repro
 from repro.common import bad_input, require
 from repro.estimators.kalman import smoothed
 from repro.estimators.rod import RodFilter
-from repro.robot import point_on
 from repro_companion.run import digest, project_folder, recordings_folder
 
 LENGTH = 0.466
@@ -369,7 +368,9 @@ SEEN = {"tip": (3,), "middle and tip": (1, 3)}
 """Stations whose poses a fit is given."""
 
 
-def floors(names: Sequence[str], every: int) -> pd.DataFrame:
+def floors(
+    names: Sequence[str], every: int, unseen_error: Callable[[repro.Robot, np.ndarray, list[int]], float]
+) -> pd.DataFrame:
     """Return how far models of the shape are from the bodies [mm], where a fit to some poses does not see them.
 
     The bodies sit beside the arm, which is a part of these errors. Their turn about the arm is not used: their
@@ -383,13 +384,8 @@ def floors(names: Sequence[str], every: int) -> pd.DataFrame:
         turn = (np.arctan2(across, z) / across)[..., None] * np.stack([-y, x, 0 * z], axis=-1)
         T[..., :3, :3] = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(*turn.shape, 3)
         for model, robot in shape_models().items():
-            places = at_stations(robot)
             for given, seen in SEEN.items():
-                shown = [places[k] for k in seen]
-                q = repro.fit_shape(robot, T[:, list(seen)], shown, noise=(1e-3, math.radians(1.0))).q
-                p = robot.poses(q, [point_on(*place) for place in places])[..., :3, 3]
-                off = np.linalg.norm(p - T[..., :3, 3], axis=-1)[:, [k for k in range(4) if k not in seen]]
-                error = 1e3 * float(np.sqrt((off**2).mean(0)).mean())
+                error = float(unseen_error(robot, T, list(seen)))
                 rows.append({"trial": name, "model": model, "given": given, "error_mm": error})
     return pd.DataFrame(rows)
 
