@@ -22,8 +22,8 @@ from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator
 from repro import Ring
 from repro_companion.scorecard_page import words
 
-WIDTH = 5.6
-"""Width of a figure [in]: letters of 10.2 points are 9 px high where a phone shows it 358 px wide."""
+WIDTH = 5.5
+"""Width of a figure [in]: letters of 10.2 points are 9 px high where a phone shows it and its margin 358 px wide."""
 BLUE, ORANGE, GREEN, PINK, YELLOW, SKY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"
 """Okabe and Ito: safe for colour-blind readers, and read on a light and on a dark ground."""
 PUBLISHED, OURS, BEST = "#767676", BLUE, ORANGE
@@ -85,8 +85,8 @@ VERDICTS = {
     "differs": "differs",
 }
 BELOW_TABLE_1 = (
-    "Upper: published. Lower: regenerated. Both: mean and standard deviation s over three trainings. "
-    "e<sub>u</sub>: error of the predicted readings at the true shape, mean over the sensors. "
+    "Upper: published. Lower: regenerated. Both: mean ± standard deviation s over three trainings. "
+    "e<sub>u</sub>: error of the predicted readings at the true shape. "
     "Pale rows repeat another row. Reproduced: the two means differ by at most three standard errors, "
     "√3 · √(s<sub>published</sub>² + s<sub>regenerated</sub>²), or by half a printed unit. "
     "Better: they differ by more, and ours is smaller. Tint: "
@@ -186,6 +186,7 @@ def calibration(table: pd.DataFrame) -> Figure:
     y = np.arange(len(table))[::-1]
     looks = {
         "nominal": (SKY, "s", None),
+        "nominal, more noise": (SKY, "s", "none"),
         "calibrated": (ORANGE, "D", None),
         "calibrated, more noise": (ORANGE, "D", "none"),
         "network of the paper": (BLUE, "o", None),
