@@ -20,7 +20,7 @@ from matplotlib.patches import Arc, Circle, Polygon
 from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator
 
 from repro import Ring
-from repro_companion.scorecard_page import words
+from repro_companion import scorecard_page
 
 WIDTH = 5.5
 """Width of a figure [in]: letters of 10.2 points are 9 px high where a phone shows it and its margin 358 px wide."""
@@ -133,8 +133,10 @@ def table_1(card: pd.DataFrame, rows: Sequence[Any]) -> HTML:
         cells = [_cell(own.loc[c], c) if c in own.index else f"<td{_edge(c)}>–</td>" for c in columns]
         again = ' class="again"' if row.same_as else ""
         robot = f"n_b={row.n_segments}, n_s={row.n_segments * row.sensors_per_segment}"
-        printed = words(robot if row.name[:3] in ("n_b", "n_s", "nom") else row.name)
-        lines.append(f'<tr{again}><th scope="row"><small>{printed}</small>{row.label}</th>{"".join(cells)}</tr>')
+        printed = scorecard_page.words(robot if row.name[:3] in ("n_b", "n_s", "nom") else row.name)
+        lines.append(
+            f'<tr{again}><th scope="row"><small>{printed}</small>{row.label}</th>{"".join(cells)}</tr>'
+        )
     legend = " · ".join(f'<span class="{name}">{words}</span>' for name, words in VERDICTS.items())
     label = 'id="fig-table-1" aria-label="Table 1, published and regenerated"'
     box = f'<div class="table-1" tabindex="0" role="region" {label}>'
