@@ -24,6 +24,8 @@ FOLDED = {"equation": "Equations", "trajectory": "Trajectories", "section": "Num
 """Kinds of entries of the index that stand in a fold of their own; tables and figures are open."""
 INDEX_HEAD = ["In the paper", "Shows", "Page", "Verdict"]
 ROW_HEAD = ["Number", "Published", "Regenerated", "Band", "Verdict"]
+NOISE_COLUMNS = ["row", "noise_mt", "method", "error_percent"]
+"""Columns of the study of the noise of Table 1 that the home page needs; another project may not have the study."""
 LETTERS = (
     (r"\bd_s_r\b", "<i>d</i><sub>s,r</sub>"),
     (r"\bpsi_s\b", "ψ"),
@@ -61,7 +63,8 @@ def write_pages(root: Path, card: pd.DataFrame) -> None:
         real=found & index["note"].str.contains("recordings where they are found"),
     )
     titles = {page: title(root, page) for page in index["page"].unique()}
-    noise = pd.read_csv(root / "data" / "studies" / "table_1_noise.csv")
+    study = root / "data" / "studies" / "table_1_noise.csv"
+    noise = pd.read_csv(study) if study.is_file() else pd.DataFrame(columns=NOISE_COLUMNS)
     places = {(row["name"], row["artefact"]): row["place"].rstrip("#") for _, row in index.iterrows()}
     texts = {
         "index.md": index_page(index, titles, card),
