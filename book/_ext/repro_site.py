@@ -115,11 +115,13 @@ def fill_values(app: Sphinx, docname: str, source: list[str]) -> None:
 
 
 def source_of(root: Path) -> str:
-    """Return where the project lies, as a page says it; until it is published, the folder that made the site."""
+    """Return where a reader gets the project, as a sentence; until it is published, from whoever made the site."""
     url = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"][
         "Repository"
     ]
-    return "in the folder from which this site was built" if "OWNER" in url else f"at <{url}>"
+    if "OWNER" in url:
+        return "You need the project from which this site was built; ask whoever gave you this site for it."
+    return f"The project lies at <{url}>."
 
 
 def drop_numbers(app: Sphinx, pagename: str, templatename: str, context: dict, doctree) -> None:

@@ -11,14 +11,15 @@ document.addEventListener("DOMContentLoaded", () => {
   const add = (parent, tag, properties) => parent.appendChild(Object.assign(document.createElement(tag), properties));
   const form = add(place, "form", { className: "scorecard-form", ariaLabel: "Filter of the scorecard" });
   const query = new URLSearchParams(location.search);
+  const labels = { paper: "Paper", artefact: "Table, figure or section", verdict: "Verdict" };
   const choose = (key) => {
-    const select = add(add(form, "label", { textContent: key[0].toUpperCase() + key.slice(1) }), "select", { name: key });
+    const select = add(add(form, "label", { textContent: labels[key] }), "select", { name: key });
     const names = [...new Set(rows.map((one) => one[key]))];
     select.append(new Option("all", ""), ...names.map((name) => new Option(name, name)));
     select.value = names.includes(query.get(key)) ? query.get(key) : "";
     return select;
   };
-  const selects = ["paper", "artefact", "verdict"].map(choose);
+  const selects = Object.keys(labels).map(choose);
   const text = add(add(form, "label", { textContent: "Text" }), "input", { name: "text", type: "search", autocomplete: "off" });
   text.value = query.get("text") || "";
   add(form, "button", { type: "reset", textContent: "Clear" });

@@ -20,9 +20,10 @@ from matplotlib.patches import Arc, Circle, Polygon
 from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator
 
 from repro import Ring
+from repro_companion import scorecard_page
 
-WIDTH = 5.6
-"""Width of a figure [in]: letters of 10.2 points are 9 px high where a phone shows it 358 px wide."""
+WIDTH = 5.5
+"""Width of a figure [in]: letters of 10.2 points are 9 px high where a phone shows it and its margin 358 px wide."""
 BLUE, ORANGE, GREEN, PINK, YELLOW, SKY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"
 """Okabe and Ito: safe for colour-blind readers, and read on a light and on a dark ground."""
 PUBLISHED, OURS, BEST = "#767676", BLUE, ORANGE
@@ -84,11 +85,11 @@ VERDICTS = {
     "differs": "differs",
 }
 BELOW_TABLE_1 = (
-    "Upper: published. Lower: regenerated. Both: mean and standard deviation s over three trainings. "
-    "e<sub>u</sub>: error of the predicted readings at the true shape, mean over the sensors. "
-    "Pale rows repeat another row. Reproduced: both means are at most "
-    "√3 · √(s<sub>published</sub>² + s<sub>regenerated</sub>²) apart, or half a printed unit. "
-    "Better: farther apart, and ours is smaller. Tint: "
+    "Upper: published. Lower: regenerated. Both: mean ± standard deviation s over three trainings. "
+    "e<sub>u</sub>: error of the predicted readings at the true shape. "
+    "Pale rows repeat another row. Reproduced: the two means differ by at most three standard errors, "
+    "√3 · √(s<sub>published</sub>² + s<sub>regenerated</sub>²), or by half a printed unit. "
+    "Better: they differ by more, and ours is smaller. Tint: "
 )
 SCROLL = '<p class="table-1-scroll">Scroll the table sideways: {} follow on the right.</p>'
 TABLE_1 = """<style class="nohighlight">
@@ -103,6 +104,8 @@ html[data-theme="dark"] .table-1 :is(.better, .differs) { --grey: #ced6dd; }
 .table-1.table-1.table-1 table thead th { font-weight: 600; border-bottom: 1px solid currentColor; }
 .table-1.table-1.table-1 table tr > :first-child { text-align: left; position: sticky; left: 0; font-weight: 400;
   background: var(--pst-color-background, white); }
+.table-1.table-1.table-1 table tbody tr:is(:nth-child(4), :nth-child(8), :nth-child(11)) > * {
+  border-top: 1px solid rgb(128 128 128 / 50%); }
 .table-1.table-1.table-1 table tr > .edge { border-left: 1px solid rgb(128 128 128 / 50%); }
 .table-1.table-1.table-1 table small { display: block; font-size: inherit; color: var(--grey); }
 .table-1.table-1.table-1 table tr.again :is(th, td, small) { color: var(--grey); }
@@ -129,7 +132,11 @@ def table_1(card: pd.DataFrame, rows: Sequence[Any]) -> HTML:
         own = card[card["row"] == row.name].set_index("quantity")
         cells = [_cell(own.loc[c], c) if c in own.index else f"<td{_edge(c)}>–</td>" for c in columns]
         again = ' class="again"' if row.same_as else ""
-        lines.append(f'<tr{again}><th scope="row">{row.label}</th>{"".join(cells)}</tr>')
+        robot = f"n_b={row.n_segments}, n_s={row.n_segments * row.sensors_per_segment}"
+        printed = scorecard_page.words(robot if row.name[:3] in ("n_b", "n_s", "nom") else row.name)
+        lines.append(
+            f'<tr{again}><th scope="row"><small>{printed}</small>{row.label}</th>{"".join(cells)}</tr>'
+        )
     legend = " · ".join(f'<span class="{name}">{words}</span>' for name, words in VERDICTS.items())
     label = 'id="fig-table-1" aria-label="Table 1, published and regenerated"'
     box = f'<div class="table-1" tabindex="0" role="region" {label}>'
@@ -181,6 +188,7 @@ def calibration(table: pd.DataFrame) -> Figure:
     y = np.arange(len(table))[::-1]
     looks = {
         "nominal": (SKY, "s", None),
+        "nominal, more noise": (SKY, "s", "none"),
         "calibrated": (ORANGE, "D", None),
         "calibrated, more noise": (ORANGE, "D", "none"),
         "network of the paper": (BLUE, "o", None),
@@ -305,7 +313,7 @@ def relations(parts: pd.DataFrame, backbone: pd.DataFrame, ring: Ring) -> Figure
         panel.annotate("", start + vector, start, arrowprops=arrow)
         at = start + share * vector + aside * np.array([vector[1], -vector[0]]) / np.hypot(*vector)
         panel.text(*at, name, color=colour, ha="center", va="center", fontsize=14)
-    for at, colour, name, offset in ((p_m, GREEN, "magnet", (-46, -4)), (p_s, BLUE, "sensor", (-16, -20))):
+    for at, colour, name, offset in ((p_m, GREEN, "magnet", (-46, -4)), (p_s, BLUE, "sensor", (30, -5))):
         panel.plot(*at, "o", color=colour, ms=8)
         panel.annotate(name, at, xytext=offset, textcoords="offset points", ha="center", color=colour)
     for direction, colour in ((o_m, GREEN), (ahead, "0.2")):

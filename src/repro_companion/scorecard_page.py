@@ -22,8 +22,10 @@ PAPERS = {
 }
 FOLDED = {"equation": "Equations", "trajectory": "Trajectories", "section": "Numbers in the text"}
 """Kinds of entries of the index that stand in a fold of their own; tables and figures are open."""
-INDEX_HEAD = ["In the paper", "Shows", "Where", "Verdict"]
+INDEX_HEAD = ["In the paper", "Shows", "Page", "Verdict"]
 ROW_HEAD = ["Number", "Published", "Regenerated", "Band", "Verdict"]
+NOISE_COLUMNS = ["row", "noise_mt", "method", "error_percent"]
+"""Columns of the study of the noise of Table 1 that the home page needs; another project may not have the study."""
 LETTERS = (
     (r"\bd_s_r\b", "<i>d</i><sub>s,r</sub>"),
     (r"\bpsi_s\b", "ψ"),
@@ -61,13 +63,15 @@ def write_pages(root: Path, card: pd.DataFrame) -> None:
         real=found & index["note"].str.contains("recordings where they are found"),
     )
     titles = {page: title(root, page) for page in index["page"].unique()}
+    study = root / "data" / "studies" / "table_1_noise.csv"
+    noise = pd.read_csv(study) if study.is_file() else pd.DataFrame(columns=NOISE_COLUMNS)
     places = {(row["name"], row["artefact"]): row["place"].rstrip("#") for _, row in index.iterrows()}
     texts = {
         "index.md": index_page(index, titles, card),
         "find.md": finder_page(index[index["status"] != "not reproduced"]),
         "counts.md": counts_page(card),
         "rows.md": rows_page(card, places),
-        "values.json": json.dumps(findings(card), ensure_ascii=False),
+        "values.json": json.dumps(findings(card, noise), ensure_ascii=False),
     }
     for name, text in texts.items():
         path = root / "book" / "generated" / name
@@ -144,7 +148,8 @@ def _entry(entry: pd.Series, titles: Mapping[str, str], card: pd.DataFrame) -> s
         code = f"<code>{entry['code'].rsplit('.')[-1]}</code>" * (entry["status"] == "implemented")
         said = "; ".join(filter(None, [code, words(entry["note"])]))
         verdict = entry["status"] + f' <span class="setting">({said})</span>' * bool(said)
-    cells = words(entry["shows"]), escape(titles[entry["page"]]), verdict
+    page = f'<a href="{entry["page"]}.html">{escape(titles[entry["page"]])}</a>'
+    cells = words(entry["shows"]), page, verdict
     return (
         f'<tr><th scope="row"><a href="{entry["place"].rstrip("#")}">{entry["artefact"]}</a></th>'
         f"{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
@@ -221,8 +226,11 @@ def _row(row: pd.Series) -> str:
     )
 
 
-def findings(card: pd.DataFrame) -> dict[str, str]:
-    """Return what the home page says in numbers, by name; a dash for a paper that the scorecard lacks."""
+def findings(card: pd.DataFrame, noise: pd.DataFrame) -> dict[str, str]:
+    """Return what the home page says in numbers, by name; a dash for a paper that the scorecard lacks.
+
+    The study of the noise has the calibrated robots of Table 1 with the noise that the paper prints.
+    """
     numbers = card.assign(
         **{name: pd.to_numeric(card[name]) for name in ("published", "regenerated", "best")}
     )
@@ -230,9 +238,11 @@ def findings(card: pd.DataFrame) -> dict[str, str]:
         (numbers["artefact"] == "Table 1") & (numbers["row"] == "n_b=1") & (numbers["unit"] == "%")
     ]
     bend = numbers[numbers["quantity"] == "rmse_position"]
+    noisy = noise[(noise["row"] == "n_b=1") & (noise["method"] == "calibrated") & (noise["noise_mt"] > 0.01)]
     return {
         "home.ring_paper": number(ring["regenerated"].mean(), 1),
         "home.ring_best": number(ring["best"].mean(), 1),
+        "home.ring_noisy": number(noisy["error_percent"].mean(), 1),
         "home.bend_paper": number(bend["regenerated"].mean(), 1),
         "home.bend_printed": number(bend["published"].mean(), 2),
     }

@@ -186,6 +186,8 @@ def test_rows_of_the_scorecard_are_those_of_the_committed_tables():
         )
     for column in ("note", "setting", "best_method"):
         assert new[column].fillna("").to_list() == old[column].to_list()
+    drifts = new["note"].str.contains("drifts")
+    assert {key[1:3] for key in new.index[drifts]} == {("n_s=6", f"delta_y_{k}") for k in (1, 2, 3)}
 
 
 @pytest.mark.parametrize(
@@ -247,7 +249,7 @@ def test_the_counts_are_said_in_whole_sentences(card):
     bias = pd.read_csv(RESULTS / "table_1_bias.csv")
     words = baaij.in_words(card, bias)
     assert words.startswith(
-        "**98 of 101 distinct numbers lie within the scatter of the trainings**, 2 are smaller and 1 differs."
+        "**98 of 101 distinct numbers agree within three standard errors**, 2 are smaller and 1 differs."
         " For 22 of the 98 the scatter is so wide that even an error of zero would pass, so"
     )
     assert "71 are smaller than published; our errors are **0.81 times" in words

@@ -296,9 +296,9 @@ function drag(figure, dx, dy) {
 function summary(figure) {
   const { state, now } = figure, n = state.segments, on = now.use.filter(Boolean).length;
   const mm = (x) => (x < 1e-4 ? "less than 0.0001 mm" : short(x) + " mm");
-  const words = [`${n} segment${n > 1 ? "s" : ""}, ${on} of ${now.use.length} sensors in use, synthetic readings.`];
-  words.push(`${state.start === "last" ? "Started at the true shape, then from estimate to estimate" : "Started at the straight pose"}, ${state.evaluations} evaluations: the tip is off by ${mm(now.off_mm(now.lm.q))} by least squares (Levenberg-Marquardt) and by ${mm(now.off_mm(now.descent.q))} by gradient descent.`);
-  if (now.ellipsoid) words.push(`The noise limits every unbiased estimator: along the worst direction its standard deviation is at least about ${short(now.ellipsoid.worst)} mm. A single estimate can be closer by luck.`);
+  const words = [`${n} segment${n > 1 ? "s" : ""}, ${on} of ${now.use.length} sensors in use, synthetic readings ${state.noise > 0 ? "with" : "without"} noise.`];
+  words.push(`Error of the tip after ${state.evaluations} evaluations: ${mm(now.off_mm(now.lm.q))} with least squares, ${mm(now.off_mm(now.descent.q))} with gradient descent.`);
+  if (now.ellipsoid) words.push(`With this noise no unbiased method has a standard deviation of the tip below about ${short(now.ellipsoid.worst)} mm in its worst direction; a single estimate can be closer by luck.`);
   if (now.ghosts.shapes.length) words.push(`${now.ghosts.shapes.length} other shapes are drawn that these sensors cannot tell from the estimate: one direction is all but undetermined.`);
   if (figure.waiting) words.push("Calibration is being computed.");
   else if (state.tolerances) words.push(state.calibrated ? `The model is calibrated in ${POSES} known poses.` : "The parts are not where the drawing has them, and the model does not know it.");
