@@ -23,6 +23,8 @@ from repro import Ring
 
 WIDTH = 5.6
 """Width of a figure [in]: letters of 10.2 points are 9 px high where a phone shows it 358 px wide."""
+NARROW = 5.15
+"""Width of a figure with a caption [in]: the same letters are 9 px high where a phone shows it 342 px wide."""
 BLUE, ORANGE, GREEN, PINK, YELLOW, SKY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"
 """Okabe and Ito: safe for colour-blind readers, and read on a light and on a dark ground."""
 PUBLISHED, OURS, BEST = "#767676", BLUE, ORANGE
@@ -372,7 +374,7 @@ def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failed: Sequence[int], 
     """Draw Fig. 4(b): readings above, configurations below; truth, and the mean over seeds with its deviation."""
     signs = (r"\Delta_{x,%d}", r"\Delta_{y,%d}", r"\delta L_{%d}")
     n = u["name"].nunique() // 4  # segments
-    figure, panels = plt.subplots(2 * n, 1, figsize=(WIDTH, 1.84 * n + 0.7), sharex=True)
+    figure, panels = plt.subplots(2 * n, 1, figsize=(NARROW, 1.84 * n + 0.7), sharex=True)
     for table, own, per in ((u, panels[:n], 4), (q, panels[n:], 3)):
         for k, (name, part) in enumerate(table.groupby("name", sort=False)):
             text = f"u_{{{name}}}" if per == 4 else signs[k % 3] % (k // 3 + 1)
@@ -422,9 +424,9 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
     times, looks = shapes["time_s"].unique(), STILLS if (~parts["working"]).any() else STILLS[:2]
     rows = -(-len(times) // 3)
     tall = 2.3 * rows + 0.45
-    figure = plt.figure(figsize=(WIDTH, tall), layout="none")  # pictures in 3-D waste their margins
+    figure = plt.figure(figsize=(NARROW, tall), layout="none")  # pictures in 3-D waste their margins
     for k, time_s in enumerate(times):
-        place = (k % 3 / 3 - 0.05, (rows - 1 - k // 3) * 2.3 / tall - 0.04, 0.43, 2.3 / tall + 0.06)
+        place = (k % 3 / 3, (rows - 1 - k // 3) * 2.3 / tall - 0.04, 1 / 3, 2.3 / tall + 0.06)
         panel: Any = figure.add_axes(place, projection="3d", computed_zorder=False)
         now, off = shapes[shapes["time_s"] == time_s], {}
         for run, own in [*now.groupby("run", sort=False)][::-1]:
@@ -441,7 +443,7 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
             getattr(panel, f"{name}axis").set_major_locator(MultipleLocator(100))
             getattr(panel, f"set_{name}ticklabels")([])
         panel.patch.set_visible(False)
-        panel.set_box_aspect(tuple(reach), zoom=0.98)
+        panel.set_box_aspect(tuple(reach), zoom=1.13)
         panel.view_init(elev=15, azim=-60)
         bracket = f" ({off[beside]:.1f})" if beside else ""
         mean = np.mean([off[run] for run in off if run not in ("truth", beside)])
@@ -477,7 +479,7 @@ def affine_over_time(series: pd.DataFrame) -> Figure:
     """Draw Fig. 6: readings above, configuration below; truth, and the mean over seeds with its deviation."""
     ratios = [2.3, 1, 1, 1, 1]
     figure, panels = plt.subplots(
-        5, 1, figsize=(WIDTH, 6.3), sharex=True, gridspec_kw={"height_ratios": ratios}
+        5, 1, figsize=(NARROW, 6.3), sharex=True, gridspec_kw={"height_ratios": ratios}
     )
     readings = series[series["name"].str.startswith("u_")]
     for number, (_, part) in enumerate(readings.groupby("name", sort=False)):
@@ -537,7 +539,7 @@ def table_2(printed: pd.DataFrame, errors: pd.DataFrame, moved: pd.DataFrame, ba
 @style()
 def rig_to_scale(robot: Any, markers_at: float) -> Figure:
     """Draw Fig. 8 as a section and from above, to scale [mm]: body, chambers, ring, sensors and markers."""
-    figure, (side, top) = plt.subplots(1, 2, figsize=(WIDTH, 4.0), width_ratios=(1.15, 1))
+    figure, (side, top) = plt.subplots(1, 2, figsize=(NARROW, 4.0), width_ratios=(1.15, 1))
     segment, magnet = robot.segments[0], robot.magnets[0]
     length, radius, at = 1e3 * segment.length, 1e3 * segment.radius, 1e3 * magnet.place.at
     inner, outer = 500 * magnet.shape.inner_diameter, 500 * magnet.shape.outer_diameter
@@ -596,7 +598,7 @@ def rig_to_scale(robot: Any, markers_at: float) -> Figure:
 
 def _six_in_space(titles: Sequence[str]) -> tuple[Figure, list[Any]]:
     """Return a figure with six panels in 3-D for the whole segment [mm], stretched sideways."""
-    figure = plt.figure(figsize=(WIDTH, 6.4), layout="none")  # pictures in 3-D waste their margins
+    figure = plt.figure(figsize=(NARROW, 5.4), layout="none")  # pictures in 3-D waste their margins
     figure.subplots_adjust(0, 0.03, 0.94, 0.9, 0.02, 0.08)
     panels: list[Any] = []
     for k, title in enumerate(titles):
@@ -605,7 +607,8 @@ def _six_in_space(titles: Sequence[str]) -> tuple[Figure, list[Any]]:
         panel.set(xticks=(-20, 0, 20), yticks=(0, 20), zticks=(0, 50, 100))  # -20 would lie on the 20 of x
         for name, pad in (("x", -4), ("y", -4), ("z", 0)):
             panel.tick_params(name, pad=pad)
-            getattr(panel, f"set_{name}label")(f"{name} [mm]", labelpad=pad - 3)
+            words = f"{name} [mm]" if name != "z" or k % 3 == 2 else ""  # no room between the panels
+            getattr(panel, f"set_{name}label")(words, labelpad=pad - 3)
         panel.patch.set_visible(False)
         panel.set_box_aspect((1, 1, 1.5), zoom=1.12)
         panel.view_init(elev=20, azim=-55)
@@ -651,7 +654,7 @@ def landscape_and_estimates(
     """
     mpl.rcParams.update(GREY_INK)
     places = [[*maps], *([name] * len(maps) for name in (*series, "a part"))]
-    figure, panels = plt.subplot_mosaic(places, figsize=(WIDTH, 9.6), height_ratios=(2.8, 1.6, 1.6, 1.6))
+    figure, panels = plt.subplot_mosaic(places, figsize=(NARROW, 9.6), height_ratios=(2.8, 1.6, 1.6, 1.6))
     for title, (grid, paths, truth) in maps.items():
         table = grid.pivot(index="delta_y_mm", columns="delta_x_mm", values="rmse_mV")
         look = {"vmin": 0, "vmax": 100, "rasterized": True}
