@@ -432,7 +432,7 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
     tall = 2.3 * rows + 0.45
     figure = plt.figure(figsize=(WIDTH, tall), layout="none")  # pictures in 3-D waste their margins
     for k, time_s in enumerate(times):
-        place = (k % 3 / 3 - 0.05, (rows - 1 - k // 3) * 2.3 / tall - 0.04, 0.43, 2.3 / tall + 0.06)
+        place = (k % 3 / 3, (rows - 1 - k // 3) * 2.3 / tall - 0.04, 1 / 3, 2.3 / tall + 0.06)
         panel: Any = figure.add_axes(place, projection="3d", computed_zorder=False)
         now, off = shapes[shapes["time_s"] == time_s], {}
         for run, own in [*now.groupby("run", sort=False)][::-1]:
@@ -449,7 +449,7 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
             getattr(panel, f"{name}axis").set_major_locator(MultipleLocator(100))
             getattr(panel, f"set_{name}ticklabels")([])
         panel.patch.set_visible(False)
-        panel.set_box_aspect(tuple(reach), zoom=0.98)
+        panel.set_box_aspect(tuple(reach), zoom=1.13)
         panel.view_init(elev=15, azim=-60)
         bracket = f" ({off[beside]:.1f})" if beside else ""
         mean = np.mean([off[run] for run in off if run not in ("truth", beside)])
@@ -604,7 +604,7 @@ def rig_to_scale(robot: Any, markers_at: float) -> Figure:
 
 def _six_in_space(titles: Sequence[str]) -> tuple[Figure, list[Any]]:
     """Return a figure with six panels in 3-D for the whole segment [mm], stretched sideways."""
-    figure = plt.figure(figsize=(WIDTH, 6.4), layout="none")  # pictures in 3-D waste their margins
+    figure = plt.figure(figsize=(WIDTH, 5.4), layout="none")  # pictures in 3-D waste their margins
     figure.subplots_adjust(0, 0.03, 0.94, 0.9, 0.02, 0.08)
     panels: list[Any] = []
     for k, title in enumerate(titles):
@@ -613,7 +613,8 @@ def _six_in_space(titles: Sequence[str]) -> tuple[Figure, list[Any]]:
         panel.set(xticks=(-20, 0, 20), yticks=(0, 20), zticks=(0, 50, 100))  # -20 would lie on the 20 of x
         for name, pad in (("x", -4), ("y", -4), ("z", 0)):
             panel.tick_params(name, pad=pad)
-            getattr(panel, f"set_{name}label")(f"{name} [mm]", labelpad=pad - 3)
+            words = f"{name} [mm]" if name != "z" or k % 3 == 2 else ""  # no room between the panels
+            getattr(panel, f"set_{name}label")(words, labelpad=pad - 3)
         panel.patch.set_visible(False)
         panel.set_box_aspect((1, 1, 1.5), zoom=1.12)
         panel.view_init(elev=20, azim=-55)

@@ -77,6 +77,22 @@ def test_errors_are_relative_to_the_range():
     np.testing.assert_allclose(baaij.affine_percent(found, truth), 10, rtol=1e-12)
 
 
+def test_relative_errors_are_said_with_the_published_ones_in_brackets():
+    lines = [
+        ["κ₀ [%]", "5.4 ± 0.7", "6.5 ± 1.9", "reproduced"],
+        ["φ [%]", "1.3 ± 0.4", "1.5 ± 0.6", "weak (reproduced)"],
+        ["δL [mm]", "0.001 ± 0.001", "0.133 ± 0.067", "not comparable"],
+    ]
+    table = pd.DataFrame(lines, columns=["error of", "published", "regenerated", "verdict"])
+    assert baaij.affine_agreement(table) == (
+        "Our errors agree with the published ones: 6.5 (5.4) % for κ₀ and 1.5 (1.3) % for φ, published in "
+        "brackets. For φ the agreement is weak."
+    )
+    other = baaij.affine_agreement(table.assign(verdict="differs"))
+    assert other.startswith("Our errors do not all agree with the published ones: ")
+    assert "weak" not in other
+
+
 def test_a_descent_from_the_other_name_is_the_mirror_image():
     """What the exercise of the page says."""
     truth = flower(60)

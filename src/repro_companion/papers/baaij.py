@@ -776,6 +776,21 @@ def affine_beside_print(card: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(lines, columns=["error of", "published", "regenerated", "verdict"])
 
 
+def affine_agreement(beside_print: pd.DataFrame) -> str:
+    """Return the relative errors of section 4.4, ours and the published ones in brackets, as sentences."""
+    relative = beside_print[beside_print["error of"].str.endswith("[%]")]
+    agree = "agree" if relative["verdict"].str.contains("reproduced").all() else "do not all agree"
+    relative = relative.map(lambda text: text.split()[0])
+    weak = " and ".join(relative.loc[relative["verdict"] == "weak", "error of"])
+    *first, last = (
+        f"{ours} ({printed}) % for {name}" for name, printed, ours, _ in relative.itertuples(index=False)
+    )
+    return (
+        f"Our errors {agree} with the published ones: {', '.join(first)} and {last}, published in brackets."
+        + f" For {weak} the agreement is weak." * bool(weak)
+    )
+
+
 # Training sets, sections 3.2 and 4.2: the rows that the networks of the paper are trained on
 
 DATA_SEED, SAMPLES = 1, 120_000
