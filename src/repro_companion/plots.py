@@ -1091,24 +1091,21 @@ NOISE_COLOURS = (SKY, BLUE, ORANGE, PINK, GREEN, YELLOW)
 
 @style()
 def sensors_and_noise(table: pd.DataFrame) -> Figure:
-    """Draw errors [%] over sensors per segment, a panel for each number of segments; dashed: the bound."""
-    segments = table["n_segments"].unique()
-    size = (WIDTH, 1.0 + 2.1 * len(segments))
-    figure, panels = plt.subplots(len(segments), figsize=size, sharex=True, sharey=True, squeeze=False)
-    for panel, (n, part) in zip(panels[:, 0], table.groupby("n_segments"), strict=True):
-        for colour, (noise, own) in zip(NOISE_COLOURS, part.groupby("noise_mt"), strict=False):
-            label = f"{np.format_float_positional(noise, trim='-')} mT"
-            panel.plot(own["n_sensors"], own["mean_percent"], "o-", color=colour, ms=5, label=label)
-            known = own[np.isfinite(own["bound_percent"])]
-            panel.plot(known["n_sensors"], known["bound_percent"], "--", color="0.2", lw=1)
-        panel.set(yscale="log", xticks=sorted(part["n_sensors"].unique()))
-        panel.set_title(f"{n} segment" + "s" * int(n > 1))
-    panels[0, 0].yaxis.set_major_formatter("{x:g}")
-    figure.supylabel("mean error [% of the range]")
-    panels[-1, 0].set_xlabel("sensors on each segment")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
+    """Draw errors [%] of the longest arm over sensors per segment, a line for each noise; dashed: the bound."""
+    n = table["n_segments"].max()
+    part = table[table["n_segments"] == n]
+    figure, panel = plt.subplots(figsize=(WIDTH, 3.4))
+    for colour, (noise, own) in zip(NOISE_COLOURS, part.groupby("noise_mt"), strict=False):
+        label = f"{float(f'{1e3 * noise:.1g}'):g} µT"
+        panel.plot(own["n_sensors"], own["mean_percent"], "o-", color=colour, ms=5, label=label)
+        known = own[np.isfinite(own["bound_percent"])]
+        panel.plot(known["n_sensors"], known["bound_percent"], "--", color="0.2", lw=1)
+    panel.set(yscale="log", xticks=sorted(part["n_sensors"].unique()), xlabel="sensors on each segment")
+    panel.set(title=f"{n} segment" + "s" * int(n > 1), ylabel="mean error [% of the range]")
+    panel.yaxis.set_major_formatter("{x:g}")
+    handles, labels = panel.get_legend_handles_labels()
     handles.append(Line2D([], [], color="0.2", lw=1, ls="--"))
-    figure.legend(handles, [*labels, "bound"], loc="outside upper center", ncols=3, **BESIDE)
+    figure.legend(handles, [*labels, "bound"], loc="outside upper center", ncols=5, **BESIDE)
     return closed(figure)
 
 
@@ -1144,6 +1141,7 @@ def noise_study(table: pd.DataFrame) -> Figure:
 def sensor_places(table: pd.DataFrame, marked: dict[str, tuple[float, float]]) -> Figure:
     """Draw deviations of the tip [mm] over radius and height of the sensors: by noise, and before calibration."""
     columns = {"noise_mm": "noise alone", "off_mm": "noise and tolerances"}
+    mpl.rcParams.update(GREY_INK)
     figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.0), sharex=True, sharey=True)
     for panel, (column, title) in zip(panels, columns.items(), strict=True):
         wide = table.pivot(index="above_mm", columns="radial_mm", values=column)
@@ -1173,19 +1171,18 @@ def imus_and_errors(table: pd.DataFrame) -> Figure:
         upper.plot(own["n_imus"], own["largest_mm"], "o-", color=colour, ms=4, label=model)
         upper.plot(own["n_imus"], own["bound_mm"], "--", color=colour, lw=1)
     real = table[(table["model"] == models[1]) & (table["sensor_deg"] > 0)]
-    for (deg, own), marker in zip(real.groupby("sensor_deg"), "svP*", strict=False):
-        lower.plot(
-            own["n_imus"], own["rms_mm"], marker=marker, color=ORANGE, ms=6, ls="none", label=f"{deg:g}°"
-        )
-        lower.plot(own["n_imus"], own["rule_mm"], color="0.5", lw=1)
-    for panel, title in ((upper, "perfect IMUs"), (lower, "errors of the IMUs")):
+    for (deg, own), colour in zip(real.groupby("sensor_deg"), (SKY, YELLOW, "0.3"), strict=False):
+        lower.plot(own["n_imus"], own["rms_mm"], "o", color=colour, ms=5)
+        lower.plot(own["n_imus"], own["rule_mm"], color=colour, lw=1)
+        end = own[["n_imus", "rule_mm"]].iloc[-1]
+        lower.annotate(f"{deg:g}°", end, (6, 0), textcoords="offset points", va="center")
+    for panel, title in ((upper, "perfect IMUs"), (lower, "IMUs with errors")):
         panel.set(xscale="log", yscale="log", title=title, xticks=[1, 2, 4, 8, 16])
         panel.xaxis.set_major_formatter("{x:g}")
         panel.xaxis.set_minor_formatter("")
         panel.set_ylabel("error of the tip [mm]")
     upper.yaxis.set_major_formatter("{x:g}")
     lower.set_xlabel("number of IMUs")
-    lower.legend(loc="lower left", **BESIDE)
     figure.legend(*upper.get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)
 
@@ -1212,24 +1209,28 @@ def filter_over_time(table: pd.DataFrame) -> Figure:
 
 @style()
 def loop_over_time(series: pd.DataFrame) -> Figure:
-    """Draw paths of the bend [mm] for every estimate that is fed back, and their distance to the reference."""
+    """Draw paths of the bend [mm] for every estimate that is fed back, and distances to the reference.
+
+    The distances are without the third run, which would hide the others.
+    """
     runs = list(series.groupby("feedback", sort=False))
-    figure = plt.figure(figsize=(WIDTH, 4.6))
+    figure = plt.figure(figsize=(WIDTH, 4.8))
     grid = figure.add_gridspec(2, len(runs) - 1, height_ratios=(1.25, 1))
     below, first = figure.add_subplot(grid[1, :]), None
     for k, ((name, part), colour) in enumerate(zip(runs, ("0.45", ORANGE, PINK, BLUE), strict=True)):
         away = np.hypot(*(part[f"delta_{axis}_mm"] - part[f"reference_{axis}_mm"] for axis in "xy"))
-        below.plot(part["time_s"], away, lw=1.2, color=colour, label=name)
+        if k != 2:
+            below.plot(part["time_s"], away, lw=1.2, color=colour, label=name)
         if k:
             panel = figure.add_subplot(grid[0, k - 1], sharex=first, sharey=first)
             first = first or panel
             panel.plot(part["reference_x_mm"], part["reference_y_mm"], **TRUTH)
             panel.plot(part["delta_x_mm"], part["delta_y_mm"], lw=1, color=colour)
-            panel.set(aspect="equal", xlabel="bend in x [mm]")
+            panel.set(aspect="equal", xlabel="bend in x [mm]", title=str(name).replace("r with", "r\nwith"))
             panel.set_ylabel("bend in y [mm]") if k == 1 else panel.tick_params(labelleft=False)
     below.set(xlabel="time [s]", ylabel="distance [mm]", ylim=(0, None))
     below.margins(x=0)
-    figure.legend(*below.get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
+    figure.legend(*below.get_legend_handles_labels(), loc="outside lower center", ncols=3, **BESIDE)
     return closed(figure)
 
 
@@ -1276,10 +1277,12 @@ def segment_errors(means: pd.DataFrame) -> Figure:
 
 # Sensors that drift
 
-DRIFT_LOOKS = {
+SPAN: Any = {"color": "#505050", "alpha": 0.16, "lw": 0}
+"""A time that is marked: seen on a light ground and, inverted, on a dark one."""
+DRIFT_LOOKS: Any = {
     "IMU only": (ORANGE, "-", "IMUs only"),
     "magnets only": (SKY, "-", "magnets only"),
-    "fused": (PINK, "-", "calibrated once"),
+    "fused": (PINK, (0, (3, 2)), "calibrated once"),
     "self-calibrating": (GREEN, "-", "drift in the state"),
     "oracle": ("#767676", "--", "knows the drift"),
 }
@@ -1290,11 +1293,11 @@ def drift_errors(minutes: pd.DataFrame, last: int) -> Figure:
     """Draw the median error of the tip [% of the length] of all runs by minute; two bands hold all runs."""
     figure, panel = plt.subplots(figsize=(WIDTH, 3.2))
     end = int(minutes["minute"].max())
-    panel.axvspan(end - last + 0.5, end + 0.5, color="#808080", alpha=0.12, lw=0)
+    panel.axvspan(end - last + 0.5, end + 0.5, **SPAN)
     for method, (colour, line, label) in DRIFT_LOOKS.items():
         by_minute = minutes[minutes["method"] == method].groupby("minute")["tip_rmse_percent"]
         middle = by_minute.median()
-        panel.plot(middle.index, middle, line, color=colour, label=label)
+        panel.plot(middle.index, middle, ls=line, color=colour, label=label)
         if method in ("fused", "self-calibrating"):
             panel.fill_between(middle.index, by_minute.min(), by_minute.max(), color=colour, alpha=0.15, lw=0)
     panel.set(
@@ -1328,7 +1331,7 @@ def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
     """Draw the error of the tip [% of the length] and twice what is stated while iron is near, and alarms below."""
     figure, panels = plt.subplots(2, 1, figsize=(WIDTH, 5.0), sharex=True, sharey=True)
     for panel, (name, part) in zip(panels, rows.groupby("method", sort=False), strict=True):
-        panel.axvspan(*iron_s, color="#808080", alpha=0.12, lw=0, label="iron near")
+        panel.axvspan(*iron_s, label="iron near", **SPAN)
         panel.plot(part["time_s"], part["error_percent"], color=GREEN, label="error")
         panel.plot(
             part["time_s"], 2 * part["stated_percent"], ":", color="#767676", label="two stated deviations"

@@ -216,3 +216,23 @@ def test_sentences_count_and_name_what_occurs():
     assert "does not hold" in loop.claim(ratios)
     assert "0.4 mm" in loop.claim(ratios)
     assert "claim holds" in loop.claim(pd.concat([found[:2], truth]))
+
+
+def test_the_order_of_the_estimates_is_told_as_it_occurs():
+    names = ["truth", "truth, one sample late", loop.INFORMED, loop.ALONE, loop.FILTER]
+    rows = [
+        (arm, controller, name, k * (1 + 0.01 * (arm != "as modelled" and name == loop.INFORMED)))
+        for arm in loop.ARMS
+        for controller in loop.CONTROLLERS
+        for k, name in enumerate(names)
+    ]
+    means = pd.DataFrame(rows, columns=["session", "controller", "estimator", "tracking_mm"])
+    said = loop.in_words(means)
+    assert "matters less" in said
+    assert f"{loop.INFORMED} 2.0 mm, {loop.ALONE} 3.0 mm, {loop.FILTER} 4.0 mm" in said
+    assert "order stays the same" in said
+    swapped = means.replace({"tracking_mm": {2.02: 5.0}})
+    assert "order changes" in loop.in_words(swapped)
+    assert "from 4.00 to 4.00 mm, but the Kalman filter with command tracks best (2.02 mm)" in (
+        loop.softer_in_words(means)
+    )

@@ -12,8 +12,8 @@ import pandas as pd
 from scipy.stats import chi2
 
 from repro import KalmanFilter, LevenbergMarquardt, Sensing, simulated_readings, track
-from repro_companion.papers.baaij import BEND, RATE_HZ, STEPS, bounds, lemniscate, robot
-from repro_companion.show import ratio_interval
+from repro_companion.papers.baaij import BEND, NOISE_MT, RATE_HZ, STEPS, bounds, lemniscate, robot
+from repro_companion.show import number, ratio_interval
 
 # Filtering over time
 
@@ -231,41 +231,58 @@ def tracking_ratios(errors: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     return pd.DataFrame(lines)
 
 
-def beside_truth(means: pd.DataFrame, session: str) -> pd.DataFrame:
-    """Return ratios in words, a row for what is fed back, a column for each controller; for the truth the error."""
+def tracking_table(means: pd.DataFrame, session: str) -> pd.DataFrame:
+    """Return tracking errors [mm], a row for what is fed back and a column for each controller.
+
+    The last columns are the largest error of the estimate, and how often a command was at its bound.
+    """
     part = means[means["session"] == session]
-    words = [
-        f"{row.tracking_mm:.2f} mm" if row.estimator == "truth" else f"{row.ratio:.2f}"
-        for row in part.itertuples()
-    ]
-    wide = part.assign(words=words).pivot(index="estimator", columns="controller", values="words")
+    wide = part.pivot(index="estimator", columns="controller", values="tracking_mm")
     wide = wide.loc[part["estimator"].unique(), list(CONTROLLERS)].rename_axis(columns=None)
     largest = part.groupby("estimator")[["estimate_mm", "bounded_%"]].max()
     return wide.assign(error=largest["estimate_mm"], bounded=largest["bounded_%"]).reset_index()
 
 
-def in_words(gains: pd.DataFrame, means: pd.DataFrame) -> str:
-    """Return what the two tables of the page show."""
-
-    def between(values: pd.Series) -> str:
-        return " to ".join(dict.fromkeys(f"{x:.1f}" for x in (values.min(), values.max())))
-
-    smooth, random = (gains[gains["trajectory"].isin(names)]["ratio"] for names in (["T1", "T3"], ["T0"]))
-    nominal = means[(means["session"] == "as modelled") & ~means["estimator"].str.startswith("truth")]
-    at = nominal.pivot(index="controller", columns="estimator", values="ratio")
-    high, forward = at.loc["high gain"], at.loc["PI and feed-forward"]
-    worse = "makes things worse than" if high[FILTER] > high[ALONE] else "is no worse than"
-    best = "does best, but" if high[INFORMED] == high.min() else "is not the best either, and"
+def in_words(means: pd.DataFrame) -> str:
+    """Return which estimate tracks best, on the arm as modelled and on the softer one."""
+    tracking = means.pivot(index="estimator", columns=["session", "controller"], values="tracking_mm")
+    high, softer = (tracking[session, "high gain"] for session in ARMS)
+    order = [list(x[[INFORMED, ALONE, FILTER]].sort_values().index) for x in (high, softer)]
+    forward = tracking["as modelled", "PI and feed-forward"].drop(["truth", "truth, one sample late"])
+    alike = "hardly matters" if forward.max() < 1.25 * forward.min() else "matters less"
+    kept = "stays the same" if order[0] == order[1] else "changes"
+    listed = ", ".join(f"{name} {high[name]:.1f} mm" for name in order[0])
     return (
-        "*In the columns of the three loops the first row is the tracking error in mm when the true bend is fed back."
-        " All other rows are ratios to it; their 95 % intervals are below, in the table of all numbers. The last"
-        " two columns show the largest error of the estimate in the three loops, and how often the command was at its"
-        " bound. Arm as modelled, synthetic.*\n\n"
-        f"**What to see.** On smooth motion a Kalman filter has {between(smooth)} times the error of least squares,"
-        f" on random motion {between(random)} times. In a loop with high gain this filter {worse} least squares. A"
-        f" filter that knows the command {best} its tracking error is about {high[INFORMED]:.0f} times the error with"
-        f" the true bend. With moderate gain and feed-forward the factor is {between(forward)} for the four"
-        " estimators."
+        f"**In short.** With moderate gain and feed-forward it {alike} which estimate you feed back: the bend is"
+        f" {forward.min():.2f} to {forward.max():.2f} mm off its reference. With high gain the estimate decides."
+        f" From best to worst: {listed}. Fed with the true bend, the same loop has {high['truth']:.2f} mm. If the"
+        f" arm bends a fifth further than the filter believes, this order {kept}."
+    )
+
+
+def alone_in_words(gains: pd.DataFrame, noise_mt: float, loop_noise_mt: float) -> str:
+    """Return what filtering alone gains and loses, and at how much noise."""
+    first = gains[gains["n_b"] == gains["n_b"].iloc[0]].set_index("trajectory")
+    columns = ["lm_percent", "filter_percent"]
+    smooth, random = ([number(x, 2) for x in first.loc[name, columns]] for name in ("T3", "T0"))
+    return (
+        f"**Filtering alone.** On the smooth motion T3, least squares has an error of {smooth[0]} % of the range"
+        f" and a Kalman filter {smooth[1]} %; on random motion they have {random[0]} % and {random[1]} %. The"
+        f" sensor noise is {noise_mt / NOISE_MT:.0f} times the noise of real sensors here, and"
+        f" {loop_noise_mt / NOISE_MT:.0f} times in the loop, so that the estimators differ at all."
+    )
+
+
+def softer_in_words(means: pd.DataFrame) -> str:
+    """Return how tracking with feed-forward changes if the arm is softer than the filter believes."""
+    part = means[(means["controller"] == "PI and feed-forward") & ~means["estimator"].str.startswith("truth")]
+    wide = part.pivot(index="estimator", columns="session", values="tracking_mm")[list(ARMS)]
+    steady, best = (wide.iloc[:, 1] / wide.iloc[:, 0]).idxmin(), wide.iloc[:, 1].idxmin()
+    before, after = wide.loc[steady]
+    also = "and it also tracks best" if steady == best else f"but the {best} tracks best"
+    return (
+        f"With feed-forward the tracking error with the {steady} grows least, from {before:.2f} to {after:.2f} mm,"
+        f" {also} ({wide.loc[best].iloc[1]:.2f} mm)."
     )
 
 
