@@ -590,6 +590,14 @@ def bend_takes(seed: int = 0) -> tuple[list[Take], str]:
     return (found, "recorded") if found else (synthetic_takes(seed), "synthetic")
 
 
+def side_by_side(readings: Sequence[np.ndarray]) -> np.ndarray:
+    """Return readings ``[t, axes]`` of takes as one array ``[t, take, axes]``; after its end a take has none."""
+    table = np.full((max(map(len, readings)), len(readings), readings[0].shape[1]), np.nan)
+    for k, u in enumerate(readings):
+        table[: len(u), k] = u
+    return table
+
+
 def calibrations(take: Take, takes: Sequence[Take]) -> dict[str, list[Take]]:
     """Return the takes that may calibrate a take, by name; it is never among them."""
     same = [other for other in takes if other.test == take.test and other is not take]
