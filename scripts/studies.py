@@ -87,6 +87,14 @@ def particle_filter() -> pd.DataFrame:
     return table
 
 
+def bend_tests() -> pd.DataFrame:
+    """Return errors [deg] on the authors' bend tests, from the page bend_tests as built with these recordings."""
+    page = project_folder() / "results" / "with_recordings" / "bend_tests_errors.csv"
+    table = pd.read_csv(page).round(2)
+    table.attrs = {"page": "notebooks/bend_tests.ipynb", "takes": sorted(set(table["take"]))}
+    return table
+
+
 def martin_calibration() -> pd.DataFrame:
     """Return errors [mm] after the first minute of ten synthetic trials, with and without a calibration: a minute."""
     methods = {martin.BASELINE: (pcc_extended, None), "PCC-16 + frame": (pcc_extended, False)}
@@ -318,6 +326,7 @@ STUDIES: dict[str, Callable[[], pd.DataFrame]] = {
         table_1_best,
         table_1_noise,
         particle_filter,
+        bend_tests,
         martin_calibration,
         alarms,
         noise,

@@ -932,7 +932,7 @@ MARKER_LOOKS = {"M1": (BLUE, 360.0), "M2": (PINK, 600.0)}
 """Colours of the paper, and distances along the arm [mm]."""
 
 
-def table_ii(printed: pd.DataFrame, errors: pd.DataFrame, badge: str) -> HTML:
+def table_ii(printed: pd.DataFrame, errors: pd.DataFrame, badge: str, note: str) -> HTML:
     """Return Table II as printed: published relative errors [%], below them ours."""
     known, names = printed.set_index(["row", "quantity"])["printed"], {"median": "median_mm", "q3": "q75_mm"}
     models, lines = (
@@ -956,17 +956,21 @@ def table_ii(printed: pd.DataFrame, errors: pd.DataFrame, badge: str) -> HTML:
     head = f'<thead><tr><th scope="row">error [%]</th>{heads}</tr></thead>'
     body = f"<table>{head}<tbody>{''.join(lines)}</tbody></table>"
     words = (
-        "Upper: published, hardware. Lower: synthetic trials, mean ± standard deviation over sensor draws."
+        "Upper: published, hardware. Lower: synthetic trials, mean ± standard deviation over sensor draws. "
     )
-    return HTML(f'{TABLE_1}<p>{mark}</p>{box}{body}</div><p class="table-1">{words}</p>')
+    return HTML(f'{TABLE_1}<p>{mark}</p>{box}{body}</div><p class="table-1">{words}{note}</p>')
 
 
 @style()
 def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figure:
     """Draw Figs 3 to 5: boxes of the markers' errors [mm] with published medians and third quartiles."""
-    groups = {"Fig. 3": ("n_imus", "IMUs"), "Fig. 4": ("segments", "segments"), "Fig. 5": ("n_imus", "IMUs")}
+    groups = {
+        "Fig. 3": ("n_imus", "IMUs", "rigid-body"),
+        "Fig. 4": ("segments", "segments", "PCC, 8 IMUs"),
+        "Fig. 5": ("n_imus", "IMUs", "PCC, 16 segments"),
+    }
     figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), sharey=True, width_ratios=(3, 4, 3))
-    for panel, (name, (column, label)) in zip(panels, groups.items(), strict=True):
+    for panel, (name, (column, label, model)) in zip(panels, groups.items(), strict=True):
         own, known = boxes[boxes["figure"] == name], printed[name]
         steps = sorted(own[column].unique())
         for shift, (marker, (colour, at)) in zip((-0.2, 0.2), MARKER_LOOKS.items(), strict=True):
@@ -985,7 +989,7 @@ def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figur
                     panel.plot(
                         x, value, "D" if row.quantity == "median" else "^", color="#1A1A1A", mec="white", ms=6
                     )
-        panel.set(title=name, xlabel=label, ylim=(0, None))
+        panel.set(title=f"{name}:\n{model}", xlabel=label, ylim=(0, None))
         panel.set_xticks(range(len(steps)), [str(k) for k in steps])
         panel.grid(visible=False, axis="x")
     panels[0].set_ylabel("error [mm]")
@@ -1011,12 +1015,15 @@ def error_hull(hull: pd.DataFrame) -> Figure:
             line = np.vstack([[0, 0], np.stack([x, part[f"{prefix}z_mm"]], axis=-1)])
             panel.plot(*line.T, **look)
             if not prefix:
-                discs = [Circle(p, r) for p, r in zip(line[1:], part["radius_mm"], strict=True)]
-                panel.add_collection(PatchCollection(discs, color=SKY, alpha=0.25, lw=0))
+                joints, fine = np.arange(len(line)), np.linspace(0, len(line) - 1, 400)
+                dense = [np.interp(fine, joints, y) for y in (*line.T, np.r_[0.0, part["radius_mm"]])]
+                discs = [Circle((x, z), r) for x, z, r in zip(*dense, strict=True)]
+                for look in ({"color": BLUE, "lw": 2.5}, {"color": "#A6D5F2", "lw": 0}):  # outline, hull
+                    panel.add_collection(PatchCollection(discs, **look))
         panel.set(title=mode, aspect="equal", xlabel="horizontal [mm]")
     np.atleast_1d(panels)[0].set_ylabel("height [mm]")
     lines = [Line2D([], [], color="#1A1A1A", label="arm"), Line2D([], [], color=ORANGE, label="estimate")]
-    lines.append(Line2D([], [], color=SKY, lw=6, alpha=0.5, label="within Q3 of the error"))
+    lines.append(Line2D([], [], color="#A6D5F2", lw=6, label="within Q3 of the error"))
     figure.legend(handles=lines, loc="outside upper center", ncols=3, **BESIDE)
     return closed(figure)
 

@@ -9,7 +9,7 @@ import pytest
 from repro import InputError
 from repro.motion_capture import Motion as MotionCapture
 from repro_companion.papers import mitchell
-from repro_companion.run import recordings_folder
+from repro_companion.run import project_folder, recordings_folder
 
 RECORDED = (recordings_folder() / "mitchell2021/mocap/bend_0_try_1.csv").is_file()
 
@@ -233,6 +233,22 @@ def test_medians_are_over_the_takes_of_a_method_and_a_length():
     np.testing.assert_allclose(found["rmse_deg"], 2.0)
     assert found["takes"].tolist() == [3, 3, 3]
     assert found["name"].tolist()[1:] == [f"paper's filter, as released, {mm} mm" for mm in (13, 15)]
+
+
+def test_the_study_has_each_take_once_for_a_method():
+    """Another try can calibrate a take only where the test has one."""
+    study = pd.read_csv(project_folder() / "data" / "studies" / "bend_tests.csv")
+    assert not study.duplicated(["name", "take"]).any()
+    assert set(zip(study["method"], study["calibration"], strict=True)) < set(mitchell.METHODS)
+    twice = study[study["calibration"] == "other try"].groupby(study["take"].str[5])["take"].nunique()
+    assert twice.eq(2).all()
+    assert study.groupby("take")["name"].nunique().min() >= 5
+
+
+def test_takes_side_by_side_end_in_nothing():
+    table = mitchell.side_by_side([np.ones((2, 3)), 2 * np.ones((1, 3))])
+    np.testing.assert_array_equal(table[..., 0], [[1, 2], [1, np.nan]])
+    assert table.shape == (2, 2, 3)
 
 
 def test_no_take_calibrates_itself(synthetic):

@@ -35,7 +35,7 @@ from repro.motion_capture import Motion as MotionCapture
 from repro.motion_capture import read_motion, undo_exchanges
 from repro_board.evaluate import search_lag
 from repro_companion.run import digest, project_folder, recordings_folder
-from repro_companion.show import ratio_interval
+from repro_companion.show import number, ratio_interval
 
 LENGTH = 15e-3
 """Length of the arc from sensor to magnet, section III-A [m]; 14 mm in the released simulations."""
@@ -246,16 +246,30 @@ def gain(table: pd.DataFrame, method: str, other: str) -> pd.DataFrame:
 
 def gain_in_words(table: pd.DataFrame) -> str:
     """Return what our filter gains, on the curves that had no part in its choice, and a Kalman filter beside it."""
-    of = {name: part.set_index("curve") for name, part in table.groupby("setting")}
-    held = of[BEST.name].loc[["flower", "seagull"]]
-    other = of[KALMAN.name].loc[["flower", "seagull"]]
-    half = ((held["ratio_high"] - held["ratio_low"]) / 2).max()
+    ratio = table.set_index(["setting", "curve"])["ratio"]
+    flower, seagull = (100 * ratio[BEST.name, name] for name in ("flower", "seagull"))
+    less = sorted(100 - 100 * ratio[KALMAN.name, name] for name in ("flower", "seagull"))
+    kalman = f"another {less[0]:.0f} to {less[1]:.0f} % better" if less[0] > 0 else "not better on both"
     return (
-        f"**Our best filter has {held['ratio'].min():.2f} to {held['ratio'].max():.2f} times the error of least"
-        " squares on single readings**, on the two curves that had no part in the choice of its noise (ten draws;"
-        f" the 95 % intervals of a paired bootstrap reach {half:.3f} to either side)."
-        f" A Kalman filter with the same noises has {other['ratio'].min():.2f} to {other['ratio'].max():.2f} times"
-        " the error of this filter on them."
+        f"**Our best filter has {flower:.0f} % of the error of least squares on single readings on Flower, and"
+        f" {seagull:.0f} % on Seagull.** Neither curve was used to choose its noise."
+        f" A Kalman filter with the same noises is {kalman}."
+    )
+
+
+def segments_in_words(table: pd.DataFrame) -> str:
+    """Return what a cloud of a thousand and least squares find with six unknowns and more, and what to use there."""
+    many = table[table["unknowns"] >= 6]
+    worth = many["effective"].max()
+    found = [
+        f"{number(many[x].min(), 2)} to {number(many[x].max(), 2)} mm" for x in ("1000", "least squares")
+    ]
+    return (
+        "**More segments.** The authors expect that their filter extends to several magnets and sensors (section V)."
+        " On the arms of [Table 1](table_1.ipynb) of Baaij et al., with six and nine unknowns, a cloud of a thousand"
+        f" particles is worth {'a single one' if worth < 1.5 else f'at most {worth:.1f} particles'}. Its tip error is"
+        f" {found[0]}, and the error of least squares is {found[1]}. Use least squares there, or a"
+        " [Kalman filter](closed_loop.ipynb) if the arm moves smoothly."
     )
 
 
@@ -291,7 +305,10 @@ def scorecard_rows(table: pd.DataFrame, means: pd.DataFrame, changed: str = "") 
             | {"best": own[BEST.name, line.curve], "best_method": BEST_METHOD}
         )
     measured = pd.read_csv(project_folder() / "data" / "benchmark.csv").set_index("capability")["figure"]
-    note = "updates per second of one core's processor time; the printed 60 Hz is the rate of the sensor"
+    note = (
+        "updates per second of one core's processor time;"
+        " we take the printed 60 Hz to be the rate of the sensor (inferred)"
+    )
     lines.append(
         {"artefact": "Section IV", "row": "1000 particles", "quantity": "update_rate", "unit": "Hz"}
         | {"regenerated": measured[UPDATES], "setting": "benchmark", "note": note}
@@ -588,6 +605,14 @@ def bend_takes(seed: int = 0) -> tuple[list[Take], str]:
     """Return the bend tests that are found in REPRO_DATA_DIR, else synthetic ones, and which these are."""
     found = recorded_takes()
     return (found, "recorded") if found else (synthetic_takes(seed), "synthetic")
+
+
+def side_by_side(readings: Sequence[np.ndarray]) -> np.ndarray:
+    """Return readings ``[t, axes]`` of takes as one array ``[t, take, axes]``; after its end a take has none."""
+    table = np.full((max(map(len, readings)), len(readings), readings[0].shape[1]), np.nan)
+    for k, u in enumerate(readings):
+        table[: len(u), k] = u
+    return table
 
 
 def calibrations(take: Take, takes: Sequence[Take]) -> dict[str, list[Take]]:
