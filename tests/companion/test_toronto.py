@@ -147,6 +147,15 @@ def test_floors_of_arcs_are_those_of_the_first_edition():
         assert found[key] == pytest.approx(error, rel=0.02)
 
 
+def test_bodies_point_as_recorded_and_have_no_turn_about_the_arm():
+    shown = []
+    toronto.floors([toronto.CHOOSING], 500, lambda robot, T, seen: shown.append(T) or 0.0)
+    seen, recorded = shown[0], toronto.body_poses(toronto.CHOOSING)[::500, 1:]
+    np.testing.assert_allclose(seen[..., :3, 2:], recorded[..., :3, 2:], atol=1e-9)
+    turns = Rotation.from_matrix(seen[..., :3, :3].reshape(-1, 3, 3)).as_rotvec()
+    np.testing.assert_allclose(turns[:, 2], 0.0, atol=1e-9)
+
+
 def test_a_factor_covers_what_it_was_chosen_on():
     rng = np.random.default_rng(0)
     scored = {toronto.CHOOSING: 4 * rng.chisquare(3, 4000), "other": 8 * rng.chisquare(3, 4000)}
