@@ -421,7 +421,7 @@ def fixed_coordinates(lower: Array, upper: Array) -> Array | None:
 
 
 def each(x: Array, batch: tuple[int, ...], *own: int) -> Array:
-    """Return what every member of a batch has, in one row ``[members, *own]``; ``x`` itself where nothing is shared."""
+    """Return what every member of a batch has, in one row ``[members, *own]``; ``x`` itself if none share."""
     shape = (*batch, *own)
     return (x if x.shape == shape else np.broadcast_to(x, shape)).reshape(-1, *own)
 
