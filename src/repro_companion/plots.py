@@ -1340,25 +1340,19 @@ def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
 @style()
 def live_failures(table: pd.DataFrame, fails_at_s: float) -> Figure:
     """Draw error and stated deviation of the tip over time: a panel for each failure, a colour for each arm."""
-    failures = [one for one in table["failure"].unique() if one != "none"]
-    height = 1.55 * len(failures) + 1.0
+    failures = list(table[table["failure"] != "none"].groupby("failure", sort=False))
     figure, panels = plt.subplots(
-        len(failures), 1, figsize=(WIDTH, height), sharex=True, sharey=True, squeeze=False
+        len(failures), 1, figsize=(WIDTH, 1.55 * len(failures) + 1.0), sharex=True, sharey=True, squeeze=False
     )
-    for panel, failure in zip(panels[:, 0], failures, strict=True):
-        arms = table[table["failure"] == failure].groupby("sensors", sort=False)
-        for (chips, rows), colour in zip(arms, (BLUE, ORANGE), strict=True):
-            panel.plot(rows["time_s"], rows["tip_error_mm"], color=colour, label=f"error, {chips} chips")
-            panel.plot(
-                rows["time_s"], rows["tip_std_mm"], "--", color=colour, label=f"stated ±, {chips} chips"
-            )
+    for panel, (failure, part) in zip(panels[:, 0], failures, strict=True):
+        for (chips, rows), colour in zip(part.groupby("sensors", sort=False), (BLUE, ORANGE), strict=True):
+            for column, line, name in (("tip_error_mm", "-", "error"), ("tip_std_mm", "--", "stated ±")):
+                panel.plot(rows["time_s"], rows[column], line, color=colour, label=f"{name}, {chips} chips")
         panel.axvline(fails_at_s, color=PUBLISHED, lw=4, alpha=0.5, zorder=0)
-        panel.set(yscale="log", title=failure, ylabel="tip [mm]", yticks=[0.1, 1, 10, 100])
-        panel.yaxis.set_major_formatter("{x:g}")
-        panel.margins(x=0)
+        panel.set(yscale="log", title=failure, ylabel="tip [mm]")
+        panel.set_yticks([0.1, 1, 10, 100], ["0.1", "1", "10", "100"])
     panels[-1, 0].set_xlabel("time [s]")
-    handles = panels[0, 0].get_legend_handles_labels()
-    figure.legend(*handles, loc="outside upper center", ncols=2, **BESIDE)
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)
 
 
@@ -1367,29 +1361,23 @@ def live_failures(table: pd.DataFrame, fails_at_s: float) -> Figure:
 
 @style()
 def failing_chip(shape: Any, tip_std_mm: np.ndarray, fails_at_s: float) -> Figure:
-    """Draw coordinates, the stated deviation of the tip, and the first reading of every chip with its residual."""
-    figure, panels = plt.subplots(4, 1, figsize=(WIDTH, 8.4), sharex=True)
-    bends, stated, above, below = panels
-    for k, (name, _, factor) in enumerate(shape.units()):
-        if not shape.robot.fixed[k]:
-            bends.plot(shape.times, factor * shape.q[:, k], label=name)
+    """Draw the stated deviation of the tip, and the first reading of every chip with its residual, over time."""
+    figure, (stated, above, below) = plt.subplots(3, 1, figsize=(WIDTH, 6.6), sharex=True)
     stated.plot(shape.times, tip_std_mm, color="0.35")
+    stated.set_yscale("log", subs=[])
+    stated.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
     for k, (name, colour) in enumerate(zip(shape.robot.part_names, FOUR, strict=True)):
-        j, rows = np.flatnonzero(shape.robot.parts == k)[0], np.flatnonzero(shape.suspects[:, k])[::10]
-        above.plot(shape.times, shape.readings[:, j], color=colour, lw=5, alpha=0.35)
-        above.plot(shape.times, shape.u_hat[:, j], color=colour, lw=1.2, label=name)
-        residuals = shape.readings[:, j] - shape.u_hat[:, j]
-        below.plot(shape.times, residuals, ".", ms=3, color=colour)
-        below.plot(shape.times[rows], residuals[rows], "x", color="black", ms=5, mew=1)
-    names = ("bend [mm]", "± of the tip [mm]", "readings [mT]", "residuals [mT]")
-    for panel, name in zip(panels, names, strict=True):
+        rows, first = np.flatnonzero(shape.suspects[:, k])[::10], np.argmax(shape.robot.parts == k)
+        u, u_hat = shape.readings[:, first], shape.u_hat[:, first]
+        above.plot(shape.times, u, color=colour, lw=5, alpha=0.35)
+        above.plot(shape.times, u_hat, color=colour, lw=1.2, label=name)
+        below.plot(shape.times, u - u_hat, ".", ms=3, color=colour)
+        below.plot(shape.times[rows], (u - u_hat)[rows], "x", color="black", ms=5, mew=1)
+    above.legend(loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=4, **BESIDE)
+    for panel, name in zip(
+        figure.axes, ("± of the tip [mm]", "readings [mT]", "residuals [mT]"), strict=True
+    ):
         panel.axvline(fails_at_s, color=PUBLISHED, lw=4, alpha=0.5, zorder=0)
         panel.set_ylabel(name)
-    for panel in (bends, above):
-        panel.legend(loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=4, **BESIDE)
-    stated.set(yscale="log")
-    stated.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    stated.yaxis.set_major_formatter("{x:g}")
-    stated.yaxis.set_minor_formatter("")
     below.set_xlabel("time [s]")
     return closed(figure)
