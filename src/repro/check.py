@@ -39,10 +39,13 @@ class DesignCheck:
     ----------
     q
         Random shapes within the bounds ``[n, n_q]``.
-    tip, tip_within_bounds, tip_as_built
-        Standard deviation of the tip, the root of its three variances' sum, in each of them ``[n]`` [m]. By the noise
-        and the steps of the readings alone, the Cramér-Rao bound, infinite where readings do not determine it; the
-        same with what the bounds say; and with the tolerances of all parts too, before a calibration.
+    tip
+        Standard deviation of the tip, the root of its three variances' sum, in each of them ``[n]`` [m]: the
+        Cramér-Rao bound by noise and steps of the readings alone, infinite where these do not determine the tip.
+    tip_within_bounds
+        The same with what the bounds say.
+    tip_as_built
+        The same with the bounds and the tolerances of all parts, before a calibration.
     spread
         Standard deviation of the tip over these shapes [m]: how well it is known without a reading.
     added
@@ -53,9 +56,10 @@ class DesignCheck:
         Coordinates, or combinations of them, that readings hardly determine, in words.
     notes
         What else deserves a look.
-    can_work, verdict
-        The answer, also as a sentence: the readings leave less than 30 % of what is open about the tip within the
-        bounds, in most shapes.
+    can_work
+        Whether the readings leave less than 30 % of what is open about the tip within the bounds, in most shapes.
+    verdict
+        The answer as a sentence.
     """
 
     q: Array

@@ -52,7 +52,7 @@ class Ring:
 
     @property
     def reach(self) -> float:
-        """Radius of the sphere around the ring [m]: its multipoles describe the field beyond it."""
+        """Radius of the sphere around the ring, beyond which its multipoles describe the field [m]."""
         return math.hypot(self.outer_diameter, self.height) / 2
 
     def field(self, positions: Any) -> Array:
@@ -130,7 +130,7 @@ class Disc:
 
     @property
     def reach(self) -> float:
-        """Radius of the sphere around the disc [m]: its multipoles describe the field beyond it."""
+        """Radius of the sphere around the disc, beyond which its multipoles describe the field [m]."""
         return math.hypot(self.diameter, self.height) / 2
 
     def field(self, positions: Any) -> Array:
@@ -175,7 +175,7 @@ class Cube:
 
     @property
     def reach(self) -> float:
-        """Radius of the sphere around the cube [m]: its multipoles describe the field beyond it."""
+        """Radius of the sphere around the cube, beyond which its multipoles describe the field [m]."""
         return math.sqrt(3.0) / 2 * self.edge
 
     def field(self, positions: Any) -> Array:

@@ -69,7 +69,7 @@ class Network:
 
     @property
     def n_inputs(self) -> int:
-        """Number of relations: one plus four for each magnet."""
+        """Number of relations, four for each magnet and one more."""
         return self.widths[0]
 
     def __call__(self, xi: Any) -> Array:

@@ -316,8 +316,10 @@ class Sensor:
         Segment that it is mounted on, from 1 at the base; 0 is the base itself.
     at
         Distance from the base of that segment along the unextended backbone [m].
-    radial, azimuth
-        Distance from the backbone [m] and angle [rad] in the cross-section.
+    radial
+        Distance from the backbone [m].
+    azimuth
+        Angle in the cross-section, from x to y [rad].
     tilt
         Angle :math:`\psi` [rad] about the tangential direction.
     position
@@ -332,15 +334,20 @@ class Sensor:
         What messages and tables call it; ``sensor 1`` and so on if not given.
     channels
         The columns of its readings, one for every axis: names, or numbers from 1.
-    range, resolution
-        Largest reading of either sign, and the step between two readings [mT].
+    range
+        Largest reading of either sign [mT].
+    resolution
+        Step between two readings [mT].
     noise
         Standard deviation of its readings, one number or one for every axis [mT].
-    gain, offset
-        It reads ``gain`` times the flux density, plus ``offset`` [mT]; one number or one for every axis.
-    per_mt, unit
-        Units of its column for 1 mT, where the column is not a flux density, and what they are called: 100 and
-        ``"raw"`` for 0.01 mT per count.
+    gain
+        It reads ``gain`` times the flux density; one number or one for every axis.
+    offset
+        What it reads without a field [mT]; one number or one for every axis.
+    per_mt
+        Units of its column for 1 mT, where the column is not a flux density: 100 for 0.01 mT per count.
+    unit
+        What these units are called, such as ``"raw"``.
     tolerance
         Standard deviations by which it may be off its drawing: a mapping with some of ``position``, ``at``,
         ``radius`` [m], ``azimuth``, ``tilt`` [rad], ``gain`` (relative), ``offset`` [mT].
@@ -505,8 +512,12 @@ class Robot:
     segments
         From base to tip: :class:`ConstantCurvature`, :class:`AffineCurvature`, :class:`Link`, :class:`BallJoint`,
         :class:`FreeBody`, in any order.
-    magnets, sensors, imus
-        What is mounted on them: :class:`repro.Magnet`, :class:`Sensor`, :class:`Imu`.
+    magnets
+        Each a :class:`repro.Magnet` on a segment or on the base.
+    sensors
+        Each a :class:`Sensor` on a segment or on the base.
+    imus
+        Each an :class:`Imu` on a segment or on the base.
     lower, upper
         Bounds of ``q`` ``[n_q]`` [m, rad]. Equal bounds fix a coordinate. Azimuths and rotations need none: NaN or
         infinity gives them a whole turn.
@@ -519,9 +530,10 @@ class Robot:
         Readings per second.
     earth
         Field of the Earth in the base frame [mT]; none if not given.
-    model, moments
-        Trained networks, or multipole moments ``[m, terms]`` [mT m^(l+2)], in place of the shapes of the magnets: see
-        :class:`repro.Sensing`.
+    model
+        Trained networks that predict the readings: see :class:`repro.Sensing`.
+    moments
+        Multipole moments ``[m, terms]`` [mT m^(l+2)] in place of the shapes of the magnets.
     source
         The file that it was read from.
 
@@ -578,7 +590,7 @@ class Robot:
         self.coordinates = tuple(
             f"{name}_{i}" for i, x in enumerate(self.segments, 1) for name in x.coordinates
         )
-        """Names of the coordinates, numbered by segment from 1: ``delta_x_1`` and so on."""
+        """Names of the coordinates, such as ``delta_x_1``, numbered by segment from 1."""
         self.n_q = len(self.coordinates)
         """Number of coordinates."""
         self.angles = np.array([x.startswith(("phi_", "rotation_")) for x in self.coordinates], dtype=bool)
@@ -586,7 +598,7 @@ class Robot:
         self.length = sum(segment.length for segment in self.segments)
         """Unextended length of the robot [m]."""
         self.n_readings = sum(part.axes for part in (*self.sensors, *self.imus))
-        """Number of readings: one for every axis of every sensor, then three for every IMU."""
+        """Number of readings, one for every axis of every sensor, then three for every IMU."""
         self.range = self.per_reading("range", math.inf, math.inf)
         """Largest reading of either sign ``[s]`` [mT], infinite where not stated."""
         self.resolution = self.per_reading("resolution", 0.0, 0.0)
@@ -657,13 +669,13 @@ class Robot:
 
     @cached_property
     def parts(self) -> Array:
-        """Which sensor or IMU every reading belongs to ``[s]``: an index of :attr:`part_names`."""
+        """Index of the sensor or IMU in :attr:`part_names` that every reading belongs to ``[s]``."""
         sizes = [part.axes for part in (*self.sensors, *self.imus)]
         return np.repeat(np.arange(len(sizes)), np.array(sizes, dtype=int))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """One name for every reading: its channel, or ``sensor 1 x`` and so on."""
+        """One name for every reading, which is its channel, or ``sensor 1 x`` and so on."""
         names = []
         for part, name in zip((*self.sensors, *self.imus), self.part_names, strict=True):
             channels = part.channels if isinstance(part, Sensor) else None
@@ -717,8 +729,10 @@ class Robot:
 
         Parameters
         ----------
-        samples, seed
-            Number of random shapes, and the seed of their generator.
+        samples
+            Number of random shapes.
+        seed
+            Seed of their generator.
 
         Raises
         ------

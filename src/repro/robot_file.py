@@ -430,7 +430,7 @@ def _robot(document: _Document, folder: Path, sha256: str) -> Robot:
         raise document.error(("stream", "unit"), units.must_be, repr(unit))
     noise = f"noise_{unit.lower()}"
     keys = {
-        "format": _word(*_FORMATS, default="csv"),
+        "format": _word(*_FORMATS, default=None),
         "rate_hz": _number(1e-3, 1e5, "Hz", None),
         "unit": units,
         noise: _noise(unit),

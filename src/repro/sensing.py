@@ -430,8 +430,10 @@ class Sensing:
         Moments of the magnets [mT m^(l+2)], ``[terms]`` or ``[m, terms]``; those of their shapes if not given.
     l_max
         Highest order of the multipoles of their shapes.
-    gain, offset
-        Of every magnetic reading: it is ``gain * model + offset``.
+    gain
+        Factor of every magnetic reading, which is ``gain * model + offset``.
+    offset
+        Every magnetic reading without a field.
     earth
         Field of the Earth in the base frame [mT]. Networks take its direction, x if not given, as the relation
         lambda, as in the paper.

@@ -124,17 +124,22 @@ def train_paper(
         0.18 for constant curvature, 0.15 for affine curvature, 5e-5 for the experiments in mV.
     checkpoint
         File for the state between runs.
-    epochs, swa_start
-        250 and 125 in the paper.
+    epochs
+        Passes over the data, 250 in the paper.
+    swa_start
+        The epoch from which on weights are averaged, 125 in the paper.
     progress
         Label of a progress bar with the error; none if not given.
 
     Returns
     -------
-    network, errors, losses
-        The averaged network in evaluation mode. Its root-mean-squared errors ``rmse_train`` and ``rmse_validation``
-        [unit of ``u``]. The mean squared errors of every epoch ``[epochs, 2]``: on the training rows while the
-        weights move, and on the validation rows afterwards.
+    network
+        The averaged network in evaluation mode.
+    errors
+        Its root-mean-squared errors ``rmse_train`` and ``rmse_validation`` [unit of ``u``].
+    losses
+        The mean squared errors of every epoch ``[epochs, 2]``: on the training rows while the weights move, and on
+        the validation rows afterwards.
 
     Raises
     ------
@@ -235,9 +240,10 @@ def train_fast(
 
     Returns
     -------
-    network, errors
-        The network in evaluation mode, and its root-mean-squared errors ``rmse_train`` and ``rmse_validation`` [unit
-        of ``u``].
+    network
+        The network in evaluation mode.
+    errors
+        Its root-mean-squared errors ``rmse_train`` and ``rmse_validation`` [unit of ``u``].
 
     Raises
     ------

@@ -377,7 +377,7 @@ def board_bytes(
     require(0 < rate < math.inf, "rate", "emulate", "above zero [Hz], here or in the robot file", rate_hz)
     require(0 < hold_s < math.inf, "hold", "emulate", "above zero [s]", hold_s)
     fails, robot = faults_named(faults, source), built(source, tolerances, seed=seed)
-    form = source.source.stream["format"] if source.source else "frames"
+    form = source.source.stream["format"] or "csv" if source.source else "frames"
     carried = form in ("frames", "csv") or not fails["nan"]
     require(carried, "fault", "emulate", f"one that lines of {form} can carry", "nan")
     blocks = _blocks(

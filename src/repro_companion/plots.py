@@ -1356,17 +1356,47 @@ def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
     return closed(figure)
 
 
+@style()
 def live_failures(table: pd.DataFrame, fails_at_s: float) -> Figure:
-    """Draw error and stated deviation of the tip when a chip fails, for each number of chips."""
+    """Draw error and stated deviation of the tip over time: a panel for each failure, a colour for each arm."""
+    failures = list(table[table["failure"] != "none"].groupby("failure", sort=False))
     figure, panels = plt.subplots(
-        table["sensors"].nunique(), 1, figsize=(WIDTH, 5.4), sharex=True, sharey=True
+        len(failures), 1, figsize=(WIDTH, 1.55 * len(failures) + 1.0), sharex=True, sharey=True, squeeze=False
     )
-    for panel, (chips, part) in zip(panels, table.groupby("sensors", sort=False), strict=True):
-        for failure, rows in part.groupby("failure", sort=False):
-            (line,) = panel.plot(rows["time_s"], rows["tip_error_mm"], label=failure, lw=1.2)
-            panel.plot(rows["time_s"], rows["tip_std_mm"], color=line.get_color(), ls="--", lw=1.2)
+    for panel, (failure, part) in zip(panels[:, 0], failures, strict=True):
+        for (chips, rows), colour in zip(part.groupby("sensors", sort=False), (BLUE, ORANGE), strict=True):
+            for column, line, name in (("tip_error_mm", "-", "error"), ("tip_std_mm", "--", "stated ±")):
+                panel.plot(rows["time_s"], rows[column], line, color=colour, label=f"{name}, {chips} chips")
         panel.axvline(fails_at_s, color=PUBLISHED, lw=4, alpha=0.5, zorder=0)
-        panel.set(yscale="log", title=f"{chips} chips", ylabel="tip [mm]")
-    panels[-1].set_xlabel("time [s]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        panel.set(yscale="log", title=failure, ylabel="tip [mm]")
+        panel.set_yticks([0.1, 1, 10, 100], ["0.1", "1", "10", "100"])
+    panels[-1, 0].set_xlabel("time [s]")
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
+    return closed(figure)
+
+
+# A robot of one's own
+
+
+@style()
+def failing_chip(shape: Any, tip_std_mm: np.ndarray, fails_at_s: float) -> Figure:
+    """Draw the stated deviation of the tip, and the first reading of every chip with its residual, over time."""
+    figure, (stated, above, below) = plt.subplots(3, 1, figsize=(WIDTH, 6.6), sharex=True)
+    stated.plot(shape.times, tip_std_mm, color="0.35")
+    stated.set_yscale("log", subs=[])
+    stated.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
+    for k, (name, colour) in enumerate(zip(shape.robot.part_names, FOUR, strict=True)):
+        rows, first = np.flatnonzero(shape.suspects[:, k])[::10], np.argmax(shape.robot.parts == k)
+        u, u_hat = shape.readings[:, first], shape.u_hat[:, first]
+        above.plot(shape.times, u, color=colour, lw=5, alpha=0.35)
+        above.plot(shape.times, u_hat, color=colour, lw=1.2, label=name)
+        below.plot(shape.times, u - u_hat, ".", ms=3, color=colour)
+        below.plot(shape.times[rows], (u - u_hat)[rows], "x", color="black", ms=5, mew=1)
+    above.legend(loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=4, **BESIDE)
+    for panel, name in zip(
+        figure.axes, ("± of the tip [mm]", "readings [mT]", "residuals [mT]"), strict=True
+    ):
+        panel.axvline(fails_at_s, color=PUBLISHED, lw=4, alpha=0.5, zorder=0)
+        panel.set_ylabel(name)
+    below.set_xlabel("time [s]")
     return closed(figure)

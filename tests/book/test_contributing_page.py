@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 import warnings
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
+from library import test_estimators as suite
 
 import repro
 from repro.estimators.base import Estimator
@@ -50,6 +52,20 @@ def test_the_estimator_is_one_and_lags_less_than_its_low_pass(there):
     state = method.init(truth[0])
     first = [method.step(state, readings[k], 0.01)[1].q for k in (1, 50, 1)]
     np.testing.assert_array_equal(first[0], first[2])
+
+
+LAWS = [
+    law
+    for name, law in vars(suite).items()
+    if name.startswith("test_") and "case" in signature(law).parameters
+]
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
+def test_the_estimator_passes_the_suite_that_the_page_names(there, law):
+    method = there["AlphaBeta"](repro.LevenbergMarquardt(suite.SENSING, suite.LOW, suite.HIGH, 1e-3))
+    case = "alpha-beta", method, suite.Q0, suite.SENSING(suite.Q0 + 2e-4)
+    law(case, *["nan"] * ("how" in signature(law).parameters))
 
 
 def test_the_paper_with_one_number_is_reproduced(there):

@@ -79,9 +79,13 @@ class Trajectory:
     ----------
     times
         Time of each row [s].
-    q, covariance, u_hat, chi2, dof, missing, details
-        As in :class:`Estimate`. With a monitor, ``missing`` also counts readings that were left out; these are marked
-        in the details ``left_out`` ``[t, ..., s]``, and ``growth`` is the factor by which the covariance grew.
+    q, covariance, u_hat, chi2, dof
+        As in :class:`Estimate`.
+    missing
+        Number of readings that are missing. With a monitor it also counts those that were left out.
+    details
+        More about the estimates, by name. With a monitor, ``left_out`` ``[t, ..., s]`` marks the readings that were
+        left out, and ``growth`` is the factor by which the covariance grew.
     status
         What the monitor says of each row: *consistent*; *left out*: the readings of a part do not fit and were left
         out, the rest fits; *inconsistent*: they do not fit, and it is not decided why; *frozen*: the board repeats

@@ -55,15 +55,24 @@ class Tolerances:
 
     Parameters
     ----------
-    magnet_position, magnet_tilt
-        Centre of a magnet along each axis of its mount [m], and its tilt about each transverse axis [rad].
-    sensor_azimuth, sensor_radius, sensor_tilt, sensor_gain
-        Azimuth [rad], relative distance from the backbone, tilt about the tangential direction [rad], relative gain
-        of every axis.
+    magnet_position
+        Centre of a magnet along each axis of its mount [m].
+    magnet_tilt
+        Tilt of a magnet about each transverse axis [rad].
+    sensor_azimuth
+        Azimuth of a sensor [rad].
+    sensor_radius
+        Its distance from the backbone, relative.
+    sensor_tilt
+        Its tilt about the tangential direction [rad].
+    sensor_gain
+        Gain of each of its axes, relative.
     moments
         Every multipole moment, relative; magnets of one shape share it.
-    sensor_offset, earth
-        Reading without field, and field of the Earth along each axis of the base [mT]. Zero: as stated.
+    sensor_offset
+        Reading of a sensor without a field [mT]. Zero: as stated.
+    earth
+        Field of the Earth along each axis of the base [mT]. Zero: as stated.
 
     Raises
     ------
@@ -107,8 +116,10 @@ class Calibration:
         The robot that was calibrated.
     names
         Names of the parameters.
-    estimate, deviation
-        Parameters [m, rad, mT, relative], and their posterior standard deviations.
+    estimate
+        Parameters [m, rad, mT, relative].
+    deviation
+        Their posterior standard deviations.
     tolerances
         Their standard deviations before the first pose.
     covariance
@@ -117,9 +128,11 @@ class Calibration:
         Squared residual per reading in units of its variance: near one if noise and tolerances are as stated.
     poses
         Number of poses.
-    before, after
-        Residual of a pose, root mean square of its readings in standard deviations, as the robot is described and as
-        a fit to the other poses predicts it; the median of all poses.
+    before
+        Residual of a pose as the robot is described: root mean square of its readings in standard deviations, the
+        median of all poses.
+    after
+        The same as a fit to the other poses predicts it.
     """
 
     robot: Robot

@@ -354,8 +354,10 @@ class ImuCalibration:
         Numbers of the arm's IMUs: the order of the orientations that :func:`calibrated` takes.
     rms
         Root mean square distance between markers and model after calibration [m].
-    used, missing
-        Number of marker positions that were used, and of those left out because they were not finite.
+    used
+        Number of marker positions that were used.
+    missing
+        Number of marker positions that were left out because they were not finite.
     """
 
     names: tuple[str, ...]
@@ -416,8 +418,14 @@ def calibrate_imus(
         Standard deviation of a marker against the model along each axis [m]. The error of the model counts.
         Samples are taken for independent; neighbouring ones are not, so give a larger value or every k-th
         sample.
-    rotation, translation, heading, mounting
-        Tolerances, the standard deviations of the priors [rad, m, rad, rad]; all assumed.
+    rotation
+        Tolerance of the rotation of the frame [rad]: standard deviation of its prior, assumed as the next three.
+    translation
+        Tolerance of its translation [m].
+    heading
+        Tolerance of a heading [rad].
+    mounting
+        Tolerance of a mounting [rad].
 
     Raises
     ------

@@ -406,8 +406,10 @@ class RodFilter(MotionModel):
 
         Parameters
         ----------
-        q, covariance
-            Of an estimate: ``[..., n_q]`` and ``[..., n_q, n_q]``.
+        q
+            Configuration of an estimate ``[..., n_q]``.
+        covariance
+            Its covariance ``[..., n_q, n_q]``.
         arcs_m
             Distance of every place from the base along the backbone ``[m]`` [m].
 
