@@ -1,1 +1,1 @@
-"""Tests of the library. A package, because tests of the first edition have files of the same names."""
+"""Tests of the library; they share the robots of `robots.py`."""

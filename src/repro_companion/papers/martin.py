@@ -406,7 +406,7 @@ def hull(moved: Motion, trial: Trial, along: pd.DataFrame) -> pd.DataFrame:
 
 # The scorecard
 
-TIME = "first edition: PCC-extended chain, 8 IMUs, 16 segments [samples/s]"
+TIME = "pcc_extended, 8 IMUs, 16 segments [samples/s]"
 """Name of the rate among the measured times."""
 TIME_NOTE = (
     "CPU seconds of one core for 8,000 samples; the printed 18 minutes are of another computer, and the times in the "

@@ -316,7 +316,7 @@ def scorecard_rows(table: pd.DataFrame, means: pd.DataFrame, changed: str = "") 
     return pd.DataFrame(lines).assign(paper="mitchell2021")
 
 
-UPDATES = "first edition: particle filter, N = 1000 [updates/s]"
+UPDATES = "ParticleFilter, N = 1000 [updates/s]"
 """Name of the update rate among the measured times."""
 
 
