@@ -266,10 +266,10 @@ def segments_in_words(table: pd.DataFrame) -> str:
     ]
     return (
         "**More segments.** The authors expect that their filter extends to several magnets and sensors (section V)."
-        " On the arms of [Table 1](table_1.ipynb) of Baaij et al., with six and nine unknowns, a cloud of a thousand"
+        " On the arms of Table 1 of Baaij et al., with six and nine unknowns, a cloud of a thousand"
         f" particles is worth {'a single one' if worth < 1.5 else f'at most {worth:.1f} particles'}. Its tip error is"
         f" {found[0]}, and the error of least squares is {found[1]}. Use least squares there, or a"
-        " [Kalman filter](closed_loop.ipynb) if the arm moves smoothly."
+        " Kalman filter if the arm moves smoothly."
     )
 
 
