@@ -177,7 +177,7 @@ def test_rows_of_the_scorecard(table):
     )
     more = rows.loc[("Fig. 4", "M1 PCC-extended 16 segments and more", "q3")]
     assert more["regenerated"] == pytest.approx(finer["q75_mm"].mean() / 3.6)
-    assert more["note"].startswith("mean of 16, 32, 64; evaluated as described ")
+    assert more["note"].startswith("mean of 16, 32, 64; the chain of the text: ")
     best = rows["best"].dropna()
     assert len(best) == 11
     assert {"PCC" in row for _, row, _ in best.index} == {True}

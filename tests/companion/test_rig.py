@@ -206,7 +206,7 @@ def test_the_rows_are_the_printed_ones_and_not_comparable(data):
     assert set(map(tuple, lines[key].to_numpy())) <= set(map(tuple, printed[key].to_numpy()))
     assert len(lines) == 35 + 2
     assert not lines["comparable"].any()
-    noted = lines[lines["note"].str.contains("decided by rounding: 1 to 2.24 mm from 32 starts")]
+    noted = lines[lines["note"].str.contains("decided by rounding: 32 other starts give 1 to 2.24 mm")]
     assert set(noted["row"]) == {rig.row_name("T1")}
 
 

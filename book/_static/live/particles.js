@@ -79,7 +79,7 @@ function draw(figure) {
 }
 
 function drawErrors(figure, place) {
-  const y = figure.plot(place, [-3, 1], 300, { estimate: figure.errors }, "error [mm] of 300 steps; dashed: the spread alone"), limit = y(law(figure.state));
+  const y = figure.plot(place, [-3, 1], 300, { estimate: figure.errors }, "error [mm], last 300 steps; dashed: the law"), limit = y(law(figure.state));
   figure.line([[place[0], limit], [place[2], limit]], "text", 1.5, { flat: true, dash: [6, 5] });
 }
 

@@ -281,7 +281,8 @@ def softer_in_words(means: pd.DataFrame) -> str:
     before, after = wide.loc[steady]
     also = "and it also tracks best" if steady == best else f"but the {best} tracks best"
     return (
-        f"With feed-forward the tracking error with the {steady} grows least, from {before:.2f} to {after:.2f} mm,"
+        f"With feed-forward, of the four estimators the {steady} loses least: its tracking error grows from"
+        f" {before:.2f} to {after:.2f} mm,"
         f" {also} ({wide.loc[best].iloc[1]:.2f} mm)."
     )
 

@@ -461,8 +461,9 @@ def scorecard_rows(table: pd.DataFrame, calibration: pd.DataFrame) -> pd.DataFra
             ours = scale * values[names[row["quantity"]]][[(case, marker) for case in cases]].mean(axis=1)
             if cases == [PCC_16]:
                 own = {"best": scale * best[names[row["quantity"]]][at], "best_method": BEST_METHOD}
-        others = "; ".join(f"{way} {ours[way].mean():.3g}" for way in (DESCRIBED, SAME_POINT))
-        note = "; ".join(filter(None, (note, f"evaluated {others}")))
+        text, marker_too = (f"{ours[way].mean():.3g}" for way in (DESCRIBED, SAME_POINT))
+        others = f"the chain of the text: {text}; the chain of the files at the marker: {marker_too}"
+        note = "; ".join(filter(None, (note, others)))
         numbers = {
             "regenerated": ours[FILES].mean(),
             "regenerated_std": ours[FILES].std(),

@@ -729,7 +729,7 @@ SETTING = "as released: elongation known, start at ground truth, momentum carrie
 MEANS = (("Abstract", "experiments mean relative error", ("delta_x", "delta_y")),
          ("Section 5.5", "experiments mean relative e_u", ("e_u",)))  # fmt: skip
 NOTES = {
-    "simulated": "synthetic: recorded by the digital twin, so not comparable with the authors' hardware",
+    "simulated": "synthetic: from the simulated rig, so not comparable with the authors' hardware",
     "own": "recordings of the reader's own under the authors' names, so not comparable with what they printed",
 }
 
@@ -747,13 +747,13 @@ def scorecard_rows(table: pd.DataFrame, data: Data, seconds: float, ranges: pd.D
     cells = pd.concat(parts).groupby(key, sort=False)["error"]
     lines = cells.agg(regenerated="mean", regenerated_std="std", n_seeds="count").reset_index()
     manifest = json.loads((project_folder() / "data/networks/rig_sensor1_seed0.json").read_text("utf-8"))
-    origin = [f"synthetic twin {manifest['twin_sha256'][:8]}"] if data.source == "simulated" else []
+    origin = [f"simulated rig {manifest['twin_sha256'][:8]}"] if data.source == "simulated" else []
     setting = "; ".join([*origin, SETTING, f"here the first {seconds:g} s of each test part"])
     lines = lines.assign(paper="baaij2023", setting=setting, comparable=data.source == "recorded")
     wide = ranges[ranges["chaotic"] & (ranges["step"] == "published")]
     spans = {
-        (line.row, line.quantity): f"; decided by rounding: {line.lowest:.3g} to {line.highest:.3g} mm"
-        f" from {STARTS} starts"
+        (line.row, line.quantity): f"; decided by rounding: {STARTS} other starts give"
+        f" {line.lowest:.3g} to {line.highest:.3g} mm"
         for line in wide.itertuples()
     }
     keys, note = zip(lines["row"], lines["quantity"], strict=True), NOTES.get(data.source, "")
