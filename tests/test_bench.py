@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
+@pytest.mark.slow
 def test_every_row_has_a_figure(tmp_path):
     environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}
     command = [sys.executable, "bench/bench.py", "--fast", str(tmp_path / "fast.csv")]

@@ -105,6 +105,7 @@ def required(wheel, tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_bare_installation_has_the_library(called: Called, required):
     """``import repro`` brings nothing else before a name of it is used."""
     assert called(required, "python", "-c", BROUGHT).stdout == "{'repro'}\n"
@@ -118,6 +119,7 @@ def test_a_bare_installation_has_the_library(called: Called, required):
     assert printed == pytest.approx(closed_form, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_a_bare_installation_says_which_extra_a_command_needs(called: Called, required):
     """In one line, before it asks for anything else; help works."""
     for command, said in {
@@ -134,6 +136,7 @@ def test_a_bare_installation_says_which_extra_a_command_needs(called: Called, re
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_the_lines_of_the_readme_run_from_the_wheel(called: Called):
     """And the command says in one line that it needs a checkout where it does."""
     (lines,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)

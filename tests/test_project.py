@@ -276,3 +276,8 @@ def test_front_door_is_written_for_old_make_and_other_systems():
     makefile = read("Makefile")
     for word in (".ONESHELL", "&:", "sed -i", "date -d", "readlink -f", "sha256sum", "grep -P", "cp --"):
         assert word not in makefile, word
+
+
+def test_few_tests_are_slow():
+    files = [path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py")]
+    assert sum(len(re.findall(r"^ *@pytest\.mark\.slow$", text, re.MULTILINE)) for text in files) <= 20

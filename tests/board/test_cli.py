@@ -73,6 +73,7 @@ def emulated(folder: Path, *options: str) -> Iterator[str]:
             board.terminate()
 
 
+@pytest.mark.slow
 def test_from_a_robot_file_to_an_evaluation(folder, monkeypatch, capsys):
     """The robot is not as its file says: only a calibration makes its estimates right."""
     monkeypatch.chdir(folder)
@@ -132,6 +133,7 @@ def test_live_states_what_a_calibration_leaves_open(folder):
     assert np.median(stated / tip) == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.slow
 def test_a_port_is_recorded_and_followed(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     with emulated(folder) as port:

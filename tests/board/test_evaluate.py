@@ -647,6 +647,7 @@ def test_motion_tells_nothing_where_every_reading_is_needed_for_the_shape(tmp_pa
     assert "; 1 do not fit" in str(report)
 
 
+@pytest.mark.slow
 def test_motion_of_another_robot_is_refused_and_a_doubtful_one_told(tmp_path):
     path, _, _ = in_motion(tmp_path)
     with pytest.raises(

@@ -552,6 +552,7 @@ def test_a_port_that_there_is_not_is_refused(page):
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (390, "dark")])
+@pytest.mark.slow
 def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, width, scheme):
     session = session_of(sent(faulty(U[:400], "unplugged", 2, since=200)))
     session.heard = session.estimated_at = time.monotonic() + 60  # and it goes on like this

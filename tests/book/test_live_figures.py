@@ -174,6 +174,7 @@ def test_calibration_finds_the_parts(figure):
     assert float(said(page, ERRORS).group(1)) < as_drawn / 3
 
 
+@pytest.mark.slow
 def test_particles_step_by_step(figure):
     """Weighing, drawing and moving in turn bring the cloud to the bend; the error then keeps to the law's order."""
     page = figure("particles")

@@ -54,6 +54,7 @@ def build(*names: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_a_book_from_nothing_and_a_page_that_breaks(root):
     (root / "results").mkdir()
     (root / "results/of_no_notebook.csv").write_text("n\n1\n")
@@ -75,6 +76,7 @@ def test_a_book_from_nothing_and_a_page_that_breaks(root):
     assert "A page." in (root / "book/_build/html/index.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_page_alone(root):
     done = build("a")
     assert done.returncode == 0, done.stderr
@@ -91,6 +93,7 @@ def without_site(root: Path) -> Path:
     return root
 
 
+@pytest.mark.slow
 def test_a_page_runs_again_when_its_inputs_change(without_site):
     root = without_site
 
@@ -124,6 +127,7 @@ def test_a_page_runs_again_when_its_inputs_change(without_site):
     assert os.listdir(root / "results/with_recordings") == ["o.csv"]
 
 
+@pytest.mark.slow
 def test_failures_warnings_and_shared_tables_are_refused(without_site):
     root = without_site
     notebook(root / "notebooks/fails.ipynb", "f", "undefined_name")

@@ -157,6 +157,7 @@ def test_output_and_tables_are_whole_or_not_there(root):
     assert os.listdir(results) == ["other.csv"]
 
 
+@pytest.mark.slow
 def test_a_sweep_joins_what_succeeds_and_runs_nothing_twice(root, capfd):
     page, folder = root / "notebooks/a.ipynb", root / "runs/a-sweep"
     grid = {"noise_mt": [0.0, 3.0], "seeds": [[5], [6, 7]]}
@@ -177,6 +178,7 @@ def test_a_sweep_joins_what_succeeds_and_runs_nothing_twice(root, capfd):
     assert [tool.read_record(point.output) for point in points[:2]] == started
 
 
+@pytest.mark.slow
 def test_workers_of_a_scheduler_run_a_sweep(root):
     from distributed import LocalCluster
 

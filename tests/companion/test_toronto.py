@@ -88,6 +88,7 @@ def test_constants_that_were_put_in_are_found(monkeypatch):
     np.testing.assert_allclose(toronto.calibration_constants(), constants, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_white_and_lasting_errors_are_told_apart(monkeypatch):
     """An error that fades by e in 2 s, beside a white one: their sizes and the time are found."""
     rng, dt, n = np.random.default_rng(1), 0.06, 20_000

@@ -167,6 +167,7 @@ def _many(x, P, F, Q, q, C, information, J, steps):
         _update(x, P, q, C, information)
 
 
+@pytest.mark.slow
 def test_covariances_stay_symmetric_and_positive_over_a_million_steps():
     method, *_ = linear_case()
     F, Q = method.motion(0.01)

@@ -57,6 +57,7 @@ def test_shapes_and_covariances_are_those_of_the_first_edition(n_b):
 
 
 @pytest.mark.parametrize("network", [False, True])
+@pytest.mark.slow
 def test_the_descent_agrees_with_the_first_edition_to_rounding_where_it_is_stable(network):
     q = lemniscate(2, 12)
     files = sorted(NETWORKS.glob("*nb2*seed0*.safetensors"))[:2]

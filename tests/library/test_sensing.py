@@ -139,6 +139,7 @@ def test_networks_of_the_paper_predict_what_torch_predicts(double):
         np.testing.assert_array_equal(Sensing(paper_robot(2), [load_network(path) for path in files])(q), u)
 
 
+@pytest.mark.slow
 def test_the_fast_network_predicts_what_torch_predicts():
     with torch.random.fork_rng():
         torch.manual_seed(0)
