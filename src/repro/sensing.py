@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -694,6 +694,10 @@ def relations(robot: Robot, q: Any, *, inputs: str = "cosines", earth: Any = Non
     return Sensing(robot, lambda xi: xi[..., 1], inputs=inputs, earth=earth).relations(q)
 
 
+_CUBE = Cube(6.35e-3, 1320.0)
+"""The cube of Mitchell et al. 2021, a quarter of an inch long."""
+
+
 @dataclass(frozen=True)
 class BendSensor:
     r"""Sensor model of Mitchell et al. 2021: from a bend vector to the flux density at the base of the arc.
@@ -730,7 +734,7 @@ class BendSensor:
     """
 
     length: float
-    cube: Cube = field(default_factory=lambda: Cube(6.35e-3, 1320.0))
+    cube: Cube = _CUBE
 
     def __post_init__(self) -> None:
         fits = 1.25 * self.cube.edge < self.length < math.inf
