@@ -16,7 +16,7 @@ from typing import IO, Any
 from playwright.sync_api import sync_playwright
 
 import repro
-from repro_companion.show import project_folder
+from repro_companion.run import project_folder
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 BOARD = "emulate robot.toml --fault stick 2 --fault-from 8 --port-file board"

@@ -246,13 +246,14 @@ def faults_named(
     for name, value in dict(given).items():
         require(name in found, "fault", "emulate", f"one of {', '.join(found)}", name)
         if robot and name in OF_SENSORS:
-            value = robot.part(value, "emulate") + 1
+            k = robot.part(value, "emulate")
+            fits = k < len(robot.sensors) or name in ("stick", "unplug")
+            require(fits, f"fault {name}", "emulate", "of a magnetic sensor", value)
+            found[name] = k + 1.0
+            continue
         found[name] = float(numbers(value, f"fault {name}", "emulate", ()))
-        expected, fits = "not negative", found[name] >= 0 or name == "drift_ppm"
-        if robot and name in OF_SENSORS:
-            n = len(robot.part_names if name in ("stick", "unplug") else robot.sensors)
-            expected, fits = f"the number of a sensor, from 1 to {n}", found[name] in range(1, n + 1)
-        require(fits, f"fault {name}", "emulate", expected, value)
+        fits = found[name] >= 0 or name == "drift_ppm"
+        require(fits, f"fault {name}", "emulate", "not negative", value)
     return found
 
 

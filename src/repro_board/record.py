@@ -397,11 +397,13 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
             size += len(block.content)
         previous = number
     samples += parser.close()
-    if not (samples or given or (format, channels) == (None, None)):
+    if (format or channels) and not (samples or given):
         stated = " ".join([*([format] if format else []), *([f"of {channels} values"] if channels else [])])
         found = read_recording(path, format="")
         if found.samples:
-            remark = f"it was recorded as {stated}, but its bytes are {found.format}, and are read so"
+            remark = (
+                f"{path.name} was recorded as {stated}, but its bytes are {found.format}, and are read so"
+            )
             return found._replace(remarks=(*found.remarks, remark))
     began = np.searchsorted(offsets, [sample.start for sample in samples], side="right") - 1
     arrived = np.array(stamps, dtype=np.int64)[began] / 1e9

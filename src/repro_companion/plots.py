@@ -1347,8 +1347,7 @@ def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
         panel.plot(
             alarm["time_s"], np.full(len(alarm), 0.06), "s", color=ORANGE, ms=3, label="alarm", clip_on=False
         )
-        title = name.replace("question", "test")  # the table keeps the word it always had
-        panel.set(title=title, yscale="log", ylabel="error of the tip\n[% of the length]", ylim=(0.05, 20))
+        panel.set(title=name, yscale="log", ylabel="error of the tip\n[% of the length]", ylim=(0.05, 20))
         panel.yaxis.set_major_formatter("{x:g}")
         panel.yaxis.set_minor_formatter("")
     panels[-1].set_xlabel("time [s]")

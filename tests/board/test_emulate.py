@@ -536,7 +536,7 @@ def test_a_recording_is_played_again_and_in_a_loop(tmp_path):
             {"faults": {"unplug": 4}},
             r"one of sensor 1 \(1\), sensor 2 \(2\), imu 1 \(3\); instead received 4",
         ),
-        ({"faults": {"gain": 3}}, "the number of a sensor, from 1 to 2; instead received 3"),
+        ({"faults": {"gain": 3}}, "fault gain of emulate must be of a magnetic sensor; instead received 3"),
         ({"faults": {"stick": 1.5}}, r"one of sensor 1 \(1\), .*; instead received 1.5"),
         ({"rate_hz": -1.0}, "Input rate of emulate must be above zero"),
         ({"tolerances": -1.0}, "Input tolerances of emulate must be 0 or more"),

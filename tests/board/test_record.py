@@ -115,7 +115,8 @@ def test_a_format_that_was_wrong_when_recorded_spoils_nothing(tmp_path):
         recording = read_recording(path)
         assert [sample.sequence for sample in recording.samples] == list(range(20))
         assert (
-            recording.remarks[-1] == f"it was recorded as {words}, but its bytes are frames, and are read so"
+            recording.remarks[-1]
+            == f"{path.name} was recorded as {words}, but its bytes are frames, and are read so"
         )
 
 

@@ -622,10 +622,8 @@ def networks(data: Data, seed: int) -> list[Any]:
 
 
 def _train(train: Recording, sensor: int, seed: int, path: Path) -> None:
-    there = find_spec("torch") is not None
-    require(
-        there, "torch", "networks for these recordings", "installed (make env)", "no package of this name"
-    )
+    owner = "networks for these recordings"
+    require(find_spec("torch"), "torch", owner, "installed (make env)", "no package of this name")
     from repro.training import save_network, train_paper
 
     path.parent.mkdir(parents=True, exist_ok=True)
