@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from repro.common import Array, bad_input, is_table, numbers, printable, require
 from repro.estimators.base import Trajectory
 from repro.estimators.least_squares import CHI2, LevenbergMarquardt
-from repro.robot import FreeBody, Place, Robot, place, point_on, rotation_matrix, unit_quaternions, wrap
+from repro.robot import FreeBody, Place, Robot, place, point_on, rotation_matrix, unit_quaternions
 from repro.sensing import _batch_difference
 from repro.tables import Table, configurations_of, read_table, text_of
 
@@ -110,8 +110,7 @@ class _Bodies:
 
     def __init__(self, robot: Robot, places: Sequence[Place]) -> None:
         self.robot, self.places = robot, tuple(places)
-        self.n_q, self.n_readings, self.angles = robot.n_q, 6 * len(self.places), robot.angles
-        self._chain = robot.chain(())[0]
+        self.n_q, self.n_readings, self.rotations = robot.n_q, 6 * len(self.places), robot.rotations
 
     def __call__(self, q: Array) -> Array:
         return self.linearise(q)[0]
@@ -128,10 +127,6 @@ class _Bodies:
         r = np.empty(u_hat.shape)
         _batch_difference(self.n_readings // 2, np.ascontiguousarray(u), np.ascontiguousarray(u_hat), r)
         return r
-
-    def wrapped(self, q: Array) -> Array:
-        wrap(self._chain, q.reshape(math.prod(q.shape[:-1]), self.n_q))
-        return q
 
 
 def _rotation_vectors(R: Array) -> Array:
@@ -334,6 +329,7 @@ class _Search:
         method = LevenbergMarquardt(_Bodies(robot, places), -far, far, noise, tolerance=tolerance)
         known = None if self.free.all() else self.known[:n]
         found, u_hat, C, status, used = method.fit(q[:, :n], u, known)
+        found = method.angles.wrapped(found)
         C = np.pad(C, ((0, 0), (0, q.shape[1] - n), (0, q.shape[1] - n)))
         return np.concatenate([found, q[:, n:]], axis=1), u_hat, C, status[:, CHI2], used
 
@@ -788,7 +784,7 @@ def _clear_outside(robot: Robot, q: Array, owner: str, lines: Sequence[int], rem
     if robot.lower is None or robot.upper is None:
         return
     width = robot.upper - robot.lower
-    free = robot.fixed | (robot.angles & (width >= 2 * math.pi - 1e-9))  # nobody measures a fixed one exactly
+    free = robot.fixed | robot.free_angles.free  # nobody measures a fixed one exactly
     slack = np.where(free, np.inf, _SLACK * width + 1e-9)
     far = (q < robot.lower - slack) | (q > robot.upper + slack)
     rows, c = np.asarray(far.any(axis=1)), int(far.sum(axis=0).argmax())

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from repro.angles import FreeAngles
 from repro.common import Array, bad_input, kernel, numbers, require, rows_of
 
 _CONSTANT, _AFFINE, _LINK, _JOINT, _FREE = range(5)
@@ -594,7 +595,7 @@ class Robot:
         self.n_q = len(self.coordinates)
         """Number of coordinates."""
         self.angles = np.array([x.startswith(("phi_", "rotation_")) for x in self.coordinates], dtype=bool)
-        """Which coordinates are angles that come round again after a turn, ``[n_q]``."""
+        """Which coordinates are angles, ``[n_q]``."""
         self.length = sum(segment.length for segment in self.segments)
         """Unextended length of the robot [m]."""
         self.n_readings = sum(part.axes for part in (*self.sensors, *self.imus))
@@ -610,7 +611,7 @@ class Robot:
         """Which coordinates equal bounds fix ``[n_q]``."""
         self.start = None if start is None else numbers(start, "start", "Robot", (self.n_q,))
         if self.start is not None and self.lower is not None and self.upper is not None:
-            free = self.angles & (self.upper - self.lower >= 2 * math.pi - 1e-9)
+            free = self.free_angles.free
             inside = (self.start >= self.lower) & (self.start <= self.upper)
             require((free | inside).all(), "start", "Robot", "within the bounds", self.start.tolist())
         require(rate_hz is None or 0 < rate_hz < math.inf, "rate_hz", "Robot", "positive", rate_hz)
@@ -646,6 +647,25 @@ class Robot:
         std = self.per_reading("noise", np.nan, np.nan)
         std = np.where(np.isnan(std), given, std)
         return None if np.isnan(std).any() else std
+
+    @cached_property
+    def rotations(self) -> tuple[tuple[int, ...], ...]:
+        """Coordinates of every rotation: an azimuth, or the components of a rotation vector."""
+        found: list[tuple[int, ...]] = []
+        first = 0
+        for segment in self.segments:
+            of_segment = range(first, first + len(segment.coordinates))
+            first = of_segment.stop
+            found.append(tuple(c for c in of_segment if self.angles[c]))
+        return tuple(one for one in found if one)
+
+    @cached_property
+    def free_angles(self) -> FreeAngles:
+        """Which angles come round again within the bounds: they are wrapped, subtracted and averaged as such."""
+        unbounded = np.full(self.n_q, np.inf)
+        if self.lower is None or self.upper is None:
+            return FreeAngles(self.rotations, -unbounded, unbounded)
+        return FreeAngles(self.rotations, self.lower, self.upper)
 
     @property
     def total_noise(self) -> Array | None:
@@ -1072,24 +1092,3 @@ def _all_frames(chain, q, R, p, X):
                 for c in range(chain.first[g], chain.first[g + 1]):
                     for i in range(6):
                         X[n, f, c, i] = own[at, c - chain.first[g], i]
-
-
-@kernel(entry=True)
-def wrap(chain, q):
-    """Bring azimuths into (-pi, pi] and rotation vectors to at most half a turn, in place."""
-    for n in range(len(q)):
-        for g in range(len(chain.kind)):
-            first, stop = chain.first[g], chain.first[g + 1]
-            if chain.kind[g] == _AFFINE:
-                q[n, first + 2] -= 2.0 * math.pi * math.ceil((q[n, first + 2] - math.pi) / (2.0 * math.pi))
-            if chain.kind[g] == _FREE:
-                first += 3
-            if chain.kind[g] >= _JOINT:
-                square = 0.0
-                for c in range(first, stop):
-                    square += q[n, c] * q[n, c]
-                angle = math.sqrt(square)
-                if angle > math.pi:
-                    share = 1.0 - 2.0 * math.pi * math.ceil((angle - math.pi) / (2.0 * math.pi)) / angle
-                    for c in range(first, stop):
-                        q[n, c] *= share

@@ -22,7 +22,7 @@ import numpy as np
 from repro.common import Array, bad_input, kernel, numbers, require, rows_of, say_that_kernels_compile
 from repro.magnets import Cube
 from repro.networks import RELU, SILU, Network, nodes, predict
-from repro.robot import Chain, Robot, frames, turn, wrap
+from repro.robot import Chain, Robot, frames, turn
 
 _MULTIPOLES, _NETWORKS, _OTHER = range(3)
 _VALUES, _SLOPES, _RELATIONS, _CHAIN_RULE, _WRENCHES = range(5)
@@ -522,7 +522,7 @@ class Sensing:
         self.compiled = kind != _OTHER
         """Whether the kernels of estimators know the model; else they call :meth:`linearise`."""
         self.n_q, self.n_readings = robot.n_q, len(rows) + 3 * len(robot.imus)
-        self.angles = robot.angles
+        self.rotations = robot.rotations
         say_that_kernels_compile()
 
     def _moments(self, moments: Any, l_max: int) -> Array:
@@ -636,11 +636,6 @@ class Sensing:
         _batch(*self.packed, flat, _WRENCHES, u, _UNUSED[1], wrench)
         batch = (*q.shape[:-1], self.n_magnetic)
         return u.reshape(batch), wrench.reshape(*batch, -1, 6)
-
-    def wrapped(self, q: Array) -> Array:
-        """Return the same shapes with angles within half a turn; ``q`` is overwritten."""
-        wrap(self.tables.chain, q.reshape(math.prod(q.shape[:-1]), self.n_q))
-        return q
 
     def _modelled(self, xi: Array) -> Array:
         assert callable(self.model)

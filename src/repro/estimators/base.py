@@ -465,10 +465,10 @@ class CallableModel:
     """Any callable as a sensor model: how it takes batches and where its slopes come from is found out once."""
 
     compiled = False
+    rotations = ()
 
     def __init__(self, sensing: Any, middle: Array, width: Array, owner: str) -> None:
         self.sensing, self._step, self.owner = sensing, 6e-6 * width, owner
-        self.angles = np.zeros(len(middle), dtype=bool)
         nearby = np.stack([middle, middle + 0.01 * width])
         single = [self._one(q) for q in nearby]
         self.n_readings = len(single[0])
@@ -535,14 +535,9 @@ class CallableModel:
         """Return what was read beyond what was predicted, NaN where nothing was read."""
         return np.where(np.isfinite(u), u, np.nan) - u_hat
 
-    @staticmethod
-    def wrapped(q: Array) -> Array:
-        """Return ``q``: it has no angles that are known as such."""
-        return q
-
 
 def model_of(sensing: Any, lower: Array, upper: Array, owner: str) -> Any:
-    """Return a sensor model with ``linearise``, ``difference``, ``angles`` and ``wrapped``: itself, or a wrapper.
+    """Return a sensor model with ``linearise``, ``difference`` and ``rotations``: itself, or a wrapper.
 
     Raises
     ------

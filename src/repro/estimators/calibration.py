@@ -356,7 +356,7 @@ def check_poses(robot: Robot, q: Array, q_covariance: Any = 0.0, rows: Sequence[
         return
     width = robot.upper - robot.lower
     std = np.sqrt(np.diagonal(np.broadcast_to(q_covariance, (len(q), robot.n_q, robot.n_q)), 0, -2, -1))
-    slack = np.where(robot.angles & (width >= 2 * math.pi - 1e-9), np.inf, 5 * std + 0.01 * width + 1e-9)
+    slack = np.where(robot.free_angles.free, np.inf, 5 * std + 0.01 * width + 1e-9)
     for row, c in np.argwhere((q < robot.lower - slack) | (q > robot.upper + slack)):
         name = robot.coordinates[c]
         expected = f"within the robot's bounds, for {name} {robot.lower[c]:g} to {robot.upper[c]:g} (unit?)"

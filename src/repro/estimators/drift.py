@@ -162,7 +162,7 @@ class DriftModel:
         ]
         self.n_base = len(lower)
         self.n_q = len(lower) + len(rows)
-        self.angles = np.concatenate([base.angles, np.zeros(len(rows), dtype=bool)])
+        self.rotations = base.rotations
 
     def _share(self, rows: list[tuple[Drift, int]], kind: str) -> Array:
         """Which readings have which error of a kind ``[s, errors]``."""
@@ -229,9 +229,3 @@ class DriftModel:
     def difference(self, u: Array, u_hat: Array) -> Array:
         """Return what was read beyond what was predicted, as the sensor model has it."""
         return self.base.difference(u, u_hat)
-
-    def wrapped(self, x: Array) -> Array:
-        """Bring the angles of the configuration within half a turn."""
-        q = np.ascontiguousarray(x[..., : self.n_base])
-        x[..., : self.n_base] = self.base.wrapped(q)
-        return x

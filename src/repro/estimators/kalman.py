@@ -160,7 +160,7 @@ class KalmanFilter(MotionModel):
             iterations=iterations,
             tolerance=tolerance,
         )
-        self._width = high - low
+        self._width, self.angles = high - low, self._update.angles
 
     def __repr__(self) -> str:
         """Say its process noise, and whether that is the rule of thumb."""
@@ -201,10 +201,39 @@ class KalmanFilter(MotionModel):
             F[e, e], Q[e, e] = np.exp(-self.drift_rate * tau), self.drift_walk**2 * grown
         return F, Q
 
-    def wrapped(self, q: Array) -> Array:
-        """Return the same shapes with angles within half a turn; ``q`` is overwritten."""
-        model = self._update.model
-        return model.wrapped(q) if model.angles.any() and not len(self.drift_std) else q
+    def by_bounds(self, C: Array) -> Array:
+        """Return covariances ``[..., n_q, n_q]`` that leave no direction more open than the bounds do.
+
+        Between two readings a variance may grow far beyond that. The state keeps it: the bounds are no new reading.
+        """
+        known = self._update.by_bounds[: self.n_q]
+        width = 1 / np.sqrt(np.where(known > 0, known, 1.0))
+        scaled = C / np.outer(width, width)
+        if np.trace(scaled, axis1=-2, axis2=-1).max(initial=0.0) <= 1:
+            return C
+        values, vectors = np.linalg.eigh(scaled)
+        scaled = (vectors * np.minimum(values, 1.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+        return scaled * np.outer(width, width)
+
+    def near(self, state: KalmanState, reference: Array) -> KalmanState:
+        """Return the same state with angles next to those of a reference ``[..., n_q]``: a rotation vector turns on."""
+        n = state.q.shape[-1]
+        q = self.angles.nearest(state.q, reference)
+        moved = (q != state.q).any(-1)
+        if not moved.any():
+            return state
+        slopes, k = self.angles.slopes(state.q, q), self.n_q
+        turned = np.zeros_like(state.covariance)
+        turned[..., :n, :n], turned[..., n:, n:] = slopes, slopes[..., :k, :k]
+        turned = np.where(moved[..., None, None], turned, np.eye(turned.shape[-1]))
+        velocity = (turned[..., n:, n:] @ state.velocity[..., None])[..., 0]
+        P = turned @ state.covariance @ np.swapaxes(turned, -1, -2)
+        return state._replace(q=q, velocity=velocity, covariance=P)
+
+    def wrapped(self, state: KalmanState) -> KalmanState:
+        """Return the same state within the bounds: a rotation vector is singular after a whole turn."""
+        state = self.near(state, self.angles.middle) if self.angles else state
+        return state._replace(q=state.q.clip(self._update.lower, self._update.upper))
 
     def step(
         self, state: KalmanState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
@@ -234,25 +263,27 @@ class KalmanFilter(MotionModel):
         prior = (before.q, information.reshape(*batch, n, n))
         values = np.where(fixed.reshape(*batch, n), before.q, np.nan)
         if known is not None:
-            values[..., : self.n_q] = np.where(np.isnan(known), values[..., : self.n_q], known)
+            known = np.where(np.isnan(known), values[..., : self.n_q], known)
+            values[..., : self.n_q] = known
+            values = self.angles.nearest(values, before.q) if self.angles else values
         given = None if np.isnan(values).all() else values
         q = before.q.clip(fit._low, fit._high)
-        q, u_hat, C, status, n_used = fit.fit(q, u, given, prior, wrapped=False)
+        q, u_hat, C, status, n_used = fit.fit(q, u, given, prior)
         x = np.concatenate([each(before.q, batch, n), each(before.velocity, batch, m - n)], axis=1)
         _update(x, P, q.reshape(-1, n), C.reshape(-1, n, n), information)
         velocity = x[:, n:].reshape(*batch, m - n)
-        after = KalmanState(q, velocity, P.reshape(*batch, m, m), t)
-        k = self.n_q
-        shown = fit.model.wrapped(q.copy())[..., :k] if fit.model.angles.any() else q[..., :k]
-        at_bound = status[:, BOUND].reshape(batch) > 0
+        after = self.wrapped(KalmanState(q, velocity, P.reshape(*batch, m, m), t))
+        k, C = self.n_q, after.covariance[..., :n, :n]
+        at_bound = fit.at_bound(q, given)[..., :k]
         details = {"iterations": status[:, TURN].reshape(batch), "at_bound": at_bound}
         if len(self.drift_std):
-            details["drift"] = q[..., k:]
+            details["drift"] = after.q[..., k:]
             details["drift_std"] = np.sqrt(np.diagonal(C, axis1=-2, axis2=-1)[..., k:])
         # The prior adds a residual for every coordinate, and the fit uses up one for each that is free.
         dof = n_used + status[:, BOUND].astype(np.int64).reshape(batch)[()]
         chi2 = status[:, CHI2].reshape(batch)[()]
-        return after, Estimate(shown, C[..., :k, :k], u_hat, chi2, dof, u.shape[-1] - n_used, details)
+        C = self.by_bounds(C[..., :k, :k])
+        return after, Estimate(after.q[..., :k], C, u_hat, chi2, dof, u.shape[-1] - n_used, details)
 
 
 @kernel(entry=True, allocates=True)
@@ -344,17 +375,23 @@ def smoothed(method: Any, states: Sequence[Any], restarted: Any = None) -> list[
     require((np.diff(t) >= 0).all(), "states", "smoothed", "in the order of time", "others")
     x = np.stack([np.concatenate([state.q, state.velocity], axis=-1) for state in states])
     P, n = np.stack([state.covariance for state in states]), states[0].q.shape[-1]
+    turns = getattr(method, "angles", None)
     for k in reversed(range(len(t) - 1)):
         gain, mean, before = _link(method.motion(t[k + 1] - t[k]), x[k], P[k])
         if restarted is not None:
             gain = gain * ~restarted[k + 1][..., None, None]
-        x[k] += (gain @ (x[k + 1] - mean)[..., None])[..., 0]
-        P[k] += gain @ (P[k + 1] - before) @ np.swapaxes(gain, -1, -2)
+        y, C = x[k + 1], P[k + 1]
+        if turns:  # the later state may have been wrapped
+            later = method.near(states[k + 1]._replace(q=y[..., :n], velocity=y[..., n:], covariance=C), mean[..., :n])
+            y, C = np.concatenate([later.q, later.velocity], axis=-1), later.covariance
+        x[k] += (gain @ (y - mean)[..., None])[..., 0]
+        P[k] += gain @ (C - before) @ np.swapaxes(gain, -1, -2)
         P[k] = 0.5 * (P[k] + np.swapaxes(P[k], -1, -2))
-    return [
+    found = [
         state._replace(q=y[..., :n], velocity=y[..., n:], covariance=C)
         for state, y, C in zip(states, x, P, strict=True)
     ]
+    return [method.wrapped(state) for state in found] if hasattr(method, "wrapped") else found
 
 
 def _link(motion: tuple[Array, Array], x: Array, P: Array) -> tuple[Array, Array, Array]:
@@ -417,8 +454,9 @@ def smooth(
     details = found.details
     back, n = smoothed(method, states, details.get("restarted")), found.q.shape[-1]
     q = np.stack([state.q[..., :n] for state in back])
-    wrapped = getattr(method, "wrapped", None)
     P = np.stack([state.covariance[..., :n, :n] for state in back])
     P = P * details["growth"][..., None, None] if "growth" in details else P
-    values = {**vars(found), "q": q if wrapped is None else wrapped(q), "covariance": P}
+    if hasattr(method, "by_bounds"):
+        P = method.by_bounds(P)
+    values = {**vars(found), "q": q, "covariance": P}
     return Trajectory(**values)

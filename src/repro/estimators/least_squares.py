@@ -5,6 +5,12 @@ Each iteration solves :math:`(A + \lambda\, \mathrm{diag} A)\, \delta = g` with 
 error. :math:`S` is the variance of the readings; a Kalman filter adds its prior with mean :math:`m` and information
 :math:`\Lambda`. The iteration ends when a step is small against the uncertainty that the noise leaves,
 :math:`\delta^T A \delta < \varepsilon^2`.
+
+**Bounds are knowledge.** Between bounds a width :math:`w` apart a coordinate has the standard deviation
+:math:`w/\sqrt{12}`. With these on the diagonal of :math:`D`, the eigenvalues of :math:`D A D` say how much better the
+readings know a direction than the bounds. Those above 1 count as seen, and their number, the rank, is what the fit
+takes from the degrees of freedom. The covariance is :math:`(A + D^{-2})^{-1}`. If a direction is not seen, the fit is
+made again with the bounds as its prior, so that what nobody sees stays in the middle between them.
 """
 
 from __future__ import annotations
@@ -14,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from repro.angles import FreeAngles
 from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import (
     Estimate,
@@ -28,7 +35,8 @@ from repro.estimators.base import (
 )
 from repro.sensing import difference, evaluate, room_for, unpack
 
-_DAMPING, _COST, TURN, _DONE, CHI2, _DETERMINED, _USED, _FREE, BOUND = range(9)
+_DAMPING, _COST, TURN, _DONE, CHI2, _DETERMINED, _USED, RANK, BOUND, _WEAK = range(10)
+_FIELDS = 10
 _EPS, _TINY = 2.0**-52, 2.0**-1022
 _WELL_DETERMINED = 1e-6
 """Smallest pivot of the scaled information for which its inverse is taken directly."""
@@ -43,9 +51,9 @@ class LeastSquaresState(NamedTuple):
 class LevenbergMarquardt:
     r"""Estimator that minimises the squared residuals in units of the noise, within bounds.
 
-    Every time step starts at the last estimate. The covariance :math:`(J^T S^{-1} J)^{-1}` is the Cramér-Rao bound of
-    the model, and huge along directions that the readings do not determine. It starts from many places and keeps the
-    best where no start is given (``init()``) or stated by the robot.
+    Every time step starts at the last estimate. The covariance is the inverse of :math:`J^T S^{-1} J` and of what the
+    bounds say: the Cramér-Rao bound where the readings know more than these. It starts from many places and keeps the
+    best where no start is given (``init()``) or stated by the robot. An estimate lies within its bounds.
 
     Parameters
     ----------
@@ -55,8 +63,8 @@ class LevenbergMarquardt:
         numbers, else by central differences. A callable that takes a leading dimension is called once for all of
         them.
     lower, upper
-        Bounds of ``q``; the robot's if not given. Angles whose bounds are a whole turn apart have no bounds: they
-        come round again. Equal bounds fix a coordinate: it has no variance.
+        Bounds of ``q``; the robot's if not given. Angles whose bounds are a whole turn apart come round again. Equal
+        bounds fix a coordinate: it has no variance.
     noise
         Standard deviation of a reading, one number or one for each, in their unit; the robot's if not given.
     iterations
@@ -114,10 +122,15 @@ class LevenbergMarquardt:
         self.model = model_of(sensing, self.lower, self.upper, owner)
         self.n_q = len(self.lower)
         self._fixed = fixed_coordinates(self.lower, self.upper)
-        free = self.model.angles & (self.upper - self.lower >= 2 * math.pi - 1e-9)
+        self.angles = FreeAngles(self.model.rotations, self.lower, self.upper)
+        free = self.angles.free
         self._low, self._high = np.where(free, -np.inf, self.lower), np.where(free, np.inf, self.upper)
+        fixed = self.lower == self.upper
+        self._stops = np.where(fixed, -np.inf, self._low), np.where(fixed, np.inf, self._high)
+        width = np.where(fixed, 1.0, self.upper - self.lower)
+        self.by_bounds = np.where(fixed, 0.0, 12.0 / np.where(free, 2 * math.pi, width) ** 2)
+        """What the bounds say of every coordinate: the inverse of its variance between them."""
         self._settings: Array | None = None
-        self._any_angles = bool(self.model.angles.any())
 
     def init(self, q0: Any = None, seed: int = 0) -> LeastSquaresState:
         """Return the state at ``q0`` ``[..., n_q]``, or where the robot starts; else the first step searches."""
@@ -133,7 +146,10 @@ class LevenbergMarquardt:
     def step(
         self, state: LeastSquaresState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
     ) -> tuple[LeastSquaresState, Estimate]:
-        """Minimise from the last estimate. The details hold ``iterations`` and ``at_bound``.
+        """Minimise from the last estimate.
+
+        The details hold ``iterations``, and which coordinates are ``at_bound`` ``[..., n_q]``. The degrees of freedom
+        are the readings used, less the directions of the configuration that these know better than the bounds.
 
         Raises
         ------
@@ -144,12 +160,17 @@ class LevenbergMarquardt:
         known = known_coordinates(known, self.n_q, "LevenbergMarquardt", self._fixed)
         q = self._searched(u, known) if state.q is None else state.q
         q, u_hat, C, status, n_used = self.fit(q, u, known)
-        batch = q.shape[:-1]
-        at_bound = status[:, BOUND].reshape(batch) > 0
-        details = {"iterations": status[:, TURN].reshape(batch), "at_bound": at_bound}
+        q, batch = self.angles.wrapped(q), q.shape[:-1]
+        details = {"iterations": status[:, TURN].reshape(batch), "at_bound": self.at_bound(q, known)}
         chi2 = status[:, CHI2].reshape(batch)[()]
-        dof = np.maximum(n_used - status[:, _FREE].astype(np.int64).reshape(batch)[()], 0)
+        dof = np.maximum(n_used - status[:, RANK].astype(np.int64).reshape(batch)[()], 0)
         return LeastSquaresState(q), Estimate(q, C, u_hat, chi2, dof, u.shape[-1] - n_used, details)
+
+    def at_bound(self, q: Array, known: Array | None = None) -> Array:
+        """Return which coordinates ``[..., n_q]`` a bound stops; one that is fixed or known is not among them."""
+        low, high = self._stops
+        found = (q <= low) | (q >= high)
+        return found if known is None or known is self._fixed else found & np.isnan(known)
 
     def fit(
         self,
@@ -158,17 +179,20 @@ class LevenbergMarquardt:
         known: Array | None = None,
         prior: tuple[Array, Array] | None = None,
         *,
-        wrapped: bool = True,
+        by_bounds: Array | None = None,
     ) -> tuple[Array, Array, Array, Array, Any]:
-        """Return configuration, readings there, covariance, status ``[n, 9]``, readings used.
+        """Return configuration, readings there, covariance, status ``[n, 10]``, readings used.
 
-        ``prior`` holds means ``[..., n_q]`` and information ``[..., n_q, n_q]`` of a Gaussian prior.
+        ``prior`` holds means ``[..., n_q]`` and information ``[..., n_q, n_q]`` of a Gaussian prior; what the bounds say
+        is no part of the covariance then, unless ``by_bounds`` says so.
         """
         n, s = self.n_q, u.shape[-1]
         if self._settings is None or len(self._settings) != 2 * n + s + 2:
             noise = np.broadcast_to(self._noise_of(s), s)
             limits = (self._low, self._high, 1.0 / noise, [self.tolerance, self.iterations])
             self._settings = np.concatenate(limits)
+        if by_bounds is None:
+            by_bounds = self.by_bounds if prior is None else _NOTHING
         held = None if known is None else ~np.isnan(known)
         if held is not None and known is not None:
             q = np.where(held, known, q)
@@ -180,8 +204,8 @@ class LevenbergMarquardt:
             information = np.ascontiguousarray(each(information, batch, n, n))
         fixed = _NONE_HELD if held is None else each(held, batch, n).copy()
         u_hat, C = np.empty((len(flat), s)), np.empty((len(flat), n, n))
-        status = np.empty((len(flat), 9))
-        arrays = (mean, information, fixed, flat, u_hat, C, status)
+        status = np.empty((len(flat), _FIELDS))
+        arrays = (mean, information, fixed, by_bounds, flat, u_hat, C, status)
         if self.model.compiled:
             good = _fit(*self.model.packed, self._settings, rows, *arrays)
         else:
@@ -191,11 +215,24 @@ class LevenbergMarquardt:
             raise bad_input("sensing", type(self).__name__, expected, "readings that are NaN or infinite")
         for k in () if good else np.flatnonzero(status[:, _DETERMINED] == 0):
             C[k] = bounded_inverse(C[k], fixed[k] if len(fixed) else np.zeros(n, dtype=bool))
-        flat = flat.reshape(*batch, n)
-        if wrapped and self._any_angles:
-            flat = self.model.wrapped(flat)
+        if not good and prior is None:
+            self._settle(rows, held, known, batch, flat, u_hat, C, status)
         n_used = status[:, _USED].astype(np.int64).reshape(batch)[()]
-        return flat, u_hat.reshape(*batch, s), C.reshape(*batch, n, n), status, n_used
+        C = C.reshape(*batch, n, n)
+        return flat.reshape(*batch, n), u_hat.reshape(*batch, s), C, status, n_used
+
+    def _settle(
+        self, u: Array, held: Any, known: Any, batch: tuple[int, ...], q: Array, u_hat: Array, C: Array, status: Array
+    ) -> None:
+        """Fit rows again whose readings leave a direction open, with the bounds as a prior: it goes to the middle."""
+        weak = np.flatnonzero(status[:, _WEAK] > 0)
+        if not len(weak):
+            return
+        free = self.angles.free  # an angle has no middle: it stays where it is
+        prior = (self.lower + self.upper) / 2, np.diag(np.where(free, 0.0, self.by_bounds))
+        given = None if held is None else each(np.where(held, known, np.nan), batch, self.n_q)[weak]
+        left = np.where(free, self.by_bounds, 0.0)
+        q[weak], u_hat[weak], C[weak], _, _ = self.fit(q[weak], u[weak], given, prior, by_bounds=left)
 
     def _noise_of(self, s: int) -> Array:
         fits = self.noise.shape in ((), (s,))
@@ -204,7 +241,7 @@ class LevenbergMarquardt:
         return self.noise
 
     def _fit_callable(
-        self, u: Array, mean: Array, information: Array, held: Array, q: Array, *out: Array
+        self, u: Array, mean: Array, information: Array, held: Array, by_bounds: Array, q: Array, *out: Array
     ) -> bool:
         u_hat, C, status = out
         n, count = self.n_q, len(q)
@@ -217,7 +254,7 @@ class LevenbergMarquardt:
             arrays = (mean, information, held, x, q, u_hat, A, g, status)
             _advance_all(todo, np.ascontiguousarray(hat), r, np.ascontiguousarray(J), self._settings, *arrays)
             todo = todo[status[todo, _DONE] == 0]
-        return _finish_all(self._settings, A, q, held, status, C)
+        return _finish_all(self._settings, A, q, held, by_bounds, status, C)
 
     def _searched(self, u: Array, known: Array | None) -> Array:
         """Best of the fits from starts that fill the bounds evenly: an additive recurrence, the middle first."""
@@ -229,7 +266,7 @@ class LevenbergMarquardt:
 
 
 _NO_PRIOR = (np.zeros((0, 0)), np.zeros((0, 0, 0)))
-_NONE_HELD = np.zeros((0, 0), dtype=np.bool_)
+_NONE_HELD, _NOTHING = np.zeros((0, 0), dtype=np.bool_), np.zeros(0)
 
 
 def bounded_inverse(A: Array, held: Array) -> Array:
@@ -248,7 +285,7 @@ def bounded_inverse(A: Array, held: Array) -> Array:
 
 
 @kernel(entry=True, allocates=True)
-def _fit(ints, floats, weights, settings, u, mean, information, held, q, u_hat, C, status):
+def _fit(ints, floats, weights, settings, u, mean, information, held, by_bounds, q, u_hat, C, status):
     """Fit every member of a batch."""
     t = unpack(ints, floats, weights)
     room, n, s = room_for(t), q.shape[1], u.shape[1]
@@ -267,8 +304,8 @@ def _fit(ints, floats, weights, settings, u, mean, information, held, q, u_hat, 
                 hat, r, J, settings, mean[p : p + 1], information[p : p + 1], held[h : h + 1], x, q[k], u_hat[k],
                 A, g, status[k], delta, L,
             )  # fmt: skip
-        _finish(settings, A, q[k], held[h : h + 1], L, status[k], C[k])
-        good = good and status[k, _DETERMINED] == 1.0
+        _finish(settings, A, q[k], held[h : h + 1], by_bounds, L, status[k], C[k])
+        good = good and status[k, _DETERMINED] == 1.0 and status[k, _WEAK] == 0.0
     return good
 
 
@@ -286,30 +323,58 @@ def _advance_all(todo, hat, r, J, settings, mean, information, held, x, q, u_hat
 
 
 @kernel(entry=True, allocates=True)
-def _finish_all(settings, A, q, held, status, C):
+def _finish_all(settings, A, q, held, by_bounds, status, C):
     L, good = np.zeros(A.shape[1:]), True
     for k in range(len(A)):
         h = k if len(held) else 0
-        _finish(settings, A[k], q[k], held[h : h + 1], L, status[k], C[k])
-        good = good and status[k, _DETERMINED] == 1.0
+        _finish(settings, A[k], q[k], held[h : h + 1], by_bounds, L, status[k], C[k])
+        good = good and status[k, _DETERMINED] == 1.0 and status[k, _WEAK] == 0.0
     return good
 
 
 @kernel
-def _finish(settings, A, q, held, L, status, C):
-    """Write the covariance, and how many coordinates a bound stopped and how many were free."""
-    n = len(q)
-    status[_FREE] = status[BOUND] = 0.0
+def _finish(settings, A, q, held, by_bounds, L, status, C):
+    """Write the covariance, how many coordinates a bound stopped, and how many directions the readings see."""
+    n, free = len(q), 0
+    status[BOUND] = 0.0
     for a in range(n):
         stays = False
         for h in range(len(held)):
             stays = stays or held[h, a]
         bound = q[a] <= settings[a] or q[a] >= settings[n + a]
-        if bound and not stays:
-            status[BOUND] += 1.0
-        elif not stays:
-            status[_FREE] += 1.0
+        status[BOUND] += 1.0 if bound and not stays else 0.0
+        L[a, a] = 0.0 if bound or stays or (len(by_bounds) and by_bounds[a] == 0.0) else 1.0
+        free += 0 if bound or stays else 1
+    status[RANK] = free
+    if len(by_bounds):
+        status[RANK] = _directions_seen(A, by_bounds, L)
+        for a in range(n):
+            A[a, a] += by_bounds[a]
+    status[_WEAK] = free - status[RANK]
     status[_DETERMINED] = invert(A, held, L, C) if status[_COST] < math.inf else 0.0
+
+
+@kernel
+def _directions_seen(A, by_bounds, L):
+    """Return how many eigenvalues of the scaled information exceed 1, over the coordinates with a mark in ``L``.
+
+    They are as many as the factorisation of the matrix less 1 has positive pivots (Sylvester's law of inertia).
+    """
+    n, seen = len(A), 0
+    for a in range(n):
+        if L[a, a] == 0.0:
+            continue
+        for b in range(a):
+            L[a, b] = A[a, b] / math.sqrt(by_bounds[a] * by_bounds[b]) if L[b, b] != 0.0 else 0.0
+            for c in range(b):
+                L[a, b] -= L[a, c] * L[b, c] * L[c, c]
+            L[a, b] = L[a, b] / L[b, b] if L[b, b] != 0.0 else 0.0
+        pivot = A[a, a] / by_bounds[a] - 1.0
+        for c in range(a):
+            pivot -= L[a, c] * L[a, c] * L[c, c]
+        seen += 1 if pivot > 0.0 else 0
+        L[a, a] = pivot if pivot != 0.0 else -_TINY
+    return seen
 
 
 @kernel

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from repro.angles import FreeAngles
 from repro.common import Array, bad_input, kernel, numbers, require, say_that_kernels_compile
 from repro.estimators.base import Estimate, described, fixed_coordinates, incoming, known_coordinates, start
 from repro.robot import Robot
@@ -176,12 +177,13 @@ class ParticleFilter:
         owner = "ParticleFilter"
         robot = sensing if isinstance(sensing, Robot) else None
         self.robot, self._fixed, self._by_rule = robot, None, process_noise is None
+        self.angles = FreeAngles((), np.empty(0), np.empty(0)) if robot is None else robot.free_angles
         if robot is not None:
             _, sensing, lower, upper, noise = described(robot, None, None, noise, owner)
             self._fixed = fixed_coordinates(lower, upper)
             steps = 50.0 if robot.rate_hz is None else max(2.0 * robot.rate_hz, 10.0)
             process_noise = (upper - lower) / steps if process_noise is None else process_noise
-            region = Box(lower, upper, robot.angles) if region is None else region
+            region = Box(lower, upper, self.angles.free) if region is None else region
         require(process_noise is not None, "process_noise", owner, "given without a robot", "nothing")
         require(noise is not None, "noise", owner, "given without a robot", "nothing")
         self.sensing: Any = sensing
@@ -306,6 +308,10 @@ class ParticleFilter:
 
         q, velocity = held(_members(state.q, batch, n, n_q)), _members(state.velocity, batch, n, n_q)
         w, squares, size, mean, C, e, S = _weighed(q, predicted(q), u, noise)
+        if self.angles:
+            mean = self.angles.mean(q, w)
+            off = self.angles.difference(q, mean[:, None])
+            C = np.swapaxes(w[..., None] * off, 1, 2) @ off
         # The distance of the readings from their mean prediction, normalised by the covariance of predictions and
         # noise, is chi-square while the filter follows; its cube root is nearly normal (Wilson and Hilferty 1931).
         dof = np.where(used.any(-1), used.sum(-1), np.nan)
@@ -343,9 +349,12 @@ class ParticleFilter:
             _move(q, velocity, self.motion != "random walk", drawn, width, noise, outside, following, moved)
             outside = np.zeros_like(outside) if self.region is None else ~self.region.contains(following)
             if not outside.any():
-                return following, moved
+                break
         following[outside], moved[outside] = q[drawn[outside]], 0.0
-        return following, moved
+        if not self.angles:
+            return following, moved
+        wrapped = self.angles.wrapped(following)
+        return wrapped, (self.angles.slopes(following, wrapped) @ moved[..., None])[..., 0]
 
 
 def _stream(seed: int, number: int) -> np.random.Generator:
