@@ -286,7 +286,7 @@ def noise() -> pd.DataFrame:
         own = {"n_b": n_b, "model": model, "noise_mt": levels}
         own["bound_percent"] = sensor_count.bound_percent(Sensing(robot), q, 1.0) * levels
         for solver, start, estimate, at in (
-            ("Levenberg-Marquardt", "straight", found.q, 100 * found.details["at_bound"].mean(0)),
+            ("Levenberg-Marquardt", "straight", found.q, 100 * found.details["at_bound"].any(-1).mean(0)),
             ("gradient descent", "ground truth", descent, np.nan),
         ):
             percent = baaij.relative_errors(estimate, q).reshape(len(levels), n_b, 3)

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from repro import (
     AffineCurvature,
     ConstantCurvature,
     GradientDescent,
+    Imu,
     InputError,
+    KalmanFilter,
     LevenbergMarquardt,
     Magnet,
     Robot,
@@ -45,11 +49,14 @@ def test_shapes_and_covariances_are_those_of_the_first_edition(n_b):
     method = LevenbergMarquardt(sensing, low, high, noise=1e-3, tolerance=1e-12)
     start = np.clip(q + 1e-3, low, high)
     _, mine = method.step(method.init(start), u)
-    inside = ~mine.details["at_bound"]
+    inside = ~mine.details["at_bound"].any(-1)
+    inside[3] = False  # it has fewer readings than unknowns
     q, covariance, chi2, dof = (
         STORED[f"least_squares_{n_b}_{name}"][inside] for name in ("q", "covariance", "chi2", "dof")
     )
     np.testing.assert_allclose(mine.q[inside], q, rtol=0, atol=1e-10)
+    # The first edition did without what the bounds say.
+    covariance = np.linalg.inv(np.linalg.inv(covariance) + np.diag(12 / (high - low) ** 2))
     difference = (mine.covariance[inside] - covariance) / np.abs(covariance).max((1, 2), keepdims=True)
     assert np.abs(difference).max() < 1e-6
     np.testing.assert_allclose(mine.chi2[inside], chi2, rtol=1e-8, atol=1e-9)
@@ -125,7 +132,8 @@ def test_a_model_of_ones_own_is_minimised_as_by_scipy(model):
     _, found = method.step(method.init([0.0, 0.0]), u)
     best = least_squares(lambda q: (quadratic(q) - u) / noise, [0.0, 0.0], xtol=1e-15, ftol=1e-15, gtol=1e-15)
     np.testing.assert_allclose(found.q, best.x, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(best.jac.T @ best.jac), rtol=1e-5)
+    information = best.jac.T @ best.jac + np.eye(2) / (2.0**2 / 12)  # that of the bounds
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(information), rtol=1e-5)
     assert found.chi2 == pytest.approx(2 * best.cost, rel=1e-8)
 
 
@@ -146,19 +154,81 @@ def test_bounds_hold_and_do_not_stick():
     method = LevenbergMarquardt(quadratic, [-0.2, -1.0], [0.2, 1.0], 0.01)
     _, found = method.step(method.init([0.2, 0.0]), quadratic(np.array([0.5, 0.0])))
     assert found.q[0] == 0.2
-    assert found.details["at_bound"]
+    assert found.details["at_bound"].tolist() == [True, False]
     state, _ = method.step(method.init([0.2, 0.0]), quadratic(np.array([0.5, 0.0])))
     assert method.step(state, quadratic(np.array([0.1, 0.05])))[1].q == pytest.approx([0.1, 0.05], abs=1e-6)
 
 
-def test_what_the_readings_do_not_determine_has_a_huge_finite_variance():
-    method = LevenbergMarquardt(lambda q: q[..., :1] + q[..., 1:], [-1.0, -1.0], [1.0, 1.0], 0.01)
-    _, found = method.step(method.init([0.0, 0.0]), [0.5])
-    assert found.q.sum() == pytest.approx(0.5, abs=1e-6)
-    C = found.covariance
-    assert np.isfinite(C).all()
-    assert C.sum() == pytest.approx(1e-4, rel=0.3)
-    assert C[0, 0] > 1e9
+def test_what_the_readings_do_not_determine_is_what_the_bounds_leave():
+    """Of x and y only the sum is read. Their difference is in the middle, as uncertain as two uniform numbers'."""
+    method = LevenbergMarquardt(lambda q: q[..., :1] + q[..., 1:], [-1.0, -2.0], [1.0, 4.0], 0.01)
+    found = method.step(method.init([0.7, -0.9]), [1.0])[1]
+    assert found.q == pytest.approx([0.82, 0.18], abs=1e-4)  # next to the start, in units of the widths
+    _, found = method.step(method.init(), [1.0])
+    assert found.q == pytest.approx([0.0, 1.0], abs=1e-4)
+    assert found.covariance.sum() == pytest.approx(1e-4, rel=1e-3)
+    width = np.array([2.0, 6.0])
+    assert np.sqrt(np.diag(method.step(method.init([1.0, 0.0]), [1.0])[1].covariance)).min() > 1.0
+    exact = np.linalg.inv(np.ones((2, 2)) / 0.01**2 + np.diag(12 / width**2))
+    np.testing.assert_allclose(found.covariance, exact, rtol=1e-6)
+    assert found.dof == 0
+
+
+@given(st.integers(0, 10_000))
+def test_the_rank_is_how_many_directions_the_readings_know_better_than_the_bounds(seed):
+    generator = np.random.default_rng(seed)
+    n, s = generator.integers(1, 7), 8
+    J, width = generator.normal(size=(s, n)), 10 ** generator.uniform(-2, 2, n)
+    J = J * 10 ** generator.uniform(-6, 6, n)
+    J[:, generator.random(n) < 0.3] = 0.0
+    if n > 2 and seed % 3 == 0:
+        J[:, 0] = J[:, 1] - 2 * J[:, 2]
+    values = np.linalg.eigvalsh(J.T @ J * np.outer(width, width) / 12)
+    method = LevenbergMarquardt(lambda q: q @ J.T, -width / 2, width / 2, 1.0)
+    _, found = method.step(method.init(np.zeros(n)), np.zeros(s))
+    if (np.abs(values - 1) > 1e-6).all() and not found.details["at_bound"].any():
+        assert found.dof == s - (values > 1).sum()
+    assert (np.sqrt(np.diag(found.covariance)) <= width / np.sqrt(12) * (1 + 1e-9)).all()
+
+
+def test_an_unread_coordinate_stays_in_the_middle_and_leaves_the_degrees_of_freedom_alone():
+    """An orientation says nothing of the length: two of three coordinates are seen by its three readings."""
+    robot = Robot(
+        [ConstantCurvature(0.08, 0.0125)], imus=[Imu(1, 0.08)], noise=0.02,
+        lower=[-0.02, -0.02, -0.008], upper=[0.02, 0.02, 0.010],
+    )  # fmt: skip
+    q = np.array([0.004, -0.003, 0.006])
+    u = robot.sensing()(q) + 0.02 * np.random.default_rng(0).standard_normal((400, 3))
+    for make in (LevenbergMarquardt, KalmanFilter):
+        found = track(make(robot), u, rate_hz=30.0)
+        assert (found.status == "consistent").all()
+        np.testing.assert_allclose(found.q[:, 2], 0.001, atol=1e-9)
+        std = np.sqrt(found.covariance[:, 2, 2])
+        assert std == pytest.approx(np.full(400, 0.018 / np.sqrt(12)), rel=0.02)
+        if make is LevenbergMarquardt:
+            assert (found.dof == 1).all()
+            assert found.chi2.mean() == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_robot_beyond_a_bound_keeps_its_shape_and_says_so():
+    """It bends 0.05 beyond a bound of 1: no reading is blamed, and rows within the bounds fit."""
+    line = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0], [2.0, 1.0]])
+    method = LevenbergMarquardt(lambda q: q @ line.T, [-1.0, -1.0], [1.0, 1.0], 0.001)
+    x = np.concatenate([np.linspace(0.0, 1.05, 60), np.linspace(1.05, 0.0, 60)])
+    q = np.stack([x, 0.3 * np.sin(9 * x)], axis=-1)
+    u = q @ line.T + 0.001 * np.random.default_rng(0).standard_normal((120, 5))
+    found = track(method, u, rate_hz=20.0)
+    outside = x > 1.005
+    assert set(found.status[outside]) == {"beyond bounds"}
+    assert set(found.status[x < 0.999]) == {"consistent"}
+    assert not found.suspects.any()
+    assert found.details["at_bound"][outside].tolist() == [[True, False]] * outside.sum()
+    assert np.abs(found.q - q).max() < 0.06
+    off, C = found.q - q, found.covariance
+    assert ((off * np.linalg.solve(C, off[..., None])[..., 0]).sum(-1)[outside] < 6).all()
+    table = found.to_frame()
+    assert set(table["at_bound"][outside]) == {"q_1"}
+    assert f"at a bound: q_1 in {(found.details['at_bound']).sum()} rows" in repr(found)
 
 
 def affine_arm():

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from repro import AffineCurvature, BallJoint, ConstantCurvature, Imu, InputError, Link, Robot, Sensor
-from repro.robot import point_on, wrap
+from repro.robot import point_on
 
 from .robots import CHAINS, chain, complex_pose, configuration
 
@@ -65,16 +65,6 @@ def test_affine_curvature_without_its_slope_is_constant_curvature(k, phi):
     affine = Robot([AffineCurvature(0.2)]).tip([k, 0.0, phi, 0.003])
     arc = Robot([ConstantCurvature(0.2, 1.0)]).tip([k * np.sin(phi), -k * np.cos(phi), 0.003])
     np.testing.assert_allclose(affine, arc, rtol=0, atol=1e-14)
-
-
-@given(st.lists(st.floats(-7.0, 7.0), min_size=11, max_size=11))
-def test_wrapping_keeps_the_shape(values):
-    robot = chain(("affine", "joint", "hinge", "universal"))
-    q = np.array([*values[:3], 0.001, *values[4:10]])
-    wrapped = q.copy()
-    wrap(robot.chain([])[0], wrapped[None])
-    assert (np.abs(wrapped[robot.angles]) <= np.pi + 1e-12).all()
-    np.testing.assert_allclose(robot.tip(wrapped), robot.tip(q), rtol=0, atol=1e-11)
 
 
 def test_the_slopes_of_the_tip_are_those_of_its_position():

@@ -89,7 +89,8 @@ class Trajectory:
     status
         What the monitor says of each row: *consistent*; *left out*: the readings of a part do not fit and were left
         out, the rest fits; *inconsistent*: they do not fit, and it is not decided why; *frozen*: the board repeats
-        itself; *undetermined*: fewer readings than unknowns. ``None`` without a monitor.
+        itself; *undetermined*: fewer readings than unknowns; *unchecked*: the fit uses up all readings, so that none
+        can contradict; *beyond bounds*: they fit outside the robot's bounds only. ``None`` without a monitor.
     suspects
         Parts that the monitor names ``[t, ..., parts]``, as ``robot.part_names``; without a robot every reading is a
         part of its own.
@@ -129,9 +130,10 @@ class Trajectory:
         rows = "".join(f"; {n} rows {name}" for name, n in counts.items())
         if self.suspects is not None and self.suspects.any():
             n_suspect = self.suspects.reshape(-1, self.suspects.shape[-1]).sum(0)
-            rows += "; suspects: " + ", ".join(
-                f"{name} in {k} rows" for name, k in zip(self._parts(), n_suspect, strict=True) if k
-            )
+            rows += f"; suspects: {_counted(self._parts(), n_suspect)}"
+        touched = self._at_bound()
+        if touched is not None and touched.any():
+            rows += f"; at a bound: {_counted(self._names(), touched.reshape(-1, touched.shape[-1]).sum(0))}"
         left = int(np.sum(self.details.get("left_out", 0)))
         lost = f"{int(np.sum(self.missing)) - left} of {self.u_hat.size} readings missing"
         return (
@@ -139,6 +141,14 @@ class Trajectory:
             f"chi-square per degree of freedom: {fit}\n"
             f"{lost}{f', {left} left out' * (left > 0)}{rows}"
         )
+
+    def _names(self) -> list[str]:
+        return [name for name, _, _ in self.units()]
+
+    def _at_bound(self) -> Array | None:
+        """Which coordinates touch a bound ``[t, ..., n_q]``, if the estimator says so."""
+        touched = self.details.get("at_bound")
+        return touched if touched is not None and touched.shape == self.q.shape else None
 
     def _parts(self) -> Sequence[str]:
         """Return names of what the monitor may suspect."""
@@ -156,6 +166,8 @@ class Trajectory:
 
     def to_frame(self) -> Any:
         """Return a data frame with names and units: ``time_s``, coordinates, tip, deviations, fit, status, suspects.
+
+        The last column names the coordinates that touch a bound of the robot.
 
         A coordinate such as ``delta_x_1_mm`` has the standard deviation ``delta_x_1_sd_mm``. The tip is in the base
         frame: ``tip_x_mm`` and so on.
@@ -191,9 +203,10 @@ class Trajectory:
         if self.status is not None:
             columns["status"] = self.status
         if self.suspects is not None:
-            columns["suspects"] = np.array(
-                [", ".join(p for p, s in zip(self._parts(), row, strict=True) if s) for row in self.suspects]
-            )
+            columns["suspects"] = _listed(self._parts(), self.suspects)
+        touched = self._at_bound()
+        if touched is not None:
+            columns["at_bound"] = _listed(self._names(), touched)
         return pd.DataFrame(columns)
 
     def plot(self, axes: Any = None) -> Any:
@@ -213,6 +226,15 @@ class Trajectory:
         from repro.plots import plot_shape
 
         return plot_shape(self, axes)
+
+
+def _counted(names: Sequence[str], counts: Array) -> str:
+    return ", ".join(f"{name} in {k} rows" for name, k in zip(names, counts, strict=True) if k)
+
+
+def _listed(names: Sequence[str], marks: Array) -> Array:
+    """Return the names that are marked ``[t, n]`` in every row, as a text."""
+    return np.array([", ".join(n for n, mark in zip(names, row, strict=True) if mark) for row in marks])
 
 
 def track(

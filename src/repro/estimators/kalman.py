@@ -12,6 +12,7 @@ which Levenberg-Marquardt finds within the bounds; the velocity follows by regre
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -200,6 +201,12 @@ class KalmanFilter(MotionModel):
             grown = np.where(self.drift_rate > 0, -np.expm1(-2 * self.drift_rate * tau) / (2 * rate), tau)
             F[e, e], Q[e, e] = np.exp(-self.drift_rate * tau), self.drift_walk**2 * grown
         return F, Q
+
+    def widened(self, share: float) -> KalmanFilter:
+        """Return this filter with bounds that are a share of their width farther out on each side."""
+        found = copy.copy(self)
+        found._update = self._update.widened(share)
+        return found
 
     def by_bounds(self, C: Array) -> Array:
         """Return covariances ``[..., n_q, n_q]`` that leave no direction more open than the bounds do.

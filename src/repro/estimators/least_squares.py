@@ -10,11 +10,13 @@ error. :math:`S` is the variance of the readings; a Kalman filter adds its prior
 :math:`w/\sqrt{12}`. With these on the diagonal of :math:`D`, the eigenvalues of :math:`D A D` say how much better the
 readings know a direction than the bounds. Those above 1 count as seen, and their number, the rank, is what the fit
 takes from the degrees of freedom. The covariance is :math:`(A + D^{-2})^{-1}`. If a direction is not seen, the fit is
-made again with the bounds as its prior, so that what nobody sees stays in the middle between them.
+made again with a prior as wide as the bounds around the last estimate, at first around the middle of the bounds: what
+nobody sees stays where it was. The covariance then also holds how far that is from the middle.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import Any, NamedTuple
 
@@ -106,21 +108,21 @@ class LevenbergMarquardt:
     ) -> None:
         owner = type(self).__name__
         self.robot, sensing, lower, upper, noise = described(sensing, lower, upper, noise, owner)
-        self.lower, self.upper = (
-            numbers(lower, "lower", owner, (None,)),
-            numbers(upper, "upper", owner, (None,)),
-        )
-        same = self.lower.shape == self.upper.shape
-        if not same or not (self.lower <= self.upper).all():
-            raise bad_input("lower, upper", owner, "ordered bounds", f"{self.lower} and {self.upper}")
+        lower, upper = (numbers(x, name, owner, (None,)) for x, name in ((lower, "lower"), (upper, "upper")))
+        if lower.shape != upper.shape or not (lower <= upper).all():
+            raise bad_input("lower, upper", owner, "ordered bounds", f"{lower} and {upper}")
         self.noise = numbers(noise, "noise", owner)
         expected = "positive, one number or one for each reading"
         require(self.noise.ndim < 2 and (self.noise > 0).all(), "noise", owner, expected, noise)
         for name, value in (("iterations", iterations), ("tolerance", tolerance), ("starts", starts)):
             require(value > 0, name, owner, "positive", value)
         self.iterations, self.tolerance, self.starts = iterations, tolerance, starts
-        self.model = model_of(sensing, self.lower, self.upper, owner)
-        self.n_q = len(self.lower)
+        self.model = model_of(sensing, lower, upper, owner)
+        self.n_q = len(lower)
+        self._set_bounds(lower, upper)
+
+    def _set_bounds(self, lower: Array, upper: Array) -> None:
+        self.lower, self.upper = lower, upper
         self._fixed = fixed_coordinates(self.lower, self.upper)
         self.angles = FreeAngles(self.model.rotations, self.lower, self.upper)
         free = self.angles.free
@@ -130,7 +132,14 @@ class LevenbergMarquardt:
         width = np.where(fixed, 1.0, self.upper - self.lower)
         self.by_bounds = np.where(fixed, 0.0, 12.0 / np.where(free, 2 * math.pi, width) ** 2)
         """What the bounds say of every coordinate: the inverse of its variance between them."""
+        self._middle = (lower + upper) / 2
         self._settings: Array | None = None
+
+    def widened(self, share: float) -> LevenbergMarquardt:
+        """Return this estimator with bounds that are a share of their width farther out on each side."""
+        found, more = copy.copy(self), share * (self.upper - self.lower)
+        found._set_bounds(self.lower - more, self.upper + more)
+        return found
 
     def init(self, q0: Any = None, seed: int = 0) -> LeastSquaresState:
         """Return the state at ``q0`` ``[..., n_q]``, or where the robot starts; else the first step searches."""
@@ -158,8 +167,8 @@ class LevenbergMarquardt:
         """
         u = incoming(u, mask, "LevenbergMarquardt", self.model.n_readings)
         known = known_coordinates(known, self.n_q, "LevenbergMarquardt", self._fixed)
-        q = self._searched(u, known) if state.q is None else state.q
-        q, u_hat, C, status, n_used = self.fit(q, u, known)
+        q, rest = (self._searched(u, known), self._middle) if state.q is None else (state.q, None)
+        q, u_hat, C, status, n_used = self.fit(q, u, known, rest=rest)
         q, batch = self.angles.wrapped(q), q.shape[:-1]
         details = {"iterations": status[:, TURN].reshape(batch), "at_bound": self.at_bound(q, known)}
         chi2 = status[:, CHI2].reshape(batch)[()]
@@ -179,12 +188,14 @@ class LevenbergMarquardt:
         known: Array | None = None,
         prior: tuple[Array, Array] | None = None,
         *,
+        rest: Array | None = None,
         by_bounds: Array | None = None,
     ) -> tuple[Array, Array, Array, Array, Any]:
         """Return configuration, readings there, covariance, status ``[n, 10]``, readings used.
 
         ``prior`` holds means ``[..., n_q]`` and information ``[..., n_q, n_q]`` of a Gaussian prior; what the bounds say
-        is no part of the covariance then, unless ``by_bounds`` says so.
+        is no part of the covariance then, unless ``by_bounds`` says so. What the readings leave open stays next to
+        ``rest`` ``[..., n_q]``, the start if not given.
         """
         n, s = self.n_q, u.shape[-1]
         if self._settings is None or len(self._settings) != 2 * n + s + 2:
@@ -216,23 +227,26 @@ class LevenbergMarquardt:
         for k in () if good else np.flatnonzero(status[:, _DETERMINED] == 0):
             C[k] = bounded_inverse(C[k], fixed[k] if len(fixed) else np.zeros(n, dtype=bool))
         if not good and prior is None:
-            self._settle(rows, held, known, batch, flat, u_hat, C, status)
+            known = None if held is None else each(np.where(held, q, np.nan), batch, n)
+            rest = each(q if rest is None else rest, batch, n)
+            self._settle(rows, known, rest, flat, u_hat, C, status[:, _WEAK] > 0)
         n_used = status[:, _USED].astype(np.int64).reshape(batch)[()]
         C = C.reshape(*batch, n, n)
         return flat.reshape(*batch, n), u_hat.reshape(*batch, s), C, status, n_used
 
     def _settle(
-        self, u: Array, held: Any, known: Any, batch: tuple[int, ...], q: Array, u_hat: Array, C: Array, status: Array
+        self, u: Array, known: Any, rest: Array, q: Array, u_hat: Array, C: Array, weak: Array
     ) -> None:
-        """Fit rows again whose readings leave a direction open, with the bounds as a prior: it goes to the middle."""
-        weak = np.flatnonzero(status[:, _WEAK] > 0)
-        if not len(weak):
+        """Fit rows again whose readings leave a direction open, with a prior as wide as the bounds, in place."""
+        if not weak.any():
             return
-        free = self.angles.free  # an angle has no middle: it stays where it is
-        prior = (self.lower + self.upper) / 2, np.diag(np.where(free, 0.0, self.by_bounds))
-        given = None if held is None else each(np.where(held, known, np.nan), batch, self.n_q)[weak]
-        left = np.where(free, self.by_bounds, 0.0)
-        q[weak], u_hat[weak], C[weak], _, _ = self.fit(q[weak], u[weak], given, prior, by_bounds=left)
+        free = self.angles.free  # the bounds of a free angle have no middle
+        prior = np.where(free, q, rest)[weak], np.diag(np.where(free, 0.0, self.by_bounds))
+        known, left = None if known is None else known[weak], np.where(free, self.by_bounds, 0.0)
+        x, u_hat[weak], P, _, _ = self.fit(q[weak], u[weak], known, prior, by_bounds=left)
+        off = np.where(free, 0.0, self.by_bounds * (x - self._middle))
+        off = (P @ off[..., None])[..., 0]
+        q[weak], C[weak] = x, P + off[:, :, None] * off[:, None, :]
 
     def _noise_of(self, s: int) -> Array:
         fits = self.noise.shape in ((), (s,))
@@ -335,7 +349,7 @@ def _finish_all(settings, A, q, held, by_bounds, status, C):
 @kernel
 def _finish(settings, A, q, held, by_bounds, L, status, C):
     """Write the covariance, how many coordinates a bound stopped, and how many directions the readings see."""
-    n, free = len(q), 0
+    n, free, open_ = len(q), 0, 0
     status[BOUND] = 0.0
     for a in range(n):
         stays = False
@@ -343,14 +357,15 @@ def _finish(settings, A, q, held, by_bounds, L, status, C):
             stays = stays or held[h, a]
         bound = q[a] <= settings[a] or q[a] >= settings[n + a]
         status[BOUND] += 1.0 if bound and not stays else 0.0
-        L[a, a] = 0.0 if bound or stays or (len(by_bounds) and by_bounds[a] == 0.0) else 1.0
+        L[a, a] = 0.0 if stays or (len(by_bounds) and by_bounds[a] == 0.0) else 1.0
         free += 0 if bound or stays else 1
-    status[RANK] = free
+        open_ += 0 if stays else 1
+    status[RANK], status[_WEAK] = free, 0.0
     if len(by_bounds):
-        status[RANK] = _directions_seen(A, by_bounds, L)
+        seen = _directions_seen(A, by_bounds, L)
+        status[RANK], status[_WEAK] = min(seen, free), open_ - seen
         for a in range(n):
             A[a, a] += by_bounds[a]
-    status[_WEAK] = free - status[RANK]
     status[_DETERMINED] = invert(A, held, L, C) if status[_COST] < math.inf else 0.0
 
 

@@ -26,10 +26,12 @@ from scipy.special import chdtri
 from repro.common import Array
 from repro.estimators.base import Estimate, evenly, incoming
 
-STATUS = ("consistent", "left out", "inconsistent", "frozen", "undetermined")
+STATUS = (
+    "consistent", "left out", "inconsistent", "frozen", "undetermined", "unchecked", "beyond bounds",
+)  # fmt: skip
 """Names of what the monitor says of a row."""
 SAID = ("status", "suspects", "left_out", "growth", "restarted")
-CONSISTENT, LEFT_OUT, INCONSISTENT, FROZEN, UNDETERMINED = range(5)
+CONSISTENT, LEFT_OUT, INCONSISTENT, FROZEN, UNDETERMINED, UNCHECKED, BEYOND_BOUNDS = range(7)
 _RARE, _STRICT = 18.4, 4.6
 """Good readings do not fit once in 1e8 rows; after an alarm a part comes back where chance is above 1e-2."""
 _TWICE, _ROOT = 2 * _RARE, 2 * _RARE**0.5
@@ -54,6 +56,9 @@ _FROZEN_S, _FROZEN_ROWS = 0.5, 20
 _LOOK = 8
 """Every so many rows we look whether a single reading stays the same."""
 _STARTS = 8
+_NOWHERE = np.zeros(1, dtype=bool)
+_WIDER = 0.5
+"""How far beyond its bounds a robot is looked for that touches one [widths of the bounds]."""
 
 
 class Case(NamedTuple):
@@ -109,7 +114,9 @@ class Monitor:
     A part whose readings stay the same, bit for bit, for more than 0.5 s and at least 20 rows, is named and left out,
     unless their noise is below their resolution. A frame that equals the one before, bit for bit, adds nothing. If
     all readings stay equal for so long, the board repeats itself and the row is *frozen*. A row is *undetermined* if
-    it has fewer readings than unknowns and no motion model helps, or none at all.
+    it has fewer readings than unknowns and no motion model helps, or none at all. It is *unchecked* if the fit uses up
+    all of its readings, so that none is left to contradict. It is *beyond bounds* if its readings fit outside the
+    bounds of the robot and not within: the estimate stays within, and its covariance grows and holds the difference.
 
     Parameters
     ----------
@@ -137,12 +144,12 @@ class Monitor:
         self.estimator, self._owner = estimator, type(estimator).__name__
         self.n_q, self.needs_time = estimator.n_q, getattr(estimator, "needs_time", False)
         self._fit = getattr(estimator, "_update", estimator)  # least squares, in a Kalman filter
+        self._wider = estimator.widened(_WIDER) if hasattr(estimator, "widened") else None
         self._bounds, self._width, self._unknowns = None, np.ones(self.n_q), self.n_q
         if hasattr(self._fit, "lower"):
             low, high = self._bounds = self._fit.lower[: self.n_q], self._fit.upper[: self.n_q]
             self._width, self._unknowns = np.where(low < high, high - low, 1.0), int((low < high).sum())
-        angles = getattr(getattr(self._fit, "model", None), "angles", np.zeros(self.n_q, dtype=bool))
-        self._turns = angles[: self.n_q]
+        self._turns = estimator.angles.free[: self.n_q] if hasattr(estimator, "angles") else False
         self._blank: dict[str, Any] = {}
 
     def init(self, q0: Any = None, seed: int = 0) -> MonitorState:
@@ -184,11 +191,15 @@ class Monitor:
         one = type(chi2) is not np.ndarray
         if one:  # plain numbers are much faster
             chi2, dof, missing = float(chi2), float(dof), int(missing)
-        few = missing > least
-        if same is not None and self.needs_time:
-            few = few & ~same
-        bad = chi2 > dof + _TWICE + _ROOT * dof**0.5  # the bound, written out for speed
-        weight = 1.0 - (bad if same is None else bad | same)  # sums are over rows that fit by themselves
+        few, bare = missing > least, dof == 0
+        touching = found.details.get("at_bound", _NOWHERE)
+        touching = bool(touching.any()) if one else touching.any(-1)
+        if same is not None and self.needs_time:  # what is left out because it came before is not missing
+            few, bare = few & ~same, bare & ~same
+        # The bound, written out for speed. Without a reading to spare nothing can contradict.
+        bad = (chi2 > dof + _TWICE + _ROOT * dof**0.5) & (not bare if one else ~bare)
+        unfit = bad | bare | touching
+        weight = 1.0 - (unfit if same is None else unfit | same)  # sums are over rows that fit by themselves
         fast, slow, free, freer = state.sums
         fast, slow = fast + weight * (chi2 - _FADE * fast), slow + weight * (chi2 - _FADE_SLOWLY * slow)
         free, freer = free + weight * (dof - _FADE * free), freer + weight * (dof - _FADE_SLOWLY * freer)
@@ -205,11 +216,12 @@ class Monitor:
             (fast, slow, free, freer), (*state.recent[1 - _WINDOW :], row) if self.needs_time else (row,),
             (found.q, t), state.cases, found, state.steps + 1, still,
         ))  # fmt: skip
-        doubt = bad | few
+        pressed = touching & (chi2 > dof + 2.0 + 2.0 * dof**0.5)
+        doubt = bad | few | bare | pressed
         if same is None and stuck is None and not (doubt if one else doubt.any()):
             found.details["status"] = (self._blank if one else self._nothing(found.q.shape[:-1]))["status"]
             return now, found
-        return self._doubted(state, now, u, bad, same, few, stuck)
+        return self._doubted(state, now, u, bad, pressed, same, few, bare, stuck)
 
     def _still(self, state: MonitorState, u: Array, t: float, same: Any) -> Any:
         """Return for how many rows each reading has not changed and since when, or nothing if all of them change."""
@@ -271,13 +283,21 @@ class Monitor:
         return self._blank
 
     def _doubted(
-        self, state: MonitorState, now: MonitorState, u: Array, bad: Any, same: Any, few: Any, stuck: Any
+        self, state: MonitorState, now: MonitorState, u: Array, bad: Any, pressed: Any, same: Any, few: Any, bare: Any,
+        stuck: Any,
     ) -> tuple[MonitorState, Estimate]:
         """Look at rows that do not fit, that came before, or that have too few readings."""
         found, inner, cases, sums, t = now.last, now.inner, dict(state.cases), now.sums, now.good[1]
         batch = found.q.shape[:-1]
         said = {name: x.copy() for name, x in self._nothing(batch).items()}
-        for k in map(tuple, np.argwhere(np.broadcast_to(bad, batch))):
+        bad = np.broadcast_to(bad, batch)
+        for k in map(tuple, np.argwhere(bad | pressed)):
+            outside = self._beyond(k, now)
+            if outside is not None:
+                found = _put(found, k, outside)
+                said["status"][k] = BEYOND_BOUNDS if bad[k] else CONSISTENT
+            if outside is not None or not bad[k]:
+                continue
             inner_k, found_k, cases[k], words = self._alarm(k, state, now)
             inner, found = _put(inner, k, inner_k), _put(found, k, found_k)
             for name, value in words.items():
@@ -299,26 +319,38 @@ class Monitor:
             for k in map(tuple, np.argwhere(frozen & (not self.needs_time))):
                 moved = np.diag((_SPEED * self._width * (t - since[k])) ** 2)
                 found = _put(found, k, _grown(_pick(found, k), moved))
-        said["status"][np.broadcast_to(few, batch) & (said["status"] == CONSISTENT)] = UNDETERMINED
+        for which, status in ((few, UNDETERMINED), (bare, UNCHECKED)):
+            said["status"][np.broadcast_to(which, batch) & (said["status"] == CONSISTENT)] = status
         if stuck is not None:
             said["suspects"] |= stuck[0]
             said["left_out"] |= stuck[1]
             said["status"][stuck[0].any(-1) & (said["status"] == CONSISTENT)] = LEFT_OUT
-        fits = said["status"] <= LEFT_OUT
+        fits = np.isin(said["status"], (CONSISTENT, LEFT_OUT, UNCHECKED, BEYOND_BOUNDS))
         q = np.where(fits[..., None], found.q, state.good[0])
         found = found._replace(details=found.details | said)
         good = q, np.where(fits, t, state.good[1])
         return now._replace(inner=inner, cases=cases, sums=sums, good=good, last=found), found
+
+    def _beyond(self, k: tuple[int, ...], now: MonitorState) -> Estimate | None:
+        """Return the estimate of a robot whose readings fit outside its bounds and not within, or nothing."""
+        found, case = _pick(now.last, k), now.cases.get(k)
+        blamed = case is not None and case.best > 0 and now.row - case.row <= _WINDOW
+        if self._wider is None or blamed or not np.any(found.details.get("at_bound", False)):
+            return None
+        before, u, known, t = _row_of(now, k, -1)
+        wider = self._wider.step(before, u, t, known=known)[1]
+        inside = ((wider.q >= self._fit.lower[: self.n_q]) & (wider.q <= self._fit.upper[: self.n_q])).all()
+        if inside or wider.details["at_bound"].any() or wider.chi2 > _limit(wider.dof):
+            return None
+        off = self.estimator.angles.difference(wider.q, found.q)
+        return _grown(found, np.outer(off, off), max(float(found.chi2 / found.dof), 1.0))
 
     def _alarm(
         self, k: tuple[int, ...], state: MonitorState, now: MonitorState
     ) -> tuple[Any, Estimate, Case, dict[str, Any]]:
         """Return state, estimate, what is known and what is said of one robot whose readings do not fit."""
         trial, batch, nan = _pick(now.last, k), now.last.q.shape[:-1], np.nan
-        rows: list[Any] = [
-            (_pick(x, k), *(v if v is None else np.broadcast_to(v, (*batch, v.shape[-1]))[k] for v in uv), t)
-            for x, *uv, t in now.recent
-        ]
+        rows = [_row_of(now, k, j) for j in range(len(now.recent))]
         before, u, known, t = rows[-1]
         fast, slow, free, freer = (float(np.broadcast_to(x, batch)[k]) for x in now.sums)
         chi2, dof = float(trial.chi2), max(int(trial.dof), 1)
@@ -429,6 +461,14 @@ def _each(function: Any, x: Any, *others: Any) -> Any:
 def _pick(x: Any, k: Any) -> Any:
     """Return one robot of a batch of states or estimates."""
     return _each(lambda y: y[k] if isinstance(y, np.ndarray) else y, x)
+
+
+def _row_of(now: MonitorState, k: tuple[int, ...], j: int) -> tuple[Any, Array, Any, float]:
+    """Return state before, readings, known coordinates and time of one of the last rows, of one robot."""
+    before, *values, t = now.recent[j]
+    batch = now.last.q.shape[:-1]
+    u, known = (v if v is None else np.broadcast_to(v, (*batch, v.shape[-1]))[k] for v in values)
+    return _pick(before, k), u, known, t
 
 
 def _put(x: Any, k: Any, y: Any) -> Any:

@@ -84,7 +84,7 @@ def errors(n_segments: int, n_sensors: int, noise_mt: float, normal: np.ndarray)
         "draw": np.arange(normal.shape[1]),
         "mean_percent": baaij.relative_errors(found, q).mean(-1),
         "tip_mm": 1e3 * np.sqrt((off**2).mean(0)),
-        "at_bound_percent": 100 * fit.details["at_bound"].mean(0),
+        "at_bound_percent": 100 * fit.details["at_bound"].any(-1).mean(0),
         "bound_percent": bound_percent(Sensing(robot), q, noise_mt),
     })  # fmt: skip
 
