@@ -20,9 +20,9 @@ _ROUNDING = 1e-9
 class FreeAngles:
     """The coordinates that come round again within given bounds; all others are plain numbers.
 
-    A single angle is free if its bounds are a whole turn apart. The components of a rotation vector are free together,
-    if the bounds of each reach half a turn to both sides; a component that is fixed at zero is none. An angle that is
-    not free stays within its bounds like a length.
+    A single angle is free if its bounds are a whole turn apart. The components of a rotation vector are free
+    together, if the bounds of each reach half a turn to both sides; a component that is fixed at zero is none. An
+    angle that is not free stays within its bounds like a length.
 
     Parameters
     ----------

@@ -606,7 +606,7 @@ def _networks(document: _Document, folder: Path) -> list[Any]:
 
 
 _SCHEMA = 3
-_KEPT = ("names", "estimate", "tolerances", "covariance", "chi2", "poses", "before", "after")
+_KEPT = ("names", "estimate", "tolerances", "covariance", "chi2", "poses", "before", "after", "model_error")
 """What a calibration consists of beside the robot as described."""
 
 
@@ -659,7 +659,13 @@ def load_calibration(path: str | Path, robot: Robot) -> Calibration:
     require(known, "estimate", owner, f"within {_FARTHEST:g} of its tolerances", "more")
     good = (np.abs(C) <= 1.0 + 1e-6).all() and np.allclose(C, C.T) and np.linalg.eigvalsh(C).min() > -1e-9 * n
     require(good, "covariance", owner, "that of random numbers, in units of the tolerances", "another matrix")
+    s = sum(sensor.axes for sensor in robot.sensors)
+    M = numbers(content.get("model_error", np.zeros((s, s))), "model_error", owner, (s, s))  # new in 1.1
+    good = np.allclose(M, M.T) and np.linalg.eigvalsh(M).min(initial=0.0) >= -1e-9 * np.abs(M).max(
+        initial=0.0
+    )
+    require(good, "model_error", owner, "a covariance of readings", "another matrix")
     rest = {name: content[name] for name in ("chi2", "poses", "before", "after")}
     moved = placed(robot, dict(zip(names, estimate.tolist(), strict=True)))
     deviation = np.sqrt(np.diag(C)) * tolerances
-    return Calibration(moved, robot, tuple(names), estimate, deviation, tolerances, C, **rest)
+    return Calibration(moved, robot, tuple(names), estimate, deviation, tolerances, C, **rest, model_error=M)

@@ -147,9 +147,8 @@ def with_calibration(shape: Trajectory, calibration: Calibration | None) -> Traj
     """Return estimates whose covariances hold what the calibration left open, too."""
     if calibration is None or shape.covariance is None:
         return shape
-    noise: Any = calibration.robot.total_noise
     parts = np.array_split(shape.q, 1 + len(shape.q) // 2000)  # of bounded memory
-    lasting = np.concatenate([calibration.q_covariance(part, 1e-6 * noise) for part in parts])
+    lasting = np.concatenate([calibration.lasting_covariance(part) for part in parts])
     return replace(shape, covariance=shape.covariance + lasting)
 
 

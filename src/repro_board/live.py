@@ -63,9 +63,8 @@ class Follower:
         self.robot, self.failed, self.grown = robot, [robot.part(x, owner) for x in failed], grown
         self._shapes = self._open = None
         if calibration is not None:  # what it left open, in shapes between which it hardly changes
-            noise: Any = robot.total_noise
             self._shapes = evenly(np.asarray(robot.lower), np.asarray(robot.upper), SHAPES)
-            self._open = calibration.q_covariance(self._shapes, 1e-6 * noise)
+            self._open = calibration.lasting_covariance(self._shapes)
         self.monitor = Monitor(self.estimator) if getattr(self.estimator, "watched", False) else None
         self._unused = np.isin(robot.parts, self.failed)
         self._most = np.minimum(robot.range - robot.resolution / 2, 1e100)  # a sensor beyond it says nothing

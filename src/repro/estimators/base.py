@@ -448,6 +448,15 @@ def fixed_coordinates(lower: Array, upper: Array) -> Array | None:
     return np.where(fixed, lower, np.nan) if fixed.any() else None
 
 
+def information_of_bounds(lower: Array, upper: Array, free: Array) -> Array:
+    """Return the inverse variance of every coordinate between its bounds, zero where they fix it.
+
+    It is that of a uniform distribution, over a whole turn for a free angle.
+    """
+    width = np.where(free, 2 * np.pi, upper - lower)
+    return np.divide(12.0, width**2, out=np.zeros(len(width)), where=upper > lower)
+
+
 def each(x: Array, batch: tuple[int, ...], *own: int) -> Array:
     """Return what each member of a batch has, one after the other ``[members, *own]``; copied only if shared."""
     shape = (*batch, *own)

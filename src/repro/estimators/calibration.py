@@ -27,6 +27,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from repro.common import Array, InputError, bad_input, is_table, numbers, require
+from repro.estimators.base import information_of_bounds
 from repro.robot import Place, Robot, point_on
 from repro.sensing import Sensing
 from repro.tables import configurations_of, read_table
@@ -40,6 +41,8 @@ _CAUSES = (
     "of another size, polarity or place than described (state a tolerance for it); poses or readings noisier than "
     "stated"
 )
+_CHANCE = 3.0
+"""By how many of its standard deviations the mean square of left-out poses may exceed what is expected, by chance."""
 _ITERATIONS, _DAMPING, _STEP = 50, 1e-3, 1e-6
 """Number of steps, of which six are enough as a rule; damping of Levenberg and Marquardt, where a step leads to a
 worse robot; step of central differences, in every unit."""
@@ -64,11 +67,14 @@ class Tolerances:
     sensor_radius
         Its distance from the backbone, relative.
     sensor_tilt
-        Its tilt about the tangential direction [rad].
+        Its tilt about the tangential direction [rad]; of a chip with three axes about each of its axes.
     sensor_gain
         Gain of each of its axes, relative.
     moments
         Every multipole moment, relative; magnets of one shape share it.
+    chip_position
+        Place of a chip with three axes along each axis of the cross-section and along the backbone [m]. Azimuth and
+        radius say nothing of a chip on the backbone.
     sensor_offset
         Reading of a sensor without a field [mT]. Zero: as stated.
     earth
@@ -77,7 +83,7 @@ class Tolerances:
     Raises
     ------
     InputError
-        If one of the first seven is not positive, or another one is negative.
+        If one of the first eight is not positive, or another one is negative.
 
     Examples
     --------
@@ -92,12 +98,13 @@ class Tolerances:
     sensor_tilt: float = math.radians(1.0)
     sensor_gain: float = 0.01
     moments: float = 0.02
+    chip_position: float = 0.3e-3
     sensor_offset: float = 0.0
     earth: float = 0.0
 
     def __post_init__(self) -> None:
         values = list(asdict(self).values())
-        good = all(0 < x < math.inf for x in values[:7]) and all(0 <= x < math.inf for x in values[7:])
+        good = all(0 < x < math.inf for x in values[:8]) and all(0 <= x < math.inf for x in values[8:])
         require(good, "tolerances", "Tolerances", "positive, or zero for what is as drawn", self)
 
 
@@ -133,6 +140,9 @@ class Calibration:
         median of all poses.
     after
         The same as a fit to the other poses predicts it.
+    model_error
+        Covariance of what the readings of a pose are off the prediction by the other poses, beyond what noise and
+        parameters explain ``[s, s]`` [mT²]: no parameter describes it. Zero if it is within chance.
     """
 
     robot: Robot
@@ -146,6 +156,7 @@ class Calibration:
     poses: int
     before: float
     after: float
+    model_error: Array
 
     def __repr__(self) -> str:
         """Return two lines."""
@@ -153,9 +164,13 @@ class Calibration:
             " (state tolerances or noise that are larger)" if self.chi2 > 1.5 else ""
         )
         against = f"{self.after:.3g} standard deviations, against {self.before:.3g} as described"
+        inexact = float(np.sqrt(np.diag(self.model_error).max(initial=0.0)))
+        more = (
+            f"\nthe model is inexact, by up to {inexact:.3g} mT a reading: the ± hold it" if inexact else ""
+        )
         return (
             f"Calibration by {self.poses} poses: {len(self.names)} parameters; {words}\n"
-            f"a pose is predicted from the others to {against}"
+            f"a pose is predicted from the others to {against}{more}"
         )
 
     def sensing(self) -> Sensing:
@@ -177,10 +192,10 @@ class Calibration:
         partial.replace(path)  # the file is written whole or not at all
 
     def q_covariance(self, q: Any, noise: Any = None) -> Array:
-        r"""Return the covariance ``[k, n_q, n_q]`` of least squares at ``q``, by noise and by the parameters.
+        r"""Return the covariance ``[k, n_q, n_q]`` of least squares at ``q``, by noise, parameters and model error.
 
-        With the gain :math:`G = (J^T S^{-1} J)^{-1} J^T S^{-1}` and the covariance :math:`E` of the predicted
-        readings it is :math:`G (S + E) G^T`. What the calibration left open lasts: it cannot be averaged away.
+        With the gain :math:`G = (J^T S^{-1} J + D^{-2})^{-1} J^T S^{-1}`, where :math:`D` holds the deviations that
+        the bounds leave, and the covariance :math:`E` of the predicted readings it is :math:`G (S + E) G^T`.
 
         Parameters
         ----------
@@ -189,15 +204,31 @@ class Calibration:
         noise
             Standard deviation of a reading [mT; rad for IMUs], one number or one for each; the robot's if not given.
         """
-        sensing, parameters = self.sensing(), dict(zip(self.names, self.estimate.tolist(), strict=True))
-        q = self.robot.check_q(q, "Calibration")
-        std = _noise_of(self.robot, noise, sensing.n_readings, "Calibration")
-        J = np.where(self.robot.fixed, 0.0, sensing.linearise(q)[1])
-        E = np.zeros((*J.shape[:-1], len(self.names)))
-        E[..., : sensing.n_magnetic, :] = _slopes(self.described, sensing, parameters, q) * self.tolerances
-        E = E @ self.covariance @ np.swapaxes(E, -1, -2)
-        G = np.linalg.pinv(J / std[:, None]) / std
+        G, E, std = self._gain(q, noise)
         return G @ (E + np.diag(std**2)) @ np.swapaxes(G, -1, -2)
+
+    def lasting_covariance(self, q: Any, noise: Any = None) -> Array:
+        """Return the part of :meth:`q_covariance` that no average over time removes: all but the noise."""
+        G, E, _ = self._gain(q, noise)
+        return G @ E @ np.swapaxes(G, -1, -2)
+
+    def _gain(self, q: Any, noise: Any) -> tuple[Array, Array, Array]:
+        """Return the gain of least squares, the covariance of the predicted readings, and the noise."""
+        sensing, parameters = self.sensing(), dict(zip(self.names, self.estimate.tolist(), strict=True))
+        robot, n = self.robot, sensing.n_magnetic
+        q = robot.check_q(q, "Calibration")
+        std = _noise_of(robot, noise, sensing.n_readings, "Calibration")
+        J = np.where(robot.fixed, 0.0, sensing.linearise(q)[1])
+        E = np.zeros((*J.shape[:-1], len(self.names)))
+        E[..., :n, :] = _slopes(self.described, sensing, parameters, q) * self.tolerances
+        E = E @ self.covariance @ np.swapaxes(E, -1, -2)
+        E[..., :n, :n] += self.model_error
+        H = J / std[:, None]
+        if robot.lower is None or robot.upper is None:
+            return np.linalg.pinv(H) / std, E, std
+        known = information_of_bounds(robot.lower, robot.upper, robot.free_angles.free)
+        A = np.swapaxes(H, -1, -2) @ H + np.diag(np.where(robot.fixed, 1.0, known))
+        return np.linalg.solve(A, np.swapaxes(H, -1, -2)) / std, E, std
 
 
 def calibrate(
@@ -293,36 +324,37 @@ def calibrate(
     priors = _priors(described, tolerances or Tolerances())
     names, scale = tuple(priors), np.array(list(priors.values()))
 
-    def whitened(z: Array) -> tuple[Array, Array]:
-        """Residuals ``[poses * s]`` of unit variance, and the slopes of the prediction by ``z``."""
+    def whitened(z: Array) -> tuple[Array, Array, Array]:
+        """Residuals ``[poses * s]`` of unit variance, slopes of the prediction by ``z``, root of the noise."""
         parameters = dict(zip(names, (z * scale).tolist(), strict=True))
         moved = placed(described, parameters).sensing()
         u_hat, J_q = moved.linearise(q)
         J = _slopes(described, moved, parameters, q) * scale
         noise = np.diag(std**2) + J_q @ sigma @ np.swapaxes(J_q, -1, -2)
         rows = np.concatenate([(u - u_hat)[..., None], J], axis=-1)
-        rows = np.linalg.solve(np.linalg.cholesky(noise), rows).reshape(-1, 1 + len(z))
+        root = np.linalg.cholesky(noise)
+        rows = np.linalg.solve(root, rows).reshape(-1, 1 + len(z))
         require(np.isfinite(rows).all(), "numbers", owner, "finite", "infinite ones")
-        return rows[:, 0], rows[:, 1:]
+        return rows[:, 0], rows[:, 1:], root
 
     z, eye = np.zeros(len(scale)), np.eye(len(scale))
     with np.errstate(all="ignore"):
         try:
-            r, J = first, _ = whitened(z)
+            r, J, root = first, _, _ = whitened(z)
             damping = 0.0
             for _ in range(_ITERATIONS):
                 hessian = J.T @ J + eye
                 step = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), J.T @ r - z)
-                trial, slopes = whitened(z + step)
+                trial, slopes, wider = whitened(z + step)
                 if trial @ trial + np.square(z + step).sum() <= 1.01 * (r @ r + z @ z) + 1e-6:
-                    r, J, z = trial, slopes, z + step
+                    r, J, root, z = trial, slopes, wider, z + step
                     damping = damping / 10 if damping > _DAMPING else 0.0
                 else:
                     damping = max(10 * damping, _DAMPING)
                 if np.abs(step).max() < 1e-6:
                     break
             covariance = np.linalg.inv(J.T @ J + eye)
-            before, after, own = _by_pose(first, r, J, covariance, len(q))
+            before, after, own, left_out = _by_pose(first, r, J, covariance, len(q))
         except (np.linalg.LinAlgError, OverflowError, InputError) as error:
             raise _refused(f"a fit that ends in no robot ({error})") from error
     worst, far, mostly = int(np.argmax(own)), int(np.argmax(np.abs(z))), float(np.median(own))
@@ -336,8 +368,11 @@ def calibrate(
         raise _refused(f"{names[far]} off by {abs(z[far]):.3g} times its tolerance")
     found = placed(robot, dict(zip(names, (z * scale).tolist(), strict=True)))
     deviation, chi2 = np.sqrt(np.diag(covariance)) * scale, float(np.mean(r**2))
+    off = (root @ left_out[0][..., None])[..., 0]
+    inexact = _model_error(off, root @ left_out[1] @ np.swapaxes(root, -1, -2), own)
     return Calibration(
-        found, robot, names, z * scale, deviation, scale, covariance, chi2, len(q), before, after
+        found, robot, names, z * scale, deviation, scale, covariance, chi2, len(q), before, after,
+        inexact,
     )  # fmt: skip
 
 
@@ -478,8 +513,12 @@ def _priors(robot: Robot, t: Tolerances) -> dict[str, float]:
         stds = {"azimuth": own.get("azimuth", usual * t.sensor_azimuth), "radius": outwards}
         stds["tilt"] = own.get("tilt", t.sensor_tilt)
         stds |= dict.fromkeys(_per_axis("gain", part.axes), own.get("gain", t.sensor_gain))
-        stds |= dict.fromkeys(["tilt about x", "tilt about z"][: part.axes], own.get("tilt", 0.0))
-        stds |= {"along": own.get("at", 0.0), **dict.fromkeys("xyz", own.get("position", 0.0))}
+        chip = part.axes == 3
+        turned = own.get("tilt", t.sensor_tilt if chip else 0.0)
+        stds |= dict.fromkeys(["tilt about x", "tilt about z"][: part.axes], turned)
+        moved = t.chip_position if chip else 0.0
+        stds |= dict.fromkeys("xy", own.get("position", moved))
+        stds |= {"z": own.get("position", 0.0), "along": own.get("at", usual * moved)}
         stds |= dict.fromkeys(_per_axis("offset", part.axes), own.get("offset", t.sensor_offset))
         priors |= {f"sensor {j + 1} {name}": std for name, std in stds.items()}
     priors |= dict.fromkeys(
@@ -504,14 +543,33 @@ def _along(robot: Robot, where: Place, far: float) -> tuple[float, float]:
     return at, where.at + far - at
 
 
-def _by_pose(first: Array, r: Array, J: Array, C: Array, poses: int) -> tuple[float, float, Array]:
-    """Median residual of a pose as described and as the others predict it; of each in the unit of this prediction."""
+def _by_pose(
+    first: Array, r: Array, J: Array, C: Array, poses: int
+) -> tuple[float, float, Array, tuple[Array, Array]]:
+    """Return what poses are off: as described, as the others predict them, and each in the unit of this prediction.
+
+    The first two are medians. Last comes what the readings of each pose are off the prediction ``[poses, s]``, with
+    its covariance.
+    """
     r, K = r.reshape(poses, -1), J.reshape(poses, -1, len(C))
     apart = np.eye(r.shape[1]) - K @ C @ np.swapaxes(K, -1, -2)
     predicted = np.linalg.solve(apart, r[..., None])[..., 0]
     squares = first.reshape(r.shape) ** 2, predicted**2, r * predicted
     before, after, own = (np.sqrt(np.abs(x.mean(1))) for x in squares)
-    return float(np.median(before)), float(np.median(after)), own
+    return float(np.median(before)), float(np.median(after)), own, (predicted, np.linalg.inv(apart))
+
+
+def _model_error(off: Array, expected: Array, own: Array) -> Array:
+    """Return the covariance of errors ``[poses, s]`` beyond that expected ``[poses, s, s]``, zero if within chance.
+
+    The mean square of every pose in units of its expected covariance, ``own``, scatters by the root of two over
+    the number of readings.
+    """
+    scatter = math.sqrt(2 / off.size)
+    if np.square(own).mean() <= 1 + _CHANCE * scatter:
+        return np.zeros(expected.shape[1:])
+    values, vectors = np.linalg.eigh((off[:, :, None] * off[:, None, :] - expected).mean(0))
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
 def _slopes(described: Robot, moved: Sensing, parameters: Mapping[str, float], q: Array) -> Array:

@@ -223,7 +223,7 @@ class KalmanFilter(MotionModel):
         return scaled * np.outer(width, width)
 
     def near(self, state: KalmanState, reference: Array) -> KalmanState:
-        """Return the same state with angles next to those of a reference ``[..., n_q]``: a rotation vector turns on."""
+        """Return the same state with angles next to those of a reference ``[..., n_q]``."""
         n = state.q.shape[-1]
         q = self.angles.nearest(state.q, reference)
         moved = (q != state.q).any(-1)
@@ -389,7 +389,9 @@ def smoothed(method: Any, states: Sequence[Any], restarted: Any = None) -> list[
             gain = gain * ~restarted[k + 1][..., None, None]
         y, C = x[k + 1], P[k + 1]
         if turns:  # the later state may have been wrapped
-            later = method.near(states[k + 1]._replace(q=y[..., :n], velocity=y[..., n:], covariance=C), mean[..., :n])
+            later = method.near(
+                states[k + 1]._replace(q=y[..., :n], velocity=y[..., n:], covariance=C), mean[..., :n]
+            )
             y, C = np.concatenate([later.q, later.velocity], axis=-1), later.covariance
         x[k] += (gain @ (y - mean)[..., None])[..., 0]
         P[k] += gain @ (C - before) @ np.swapaxes(gain, -1, -2)

@@ -31,6 +31,7 @@ from repro.estimators.base import (
     evenly,
     fixed_coordinates,
     incoming,
+    information_of_bounds,
     known_coordinates,
     model_of,
     start,
@@ -129,8 +130,7 @@ class LevenbergMarquardt:
         self._low, self._high = np.where(free, -np.inf, self.lower), np.where(free, np.inf, self.upper)
         fixed = self.lower == self.upper
         self._stops = np.where(fixed, -np.inf, self._low), np.where(fixed, np.inf, self._high)
-        width = np.where(fixed, 1.0, self.upper - self.lower)
-        self.by_bounds = np.where(fixed, 0.0, 12.0 / np.where(free, 2 * math.pi, width) ** 2)
+        self.by_bounds = information_of_bounds(lower, upper, free)
         """What the bounds say of every coordinate: the inverse of its variance between them."""
         self._middle = (lower + upper) / 2
         self._settings: Array | None = None
@@ -193,9 +193,9 @@ class LevenbergMarquardt:
     ) -> tuple[Array, Array, Array, Array, Any]:
         """Return configuration, readings there, covariance, status ``[n, 10]``, readings used.
 
-        ``prior`` holds means ``[..., n_q]`` and information ``[..., n_q, n_q]`` of a Gaussian prior; what the bounds say
-        is no part of the covariance then, unless ``by_bounds`` says so. What the readings leave open stays next to
-        ``rest`` ``[..., n_q]``, the start if not given.
+        ``prior`` holds means ``[..., n_q]`` and information ``[..., n_q, n_q]`` of a Gaussian prior; what the bounds
+        say is no part of the covariance then, unless ``by_bounds`` says so. What the readings leave open stays next
+        to ``rest`` ``[..., n_q]``, the start if not given.
         """
         n, s = self.n_q, u.shape[-1]
         if self._settings is None or len(self._settings) != 2 * n + s + 2:

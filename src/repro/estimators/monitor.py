@@ -114,9 +114,9 @@ class Monitor:
     A part whose readings stay the same, bit for bit, for more than 0.5 s and at least 20 rows, is named and left out,
     unless their noise is below their resolution. A frame that equals the one before, bit for bit, adds nothing. If
     all readings stay equal for so long, the board repeats itself and the row is *frozen*. A row is *undetermined* if
-    it has fewer readings than unknowns and no motion model helps, or none at all. It is *unchecked* if the fit uses up
-    all of its readings, so that none is left to contradict. It is *beyond bounds* if its readings fit outside the
-    bounds of the robot and not within: the estimate stays within, and its covariance grows and holds the difference.
+    it has fewer readings than unknowns and no motion model helps, or none at all. It is *unchecked* if the fit uses
+    up all of its readings, so that none is left to contradict. It is *beyond bounds* if its readings fit outside the
+    bounds of the robot and not within: the estimate stays within, and its covariance holds the difference.
 
     Parameters
     ----------
@@ -283,7 +283,15 @@ class Monitor:
         return self._blank
 
     def _doubted(
-        self, state: MonitorState, now: MonitorState, u: Array, bad: Any, pressed: Any, same: Any, few: Any, bare: Any,
+        self,
+        state: MonitorState,
+        now: MonitorState,
+        u: Array,
+        bad: Any,
+        pressed: Any,
+        same: Any,
+        few: Any,
+        bare: Any,
         stuck: Any,
     ) -> tuple[MonitorState, Estimate]:
         """Look at rows that do not fit, that came before, or that have too few readings."""
