@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from repro.common import Array, require
-from repro.robot import Robot
+from repro.robot import ConstantCurvature, Robot
 
 _HOPELESS = 0.3
 """Standard deviation of the tip, as a share of what the bounds alone leave, from which little is known."""
@@ -154,7 +154,7 @@ def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCh
     good = np.isfinite(u).all(-1) & np.isfinite(J).all((-2, -1))
     require(good.sum() > 1, "robot", owner, "one with finite readings", "none in most shapes")
     q, u, J = q[good], u[good], J[good]
-    inside = _within_magnets(robot, sensing, q)
+    inside = sensing.too_near(q)
     beyond = np.abs(u) > robot.range
     p, G = robot.tip_slopes(q)
     scale = (upper - lower)[free] / math.sqrt(12)
@@ -189,6 +189,11 @@ def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCh
     if sensing.n_readings <= len(names):
         few = f"{sensing.n_readings} readings for {len(names)} unknowns, none to spare"
         notes += (f"{few}: a sensor that fails is never noticed",)
+    notes += tuple(
+        f"readings alone cannot tell whether axes of {name} are exchanged or inverted: bend the robot to one side "
+        "once, and look whether the estimate does the same"
+        for name in mirrored_chips(robot)
+    )
     can_work, verdict = _verdict(tip, within, built, spread)
     return DesignCheck(
         q, tip, within, built, spread, _added(robot, H, A), _saturated(robot, u, beyond),
@@ -196,13 +201,35 @@ def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCh
     )  # fmt: skip
 
 
-def _within_magnets(robot: Robot, sensing: Any, q: Array) -> Array:
-    """Which readings are taken where multipoles do not describe the field ``[n, s]``."""
-    inside = np.zeros((len(q), robot.n_readings), dtype=bool)
-    if robot.model is None and robot.magnets:
-        reach = [magnet.shape.reach for magnet in robot.magnets]
-        inside[:, : sensing.n_magnetic] = (sensing.relations(q)[..., 1::4] < reach).any(-1)
-    return inside
+_MIRRORS = (((1.0, 1.0), (1, 0)), ((-1.0, 1.0), (0, 1)), ((1.0, -1.0), (0, 1)))
+"""What planes through the backbone do to x and y: signs, and which comes first."""
+
+
+def mirrored_chips(robot: Robot) -> tuple[str, ...]:
+    """Return the chips with three axes whose wrong wiring reads like a mirrored shape of the robot.
+
+    We mirror the shape at three planes through the backbone, and the axes of one chip with it. If all readings agree,
+    nobody can tell the two from each other.
+    """
+    bends = [g for g, segment in enumerate(robot.segments) if isinstance(segment, ConstantCurvature)]
+    x = np.array([robot.coordinates.index(f"delta_x_{g + 1}") for g in bends], dtype=int)
+    turning = [name for name in robot.coordinates if not name.startswith("delta_")]
+    if not len(x) or turning or robot.total_noise is None:
+        return ()
+    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (20, robot.n_q))
+    sensing, found = robot.sensing(), []
+    u = sensing(q)
+    for k, name in enumerate(robot.part_names[: len(robot.sensors)]):
+        rows = np.flatnonzero(robot.parts == k)
+        for signs, order in _MIRRORS if len(rows) == 3 else ():
+            shape, wired = q.copy(), u.copy()
+            for c in range(2):
+                shape[:, x + c] = signs[c] * q[:, x + order[c]]
+                wired[:, rows[c]] = signs[c] * u[:, rows[order[c]]]
+            if np.abs((sensing(shape) - wired) / robot.total_noise).max() < 1.0:
+                found.append(name)
+                break
+    return tuple(found)
 
 
 def _off_drawing(robot: Robot, sensing: Any, q: Array) -> Array:

@@ -578,6 +578,15 @@ class Sensing:
         _batch(*self.packed, flat, _RELATIONS, *_UNUSED, xi)
         return xi.reshape(*q.shape[:-1], *xi.shape[1:])
 
+    def too_near(self, q: Any) -> Array:
+        """Return which readings ``[..., s]`` are taken so close to a magnet that multipoles do not give its field."""
+        q = self.robot.check_q(q, "Sensing")
+        near = np.zeros((*q.shape[:-1], self.n_readings), dtype=bool)
+        if self.tables.model == _MULTIPOLES and self.robot.magnets:
+            reach = [magnet.shape.reach for magnet in self.robot.magnets]
+            near[..., : self.n_magnetic] = (self.relations(q)[..., 1::4] < reach).any(-1)
+        return near
+
     def __call__(self, q: Any) -> Array:
         """Return the predicted readings ``[..., s]`` at configurations ``[..., n_q]``."""
         q = self.robot.check_q(q, "Sensing")

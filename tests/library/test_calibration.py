@@ -30,7 +30,7 @@ from .robots import RELEASED, STORED, bounds, paper_robot
 
 EARTH = [0.03, 0.01, -0.04]
 STATED = Tolerances(sensor_offset=0.1, earth=0.05)
-FIXED = Tolerances(**dict.fromkeys(list(asdict(Tolerances()))[:7], 1e-9))
+FIXED = Tolerances(**dict.fromkeys(list(asdict(Tolerances()))[:8], 1e-9))
 
 
 def with_chip(**of_chip):
@@ -201,7 +201,7 @@ def test_a_chip_is_one_part_whose_axes_stay_at_right_angles():
     robot = with_chip(tolerance={"tilt": 0.02, "at": 5e-4})
     names = [name for name in _priors(robot, Tolerances()) if name.startswith("sensor 1")]
     assert [name.removeprefix("sensor 1 ") for name in names] == [
-        "azimuth", "radius", "tilt", "gain x", "gain y", "gain z", "tilt about x", "tilt about z", "along"
+        "azimuth", "radius", "tilt", "gain x", "gain y", "gain z", "tilt about x", "tilt about z", "x", "y", "along"
     ]  # fmt: skip
     moved = placed(robot, off(robot, np.random.default_rng(5))).sensors[0].place.rotation
     np.testing.assert_allclose(moved.T @ moved, np.eye(3), atol=1e-12)
@@ -230,6 +230,71 @@ def test_tolerances_of_a_part_come_first_and_what_is_not_stated_is_as_ever():
     there = {name for name in stated if name.startswith("sensor 1")}
     assert there == {f"sensor 1 {name}" for name in ("tilt", "gain", "x", "y", "z")}
     assert stated["sensor 1 x"] == 3e-4
+
+
+def test_a_drawn_chip_is_off_in_every_turn_and_every_place_unless_its_file_says_otherwise():
+    def stated(**tolerance):
+        chip = Sensor(1, 0.11, axes=3, tolerance=tolerance)
+        priors = _priors(paper_robot(1).replaced(sensors=[chip]), Tolerances())
+        return {
+            name.removeprefix("sensor 1 "): std for name, std in priors.items() if name.startswith("sensor 1")
+        }
+
+    turns, places = ("tilt", "tilt about x", "tilt about z"), ("x", "y", "along")
+    assert {stated()[name] for name in turns} == {math.radians(1.0)}
+    assert {stated()[name] for name in places} == {3e-4}
+    assert {stated(tilt=0.05)[name] for name in turns} == {0.05}
+    assert {stated(position=1e-3)[name] for name in "xyz"} == {1e-3}
+    assert "along" not in stated(position=1e-3)
+    assert stated(at=2e-3)["along"] == 2e-3
+
+
+@pytest.mark.parametrize("orientation", [None, [0.1, 0.2, 0.3, 0.9274]])
+def test_chips_turned_and_moved_in_every_direction_are_calibrated_as_they_are(orientation):
+    """Nothing is stated: 1 degree about and 0.3 mm along every axis are what is expected of a drawn chip."""
+    places = [[0.013 * math.cos(a), 0.013 * math.sin(a), 0.0] for a in (0.0, 2.1, 4.2)]
+    chips = [Sensor(1, 0.11, axes=3, position=p, orientation=orientation) for p in places]
+    low, high = bounds(1)
+    robot = paper_robot(1).replaced(sensors=chips, lower=low, upper=high, noise=2e-3)
+    held = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        names = [
+            f"sensor {j} {x}"
+            for j in (1, 2, 3)
+            for x in ("tilt", "tilt about x", "tilt about z", "x", "y", "along")
+        ]
+        sizes = np.tile([math.radians(1.0)] * 3 + [3e-4] * 3, 3)
+        true = placed(robot, dict(zip(names, (sizes * rng.standard_normal(18)).tolist(), strict=True)))
+        q = rng.uniform(low, high, (330, 3))
+        u = true.sensing()(q) + 2e-3 * rng.standard_normal((330, 9))
+        found = calibrate(robot, q[:30], u[:30])
+        assert not found.model_error.any()
+        method = LevenbergMarquardt(found.robot)
+        x = method.step(method.init(q[30:]), u[30:])[1].q
+        off = x - q[30:]
+        held.append((off * np.linalg.solve(found.q_covariance(x), off[..., None])[..., 0]).sum(-1) < 6.25)
+    assert 0.83 < np.mean(held) < 0.96
+
+
+def test_what_left_out_poses_show_beyond_the_noise_is_an_error_of_the_model():
+    """The readings have a part that no parameter describes, twice the noise: the deviations hold it."""
+    low, high = bounds(1)
+    robot = paper_robot(1, 6).replaced(lower=low, upper=high, noise=1e-3)
+    rng, waves = np.random.default_rng(0), np.random.default_rng(1).normal(0.0, 300.0, (3, 6))
+    q = rng.uniform(low, high, (360, 3))
+    u = placed(robot, off(robot, rng)).sensing()(q) + 1e-3 * rng.standard_normal((360, 6))
+    for size in (0.0, 3e-3):
+        readings = u + size * np.sin(q @ waves)
+        found = calibrate(robot, q[:60], readings[:60])
+        assert found.model_error.any() == (size > 0)
+        assert ("the model is inexact" in repr(found)) == (size > 0)
+        method = LevenbergMarquardt(found.robot)
+        x = method.step(method.init(q[60:]), readings[60:])[1].q
+        away = x - q[60:]
+        held = (away * np.linalg.solve(found.q_covariance(x), away[..., None])[..., 0]).sum(-1) < 6.25
+        assert 0.8 < held.mean() < 0.97
+        assert np.sqrt(np.diag(found.model_error)).mean() == pytest.approx(size / 2**0.5, rel=0.25)
 
 
 def test_magnets_of_several_shapes_have_moments_of_their_own():

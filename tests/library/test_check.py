@@ -24,7 +24,7 @@ from repro import (
     Sensor,
     simulated_readings,
 )
-from repro.check import check_design
+from repro.check import check_design, mirrored_chips
 from repro_board import cli
 
 from .robots import RELEASED
@@ -244,6 +244,20 @@ def test_a_reading_so_close_to_a_magnet_that_its_field_is_unknown_counts_nothing
     lower = robot.replaced(sensors=[Sensor(0, 0.0, position=[0.0, 0.0, -0.006], axes=3, name="chip")])
     assert check_design(lower).can_work
     assert not any("close" in note for note in check_design(lower).notes)
+
+
+def test_a_lone_chip_cannot_tell_a_mirrored_shape_and_two_can():
+    one = Sensor(1, 0.03, axes=3, name="a")
+    robot = Robot(
+        [ConstantCurvature(0.09, 0.015)], [Magnet(Disc(10e-3, 4e-3, 1300.0), 1, 0.055)], [one],
+        lower=[-0.012, -0.012, 0.0], upper=[0.012, 0.012, 0.0], noise=0.01,
+    )  # fmt: skip
+    assert mirrored_chips(robot) == ("a",)
+    assert any("axes of a are exchanged" in note for note in check_design(robot).notes)
+    assert mirrored_chips(robot.replaced(sensors=[one, Sensor(1, 0.09, axes=3)])) == ()
+    assert (
+        mirrored_chips(robot.replaced(sensors=[Sensor(1, 0.03, position=[0.004, 0.001, 0.0], axes=3)])) == ()
+    )
 
 
 def test_steps_of_the_readings_count_as_estimators_take_them():

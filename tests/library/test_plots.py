@@ -130,7 +130,7 @@ def test_a_table_has_names_units_and_deviations():
     table = shape.to_frame()
     assert list(table)[:5] == ["time_s", "delta_x_1_mm", "delta_y_1_mm", "delta_L_1_mm", "delta_x_1_sd_mm"]
     assert list(table)[7:13] == [f"tip_{axis}{sd}_mm" for sd in ("", "_sd") for axis in "xyz"]
-    assert list(table)[13:] == ["chi2", "dof", "missing", "status", "suspects"]
+    assert list(table)[13:] == ["chi2", "dof", "missing", "status", "suspects", "at_bound"]
     np.testing.assert_allclose(table.time_s, np.arange(40) / 20)
     np.testing.assert_allclose(table.delta_y_1_mm, 1e3 * shape.q[:, 1])
     np.testing.assert_allclose(table.delta_L_1_sd_mm, 1e3 * np.sqrt(shape.covariance[:, 2, 2]))

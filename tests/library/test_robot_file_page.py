@@ -87,6 +87,9 @@ def test_usual_tolerances_are_those_of_the_library():
         re.findall(r"^\| `(\w+)`.*\| (.*) \|$", PAGE[PAGE.index("(robot-file-tolerance)=") :], re.MULTILINE)
     )
     assert rows["position_mm"].startswith(f"magnets {1e3 * usual.magnet_position:g},")
+    chip = f"{1e3 * usual.chip_position:g}"
+    assert rows["position_mm"].endswith(f"chips with three axes also {chip} across")
+    assert rows["at_mm"].startswith(f"chips with three axes {chip},")
     assert rows["radial_mm"] == f"{100 * usual.sensor_radius:g} % of the distance, 3.6°"
     gains = (
         f"{100 * usual.sensor_gain:g} in `repro check`, {100 * TOLERANCES.sensor_gain:g} in `repro calibrate`"

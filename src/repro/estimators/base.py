@@ -124,13 +124,19 @@ class Trajectory:
         """Return three lines."""
         n, s = self.q.shape[-1], self.u_hat.shape[-1]
         span = f"{self.times[-1] - self.times[0]:g} s"
-        free = np.sum(self.dof)
-        fit = f"{np.sum(self.chi2) / free:.3g}" if free and np.isfinite(self.chi2).all() else "not stated"
+        fits = True if self.status is None else np.isin(self.status, _FITTING)  # one bad row spoils any mean
+        free, chi2 = np.sum(self.dof, where=fits), np.sum(self.chi2, where=fits)
+        fit = f"{chi2 / free:.3g}" if free and np.isfinite(chi2) else "not stated"
         counts = {} if self.status is None else Counter(self.status.ravel().tolist())
         rows = "".join(f"; {n} rows {name}" for name, n in counts.items())
         if self.suspects is not None and self.suspects.any():
             n_suspect = self.suspects.reshape(-1, self.suspects.shape[-1]).sum(0)
             rows += f"; suspects: {_counted(self._parts(), n_suspect)}"
+        near = self.details.get("too_near")
+        if near is not None and near.any() and self.robot is not None:
+            by_reading = near.reshape(-1, near.shape[-1]).sum(0)
+            first = np.unique(self.robot.parts, return_index=True)[1]
+            rows += f"; left out, too close to a magnet: {_counted(self.robot.part_names, by_reading[first])}"
         touched = self._at_bound()
         if touched is not None and touched.any():
             rows += f"; at a bound: {_counted(self._names(), touched.reshape(-1, touched.shape[-1]).sum(0))}"
@@ -226,6 +232,12 @@ class Trajectory:
         from repro.plots import plot_shape
 
         return plot_shape(self, axes)
+
+
+_FITTING = ("consistent", "left out", "unchecked")
+"""What the monitor says of rows whose readings fit, by name."""
+_SHAPES = 256
+"""Shapes within the bounds at which we look whether a reading comes too close to a magnet."""
 
 
 def _counted(names: Sequence[str], counts: Array) -> str:
@@ -334,14 +346,50 @@ def run(
     # Not the estimators of papers, which have none.
     watched = monitor is not None and getattr(estimator, "watched", False)
     method = Monitor(estimator) if watched else estimator
-    state = method.init(q0, seed=seed)
-    states, estimates = [], []
+    state, near = method.init(q0, seed=seed), NearMagnets.of(robot, rows.shape[-1], q0)
+    states, estimates, hidden = [], [], []
     for k in _with_bar(len(rows), progress):
         given = {name: values[k] for name, values in per_row.items() if values is not None}
-        state, estimate = method.step(state, rows[k], float(at[k]), **given)
+        row = rows[k]
+        if near is not None:
+            hidden.append(near.readings())
+            row = np.where(hidden[-1], np.nan, row)
+        state, estimate = method.step(state, row, float(at[k]), **given)
+        if near is not None:
+            near.q = estimate.q
         states.append(state.inner if watched else state)
         estimates.append(estimate)
-    return trajectory(at, rows, estimates, robot, method if isinstance(method, Monitor) else None), states
+    found = trajectory(at, rows, estimates, robot, method if isinstance(method, Monitor) else None)
+    if near is not None:
+        found.details["too_near"] = np.array(hidden)
+    return found, states
+
+
+class NearMagnets:
+    """Which readings are taken too close to a magnet for its field to be known, at the last estimate.
+
+    Where the multipoles do not describe the field, a reading would pull the estimate anywhere: it is left out.
+    """
+
+    def __init__(self, sensing: Any, q: Array) -> None:
+        self.sensing, self.q = sensing, q
+
+    @classmethod
+    def of(cls, robot: Robot | None, n_readings: int, q0: Any = None) -> NearMagnets | None:
+        """Return it for a robot, or nothing if no reading comes so close within the bounds."""
+        if robot is None or robot.lower is None or robot.upper is None or n_readings != robot.n_readings:
+            return None
+        if robot.model is not None or not robot.magnets:
+            return None
+        sensing, middle = robot.sensing(), (robot.lower + robot.upper) / 2
+        if not sensing.too_near(evenly(robot.lower, robot.upper, _SHAPES)).any():
+            return None
+        given = q0 if q0 is not None else robot.start if robot.start is not None else middle
+        return cls(sensing, np.asarray(given, dtype=float))
+
+    def readings(self) -> Array:
+        """Return which readings to leave out ``[..., s]``."""
+        return self.sensing.too_near(np.nan_to_num(self.q))
 
 
 def trajectory(at: Any, readings: Any, estimates: Sequence[Estimate], robot: Any, monitor: Any) -> Trajectory:

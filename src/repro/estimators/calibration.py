@@ -194,8 +194,10 @@ class Calibration:
     def q_covariance(self, q: Any, noise: Any = None) -> Array:
         r"""Return the covariance ``[k, n_q, n_q]`` of least squares at ``q``, by noise, parameters and model error.
 
-        With the gain :math:`G = (J^T S^{-1} J + D^{-2})^{-1} J^T S^{-1}`, where :math:`D` holds the deviations that
-        the bounds leave, and the covariance :math:`E` of the predicted readings it is :math:`G (S + E) G^T`.
+        With the slopes :math:`J` of the readings, their noise :math:`S` and the deviations :math:`D` that the bounds
+        leave, an estimate has the covariance :math:`C = (J^T S^{-1} J + D^{-2})^{-1}` and follows errors of the
+        readings by the gain :math:`G = C J^T S^{-1}`. If the predicted readings have the covariance :math:`E`, it is
+        :math:`C + G E G^T`.
 
         Parameters
         ----------
@@ -204,31 +206,31 @@ class Calibration:
         noise
             Standard deviation of a reading [mT; rad for IMUs], one number or one for each; the robot's if not given.
         """
-        G, E, std = self._gain(q, noise)
-        return G @ (E + np.diag(std**2)) @ np.swapaxes(G, -1, -2)
+        return self._covariances(q, noise)[0] + self.lasting_covariance(q, noise)
 
     def lasting_covariance(self, q: Any, noise: Any = None) -> Array:
         """Return the part of :meth:`q_covariance` that no average over time removes: all but the noise."""
-        G, E, _ = self._gain(q, noise)
+        C, H, std = self._covariances(q, noise)
+        sensing, parameters = self.sensing(), dict(zip(self.names, self.estimate.tolist(), strict=True))
+        n = sensing.n_magnetic
+        K = np.zeros((*H.shape[:-1], len(self.names)))
+        K[..., :n, :] = _slopes(self.described, sensing, parameters, self.robot.check_q(q)) * self.tolerances
+        E = K @ self.covariance @ np.swapaxes(K, -1, -2)
+        E[..., :n, :n] += self.model_error
+        G = C @ np.swapaxes(H, -1, -2) / std
         return G @ E @ np.swapaxes(G, -1, -2)
 
-    def _gain(self, q: Any, noise: Any) -> tuple[Array, Array, Array]:
-        """Return the gain of least squares, the covariance of the predicted readings, and the noise."""
-        sensing, parameters = self.sensing(), dict(zip(self.names, self.estimate.tolist(), strict=True))
-        robot, n = self.robot, sensing.n_magnetic
-        q = robot.check_q(q, "Calibration")
+    def _covariances(self, q: Any, noise: Any) -> tuple[Array, Array, Array]:
+        """Return the covariance of an estimate by noise and bounds, slopes in units of the noise, and the noise."""
+        robot, sensing = self.robot, self.sensing()
         std = _noise_of(robot, noise, sensing.n_readings, "Calibration")
-        J = np.where(robot.fixed, 0.0, sensing.linearise(q)[1])
-        E = np.zeros((*J.shape[:-1], len(self.names)))
-        E[..., :n, :] = _slopes(self.described, sensing, parameters, q) * self.tolerances
-        E = E @ self.covariance @ np.swapaxes(E, -1, -2)
-        E[..., :n, :n] += self.model_error
-        H = J / std[:, None]
+        H = np.where(robot.fixed, 0.0, sensing.linearise(robot.check_q(q, "Calibration"))[1]) / std[:, None]
+        A = np.swapaxes(H, -1, -2) @ H
         if robot.lower is None or robot.upper is None:
-            return np.linalg.pinv(H) / std, E, std
+            return np.linalg.pinv(A, hermitian=True), H, std
         known = information_of_bounds(robot.lower, robot.upper, robot.free_angles.free)
-        A = np.swapaxes(H, -1, -2) @ H + np.diag(np.where(robot.fixed, 1.0, known))
-        return np.linalg.solve(A, np.swapaxes(H, -1, -2)) / std, E, std
+        C = np.linalg.inv(A + np.diag(np.where(robot.fixed, 1.0, known)))
+        return np.where(robot.fixed | robot.fixed[:, None], 0.0, C), H, std
 
 
 def calibrate(
@@ -313,6 +315,11 @@ def calibrate(
             f"times up to {apart:.3g} s off",
         )
     u = numbers(u, "u", owner, (len(q), robot.n_readings))[:, :n]
+    near = described.sensing().too_near(q)
+    for row, k in np.argwhere(near)[:1]:
+        name = robot.part_names[robot.parts[k]]
+        expected = f"farther from every magnet, where its field is known (row {row + 1} of the poses)"
+        raise bad_input(name, "the robot", expected, "within the sphere around a magnet")
     std = _noise_of(robot, noise, n, owner)
     zero = np.zeros((robot.n_q, robot.n_q))
     sigma = zero if q_covariance is None else numbers(q_covariance, "q_covariance", owner, (..., *zero.shape))
@@ -355,6 +362,8 @@ def calibrate(
                     break
             covariance = np.linalg.inv(J.T @ J + eye)
             before, after, own, left_out = _by_pose(first, r, J, covariance, len(q))
+            off = (root @ left_out[0][..., None])[..., 0]
+            inexact = _model_error(off, root @ left_out[1] @ np.swapaxes(root, -1, -2), own)
         except (np.linalg.LinAlgError, OverflowError, InputError) as error:
             raise _refused(f"a fit that ends in no robot ({error})") from error
     worst, far, mostly = int(np.argmax(own)), int(np.argmax(np.abs(z))), float(np.median(own))
@@ -368,8 +377,6 @@ def calibrate(
         raise _refused(f"{names[far]} off by {abs(z[far]):.3g} times its tolerance")
     found = placed(robot, dict(zip(names, (z * scale).tolist(), strict=True)))
     deviation, chi2 = np.sqrt(np.diag(covariance)) * scale, float(np.mean(r**2))
-    off = (root @ left_out[0][..., None])[..., 0]
-    inexact = _model_error(off, root @ left_out[1] @ np.swapaxes(root, -1, -2), own)
     return Calibration(
         found, robot, names, z * scale, deviation, scale, covariance, chi2, len(q), before, after,
         inexact,

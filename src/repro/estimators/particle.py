@@ -315,7 +315,10 @@ class ParticleFilter:
         # The distance of the readings from their mean prediction, normalised by the covariance of predictions and
         # noise, is chi-square while the filter follows; its cube root is nearly normal (Wilson and Hilferty 1931).
         dof = np.where(used.any(-1), used.sum(-1), np.nan)
-        distance = (e * np.linalg.solve(S + np.eye(s), e[..., None])[..., 0]).sum(-1)
+        try:
+            distance = (e * np.linalg.solve(S + np.eye(s), e[..., None])[..., 0]).sum(-1)
+        except np.linalg.LinAlgError:  # a reading so far off that rounding leaves nothing of the cloud
+            distance = np.full(len(e), np.inf)
         surprise = ((distance / dof) ** (1 / 3) - 1 + 2 / (9 * dof)) / np.sqrt(2 / (9 * dof))
         best = held(_best_tenth(q, squares) if self.estimate == "best tenth" else mean[:, None])
         C = np.where(free[:, None] & free[..., None], C, 0.0) if holds else C
