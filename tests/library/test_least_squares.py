@@ -355,3 +355,14 @@ def test_trouble_on_the_way_is_refused_in_words():
     wild = GradientDescent(quadratic, [1e200, 1e200])
     with pytest.raises(InputError, match="small enough for a finite descent"), np.errstate(all="ignore"):
         wild.step(wild.init([0.1, 0.2]), [1.0, 1.0, 1.0])
+
+
+def test_a_torch_module_is_a_model_in_one_line_and_says_so_without_it():
+    torch = pytest.importorskip("torch")
+    module = torch.nn.Linear(2, 3).double()
+    with pytest.raises(InputError, match=r"of a torch module, lambda q: module\(torch.as_tensor\(q\)\)"):
+        LevenbergMarquardt(module, [-1.0, -1.0], [1.0, 1.0], 0.01)
+    model = lambda q: module(torch.as_tensor(q)).detach().numpy()  # noqa: E731
+    q = np.array([0.3, -0.2])
+    method = LevenbergMarquardt(model, [-1.0, -1.0], [1.0, 1.0], 0.01)
+    np.testing.assert_allclose(method.step(method.init(), model(q))[1].q, q, atol=1e-4)

@@ -565,8 +565,11 @@ class CallableModel:
         try:
             u = np.asarray(self.sensing(q), dtype=float)
         except Exception as error:  # whatever a model raises is said in one line
-            words = f"{type(error).__name__}: {error}"
-            raise bad_input("sensing", self.owner, f"a callable of {len(q)} coordinates", words) from error
+            expected, words = f"a callable of {len(q)} coordinates", f"{type(error).__name__}: {error}"
+            if hasattr(self.sensing, "state_dict"):
+                expected += " and arrays: of a torch module, lambda q: module(torch.as_tensor(q)).detach().numpy()"
+                expected += " after module.double()"
+            raise bad_input("sensing", self.owner, expected, words) from error
         require(u.ndim == 1, "sensing", self.owner, "one that returns readings [s]", f"shape {u.shape}")
         return u
 

@@ -64,7 +64,7 @@ class LevenbergMarquardt:
         Configuration to readings: a :class:`repro.Robot`, a :class:`repro.Sensing`, or any callable. Its slopes are
         those of its method ``linearise(q) -> (u, J)`` if it has one, else by complex step if it takes complex
         numbers, else by central differences. A callable that takes a leading dimension is called once for all of
-        them.
+        them. After ``module.double()``, ``lambda q: module(torch.as_tensor(q)).detach().numpy()`` is a torch module.
     lower, upper
         Bounds of ``q``; the robot's if not given. Angles whose bounds are a whole turn apart come round again. Equal
         bounds fix a coordinate: it has no variance.
