@@ -235,3 +235,13 @@ def test_calls_that_cannot_work_are_refused():
     for message, call in calls.items():
         with pytest.raises(InputError, match=message):
             call()
+
+
+@pytest.mark.parametrize("spike", [1e3, 1e15, 1e30])
+def test_one_reading_beyond_all_sense_costs_one_row(spike):
+    method = ParticleFilter(BendSensor(0.015), [0.05] * 2, 0.1, DISC)
+    u = np.tile(BendSensor(0.015)([0.3, 0.2]), (40, 1))
+    u[20, 1] = spike
+    found = track(method, u, [0.3, 0.2], rate_hz=10.0)
+    assert np.abs(np.delete(found.q, 20, axis=0)[5:] - [0.3, 0.2]).max() < 0.1
+    assert found.details["surprise"][20] > 10
