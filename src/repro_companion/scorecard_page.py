@@ -12,7 +12,7 @@ from urllib.parse import urlencode
 import pandas as pd
 
 from repro_companion.run import recordings
-from repro_companion.scorecard import COMPARED, HIGHER_IS_BETTER, KINDS, band, counts, kinds
+from repro_companion.scorecard import COMPARED, KINDS, band, counts, is_error, kinds
 from repro_companion.show import KEY, number
 
 PAPERS = {
@@ -213,7 +213,7 @@ def _row(row: pd.Series) -> str:
         verdict, apart = kind, f" ({verdict})" + apart
     said = words(f"{row['note'][:1].upper()}{row['note'][1:]}. ") if row["note"] else ""
     if row["best"]:
-        better = (float(row["best"]) < float(row["regenerated"])) != (row["quantity"] in HIGHER_IS_BETTER)
+        better = is_error(row) and float(row["best"]) < float(row["regenerated"])
         said += f" <b>Our {'best' if better else 'method'}: {number(float(row['best']))}{unit}.</b>"
     key = " ".join(["row", *row[KEY]]).lower().replace("-", " minus ")
     cells = [" ± ".join(printed) + unit, " ± ".join(ours) + unit if ours else "–", width]
