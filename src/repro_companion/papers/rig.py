@@ -834,25 +834,6 @@ def ranges_over_starts(study: pd.DataFrame) -> pd.DataFrame:
     return table.reset_index()
 
 
-def random_rig_ratios(study: pd.DataFrame) -> pd.DataFrame:
-    """Return the error of our filter over that of each variant of the paper's method, for every random rig.
-
-    A ratio is the geometric mean over six trajectories and two axes.
-    """
-    variants = ("known", "mean", "shorter")
-    axes = [f"delta_{axis}_mm" for axis in "xy"]
-    lines = []
-    for _, part in study.groupby(["family", "twin"], sort=False):
-        line = part.iloc[0][["family", "twin", "hysteresis", "drift", "drift_mV"]].to_dict()
-        errors = {name: part[[f"{name}_{axis}" for axis in axes]].to_numpy() for name in (*variants, "ours")}
-        ratios = {name: errors["ours"] / errors[name] for name in variants}
-        row, axis = np.unravel_index(ratios["known"].argmax(), ratios["known"].shape)
-        line |= {name: float(np.exp(np.log(ratio).mean())) for name, ratio in ratios.items()}
-        line["worst"] = f"{part['trajectory'].iloc[row]} {'xy'[axis]}: {ratios['known'].max():.2f}"
-        lines.append({**line, "covered": part["covered"].mean()})
-    return pd.DataFrame(lines)
-
-
 def methods(table: pd.DataFrame, ranges: pd.DataFrame) -> pd.DataFrame:
     """Return errors of the bend [mm], the mean over the seeds, a column for each method of a table of errors.
 
