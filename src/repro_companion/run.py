@@ -31,6 +31,8 @@ from typing import Any
 from repro.common import InputError, bad_input, cache_folder, require
 
 PACKAGES = ("repro", "repro_board", "repro_companion")
+SOURCES = ("src", "notebooks", "data", "requirements.lock")
+"""What the numbers of a page depend on; the tables that pages write, in results/, are none of it."""
 LIBRARIES = ("numpy", "numba", "scipy", "magpylib", "matplotlib", "pandas", "papermill", "torch")
 KINDS = {
     "int": "a whole number, such as 3",
@@ -249,12 +251,17 @@ def versions() -> dict[str, str]:
 
 
 def commit_of(root: Path) -> str:
-    """Return the commit of a checkout, with "-dirty" where files differ from it; empty without git."""
+    """Return the commit of a checkout, with "-dirty" where sources differ from it; empty without git."""
     # A project unpacked inside somebody else's repository must not report that repository's commit.
     if not (root / ".git").exists() or shutil.which("git") is None:
         return ""
-    command = ["git", "-C", root, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
-    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+
+    def git(*words: str) -> str:
+        command = ["git", "--no-optional-locks", "-C", root, *words]
+        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+
+    commit = git("rev-parse", "--verify", "--quiet", "HEAD")
+    return f"{commit}-dirty" if commit and git("status", "--porcelain", "--", *SOURCES) else commit
 
 
 # One run

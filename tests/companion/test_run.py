@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import subprocess
 from pathlib import Path
 
 import pandas as pd
@@ -131,6 +133,34 @@ def test_the_key_follows_all_that_a_result_depends_on(root):
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text("other")
     assert key() == keys[-1]
+
+
+def test_a_commit_is_dirty_where_sources_differ_and_not_by_what_pages_write(root):
+    git = ["git", "-C", str(root), "-c", "user.name=a", "-c", "user.email=a@example.org"]
+    subprocess.run([*git, "init", "-q"], check=True)
+    assert tool.commit_of(root) == ""
+    (root / "results").mkdir()
+    (root / "results/t.csv").write_text("n\n1\n")
+    for words in (["add", "."], ["commit", "-qm", "Begin"]):
+        subprocess.run([*git, *words], check=True)
+    commit = tool.commit_of(root)
+    assert re.fullmatch("[0-9a-f]{40}", commit)
+    (root / "results/t.csv").write_text("n\n2\n")
+    (root / "results/new.csv").write_text("n\n2\n")
+    assert tool.commit_of(root) == commit
+    for name in (
+        "src/repro/module.py",
+        "src/repro/new.py",
+        "data/new.csv",
+        "requirements.lock",
+        "notebooks/a.ipynb",
+    ):
+        path = root / name
+        before = path.read_text() if path.is_file() else None
+        path.write_text(f"{before or ''} ")
+        assert tool.commit_of(root) == f"{commit}-dirty", name
+        path.unlink() if before is None else path.write_text(before)
+    assert tool.commit_of(root) == commit
 
 
 def test_output_and_tables_are_whole_or_not_there(root):
