@@ -41,6 +41,7 @@ from repro.networks import load_network
 from repro.robot import place
 from repro.sensing import relations
 from repro_board.evaluate import search_lag
+from repro_companion.papers.fetch import read_sources
 from repro_companion.run import project_folder, recordings_folder
 
 RATE_HZ, SENSORS = 40.0, 3
@@ -599,8 +600,8 @@ def _first_of_test(recording: Recording) -> int:
 
 def _released(paths: Sequence[Path]) -> bool:
     """Whether all files have the hashes of data/sources.json."""
-    listed = json.loads((project_folder() / "data" / "sources.json").read_text(encoding="utf-8"))
-    hashes = {entry.get("sha256") for entry in listed["baaij2023"]["files"]}
+    listed = read_sources(project_folder() / "data" / "sources.json", "baaij2023")
+    hashes = {source.sha256 for source in listed}
     return all(hashlib.sha256(path.read_bytes()).hexdigest() in hashes for path in paths)
 
 
