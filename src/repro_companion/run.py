@@ -12,7 +12,6 @@ import hashlib
 import importlib.metadata
 import itertools
 import json
-import math
 import operator
 import os
 import platform
@@ -73,7 +72,7 @@ class Parameter:
         if self.rule.startswith("one of: "):
             return {typed(one) for one in values} <= set(self.rule[8:].split(", "))
         bounds = re.findall(rf"({'|'.join(BOUNDS)}) (\S+)", self.rule)
-        numbers = all(type(one) in (int, float) and math.isfinite(one) for one in values)
+        numbers = all(type(one) in (int, float) for one in values)
         within = (BOUNDS[word](one, float(bound)) for word, bound in bounds for one in values)
         return not bounds or (numbers and all(within))
 
@@ -159,9 +158,17 @@ def value_of(parameter: Parameter, text: str, owner: str) -> Any:
                 raise ValueError
     except Exception:
         raise bad_input(f"parameter {parameter.name}", owner, f"{kind}: {KINDS[kind]}", text) from None
+    require(are_finite(value), f"parameter {parameter.name}", owner, "finite, below 1e308 in size", text)
     must_be = ("a list of values, each " if kind == "list" else "") + parameter.rule
     require(parameter.allows(value), f"parameter {parameter.name}", owner, must_be, text)
     return value
+
+
+def are_finite(value: Any) -> bool:
+    """Return whether the numbers in a value are finite and none is too large for a float."""
+    if isinstance(value, list | dict):
+        return all(map(are_finite, value.values() if isinstance(value, dict) else value))
+    return not isinstance(value, int | float) or abs(value) < 1e308
 
 
 def typed(value: Any) -> str:

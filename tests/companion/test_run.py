@@ -62,7 +62,6 @@ def test_another_type_is_refused_in_words(kind, text):
         ("int", "how many, at least 1", "1", "0"),
         ("float", "share, above 0 and at most 1 [-]", "1", "0"),
         ("float", "noise [mT], below 1e-3", "-5", "0.001"),
-        ("float", "noise, at least 0", "0", "nan"),
         ("str", "ring, one of: released, as printed", "as printed", "printed"),
         ("list", "seeds, one of: 0, 1, 2", "[2, 0]", "[0, 3]"),
         ("list", "steps, at least 0", "[]", "[1, true]"),
@@ -73,6 +72,25 @@ def test_the_meaning_says_what_is_allowed(kind, meaning, allowed, outside):
     tool.value_of(parameter, allowed, "a.ipynb")
     each = "a list of values, each " if kind == "list" else ""
     assert f"must be {each}{parameter.rule}; instead received {outside}." in refused(parameter, outside)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("int", "1" + 400 * "0"),
+        ("float", "NaN"),
+        ("float", "-inf"),
+        ("float", "1e999"),
+        ("list", "[1, NaN]"),
+        ("dict", '{"a": [Infinity]}'),
+    ],
+)
+def test_numbers_are_finite_whatever_the_notebook_states(kind, text):
+    for meaning in ("of which nothing is stated", "with a bound, at least 0"):
+        said = refused(Parameter("x", kind, "", meaning), text)
+        assert said.startswith(
+            "Input parameter x of a.ipynb must be finite, below 1e308 in size; instead received"
+        )
 
 
 def test_a_meaning_without_a_rule_allows_all():
