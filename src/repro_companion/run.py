@@ -357,8 +357,11 @@ def _publish(record: dict[str, Any], tables: Path, results: Path, partial: Path,
     for name in before["results"].keys() - record["results"].keys():
         (results / name).unlink(missing_ok=True)
     for name in record["results"]:
-        (results / name).parent.mkdir(parents=True, exist_ok=True)
-        (tables / name).replace(results / name)
+        place = results / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        beside = place.with_name(f".{place.name}.part")  # results may lie on another disk than the output
+        shutil.copyfile(tables / name, beside)
+        beside.replace(place)
     partial.replace(output)
     record_path(output).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
@@ -373,7 +376,8 @@ def _keep(notebook: Path, partial: Path, failed: Path, error: BaseException) -> 
     failed.parent.mkdir(parents=True, exist_ok=True)
     shutil.move(partial, failed)
     line = getattr(error, "source", "").strip().partition("\n")[0]
-    return f"{shown(notebook)} failed in the cell `{line}`: {said}\nThe partial notebook is {shown(failed)}"
+    what = f"failed in the cell `{line}`: {said}" if line else f"was stopped before its end ({said})"
+    return f"{shown(notebook)} {what}\nThe partial notebook is {shown(failed)}"
 
 
 def _name_places(path: Path, notebook: Path, output: Path) -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import subprocess
+import tempfile
 from pathlib import Path
 
 import pandas as pd
@@ -203,6 +204,16 @@ def test_output_and_tables_are_whole_or_not_there(root):
     notebook(page, "other")
     tool.run(page, {}, output, results, root=root)
     assert os.listdir(results) == ["other.csv"]
+
+
+def test_results_may_lie_on_another_disk(root):
+    memory = Path("/dev/shm")
+    if not memory.is_dir() or memory.stat().st_dev == root.stat().st_dev:
+        pytest.skip("there is no other disk here")
+    with tempfile.TemporaryDirectory(dir=memory) as elsewhere:
+        (root / "results").symlink_to(elsewhere)
+        tool.run(root / "notebooks/a.ipynb", {}, root / "runs/x.ipynb", root / "results", root=root)
+        assert os.listdir(elsewhere) == ["t.csv"]
 
 
 @pytest.mark.slow
