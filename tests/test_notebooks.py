@@ -10,6 +10,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from repro.common import InputError
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {
     path.stem: json.loads(path.read_text(encoding="utf-8"))["cells"]
@@ -51,6 +53,16 @@ def test_a_page_shows_its_item_first(page):
     tags = [tag for cell in PAGES[page] for tag in cell["metadata"].get("tags", [])]
     assert 1 <= tags.count("first") <= 2
     assert tags.count("parameters") == 1
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_outside_of_the_project_stops_in_its_first_cell(page, tmp_path, monkeypatch):
+    """As papermill runs it from another folder: before the work, not where it saves a table."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("REPRO_RESULTS", raising=False)
+    parameters, first, *_ = sources(page, "code")
+    with pytest.raises(InputError, match="must be inside a checkout of the project; instead received"):
+        exec(f"{parameters}\n{first}", {})
 
 
 @pytest.mark.parametrize("page", PAGES)
