@@ -48,8 +48,9 @@ LETTERS = (
     (r"\^2", "²"),
     (r"\b(\d[\d.]*)e-0?(\d+)\b", r"\1 × 10<sup>−\2</sup>"),
     (r"(?<![\w)-])-(?=\d)", "−"),
+    (r"(?<=\w)_(?=\w)(?!\w*\.\w)", " "),
 )
-"""Names and numbers as files have them, and how the page writes them."""
+"""Names and numbers as files have them, and how the page writes them; names without letters come last."""
 
 
 def write_pages(root: Path, card: pd.DataFrame) -> None:
@@ -129,12 +130,14 @@ def folded(summary: str, text: str) -> str:
 def index_page(index: pd.DataFrame, titles: Mapping[str, str], card: pd.DataFrame) -> str:
     """Return the index: for each paper a table of its tables and figures, and folds of all else."""
     parts = []
-    for (name, heading), entries in index.groupby(
-        ["name", index["kind"].replace(dict.fromkeys(["table", "figure"], "")).replace(FOLDED)], sort=False
-    ):
-        rows = [_entry(entry, titles, card) for _, entry in entries.iterrows()]
-        text = table(f"{name}: {heading.lower() or 'tables and figures'}", INDEX_HEAD, rows, 'paper-index"')
-        parts.append(folded(heading, text) if heading else f"### {name}\n\n{text}")
+    for name, of_paper in index.groupby("name", sort=False):
+        parts.append(f"### {name}\n")
+        headings = of_paper["kind"].map(FOLDED).fillna("")
+        for heading, entries in of_paper.groupby(headings, sort=False):
+            rows = [_entry(entry, titles, card) for _, entry in entries.iterrows()]
+            caption = f"{name}: {heading.lower() or 'tables and figures'}"
+            text = table(caption, INDEX_HEAD, rows, 'paper-index"')
+            parts.append(folded(heading, text) if heading else text)
     return "\n".join(parts)
 
 
