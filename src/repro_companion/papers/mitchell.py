@@ -248,12 +248,13 @@ def gain_in_words(table: pd.DataFrame) -> str:
     """Return what our filter gains, on the curves that had no part in its choice, and a Kalman filter beside it."""
     ratio = table.set_index(["setting", "curve"])["ratio"]
     flower, seagull = (100 * ratio[BEST.name, name] for name in ("flower", "seagull"))
-    less = sorted(100 - 100 * ratio[KALMAN.name, name] for name in ("flower", "seagull"))
-    kalman = f"another {less[0]:.0f} to {less[1]:.0f} % better" if less[0] > 0 else "not better on both"
+    less = [100 - 100 * ratio[KALMAN.name, name] for name in ("flower", "seagull")]
+    sizes = "another {} % less on Flower and {} % less on Seagull".format(*(number(x, 1) for x in less))
+    kalman = f"has {sizes}" if min(less) > 0 else "is not better on both"
     return (
         f"**Our best filter has {flower:.0f} % of the error of least squares on single readings on Flower, and"
         f" {seagull:.0f} % on Seagull.** Neither curve was used to choose its noise."
-        f" A Kalman filter with the same noises is {kalman}."
+        f" A Kalman filter with the same noises {kalman}."
     )
 
 
