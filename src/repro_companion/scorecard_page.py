@@ -9,6 +9,7 @@ from html import escape
 from pathlib import Path
 from urllib.parse import urlencode
 
+import numpy as np
 import pandas as pd
 
 from repro_companion.run import recordings
@@ -242,7 +243,13 @@ def findings(card: pd.DataFrame, noise: pd.DataFrame) -> dict[str, str]:
     ]
     bend = numbers[numbers["quantity"] == "rmse_position"]
     noisy = noise[(noise["row"] == "n_b=1") & (noise["method"] == "calibrated") & (noise["noise_mt"] > 0.01)]
+    ours = card[card["paper"] == "baaij2023"]
+    tally = kinds(ours).value_counts().reindex(KINDS, fill_value=0 if len(ours) else np.nan)
     return {
+        "home.compared": number(tally.drop(["not comparable", "missing"]).sum(skipna=False)),
+        "home.outside": number(tally[["better", "differs"]].sum(skipna=False)),
+        "home.smaller": number(tally["better"]),
+        "home.weak": number(tally["weak"]),
         "home.ring_paper": number(ring["regenerated"].mean(), 1),
         "home.ring_best": number(ring["best"].mean(), 1),
         "home.ring_noisy": number(noisy["error_percent"].mean(), 1),
