@@ -249,12 +249,11 @@ def gain_in_words(table: pd.DataFrame) -> str:
     ratio = table.set_index(["setting", "curve"])["ratio"]
     flower, seagull = (100 * ratio[BEST.name, name] for name in ("flower", "seagull"))
     less = [100 - 100 * ratio[KALMAN.name, name] for name in ("flower", "seagull")]
-    sizes = "another {} % less on Flower and {} % less on Seagull".format(*(number(x, 1) for x in less))
-    kalman = f"has {sizes}" if min(less) > 0 else "is not better on both"
+    sizes = "{} % smaller still on Flower, and {} % on Seagull".format(*(number(x, 1) for x in less))
     return (
         f"**Our best filter has {flower:.0f} % of the error of least squares on single readings on Flower, and"
         f" {seagull:.0f} % on Seagull.** Neither curve was used to choose its noise."
-        f" A Kalman filter with the same noises {kalman}."
+        f" The error of a Kalman filter with the same noises is {sizes if min(less) > 0 else 'not smaller on both'}."
     )
 
 
