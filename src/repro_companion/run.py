@@ -262,13 +262,13 @@ def commit_of(root: Path) -> str:
     # A project unpacked inside somebody else's repository must not report that repository's commit.
     if not (root / ".git").exists() or shutil.which("git") is None:
         return ""
-
-    def git(*words: str) -> str:
-        command = ["git", "--no-optional-locks", "-C", root, *words]
-        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
-
-    commit = git("rev-parse", "--verify", "--quiet", "HEAD")
-    return f"{commit}-dirty" if commit and git("status", "--porcelain", "--", *SOURCES) else commit
+    git = ["git", "--no-optional-locks", "-C", root]
+    asked = ["rev-parse", "--verify", "--quiet", "HEAD"], ["status", "--porcelain", "--", *SOURCES]
+    commit, changes = (
+        subprocess.run([*git, *words], capture_output=True, text=True, check=False).stdout.strip()
+        for words in asked
+    )
+    return f"{commit}-dirty" if commit and changes else commit
 
 
 # One run

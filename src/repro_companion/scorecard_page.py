@@ -133,11 +133,11 @@ def index_page(index: pd.DataFrame, titles: Mapping[str, str], card: pd.DataFram
     parts = []
     for name, of_paper in index.groupby("name", sort=False):
         parts.append(f"### {name}\n")
-        headings = of_paper["kind"].map(FOLDED).fillna("")
-        for heading, entries in of_paper.groupby(headings, sort=False):
+        for heading, entries in of_paper.groupby(of_paper["kind"].map(FOLDED).fillna(""), sort=False):
             rows = [_entry(entry, titles, card) for _, entry in entries.iterrows()]
-            caption = f"{name}: {heading.lower() or 'tables and figures'}"
-            text = table(caption, INDEX_HEAD, rows, 'paper-index"')
+            text = table(
+                f"{name}: {heading.lower() or 'tables and figures'}", INDEX_HEAD, rows, 'paper-index"'
+            )
             parts.append(folded(heading, text) if heading else text)
     return "\n".join(parts)
 

@@ -190,10 +190,13 @@ def test_entries_that_cannot_be_used_are_refused(tmp_path, about, entry, message
             "list of sources.json must be JSON such as .PAPER.*JSONDecodeError.*as it was released",
         ),
         ("[]", "must be JSON such as|must be one of"),
-        ("{}", "files of all papers .* one or more|must be one of"),
+        ("{}", "files of sources.json must be one or more|must be one of"),
         ('{"p2020": []}', "must be JSON such as"),
         ('{"p2020": {"repository": "https://github.com/a/b"}}', "must be JSON such as .*KeyError: 'files'"),
-        ('{"p2020": {"repository": "https://github.com/a/b", "files": []}}', "files of p2020 .* one or more"),
+        (
+            '{"p2020": {"repository": "https://github.com/a/b", "files": []}}',
+            "files of sources.json must be one or more",
+        ),
         ('{"p2020": {"files": [{"path": "x"}]}}', "KeyError: 'repository'"),
     ],
 )

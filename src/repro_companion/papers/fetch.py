@@ -79,18 +79,16 @@ def read_sources(path: Path, paper: str = "") -> list[Source]:
         listed = json.loads(path.read_text(encoding="utf-8"))
         require(not paper or paper in listed, "paper", "repro fetch", f"one of {', '.join(listed)}", paper)
         names = [paper] if paper else list(listed.keys())
-        files = {
-            name: [_source(name, listed[name], one, path.name) for one in listed[name]["files"]]
-            for name in names
-        }
+        found = [
+            _source(name, listed[name], entry, path.name) for name in names for entry in listed[name]["files"]
+        ]
     except InputError:
         raise
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         damage = f"{type(error).__name__}: {error}; take the file as it was released"
         raise bad_input("list", path.name, FORM, damage) from None
-    empty = next((name for name in names if not files[name]), "all papers" * (not names))
-    require(not empty, f"files of {empty}", path.name, "one or more", "none")
-    return [source for name in names for source in files[name]]
+    require(found, "files", path.name, "one or more", "none")
+    return found
 
 
 def _source(paper: str, about: dict, entry: dict, owner: str) -> Source:
@@ -184,7 +182,6 @@ def _download(source: Source, address: str, place: Path) -> str:
     limit_s = EXTRA_S + most / SLOWEST_B_PER_S
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        partial.unlink(missing_ok=True)
         with _at_most(limit_s):
             if why := _receive(address, partial, most):
                 return why
