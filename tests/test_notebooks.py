@@ -152,7 +152,7 @@ WORDS = [
     ),
     (
         "notebooks/table_2.ipynb",
-        "our errors are between a third smaller and almost half larger than the published ones",
+        "our errors of the bend are between a third smaller and almost half larger than the published ones",
         lambda: (
             0.65 < table_2().loc[["T4", "T5"], "share"].min() < 0.75
             and 1.35 < table_2().loc[["T4", "T5"], "share"].max() < 1.5
