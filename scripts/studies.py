@@ -95,6 +95,23 @@ def bend_tests() -> pd.DataFrame:
     return table
 
 
+def light_bulb() -> pd.DataFrame:
+    """Return how many events each setting finds in the authors' light-bulb files, from the page built with these."""
+    table = pd.read_csv(project_folder() / "results" / "with_recordings" / "light_bulb_counts.csv")
+    table.attrs = {
+        "page": "notebooks/bend_tests.ipynb",
+        "files": [name for name in table if name[:6] == "light_"],
+    }
+    return table
+
+
+def martin_files() -> pd.DataFrame:
+    """Return how far our tables are from the authors' files [um], from the page imu_markers built with these."""
+    table = pd.read_csv(project_folder() / "results" / "with_recordings" / "recorded_trial_files.csv")
+    table.attrs = {"page": "notebooks/imu_markers.ipynb", "files": list(table["file"])}
+    return table
+
+
 def martin_calibration() -> pd.DataFrame:
     """Return errors [mm] after the first minute of ten synthetic trials, with and without a calibration: a minute."""
     methods = {martin.BASELINE: (pcc_extended, None), "PCC-16 + frame": (pcc_extended, False)}
@@ -327,6 +344,8 @@ STUDIES: dict[str, Callable[[], pd.DataFrame]] = {
         table_1_noise,
         particle_filter,
         bend_tests,
+        light_bulb,
+        martin_files,
         martin_calibration,
         alarms,
         noise,

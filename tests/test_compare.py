@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from llvmlite.binding import get_host_cpu_name
 
-from repro_companion.compare import REFERENCE, compare_folders, on_reference_processor
+from repro_companion.compare import REFERENCE, compare_folders, compare_tables, on_reference_processor
 
 TOLERANCES = """table,row,column,tolerance,reason
 *,*,*,1e-6,last digits
@@ -118,6 +118,19 @@ def test_wrong_folders_are_refused_in_one_line(root, tmp_path_factory):
         assert done.returncode == 2
         assert said in done.stderr
         assert "Traceback" not in done.stderr
+
+
+def test_of_the_methods_of_table_2_only_those_with_the_chaotic_step_may_move(tmp_path):
+    root = Path(__file__).parents[1]
+    lines = pd.read_csv(root / "data/tolerances.csv", comment="#", dtype={"tolerance": float})
+    table = pd.read_csv(root / "results/table_2_methods.csv")
+    guarded = []
+    for column in table.columns[2:]:
+        moved = table.assign(**{column: table[column] + 1e-3 * table[column].max()})
+        moved.to_csv(tmp_path / "table_2_methods.csv", index=False)
+        found = compare_tables(root / "results/table_2_methods.csv", tmp_path / "table_2_methods.csv", lines)
+        guarded += [column] if found else []
+    assert guarded == ["ours", "half_step"]
 
 
 def test_the_tolerances_of_the_project_say_why():

@@ -10,6 +10,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from repro.common import InputError
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {
     path.stem: json.loads(path.read_text(encoding="utf-8"))["cells"]
@@ -54,6 +56,16 @@ def test_a_page_shows_its_item_first(page):
 
 
 @pytest.mark.parametrize("page", PAGES)
+def test_a_page_outside_of_the_project_stops_in_its_first_cell(page, tmp_path, monkeypatch):
+    """As papermill runs it from another folder: before the work, not where it saves a table."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("REPRO_RESULTS", raising=False)
+    parameters, first, *_ = sources(page, "code")
+    with pytest.raises(InputError, match="must be inside a checkout of the project; instead received"):
+        exec(f"{parameters}\n{first}", {})
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_no_result_is_typed_into_the_text(page):
     """A number with three or more significant digits that stands in a column that the page computed."""
     code = "\n".join(sources(page, "code"))
@@ -70,3 +82,106 @@ def test_no_result_is_typed_into_the_text(page):
         if len(found.replace(".", "").lstrip("0")) > 2
     }
     assert typed & computed == set()
+
+
+# Sizes that stand in words, because a sentence with digits would read worse
+
+
+def results(name: str) -> pd.DataFrame:
+    """Return a committed table."""
+    return pd.read_csv(ROOT / "results" / f"{name}.csv")
+
+
+def card(**chosen: str) -> pd.DataFrame:
+    """Return rows of the scorecard."""
+    return results("scorecard").query(" and ".join(f"{name} == '{value}'" for name, value in chosen.items()))
+
+
+def by_imus(evaluation: str) -> pd.DataFrame:
+    """Return medians of the rigid-body model, a row for each number of IMUs, a column for each marker."""
+    rigid = results("imu_markers_errors").query(f"figure == 'Fig. 3' and evaluation == '{evaluation}'")
+    return rigid.pivot_table("median_mm", "n_imus", "marker")
+
+
+def table_2() -> pd.DataFrame:
+    """Return our errors of Table 2 [mm], and what they are of the published ones."""
+    shown = card(artefact="Table 2", unit="mm").assign(
+        trajectory=lambda rows: rows["row"].str.extract(r"(T\d)(?:\.test)?$")[0]
+    )
+    whole = shown.merge(results("table_2_methods"), on=["trajectory", "quantity"])
+    return whole.assign(share=whole["known"] / whole["published"]).set_index("trajectory")
+
+
+def of_particles() -> pd.DataFrame:
+    """Return errors of the filter as printed [mm], a row for each curve, a column for each number of particles."""
+    return (
+        results("bend_summary")
+        .query("setting == 'as printed'")
+        .pivot(index="curve", columns="particles", values="rmse_mm")
+    )
+
+
+WORDS = [
+    (
+        "book/index.md",
+        "In Table 1 our errors are on average a fifth smaller",
+        lambda: 0.75 < results("table_1_bias").set_index("n_b").loc["all", "ratio"] < 0.85,
+    ),
+    (
+        "book/index.md",
+        "the error falls as in the paper if we use more sensors and evaluate where the authors' files do",
+        lambda: (by_imus("as in the files").diff().dropna() < 0).all(axis=None),
+    ),
+    (
+        "book/index.md",
+        "With the rigid links that the text describes, eight sensors have a larger error than two",
+        lambda: (by_imus("as described").loc[8] > by_imus("as described").loc[2]).all(),
+    ),
+    (
+        "book/scorecard.md",
+        "we do not obtain their three numbers",
+        lambda: list(card(paper="mitchell2021", artefact="Section II-D")["verdict"]) == ["differs"] * 3,
+    ),
+    (
+        "notebooks/table_1.ipynb",
+        "One cell differs, the bend in y of segment 1 with six sensors",
+        lambda: (
+            card(artefact="Table 1", verdict="differs")[["row", "quantity"]].to_numpy().tolist()
+            == [["n_s=6", "delta_y_1"]]
+        ),
+    ),
+    (
+        "notebooks/table_2.ipynb",
+        "our errors of the bend are between a third smaller and almost half larger than the published ones",
+        lambda: (
+            0.65 < table_2().loc[["T4", "T5"], "share"].min() < 0.75
+            and 1.35 < table_2().loc[["T4", "T5"], "share"].max() < 1.5
+        ),
+    ),
+    (
+        "notebooks/table_2.ipynb",
+        "on T1 and T5 it makes the errors larger",
+        lambda: (table_2()["half_step"] > table_2()["known"]).loc[["T1", "T5"]].all(),
+    ),
+    (
+        "notebooks/particle_filter.ipynb",
+        "ten times the particles make it more than twice as accurate",
+        lambda: (of_particles()[100] > 2 * of_particles()[1000]).all(),
+    ),
+    (
+        "notebooks/particle_filter.ipynb",
+        "our error is more than four times the published one",
+        lambda: (
+            of_particles()[1000] / card(quantity="rmse_position").set_index("row")["published"] > 4
+        ).all(),
+    ),
+]
+
+
+@pytest.mark.parametrize(("place", "words", "holds"), WORDS, ids=[words for _, words, _ in WORDS])
+def test_sizes_in_words_are_those_of_the_tables(place, words, holds):
+    texts = (
+        sources(Path(place).stem, "markdown") if place.endswith(".ipynb") else [(ROOT / place).read_text()]
+    )
+    assert words in " ".join(" ".join(texts).split())
+    assert holds()

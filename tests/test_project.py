@@ -262,6 +262,13 @@ def test_an_archive_has_what_it_needs(name):
     assert (ROOT / name).is_file()
 
 
+def test_every_committed_study_has_a_script_that_makes_it():
+    from scripts.studies import STUDIES
+
+    stored = {path.stem for path in (ROOT / "data" / "studies").iterdir()}
+    assert stored == set(STUDIES)
+
+
 def test_pages_of_the_contents_exist():
     """Every page of the table of contents has a source: a page, or a notebook that becomes one."""
     contents = yaml.safe_load(read("book/_toc.yml"))

@@ -13,6 +13,11 @@ from repro.robot import Robot, point_on
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _NORTH, _SOUTH = "#C1272D", "#3B5BA5"
+_LEGENDS: tuple[dict[str, Any], ...] = (
+    {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "fontsize": "small", "ncols": 3},
+    {"loc": "upper left", "fontsize": "x-small"},
+)
+"""Above the axes, and within them."""
 _BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "fontsize": "x-small"}
 _BAND = 1.96
 """Half of a band that holds 95 % of a normal distribution, in standard deviations."""
@@ -63,16 +68,25 @@ def plot_robot(robot: Robot, q: Any = None, *, axes: Any = None, labels: Sequenc
     require(not flat, "axes", "plot", 'matplotlib axes with projection="3d"', type(axes).__name__)
     with mpl.rc_context({"text.usetex": False}):
         ax = plt.figure(figsize=(6.4, 6.0)).add_subplot(projection="3d") if axes is None else axes
-        for k, (shape, name) in enumerate(zip(shapes, names, strict=True)):
-            _draw(ax, robot, shape, _COLOURS[k % len(_COLOURS)], name)
+        for shape, name, tone in zip(shapes, names, _tones(_COLOURS, len(shapes)), strict=False):
+            _draw(ax, robot, shape, tone, name)
         ax.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
         ax.set_aspect("equal")
         ax.locator_params(nbins=5)
         handles, words = ax.get_legend_handles_labels()
-        above: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
         named = dict(zip(words, handles, strict=True))  # each once
-        ax.legend(named.values(), named, ncols=3, fontsize="small", **above)
+        for where in _LEGENDS:  # until one lies within the figure
+            box = ax.legend(named.values(), named, frameon=False, **where).get_window_extent()
+            if ax.figure.bbox.containsx(box.x0) and ax.figure.bbox.contains(box.x1, box.y1):
+                break
     return ax
+
+
+def _tones(usual: Sequence[Any], n: int) -> Sequence[Any]:
+    """Return colours of which the first ``n`` differ."""
+    import matplotlib as mpl
+
+    return usual if n <= len(usual) else [*mpl.colormaps["turbo"](np.linspace(0.05, 0.95, n))]
 
 
 def _draw(ax: Any, robot: Robot, q: Array, colour: str, name: str | None) -> None:
@@ -133,6 +147,7 @@ def plot_shape(shape: Any, axes: Any = None) -> Any:
     units = [(k, *unit) for k, unit in enumerate(shape.units()) if not fixed[k]]
     kinds = list(dict.fromkeys(unit for _, _, unit, _ in units))
     n_readings = 0 if shape.readings is None else 2
+    usual = mpl.rcParams["axes.prop_cycle"].by_key().get("color", _COLOURS)
     with mpl.rc_context({"text.usetex": False}):
         rows = len(kinds) + n_readings
         if axes is None:
@@ -144,6 +159,7 @@ def plot_shape(shape: Any, axes: Any = None) -> Any:
             len(axes) == rows, "axes", "plot", f"{rows} matplotlib axes, one for each panel", f"{len(axes)}"
         )
         for ax, kind in zip(axes, kinds, strict=False):
+            ax.set_prop_cycle(color=_tones(usual, sum(unit == kind for _, _, unit, _ in units)))
             for k, name, unit, factor in units:
                 if unit != kind:
                     continue
@@ -160,13 +176,14 @@ def plot_shape(shape: Any, axes: Any = None) -> Any:
             ax.set_ylabel(f"coordinates [{kind}]" if kind else "coordinates")
             ax.legend(**_BESIDE)
         if n_readings:
-            _readings(shape, *axes[len(kinds) : len(kinds) + 2])
+            _readings(shape, usual, *axes[len(kinds) : len(kinds) + 2])
         axes[-1].set_xlabel("time [s]")
     return axes
 
 
-def _readings(shape: Any, above: Any, below: Any) -> None:
+def _readings(shape: Any, usual: Sequence[Any], above: Any, below: Any) -> None:
     s = shape.u_hat.shape[-1]
+    above.set_prop_cycle(color=_tones(usual, s))
     robot = shape.robot if shape.robot is not None and shape.robot.n_readings == s else None
     names = [f"u{k}" for k in range(1, s + 1)] if robot is None else robot.names
     parts, part_names = (range(s), names) if robot is None else (robot.parts, robot.part_names)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import re
@@ -13,8 +14,9 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +28,21 @@ if TYPE_CHECKING:
 
 LONGEST = 60
 """Rows of a table that a page shows in full; of a longer one it has the file."""
+
+
+@contextmanager
+def alone(root: Path) -> Iterator[None]:
+    """Keep other builds of this folder out: two would move each other's pages and tables."""
+    path = root / ".cache" / "book" / "lock"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RunFailed(
+                "Another `make book` or `make page` is at work in this folder. Run this again when it has ended."
+            ) from None
+        yield
 
 
 def build(root: Path, jobs: int) -> str:
@@ -296,7 +313,7 @@ def build_site(root: Path, place: Path, *options: str) -> float:
         )
     shutil.rmtree(place, ignore_errors=True)
     place.parent.mkdir(parents=True, exist_ok=True)
-    built.replace(place)
+    shutil.move(built, place)  # it may lie on another disk
     shutil.rmtree(fresh)
     return time.monotonic() - clock
 
@@ -308,10 +325,11 @@ def main(names: Sequence[str]) -> int:
         root, asked = tool.project_folder(), os.environ.get("JOBS") or str(os.cpu_count() or 1)
         jobs = int(asked) if asked.isdecimal() else 0
         tool.require(jobs > 0, "JOBS", "the build", "a whole number of 1 or more", asked)
-        for name in names:
-            print(build_page(root, name))
-        if not names:
-            print(build(root, jobs))
+        with alone(root):
+            for name in names:
+                print(build_page(root, name))
+            if not names:
+                print(build(root, jobs))
     except InputError as error:
         print(error, file=sys.stderr)
         return 2

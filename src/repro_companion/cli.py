@@ -82,7 +82,7 @@ def sweep(
     scheduler: str = "",
     output: Output = None,
 ) -> int:
-    """Run a notebook for every combination of values: repro sweep NOTEBOOK -p noise_mt 0,0.005 -p seeds 0:3.
+    """Run a notebook for every combination of values: repro sweep NOTEBOOK -p bend_deg 30,60 -p n_segments 1:4.
 
     Combinations that have been run are not run again, so the same command goes on where it was stopped. Those that
     fail are named, and the others go on. A Dask scheduler runs any code that reaches it: use it in trusted networks

@@ -104,7 +104,7 @@ html[data-theme="dark"] .table-1 :is(.better, .differs) { --grey: #ced6dd; }
 .table-1.table-1.table-1 table thead th { font-weight: 600; border-bottom: 1px solid currentColor; }
 .table-1.table-1.table-1 table tr > :first-child { text-align: left; position: sticky; left: 0; font-weight: 400;
   background: var(--pst-color-background, white); }
-.table-1.table-1.table-1 table tbody tr:is(:nth-child(4), :nth-child(8), :nth-child(11)) > * {
+#fig-table-1.table-1 table tbody tr:is(:nth-child(4), :nth-child(8), :nth-child(11)) > * {
   border-top: 1px solid rgb(128 128 128 / 50%); }
 .table-1.table-1.table-1 table tr > .edge { border-left: 1px solid rgb(128 128 128 / 50%); }
 .table-1.table-1.table-1 table small { display: block; font-size: inherit; color: var(--grey); }

@@ -12,7 +12,6 @@ import hashlib
 import importlib.metadata
 import itertools
 import json
-import math
 import operator
 import os
 import platform
@@ -31,6 +30,8 @@ from typing import Any
 from repro.common import InputError, bad_input, cache_folder, require
 
 PACKAGES = ("repro", "repro_board", "repro_companion")
+SOURCES = ("src", "notebooks", "data", "requirements.lock")
+"""What the numbers of a page depend on; the tables that pages write, in results/, are none of it."""
 LIBRARIES = ("numpy", "numba", "scipy", "magpylib", "matplotlib", "pandas", "papermill", "torch")
 KINDS = {
     "int": "a whole number, such as 3",
@@ -71,7 +72,7 @@ class Parameter:
         if self.rule.startswith("one of: "):
             return {typed(one) for one in values} <= set(self.rule[8:].split(", "))
         bounds = re.findall(rf"({'|'.join(BOUNDS)}) (\S+)", self.rule)
-        numbers = all(type(one) in (int, float) and math.isfinite(one) for one in values)
+        numbers = all(type(one) in (int, float) for one in values)
         within = (BOUNDS[word](one, float(bound)) for word, bound in bounds for one in values)
         return not bounds or (numbers and all(within))
 
@@ -157,9 +158,17 @@ def value_of(parameter: Parameter, text: str, owner: str) -> Any:
                 raise ValueError
     except Exception:
         raise bad_input(f"parameter {parameter.name}", owner, f"{kind}: {KINDS[kind]}", text) from None
+    require(are_finite(value), f"parameter {parameter.name}", owner, "finite, below 1e308 in size", text)
     must_be = ("a list of values, each " if kind == "list" else "") + parameter.rule
     require(parameter.allows(value), f"parameter {parameter.name}", owner, must_be, text)
     return value
+
+
+def are_finite(value: Any) -> bool:
+    """Return whether the numbers in a value are finite and none is too large for a float."""
+    if isinstance(value, list | dict):
+        return all(map(are_finite, value.values() if isinstance(value, dict) else value))
+    return not isinstance(value, int | float) or abs(value) < 1e308
 
 
 def typed(value: Any) -> str:
@@ -249,12 +258,17 @@ def versions() -> dict[str, str]:
 
 
 def commit_of(root: Path) -> str:
-    """Return the commit of a checkout, with "-dirty" where files differ from it; empty without git."""
+    """Return the commit of a checkout, with "-dirty" where sources differ from it; empty without git."""
     # A project unpacked inside somebody else's repository must not report that repository's commit.
     if not (root / ".git").exists() or shutil.which("git") is None:
         return ""
-    command = ["git", "-C", root, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
-    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+    git = ["git", "--no-optional-locks", "-C", root]
+    asked = ["rev-parse", "--verify", "--quiet", "HEAD"], ["status", "--porcelain", "--", *SOURCES]
+    commit, changes = (
+        subprocess.run([*git, *words], capture_output=True, text=True, check=False).stdout.strip()
+        for words in asked
+    )
+    return f"{commit}-dirty" if commit and changes else commit
 
 
 # One run
@@ -343,8 +357,11 @@ def _publish(record: dict[str, Any], tables: Path, results: Path, partial: Path,
     for name in before["results"].keys() - record["results"].keys():
         (results / name).unlink(missing_ok=True)
     for name in record["results"]:
-        (results / name).parent.mkdir(parents=True, exist_ok=True)
-        (tables / name).replace(results / name)
+        place = results / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        beside = place.with_name(f".{place.name}.part")  # results may lie on another disk than the output
+        shutil.copyfile(tables / name, beside)
+        beside.replace(place)
     partial.replace(output)
     record_path(output).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
@@ -359,7 +376,8 @@ def _keep(notebook: Path, partial: Path, failed: Path, error: BaseException) -> 
     failed.parent.mkdir(parents=True, exist_ok=True)
     shutil.move(partial, failed)
     line = getattr(error, "source", "").strip().partition("\n")[0]
-    return f"{shown(notebook)} failed in the cell `{line}`: {said}\nThe partial notebook is {shown(failed)}"
+    what = f"failed in the cell `{line}`: {said}" if line else f"was stopped before its end ({said})"
+    return f"{shown(notebook)} {what}\nThe partial notebook is {shown(failed)}"
 
 
 def _name_places(path: Path, notebook: Path, output: Path) -> None:

@@ -6,6 +6,7 @@ printed digit h, the band around a printed number is max(3 sqrt((s_pub^2 + s_reg
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from decimal import Decimal
 from pathlib import Path
@@ -22,8 +23,12 @@ COLUMNS = [
 COMPARED = ("reproduced", "better", "differs")
 KINDS = [*COMPARED, "weak", "printed again", "not comparable", "missing"]
 """As what a printed number can count."""
-HIGHER_IS_BETTER = ("update_rate", "reduction")
-"""Quantities of which more is better; of all others less."""
+ERRORS = {
+    "baaij2023": r"e_u|delta_[xyL](_\d)?|kappa_\d|phi|mean",
+    "mitchell2021": r"rmse_position",
+    "martin2022": r"median|q3",
+}
+"""Quantities of each paper that are errors: of these alone less is better. Any other agrees or differs."""
 TIMING = "benchmark"
 """Setting of rows that are timings: these depend on the computer and are never compared."""
 
@@ -84,7 +89,7 @@ def _judged(card: pd.DataFrame) -> pd.DataFrame:
     difference, width = (ours - printed).abs(), band(card)
     within = difference <= width
     comparable = (card["comparable"] != "false") & (card["setting"] != TIMING)
-    better = (ours > printed) == card["quantity"].isin(HIGHER_IS_BETTER)
+    better = (ours < printed) & np.array([is_error(row) for _, row in card.iterrows()], dtype=bool)
     cases = [card["regenerated"] == "", ~comparable, within, better]
     verdict = np.select(cases, ["missing", "not_comparable", "reproduced", "better"], "differs")
     near = (difference <= 1.05 * width) & (difference > 0.95 * width)
@@ -92,6 +97,11 @@ def _judged(card: pd.DataFrame) -> pd.DataFrame:
     return card.assign(
         verdict=verdict, weak=_truths(printed.abs() <= width), near_edge=_truths(near & compared)
     )
+
+
+def is_error(row: pd.Series) -> bool:
+    """Return whether the quantity of a row is an error, by its paper; of a paper that is not listed none is."""
+    return re.fullmatch(ERRORS.get(row["paper"], ""), row["quantity"]) is not None
 
 
 def band(card: pd.DataFrame) -> pd.Series:

@@ -9,10 +9,11 @@ from html import escape
 from pathlib import Path
 from urllib.parse import urlencode
 
+import numpy as np
 import pandas as pd
 
 from repro_companion.run import recordings
-from repro_companion.scorecard import COMPARED, HIGHER_IS_BETTER, KINDS, band, counts, kinds
+from repro_companion.scorecard import COMPARED, KINDS, band, counts, is_error, kinds
 from repro_companion.show import KEY, number
 
 PAPERS = {
@@ -48,8 +49,9 @@ LETTERS = (
     (r"\^2", "²"),
     (r"\b(\d[\d.]*)e-0?(\d+)\b", r"\1 × 10<sup>−\2</sup>"),
     (r"(?<![\w)-])-(?=\d)", "−"),
+    (r"(?<=\w)_(?=\w)(?!\w*\.\w)", " "),
 )
-"""Names and numbers as files have them, and how the page writes them."""
+"""Names and numbers as files have them, and how the page writes them; names without letters come last."""
 
 
 def write_pages(root: Path, card: pd.DataFrame) -> None:
@@ -129,12 +131,14 @@ def folded(summary: str, text: str) -> str:
 def index_page(index: pd.DataFrame, titles: Mapping[str, str], card: pd.DataFrame) -> str:
     """Return the index: for each paper a table of its tables and figures, and folds of all else."""
     parts = []
-    for (name, heading), entries in index.groupby(
-        ["name", index["kind"].replace(dict.fromkeys(["table", "figure"], "")).replace(FOLDED)], sort=False
-    ):
-        rows = [_entry(entry, titles, card) for _, entry in entries.iterrows()]
-        text = table(f"{name}: {heading.lower() or 'tables and figures'}", INDEX_HEAD, rows, 'paper-index"')
-        parts.append(folded(heading, text) if heading else f"### {name}\n\n{text}")
+    for name, of_paper in index.groupby("name", sort=False):
+        parts.append(f"### {name}\n")
+        for heading, entries in of_paper.groupby(of_paper["kind"].map(FOLDED).fillna(""), sort=False):
+            rows = [_entry(entry, titles, card) for _, entry in entries.iterrows()]
+            text = table(
+                f"{name}: {heading.lower() or 'tables and figures'}", INDEX_HEAD, rows, 'paper-index"'
+            )
+            parts.append(folded(heading, text) if heading else text)
     return "\n".join(parts)
 
 
@@ -213,7 +217,7 @@ def _row(row: pd.Series) -> str:
         verdict, apart = kind, f" ({verdict})" + apart
     said = words(f"{row['note'][:1].upper()}{row['note'][1:]}. ") if row["note"] else ""
     if row["best"]:
-        better = (float(row["best"]) < float(row["regenerated"])) != (row["quantity"] in HIGHER_IS_BETTER)
+        better = is_error(row) and float(row["best"]) < float(row["regenerated"])
         said += f" <b>Our {'best' if better else 'method'}: {number(float(row['best']))}{unit}.</b>"
     key = " ".join(["row", *row[KEY]]).lower().replace("-", " minus ")
     cells = [" ± ".join(printed) + unit, " ± ".join(ours) + unit if ours else "–", width]
@@ -239,7 +243,13 @@ def findings(card: pd.DataFrame, noise: pd.DataFrame) -> dict[str, str]:
     ]
     bend = numbers[numbers["quantity"] == "rmse_position"]
     noisy = noise[(noise["row"] == "n_b=1") & (noise["method"] == "calibrated") & (noise["noise_mt"] > 0.01)]
+    ours = card[card["paper"] == "baaij2023"]
+    tally = kinds(ours).value_counts().reindex(KINDS, fill_value=0 if len(ours) else np.nan)
     return {
+        "home.compared": number(tally.drop(["not comparable", "missing"]).sum(skipna=False)),
+        "home.outside": number(tally[["better", "differs"]].sum(skipna=False)),
+        "home.smaller": number(tally["better"]),
+        "home.weak": number(tally["weak"]),
         "home.ring_paper": number(ring["regenerated"].mean(), 1),
         "home.ring_best": number(ring["best"].mean(), 1),
         "home.ring_noisy": number(noisy["error_percent"].mean(), 1),

@@ -12,6 +12,7 @@ import pytest
 from library import test_estimators as suite
 
 import repro
+from repro.estimators import base
 from repro.estimators.base import Estimator
 
 PAGE = Path(__file__).resolve().parents[2] / "book" / "contributing.md"
@@ -66,6 +67,12 @@ def test_the_estimator_passes_the_suite_that_the_page_names(there, law):
     method = there["AlphaBeta"](repro.LevenbergMarquardt(suite.SENSING, suite.LOW, suite.HIGH, 1e-3))
     case = "alpha-beta", method, suite.Q0, suite.SENSING(suite.Q0 + 2e-4)
     law(case, *["nan"] * ("how" in signature(law).parameters))
+
+
+def test_the_help_for_estimators_that_the_page_names_is_there():
+    named = re.search(r"`repro.estimators.base`: (.*?)\. An", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert named is not None
+    assert [name for name in re.findall(r"`(\w+)`", named[1]) if not hasattr(base, name)] == []
 
 
 def test_the_paper_with_one_number_is_reproduced(there):

@@ -157,6 +157,17 @@ def test_a_wrong_number_of_jobs(root, monkeypatch):
     )
 
 
+def test_a_second_build_is_refused_in_one_sentence(root):
+    with tool.alone(root):
+        done = build("a")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == (
+        "Another `make book` or `make page` is at work in this folder. Run this again when it has ended.\n"
+    )
+    with tool.alone(root):  # the lock of one that has ended is free
+        pass
+
+
 def test_what_a_page_shows(root):
     """The output of ``first`` comes after the title, plumbing is gone, and three folds stand at the end."""
     page = root / "notebooks/a.ipynb"

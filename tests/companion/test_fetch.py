@@ -6,6 +6,7 @@ import hashlib
 import http.server
 import json
 import re
+import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -39,23 +40,33 @@ def sources(tmp_path: Path) -> list[tool.Source]:
 class Server(http.server.BaseHTTPRequestHandler):
     """It answers as the first word of the address says."""
 
+    sent = 0
+
     def do_GET(self) -> None:
         temper, _, file = self.path.lstrip("/").partition("/")
         sent = CONTENT if file == "p2020/data/a%20b.csv" else b""
-        self.send_response({"missing": 404, "file": 302}.get(temper, 200))
-        if temper == "file":
-            self.send_header("Location", "file:///etc/passwd")
+        to = {"file": "file:///etc/passwd", "moved": f"/good/{file}", "circle": f"/circle/{file}"}.get(temper)
+        self.send_response(404 if temper == "missing" else 302 if to else 200)
+        if to:
+            self.send_header("Location", to)
         if temper == "short":
             self.send_header("Content-Length", str(len(sent) + 5))
-        self.end_headers()
+        if temper == "header":  # of one that has no end
+            self.wfile.write(b"HTTP/1.1 200 OK\r\nX: ")
+        else:
+            self.end_headers()
+        many, drop = b"x" * 65536, b"x"
+        blocks = {"flood": many, "circle": many, "drip": drop, "header": drop, "other": drop * len(sent)}
         try:
             for _ in range(10_000):
-                block = {"flood": b"x" * 65536, "drip": b"x", "other": b"x" * len(sent)}.get(temper, sent)
-                self.wfile.write(block if temper not in ("missing", "file") else b"")
+                self.wfile.write(
+                    blocks.get(temper, sent) if temper not in ("missing", "file", "moved") else b""
+                )
                 self.wfile.flush()
-                if temper not in ("flood", "drip"):
+                Server.sent += len(blocks.get(temper, sent))
+                if temper not in ("flood", "circle", "drip", "header"):
                     return
-                time.sleep(0.02 if temper == "drip" else 0.0)
+                time.sleep(0.02 if blocks[temper] == drop else 0.0)
         except OSError:
             pass
 
@@ -90,6 +101,7 @@ def test_what_is_here_is_not_asked_for_again(sources, tmp_path, server):
         ("short", "what arrived is not|broke off"),
         ("flood", f"more than {len(CONTENT)} bytes arrived"),
         ("file", "broke off .InvalidSchema."),
+        ("circle", "more than 5 redirects"),
     ],
 )
 def test_a_file_that_fails_leaves_nothing(sources, tmp_path, server, temper, said):
@@ -103,13 +115,27 @@ def test_a_file_that_fails_leaves_nothing(sources, tmp_path, server, temper, sai
     assert [path for path in folder.rglob("*") if path.is_file()] == []
 
 
-def test_a_server_that_drips_is_left(sources, tmp_path, server, monkeypatch):
+@pytest.mark.parametrize(
+    ("temper", "said"),
+    [("drip", r"after \d+ s only \d+ of 400 bytes had arrived"), ("header", "did not answer in time")],
+)
+def test_a_server_that_drips_is_left(sources, tmp_path, server, monkeypatch, temper, said):
+    """One limit holds from the start: for redirects, headers and content."""
     monkeypatch.setattr(tool, "EXTRA_S", 0.3)
     slow = [tool.Source(**{**vars(sources[0]), "size": 400})]
     start = time.monotonic()
-    text, _ = tool.fetch(slow, tmp_path / "recordings", f"{server}/drip")
-    assert re.search(r"after \d+ s only \d+ of 400 bytes had arrived", text)
+    text, _ = tool.fetch(slow, tmp_path / "recordings", f"{server}/{temper}")
+    assert re.search(said, text)
     assert time.monotonic() - start < 5
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+def test_a_redirect_is_followed_and_nothing_else_of_it_is_read(sources, tmp_path, server):
+    assert tool.fetch(sources, tmp_path / "recordings", f"{server}/moved")[1]
+    before = Server.sent
+    tool.fetch(sources, tmp_path / "other", f"{server}/circle")
+    time.sleep(0.2)  # what is under way
+    assert Server.sent - before < 50e6, "of 650 MB with each redirect"
 
 
 def test_after_some_silence_no_other_file_is_tried(sources, tmp_path, monkeypatch):
@@ -147,11 +173,38 @@ def test_paths_that_lead_elsewhere_are_refused(tmp_path, path):
         ({"commit": "main"}, {}, "commit of sources.json must be 40 hexadecimal digits"),
         ({}, {"sha256": "", "git_blob": ""}, "hash of data/a b.csv of sources.json must be a SHA-256 or"),
         ({}, {"sha256": "ab"}, "hash of data/a b.csv of sources.json must be a SHA-256 or"),
+        ({}, {"size": "10"}, "size of data/a b.csv of sources.json must be a whole number of bytes"),
+        ({"commit": 1}, {}, "list of sources.json must be JSON such as .*TypeError"),
     ],
 )
 def test_entries_that_cannot_be_used_are_refused(tmp_path, about, entry, message):
     with pytest.raises(InputError, match=message):
         tool.read_sources(listed(tmp_path / "sources.json", {**ENTRY, **entry}, **about))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "<<<<<<< HEAD\n{}\n",
+            "list of sources.json must be JSON such as .PAPER.*JSONDecodeError.*as it was released",
+        ),
+        ("[]", "must be JSON such as|must be one of"),
+        ("{}", "files of sources.json must be one or more|must be one of"),
+        ('{"p2020": []}', "must be JSON such as"),
+        ('{"p2020": {"repository": "https://github.com/a/b"}}', "must be JSON such as .*KeyError: 'files'"),
+        (
+            '{"p2020": {"repository": "https://github.com/a/b", "files": []}}',
+            "files of sources.json must be one or more",
+        ),
+        ('{"p2020": {"files": [{"path": "x"}]}}', "KeyError: 'repository'"),
+    ],
+)
+def test_a_damaged_list_is_refused_in_words(tmp_path, text, said):
+    (tmp_path / "sources.json").write_text(text)
+    for paper in ("", "p2020"):
+        with pytest.raises(InputError, match=said):
+            tool.read_sources(tmp_path / "sources.json", paper)
 
 
 def test_the_list_of_the_project_can_be_used():

@@ -242,16 +242,6 @@ def test_methods_are_means_over_the_seeds_and_medians_over_starts(data):
     assert lines["half_step"].dropna().to_dict() == {3: 1.5}
 
 
-def test_ratios_of_random_rigs_are_geometric_means():
-    columns = [f"{m}_delta_{a}_mm" for m in ("known", "mean", "shorter", "ours") for a in "xy"]
-    rows = [("first", 7, "bouc-wen", "ramp", 1.0, t, 0.5, *([4.0] * 6), *ours) for t, ours in
-            (("T0", (1.0, 4.0)), ("T1", (2.0, 8.0)))]  # fmt: skip
-    names = ["family", "twin", "hysteresis", "drift", "drift_mV", "trajectory", "covered", *columns]
-    found = rig.random_rig_ratios(pd.DataFrame(rows, columns=names)).iloc[0]
-    assert found["known"] == pytest.approx((1 / 4 * 1 * 1 / 2 * 2) ** 0.25)
-    assert found["worst"] == "T1 y: 2.00"
-
-
 def test_ranges_say_where_rounding_decides():
     study = pd.DataFrame(
         [("published", "a", s, k, 1.0 + 0.2 * k, 1.0) for s in (0, 1) for k in range(3)],

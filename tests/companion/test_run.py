@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import subprocess
+import tempfile
 from pathlib import Path
 
 import pandas as pd
@@ -60,7 +63,6 @@ def test_another_type_is_refused_in_words(kind, text):
         ("int", "how many, at least 1", "1", "0"),
         ("float", "share, above 0 and at most 1 [-]", "1", "0"),
         ("float", "noise [mT], below 1e-3", "-5", "0.001"),
-        ("float", "noise, at least 0", "0", "nan"),
         ("str", "ring, one of: released, as printed", "as printed", "printed"),
         ("list", "seeds, one of: 0, 1, 2", "[2, 0]", "[0, 3]"),
         ("list", "steps, at least 0", "[]", "[1, true]"),
@@ -71,6 +73,25 @@ def test_the_meaning_says_what_is_allowed(kind, meaning, allowed, outside):
     tool.value_of(parameter, allowed, "a.ipynb")
     each = "a list of values, each " if kind == "list" else ""
     assert f"must be {each}{parameter.rule}; instead received {outside}." in refused(parameter, outside)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("int", "1" + 400 * "0"),
+        ("float", "NaN"),
+        ("float", "-inf"),
+        ("float", "1e999"),
+        ("list", "[1, NaN]"),
+        ("dict", '{"a": [Infinity]}'),
+    ],
+)
+def test_numbers_are_finite_whatever_the_notebook_states(kind, text):
+    for meaning in ("of which nothing is stated", "with a bound, at least 0"):
+        said = refused(Parameter("x", kind, "", meaning), text)
+        assert said.startswith(
+            "Input parameter x of a.ipynb must be finite, below 1e308 in size; instead received"
+        )
 
 
 def test_a_meaning_without_a_rule_allows_all():
@@ -133,6 +154,27 @@ def test_the_key_follows_all_that_a_result_depends_on(root):
     assert key() == keys[-1]
 
 
+def test_a_commit_is_dirty_where_sources_differ_and_not_by_what_pages_write(root):
+    git = ["git", "-C", str(root), "-c", "user.name=a", "-c", "user.email=a@example.org"]
+    subprocess.run([*git, "init", "-q"], check=True)
+    assert tool.commit_of(root) == ""
+    (root / "results").mkdir()
+    (root / "results/t.csv").write_text("n\n1\n")
+    for words in (["add", "."], ["commit", "-qm", "Begin"]):
+        subprocess.run([*git, *words], check=True)
+    commit = tool.commit_of(root)
+    assert re.fullmatch("[0-9a-f]{40}", commit)
+    (root / "results/t.csv").write_text("n\n2\n")
+    (root / "results/new.csv").write_text("n\n2\n")
+    assert tool.commit_of(root) == commit
+    for name in ("src/repro/new.py", "data/new.csv", "notebooks/new.ipynb"):
+        (root / name).write_text(" ")
+        assert tool.commit_of(root) == f"{commit}-dirty", name
+        (root / name).unlink()
+    (root / "requirements.lock").write_text("numpy==2.1\n")
+    assert tool.commit_of(root) == f"{commit}-dirty"
+
+
 def test_output_and_tables_are_whole_or_not_there(root):
     page, output, results = root / "notebooks/a.ipynb", root / "runs/x.ipynb", root / "runs/x"
     record = tool.run(page, {"noise_mt": 0.5}, output, results, root=root)
@@ -155,6 +197,16 @@ def test_output_and_tables_are_whole_or_not_there(root):
     notebook(page, "other")
     tool.run(page, {}, output, results, root=root)
     assert os.listdir(results) == ["other.csv"]
+
+
+def test_results_may_lie_on_another_disk(root):
+    memory = Path("/dev/shm")
+    if not memory.is_dir() or memory.stat().st_dev == root.stat().st_dev:
+        pytest.skip("there is no other disk here")
+    with tempfile.TemporaryDirectory(dir=memory) as elsewhere:
+        (root / "results").symlink_to(elsewhere)
+        tool.run(root / "notebooks/a.ipynb", {}, root / "runs/x.ipynb", root / "results", root=root)
+        assert os.listdir(elsewhere) == ["t.csv"]
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from repro_companion.scorecard import COLUMNS, changed, counts, kinds, scorecard, write
+from repro_companion.scorecard import COLUMNS, ERRORS, changed, counts, is_error, kinds, scorecard, write
 from repro_companion.show import KEY, ROW_COLUMNS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -56,7 +56,8 @@ numbers = st.decimals(0, 20, places=2).map(str)
 deviations = st.just("") | st.decimals(0, 3, places=2).map(str)
 
 
-cells = st.tuples(numbers, deviations, numbers, deviations, st.sampled_from(["e_u", "reduction"]))
+quantities = st.sampled_from([("baaij2023", "e_u"), ("martin2022", "reduction"), ("yours2027", "e_u")])
+cells = st.tuples(numbers, deviations, numbers, deviations, quantities)
 
 
 def is_within(difference: Fraction, printed: str, *deviations: str) -> bool:
@@ -68,9 +69,10 @@ def is_within(difference: Fraction, printed: str, *deviations: str) -> bool:
 @settings(max_examples=6, deadline=None)
 @given(st.lists(cells, min_size=1, max_size=60))
 def test_verdicts_are_those_of_exact_arithmetic(tmp_path_factory, drawn):
-    names = ("value", "std", "regenerated", "regenerated_std", "quantity")
+    names = ("value", "std", "regenerated", "regenerated_std", "paper", "quantity")
     rows = [
-        dict(zip(names, cell, strict=True)) | {"row": str(k), "note": "n"} for k, cell in enumerate(drawn)
+        dict(zip(names, [*cell[:4], *cell[4]], strict=True)) | {"row": str(k), "note": "n"}
+        for k, cell in enumerate(drawn)
     ]
     ours = [{name: x for name, x in row.items() if name not in ("value", "std")} for row in rows]
     found = card_of(tmp_path_factory.mktemp("card"), rows, ours)
@@ -78,7 +80,7 @@ def test_verdicts_are_those_of_exact_arithmetic(tmp_path_factory, drawn):
         drawn, found.to_dict("records"), strict=True
     ):
         d, band = Fraction(regenerated) - Fraction(value), (value, std, ours_std)
-        better = "better" if (d > 0) == (quantity == "reduction") else "differs"
+        better = "better" if d < 0 and quantity == ("baaij2023", "e_u") else "differs"
         expected = "reproduced" if is_within(d, *band) else better
         inner, outer = (is_within(d * 20 / share, *band) for share in (19, 21))
         truths = str(is_within(Fraction(value), *band)).lower(), str(outer and not inner).lower()
@@ -90,13 +92,32 @@ def test_verdicts_are_those_of_exact_arithmetic(tmp_path_factory, drawn):
     [
         ({"regenerated": "1.75"}, "reproduced"),  # half a printed unit belongs to the band
         ({"regenerated": "1.76", "note": "n"}, "differs"),
-        ({"regenerated": "1.6"}, "better"),
+        ({"regenerated": "1.6", "note": "n"}, "differs"),  # of what is no error nothing is better
         ({"regenerated": "9", "comparable": "false"}, "not_comparable"),
         ({"regenerated": "9", "setting": "benchmark"}, "not_comparable"),
     ],
 )
 def test_a_number_without_deviations_must_agree_to_its_last_printed_digit(tmp_path, ours, expected):
     assert card_of(tmp_path, [{"value": "1.7"}], [ours])["verdict"].to_list() == [expected]
+
+
+def test_only_a_smaller_error_is_better(tmp_path):
+    """An accuracy of 96.63 % where 96.7 % is printed asks for a note, as an accuracy of 97 % does."""
+    for quantity, verdicts in (("median", ["better", "differs"]), ("accuracy", ["differs", "differs"])):
+        names = [{"paper": "martin2022", "quantity": quantity, "row": row} for row in "ab"]
+        printed = [name | {"value": "96.7"} for name in names]
+        ours = [
+            name | {"regenerated": x, "note": "n"} for name, x in zip(names, ["96.63", "97"], strict=True)
+        ]
+        assert card_of(tmp_path, printed, ours)["verdict"].to_list() == verdicts
+
+
+def test_what_each_paper_prints_is_an_error_or_not(card):
+    """A printed quantity is listed as an error, or it is one of those that are none: a new one is asked about."""
+    printed = card[["paper", "quantity"]].drop_duplicates()
+    assert set(printed["paper"]) == set(ERRORS)
+    none = printed[~printed.apply(is_error, axis=1)]["quantity"]
+    assert set(none) == {"update_rate", "reduction", "time"}
 
 
 def test_a_printed_number_that_nobody_regenerates_is_missing(tmp_path):

@@ -106,6 +106,17 @@ def test_every_entry_is_a_row_that_leads_to_its_place(written):
     assert not re.search(r"\n\n(?!<|#)", text.rstrip()), "an empty line ends a block of HTML"
 
 
+def test_a_paper_of_sections_alone_has_its_heading(card):
+    """Its fold stands below its own name, not below the paper before."""
+    entries = INDEX.assign(name=INDEX["paper"].replace(page.PAPERS), place="p.html", real=False)
+    entries = entries[(entries["paper"] != "mitchell2021") | (entries["kind"] == "section")]
+    titles = dict.fromkeys(entries["page"], "Page")
+    text = page.index_page(entries, titles, card.assign(kind=kinds(card)))
+    assert re.findall(r"^### (.+)$", text, re.MULTILINE) == list(page.PAPERS.values())
+    own = text.partition(f"### {page.PAPERS['mitchell2021']}")[2].partition("###")[0]
+    assert "<summary>Numbers in the text</summary>" in own
+
+
 def test_the_finder_leads_to_what_is_there(written):
     """Table II has a link by its number, and no photograph has one."""
     links = re.findall(r'href="(.*?)" title="(.*?)"', written["find.md"])
@@ -193,6 +204,7 @@ def test_every_row_has_an_address_and_no_name_of_a_file(written):
         ("noise 7.1e-4 mT at -3", "noise 7.1 × 10<sup>−4</sup> mT at −3"),
         ("T5.train->T5.test", "T5.train → T5.test"),
         ("a < b & c", "a &lt; b &amp; c"),
+        ("tip_error_x, see new_file.csv", "tip error x, see new_file.csv"),
     ],
 )
 def test_names_are_written_with_the_letters_of_the_papers(name, shown):

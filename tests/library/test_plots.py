@@ -6,6 +6,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
 from repro import (
     AffineCurvature,
@@ -80,6 +81,33 @@ def test_several_shapes_on_each_other_and_on_given_axes():
     before = len(ax.lines)
     assert ROBOT.plot(BENT, axes=ax) is ax
     assert len(ax.lines) == before * 3 // 2
+
+
+@pytest.mark.parametrize("inches", [2.5, 3.5, 6.4])
+def test_a_legend_lies_within_its_figure(inches):
+    figure = plt.figure(figsize=(inches, inches))
+    ax = ROBOT.plot(
+        [np.zeros(9), BENT], axes=figure.add_subplot(projection="3d"), labels=["straight", "bent"]
+    )
+    figure.canvas.draw()
+    box = ax.get_legend().get_window_extent()
+    assert np.all(box.min >= 0)
+    assert np.all(box.max <= figure.bbox.max)
+
+
+def test_no_two_lines_have_one_colour():
+    """Of twelve channels, of twelve coordinates, of seven shapes; where the usual colours suffice they are kept."""
+    u, zero = np.tile(np.arange(12.0), (2, 1)), np.zeros(2)
+    shape = Trajectory(zero, u, None, u, zero, zero, zero, readings=u)
+    coordinates, above, _ = shape.plot()
+    for ax in (coordinates, above):
+        labelled = [line for line in ax.lines if not line.get_label().startswith("_")]
+        assert len({to_rgb(line.get_color()) for line in labelled}) == len(labelled) == 12
+    few = Trajectory(zero, u[:, :2], None, u[:, :2], zero, zero, zero, readings=u[:, :2]).plot()[0]
+    assert [line.get_color() for line in few.lines] == plt.rcParams["axes.prop_cycle"].by_key()["color"][:2]
+    names = list("abcdefg")
+    ax = ROBOT.plot(np.linspace(0.0, 1.0, 7)[:, None] * BENT, labels=names)
+    assert len({to_rgb(line.get_color()) for line in ax.lines if line.get_label() in names}) == 7
 
 
 def test_a_robot_is_drawn_at_its_start_in_the_middle_or_straight():

@@ -8,14 +8,15 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import time
-from collections.abc import Sequence
-from contextlib import suppress
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from urllib.parse import quote
+from typing import Any
+from urllib.parse import quote, urljoin
 
-from repro.common import bad_input, require
+from repro.common import InputError, bad_input, require
 
 FILES = "https://raw.githubusercontent.com"
 LARGE_FILES = "https://media.githubusercontent.com/media"
@@ -24,8 +25,11 @@ SILENCE_S = 30.0
 """For how long a server may send nothing."""
 SLOWEST_B_PER_S, EXTRA_S = 20e3, 60.0
 """A file may take the time of this rate, and so much more."""
+REDIRECTS = 5
+"""How often a server may send us on."""
 LARGEST = 100_000_000
 """Most bytes of a file whose size is not listed."""
+FORM = "JSON such as {PAPER: {repository, commit, files: [{path, sha256, size}]}}"
 NO_ANSWER, SILENT_IN_A_ROW = "the server did not answer in time", 3
 """After so many files for which nothing answered, the others are not tried: each would cost its time-out."""
 
@@ -71,13 +75,20 @@ class Source:
 def read_sources(path: Path, paper: str = "") -> list[Source]:
     """Return the files of one paper, or of all; an entry that could lead elsewhere is refused."""
     require(path.is_file(), "list", "repro fetch", "an existing file", path)
-    listed = json.loads(path.read_text(encoding="utf-8"))
-    require(not paper or paper in listed, "paper", "repro fetch", f"one of {', '.join(listed)}", paper)
-    return [
-        _source(name, listed[name], entry, path.name)
-        for name in ([paper] if paper else listed)
-        for entry in listed[name]["files"]
-    ]
+    try:
+        listed = json.loads(path.read_text(encoding="utf-8"))
+        require(not paper or paper in listed, "paper", "repro fetch", f"one of {', '.join(listed)}", paper)
+        names = [paper] if paper else list(listed.keys())
+        found = [
+            _source(name, listed[name], entry, path.name) for name in names for entry in listed[name]["files"]
+        ]
+    except InputError:
+        raise
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        damage = f"{type(error).__name__}: {error}; take the file as it was released"
+        raise bad_input("list", path.name, FORM, damage) from None
+    require(found, "files", path.name, "one or more", "none")
+    return found
 
 
 def _source(paper: str, about: dict, entry: dict, owner: str) -> Source:
@@ -92,8 +103,10 @@ def _source(paper: str, about: dict, entry: dict, owner: str) -> Source:
     sha256, git_blob = entry.get("sha256", ""), entry.get("git_blob", "")
     hashed = re.fullmatch(r"[0-9a-f]{64}" if sha256 else r"[0-9a-f]{40}", sha256 or git_blob)
     require(hashed, f"hash of {path}", owner, "a SHA-256 or that of a git blob", sha256 or git_blob)
-    large = about.get("storage") == "git-lfs"
-    return Source(paper, path, repository[1], commit, sha256, git_blob, entry.get("size"), large)
+    size, large = entry.get("size"), about.get("storage") == "git-lfs"
+    whole = size is None or (type(size) is int and size >= 0)
+    require(whole, f"size of {path}", owner, "a whole number of bytes", size)
+    return Source(paper, path, repository[1], commit, sha256, git_blob, size, large)
 
 
 def listing(sources: Sequence[Source], folder: Path) -> str:
@@ -137,19 +150,47 @@ def fetch(sources: Sequence[Source], folder: Path, mirror: str = "", show: bool 
     return "\n".join([*failed, counts]), not failed
 
 
+class _TimeUp(Exception):
+    """A download took longer than it may. No library takes it for an error of its own."""
+
+
+@contextmanager
+def _at_most(seconds: float) -> Iterator[None]:
+    """Raise `_TimeUp` where a block takes longer, whatever it waits for: a server may drip headers without end.
+
+    It holds in the main thread; a library that drops the exception meets it again a second later.
+    """
+
+    def stop(*_: object) -> None:
+        raise _TimeUp
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
 def _download(source: Source, address: str, place: Path) -> str:
     """Bring one file to its place; return why that failed, or nothing."""
     import requests
     import urllib3
 
-    partial = place.with_name(f".{place.name}.partial")
+    partial, most = place.with_name(f".{place.name}.partial"), source.size or LARGEST
+    limit_s = EXTRA_S + most / SLOWEST_B_PER_S
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        if why := _receive(address, partial, source.size or LARGEST):
-            return why
+        with _at_most(limit_s):
+            if why := _receive(address, partial, most):
+                return why
         if not source.is_at(partial):
             return "what arrived is not the released file, by its hash"
         partial.replace(place)
+    except _TimeUp:
+        received = partial.stat().st_size if partial.is_file() else 0
+        return f"after {limit_s:.0f} s only {received} of {most} bytes had arrived" if received else NO_ANSWER
     except (requests.Timeout, urllib3.exceptions.TimeoutError):
         return NO_ANSWER
     except requests.ConnectionError:
@@ -165,21 +206,31 @@ def _download(source: Source, address: str, place: Path) -> str:
 
 
 def _receive(address: str, path: Path, most: int) -> str:
-    """Write what a server sends, up to so many bytes and for as long as these may take; return why it ends."""
+    """Write what a server sends, up to so many bytes, after some redirects; return why it ends."""
     import requests
 
-    start, received = time.monotonic(), 0
-    headers = {"Accept-Encoding": "identity"}  # packed, a few bytes could become very many
-    with requests.get(address, stream=True, timeout=SILENCE_S, headers=headers) as answer:
-        if not answer.ok:
-            return f"the server answered {answer.status_code} {answer.reason}"
-        with path.open("wb") as file:
-            # We take what has arrived, however little: in full blocks, a server that drips would never end.
-            while block := answer.raw.read1(65536):
-                received += file.write(block)
-                seconds = time.monotonic() - start
-                if received > most:
-                    return f"more than {most} bytes arrived"
-                if seconds > EXTRA_S + most / SLOWEST_B_PER_S:
-                    return f"after {seconds:.0f} s only {received} of {most} bytes had arrived"
+    options = {"stream": True, "timeout": SILENCE_S, "allow_redirects": False}
+    options["headers"] = {"Accept-Encoding": "identity"}  # packed, a few bytes could become very many
+    with requests.Session() as session:
+        # It would read all that comes with a redirect, however much, so we follow redirects by ourselves.
+        session.get_redirect_target = lambda _: None
+        for _ in range(1 + REDIRECTS):
+            with session.get(address, **options) as answer:
+                if answer.is_redirect:
+                    address = urljoin(address, answer.headers["Location"])
+                    continue
+                if not answer.ok:
+                    return f"the server answered {answer.status_code} {answer.reason}"
+                return _written(answer.raw, path, most)
+    return f"more than {REDIRECTS} redirects"
+
+
+def _written(body: Any, path: Path, most: int) -> str:
+    received = 0
+    with path.open("wb") as file:
+        # We take what has arrived, however little, so that a server that drips is seen to send something.
+        while block := body.read1(65536):
+            received += file.write(block)
+            if received > most:
+                return f"more than {most} bytes arrived"
     return ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterable, Sequence
@@ -20,6 +19,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from repro import Arm, calibrate_imus, calibrated, pcc_extended, rigid_body
 from repro.common import require
 from repro.estimators.imu import ShapeModel
+from repro_companion.papers.fetch import read_sources
 from repro_companion.run import digest, project_folder, recordings_folder
 from repro_companion.show import ratio_interval
 
@@ -580,10 +580,9 @@ def synthetic_tables(trial: Trial) -> dict[str, np.ndarray]:
 
 def unlike_released() -> list[str]:
     """Return which tables and bags are not those that the authors released, by their hashes."""
-    listed = json.loads((project_folder() / "data" / "sources.json").read_text(encoding="utf-8"))
-    hashes = {entry["path"]: entry["sha256"] for entry in listed[FOLDER]["files"] if "sha256" in entry}
-    folder = recordings_folder() / FOLDER
-    return [path for path, known in hashes.items() if digest(folder / path) not in ("", known)]
+    listed = read_sources(project_folder() / "data" / "sources.json", FOLDER)
+    found = [source for source in listed if source.sha256]
+    return [one.path for one in found if digest(recordings_folder() / one.name) not in ("", one.sha256)]
 
 
 def paired(made: np.ndarray, points: np.ndarray) -> tuple[slice, slice, int]:

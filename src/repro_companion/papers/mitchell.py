@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -34,6 +33,7 @@ from repro.estimators.particle import BendDisc
 from repro.motion_capture import Motion as MotionCapture
 from repro.motion_capture import read_motion, undo_exchanges
 from repro_board.evaluate import search_lag
+from repro_companion.papers.fetch import read_sources
 from repro_companion.run import digest, project_folder, recordings_folder
 from repro_companion.show import number, ratio_interval
 
@@ -248,12 +248,12 @@ def gain_in_words(table: pd.DataFrame) -> str:
     """Return what our filter gains, on the curves that had no part in its choice, and a Kalman filter beside it."""
     ratio = table.set_index(["setting", "curve"])["ratio"]
     flower, seagull = (100 * ratio[BEST.name, name] for name in ("flower", "seagull"))
-    less = sorted(100 - 100 * ratio[KALMAN.name, name] for name in ("flower", "seagull"))
-    kalman = f"another {less[0]:.0f} to {less[1]:.0f} % better" if less[0] > 0 else "not better on both"
+    less = [100 - 100 * ratio[KALMAN.name, name] for name in ("flower", "seagull")]
+    sizes = "{} % smaller still on Flower, and {} % on Seagull".format(*(number(x, 1) for x in less))
     return (
         f"**Our best filter has {flower:.0f} % of the error of least squares on single readings on Flower, and"
         f" {seagull:.0f} % on Seagull.** Neither curve was used to choose its noise."
-        f" A Kalman filter with the same noises is {kalman}."
+        f" The error of a Kalman filter with the same noises is {sizes if min(less) > 0 else 'not smaller on both'}."
     )
 
 
@@ -521,11 +521,9 @@ def recorded_takes() -> list[Take]:
 
 def unlike_released() -> list[str]:
     """Return which recordings of section IV are not those that the authors released, by their hashes."""
-    listed = json.loads((project_folder() / "data" / "sources.json").read_text(encoding="utf-8"))
-    files = listed[FOLDER]["files"]
-    hashes = {entry["path"]: entry["sha256"] for entry in files if not entry["path"].startswith("calibrate")}
-    folder = recordings_folder() / FOLDER
-    return [path for path, known in hashes.items() if digest(folder / path) not in ("", known)]
+    listed = read_sources(project_folder() / "data" / "sources.json", FOLDER)
+    found = [source for source in listed if not source.path.startswith("calibrate")]
+    return [one.path for one in found if digest(recordings_folder() / one.name) not in ("", one.sha256)]
 
 
 # SYNTHETIC takes: what a sensor and motion capture would have seen of a module that bends as told

@@ -41,6 +41,7 @@ from repro.networks import load_network
 from repro.robot import place
 from repro.sensing import relations
 from repro_board.evaluate import search_lag
+from repro_companion.papers.fetch import read_sources
 from repro_companion.run import project_folder, recordings_folder
 
 RATE_HZ, SENSORS = 40.0, 3
@@ -599,8 +600,8 @@ def _first_of_test(recording: Recording) -> int:
 
 def _released(paths: Sequence[Path]) -> bool:
     """Whether all files have the hashes of data/sources.json."""
-    listed = json.loads((project_folder() / "data" / "sources.json").read_text(encoding="utf-8"))
-    hashes = {entry.get("sha256") for entry in listed["baaij2023"]["files"]}
+    listed = read_sources(project_folder() / "data" / "sources.json", "baaij2023")
+    hashes = {source.sha256 for source in listed}
     return all(hashlib.sha256(path.read_bytes()).hexdigest() in hashes for path in paths)
 
 
@@ -832,25 +833,6 @@ def ranges_over_starts(study: pd.DataFrame) -> pd.DataFrame:
     moved = ((by_seed.max() - by_seed.min()) / by_seed.mean()).groupby(key, sort=False).max()
     table = means.agg(lowest="min", middle="median", highest="max").assign(chaotic=moved > 0.1)
     return table.reset_index()
-
-
-def random_rig_ratios(study: pd.DataFrame) -> pd.DataFrame:
-    """Return the error of our filter over that of each variant of the paper's method, for every random rig.
-
-    A ratio is the geometric mean over six trajectories and two axes.
-    """
-    variants = ("known", "mean", "shorter")
-    axes = [f"delta_{axis}_mm" for axis in "xy"]
-    lines = []
-    for _, part in study.groupby(["family", "twin"], sort=False):
-        line = part.iloc[0][["family", "twin", "hysteresis", "drift", "drift_mV"]].to_dict()
-        errors = {name: part[[f"{name}_{axis}" for axis in axes]].to_numpy() for name in (*variants, "ours")}
-        ratios = {name: errors["ours"] / errors[name] for name in variants}
-        row, axis = np.unravel_index(ratios["known"].argmax(), ratios["known"].shape)
-        line |= {name: float(np.exp(np.log(ratio).mean())) for name, ratio in ratios.items()}
-        line["worst"] = f"{part['trajectory'].iloc[row]} {'xy'[axis]}: {ratios['known'].max():.2f}"
-        lines.append({**line, "covered": part["covered"].mean()})
-    return pd.DataFrame(lines)
 
 
 def methods(table: pd.DataFrame, ranges: pd.DataFrame) -> pd.DataFrame:
