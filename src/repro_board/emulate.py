@@ -189,9 +189,9 @@ def _bounds(robot: Robot, owner: str) -> tuple[Array, Array, Array]:
 
 
 def spread_poses(robot: Robot, *, seed: int = 0) -> Array:
-    """Return the start and configurations that fill the bounds evenly: four for each coordinate, and at least 12."""
+    """Return the start and configurations that fill the bounds evenly: eight for each coordinate, and at least 12."""
     middle, half, start = _bounds(robot, "spread_poses")
-    n = max(12, 4 * int((~robot.fixed).sum()))
+    n = max(12, 8 * int((~robot.fixed).sum()))
     cells = np.tile(np.arange(n - 1.0), (robot.n_q, 1))  # of a Latin hypercube
     away = 2 * (np.random.default_rng([seed, 4]).permuted(cells, axis=1).T + 0.5) / (n - 1) - 1
     return np.vstack([start, middle + REACH * half * away])
