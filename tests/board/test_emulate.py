@@ -398,7 +398,7 @@ def test_nothing_fails_before_its_time():
 # ------------------------------------------------------------------------------------------------- poses held
 def test_a_robot_stands_still_in_every_pose_of_its_table(tmp_path):
     poses = spread_poses(EXACT, seed=2)
-    assert poses.shape == (24, 6)
+    assert poses.shape == (48, 6)
     np.testing.assert_allclose(poses[0], 0.0, atol=1e-12)
     for k, width in enumerate(EXACT.upper - EXACT.lower):
         assert np.ptp(poses[:, k]) > 0.75 * width
