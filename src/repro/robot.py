@@ -603,6 +603,8 @@ class Robot:
         """Largest reading of either sign ``[s]`` [mT], infinite where not stated."""
         self.resolution = self.per_reading("resolution", 0.0, 0.0)
         """Step between two readings ``[s]`` [mT], zero where not stated."""
+        # A reading at the end may be rounded, to its resolution or to float32; and no sensor reads 1e100.
+        self._end = np.minimum((1 - 1e-6) * self.range - self.resolution / 2, 1e100)
         self.model, self.moments, self.source = model, moments, source
         self.lower, self.upper = self._bounds(lower, upper)
         """Bounds of the coordinates ``[n_q]``, or None where not stated."""
@@ -692,6 +694,42 @@ class Robot:
         n = sum(sensor.axes for sensor in self.sensors)
         gain, offset = (self.per_reading(*x)[:n] for x in (("gain", 1.0, 1.0), ("offset", 0.0, 0.0)))
         return Sensing(self, self.model, moments=self.moments, gain=gain, offset=offset, earth=self.earth)
+
+    def missing(self, u: Any) -> Array:
+        """Return why readings are missing, each row by itself: one rule for files, boards and arrays.
+
+        A reading at the end of its sensor's range, within half a step of it, says only that the field is larger.
+        Magnetic readings that are all zero, if there are more than two, are what a bus sends that has failed.
+
+        Parameters
+        ----------
+        u
+            Readings ``[..., s]`` in mT, and rad for IMUs.
+
+        Returns
+        -------
+        numpy.ndarray
+            For every reading 0 if it is there, 1 if it is no number or infinite, 2 if it is at the end of its range
+            or beyond, 3 if it is in a row without a magnetic reading but zeros.
+
+        Raises
+        ------
+        InputError
+            If the robot has another number of readings.
+
+        Examples
+        --------
+        >>> chip = Robot([Link(0.1)], sensors=[Sensor(1, 0.05, axes=3, range=5.0)])
+        >>> chip.missing([[0.0, 5.0, np.nan], [0.0, 0.0, 0.0]]).tolist()
+        [[0, 2, 1], [3, 3, 3]]
+        """
+        u = numbers(u, "u", "missing", (..., self.n_readings), finite=False)
+        size, n = np.abs(u), sum(sensor.axes for sensor in self.sensors)
+        why = np.select([~np.isfinite(size), size >= self._end], [1, 2], 0)
+        zero = size[..., :n] == 0
+        silent = (zero.sum(-1) > 2) & (zero | (why[..., :n] > 0)).all(-1)
+        why[..., :n][silent] = 3
+        return why
 
     def readings(self, table: Any) -> Any:
         """Return the readings of a table ``[t, s]``: flux densities in mT, rotation vectors of IMUs in rad.

@@ -24,6 +24,7 @@ from repro.common import Array, InputError, require
 from repro.estimators.base import Estimate, evenly, trajectory
 from repro.estimators.monitor import FROZEN, INCONSISTENT, LEFT_OUT, SAID, STATUS, UNDETERMINED, Monitor
 from repro.robot import Robot
+from repro.tables import losses
 from repro_board.evaluate import ESTIMATORS, estimator_of
 from repro_board.record import Writer, open_port, stopping
 from repro_board.steps import Steps
@@ -68,7 +69,6 @@ class Follower:
             self._open = calibration.q_covariance(self._shapes, 1e-6 * noise)
         self.monitor = Monitor(self.estimator) if getattr(self.estimator, "watched", False) else None
         self._unused = np.isin(robot.parts, self.failed)
-        self._most = np.minimum(robot.range - robot.resolution / 2, 1e100)  # a sensor beyond it says nothing
         self.begin()
 
     def begin(self) -> None:
@@ -91,7 +91,7 @@ class Follower:
 
     def step(self, u: Array, t: float) -> Estimate:
         """Estimate a time step."""
-        u = np.where(self._unused | ~(np.abs(u) < self._most), np.nan, u)
+        u = np.where(self._unused, np.nan, u)
         alarm = self.said["status"] in (LEFT_OUT, INCONSISTENT)
         if self.monitor is None:
             self.state, found = self.estimator.step(self.state, u, t)
@@ -328,7 +328,8 @@ def notes(session: Session) -> list[str]:
         (skipped, f"{skipped} time steps were left out because newer ones had come; a recording has them."),
         (spare <= 0, "There are no more readings than unknowns: a wrong sensor looks like another shape."),
     ]
-    return [*session.parser.remarks, *session.steps.remarks, *(text for holds, text in said if holds)]
+    lost = losses(follower.robot, session.steps.losses)
+    return [*session.parser.remarks, *session.steps.remarks, *lost, *(text for holds, text in said if holds)]
 
 
 def numbers(session: Session) -> list[str]:
