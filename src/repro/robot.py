@@ -604,6 +604,7 @@ class Robot:
         self.resolution = self.per_reading("resolution", 0.0, 0.0)
         """Step between two readings ``[s]`` [mT], zero where not stated."""
         # A reading at the end may be rounded, to its resolution or to float32; and no sensor reads 1e100.
+        self._n_magnetic = sum(sensor.axes for sensor in self.sensors)
         self._end = np.minimum((1 - 1e-6) * self.range - self.resolution / 2, 1e100)
         self.model, self.moments, self.source = model, moments, source
         self.lower, self.upper = self._bounds(lower, upper)
@@ -724,11 +725,13 @@ class Robot:
         [[0, 2, 1], [3, 3, 3]]
         """
         u = numbers(u, "u", "missing", (..., self.n_readings), finite=False)
-        size, n = np.abs(u), sum(sensor.axes for sensor in self.sensors)
-        why = np.select([~np.isfinite(size), size >= self._end], [1, 2], 0)
+        size, n = np.abs(u), self._n_magnetic
+        why = np.where(size >= self._end, 2, 0)
+        why[~np.isfinite(size)] = 1
         zero = size[..., :n] == 0
-        silent = (zero.sum(-1) > 2) & (zero | (why[..., :n] > 0)).all(-1)
-        why[..., :n][silent] = 3
+        if zero.any():
+            silent = (zero.sum(-1) > 2) & (zero | (why[..., :n] > 0)).all(-1)
+            why[..., :n][silent] = 3
         return why
 
     def readings(self, table: Any) -> Any:
@@ -739,9 +742,9 @@ class Robot:
         commas, tabs, blanks or labels: without names its columns are those of the readings, in their order. An IMU
         has the four columns of its quaternion (``qx_1`` to ``qw_1``), or rows with the number of its ``stream``.
 
-        A cell without a number, infinity, a reading at the end of its sensor's range, a row of zeros and a quaternion
-        of zeros are NaN, a missing reading. The result has the ``times`` of the rows [s], or None, the ``lines``
-        where they stand, and ``remarks``: sentences that say what is missing, left out or put together.
+        A cell without a number, what :meth:`missing` names and a quaternion of zeros are NaN, a missing reading. The
+        result has the ``times`` of the rows [s], or None, the ``lines`` where they stand, and ``remarks``: sentences
+        that say what is missing, left out or put together. Copies and parts of it keep them.
 
         Parameters
         ----------

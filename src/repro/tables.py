@@ -35,6 +35,7 @@ _MISSING = re.compile(
     r"|nan|na|n/a|null|none|--?|ovf|-?1\.#\w+|#n/?[av]|##+|#[^\W\d][\w/]*[!?]", re.IGNORECASE
 )
 """Also what a spreadsheet writes, in any language: #N/A, #NV, #DIV/0!, and ##### where a column is too narrow."""
+_WHY = np.arange(4)[:, None, None]
 _COMMENT = ("#", "%")
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
 _QUATERNION = ("qx", "qy", "qz", "qw")
@@ -52,7 +53,7 @@ class Readings(np.ndarray):
 
     ``times`` are those of their rows [s], or None; ``lines`` say where they stand; ``remarks`` what is missing.
     Copies, parts and what is computed of every reading keep them. ``without_times`` says that it is not known any
-    more which times the rows have, as when readings are put together or turned.
+    more which times the rows have, as when several readings are put together.
     """
 
     times: Array | None = None
@@ -558,7 +559,8 @@ def rows_of(robot: Robot, columns: Columns, values: Array) -> tuple[Array, Array
         parts.append(_rotation_vectors(values[:, own], imu.world))
     u = np.concatenate(parts, axis=1)
     why = robot.missing(u)
-    return np.where(why > 0, np.nan, u), (why == np.arange(4)[:, None, None]).sum(1)
+    u[why > 0] = np.nan
+    return u, (why == _WHY).sum(1)
 
 
 def losses(robot: Robot, counts: Array) -> list[str]:

@@ -24,7 +24,6 @@ from repro.common import Array, InputError, require
 from repro.estimators.base import Estimate, evenly, trajectory
 from repro.estimators.monitor import FROZEN, INCONSISTENT, LEFT_OUT, SAID, STATUS, UNDETERMINED, Monitor
 from repro.robot import Robot
-from repro.tables import losses
 from repro_board.evaluate import ESTIMATORS, estimator_of
 from repro_board.record import Writer, open_port, stopping
 from repro_board.steps import Steps
@@ -328,8 +327,8 @@ def notes(session: Session) -> list[str]:
         (skipped, f"{skipped} time steps were left out because newer ones had come; a recording has them."),
         (spare <= 0, "There are no more readings than unknowns: a wrong sensor looks like another shape."),
     ]
-    lost = losses(follower.robot, session.steps.losses)
-    return [*session.parser.remarks, *session.steps.remarks, *lost, *(text for holds, text in said if holds)]
+    told = [*session.parser.remarks, *session.steps.remarks, *session.steps.losses()]
+    return [*told, *(text for holds, text in said if holds)]
 
 
 def numbers(session: Session) -> list[str]:

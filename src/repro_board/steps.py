@@ -11,7 +11,7 @@ import numpy as np
 
 from repro import Robot
 from repro.common import Array, InputError, require
-from repro.tables import Columns, Table, check_orientations, columns_of, rows_of, spread
+from repro.tables import Columns, Table, check_orientations, columns_of, losses, rows_of, spread
 from repro_board.wire import WRAP, Sample
 
 _NUMBERED = re.compile(r"(u|ch|channel|sensor)[ _]?[0-9]+", re.IGNORECASE)
@@ -60,8 +60,6 @@ class Steps:
         Steps, and samples of other streams or with another number of values, which are left out.
     remarks
         What a user should know, one sentence each.
-    losses
-        How many readings are there or missing, and why: see :func:`repro.tables.losses`.
 
     Examples
     --------
@@ -77,7 +75,7 @@ class Steps:
         require(times in ("board", "arrival"), "times", "Steps", "board or arrival", repr(times))
         self.counters = {"steps": 0, "other_streams": 0, "other_widths": 0}
         self.remarks: list[str] = []
-        self.losses = np.zeros((4, robot.n_readings), dtype=int)
+        self._losses = np.zeros((4, robot.n_readings), dtype=int)
         self._robot, self._by_board, self._source = robot, times == "board", source
         channels = [k if imu.channels is None else imu.channels for k, imu in enumerate(robot.imus, 1)]
         own = {int(x): 4 for x in channels if isinstance(x, int | float)}
@@ -124,12 +122,16 @@ class Steps:
         if self._columns is None:
             self._table = self._named(values[:0])
             self._columns = columns_of(self._robot, self._table, [])
-        u, losses = rows_of(self._robot, self._columns, values)
-        self.losses += losses
+        u, counts = rows_of(self._robot, self._columns, values)
+        self._losses += counts
         self._check(values)
         times = self._when([sent_us for _, sent_us in rows], arrived_s)
         self.counters["steps"] += len(rows)
         return [Step(time_s, row) for time_s, row in zip(times, u, strict=True)]
+
+    def losses(self) -> list[str]:
+        """Return what is missing of the steps so far, one sentence for each kind of loss."""
+        return losses(self._robot, self._losses)
 
     def table(self, samples: Sequence[Sample], times: Array, owner: str) -> Table:
         """Return the rows that the samples of a whole recording complete, as a table, by the times given [s]."""

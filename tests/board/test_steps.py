@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from repro import Imu, InputError, Link, Robot, Sensor
-from repro.tables import losses
 from repro_board.record import Writer, readings_of
 from repro_board.steps import STANDS_STILL, STILL, Steps
 from repro_board.wire import WRAP, Parser, Sample, encode
@@ -187,7 +186,7 @@ def at_port(robot, data, cuts):
         found += steps.feed(parser.feed(data[last:cut]), 0.001 * cut)
         last = cut
     times = np.array([x.time_s for x in found])
-    return np.array([x.u for x in found]), times - times[0], [*steps.remarks, *losses(robot, steps.losses)]
+    return np.array([x.u for x in found]), times - times[0], [*steps.remarks, *steps.losses()]
 
 
 def recorded(robot, parts, us, path):

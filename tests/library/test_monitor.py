@@ -217,6 +217,17 @@ def test_infinity_is_a_missing_reading(method):
     assert set(found.status) == {"consistent"}
 
 
+def test_what_an_array_does_not_say_is_missing_as_in_a_table(method):
+    """A row of zeros, and the end of the range."""
+    robot = TWO.replaced(sensors=[replace(sensor, range=200.0) for sensor in TWO.sensors])
+    u = U.copy()
+    u[50], u[60, 3] = 0.0, 200.0
+    fit = type(method)(robot)
+    found, expected = (track(fit, x, times=TIMES) for x in (u, np.where(robot.missing(u) > 0, np.nan, u)))
+    np.testing.assert_array_equal(found.q, expected.q)
+    assert found.missing[[50, 60]].tolist() == [8, 1]
+
+
 def test_fewer_readings_than_unknowns_are_told_without_a_motion_model():
     u = U.copy()
     u[50:, :3] = np.nan

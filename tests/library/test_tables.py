@@ -129,10 +129,10 @@ KEPT = {
 }
 LOST = {
     "put together": lambda u: np.concatenate([u, u]),
-    "turned": lambda u: u.T,
+    "in one column": lambda u: u.reshape(-1, 1),
     "of several robots": lambda u: np.stack([u, u], axis=1),
     "averaged": lambda u: u.reshape(-1, 1, 3).mean(axis=1),
-    "pickled after that": lambda u: pickle.loads(pickle.dumps(u.T)),
+    "pickled after that": lambda u: pickle.loads(pickle.dumps(np.vstack([u, u]))),
 }
 
 
