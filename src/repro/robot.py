@@ -729,9 +729,8 @@ class Robot:
         why = np.where(size >= self._end, 2, 0)
         why[~np.isfinite(size)] = 1
         zero = size[..., :n] == 0
-        if zero.any():
-            silent = (zero.sum(-1) > 2) & (zero | (why[..., :n] > 0)).all(-1)
-            why[..., :n][silent] = 3
+        silent = (zero.sum(-1) > 2) & (zero | (why[..., :n] > 0)).all(-1)
+        why[..., :n][silent] = 3
         return why
 
     def readings(self, table: Any) -> Any:

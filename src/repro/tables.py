@@ -35,10 +35,8 @@ _MISSING = re.compile(
     r"|nan|na|n/a|null|none|--?|ovf|-?1\.#\w+|#n/?[av]|##+|#[^\W\d][\w/]*[!?]", re.IGNORECASE
 )
 """Also what a spreadsheet writes, in any language: #N/A, #NV, #DIV/0!, and ##### where a column is too narrow."""
-_WHY = np.arange(4)[:, None, None]
 _COMMENT = ("#", "%")
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
-_QUATERNION = ("qx", "qy", "qz", "qw")
 _UNNAMED = re.compile(r"column \d+")
 _CLOCK = re.compile(r"(?=\d)(\d{4}-\d\d-\d\d)?[T ]?(\d\d:\d\d:\d\d\S*)?", re.ASCII)
 _LABEL = re.compile(
@@ -350,8 +348,7 @@ def _named(
     rows: list[list[str]], lines: list[int], separator: str, owner: str, remarks: list[str]
 ) -> tuple[list[str] | None, list[str], list[list[str]], list[int]]:
     """Return names (None if there are none), units, cells and lines of a table; refuse lines of another form."""
-    comments = {k for k, row in enumerate(rows) if row and _is_comment(row[0])}
-    plain = [k for k in range(len(rows)) if k not in comments]
+    plain = [k for k, row in enumerate(rows) if not (row and _is_comment(row[0]))]
     width = Counter(len(rows[k]) for k in plain).most_common(1)[0][0]
     whole = (k for k, row in enumerate(rows) if len(row) == width and all(map(_is_number, row)) and any(row))
     first = next(whole, plain[0] + 1)
@@ -475,9 +472,11 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
         own = [k for k, name in enumerate(names) if name != "stream"]
         streams, which = np.unique(values[:, names.index("stream")], return_inverse=True)
         short = [names[k] if len(names[k]) > 1 else f"q{names[k]}" for k in own]
-        columns = names = [f"{name}_{x:g}" for x in streams for name in short]
-        if len(streams) == 1:  # the number of a board's only stream is in no name, that of an IMU in its own
-            columns, names = short, [y if x in _QUATERNION else x for x, y in zip(short, names, strict=True)]
+        several, own_number = len(streams) > 1, ("qx", "qy", "qz", "qw")
+        names = [
+            f"{name}_{x:g}" if several or name in own_number else name for x in streams for name in short
+        ]
+        columns = names if several else short
         units, turn = [table.units[k] for k in own] * len(streams), values[:, own]
     elif len(values) >= 2 * len(names) > 2 and (there.sum(1) == 1).all():
         which, turn, columns, units = there.argmax(1), values[there][:, None], table.columns, table.units
@@ -491,8 +490,8 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
         group[i] = group[i - 1] + new if i else 0
     found = np.full((group[-1] + 1, len(names) // turn.shape[1], turn.shape[1]), np.nan)
     found[group, which] = turn
-    n = len(values) * (len(found) < len(values))
-    _count(n, n, f"rows of {table.owner}", f"put together to {len(found)}", remarks)
+    if (n := len(values)) > len(found):
+        remarks.append(f"{n} of {n} rows of {table.owner} are put together to {len(found)}.")
     last = np.flatnonzero(np.diff(group, append=-1)).tolist()
     return Table(
         table.owner, tuple(columns), tuple(names), tuple(units), found.reshape(len(found), -1),
@@ -560,7 +559,7 @@ def rows_of(robot: Robot, columns: Columns, values: Array) -> tuple[Array, Array
     u = np.concatenate(parts, axis=1)
     why = robot.missing(u)
     u[why > 0] = np.nan
-    return u, (why == _WHY).sum(1)
+    return u, (why == np.arange(4)[:, None, None]).sum(1)
 
 
 def losses(robot: Robot, counts: Array) -> list[str]:

@@ -351,15 +351,11 @@ def test_readings_at_the_end_of_the_range_are_missing():
 
 def test_a_rounded_end_of_the_range_is_the_end():
     """As float32 rounds it, and within half a step; a row of zeros says nothing although one of them is missing."""
-    arm = robot(range=32.767)
-    assert arm.missing(np.float32([32.767, -32.767, 32.7])).tolist() == [2, 2, 0]
+    assert robot(range=32.767).missing(np.float32([32.767, -32.767, 32.7])).tolist() == [2, 2, 0]
     assert robot(range=5.0, resolution=0.1).missing([4.96, -4.94, 0.0]).tolist() == [2, 0, 0]
-    four = arm.replaced(sensors=[*arm.sensors, arm.sensors[0]])
-    assert four.missing([[0, 0, 0, np.nan], [0, 0, np.nan, np.nan], [0, 0, 0, 1e-9]]).tolist() == [
-        [3, 3, 3, 3],
-        [0, 0, 1, 1],
-        [0, 0, 0, 0],
-    ]
+    four = robot().replaced(sensors=[Sensor(1, 0.1)] * 4)
+    rows = [[0, 0, 0, np.nan], [0, 0, np.nan, np.nan], [0, 0, 0, 1e-9]]
+    assert four.missing(rows).tolist() == [[3, 3, 3, 3], [0, 0, 1, 1], [0, 0, 0, 0]]
 
 
 def test_a_log_with_another_number_of_columns_is_refused(tmp_path):
@@ -455,17 +451,15 @@ class TestQuaternions:
         assert readings.remarks == ("80 of 80 rows of mine.csv are put together to 40.",)
 
     def test_the_only_stream_keeps_its_number(self, tmp_path):
-        alone = Robot([ConstantCurvature(0.1, 1.0)], imus=[Imu(1, 0.1, channels=3)])
-        other = Robot([ConstantCurvature(0.1, 1.0)], imus=[Imu(1, 0.1, channels=7)])
-        plain = Robot([ConstantCurvature(0.1, 1.0)], imus=[Imu(1, 0.1, channels=["qx", "qy", "qz", "qw"])])
-        table = self.table().splitlines()
-        printed = self.table(order="wxyz").splitlines()
-        for lines_ in (table[:1] + table[1::2], [x.partition(",")[2] for x in printed[1::2]]):
-            path = written(tmp_path, "\n".join(lines_) + "\n")
-            for arm in (alone, plain):
-                np.testing.assert_allclose(arm.readings(path), self.turns()[:, :3], atol=1e-5)
+        rows, printed = (self.table(order=x).splitlines(keepends=True) for x in ("xyzw", "wxyz"))
+        texts = "".join(rows[:1] + rows[1::2]), "".join(x.partition(",")[2] for x in printed[1::2])
+        for text in texts:
+            path = written(tmp_path, text)
+            for channels in (3, ["qx", "qy", "qz", "qw"]):
+                alone = Robot([ConstantCurvature(0.1, 1.0)], imus=[Imu(1, 0.1, channels=channels)])
+                np.testing.assert_allclose(alone.readings(path), self.turns()[:, :3], atol=1e-5)
             with pytest.raises(InputError, match="must be one column for qx_7"):
-                other.readings(path)
+                alone.replaced(imus=[Imu(1, 0.1, channels=7)]).readings(path)
 
     def test_a_row_that_is_lost_is_one_missing_reading(self, tmp_path):
         kept = self.table().splitlines(keepends=True)
