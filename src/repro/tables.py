@@ -186,18 +186,20 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
             require(dtype.kind in "fiu", f"column {name}", owner, "of numbers", f"{dtype} values")
         values = frame.to_numpy(dtype=float, na_value=np.nan)
     require(len(values), "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
-    values = np.where(np.isinf(values), np.nan, values)
     clock = [k for k, (name, _) in enumerate(split) if is_time(name)]
     times = _times(values, header, split, clock, lines, owner, remarks) if clock else None
     keep = [k for k, name in enumerate(header) if k not in clock and (k or name.strip())]
     columns, names, units = ([x[k] for k in keep] for x in (header, *map(list, zip(*split, strict=True))))
-    table = Table(owner, tuple(columns), tuple(names), tuple(units), values[:, keep], lines, times)
+    infinite = np.isinf(values[:, keep])
+    values = np.where(infinite, np.nan, values[:, keep])
+    table = Table(owner, tuple(columns), tuple(names), tuple(units), values, lines, times)
     table = _put_together(table, remarks)
     times = table.times
     if times is not None:
         times = spread(times, table.lines, owner, remarks)
     elif rate_hz is not None:
         times = np.arange(len(table.values)) / rate_hz
+    _count(int(infinite.sum()), infinite.size, f"numbers of {owner}", "missing: infinite", remarks)
     return table._replace(times=times, remarks=tuple(remarks))
 
 
@@ -427,7 +429,7 @@ def _times(
     unit, name = split[k][1], f"column {header[k]}"
     require(unit in SECONDS or not unit, name, owner, "in s, ms, us, ns or min", unit)
     times = values[:, k] * SECONDS.get(unit, 1.0)
-    bad = [lines[i] for i in np.flatnonzero(np.isnan(times)).tolist()]
+    bad = [lines[i] for i in np.flatnonzero(~np.isfinite(times)).tolist()]
     require(not bad, name, owner, "times", f"none in line {bad[:1]}")
     step = np.diff(times)
     usual = float(np.median(step)) if len(step) else 0.0
@@ -510,7 +512,8 @@ class Columns(NamedTuple):
 def read_readings(robot: Robot, source: Any) -> Readings:
     """Return the readings of a table ``[t, s]`` for a robot: see :meth:`repro.Robot.readings`."""
     table = read_table(source)
-    remarks = list(table.remarks)
+    remarks, infinite = list(table.remarks), np.isinf(table.values)
+    _count(int(infinite.sum()), infinite.size, f"numbers of {table.owner}", "missing: infinite", remarks)
     columns = columns_of(robot, table, remarks)
     check_orientations(robot, columns, table)
     u, why = rows_of(robot, columns, table.values)
