@@ -604,6 +604,9 @@ class Robot:
         """Largest reading of either sign ``[s]`` [mT], infinite where not stated."""
         self.resolution = self.per_reading("resolution", 0.0, 0.0)
         """Step between two readings ``[s]`` [mT], zero where not stated."""
+        # A reading at the end may be rounded, to its resolution or to float32; and no sensor reads 1e100.
+        self._n_magnetic = sum(sensor.axes for sensor in self.sensors)
+        self._end = np.minimum((1 - 1e-6) * self.range - self.resolution / 2, 1e100)
         self.model, self.moments, self.source = model, moments, source
         self.lower, self.upper = self._bounds(lower, upper)
         """Bounds of the coordinates ``[n_q]``, or None where not stated."""
@@ -713,6 +716,43 @@ class Robot:
         gain, offset = (self.per_reading(*x)[:n] for x in (("gain", 1.0, 1.0), ("offset", 0.0, 0.0)))
         return Sensing(self, self.model, moments=self.moments, gain=gain, offset=offset, earth=self.earth)
 
+    def missing(self, u: Any) -> Array:
+        """Return why readings are missing, each row by itself: one rule for files, boards and arrays.
+
+        A reading at the end of its sensor's range, within half a step of it, says only that the field is larger.
+        Magnetic readings that are all zero, if there are more than two, are what a bus sends that has failed.
+
+        Parameters
+        ----------
+        u
+            Readings ``[..., s]`` in mT, and rad for IMUs.
+
+        Returns
+        -------
+        numpy.ndarray
+            For every reading 0 if it is there, 1 if it is no number or infinite, 2 if it is at the end of its range
+            or beyond, 3 if it is in a row without a magnetic reading but zeros.
+
+        Raises
+        ------
+        InputError
+            If the robot has another number of readings.
+
+        Examples
+        --------
+        >>> chip = Robot([Link(0.1)], sensors=[Sensor(1, 0.05, axes=3, range=5.0)])
+        >>> chip.missing([[0.0, 5.0, np.nan], [0.0, 0.0, 0.0]]).tolist()
+        [[0, 2, 1], [3, 3, 3]]
+        """
+        u = numbers(u, "u", "missing", (..., self.n_readings), finite=False)
+        size, n = np.abs(u), self._n_magnetic
+        why = np.where(size >= self._end, 2, 0)
+        why[~np.isfinite(size)] = 1
+        zero = size[..., :n] == 0
+        silent = (zero.sum(-1) > 2) & (zero | (why[..., :n] > 0)).all(-1)
+        why[..., :n][silent] = 3
+        return why
+
     def readings(self, table: Any) -> Any:
         """Return the readings of a table ``[t, s]``: flux densities in mT, rotation vectors of IMUs in rad.
 
@@ -721,9 +761,9 @@ class Robot:
         commas, tabs, blanks or labels: without names its columns are those of the readings, in their order. An IMU
         has the four columns of its quaternion (``qx_1`` to ``qw_1``), or rows with the number of its ``stream``.
 
-        A cell without a number, infinity, a reading at the end of its sensor's range, a row of zeros and a quaternion
-        of zeros are NaN, a missing reading. The result has the ``times`` of the rows [s], or None, the ``lines``
-        where they stand, and ``remarks``: sentences that say what is missing, left out or put together.
+        A cell without a number, what :meth:`missing` names and a quaternion of zeros are NaN, a missing reading. The
+        result has the ``times`` of the rows [s], or None, the ``lines`` where they stand, and ``remarks``: sentences
+        that say what is missing, left out or put together. Copies and parts of it keep them.
 
         Parameters
         ----------

@@ -31,8 +31,13 @@ TIMES = {
 """Names of a column of times, and the unit that a name says."""
 _IN_BRACKETS = re.compile(r"(.*?)[ _]*[(\[] *(.*?) *[)\]]")
 _DIGITS = re.compile(r"[-+.0-9eE]*")
-_MISSING = re.compile(r"|nan|#?na|#?n/a|null|none|--?|ovf|-?1\.#\w+", re.IGNORECASE)
+_MISSING = re.compile(
+    r"|nan|na|n/a|null|none|--?|ovf|-?1\.#\w+|#n/?[av]|##+|#[^\W\d][\w/]*[!?]", re.IGNORECASE
+)
+"""Also what a spreadsheet writes, in any language: #N/A, #NV, #DIV/0!, and ##### where a column is too narrow."""
+_COMMENT = ("#", "%")
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
+_UNNAMED = re.compile(r"column \d+")
 _CLOCK = re.compile(r"(?=\d)(\d{4}-\d\d-\d\d)?[T ]?(\d\d:\d\d:\d\d\S*)?", re.ASCII)
 _LABEL = re.compile(
     r"([^\W\d][\w./()\[\]]*) *[:=] *([+-]?[\d.]+(?:[eE][+-]?\d+)?(?=[^\W\d]*(?:[\s,;]|$))|[^\s,;:=]*)"
@@ -45,20 +50,49 @@ class Readings(np.ndarray):
     """Readings ``[t, s]``.
 
     ``times`` are those of their rows [s], or None; ``lines`` say where they stand; ``remarks`` what is missing.
+    Copies, parts and what is computed of every reading keep them. ``without_times`` says that it is not known any
+    more which times the rows have, as when several readings are put together.
     """
 
     times: Array | None = None
     lines: Any = None
     remarks: tuple[str, ...] = ()
+    without_times: bool = False
+
+    def __array_finalize__(self, source: Any) -> None:
+        """Take what is known of the rows of an array of the same shape."""
+        if isinstance(source, Readings) and source.shape == self.shape:
+            self.__dict__.update(source.__dict__)
+        elif isinstance(source, Readings):
+            self.without_times = source.without_times or source.times is not None
 
     def __getitem__(self, key: Any) -> Any:
         """Return a part; rows keep their times and lines."""
         found = super().__getitem__(key)
-        if isinstance(found, Readings) and found.shape[1:] == self.shape[1:]:
+        if isinstance(found, Readings) and found.ndim == self.ndim > 1:
             rows = key[0] if isinstance(key, tuple) and key else key
-            found.times = None if self.times is None else self.times[rows]
-            found.lines = None if self.lines is None else self.lines[rows]
+            own = [None if x is None else x[rows] for x in (self.times, self.lines)]
+            if all(x is None or x.shape == found.shape[:1] for x in own):
+                (found.times, found.lines), found.without_times = own, self.without_times
         return found
+
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        """Let ``numpy.where``, ``numpy.concatenate`` and others return readings, too."""
+        found = super().__array_function__(function, types, args, kwargs)
+        if type(found) is np.ndarray and found.ndim > 1:
+            found = found.view(Readings)
+            found.__array_finalize__(self)
+        return found
+
+    def __reduce__(self) -> Any:
+        """Return what is pickled."""
+        make, args, state = super().__reduce__()
+        return make, args, (state, self.__dict__)
+
+    def __setstate__(self, state: Any) -> None:
+        """Take what was pickled."""
+        super().__setstate__(state[0])
+        self.__dict__.update(state[1])
 
 
 class Table(NamedTuple):
@@ -115,11 +149,12 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
     """Read a data frame, or a text file: a table with a line of names, or what a board has printed.
 
     A file is in UTF-8 or UTF-16. Cells are separated by commas, semicolons, tabs or blanks, or have labels
-    (``x: 1.5 uT y: 2``); decimal commas are read between semicolons and tabs. Lines that begin with ``#`` or ``%``
-    are comments, text above the names is left out, and a line of units below them is read. Without names the columns
-    are u1, u2 and so on. A first column without a name is an index and is left out. Times are numbers or those of a
-    clock; counters of 32 bits that start again from 0 are put on. Streams that take turns (a column ``stream``, or
-    one number a line) are put together to one row for each turn.
+    (``x: 1.5 uT y: 2``); decimal commas are read between semicolons and tabs. Above the numbers, lines that begin
+    with ``#`` or ``%`` are comments, other text is left out, and a line of units below the names is read. Without
+    names the columns are u1, u2 and so on. A first column without a name is an index and is left out; the index of a
+    data frame is the time if it has moments or fractions, or is called so. Times are numbers or those of a clock;
+    counters of 32 bits that start again from 0 are put on. Streams that take turns (a column ``stream``, or one
+    number a line) are put together to one row for each turn.
 
     Parameters
     ----------
@@ -144,27 +179,47 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
     else:
         owner, kind = "the table", type(source).__name__
         require(hasattr(source, "infer_objects"), "table", "read_table", "a data frame or a path", kind)
-        frame = source.infer_objects()
+        frame = _with_times(source.infer_objects(), remarks)
         header, lines = [str(name) for name in frame.columns], range(1, len(frame) + 1)
         split = [name_and_unit(column) for column in header]
         for name, dtype in zip(header, frame.dtypes, strict=True):
             require(dtype.kind in "fiu", f"column {name}", owner, "of numbers", f"{dtype} values")
         values = frame.to_numpy(dtype=float, na_value=np.nan)
     require(len(values), "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
-    _count(int(np.isinf(values).sum()), values.size, f"numbers of {owner}", "missing: infinite", remarks)
-    values = np.where(np.isinf(values), np.nan, values)
     clock = [k for k, (name, _) in enumerate(split) if is_time(name)]
     times = _times(values, header, split, clock, lines, owner, remarks) if clock else None
     keep = [k for k, name in enumerate(header) if k not in clock and (k or name.strip())]
     columns, names, units = ([x[k] for k in keep] for x in (header, *map(list, zip(*split, strict=True))))
-    table = Table(owner, tuple(columns), tuple(names), tuple(units), values[:, keep], lines, times)
+    infinite = np.isinf(values[:, keep])
+    values = np.where(infinite, np.nan, values[:, keep])
+    table = Table(owner, tuple(columns), tuple(names), tuple(units), values, lines, times)
     table = _put_together(table, remarks)
     times = table.times
     if times is not None:
-        times = _increasing(times, table.lines, owner, remarks)
+        times = spread(times, table.lines, owner, remarks)
     elif rate_hz is not None:
         times = np.arange(len(table.values)) / rate_hz
+    _count(int(infinite.sum()), infinite.size, f"numbers of {owner}", "missing: infinite", remarks)
     return table._replace(times=times, remarks=tuple(remarks))
+
+
+def _with_times(frame: Any, remarks: list[str]) -> Any:
+    """Return a data frame with its index as a column, if that has times and no column does.
+
+    It has if it holds moments, or fractions, or its name says so; whole numbers without a name number the rows.
+    """
+    index = frame.index if frame.index.nlevels > 1 else frame.index.infer_objects()
+    kind, name = index.dtype.kind, str(index.name or "time")
+    says_so = kind in "iuf" and is_time(name_and_unit(name)[0]) and (index.name or kind == "f")
+    clock = kind in "mM" or says_so
+    if not clock or any(is_time(name_and_unit(str(column))[0]) for column in frame.columns):
+        unused = clock or any(level is not None for level in index.names)
+        remarks += ["The index of the table is left out."] * unused
+        return frame
+    if kind in "mM":
+        index = index.tz_localize(None) if getattr(index, "tz", None) else index
+        index, name = (index - index.dtype.type(0, "s")) / np.timedelta64(1, "s"), "time_s"
+    return frame.assign(**{name: index})[[name, *frame.columns]]
 
 
 def text_of(path: Path, remarks: list[str]) -> str:
@@ -187,8 +242,9 @@ def _file(
 ) -> tuple[list[str], list[tuple[str, str]], Array, list[int]]:
     """Return the columns, their names and units, the numbers, and their lines."""
     kept = [(k, _bare(line)) for k, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1)]
-    kept = [(k, line) for k, line in kept if line.strip() and not line.startswith(("#", "%", "sep="))]
-    require(kept, "file", owner, "a table", "nothing")
+    kept = [(k, line) for k, line in kept if line.strip() and not line.startswith("sep=")]
+    plain = [line for _, line in kept if not line.startswith(_COMMENT)]
+    require(plain, "file", owner, "a table", "nothing")
     if text[-1] not in "\r\n" and len(kept) > 2:
         parts = [re.split(r"[.,;:\s]+", line) for _, line in kept[-100:]]
         if {len(part[-1]) for part in parts[:-1] if len(part) == len(parts[-1])} != {len(parts[-1][-1])}:
@@ -196,7 +252,7 @@ def _file(
             remarks.append(
                 f"Line {line} of {owner} does not end, and its last cell may be cut: it is left out."
             )
-    marks = Counter(_separator(line) for _, line in kept[:: 1 + len(kept) // 500])
+    marks = Counter(map(_separator, plain[:: 1 + len(plain) // 500]))
     separator, lines = marks.most_common(1)[0][0], [k for k, _ in kept]
     if separator == ":":
         rows, lines = _labelled(kept), [0, *lines]
@@ -277,6 +333,11 @@ def _is_number(cell: str) -> bool:
     return any(kind.fullmatch(cell) for kind in (_NUMBER, _CLOCK, _MISSING))
 
 
+def _is_comment(cell: str) -> bool:
+    """Return whether a line that begins with this cell is a comment; a spreadsheet's #N/A is a missing number."""
+    return cell.startswith(_COMMENT) and not _MISSING.fullmatch(cell)
+
+
 def _filled(row: Sequence[str]) -> int:
     """Return the number of cells without the empty ones at the end."""
     n = len(row)
@@ -289,9 +350,13 @@ def _named(
     rows: list[list[str]], lines: list[int], separator: str, owner: str, remarks: list[str]
 ) -> tuple[list[str] | None, list[str], list[list[str]], list[int]]:
     """Return names (None if there are none), units, cells and lines of a table; refuse lines of another form."""
-    width = Counter(map(len, rows)).most_common(1)[0][0]
+    plain = [k for k, row in enumerate(rows) if not (row and _is_comment(row[0]))]
+    width = Counter(len(rows[k]) for k in plain).most_common(1)[0][0]
     whole = (k for k, row in enumerate(rows) if len(row) == width and all(map(_is_number, row)) and any(row))
-    first = j = next(whole, min(1, len(rows)))
+    first = next(whole, plain[0] + 1)
+    above = [k for k in plain if k < first]
+    rows, lines = [rows[k] for k in above] + rows[first:], [lines[k] for k in above] + lines[first:]
+    first = j = len(above)
     names, units = None, []
     if j and any(rows[j - 1]) and {cell.lower() for cell in rows[j - 1]} <= {*_UNITS, *SECONDS, "", "-"}:
         j, units = j - 1, rows[j - 1]
@@ -306,7 +371,8 @@ def _named(
     body = [
         k
         for k in range(first, len(rows))
-        if any(map(_is_number, filter(None, rows[k]))) or (len(rows[k]) == width and rows[k] != names)
+        if not _is_comment(rows[k][0])
+        and (any(map(_is_number, filter(None, rows[k]))) or (len(rows[k]) == width and rows[k] != names))
     ]
     _count(len(rows) - first - len(body), len(rows), f"lines of {owner}", "text and left out", remarks)
     require(body, "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
@@ -363,7 +429,7 @@ def _times(
     unit, name = split[k][1], f"column {header[k]}"
     require(unit in SECONDS or not unit, name, owner, "in s, ms, us, ns or min", unit)
     times = values[:, k] * SECONDS.get(unit, 1.0)
-    bad = [lines[i] for i in np.flatnonzero(np.isnan(times)).tolist()]
+    bad = [lines[i] for i in np.flatnonzero(~np.isfinite(times)).tolist()]
     require(not bad, name, owner, "times", f"none in line {bad[:1]}")
     step = np.diff(times)
     usual = float(np.median(step)) if len(step) else 0.0
@@ -380,7 +446,7 @@ def _times(
     return times
 
 
-def _increasing(times: Array, lines: Sequence[int], owner: str, remarks: list[str]) -> Array:
+def spread(times: Array, lines: Sequence[int], owner: str, remarks: list[str]) -> Array:
     """Return times that increase: rows of one time are spread evenly, and a time that goes back is refused."""
     step = np.diff(times)
     for k in np.flatnonzero(step < 0).tolist():
@@ -408,7 +474,11 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
         own = [k for k, name in enumerate(names) if name != "stream"]
         streams, which = np.unique(values[:, names.index("stream")], return_inverse=True)
         short = [names[k] if len(names[k]) > 1 else f"q{names[k]}" for k in own]
-        columns = names = [f"{name}_{x:g}" if len(streams) > 1 else name for x in streams for name in short]
+        several, own_number = len(streams) > 1, ("qx", "qy", "qz", "qw")
+        names = [
+            f"{name}_{x:g}" if several or name in own_number else name for x in streams for name in short
+        ]
+        columns = names if several else short
         units, turn = [table.units[k] for k in own] * len(streams), values[:, own]
     elif len(values) >= 2 * len(names) > 2 and (there.sum(1) == 1).all():
         which, turn, columns, units = there.argmax(1), values[there][:, None], table.columns, table.units
@@ -422,7 +492,8 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
         group[i] = group[i - 1] + new if i else 0
     found = np.full((group[-1] + 1, len(names) // turn.shape[1], turn.shape[1]), np.nan)
     found[group, which] = turn
-    _count(len(values), len(values), f"rows of {table.owner}", f"put together to {len(found)}", remarks)
+    if (n := len(values)) > len(found):
+        remarks.append(f"{n} of {n} rows of {table.owner} are put together to {len(found)}.")
     last = np.flatnonzero(np.diff(group, append=-1)).tolist()
     return Table(
         table.owner, tuple(columns), tuple(names), tuple(units), found.reshape(len(found), -1),
@@ -430,61 +501,36 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
     )  # fmt: skip
 
 
+class Columns(NamedTuple):
+    """Which columns of a table have the magnetic readings of a robot, their factors to mT, and the quaternions."""
+
+    magnetic: list[int]
+    factors: Array
+    quaternions: list[list[int]]
+
+
 def read_readings(robot: Robot, source: Any) -> Readings:
     """Return the readings of a table ``[t, s]`` for a robot: see :meth:`repro.Robot.readings`."""
-    from scipy.spatial.transform import Rotation
-
     table = read_table(source)
-    remarks, n_t = list(table.remarks), len(table.values)
-    used, factors = magnetic_columns(robot, table, remarks)
-    u = table.values[:, used] * factors
-    beyond = np.abs(u) >= robot.range[: len(used)]
-    u[beyond] = np.nan
-    for name, more, missing in zip(
-        robot.names, beyond.sum(0).tolist(), np.isnan(u).sum(0).tolist(), strict=False
-    ):
-        _count(more, n_t, f"readings of {name}", "missing: at the end of its range", remarks)
-        _count(missing - more, n_t, f"readings of {name}", "missing", remarks)
-    if u.shape[1] > 2 and 0 < (silent := (u == 0).all(axis=1)).sum() < n_t / 2:
-        u[silent] = np.nan
-        _count(int(silent.sum()), n_t, "rows", "missing: all readings are zero", remarks)
-    columns = [u]
-    for k, imu in enumerate(robot.imus):
-        names = k + 1 if imu.channels is None else imu.channels
-        if isinstance(names, int | float):
-            names = [f"q{axis}_{names:g}" for axis in "xyzw"]
-        used += (own := [_column(table, name, str(name)) for name in names])
-        q, name = table.values[:, own], robot.part_names[len(robot.sensors) + k]
-        columns.append(_rotation_vectors(table, q, imu.world, name, remarks))
-        good = q[np.isfinite(columns[-1][:, 0])]
-        if k == 0 and len(good):
-            drawn = Rotation.from_matrix(robot.poses(np.zeros(robot.n_q), [imu.place])[0, :3, :3])
-            seen = (Rotation.from_quat([0, 0, 0, 1] if imu.world is None else imu.world) * drawn).as_quat()
-            as_read, other = (
-                2 * math.acos(min(1.0, float(np.median(np.abs(order @ seen)))))
-                for order in (good, good[:, [1, 2, 3, 0]])
-            )
-            if as_read > 2.8 and other < as_read / 2:
-                expected = "in the order x, y, z, w, of an IMU that is mounted as the robot file says"
-                received = (
-                    f"turns by {math.degrees(as_read):.0f} deg, and {math.degrees(other):.0f} with w first"
-                )
-                raise bad_input(f"quaternions of {name}", table.owner, expected, received)
-    for column in {k for k in used if used.count(k) > 1}:
-        received = f"{table.columns[column]} for {used.count(column)} of them"
-        raise bad_input("channels", table.owner, "another column for every reading", received)
-    readings = np.concatenate(columns, axis=1).view(Readings)
-    readings.times, readings.lines, readings.remarks = table.times, np.asarray(table.lines), tuple(remarks)
+    remarks, infinite = list(table.remarks), np.isinf(table.values)
+    _count(int(infinite.sum()), infinite.size, f"numbers of {table.owner}", "missing: infinite", remarks)
+    columns = columns_of(robot, table, remarks)
+    check_orientations(robot, columns, table)
+    u, why = rows_of(robot, columns, table.values)
+    readings = u.view(Readings)
+    readings.times, readings.lines = table.times, np.asarray(table.lines)
+    readings.remarks = (*remarks, *losses(robot, why))
     return readings
 
 
-def magnetic_columns(robot: Robot, table: Table, remarks: list[str]) -> tuple[list[int], Array]:
-    """Return which column has each magnetic reading, and the factors that take these to mT."""
+def columns_of(robot: Robot, table: Table, remarks: list[str]) -> Columns:
+    """Return where the readings of a robot stand; refuse a table without one of them, or with one of them twice."""
     axes = [(sensor, k) for sensor in robot.sensors for k in range(sensor.axes)]
-    if table.columns[:1] == ("column 1",) and not robot.imus:
+    unnamed = sum(map(bool, map(_UNNAMED.fullmatch, table.columns)))
+    if unnamed and (unnamed < len(table.columns) or not robot.imus):
         words = f"{len(axes)} columns, one for every reading (a line of names above them says which is which)"
-        require(len(table.columns) == len(axes), "table", table.owner, words, f"{len(table.columns)}")
-    used, factors, bare = [], [], []
+        require(unnamed == len(axes), "table", table.owner, words, f"{unnamed}")
+    used, factors, bare, quaternions = [], [], [], []
     for j, (sensor, axis) in enumerate(axes):
         channel = j + 1 if sensor.channels is None else sensor.channels[axis]
         used.append(_column(table, channel, robot.names[j]))
@@ -492,7 +538,71 @@ def magnetic_columns(robot: Robot, table: Table, remarks: list[str]) -> tuple[li
         bare += [table.names[used[-1]]] if not table.units[used[-1]] and sensor.unit == "mT" else []
     if bare:
         remarks.append(f"Columns without a unit are taken as mT: {', '.join(bare)}.")
-    return used, np.array(factors)
+    for k, imu in enumerate(robot.imus, 1):
+        names = k if imu.channels is None else imu.channels
+        if isinstance(names, int | float):
+            names = [f"q{axis}_{names:g}" for axis in "xyzw"]
+        quaternions.append([_column(table, name, str(name)) for name in names])
+    every = used + [k for own in quaternions for k in own]
+    for column in {k for k in every if every.count(k) > 1}:
+        received = f"{table.columns[column]} for {every.count(column)} of them"
+        raise bad_input("channels", table.owner, "another column for every reading", received)
+    return Columns(used, np.array(factors), quaternions)
+
+
+def rows_of(robot: Robot, columns: Columns, values: Array) -> tuple[Array, Array]:
+    """Return the readings of rows ``[t, s]``, each by itself, and how many are there or missing for what reason.
+
+    The counts ``[4, s]`` are in the order of :meth:`repro.Robot.missing`. Those of several blocks of rows add up.
+    """
+    with np.errstate(over="ignore"):
+        parts = [values[:, columns.magnetic] * columns.factors]
+    for imu, own in zip(robot.imus, columns.quaternions, strict=True):
+        parts.append(_rotation_vectors(values[:, own], imu.world))
+    u = np.concatenate(parts, axis=1)
+    why = robot.missing(u)
+    u[why > 0] = np.nan
+    return u, (why == np.arange(4)[:, None, None]).sum(1)
+
+
+def losses(robot: Robot, counts: Array) -> list[str]:
+    """Return a sentence for each kind of reading that is missing, by counts ``[4, s]``."""
+    found, of, n = [], int(counts[:, :1].sum()), sum(sensor.axes for sensor in robot.sensors)
+    _, nothing, at_end, all_zero = counts.tolist()
+    for name, lost, beyond in zip(robot.names[:n], nothing, at_end, strict=False):
+        _count(beyond, of, f"readings of {name}", "missing: at the end of its range", found)
+        _count(lost, of, f"readings of {name}", "missing", found)
+    _count(sum(all_zero[:1]), of, "rows", "missing: all readings are zero", found)
+    for name, lost in zip(robot.part_names[len(robot.sensors) :], nothing[n::3], strict=True):
+        _count(lost, of, f"quaternions of {name}", "missing: empty, zero or not of norm 1", found)
+    return found
+
+
+def check_orientations(robot: Robot, columns: Columns, table: Table) -> None:
+    """Refuse quaternions that are none, or whose numbers seem to be in another order."""
+    from scipy.spatial.transform import Rotation
+
+    for k, (imu, own) in enumerate(zip(robot.imus, columns.quaternions, strict=True)):
+        q, name = table.values[:, own], f"quaternions of {robot.part_names[len(robot.sensors) + k]}"
+        norm, there, off = _norms(q)
+        if off.sum() > 0.01 * there.sum() + 2:
+            typical, line = float(np.median(norm[off])), table.lines[int(off.argmax())]
+            need = "of norm 1: divide raw counts by their scale"
+            need = need if typical > 2 else "of norm 1, with four decimals"
+            raise bad_input(name, table.owner, need, f"norms such as {typical:.5g}, from line {line}")
+        good = q[there & ~off]
+        if k or not len(good):
+            continue
+        drawn = Rotation.from_matrix(robot.poses(np.zeros(robot.n_q), [imu.place])[0, :3, :3])
+        seen = (Rotation.from_quat([0, 0, 0, 1] if imu.world is None else imu.world) * drawn).as_quat()
+        as_read, other = (
+            2 * math.acos(min(1.0, float(np.median(np.abs(order @ seen)))))
+            for order in (good, good[:, [1, 2, 3, 0]])
+        )
+        if as_read > 2.8 and other < as_read / 2:
+            expected = "in the order x, y, z, w, of an IMU that is mounted as the robot file says"
+            received = f"turns by {math.degrees(as_read):.0f} deg, and {math.degrees(other):.0f} with w first"
+            raise bad_input(name, table.owner, expected, received)
 
 
 def _column(table: Table, channel: Any, own: str) -> int:
@@ -529,27 +639,22 @@ def _factor(table: Table, column: int, sensor: Sensor) -> float:
     return (1e3 if unit == "V" else 1.0) / sensor.per_mt
 
 
-def _rotation_vectors(table: Table, q: Array, world: Any, name: str, remarks: list[str]) -> Array:
+def _norms(q: Array) -> tuple[Array, Array, Array]:
+    """Return the norms of quaternions, which of them are there, and which of these are of another norm than 1."""
+    norm = np.linalg.norm(q, axis=-1)
+    there = np.isfinite(norm) & (norm > 0)
+    return norm, there, there & (np.abs(norm - 1) > 2e-3)
+
+
+def _rotation_vectors(q: Array, world: Any) -> Array:
     """Return rotation vectors ``[t, 3]`` of quaternions XYZW in the base frame, NaN for those that are none."""
     from scipy.spatial.transform import Rotation
 
-    norm = np.linalg.norm(q, axis=-1)
-    there = np.isfinite(norm) & (norm > 0)
-    off = there & (np.abs(norm - 1) > 2e-3)
-    if off.sum() > 0.01 * there.sum() + 2:
-        typical, line = float(np.median(norm[off])), table.lines[int(off.argmax())]
-        need = (
-            "of norm 1: divide raw counts by their scale" if typical > 2 else "of norm 1, with four decimals"
-        )
-        raise bad_input(
-            f"quaternions of {name}", table.owner, need, f"norms such as {typical:.5g}, from line {line}"
-        )
-    lost = int((~there | off).sum())
-    _count(lost, len(q), f"quaternions of {name}", "missing: empty, zero or not of norm 1", remarks)
-    there &= ~off
+    _, there, off = _norms(q)
     base = Rotation.identity() if world is None else Rotation.from_quat(world).inv()
     turns = np.full((len(q), 3), np.nan)
-    turns[there] = (base * Rotation.from_quat(q[there])).as_rotvec()
+    if (good := there & ~off).any():
+        turns[good] = (base * Rotation.from_quat(q[good])).as_rotvec()
     return turns
 
 

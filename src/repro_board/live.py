@@ -67,7 +67,6 @@ class Follower:
             self._open = calibration.lasting_covariance(self._shapes)
         self.monitor = Monitor(self.estimator) if getattr(self.estimator, "watched", False) else None
         self._unused = np.isin(robot.parts, self.failed)
-        self._most = np.minimum(robot.range - robot.resolution / 2, 1e100)  # a sensor beyond it says nothing
         self.begin()
 
     def begin(self) -> None:
@@ -90,7 +89,7 @@ class Follower:
 
     def step(self, u: Array, t: float) -> Estimate:
         """Estimate a time step."""
-        u = np.where(self._unused | ~(np.abs(u) < self._most), np.nan, u)
+        u = np.where(self._unused, np.nan, u)
         alarm = self.said["status"] in (LEFT_OUT, INCONSISTENT)
         if self.monitor is None:
             self.state, found = self.estimator.step(self.state, u, t)
@@ -327,7 +326,8 @@ def notes(session: Session) -> list[str]:
         (skipped, f"{skipped} time steps were left out because newer ones had come; a recording has them."),
         (spare <= 0, "There are no more readings than unknowns: a wrong sensor looks like another shape."),
     ]
-    return [*session.parser.remarks, *session.steps.remarks, *(text for holds, text in said if holds)]
+    told = [*session.parser.remarks, *session.steps.remarks, *session.steps.losses()]
+    return [*told, *(text for holds, text in said if holds)]
 
 
 def numbers(session: Session) -> list[str]:

@@ -48,7 +48,7 @@ import repro
 from repro.common import Array, bad_input, require
 from repro.robot import Robot
 from repro.tables import Readings, name_and_unit, read_readings
-from repro_board.steps import Steps
+from repro_board.steps import STANDS_STILL, STILL, Steps
 from repro_board.wire import FORMATS, Parser, Sample
 
 MAGIC = b"RRB"
@@ -59,8 +59,6 @@ MOST_BYTES = 65536
 _HEAD, _CRC = struct.Struct("<4sc3xIIIq"), struct.Struct("<I")
 _HEAD_OF_FIRST_EDITION = struct.Struct("<4scxHI")
 _WRAP_S = 2**32 / 1e6
-_AT_ONCE = 512
-"""Samples of a recording that are put together at once; the first alone, because it says when time begins."""
 
 
 class Port:
@@ -500,6 +498,9 @@ def _recording(
         times, ppm = board_times(arrived - start, np.array(board_us) / 1e6)
         if times is None:
             remarks.append("the times that the board sends do not pass as the computer's, and were not used")
+        elif _stands_still(samples):
+            times = None
+            remarks.append(STANDS_STILL)
         elif abs(ppm) > 200:
             remarks.append(f"the board's clock is {ppm:+.0f} ppm fast, which was corrected")
     times = arrival_times(arrived - start) if times is None else times
@@ -508,6 +509,17 @@ def _recording(
         path, about, samples, arrived, times - first, start + first, format, tuple(names), tuple(units),
         dict(counters), tuple(remarks),
     )  # fmt: skip
+
+
+def _stands_still(samples: list[Sample]) -> bool:
+    """Return whether the clock of a stream shows one time in many samples in a row, or in all of them."""
+    last: dict[int, tuple[int | None, int]] = {}
+    longest = 1
+    for sample in samples:
+        time_us, alike = last.get(sample.stream, (None, 0))
+        last[sample.stream] = sample.time_us, alike + 1 if sample.time_us == time_us else 1
+        longest = max(longest, last[sample.stream][1])
+    return longest > STILL or (longest > 1 and len({sample.time_us for sample in samples}) == 1)
 
 
 def arrival_times(arrived: Array) -> Array:
@@ -566,19 +578,6 @@ def readings_of(robot: Robot, source: Any) -> Readings:
             source = read_recording(source) if file.read(len(MAGIC)) == MAGIC else source
     if not isinstance(source, Recording):
         return read_readings(robot, source)
-    steps, found, first = Steps(robot, source=source), [], 0
-    while first < len(source.samples):
-        part = slice(first, first + (_AT_ONCE if found else 1))
-        times = source.times[part].tolist()
-        # What is fitted to the computer's clock stands in for the board's.
-        us = [round(1e6 * time_s) for time_s in times]
-        samples = [x._replace(time_us=t) for x, t in zip(source.samples[part], us, strict=True)]
-        found += steps.feed(samples, times[-1])
-        first += len(samples)
-    received = f"{len(source.samples)} samples"
-    require(found, "recording", source.path.name, "one with readings of the robot", received)
-    readings = np.array([step.u for step in found]).view(Readings)
-    readings.times = np.array([step.time_s for step in found])
-    readings.lines = np.arange(1, len(found) + 1)
-    readings.remarks = (*source.remarks, *steps.remarks)
-    return readings
+    steps = Steps(robot, source=source)
+    table = steps.table(source.samples, source.times, source.path.name)
+    return read_readings(robot, table._replace(remarks=(*source.remarks, *steps.remarks)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ import numpy as np
 
 from repro import Robot
 from repro.common import Array, InputError, require
-from repro.tables import Table, magnetic_columns, read_readings
+from repro.tables import Columns, Table, check_orientations, columns_of, losses, rows_of, spread
 from repro_board.wire import WRAP, Sample
 
 _NUMBERED = re.compile(r"(u|ch|channel|sensor)[ _]?[0-9]+", re.IGNORECASE)
@@ -18,7 +19,10 @@ _EARLY_S, _LATE_S = 1.0, 2.0
 """A board whose clock differs from arrival by more than these, since the step before, began anew [s]."""
 _SHORTEST_S = 1e-6
 _LEAST_STEPS = 20
-"""So many steps tell how many there are per second."""
+"""So many steps tell how many there are per second, and whether orientations are mounted as the robot says."""
+STILL = 10
+"""A clock that shows one time in more steps in a row stands still, or is too coarse to be used."""
+STANDS_STILL = "The board's clock stands still, or is too coarse: times are those of arrival."
 
 
 class Step(NamedTuple):
@@ -33,10 +37,12 @@ class Steps:
 
     Stream 0 has the readings of magnetic sensors: each of its samples is a step, beside which IMUs keep what they
     said last. Of IMUs alone a step is complete when all have sent, or when one sends again. An IMU that misses three
-    of its turns is silent: its readings are missing. What the values of stream 0 mean is found as in a table.
+    of its turns is silent: its readings are missing. What the values of stream 0 mean is found as in a table, and
+    :meth:`repro.Robot.missing` says of each row what is missing: how samples are divided among calls changes nothing.
 
     Times begin with the first arrival that is given, and increase. Samples that arrived together belong in one call
-    of `feed`, which spreads them where they have no time of their own.
+    of `feed`, which spreads them where they have no time of their own. Steps of one time are as far apart as those of
+    the time before. A clock that shows one time in more than ten steps stands still: times are those of arrival.
 
     Parameters
     ----------
@@ -69,6 +75,7 @@ class Steps:
         require(times in ("board", "arrival"), "times", "Steps", "board or arrival", repr(times))
         self.counters = {"steps": 0, "other_streams": 0, "other_widths": 0}
         self.remarks: list[str] = []
+        self._losses = np.zeros((4, robot.n_readings), dtype=int)
         self._robot, self._by_board, self._source = robot, times == "board", source
         channels = [k if imu.channels is None else imu.channels for k, imu in enumerate(robot.imus, 1)]
         own = {int(x): 4 for x in channels if isinstance(x, int | float)}
@@ -81,12 +88,19 @@ class Steps:
         self._fresh: set[int] = set()
         self._age = dict.fromkeys(self._widths, 1)  # steps since a stream sent, and how many are usual
         self._usual = dict.fromkeys(self._widths, 1.0)
-        self._table: Table | None = None
-        self._linear: tuple[list[int], Array] | None = None  # column and factor of every reading
-        self._sent_us: int | None = None  # time of the last sample
-        self._before: tuple[float, float, int | None] | None = (
-            None  # step before: time, arrival [s], board [µs]
-        )
+        self._table: Table | None = None  # without rows
+        self._columns: Columns | None = None
+        self._seen: list[Array] = []  # the first rows, by which orientations are checked
+        self._sent: Any = None  # time of the last sample
+        self._before: tuple[float, float] | None = None  # time and arrival of the step before [s]
+        self._tick: tuple[float, int | None] = (
+            0.0,
+            None,
+        )  # when the board's clock changed last: time [s], clock [µs]
+        self._alike, self._apart_s = (
+            1,
+            1.0 / (robot.rate_hz or 100.0),
+        )  # its steps, and how far apart such are
         self._first_s = 0.0
 
     def add(self, sample: Sample, arrived_s: float) -> list[Step]:
@@ -101,28 +115,47 @@ class Steps:
         InputError
             If the robot has a reading that the board does not send, or sends in another unit.
         """
-        rows = [row for sample in samples for row in self._put(sample)]
+        rows = [row for sample in samples for row in self._put(sample, sample.time_us)]
         if not rows:
             return []
         values = np.array([row for row, _ in rows])
-        if self._linear is None:
-            table = self._named(values) if self._table is None else self._table
-            u = read_readings(self._robot, table._replace(values=values, lines=range(1, len(rows) + 1)))
-            if self._table is None:
-                self.remarks += u.remarks
-            if not self._robot.imus:  # a table for every row would cost ten times as much as an estimate
-                self._linear = magnetic_columns(self._robot, table, [])
-            self._table = table
-        else:
-            used, factors = self._linear
-            u = values[:, used] * factors
-            u[np.abs(u) >= self._robot.range] = np.nan
+        if self._columns is None:
+            self._table = self._named(values[:0])
+            self._columns = columns_of(self._robot, self._table, [])
+        u, counts = rows_of(self._robot, self._columns, values)
+        self._losses += counts
+        self._check(values)
         times = self._when([sent_us for _, sent_us in rows], arrived_s)
         self.counters["steps"] += len(rows)
-        return [Step(time_s, row) for time_s, row in zip(times, np.asarray(u), strict=True)]
+        return [Step(time_s, row) for time_s, row in zip(times, u, strict=True)]
 
-    def _put(self, sample: Sample) -> list[tuple[Array, int | None]]:
-        """Take the values of a sample; return what is complete, with the time of its last sample."""
+    def losses(self) -> list[str]:
+        """Return what is missing of the steps so far, one sentence for each kind of loss."""
+        return losses(self._robot, self._losses)
+
+    def table(self, samples: Sequence[Sample], times: Array, owner: str) -> Table:
+        """Return the rows that the samples of a whole recording complete, as a table, by the times given [s]."""
+        found = [
+            row for sample, t in zip(samples, times.tolist(), strict=True) for row in self._put(sample, t)
+        ]
+        require(found, "recording", owner, "one with readings of the robot", f"{len(samples)} samples")
+        rows, at = zip(*found, strict=True)
+        table = self._named(np.array(rows))
+        return table._replace(owner=owner, times=spread(np.array(at), table.lines, owner, self.remarks))
+
+    def _check(self, values: Array) -> None:
+        """Say once, by the first rows, if the orientations of IMUs are not as the robot says."""
+        more = values[: _LEAST_STEPS - len(self._seen)] if self._robot.imus else values[:0]
+        self._seen += list(more)
+        if self._table and self._columns and len(more) and len(self._seen) == _LEAST_STEPS:
+            table = self._table._replace(values=np.array(self._seen), lines=range(1, _LEAST_STEPS + 1))
+            try:
+                check_orientations(self._robot, self._columns, table)
+            except InputError as error:
+                self.remarks.insert(0, str(error))
+
+    def _put(self, sample: Sample, sent: Any) -> list[tuple[Array, Any]]:
+        """Take the values of a sample and its time; return what is complete, with the time of its last sample."""
         stream, width = sample.stream, self._widths.get(sample.stream)
         expected = width or len(getattr(self._source, "names", ())) or len(sample.values)
         fits = width is not None and len(sample.values) == expected
@@ -136,7 +169,7 @@ class Steps:
         self._widths[stream], self._values[stream] = len(sample.values), sample.values
         usual = self._usual[stream]
         self._usual[stream] += (min(self._age[stream], 4 * usual) - usual) / 8
-        self._age[stream], self._sent_us = 0, sample.time_us
+        self._age[stream], self._sent = 0, sent
         self._fresh |= {stream} & self._leaders
         if all(leader in self._fresh or self._silent(leader) for leader in self._leaders):
             rows.append(self._row())
@@ -145,11 +178,11 @@ class Steps:
     def _silent(self, stream: int) -> bool:
         return self._age[stream] > 2 * self._usual[stream]
 
-    def _row(self) -> tuple[Array, int | None]:
+    def _row(self) -> tuple[Array, Any]:
         parts = [np.full(n, np.nan) if self._silent(k) else self._values[k] for k, n in self._widths.items()]
         self._age = {stream: age + 1 for stream, age in self._age.items()}
         self._fresh = set()
-        return np.concatenate(parts), self._sent_us
+        return np.concatenate(parts), self._sent
 
     def _named(self, rows: Array) -> Table:
         """Return a table of rows. Names that mean no channel are those of channels or readings in their order."""
@@ -162,19 +195,24 @@ class Steps:
         imus = [f"q{axis}_{stream}" for stream in list(self._widths)[self._magnetic :] for axis in "xyzw"]
         numbered = tuple(f"u{k + 1}" for k in range(n))
         names = said if len(said) == n else numbered
+        # Of values without names any may be the one too many, unless the robot says which channels it takes.
+        by_number = getattr(self._source, "format", None) in (None, "frames")
+        by_number &= all(sensor.channels is not None for sensor in self._robot.sensors)
+        columns = names if len(said) == n or by_number else [f"column {k + 1}" for k in range(n)]
         lines, units = range(1, len(rows) + 1), (*units, *[""] * len(imus))
-        table = Table("the board", (*names, *imus), (*names, *imus), units, rows, lines, None)
-        others = [numbered, self._robot.names[:n]]
+        table = Table("the board", (*columns, *imus), (*names, *imus), units, rows, lines, None)
+        others, words = [numbered, self._robot.names[:n]], ""
         in_order = n == sum(x.axes for x in self._robot.sensors) and not any(map(_NUMBERED.fullmatch, said))
         while in_order and others:
             try:
-                read_readings(self._robot, table)
+                columns_of(self._robot, table, [])
                 break
             except InputError:
                 other = (*others.pop(0), *imus)
                 table = table._replace(columns=other, names=other)
                 words = f"{', '.join(names)} are taken for {', '.join(other[:n])}, in this order."
-                self.remarks = [words] if names != other[:n] else []
+                words *= names != other[:n]
+        self.remarks[:0] = [words] * bool(words)
         return table
 
     def _when(self, sent_us: Sequence[int | None], arrived_s: float) -> list[float]:
@@ -183,19 +221,32 @@ class Steps:
         usual_s = 1.0 / (self._robot.rate_hz or 100.0)
         if self._before is None:
             self._first_s = arrived_s - (n - 1) * usual_s
-            self._before = self._first_s - usual_s, self._first_s - usual_s, None
-        time_s, before_s, before_us = self._before
+            self._before = self._first_s - usual_s, self._first_s - usual_s
+        time_s, before_s = self._before
         if steps > _LEAST_STEPS:  # by a rate that is stated too low time would run ahead
             usual_s = min(usual_s, (time_s - self._first_s) / (steps - 1))
         gap_s = arrived_s - before_s
         spread_s = min(max((arrived_s - time_s) / n, usual_s / 4), usual_s) if gap_s > 0 else usual_s
         end_s = max(arrived_s, time_s + n * spread_s)
         for behind, time_us in zip(reversed(range(n)), sent_us, strict=True):
-            passed_s = end_s - behind * spread_s - time_s
-            if self._by_board and time_us is not None and before_us is not None:
-                by_board_s = 1e-6 * ((time_us - before_us + WRAP // 2) % WRAP - WRAP // 2)
-                passed_s = by_board_s if -_EARLY_S < by_board_s < gap_s + _LATE_S else passed_s
-            time_s, before_us = time_s + max(passed_s, _SHORTEST_S), time_us
+            at_s, (tick_s, tick_us), alike, passed_s = (
+                end_s - behind * spread_s,
+                self._tick,
+                self._alike,
+                math.inf,
+            )
+            if self._by_board and time_us is not None and tick_us is not None:
+                passed_s = 1e-6 * ((time_us - tick_us + WRAP // 2) % WRAP - WRAP // 2)
+            self._alike = alike + 1 if passed_s == 0 else 1
+            if 1 < self._alike <= STILL:
+                at_s = tick_s + alike * self._apart_s
+            elif passed_s and alike <= STILL and -_EARLY_S < passed_s < gap_s + _LATE_S:
+                at_s, self._apart_s = tick_s + passed_s, passed_s / alike
+            elif self._alike > STILL and STANDS_STILL not in self.remarks:
+                self.remarks.append(STANDS_STILL)
+            time_s = max(at_s, time_s + _SHORTEST_S)
+            if passed_s:  # the clock shows another time
+                self._tick = at_s if at_s > tick_s else time_s, time_us
             found.append(time_s)
-        self._before = time_s, arrived_s, before_us
+        self._before = time_s, arrived_s
         return found

@@ -227,7 +227,7 @@ _LATEST_US = 1e16
 _MARK = "\0"
 """Stands for a number in the form of a line: all of it but its numbers."""
 _NUMBER = re.compile(  # words for a missing one; no whole number begins with a zero, as decimals behind a comma may
-    r"(?<![\w.#+-])(?:[+-]?(?i:nan|inf|infinity|ovf)|1\.#[A-Z]+|#?N/?A|n/a|na|(?i:null|none))(?![\w.])"
+    r"(?<![\w.#+-])(?:[+-]?(?i:nan|inf|infinity|ovf)|1\.#[A-Z]+|#N/?[AV]|N/?A|n/a|na|(?i:null|none))(?![\w.])"
     r"|(?<![^\s,;:=])-{1,2}(?=[\s,;]|$)"
     r"|(?<![\w.^])([+-]?(?:[0-9]+\.[0-9]*|0|[1-9][0-9]*|\.[0-9]+)(?![0-9])(?:[eE][+-]?[0-9]{1,3}(?![0-9.]))?)"
     r"(?! *[:=\])])"  # a number in a label

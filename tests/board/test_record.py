@@ -33,6 +33,7 @@ from repro_board.record import (
     readings_of,
     record,
 )
+from repro_board.steps import STANDS_STILL
 from repro_board.wire import encode
 
 SECOND = 10**9
@@ -332,6 +333,16 @@ def test_a_clock_that_is_none_is_told_and_not_used(tmp_path, board):
         "the times that the board sends do not pass as the computer's, and were not used" in recording.remarks
     )
     np.testing.assert_allclose(recording.times, np.arange(500) / 100, atol=2e-6)
+
+
+@pytest.mark.parametrize("board", [np.zeros(30), np.minimum(np.arange(90), 60) / 100, [0.0, 0.0]])
+def test_a_clock_that_stands_still_for_a_moment_is_told_and_not_used(tmp_path, board):
+    """Too short for it to differ much from the computer's."""
+    parts = [encode([1.0 + k], sequence=k, time_us=round(1e6 * t)) for k, t in enumerate(board)]
+    path = written(tmp_path / "a.rec", parts)
+    readings = readings_of(Robot([ConstantCurvature(0.1, 0.02)], sensors=[Sensor(1, 0.05)]), path)
+    np.testing.assert_allclose(readings.times, np.arange(len(board)) / 100, atol=2e-6)
+    assert readings.remarks == (STANDS_STILL,)
 
 
 def test_a_clock_beyond_200_ppm_is_told(tmp_path):

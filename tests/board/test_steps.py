@@ -6,11 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from repro import Imu, InputError, Link, Robot, Sensor
-from repro_board.steps import Steps
+from repro_board.record import Writer, readings_of
+from repro_board.steps import STANDS_STILL, STILL, Steps
 from repro_board.wire import WRAP, Parser, Sample, encode
 
 CHIP = Robot([Link(0.1)], sensors=[Sensor(1, 0.05, 0.01, axes=3)], rate_hz=100.0)
@@ -63,6 +64,30 @@ def test_labels_that_mean_no_channel_are_channels_in_their_order():
 def test_a_board_that_is_not_the_robots_is_refused(names, units, message):
     with pytest.raises(InputError, match=message):
         Steps(CHIP, source=SimpleNamespace(names=names, units=units)).add(sample(0, *range(len(names))), 0.0)
+
+
+@pytest.mark.parametrize("line", ["9,1,2,3", "9 1 2 3"])
+def test_one_number_too_many_without_names_is_refused(line):
+    """Any of them may be the one, such as a time in front."""
+    parser = Parser()
+    samples = parser.feed(f"\n{line}\n{line}\n{line}\n".encode())
+    assert len(samples) == 3
+    with pytest.raises(
+        InputError, match="of the board must be 3 columns, one for every reading .* received 4"
+    ):
+        Steps(CHIP, source=parser).feed(samples, 1.0)
+    with pytest.raises(InputError, match="must be 1 columns, one for every reading .* received 2"):
+        Steps(BOTH).add(sample(0, 1, 2), 1.0)
+    chosen = CHIP.replaced(sensors=[Sensor(1, 0.05, 0.01, axes=3, channels=[4, 2, 3])])
+    assert readings(Steps(chosen), [sample(0, 9, 1, 2, 3)]) == [[3, 1, 2]]  # frames have numbers
+
+
+def test_orientations_in_another_order_are_said_once():
+    steps = Steps(Robot([Link(0.1)], imus=[Imu(1, 0.1)]))
+    found = readings(steps, [sample(1, *np.roll(TURN, 1))] * 50)
+    assert len(found) == 50
+    assert [x for x in steps.remarks if "with w first" in x] == steps.remarks[:1]
+    assert len(steps.remarks) == 1
 
 
 def test_imus_make_a_step_when_all_have_sent_or_one_sends_again():
@@ -130,6 +155,88 @@ def test_readings_are_those_of_a_table_with_the_same_columns():
     np.testing.assert_array_equal([step.u for step in steps.feed(samples, 1.0)], robot.readings(frame))
 
 
+READ = Robot(
+    [Link(0.1)],
+    sensors=[Sensor(1, 0.05, 0.01, axes=3, range=5.0, resolution=0.5)],
+    imus=[Imu(1, 0.1, channels=7)],
+    rate_hz=100.0,
+)
+VALUES = [0.0, -0.0, 1.5, 4.5, 4.75, 5.0, -4.75, -5.25, 1e30, math.nan]
+TURNS = [TURN, -TURN, np.zeros(4), np.full(4, math.nan), np.array([0.0, 0.0, 0.0, 1.0])]
+
+
+@st.composite
+def sent_rows(draw, values):
+    """Readings, orientations and times [µs] of a board; some rows have one time, but not too many."""
+    n = draw(st.integers(4, 15))
+    rows = st.lists(st.sampled_from(values), min_size=3, max_size=3)
+    u = np.array(draw(st.lists(rows, min_size=n, max_size=n)))
+    q = np.array(draw(st.lists(st.sampled_from(TURNS), min_size=n, max_size=n)))
+    q[0] = q[0] if draw(st.booleans()) else [0.5, 0.5, 0.5, 1.0]
+    passed = draw(st.lists(st.sampled_from([0, 1000, 10_000, 25_000]), min_size=n, max_size=n))
+    passed[::STILL], passed[-1] = [10_000] * len(passed[::STILL]), 10_000
+    return u, q.astype(np.float32).astype(float), np.cumsum(passed)
+
+
+def at_port(robot, data, cuts):
+    """Readings, times and sentences about a board whose bytes arrive cut at some places."""
+    parser, found, last = Parser(), [], 0
+    steps = Steps(robot, source=parser)
+    for cut in [*sorted(cuts), len(data)]:
+        found += steps.feed(parser.feed(data[last:cut]), 0.001 * cut)
+        last = cut
+    times = np.array([x.time_s for x in found])
+    return np.array([x.u for x in found]), times - times[0], [*steps.remarks, *steps.losses()]
+
+
+def recorded(robot, parts, us, path):
+    """Readings of a recording with a block for each part."""
+    path.unlink(missing_ok=True)
+    writer = Writer(path, {})
+    for part, time_us in zip(parts, us.tolist(), strict=True):
+        writer.write(17 * 10**17 + 1000 * time_us, part)
+    writer.close()
+    return readings_of(robot, path)
+
+
+@settings(max_examples=20)
+@given(st.data(), st.sampled_from(["frames", "lines"]))
+def test_the_same_numbers_are_the_same_readings_whatever_brings_them(tmp_path_factory, data, format):
+    """As a table, as a recording, and at a port: cut anywhere, in single bytes, or all at once."""
+    u, q, us = data.draw(sent_rows([*VALUES, -math.inf] if format == "frames" else VALUES))
+    folder, robot = tmp_path_factory.getbasetemp(), READ
+    frame = pd.DataFrame(np.column_stack([us, u]), columns=["time_us", "u1_mT", "u2_mT", "u3_mT"])
+    if format == "frames":
+        parts = [encode(q[k], 7, k, t) + encode(u[k], 0, k, t) for k, t in enumerate(us.tolist())]
+        table, owner = (
+            robot.readings(frame.assign(**{f"q{x}_7": q[:, k] for k, x in enumerate("xyzw")})),
+            "the table",
+        )
+    else:
+        robot, owner = READ.replaced(imus=[]), "a.csv"
+        frame.astype({"time_us": int}).to_csv(folder / owner, index=False, na_rep="nan")
+        table, (names, *parts) = (
+            robot.readings(folder / owner),
+            (folder / owner).read_bytes().splitlines(True),
+        )
+        parts[0] = names + parts[0]
+    whole = recorded(robot, parts, us, folder / "a.rec")
+    np.testing.assert_array_equal(whole, table)
+    np.testing.assert_allclose(whole.times - whole.times[0], table.times - table.times[0], atol=2e-6)
+    assert [x.replace("a.rec", owner) for x in whole.remarks] == list(table.remarks)
+    sent = b"".join(parts)
+    cuts = data.draw(st.lists(st.integers(1, len(sent)), max_size=9))
+    _, first, _ = at_port(robot, sent, cuts)
+    for places in (cuts, range(1, len(sent)), []):
+        found, times, remarks = at_port(robot, sent, places)
+        np.testing.assert_array_equal(found, table)
+        assert remarks == [x for x in table.remarks if "times of" not in x and "infinite" not in x]
+        np.testing.assert_allclose(times, first, atol=1e-9)
+    late = first - 1e-6 * (us - us[0])
+    assert late.min() > -1e-9
+    assert late.max() < 1e-9 or (np.diff(us) == 0).any()
+
+
 def test_frames_of_a_board_become_steps():
     parser = Parser()
     data = b"".join(encode([k, 2, 3], sequence=k, time_us=10_000 * k) for k in range(50))
@@ -158,6 +265,27 @@ def test_the_boards_clock_counts_over_wraps_and_resets():
     np.testing.assert_allclose(times, [7.0, 7.01, 8.0, 8.01], atol=1e-9)
     times = timed(Steps(CHIP, "arrival"), (7.0, 10), (7.5, 20))
     np.testing.assert_allclose(times, [7.0, 7.5])
+
+
+@pytest.mark.parametrize("together", [1, 5])
+def test_a_clock_that_stands_still_is_said_and_not_used(together):
+    """From the beginning, or after a while; and when it moves again, time goes on."""
+    zero, stops = np.zeros(100, dtype=int), 10_000 * np.minimum(np.arange(100), 30)
+    again = np.r_[stops[:60], 310_000 + 10_000 * np.arange(40)]
+    for clock in (zero, stops, again):
+        steps = Steps(CHIP)
+        blocks = clock.reshape(-1, together).tolist()
+        times = timed(steps, *((0.01 * together * k, *sent) for k, sent in enumerate(blocks)))
+        np.testing.assert_allclose(np.diff(times), 0.01, atol=2e-6)
+        assert steps.remarks == [STANDS_STILL]
+
+
+def test_steps_of_one_time_are_spread_as_those_before():
+    steps = Steps(CHIP.replaced(rate_hz=None))
+    sent = [10_000 * (k // 4) for k in range(400)]  # four samples a tick
+    times = timed(steps, *((1.0 + 0.0025 * k, t) for k, t in enumerate(sent)))
+    np.testing.assert_allclose(np.diff(times[16:]), 0.0025, atol=1e-9)
+    assert steps.remarks == []
 
 
 def test_samples_that_arrive_together_are_spread_over_the_time_since_the_ones_before():

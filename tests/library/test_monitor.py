@@ -179,8 +179,8 @@ def test_a_frame_sent_again_adds_nothing(method, times_sent):
     assert set(found.status) == {"consistent"}
     np.testing.assert_allclose(found.q[::times_sent], once.q, atol=1e-12)
     np.testing.assert_allclose(found.covariance[::times_sent], once.covariance, rtol=1e-9)
-    again = found.missing[1::times_sent]
-    assert set(again) == ({8} if method is METHODS["Kalman"] else {0})
+    assert not found.missing.any()  # a filter does not use it again, but it is there
+    assert "0 of 1600 readings missing; " in repr(found)
 
 
 def test_a_frame_sent_again_in_an_alarm_says_the_same(method):
@@ -192,6 +192,19 @@ def test_a_frame_sent_again_in_an_alarm_says_the_same(method):
         np.testing.assert_array_equal(getattr(found, field)[1::2], getattr(once, field))
 
 
+def test_a_reading_is_missing_or_left_out_but_not_both(method):
+    """Also where a sensor stays the same while frames come again, and where it was not there."""
+    u = np.repeat(faulty(U, "unplugged", 4, 20), 4, axis=0)
+    u[:, 3] = u[0, 3]
+    u[100:140:3, 3], mask = np.nan, np.ones(u.shape, dtype=bool)
+    mask[50:60, 0] = False
+    found = track(method, u, times=np.arange(len(u)) / (4 * RATE), mask=mask)
+    lost, left_out = np.isnan(u) | ~mask, found.details["left_out"]
+    assert left_out.any()
+    np.testing.assert_array_equal(found.missing, (left_out | lost).sum(1))
+    assert f"{lost.sum()} of {u.size} readings missing, {left_out.sum()} left out" in repr(found)
+
+
 def test_infinity_is_a_missing_reading(method):
     u = U.copy()
     u[50:, 3] = np.inf
@@ -200,6 +213,17 @@ def test_infinity_is_a_missing_reading(method):
     np.testing.assert_array_equal(found.q, expected.q)
     assert found.missing.sum() == 150
     assert set(found.status) == {"consistent"}
+
+
+def test_what_an_array_does_not_say_is_missing_as_in_a_table(method):
+    """A row of zeros, and the end of the range."""
+    robot = TWO.replaced(sensors=[replace(sensor, range=200.0) for sensor in TWO.sensors])
+    u = U.copy()
+    u[50], u[60, 3] = 0.0, 200.0
+    fit = type(method)(robot)
+    found, expected = (track(fit, x, times=TIMES) for x in (u, np.where(robot.missing(u) > 0, np.nan, u)))
+    np.testing.assert_array_equal(found.q, expected.q)
+    assert found.missing[[50, 60]].tolist() == [8, 1]
 
 
 def test_fewer_readings_than_unknowns_are_told_without_a_motion_model():

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import repro
@@ -111,8 +115,58 @@ def test_rows_of_readings_keep_their_times():
     np.testing.assert_array_equal(readings[1:].times, readings.times[1:])
     np.testing.assert_array_equal(readings[1:, :].times, readings.times[1:])
     assert readings[:, 1].times is None
-    assert (2 * readings).times is None
     assert readings[1, 2] == 0.5
+
+
+KEPT = {
+    "copied": np.copy,
+    "deeply copied": copy.deepcopy,
+    "pickled": lambda u: pickle.loads(pickle.dumps(u)),
+    "multiplied": lambda u: 2 * u - u.mean(axis=0),
+    "without an outlier": lambda u: np.where(np.abs(u) > 3.4, np.nan, u),
+    "of other columns": lambda u: u[:, [2, 0]],
+    "turned back": lambda u: u[::-1][::-1],
+}
+LOST = {
+    "put together": lambda u: np.concatenate([u, u]),
+    "in one column": lambda u: u.reshape(-1, 1),
+    "of several robots": lambda u: np.stack([u, u], axis=1),
+    "averaged": lambda u: u.reshape(-1, 1, 3).mean(axis=1),
+    "pickled after that": lambda u: pickle.loads(pickle.dumps(np.vstack([u, u]))),
+}
+
+
+@pytest.mark.parametrize("change", [*KEPT.values(), *LOST.values()], ids=[*KEPT, *LOST])
+def test_readings_keep_their_times_or_it_is_known_that_they_are_lost(change):
+    """Nobody gives them the rate of the robot file without a word."""
+    readings = change(robot().readings(pd.DataFrame(ROWS, columns=HEADER))[1:])
+    fit = repro.LevenbergMarquardt(lambda q: q * np.ones(readings.shape[-1]), [-9.0], [9.0], noise=1.0)
+    if change in KEPT.values():
+        assert repro.track(fit, readings).times.tolist() == [0.05, 0.1]
+        return
+    with pytest.raises(InputError, match="times, rate_hz of track must be given, one of the two: after what"):
+        repro.track(fit, readings)
+    assert repro.track(fit, readings, rate_hz=20.0).times[1] == 0.05
+
+
+def test_the_index_of_a_data_frame_is_the_time_if_it_can_be():
+    """Moments, fractions, or what is called so; whole numbers without a name number the rows."""
+    frame, s = pd.DataFrame(ROWS[:, 1:], columns=HEADER[1:]), ROWS[:, 0]
+    moments = pd.Timestamp("1970-01-02") + pd.to_timedelta(s, "s")
+    clocks = {"time_ms": (50 * np.arange(3), 0.0), None: (s, 0.0), "when": (pd.to_timedelta(s, "s"), 0.0)}
+    for name, (index, first) in (clocks | {"utc": (moments.tz_localize("UTC"), 86400.0)}).items():
+        readings = robot().readings(frame.set_index(pd.Index(index, name=name)))
+        np.testing.assert_allclose(readings.times - first, s, atol=1e-9)
+        assert readings.remarks == ()
+    assert robot().readings(frame[::-1]).times is None
+    unused = robot().readings(frame.set_index(pd.Index(s, name="place")))
+    assert (unused.times, unused.remarks) == (None, ("The index of the table is left out.",))
+    both = robot().readings(frame.assign(time_s=s).set_index(moments))
+    assert (both.times.tolist(), both.remarks) == (s.tolist(), unused.remarks)
+    bare = pd.DataFrame(ROWS[:, 1:], index=moments)  # without names it is no table, but numbers
+    fit = repro.LevenbergMarquardt(lambda q: q * np.ones(3), [-9.0], [9.0], noise=1.0)
+    with pytest.raises(InputError, match="times, rate_hz of track must be given"):
+        repro.track(fit, bare)
 
 
 def test_two_readings_never_share_a_column():
@@ -215,6 +269,25 @@ def test_cells_without_a_number_are_missing(tmp_path, empty):
     assert "1 of 3 readings of sensor 2 is missing." in readings.remarks
 
 
+ROW = "-2.0,3.5,0.25"
+CELLS = {ROW: 0, "#NV,3.5,0.25": 1, "####,#DIV/0!,0.25": 2, "#N/A,#n/a,#REF!": 3}
+"""Rows, and how many of their cells have no number."""
+OTHERS = ["# a pause, 3 minutes", "% 1,2,3", "ets Jul 29 2019", "#,,"]
+
+
+@given(st.lists(st.sampled_from([*CELLS, *OTHERS])), st.booleans())
+def test_no_line_below_the_names_vanishes_without_a_count(tmp_path_factory, below, named):
+    """Cells that a spreadsheet could not compute are missing; there are no comments, but text, which is counted."""
+    path = tmp_path_factory.getbasetemp() / "mine.csv"
+    below = [ROW] * (len(below) + 1) + below
+    path.write_text("\n".join(["# logged by somebody", *["u1_mT,u2_mT,u3_mT"] * named, *below]) + "\n")
+    readings = robot().readings(path)
+    expected = [CELLS[line] for line in below if line in CELLS]
+    assert np.isnan(readings).sum(axis=1).tolist() == expected
+    text = [x for x in readings.remarks if x.endswith("text and left out.")]
+    assert sum(int(x.split()[0]) for x in text) == len(below) - len(expected)
+
+
 @pytest.mark.parametrize("cell", ["-2_113.4", "-２.１１", "−2.11340", "0x7f", "1.2.3", "high", "12:00:00"])
 def test_cells_that_are_no_numbers_are_refused(tmp_path, cell):
     with pytest.raises(InputError, match="cell of mine.csv, line 3, column u2_mT, must be a number; instead"):
@@ -276,10 +349,21 @@ def test_readings_at_the_end_of_the_range_are_missing():
     assert np.isnan(robot().readings(frame)).sum() == 3  # no range is stated: the monitor has to see it
 
 
+def test_a_rounded_end_of_the_range_is_the_end():
+    """As float32 rounds it, and within half a step; a row of zeros says nothing although one of them is missing."""
+    assert robot(range=32.767).missing(np.float32([32.767, -32.767, 32.7])).tolist() == [2, 2, 0]
+    assert robot(range=5.0, resolution=0.1).missing([4.96, -4.94, 0.0]).tolist() == [2, 0, 0]
+    four = robot().replaced(sensors=[Sensor(1, 0.1)] * 4)
+    rows = [[0, 0, 0, np.nan], [0, 0, np.nan, np.nan], [0, 0, 0, 1e-9]]
+    assert four.missing(rows).tolist() == [[3, 3, 3, 3], [0, 0, 1, 1], [0, 0, 0, 0]]
+
+
 def test_a_log_with_another_number_of_columns_is_refused(tmp_path):
     """The first column may be a time: it must not become the reading of a sensor."""
     with pytest.raises(InputError, match="table of mine.csv must be 3 columns, one for every reading"):
         robot().readings(written(tmp_path, "".join(lines().splitlines(keepends=True)[1:])))
+    with pytest.raises(InputError, match="must be 3 columns, one for every reading .* received 4"):
+        robot().readings(written(tmp_path, "14:02:11.5,1,2,3,4\n14:02:11.6,1.5,2,3,4\n"))
 
 
 def test_words_of_a_file_do_not_reach_the_terminal(tmp_path):
@@ -365,6 +449,17 @@ class TestQuaternions:
         np.testing.assert_allclose(readings, self.turns(), atol=1e-5)
         np.testing.assert_allclose(readings.times, 0.03 * np.arange(40))
         assert readings.remarks == ("80 of 80 rows of mine.csv are put together to 40.",)
+
+    def test_the_only_stream_keeps_its_number(self, tmp_path):
+        rows, printed = (self.table(order=x).splitlines(keepends=True) for x in ("xyzw", "wxyz"))
+        texts = "".join(rows[:1] + rows[1::2]), "".join(x.partition(",")[2] for x in printed[1::2])
+        for text in texts:
+            path = written(tmp_path, text)
+            for channels in (3, ["qx", "qy", "qz", "qw"]):
+                alone = Robot([ConstantCurvature(0.1, 1.0)], imus=[Imu(1, 0.1, channels=channels)])
+                np.testing.assert_allclose(alone.readings(path), self.turns()[:, :3], atol=1e-5)
+            with pytest.raises(InputError, match="must be one column for qx_7"):
+                alone.replaced(imus=[Imu(1, 0.1, channels=7)]).readings(path)
 
     def test_a_row_that_is_lost_is_one_missing_reading(self, tmp_path):
         kept = self.table().splitlines(keepends=True)

@@ -270,8 +270,8 @@ def track(
         Any estimator.
     readings
         One row per time step ``[t, ..., s]``; NaN for a missing reading. If the estimator knows its robot, also a
-        data frame with names or the path of a table, as :meth:`repro.Robot.readings` takes them. A reading at the end
-        of its sensor's range is missing, too.
+        data frame with names or the path of a table, as :meth:`repro.Robot.readings` takes them, and what
+        :meth:`repro.Robot.missing` names is missing, too.
     q0
         Where the estimator starts ``[..., n_q]``; its own choice if not given.
     times
@@ -328,11 +328,17 @@ def run(
         readings = robot.readings(readings)
     if times is None and rate_hz is None:
         times, rate_hz = getattr(readings, "times", None), getattr(robot, "rate_hz", None)
+        index = getattr(
+            getattr(readings, "index", None), "dtype", np.dtype(int)
+        )  # of a data frame without names
+        lost = times is None and (index.kind in "fmM" or getattr(readings, "without_times", False))
+        words = "given, one of the two: after what was done to the readings their own times are not known"
+        require(not lost, "times, rate_hz", owner, words, "neither")
     rows = numbers(readings, "readings", owner, finite=False)
-    most: Any = 1e100
     if robot is not None and rows.shape[-1:] == (robot.n_readings,):
-        most = np.minimum(robot.range - robot.resolution / 2, most)
-    rows = np.where(np.abs(rows) >= most, np.nan, rows)  # no sensor can tell that
+        rows = np.where(robot.missing(rows) > 0, np.nan, rows)
+    else:
+        rows = np.where(np.abs(rows) < 1e100, rows, np.nan)  # no sensor can tell more
     require(rows.ndim >= 2 and len(rows), "readings", owner, "of shape (t, ..., s)", f"shape {rows.shape}")
     at = _times(len(rows), times, rate_hz, owner, needed=getattr(estimator, "needs_time", False))
     per_row: dict[str, Any] = {"mask": mask, "known": known}
@@ -359,7 +365,8 @@ def run(
             near.q = estimate.q
         states.append(state.inner if watched else state)
         estimates.append(estimate)
-    found = trajectory(at, rows, estimates, robot, method if isinstance(method, Monitor) else None)
+    watch = method if isinstance(method, Monitor) else None
+    found = trajectory(at, rows, estimates, robot, watch, per_row["mask"])
     if near is not None:
         found.details["too_near"] = np.array(hidden)
     return found, states
@@ -392,14 +399,19 @@ class NearMagnets:
         return self.sensing.too_near(np.nan_to_num(self.q))
 
 
-def trajectory(at: Any, readings: Any, estimates: Sequence[Estimate], robot: Any, monitor: Any) -> Trajectory:
+def trajectory(
+    at: Any, readings: Any, estimates: Sequence[Estimate], robot: Any, monitor: Any, mask: Any = None
+) -> Trajectory:
     """Put estimates of rows together, with what a monitor said of them."""
     from repro.estimators.monitor import SAID, STATUS
 
     q, covariance, u_hat, chi2, dof, missing, rest = zip(*estimates, strict=True)
     details = {name: np.array([row[name] for row in rest]) for name in rest[0] if name not in SAID}
-    if monitor is not None:
+    if monitor is not None:  # a frame that comes again adds nothing to a filter, and is there all the same
         details |= monitor.stacked(rest)
+        there = np.isfinite(readings) & (True if mask is None else mask)
+        details["left_out"] = details["left_out"] & there
+        missing = (~there | details["left_out"]).sum(-1)
     return Trajectory(
         np.array(at),
         np.array(q),
