@@ -140,3 +140,19 @@ def test_a_body_goes_through_a_whole_turn():
         assert np.degrees(off).max() < 1.5
         assert (found.status == "consistent").all()
         assert np.degrees(np.sqrt(np.diagonal(found.covariance, 0, 1, 2))).max() < 2.0
+
+
+def test_a_wrapped_state_moves_on_as_before():
+    """Velocity and covariance turn with the rotation vector: a moment later it is the same shape, as uncertain."""
+    method, dt = KalmanFilter(hinge(-180, 180, "xyz")), 1e-5
+    state = method.init([2.0, 0.1, 0.0])
+    state = state._replace(q=np.array([3.3, 0.4, -0.5]), velocity=np.array([0.3, -2.0, 1.0]), t=0.0)
+    wrapped = method.wrapped(state)
+    assert np.linalg.norm(wrapped.q) < HALF
+    for a, b in ((state, wrapped), (method.predicted(state, dt), method.predicted(wrapped, dt))):
+        apart = Rotation.from_rotvec(a.q).inv() * Rotation.from_rotvec(b.q)
+        assert apart.magnitude() < 1e-9
+    back = method.near(wrapped, state.q)
+    np.testing.assert_allclose(back.q, state.q, atol=1e-12)
+    np.testing.assert_allclose(back.velocity, state.velocity, atol=1e-12)
+    np.testing.assert_allclose(back.covariance, state.covariance, atol=1e-10)
