@@ -23,7 +23,7 @@ from scipy.stats import chi2 as chi_square
 
 from repro.common import Array, bad_input, numbers, require
 from repro.estimators.base import Trajectory, track
-from repro.estimators.calibration import Calibration, Tolerances, calibrate, check_poses, placed
+from repro.estimators.calibration import Calibration, Tolerances, calibrate, placed
 from repro.estimators.drift import Drift, Drifting, DriftModel
 from repro.estimators.gradient_descent import GradientDescent
 from repro.estimators.kalman import KalmanFilter
@@ -286,10 +286,9 @@ def calibrate_files(
         return Report("\n".join([*u.remarks, text, _written(path, calibration_text(found))]), found)
     if poses is None:
         raise bad_input("poses", owner, "given (repro calibrate READINGS POSES.csv), or --self", "neither")
-    name, measured = Path(poses).name, read_poses(arm, poses)
-    where = [f"{name}, line {line}" for line in measured.lines]
     sigma = pose_covariance(arm, pose_noise_mm, pose_noise_deg)
-    check_poses(arm, measured.q, sigma, where)
+    name, measured = Path(poses).name, read_poses(arm, poses, covariance=sigma)
+    where = [f"{name}, line {line}" for line in measured.lines]
     windows, remarks = _holds(measured, u, name), [*u.remarks, *measured.remarks]
     values = np.array(u)
     if windows is not None:
@@ -577,6 +576,55 @@ def _unwrapped(robot: Robot, u: Array) -> Array:
     return u
 
 
+def _without_spikes(robot: Robot, q: Array, u: Array, t: Array, lines: list[str]) -> Array:
+    """Return readings ``[t, s]`` without those that jump far away from all others, such as errors of the bus.
+
+    Far is more than the robot should read in all its poses. A reading that goes there slowly stays.
+    """
+    u, n = u.copy(), sum(sensor.axes for sensor in robot.sensors)  # orientations of norm 1 are no errors
+    drawn = robot.sensing()(q[np.isfinite(q).all(1)])[:, :n]
+    width, noise = (
+        2 * np.ptp(np.quantile(drawn, [0.01, 0.99], axis=0), axis=0),
+        np.nan_to_num(robot.total_noise),
+    )
+    spikes = np.zeros(u.shape, dtype=bool)
+    for j in range(n):
+        rows = np.flatnonzero(np.isfinite(u[:, j]))
+        off = u[rows, j] - np.median(u[rows, j])
+        step = np.abs(np.diff(off))
+        jumps = step > _SPIKE * max(np.quantile(step, _COVERED), noise[j])
+        limit = max(_SPIKE * 1.4826 * np.median(np.abs(off)), width[j])
+        for part in np.split(np.arange(len(rows)), np.flatnonzero(jumps) + 1):
+            spikes[rows[part], j] = np.abs(np.median(off[part])) > limit
+    u[spikes] = np.nan
+    if (rows := spikes.any(1)).any():
+        when = _some([f"{x:.2f} s" for x in t[rows & ~np.roll(rows, 1)]])
+        what = "Readings that jump far away from all others, left out of lag and calibration"
+        lines.append(f"{what}: {spikes.sum()} in {rows.sum()} of {len(u)} rows, from {when}.")
+    return u
+
+
+def _turned(robot: Robot, q: Array, turned: Mapping[int, Array], u: Array, lines: list[str]) -> Array:
+    """Return poses ``[t, n_q]`` by the axes of the base that the readings ``u`` ``[t, s]`` of their times show.
+
+    Bodies do not tell how the base is turned about a straight robot: we predict the readings for every turn.
+    """
+    n, ways = sum(sensor.axes for sensor in robot.sensors), [(0, q), *turned.items()]
+    use = np.flatnonzero(np.isfinite(np.concatenate([q, u[:, :n]], axis=1)).all(1))
+    use, left = use[:: 1 + len(use) // _MOST_ROWS], []
+    for _, other in ways if n and len(use) > 1 else ways[:1]:
+        v, w = (x - x.mean(0) for x in (robot.sensing()(other[use])[:, :n], u[use, :n]))
+        cosine = (v * w).sum(0) / np.sqrt(np.square(v).sum(0) * np.square(w).sum(0)).clip(1e-300)
+        left.append(1 - np.square(cosine.clip(0)).mean())
+    k = int(np.argmin(left))
+    if left[k] > 0.5 * left[0]:
+        return q
+    angle, found = ways[k]
+    shares = f"{left[k]:.0%} of the readings unexplained, {left[0]:.0%} otherwise"
+    lines.append(f"The base is taken as turned by {angle} deg about the straight robot: {shares}.")
+    return np.where(np.isnan(q), np.nan, found)
+
+
 def _alike(q: Array, u: Array) -> Array:
     """Return which rows go with the others: their readings are a smooth function of the pose."""
     x, low, up = (q - q.mean(0)) / np.maximum(q.std(0), 1e-12), *np.triu_indices(q.shape[1])
@@ -710,10 +758,8 @@ def evaluate_files(
     require(0 < share < 1, "share", owner, "between 0 and 1", share)
     require(0 < longest_lag_s < math.inf, "longest-lag", owner, "positive and finite", longest_lag_s)
     sigma = pose_covariance(arm, pose_noise_mm, pose_noise_deg)
-    u, measured = (
-        _readings(arm, readings, rate_hz),
-        read_poses(arm, poses, bodies=bodies, straight_s=straight_s),
-    )
+    u = _readings(arm, readings, rate_hz)
+    measured = read_poses(arm, poses, bodies=bodies, straight_s=straight_s, covariance=sigma)
     for name, times in (("readings", u.times), ("poses", measured.times)):
         require(times is not None and len(times) > 2, "times", owner, f"given with the {name}", "none")
     q, lines = np.array(measured.q), [*u.remarks, *measured.remarks]
@@ -721,10 +767,12 @@ def evaluate_files(
     if t[0] > times[-1] or times[0] > t[-1]:
         t, times = t - t[0], times - times[0]
         lines.append("The clocks have no time in common: each is counted from its first row.")
+    clean = _without_spikes(arm, q, values, t, lines)
     repeats = _repeats(q)  # frozen or at rest: the readings say so once the lag is known
     moving = np.where(repeats[:, None] & (repeats.mean() < 0.5), np.nan, q)
-    lag = clock_lag(Signal.of(times, moving), Signal.of(t, _unwrapped(arm, values)), longest_lag_s)
-    frozen = _frozen(q, times + lag, t, values, arm.total_noise)
+    lag = clock_lag(Signal.of(times, moving), Signal.of(t, _unwrapped(arm, clean)), longest_lag_s)
+    q = _turned(arm, q, measured.known.get("turned", {}), Signal.of(t, clean).at(times + lag), lines)
+    frozen = _frozen(q, times + lag, t, clean, arm.total_noise)
     if frozen.any():
         when = _some([f"{x:.2f} s" for x in times[frozen & ~np.roll(frozen, 1)]])
         lines.append(
@@ -741,12 +789,12 @@ def evaluate_files(
         min(border - begin, end - border - _APART_S) >= _LEAST_S, "readings and poses", owner, expected, seen
     )
     first, rest = (t >= begin) & (t <= border), (t >= border + _APART_S) & (t <= end)
-    step, error, words, tuned, known, corrected = motion.gap / _GAP_STEPS, 0.0, [], arm, None, values
+    step, error, words, tuned, known, corrected = motion.gap / _GAP_STEPS, 0.0, [], arm, None, clean
     for _ in range(4):  # a better robot tells the lag better, and that the robot
         at, ahead, behind = (motion.at(t - lag + x) for x in (0.0, step, -step))
         speed = np.nan_to_num(ahead - behind) / (2 * step)
         C, before = sigma + error**2 * speed[:, :, None] * speed[:, None, :], lag
-        tuned, known, corrected, words = calibrated_with(arm, np.where(first[:, None], at, np.nan), values, C)
+        tuned, known, corrected, words = calibrated_with(arm, np.where(first[:, None], at, np.nan), clean, C)
         lag, error = fine_lag(tuned.sensing(), motion, t[first], corrected[first], lag)
         if abs(lag - before) < max(0.5 * error, 1e-4):
             break
@@ -756,11 +804,11 @@ def evaluate_files(
     for name in ESTIMATORS[:2]:
         for which, model, x, c in (
             ("as described", arm, values, None),
-            ("calibrated", tuned, corrected, known),
+            ("calibrated", tuned, np.where(np.isfinite(clean), corrected, values), known),
         ):
             shape = track(estimator_of(model, name), x[rest], times=t[rest])
             shapes[f"{which}, {name.replace('_', ' ')}"] = with_calibration(shape, c)
-    use = first & np.isfinite(truth).all(1) & np.isfinite(values).all(1)
+    use = first & np.isfinite(truth).all(1) & np.isfinite(clean).all(1)
     moves = np.ptp(truth[use], axis=0) > 10 * np.sqrt(np.diag(sigma))
     if 0 < moves.sum() <= 2:
         plain = _interpolated(values, truth, use, rest)

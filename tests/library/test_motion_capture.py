@@ -601,7 +601,7 @@ class TestMeasuredPoses:
             "Rows of the table left out, which only repeat the one before, more than 20 in a row: 21 of 120 "
             "(lines 82 to 102).",
             "Rows of the table without a pose: 24 of 120 (lines 51 to 52, 61, 82 to 102).",
-            "Poses of the table left out, far outside the robot's bounds, for delta_x_1 -0.03 to 0.03: 1 of 120 "
+            "Poses of the table left out, outside the robot's bounds, for delta_x_1 -0.03 to 0.03: 1 of 120 "
             "(line 71).",
         )
 

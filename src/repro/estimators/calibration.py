@@ -341,28 +341,28 @@ def calibrate(
     )  # fmt: skip
 
 
-def check_poses(robot: Robot, q: Array, q_covariance: Any = 0.0, rows: Sequence[str] | None = None) -> None:
-    """Refuse measured poses ``[poses, n_q]`` outside the robot's bounds, by the name of the row and coordinate.
+def outside(robot: Robot, q: Array, q_covariance: Any = 0.0) -> Array:
+    """Return which coordinates of measured poses ``[poses, n_q]`` are outside the robot's bounds.
 
     A measured pose may be outside by five of its standard deviations and a hundredth of the range. Angles with bounds
     a whole turn apart have none.
-
-    Raises
-    ------
-    InputError
-        If a pose is farther outside.
     """
     if robot.lower is None or robot.upper is None:
-        return
+        return np.zeros(q.shape, dtype=bool)
     width = robot.upper - robot.lower
     std = np.sqrt(np.diagonal(np.broadcast_to(q_covariance, (len(q), robot.n_q, robot.n_q)), 0, -2, -1))
     slack = np.where(robot.angles & (width >= 2 * math.pi - 1e-9), np.inf, 5 * std + 0.01 * width + 1e-9)
-    for row, c in np.argwhere((q < robot.lower - slack) | (q > robot.upper + slack)):
-        name = robot.coordinates[c]
-        expected = f"within the robot's bounds, for {name} {robot.lower[c]:g} to {robot.upper[c]:g} (unit?)"
-        raise bad_input(
-            "q", "calibrate", expected, f"{q[row, c]:g} in {rows[row] if rows else f'row {row + 1}'}"
-        )
+    return (q < robot.lower - slack) | (q > robot.upper + slack)
+
+
+def check_poses(robot: Robot, q: Array, q_covariance: Any = 0.0, rows: Sequence[str] | None = None) -> None:
+    """Refuse measured poses ``[poses, n_q]`` that are `outside`, by the name of the row and coordinate."""
+    for row, c in np.argwhere(outside(robot, q, q_covariance)):
+        bounds: Any = (robot.lower, robot.upper)
+        limits = f"{robot.coordinates[c]} {bounds[0][c]:g} to {bounds[1][c]:g}"
+        where = rows[row] if rows else f"row {row + 1}"
+        expected = f"within the robot's bounds, for {limits} (unit?)"
+        raise bad_input("q", "calibrate", expected, f"{q[row, c]:g} in {where}")
 
 
 def placed(robot: Robot, parameters: Mapping[str, float]) -> Robot:
