@@ -730,9 +730,9 @@ class Poses(NamedTuple):
     remarks: tuple[str, ...]
     """What was left out."""
     known: dict[str, Any]
-    """``window_s`` ``[t, 2]`` of rows that say when they start and end [s]; from bodies the measured ``tip``
-    ``[t, 3]`` [m], ``residual`` ``[t]`` [m], ``covariance``, the :class:`Motion`, and the configurations ``turned``
-    ``[t, n_q]`` that fit as well, by the angle of the base about the straight robot [deg]."""
+    """``window_s`` ``[t, 2]`` of rows that say when they start and end [s], and by which ``clock``; from bodies the
+    measured ``tip`` ``[t, 3]`` [m], ``residual`` ``[t]`` [m], ``covariance``, the :class:`Motion`, and configurations
+    ``turned`` ``[t, n_q]`` that fit as well, by the angle of the base about the straight robot [deg]."""
 
 
 def read_poses(
@@ -741,8 +741,9 @@ def read_poses(
     """Read measured poses of a robot: from its coordinates, or from bodies on the ends of its segments.
 
     Coordinates are columns with a unit (``delta_x_1_mm, delta_y_1_mm``), with ``time_s``, or ``start_s`` and
-    ``end_s``, or neither. Bodies are those of :func:`read_motion`; z points along the straight robot to its tip, but
-    for Motive, where y does. Rows that cannot be right are NaN and told.
+    ``end_s``, or neither. Held poses may also start and end by other clocks: ``start_board_s`` and ``end_board_s``,
+    or ``start_unix_s`` and ``end_unix_s``. Bodies are those of :func:`read_motion`; z points along the straight robot
+    to its tip, but for Motive, where y does. Rows that cannot be right are NaN and told.
 
     Parameters
     ----------
@@ -754,8 +755,11 @@ def read_poses(
         Names of the bodies from base to tip, one on the end of every segment; with one more, the first is on the
         base. All bodies of the file, in their order, if not given.
     straight_s
-        The robot stands straight and unstretched for the first so many seconds: shifts and turns of bodies against
-        the ends of the segments are taken from there [s]. With 0 there are none.
+        The robot is straight and unstretched for the first so many seconds: shifts and turns of bodies against the
+        ends of the segments are taken from there [s], and along which axes the robot points. With 0 there are none.
+    covariance
+        Covariance of a measured configuration ``[n_q, n_q]``, by which it may be outside the bounds; a tenth of their
+        width if not given.
 
     Raises
     ------
@@ -776,9 +780,10 @@ def read_poses(
         list(table.remarks),
         dict[str, Any](),
     )
-    if {"start_s", "end_s"} <= {*table.names}:
-        window = np.stack([table.scaled(name)[0] for name in ("start_s", "end_s")], axis=1)
-        known, times = {"window_s": window}, window.mean(axis=1)
+    pairs = {clock: (f"start_{clock}s", f"end_{clock}s") for clock in ("unix_", "board_", "")}
+    if clocks := [clock for clock, pair in pairs.items() if {*pair} <= {*table.names}]:
+        window = np.stack([table.scaled(name)[0] for name in pairs[clocks[0]]], axis=1)
+        known, times = {"window_s": window, "clock": clocks[0]}, window.mean(axis=1)
     elif times is not None and len(times) > 1 and np.median(np.diff(times)) < _FRAME_S:
         zero = np.asarray((q == 0).all(axis=1))
         if robot.n_q > 1 and zero.mean() < 0.5:
@@ -790,7 +795,13 @@ def read_poses(
 
 
 def _clear_outside(
-    robot: Robot, q: Array, owner: str, lines: Sequence[int], remarks: list[str], covariance: Any
+    robot: Robot,
+    q: Array,
+    owner: str,
+    lines: Sequence[int],
+    remarks: list[str],
+    covariance: Any,
+    hint: str = "(units, axes, bounds?)",
 ) -> None:
     """Make poses NaN that are outside the robot's bounds; refuse some that are far, or most of them."""
     if robot.lower is None or robot.upper is None:
@@ -807,7 +818,7 @@ def _clear_outside(
         received = (
             f"{np.nanmin(q[:, c]):.4g} to {np.nanmax(q[:, c]):.4g}, {rows.sum()} of {len(q)} poses outside"
         )
-        raise bad_input(name, owner, f"within the robot's bounds, {bounds} (units, axes, bounds?)", received)
+        raise bad_input(name, owner, f"within the robot's bounds, {bounds} {hint}", received)
     q[rows] = np.nan
     _say(rows, f"Poses of {owner} left out, outside the robot's bounds, for {name} {bounds}", lines, remarks)
 
@@ -835,7 +846,7 @@ def _straightened(robot: Robot, T: Array, rest: Array) -> tuple[dict[int, Array]
     ways = sorted(Rotation.create_group("O").as_matrix(), key=lambda R: (-round(R[0, 0]), -round(R.trace())))
     line = tip - rest[0, :3, 3] * (len(rest) > 1)
     line = line / np.linalg.norm(line).clip(1e-12)
-    leaning = [R for R in ways if R[:, 2] @ line > 0.7]
+    leaning = [R for R in ways if R[:, 2] @ line > 0.57]
     ways += [
         Rotation.from_quat([*np.cross(R[:, 2], line), 1 + R[:, 2] @ line]).as_matrix() @ R for R in leaning
     ]
@@ -891,13 +902,14 @@ def _fitted(
     q, miss = shapes.q.copy(), shapes.residual
     typical, most = float(np.sqrt(np.nanmedian(miss**2))), _MISFIT * robot.length
     remarks.append(f"The robot's kinematics miss the poses of {owner} by {1e3 * typical:.2f} mm (median).")
-    expected = f"those that the robot can take, with {motion.up} along the straight robot"
-    expected += " (units, order of bodies, axes? A straight start tells the axes: --straight-s)"
+    hint = f"with {motion.up} along the straight robot (units, bounds, order of bodies, axes? "
+    hint += "A straight start tells the axes: --straight-s)"
+    expected = f"those that the robot can take, {hint}"
     require(typical < most, "poses", owner, expected, f"poses {1e3 * typical:.3g} mm from the nearest shape")
     far = miss > most
     q[far] = np.nan
     _say(far, f"Poses of {owner} left out, which the robot cannot take", motion.lines, remarks)
-    _clear_outside(robot, q, owner, motion.lines, remarks, covariance)
+    _clear_outside(robot, q, owner, motion.lines, remarks, covariance, hint)
     found = {"tip": T[:, -1, :3, 3], "residual": miss, "covariance": shapes.covariance, "motion": motion}
     found["turned"] = {angle: fit_shape(robot, x).q for angle, x in ways.items() if angle}
     return Poses(motion.times, q, motion.lines, tuple(remarks), found)

@@ -36,9 +36,9 @@ _MOST, _OUTLIER, _FARTHEST = 4.0, 5.0, 10.0
 units of most. Good poses give 0.5 to 1.2, three times worse ones 3; exchanged axes, another unit, order or sign give
 5 and more, or parts that are off by more than ten of their tolerances."""
 _CAUSES = (
-    "poses in another unit or order, or with exchanged axes; sensors in another order or of the wrong sign; a magnet "
-    "of another size, polarity or place than described (state a tolerance for it); poses or readings noisier than "
-    "stated"
+    "poses in another unit or order, at other times than the readings, or with exchanged axes; sensors in another "
+    "order or of the wrong sign; a magnet of another size, polarity or place than described (state a tolerance for "
+    "it); poses or readings noisier than stated"
 )
 _ITERATIONS, _DAMPING, _STEP = 50, 1e-3, 1e-6
 """Number of steps, of which six are enough as a rule; damping of Levenberg and Marquardt, where a step leads to a
@@ -209,6 +209,7 @@ def calibrate(
     *,
     tolerances: Tolerances | None = None,
     earth: Any = None,
+    rows: Sequence[str] | None = None,
 ) -> Calibration:
     """Find the places of magnets and sensors, gains and moments, by Gauss-Newton with Gaussian priors.
 
@@ -230,6 +231,8 @@ def calibrate(
         Standard deviations of the priors, of what the parts do not state themselves.
     earth
         Field of the Earth in the base frame [mT]; the robot's if not given.
+    rows
+        What messages call each pose, such as its file and line; those of a table if not given.
 
     Raises
     ------
@@ -261,11 +264,11 @@ def calibrate(
     robot = robot.replaced(moments=robot.sensing().moments, source=robot.source)
     described = robot.replaced(imus=(), noise=None)
     n = described.n_readings
-    at, rows = None, None
+    at = None
     if is_table(q):
         table = read_table(q)
         q, at = configurations_of(robot, table), table.times
-        rows = [f"{table.owner}, line {line}" for line in table.lines]
+        rows = rows or [f"{table.owner}, line {line}" for line in table.lines]
         for row, c in np.argwhere(np.isnan(q)):
             raise bad_input("pose", f"{rows[row]},", f"a number for {robot.coordinates[c]}", "none")
     q = numbers(q, "q", owner, (None, robot.n_q))
@@ -330,7 +333,7 @@ def calibrate(
     no_better = after >= before and (mostly > 2.0 or (len(q) >= 10 and after > 1.5))
     if no_better or not mostly <= _MOST or own[worst] > _OUTLIER * max(mostly, 0.8):
         against = f"{after:.3g} standard deviations against {before:.3g} as described"
-        where = f"worst in row {worst + 1}, by {own[worst]:.3g}"
+        where = f"worst in {rows[worst] if rows else f'row {worst + 1}'}, by {own[worst]:.3g}"
         raise _refused(f"a fit that predicts a pose from the others to {against}, {where}")
     if abs(z[far]) > _FARTHEST:
         raise _refused(f"{names[far]} off by {abs(z[far]):.3g} times its tolerance")
