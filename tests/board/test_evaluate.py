@@ -497,6 +497,10 @@ def test_mountings_and_frames_of_imus_are_calibrated(tmp_path):
     report = evaluate_files(readings, poses, path, tmp_path / "out")
     assert tip_error(report.found, LM) < 0.5
     assert tip_error(report.found, "as described, levenberg marquardt") > 10
+    angles = [float(x) for x in str(report).split("off by ")[1].split(" deg")[0].split(" and ")]
+    assert angles == pytest.approx(
+        [np.sqrt(4**2 + 3**2 + 5**2), 25.0], abs=0.6
+    )  # small turns about three axes
     stated = str(report).split("mounted = [")[2].split("]")[0]  # of the second
     off = (
         Rotation.from_quat([float(x) for x in stated.split(",")])
@@ -696,7 +700,12 @@ def test_calibration_finds_offsets_and_a_tracked_robot_states_what_it_left_open(
             assert abs(value - truth) < 4 * deviation
     assert "as described" in str(report)
     assert "stay as uncertain as before" in str(report)
-    bare = track_file(readings, path, calibration=tmp_path / "c.json").found
+    tracked = track_file(readings, path, calibration=tmp_path / "c.json")
+    bare = tracked.found
+    tip = np.sqrt(
+        np.square(bare.to_frame().filter(regex="tip_._sd_mm")).sum(axis=1)
+    )  # along x, y and z together
+    assert f"known to ±{tip.median():.2g} mm in most rows, ±{tip.max():.2g} mm in the worst" in str(tracked)
     sensing = found.q_covariance(bare.q[:1])[0]
     np.testing.assert_allclose(bare.covariance[0], sensing, rtol=0.05, atol=1e-12)
 
@@ -869,6 +878,9 @@ def test_motion_alone_tells_gains_and_offsets_as_well_as_stated(tmp_path, spike)
         < 0.5 * np.abs(offsets).mean()
     )
     assert f"1000 rows of readings in motion; {int(spike)} do not fit" in str(report)
+    value, deviation, prior = (100 * x[found.names.index("sensor 1 gain x")] for x in
+                               (found.estimate, found.deviation, found.tolerances))  # fmt: skip
+    assert f"sensor 1 gain x: {value:+.2g} ± {deviation:.2g} % (before ± {prior:.2g})" in str(report)
     assert repro.load_robot(EXAMPLE, tmp_path / "c.json").sensors[0].gain == found.robot.sensors[0].gain
 
 
