@@ -842,7 +842,8 @@ def _straightened(robot: Robot, T: Array, rest: Array) -> tuple[dict[int, Array]
     that fit alike are turns about the straight robot [deg]: only readings tell them apart.
     """
     straight = robot.poses(np.zeros(robot.n_q), _places(robot, None, len(rest), "read_poses"))
-    tip, moves, shown = rest[-1, :3, 3], T @ np.linalg.inv(rest), np.linspace(0, len(T) - 1, _RIG_SHAPES // 2)
+    tip, moves, seen = rest[-1, :3, 3], T @ np.linalg.inv(rest), np.isfinite(T[:, :, 0, 3]).any(axis=1)
+    shown = np.flatnonzero(seen)[np.linspace(0, seen.sum() - 1, _RIG_SHAPES // 2).astype(int)]
     ways = sorted(Rotation.create_group("O").as_matrix(), key=lambda R: (-round(R[0, 0]), -round(R.trace())))
     line = tip - rest[0, :3, 3] * (len(rest) > 1)
     line = line / np.linalg.norm(line).clip(1e-12)
@@ -856,7 +857,7 @@ def _straightened(robot: Robot, T: Array, rest: Array) -> tuple[dict[int, Array]
     bases = bases[int(np.linalg.norm(tip) > 1.5 * robot.length) :].reshape(-1, 4, 4)
     misfits = []
     for base in bases:
-        fit = fit_shape(robot, np.linalg.inv(base) @ moves[shown.astype(int)] @ base @ straight)
+        fit = fit_shape(robot, np.linalg.inv(base) @ moves[shown] @ base @ straight)
         beyond = outside(robot, fit.q).any(axis=1).mean()
         misfits.append(np.sqrt(np.nanmedian(np.square(fit.residual))) + robot.length * beyond)
     good = bases[np.array(misfits) <= 1.1 * min(misfits) + _EQUAL]

@@ -263,6 +263,8 @@ def _by_clock(windows: Array, clock: str, readings: Path | str) -> Array:
 def _held_lag(robot: Any, q: Array, windows: Array, u: Any, remarks: list[str]) -> float:
     """Return by how much held poses are later by the clock of the readings [s]; zero where that goes as well."""
     n, t, whole = sum(sensor.axes for sensor in robot.sensors), u.times, np.isfinite(q).all(1)
+    if whole.sum() < _FEWEST or not n:
+        return 0.0
     drawn, windows = robot.sensing()(q[whole])[:, :n], windows[whole]
     x = np.insert(_without_spikes(robot, q, np.array(u), t, [])[:, :n], 0, 1.0, axis=1)
     sums = np.cumsum(np.where(np.isfinite(x).all(axis=1, keepdims=True), x, 0.0), axis=0)
@@ -282,7 +284,7 @@ def _held_lag(robot: Any, q: Array, windows: Array, u: Any, remarks: list[str]) 
     good = slice(far[far < k].max(initial=-1) + 1, far[far > k].min(initial=len(lags)))
     lag = float(lags[good][[0, -1]].mean()) if least < 0.25 else 0.0  # in the middle of the hold
     other = shares[np.abs(lags - lag) > length].min(initial=math.inf) if lag else 0.0
-    if len(windows) < _FEWEST or given <= 2 * least + 0.005 or other < 2 * least:
+    if given <= 2 * least + 0.005 or other < 2 * least:
         return 0.0
     unexplained = f"{least:.0%} of the readings unexplained, {min(given, 1.0):.0%} as given"
     remarks.append(f"Lag: {lag:+.2f} s to be added to the times of the poses: {unexplained}.")
@@ -316,6 +318,15 @@ def _averaged(robot: Any, u: Any, windows: Array, where: Sequence[str]) -> tuple
     remarks = {f"Readings that do not fit their hold, and are left out: {len(spikes)}": spikes}
     remarks |= {f"Poses in which the readings were not still: {len(moved)}": moved}
     return np.array(means), [f"{text}: {_some(names)}." for text, names in remarks.items() if names]
+
+
+def _complete(x: Array, what: str, owner: str, labels: Sequence[str], least: int) -> Array:
+    """Return which rows are complete; refuse too few, and say what is missing most often."""
+    missing = np.isnan(x)
+    whole = np.asarray(~missing.any(axis=1))
+    received = f"{whole.sum()} of {len(x)}, most often without {labels[int(missing.sum(0).argmax())]}"
+    require(whole.sum() >= least, what, owner, f"complete in {least} rows or more", received)
+    return whole
 
 
 def calibrate_files(
@@ -352,11 +363,11 @@ def calibrate_files(
         values, more = _averaged(arm, u, windows, where)
         remarks += more
     n = sum(sensor.axes for sensor in arm.sensors)
-    whole: Any = np.isfinite(values[:, :n]).all(1) & np.isfinite(measured.q).all(1)
+    both, labels = np.concatenate([values[:, :n], measured.q], axis=1), [*arm.names[:n], *arm.coordinates]
+    whole = _complete(both, "poses and readings", name, labels, 1)
     if not whole.all():
         lost = [place for place, use in zip(where, whole, strict=True) if not use]
         remarks.append(f"{len(lost)} poses lack a reading or a coordinate and are left out: {_some(lost)}.")
-    require(whole.any(), "poses", name, "complete in one row or more", "none")
     rows = np.nan_to_num(values[whole])  # orientations are not calibrated here
     where = [place for place, use in zip(where, whole, strict=True) if use]
     found = calibrate(arm, measured.q[whole], rows, q_covariance=sigma, tolerances=TOLERANCES, rows=where)
@@ -814,6 +825,8 @@ def evaluate_files(
         require(times is not None and len(times) > 2, "times", owner, f"given with the {name}", "none")
     q, lines = np.array(measured.q), [*u.remarks, *measured.remarks]
     t, times, values = np.array(u.times), np.array(measured.times), np.array(u)
+    _complete(q, "poses", owner, arm.coordinates, 3)
+    _complete(values, "readings", owner, arm.names, 3)
     if t[0] > times[-1] or times[0] > t[-1]:
         t, times = t - t[0], times - times[0]
         lines.append("The clocks have no time in common: each is counted from its first row.")

@@ -455,6 +455,19 @@ def test_what_is_no_one_motion_or_no_one_lag_is_refused(good, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_what_is_missing_in_every_row_is_named(good, tmp_path):
+    path, readings, poses, _ = good
+    for kind, name, label in (("readings", "u2_mT", "sensor 2"), ("poses", "delta_L_1_mm", "delta_L_1")):
+        files = {"readings": readings, "poses": poses}
+        frame = pd.read_csv(files[kind]).assign(**{name: np.nan})
+        frame.to_csv(tmp_path / f"{kind}.csv", index=False)
+        files[kind] = tmp_path / f"{kind}.csv"
+        with pytest.raises(
+            InputError, match=f"{kind} of repro evaluate must be complete in 3.*without {label}"
+        ):
+            evaluate_files(*files.values(), path, tmp_path / "out")
+
+
 def test_figures_do_not_follow_the_settings_of_the_user(good, tmp_path):
     import matplotlib as mpl
     from cycler import cycler
