@@ -689,6 +689,8 @@ def _clear_lost(poses: Array, owner: str, lines: Sequence[int], remarks: list[st
 def _clear_frozen(values: Array, place: Array, what: str, lines: Sequence[int], remarks: list[str]) -> None:
     """Make rows NaN that only repeat the one before, many times, until they jump: what rests goes on slowly."""
     seen = np.flatnonzero(np.isfinite(place).all(axis=1))
+    if len(seen) == 0:
+        return
     rows, x = np.nan_to_num(values[seen]), place[seen] / np.maximum(np.nanstd(place, axis=0), 1e-12)
     last = np.flatnonzero(
         (rows[1:] != rows[:-1]).any(axis=1)
