@@ -171,7 +171,7 @@ def test_errors_of_1_and_7_mm_have_a_mean_of_4_and_a_root_mean_square_of_5():
     """A straight robot is 7 mm longer than measured, and 1 mm shorter: ± 0.6 mm beside a pose known to 0.8."""
     robot, one = repro.Robot([repro.ConstantCurvature(0.11, 0.022)]), 1e-6 * np.eye(3)
     shapes = {"a": estimates(robot, [[0, 0, -1e-3], [0, 0, 7e-3], [0, 0, np.nan]], 0.36 * one)}
-    shapes["b"] = estimates(robot, np.zeros((3, 3)))
+    shapes |= {"b": estimates(robot, np.zeros((3, 3))), "c": estimates(robot, np.zeros((3, 3)), one)}
     table = evaluate.errors_table(estimates(robot, np.zeros((3, 3))), 0.64 * one, shapes)
     rows = table.set_index(["estimate", "quantity"]).drop(columns="unit")
     grown = np.sqrt((1 + 0.95 * 48) / 3.841459)  # of the squares 1 and 49, one degree of freedom
@@ -179,7 +179,8 @@ def test_errors_of_1_and_7_mm_have_a_mean_of_4_and_a_root_mean_square_of_5():
     tip = [4, 5, 7, 6.7, 50, grown * np.sqrt(3.841459 / 7.814728), 2]
     np.testing.assert_allclose(rows.loc[("a", "tip")], tip, rtol=1e-6)
     np.testing.assert_array_equal(rows.loc[("b", "tip")], [0, 0, 0, 0, np.nan, np.nan, 3])
-    assert list(table["unit"]) == ["mm"] * 8
+    np.testing.assert_array_equal(rows.loc[("c", "tip")], [0, 0, 0, 0, 100, 0, 3])
+    assert list(table["unit"]) == ["mm"] * 12
 
 
 def test_angles_are_in_degrees_and_go_the_short_way_round():
