@@ -79,6 +79,14 @@ class FreeAngles:
         """Return by how much configurations ``[..., n_q]`` differ, free angles by at most half a turn."""
         return self.nearest(q, reference) - reference
 
+    def continuous(self, q: Array) -> Array:
+        """Return the same shapes over time ``[t, n_q]``, each next to the last one without NaN: angles go on."""
+        found, before = np.array(q), None
+        for k in np.flatnonzero(np.isfinite(q).all(-1)) if self else ():
+            found[k] = found[k] if before is None else self.nearest(found[k], before)
+            before = found[k]
+        return found
+
     def mean(self, q: Array, weights: Array) -> Array:
         """Return means ``[..., n_q]`` of configurations ``[..., n, n_q]``; the weights ``[..., n]`` add up to 1.
 

@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from repro.common import Array, bad_input, is_table, numbers, printable, require
 from repro.estimators.base import Trajectory
+from repro.estimators.calibration import outside
 from repro.estimators.least_squares import CHI2, LevenbergMarquardt
 from repro.robot import FreeBody, Place, Robot, place, point_on, rotation_matrix, unit_quaternions
 from repro.sensing import _batch_difference
@@ -46,6 +47,8 @@ are no frames [s]; a body that is mostly farther from the origin does not go the
 _SLACK, _OUTSIDE, _MISFIT = 0.1, 0.05, 0.1
 """Poses may be outside the bounds by this share of their width, this share of the poses farther, and the kinematics
 may miss them by this share of the robot's length."""
+_EQUAL = 5e-5
+"""Two ways of the axes fit alike if their misfits differ by no more than a tenth and this [m]."""
 
 
 @dataclass(frozen=True)
@@ -682,6 +685,8 @@ def _clear_lost(poses: Array, owner: str, lines: Sequence[int], remarks: list[st
 def _clear_frozen(values: Array, place: Array, what: str, lines: Sequence[int], remarks: list[str]) -> None:
     """Make rows NaN that only repeat the one before, many times, until they jump: what rests goes on slowly."""
     seen = np.flatnonzero(np.isfinite(place).all(axis=1))
+    if len(seen) == 0:
+        return
     rows, x = np.nan_to_num(values[seen]), place[seen] / np.maximum(np.nanstd(place, axis=0), 1e-12)
     last = np.flatnonzero(
         (rows[1:] != rows[:-1]).any(axis=1)
@@ -723,16 +728,20 @@ class Poses(NamedTuple):
     remarks: tuple[str, ...]
     """What was left out."""
     known: dict[str, Any]
-    """``window_s`` ``[t, 2]`` of rows that say when they start and end [s]; from bodies the measured ``tip``
-    ``[t, 3]`` [m], ``residual`` ``[t]`` [m], ``covariance``, and the :class:`Motion`."""
+    """``window_s`` ``[t, 2]`` of rows that say when they start and end [s], and by which ``clock``; from bodies the
+    measured ``tip`` ``[t, 3]`` [m], ``residual`` ``[t]`` [m], ``covariance``, the :class:`Motion`, and configurations
+    ``turned`` ``[t, n_q]`` that fit as well, by the angle of the base about the straight robot [deg]."""
 
 
-def read_poses(robot: Robot, path: Any, *, bodies: Sequence[str] = (), straight_s: float = 0.0) -> Poses:
+def read_poses(
+    robot: Robot, path: Any, *, bodies: Sequence[str] = (), straight_s: float = 0.0, covariance: Any = None
+) -> Poses:
     """Read measured poses of a robot: from its coordinates, or from bodies on the ends of its segments.
 
     Coordinates are columns with a unit (``delta_x_1_mm, delta_y_1_mm``), with ``time_s``, or ``start_s`` and
-    ``end_s``, or neither. Bodies are those of :func:`read_motion`; z points along the straight robot to its tip, but
-    for Motive, where y does. Rows that cannot be right are NaN and told.
+    ``end_s``, or neither. Held poses may also start and end by other clocks: ``start_board_s`` and ``end_board_s``,
+    or ``start_unix_s`` and ``end_unix_s``. Bodies are those of :func:`read_motion`; z points along the straight robot
+    to its tip, but for Motive, where y does. Rows that cannot be right are NaN and told.
 
     Parameters
     ----------
@@ -744,8 +753,11 @@ def read_poses(robot: Robot, path: Any, *, bodies: Sequence[str] = (), straight_
         Names of the bodies from base to tip, one on the end of every segment; with one more, the first is on the
         base. All bodies of the file, in their order, if not given.
     straight_s
-        The robot stands straight and unstretched for the first so many seconds: shifts and turns of bodies against
-        the ends of the segments are taken from there [s]. With 0 there are none.
+        The robot is straight and unstretched for the first so many seconds: shifts and turns of bodies against the
+        ends of the segments are taken from there [s], and along which axes the robot points. With 0 there are none.
+    covariance
+        Covariance of a measured configuration ``[n_q, n_q]``, by which it may be outside the bounds; a tenth of their
+        width if not given.
 
     Raises
     ------
@@ -754,10 +766,10 @@ def read_poses(robot: Robot, path: Any, *, bodies: Sequence[str] = (), straight_
     """
     require(0 <= straight_s < math.inf, "straight_s", "read_poses", "0 or above", straight_s)
     if isinstance(path, str | Path) and Path(path).is_file() and text_of(Path(path), []).startswith(_EXPORTS):
-        return _fitted(robot, read_motion(path), Path(path).name, bodies, straight_s)
+        return _fitted(robot, read_motion(path), Path(path).name, bodies, straight_s, covariance)
     table = read_table(path)
     if not set(robot.coordinates) & set(table.names):
-        return _fitted(robot, _motion_of(table), table.owner, bodies, straight_s)
+        return _fitted(robot, _motion_of(table), table.owner, bodies, straight_s, covariance)
     given = "coordinates of the robot, and bodies or a straight start beside them"
     require(not (straight_s or bodies), "poses", table.owner, "bodies", given)
     q, times, remarks, known = (
@@ -766,43 +778,99 @@ def read_poses(robot: Robot, path: Any, *, bodies: Sequence[str] = (), straight_
         list(table.remarks),
         dict[str, Any](),
     )
-    if {"start_s", "end_s"} <= {*table.names}:
-        window = np.stack([table.scaled(name)[0] for name in ("start_s", "end_s")], axis=1)
-        known, times = {"window_s": window}, window.mean(axis=1)
+    pairs = {clock: (f"start_{clock}s", f"end_{clock}s") for clock in ("unix_", "board_", "")}
+    if clocks := [clock for clock, pair in pairs.items() if {*pair} <= {*table.names}]:
+        window = np.stack([table.scaled(name)[0] for name in pairs[clocks[0]]], axis=1)
+        known, times = {"window_s": window, "clock": clocks[0]}, window.mean(axis=1)
     elif times is not None and len(times) > 1 and np.median(np.diff(times)) < _FRAME_S:
         zero = np.asarray((q == 0).all(axis=1))
         if robot.n_q > 1 and zero.mean() < 0.5:
             q[zero] = np.nan
         _clear_frozen(q, q, f"Rows of {table.owner}", table.lines, remarks)
     _say(np.asarray(np.isnan(q).any(axis=1)), f"Rows of {table.owner} without a pose", table.lines, remarks)
-    _clear_outside(robot, q, table.owner, table.lines, remarks)
+    _clear_outside(robot, q, table.owner, table.lines, remarks, covariance)
     return Poses(times, q, table.lines, tuple(remarks), known)
 
 
-def _clear_outside(robot: Robot, q: Array, owner: str, lines: Sequence[int], remarks: list[str]) -> None:
-    """Make poses NaN that are far outside the robot's bounds; refuse them if they are many."""
+def _clear_outside(
+    robot: Robot,
+    q: Array,
+    owner: str,
+    lines: Sequence[int],
+    remarks: list[str],
+    covariance: Any,
+    hint: str = "(units, axes, bounds?)",
+) -> None:
+    """Make poses NaN that are outside the robot's bounds; refuse some that are far, or most of them."""
     if robot.lower is None or robot.upper is None:
         return
     width = robot.upper - robot.lower
     free = robot.fixed | robot.free_angles.free  # nobody measures a fixed one exactly
     slack = np.where(free, np.inf, _SLACK * width + 1e-9)
     far = (q < robot.lower - slack) | (q > robot.upper + slack)
-    rows, c = np.asarray(far.any(axis=1)), int(far.sum(axis=0).argmax())
-    name = robot.coordinates[c]
+    out = far if covariance is None else far | outside(robot, q, covariance)
+    rows, c = np.asarray(out.any(axis=1)), int(out.sum(axis=0).argmax())
+    name, many = robot.coordinates[c], far.any(axis=1).sum() > max(1, _OUTSIDE * len(q))
     bounds = f"{robot.lower[c]:.4g} to {robot.upper[c]:.4g}"
-    if rows.sum() > max(1, _OUTSIDE * len(q)):
-        received = f"{np.nanmin(q[:, c]):.4g} to {np.nanmax(q[:, c]):.4g}, {rows.sum()} of {len(q)} poses far outside"
-        raise bad_input(name, owner, f"within the robot's bounds, {bounds} (units, axes, bounds?)", received)
+    if many or rows.sum() > max(1, len(q) / 2):
+        received = (
+            f"{np.nanmin(q[:, c]):.4g} to {np.nanmax(q[:, c]):.4g}, {rows.sum()} of {len(q)} poses outside"
+        )
+        raise bad_input(name, owner, f"within the robot's bounds, {bounds} {hint}", received)
     q[rows] = np.nan
-    _say(
-        rows,
-        f"Poses of {owner} left out, far outside the robot's bounds, for {name} {bounds}",
-        lines,
-        remarks,
-    )
+    _say(rows, f"Poses of {owner} left out, outside the robot's bounds, for {name} {bounds}", lines, remarks)
 
 
-def _fitted(robot: Robot, motion: Motion, owner: str, bodies: Sequence[str], straight_s: float) -> Poses:
+def _at_rest(T: Array, times: Array, straight_s: float, names: Sequence[str], owner: str) -> Array:
+    """Return the mean pose of every body ``[n, 4, 4]`` in the first seconds."""
+    rest = np.tile(np.eye(4), (T.shape[1], 1, 1))
+    for k, name in enumerate(names):
+        own = T[(times < times[0] + straight_s) & np.isfinite(T[:, k, 0]).all(axis=1), k]
+        require(len(own), "bodies", owner, f"seen in the first {straight_s:g} s", f"no pose of {name}")
+        rest[k, :3, :3] = Rotation.from_matrix(own[:, :3, :3]).mean().as_matrix()
+        rest[k, :3, 3] = own[:, :3, 3].mean(axis=0)
+    return rest
+
+
+def _straightened(robot: Robot, T: Array, rest: Array) -> tuple[dict[int, Array], Array]:
+    """Return poses of the ends of segments, straight at rest, and the rotation of the base.
+
+    The base has its axes along those of the capture, in whichever of 24 ways fits the robot best, or leans from them
+    to the line of the bodies at rest. It is at the origin, or where the last end is at rest by its length away. Ways
+    that fit alike are turns about the straight robot [deg]: only readings tell them apart.
+    """
+    straight = robot.poses(np.zeros(robot.n_q), _places(robot, None, len(rest), "read_poses"))
+    tip, moves, seen = rest[-1, :3, 3], T @ np.linalg.inv(rest), np.isfinite(T[:, :, 0, 3]).any(axis=1)
+    shown = np.flatnonzero(seen)[np.linspace(0, seen.sum() - 1, _RIG_SHAPES // 2).astype(int)]
+    ways = sorted(Rotation.create_group("O").as_matrix(), key=lambda R: (-round(R[0, 0]), -round(R.trace())))
+    line = tip - rest[0, :3, 3] * (len(rest) > 1)
+    line = line / np.linalg.norm(line).clip(1e-12)
+    leaning = [R for R in ways if R[:, 2] @ line > 0.57]
+    ways += [
+        Rotation.from_quat([*np.cross(R[:, 2], line), 1 + R[:, 2] @ line]).as_matrix() @ R for R in leaning
+    ]
+    bases = np.tile(np.eye(4), (2, len(ways), 1, 1))
+    bases[..., :3, :3] = ways
+    bases[1, :, :3, 3] = tip - bases[1, :, :3, :3] @ straight[-1, :3, 3]
+    bases = bases[int(np.linalg.norm(tip) > 1.5 * robot.length) :].reshape(-1, 4, 4)
+    misfits = []
+    for base in bases:
+        fit = fit_shape(robot, np.linalg.inv(base) @ moves[shown] @ base @ straight)
+        beyond = outside(robot, fit.q).any(axis=1).mean()
+        misfits.append(np.sqrt(np.nanmedian(np.square(fit.residual))) + robot.length * beyond)
+    good = bases[np.array(misfits) <= 1.1 * min(misfits) + _EQUAL]
+    ways = dict[int, Array]()
+    for base in good[::-1]:
+        R = good[0, :3, :3].T @ base[:3, :3]
+        if R[2, 2] > 1 - 1e-9:
+            angle = round(math.degrees(math.atan2(R[1, 0], R[0, 0])))
+            ways[angle] = np.linalg.inv(base) @ moves @ base @ straight
+    return ways, good[0, :3, :3]
+
+
+def _fitted(
+    robot: Robot, motion: Motion, owner: str, bodies: Sequence[str], straight_s: float, covariance: Any
+) -> Poses:
     """Return the configurations that fit bodies best."""
     n, there = len(robot.segments), list(motion.bodies)
     short = {name.rpartition(":")[2]: name for name in there}  # Vicon: subject:segment
@@ -817,33 +885,32 @@ def _fitted(robot: Robot, motion: Motion, owner: str, bodies: Sequence[str], str
     T = _measured(poses, owner)
     if len(names) > n:
         T = np.linalg.inv(T[:, :1]) @ T[:, 1:]
+    ways, remarks = {0: T}, list(motion.remarks)
     if straight_s > 0:
-        straight = robot.poses(np.zeros(robot.n_q), _places(robot, None, n, owner))
-        for k in range(n):
-            rest = T[(motion.times < motion.times[0] + straight_s) & np.isfinite(T[:, k, 0]).all(axis=1), k]
-            require(
-                len(rest), "bodies", owner, f"seen in the first {straight_s:g} s", f"no pose of {names[k]}"
-            )
-            mean = np.eye(4)
-            mean[:3, :3], mean[:3, 3] = (
-                Rotation.from_matrix(rest[:, :3, :3]).mean().as_matrix(),
-                rest[:, :3, 3].mean(0),
-            )
-            T[:, k] = T[:, k] @ np.linalg.inv(mean) @ straight[k]
+        ways, R = _straightened(robot, T, _at_rest(T, motion.times, straight_s, names[-n:], owner))
+        T = ways[0]
+        axes = R[[0, 2, 1]] * [[1], [1], [-1]] if motion.up == "y" else R
+        x, _, z = (
+            "-+"[int(own[k] > 0)] + "xyz"[k] for own, k in zip(axes.T, np.abs(axes).argmax(0), strict=True)
+        )
+        remarks.append(
+            f"By the axes of {owner}, the straight robot points along {z}, and x of its base along {x}."
+        )
     require(np.isfinite(T[:, :, 0, 3]).any(), "poses", owner, "seen in some frame", "none")
     shapes = fit_shape(robot, T, times=motion.times)
-    remarks, q, miss = list(motion.remarks), shapes.q.copy(), shapes.residual
+    q, miss = shapes.q.copy(), shapes.residual
     typical, most = float(np.sqrt(np.nanmedian(miss**2))), _MISFIT * robot.length
     remarks.append(f"The robot's kinematics miss the poses of {owner} by {1e3 * typical:.2f} mm (median).")
-    expected = (
-        "those that the robot can take, with z along the straight robot (units, axes, order of bodies?)"
-    )
+    hint = f"with {motion.up} along the straight robot (units, bounds, order of bodies, axes? "
+    hint += "A straight start tells the axes: --straight-s)"
+    expected = f"those that the robot can take, {hint}"
     require(typical < most, "poses", owner, expected, f"poses {1e3 * typical:.3g} mm from the nearest shape")
     far = miss > most
     q[far] = np.nan
     _say(far, f"Poses of {owner} left out, which the robot cannot take", motion.lines, remarks)
-    _clear_outside(robot, q, owner, motion.lines, remarks)
+    _clear_outside(robot, q, owner, motion.lines, remarks, covariance, hint)
     found = {"tip": T[:, -1, :3, 3], "residual": miss, "covariance": shapes.covariance, "motion": motion}
+    found["turned"] = {angle: fit_shape(robot, x).q for angle, x in ways.items() if angle}
     return Poses(motion.times, q, motion.lines, tuple(remarks), found)
 
 

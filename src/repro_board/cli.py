@@ -146,7 +146,8 @@ def calibrate(
     readings
         A recording or a table of readings, taken while the robot is held in known poses.
     poses
-        A table with a column for each coordinate, and from when to when the robot was held so.
+        A table with a column for each coordinate, and from when to when it was held so: start_s and end_s after the
+        first reading, or by the clock of the board or of the day, start_board_s or start_unix_s.
     robot
         The robot file.
     output
@@ -204,7 +205,8 @@ def evaluate(
     body
         The rigid body on the end of a segment, from base to tip; may be repeated. One more, given first, is the base.
     straight_s
-        The robot stands straight for the first so many seconds; there, the bodies are aligned with the segments.
+        The robot is straight for the first so many seconds, standing or hanging: there, the bodies are aligned with
+        the segments, and the axes of the base with the room.
     pose_noise_mm
         How well the poses are known: standard deviation of their lengths.
     pose_noise_deg

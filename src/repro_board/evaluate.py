@@ -23,7 +23,7 @@ from scipy.stats import chi2 as chi_square
 
 from repro.common import Array, bad_input, numbers, require
 from repro.estimators.base import Trajectory, track
-from repro.estimators.calibration import Calibration, Tolerances, calibrate, check_poses, placed
+from repro.estimators.calibration import Calibration, Tolerances, calibrate, placed
 from repro.estimators.drift import Drift, Drifting, DriftModel
 from repro.estimators.gradient_descent import GradientDescent
 from repro.estimators.kalman import KalmanFilter
@@ -51,7 +51,8 @@ _CAUSES = (
 _GAP_STEPS, _LEAST_S, _APART_S = 2.5, 5.0, 1.0
 """Longest gap over which is interpolated, in usual steps; shortest part of an evaluation, and time between the two
 parts [s]."""
-_MOST_POSES = 150
+_MOST_POSES, _FEWEST = 150, 5
+"""Poses that calibrate at most, and held ones that tell a lag."""
 
 
 @dataclass(frozen=True)
@@ -229,9 +230,10 @@ def pose_covariance(robot: Robot, noise_mm: float, noise_deg: float) -> Array:
 
 def _holds(measured: Any, u: Any, owner: str) -> Array | None:
     """Return beginning and end of every held pose ``[poses, 2]`` [s], or nothing where each has a row of readings."""
-    if "window_s" in measured.known:
-        return measured.known["window_s"]
     alike, times = len(u) == len(measured.q), measured.times
+    if "window_s" in measured.known:
+        require(u.times is not None, "times", "the readings", "given (a column time_s, or --rate)", "none")
+        return measured.known["window_s"]
     if times is None or u.times is None:
         expected = "held from start_s to end_s, or at time_s, or as many as the readings have rows"
         require(alike, "poses", owner, expected, f"{len(measured.q)} poses for {len(u)} rows")
@@ -241,12 +243,67 @@ def _holds(measured: Any, u: Any, owner: str) -> Array | None:
     return times[:, None] + np.array([-0.5, 0.5]) * _WINDOW_S
 
 
+def _by_clock(windows: Array, clock: str, readings: Path | str) -> Array:
+    """Return beginnings and ends ``[poses, 2]`` by the times of the readings, from another clock than theirs."""
+    from repro_board.export import table_of
+    from repro_board.record import MAGIC, read_recording
+
+    if not clock:
+        return windows
+    with Path(readings).open("rb") as file:
+        recorded = file.read(len(MAGIC)) == MAGIC
+    source = table_of(read_recording(readings))[0].filter(regex="_s$") if recorded else readings
+    table = read_table(source)._replace(owner=Path(readings).name)
+    own, name = table.scaled(f"{clock}s")[0], f"column {clock}s"
+    require((np.diff(own) >= 0).all(), name, table.owner, "increasing", "a clock that began anew")
+    return windows + np.interp(windows, own, table.times - own)
+
+
+def _held_lag(robot: Any, q: Array, windows: Array, u: Any, remarks: list[str]) -> float:
+    """Return by how much held poses are later by the clock of the readings [s]; zero where that goes as well."""
+    n, t, whole = sum(sensor.axes for sensor in robot.sensors), u.times, np.isfinite(q).all(1)
+    if whole.sum() < _FEWEST or not n:
+        return 0.0
+    drawn, windows = robot.sensing()(q[whole])[:, :n], windows[whole]
+    x = np.insert(_without_spikes(robot, q, np.array(u), t, [])[:, :n], 0, 1.0, axis=1)
+    sums = np.cumsum(np.where(np.isfinite(x).all(axis=1, keepdims=True), x, 0.0), axis=0)
+    sums, edges = np.concatenate([np.zeros((1, n + 1)), sums]), windows.T + np.array([[-1e-9], [1e-9]])
+
+    def left(lag: float) -> float:
+        first, last = (np.searchsorted(t, end + lag) for end in edges)
+        total = sums[last] - sums[first]
+        return _unexplained(total[:, 1:] / total[:, :1], drawn) if total[:, 0].all() else math.inf
+
+    length = float(np.median(np.diff(windows)))
+    ends = t[0] - windows[:, 0].min() - length / 2, t[-1] - windows[:, 1].max() + length / 2
+    lags = np.arange(*ends, max(float(np.median(np.diff(t))), length / 20))
+    shares, given = np.array([left(lag) for lag in lags] or [math.inf]), left(0.0)
+    least, far = shares.min(), np.flatnonzero(shares > 2 * shares.min())
+    k = int(shares.argmin())
+    good = slice(far[far < k].max(initial=-1) + 1, far[far > k].min(initial=len(lags)))
+    lag = float(lags[good][[0, -1]].mean()) if least < 0.25 else 0.0  # in the middle of the hold
+    other = shares[np.abs(lags - lag) > length].min(initial=math.inf) if lag else 0.0
+    if given <= 2 * least + 0.005 or other < 2 * least:
+        return 0.0
+    unexplained = f"{least:.0%} of the readings unexplained, {min(given, 1.0):.0%} as given"
+    remarks.append(f"Lag: {lag:+.2f} s to be added to the times of the poses: {unexplained}.")
+    return lag
+
+
+def _unexplained(u: Array, drawn: Array) -> float:
+    """Return the share of readings ``[t, s]`` that those of the robot as described leave, by a line each."""
+    v, w = (x - x.mean(0) for x in (u, drawn))
+    cosine = (v * w).sum(0) / np.sqrt(np.square(v).sum(0) * np.square(w).sum(0)).clip(1e-300)
+    return float(1 - np.square(cosine.clip(0)).mean())
+
+
 def _averaged(robot: Any, u: Any, windows: Array, where: Sequence[str]) -> tuple[Array, list[str]]:
     """Return the mean readings of every held pose, NaN where there are none, and what was left out."""
     means, spikes, moved, noise = [], [], [], np.nan_to_num(robot.total_noise)
     for (begin, end), place in zip(windows, where, strict=True):
         rows = np.flatnonzero((u.times >= begin - 1e-9) & (u.times <= end + 1e-9))
-        span = f"within the readings, {u.times[0]:g} to {u.times[-1]:g} s"
+        span = f"within the readings, {u.times[0]:g} to {u.times[-1]:g} s after the first"
+        span += " (start_board_s and start_unix_s are times of other clocks)"
         require(len(rows), "pose", f"{place},", span, f"none from {begin:g} to {end:g} s")
         x = np.ma.masked_invalid(np.array(u[rows]))
         middle = np.ma.median(x, axis=0)
@@ -260,6 +317,15 @@ def _averaged(robot: Any, u: Any, windows: Array, where: Sequence[str]) -> tuple
     remarks = {f"Readings that do not fit their hold, and are left out: {len(spikes)}": spikes}
     remarks |= {f"Poses in which the readings were not still: {len(moved)}": moved}
     return np.array(means), [f"{text}: {_some(names)}." for text, names in remarks.items() if names]
+
+
+def _complete(x: Array, what: str, owner: str, labels: Sequence[str], least: int) -> Array:
+    """Return which rows are complete; refuse too few, and say what is missing most often."""
+    missing = np.isnan(x)
+    whole = np.asarray(~missing.any(axis=1))
+    received = f"{whole.sum()} of {len(x)}, most often without {labels[int(missing.sum(0).argmax())]}"
+    require(whole.sum() >= least, what, owner, f"complete in {least} rows or more", received)
+    return whole
 
 
 def calibrate_files(
@@ -285,23 +351,25 @@ def calibrate_files(
         return Report("\n".join([*u.remarks, text, _written(path, calibration_text(found))]), found)
     if poses is None:
         raise bad_input("poses", owner, "given (repro calibrate READINGS POSES.csv), or --self", "neither")
-    name, measured = Path(poses).name, read_poses(arm, poses)
-    where = [f"{name}, line {line}" for line in measured.lines]
     sigma = pose_covariance(arm, pose_noise_mm, pose_noise_deg)
-    check_poses(arm, measured.q, sigma, where)
+    name, measured = Path(poses).name, read_poses(arm, poses, covariance=sigma)
+    where = [f"{name}, line {line}" for line in measured.lines]
     windows, remarks = _holds(measured, u, name), [*u.remarks, *measured.remarks]
     values = np.array(u)
     if windows is not None:
+        windows = _by_clock(windows, measured.known.get("clock", ""), readings)
+        windows = windows + _held_lag(arm, measured.q, windows, u, remarks)
         values, more = _averaged(arm, u, windows, where)
         remarks += more
     n = sum(sensor.axes for sensor in arm.sensors)
-    whole: Any = np.isfinite(values[:, :n]).all(1) & np.isfinite(measured.q).all(1)
+    both, labels = np.concatenate([values[:, :n], measured.q], axis=1), [*arm.names[:n], *arm.coordinates]
+    whole = _complete(both, "poses and readings", name, labels, 1)
     if not whole.all():
         lost = [place for place, use in zip(where, whole, strict=True) if not use]
         remarks.append(f"{len(lost)} poses lack a reading or a coordinate and are left out: {_some(lost)}.")
-    require(whole.any(), "poses", name, "complete in one row or more", "none")
     rows = np.nan_to_num(values[whole])  # orientations are not calibrated here
-    found = calibrate(arm, measured.q[whole], rows, q_covariance=sigma, tolerances=TOLERANCES)
+    where = [place for place, use in zip(where, whole, strict=True) if use]
+    found = calibrate(arm, measured.q[whole], rows, q_covariance=sigma, tolerances=TOLERANCES, rows=where)
     text = _calibration_report(found, measured.q[whole], rows)
     return Report("\n".join([*remarks, text, _written(path, calibration_text(found))]), found)
 
@@ -576,6 +644,41 @@ def _unwrapped(robot: Robot, u: Array) -> Array:
     return u
 
 
+def _without_spikes(robot: Any, q: Array, u: Array, t: Array, lines: list[str]) -> Array:
+    """Return readings ``[t, s]`` without those far beyond what the robot should read in its poses: errors of the bus.
+
+    Orientations are whole, or missing.
+    """
+    u, n = u.copy(), sum(sensor.axes for sensor in robot.sensors)
+    drawn = robot.sensing()(q[np.isfinite(q).all(1)])[:, :n]
+    off = np.abs(u[:, :n] - np.nanmedian(u[:, :n], axis=0))
+    usual = np.maximum(_SPIKE * 1.4826 * np.nanmedian(off, axis=0), 2 * np.ptp(drawn, axis=0))
+    far = off > np.maximum(usual, _SPIKE * np.nan_to_num(robot.total_noise)[:n])
+    u[:, :n][far] = np.nan
+    if (rows := far.any(1)).any():
+        when = _some([f"{x:.2f} s" for x in t[rows & ~np.roll(rows, 1)]])
+        what = "Readings far beyond all others, left out of lag and calibration"
+        lines.append(f"{what}: {far.sum()} in {rows.sum()} of {len(u)} rows, from {when}.")
+    return u
+
+
+def _turned(robot: Robot, q: Array, turned: Mapping[int, Array], u: Array, lines: list[str]) -> Array:
+    """Return poses ``[t, n_q]`` by the axes of the base that the readings ``u`` ``[t, s]`` of their times show.
+
+    Bodies do not tell how the base is turned about a straight robot: we predict the readings for every turn.
+    """
+    n, ways = sum(sensor.axes for sensor in robot.sensors), {0: q, **turned}
+    use = np.flatnonzero(np.isfinite(np.concatenate([q, u[:, :n]], axis=1)).all(1))
+    use = use[:: 1 + len(use) // _MOST_ROWS]
+    left = {k: _unexplained(u[use, :n], robot.sensing()(x[use])[:, :n]) for k, x in ways.items() if n}
+    angle = min(left, key=lambda k: left[k], default=0)
+    if angle and left[angle] < left[0] / 2:
+        shares = f"{left[angle]:.0%} of the readings unexplained, {left[0]:.0%} otherwise"
+        lines.append(f"The base is taken as turned by {angle} deg about the straight robot: {shares}.")
+        return np.where(np.isnan(q), np.nan, ways[angle])
+    return q
+
+
 def _alike(q: Array, u: Array) -> Array:
     """Return which rows go with the others: their readings are a smooth function of the pose."""
     x, low, up = (q - q.mean(0)) / np.maximum(q.std(0), 1e-12), *np.triu_indices(q.shape[1])
@@ -589,7 +692,7 @@ def _alike(q: Array, u: Array) -> Array:
 
 
 def calibrated_with(
-    robot: Robot, q: Array, u: Array, covariance: Array
+    robot: Robot, q: Array, u: Array, covariance: Array, where: Sequence[str]
 ) -> tuple[Robot, Calibration | None, Array, list[str]]:
     """Calibrate magnets, sensors and IMUs with the rows whose pose ``q`` ``[t, n_q]`` is not NaN.
 
@@ -603,7 +706,13 @@ def calibrated_with(
         rows = known[np.isfinite(u[known, :n]).all(1)]
         rows = rows[:: 1 + len(rows) // _MOST_POSES]
         found = calibrate(
-            robot, q[rows], np.nan_to_num(u[rows]), None, covariance[rows], tolerances=TOLERANCES
+            robot,
+            q[rows],
+            np.nan_to_num(u[rows]),
+            None,
+            covariance[rows],
+            tolerances=TOLERANCES,
+            rows=[where[int(k)] for k in rows],
         )
         size = np.linalg.norm((u[known] - found.sensing()(q[known]))[:, :n], axis=1)
         known = known[~(size > _SPIKE * np.nanmedian(size))]
@@ -709,21 +818,26 @@ def evaluate_files(
     require(0 < share < 1, "share", owner, "between 0 and 1", share)
     require(0 < longest_lag_s < math.inf, "longest-lag", owner, "positive and finite", longest_lag_s)
     sigma = pose_covariance(arm, pose_noise_mm, pose_noise_deg)
-    u, measured = (
-        _readings(arm, readings, rate_hz),
-        read_poses(arm, poses, bodies=bodies, straight_s=straight_s),
-    )
+    u = _readings(arm, readings, rate_hz)
+    measured = read_poses(arm, poses, bodies=bodies, straight_s=straight_s, covariance=sigma)
     for name, times in (("readings", u.times), ("poses", measured.times)):
         require(times is not None and len(times) > 2, "times", owner, f"given with the {name}", "none")
     q, lines = np.array(measured.q), [*u.remarks, *measured.remarks]
     t, times, values = np.array(u.times), np.array(measured.times), np.array(u)
+    _complete(q, "poses", owner, arm.coordinates, 3)
+    _complete(values, "readings", owner, arm.names, 3)
     if t[0] > times[-1] or times[0] > t[-1]:
         t, times = t - t[0], times - times[0]
         lines.append("The clocks have no time in common: each is counted from its first row.")
+    clean, where = (
+        _without_spikes(arm, q, values, t, lines),
+        [f"{Path(readings).name}, line {k}" for k in u.lines],
+    )
     repeats = _repeats(q)  # frozen or at rest: the readings say so once the lag is known
     moving = np.where(repeats[:, None] & (repeats.mean() < 0.5), np.nan, q)
-    lag = clock_lag(Signal.of(times, moving), Signal.of(t, _unwrapped(arm, values)), longest_lag_s)
-    frozen = _frozen(q, times + lag, t, values, arm.total_noise)
+    lag = clock_lag(Signal.of(times, moving), Signal.of(t, _unwrapped(arm, clean)), longest_lag_s)
+    q = _turned(arm, q, measured.known.get("turned", {}), Signal.of(t, clean).at(times + lag), lines)
+    frozen = _frozen(q, times + lag, t, clean, arm.total_noise)
     if frozen.any():
         when = _some([f"{x:.2f} s" for x in times[frozen & ~np.roll(frozen, 1)]])
         lines.append(
@@ -731,7 +845,7 @@ def evaluate_files(
         )
         q[frozen] = np.nan
     motion = Signal.of(times, q)
-    motion.values[:, arm.angles] = np.unwrap(motion.values[:, arm.angles], axis=0)
+    motion.values[:] = arm.free_angles.continuous(motion.values)
     begin, end = t[np.isfinite(motion.at(t - lag)).all(1)][[0, -1]]
     border = begin + share * (end - begin)
     expected = f"together for {_LEAST_S:g} s in the first part and in the rest"
@@ -740,12 +854,14 @@ def evaluate_files(
         min(border - begin, end - border - _APART_S) >= _LEAST_S, "readings and poses", owner, expected, seen
     )
     first, rest = (t >= begin) & (t <= border), (t >= border + _APART_S) & (t <= end)
-    step, error, words, tuned, known, corrected = motion.gap / _GAP_STEPS, 0.0, [], arm, None, values
+    step, error, words, tuned, known, corrected = motion.gap / _GAP_STEPS, 0.0, [], arm, None, clean
     for _ in range(4):  # a better robot tells the lag better, and that the robot
         at, ahead, behind = (motion.at(t - lag + x) for x in (0.0, step, -step))
         speed = np.nan_to_num(ahead - behind) / (2 * step)
         C, before = sigma + error**2 * speed[:, :, None] * speed[:, None, :], lag
-        tuned, known, corrected, words = calibrated_with(arm, np.where(first[:, None], at, np.nan), values, C)
+        tuned, known, corrected, words = calibrated_with(
+            arm, np.where(first[:, None], at, np.nan), clean, C, where
+        )
         lag, error = fine_lag(tuned.sensing(), motion, t[first], corrected[first], lag)
         if abs(lag - before) < max(0.5 * error, 1e-4):
             break
@@ -755,11 +871,11 @@ def evaluate_files(
     for name in ESTIMATORS[:2]:
         for which, model, x, c in (
             ("as described", arm, values, None),
-            ("calibrated", tuned, corrected, known),
+            ("calibrated", tuned, np.where(np.isfinite(clean), corrected, values), known),
         ):
             shape = track(estimator_of(model, name), x[rest], times=t[rest])
             shapes[f"{which}, {name.replace('_', ' ')}"] = with_calibration(shape, c)
-    use = first & np.isfinite(truth).all(1) & np.isfinite(values).all(1)
+    use = first & np.isfinite(truth).all(1) & np.isfinite(clean).all(1)
     moves = np.ptp(truth[use], axis=0) > 10 * np.sqrt(np.diag(sigma))
     if 0 < moves.sum() <= 2:
         plain = _interpolated(values, truth, use, rest)
@@ -827,8 +943,7 @@ def errors_table(measured: Trajectory, sigma: Array, shapes: Mapping[str, Trajec
     rows, robot, units = [], measured.robot, measured.units()
     for name, shape in shapes.items():
         use = np.isfinite(measured.q).all(1) & np.isfinite(shape.q).all(1)
-        e = (shape.q - measured.q)[use]
-        e[:, robot.angles] = (e[:, robot.angles] + math.pi) % (2 * math.pi) - math.pi
+        e = robot.free_angles.difference(shape.q[use], measured.q[use])
         tip, G = robot.tip_slopes(shape.q[use])
         away = tip - robot.tip_slopes(measured.q[use])[0]
         parts = [("tip", "mm", 1e3 * away, 1e3 * G)]

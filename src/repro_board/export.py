@@ -82,9 +82,10 @@ def export(
 def table_of(recording: Recording, robot: Robot | None = None) -> tuple[Any, list[str]]:
     """Return a data frame of a recording and its remarks.
 
-    It has ``time_s`` from the first sample, ``unix_s``, and with a robot its readings by their names in mT, IMUs as
-    rotation vectors in rad. Without one it has a row for each sample: ``stream``, ``sequence`` where the board sends
-    it, and the values by the names and units that the board sends, else u1, u2 and so on.
+    It has ``time_s`` from the first sample, ``unix_s``, ``board_s`` by the clock of the board where it sends one, and
+    with a robot its readings by their names in mT, IMUs as rotation vectors in rad. Without one it has a row for each
+    sample: ``stream``, ``sequence`` where the board sends it, and the values by the names and units that the board
+    sends, else u1, u2 and so on.
     """
     import pandas as pd
 
@@ -94,7 +95,7 @@ def table_of(recording: Recording, robot: Robot | None = None) -> tuple[Any, lis
         magnetic = sum(sensor.axes for sensor in robot.sensors)
         names = [f"{name}_{'mT' if k < magnetic else 'rad'}" for k, name in enumerate(robot.names)]
         times = np.asarray(readings.times)
-        columns: dict[str, Any] = {"time_s": times.round(9), "unix_s": recording.unix_s + times}
+        columns = _clocks(recording, times)
         return pd.DataFrame(columns | dict(zip(names, readings.T, strict=True))), list(readings.remarks)
     remarks, widths = list(recording.remarks), {len(sample.values) for sample in recording.samples}
     if len(widths) > 1:
@@ -102,7 +103,7 @@ def table_of(recording: Recording, robot: Robot | None = None) -> tuple[Any, lis
     values = np.full((len(recording.samples), max(widths)), np.nan)
     for k, sample in enumerate(recording.samples):
         values[k, : len(sample.values)] = sample.values
-    columns = {"time_s": recording.times.round(9), "unix_s": recording.unix_s + recording.times}
+    columns = _clocks(recording, recording.times)
     columns["stream"] = np.array([sample.stream for sample in recording.samples])
     sequence = [sample.sequence for sample in recording.samples]
     if None not in sequence:
@@ -112,6 +113,16 @@ def table_of(recording: Recording, robot: Robot | None = None) -> tuple[Any, lis
     if len(names) != max(widths) or len({*names, *columns}) < len(names) + len(columns):
         names = [f"u{k + 1}" for k in range(max(widths))]
     return pd.DataFrame(columns | dict(zip(names, values.T, strict=True))), remarks
+
+
+def _clocks(recording: Recording, times: Any) -> dict[str, Any]:
+    """Return times of a recording by all clocks."""
+    columns: dict[str, Any] = {"time_s": times.round(9), "unix_s": recording.unix_s + times}
+    board_us = [sample.time_us for sample in recording.samples]
+    if None not in board_us:
+        nearest = np.rint(np.interp(times, recording.times, np.arange(len(board_us)))).astype(int)
+        columns["board_s"] = np.array(board_us)[nearest] / 1e6
+    return columns
 
 
 def _estimates(path: Path, last_s: float) -> Any:

@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 import repro
 from repro import InputError
 from repro.estimators.base import Trajectory
+from repro.estimators.calibration import Calibration, placed
 from repro_board import evaluate
+from repro_board.cli import main
 from repro_board.evaluate import (
     Signal,
     calibrate_files,
@@ -158,6 +160,88 @@ def test_an_evaluation_finds_the_lag_and_what_is_off(good):
     assert len(estimates) == table["rows"].max()
 
 
+def estimates(robot: Any, q: Any, covariance: Any = None) -> Trajectory:
+    q = np.array(q, dtype=float)
+    n = np.full(len(q), np.nan)
+    C = None if covariance is None else np.tile(covariance, (len(q), 1, 1))
+    return Trajectory(np.arange(float(len(q))), q, C, q, n, n, n, robot=robot)
+
+
+def test_errors_of_1_and_7_mm_have_a_mean_of_4_and_a_root_mean_square_of_5():
+    """A straight robot is 7 mm longer than measured, and 1 mm shorter: ± 0.6 mm beside a pose known to 0.8."""
+    robot, one = repro.Robot([repro.ConstantCurvature(0.11, 0.022)]), 1e-6 * np.eye(3)
+    shapes = {"a": estimates(robot, [[0, 0, -1e-3], [0, 0, 7e-3], [0, 0, np.nan]], 0.36 * one)}
+    shapes |= {"b": estimates(robot, np.zeros((3, 3))), "c": estimates(robot, np.zeros((3, 3)), one)}
+    table = evaluate.errors_table(estimates(robot, np.zeros((3, 3))), 0.64 * one, shapes)
+    rows = table.set_index(["estimate", "quantity"]).drop(columns="unit")
+    grown = np.sqrt((1 + 0.95 * 48) / 3.841459)  # of the squares 1 and 49, one degree of freedom
+    np.testing.assert_allclose(rows.loc[("a", "delta_L_1")], [4, 5, 7, 6.7, 50, grown, 2], rtol=1e-6)
+    tip = [4, 5, 7, 6.7, 50, grown * np.sqrt(3.841459 / 7.814728), 2]
+    np.testing.assert_allclose(rows.loc[("a", "tip")], tip, rtol=1e-6)
+    np.testing.assert_array_equal(rows.loc[("b", "tip")], [0, 0, 0, 0, np.nan, np.nan, 3])
+    np.testing.assert_array_equal(rows.loc[("c", "tip")], [0, 0, 0, 0, 100, 0, 3])
+    assert list(table["unit"]) == ["mm"] * 12
+
+
+def test_angles_are_in_degrees_and_go_the_short_way_round():
+    """179 and -179 degrees are two apart; a quarter turn reads 90."""
+    robot = repro.Robot([repro.AffineCurvature(0.2), repro.BallJoint("x")])
+    q = np.radians([[30.0, 0.0, 90.0, 0.0, -45.0], [30.0, 0.0, 179.0, 0.0, 0.0]])
+    frame = estimates(robot, q, np.diag(np.radians([1.0, 1.0, 2.0, 1.0, 3.0]) ** 2)).to_frame()
+    named = frame[["kappa_0_1_rad", "phi_1_deg", "rotation_x_2_deg", "phi_1_sd_deg", "rotation_x_2_sd_deg"]]
+    np.testing.assert_allclose(named.iloc[0], [np.pi / 6, 90, -45, 2, 3])
+    turned = np.where(np.arange(5) == 2, np.radians([[92.0], [-179.0]]), q)
+    table = evaluate.errors_table(estimates(robot, q), np.eye(5), {"a": estimates(robot, turned)})
+    phi = table[table["quantity"] == "phi_1"].iloc[0]
+    np.testing.assert_allclose([phi["mean"], phi["rmse"], phi["largest"]], 2.0)
+    assert phi["unit"] == "deg"
+
+
+def test_the_deviation_of_a_lag_is_that_of_a_median_of_twelve():
+    """A robot that reads its coordinate, at constant speed, and is 1 ms early or late in turn."""
+
+    class Plain:
+        difference = staticmethod(np.subtract)
+
+        def __call__(self, q):
+            return q
+
+    t = 1.0 + 0.01 * np.arange(1200)
+    late = np.where(np.arange(1200) // 100 % 2, 1e-3, -1e-3)
+    motion = Signal.of(np.arange(0, 16, 0.01), np.arange(0, 16, 0.01)[:, None])
+    lag, error = fine_lag(Plain(), motion, t, (t - 0.5 - late)[:, None], 0.5)
+    assert lag == pytest.approx(0.5, abs=1e-6)
+    assert error == pytest.approx(1.2533e-3 / np.sqrt(12), rel=1e-3)
+
+
+def test_a_share_of_six_tenths_of_the_readings_is_unexplained():
+    """Noise of 0.6 on a motion of 0.8 is refused, and said so; lines explain all of a line, nothing of its mirror."""
+    q = motion(4000)
+    noise = np.random.default_rng(1).normal(size=4000)
+    u = (0.8 * q[:, 0] + 0.6 * noise)[:, None]
+    t = np.arange(4000) / 40
+    with pytest.raises(InputError, match=r"of one motion; instead received (59|60|61)% of the readings"):
+        evaluate.clock_lag(Signal.of(t, q), Signal.of(t, u), 5.0)
+    x = q[:, :1]
+    for u, left in ((3 * x + 1, 0.0), (-x, 1.0), (0.8 * x + 0.6 * noise[:, None], 0.36)):
+        assert evaluate._unexplained(u, x) == pytest.approx(left, abs=0.03)
+
+
+def test_residuals_of_a_calibration_are_root_mean_squares():
+    """Two sensors that are off by 3 and 4 mT: 5 by the root of 2."""
+    robot = repro.load_robot(RAW)
+    robot = robot.replaced(sensors=robot.sensors[:2], noise=1.0)
+    off = {"sensor 1 offset": 3.0, "sensor 2 offset": 4.0}
+    found = Calibration(
+        placed(robot, off), robot, tuple(off), np.array([3.0, 4.0]), np.array([0.95, 0.1]), np.ones(2), np.eye(2),
+        1.0, 9, 1.0, 1.0,
+    )  # fmt: skip
+    q = shapes(robot, np.arange(9.0))
+    text = evaluate._calibration_report(found, q, robot.sensing()(q))
+    assert "mT as described, 3.54 mT calibrated." in text
+    assert "1 parameters stay as uncertain as before: sensor 1 offset" in text
+
+
 def test_a_deviation_that_is_stated_half_too_small_must_grow_twofold():
     rng, robot = np.random.default_rng(1), repro.Robot([repro.ConstantCurvature(0.11, 0.022)])
     q, n = 0.005 + 1e-3 * rng.standard_normal((4000, 3)), np.full(4000, np.nan)
@@ -214,6 +298,92 @@ def test_bad_samples_of_the_motion_capture_change_the_error_by_less_than_a_twent
     found = evaluate_files(readings, spoilt_poses, path, tmp_path / "out")
     assert tip_error(found.found, LM) == pytest.approx(tip_error(report.found, LM), rel=0.05)
     assert words in str(found)
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns"), [(slice(400, 404), slice(0, 4)), (slice(900, 901), slice(1, 2))]
+)
+def test_errors_of_the_bus_in_the_readings_leave_lag_and_calibration_alone(good, rows, columns, tmp_path):
+    path, readings, poses, report = good
+    frame = pd.read_csv(readings)
+    values = frame.iloc[:, 1:].to_numpy().copy()
+    values[rows, columns] = -266.24
+    spoilt = write_table(tmp_path / "u.csv", frame["time_s"], list(frame.columns[1:]), values)
+    found = evaluate_files(spoilt, poses, path, tmp_path / "out")
+    n, of = values[rows, columns].size, rows.stop - rows.start
+    assert f"calibration: {n} in {of} of 1200 rows, from {rows.start / 40:.2f} s." in str(found)
+    assert float(str(found).split("Lag: ")[1].split(" ")[0]) == pytest.approx(1e3 * LAG_S, abs=3)
+    assert tip_error(found.found, LM) == pytest.approx(tip_error(report.found, LM), rel=0.05)
+
+
+def test_only_what_no_pose_explains_is_an_error_of_the_bus():
+    """A robot that rests for most of the time, then with a tenth of garbage: all readings stay, all garbage goes."""
+    robot, t = repro.load_robot(EXAMPLE), np.arange(400) / 40
+    q = np.where(np.arange(400)[:, None] > 300, shapes(robot, t), shapes(robot, 0 * t))
+    u, lines = robot.sensing()(q), list[str]()
+    np.testing.assert_array_equal(evaluate._without_spikes(robot, q, u, t, lines), u)
+    assert not lines
+    spoilt = u.copy()
+    spoilt[::10, 2] = 3e4
+    found = evaluate._without_spikes(robot, q, spoilt, t, lines)
+    np.testing.assert_array_equal(np.isnan(found), spoilt == 3e4)
+    assert lines[0].endswith(
+        "calibration: 40 in 40 of 400 rows, from 0.00 s, 0.25 s, 0.50 s, 0.75 s, 1.00 s and 35 more."
+    )
+
+
+def test_poses_a_little_outside_the_bounds_are_left_out_by_their_lines(good, tmp_path):
+    path, readings, poses, report = good
+    frame = pd.read_csv(poses)
+    frame.iloc[800:850, 1] = 21.7
+    frame.to_csv(tmp_path / "p.csv", index=False)
+    found = evaluate_files(readings, tmp_path / "p.csv", path, tmp_path / "out")
+    words = (
+        "left out, outside the robot's bounds, for delta_x_1 -0.02 to 0.02: 50 of 3000 (lines 802 to 851)."
+    )
+    assert f"Poses of p.csv {words}" in str(found)
+    assert tip_error(found.found, LM) == pytest.approx(tip_error(report.found, LM), rel=0.05)
+    frame.iloc[::2, 1] = 21.7
+    frame.iloc[:10, 1] = 21.7
+    frame.to_csv(tmp_path / "p.csv", index=False)
+    with pytest.raises(
+        InputError, match=r"delta_x_1 of p.csv must be within the robot's bounds.*15\d\d of 3000 poses"
+    ):
+        evaluate_files(readings, tmp_path / "p.csv", path, tmp_path / "other")
+
+
+def test_an_arm_that_hangs_is_evaluated_by_the_command(good, tmp_path, capsys):
+    """A body with the axes of the room, z up; the arm points down, and x of its base along -y of the room."""
+    path, robot = good[0], repro.load_robot(good[0])
+    t, times = np.arange(0, 18, 1 / RATE_HZ), np.arange(0, 18, 1 / 30)
+    q, course = (np.clip(x - 2, 0, 1)[:, None] * shapes(robot, x) for x in (t, times + LAG_S))
+    u = write_table(tmp_path / "u.csv", t, [f"u{k}_mT" for k in range(1, 5)], read(robot, q))
+    R, T = np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]]), robot.tip(course)
+    turn, p = (
+        Rotation.from_matrix(R @ T[:, :3, :3] @ R.T).as_quat(),
+        1e3 * T[:, :3, 3] @ R.T + [100, -300, 1200],
+    )
+    names = ["x_1_mm", "y_1_mm", "z_1_mm", "qx_1", "qy_1", "qz_1", "qw_1"]
+    poses = write_table(tmp_path / "p.csv", times, names, np.concatenate([p, turn], axis=1))
+    words = [
+        "evaluate",
+        str(u),
+        str(poses),
+        "--robot",
+        str(path),
+        "-o",
+        str(tmp_path / "out"),
+        "--straight-s",
+        "1",
+    ]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "the straight robot points along -z, and x of its base along +x." in said
+    assert (
+        "The base is taken as turned by 90 deg about the straight robot: 0% of the readings unexplained"
+        in said
+    )
+    assert tip_error(pd.read_csv(tmp_path / "out" / "errors.csv"), LM) < 0.5
 
 
 def test_a_robot_at_rest_is_not_taken_for_a_frozen_capture(good, tmp_path):
@@ -286,6 +456,19 @@ def test_what_is_no_one_motion_or_no_one_lag_is_refused(good, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_what_is_missing_in_every_row_is_named(good, tmp_path):
+    path, readings, poses, _ = good
+    for kind, name, label in (("readings", "u2_mT", "sensor 2"), ("poses", "delta_L_1_mm", "delta_L_1")):
+        files = {"readings": readings, "poses": poses}
+        frame = pd.read_csv(files[kind]).assign(**{name: np.nan})
+        frame.to_csv(tmp_path / f"{kind}.csv", index=False)
+        files[kind] = tmp_path / f"{kind}.csv"
+        with pytest.raises(
+            InputError, match=f"{kind} of repro evaluate must be complete in 3.*without {label}"
+        ):
+            evaluate_files(*files.values(), path, tmp_path / "out")
+
+
 def test_figures_do_not_follow_the_settings_of_the_user(good, tmp_path):
     import matplotlib as mpl
     from cycler import cycler
@@ -328,6 +511,10 @@ def test_mountings_and_frames_of_imus_are_calibrated(tmp_path):
     report = evaluate_files(readings, poses, path, tmp_path / "out")
     assert tip_error(report.found, LM) < 0.5
     assert tip_error(report.found, "as described, levenberg marquardt") > 10
+    angles = [float(x) for x in str(report).split("off by ")[1].split(" deg")[0].split(" and ")]
+    assert angles == pytest.approx(
+        [np.sqrt(4**2 + 3**2 + 5**2), 25.0], abs=0.6
+    )  # small turns about three axes
     stated = str(report).split("mounted = [")[2].split("]")[0]  # of the second
     off = (
         Rotation.from_quat([float(x) for x in stated.split(",")])
@@ -527,7 +714,12 @@ def test_calibration_finds_offsets_and_a_tracked_robot_states_what_it_left_open(
             assert abs(value - truth) < 4 * deviation
     assert "as described" in str(report)
     assert "stay as uncertain as before" in str(report)
-    bare = track_file(readings, path, calibration=tmp_path / "c.json").found
+    tracked = track_file(readings, path, calibration=tmp_path / "c.json")
+    bare = tracked.found
+    tip = np.sqrt(
+        np.square(bare.to_frame().filter(regex="tip_._sd_mm")).sum(axis=1)
+    )  # along x, y and z together
+    assert f"known to ±{tip.median():.2g} mm in most rows, ±{tip.max():.2g} mm in the worst" in str(tracked)
     sensing = found.q_covariance(bare.q[:1])[0]
     np.testing.assert_allclose(bare.covariance[0], sensing, rtol=0.05, atol=1e-12)
 
@@ -569,8 +761,14 @@ def test_poses_that_cannot_be_or_lack_a_sensor_are_left_out_and_named(tmp_path):
     def a_little(frame):
         frame.loc[7, "delta_x_1_mm"] = 22.5
 
-    with pytest.raises(InputError, match=r"within the robot's bounds.*0\.0225 in poses\.csv, line 9"):
-        calibrate_files(readings, rewritten(poses, a_little), path, tmp_path / "d.json")
+    text = str(calibrate_files(readings, rewritten(poses, a_little), path, tmp_path / "d.json"))
+    assert "outside the robot's bounds, for delta_x_1 -0.02 to 0.02: 1 of 20 (line 9)." in text
+
+    def mirrored(frame):
+        frame.loc[4, ["delta_x_1_mm", "delta_y_1_mm"]] *= -1
+
+    with pytest.raises(InputError, match=r"worst in poses\.csv, line 6, by"):
+        calibrate_files(readings, rewritten(poses, mirrored), path, tmp_path / "e.json")
 
 
 def test_poses_and_readings_row_by_row_or_at_one_time(tmp_path):
@@ -592,14 +790,76 @@ def test_poses_and_readings_row_by_row_or_at_one_time(tmp_path):
         InputError, match=r"poses of rows\.csv must be held from start_s.*20 poses for 200 rows"
     ):
         calibrate_files(readings, tmp_path / "rows.csv", path, tmp_path / "d.json")
-    late = frame.assign(start_s=frame["start_s"] + 50, end_s=frame["end_s"] + 50)
+    late = frame.assign(start_s=frame["start_s"].where(frame.index != 3, 50.0), end_s=frame["end_s"] + 50)
     late.to_csv(tmp_path / "late.csv", index=False)
     with pytest.raises(
-        InputError, match=r"pose of late\.csv, line 2, must be within the readings, 0 to 19\.36 s"
+        InputError,
+        match=r"pose of late\.csv, line 5, must be within the readings, 0 to 19\.36 s after the first",
     ):
         calibrate_files(readings, tmp_path / "late.csv", path, tmp_path / "d.json")
+    untimed = write_table(tmp_path / "untimed.csv", None, [f"u{k}_mT" for k in range(1, 5)], u)
+    with pytest.raises(InputError, match="times of the readings must be given"):
+        calibrate_files(untimed, poses, path, tmp_path / "d.json")
     with pytest.raises(InputError, match="poses of repro calibrate must be given"):
         calibrate_files(readings, None, path, tmp_path / "d.json")
+
+
+def moves_and_holds(folder: Path, robot: Any) -> tuple[Path, Any, np.ndarray]:
+    """Readings of a robot that holds each of 12 poses for 1.5 s and then moves for 0.5 s, and when it holds."""
+    q = robot.lower + (robot.upper - robot.lower) * np.random.default_rng(4).uniform(
+        0.05, 0.95, (13, robot.n_q)
+    )
+    t = np.arange(0, 25, 1 / RATE_HZ)
+    k, share = (t / 2).astype(int), np.clip(t % 2 - 1.5, 0, 0.5)[:, None] * 2
+    u = read(robot, q[k] * (1 - share) + q[np.minimum(k + 1, 12)] * share)
+    readings = write_table(folder / "u.csv", t, [f"u{k}_mT" for k in range(1, robot.n_readings + 1)], u)
+    frame = pd.DataFrame(1e3 * q[:12], columns=[f"{name}_mm" for name in robot.coordinates])
+    return readings, frame.assign(start_s=2.0 * np.arange(12) + 0.2, end_s=2.0 * np.arange(12) + 1.3), u
+
+
+@pytest.mark.parametrize("late", [-700.0, -3.0, 1.2, 50.0])
+def test_held_poses_by_a_clock_that_is_off_calibrate_as_those_that_are_not(tmp_path, late):
+    path = robot_file(tmp_path)
+    readings, frame, _ = moves_and_holds(tmp_path, repro.load_robot(path))
+    frame.to_csv(tmp_path / "p.csv", index=False)
+    right = calibrate_files(readings, tmp_path / "p.csv", path, tmp_path / "a.json")
+    assert "Lag" not in str(right)
+    frame.assign(start_s=frame["start_s"] + late, end_s=frame["end_s"] + late).to_csv(
+        tmp_path / "p.csv", index=False
+    )
+    found = calibrate_files(readings, tmp_path / "p.csv", path, tmp_path / "b.json")
+    assert float(str(found).split("Lag: ")[1].split(" s")[0]) == pytest.approx(-late, abs=0.2)
+    assert "0% of the readings unexplained" in str(found)
+    np.testing.assert_allclose(found.found.estimate, right.found.estimate, atol=0.01)
+
+
+def test_held_poses_by_the_clocks_of_the_board_and_of_the_day(tmp_path):
+    """The board ran for 700 s when its recording began; the table that is exported of it has all three clocks."""
+    from repro_board.export import export
+    from repro_board.record import Writer
+    from repro_board.wire import encode
+
+    path = robot_file(tmp_path)
+    readings, frame, u = moves_and_holds(tmp_path, repro.load_robot(path))
+    writer = Writer(tmp_path / "a.rec", {"format": "frames"})
+    for k, row in enumerate(u):
+        sent = encode(row, sequence=k, time_us=700_000_000 + 25_000 * k)
+        writer.write(1_700_000_000_000_000_000 + 25_000_000 * k, sent)
+    writer.close()
+    export(tmp_path / "a.rec", tmp_path / "a.csv", robot=path)
+    estimates, held = [], frame.drop(columns=["start_s", "end_s"])
+    for clock, began in (("", 0.0), ("board_", 700.0), ("unix_", 1.7e9)):
+        poses = held.assign(**{f"{end}_{clock}s": frame[f"{end}_s"] + began for end in ("start", "end")})
+        poses.to_csv(tmp_path / "p.csv", index=False)
+        for name in ("a.rec", "a.csv"):
+            report = calibrate_files(
+                tmp_path / name, tmp_path / "p.csv", path, tmp_path / f"{clock}{name}.json"
+            )
+            assert "Lag" not in str(report)
+            estimates.append(report.found.estimate)
+    np.testing.assert_allclose(estimates, np.tile(estimates[0], (6, 1)), atol=1e-3)
+    with pytest.raises(InputError, match=r"columns of u\.csv must be one column for unix_s"):
+        calibrate_files(readings, tmp_path / "p.csv", path, tmp_path / "none.json")
 
 
 def in_motion(folder: Path, spike: bool = False) -> tuple[Path, np.ndarray, np.ndarray]:
@@ -632,6 +892,9 @@ def test_motion_alone_tells_gains_and_offsets_as_well_as_stated(tmp_path, spike)
         < 0.5 * np.abs(offsets).mean()
     )
     assert f"1000 rows of readings in motion; {int(spike)} do not fit" in str(report)
+    value, deviation, prior = (100 * x[found.names.index("sensor 1 gain x")] for x in
+                               (found.estimate, found.deviation, found.tolerances))  # fmt: skip
+    assert f"sensor 1 gain x: {value:+.2g} ± {deviation:.2g} % (before ± {prior:.2g})" in str(report)
     assert repro.load_robot(EXAMPLE, tmp_path / "c.json").sensors[0].gain == found.robot.sensors[0].gain
 
 

@@ -45,11 +45,12 @@ def messages(path):
 def test_a_csv_has_every_sample_bit_for_bit(recording, tmp_path):
     assert export(recording, tmp_path / "a.csv") == []
     table = pd.read_csv(tmp_path / "a.csv")
-    assert list(table) == ["time_s", "unix_s", "stream", "sequence", "u1", "u2", "u3"]
+    assert list(table) == ["time_s", "unix_s", "board_s", "stream", "sequence", "u1", "u2", "u3"]
     np.testing.assert_array_equal(table[["u1", "u2", "u3"]], U)
     np.testing.assert_array_equal(table["sequence"], np.arange(7, 47))
     np.testing.assert_allclose(table["time_s"], 0.02 * np.arange(40), atol=1e-9)
     np.testing.assert_allclose(table["unix_s"], START_S + 0.02 * np.arange(40), atol=1e-6)
+    np.testing.assert_allclose(table["board_s"], 0.02 * np.arange(40), rtol=1e-15)
 
 
 def test_an_ending_that_is_no_form_is_refused(recording, tmp_path):
@@ -90,8 +91,8 @@ def test_readings_of_a_robot_have_its_names_in_mt(recording, tmp_path):
     robot = Robot([ConstantCurvature(0.1, 0.02)], sensors=sensors)
     export(recording, tmp_path / "a.csv", robot=robot)
     table = pd.read_csv(tmp_path / "a.csv")
-    assert list(table) == ["time_s", "unix_s", *(f"{name}_mT" for name in robot.names)]
-    np.testing.assert_allclose(table.iloc[:, 2:], np.column_stack([U[:, 2] / 2, U[:, 0]]), rtol=1e-15)
+    assert list(table) == ["time_s", "unix_s", "board_s", *(f"{name}_mT" for name in robot.names)]
+    np.testing.assert_allclose(table.iloc[:, 3:], np.column_stack([U[:, 2] / 2, U[:, 0]]), rtol=1e-15)
 
 
 def test_streams_of_other_widths_are_said(tmp_path):

@@ -156,3 +156,13 @@ def test_a_wrapped_state_moves_on_as_before():
     np.testing.assert_allclose(back.q, state.q, atol=1e-12)
     np.testing.assert_allclose(back.velocity, state.velocity, atol=1e-12)
     np.testing.assert_allclose(back.covariance, state.covariance, atol=1e-10)
+
+
+def test_a_turning_body_has_no_jumps_in_its_coordinates():
+    axis = np.array([0.6, 0.0, 0.8])
+    angles = FreeAngles([(0, 1, 2)], np.full(3, -HALF), np.full(3, HALF))
+    turns = np.linspace(0.0, 15.0, 60)[:, None] * axis
+    seen = angles.wrapped(turns)
+    seen[30] = np.nan
+    found = angles.continuous(seen)
+    np.testing.assert_allclose(np.delete(found, 30, 0), np.delete(turns, 30, 0), atol=1e-9)

@@ -588,6 +588,34 @@ class TestMeasuredPoses:
         path = write_motive(tmp_path / "a.csv", {"tip": poses}, version="1.23", unit="Meters")
         np.testing.assert_allclose(read_poses(robot, path, bodies=["tip"]).q, q, atol=1e-5)
 
+    @pytest.mark.parametrize(
+        ("turns", "plate", "points"),
+        [
+            ([2, 0, 0], True, "-y"),
+            ([2, 0, 1], False, "-y"),
+            ([0, 1, 0], True, "+x"),
+            ([0, 0, 3], False, "+y"),
+        ],
+    )
+    def test_bodies_with_the_axes_of_the_room_and_a_straight_start(self, turns, plate, points, tmp_path):
+        """However an arm hangs, one of the ways that fit is right, and the axes are named by Motive's letters."""
+        robot, q = self.arm(), self.q()
+        q[:15] = 0.0
+        R, T = Rotation.from_euler("xyz", 90 * np.array(turns), degrees=True).as_matrix(), robot.tip(q)
+        x, y, z, w = Rotation.from_matrix(R @ T[:, :3, :3] @ R.T).as_quat().T
+        p = T[:, :3, 3] @ R.T + [0.1, -0.3, 1.2]
+        tip = np.stack([x, z, -y, w, p[:, 0], p[:, 2], -p[:, 1]], axis=1)
+        ground = np.tile([0.0, 0, 0, 1, 0.1, 1.2, 0.3], (len(q), 1))
+        bodies = {"plate": ground, "tip": tip} if plate else {"tip": tip}
+        path = write_motive(tmp_path / "a.csv", bodies, version="1.23", unit="Meters")
+        found = read_poses(robot, path, straight_s=0.1)
+        assert set(found.known["turned"]) == {-90, 90, 180}
+        assert min(np.abs(x - q).max() for x in (found.q, *found.known["turned"].values())) < 1e-4
+        assert f"By the axes of a.csv, the straight robot points along {points}, and x of" in found.remarks[0]
+        if plate:
+            with pytest.raises(InputError, match="with y along the straight robot.*--straight-s"):
+                read_poses(robot, path)
+
     def test_coordinates(self):
         robot, q = self.arm(), self.q()
         q[50:52], q[60], q[70], q[80:102] = 0.0, np.nan, [0.5, 0, 0], q[80]
@@ -601,7 +629,7 @@ class TestMeasuredPoses:
             "Rows of the table left out, which only repeat the one before, more than 20 in a row: 21 of 120 "
             "(lines 82 to 102).",
             "Rows of the table without a pose: 24 of 120 (lines 51 to 52, 61, 82 to 102).",
-            "Poses of the table left out, far outside the robot's bounds, for delta_x_1 -0.03 to 0.03: 1 of 120 "
+            "Poses of the table left out, outside the robot's bounds, for delta_x_1 -0.03 to 0.03: 1 of 120 "
             "(line 71).",
         )
 
@@ -616,6 +644,9 @@ class TestMeasuredPoses:
         np.testing.assert_allclose(found.q, [[0, 0, 0], [0.0095, 0, 0.001]])
         np.testing.assert_allclose(found.known["window_s"], [[0, 0.8], [1.0, 1.8]])
         np.testing.assert_allclose(found.times, [0.4, 1.4])
+        board = read_poses(robot, frame.assign(start_board_s=[7.0, 8.0], end_board_s=[7.8, 8.8]))
+        np.testing.assert_allclose(board.known["window_s"], [[7, 7.8], [8.0, 8.8]])
+        assert (found.known["clock"], board.known["clock"]) == ("", "board_")
 
     def test_poses_of_another_robot_are_refused(self):
         robot, q = self.arm(), self.q()

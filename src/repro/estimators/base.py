@@ -579,7 +579,9 @@ class CallableModel:
         except Exception as error:  # whatever a model raises is said in one line
             expected, words = f"a callable of {len(q)} coordinates", f"{type(error).__name__}: {error}"
             if hasattr(self.sensing, "state_dict"):
-                expected += " and arrays: of a torch module, lambda q: module(torch.as_tensor(q)).detach().numpy()"
+                expected += (
+                    " and arrays: of a torch module, lambda q: module(torch.as_tensor(q)).detach().numpy()"
+                )
                 expected += " after module.double()"
             raise bad_input("sensing", self.owner, expected, words) from error
         require(u.ndim == 1, "sensing", self.owner, "one that returns readings [s]", f"shape {u.shape}")

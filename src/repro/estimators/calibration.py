@@ -37,9 +37,9 @@ _MOST, _OUTLIER, _FARTHEST = 4.0, 5.0, 10.0
 units of most. Good poses give 0.5 to 1.2, three times worse ones 3; exchanged axes, another unit, order or sign give
 5 and more, or parts that are off by more than ten of their tolerances."""
 _CAUSES = (
-    "poses in another unit or order, or with exchanged axes; sensors in another order or of the wrong sign; a magnet "
-    "of another size, polarity or place than described (state a tolerance for it); poses or readings noisier than "
-    "stated"
+    "poses in another unit or order, at other times than the readings, or with exchanged axes; sensors in another "
+    "order or of the wrong sign; a magnet of another size, polarity or place than described (state a tolerance for "
+    "it); poses or readings noisier than stated"
 )
 _CHANCE = 3.0
 """By how many of its standard deviations the mean square of left-out poses may exceed what is expected, by chance."""
@@ -242,6 +242,7 @@ def calibrate(
     *,
     tolerances: Tolerances | None = None,
     earth: Any = None,
+    rows: Sequence[str] | None = None,
 ) -> Calibration:
     """Find the places of magnets and sensors, gains and moments, by Gauss-Newton with Gaussian priors.
 
@@ -263,6 +264,8 @@ def calibrate(
         Standard deviations of the priors, of what the parts do not state themselves.
     earth
         Field of the Earth in the base frame [mT]; the robot's if not given.
+    rows
+        What messages call each pose, such as its file and line; those of a table if not given.
 
     Raises
     ------
@@ -294,11 +297,11 @@ def calibrate(
     robot = robot.replaced(moments=robot.sensing().moments, source=robot.source)
     described = robot.replaced(imus=(), noise=None)
     n = described.n_readings
-    at, rows = None, None
+    at = None
     if is_table(q):
         table = read_table(q)
         q, at = configurations_of(robot, table), table.times
-        rows = [f"{table.owner}, line {line}" for line in table.lines]
+        rows = rows or [f"{table.owner}, line {line}" for line in table.lines]
         for row, c in np.argwhere(np.isnan(q)):
             raise bad_input("pose", f"{rows[row]},", f"a number for {robot.coordinates[c]}", "none")
     q = numbers(q, "q", owner, (None, robot.n_q))
@@ -371,7 +374,7 @@ def calibrate(
     no_better = after >= before and (mostly > 2.0 or (len(q) >= 10 and after > 1.5))
     if no_better or not mostly <= _MOST or own[worst] > _OUTLIER * max(mostly, 0.8):
         against = f"{after:.3g} standard deviations against {before:.3g} as described"
-        where = f"worst in row {worst + 1}, by {own[worst]:.3g}"
+        where = f"worst in {rows[worst] if rows else f'row {worst + 1}'}, by {own[worst]:.3g}"
         raise _refused(f"a fit that predicts a pose from the others to {against}, {where}")
     if abs(z[far]) > _FARTHEST:
         raise _refused(f"{names[far]} off by {abs(z[far]):.3g} times its tolerance")
@@ -383,28 +386,28 @@ def calibrate(
     )  # fmt: skip
 
 
-def check_poses(robot: Robot, q: Array, q_covariance: Any = 0.0, rows: Sequence[str] | None = None) -> None:
-    """Refuse measured poses ``[poses, n_q]`` outside the robot's bounds, by the name of the row and coordinate.
+def outside(robot: Robot, q: Array, q_covariance: Any = 0.0) -> Array:
+    """Return which coordinates of measured poses ``[poses, n_q]`` are outside the robot's bounds.
 
     A measured pose may be outside by five of its standard deviations and a hundredth of the range. Angles with bounds
     a whole turn apart have none.
-
-    Raises
-    ------
-    InputError
-        If a pose is farther outside.
     """
     if robot.lower is None or robot.upper is None:
-        return
+        return np.zeros(q.shape, dtype=bool)
     width = robot.upper - robot.lower
     std = np.sqrt(np.diagonal(np.broadcast_to(q_covariance, (len(q), robot.n_q, robot.n_q)), 0, -2, -1))
     slack = np.where(robot.free_angles.free, np.inf, 5 * std + 0.01 * width + 1e-9)
-    for row, c in np.argwhere((q < robot.lower - slack) | (q > robot.upper + slack)):
-        name = robot.coordinates[c]
-        expected = f"within the robot's bounds, for {name} {robot.lower[c]:g} to {robot.upper[c]:g} (unit?)"
-        raise bad_input(
-            "q", "calibrate", expected, f"{q[row, c]:g} in {rows[row] if rows else f'row {row + 1}'}"
-        )
+    return (q < robot.lower - slack) | (q > robot.upper + slack)
+
+
+def check_poses(robot: Robot, q: Array, q_covariance: Any = 0.0, rows: Sequence[str] | None = None) -> None:
+    """Refuse measured poses ``[poses, n_q]`` that are `outside`, by the name of the row and coordinate."""
+    for row, c in np.argwhere(outside(robot, q, q_covariance)):
+        bounds: Any = (robot.lower, robot.upper)
+        limits = f"{robot.coordinates[c]} {bounds[0][c]:g} to {bounds[1][c]:g}"
+        where = rows[row] if rows else f"row {row + 1}"
+        expected = f"within the robot's bounds, for {limits} (unit?)"
+        raise bad_input("q", "calibrate", expected, f"{q[row, c]:g} in {where}")
 
 
 def placed(robot: Robot, parameters: Mapping[str, float]) -> Robot:
