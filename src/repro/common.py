@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import hashlib
 import math
 import os
+import secrets
+import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +40,17 @@ def bad_input(name: str, owner: str, must_be: str, received: object) -> InputErr
 
     What is not printable is escaped: words of a file must not control the terminal that shows them.
     """
-    text = str(received)
+    text = _shown(received)
     text = text if len(text) <= 200 else text[:197] + "..."
     return InputError(printable(f"Input {name} of {owner} must be {must_be}; instead received {text}."))
+
+
+def _shown(value: object, typed: bool = False) -> str:
+    """Return a value in words, behind its type if that is asked for."""
+    try:
+        return f"{type(value).__name__} {value!r}" if typed else str(value)
+    except ValueError:  # Python writes no whole number of more than 4300 digits
+        return f"{type(value).__name__} of very many digits"
 
 
 def printable(text: str) -> str:
@@ -51,6 +63,15 @@ def require(holds: object, name: str, owner: str, must_be: str, received: object
     """Refuse the input ``name`` of ``owner`` unless ``holds``."""
     if not holds:
         raise bad_input(name, owner, must_be, received)
+
+
+def array(value: Any, name: str, owner: str) -> Array:
+    """Return ``value`` as an array of whatever it holds, or refuse it where its rows are not of one length."""
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError, RuntimeError) as error:
+        words = "numbers in rows of one length" if isinstance(error, ValueError) else "numbers"
+        raise bad_input(name, owner, words, _shown(value, typed=True)) from error
 
 
 def numbers(
@@ -74,12 +95,14 @@ def numbers(
     InputError
         If it is not as it must be.
     """
-    if np.iscomplexobj(value):  # NumPy would drop the imaginary part
-        raise bad_input(name, owner, "real numbers", f"{type(value).__name__} {value!r}")
+    given = array(value, name, owner)
+    if given.dtype.kind == "c":  # NumPy would drop the imaginary part
+        raise bad_input(name, owner, "real numbers", _shown(value, typed=True))
     try:
-        found = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise bad_input(name, owner, "numbers", f"{type(value).__name__} {value!r}") from error
+        found = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        words = "numbers below 1.8e308" if isinstance(error, OverflowError) else "numbers"
+        raise bad_input(name, owner, words, _shown(value, typed=True)) from error
     if shape is not None:
         own = tuple(n for n in shape if n is not ...)
         there = found.shape[found.ndim - len(own) :] if len(shape) > len(own) else found.shape
@@ -89,6 +112,54 @@ def numbers(
     if finite and not np.isfinite(found).all():
         raise bad_input(name, owner, "finite", f"{int((~np.isfinite(found)).sum())} values that are not")
     return found
+
+
+FULL_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+"""A disk that is full, or refuses: nothing that a user gave is wrong then."""
+
+
+@contextmanager
+def whole(path: str | os.PathLike[str], owner: str, *, new: bool = True) -> Iterator[Path]:
+    """Give a place beside a file or folder to write it, which takes its name when all went well.
+
+    Where something fails nothing is left. A process that is killed leaves a hidden ``.part``, which is in nobody's
+    way.
+
+    Parameters
+    ----------
+    path
+        What is written.
+    owner
+        For the message.
+    new
+        Whether one that is there already is refused; else a file is replaced.
+
+    Raises
+    ------
+    InputError
+        If it is there already, or cannot be made.
+    OSError
+        With the path, if the disk is full or refuses.
+    """
+    path = Path(path)
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    try:
+        if new and (path.exists() or path.is_symlink()):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+        path.parent.stat()
+        yield part
+        if new and part.is_file():
+            os.link(part, path)  # renamed, it would replace what another process has made meanwhile
+        elif part.exists():
+            part.replace(path)
+    except OSError as error:
+        if error.errno in FULL_DISK:
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        there = isinstance(error, FileExistsError)
+        must = "a new file (give another name, or move the old one)" if there else "a file that can be made"
+        raise bad_input("output", owner, must, f"{path} ({error.strerror})") from error
+    finally:
+        shutil.rmtree(part) if part.is_dir() else part.unlink(missing_ok=True)
 
 
 def is_table(value: Any) -> bool:

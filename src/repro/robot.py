@@ -762,7 +762,7 @@ class Robot:
     def part(self, name: Any, owner: str) -> int:
         """Return which of ``part_names`` a sensor or IMU is, from 0, by its name or by its number from 1."""
         names, word = list(self.part_names), str(name)
-        k = names.index(word) if word in names else int(word) - 1 if word.isdigit() else -1
+        k = names.index(word) if word in names else int(word) - 1 if word.isdecimal() else -1
         listed = ", ".join(f"{x} ({n})" for n, x in enumerate(names, 1))
         require(0 <= k < len(names), "sensor", owner, f"one of {listed}", repr(name))
         return k

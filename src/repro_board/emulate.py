@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from repro import Cube, Magnet, Robot, load_robot, simulated_readings
-from repro.common import Array, bad_input, numbers, require
+from repro.common import Array, bad_input, numbers, require, whole
 from repro.estimators.calibration import Tolerances, _priors, placed
 from repro_board.wire import encode, text_line
 
@@ -215,7 +215,7 @@ def write_poses(path: Path, robot: Robot, poses: Array, hold_s: float) -> None:
     k = np.arange(len(poses))[:, None]
     windows = k * (hold_s + MOVE_S) + hold_s * np.array(WINDOW)
     table = np.hstack([poses * [factor for _, factor in units], windows])
-    with path.open("x", encoding="utf-8") as file:
+    with whole(path, "emulate") as part, part.open("w", encoding="utf-8") as file:
         np.savetxt(file, table, "%.6f", ",", header=",".join([*names, "start_s", "end_s"]), comments="")
 
 

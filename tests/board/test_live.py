@@ -197,10 +197,7 @@ def test_deviations_are_grown_and_failed_sensors_not_used():
         ({"failed": [0]}, "sensor 8 (8); instead received 0"),
         ({"grown": 0.0}, "grown of live must be positive"),
         ({"grown": math.inf}, "grown of live must be positive"),
-        (
-            {"name": "kalmann"},
-            "one of levenberg_marquardt, kalman, gradient_descent, particle_filter; instead",
-        ),
+        ({"name": "particle_filter"}, "estimator of live must be one of levenberg_marquardt, kalman; instead"),
     ],
 )
 def test_what_cannot_be_used_is_refused(given, words):
@@ -285,19 +282,6 @@ def test_imus_are_followed_and_a_silent_one_is_named():
     session = session_of(frames, robot=robot, name="kalman")
     assert 1e3 * np.linalg.norm(robot.tip(session.last[2].q)[:3, 3] - robot.tip(q)[:3, 3]) < 3
     assert sentences(session) == ["There is no reading of imu 3; it is left out."]
-
-
-@pytest.mark.parametrize("name", ["particle_filter", "gradient_descent"])
-def test_some_estimators_follow_without_a_monitor(name):
-    robot = Robot(
-        ROBOT.segments[:1], ROBOT.magnets[:1], ROBOT.sensors[:4], lower=ROBOT.lower[:3], upper=ROBOT.upper[:3],
-        start=[0.0, 0.0, 0.001], noise=0.05, rate_hz=100.0,
-    )  # fmt: skip
-    u = robot.sensing()(robot.start) + np.zeros((40, 4))
-    session = session_of(sent(faulty(u, "unplugged", 1, since=30)), robot=robot, name=name)
-    assert summary(session)["fit"].startswith("not watched")
-    assert session.own["estimates"] == 40
-    assert len(numbers(session)) == 6
 
 
 def test_a_slow_board_is_not_taken_for_a_silent_one():
