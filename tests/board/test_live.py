@@ -1,5 +1,6 @@
 """A robot followed live over a real port, what is said when something is wrong, and the page's server."""
 
+import asyncio
 import http.client
 import io
 import json
@@ -197,7 +198,10 @@ def test_deviations_are_grown_and_failed_sensors_not_used():
         ({"failed": [0]}, "sensor 8 (8); instead received 0"),
         ({"grown": 0.0}, "grown of live must be positive"),
         ({"grown": math.inf}, "grown of live must be positive"),
-        ({"name": "particle_filter"}, "estimator of live must be one of levenberg_marquardt, kalman; instead"),
+        (
+            {"name": "particle_filter"},
+            "estimator of live must be one of levenberg_marquardt, kalman; instead",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_refused(given, words):
@@ -535,13 +539,20 @@ def test_a_port_that_there_is_not_is_refused(page):
             PageServer(page.session, port)
 
 
+async def cut_off(server) -> None:
+    """Close the connections of all pages without a word."""
+    for page in list(server.pages):
+        page.detach().close()
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (390, "dark")])
 @pytest.mark.slow
-def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, width, scheme):
+def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, stream, width, scheme):
     session = session_of(sent(faulty(U[:400], "unplugged", 2, since=200)))
     session.heard = session.estimated_at = time.monotonic() + 60  # and it goes on like this
     with PageServer(session) as server:
-        page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        opened = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        page = opened.new_page()
         asked, failed = [], []
         page.on("request", lambda request: asked.append(request.url))
         page.on("pageerror", lambda error: failed.append(error))
@@ -555,6 +566,15 @@ def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, w
         picture = np.asarray(Image.open(io.BytesIO(canvas.screenshot())).convert("RGB")).astype(int)
         red = (picture[..., 0] > 90) & (picture[..., 0] > 2 * picture[..., 1:].max(-1))
         assert red.sum() > 50  # the sensor that is suspected
-        page.close()
+        others = [stream(server) for _ in range(MOST_PAGES - 1)]
+        one_more = opened.new_page()
+        one_more.route("**/viewer.js", lambda route: route.abort())  # its pictures take long
+        one_more.goto(f"http://127.0.0.1:{server.port}/")
+        one_more.wait_for_selector("#status:text('Too many pages show this session.')")
+        assert len(others) == len(server.pages) - 1
+        server.token = "another"  # as if the server were killed and started again on its socket
+        asyncio.run_coroutine_threadsafe(cut_off(server), server._loop).result(5)
+        page.wait_for_selector("#status:text('If it was started again, open the address that it prints now.')")
+        opened.close()
     assert all(url.startswith(f"http://127.0.0.1:{server.port}/") for url in asked)
     assert not failed
