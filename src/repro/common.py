@@ -114,6 +114,12 @@ def numbers(
     return found
 
 
+def scalar(value: Any, name: str, owner: str) -> float:
+    """Return one number, which may be NaN or infinite, or refuse what is none; a text is none."""
+    require(not isinstance(value, str | bytes), name, owner, "a number", repr(value))
+    return float(numbers(value, name, owner, (), finite=False))
+
+
 FULL_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 """A disk that is full, or refuses: nothing that a user gave is wrong then."""
 
@@ -144,20 +150,17 @@ def whole(path: str | os.PathLike[str], owner: str, *, new: bool = True) -> Iter
     path = Path(path)
     part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:
-        if new and (path.exists() or path.is_symlink()):
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
-        path.parent.stat()
         yield part
-        if new and part.is_file():
-            os.link(part, path)  # renamed, it would replace what another process has made meanwhile
-        elif part.exists():
+        if new and (path.exists() or path.is_symlink()):  # another process may have made it meanwhile
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+        if part.exists():
             part.replace(path)
     except OSError as error:
         if error.errno in FULL_DISK:
             raise OSError(error.errno, error.strerror, str(path)) from error
         there = isinstance(error, FileExistsError)
         must = "a new file (give another name, or move the old one)" if there else "a file that can be made"
-        raise bad_input("output", owner, must, f"{path} ({error.strerror})") from error
+        raise bad_input("output", owner, must, f"{path} ({error.strerror or error})") from error
     finally:
         shutil.rmtree(part) if part.is_dir() else part.unlink(missing_ok=True)
 

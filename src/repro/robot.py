@@ -17,7 +17,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from repro.common import Array, bad_input, kernel, numbers, require, rows_of
+from repro.common import Array, bad_input, kernel, numbers, require, rows_of, scalar
 
 _CONSTANT, _AFFINE, _LINK, _JOINT, _FREE = range(5)
 _KINDS = "of ConstantCurvature, AffineCurvature, Link, BallJoint, FreeBody"
@@ -82,9 +82,8 @@ class ConstantCurvature(Segment):
 
     def __post_init__(self) -> None:
         for name in ("length", "radius"):
-            require(
-                0 < vars(self)[name] < math.inf, name, "ConstantCurvature", "positive [m]", vars(self)[name]
-            )
+            size = scalar(vars(self)[name], name, "ConstantCurvature")
+            require(0 < size < math.inf, name, "ConstantCurvature", "positive [m]", size)
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -125,7 +124,8 @@ class AffineCurvature(Segment):
     kind: ClassVar[int] = _AFFINE
 
     def __post_init__(self) -> None:
-        require(0 < self.length < math.inf, "length", "AffineCurvature", "positive [m]", self.length)
+        length = scalar(self.length, "length", "AffineCurvature")
+        require(0 < length < math.inf, "length", "AffineCurvature", "positive [m]", length)
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -158,7 +158,8 @@ class Link(Segment):
     kind: ClassVar[int] = _LINK
 
     def __post_init__(self) -> None:
-        require(0 <= self.length < math.inf, "length", "Link", "not negative [m]", self.length)
+        length = scalar(self.length, "length", "Link")
+        require(0 <= length < math.inf, "length", "Link", "not negative [m]", length)
 
 
 @dataclass(frozen=True)
@@ -388,6 +389,8 @@ class Sensor:
         if self.channels is not None:
             fits = type(self.channels) is not str and len(self.channels) == self.axes
             require(fits, "channels", "Sensor", f"a list of {self.axes}, one for every axis", self.channels)
+        for name in ("resolution", "range", "per_mt", "radial"):
+            _ = scalar(getattr(self, name), name, "Sensor")
         require(
             0 <= self.resolution < self.range,
             "resolution",
@@ -473,7 +476,8 @@ class Imu:
     axes: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
-        require(self.noise is None or self.noise > 0, "noise", "Imu", "positive [rad]", self.noise)
+        positive = self.noise is None or scalar(self.noise, "noise", "Imu") > 0
+        require(positive, "noise", "Imu", "positive [rad]", self.noise)
         if self.world is not None:
             unit_quaternions(self.world, "world", "Imu", (4,))
         check_tolerance(self.tolerance, "Imu")
@@ -613,7 +617,8 @@ class Robot:
             free = self.angles & (self.upper - self.lower >= 2 * math.pi - 1e-9)
             inside = (self.start >= self.lower) & (self.start <= self.upper)
             require((free | inside).all(), "start", "Robot", "within the bounds", self.start.tolist())
-        require(rate_hz is None or 0 < rate_hz < math.inf, "rate_hz", "Robot", "positive", rate_hz)
+        positive = rate_hz is None or 0 < scalar(rate_hz, "rate_hz", "Robot") < math.inf
+        require(positive, "rate_hz", "Robot", "positive", rate_hz)
         self.rate_hz = rate_hz
         self.earth = None if earth is None else numbers(earth, "earth", "Robot", (3,))
         self._noise_given = noise

@@ -475,6 +475,16 @@ def test_a_port_that_disappears_comes_back_under_its_name(tmp_path):
                     until(lambda: not Path(board.address).exists())
 
 
+def test_what_fails_in_its_thread_is_raised():
+    def sent():
+        yield 0.0, b"first"
+        raise InputError("no more")
+
+    with pytest.raises(InputError, match="no more"), Emulator(sent(), 0) as board:
+        read_for(board.address, 2.0, len(b"first"))
+        until(board.ended.is_set)
+
+
 def test_a_reader_that_leaves_loses_what_is_sent_and_another_one_may_come():
     with Emulator(board_bytes(EXACT), 0) as board:
         first, _ = read_for(board.address, 0.6)  # and 0.3 s to close it

@@ -25,10 +25,10 @@ from repro.estimators.monitor import LEFT_OUT
 from repro_board import live as module
 from repro_board import page_server as server_module
 from repro_board.emulate import course, faulty
-from repro_board.live import BURST, LOOK_S, Follower, Session, live, notes, numbers, sentences, summary
+from repro_board.live import BURST, LOOK_S, Follower, Session, Table, live, notes, numbers, sentences, summary
 from repro_board.page_server import FILES, MOST_PAGES, PageServer, message
 from repro_board.record import Writer, open_port, read_recording
-from repro_board.wire import encode
+from repro_board.wire import encode, text_line
 
 RATE_HZ = 1000.0
 ROBOT = Robot(
@@ -121,6 +121,62 @@ def test_every_frame_of_a_serial_line_is_estimated_and_recorded(wire, tmp_path):
     samples = read_recording(tmp_path / "a.rec").samples
     np.testing.assert_array_equal([x.values for x in samples], U[:400].astype(np.float32))
     assert 0 < min(session.latencies) <= np.median(session.latencies) < 0.1
+
+
+def test_a_clock_of_the_day_that_is_set_changes_no_time_of_a_recording(wire, tmp_path, monkeypatch):
+    board, name = wire
+    real, hours = time.time_ns, [0]
+    monkeypatch.setattr(time, "time_ns", lambda: real() + 3600 * 10**9 * hours[0])
+    port, writer = open_port(name), Writer(tmp_path / "a.rec", {})
+    session = Session(Follower(ROBOT), port, writer, "csv")
+
+    def play_and_set() -> None:
+        for k in range(30):
+            hours[0] = int(10 <= k < 20)
+            os.write(board, text_line(U[k], "csv"))
+            time.sleep(0.01)
+
+    thread = threading.Thread(target=play_and_set)
+    thread.start()
+    session.run(0.6)
+    thread.join()
+    port.close()
+    writer.close()
+    found = read_recording(tmp_path / "a.rec")
+    assert len(found.samples) >= 25
+    assert np.ptp(found.arrived) < 2
+    assert np.ptp(found.times) < 2
+
+
+class Failing:
+    """A port that fails in a way that nobody has thought of."""
+
+    opened, lost = 1, ""
+
+    def read(self, _: float) -> bytes:
+        raise ZeroDivisionError("a fault of the port")
+
+
+def test_what_fails_in_the_thread_of_the_reader_or_of_the_table_ends_the_session(tmp_path):
+    session = Session(Follower(ROBOT), Failing())
+    with pytest.raises(ZeroDivisionError, match="a fault of the port"):
+        session.run(5)
+    session = session_of(sent(U[:20]))
+    (tmp_path / "a.csv").write_text("of another process")
+    with Table(tmp_path / "a.csv", session):
+        session.each(session.last)
+        session.stop.wait(0.5)
+    assert isinstance(session.failure, InputError)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_a_view_that_fails_is_said_and_the_session_goes_on(monkeypatch):
+    session = session_of(sent(U[:20]))
+    assert session.guarded(lambda: 1 / 0, "page") is None
+    words = "The page has failed, and the session goes on without it (ZeroDivisionError: division by zero)."
+    assert notes(session) == [words]
+    assert not session.stop.is_set()
+    assert session.failure is None
 
 
 def test_estimates_are_those_of_track():
@@ -271,6 +327,25 @@ def test_the_first_second_of_garbage_is_no_silence(since_s):
     assert sentences(session_of([b"\x01\x02\x03" * 9], format="frames", since_s=since_s)) == []
 
 
+def test_a_remark_of_the_past_explains_no_fault_of_now():
+    """Two frames of stream 3, then readings, then garbage; and then stream 3 again."""
+    session = session_of([encode(U[0], 3, k) for k in range(2)] + sent(U[:50]), since_s=2)
+    other = "Samples of stream 3 are none of the robot's: left out."
+    assert notes(session) == [other]
+    assert "2 other streams" in summary(session)["received"]
+
+    def after(frame: bytes) -> str:
+        session.counts.clear()
+        session.turn()
+        session.arrivals.put((time.monotonic(), frame))
+        session.turn()
+        return sentences(session)[0]
+
+    assert after(bytes(range(1, 256))).startswith("Bytes arrive, but no readings. Is --baud")
+    assert after(encode(U[0], 3, 2)) == f"What arrives does not fit this robot. {other}"
+    assert notes(session) == [other]
+
+
 def test_imus_are_followed_and_a_silent_one_is_named():
     imus = [repro.Imu(1, at, channels=k) for k, at in enumerate((0.03, 0.06, 0.09), 1)]
     robot = Robot(
@@ -361,6 +436,15 @@ def test_a_whole_session_by_its_files(tmp_path):
     assert "40 estimates by levenberg_marquardt" in end
     with pytest.raises(InputError, match="output of live must be a new file"):
         live(address, repro.example() / "robot.toml", **paths)
+
+
+def test_a_robot_file_without_noise_is_refused_before_a_port_is_opened(tmp_path):
+    lines = (repro.example() / "robot.toml").read_text(encoding="utf-8").splitlines()
+    (tmp_path / "robot.toml").write_text("\n".join(line for line in lines if "noise" not in line))
+    with pytest.raises(
+        InputError, match=r"robot of live must be one whose file states the noise .*robot\.toml"
+    ):
+        live("nowhere", tmp_path / "robot.toml")
 
 
 # ---------------------------------------------------------------------------------------------------------- the page
@@ -531,6 +615,38 @@ def test_a_message_names_the_suspect_and_is_json():
         json.dumps(message(CASES[case][0]()), allow_nan=False)
 
 
+def test_a_message_is_of_one_moment(monkeypatch):
+    """The session's thread goes on while another one makes a message."""
+    session = session_of(sent(U[:50]))
+    first, session.each = session.last, lambda _: None
+
+    def meanwhile(seen) -> list[str]:
+        session._estimate(time.monotonic(), SimpleNamespace(u=U[-1], time_s=9.0))
+        return numbers(seen)
+
+    expected = numbers(session)
+    monkeypatch.setattr(server_module, "numbers", meanwhile)
+    told = message(session)
+    assert session.last[0] == 9.0
+    assert told["numbers"] == expected
+    assert told["time_s"] == first[0]
+    np.testing.assert_allclose(told["readings"], first[1], rtol=1e-4)
+
+
+def test_a_page_that_cannot_be_made_says_so_and_goes_on(page, stream, monkeypatch):
+    answer = stream(page)
+    assert event(answer)["numbers"]
+    for fault in ({"alarms": [np.nan]}, None):
+        monkeypatch.setattr(server_module, "message", lambda _, told=fault: told["alarms"] and told)
+        while (told := event(answer))["doubt"] != "old":
+            pass
+        assert told["alarms"][0].startswith("The page has failed, and the session goes on without it (")
+        monkeypatch.undo()
+        while event(answer)["doubt"] == "old":
+            pass
+    assert notes(page.session)[0].startswith("The page has failed")
+
+
 def test_a_port_that_there_is_not_is_refused(page):
     for port, words in ((-1, "0 to 65535"), (65536, "0 to 65535"), (page.port, "a free port, or 0")):
         with pytest.raises(
@@ -574,7 +690,9 @@ def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, s
         assert len(others) == len(server.pages) - 1
         server.token = "another"  # as if the server were killed and started again on its socket
         asyncio.run_coroutine_threadsafe(cut_off(server), server._loop).result(5)
-        page.wait_for_selector("#status:text('If it was started again, open the address that it prints now.')")
+        page.wait_for_selector(
+            "#status:text('If it was started again, open the address that it prints now.')"
+        )
         opened.close()
     assert all(url.startswith(f"http://127.0.0.1:{server.port}/") for url in asked)
     assert not failed

@@ -327,7 +327,8 @@ def trajectory(at: Any, readings: Any, estimates: Sequence[Estimate], robot: Any
     from repro.estimators.monitor import SAID, STATUS
 
     q, covariance, u_hat, chi2, dof, missing, rest = zip(*estimates, strict=True)
-    details = {name: np.array([row[name] for row in rest]) for name in rest[0] if name not in SAID}
+    own = [name for name in rest[0] if monitor is None or name not in SAID]
+    details = {name: np.array([row[name] for row in rest]) for name in own}
     if monitor is not None:
         details |= monitor.stacked(rest)
     return Trajectory(

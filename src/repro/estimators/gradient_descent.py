@@ -11,7 +11,6 @@ from repro.common import Array, kernel, numbers, require
 from repro.estimators.base import (
     Estimate,
     each,
-    fixed_coordinates,
     incoming,
     known_coordinates,
     model_of,
@@ -19,6 +18,10 @@ from repro.estimators.base import (
 )
 from repro.robot import Robot
 from repro.sensing import difference, evaluate, room_for, unpack
+
+
+_ABSURD = 1e3
+"""Residuals so many times as large as what the model predicts, which no iterate makes smaller, are no readings."""
 
 
 class DescentState(NamedTuple):
@@ -40,8 +43,8 @@ class GradientDescent:
     smaller, step sizes ``c**2`` times larger give the same iterates. Where a step size is too long for the curvature
     of the loss the descent is chaotic: iterates that differ by rounding end apart.
 
-    A row whose readings lead it out of the finite numbers has no estimate: its ``q`` is NaN, its readings count as
-    left out, and the next row starts where this one did.
+    A row without a reading has no estimate, nor one whose readings are absurd or lead out of the finite numbers: its
+    ``q`` is NaN, its readings count as left out, and the next row starts where this one did.
 
     Parameters
     ----------
@@ -79,38 +82,28 @@ class GradientDescent:
         owner, n = "GradientDescent", getattr(sensing, "n_q", 0)
         moves = numbers(step_size, "step_size", owner)
         fits = moves.shape in ((), (n,)) if n else moves.ndim == 1
-        words = (
-            f"one number for each of {n} coordinates, or one for all"
-            if n
-            else "one number for each coordinate"
-        )
-        require(fits, "step_size", owner, words, step_size)
+        words = f"for each of {n} coordinates, or one for all" if n else "for each coordinate"
+        require(fits, "step_size", owner, f"one number {words}", step_size)
         self.step_size = np.full(n or len(moves), moves)
         require((self.step_size >= 0).all(), "step_size", owner, "not negative", step_size)
         require(0 <= momentum < 1, "momentum", owner, "in [0, 1)", momentum)
         require(iterations >= 1, "iterations", owner, "at least 1", iterations)
         self.momentum, self.iterations, self.n_q = float(momentum), iterations, len(self.step_size)
-        self._start, self._fixed, self._turns = np.zeros(self.n_q), None, np.zeros(self.n_q, dtype=bool)
-        self._limits = np.repeat([[-np.inf], [np.inf]], self.n_q, axis=1)
-        if isinstance(sensing, Robot):
-            noise = sensing.total_noise if noise is None else noise
-            self._take_bounds(sensing)
-            sensing = sensing.sensing()
+        robot = sensing if isinstance(sensing, Robot) else None
+        noise = getattr(robot, "total_noise", None) if noise is None else noise
         self.noise = numbers(math.nan if noise is None else noise, "noise", owner, finite=False)
         require(not (self.noise <= 0).any(), "noise", owner, "positive", noise)
+        model = sensing if robot is None else robot.sensing()
         # A callable is differentiated over steps of the size of a soft robot's coordinates.
-        self.model = model_of(sensing, np.full(self.n_q, -5e-3), np.full(self.n_q, 5e-3), owner)
-
-    def _take_bounds(self, robot: Robot) -> None:
-        """Take over where a robot starts and its bounds; whole turns bound nothing."""
-        if robot.lower is not None and robot.upper is not None:
-            self._start, self._fixed = (
-                (robot.lower + robot.upper) / 2,
-                fixed_coordinates(robot.lower, robot.upper),
-            )
-            self._turns = robot.angles & (robot.upper - robot.lower >= 2 * math.pi - 1e-9)
-            self._limits = np.where(self._turns, self._limits, [robot.lower, robot.upper])
-        self._start = self._start if robot.start is None else robot.start
+        self.model = model_of(model, np.full(self.n_q, -5e-3), np.full(self.n_q, 5e-3), owner)
+        low, high = np.repeat([[-np.inf], [np.inf]], self.n_q, axis=1)
+        if robot is not None and robot.lower is not None and robot.upper is not None:
+            low, high = robot.lower, robot.upper
+        self._turns = self.model.angles & (high - low >= 2 * math.pi - 1e-9) & (robot is not None)
+        self._limits = np.where(self._turns, [[-np.inf], [np.inf]], [low, high])
+        self._fixed = np.where(low == high, low, np.nan)
+        middle = (np.maximum(low, -1e9) + np.minimum(high, 1e9)) / 2  # zero without bounds
+        self._start = middle if robot is None or robot.start is None else robot.start
 
     def init(self, q0: Any = None, seed: int = 0) -> DescentState:
         """Return the state at ``q0`` ``[..., n_q]``, without momentum. Nothing is random.
@@ -130,43 +123,38 @@ class GradientDescent:
         Raises
         ------
         InputError
-            If there are not as many readings as the model predicts, none is left, or the descent leaves the finite
-            numbers by its step size.
+            If there are not as many readings as the model predicts, or the descent leaves the finite numbers by its
+            step size.
         """
         owner, n = "GradientDescent", self.n_q
         u = incoming(u, mask, owner, self.model.n_readings)
-        known = known_coordinates(known, n, owner, self._fixed)
-        held = None if known is None else ~np.isnan(known)
         batch, s = np.broadcast_shapes(state.q.shape[:-1], u.shape[:-1]), u.shape[-1]
-        before, b = (each(x, batch, n) for x in state)
+        known = each(known_coordinates(known, n, owner, self._fixed), batch, n)
+        before, b, free = *(each(x, batch, n) for x in state), np.isnan(known)
+        before, b, moves = np.where(free, before, known), np.where(free, b, 0.0), free * self.step_size
         rows = np.ascontiguousarray(each(u, batch, s))
-        moves = np.broadcast_to(self.step_size, before.shape).copy()
-        if held is not None and known is not None:
-            fixed = each(held, batch, n)
-            before = np.where(fixed, each(known, batch, n), before)
-            moves[fixed], b = 0.0, np.where(fixed, 0.0, b)
-        there = np.isfinite(rows)
-        require(there.any(-1).all(), "u", owner, "at least one reading that is finite", "none")
         q, later, u_hat, status = self._descended(before, b, rows, moves)
-        lost = ~np.isfinite(np.hstack([q, later, status])).all(1)
-        if lost.any():  # if readings near those of the start are lost too, it is not the row
+        loss, best = status.T
+        absurd = (best == 0) & (loss > _ABSURD**2 * np.square(u_hat).mean(1))
+        lost = absurd | ~np.isfinite(np.hstack([q, later, status])).all(1)
+        if lost.any():  # if readings near those of the start lead astray too, it is not the row
             near = 1.01 * self.model.linearise(before[lost])[0]
             again = np.hstack(self._descended(before[lost], 0.0 * b[lost], near, moves[lost]))
             small = "small enough for a finite descent"
             require(np.isfinite(again).all(), "step_size", owner, small, "NaN on the way")
-        q = np.where(self._turns, self.model.wrapped(q.copy()), q) if self._turns.any() else q
-        after = DescentState(*(np.where(lost[:, None], x, y) for x, y in ((before, q), (b, later))))
-        q[lost], u_hat[lost] = np.nan, np.nan
-        details = {"loss": status[:, 0], "best_iteration": status[:, 1], "left_out": there & lost[:, None]}
-        details = {name: x.reshape(*batch, *x.shape[1:]) for name, x in details.items()}
-        n_used = np.where(lost, 0, there.sum(1)).reshape(batch)
-        r = self.model.difference(rows, u_hat)
-        known_noise = np.isfinite(self.noise).all()
-        chi2 = np.nansum((r / self.noise) ** 2, axis=-1) if known_noise else np.full(len(r), np.nan)
-        dof = np.maximum(n_used - (n if held is None else (~held).sum(-1)), 0)
-        q, u_hat = q.reshape(*batch, n), u_hat.reshape(*batch, s)
-        found = Estimate(q, None, u_hat, chi2.reshape(batch)[()], dof, s - n_used[()], details)
-        return DescentState(*(x.reshape(*batch, n) for x in after)), found
+            q[lost], later[lost], u_hat[lost] = before[lost], b[lost], np.nan
+        if self._turns.any():
+            q = np.where(self._turns, self.model.wrapped(q.copy()), q)
+        there = np.isfinite(rows)
+        details = {"loss": loss, "best_iteration": best, "left_out": there & lost[:, None]}
+        n_used, r = np.where(lost, 0, there.sum(1)), self.model.difference(rows, u_hat)
+        chi2 = np.nansum((r / self.noise) ** 2, axis=-1)
+        chi2 = chi2 if np.isfinite(self.noise).all() else np.full(len(r), np.nan)
+        dof = np.maximum(n_used - free.sum(1), 0)
+        shown = np.where(lost[:, None], np.nan, q), u_hat, chi2, dof, s - n_used, *details.values()
+        told, u_hat, chi2, dof, missing, *rest = (x.reshape((*batch, *x.shape[1:]))[()] for x in shown)
+        found = Estimate(told, None, u_hat, chi2, dof, missing, dict(zip(details, rest, strict=True)))
+        return DescentState(q.reshape(*batch, n), later.reshape(*batch, n)), found
 
     def _descended(self, q: Array, b: Array, rows: Array, moves: Array) -> tuple[Array, Array, Array, Array]:
         """Return configuration, momentum, readings there, and loss with its iteration, of every member."""
