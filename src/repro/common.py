@@ -40,17 +40,9 @@ def bad_input(name: str, owner: str, must_be: str, received: object) -> InputErr
 
     What is not printable is escaped: words of a file must not control the terminal that shows them.
     """
-    text = _shown(received)
+    text = str(received)
     text = text if len(text) <= 200 else text[:197] + "..."
     return InputError(printable(f"Input {name} of {owner} must be {must_be}; instead received {text}."))
-
-
-def _shown(value: object, typed: bool = False) -> str:
-    """Return a value in words, behind its type if that is asked for."""
-    try:
-        return f"{type(value).__name__} {value!r}" if typed else str(value)
-    except ValueError:  # Python writes no whole number of more than 4300 digits
-        return f"{type(value).__name__} of very many digits"
 
 
 def printable(text: str) -> str:
@@ -71,7 +63,7 @@ def array(value: Any, name: str, owner: str) -> Array:
         return np.asarray(value)
     except (TypeError, ValueError, RuntimeError) as error:
         words = "numbers in rows of one length" if isinstance(error, ValueError) else "numbers"
-        raise bad_input(name, owner, words, _shown(value, typed=True)) from error
+        raise bad_input(name, owner, words, f"{type(value).__name__} {value!r}") from error
 
 
 def numbers(
@@ -97,12 +89,13 @@ def numbers(
     """
     given = array(value, name, owner)
     if given.dtype.kind == "c":  # NumPy would drop the imaginary part
-        raise bad_input(name, owner, "real numbers", _shown(value, typed=True))
+        raise bad_input(name, owner, "real numbers", f"{type(value).__name__} {value!r}")
     try:
         found = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        words = "numbers below 1.8e308" if isinstance(error, OverflowError) else "numbers"
-        raise bad_input(name, owner, words, _shown(value, typed=True)) from error
+    except OverflowError as error:  # it may have more digits than Python writes
+        raise bad_input(name, owner, "numbers below 1.8e308", f"a larger {type(value).__name__}") from error
+    except (TypeError, ValueError) as error:
+        raise bad_input(name, owner, "numbers", f"{type(value).__name__} {value!r}") from error
     if shape is not None:
         own = tuple(n for n in shape if n is not ...)
         there = found.shape[found.ndim - len(own) :] if len(shape) > len(own) else found.shape
@@ -114,10 +107,12 @@ def numbers(
     return found
 
 
-def scalar(value: Any, name: str, owner: str) -> float:
-    """Return one number, which may be NaN or infinite, or refuse what is none; a text is none."""
+def scalar(value: Any, name: str, owner: str, positive: str = "") -> float:
+    """Return one number, or refuse what is none, such as a text; with a word for it, also what is not positive."""
     require(not isinstance(value, str | bytes), name, owner, "a number", repr(value))
-    return float(numbers(value, name, owner, (), finite=False))
+    found = float(numbers(value, name, owner, (), finite=False))
+    require(not positive or 0 < found < math.inf, name, owner, positive, value)
+    return found
 
 
 FULL_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
@@ -157,7 +152,7 @@ def whole(path: str | os.PathLike[str], owner: str, *, new: bool = True) -> Iter
             part.replace(path)
     except OSError as error:
         if error.errno in FULL_DISK:
-            raise OSError(error.errno, error.strerror, str(path)) from error
+            raise OSError(error.errno, error.strerror or str(error), str(path)) from error
         there = isinstance(error, FileExistsError)
         must = "a new file (give another name, or move the old one)" if there else "a file that can be made"
         raise bad_input("output", owner, must, f"{path} ({error.strerror or error})") from error

@@ -127,8 +127,7 @@ class Disc:
 
     def __post_init__(self) -> None:
         for name in ("diameter", "height"):
-            size = scalar(getattr(self, name), name, "Disc")
-            require(0 < size < math.inf, name, "Disc", "positive [m]", size)
+            _ = scalar(getattr(self, name), name, "Disc", "positive [m]")
         _check_polarisation(self.polarisation_mt, "Disc")
 
     @property
@@ -173,8 +172,7 @@ class Cube:
     polarisation_mt: float
 
     def __post_init__(self) -> None:
-        edge = scalar(self.edge, "edge", "Cube")
-        require(0 < edge < math.inf, "edge", "Cube", "positive [m]", edge)
+        _ = scalar(self.edge, "edge", "Cube", "positive [m]")
         _check_polarisation(self.polarisation_mt, "Cube")
 
     @property

@@ -82,8 +82,7 @@ class ConstantCurvature(Segment):
 
     def __post_init__(self) -> None:
         for name in ("length", "radius"):
-            size = scalar(vars(self)[name], name, "ConstantCurvature")
-            require(0 < size < math.inf, name, "ConstantCurvature", "positive [m]", size)
+            _ = scalar(vars(self)[name], name, "ConstantCurvature", "positive [m]")
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -124,8 +123,7 @@ class AffineCurvature(Segment):
     kind: ClassVar[int] = _AFFINE
 
     def __post_init__(self) -> None:
-        length = scalar(self.length, "length", "AffineCurvature")
-        require(0 < length < math.inf, "length", "AffineCurvature", "positive [m]", length)
+        _ = scalar(self.length, "length", "AffineCurvature", "positive [m]")
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -158,8 +156,8 @@ class Link(Segment):
     kind: ClassVar[int] = _LINK
 
     def __post_init__(self) -> None:
-        length = scalar(self.length, "length", "Link")
-        require(0 <= length < math.inf, "length", "Link", "not negative [m]", length)
+        fits = 0 <= scalar(self.length, "length", "Link") < math.inf
+        require(fits, "length", "Link", "not negative [m]", self.length)
 
 
 @dataclass(frozen=True)
@@ -476,8 +474,7 @@ class Imu:
     axes: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
-        positive = self.noise is None or scalar(self.noise, "noise", "Imu") > 0
-        require(positive, "noise", "Imu", "positive [rad]", self.noise)
+        _ = self.noise is None or scalar(self.noise, "noise", "Imu", "positive [rad]")
         if self.world is not None:
             unit_quaternions(self.world, "world", "Imu", (4,))
         check_tolerance(self.tolerance, "Imu")
@@ -617,9 +614,7 @@ class Robot:
             free = self.angles & (self.upper - self.lower >= 2 * math.pi - 1e-9)
             inside = (self.start >= self.lower) & (self.start <= self.upper)
             require((free | inside).all(), "start", "Robot", "within the bounds", self.start.tolist())
-        positive = rate_hz is None or 0 < scalar(rate_hz, "rate_hz", "Robot") < math.inf
-        require(positive, "rate_hz", "Robot", "positive", rate_hz)
-        self.rate_hz = rate_hz
+        self.rate_hz = None if rate_hz is None else scalar(rate_hz, "rate_hz", "Robot", "positive")
         self.earth = None if earth is None else numbers(earth, "earth", "Robot", (3,))
         self._noise_given = noise
         self.noise = self._noise(noise)

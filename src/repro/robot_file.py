@@ -481,8 +481,8 @@ def _segment(document: _Document, k: int) -> Robot:
         raise document.error((*place, "delta_L_mm"), shortest, table["delta_L_mm"])
     start = np.where(np.isnan(start), np.nan_to_num((lower + upper) / 2), start)
     for name, low, x, high in zip(limits, lower, start, upper, strict=True):
-        turns = name.endswith("_deg") and not high - low < 2 * math.pi - 1e-9
-        if not (low <= x <= high or turns):
+        whole_turn = name.endswith("_deg") and not high - low < 2 * math.pi - 1e-9
+        if not (low <= x <= high or whole_turn):
             raise document.error((*place, "start", name), "within its bounds", table["start"][name])
     return Robot([segment], lower=lower, upper=upper, start=start)
 
@@ -509,8 +509,8 @@ def _magnet(document: _Document, k: int, bare: Robot) -> Magnet:
     row = document.read_kind(kinds, others, "magnets", k)
     sizes = [row[name] for name in kinds[row["kind"]]]
     if row["kind"] == "ring" and sizes[1] >= sizes[0]:
-        inner = document.tables("magnets")[k]["inner_diameter_mm"]
-        raise document.error(("magnets", k, "inner_diameter_mm"), "below outer_diameter_mm", inner)
+        at = ("magnets", k, "inner_diameter_mm")
+        raise document.error(at, "below outer_diameter_mm", f"{1e3 * sizes[1]:g}")
     where = _place(document, "magnets", k, row, bare)
     with document.at("magnets", k):
         shape = {"ring": Ring, "disc": Disc, "cube": Cube}[row["kind"]](*sizes)

@@ -357,11 +357,12 @@ def numbers(session: Session) -> list[str]:
     if last is None or not np.isfinite(last[2].q).all():
         return []
     t, u, found = last
-    q, C = found.q, found.covariance
+    low: Any = robot.lower
+    q, C = found.q, np.asarray(found.covariance)
     p, G = robot.tip_slopes(q)
     values, slopes = np.concatenate([p, q]), np.concatenate([G, np.eye(len(q))])
     sd = np.sqrt(np.maximum(np.diag(slopes @ C @ slopes.T), 0.0))
-    widths = np.concatenate([np.full(3, robot.length), robot.upper - robot.lower])
+    widths = np.concatenate([np.full(3, robot.length), robot.upper - low])
     units = [(f"tip {axis}", "mm", 1e3) for axis in "xyz"]
     units += trajectory([t], [u], [found], robot, None).units()
     said = []

@@ -218,7 +218,7 @@ class Writer:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._file, self._size)
             failed = OSError(f"Writing {self.path} failed: {error.strerror}. What came before is kept.")
-            failed.errno, failed.strerror = error.errno, error.strerror
+            failed.errno = error.errno
             raise failed from error
         self._size += len(block)
         self._blocks += 1

@@ -480,9 +480,13 @@ def test_what_fails_in_its_thread_is_raised():
         yield 0.0, b"first"
         raise InputError("no more")
 
-    with pytest.raises(InputError, match="no more"), Emulator(sent(), 0) as board:
-        read_for(board.address, 2.0, len(b"first"))
-        until(board.ended.is_set)
+    def played():
+        with Emulator(sent(), 0) as board:
+            read_for(board.address, 2.0, len(b"first"))
+            until(board.ended.is_set)
+
+    with pytest.raises(InputError, match="no more"):
+        played()
 
 
 def test_a_reader_that_leaves_loses_what_is_sent_and_another_one_may_come():

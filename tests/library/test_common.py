@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -43,8 +41,8 @@ def refusal(value) -> str:
     ("value", "words"),
     [
         (RAGGED, "numbers in rows of one length; instead received list [[1.0, 2.0], [1.0]]."),
-        (HUGE, "numbers below 1.8e308; instead received list [1000"),
-        (10**5000, "numbers below 1.8e308; instead received int of very many digits."),
+        (HUGE, "numbers below 1.8e308; instead received a larger list."),
+        (10**5000, "numbers below 1.8e308; instead received a larger int."),
         ([1j], "real numbers; instead received list [1j]."),
         ("abc", "numbers; instead received str 'abc'."),
     ],
@@ -120,21 +118,12 @@ def test_a_file_or_folder_takes_its_name_when_it_is_whole(tmp_path):
 
 
 def test_what_fails_leaves_nothing_and_replaces_nothing(tmp_path):
-    """Also on a full disk, for which we take a limit of the file size that the operating system enforces."""
     (tmp_path / "mine").write_text("mine")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
     with pytest.raises(InputError, match=r"output of a test must be a new file .*mine \(File exists\)"):
         write(tmp_path / "mine", "another")
     with pytest.raises(InputError, match=r"must be a file that can be made; .*\(No such file or directory\)"):
         write(tmp_path / "none" / "a", "another")
     with pytest.raises(UnicodeEncodeError):
         write(tmp_path / "a", "\ud800")
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
-    try:
-        with pytest.raises(OSError, match="File too large") as full:
-            write(tmp_path / "a", 1000 * "x")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert full.value.filename == str(tmp_path / "a")
     assert left(tmp_path) == ["mine"]
     assert (tmp_path / "mine").read_text() == "mine"

@@ -207,7 +207,7 @@ REFUSED = {
     ),
     "diameters": (
         ("inner_diameter_mm = 12.0", "inner_diameter_mm = 30.0"),
-        "inner_diameter_mm line 23, [[magnets]] 1, must be below outer_diameter_mm; instead received 30.0.",
+        "inner_diameter_mm line 23, [[magnets]] 1, must be below outer_diameter_mm; instead received 30.",
     ),
     "a start outside": (
         ("delta_L_mm = [0.0, 6.6]", "delta_L_mm = [0.0, 6.6]\nstart = { delta_L_mm = 9.0 }"),

@@ -19,7 +19,6 @@ from repro.estimators.base import (
 from repro.robot import Robot
 from repro.sensing import difference, evaluate, room_for, unpack
 
-
 _ABSURD = 1e3
 """Residuals so many times as large as what the model predicts, which no iterate makes smaller, are no readings."""
 
@@ -129,7 +128,8 @@ class GradientDescent:
         owner, n = "GradientDescent", self.n_q
         u = incoming(u, mask, owner, self.model.n_readings)
         batch, s = np.broadcast_shapes(state.q.shape[:-1], u.shape[:-1]), u.shape[-1]
-        known = each(known_coordinates(known, n, owner, self._fixed), batch, n)
+        given: Any = known_coordinates(known, n, owner, self._fixed)
+        known = each(given, batch, n)
         before, b, free = *(each(x, batch, n) for x in state), np.isnan(known)
         before, b, moves = np.where(free, before, known), np.where(free, b, 0.0), free * self.step_size
         rows = np.ascontiguousarray(each(u, batch, s))
