@@ -416,7 +416,7 @@ def test_a_robot_stands_still_in_every_pose_of_its_table(tmp_path):
     assert (u[:80] == u[0]).all()
     assert (u[180:250] == u[180]).all()
     assert (u[0] != u[180])[1:].any()
-    with pytest.raises(FileExistsError):
+    with pytest.raises(InputError, match="output of emulate must be a new file"):
         write_poses(tmp_path / "held.csv", EXACT, poses, 0.4)
 
 
