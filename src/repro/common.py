@@ -153,8 +153,9 @@ def whole(path: str | os.PathLike[str], owner: str, *, new: bool = True) -> Iter
     except OSError as error:
         if error.errno in FULL_DISK:
             raise OSError(error.errno, error.strerror or str(error), str(path)) from error
-        there = isinstance(error, FileExistsError)
-        must = "a new file (give another name, or move the old one)" if there else "a file that can be made"
+        must = "a file that can be made"
+        if isinstance(error, FileExistsError):
+            must = "a new file (give another name, or move the old one)"
         raise bad_input("output", owner, must, f"{path} ({error.strerror or error})") from error
     finally:
         shutil.rmtree(part) if part.is_dir() else part.unlink(missing_ok=True)

@@ -158,7 +158,7 @@ class Session:
     def guarded(self, work: Callable[[], Any], view: str = "") -> Any:
         """Work in another thread. What fails there ends the session, and ``run`` raises it.
 
-        Without a view it goes on, because it may be recording: ``blind`` says which has failed, and why.
+        If a view fails the session goes on, because it may be recording; ``blind`` says which view, and why.
         """
         try:
             return work()
@@ -427,9 +427,11 @@ class Table:
     def __enter__(self) -> None:
         self._thread.start()
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         self.session.stop.set()
         self._thread.join()
+        if kind is None and self.session.failure is not None:  # of the last lines, after ``run``
+            raise self.session.failure
 
     def _write_all(self) -> None:
         last = False

@@ -147,10 +147,9 @@ def test_what_fails_in_the_thread_of_the_reader_or_of_the_table_ends_the_session
         Session(Follower(ROBOT), failing).run(5)
     session = session_of(sent(U[:20]))
     (tmp_path / "a.csv").write_text("of another process")
-    with Table(tmp_path / "a.csv", session):
+    message = r"output of live must be a new file .*a\.csv"
+    with pytest.raises(InputError, match=message), Table(tmp_path / "a.csv", session):
         session.each(session.last)
-        session.stop.wait(0.5)
-    assert isinstance(session.failure, InputError)
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
 
 
