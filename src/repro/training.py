@@ -199,6 +199,7 @@ def train_paper(
             _begin_pass()
             network.eval()
             losses = torch.cat([losses, losses.new_tensor([[mse, _rmse(network, x_val, y_val) ** 2]])])
+            checkpoint.parent.mkdir(parents=True, exist_ok=True)
             with whole(checkpoint, "train", new=False) as partial:
                 weights = {"network": network.state_dict(), "average": average}
                 torch.save(
