@@ -166,9 +166,8 @@ function begin(scene) {
   events.onerror = () => over(events.readyState !== EventSource.CLOSED ? "The connection is lost; trying again."
     : opened ? "This session is over. If it was started again, open the address that it prints now."
       : "Too many pages show this session. Close one of them, then load this page again.");
-  window.addEventListener("error", ({ error }) => { // a notice, such as of a ResizeObserver, has none
-    if (error) { events.close(); over(`This page has failed (${error}). Load it again.`); }
-  });
+  window.addEventListener("error", ({ error }) => // a notice, such as of a ResizeObserver, has none
+    error && (events.close(), over(`This page has failed (${error}). Load it again.`)));
 }
 
 fetch("/scene.json").then((answer) => answer.json()).then(begin, () => say("The session cannot be reached."));
