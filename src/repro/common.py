@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import hashlib
 import math
 import os
+import secrets
+import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +57,15 @@ def require(holds: object, name: str, owner: str, must_be: str, received: object
         raise bad_input(name, owner, must_be, received)
 
 
+def array(value: Any, name: str, owner: str) -> Array:
+    """Return ``value`` as an array of whatever it holds, or refuse it where its rows are not of one length."""
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError, RuntimeError) as error:
+        words = "numbers in rows of one length" if isinstance(error, ValueError) else "numbers"
+        raise bad_input(name, owner, words, f"{type(value).__name__} {value!r}") from error
+
+
 def numbers(
     value: Any, name: str, owner: str, shape: tuple[Any, ...] | None = None, *, finite: bool = True
 ) -> Array:
@@ -74,11 +87,14 @@ def numbers(
     InputError
         If it is not as it must be.
     """
-    if np.iscomplexobj(value):  # NumPy would drop the imaginary part
+    given = array(value, name, owner)
+    if given.dtype.kind == "c":  # NumPy would drop the imaginary part
         raise bad_input(name, owner, "real numbers", f"{type(value).__name__} {value!r}")
     try:
-        found = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, RuntimeError) as error:
+        found = np.asarray(given, dtype=np.float64)
+    except OverflowError as error:  # it may have more digits than Python writes
+        raise bad_input(name, owner, "numbers below 1.8e308", f"a larger {type(value).__name__}") from error
+    except (TypeError, ValueError) as error:
         raise bad_input(name, owner, "numbers", f"{type(value).__name__} {value!r}") from error
     if shape is not None:
         own = tuple(n for n in shape if n is not ...)
@@ -89,6 +105,60 @@ def numbers(
     if finite and not np.isfinite(found).all():
         raise bad_input(name, owner, "finite", f"{int((~np.isfinite(found)).sum())} values that are not")
     return found
+
+
+def scalar(value: Any, name: str, owner: str, positive: str = "") -> float:
+    """Return one number, or refuse what is none, such as a text; with a word for it, also what is not positive."""
+    require(not isinstance(value, str | bytes), name, owner, "a number", repr(value))
+    found = float(numbers(value, name, owner, (), finite=False))
+    require(not positive or 0 < found < math.inf, name, owner, positive, value)
+    return found
+
+
+FULL_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+"""A disk that is full, or refuses: nothing that a user gave is wrong then."""
+
+
+@contextmanager
+def whole(path: str | os.PathLike[str], owner: str, *, new: bool = True) -> Iterator[Path]:
+    """Give a place beside a file or folder to write it, which takes its name when all went well.
+
+    Where something fails nothing is left. A process that is killed leaves a hidden ``.part``, which is in nobody's
+    way.
+
+    Parameters
+    ----------
+    path
+        What is written.
+    owner
+        For the message.
+    new
+        Whether one that is there already is refused; else a file is replaced.
+
+    Raises
+    ------
+    InputError
+        If it is there already, or cannot be made.
+    OSError
+        With the path, if the disk is full or refuses.
+    """
+    path = Path(path)
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    try:
+        yield part
+        if new and (path.exists() or path.is_symlink()):  # another process may have made it meanwhile
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+        if part.exists():
+            part.replace(path)
+    except OSError as error:
+        if error.errno in FULL_DISK:
+            raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+        must = "a file that can be made"
+        if isinstance(error, FileExistsError):
+            must = "a new file (give another name, or move the old one)"
+        raise bad_input("output", owner, must, f"{path} ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(part) if part.is_dir() else part.unlink(missing_ok=True)
 
 
 def is_table(value: Any) -> bool:

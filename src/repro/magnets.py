@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial import Legendre
 from numpy.polynomial.legendre import leggauss
 
-from repro.common import Array, bad_input, numbers, require
+from repro.common import Array, bad_input, numbers, require, scalar
 from repro.robot import Place, Robot, check_tolerance, place
 
 
@@ -46,6 +46,8 @@ class Ring:
     polarisation_mt: float
 
     def __post_init__(self) -> None:
+        for name in ("outer_diameter", "inner_diameter", "height"):
+            _ = scalar(getattr(self, name), name, "Ring")
         ordered = 0 <= self.inner_diameter < self.outer_diameter < math.inf and 0 < self.height < math.inf
         require(ordered, "dimensions", "Ring", "0 <= inner < outer and a positive height [m]", self)
         _check_polarisation(self.polarisation_mt, "Ring")
@@ -125,7 +127,7 @@ class Disc:
 
     def __post_init__(self) -> None:
         for name in ("diameter", "height"):
-            require(0 < getattr(self, name) < math.inf, name, "Disc", "positive [m]", getattr(self, name))
+            _ = scalar(getattr(self, name), name, "Disc", "positive [m]")
         _check_polarisation(self.polarisation_mt, "Disc")
 
     @property
@@ -170,7 +172,7 @@ class Cube:
     polarisation_mt: float
 
     def __post_init__(self) -> None:
-        require(0 < self.edge < math.inf, "edge", "Cube", "positive [m]", self.edge)
+        _ = scalar(self.edge, "edge", "Cube", "positive [m]")
         _check_polarisation(self.polarisation_mt, "Cube")
 
     @property
@@ -197,7 +199,7 @@ class Cube:
 
 
 def _check_polarisation(value: float, owner: str) -> None:
-    require(math.isfinite(value), "polarisation_mt", owner, "finite", value)
+    require(math.isfinite(scalar(value, "polarisation_mt", owner)), "polarisation_mt", owner, "finite", value)
 
 
 def _orders(l_max: int) -> range:

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from repro.angles import FreeAngles
-from repro.common import Array, bad_input, kernel, numbers, require, rows_of
+from repro.common import Array, bad_input, kernel, numbers, require, rows_of, scalar
 
 _CONSTANT, _AFFINE, _LINK, _JOINT, _FREE = range(5)
 _KINDS = "of ConstantCurvature, AffineCurvature, Link, BallJoint, FreeBody"
@@ -83,9 +83,7 @@ class ConstantCurvature(Segment):
 
     def __post_init__(self) -> None:
         for name in ("length", "radius"):
-            require(
-                0 < vars(self)[name] < math.inf, name, "ConstantCurvature", "positive [m]", vars(self)[name]
-            )
+            _ = scalar(vars(self)[name], name, "ConstantCurvature", "positive [m]")
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -126,7 +124,7 @@ class AffineCurvature(Segment):
     kind: ClassVar[int] = _AFFINE
 
     def __post_init__(self) -> None:
-        require(0 < self.length < math.inf, "length", "AffineCurvature", "positive [m]", self.length)
+        _ = scalar(self.length, "length", "AffineCurvature", "positive [m]")
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -159,7 +157,8 @@ class Link(Segment):
     kind: ClassVar[int] = _LINK
 
     def __post_init__(self) -> None:
-        require(0 <= self.length < math.inf, "length", "Link", "not negative [m]", self.length)
+        fits = 0 <= scalar(self.length, "length", "Link") < math.inf
+        require(fits, "length", "Link", "not negative [m]", self.length)
 
 
 @dataclass(frozen=True)
@@ -389,6 +388,8 @@ class Sensor:
         if self.channels is not None:
             fits = type(self.channels) is not str and len(self.channels) == self.axes
             require(fits, "channels", "Sensor", f"a list of {self.axes}, one for every axis", self.channels)
+        for name in ("resolution", "range", "per_mt", "radial"):
+            _ = scalar(getattr(self, name), name, "Sensor")
         require(
             0 <= self.resolution < self.range,
             "resolution",
@@ -474,7 +475,7 @@ class Imu:
     axes: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
-        require(self.noise is None or self.noise > 0, "noise", "Imu", "positive [rad]", self.noise)
+        _ = self.noise is None or scalar(self.noise, "noise", "Imu", "positive [rad]")
         if self.world is not None:
             unit_quaternions(self.world, "world", "Imu", (4,))
         check_tolerance(self.tolerance, "Imu")
@@ -617,8 +618,7 @@ class Robot:
             free = self.free_angles.free
             inside = (self.start >= self.lower) & (self.start <= self.upper)
             require((free | inside).all(), "start", "Robot", "within the bounds", self.start.tolist())
-        require(rate_hz is None or 0 < rate_hz < math.inf, "rate_hz", "Robot", "positive", rate_hz)
-        self.rate_hz = rate_hz
+        self.rate_hz = None if rate_hz is None else scalar(rate_hz, "rate_hz", "Robot", "positive")
         self.earth = None if earth is None else numbers(earth, "earth", "Robot", (3,))
         self._noise_given = noise
         self.noise = self._noise(noise)
@@ -822,7 +822,7 @@ class Robot:
     def part(self, name: Any, owner: str) -> int:
         """Return which of ``part_names`` a sensor or IMU is, from 0, by its name or by its number from 1."""
         names, word = list(self.part_names), str(name)
-        k = names.index(word) if word in names else int(word) - 1 if word.isdigit() else -1
+        k = names.index(word) if word in names else int(word) - 1 if word.isdecimal() else -1
         listed = ", ".join(f"{x} ({n})" for n, x in enumerate(names, 1))
         require(0 <= k < len(names), "sensor", owner, f"one of {listed}", repr(name))
         return k

@@ -459,7 +459,7 @@ def _segment(document: _Document, k: int) -> Robot:
     place = ("segments", k)
     merged = {kind: {**sizes, **limits} for kind, (sizes, limits) in _SEGMENTS.items()}
     row = document.read_kind(merged, {"start": _TABLE}, *place)
-    kind, (sizes, keys) = row["kind"], _SEGMENTS[row["kind"]]
+    kind, (sizes, keys), table = row["kind"], _SEGMENTS[row["kind"]], document.tables("segments")[k]
     limits = list(keys)
     if kind == "ball_joint":  # the axes that are named, or all
         limits = [name for name in limits if row[name] is not None] or limits
@@ -477,10 +477,14 @@ def _segment(document: _Document, k: int) -> Robot:
     given = [without[name] if row[name] is None else row[name] for name in limits]
     lower, upper = np.array([np.broadcast_to(pair, 2) for pair in given]).reshape(-1, 2).T
     if "delta_L_mm" in limits and lower[limits.index("delta_L_mm")] <= -segment.length:
-        raise document.error((*place, "delta_L_mm"), "above the length, taken as negative", row["delta_L_mm"])
-    middle = np.nan_to_num((lower + upper) / 2)
-    with document.at(*place, "start"):
-        return Robot([segment], lower=lower, upper=upper, start=np.where(np.isnan(start), middle, start))
+        shortest = f"above {-1e3 * segment.length:g} [mm], which leaves no length"
+        raise document.error((*place, "delta_L_mm"), shortest, table["delta_L_mm"])
+    start = np.where(np.isnan(start), np.nan_to_num((lower + upper) / 2), start)
+    for name, low, x, high in zip(limits, lower, start, upper, strict=True):
+        whole_turn = name.endswith("_deg") and not high - low < 2 * math.pi - 1e-9
+        if not (low <= x <= high or whole_turn):
+            raise document.error((*place, "start", name), "within its bounds", table["start"][name])
+    return Robot([segment], lower=lower, upper=upper, start=start)
 
 
 def _place(document: _Document, name: str, k: int, row: Mapping[str, Any], bare: Robot) -> dict[str, Any]:
@@ -504,6 +508,9 @@ def _magnet(document: _Document, k: int, bare: Robot) -> Magnet:
     kinds = _MAGNETS | (_CUBE_BY_SIDE if "side_mm" in document.tables("magnets")[k] else {})
     row = document.read_kind(kinds, others, "magnets", k)
     sizes = [row[name] for name in kinds[row["kind"]]]
+    if row["kind"] == "ring" and sizes[1] >= sizes[0]:
+        at = ("magnets", k, "inner_diameter_mm")
+        raise document.error(at, "below outer_diameter_mm", f"{1e3 * sizes[1]:g}")
     where = _place(document, "magnets", k, row, bare)
     with document.at("magnets", k):
         shape = {"ring": Ring, "disc": Disc, "cube": Cube}[row["kind"]](*sizes)

@@ -11,9 +11,7 @@ import copy
 import hashlib
 import json
 import math
-import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
@@ -25,7 +23,7 @@ from rich.progress import Progress
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from repro.common import Array, bad_input, numbers, require
+from repro.common import Array, bad_input, numbers, require, whole
 
 PAPER_BATCH, FAST_BATCH = 650, 1000
 DTYPES = (torch.float64, torch.float32)
@@ -201,7 +199,8 @@ def train_paper(
             _begin_pass()
             network.eval()
             losses = torch.cat([losses, losses.new_tensor([[mse, _rmse(network, x_val, y_val) ** 2]])])
-            with _whole(checkpoint) as partial:
+            checkpoint.parent.mkdir(parents=True, exist_ok=True)
+            with whole(checkpoint, "train", new=False) as partial:
                 weights = {"network": network.state_dict(), "average": average}
                 torch.save(
                     {**weights, "losses": losses, "generator": torch.get_rng_state(), "run": run}, partial
@@ -316,15 +315,6 @@ def _rmse(network: nn.Module, x: Tensor, y: Tensor) -> float:
     return (squared / len(y)) ** 0.5
 
 
-@contextmanager
-def _whole(path: Path) -> Iterator[Path]:
-    """Give a place to write a file, which takes its name when all went well."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.partial")
-    yield partial
-    os.replace(partial, path)
-
-
 def save_network(network: nn.Module, path: str | Path, manifest: Mapping[str, Any]) -> None:
     """Write weights, and beside them a manifest (``.json``) that says what they are; each whole or not at all.
 
@@ -339,13 +329,14 @@ def save_network(network: nn.Module, path: str | Path, manifest: Mapping[str, An
         torch, NumPy and magpylib are added.
     """
     path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
     weights = save({name: value.contiguous() for name, value in network.state_dict().items()})
     versions = {name: version(name) for name in ("torch", "numpy", "magpylib")}
     full = {**manifest, "weights_sha256": hashlib.sha256(weights).hexdigest(), "versions": versions}
     # A line for each entry: the losses of 250 epochs would be 500 lines otherwise.
     entries = ",\n".join(f" {json.dumps(key)}: {json.dumps(value)}" for key, value in full.items())
     for file, content in ((path.with_suffix(".json"), f"{{\n{entries}\n}}\n".encode()), (path, weights)):
-        with _whole(file) as partial:
+        with whole(file, "save_network", new=False) as partial:
             partial.write_bytes(content)
 
 

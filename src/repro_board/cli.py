@@ -5,6 +5,7 @@ Each command imports what it needs when it runs, so that help comes at once.
 
 from __future__ import annotations
 
+import io
 import math
 import sys
 from collections.abc import Iterator, Sequence
@@ -14,7 +15,7 @@ from typing import Annotated, Any
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 
-from repro.common import InputError, require
+from repro.common import FULL_DISK, InputError, require
 
 ROBOT, BOARD, BOOK = (
     Group(name, sort_key=k) for k, name in enumerate(("A robot of your own", "A board on a wire", "The book"))
@@ -108,7 +109,7 @@ def track(
     calibration
         From repro calibrate.
     estimator
-        levenberg_marquardt (the default), kalman, gradient_descent or particle_filter.
+        levenberg_marquardt (the default) or kalman.
     smooth
         Let later readings count as well: a Kalman filter, and back over it.
     failed
@@ -307,11 +308,11 @@ def live(
     calibration
         From repro calibrate.
     estimator
-        levenberg_marquardt (the default), kalman, gradient_descent or particle_filter.
+        levenberg_marquardt (the default) or kalman.
     output
         Also record everything that arrives, as repro record does; a new file.
     estimates
-        Also write the estimates as they come, as repro track does; a new CSV file.
+        Also write the estimates, as repro track does; a new CSV file, which is there when the session ends.
     browser
         Show shape and readings on a page for the browser of this computer; its address is printed.
     browser_socket
@@ -369,7 +370,7 @@ def export(
 
     described = None if robot is None else load_robot(robot)
     read = read_recording(recording)
-    for remark in (*read.remarks, *export_to(read, output, to=to, robot=described, estimates=estimates)):
+    for remark in export_to(read, output, to=to, robot=described, estimates=estimates):
         print(remark, file=sys.stderr)
     print(f"{output}  ({len(read.samples)} samples)")
     return 0
@@ -457,6 +458,8 @@ def says_extras(name: str, extras: Sequence[str]) -> int:
 def main(words: Sequence[str] | None = None, commands: App = app) -> int:
     """Run a command; return its status: 1 where something came out badly, 2 for input that cannot be used."""
     words = sys.argv[1:] if words is None else list(words)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal without ± shows a question mark
     name = f"repro {words[0]}" if words and not words[0].startswith("-") else "repro"
     try:
         return commands(words, exit_on_error=False, print_error=False, result_action="return_value") or 0
@@ -470,6 +473,7 @@ def main(words: Sequence[str] | None = None, commands: App = app) -> int:
     except OSError as error:
         what = f"{error.filename}: {error.strerror}" if error.filename else error
         print(f"{name}: a file cannot be read or written: {what}", file=sys.stderr)
+        return 1 if error.errno in FULL_DISK else 2
     except KeyboardInterrupt:
         return 130
     return 2

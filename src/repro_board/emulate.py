@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from repro import Cube, Magnet, Robot, load_robot, simulated_readings
-from repro.common import Array, bad_input, numbers, require
+from repro.common import Array, bad_input, numbers, require, whole
 from repro.estimators.calibration import Tolerances, _priors, placed
 from repro_board.wire import encode, text_line
 
@@ -215,7 +215,7 @@ def write_poses(path: Path, robot: Robot, poses: Array, hold_s: float) -> None:
     k = np.arange(len(poses))[:, None]
     windows = k * (hold_s + MOVE_S) + hold_s * np.array(WINDOW)
     table = np.hstack([poses * [factor for _, factor in units], windows])
-    with path.open("x", encoding="utf-8") as file:
+    with whole(path, "emulate") as part, part.open("w", encoding="utf-8") as file:
         np.savetxt(file, table, "%.6f", ",", header=",".join([*names, "start_s", "end_s"]), comments="")
 
 
@@ -450,6 +450,7 @@ class Emulator:
         self, sent: Iterable[tuple[float, bytes]], link: Path | str | int = 0, *, speed: float = 1.0
     ) -> None:
         self._sent, self._speed, self._listener, self._port = sent, speed, None, -1
+        self._failure: Exception | None = None
         self.ended, self._stopped = threading.Event(), threading.Event()
         """The port is gone."""
         self.address = str(Path(str(link)).absolute())
@@ -474,6 +475,8 @@ class Emulator:
     def __exit__(self, *_: object) -> None:
         self._stopped.set()
         self._thread.join()
+        if self._failure is not None:
+            raise self._failure
 
     def _appear(self) -> None:
         if self._listener is None:
@@ -512,6 +515,8 @@ class Emulator:
             self._play()
             while self._has_reader() and not self._stopped.wait(_POLL_S):
                 pass
+        except Exception as error:  # the thread that made the board raises it
+            self._failure = error
         finally:
             self._vanish()
             if self._listener is not None:

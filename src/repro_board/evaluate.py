@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import math
-import shutil
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,20 +20,19 @@ from scipy.fft import next_fast_len
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2 as chi_square
 
-from repro.common import Array, bad_input, numbers, require
+from repro.common import Array, bad_input, numbers, require, whole
 from repro.estimators.base import Trajectory, track
 from repro.estimators.calibration import Calibration, Tolerances, calibrate, placed
 from repro.estimators.drift import Drift, Drifting, DriftModel
-from repro.estimators.gradient_descent import GradientDescent
 from repro.estimators.kalman import KalmanFilter
 from repro.estimators.kalman import smooth as smoothed
 from repro.estimators.least_squares import LevenbergMarquardt
-from repro.estimators.particle import ParticleFilter
 from repro.robot import Robot
 from repro.robot_file import calibration_text, load_calibration, load_robot
 from repro.tables import read_table
 
-ESTIMATORS = ("levenberg_marquardt", "kalman", "gradient_descent", "particle_filter")
+ESTIMATORS = ("levenberg_marquardt", "kalman")
+"""Those that a monitor watches."""
 TOLERANCES = Tolerances(sensor_gain=0.05, sensor_offset=0.5, earth=0.05)
 """How far a robot may be from its file, where the file states nothing."""
 _COVERED = 0.95
@@ -75,9 +73,9 @@ def _new(path: Path | str, owner: str) -> Path:
     return path
 
 
-def _written(path: Path, text: str) -> str:
-    with path.open("x", encoding="utf-8", newline="\n") as stream:  # made by another process meanwhile?
-        stream.write(text)
+def _written(path: Path, text: str, owner: str) -> str:
+    with whole(path, owner) as part:
+        part.write_text(text, encoding="utf-8", newline="\n")
     return f"Written: {path.name}"
 
 
@@ -128,20 +126,7 @@ def estimator_of(robot: Any, name: str = "", owner: str = "repro track") -> Any:
     """Return the estimator of a name for a robot: least squares if none is given."""
     name = name or ESTIMATORS[0]
     require(name in ESTIMATORS, "estimator", owner, f"one of {', '.join(ESTIMATORS)}", name)
-    if name == "kalman":
-        return KalmanFilter(robot)
-    if name == "particle_filter":
-        free = int((~robot.fixed).sum())
-        require(free <= 4, "estimator", owner, "another one for more than four coordinates", name)
-        return ParticleFilter(robot)
-    if name == "gradient_descent":
-        # Stable at the ends of every coordinate: with n of them the loss curves by at most n in any direction.
-        middle: Any = (robot.lower + robot.upper) / 2 if robot.start is None else robot.start
-        ends = [np.where(np.eye(robot.n_q) == 1, bound, middle) for bound in (robot.lower, robot.upper)]
-        J = robot.sensing().linearise(np.concatenate([*ends, middle[None]]))[1]
-        curvature = 2 * np.square(J).mean(1).max(0)
-        return GradientDescent(robot.sensing(), 1 / (robot.n_q * np.maximum(curvature, 1e-300)))
-    return LevenbergMarquardt(robot)
+    return KalmanFilter(robot) if name == "kalman" else LevenbergMarquardt(robot)
 
 
 def with_calibration(shape: Trajectory, calibration: Calibration | None) -> Trajectory:
@@ -192,7 +177,7 @@ def track_file(
     if path is None:
         lines.append("No table is written (-o shape.csv writes one).")
     else:
-        lines.append(_written(path, _csv(frame)))
+        lines.append(_written(path, _csv(frame), owner))
     return Report("\n".join([*lines, *suspicions(shape)]), shape)
 
 
@@ -348,7 +333,7 @@ def calibrate_files(
     if self_:
         require(poses is None, "poses", owner, "left out with --self", poses)
         text, found = _by_motion(arm, np.array(u))
-        return Report("\n".join([*u.remarks, text, _written(path, calibration_text(found))]), found)
+        return Report("\n".join([*u.remarks, text, _written(path, calibration_text(found), owner)]), found)
     if poses is None:
         raise bad_input("poses", owner, "given (repro calibrate READINGS POSES.csv), or --self", "neither")
     sigma = pose_covariance(arm, pose_noise_mm, pose_noise_deg)
@@ -371,7 +356,7 @@ def calibrate_files(
     where = [place for place, use in zip(where, whole, strict=True) if use]
     found = calibrate(arm, measured.q[whole], rows, q_covariance=sigma, tolerances=TOLERANCES, rows=where)
     text = _calibration_report(found, measured.q[whole], rows)
-    return Report("\n".join([*remarks, text, _written(path, calibration_text(found))]), found)
+    return Report("\n".join([*remarks, text, _written(path, calibration_text(found), owner)]), found)
 
 
 def _calibration_report(found: Calibration, q: Array, u: Array) -> str:
@@ -909,15 +894,11 @@ def evaluate_files(
     picture = _picture(
         frames, [unit for unit, fixed in zip(shape.units(), arm.fixed, strict=True) if not fixed]
     )
-    stage = folder.with_name(f".{folder.name}.part")
-    stage.mkdir()
-    try:  # the folder appears when it is complete
+    with whole(folder, owner) as stage:  # the folder appears when it is complete
+        stage.mkdir()
         (stage / "estimates.png").write_bytes(picture)
         for name, content in files.items():
-            _ = _written(stage / name, content)
-        stage.rename(folder)
-    finally:
-        shutil.rmtree(stage, ignore_errors=True)
+            (stage / name).write_text(content, encoding="utf-8", newline="\n")
     return Report("\n".join([*lines, f"Written: {folder.name}"]), table)
 
 

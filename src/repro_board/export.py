@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from repro.common import bad_input, require
+from repro.common import bad_input, require, whole
 from repro.robot import Robot
 from repro.robot_file import load_robot
 from repro_board.record import Recording, read_recording, readings_of
@@ -58,24 +55,23 @@ def export(
         form in FORMS, "to", "the export", f"one of {', '.join(FORMS)} (--to, or the file's ending)", form
     )
     require(estimates is None or form == "mcap", "estimates", "the export", "left out, but for mcap", form)
-    must = "a new file (give another name, or move the old one)"
-    require(not output.exists(), "output", "the export", must, output)
+    require(not output.exists(), "output", "the export", "a new file", output)
     if not isinstance(recording, Recording):
         recording = read_recording(recording)
     robot = load_robot(robot) if isinstance(robot, str | Path) else robot
     table, remarks = table_of(recording, robot)
     estimated = None if estimates is None else _estimates(Path(estimates), float(recording.times[-1]))
-    with _whole(output) as temporary:
+    with whole(output, "the export") as part:
         if form == "csv":
-            table.to_csv(temporary, index=False)
+            table.to_csv(part, index=False)
         elif form == "parquet":
             try:
-                table.to_parquet(temporary, index=False)
+                table.to_parquet(part, index=False)
             except ImportError as error:
                 must = 'csv or mcap, unless pyarrow is installed (the extra "parquet")'
                 raise bad_input("to", "the export", must, form) from error
         else:
-            _write_mcap(temporary, recording, table, estimated)
+            _write_mcap(part, recording, table, estimated)
     return remarks
 
 
@@ -139,20 +135,6 @@ def _estimates(path: Path, last_s: float) -> Any:
     must = f"within the recording, 0 to {last_s:.3f} s"
     require(within, "time_s", path.name, must, f"{times.min():.3f} to {times.max():.3f} s")
     return table
-
-
-@contextlib.contextmanager
-def _whole(output: Path) -> Iterator[Path]:
-    """Yield a file beside the output, which takes its name once it is whole."""
-    temporary = output.with_name(f".{output.name}-{os.getpid()}")
-    try:
-        yield temporary
-        temporary.rename(output)
-    except OSError as error:
-        must = "a file that can be written"
-        raise bad_input("output", "the export", must, f"{output} ({error.strerror})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _write_mcap(path: Path, recording: Recording, table: Any, estimates: Any) -> None:

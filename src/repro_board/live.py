@@ -6,6 +6,7 @@ falls behind, it estimates the newest time step and counts those that it leaves 
 
 from __future__ import annotations
 
+import copy
 import gc
 import math
 import queue
@@ -20,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from repro.common import Array, InputError, require
+from repro.common import Array, InputError, require, whole
 from repro.estimators.base import Estimate, evenly, trajectory
 from repro.estimators.monitor import FROZEN, INCONSISTENT, LEFT_OUT, SAID, STATUS, UNDETERMINED, Monitor
 from repro.robot import Robot
@@ -65,13 +66,13 @@ class Follower:
         if calibration is not None:  # what it left open, in shapes between which it hardly changes
             self._shapes = evenly(np.asarray(robot.lower), np.asarray(robot.upper), SHAPES)
             self._open = calibration.lasting_covariance(self._shapes)
-        self.monitor = Monitor(self.estimator) if getattr(self.estimator, "watched", False) else None
+        self.monitor = Monitor(self.estimator)
         self._unused = np.isin(robot.parts, self.failed)
         self.begin()
 
     def begin(self) -> None:
         """Forget everything."""
-        self.state: Any = (self.monitor or self.estimator).init()
+        self.state: Any = self.monitor.init()
         self.said: dict[str, Any] = {"status": 0}
         self._inner, self._burst, self._looked = None, BURST, -math.inf
 
@@ -91,9 +92,7 @@ class Follower:
         """Estimate a time step."""
         u = np.where(self._unused, np.nan, u)
         alarm = self.said["status"] in (LEFT_OUT, INCONSISTENT)
-        if self.monitor is None:
-            self.state, found = self.estimator.step(self.state, u, t)
-        elif alarm and self._burst <= 0 and t - self._looked < LOOK_S:
+        if alarm and self._burst <= 0 and t - self._looked < LOOK_S:
             u = np.where(self.said["left_out"], np.nan, u)
             self._inner, found = self.estimator.step(self._inner, u, t)
             C: Any = found.covariance
@@ -104,8 +103,6 @@ class Follower:
             self._inner, self.said, self._looked = self.state.inner, found.details, t
             self._burst = min(self._burst + (-1 if alarm else 1), BURST)
         total: Any = found.covariance
-        if total is None or (self._shapes is None and self.grown == 1.0):
-            return found
         if self._shapes is not None and self._open is not None:
             width = np.where(self.robot.fixed, 1.0, np.ptp(self._shapes, axis=0))
             total = total + self._open[np.square((self._shapes - found.q) / width).sum(axis=1).argmin()]
@@ -126,7 +123,8 @@ class Session:
         stated = getattr(follower.robot.source, "stream", {}).get("format")
         self.parser = Parser(format or stated)
         self.steps = Steps(follower.robot, source=self.parser)
-        self.stop, self.failure = threading.Event(), None
+        self.stop, self.failure, self.blind = threading.Event(), None, ""
+        self.remarks: dict[str, float] = {}  # and when each was made last
         self.each: Callable[[Any], None] = lambda _: None
         self.arrivals: queue.SimpleQueue[tuple[float, bytes | None]] = queue.SimpleQueue()
         self.pending: deque[tuple[float, Any]] = deque()
@@ -155,28 +153,39 @@ class Session:
         if self.failure is not None:
             raise self.failure
 
-    def guarded(self, work: Callable[[], None]) -> None:
-        """Work in another thread; what fails there ends the session, and ``run`` raises it."""
+    def guarded(self, work: Callable[[], Any], view: str = "") -> Any:
+        """Work in another thread. What fails there ends the session, and ``run`` raises it.
+
+        If a view fails the session goes on, because it may be recording; ``blind`` says which view, and why.
+        """
         try:
-            work()
+            return work()
         except BaseException as error:
+            if view:
+                why = f"{type(error).__name__}: {error}"
+                self.blind = f"The {view} has failed, and the session goes on without it ({why})."
+                return None
             self.failure = self.failure or error
             self.stop.set()
+            return None
+
+    def at_once(self) -> Session:
+        """Return the session for a look from another thread: its last estimate stays the same meanwhile."""
+        return copy.copy(self)
 
     def _read(self) -> None:
         opened = self.port.opened
         while not self.stop.is_set():
-            data = self.port.read(0.05)
-            at, unix_ns = time.monotonic(), time.time_ns()
+            data, at = self.port.read(0.05), time.monotonic()
             if self.port.opened != opened:
                 opened = self.port.opened
                 self.arrivals.put((at, None))
                 if self.writer is not None:
-                    self.writer.opened(unix_ns)
+                    self.writer.opened(self.writer.now_ns())
             if data:
                 self.arrivals.put((at, data))
                 if self.writer is not None:
-                    self.writer.write(unix_ns, data)
+                    self.writer.write(self.writer.now_ns(), data)
 
     def turn(self) -> None:
         """Take in what has arrived, and estimate one time step."""
@@ -201,11 +210,14 @@ class Session:
             return
         self.heard = at
         self.own["bytes"] += len(data)
+        found = []
         try:
             found = self.steps.feed(self.parser.feed(data), at - self.began)
         except InputError as error:  # the board is that of another robot
-            self.refusal = str(error)
-            return
+            self._refused(error)
+        for remarks in (self.parser.remarks, self.steps.remarks):
+            self.remarks |= dict.fromkeys(remarks, time.monotonic())
+            remarks.clear()  # it is made again if the cause comes again
         self.own["time_steps"] += len(found)
         self.pending.extend((at, step) for step in found)
 
@@ -213,7 +225,7 @@ class Session:
         try:
             found = self.follower.step(step.u, step.time_s)
         except InputError as error:  # of this row; the next one may do
-            self.refusal = str(error)
+            self._refused(error)
             return
         self.estimated_at = time.monotonic()
         self.own["estimates"] += 1
@@ -221,9 +233,19 @@ class Session:
         self.last = step.time_s, step.u, found
         self.each(self.last)
 
+    def _refused(self, error: InputError) -> None:
+        self.refusal = str(error)
+        self.remarks[self.refusal] = time.monotonic()
+
+    def of_now(self) -> str:
+        """Return the last remark since the last estimate, if there is any: those before are no cause of a fault."""
+        late = {at: text for text, at in [*self.remarks.items()] if at > self.estimated_at}
+        return late[max(late)] if late else ""
+
     def counters(self) -> dict[str, int]:
         """Return all counts since the beginning."""
-        return {**self.parser.counters, **self.own}
+        left_out = {name: n for name, n in self.steps.counters.items() if name != "steps"}
+        return {**self.parser.counters, **left_out, **self.own}
 
     def recent(self) -> tuple[dict[str, int], float]:
         """Return the counts of the last seconds, and how many these are."""
@@ -245,11 +267,11 @@ def sentences(session: Session) -> list[str]:
     """Return what is wrong at the moment, in sentences that stay the same as long as it is."""
     robot, counters, (recent, span_s) = session.follower.robot, session.counters(), session.recent()
     now, apart_s = time.monotonic(), 3.0 / (robot.rate_hz or 3.0)
-    remarks = ["", *session.parser.remarks, *session.steps.remarks]
     late = now - session.began > SILENT_S
     silent = now - session.heard > max(SILENT_S, apart_s)
     frames, damaged = recent["frames"], sum(recent.get(name, 0) for name in DAMAGED)
     ask = "Is --baud the rate of the board, and does it send what the robot file says?"
+    why = session.of_now() or ask
     wire = [
         (session.port.lost, "The port is gone; we wait until it is there again."),
         (
@@ -260,11 +282,8 @@ def sentences(session: Session) -> list[str]:
             counters["bytes"] and silent,
             "Nothing arrives any more. Has the board lost its power or its wires?",
         ),
-        (late and recent["bytes"] and not frames, f"Bytes arrive, but no readings. {remarks[-1] or ask}"),
-        (
-            frames and not recent["time_steps"] and late,
-            f"What arrives does not fit this robot. {session.refusal or remarks[-1]}",
-        ),
+        (late and recent["bytes"] and not frames, f"Bytes arrive, but no readings. {why}"),
+        (frames and not recent["estimates"] and late, f"What arrives does not fit this robot. {why}"),
     ]
     for holds, text in wire:
         if holds:
@@ -291,9 +310,10 @@ def sentences(session: Session) -> list[str]:
 
 
 def _alarms(session: Session) -> list[str]:
-    follower, status, last = session.follower, session.status(), session.last
+    follower, last = session.follower, session.last
     if last is None or session.age_s():
         return []
+    status = int(last[2].details["status"])
     names, suspects = follower.robot.part_names, follower.suspects(last[2])
     who, leave = (
         " or ".join(names[k] for k in suspects),
@@ -320,32 +340,28 @@ def notes(session: Session) -> list[str]:
     unused = ", ".join(follower.robot.part_names[k] for k in follower.failed)
     spare = follower.robot.n_readings - int((~follower.robot.fixed).sum())
     said = [
-        (session.refusal, session.refusal),
+        (session.blind, session.blind),
         (unused, f"Not used, as asked: {unused}."),
         (follower.grown != 1.0, f"Every ± is {follower.grown:g} times what the estimator states."),
         (skipped, f"{skipped} time steps were left out because newer ones had come; a recording has them."),
         (spare <= 0, "There are no more readings than unknowns: a wrong sensor looks like another shape."),
     ]
-    told = [*session.parser.remarks, *session.steps.remarks, *session.steps.losses()]
+    told = [*session.remarks, *session.steps.losses()]
     return [*told, *(text for holds, text in said if holds)]
 
 
 def numbers(session: Session) -> list[str]:
     """Return the tip and the coordinates, each with its standard deviation."""
-    robot = session.follower.robot
-    if session.last is None or not np.isfinite(session.last[2].q).all():
+    robot, last = session.follower.robot, session.last
+    if last is None or not np.isfinite(last[2].q).all():
         return []
-    t, u, found = session.last
-    q, C = found.q, found.covariance
+    t, u, found = last
+    low: Any = robot.lower
+    q, C = found.q, np.asarray(found.covariance)
     p, G = robot.tip_slopes(q)
     values, slopes = np.concatenate([p, q]), np.concatenate([G, np.eye(len(q))])
-    sd = (
-        np.full(len(values), np.nan)
-        if C is None
-        else np.sqrt(np.maximum(np.diag(slopes @ C @ slopes.T), 0.0))
-    )
-    low, high = (np.full(len(q), np.nan) if x is None else x for x in (robot.lower, robot.upper))
-    widths = np.concatenate([np.full(3, robot.length), high - low])
+    sd = np.sqrt(np.maximum(np.diag(slopes @ C @ slopes.T), 0.0))
+    widths = np.concatenate([np.full(3, robot.length), robot.upper - low])
     units = [(f"tip {axis}", "mm", 1e3) for axis in "xyz"]
     units += trajectory([t], [u], [found], robot, None).units()
     said = []
@@ -362,8 +378,8 @@ def summary(session: Session) -> dict[str, str]:
     """Return fit, pace, latency and losses in words."""
     (recent, span_s), counters, fit = session.recent(), session.counters(), "no estimate yet"
     if session.last is not None:
-        chi2, dof = float(session.last[2].chi2), float(session.last[2].dof)
-        fit = STATUS[session.status()] if session.follower.monitor else "not watched"
+        found = session.last[2]
+        chi2, dof, fit = float(found.chi2), float(found.dof), STATUS[int(found.details["status"])]
         if chi2 >= 0 and dof > 0:
             fit += f", residuals {math.sqrt(chi2 / dof):.1f} times the noise"
     age_s, latencies = session.age_s(), list(session.latencies)
@@ -386,6 +402,7 @@ def terminal(session: Session) -> Any:
     from rich.console import Group
     from rich.text import Text
 
+    session = session.at_once()
     style = "dim italic" if session.age_s() or session.status() > LEFT_OUT else ""
     return Group(
         Columns([Text(x, style) for x in numbers(session)], padding=(0, 3)),
@@ -396,7 +413,10 @@ def terminal(session: Session) -> Any:
 
 
 class Table:
-    """A new CSV with the columns of ``Trajectory.to_frame``; a thread writes whole lines as estimates come."""
+    """A new CSV with the columns of ``Trajectory.to_frame``; a thread writes lines as estimates come.
+
+    The file takes its name at the end of the session, whole.
+    """
 
     def __init__(self, path: Path, session: Session) -> None:
         self.path, self.session, self.waiting = path, session, deque[Any]()
@@ -406,20 +426,22 @@ class Table:
     def __enter__(self) -> None:
         self._thread.start()
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         self.session.stop.set()
         self._thread.join()
+        if kind is None and self.session.failure is not None:  # of the last lines, after ``run``
+            raise self.session.failure
 
     def _write_all(self) -> None:
-        first, last = True, False
-        while not last:
-            last = self.session.stop.wait(0.2)
-            if rows := [self.waiting.popleft() for _ in range(len(self.waiting))]:
-                times, u, found = zip(*rows, strict=True)
-                follower = self.session.follower
-                frame = trajectory(times, u, found, follower.robot, follower.monitor).to_frame()
-                frame.to_csv(self.path, index=False, mode="x" if first else "a", header=first)
-                first = False
+        last = False
+        with whole(self.path, "live") as part:
+            while not last:
+                last = self.session.stop.wait(0.2)
+                if rows := [self.waiting.popleft() for _ in range(len(self.waiting))]:
+                    times, u, found = zip(*rows, strict=True)
+                    follower = self.session.follower
+                    frame = trajectory(times, u, found, follower.robot, follower.monitor).to_frame()
+                    frame.to_csv(part, index=False, mode="a", header=not part.exists())
 
 
 def live(
@@ -442,6 +464,7 @@ def live(
     """Estimate the shape of a robot from a port until ``stop`` is set, and return counts and remarks at the end."""
     from rich.console import Console
     from rich.live import Live
+    from rich.text import Text
 
     from repro.robot_file import load_calibration, load_robot
 
@@ -449,6 +472,8 @@ def live(
     for name, path in (("output", output), ("estimates", estimates)):
         require(path is None or not path.exists(), name, "live", "a new file", path)
     described = load_robot(robot)
+    stated, must = described.total_noise is not None, "one whose file states the noise of its readings"
+    require(stated, "robot", "live", must, Path(robot).name)
     known = None if calibration is None else load_calibration(calibration, described)
     follower, console = (
         Follower(described if known is None else known.robot, estimator, failed, grown, known),
@@ -469,7 +494,12 @@ def live(
 
             page = open_now.enter_context(PageServer(session, browser_socket))
             console.print(f"Open {page.address} in a browser of this computer.", soft_wrap=True, markup=False)
-        show = Live(get_renderable=lambda: terminal(session), console=console, refresh_per_second=4)
+
+        def state() -> Any:
+            seen = session.guarded(lambda: terminal(session), "view on the terminal")
+            return Text(f"! {session.blind}", "bold red") if seen is None else seen
+
+        show = Live(get_renderable=state, console=console, refresh_per_second=4)
         open_now.enter_context(show)
         session.run(duration_s)
     if session.refusal and not session.own["estimates"]:

@@ -44,7 +44,10 @@ _HEADERS = {
 }
 UPDATE_S, STALLED_S, ASK_S = 0.05, 10.0, 2.0
 """Time between two updates; that a page may take nothing; within which a request must be there [s]."""
-MOST_PAGES = 8
+RETRY_S = 1.0
+"""After this time a page that has lost its connection asks again [s]."""
+MOST_PAGES = 5
+"""A browser has six connections to an address; by the sixth it hears that there is no room."""
 
 
 class PageServer:
@@ -67,9 +70,7 @@ class PageServer:
         self.contents["/scene.json"] = json.dumps(scene(session)).encode(), "application/json"
         self.session, self.pages, self.latest = session, set[_Events](), ""
         self._loop, self.over = asyncio.new_event_loop(), asyncio.Event()
-        self._thread = threading.Thread(
-            target=self._loop.run_until_complete, args=(self._serve(),), daemon=True
-        )
+        self._thread = threading.Thread(target=session.guarded, args=(self._run, "page"), daemon=True)
 
     def __enter__(self) -> PageServer:
         self._thread.start()
@@ -94,7 +95,8 @@ class PageServer:
         server.add_socket(self._socket)
         while not self.over.is_set():
             if self.pages:
-                self.latest = json.dumps(message(self.session), separators=(",", ":"))
+                told = self.session.guarded(lambda: _packed(message(self.session)), "page")
+                self.latest = told or _packed(_blind(self.session))
             self._wake()
             await _within(self.over.wait(), UPDATE_S)
         server.stop()
@@ -162,6 +164,7 @@ class _Events(_File):
             raise web.HTTPError(503)
         self.set_header("Content-Type", "text/event-stream")
         server.pages.add(self)
+        self.write(f"retry: {round(1e3 * RETRY_S)}\n")
         try:
             while not server.over.is_set():
                 self.write(f"data: {server.latest}\n\n" if server.latest else ":\n\n")
@@ -184,7 +187,7 @@ def scene(session: Session) -> dict[str, Any]:
     if robot.lower is not None and robot.upper is not None:
         middle = (robot.lower + robot.upper) / 2
         q = middle + 0.6 * (evenly(robot.lower, robot.upper, 200) - middle)  # nearly all that it does
-    C = np.zeros((len(q), robot.n_q, robot.n_q)) if session.follower.monitor else None
+    C = np.zeros((len(q), robot.n_q, robot.n_q))
     label = f"The estimated shape of {name} at the moment."
     shape = view(robot, q, np.arange(len(q)), label, covariance=C, frames=200).data
     more = {
@@ -200,6 +203,7 @@ def scene(session: Session) -> dict[str, Any]:
 
 def message(session: Session) -> dict[str, Any]:
     """Return what a page is told of the moment."""
+    session = session.at_once()
     follower, last, age_s = session.follower, session.last, session.age_s()
     named = follower.suspects(last[2] if last else None)
     told: dict[str, Any] = {
@@ -219,10 +223,20 @@ def message(session: Session) -> dict[str, Any]:
             "readings": _cells(u),
             "residuals": _cells((u - found.u_hat) / noise),
         }
-        C = None if found.covariance is None else found.covariance[None]
-        told["shape"] = view(follower.robot, found.q[None], [0.0], "now", covariance=C).data
+        C: Any = found.covariance
+        told["shape"] = view(follower.robot, found.q[None], [0.0], "now", covariance=C[None]).data
         told["shape"]["suspects"] = [k for k in named if k < len(follower.robot.sensors)]
     return told
+
+
+def _blind(session: Session) -> dict[str, Any]:
+    """Return what a page is told where a message cannot be made: that what it shows is old, and why."""
+    empty: dict[str, Any] = {"summary": {}, "notes": [], "suspects": []}
+    return {"doubt": "old", "numbers": ["not known"], "alarms": [session.blind], **empty}
+
+
+def _packed(told: dict[str, Any]) -> str:
+    return json.dumps(told, separators=(",", ":"), allow_nan=False)  # a browser reads no NaN
 
 
 def _cells(values: Array) -> list[float | None]:

@@ -45,7 +45,7 @@ from zlib import crc32
 import numpy as np
 
 import repro
-from repro.common import Array, bad_input, require
+from repro.common import Array, bad_input, require, whole
 from repro.robot import Robot
 from repro.tables import Readings, name_and_unit, read_readings
 from repro_board.steps import STANDS_STILL, STILL, Steps
@@ -160,21 +160,20 @@ class Writer:
     def __init__(self, path: str | Path, about: dict[str, Any]) -> None:
         self.path, self.received = Path(path), 0
         self._id, self._blocks, self._size = int.from_bytes(os.urandom(4)), 0, 0
+        # The clock of the day may be set while we record, so it is read once.
+        self._since_1970_ns = time.time_ns() - time.monotonic_ns()
         self._failure: OSError | None = None
         self._closing = threading.Event()
-        try:
-            self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o666)
-        except OSError as error:
-            old = self.path.exists()
-            must = "a new file (give another name, or move the old one)" if old else "a file that can be made"
-            raise bad_input("output", "the recording", must, f"{path} ({error.strerror})") from error
+        # Killed before its first block it leaves no file of that name, rather than an empty one.
+        with whole(self.path, "the recording") as part:
+            self._file = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o666)
+            self._append(b"A", self.now_ns(), json.dumps(about).encode())
         self._thread = threading.Thread(target=self._keep_in_sync, daemon=True)
         self._thread.start()
-        try:
-            self._append(b"A", time.time_ns(), json.dumps(about).encode())
-        except OSError:
-            self.close()
-            raise
+
+    def now_ns(self) -> int:
+        """Return the time since 1970 [ns], which passes evenly whatever is done to the clock of the day."""
+        return self._since_1970_ns + time.monotonic_ns()
 
     def write(self, unix_ns: int, data: bytes) -> None:
         """Append bytes that arrived at a time [ns since 1970]."""
@@ -194,9 +193,8 @@ class Writer:
         self._thread.join()
         try:
             if self.received and not self._failure:
-                self._append(
-                    b"E", time.time_ns(), json.dumps({"bytes": self.received} | (end or {})).encode()
-                )
+                counted = {"bytes": self.received} | (end or {})
+                self._append(b"E", self.now_ns(), json.dumps(counted).encode())
                 os.fsync(self._file)
         finally:
             os.close(self._file)
@@ -216,9 +214,9 @@ class Writer:
             self._failure = error
             with contextlib.suppress(OSError):
                 os.ftruncate(self._file, self._size)
-            raise OSError(
-                f"Writing {self.path} failed: {error.strerror}. What came before is kept."
-            ) from error
+            failed = OSError(f"Writing {self.path} failed: {error.strerror}. What came before is kept.")
+            failed.errno = error.errno
+            raise failed from error
         self._size += len(block)
         self._blocks += 1
 
@@ -291,9 +289,8 @@ def record(
     about["started"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     closing = contextlib.closing
     with closing(Writer(path, about)) as file, closing(open_port(port, baud)) as line, stopping(stop):
-        # The clock of the day may be set while we record, so it is read once.
         start = time.monotonic()
-        unix_ns, opened, shown = time.time_ns() - time.monotonic_ns(), line.opened, start
+        opened, shown = line.opened, start
 
         def state() -> Summary:
             lost = [f"{port} is away ({line.lost}); waiting for it"] if line.lost else []
@@ -306,9 +303,9 @@ def record(
             data = line.read(min(0.1, left))
             if line.opened > opened:
                 opened = line.opened
-                file.opened(unix_ns + time.monotonic_ns())
+                file.opened(file.now_ns())
                 parser.reopened()
-            file.write(unix_ns + time.monotonic_ns(), data)
+            file.write(file.now_ns(), data)
             samples += len(parser.feed(data))
             if show and time.monotonic() >= shown + 1:
                 shown = time.monotonic()

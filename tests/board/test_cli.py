@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import os
 import pty
 import re
+import resource
 import shutil
 import subprocess
 import sys
@@ -171,6 +173,45 @@ def test_wrong_input_ends_with_2_and_one_line(words, said, folder, monkeypatch, 
     assert said in line
     assert len(line.splitlines()) == 1
     assert line.startswith("repro")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "track motion.rec --robot robot.toml -o new.csv",
+        "export motion.rec --robot robot.toml -o new.csv",
+        "export motion.rec -o new.mcap",
+    ],
+)
+def test_a_full_disk_ends_with_1_and_leaves_nothing(words, folder, monkeypatch, capsys):
+    """A limit of the file size, which the operating system enforces as it does a full disk."""
+    monkeypatch.chdir(folder)
+    before, limit = sorted(folder.iterdir()), resource.getrlimit(resource.RLIMIT_FSIZE)
+    track_file("motion.rec", "robot.toml")  # all that it needs is compiled
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limit[1]))
+    try:
+        assert main(words.split()) == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    name = " ".join(words.split()[:1])
+    said = f"repro {name}: a file cannot be read or written: new.{words[-4:].strip('.')}: File too large"
+    assert said in capsys.readouterr().err
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_terminal_without_a_sign_shows_a_question_mark(folder, monkeypatch):
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding="ascii"))
+    assert main(["check", str(folder / "robot.toml"), "--samples", "20"]) == 0
+    sys.stdout.flush()
+    assert b"known to ?" in sys.stdout.buffer.getvalue()
+
+
+def test_an_export_says_each_remark_once(folder, tmp_path, capsys):
+    cut = (folder / "motion.rec").read_bytes()[:-9]
+    (tmp_path / "cut.rec").write_bytes(cut)
+    assert main(["export", str(tmp_path / "cut.rec"), "-o", str(tmp_path / "a.csv")]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == len(set(lines)) == 2
 
 
 def test_a_silent_port_leaves_no_file_and_the_terminal_as_it_was(tmp_path):

@@ -416,7 +416,7 @@ def test_a_robot_stands_still_in_every_pose_of_its_table(tmp_path):
     assert (u[:80] == u[0]).all()
     assert (u[180:250] == u[180]).all()
     assert (u[0] != u[180])[1:].any()
-    with pytest.raises(FileExistsError):
+    with pytest.raises(InputError, match="output of emulate must be a new file"):
         write_poses(tmp_path / "held.csv", EXACT, poses, 0.4)
 
 
@@ -473,6 +473,20 @@ def test_a_port_that_disappears_comes_back_under_its_name(tmp_path):
                 assert port.read(len(expected)) == expected
                 if expected == b"first":
                     until(lambda: not Path(board.address).exists())
+
+
+def test_what_fails_in_its_thread_is_raised():
+    def sent():
+        yield 0.0, b"first"
+        raise InputError("no more")
+
+    def played():
+        with Emulator(sent(), 0) as board:
+            read_for(board.address, 2.0, len(b"first"))
+            until(board.ended.is_set)
+
+    with pytest.raises(InputError, match="no more"):
+        played()
 
 
 def test_a_reader_that_leaves_loses_what_is_sent_and_another_one_may_come():

@@ -617,15 +617,14 @@ def test_one_spike_changes_one_row_also_when_smoothed(tmp_path):
     assert "1 of 6000 readings missing" in str(report) or "B3" in str(report)
 
 
-@pytest.mark.parametrize("name", ["", "kalman", "gradient_descent", "particle_filter"])
+@pytest.mark.parametrize("name", ["", "kalman"])
 def test_every_estimator_follows_the_robot(tmp_path, name):
     path, q, _ = example_readings(tmp_path, 8.0)
     robot = repro.load_robot(EXAMPLE)
     report = track_file(path, EXAMPLE, estimator=name)
     away = np.linalg.norm(robot.tip(report.found.q)[50:, :3, 3] - robot.tip(q)[50:, :3, 3], axis=1)
-    assert np.median(away) < {"gradient_descent": 10e-3, "particle_filter": 10e-3}.get(name, 1e-3)
-    watched = name in ("", "kalman")
-    assert ("Nothing watches" in str(report)) == (not watched)
+    assert np.median(away) < 1e-3
+    assert report.found.status is not None
 
 
 def test_failed_sensors_are_not_used(tmp_path):
@@ -641,7 +640,7 @@ def test_failed_sensors_are_not_used(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [({"estimator": "magic"}, "estimator of repro track must be one of levenberg_marquardt"),
-     ({"estimator": "particle_filter", "smooth": True}, "must be kalman with --smooth; instead received particle"),
+     ({"estimator": "levenberg_marquardt", "smooth": True}, "must be kalman with --smooth; instead received leven"),
      ({"output": "u.csv"}, "output of repro track must be one that does not exist yet; instead received u.csv"),
      ({"output": "no/such/shape.csv"}, "must be in a folder that exists")],
 )  # fmt: skip

@@ -147,7 +147,7 @@ def test_what_cannot_be_exported_is_refused_and_leaves_nothing(recording, tmp_pa
     for source, output, options, message in [
         (recording, "there.csv", {}, r"output of the export must be a new file"),
         (recording, "a.csv", {"to": "xlsx"}, r"to of the export must be one of csv, parquet, mcap"),
-        (recording, "none/a.csv", {}, r"output of the export must be a file that can be written"),
+        (recording, "none/a.csv", {}, r"output of the export must be a file that can be made"),
         (recording, "a.csv", {"estimates": tmp_path / "late.csv"}, "estimates of the export must be left out"),
         (recording, "a.mcap", {"estimates": tmp_path / "none.csv"}, r"estimates of none\.csv must be a table of"),
         (recording, "a.mcap", {"estimates": tmp_path / "other.csv"}, r"estimates of other\.csv must be a table of"),

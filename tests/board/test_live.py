@@ -1,7 +1,9 @@
 """A robot followed live over a real port, what is said when something is wrong, and the page's server."""
 
+import asyncio
 import http.client
 import io
+import itertools
 import json
 import math
 import os
@@ -24,10 +26,10 @@ from repro.estimators.monitor import LEFT_OUT
 from repro_board import live as module
 from repro_board import page_server as server_module
 from repro_board.emulate import course, faulty
-from repro_board.live import BURST, LOOK_S, Follower, Session, live, notes, numbers, sentences, summary
+from repro_board.live import BURST, LOOK_S, Follower, Session, Table, live, notes, numbers, sentences, summary
 from repro_board.page_server import FILES, MOST_PAGES, PageServer, message
 from repro_board.record import Writer, open_port, read_recording
-from repro_board.wire import encode
+from repro_board.wire import encode, text_line
 
 RATE_HZ = 1000.0
 ROBOT = Robot(
@@ -122,6 +124,35 @@ def test_every_frame_of_a_serial_line_is_estimated_and_recorded(wire, tmp_path):
     assert 0 < min(session.latencies) <= np.median(session.latencies) < 0.1
 
 
+def test_a_clock_of_the_day_that_is_set_changes_no_time_of_a_recording(wire, tmp_path, monkeypatch):
+    """It goes back and forth by an hour whenever somebody looks at it."""
+    board, name = wire
+    real, looks = time.time_ns, itertools.count()
+    port, writer = open_port(name), Writer(tmp_path / "a.rec", {})
+    monkeypatch.setattr(time, "time_ns", lambda: real() + 3600 * 10**9 * (next(looks) % 2))
+    session = Session(Follower(ROBOT), port, writer, "csv")
+    thread = play(board, [text_line(row, "csv") for row in U[:30]], 0.01)
+    session.run(0.6)
+    thread.join()
+    port.close()
+    writer.close()
+    found = read_recording(tmp_path / "a.rec")
+    assert len(found.samples) >= 25
+    assert max(np.ptp(found.arrived), np.ptp(found.times)) < 2
+
+
+def test_what_fails_in_the_thread_of_the_reader_or_of_the_table_ends_the_session(tmp_path):
+    failing = SimpleNamespace(opened=1, lost="", read=lambda _: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        Session(Follower(ROBOT), failing).run(5)
+    session = session_of(sent(U[:20]))
+    (tmp_path / "a.csv").write_text("of another process")
+    message = r"output of live must be a new file .*a\.csv"
+    with pytest.raises(InputError, match=message), Table(tmp_path / "a.csv", session):
+        session.each(session.last)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
 def test_estimates_are_those_of_track():
     session, rows = session_of(name="kalman"), []
     session.each = rows.append
@@ -198,8 +229,8 @@ def test_deviations_are_grown_and_failed_sensors_not_used():
         ({"grown": 0.0}, "grown of live must be positive"),
         ({"grown": math.inf}, "grown of live must be positive"),
         (
-            {"name": "kalmann"},
-            "one of levenberg_marquardt, kalman, gradient_descent, particle_filter; instead",
+            {"name": "particle_filter"},
+            "estimator of live must be one of levenberg_marquardt, kalman; instead",
         ),
     ],
 )
@@ -270,6 +301,25 @@ def test_the_first_second_of_garbage_is_no_silence(since_s):
     assert sentences(session_of([b"\x01\x02\x03" * 9], format="frames", since_s=since_s)) == []
 
 
+def test_a_remark_of_the_past_explains_no_fault_of_now():
+    """Two frames of stream 3, then readings, then garbage; and then stream 3 again."""
+    session = session_of([encode(U[0], 3, k) for k in range(2)] + sent(U[:50]), since_s=2)
+    other = "Samples of stream 3 are none of the robot's: left out."
+    assert notes(session) == [other]
+    assert "2 other streams" in summary(session)["received"]
+
+    def after(frame: bytes) -> str:
+        session.counts.clear()
+        session.turn()
+        session.arrivals.put((time.monotonic(), frame))
+        session.turn()
+        return sentences(session)[0]
+
+    assert after(bytes(range(1, 256))).startswith("Bytes arrive, but no readings. Is --baud")
+    assert after(encode(U[0], 3, 2)) == f"What arrives does not fit this robot. {other}"
+    assert notes(session) == [other]
+
+
 def test_imus_are_followed_and_a_silent_one_is_named():
     imus = [repro.Imu(1, at, channels=k) for k, at in enumerate((0.03, 0.06, 0.09), 1)]
     robot = Robot(
@@ -285,19 +335,6 @@ def test_imus_are_followed_and_a_silent_one_is_named():
     session = session_of(frames, robot=robot, name="kalman")
     assert 1e3 * np.linalg.norm(robot.tip(session.last[2].q)[:3, 3] - robot.tip(q)[:3, 3]) < 3
     assert sentences(session) == ["There is no reading of imu 3; it is left out."]
-
-
-@pytest.mark.parametrize("name", ["particle_filter", "gradient_descent"])
-def test_some_estimators_follow_without_a_monitor(name):
-    robot = Robot(
-        ROBOT.segments[:1], ROBOT.magnets[:1], ROBOT.sensors[:4], lower=ROBOT.lower[:3], upper=ROBOT.upper[:3],
-        start=[0.0, 0.0, 0.001], noise=0.05, rate_hz=100.0,
-    )  # fmt: skip
-    u = robot.sensing()(robot.start) + np.zeros((40, 4))
-    session = session_of(sent(faulty(u, "unplugged", 1, since=30)), robot=robot, name=name)
-    assert summary(session)["fit"].startswith("not watched")
-    assert session.own["estimates"] == 40
-    assert len(numbers(session)) == 6
 
 
 def test_a_slow_board_is_not_taken_for_a_silent_one():
@@ -343,8 +380,12 @@ def test_what_was_asked_for_and_what_cannot_be_told_is_noted():
     ]
 
 
-def test_a_whole_session_by_its_files(tmp_path):
-    """The command: a board behind a socket, a robot file, a recording, and a table as that of a trajectory."""
+def test_a_whole_session_by_its_files(tmp_path, monkeypatch):
+    """The command: a board behind a socket, a robot file, a recording, and a table as that of a trajectory.
+
+    What it shows on the terminal fails.
+    """
+    monkeypatch.setattr(module, "terminal", lambda _: 1 / 0)
     robot = repro.load_robot(repro.example() / "robot.toml")
     u = robot.sensing()(course(robot, np.arange(40) / 25.0))
     lines = ["time_s," + ",".join(f"{name}_mT" for name in robot.names)]
@@ -371,8 +412,18 @@ def test_a_whole_session_by_its_files(tmp_path):
     assert (table["status"] == "consistent").all()
     assert len(read_recording(tmp_path / "a.rec").samples) == 40
     assert "40 estimates by levenberg_marquardt" in end
+    assert "The view on the terminal has failed, and the session goes on without it (ZeroDivisionError" in end
     with pytest.raises(InputError, match="output of live must be a new file"):
         live(address, repro.example() / "robot.toml", **paths)
+
+
+def test_a_robot_file_without_noise_is_refused_before_a_port_is_opened(tmp_path):
+    lines = (repro.example() / "robot.toml").read_text(encoding="utf-8").splitlines()
+    (tmp_path / "robot.toml").write_text("\n".join(line for line in lines if "noise" not in line))
+    with pytest.raises(
+        InputError, match=r"robot of live must be one whose file states the noise .*robot\.toml"
+    ):
+        live("nowhere", tmp_path / "robot.toml")
 
 
 # ---------------------------------------------------------------------------------------------------------- the page
@@ -543,6 +594,36 @@ def test_a_message_names_the_suspect_and_is_json():
         json.dumps(message(CASES[case][0]()), allow_nan=False)
 
 
+def test_a_message_is_of_one_moment(monkeypatch):
+    """The session's thread goes on while another one makes a message."""
+    session = session_of(sent(U[:50]))
+    first, session.each = session.last, lambda _: None
+
+    def meanwhile(seen) -> list[str]:
+        session._estimate(time.monotonic(), SimpleNamespace(u=U[-1], time_s=9.0))
+        return numbers(seen)
+
+    expected = numbers(session)
+    monkeypatch.setattr(server_module, "numbers", meanwhile)
+    told = message(session)
+    assert session.last[0] == 9.0
+    assert told["numbers"] == expected
+    assert told["time_s"] == first[0]
+    np.testing.assert_allclose(told["readings"], first[1], rtol=1e-4)
+
+
+def test_a_page_that_cannot_be_made_says_so_and_goes_on(page, stream, monkeypatch):
+    answer = stream(page)
+    assert event(answer)["numbers"]
+    for fault in ({"alarms": [np.nan]}, None):
+        monkeypatch.setattr(server_module, "message", lambda _, told=fault: told["alarms"] and told)
+        told = next(told for told in (event(answer) for _ in range(100)) if told["doubt"] == "old")
+        assert told["alarms"][0].startswith("The page has failed, and the session goes on without it (")
+        monkeypatch.undo()
+        assert any(event(answer)["doubt"] != "old" for _ in range(100))
+    assert notes(page.session)[0].startswith("The page has failed")
+
+
 def test_a_port_that_there_is_not_is_refused(page):
     for port, words in ((-1, "0 to 65535"), (65536, "0 to 65535"), (page.port, "a free port, or 0")):
         with pytest.raises(
@@ -551,13 +632,20 @@ def test_a_port_that_there_is_not_is_refused(page):
             PageServer(page.session, port)
 
 
+async def cut_off(server) -> None:
+    """Close the connections of all pages without a word."""
+    for page in list(server.pages):
+        page.detach().close()
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (390, "dark")])
 @pytest.mark.slow
-def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, width, scheme):
+def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, stream, width, scheme):
     session = session_of(sent(faulty(U[:400], "unplugged", 2, since=200)))
     session.heard = session.estimated_at = time.monotonic() + 60  # and it goes on like this
     with PageServer(session) as server:
-        page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        opened = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        page = opened.new_page()
         asked, failed = [], []
         page.on("request", lambda request: asked.append(request.url))
         page.on("pageerror", lambda error: failed.append(error))
@@ -571,6 +659,17 @@ def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, w
         picture = np.asarray(Image.open(io.BytesIO(canvas.screenshot())).convert("RGB")).astype(int)
         red = (picture[..., 0] > 90) & (picture[..., 0] > 2 * picture[..., 1:].max(-1))
         assert red.sum() > 50  # the sensor that is suspected
-        page.close()
+        others = [stream(server) for _ in range(MOST_PAGES - 1)]
+        one_more = opened.new_page()
+        one_more.route("**/viewer.js", lambda route: route.abort())  # its pictures take long
+        one_more.goto(f"http://127.0.0.1:{server.port}/")
+        one_more.wait_for_selector("#status:text('Too many pages show this session.')")
+        assert len(others) == len(server.pages) - 1
+        server.token = "another"  # as if the server were killed and started again on its socket
+        asyncio.run_coroutine_threadsafe(cut_off(server), server._loop).result(5)
+        page.wait_for_selector(
+            "#status:text('If it was started again, open the address that it prints now.')"
+        )
+        opened.close()
     assert all(url.startswith(f"http://127.0.0.1:{server.port}/") for url in asked)
     assert not failed

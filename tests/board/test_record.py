@@ -184,6 +184,16 @@ def test_a_killed_recorder_leaves_all_that_it_has_taken(tmp_path):
     assert all(one.good and one.samples for one in killed), killed
 
 
+def test_a_recorder_killed_before_its_first_block_leaves_no_file_of_that_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(Writer, "_append", lambda *_: os._exit(9))
+    if not (child := os.fork()):
+        Writer(tmp_path / "a.rec", {})
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
+    monkeypatch.undo()
+    assert not (tmp_path / "a.rec").exists()
+    assert len(read_recording(written(tmp_path / "a.rec", frames(range(9)))).samples) == 9
+
+
 # ----------------------------------------------------------------------------------------------- what is damaged
 def test_damaged_recordings_hold_no_wrong_value_and_tell_what_is_missing(tmp_path):
     assert sum(damaged.soak(300, 7, tmp_path).values()) == 300

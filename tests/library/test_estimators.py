@@ -47,6 +47,11 @@ ARM = Arm((0, 1, 2), (0.0, 0.1, 0.2), (0.1, 0.1), sub_segments=4)
 TILTED = np.array([0.0, 0.0, 0.0, 1.0, 0.1, 0.0, 0.0, 0.99498743710662, 0.2, 0.0, 0.0, 0.97979589711327])
 ESTIMATORS = {
     "descent": (GradientDescent(SENSING, [3.5e-4] * 3, noise=1e-3), Q0, SENSING(Q0 + 2e-4)),
+    "descent of a robot": (
+        GradientDescent(paper_robot(1, 6).replaced(lower=LOW, upper=HIGH, noise=1e-3), 3.5e-4),
+        Q0,
+        SENSING(Q0 + 2e-4),
+    ),
     "descent of a callable": (GradientDescent(callable_model, [0.1] * 3), Q0, callable_model(Q0 + 1e-3)),
     "least squares": (LevenbergMarquardt(SENSING, LOW, HIGH, 1e-3), Q0, SENSING(Q0 + 2e-4)),
     "least squares of a callable": (

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 from repro import (
     AffineCurvature,
+    BallJoint,
     ConstantCurvature,
     GradientDescent,
     Imu,
@@ -93,6 +94,48 @@ def test_the_descent_on_a_parabola_is_its_recurrence():
         q = min(iterates, key=lambda x: (2 * x - u) ** 2)
         assert found.q[0] == pytest.approx(q, abs=1e-9)
         assert state.momentum[0] == pytest.approx(b, abs=1e-8)
+
+
+BOUNDED = paper_robot(1, 6).replaced(
+    lower=[-0.02, -0.02, 0.004], upper=[0.02, 0.02, 0.004], start=[0.001, 0.0, 0.004], noise=0.005
+)
+
+
+def test_the_descent_of_a_robot_keeps_its_start_its_bounds_and_fixed_coordinates():
+    """Also where the readings are those of a robot beyond its bounds, and of another length."""
+    method, rng = GradientDescent(BOUNDED, 3.5e-4), np.random.default_rng(0)
+    np.testing.assert_array_equal(method.init().q, BOUNDED.start)
+    q = rng.uniform(-1, 1, (50, 3)) * [0.03, 0.03, 0.006]
+    found = track(method, BOUNDED.sensing()(q))
+    assert ((BOUNDED.lower <= found.q) & (found.q <= BOUNDED.upper)).all()
+    assert found.q[:, 2].tolist() == [0.004] * 50
+    assert found.chi2[-1] > 0
+    q = np.linspace(BOUNDED.start, [0.015, -0.01, 0.004], 60)
+    np.testing.assert_allclose(track(method, BOUNDED.sensing()(q)).q, q, atol=3e-4)
+
+
+def test_a_free_azimuth_stays_within_its_turn():
+    turn = Robot([BallJoint("z"), ConstantCurvature(0.1, 1.0, extensible=False)], lower=[-np.pi, -1, -1],
+                 upper=[np.pi, 1, 1], magnets=[Magnet(RELEASED, 2, 0.1)],
+                 sensors=[Sensor(0, 0.0, radial=0.03, azimuth=k) for k in range(6)])  # fmt: skip
+    q = np.array([3.1, 0.5, 0.0]) + np.outer(np.arange(40), [0.01, 0.0, 0.0])
+    found = track(GradientDescent(turn, [10.0, 0.0, 0.0]), turn.sensing()(q), q[0]).q
+    assert (np.abs(found[:, 0]) <= np.pi).all()
+    assert found[:, 0].min() < 0 < found[:, 0].max()
+
+
+@pytest.mark.parametrize("bad", [1e30, -1e90, np.nan])
+def test_a_row_that_leads_astray_has_no_estimate_and_the_next_ones_are_as_without_it(bad):
+    q = lemniscate(1, 20)
+    u = simulated_readings(paper_robot(1), q)
+    method = GradientDescent(Sensing(paper_robot(1)), [3.5e-4] * 3, noise=0.005)
+    rows = np.insert(u, 9, bad, axis=0)
+    found, expected = track(method, rows, q[0]), track(method, u, q[0])
+    np.testing.assert_array_equal(np.delete(found.q, 9, axis=0), expected.q)
+    assert np.isnan(found.q[9]).all()
+    assert found.missing.tolist() == [0] * 9 + [3] + [0] * 11
+    assert ("3 left out" in repr(found)) == np.isfinite(bad)
+    assert np.sum(found.chi2) == pytest.approx(np.sum(expected.chi2))
 
 
 def quadratic(q):
@@ -330,6 +373,18 @@ def test_the_network_of_the_paper_limits_both_estimators_alike():
         (
             lambda: GradientDescent(quadratic, [-1.0, 1.0]),
             "step_size of GradientDescent must be not negative",
+        ),
+        (
+            lambda: GradientDescent(quadratic, 1e-6),
+            "step_size of GradientDescent must be one number for each coordinate; instead received 1e-06",
+        ),
+        (
+            lambda: GradientDescent(paper_robot(1), [1e-6] * 2),
+            "one number for each of 3 coordinates, or one for all",
+        ),
+        (
+            lambda: GradientDescent(BOUNDED, 1e-4).init([0.0, 0.0, 0.1]),
+            "q0 of GradientDescent must be within",
         ),
         (lambda: GradientDescent(quadratic, [1.0, 1.0], momentum=1.0), r"in \[0, 1\)"),
         (

@@ -207,11 +207,11 @@ REFUSED = {
     ),
     "diameters": (
         ("inner_diameter_mm = 12.0", "inner_diameter_mm = 30.0"),
-        "robot.toml, line 18, [[magnets]] 1: Input dimensions of Ring must be 0 <= inner < outer",
+        "inner_diameter_mm line 23, [[magnets]] 1, must be below outer_diameter_mm; instead received 30.",
     ),
     "a start outside": (
         ("delta_L_mm = [0.0, 6.6]", "delta_L_mm = [0.0, 6.6]\nstart = { delta_L_mm = 9.0 }"),
-        "robot.toml, line 17, [[segments]] 1: Input start of Robot must be within the bounds; instead received [0.0,",
+        "delta_L_mm line 17, [[segments]] 1, must be within its bounds; instead received 9.0.",
     ),
     "no segment": (
         (ONE, "[stream]"),
@@ -438,7 +438,11 @@ def test_metres_and_tesla_in_new_keys_are_doubted(tmp_path):
         with pytest.warns(UserWarning, match=message):
             load_robot(tmp_path / "robot.toml")
     for old, new, message in (
-        ("delta_L_mm = 0.0", "delta_L_mm = [-95.0, 5.0]", "above the length, taken as negative"),
+        (
+            "delta_L_mm = 0.0",
+            "delta_L_mm = [-95.0, 5.0]",
+            r"above -90 \[mm\], which leaves no length; instead received \[-95.0, 5.0\]",
+        ),
         (
             'name = "B2"',
             'name = "B1"',

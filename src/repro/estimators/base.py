@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from repro.common import Array, bad_input, is_table, numbers, require, say_that_kernels_compile
+from repro.common import Array, array, bad_input, is_table, numbers, require, say_that_kernels_compile
 from repro.robot import Robot
 
 
@@ -344,7 +344,7 @@ def run(
     per_row: dict[str, Any] = {"mask": mask, "known": known}
     for name, values in per_row.items():
         if values is not None:
-            per_row[name] = values = np.asarray(values)
+            per_row[name] = values = array(values, name, owner)
             words = f"one row for each of {len(rows)} time steps"
             require(values.ndim and len(values) == len(rows), name, owner, words, f"shape {values.shape}")
     from repro.estimators.monitor import Monitor
@@ -406,7 +406,8 @@ def trajectory(
     from repro.estimators.monitor import SAID, STATUS
 
     q, covariance, u_hat, chi2, dof, missing, rest = zip(*estimates, strict=True)
-    details = {name: np.array([row[name] for row in rest]) for name in rest[0] if name not in SAID}
+    own = [name for name in rest[0] if monitor is None or name not in SAID]
+    details = {name: np.array([row[name] for row in rest]) for name in own}
     if monitor is not None:  # a frame that comes again adds nothing to a filter, and is there all the same
         details |= monitor.stacked(rest)
         there = np.isfinite(readings) & (True if mask is None else mask)
@@ -465,7 +466,7 @@ def incoming(u: Any, mask: Any, owner: str, n: int | None = None) -> Array:
         words = "of shape (..., s)" if n is None else f"{n} readings (last dimension)"
         raise bad_input("u", owner, words, f"shape {u.shape}")
     if mask is not None:
-        use = np.asarray(mask)
+        use = array(mask, "mask", owner)
         if use.dtype != np.bool_ or use.shape[-1:] != u.shape[-1:]:
             words = f"true or false for each of {u.shape[-1]} readings"
             raise bad_input("mask", owner, words, f"{use.dtype} of shape {use.shape}")

@@ -20,13 +20,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from repro.common import Array, InputError, bad_input, is_table, numbers, require
+from repro.common import Array, InputError, bad_input, is_table, numbers, require, whole
 from repro.estimators.base import information_of_bounds
 from repro.robot import Place, Robot, point_on
 from repro.sensing import Sensing
@@ -187,9 +186,9 @@ class Calibration:
         """
         from repro.robot_file import calibration_text
 
-        text, partial = calibration_text(self), Path(path).with_name(Path(path).name + ".part")
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)  # the file is written whole or not at all
+        text = calibration_text(self)
+        with whole(path, "save", new=False) as part:
+            part.write_text(text, encoding="utf-8")
 
     def q_covariance(self, q: Any, noise: Any = None) -> Array:
         r"""Return the covariance ``[k, n_q, n_q]`` of least squares at ``q``, by noise, parameters and model error.

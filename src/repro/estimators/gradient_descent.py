@@ -7,9 +7,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from repro.common import Array, bad_input, kernel, numbers, require
-from repro.estimators.base import Estimate, each, incoming, known_coordinates, model_of, start
+from repro.angles import FreeAngles
+from repro.common import Array, kernel, numbers, require
+from repro.estimators.base import (
+    Estimate,
+    each,
+    incoming,
+    known_coordinates,
+    model_of,
+    start,
+)
+from repro.robot import Robot
 from repro.sensing import difference, evaluate, room_for, unpack
+
+_ABSURD = 1e3
+"""Residuals so many times as large as what the model predicts, which no iterate makes smaller, are no readings."""
 
 
 class DescentState(NamedTuple):
@@ -31,19 +43,23 @@ class GradientDescent:
     smaller, step sizes ``c**2`` times larger give the same iterates. Where a step size is too long for the curvature
     of the loss the descent is chaotic: iterates that differ by rounding end apart.
 
+    A row without a reading has no estimate, nor one whose readings are absurd or lead out of the finite numbers: its
+    ``q`` is NaN, its readings count as left out, and the next row starts where this one did.
+
     Parameters
     ----------
     sensing
-        Configuration to readings, as for :class:`repro.LevenbergMarquardt`.
+        Configuration to readings, as for :class:`repro.LevenbergMarquardt`. With a robot the descent begins at its
+        start, or in the middle of its bounds, stays within these, and leaves fixed coordinates as they are.
     step_size
-        Step size :math:`\gamma` of every coordinate.
+        Step size :math:`\gamma`, one number for each coordinate; or one for all, where a robot is known.
     momentum
         Momentum :math:`\mu`.
     iterations
         Evaluations of the loss in each time step.
     noise
-        Standard deviation of a reading, one number or one for each. The descent does not need it; without it ``chi2``
-        is NaN.
+        Standard deviation of a reading, one number or one for each; that of the robot if not given. The descent does
+        not need it; without it ``chi2`` is NaN.
 
     Raises
     ------
@@ -61,70 +77,94 @@ class GradientDescent:
     """
 
     def __init__(
-        self, sensing: Any, step_size: Any, momentum: float = 0.3, iterations: int = 20, noise: Any = math.nan
+        self, sensing: Any, step_size: Any, momentum: float = 0.3, iterations: int = 20, noise: Any = None
     ) -> None:
-        owner = "GradientDescent"
-        self.step_size = numbers(step_size, "step_size", owner, (None,))
+        owner, n = "GradientDescent", getattr(sensing, "n_q", 0)
+        moves = numbers(step_size, "step_size", owner)
+        fits = moves.shape in ((), (n,)) if n else moves.ndim == 1
+        words = f"for each of {n} coordinates, or one for all" if n else "for each coordinate"
+        require(fits, "step_size", owner, f"one number {words}", step_size)
+        self.step_size = np.full(n or len(moves), moves)
         require((self.step_size >= 0).all(), "step_size", owner, "not negative", step_size)
         require(0 <= momentum < 1, "momentum", owner, "in [0, 1)", momentum)
         require(iterations >= 1, "iterations", owner, "at least 1", iterations)
-        self.noise = numbers(noise, "noise", owner, finite=False)
-        require(not (self.noise <= 0).any(), "noise", owner, "positive", noise)
         self.momentum, self.iterations, self.n_q = float(momentum), iterations, len(self.step_size)
+        robot = sensing if isinstance(sensing, Robot) else None
+        noise = getattr(robot, "total_noise", None) if noise is None else noise
+        self.noise = numbers(math.nan if noise is None else noise, "noise", owner, finite=False)
+        require(not (self.noise <= 0).any(), "noise", owner, "positive", noise)
+        model = sensing if robot is None else robot.sensing()
         # A callable is differentiated over steps of the size of a soft robot's coordinates.
-        self.model = model_of(sensing, np.full(self.n_q, -5e-3), np.full(self.n_q, 5e-3), owner)
+        self.model = model_of(model, np.full(self.n_q, -5e-3), np.full(self.n_q, 5e-3), owner)
+        low, high = np.repeat([[-np.inf], [np.inf]], self.n_q, axis=1)
+        if robot is not None and robot.lower is not None and robot.upper is not None:
+            low, high = robot.lower, robot.upper
+        self.angles = FreeAngles(() if robot is None else self.model.rotations, low, high)
+        self._limits = np.where(self.angles.free, [[-np.inf], [np.inf]], [low, high])
+        self._fixed = np.where(low == high, low, np.nan)
+        middle = (np.maximum(low, -1e9) + np.minimum(high, 1e9)) / 2  # zero without bounds
+        self._start = middle if robot is None or robot.start is None else robot.start
 
     def init(self, q0: Any = None, seed: int = 0) -> DescentState:
-        """Return the state at ``q0`` ``[..., n_q]``, zero if not given, without momentum. Nothing is random."""
-        q = np.zeros(self.n_q) if q0 is None else start(q0, self.n_q, "GradientDescent")
+        """Return the state at ``q0`` ``[..., n_q]``, without momentum. Nothing is random.
+
+        Without ``q0`` it is where the robot starts, or the middle of its bounds; zero without a robot.
+        """
+        q = self._start if q0 is None else start(q0, self.n_q, "GradientDescent")
+        inside = (self._limits[0] <= q) & (q <= self._limits[1])
+        require(inside.all(), "q0", "GradientDescent", "within the bounds", q.tolist())
         return DescentState(q, np.zeros_like(q))
 
     def step(
         self, state: DescentState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
     ) -> tuple[DescentState, Estimate]:
-        """Descend from the last estimate. The details hold ``loss`` and ``best_iteration``.
+        """Descend from the last estimate. The details hold ``loss``, ``best_iteration`` and ``left_out``.
 
         Raises
         ------
         InputError
-            If there are not as many readings as the model predicts, none is left, or the descent leaves the finite
-            numbers.
+            If there are not as many readings as the model predicts, or the descent leaves the finite numbers by its
+            step size.
         """
-        u = incoming(u, mask, "GradientDescent", self.model.n_readings)
-        known = known_coordinates(known, self.n_q, "GradientDescent")
-        held = None if known is None else ~np.isnan(known)
-        n, s = self.n_q, u.shape[-1]
-        batch = np.broadcast_shapes(state.q.shape[:-1], u.shape[:-1])
-        q, b = (each(x, batch, n).copy() for x in state)
+        owner, n = "GradientDescent", self.n_q
+        u = incoming(u, mask, owner, self.model.n_readings)
+        batch, s = np.broadcast_shapes(state.q.shape[:-1], u.shape[:-1]), u.shape[-1]
+        given: Any = known_coordinates(known, n, owner, self._fixed)
+        known = each(given, batch, n)
+        before, b, free = *(each(x, batch, n) for x in state), np.isnan(known)
+        before, b, moves = np.where(free, before, known), np.where(free, b, 0.0), free * self.step_size
         rows = np.ascontiguousarray(each(u, batch, s))
-        moves = np.broadcast_to(self.step_size, q.shape).copy()
-        if held is not None and known is not None:
-            fixed = each(held, batch, n)
-            q = np.where(fixed, each(known, batch, n), q)
-            moves[fixed], b = 0.0, np.where(fixed, 0.0, b)
-        n_used = np.isfinite(rows).sum(-1)
-        require((n_used > 0).all(), "u", "GradientDescent", "at least one reading that is finite", "none")
-        u_hat, status = np.empty((len(q), s)), np.tile([np.inf, 0.0], (len(q), 1))
-        arrays = (q, b, u_hat, status)
+        q, later, u_hat, status = self._descended(before, b, rows, moves)
+        loss, best = status.T
+        absurd = (best == 0) & (loss > _ABSURD**2 * np.square(u_hat).mean(1))
+        lost = absurd | ~np.isfinite(np.hstack([q, later, status])).all(1)
+        if lost.any():  # if readings near those of the start lead astray too, it is not the row
+            near = 1.01 * self.model.linearise(before[lost])[0]
+            again = np.hstack(self._descended(before[lost], 0.0 * b[lost], near, moves[lost]))
+            small = "small enough for a finite descent"
+            require(np.isfinite(again).all(), "step_size", owner, small, "NaN on the way")
+            q[lost], later[lost], u_hat[lost] = before[lost], b[lost], np.nan
+        q = self.angles.wrapped(q)
+        there = np.isfinite(rows)
+        details = {"loss": loss, "best_iteration": best, "left_out": there & lost[:, None]}
+        n_used, r = np.where(lost, 0, there.sum(1)), self.model.difference(rows, u_hat)
+        chi2 = np.nansum((r / self.noise) ** 2, axis=-1)
+        chi2 = chi2 if np.isfinite(self.noise).all() else np.full(len(r), np.nan)
+        dof = np.maximum(n_used - free.sum(1), 0)
+        shown = np.where(lost[:, None], np.nan, q), u_hat, chi2, dof, s - n_used, *details.values()
+        told, u_hat, chi2, dof, missing, *rest = (x.reshape((*batch, *x.shape[1:]))[()] for x in shown)
+        found = Estimate(told, None, u_hat, chi2, dof, missing, dict(zip(details, rest, strict=True)))
+        return DescentState(q.reshape(*batch, n), later.reshape(*batch, n)), found
+
+    def _descended(self, q: Array, b: Array, rows: Array, moves: Array) -> tuple[Array, Array, Array, Array]:
+        """Return configuration, momentum, readings there, and loss with its iteration, of every member."""
+        found = (q.copy(), b.copy(), np.empty_like(rows), np.tile([np.inf, 0.0], (len(q), 1)))
         if self.model.compiled:
-            _descend(*self.model.packed, rows, moves, self.momentum, self.iterations, *arrays)
+            settings = (self._limits, self.momentum, self.iterations)
+            _descend(*self.model.packed, rows, moves, *settings, *found)
         else:
-            self._descend_callable(rows, moves, *arrays)
-        if not (np.isfinite(q).all() and np.isfinite(b).all() and np.isfinite(status).all()):
-            raise bad_input(
-                "step_size", "GradientDescent", "small enough for a finite descent", "NaN on the way"
-            )
-        q, b, u_hat = q.reshape(*batch, n), b.reshape(*batch, n), u_hat.reshape(*batch, s)
-        details = {"loss": status[:, 0].reshape(batch), "best_iteration": status[:, 1].reshape(batch)}
-        r = self.model.difference(rows, u_hat.reshape(-1, s))
-        chi2 = (
-            np.nansum((r / self.noise) ** 2, axis=-1)
-            if np.isfinite(self.noise).all()
-            else np.full(len(r), np.nan)
-        )
-        dof = np.maximum(n_used.reshape(batch) - (n if held is None else (~held).sum(-1)), 0)
-        missing = s - n_used.reshape(batch)[()]
-        return DescentState(q, b), Estimate(q, None, u_hat, chi2.reshape(batch)[()], dof, missing, details)
+            self._descend_callable(rows, moves, *found)
+        return found
 
     def _descend_callable(
         self, u: Array, moves: Array, q: Array, b: Array, u_hat: Array, status: Array
@@ -140,6 +180,7 @@ class GradientDescent:
                     r[k],
                     J[k],
                     moves[k],
+                    self._limits,
                     self.momentum,
                     iteration,
                     last,
@@ -152,7 +193,7 @@ class GradientDescent:
 
 
 @kernel(entry=True, allocates=True)
-def _descend(ints, floats, weights, u, moves, momentum, iterations, q, b, u_hat, status):
+def _descend(ints, floats, weights, u, moves, limits, momentum, iterations, q, b, u_hat, status):
     """Descend for every member of a batch."""
     t = unpack(ints, floats, weights)
     room, n, s = room_for(t), q.shape[1], u.shape[1]
@@ -163,11 +204,11 @@ def _descend(ints, floats, weights, u, moves, momentum, iterations, q, b, u_hat,
             last = iteration == iterations - 1
             evaluate(t, x, not last, hat, J, room)
             difference(len(t.row_frame), u[k], hat, r, room.T, room.L, room.W)
-            _judge(hat, r, J, moves[k], momentum, iteration, last, x, q[k], b[k], u_hat[k], status[k])
+            _judge(hat, r, J, moves[k], limits, momentum, iteration, last, x, q[k], b[k], u_hat[k], status[k])
 
 
 @kernel(entry=True)
-def _judge(hat, r, J, moves, momentum, iteration, last, x, q, b, u_hat, status):
+def _judge(hat, r, J, moves, limits, momentum, iteration, last, x, q, b, u_hat, status):
     """Keep the trial ``x`` if its loss is the smallest so far, and move on unless it is the last."""
     used, loss = 0, 0.0
     for j in range(len(r)):
@@ -189,3 +230,5 @@ def _judge(hat, r, J, moves, momentum, iteration, last, x, q, b, u_hat, status):
                     slope -= 2.0 / used * r[j] * J[j, c]
             b[c] = momentum * b[c] + (slope if moves[c] > 0.0 else 0.0)  # eq. (11)
             x[c] -= moves[c] * b[c]
+            if x[c] < limits[0, c] or x[c] > limits[1, c]:  # a bound stops it
+                x[c], b[c] = min(max(x[c], limits[0, c]), limits[1, c]), 0.0

@@ -20,9 +20,7 @@ function fill(list, texts, name = "li") {
   });
 }
 
-function say(text) {
-  if (byId("status").textContent !== text) byId("status").textContent = text;
-}
+const say = (text) => { if (byId("status").textContent !== text) byId("status").textContent = text; };
 
 /** Round numbers between two limits, four to seven of them, and how many digits they have behind the point. */
 function ticks(low, high) {
@@ -152,8 +150,8 @@ function begin(scene) {
   }
 
   const events = new EventSource("/events");
-  let lost = false;
-  events.onopen = () => { if (lost) location.reload(); }; // it may be another session
+  let opened = false;
+  events.onopen = () => { if (opened) location.reload(); opened = true; }; // it may be another session
   events.onmessage = (event) => {
     const first = latest === null;
     latest = JSON.parse(event.data);
@@ -165,7 +163,11 @@ function begin(scene) {
     if (first) requestAnimationFrame(draw); // a hidden page draws nothing, and catches up later
   };
   events.addEventListener("end", () => { events.close(); over("The session has ended."); });
-  events.onerror = () => { lost = true; over("The connection is lost; trying again."); };
+  events.onerror = () => over(events.readyState !== EventSource.CLOSED ? "The connection is lost; trying again."
+    : opened ? "This session is over. If it was started again, open the address that it prints now."
+      : "Too many pages show this session. Close one of them, then load this page again.");
+  window.addEventListener("error", ({ error }) => // a notice, such as of a ResizeObserver, has none
+    error && (events.close(), over(`This page has failed (${error}). Load it again.`)));
 }
 
 fetch("/scene.json").then((answer) => answer.json()).then(begin, () => say("The session cannot be reached."));
