@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from repro import InputError
@@ -157,14 +158,28 @@ def test_bodies_point_as_recorded_and_have_no_turn_about_the_arm():
     np.testing.assert_allclose(turns[:, 2], 0.0, atol=1e-9)
 
 
-def test_a_factor_covers_what_it_was_chosen_on():
-    rng = np.random.default_rng(0)
-    scored = {toronto.CHOOSING: 4 * rng.chisquare(3, 4000), "other": 8 * rng.chisquare(3, 4000)}
-    table = toronto.coverage(scored).set_index("trial")
-    assert table.loc[toronto.CHOOSING, "widened_percent"] == pytest.approx(90.0, abs=0.1)
-    assert table["factor"].iloc[0] == pytest.approx(2.0, rel=0.05)
-    assert table.loc["other", "widened_percent"] < 80
-    assert table.loc["other", "stated_percent"] < table.loc[toronto.CHOOSING, "stated_percent"] < 50
+def test_an_added_error_covers_what_it_was_chosen_on():
+    """Errors of 5 units and stated deviations of 3, 4 and 12: one more of 4 makes 5, and semi-axes of 5 to 12.65."""
+    unit = 1e-3 * math.sqrt(stats.chi2(3).ppf(0.9))
+    stated = np.diag([9.0, 16.0, 144.0]) * 1e-6
+
+    def part(*sizes):
+        return [(unit * np.outer(sizes, [1.0, 0.0, 0.0]), np.tile(stated, (len(sizes), 1, 1)))]
+
+    found = {toronto.CHOOSING: 2 * part(5.0, 5.0), "other": part(4.9, 5.1, 2.9, -2.9)}
+    table = toronto.coverage(found).set_index(["trial", "ellipsoids"])
+    assert table["added_mm"].to_list() == pytest.approx([0, 4, 0, 4])
+    assert table["positions"].to_list() == [4, 4, 4, 4]
+    assert table["covered_percent"].loc["other"].to_list() == [50.0, 75.0]
+    sizes = table[["shortest_mm", "longest_mm"]].to_numpy() / (1e3 * unit)
+    np.testing.assert_allclose(sizes, 2 * [[3, 12], [5, math.sqrt(160)]])
+    enough = toronto.coverage({toronto.CHOOSING: part(2.0, 1.0)})
+    assert enough["added_mm"].to_list() == [0, 0]
+    assert enough["covered_percent"].to_list() == [100, 100]
+    lines = pd.DataFrame({"shortest_mm": [1, 3], "longest_mm": [20, 14]})
+    assert toronto.coverage_in_words(lines.assign(covered_percent=[50, 80], positions=[100, 200])) == (
+        "ellipsoids with semi-axes of 1 to 20 mm cover 70 % of the positions (50 to 80 % by trial and estimator)"
+    )
 
 
 def test_a_chain_of_ideal_imus_on_an_arc_is_the_arc():
