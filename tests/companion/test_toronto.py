@@ -213,3 +213,13 @@ def test_the_page_keeps_the_errors_that_it_has_reached():
     tip = own[own["setting"] == "calibrated"].set_index("estimator")["fast_tip_mm"]
     assert tip["filter"] <= 8.5
     assert tip["smoother"] <= 5.5
+
+
+def test_the_ellipsoids_that_the_page_states_are_small_and_cover_most_positions():
+    table = pd.read_csv(Path(__file__).parents[2] / "results" / "real_arm_coverage.csv")
+    table = table[(table["ellipsoids"] == "widened") & (table["trial"] != toronto.CHOOSING)]
+    assert table["longest_mm"].max() <= 15
+    assert table["covered_percent"].min() >= 50
+    covered = table["covered_percent"] * table["positions"]
+    by = [table["model"], table["estimator"]]
+    assert (covered.groupby(by).sum() / table["positions"].groupby(by).sum()).min() >= 72
