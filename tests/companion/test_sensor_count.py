@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -75,6 +76,34 @@ def test_the_grid_compares_with_three_sensors():
     np.testing.assert_allclose(six["averaging"], math.sqrt(0.5))
     expected = six["mean_percent"].to_numpy() / three["mean_percent"].to_numpy()
     np.testing.assert_allclose(six["ratio"], expected)
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        # Deviations of 1 and 7 are 5 in the root mean square: 50 and 25 % of the ranges 10 and 20.
+        (
+            lambda: sensor_count.bound_percent(
+                SimpleNamespace(linearise=lambda q: (q, np.stack([np.eye(2), np.eye(2) / 7]))),
+                np.array([[0.0, 0.0], [10.0, 20.0]]),
+                1.0,
+            ),
+            37.5,
+        ),
+        # From where on no error is above a tolerance.
+        (lambda: sensor_count._enough(np.array([5.0, 1.0, 3.0, 1.0]), 5.0), 1),
+        (lambda: sensor_count._enough(np.array([5.0, 1.0, 3.0, 1.0]), 1.0), 4),
+        (lambda: sensor_count._enough(np.array([5.0, 1.0, 3.0, 1.0]), 0.5), np.nan),
+    ],
+)
+def test_numbers_of_the_page_by_hand(found, expected):
+    assert found() == pytest.approx(expected, nan_ok=True)
+
+
+def test_errors_of_curves_are_root_mean_squares(curves, monkeypatch):
+    monkeypatch.setattr(sensor_count, "tip_errors", lambda *_: np.array([0.0, 0.0, 0.0, 8e-3]))
+    table = sensor_count.imu_errors(curves, LIMITS[1:], [2], [1.0], seed=0)
+    np.testing.assert_allclose(table[["rms_mm", "largest_mm"]], [[4, 8]] * 4)
 
 
 def test_the_bound_of_the_tip_is_that_of_the_check():
