@@ -77,6 +77,19 @@ def test_errors_are_relative_to_the_range():
     np.testing.assert_allclose(baaij.affine_percent(found, truth), 10, rtol=1e-12)
 
 
+def test_ours_have_as_many_digits_as_the_published_ones():
+    card = {
+        "paper": "baaij2023",
+        "artefact": "Section 4.4",
+        "quantity": "kappa_0",
+        "unit": "%",
+        "weak": "false",
+    }
+    card |= {"published": "5.4", "published_std": "0.7", "regenerated": "6.4567", "regenerated_std": "1.8765"}
+    table = baaij.affine_beside_print(pd.DataFrame([card | {"verdict": "reproduced"}]))
+    assert table.iloc[0].to_list() == ["κ₀ [%]", "5.4 ± 0.7", "6.5 ± 1.9", "reproduced"]
+
+
 def test_relative_errors_are_said_with_the_published_ones_in_brackets():
     lines = [
         ["κ₀ [%]", "5.4 ± 0.7", "6.5 ± 1.9", "reproduced"],

@@ -231,7 +231,7 @@ def test_models_differ_by_a_mean_of_differences(monkeypatch):
     ways, cases = (martin.DESCRIBED, martin.FILES, martin.SAME_POINT), (martin.RIGID_8, martin.PCC_16)
     table = pd.DataFrame(list(product(ways, cases, (0, 1))), columns=["evaluation", "case", "draw"])
     table = table.assign(marker="M1", median_mm=[4.0, 5.0, 2.0, 4.0] * 3)
-    monkeypatch.setattr(martin, "distances", lambda trial, made: np.array([[trial, 0.0]] * 3))
+    monkeypatch.setattr(martin, "distances", lambda trial, made: np.outer([trial, trial, 9 * trial], [1, 0]))
     found = martin.model_differences(table, [2.0, 8.0]).iloc[:, 1:]
     np.testing.assert_allclose(found, [[4.5, 3, 35], [5, 3, 25], [4.5, 3, 35], [4.5, 3, 35]])
 
@@ -254,6 +254,13 @@ def test_rows_of_the_scorecard(table):
     medians = table[table["evaluation"] == martin.FILES].groupby(["case", "marker"])["median_mm"].first()
     less = 100 * (1 - medians[martin.PCC_16] / medians[martin.RIGID_8]).mean()  # of both markers
     assert rows.xs("reduction", level="quantity")["regenerated"].item() == pytest.approx(less)
+    three = [
+        table.assign(draw=k, median_mm=k * table["median_mm"], q75_mm=k * table["q75_mm"]) for k in (1, 2, 6)
+    ]
+    drawn = martin.scorecard_rows(pd.concat(three), study).set_index(rows.index.names)
+    own = rows[~rows.index.get_level_values("quantity").isin(["reduction", "time"])].index
+    expected = np.outer(rows.loc[own, "regenerated"], [3, 7**0.5])  # mean and deviation of 1, 2 and 6
+    np.testing.assert_allclose(drawn.loc[own, ["regenerated", "regenerated_std"]], expected)
     best = rows["best"].dropna()
     assert len(best) == 11
     assert {"PCC" in row for _, row, _ in best.index} == {True}

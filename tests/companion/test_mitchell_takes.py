@@ -345,11 +345,26 @@ def test_a_lag_is_compared_with_the_median_of_the_other_takes():
         ),
         # Of x and of y over z, each by itself.
         (
-            lambda: mitchell.median(mitchell.ratio(np.array([[1, 60, 10], [2, 40, 10], [9.0, 50, 10]]))),
-            0.2 + 5j,
+            lambda: mitchell.median(mitchell.ratio(np.array([[1, 60, 10], [2, 40, 10], [9.0, 90, 10]]))),
+            0.2 + 6j,
+        ),
+        # Directions less their mean, where the take is known.
+        (
+            lambda: mitchell.over_time(
+                [
+                    mitchell.Run(
+                        "ours",
+                        "none",
+                        13.0,
+                        made_up("bend_1_try_1", 30),
+                        np.exp(1j * np.radians([50, 0, 70, 60])),
+                    )
+                ]
+            )["direction_deg"].to_list(),
+            [0, np.nan, 0, 0, -10, np.nan, 10, 0],
         ),
         (lambda: mitchell.rms_deg(np.radians([0.0, np.nan, 0.0, 0.0, 8.0])), 4),
     ],
 )
 def test_numbers_of_the_page_by_hand(found, expected):
-    assert found() == pytest.approx(expected)
+    assert found() == pytest.approx(expected, nan_ok=True, abs=1e-9)

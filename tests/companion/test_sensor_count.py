@@ -126,6 +126,18 @@ def test_closer_sensors_feel_noise_less_and_tolerances_more():
     far, near = (row for _, row in sensor_count.places([55, 35], [13], samples=20).iterrows())
     assert near["noise_mm"] < far["noise_mm"] / 2
     assert near["off_mm"] > far["off_mm"]
+    check = sensor_count.moved(0.035, 0.013).check(samples=20)
+    assert near[2:].to_list() == pytest.approx([1e3 * np.median(x) for x in (check.tip, check.tip_as_built)])
+
+
+def test_errors_are_root_mean_squares_over_time_and_means_over_draws(monkeypatch):
+    """In the first of four steps the segment is straight, and the first of two draws makes it 8 mm longer there."""
+    found = np.repeat(baaij.lemniscate(1, steps=4)[:, None], 2, axis=1)
+    found[0, 0, 2] += 8e-3
+    fit = SimpleNamespace(q=found, details={"at_bound": np.zeros((4, 2), dtype=bool)})
+    monkeypatch.setattr(baaij, "least_squares", lambda *_: fit)
+    np.testing.assert_allclose(sensor_count.errors(1, 3, 0.01, drawn(4, 2, 3))["tip_mm"], [4, 0], atol=1e-9)
+    assert sensor_count.grid([1], [3], [0.01], 2, 4, 0)["tip_mm"].to_list() == pytest.approx([2])
 
 
 @pytest.mark.parametrize("above", [0.055, 0.035])

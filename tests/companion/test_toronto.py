@@ -77,6 +77,14 @@ def test_the_released_estimates_have_the_errors_that_their_program_printed(name,
     assert toronto.released(capture, "none", np.zeros(18)) is None
 
 
+def test_what_the_body_at_the_tip_is_off_counts_with_the_share_of_the_length(slow):
+    constants = np.zeros(18)
+    constants[12] = 0.01
+    both = zip(*(toronto.released(slow, "window", c) or [] for c in (constants, 0 * constants)), strict=True)
+    for station, (moved, drawn) in enumerate(both, 1):
+        np.testing.assert_allclose(np.linalg.norm(moved - drawn, axis=-1), 0.01 * station / 4)
+
+
 def test_constants_that_were_put_in_are_found(monkeypatch):
     rng = np.random.default_rng(0)
     constants = 0.02 * rng.normal(size=18)
@@ -220,14 +228,15 @@ def test_an_added_error_covers_what_it_was_chosen_on():
     """Errors of 5 units and stated deviations of 3, 4 and 12: one more of 4 makes 5 and the root of 160."""
     unit, stated = 1e-3 * math.sqrt(stats.chi2(3).ppf(0.9)), np.diag([9e-6, 16e-6, 144e-6])
 
-    def part(*sizes):
-        return [(unit * np.outer(sizes, [1.0, 0.0, 0.0]), np.tile(stated, (len(sizes), 1, 1)))]
+    def part(*errors):
+        return [(unit * np.array(errors), np.tile(stated, (len(errors), 1, 1)))]
 
-    table = toronto.coverage({toronto.CHOOSING: 2 * part(5.0, 5.0), "other": part(4.9, 5.1, 2.9, -2.9)})
-    assert table["covered_percent"].to_list()[2:] == [50.0, 75.0]
+    chosen, other = part([5.0, 0, 0], [-5.0, 0, 0]), part([4.9, 0, 0], [5.1, 0, 0], [2.9, 0, 0], [0, 0, 13.0])
+    table = toronto.coverage({toronto.CHOOSING: 2 * chosen, "other": other})
+    assert table["covered_percent"].to_list()[2:] == [25.0, 50.0]  # of the last, a factor would cover 13 too
     sizes = table[["added_mm", "shortest_mm", "longest_mm"]] / [1, 1e3 * unit, 1e3 * unit]
     np.testing.assert_allclose(sizes, 2 * [[0, 3, 12], [4, 5, math.sqrt(160)]])
-    enough = toronto.coverage({toronto.CHOOSING: part(2.0, 1.0)})
+    enough = toronto.coverage({toronto.CHOOSING: part([2.0, 0, 0])})
     assert enough[["added_mm", "covered_percent"]].to_numpy().tolist() == [[0, 100]] * 2
 
 
