@@ -140,36 +140,39 @@ def test_the_three_models_have_the_committed_errors():
         assert both[column].to_numpy() == pytest.approx(both[f"{column}_old"].to_numpy(), rel=2e-3, abs=1e-9)
 
 
-def errors_table(*errors: float) -> pd.DataFrame:
-    cells = [("n_b=1", "delta_x_1", "%", seed, error) for seed, error in enumerate(errors)]
+def errors_table(*errors: tuple[str, str, float]) -> pd.DataFrame:
+    """Errors of 1/2 and 3/2 times a mean with two seeds: their deviation is the root of a half."""
+    cells = [(row, name, "%", seed, x * (0.5 + seed)) for row, name, x in errors for seed in (0, 1)]
     return pd.DataFrame(cells, columns=["row", "quantity", "unit", "seed", "error"])
 
 
 def test_bias_is_a_geometric_mean_of_ratios():
-    printed = pd.DataFrame(
-        [("n_b=1", "delta_x_1", "%", 2.0, 0.5)], columns=["row", "quantity", "unit", "value", "std"]
+    """Half and twice the printed errors and deviations are once on average; six sensors do not count."""
+    errors = errors_table(
+        ("n_b=1", "delta_x_1", 2.0), ("n_b=1", "delta_y_1", 8.0), ("n_s=6", "delta_x_1", 9.0)
     )
-    table = baaij.bias(errors_table(1.0, 3.0), printed)
+    printed = errors[errors["seed"] == 0].assign(value=[4.0, 4.0, 1.0], std=[8**0.5, 8**0.5, 1.0])
+    table = baaij.bias(errors, printed)
     assert table["n_b"].to_list() == ["1", "all"]
-    for line in table.to_dict("records"):
-        assert (line["cells"], line["below"], line["ratio"]) == (1, 0, 1.0)
-        assert (line["lowest_seed"], line["highest_seed"]) == pytest.approx((0.5, 1.5))
-        assert line["std_ratio"] == pytest.approx(math.sqrt(2) / 0.5)
+    for line in table.drop(columns="n_b").to_numpy():
+        assert line == pytest.approx([2, 1, 1.0, 0.5, 1.5, 1.0])
 
 
 def test_gain_is_a_ratio_of_means_with_a_paired_interval():
-    draws = pd.DataFrame(
-        [
-            ("n_b=1", "delta_x_1", d, c, e * (0.1 if c else 1.0))
-            for d, e in enumerate([1.0, 2.0, 6.0])
-            for c in (True, False)
-        ],
-        columns=["row", "quantity", "draw", "calibrated", "error_percent"],
-    )
-    line = baaij.gain(draws).iloc[0]
-    assert (line["uncalibrated_percent"], line["calibrated_percent"]) == pytest.approx((3.0, 0.3))
-    # Proportional errors leave nothing to chance, because both come from the same robots.
-    assert (line["ratio"], line["ratio_low"], line["ratio_high"]) == pytest.approx((0.1, 0.1, 0.1))
+    """Of two robots one has a third of the error with calibration, and the other has three times the error."""
+    cells = [("n_b=1", "delta_x_1", d, c, 1.0 + 2 * (c == d)) for d in (0, 1) for c in (True, False)]
+    names = ["row", "quantity", "draw", "calibrated", "error_percent"]
+    table = baaij.gain(pd.DataFrame(cells, columns=names))
+    assert table["quantity"].to_list() == ["delta_x_1", "mean"]
+    for line in table.iloc[:, 2:].to_numpy():
+        assert line == pytest.approx([2.0, 2**0.5, 2.0, 2**0.5, 1.0, 1 / 3, 3.0])
+
+
+def test_a_cell_of_the_scorecard_is_the_mean_over_the_seeds():
+    errors = pd.DataFrame({"row": "a", "quantity": "b", "unit": "%", "error": [1.0, 2.0, 6.0]})
+    cell = baaij.of_seeds(errors).iloc[0]
+    assert cell[["regenerated", "regenerated_std", "n_seeds"]].to_list() == [3.0, 7**0.5, 3]
+    assert cell["note"] == "of the single seeds: 1, 2, 6"
 
 
 def test_rows_of_the_scorecard_are_those_of_the_committed_tables():
@@ -211,7 +214,9 @@ def test_noise_has_its_deviation_and_one_seed_is_one_draw():
 
 def test_errors_of_poses_are_millimetres_and_degrees():
     arm, q = baaij.robot(1), np.zeros((4, 3))
-    found = baaij.pose_errors(arm, q + np.array([0, 0, 1e-3]), q)
+    longer = np.zeros((4, 3))
+    longer[3, 2] = 2e-3  # once in four steps: half of it in the root mean square
+    found = baaij.pose_errors(arm, longer, q)
     assert found == pytest.approx(
         {"tip_mm": 1.0, "orientation_deg": 0.0, "shape_mm": found["shape_mm"]}, abs=1e-9
     )

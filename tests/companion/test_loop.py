@@ -200,9 +200,13 @@ def test_errors_of_a_loop_by_hand():
     q = cases.reference[:100].copy()
     command = q.copy()
     command[90:, :, 0] = baaij.bounds(1)[1][0]
-    table = cases.errors({"truth": (q + np.array([3e-3, 0, 9]), q + np.array([3e-3, 4e-3, 9]), command)})
+    off = np.zeros((100, 1, 3))
+    off[::4] = 2.0  # once in four samples: 1 in the root mean square, a half in the mean
+    off[:80] = 9.0  # before the loop has settled
+    runs = {"truth": (q + off * [3e-3, 0, 9], q + off * [3e-3, 4e-3, 9], command)}
+    table = cases.errors(runs)
     columns = ["tracking_mm", "estimate_mm", "offset_mm", "apparent_mm", "bounded_%"]
-    np.testing.assert_allclose(table[columns], np.tile([3, 4, 4, 5, 50], (len(table), 1)))
+    np.testing.assert_allclose(table[columns], np.tile([3, 4, 2, 5, 50], (len(table), 1)))
 
 
 def test_sentences_count_and_name_what_occurs():
@@ -236,3 +240,88 @@ def test_the_order_of_the_estimates_is_told_as_it_occurs():
     assert "from 4.00 to 4.00 mm, but the Kalman filter with command tracks best (2.02 mm)" in (
         loop.softer_in_words(means)
     )
+
+
+ERROR, SPAN = np.array([[[0.0, 0.0]], [[0.05, 1.0]]]), np.array([1.0, 10.0])
+COVARIANCE = np.broadcast_to(np.diag([0.02**2, 1.0]), (2, 1, 2, 2))
+TWO_SEEDS = pd.DataFrame({"seed": [0, 1], "session": "a", "n_b": 1, "trajectory": "T2", "estimator": "b"})
+SHARES = {"offset_mm": [2.0, 6.0], "bounded_%": [0.0, 8.0], "estimate_mm": [1.0, 9.0]}
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        # Two coordinates and two steps: no error, then 5 and 10 % of the ranges, 2.5 and 1 deviations.
+        (
+            lambda: [*loop.temporal_scores(ERROR, COVARIANCE, SPAN).values()],
+            [[7.5 / 2**0.5], [50], [7.25 / 4], [(7.25 / 2 + 2 * math.log(2 * math.pi * 0.02 / 10)) / 2]],
+        ),
+        # The ellipse of two coordinates that covers 95 % ends at 2.45 deviations.
+        (lambda: loop.temporal_scores(ERROR * [0.96, 0.0], COVARIANCE, SPAN)["covered_percent"], [100]),
+        (lambda: loop.temporal_scores(ERROR * [1.0, 0.0], COVARIANCE, SPAN)["covered_percent"], [50]),
+        # One seed tracks three times as badly as with the truth and one three times as well: means are the same.
+        (
+            lambda: loop.tracking_ratios(
+                TWO_SEEDS.assign(tracking_mm=[3.0, 1.0], tracking_truth_mm=[1.0, 3.0], **SHARES), ["session"]
+            ).iloc[:, 1:],
+            [[2, 2, 2, 5, 4, 4, 1, 1 / 3, 3]],
+        ),
+        (
+            lambda: loop.temporal_gains(
+                pd.concat(
+                    [
+                        TWO_SEEDS.assign(
+                            method=loop.METHODS[0],
+                            error_percent=[1.0, 3.0],
+                            covered_percent=[90, 100],
+                            nees=[0.5, 1.5],
+                        ),
+                        TWO_SEEDS.assign(
+                            method=loop.METHODS[1],
+                            error_percent=[3.0, 1.0],
+                            covered_percent=[50, 70],
+                            nees=[2.0, 4.0],
+                        ),
+                    ]
+                )
+            ).iloc[:, 2:],
+            [[True, 2, 2, 1, 1 / 3, 3, 95, 60, 1, 3]],
+        ),
+        # A band is two deviations wide on either side.
+        (
+            lambda: loop.one_bend(
+                np.zeros((2, 3)), {"a": (np.full((2, 3), 4e-3), np.full((2, 3, 3), 9e-6))}
+            ).drop(columns="method"),
+            [[0, 4, 6], [0.025, 4, 6]],
+        ),
+        (
+            lambda: loop.over_time(
+                loop.Cases([0], 0.0, 0.0, 4, ["circle"]),
+                dict.fromkeys(
+                    ("truth", loop.ALONE, loop.FILTER, loop.INFORMED),
+                    (np.full((4, 6, 3), 2e-3), np.full((4, 6, 3), 5e-3), None),
+                ),
+                "PI",
+                "circle",
+            ).iloc[0, 2:],
+            [0, 10, 2, 5, 0, 2, 5],
+        ),
+        # The largest error of an estimate and the largest share at a bound, whatever the controller.
+        (
+            lambda: loop.tracking_table(
+                pd.DataFrame(
+                    {
+                        "controller": [*loop.CONTROLLERS],
+                        "tracking_mm": [3, 1, 2],
+                        "estimate_mm": [1, 2, 6],
+                        "bounded_%": [0, 9, 3],
+                    }
+                ).assign(session="a", estimator="b"),
+                "a",
+            ).iloc[:, 1:],
+            [[3, 1, 2, 6, 9]],
+        ),
+    ],
+)
+def test_numbers_of_the_page_by_hand(found, expected):
+    np.testing.assert_allclose(np.asarray(found(), dtype=float), expected, rtol=1e-9)

@@ -135,11 +135,10 @@ def test_motion_and_noise_of_ours_are_best_on_spiral():
 
 
 def test_the_gain_is_paired():
-    lines = [("a", 0, 0, name, seed, seed + 1.0) for name in mitchell.CURVES for seed in range(5)]
-    lines += [("b", 0, 0, name, seed, 2 * seed + 2.0) for name in mitchell.CURVES for seed in range(5)]
-    table = pd.DataFrame(lines, columns=mitchell.STUDY_COLUMNS)
-    gain = mitchell.gain(table, "a", "b")
-    np.testing.assert_allclose(gain[["ratio", "ratio_low", "ratio_high"]], 0.5)
+    lines = [(x, 0, 0, name, seed, 3.0 if (x == "a") == seed else 1.0)
+             for x in "ab" for name in mitchell.CURVES for seed in (0, 1)]  # fmt: skip
+    gain = mitchell.gain(pd.DataFrame(lines, columns=mitchell.STUDY_COLUMNS), "a", "b")
+    np.testing.assert_allclose(gain[["ratio", "ratio_low", "ratio_high"]], [[1, 1 / 3, 3]] * 3)  # not 5/3
     both = pd.concat([mitchell.gain(STUDY, mitchell.BEST.name, mitchell.SINGLE.name),
                       mitchell.gain(STUDY, mitchell.KALMAN.name, mitchell.BEST.name)])  # fmt: skip
     held = both[(both["setting"] == mitchell.BEST.name) & (both["curve"] != "spiral")]
@@ -156,12 +155,17 @@ def test_what_a_cloud_is_worth_is_counted_where_there_are_several_segments(effec
 
 
 def test_errors_over_time_and_their_summary():
-    error = np.array([3.0, 4.0])
+    error = np.array([0.0, 0.0, 3.0])
     table = mitchell.errors_over_time({(mitchell.PRINTED, "spiral"): error, (mitchell.FITS, "flower"): error})
-    assert table["t"].tolist() == [0.0, 0.01, 0.0, 0.01]
+    assert table["t"].tolist() == [0.0, 0.01, 0.02] * 2
     found = mitchell.summary(table)
     assert found["setting"].tolist() == [mitchell.PRINTED.name, mitchell.FITS.name]
-    np.testing.assert_allclose(found[["rmse_mm", "mean_mm", "worst_mm"]], [[math.sqrt(12.5), 3.5, 4.0]] * 2)
+    np.testing.assert_allclose(found[["rmse_mm", "mean_mm", "worst_mm"]], [[math.sqrt(3), 1.0, 3.0]] * 2)
+    study = pd.DataFrame(
+        {"setting": "a", "process_noise_pi": 0.0, "particles": 1, "curve": "spiral"}, [0, 1, 2]
+    )
+    means = mitchell.over_seeds(study.assign(seed=range(3), rmse_mm=[1.0, 2.0, 6.0])).iloc[0]
+    assert means[["rmse_mm", "rmse_std_mm", "seeds"]].to_list() == [3, math.sqrt(7), 3]
 
 
 def test_rows_of_the_scorecard_keep_their_verdicts(tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """Bend tests and light bulb of Mitchell et al.: files, markers, lags, errors."""
 
+from dataclasses import replace
 from datetime import datetime
 
 import numpy as np
@@ -7,6 +8,7 @@ import pandas as pd
 import pytest
 
 from repro import InputError
+from repro.estimators.base import Estimate
 from repro.motion_capture import Motion as MotionCapture
 from repro_companion.papers import mitchell
 from repro_companion.run import project_folder, recordings_folder
@@ -322,3 +324,47 @@ def test_captures_begin_by_the_clock_of_their_header():
     started = datetime(2021, 3, 12, 21, 50, 1, 253000)
     found = mitchell.motion(MotionCapture("a", started, 120.0, *capture(np.zeros(9, dtype=complex))[3:]))
     assert found.start_s == pytest.approx(1615603801.253, abs=1e-6)
+
+
+def test_a_lag_is_compared_with_the_median_of_the_other_takes():
+    lags = {"1": 1.0, "2": 2.0, "3": 3.0, "4": 8.0}
+    takes = [replace(made_up(f"bend_{k}_try_1", 10.0), facts={"lag_s": lag_s}) for k, lag_s in lags.items()]
+    found = mitchell.taken(takes)[["lag_off_s", "peak_deg"]]
+    np.testing.assert_allclose(found, [[-2, 10], [-1, 10], [1, 10], [6, 10]])
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        # The deviation along a bend of 3 and 4, if it is 10 along x alone.
+        (
+            lambda: mitchell.bend_deviation(
+                Estimate(np.array([3.0, 4.0]), np.diag([100.0, 0.0]), *[np.zeros(1)] * 4, {})
+            ),
+            6,
+        ),
+        # Of x and of y over z, each by itself.
+        (
+            lambda: mitchell.median(mitchell.ratio(np.array([[1, 60, 10], [2, 40, 10], [9.0, 90, 10]]))),
+            0.2 + 6j,
+        ),
+        # Directions less their mean, where the take is known.
+        (
+            lambda: mitchell.over_time(
+                [
+                    mitchell.Run(
+                        "ours",
+                        "none",
+                        13.0,
+                        made_up("bend_1_try_1", 30),
+                        np.exp(1j * np.radians([50, 0, 70, 60])),
+                    )
+                ]
+            )["direction_deg"].to_list(),
+            [0, np.nan, 0, 0, -10, np.nan, 10, 0],
+        ),
+        (lambda: mitchell.rms_deg(np.radians([0.0, np.nan, 0.0, 0.0, 8.0])), 4),
+    ],
+)
+def test_numbers_of_the_page_by_hand(found, expected):
+    assert found() == pytest.approx(expected, nan_ok=True, abs=1e-9)

@@ -183,8 +183,11 @@ def data(t1):
 
 def test_errors_are_those_of_eq_13(data):
     q, u = data.beginnings(1.0)
-    off = np.array([1e-3, -2e-3, 0.0])
-    table = rig.errors(data, {"known": q[:, :, None] + off}, u[:, :, None] + 3.0, 1.0)
+    off = np.where(np.arange(len(q)) % 4, 0.0, 2.0)[
+        :, None, None, None
+    ]  # once in four frames: 1 in the mean square
+    found = {"known": q[:, :, None] + off * [1e-3, -2e-3, 0.0]}
+    table = rig.errors(data, found, u[:, :, None] + off * [3.0, 0.0, 6.0], 1.0)
     cells = table[table["row"] == rig.row_name("T4")].set_index(["quantity", "unit"])["error"]
     whole = data.tests["T4"]
     assert cells["delta_x", "mm"] == pytest.approx(1.0)
@@ -195,7 +198,8 @@ def test_errors_are_those_of_eq_13(data):
 
 def test_the_rows_are_the_printed_ones_and_not_comparable(data):
     q, u = data.beginnings(1.0)
-    table = rig.errors(data, {"known": np.stack([q, q + 1e-3], 2)}, np.stack([u, u + 1], 2), 1.0)
+    seeds = np.array([0.0, 1.0, 5.0])[:, None]  # their mean is 2, their deviation the root of 7
+    table = rig.errors(data, {"known": q[:, :, None] + 1e-3 * seeds}, u[:, :, None] + seeds, 1.0)
     moved = pd.DataFrame(
         [("published", rig.row_name("T1"), "delta_x", 1.0, 1.5, 2.24, True)],
         columns=["step", "row", "quantity", "lowest", "middle", "highest", "chaotic"],
@@ -206,6 +210,13 @@ def test_the_rows_are_the_printed_ones_and_not_comparable(data):
     assert set(map(tuple, lines[key].to_numpy())) <= set(map(tuple, printed[key].to_numpy()))
     assert len(lines) == 35 + 2
     assert not lines["comparable"].any()
+    own = lines[lines["unit"] != "%"]
+    np.testing.assert_allclose(own[["regenerated", "regenerated_std"]], [[2, 7**0.5]] * len(own))
+    relative = (
+        lines["unit"].eq("%") & lines["artefact"].eq("Table 2") & lines["quantity"].str.startswith("delta")
+    )
+    mean = lines.loc[relative, "regenerated"].mean()
+    assert lines.loc[lines["artefact"] == "Abstract", "regenerated"].item() == pytest.approx(mean)
     noted = lines[lines["note"].str.contains("decided by rounding: 32 other starts give 1 to 2.24 mm")]
     assert set(noted["row"]) == {rig.row_name("T1")}
 
@@ -230,25 +241,30 @@ def test_the_largest_jump_is_replayed_iterate_by_iterate(data):
 
 def test_methods_are_means_over_the_seeds_and_medians_over_starts(data):
     q, u = data.beginnings(1.0)
-    found = {"known": np.stack([q + 1e-3, q + 3e-3], 2), "ours": (q - 4e-3)[:, :, None]}
-    table = rig.errors(data, found, np.stack([u, u], 2), 1.0)
+    seeds = np.array([1e-3, 2e-3, 6e-3])[:, None]
+    found = {"known": q[:, :, None] + seeds, "ours": (q - 4e-3)[:, :, None]}
+    table = rig.errors(data, found, np.stack([u] * 3, 2), 1.0)
     starts = pd.DataFrame(
         [("half", rig.row_name("T1"), "delta_y", 1.0, 1.5, 2.0, False)],
         columns=["step", "row", "quantity", "lowest", "middle", "highest", "chaotic"],
     )
     lines = rig.methods(table, starts)
     assert lines["trajectory"].tolist() == [name for name in rig.TRAJECTORIES for _ in "xy"]
-    np.testing.assert_allclose(lines[["known", "ours"]], [[2.0, 4.0]] * 12)
+    np.testing.assert_allclose(lines[["known", "ours"]], [[3.0, 4.0]] * 12)
     assert lines["half_step"].dropna().to_dict() == {3: 1.5}
 
 
 def test_ranges_say_where_rounding_decides():
     study = pd.DataFrame(
-        [("published", "a", s, k, 1.0 + 0.2 * k, 1.0) for s in (0, 1) for k in range(3)],
+        [
+            ("published", "a", s, k, x + s, 1.0 + 0.1 * x * s)
+            for s in (0, 1)
+            for k, x in enumerate((1.0, 1.2, 1.9))
+        ],
         columns=["step", "row", "seed", "start", "delta_x", "delta_y"],
     )
     found = rig.ranges_over_starts(study).set_index("quantity")
-    assert found.loc["delta_x", ["lowest", "middle", "highest"]].tolist() == pytest.approx([1.0, 1.2, 1.4])
+    assert found.loc["delta_x", ["lowest", "middle", "highest"]].tolist() == pytest.approx([1.5, 1.7, 2.4])
     assert found["chaotic"].to_dict() == {"delta_x": True, "delta_y": False}
 
 
@@ -256,3 +272,20 @@ def test_recordings_that_are_asked_for_must_be_there(monkeypatch, tmp_path):
     monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
     with pytest.raises(InputError, match="none of T0, T1, T2, T3, T4, T5"):
         rig.load("recorded")
+
+
+def test_the_first_seven_tenths_of_t5_train_and_all_else_tests(monkeypatch):
+    """Eleven frames: seven and four; of T4 all are tests."""
+    frames = np.arange(33.0).reshape(11, 3)
+    monkeypatch.setattr(rig, "simulated", lambda name: rig.Recording(name, frames, frames))
+    data = rig.load("simulated")
+    assert data.train.u[:, 0].tolist() == [0, 3, 6, 9, 12, 15, 18]
+    for name, test in data.tests.items():
+        np.testing.assert_array_equal(test.q, frames if name == "T4" else frames[7:])
+
+
+def test_a_landscape_has_root_mean_squares_that_are_clipped():
+    """Readings that are 0, 3 and 6 mV off have the root of 15; with 400 mV more it would be above 100."""
+    low, high = np.array([[0.0, 0.0], [2e-3, 4e-3]])
+    grid = rig.landscape(lambda q: [0, 3, 6] + 1e5 * q[:, [1]], np.zeros(3), np.zeros(3), low, high, 2)
+    np.testing.assert_allclose(grid, [[0, 0, 15**0.5], [2, 0, 15**0.5], [0, 4, 100], [2, 4, 100]])

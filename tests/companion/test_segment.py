@@ -12,8 +12,11 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from repro import BendSensor, LevenbergMarquardt
+from repro.estimators.calibration import Tolerances
 from repro_companion.papers import baaij, segment
 from repro_companion.papers.segment import LENGTH, MODULUS, RADIUS, SECTION
+
+from .sample import ONE_DEVIATION
 
 THIN = 1e-3
 """Radius of a rod [m] whose shear and stretch do not count."""
@@ -178,13 +181,34 @@ def test_what_is_known_without_a_sensor():
     assert segment.fixed_coordinates(segment.without(seen, "ring", 1))[2] == baaij.ELONGATION
 
 
-def test_shape_errors_of_a_shifted_and_turned_shape():
-    T = segment.motion(segment.MOTIONS[0], 5)
-    points, tip = T[:, :: segment.EVERY, :3, 3] + [3e-3, 4e-3, 0.0], T[:, -1, :3, :3]
-    turned = tip @ Rotation.from_rotvec([0.0, 0.1, 0.0]).as_matrix()
-    assert segment.shape_errors((points, turned), T) == pytest.approx(
-        {"tip_mm": 5.0, "orientation_deg": math.degrees(0.1), "shape_mm": 5.0}
+def test_shape_errors_are_root_mean_squares_over_time_and_the_tip_is_the_last_node():
+    """In one of four steps, and at one of twelve nodes."""
+    T = segment.motion(segment.MOTIONS[0], 4)
+    points, tip = segment.shape(baaij.robot(1), baaij.lemniscate(1, steps=4))
+    np.testing.assert_allclose(points, T[:, :: segment.EVERY, :3, 3], atol=1e-12)
+    points[2, -1, 1] += 6e-3
+    tip[2] = tip[2] @ Rotation.from_rotvec([0.0, 0.0, math.radians(4)]).as_matrix()
+    assert segment.shape_errors((points, tip), T) == pytest.approx(
+        {"tip_mm": 3.0, "orientation_deg": 2.0, "shape_mm": math.sqrt(36 / 4 / 12)}
     )
+
+
+def test_parts_are_off_by_their_tolerances():
+    """Each by twice the deviation; IMUs have deviations of 1, 1 and 6 degrees in the world and of 3 on the robot."""
+    robot, t, drawn = segment.built(ONE_DEVIATION, 2.0), Tolerances(), baaij.robot(1).sensors
+    for magnet, polarisation in ((robot.ring.magnets[0], 1450.0), (robot.cube.magnets[0], 1320.0)):
+        off = magnet.shape.polarisation_mt / polarisation - 1, math.asin(magnet.direction[0])
+        assert (*off, *magnet.place.position) == pytest.approx(
+            [2 * t.moments, 2 * t.magnet_tilt, *[2 * t.magnet_position] * 3]
+        )
+    for sensor, plan in zip(robot.ring.sensors, drawn, strict=True):
+        off = sensor.azimuth - plan.azimuth, sensor.radial / plan.radial - 1, sensor.tilt, sensor.gain - 1
+        assert off == pytest.approx(
+            [2 * t.sensor_azimuth, 2 * t.sensor_radius, 2 * t.sensor_tilt, 2 * t.sensor_gain]
+        )
+    np.testing.assert_allclose(robot.cube.sensors[0].gain, 1 + 2 * t.sensor_gain)
+    np.testing.assert_allclose(np.degrees(robot.world.as_rotvec()), [[2, 2, 12]] * 2)
+    np.testing.assert_allclose(np.degrees(robot.mounting.as_rotvec()), 6)
 
 
 def test_the_worst_sensor_is_the_one_whose_loss_costs_most():
@@ -221,6 +245,8 @@ def test_means_and_ratios_are_paired_over_the_robots():
     ratio = segment.ratios(table)
     assert ratio[["ratio", "low", "high"]].to_numpy().tolist() == [[0.5, 0.5, 0.5]]
     assert list(ratio["method"]) == ["ring"]
+    crossed = segment.ratios(table.assign(tip_mm=[3, 3, 3, 1, 1, 1, *[1] * 3, *[3] * 3]))
+    assert crossed["ratio"].item() == 1  # of the means, where the mean of the ratios is 5/3
     means = segment.mean_errors(table).set_index("method")
     assert means["tip_mm"].to_dict() == {"ring": 1.75, "2 IMUs": 3.5}
     # The mean of six has the standard deviation sqrt(35/12/6); normal quantiles are near enough.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -77,6 +78,34 @@ def test_the_grid_compares_with_three_sensors():
     np.testing.assert_allclose(six["ratio"], expected)
 
 
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        # Deviations of 1 and 7 are 5 in the root mean square: 50 and 25 % of the ranges 10 and 20.
+        (
+            lambda: sensor_count.bound_percent(
+                SimpleNamespace(linearise=lambda q: (q, np.stack([np.eye(2), np.eye(2) / 7]))),
+                np.array([[0.0, 0.0], [10.0, 20.0]]),
+                1.0,
+            ),
+            37.5,
+        ),
+        # From where on no error is above a tolerance.
+        (lambda: sensor_count._enough(np.array([5.0, 1.0, 3.0, 1.0]), 5.0), 1),
+        (lambda: sensor_count._enough(np.array([5.0, 1.0, 3.0, 1.0]), 1.0), 4),
+        (lambda: sensor_count._enough(np.array([5.0, 1.0, 3.0, 1.0]), 0.5), np.nan),
+    ],
+)
+def test_numbers_of_the_page_by_hand(found, expected):
+    assert found() == pytest.approx(expected, nan_ok=True)
+
+
+def test_errors_of_curves_are_root_mean_squares(curves, monkeypatch):
+    monkeypatch.setattr(sensor_count, "tip_errors", lambda *_: np.array([0.0, 0.0, 0.0, 8e-3]))
+    table = sensor_count.imu_errors(curves, LIMITS[1:], [2], [1.0], seed=0)
+    np.testing.assert_allclose(table[["rms_mm", "largest_mm"]], [[4, 8]] * 4)
+
+
 def test_the_bound_of_the_tip_is_that_of_the_check():
     robot = sensor_count.moved(0.040, 0.010)
     check = robot.check(samples=30)
@@ -97,6 +126,18 @@ def test_closer_sensors_feel_noise_less_and_tolerances_more():
     far, near = (row for _, row in sensor_count.places([55, 35], [13], samples=20).iterrows())
     assert near["noise_mm"] < far["noise_mm"] / 2
     assert near["off_mm"] > far["off_mm"]
+    check = sensor_count.moved(0.035, 0.013).check(samples=20)
+    assert near[2:].to_list() == pytest.approx([1e3 * np.median(x) for x in (check.tip, check.tip_as_built)])
+
+
+def test_errors_are_root_mean_squares_over_time_and_means_over_draws(monkeypatch):
+    """In the first of four steps the segment is straight, and the first of two draws makes it 8 mm longer there."""
+    found = np.repeat(baaij.lemniscate(1, steps=4)[:, None], 2, axis=1)
+    found[0, 0, 2] += 8e-3
+    fit = SimpleNamespace(q=found, details={"at_bound": np.zeros((4, 2), dtype=bool)})
+    monkeypatch.setattr(baaij, "least_squares", lambda *_: fit)
+    np.testing.assert_allclose(sensor_count.errors(1, 3, 0.01, drawn(4, 2, 3))["tip_mm"], [4, 0], atol=1e-9)
+    assert sensor_count.grid([1], [3], [0.01], 2, 4, 0)["tip_mm"].to_list() == pytest.approx([2])
 
 
 @pytest.mark.parametrize("above", [0.055, 0.035])

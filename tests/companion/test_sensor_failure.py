@@ -11,10 +11,11 @@ from repro_companion.papers import baaij
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_errors_of_a_constant_offset():
+def test_errors_are_root_mean_squares_before_and_after():
     q = np.linspace(0, 1, 11)[:, None] * [[1.0, 2.0, 4.0]]
     after = np.arange(11) >= 5
-    off = np.where(after[:, None], 0.2, 0.1)
+    off = np.zeros((11, 1))
+    off[0], off[5] = 0.1 * 5**0.5, 0.2 * 6**0.5  # in one of five steps, and in one of six
     errors = baaij.failure_errors({(0, "failure"): q + off, (0, "all sensors"): q + 0.1}, q, after)
     found = errors.set_index(["run", "part"])["error_percent"].sort_index()
     assert list(found["failure", "before"].round(9)) == [10, 5, 2.5]
@@ -37,10 +38,10 @@ def test_a_lost_sensor_costs_the_roots_of_one_two_and_three():
 def test_courses_hold_mean_and_deviation_over_seeds():
     q = baaij.lemniscate(3, steps=4)
     robot = baaij.robot(3, 4)
-    course = baaij.over_seeds(np.arange(4.0), robot.coordinates, q, np.stack([q, q + 2e-3]))
+    course = baaij.over_seeds(np.arange(4.0), robot.coordinates, q, np.stack([q, q, q + 3e-3]))
     assert list(course["name"]) == 4 * list(robot.coordinates)
     np.testing.assert_allclose(course["mean"] - course["truth"], 1e-3)
-    np.testing.assert_allclose(course["std"], np.sqrt(2) * 1e-3)
+    np.testing.assert_allclose(course["std"], np.sqrt(3) * 1e-3)
     assert baaij.over_seeds(np.arange(4.0), robot.coordinates, q, q[None])["std"].isna().all()
 
 

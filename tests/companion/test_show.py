@@ -99,11 +99,20 @@ def test_tables_need_a_checkout(tmp_path, monkeypatch):
         module.project_folder()
 
 
-def test_the_interval_of_a_ratio_is_paired():
-    truth = np.array([1.0, 2.0, 4.0, 8.0])
-    assert ratio_interval(1.5 * truth, truth).tolist() == [1.5, 1.5]
-    low, high = ratio_interval(truth[::-1], truth)
-    assert low < 1 < high
-    columns = np.stack([truth[::-1], 3 * truth], axis=1)
-    both = ratio_interval(columns, np.stack([truth, truth], axis=1))
-    np.testing.assert_allclose(both, [[low, 3], [high, 3]], rtol=1e-12)
+@pytest.mark.parametrize(
+    ("values", "reference", "expected"),
+    [
+        # Paired draws: what they have in common leaves no doubt of a ratio, not even in columns.
+        ([1.5, 3.0, 6.0, 12.0], [1.0, 2.0, 4.0, 8.0], [1.5, 1.5]),
+        ([[3.0, 3.0], [1.0, 6.0]], [[1.0, 1.0], [3.0, 2.0]], [[1 / 3, 3], [3, 3]]),
+        # One of 27 resamples has a draw of three alone, which is more than the fortieth left out at either end.
+        ([1.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0, 1]),
+        ([1.0, 1.0, 0.0], [1.0, 1.0, 1.0], [0, 1]),
+        # One of 98 resamples of five has two of them alone, which is less; the mean of ratios would be 4/5.
+        ([1.0, 1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 3.0, 3.0, 3.0], [0, 4 / 7]),
+    ],
+)
+def test_the_interval_of_a_ratio_is_paired_and_leaves_out_a_fortieth_at_either_end(
+    values, reference, expected
+):
+    np.testing.assert_allclose(ratio_interval(np.array(values), np.array(reference)), expected, rtol=1e-12)

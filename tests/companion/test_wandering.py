@@ -152,8 +152,9 @@ def test_minutes_add_up(run, found):
     table = wandering.by_minute(run, found)
     assert list(table["minute"]) == list(range(1, 10))
     assert table["iron_s"].sum() == 60
-    error = wandering.tip_errors(run, found)[0]
+    error, _, nees = wandering.tip_errors(run, found)
     assert (table["tip_rmse_percent"] ** 2).mean() == pytest.approx((error**2).mean())
+    assert table["nees"].mean() == pytest.approx(nees.mean())
     alarm = run.times[found.status == "left out"]
     assert table["flag_iron_s"].sum() == (alarm < run.iron_s[1]).sum()
     assert table["flag_else_s"].sum() == (alarm >= run.iron_s[1] + 15).sum()
@@ -177,3 +178,23 @@ def test_the_run_of_the_page_is_a_row_of_the_study():
     assert len(both) == 1
     for name in ("tip_rmse_percent", "nees"):
         np.testing.assert_allclose(both[name], both[f"{name}_study"], rtol=1e-3)
+
+
+MINUTES_OF_IRON = pd.DataFrame({
+    "twin": 1, "method": "fused", "minute": [1, 2, 3, 4], "tip_rmse_percent": [50.0, 0.0, 0.0, 3.0],
+    "nees": [50.0, 1.0, 2.0, 6.0], "iron_s": [0.0, 20.0, 40.0, 0.0], "flag_iron_s": [0.0, 5.0, 7.0, 0.0],
+    "flag_else_s": [1.0, 0.0, 0.0, 2.0],
+})  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        # A root mean square over the last three of four minutes.
+        (lambda: wandering.by_run(MINUTES_OF_IRON, last=3), [3**0.5, 3]),
+        # Errors count in the minute that has most of the iron, alarms in all.
+        (lambda: wandering.iron(MINUTES_OF_IRON), [0.0, 2.0, 12.0, 3.0]),
+    ],
+)
+def test_numbers_of_the_page_by_hand(found, expected):
+    assert found().iloc[0, 2:].to_list() == pytest.approx(expected)

@@ -28,7 +28,7 @@ from repro import (
     simulated_readings,
     track,
 )
-from repro.check import check_design, mirrored_chips
+from repro.check import _verdict, check_design, mirrored_chips
 from repro_board import cli
 
 from .robots import RELEASED
@@ -296,3 +296,31 @@ def test_a_reading_too_near_a_magnet_is_left_out_by_every_estimator_and_named():
         assert "left out, too close to a magnet: inside in 60 rows" in repr(found)
     with pytest.raises(InputError, match="inside of the robot must be farther from every magnet"):
         calibrate(robot, q[:30], u[:30])
+
+
+@pytest.mark.parametrize(("information", "undetermined"), [(1.0, 1), (2.0, 1), (8.0, 0)])
+def test_a_hinge_with_an_imu_has_its_numbers_in_closed_form(information, undetermined):
+    """A range of root 12 hundredths has a deviation of 0.01 rad, at 0.1 m 1 mm; readings may know more."""
+    box = {"lower": [-0.01 * np.sqrt(3)], "upper": [0.01 * np.sqrt(3)], "noise": 0.01 / np.sqrt(information)}
+    found = check_design(Robot([BallJoint("x"), Link(0.1)], imus=[Imu(2, 0.1, name="imu")], **box))
+    np.testing.assert_allclose(found.tip, 1e-3 / np.sqrt(information), rtol=1e-9)
+    np.testing.assert_allclose(found.tip_within_bounds, 1e-3 / np.sqrt(1 + information), rtol=1e-9)
+    assert found.spread == pytest.approx(1e-3, rel=0.1)
+    assert found.added == {"imu": pytest.approx(np.log(1 + information) / 2)}
+    assert len(found.undetermined) == undetermined  # from half of the deviation on
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [
+        ([0.29] * 20, "can work: the tip is known to ±29 mm, to ±29 mm in all but"),
+        ([0.31] * 20, "cannot work"),
+        (
+            [0.29] * 17 + [0.31] * 3,
+            "works in part of its workspace: the tip is known to ±29 mm, to ±31 mm in all but",
+        ),
+        (np.arange(101) / 400, "can work: the tip is known to ±12 mm, to ±24 mm in all but"),  # median, 95 %
+    ],
+)
+def test_a_design_works_below_three_tenths_of_what_the_bounds_leave(share, words):
+    assert words in _verdict(*[0.1 * np.array(share)] * 3, 0.1)[1]

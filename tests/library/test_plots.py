@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
@@ -179,7 +181,10 @@ def test_units_of_every_kind_of_coordinate():
     assert list(table)[4:10] == [
         "kappa_0_3_rad", "kappa_1_3_rad", "phi_3_deg", "delta_L_3_mm", "rotation_x_4_deg", "rotation_y_4_deg"
     ]  # fmt: skip
-    assert table.rotation_x_4_deg[0] == pytest.approx(np.degrees(0.5))
+    known = np.array([0.01, 0.0, 0.002, 1.0, 2.0, np.pi / 2, 0.003, np.pi, np.pi / 6])
+    stated = replace(shape, q=known[None], covariance=np.diag(known**2)[None]).to_frame().iloc[0]
+    for values in (stated.iloc[1:10], stated.iloc[10:19]):
+        np.testing.assert_allclose(values.tolist(), [10, 0, 2, 1, 2, 90, 3, 180, 30], rtol=1e-12)
     nameless = Trajectory(
         np.zeros(1), BENT[None], None, np.zeros((1, 7)), np.zeros(1), np.zeros(1), np.zeros(1)
     )

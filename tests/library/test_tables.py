@@ -651,3 +651,44 @@ def test_a_temperature_is_no_time(tmp_path):
 def test_the_table_says_where_its_cells_stand(tmp_path):
     table = read_table(written(tmp_path, "# one\n" + lines()))
     assert (table.columns, table.units, table.lines) == (tuple(HEADER[1:]), ("mT",) * 3, [3, 4, 5])
+
+
+@pytest.mark.parametrize(
+    ("field", "time"),
+    [
+        ((0.002, "T"), (3.0, "s")),
+        ((2.0, "mT"), (3.0, "sec")),
+        ((2e3, "uT"), (3e3, "ms")),
+        ((2e3, "µT"), (3e6, "us")),
+        ((2e6, "nT"), (3e9, "ns")),
+        ((20.0, "G"), (0.05, "min")),
+        ((20.0, "gauss"), (3.0, "seconds")),
+        ((2e4, "mG"), (3.0, "s")),
+    ],
+)
+def test_two_millitesla_after_three_seconds_in_every_unit(field, time):
+    """One gauss is a tenth of a millitesla."""
+    columns = {f"u{k} [{field[1]}]": [0.0, field[0]] for k in (1, 2, 3)}
+    readings = robot().readings(pd.DataFrame({f"time [{time[1]}]": [0.0, time[0]]} | columns))
+    np.testing.assert_allclose(
+        np.column_stack([readings.times, readings]), [[0] * 4, [3, 2, 2, 2]], rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "row", "expected"),
+    [
+        (["rotation_x_1_rad", "phi_2_rad", "delta_L_2_m"], [1.5, 1.5, 0.02], [1.5, 1.5, 0.02]),
+        (["rotation_x_1_deg", "phi_2_deg", "delta_L_2_cm"], [90.0, 180.0, 2.0], [np.pi / 2, np.pi, 0.02]),
+        (
+            ["rotation_x_1_deg", "phi_2_deg", "delta_L_2_mm"],
+            [-90.0, 18.0, 20.0],
+            [-np.pi / 2, np.pi / 10, 0.02],
+        ),
+    ],
+)
+def test_coordinates_in_every_unit(names, row, expected):
+    arm = Robot([repro.BallJoint("x"), repro.AffineCurvature(0.1)])
+    frame = pd.DataFrame([row], columns=names).assign(kappa_0_2_deg=180.0, kappa_1_2_rad=1.0)
+    q = configurations_of(arm, read_table(frame))
+    np.testing.assert_allclose(q, [[expected[0], np.pi, 1.0, *expected[1:]]], rtol=1e-12)

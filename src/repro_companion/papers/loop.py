@@ -71,18 +71,22 @@ def temporal_errors(
         fits = alone.step(alone.init(np.broadcast_to(start, (len(q), *start.shape))), u)[1]
         filtered = track(kalman, u, start, rate_hz=RATE_HZ, monitor=None)
         for method, found in zip(METHODS, (fits, filtered), strict=True):
-            C, error = np.asarray(found.covariance), found.q - q
-            distance = (error * np.linalg.solve(C, error[..., None])[..., 0]).sum(-1)
-            size = np.linalg.slogdet(2 * math.pi * C / np.outer(span, span))[1]
+            columns = temporal_scores(found.q - q, np.asarray(found.covariance), span)
             keys = {"n_b": n_segments, "trajectory": name, "method": method, "seed": list(seeds)}
-            columns = {
-                "error_percent": 100 * (np.sqrt((error**2).mean(0)) / span).mean(-1),
-                "covered_percent": 100 * (distance <= chi2.ppf(0.95, len(span))).mean(0),
-                "nees": distance.mean(0) / len(span),
-                "score": (distance + size).mean(0) / 2,
-            }
             lines.append(pd.DataFrame(keys | columns))
     return pd.concat(lines, ignore_index=True)
+
+
+def temporal_scores(error: np.ndarray, C: np.ndarray, span: np.ndarray) -> dict[str, np.ndarray]:
+    """Return scores by seed of errors ``[t, seed, n_q]`` with their covariances, relative to ranges ``[n_q]``."""
+    distance = (error * np.linalg.solve(C, error[..., None])[..., 0]).sum(-1)
+    size = np.linalg.slogdet(2 * math.pi * C / np.outer(span, span))[1]
+    return {
+        "error_percent": 100 * (np.sqrt((error**2).mean(0)) / span).mean(-1),
+        "covered_percent": 100 * (distance <= chi2.ppf(0.95, len(span))).mean(0),
+        "nees": distance.mean(0) / len(span),
+        "score": (distance + size).mean(0) / 2,
+    }
 
 
 def temporal_gains(table: pd.DataFrame) -> pd.DataFrame:

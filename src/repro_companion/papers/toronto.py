@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from scipy import stats
-from scipy.optimize import least_squares
+from scipy.optimize import brentq, least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import repro
@@ -26,6 +26,7 @@ from repro.common import bad_input, require
 from repro.estimators.kalman import smoothed
 from repro.estimators.rod import RodFilter
 from repro_companion.run import digest, project_folder, recordings_folder
+from repro_companion.show import number
 
 LENGTH = 0.466
 STATIONS = (0.1165, 0.233, 0.3495, 0.466)
@@ -46,8 +47,7 @@ WINDOWS_S = {
 """The part of each trial that the authors' program estimates and scores."""
 SAME = ("impulse_1", "fast_contact")
 """Two windows of one recording: their files are the same."""
-RECORDINGS = project_folder() / "data/recordings/continuum_robot"
-RELEASED = RECORDINGS / "released_estimates"
+RELEASED = project_folder() / "data/recordings/continuum_robot/released_estimates"
 """What the authors' released program made of these trials, run by us."""
 NEAR_S = 0.011
 """A reading of a tracker and a frame of the motion capture within this time belong together."""
@@ -306,23 +306,51 @@ def fast_tip(readings: Capture, parts: Sequence[tuple[np.ndarray, np.ndarray]], 
     return 1e3 * float(np.sqrt((error[fast] ** 2).sum(-1).mean())) if fast.any() else math.nan
 
 
-def scores(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Return squared errors in units of the stated covariance, all stations one after the other."""
+def scores(parts: Sequence[tuple[np.ndarray, np.ndarray]], added: float = 0.0) -> np.ndarray:
+    """Return squared errors in units of their covariance, all stations one after the other.
+
+    The covariance is the stated one and one of an error that is added, of one deviation [m] along every axis.
+    """
+    both = [(error, C + added**2 * np.eye(3)) for error, C in parts]
     return np.concatenate(
-        [np.einsum("ni,ni->n", e, np.linalg.solve(C, e[..., None])[..., 0]) for e, C in parts]
+        [np.einsum("ni,ni->n", e, np.linalg.solve(C, e[..., None])[..., 0]) for e, C in both]
     )
 
 
-def coverage(scored: dict[str, np.ndarray], level: float = 0.9) -> pd.DataFrame:
-    """Return how often bands hold the truth [%], as stated and widened by the factor that CHOOSING needs."""
+def coverage(found: dict[str, list[tuple[np.ndarray, np.ndarray]]], level: float = 0.9) -> pd.DataFrame:
+    """Return how often ellipsoids cover the truth [%] and how large they are [mm], as stated and widened, by trial.
+
+    What widens them is an error that is added to every position, the smallest with which they cover the level in
+    CHOOSING. Their size is the median of the shortest and of the longest semi-axis.
+    """
     edge = stats.chi2(3).ppf(level)
-    factor = np.quantile(scored[CHOOSING], level) / edge
-    return pd.DataFrame(
-        [
-            {"trial": name, "stated_percent": 100 * (s < edge).mean()}
-            | {"widened_percent": 100 * (s < factor * edge).mean(), "factor": math.sqrt(factor)}
-            for name, s in scored.items()
-        ]
+
+    def beyond(added: float) -> float:
+        return float(np.quantile(scores(found[CHOOSING], added), level) - edge)
+
+    needed, lines = brentq(beyond, 0.0, 2 * LENGTH) if beyond(0.0) > 0 else 0.0, []
+    for name, parts in found.items():
+        variances = np.concatenate([np.linalg.eigvalsh(C) for _, C in parts])
+        for ellipsoids, added in (("as stated", 0.0), ("widened", needed)):
+            covered = scores(parts, added) <= edge
+            axes = 1e3 * np.median(np.sqrt(edge * (variances + added**2)), axis=0)
+            lines.append(
+                {"trial": name, "ellipsoids": ellipsoids, "added_mm": 1e3 * added, "positions": len(covered)}
+                | {"covered_percent": 100 * covered.mean(), "shortest_mm": axes[0], "longest_mm": axes[-1]}
+            )
+    return pd.DataFrame(lines)
+
+
+def coverage_in_words(table: pd.DataFrame) -> str:
+    """Return how large ellipsoids are and how often they cover the truth, in some lines of a table of coverage."""
+    smallest, largest = (number(x, 1) for x in (table["shortest_mm"].min(), table["longest_mm"].max()))
+    covered, share = (
+        np.average(table["covered_percent"], weights=table["positions"]),
+        table["covered_percent"],
+    )
+    return (
+        f"ellipsoids with semi-axes of {smallest} to {largest} mm cover {covered:.0f} % of the positions"
+        f" ({share.min():.0f} to {share.max():.0f} % by trial and estimator)"
     )
 
 
