@@ -439,7 +439,8 @@ def _by_motion(robot: Any, u: Array) -> tuple[str, Calibration]:
         raise bad_input("readings", owner, expected, seen)
     moved = placed(robot, dict(zip(changes, estimate.tolist(), strict=True)))
     quality = (spread, len(u), math.sqrt(first), math.sqrt(spread))
-    found = Calibration(moved, robot, tuple(changes), estimate, deviation, tolerance, C, *quality)
+    exact = np.zeros([sum(sensor.axes for sensor in robot.sensors)] * 2)
+    found = Calibration(moved, robot, tuple(changes), estimate, deviation, tolerance, C, *quality, exact)
     lines = [
         f"{len(u)} rows of readings in motion; {(fit > gate).sum()} do not fit (spikes, failures) and are left out."
     ]
