@@ -44,7 +44,7 @@ _CALM = 2
 """Rows that fit before all readings count again."""
 _EXPLAINED, _FITS = 1e-3, 3e-3
 """A fit explains a row, or a sum of rows, unless chance exceeds its residuals more rarely than this."""
-_MUCH_BETTER, _DECISIVE = 25.0, 50.0
+_MUCH_BETTER, _DECISIVE = 25.0, 40.0
 """How much lower chi-square is from a better start, or in favour of the part that was left out before; and how much
 lower it is without the part at fault than without another one."""
 _HEAVIEST, _KEEP = 300.0, 0.99
@@ -117,11 +117,10 @@ class Monitor:
     the robot. Where there is none, every reading is its own.
 
     A part whose readings stay the same, bit for bit, for more than 0.5 s and at least 20 rows, is named and left out,
-    unless their noise is below their resolution. A frame that equals the one before, bit for bit, adds nothing; nor
-    does one that equals any of the last sixteen, if the one before it was old, too. The covariance then grows with
-    the time since the last new frame. If there was none for so long, the board repeats itself and the row is
-    *frozen*. A row is *undetermined* if it has fewer readings than unknowns and no motion model helps, or none at
-    all.
+    unless their noise is below their resolution. A frame that equals one of the last sixteen, bit for bit, adds
+    nothing: its covariance grows with the time since the last new frame. If there was none for so long, the board
+    repeats itself and the row is *frozen*. A row is *undetermined* if it has fewer readings than unknowns and no
+    motion model helps, or none at all.
 
     Parameters
     ----------
@@ -225,13 +224,11 @@ class Monitor:
             return now, found
         return self._doubted(state, now, u, bad, same, few, stuck)
 
-    @staticmethod
-    def _again(state: MonitorState, u: Array, bits: Any, again: Any, t: float) -> tuple[Any, Any, Any]:
+    def _again(self, state: MonitorState, u: Array, bits: Any, again: Any, t: float) -> tuple[Any, Any, Any]:
         """Return which frames add nothing, how many rows in a row were old, and when the last new one came."""
         last = bits == state.frames[-1] if u.ndim == 1 else (bits == state.frames[-1]).all(-1)
-        again = np.logical_and(again, ~np.isnan(u).all(-1))
-        old = np.where(again, state.old + 1, 0)
-        return again & (last | (old > 1)), old, np.where(again, state.since, t)
+        same = again & (last | self._jitters.any()) & ~np.isnan(u).all(-1)
+        return same, np.where(same, state.old + 1, 0), np.where(same, state.since, t)
 
     def _still(self, state: MonitorState, u: Array, t: float, same: Any) -> Any:
         """Return for how many rows each reading has not changed and since when, or nothing if all of them change."""
