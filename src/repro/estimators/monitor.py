@@ -178,7 +178,7 @@ class Monitor:
         alone, same, old, since = u.ndim == 1, None, 0, t
         bits: Any = u.tobytes() if alone else u.view(np.int64)
         if state.steps and known is None:
-            again = bits in state.frames if alone else (bits == state.frames).all(-1).any(0)
+            again: Any = bits in state.frames if alone else (bits == state.frames).all(-1).any(0)
             if again if alone else again.any():
                 same, old, since = self._again(state, u, bits, again, t)
         still, stuck = state.still, None
@@ -480,6 +480,6 @@ def _chosen(condition: Array, x: Any, y: Any) -> Any:
     return _each(where, y, x)
 
 
-def _grown(estimate: Estimate, added: Any, factor: float = 1.0) -> Estimate:
+def _grown(estimate: Estimate, added: Any, factor: Any = 1.0) -> Estimate:
     C: Any = estimate.covariance
     return estimate._replace(covariance=factor * C + added)
