@@ -151,6 +151,16 @@ def test_a_slow_drift_is_named_and_its_alarm_ends_with_it(method):
     assert alarm[-1] < 920 + 100
 
 
+@pytest.mark.parametrize(("since", "named"), [(0, set()), (60, {(6,)})])
+def test_a_small_error_names_a_sensor_only_if_the_readings_fitted_before(since, named):
+    """An error that is there from the start may be one of the model."""
+    times, _, u = moving(rows=400)
+    u[since:, 6] += 0.012
+    found = track(METHODS["least squares"], u, times=times)
+    assert (found.status[since + 10 :] != "consistent").mean() > 0.9
+    assert {tuple(np.flatnonzero(row)) for row in found.suspects if row.any()} == named
+
+
 @pytest.mark.parametrize("fault", ["unplugged", "stuck", "scaled", "drifting"])
 def test_a_sensor_that_fails_is_named_and_left_out(method, fault):
     sent = faulty(U, fault, 4, 60, 5e-3 if fault == "drifting" else None)

@@ -52,9 +52,10 @@ _HEAVIEST, _KEEP = 300.0, 0.99
 _ENOUGH, _STRONG = 40.0, 400.0
 """Degrees of freedom before a part is named; least chi-square of a row, times the degrees of freedom that are left
 without the part, before readings are left out. What all sensors share looks like one of them if it is smaller."""
-_PROOF, _PROOF_OF_TWO = 3000.0, 10000.0
+_PROOF, _PROOF_OF_TWO, _FITTED = 3000.0, 10000.0, 50
 """By how much leaving a part out lowers the sum of chi-square before a small fault is believed, too: what all sensors
-share then changes as the robot moves, and no longer looks like one of them. And before one of two parts is named."""
+share then changes as the robot moves, and no longer looks like one of them. And before one of two parts is named. And
+after how many rows without an alarm: errors of a model are there from the start, also where the robot is at rest."""
 _SPEED = 0.5
 """Standard deviation of a velocity where no motion model says another one [widths of the bounds per second]."""
 _FROZEN_S, _FROZEN_ROWS = 0.5, 20
@@ -364,7 +365,7 @@ class Monitor:
         case = case._replace(bank=bank, against=against, dof=freedom)
         ok = self._explain(case, u)
         proof = case.against[0] - case.against[1:][ok].min(initial=case.against[0])
-        strong = strong or proof >= _PROOF
+        strong = strong or (case.since >= _FITTED and proof >= _PROOF)
         fresh = np.full(len(none), began and not self.needs_time)
         if odd and not ok.any() and (new or row >= case.look):
             case = case._replace(look=row + case.wait, wait=min(2 * case.wait, _LONGEST))
