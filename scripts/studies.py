@@ -154,6 +154,7 @@ def table_1_noise() -> pd.DataFrame:
 
 
 RATES_HZ = {"two_segments": 100.0, "one_segment": 40.0, "four_chips": 25.0}
+METHODS = {"levenberg_marquardt": repro.LevenbergMarquardt, "kalman": repro.KalmanFilter}
 FAULTS = {
     "no reading": "missing",
     "unplugged": "unplugged",
@@ -161,8 +162,16 @@ FAULTS = {
     "saturated": "saturated",
     "gain +5 %": "scaled",
 }
-SCENARIOS = ("none", "start bent", "jump", *FAULTS, "magnet near", "noise x 5")
-FAULT_S, LONG_S = 2.0, 6.0
+OF_ONE = (*FAULTS, "offset 50 uT", "drift 2 uT/s", "glitches", "clipped")
+"""Faults of one part: with an offset, with an error that grows, with an impossible value in a twentieth of the rows,
+and never above the median of what it read."""
+SCENARIOS = ("none", "start bent", "jump", *OF_ONE, "magnet near", "noise x 5")
+HOUR = "an hour without a fault"
+FAULT_S, LASTS_S, AFTERWARDS_S = 2.0, 4.0, 2.0
+"""A fault begins, lasts and is over again [s]; a drift ends 10 s after it has passed ten standard deviations."""
+LARGE, SOON_S, SOON_OF_A_DRIFT_S, OVER_S = 10.0, 1.0, 5.0, 1.0
+"""Size of a change of a reading [standard deviations] after which there is to be an alarm so soon, and time after a
+fault until there is none [s]."""
 PATIENCE_S, PATIENCE = 0.25, 10
 """Time and rows within which a fault is to be noticed: the larger of the two."""
 TIMES, SEEN, CLEAR = 3.0, 5.0, 30.0
@@ -171,48 +180,90 @@ deviations of what no configuration explains, to be noticed and to be named."""
 
 
 def alarms() -> pd.DataFrame:
-    """Return what the monitor says of faults of emulated robots: twenty minutes.
+    """Return what the monitor says of faults of emulated robots: ten minutes.
 
-    One row for each robot, estimator and scenario; numbers of rows after the fault, unless they count trials.
+    One row for each robot, estimator and scenario; numbers of rows during the fault, unless they count trials. A row
+    that is finished stands in runs/alarms and is not computed again.
     """
-    trials, seed = 20, 3000  # the monitor was set on those from 1000 to 1011
-    cases = [
-        (robot, k, s) for robot in RATES_HZ for k in ("levenberg_marquardt", "kalman") for s in SCENARIOS
-    ]
-    tasks = [delayed(alarm_trial)(*case, seed + k) for case in cases for k in range(trials)]
-    counts = pd.DataFrame(Parallel(n_jobs=-1, verbose=5)(tasks))
-    sums: Any = counts.groupby(np.repeat(np.arange(len(cases)), trials)).sum()
-    table = pd.DataFrame(cases, columns=["robot", "estimator", "scenario"]).assign(trials=trials)
-    table = pd.concat([table, sums], axis=1)
-    table.attrs = {"rates_hz": RATES_HZ, "estimators": ["levenberg_marquardt", "kalman"]}
-    table.attrs |= {"scenarios": list(SCENARIOS), "trials": trials, "seed": seed}
+    trials, seed = 20, 3000  # the monitor was set on those from 1000 to 1023
+    folder, parts = project_folder() / "runs" / "alarms", []
+    folder.mkdir(parents=True, exist_ok=True)
+    for case in product(RATES_HZ, METHODS, (*SCENARIOS, HOUR)):
+        path = folder / ("-".join(case).replace("/", " per ") + ".csv")
+        if not path.is_file():
+            run = alarm_hour if case[-1] == HOUR else alarm_trial
+            counts = pd.DataFrame([run(*case, seed + k) for k in range(trials)])
+            partial = path.with_suffix(".partial")
+            counts.sum().to_frame().T.to_csv(partial, index=False)
+            partial.replace(path)
+        row = pd.read_csv(path).assign(robot=case[0], estimator=case[1], scenario=case[2], trials=trials)
+        parts.append(row)
+        print(f"{len(parts)} {', '.join(case)}", file=sys.stderr)
+    table = pd.concat(parts, ignore_index=True)
+    first = ["robot", "estimator", "scenario", "trials"]
+    table = table[first + [name for name in parts[0] if name not in first]]
+    table[table.columns[3:]] = table[table.columns[3:]].fillna(0).astype(int)
+    table.attrs = {"rates_hz": RATES_HZ, "estimators": list(METHODS), "scenarios": list(SCENARIOS)}
+    table.attrs |= {"trials": trials, "seed": seed, "fault_s": FAULT_S, "lasts_s": LASTS_S}
     return table
 
 
+def alarm_robot(name: str) -> Any:
+    """Return an emulated robot by its name."""
+    if name == "four_chips":
+        return repro.load_robot(repro.example() / "robot.toml")
+    return repro.load_robot(project_folder() / "data" / "robots" / f"{name}.toml")
+
+
+def alarm_hour(name: str, estimator: str, _: str, seed: int) -> dict[str, Any]:
+    """Count alarms in three minutes of readings without a fault: twenty of them are an hour."""
+    robot, rate_hz = alarm_robot(name), RATES_HZ[name]
+    times = np.arange(round(180 * rate_hz)) / rate_hz
+    u = repro.simulated_readings(robot, course(robot, times, seed=seed), robot.earth)
+    u += robot.noise * np.random.default_rng([seed, 3]).standard_normal(u.shape)
+    found = track(METHODS[estimator](robot), u, robot.start, times=times)
+    alarm = found.status != "consistent"
+    return {"alarms": alarm.sum(), "named": found.suspects.any(), "readings": len(u)}
+
+
+def failing(
+    robot: Any, scenario: str, times: np.ndarray, q: np.ndarray, during: np.ndarray, seed: int
+) -> Any:
+    """Return readings with noise ``[t, s]``, without and with a fault, and the number of the part that fails."""
+    rng, part = np.random.default_rng([seed, 1]), seed % len(robot.part_names)
+    sound = repro.simulated_readings(robot, q, robot.earth)
+    sound += robot.noise * rng.standard_normal(sound.shape)
+    sent, since, columns = sound.copy(), int(np.argmax(during)), robot.parts == part
+    wrong: Any = sound.copy()
+    if scenario in FAULTS:
+        wrong = faulty(sound, FAULTS[scenario], columns, since)
+    elif scenario == "offset 50 uT":
+        wrong[:, columns] += 0.05
+    elif scenario == "drift 2 uT/s":
+        wrong[:, columns] += 2e-3 * (times - times[since])[:, None]
+    elif scenario == "glitches":
+        wrong[np.ix_(rng.random(len(times)) < 0.05, columns)] = 32.767
+    elif scenario == "clipped":
+        wrong[:, columns] = np.minimum(sound, np.median(sound, axis=0))[:, columns]
+    elif scenario == "magnet near":
+        wrong += foreign_field(robot, q)
+    elif scenario == "noise x 5":
+        wrong += robot.noise * np.sqrt(24) * rng.standard_normal(sound.shape)
+    sent[during] = wrong[during]
+    return sound, sent, part
+
+
 def alarm_trial(name: str, estimator: str, scenario: str, seed: int) -> dict[str, Any]:
-    """Let an emulated robot move, let a part of it fail, and count what the monitor says."""
-    file = (
-        repro.example() / "robot.toml"
-        if name == "four_chips"
-        else project_folder() / "data" / "robots" / f"{name}.toml"
-    )
-    robot: Any = repro.load_robot(file)
-    rate_hz = RATES_HZ[name]
-    times = np.arange(round(LONG_S * rate_hz)) / rate_hz
-    after, part = times >= FAULT_S, seed % len(robot.part_names)
+    """Let an emulated robot move, let a part of it fail for a while, and count what the monitor says."""
+    robot, rate_hz, drifts = alarm_robot(name), RATES_HZ[name], scenario.startswith("drift")
+    lasts_s = LARGE * robot.noise.max() / 2e-3 + 10.0 if drifts else LASTS_S
+    times = np.arange(round((FAULT_S + lasts_s + AFTERWARDS_S) * rate_hz)) / rate_hz
+    after, over = times >= FAULT_S - 1e-9, times >= FAULT_S + lasts_s - 1e-9
+    during = after & ~over
     q = course(robot, times + 20.0 * (scenario == "start bent"), seed=seed)
     if scenario == "jump":
         q[after] = course(robot, times[after] + 40.0, seed=seed)
-    rng = np.random.default_rng([seed, 1])
-    sound = repro.simulated_readings(robot, q, robot.earth)
-    sound += robot.noise * rng.standard_normal(sound.shape)
-    sent = sound.copy()
-    if scenario in FAULTS:
-        sent = faulty(sent, FAULTS[scenario], robot.parts == part, int(np.argmax(after)))
-    elif scenario == "magnet near":
-        sent[after] += foreign_field(robot, q[after])
-    elif scenario == "noise x 5":
-        sent[after] += robot.noise * np.sqrt(24) * rng.standard_normal(sent[after].shape)
+    sound, sent, part = failing(robot, scenario, times, q, during, seed)
 
     moves = robot.upper > robot.lower
     J = robot.sensing().linearise(q)[1][..., moves] / robot.noise[:, None]
@@ -220,26 +271,30 @@ def alarm_trial(name: str, estimator: str, scenario: str, seed: int) -> dict[str
     spread = G[..., moves] @ np.linalg.inv(np.swapaxes(J, 1, 2) @ J) @ np.swapaxes(G[..., moves], 1, 2)
     interval = 1.96 * np.sqrt(np.trace(spread, axis1=1, axis2=2))
     added = (sent - sound) / robot.noise
+    large = np.flatnonzero((np.abs(np.nan_to_num(added)) > LARGE).any(axis=1))
     J = np.where(np.isnan(added)[..., None], 0.0, J)
     added = np.nan_to_num(added)[..., None]
     signal = np.linalg.norm(added - J @ (np.linalg.pinv(J) @ added), axis=(1, 2))
 
-    method = (repro.LevenbergMarquardt if estimator == "levenberg_marquardt" else repro.KalmanFilter)(robot)
+    method = METHODS[estimator](robot)
     runs: Any = (track(method, sent, robot.start, times=times, monitor=m) for m in (None, "auto"))
     bare, found = runs
     off, wrong = (
-        after & (np.linalg.norm(robot.tip(shape.q)[:, :3, 3] - tip, axis=-1) > TIMES * interval)
+        during & (np.linalg.norm(robot.tip(shape.q)[:, :3, 3] - tip, axis=-1) > TIMES * interval)
         for shape in (bare, found)
     )
     e, C = (found.q - q)[:, moves, None], found.covariance[:, moves][:, :, moves]
     holds = (np.swapaxes(e, 1, 2) @ np.linalg.solve(C, e))[:, 0, 0] <= stats.chi2.isf(0.05, moves.sum())
     patience = max(PATIENCE, int(np.ceil(PATIENCE_S * rate_hz)))
     due, clear = (lasting(off & (signal > size), patience) for size in (SEEN, CLEAR))
-    alarm, named = found.status != "consistent", after & found.suspects.any(axis=-1)
+    alarm, some = found.status != "consistent", after & found.suspects.any(axis=-1)
+    named, alone = some & during, found.suspects.sum(axis=-1) == 1
     right, trusted = (
         named & found.suspects[:, part],
-        after & np.isin(found.status, ["consistent", "left out"]),
+        during & np.isin(found.status, ["consistent", "left out"]),
     )
+    soon = after & (times <= times[large[:1]].sum() + (SOON_OF_A_DRIFT_S if drifts else SOON_S))
+    first = int(np.argmax(some))
     return {
         "without": off.sum(),
         "wrong": wrong.sum(),
@@ -252,11 +307,17 @@ def alarm_trial(name: str, estimator: str, scenario: str, seed: int) -> dict[str
         "named_right": named.any() and right[np.flatnonzero(named)[-1]],
         "named_readings": named.sum(),
         "named_readings_right": right.sum(),
-        "alarms": (alarm & after).sum(),
+        "alarms": (alarm & during).sum(),
         "alarms_before": (alarm & ~after).sum(),
         "trusted": trusted.sum(),
         "trusted_hold": (trusted & holds).sum(),
-        "readings": after.sum(),
+        "readings": during.sum(),
+        "large": len(large) > 0,
+        "alarm_soon": len(large) > 0 and (alarm & soon).any(),
+        "named_soon": len(large) > 0 and (named & alone & right & soon).any(),
+        "some": some.any(),
+        "first_right": some.any() and alone[first] and found.suspects[first, part],
+        "ended": not (alarm & (times >= FAULT_S + lasts_s + OVER_S)).any(),
     }
 
 

@@ -189,7 +189,7 @@ def suspicions(shape: Trajectory) -> list[str]:
     words = {
         "inconsistent": "the readings do not fit together, and no single sensor explains it "
         "(unit, order or sign of the columns wrong, or not calibrated?)",
-        "frozen": "the board repeats itself: all readings stay the same",
+        "frozen": "the board repeats itself: all readings are old",
         "undetermined": "there are fewer readings than unknowns",
     }
     lines = [f"In {counts[name]} of {n} rows {text}." for name, text in words.items() if counts[name]]

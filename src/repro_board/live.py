@@ -325,7 +325,7 @@ def _alarms(session: Session) -> list[str]:
     words = {
         LEFT_OUT: f"What {who or 'a sensor'} reads does not fit the other readings and is left out{leave}.",
         INCONSISTENT: f"Do not trust the shape: it does not explain the readings. The cause may be {who or causes}.",
-        FROZEN: "Do not trust the shape: the board repeats itself, all its readings stay the same.",
+        FROZEN: "Do not trust the shape: the board repeats itself, all its readings are old.",
         UNDETERMINED: "Do not trust the shape: there are fewer readings than unknowns.",
     }
     there = np.bincount(follower.robot.parts, np.isfinite(last[1]), len(names)) > 0

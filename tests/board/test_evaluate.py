@@ -234,7 +234,7 @@ def test_residuals_of_a_calibration_are_root_mean_squares():
     off = {"sensor 1 offset": 3.0, "sensor 2 offset": 4.0}
     found = Calibration(
         placed(robot, off), robot, tuple(off), np.array([3.0, 4.0]), np.array([0.95, 0.1]), np.ones(2), np.eye(2),
-        1.0, 9, 1.0, 1.0,
+        1.0, 9, 1.0, 1.0, np.zeros((2, 2)),
     )  # fmt: skip
     q = shapes(robot, np.arange(9.0))
     text = evaluate._calibration_report(found, q, robot.sensing()(q))

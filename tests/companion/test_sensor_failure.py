@@ -67,3 +67,22 @@ def test_alarms_are_shares_of_the_study():
     shares = baaij.alarms(study)
     pd.testing.assert_frame_equal(shares, expected, rtol=1e-8, check_dtype=False)
     assert (shares["alarm_right_percent"] <= shares["alarm_percent"]).all()
+
+
+def test_the_words_about_alarms_are_those_of_the_study():
+    study = (
+        pd.read_csv(ROOT / "data" / "studies" / "alarms.csv")
+        .set_index(["robot", "estimator", "scenario"])
+        .sort_index()
+    )
+    share = study["alarms"] / study["readings"]
+    squares, kalman = (share["one_segment", name] for name in ("levenberg_marquardt", "kalman"))
+    assert squares["no reading"] == 1
+    assert kalman["no reading"] == 0
+    assert min(x[fault] for x in (squares, kalman) for fault in ("unplugged", "stuck")) > 0.5
+    assert squares["gain +5 %"] < 0.05 < 0.3 < kalman["gain +5 %"] < 0.4
+    jumps = study["alarms"].xs("jump", level="scenario").unstack("estimator")
+    assert (jumps == [study["trials"].iloc[0], 0]).all(axis=None)  # one reading of each, and none
+    eight = study.loc["two_segments"]
+    assert (eight["noticed"] == eight["due"]).all()
+    assert (study["alarms_before"] == 0).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from repro import (
     smooth,
     track,
 )
+from repro.estimators.base import CallableModel
 from repro.estimators.monitor import STATUS, Monitor, _limit
 from repro.estimators.rod import Rod, RodFilter, RodSensor
 from repro_board.emulate import course, faulty
@@ -72,6 +74,91 @@ def test_sixty_thousand_good_rows_give_no_alarm():
     fit = LevenbergMarquardt(lambda q: q @ A.T, [-9.0] * 3, [9.0] * 3, noise=0.1)
     u = 0.1 * np.random.default_rng(1).normal(size=(300, 200, 7))
     assert set(track(fit, u, np.zeros(3)).status.ravel()) == {"consistent"}
+
+
+LINE = np.linalg.qr(np.random.default_rng(0).normal(size=(7, 7)))[0]
+
+
+def followed(squares):
+    """A linear model of three coordinates and seven readings, whose chi-square is as given, row by row."""
+    fit = LevenbergMarquardt(lambda q: q @ LINE[:, :3].T, [-9.0] * 3, [9.0] * 3, noise=1.0)
+    q = np.sin(np.arange(len(squares))[:, None] / 9 + np.arange(3))
+    return track(fit, q @ LINE[:, :3].T + np.sqrt(squares)[:, None] * LINE[:, 3], np.zeros(3))
+
+
+def test_a_row_gives_an_alarm_just_above_the_bound_of_once_in_a_hundred_million():
+    bound = 4 + 2 * np.sqrt(4 * np.log(1e8)) + 2 * np.log(1e8)
+    assert list(followed(np.array([0.99 * bound])).status) == ["consistent"]
+    assert list(followed(np.array([1.01 * bound])).status) == ["inconsistent"]
+
+
+@pytest.mark.parametrize(("before", "then"), [(1.6, 1.6), (2.2, 2.2), (0.9, 4.0)])
+def test_small_errors_that_last_give_an_alarm_when_sums_over_ten_or_a_hundred_rows_say_so(before, then):
+    squares = 4 * np.repeat([before, then], [300, 60])
+    above = np.zeros(360, dtype=bool)
+    for rows in (10, 100):
+        weights = (1 - 1 / rows) ** np.arange(360.0)
+        chi2, dof = (np.convolve(x, weights)[:360] for x in (squares, np.full(360, 4.0)))
+        above |= chi2 > _limit(dof, 18.4)
+    assert np.argmax(followed(squares).status == "inconsistent") == np.argmax(above) > 0
+
+
+def test_the_covariance_grows_by_small_errors_that_last():
+    found = followed(np.full(400, 4 * 2.2))
+    assert set(found.status[100:]) == {"inconsistent"}
+    np.testing.assert_allclose(found.details["growth"][100:], 2.2, rtol=0.01)
+
+
+def test_the_covariance_grows_by_what_is_not_decided():
+    """Two readings of a coordinate contradict each other, so it may be where either of them says."""
+    A = np.array([[1.0, 0], [1, 0], [0, 1], [0, 1], [0, 1]])
+    fit = LevenbergMarquardt(lambda q: q @ A.T, [-9.0] * 2, [9.0] * 2, noise=0.01)
+    u = np.sin(np.arange(80) / 9 + np.arange(2)[:, None]).T @ A.T
+    u[20:, 0] += 1.0
+    found = track(fit, u, np.zeros(2))
+    assert not found.suspects[:, 2:].any()
+    std = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))[30:]
+    np.testing.assert_allclose(std[:, 0], np.sqrt(0.5), rtol=0.01)  # none, or a whole unit, from where it is
+    assert (std[:, 1] < 0.01).all()
+
+
+def test_what_is_not_decided_of_an_angle_goes_the_shorter_way_round():
+    def readings(q):
+        return np.concatenate([10 * np.sin(q), 10 * np.sin(q), np.cos(q), np.cos(q)], axis=-1)
+
+    turning: Any = CallableModel(readings, np.zeros(1), np.ones(1), "turning")
+    turning.angles, turning.n_q = np.array([True]), 1
+    turning.wrapped = lambda q: (q + np.pi) % (2 * np.pi) - np.pi
+    fit = LevenbergMarquardt(turning, [-np.pi], [np.pi], noise=0.01)
+    angle = np.pi - 0.02 + 1e-3 * np.sin(np.arange(40.0))[:, None]
+    u = turning(angle)
+    u[20:, 0] = -u[20:, 0]
+    found = track(fit, u, [3.1])
+    assert "inconsistent" in found.status[20:]
+    assert (np.sqrt(found.covariance[20:, 0, 0]) < 0.1).all()
+
+
+def test_a_slow_drift_is_named_and_its_alarm_ends_with_it(method):
+    """2 uT/s: five seconds after it has passed ten standard deviations the sensor has long been named."""
+    times, _, u = moving(rows=1050)
+    passed = 20 + int(10 * TWO.noise[6] / 2e-5)
+    u[20:920, 6] += 2e-5 * np.arange(900)
+    found = track(method, u, times=times)
+    alarm = np.flatnonzero(found.status != "consistent")
+    assert 20 < alarm[0] < passed
+    assert {tuple(np.flatnonzero(row)) for row in found.suspects if row.any()} == {(6,)}
+    assert found.suspects[passed + 500 : 920, 6].all()
+    assert alarm[-1] < 920 + 100
+
+
+@pytest.mark.parametrize(("since", "named"), [(0, set()), (60, {(6,)})])
+def test_a_small_error_names_a_sensor_only_if_the_readings_fitted_before(since, named):
+    """An error that is there from the start may be one of the model."""
+    times, _, u = moving(rows=400)
+    u[since:, 6] += 0.012
+    found = track(METHODS["least squares"], u, times=times)
+    assert (found.status[since + 10 :] != "consistent").mean() > 0.9
+    assert {tuple(np.flatnonzero(row)) for row in found.suspects if row.any()} == named
 
 
 @pytest.mark.parametrize("fault", ["unplugged", "stuck", "scaled", "drifting"])
@@ -155,8 +242,41 @@ def test_a_board_that_repeats_itself_is_told(rate, first):
     for method in METHODS.values():
         found = track(method, u, times=times)
         assert list(np.flatnonzero(found.status == "frozen")) == list(range(60 + first, 290))
-        std = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2))
-        assert std[-1] > 3 * std[60]
+
+
+def holds(found, q):
+    """Whether the covariance holds the truth, but for one row in a thousand."""
+    off = (found.q - q)[..., None]
+    squared = (np.swapaxes(off, 1, 2) @ np.linalg.solve(found.covariance, off))[:, 0, 0]
+    return squared < stats.chi2.isf(1e-3, off.shape[1])
+
+
+@pytest.mark.parametrize("frames", [1, 2, 8, 16])
+def test_old_frames_in_turn_are_a_frozen_board_whose_deviation_grows_and_holds_the_truth(method, frames):
+    old = U.copy()
+    old[60:] = U[60 - frames + np.arange(140) % frames]
+    found = track(method, old, times=TIMES)
+    assert set(found.status[:60]) == {"consistent"}
+    assert list(np.flatnonzero(found.status == "frozen")) == list(range(60 + 50, 200))
+    std = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2))
+    assert (np.diff(std[60:]) > 0).all()
+    assert holds(found, Q)[60:].all()
+
+
+def test_frames_in_turn_of_coarse_sensors_are_new():
+    places = [replace(sensor, resolution=0.01) for sensor in TWO.sensors]
+    u = np.repeat(U[:1].round(2), 100, axis=0)
+    u[1::2, 0] += 0.01
+    found = track(KalmanFilter(TWO.replaced(sensors=places)), u, times=TIMES[:100])
+    assert set(found.status) == {"consistent"}
+    assert (found.missing == 0).all()
+
+
+def test_least_squares_on_a_frozen_board_adds_the_square_of_half_a_width_a_second():
+    line = LevenbergMarquardt(lambda q: q * np.ones(4), [-1.0], [3.0], noise=0.001)
+    found = track(line, np.full((60, 4), 0.5), [0.5], rate_hz=20.0)
+    moved = 0.5 * 4.0 * np.arange(60) / 20
+    np.testing.assert_allclose(found.covariance[:, 0, 0], 0.001**2 / 4 + moved**2, rtol=1e-9)
 
 
 @pytest.mark.parametrize("resolution", [0.0, 7.0e-4, 7.2e-4, 0.1])

@@ -11,8 +11,9 @@ also holds for fading sums over about ten and about a hundred past rows, which s
 
 When a row does not fit, the estimator is stepped again without each part in turn (a sensor, a chip, an IMU), all as
 one batch. These fits go on from row to row while the alarm lasts, and what speaks against each adds up. If the rest
-fits without one part, its readings are left out, and the part is named once that is decided. If nothing fits, a fit
-from another start may. Otherwise the covariance grows by :math:`\chi^2/\nu`.
+fits without one part, and the fault is large or its proof has added up, its readings are left out, and the part is
+named once that is decided. If nothing fits, a fit from another start may. Otherwise the covariance grows by
+:math:`\chi^2/\nu`.
 """
 
 from __future__ import annotations
@@ -37,22 +38,31 @@ _RARE, _STRICT = 18.4, 4.6
 _TWICE, _ROOT = 2 * _RARE, 2 * _RARE**0.5
 _FADE, _FADE_SLOWLY = 0.1, 0.01
 """What every row takes from the sums of the rows before it."""
+_SWOLLEN = 1.1
+"""Most that the slow sum is beyond what it holds on average, in units of its bound, so that an alarm ends soon."""
 _WINDOW, _FORGOTTEN, _LONGEST = 10, 1000, 160
 """Rows that are gone through again when an alarm begins; that an alarm is remembered; between two looks elsewhere."""
 _CALM = 2
 """Rows that fit before all readings count again."""
 _EXPLAINED, _FITS = 1e-3, 3e-3
 """A fit explains a row, or a sum of rows, unless chance exceeds its residuals more rarely than this."""
-_MUCH_BETTER, _DECISIVE = 25.0, 100.0
-"""How much lower chi-square is from a better start, and without the part at fault than without another one."""
+_MUCH_BETTER, _DECISIVE = 25.0, 40.0
+"""How much lower chi-square is from a better start, or in favour of the part that was left out before; and how much
+lower it is without the part at fault than without another one."""
 _HEAVIEST, _KEEP = 300.0, 0.99
 """Most that a row says against a fit, so that one that was lost recovers; what is left of it one row later."""
 _ENOUGH, _STRONG = 40.0, 400.0
 """Degrees of freedom before a part is named; least chi-square of a row, times the degrees of freedom that are left
 without the part, before readings are left out. What all sensors share looks like one of them if it is smaller."""
+_PROOF, _PROOF_OF_TWO, _FITTED = 3000.0, 10000.0, 50
+"""By how much leaving a part out lowers the sum of chi-square before a small fault is believed, too: what all sensors
+share then changes as the robot moves, and no longer looks like one of them. And before one of two parts is named. And
+after how many rows without an alarm: errors of a model are there from the start, also where the robot is at rest."""
 _SPEED = 0.5
 """Standard deviation of a velocity where no motion model says another one [widths of the bounds per second]."""
 _FROZEN_S, _FROZEN_ROWS = 0.5, 20
+_FRAMES = 16
+"""So many of the last frames are remembered: a board whose bus hangs may send its old buffers in turn."""
 _LOOK = 8
 """Every so many rows we look whether a single reading stays the same."""
 _STARTS = 8
@@ -86,9 +96,10 @@ class MonitorState(NamedTuple):
     inner: Any
     seed: int
     row: int = 0
-    frame: Any = None
-    equal: Any = 1
-    """How many rows in a row had this frame, and since when [s]."""
+    frames: Any = ()
+    """The last frames, bit for bit."""
+    old: Any = 0
+    """How many rows in a row held one of the last frames, and the time of the last new one [s]."""
     since: Any = 0.0
     sums: tuple[Any, ...] = (0.0, 0.0, 0.0, 0.0)
     """Sums of chi-square over ten rows and a hundred, and of their degrees of freedom."""
@@ -101,6 +112,8 @@ class MonitorState(NamedTuple):
     steps: int = 0
     still: Any = None
     """How many rows a reading has not changed, and since when [s]; nothing while all of them change."""
+    stuck: Any = None
+    """Which readings stay the same for too long, if any."""
 
 
 class Monitor:
@@ -112,11 +125,12 @@ class Monitor:
     the robot. Where there is none, every reading is its own.
 
     A part whose readings stay the same, bit for bit, for more than 0.5 s and at least 20 rows, is named and left out,
-    unless their noise is below their resolution. A frame that equals the one before, bit for bit, adds nothing. If
-    all readings stay equal for so long, the board repeats itself and the row is *frozen*. A row is *undetermined* if
-    it has fewer readings than unknowns and no motion model helps, or none at all. It is *unchecked* if the fit uses
-    up all of its readings, so that none is left to contradict. It is *beyond bounds* if its readings fit outside the
-    bounds of the robot and not within: the estimate stays within, and its covariance holds the difference.
+    unless their noise is below their resolution. A frame that equals one of the last sixteen, bit for bit, adds
+    nothing: its covariance grows with the time since the last new frame. If there was none for so long, the board
+    repeats itself and the row is *frozen*. A row is *undetermined* if it has fewer readings than unknowns and no
+    motion model helps, or none at all. It is *unchecked* if the fit uses up all of its readings, so that none is left
+    to contradict. It is *beyond bounds* if its readings fit outside the bounds of the robot and not within: the
+    estimate stays within, and its covariance holds the difference.
 
     Parameters
     ----------
@@ -169,22 +183,22 @@ class Monitor:
         if mask is not None or type(u) is not np.ndarray or u.dtype.char != "d":
             u = incoming(u, mask, self._owner)
         used = u
-        if state.frame is None:
+        if not state.steps:
             state = self._begun(state, u)
-        alone, same, equal, since = u.ndim == 1, None, 1, t
+        alone, same, old, since = u.ndim == 1, None, 0, t
         bits: Any = u.tobytes() if alone else u.view(np.int64)
-        if state.frame is not None and known is None:
-            repeats = bits == state.frame if alone else (bits == state.frame).all(-1)
-            if repeats if alone else repeats.any():
-                same = np.logical_and(repeats, ~np.isnan(u).all(-1))
+        if state.steps and known is None:
+            again: Any = bits in state.frames if alone else (bits == state.frames).all(-1).any(0)
+            if again if alone else again.any():
+                same, old, since = self._again(state, u, bits, again, t)
         still, stuck = state.still, None
-        if state.frame is not None and (still is not None or state.steps % _LOOK == 0):
+        if state.steps and (still is not None or state.steps % _LOOK == 0):
             still = self._still(state, u, t, same)
             stuck = None if still is None else self._stuck(still, u, t)
             used = u = u if stuck is None else np.where(stuck[1], np.nan, u)
-        if same is not None:
-            equal, since = np.where(same, state.equal + 1, 1), np.where(same, state.since, t)
-            used = np.where(same[..., None], np.nan, u) if self.needs_time else u
+            state = self._without_old_cases(state, None if stuck is None else stuck[1])
+        if same is not None and self.needs_time:
+            used = np.where(same[..., None], np.nan, u)
         inner, found = self.estimator.step(state.inner, used, t, known=known)
         least = self._spare if known is None else self._spare + np.isfinite(known).sum(-1)
         chi2, dof, missing = found.chi2, found.dof, found.missing
@@ -211,10 +225,13 @@ class Monitor:
                 bad[k] |= again or found.chi2[k] > _limit(found.dof[k], _STRICT)
         bad = bad if same is None else bad & ~same
         row = (state.inner, u, known, t)
+        frames = (*state.frames[1 - _FRAMES :], bits) if alone else bits[None]
+        if not alone and state.steps:
+            frames = np.concatenate([state.frames[1 - _FRAMES :], frames])
         now = tuple.__new__(MonitorState, (  # twice as fast as by its name
-            inner, state.seed, state.row + (same is None or not same.all()), bits, equal, since,
+            inner, state.seed, state.row + (same is None or not same.all()), frames, old, since,
             (fast, slow, free, freer), (*state.recent[1 - _WINDOW :], row) if self.needs_time else (row,),
-            (found.q, t), state.cases, found, state.steps + 1, still,
+            (found.q, t), state.cases, found, state.steps + 1, still, state.stuck,
         ))  # fmt: skip
         pressed = touching & (chi2 > dof + 2.0 + 2.0 * dof**0.5)
         doubt = bad | few | bare | pressed
@@ -223,9 +240,24 @@ class Monitor:
             return now, found
         return self._doubted(state, now, u, bad, pressed, same, few, bare, stuck)
 
+    def _again(self, state: MonitorState, u: Array, bits: Any, again: Any, t: float) -> tuple[Any, Any, Any]:
+        """Return which frames add nothing, how many rows in a row were old, and when the last new one came."""
+        last = bits == state.frames[-1] if u.ndim == 1 else (bits == state.frames[-1]).all(-1)
+        same = again & (last | self._jitters.any()) & ~np.isnan(u).all(-1)
+        return same, np.where(same, state.old + 1, 0), np.where(same, state.since, t)
+
+    def _without_old_cases(self, state: MonitorState, stuck: Any) -> MonitorState:
+        """Forget alarms of robots of which another reading has begun or ceased to stay the same: it was the cause."""
+        if stuck is None and state.stuck is None:
+            return state
+        none = np.zeros(1, dtype=bool)
+        changed = (none if stuck is None else stuck) != (none if state.stuck is None else state.stuck)
+        cases = {k: case for k, case in state.cases.items() if not np.any(changed[k] if k else changed)}
+        return state._replace(cases=cases, stuck=stuck)
+
     def _still(self, state: MonitorState, u: Array, t: float, same: Any) -> Any:
         """Return for how many rows each reading has not changed and since when, or nothing if all of them change."""
-        frame = state.frame
+        frame = state.frames[-1]
         before = np.frombuffer(frame) if isinstance(frame, bytes) else frame.view(np.float64)
         stays = u == before
         if state.still is None and not stays.any():
@@ -312,32 +344,34 @@ class Monitor:
                 said[name][k] = value
             if "restarted" in words:
                 sums = tuple(_put(np.broadcast_to(x, batch), k, np.float64(0.0)) for x in sums)
+        since: Any = np.broadcast_to(now.since, batch)
         if same is not None:
             before, same = state.last.details, np.broadcast_to(same, batch)
-            for k in map(tuple, np.argwhere(same & np.isin(before["status"], (LEFT_OUT, INCONSISTENT)))):
-                for name in ("status", "suspects", "left_out", "growth"):
-                    said[name][k] = before[name][k]
-                if self.needs_time:
-                    found = _put(found, k, _grown(_pick(found, k), 0.0, before["growth"][k]))
-                else:
-                    inner, found = _put(inner, k, _pick(state.inner, k)), _put(found, k, _pick(state.last, k))
-            since, equal = (np.broadcast_to(x, batch) for x in (now.since, now.equal))
-            frozen = same & (equal >= _FROZEN_ROWS) & (t - since > _FROZEN_S + 1e-9) & self._jitters.any()
-            said["status"][frozen] = FROZEN
-            for k in map(tuple, np.argwhere(frozen & (not self.needs_time))):
-                moved = np.diag((_SPEED * self._width * (t - since[k])) ** 2)
-                found = _put(found, k, _grown(_pick(found, k), moved))
+            for name in SAID[:-1] if "suspects" in before else ():
+                said[name][same] = before[name][same]
+            if self.needs_time:
+                found = _grown(found, 0.0, np.where(same, said["growth"], 1.0)[..., None, None])
+            else:
+                inner, found = _chosen(same, state.inner, inner), _chosen(same, state.last, found)
+            same = same & self._jitters.any()
+            said["status"][same & (now.old >= _FROZEN_ROWS - 1) & (t - since > _FROZEN_S + 1e-9)] = FROZEN
         for which, status in ((few, UNDETERMINED), (bare, UNCHECKED)):
             said["status"][np.broadcast_to(which, batch) & (said["status"] == CONSISTENT)] = status
         if stuck is not None:
             said["suspects"] |= stuck[0]
             said["left_out"] |= stuck[1]
             said["status"][stuck[0].any(-1) & (said["status"] == CONSISTENT)] = LEFT_OUT
+        most = sums[3] + _SWOLLEN * (_limit(sums[3]) - sums[3])
+        sums = (sums[0], np.minimum(sums[1], most) if batch else float(min(sums[1], most)), *sums[2:])
         fits = np.isin(said["status"], (CONSISTENT, LEFT_OUT, UNCHECKED, BEYOND_BOUNDS))
         q = np.where(fits[..., None], found.q, state.good[0])
         found = found._replace(details=found.details | said)
         good = q, np.where(fits, t, state.good[1])
-        return now._replace(inner=inner, cases=cases, sums=sums, good=good, last=found), found
+        now = now._replace(inner=inner, cases=cases, sums=sums, good=good, last=found)
+        if same is not None and not self.needs_time:  # nothing else knows that the robot goes on
+            moved = np.where(same, _SPEED * (t - since), 0.0)[..., None] * self._width
+            found = _grown(found, moved[..., None] ** 2 * np.eye(self.n_q))
+        return now, found
 
     def _beyond(self, k: tuple[int, ...], now: MonitorState) -> Estimate | None:
         """Return the estimate of a robot whose readings fit outside its bounds and not within, or nothing."""
@@ -350,7 +384,7 @@ class Monitor:
         inside = ((wider.q >= self._fit.lower[: self.n_q]) & (wider.q <= self._fit.upper[: self.n_q])).all()
         if inside or wider.details["at_bound"].any() or wider.chi2 > _limit(wider.dof):
             return None
-        off = self.estimator.angles.difference(wider.q, found.q)
+        off = self._apart(wider.q, found.q)
         return _grown(found, np.outer(off, off), max(float(found.chi2 / found.dof), 1.0))
 
     def _alarm(
@@ -370,20 +404,21 @@ class Monitor:
             case = Case(None, none, none, none, row, row + _WINDOW, _WINDOW, row, row)
         began, lasts = not case.dof.any(), row - case.row <= _WINDOW
         good, good_t = (np.broadcast_to(x, (*batch, *np.shape(x)[len(batch) :]))[k] for x in state.good)
-        without, fits, ok = self._without[:1], None, none[1:] > 0
         spare = max(int(np.isfinite(u).sum()) - self._largest - self._unknowns, 1)
         strong = growth * dof * spare >= _STRONG or (lasts and case.best > 0)
-        if strong or self.needs_time:  # a filter that has followed a fault does not forget it at once
-            without, goes_on = self._without, case.row == row - 1
-            bank, against, freedom = case.bank if goes_on else None, case.against, case.dof
-            for x, v, kn, at in rows if began and not odd else rows[-1:]:
-                x = x if bank is None else bank
-                bank, fits = self.estimator.step(x, np.where(without, nan, v), at, known=kn)
-                against = _KEEP * against + np.minimum(fits.chi2, _HEAVIEST)
-                freedom = _KEEP * freedom + fits.dof
-            case = case._replace(bank=bank, against=against, dof=freedom)
-            ok = self._explain(case, u)
-        fresh = np.full(len(none), began and fits is not None and not self.needs_time)
+        without, fits, bank = self._without, trial, case.bank if case.row == row - 1 else None
+        against, freedom = case.against, case.dof
+        # A filter that has followed a fault does not forget it at once: it starts some rows earlier.
+        for x, v, kn, at in rows if began and not odd else rows[-1:]:
+            x = x if bank is None else bank
+            bank, fits = self.estimator.step(x, np.where(without, nan, v), at, known=kn)
+            against = _KEEP * against + np.minimum(fits.chi2, _HEAVIEST)
+            freedom = _KEEP * freedom + fits.dof
+        case = case._replace(bank=bank, against=against, dof=freedom)
+        ok = self._explain(case, u)
+        proof = case.against[0] - case.against[1:][ok].min(initial=case.against[0])
+        strong = strong or (case.since >= _FITTED and proof >= _PROOF)
+        fresh = np.full(len(none), began and not self.needs_time)
         if odd and not ok.any() and (new or row >= case.look):
             case = case._replace(look=row + case.wait, wait=min(2 * case.wait, _LONGEST))
             states = self._elsewhere(before, good)
@@ -391,7 +426,7 @@ class Monitor:
             explains = again.chi2 <= chdtri(np.maximum(again.dof, 1), _EXPLAINED)
             better = explains[0] & (again.chi2[0] < chi2 - _MUCH_BETTER)
             if better.any():
-                away = np.abs((again.q[0] - np.nan_to_num(good)) / self._width).max(-1)
+                away = np.abs(self._apart(again.q[0], np.nan_to_num(good)) / self._width).max(-1)
                 j = 0, int(np.where(better, away, np.inf).argmin())
                 case = case._replace(bank=None, against=none, dof=none, jump=none, row=row)
                 words = {"status": INCONSISTENT, "restarted": True}
@@ -404,11 +439,11 @@ class Monitor:
                 fresh[h] = True
                 case = case._replace(bank=_put(case.bank, (h,), _pick(there, j)))
                 fits = _put(fits, (h,), _pick(again, j))
-            ok = ok if fits is None else self._explain(case, u)
+            ok = self._explain(case, u)
         case = case._replace(
             row=row, failed=row if odd or max(fast - _limit(free), slow - _limit(freer)) > 0 else case.failed
         )
-        if fits is None or not strong or not ok.any():
+        if not strong or not ok.any():
             inner, words = _pick(now.inner, k), {"status": INCONSISTENT, "growth": growth}
             if self.needs_time and strong and odd and row - case.since < _WINDOW:  # a glitch of all: wait
                 inner, trial = self.estimator.step(before, np.full(len(u), np.nan), t, known=known)
@@ -416,7 +451,7 @@ class Monitor:
             return inner, _grown(trial, 0.0, growth), case, words
         if fresh.any() and np.isfinite(good).all():  # how far the robot would have jumped
             moved = np.where(self._turns, 1e3, self._width * (_SPEED * (t - good_t) + 1e-6))
-            away, C = fits.q - good, fits.covariance + np.diag(moved**2)
+            away, C = self._apart(fits.q, good), fits.covariance + np.diag(moved**2)
             jump = (away * np.linalg.solve(C, away[..., None])[..., 0]).sum(-1)
             case = case._replace(jump=np.where(fresh, jump, case.jump))
         total = np.where(
@@ -424,13 +459,18 @@ class Monitor:
         )
         left = total <= total.min() + _DECISIVE
         best = 1 + int(total.argmin())
-        off = (fits.q[1:] - fits.q[best])[left]  # what is not decided, the covariance holds
+        off = self._apart(fits.q[1:], fits.q[best])[left]  # what is not decided, the covariance holds
         found = _grown(_pick(fits, best), off.T @ off / len(off))
         enough = case.dof[best] / max(fits.dof[best], 1) * spare >= _ENOUGH
         status = LEFT_OUT if enough and left.sum() == 1 else INCONSISTENT
-        words = {"status": status, "suspects": left & (enough and left.sum() <= 2)}
+        words = {"status": status, "suspects": left & (enough and left.sum() <= 1 + (proof >= _PROOF_OF_TWO))}
         words["left_out"] = self._without[best] & np.isfinite(u)
         return _pick(case.bank, best), found, case._replace(best=best), words
+
+    def _apart(self, q: Array, other: Array) -> Array:
+        """Return the difference of configurations, of angles the shorter way round."""
+        angles = getattr(self.estimator, "angles", None)
+        return angles.difference(q, other) if angles else q - other
 
     def _explain(self, case: Case, u: Array) -> Array:
         """Which parts the rest fits without."""
@@ -492,6 +532,15 @@ def _put(x: Any, k: Any, y: Any) -> Any:
     return y if k == () else _each(exchanged, x, y)
 
 
-def _grown(estimate: Estimate, added: Any, factor: float = 1.0) -> Estimate:
+def _chosen(condition: Array, x: Any, y: Any) -> Any:
+    """Return a batch of the robots of one where a condition holds, else of another."""
+
+    def where(old: Any, new: Any) -> Any:
+        return np.where(condition[(...,) + (None,) * (np.ndim(old) - condition.ndim)], new, old)[()]
+
+    return _each(where, y, x)
+
+
+def _grown(estimate: Estimate, added: Any, factor: Any = 1.0) -> Estimate:
     C: Any = estimate.covariance
     return estimate._replace(covariance=factor * C + added)

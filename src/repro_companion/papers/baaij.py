@@ -504,6 +504,10 @@ def alarms(study: pd.DataFrame) -> pd.DataFrame:
         ("named", "named_clear", "clear"),
         ("named_right", "named_right", "named"),
         ("holds", "trusted_hold", "trusted"),
+        ("alarm_soon", "alarm_soon", "large"),
+        ("named_soon", "named_soon", "large"),
+        ("first_right", "first_right", "some"),
+        ("ended", "ended", "trials"),
     ):
         table[f"{name}_percent"] = 100 * study[part] / study[whole].where(study[whole] > 0)
     return table.assign(alarms_before=study["alarms_before"].astype(int))
