@@ -191,6 +191,8 @@ def suspicions(shape: Trajectory) -> list[str]:
         "(unit, order or sign of the columns wrong, or not calibrated?)",
         "frozen": "the board repeats itself: all readings are old",
         "undetermined": "there are fewer readings than unknowns",
+        "beyond bounds": "the readings fit only beyond the bounds of the robot file; the shape stays within",
+        "unchecked": "the fit uses up all readings: a wrong one would look like another shape",
     }
     lines = [f"In {counts[name]} of {n} rows {text}." for name, text in words.items() if counts[name]]
     names = shape.robot.part_names if shape.robot is not None else range(1, 1 + shape.suspects.shape[1])
@@ -199,8 +201,10 @@ def suspicions(shape: Trajectory) -> list[str]:
             first, last = shape.times[rows][[0, -1]]
             when = f"{rows.sum()} of {n} rows, from {first:.3f} to {last:.3f} s"
             lines.append(f"Suspected: {name} does not fit the other sensors in {when}.")
-    if not np.any(shape.dof):
-        return [*lines, "There are no more readings than unknowns: a wrong sensor looks like another shape."]
+    lines += [
+        f"{name} is at a bound of the robot in {rows} of {n} rows."
+        for name, rows in shape.at_bounds().items()
+    ]
     return lines or ["All rows are consistent, and no sensor is suspected."]
 
 

@@ -23,7 +23,17 @@ import numpy as np
 
 from repro.common import Array, InputError, require, whole
 from repro.estimators.base import Estimate, evenly, trajectory
-from repro.estimators.monitor import FROZEN, INCONSISTENT, LEFT_OUT, SAID, STATUS, UNDETERMINED, Monitor
+from repro.estimators.monitor import (
+    BEYOND_BOUNDS,
+    FROZEN,
+    INCONSISTENT,
+    LEFT_OUT,
+    SAID,
+    STATUS,
+    TRUSTED,
+    UNDETERMINED,
+    Monitor,
+)
 from repro.robot import Robot
 from repro_board.evaluate import ESTIMATORS, estimator_of
 from repro_board.record import Writer, open_port, stopping
@@ -40,6 +50,10 @@ WINDOW_S, SAMPLE_S, SILENT_S = 2.0, 0.25, 1.0
 DAMAGED = ("checksum_errors", "malformed", "oversized")
 SWITCH_S = 5e-4
 """After this time a thread lets another one work [s]; the usual 5 ms are longer than an estimate takes."""
+
+
+BY_BOUNDS = 0.9 / math.sqrt(12)
+"""Standard deviation from which a coordinate is known by its bounds alone [widths of the bounds]."""
 
 
 class Follower:
@@ -327,10 +341,15 @@ def _alarms(session: Session) -> list[str]:
         INCONSISTENT: f"Do not trust the shape: it does not explain the readings. The cause may be {who or causes}.",
         FROZEN: "Do not trust the shape: the board repeats itself, all its readings are old.",
         UNDETERMINED: "Do not trust the shape: there are fewer readings than unknowns.",
+        BEYOND_BOUNDS: "The readings fit only beyond the bounds of the robot file. The shape stays within them.",
     }
     there = np.bincount(follower.robot.parts, np.isfinite(last[1]), len(names)) > 0
     gone = [k for k in np.flatnonzero(~there) if k not in follower.failed]
-    said = [words[status]] if status else []
+    said = [words[status]] if status in words else []
+    touched = last[2].details.get("at_bound", np.zeros(0))
+    said += [
+        f"{follower.robot.coordinates[c]} is at a bound of the robot file." for c in np.flatnonzero(touched)
+    ]
     return said + [f"There is no reading of {names[k]}; it is left out." for k in gone]
 
 
@@ -369,8 +388,9 @@ def numbers(session: Session) -> list[str]:
         if w == 0:  # fixed by its bounds
             continue
         digits = 4 if unit == "rad" else 2
-        spread = f" ± {factor * s:.{digits}f}" if math.isfinite(s) else ""
-        said.append(f"{name} undetermined" if s > w else f"{name} {factor * x:.{digits}f}{spread} {unit}")
+        known = f"{name} {factor * x:.{digits}f} ± {factor * s:.{digits}f} {unit}"
+        alone = " by its bounds alone" if s > BY_BOUNDS * w and not name.startswith("tip") else ""
+        said.append(f"{name} undetermined" if not s <= w else known + alone)
     return said
 
 
@@ -403,7 +423,7 @@ def terminal(session: Session) -> Any:
     from rich.text import Text
 
     session = session.at_once()
-    style = "dim italic" if session.age_s() or session.status() > LEFT_OUT else ""
+    style = "dim italic" if session.age_s() or session.status() not in TRUSTED else ""
     return Group(
         Columns([Text(x, style) for x in numbers(session)], padding=(0, 3)),
         *(Text(f"{name:9} {text}") for name, text in summary(session).items()),

@@ -21,6 +21,7 @@ from tornado import httpserver, iostream, web
 
 from repro.common import Array, bad_input, require
 from repro.estimators.base import evenly
+from repro.estimators.monitor import CONSISTENT, UNCHECKED
 from repro_board.live import STATUS, Session, notes, numbers, sentences, summary
 from repro_board.view import view
 
@@ -205,9 +206,9 @@ def message(session: Session) -> dict[str, Any]:
     """Return what a page is told of the moment."""
     session = session.at_once()
     follower, last, age_s = session.follower, session.last, session.age_s()
-    named = follower.suspects(last[2] if last else None)
+    named, status = follower.suspects(last[2] if last else None), session.status()
     told: dict[str, Any] = {
-        "doubt": "old" if age_s else STATUS[session.status()] if session.status() else "",
+        "doubt": "old" if age_s else STATUS[status] if status not in (CONSISTENT, UNCHECKED) else "",
         "numbers": numbers(session),
         "summary": summary(session),
         "alarms": sentences(session),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -137,9 +137,8 @@ class Trajectory:
             by_reading = near.reshape(-1, near.shape[-1]).sum(0)
             first = np.unique(self.robot.parts, return_index=True)[1]
             rows += f"; left out, too close to a magnet: {_counted(self.robot.part_names, by_reading[first])}"
-        touched = self._at_bound()
-        if touched is not None and touched.any():
-            rows += f"; at a bound: {_counted(self._names(), touched.reshape(-1, touched.shape[-1]).sum(0))}"
+        touched = self.at_bounds()
+        rows += f"; at a bound: {_counted(touched, touched.values())}" if touched else ""
         left = int(np.sum(self.details.get("left_out", 0)))
         lost = f"{int(np.sum(self.missing)) - left} of {self.u_hat.size} readings missing"
         return (
@@ -148,8 +147,13 @@ class Trajectory:
             f"{lost}{f', {left} left out' * (left > 0)}{rows}"
         )
 
-    def _names(self) -> list[str]:
-        return [name for name, _, _ in self.units()]
+    def at_bounds(self) -> dict[str, int]:
+        """Return the coordinates that touch a bound of the robot, and in how many rows."""
+        touched = self._at_bound()
+        if touched is None:
+            return {}
+        counts = touched.reshape(-1, touched.shape[-1]).sum(0).tolist()
+        return {name: n for (name, _, _), n in zip(self.units(), counts, strict=True) if n}
 
     def _at_bound(self) -> Array | None:
         """Which coordinates touch a bound ``[t, ..., n_q]``, if the estimator says so."""
@@ -212,7 +216,7 @@ class Trajectory:
             columns["suspects"] = _listed(self._parts(), self.suspects)
         touched = self._at_bound()
         if touched is not None:
-            columns["at_bound"] = _listed(self._names(), touched)
+            columns["at_bound"] = _listed([name for name, _, _ in self.units()], touched)
         return pd.DataFrame(columns)
 
     def plot(self, axes: Any = None) -> Any:
@@ -240,7 +244,7 @@ _SHAPES = 256
 """Shapes within the bounds at which we look whether a reading comes too close to a magnet."""
 
 
-def _counted(names: Sequence[str], counts: Array) -> str:
+def _counted(names: Iterable[str], counts: Iterable[int]) -> str:
     return ", ".join(f"{name} in {k} rows" for name, k in zip(names, counts, strict=True) if k)
 
 

@@ -33,6 +33,8 @@ STATUS = (
 """Names of what the monitor says of a row."""
 SAID = ("status", "suspects", "left_out", "growth", "restarted")
 CONSISTENT, LEFT_OUT, INCONSISTENT, FROZEN, UNDETERMINED, UNCHECKED, BEYOND_BOUNDS = range(7)
+TRUSTED = (CONSISTENT, LEFT_OUT, UNCHECKED)
+"""The numbers of what is said of a row whose readings speak for its estimate, or at least not against it."""
 _RARE, _STRICT = 18.4, 4.6
 """Good readings do not fit once in 1e8 rows; after an alarm a part comes back where chance is above 1e-2."""
 _TWICE, _ROOT = 2 * _RARE, 2 * _RARE**0.5
@@ -363,7 +365,7 @@ class Monitor:
             said["status"][stuck[0].any(-1) & (said["status"] == CONSISTENT)] = LEFT_OUT
         most = sums[3] + _SWOLLEN * (_limit(sums[3]) - sums[3])
         sums = (sums[0], np.minimum(sums[1], most) if batch else float(min(sums[1], most)), *sums[2:])
-        fits = np.isin(said["status"], (CONSISTENT, LEFT_OUT, UNCHECKED, BEYOND_BOUNDS))
+        fits = np.isin(said["status"], (*TRUSTED, BEYOND_BOUNDS))
         q = np.where(fits[..., None], found.q, state.good[0])
         found = found._replace(details=found.details | said)
         good = q, np.where(fits, t, state.good[1])
