@@ -47,8 +47,8 @@ class FreeAngles:
         for one in rotations:
             moving = [c for c in one if low[c] != 0.0 or high[c] != 0.0]
             if len(moving) == 1 and high[moving[0]] - low[moving[0]] >= 2 * math.pi - _ROUNDING:
-                middle = (low[moving[0]] + high[moving[0]]) / 2
-                self.middle[moving] = middle if math.isfinite(middle) else 0.0
+                bounded = np.isfinite([low[moving[0]], high[moving[0]]]).all()
+                self.middle[moving] = (low[moving] + high[moving]) / 2 if bounded else 0.0
             elif not all(low[c] <= _ROUNDING - math.pi and high[c] >= math.pi - _ROUNDING for c in moving):
                 continue
             if moving:

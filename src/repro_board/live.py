@@ -31,6 +31,7 @@ from repro.estimators.monitor import (
     SAID,
     STATUS,
     TRUSTED,
+    UNCHECKED,
     UNDETERMINED,
     Monitor,
 )
@@ -357,13 +358,13 @@ def notes(session: Session) -> list[str]:
     """Return what else to know: what was asked for, and what happened so far."""
     follower, skipped = session.follower, session.own["skipped"]
     unused = ", ".join(follower.robot.part_names[k] for k in follower.failed)
-    spare = follower.robot.n_readings - int((~follower.robot.fixed).sum())
+    bare = session.last is not None and session.status() == UNCHECKED
     said = [
         (session.blind, session.blind),
         (unused, f"Not used, as asked: {unused}."),
         (follower.grown != 1.0, f"Every ± is {follower.grown:g} times what the estimator states."),
         (skipped, f"{skipped} time steps were left out because newer ones had come; a recording has them."),
-        (spare <= 0, "There are no more readings than unknowns: a wrong sensor looks like another shape."),
+        (bare, "There are no more readings than unknowns: a wrong sensor looks like another shape."),
     ]
     told = [*session.remarks, *session.steps.losses()]
     return [*told, *(text for holds, text in said if holds)]

@@ -516,7 +516,7 @@ def test_the_command_plays_a_robot_until_it_is_interrupted(tmp_path):
         assert process.wait(10) == 0
     assert len(Parser("frames").feed(found)) > 50
     assert not (tmp_path / "board").is_symlink()
-    assert len(pd.read_csv(tmp_path / "held.csv")) == 24
+    assert len(pd.read_csv(tmp_path / "held.csv")) == 48
 
 
 def test_a_recording_is_played_again_and_in_a_loop(tmp_path):

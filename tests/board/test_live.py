@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 import repro
 from repro import ConstantCurvature, InputError, KalmanFilter, Magnet, Ring, Robot, Sensor, track
-from repro.estimators.monitor import LEFT_OUT
+from repro.estimators.monitor import LEFT_OUT, UNCHECKED
 from repro_board import live as module
 from repro_board import page_server as server_module
 from repro_board.emulate import course, faulty
@@ -375,6 +375,7 @@ def test_what_was_asked_for_and_what_cannot_be_told_is_noted():
         "Every ± is 1.5 times what the estimator states.",
     ]
     session.follower = Follower(ROBOT.replaced(sensors=ROBOT.sensors[:6]))
+    session.last = 0.0, U[0, :6], SimpleNamespace(details={"status": UNCHECKED})
     assert notes(session) == [
         "There are no more readings than unknowns: a wrong sensor looks like another shape."
     ]

@@ -27,6 +27,7 @@ from repro import (
     Sensing,
     Sensor,
 )
+from repro.estimators.least_squares import CHI2
 from repro.estimators.particle import BendDisc, ParticleState, _points, _stream
 from repro.robot import point_on
 
@@ -181,7 +182,9 @@ def test_steps_of_levenberg_marquardt(models, example, iterations, n):
     method = LevenbergMarquardt(
         example.sensing, example.low, example.high, noise=1e-3, iterations=iterations, tolerance=1e-12
     )
-    _, expected = method.step(method.init(np.tile(example.start, (len(q), 1))), u, mask=use)
+    # A prior that says nothing: only the library treats open directions in a way of their own.
+    n, start = example.robot.n_q, np.tile(example.start, (len(q), 1))
+    x, u_hat, _, status, _ = method.fit(start, np.where(use, u, np.nan), None, (start, np.zeros((n, n))))
     body = f"""{SENSING} const use = rows(d.use, d.s), u = rows(d.u, d.s);
       return packed(u.flatMap((u, k) => {{
         const f = REPRO.levenbergMarquardt(sensing, d.start, [...u], use[k], d.low, d.high, {iterations});
@@ -189,12 +192,12 @@ def test_steps_of_levenberg_marquardt(models, example, iterations, n):
       }}));"""
     lists = {"start": example.start.tolist(), "low": example.low.tolist(), "high": example.high.tolist()}
     found = models(body, example.data(u=u, use=use, **lists)).reshape(len(q), -1)
-    n, s = example.robot.n_q, len(example.robot.sensors)
-    assert_same(found[:, :n], expected.q)
-    assert_same(found[:, n : n + s], expected.u_hat)
-    rmse_mt = 1e-3 * np.sqrt(expected.chi2 / use.sum(1))
+    s = len(example.robot.sensors)
+    assert_same(found[:, :n], x)
+    assert_same(found[:, n : n + s], u_hat)
+    rmse_mt = 1e-3 * np.sqrt(status[:, CHI2] / use.sum(1))
     np.testing.assert_allclose(found[:, n + s], rmse_mt, rtol=TOLERANCE, atol=1e-12)
-    assert iterations > 1 or ((expected.q == example.low) | (expected.q == example.high)).any()
+    assert iterations > 1 or ((x == example.low) | (x == example.high)).any()
 
 
 def test_covariance_of_least_squares(models, example):

@@ -668,10 +668,10 @@ def test_the_table_says_where_its_cells_stand(tmp_path):
 )
 def test_two_millitesla_after_three_seconds_in_every_unit(field, time):
     """One gauss is a tenth of a millitesla."""
-    columns = {f"u{k} [{field[1]}]": [0.0, field[0]] for k in (1, 2, 3)}
+    columns = {f"u{k} [{field[1]}]": [field[0] / 2, field[0]] for k in (1, 2, 3)}
     readings = robot().readings(pd.DataFrame({f"time [{time[1]}]": [0.0, time[0]]} | columns))
     np.testing.assert_allclose(
-        np.column_stack([readings.times, readings]), [[0] * 4, [3, 2, 2, 2]], rtol=1e-12
+        np.column_stack([readings.times, readings]), [[0, 1, 1, 1], [3, 2, 2, 2]], rtol=1e-12
     )
 
 
