@@ -216,7 +216,8 @@ def mirrored_chips(robot: Robot) -> tuple[str, ...]:
     turning = [name for name in robot.coordinates if not name.startswith("delta_")]
     if not len(x) or turning or robot.total_noise is None:
         return ()
-    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (20, robot.n_q))
+    bounds: Any = (robot.lower, robot.upper)
+    q = np.random.default_rng(0).uniform(*bounds, (20, robot.n_q))
     sensing, found = robot.sensing(), []
     u = sensing(q)
     for k, name in enumerate(robot.part_names[: len(robot.sensors)]):

@@ -513,7 +513,7 @@ def _pick(x: Any, k: Any) -> Any:
     return _each(lambda y: y[k] if isinstance(y, np.ndarray) else y, x)
 
 
-def _row_of(now: MonitorState, k: tuple[int, ...], j: int) -> tuple[Any, Array, Any, float]:
+def _row_of(now: MonitorState, k: tuple[int, ...], j: int) -> Any:
     """Return state before, readings, known coordinates and time of one of the last rows, of one robot."""
     before, *values, t = now.recent[j]
     batch = now.last.q.shape[:-1]
