@@ -189,11 +189,10 @@ def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCh
     if sensing.n_readings <= len(names):
         few = f"{sensing.n_readings} readings for {len(names)} unknowns, none to spare"
         notes += (f"{few}: a sensor that fails is never noticed",)
-    notes += tuple(
-        f"readings alone cannot tell whether axes of {name} are exchanged or inverted: bend the robot to one side "
-        "once, and look whether the estimate does the same"
-        for name in mirrored_chips(robot)
-    )
+    notes += mirrors_in_words(robot)
+    if robot.start is not None:
+        at_end = ((robot.start <= lower) | (robot.start >= upper)) & free & ~robot.free_angles.free
+        notes += tuple(f"{robot.coordinates[c]} starts at a bound" for c in np.flatnonzero(at_end))
     can_work, verdict = _verdict(tip, within, built, spread)
     return DesignCheck(
         q, tip, within, built, spread, _added(robot, H, A), _saturated(robot, u, beyond),
@@ -205,6 +204,15 @@ _MIRRORS = (((1.0, 1.0), (1, 0)), ((-1.0, 1.0), (0, 1)), ((1.0, -1.0), (0, 1)))
 """What planes through the backbone do to x and y: signs, and which comes first."""
 
 
+def mirrors_in_words(robot: Robot) -> tuple[str, ...]:
+    """Return a sentence for each chip whose wiring no reading can check."""
+    return tuple(
+        f"readings alone cannot tell whether axes of {name} are exchanged or inverted: bend the robot to one side "
+        "once, and look whether the estimate does the same"
+        for name in mirrored_chips(robot)
+    )
+
+
 def mirrored_chips(robot: Robot) -> tuple[str, ...]:
     """Return the chips with three axes whose wrong wiring reads like a mirrored shape of the robot.
 
@@ -214,7 +222,7 @@ def mirrored_chips(robot: Robot) -> tuple[str, ...]:
     bends = [g for g, segment in enumerate(robot.segments) if isinstance(segment, ConstantCurvature)]
     x = np.array([robot.coordinates.index(f"delta_x_{g + 1}") for g in bends], dtype=int)
     turning = [name for name in robot.coordinates if not name.startswith("delta_")]
-    if not len(x) or turning or robot.total_noise is None:
+    if not len(x) or turning or robot.total_noise is None or robot.lower is None:
         return ()
     bounds: Any = (robot.lower, robot.upper)
     q = np.random.default_rng(0).uniform(*bounds, (20, robot.n_q))

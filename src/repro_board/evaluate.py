@@ -20,6 +20,7 @@ from scipy.fft import next_fast_len
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2 as chi_square
 
+from repro.check import mirrors_in_words
 from repro.common import Array, bad_input, numbers, require, whole
 from repro.estimators.base import Trajectory, track
 from repro.estimators.calibration import Calibration, Tolerances, calibrate, placed
@@ -178,7 +179,7 @@ def track_file(
         lines.append("No table is written (-o shape.csv writes one).")
     else:
         lines.append(_written(path, _csv(frame), owner))
-    return Report("\n".join([*lines, *suspicions(shape)]), shape)
+    return Report("\n".join([*lines, *suspicions(shape), *mirrors_in_words(arm)]), shape)
 
 
 def suspicions(shape: Trajectory) -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import repro
 from repro import (
     Drift,
     Drifting,
@@ -488,3 +489,16 @@ def test_a_reading_at_the_end_of_its_range_is_missing():
     expected = track(LevenbergMarquardt(CHIPS), np.where(beyond, np.nan, u), times=times)
     np.testing.assert_array_equal(found.missing, expected.missing)
     np.testing.assert_allclose(found.q, expected.q, atol=1e-12)
+
+
+def test_a_part_that_is_found_to_stand_still_ends_the_search():
+    """Before that, another chip was left out on suspicion: with both out, the shape would be anywhere."""
+    robot, t = repro.load_robot(repro.example() / "robot.toml"), np.arange(110) / 25
+    q = course(robot, t, seed=1)
+    u = simulated_readings(robot, q, robot.earth)
+    u += robot.noise * np.random.default_rng(1).standard_normal((150, 12))[:110]
+    u[50:, :3] = u[50, :3]
+    found = track(LevenbergMarquardt(robot), u, times=t)
+    assert (found.details["left_out"].sum(-1) <= 3).all()
+    assert found.suspects[-1].tolist() == [True, False, False, False]
+    assert np.linalg.norm(robot.tip(found.q)[:, :3, 3] - robot.tip(q)[:, :3, 3], axis=1)[66:].max() < 0.03

@@ -237,7 +237,7 @@ def test_calls_that_cannot_work_are_refused():
             call()
 
 
-@pytest.mark.parametrize("spike", [1e3, 1e15, 1e30])
+@pytest.mark.parametrize("spike", [1e3, 1e15, 1e17, 1e30])
 def test_one_reading_beyond_all_sense_costs_one_row(spike):
     method = ParticleFilter(BendSensor(0.015), [0.05] * 2, 0.1, DISC)
     u = np.tile(BendSensor(0.015)([0.3, 0.2]), (40, 1))

@@ -317,6 +317,9 @@ class ParticleFilter:
         dof = np.where(used.any(-1), used.sum(-1), np.nan)
         try:
             distance = (e * np.linalg.solve(S + np.eye(s), e[..., None])[..., 0]).sum(-1)
+            distance = np.where(
+                distance >= 0, distance, np.inf
+            )  # rounding leaves nothing of the cloud either
         except np.linalg.LinAlgError:  # a reading so far off that rounding leaves nothing of the cloud
             distance = np.full(len(e), np.inf)
         surprise = ((distance / dof) ** (1 / 3) - 1 + 2 / (9 * dof)) / np.sqrt(2 / (9 * dof))
