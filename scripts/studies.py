@@ -201,7 +201,7 @@ def alarms() -> pd.DataFrame:
         row = pd.read_csv(path).assign(robot=case[0], estimator=case[1], scenario=case[2], trials=trials)
         parts.append(row)
         print(f"{len(parts)} {', '.join(case)}", file=sys.stderr)
-    table = pd.concat(parts, ignore_index=True)
+    table: Any = pd.concat(parts, ignore_index=True)
     first = ["robot", "estimator", "scenario", "trials"]
     table = table[first + [name for name in parts[0] if name not in first]]
     table[table.columns[3:]] = table[table.columns[3:]].fillna(0).astype(int)
@@ -223,7 +223,7 @@ def alarm_hour(name: str, estimator: str, _: str, seed: int) -> dict[str, Any]:
     times = np.arange(round(180 * rate_hz)) / rate_hz
     u = repro.simulated_readings(robot, course(robot, times, seed=seed), robot.earth)
     u += robot.noise * np.random.default_rng([seed, 3]).standard_normal(u.shape)
-    found = track(METHODS[estimator](robot), u, robot.start, times=times)
+    found: Any = track(METHODS[estimator](robot), u, robot.start, times=times)
     alarm = ~np.isin(found.status, QUIET)
     return {"alarms": alarm.sum(), "named": found.suspects.any(), "readings": len(u)}
 

@@ -225,7 +225,7 @@ def mirrored_chips(robot: Robot) -> tuple[str, ...]:
     if not len(x) or turning or robot.total_noise is None or robot.lower is None:
         return ()
     bounds: Any = (robot.lower, robot.upper)
-    q = np.random.default_rng(0).uniform(*bounds, (20, robot.n_q))
+    q = np.random.default_rng(0).uniform(bounds[0], bounds[1], (20, robot.n_q))
     sensing, found = robot.sensing(), []
     u = sensing(q)
     for k, name in enumerate(robot.part_names[: len(robot.sensors)]):
