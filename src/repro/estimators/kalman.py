@@ -214,10 +214,10 @@ class KalmanFilter(MotionModel):
         Between two readings a variance may grow far beyond that. The state keeps it: the bounds are no new reading.
         """
         known = self._update.by_bounds[: self.n_q]
+        if (np.diagonal(C, axis1=-2, axis2=-1) @ known).max(initial=0.0) <= 1:  # no direction can be beyond
+            return C
         width = 1 / np.sqrt(np.where(known > 0, known, 1.0))
         scaled = C / np.outer(width, width)
-        if np.trace(scaled, axis1=-2, axis2=-1).max(initial=0.0) <= 1:
-            return C
         values, vectors = np.linalg.eigh(scaled)
         scaled = (vectors * np.minimum(values, 1.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
         return scaled * np.outer(width, width)
@@ -279,7 +279,8 @@ class KalmanFilter(MotionModel):
         x = np.concatenate([each(before.q, batch, n), each(before.velocity, batch, m - n)], axis=1)
         _update(x, P, q.reshape(-1, n), C.reshape(-1, n, n), information)
         velocity = x[:, n:].reshape(*batch, m - n)
-        after = self.wrapped(KalmanState(q, velocity, P.reshape(*batch, m, m), t))
+        after = KalmanState(q, velocity, P.reshape(*batch, m, m), t)
+        after = self.wrapped(after) if self.angles else after
         k, C = self.n_q, after.covariance[..., :n, :n]
         at_bound = fit.at_bound(q, given)[..., :k]
         details = {"iterations": status[:, TURN].reshape(batch), "at_bound": at_bound}

@@ -68,7 +68,7 @@ _FRAMES = 16
 _LOOK = 8
 """Every so many rows we look whether a single reading stays the same."""
 _STARTS = 8
-_NOWHERE = np.zeros(1, dtype=bool)
+_NOWHERE, _BARE = np.zeros(1, dtype=bool), np.array(UNCHECKED, dtype=np.int8)
 _WIDER = 0.5
 """How far beyond its bounds a robot is looked for that touches one [widths of the bounds]."""
 
@@ -236,9 +236,13 @@ class Monitor:
             (found.q, t), state.cases, found, state.steps + 1, still, state.stuck,
         ))  # fmt: skip
         pressed = touching & (chi2 > dof + 2.0 + 2.0 * dof**0.5)
-        doubt = bad | few | bare | pressed
+        doubt = bad | few | pressed
         if same is None and stuck is None and not (doubt if one else doubt.any()):
-            found.details["status"] = (self._blank if one else self._nothing(found.q.shape[:-1]))["status"]
+            fine = (self._blank if one else self._nothing(found.q.shape[:-1]))["status"]
+            if one:
+                found.details["status"] = _BARE if bare else fine
+            else:
+                found.details["status"] = np.where(bare, _BARE, fine)
             return now, found
         return self._doubted(state, now, u, bad, pressed, same, few, bare, stuck)
 
@@ -301,6 +305,7 @@ class Monitor:
     def stacked(self, details: Sequence[dict[str, Any]]) -> dict[str, Array]:
         """Return what was said of every row, with a leading dimension of time."""
         said = {name: np.repeat(x[None], len(details), axis=0) for name, x in self._blank.items()}
+        said["status"] = np.array([row["status"] for row in details])
         for k, row in enumerate(details):
             if "suspects" in row:
                 for name, values in said.items():
