@@ -128,8 +128,7 @@ def test_what_is_not_decided_of_an_angle_goes_the_shorter_way_round():
         return np.concatenate([10 * np.sin(q), 10 * np.sin(q), np.cos(q), np.cos(q)], axis=-1)
 
     turning: Any = CallableModel(readings, np.zeros(1), np.ones(1), "turning")
-    turning.angles, turning.n_q = np.array([True]), 1
-    turning.wrapped = lambda q: (q + np.pi) % (2 * np.pi) - np.pi
+    turning.rotations, turning.n_q = ((0,),), 1
     fit = LevenbergMarquardt(turning, [-np.pi], [np.pi], noise=0.01)
     angle = np.pi - 0.02 + 1e-3 * np.sin(np.arange(40.0))[:, None]
     u = turning(angle)

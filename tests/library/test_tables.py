@@ -267,6 +267,8 @@ def test_cells_without_a_number_are_missing(tmp_path, empty):
     readings = robot().readings(written(tmp_path, lines().replace("3.37500", empty)))
     assert np.argwhere(np.isnan(readings)).tolist() == [[1, 1]]
     assert "1 of 3 readings of sensor 2 is missing." in readings.remarks
+    infinite = [remark for remark in readings.remarks if "infinite" in remark]
+    assert len(infinite) == ("inf" in empty.lower() or "e400" in empty)
 
 
 ROW = "-2.0,3.5,0.25"
