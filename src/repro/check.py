@@ -155,7 +155,7 @@ def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCh
     require(good.sum() > 1, "robot", owner, "one with finite readings", "none in most shapes")
     q, u, J = q[good], u[good], J[good]
     inside = sensing.too_near(q)
-    beyond = np.abs(u) > robot.range
+    beyond = robot.missing(u) == 2
     p, G = robot.tip_slopes(q)
     scale = (upper - lower)[free] / math.sqrt(12)
     H = np.where((beyond | inside)[..., None], 0.0, J[..., free] * scale / noise[:, None])

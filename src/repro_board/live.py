@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from repro.common import Array, InputError, require, whole
-from repro.estimators.base import Estimate, evenly, trajectory
+from repro.estimators.base import Estimate, NearMagnets, evenly, trajectory
 from repro.estimators.monitor import (
     BEYOND_BOUNDS,
     FROZEN,
@@ -90,6 +90,7 @@ class Follower:
         self.state: Any = self.monitor.init()
         self.said: dict[str, Any] = {"status": 0}
         self._inner, self._burst, self._looked = None, BURST, -math.inf
+        self._near = NearMagnets.of(self.robot, self.robot.n_readings)
 
     def warm(self) -> None:
         """Compile and load what an estimate or an alarm needs, so that no reading waits for it."""
@@ -105,7 +106,8 @@ class Follower:
 
     def step(self, u: Array, t: float) -> Estimate:
         """Estimate a time step."""
-        u = np.where(self._unused, np.nan, u)
+        near = np.zeros(len(u), dtype=bool) if self._near is None else self._near.readings()
+        u = np.where(self._unused | near, np.nan, u)
         alarm = self.said["status"] in (LEFT_OUT, INCONSISTENT)
         if alarm and self._burst <= 0 and t - self._looked < LOOK_S:
             u = np.where(self.said["left_out"], np.nan, u)
@@ -117,10 +119,13 @@ class Follower:
             self.state, found = self.monitor.step(self.state, u, t)
             self._inner, self.said, self._looked = self.state.inner, found.details, t
             self._burst = min(self._burst + (-1 if alarm else 1), BURST)
+        if self._near is not None:
+            self._near.q, found = found.q, found._replace(details=found.details | {"too_near": near})
         total: Any = found.covariance
         if self._shapes is not None and self._open is not None:
             width = np.where(self.robot.fixed, 1.0, np.ptp(self._shapes, axis=0))
-            total = total + self._open[np.square((self._shapes - found.q) / width).sum(axis=1).argmin()]
+            away = self.robot.free_angles.difference(self._shapes, found.q) / width
+            total = total + self._open[np.square(away).sum(axis=1).argmin()]
         return found._replace(covariance=self.grown**2 * total)
 
     def suspects(self, found: Estimate | None) -> list[int]:
@@ -350,6 +355,11 @@ def _alarms(session: Session) -> list[str]:
     touched = last[2].details.get("at_bound", np.zeros(0))
     said += [
         f"{follower.robot.coordinates[c]} is at a bound of the robot file." for c in np.flatnonzero(touched)
+    ]
+    near = last[2].details.get("too_near", np.zeros(len(follower.robot.parts), dtype=bool))
+    said += [
+        f"{names[k]} is so close to a magnet that its field is not known: it is left out."
+        for k in np.unique(follower.robot.parts[near])
     ]
     return said + [f"There is no reading of {names[k]}; it is left out." for k in gone]
 

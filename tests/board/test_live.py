@@ -674,3 +674,21 @@ def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, s
         opened.close()
     assert all(url.startswith(f"http://127.0.0.1:{server.port}/") for url in asked)
     assert not failed
+
+
+def test_a_chip_too_near_a_magnet_is_left_out_and_said():
+    """Within the sphere of the ring no field is known: live asks what every other command asks."""
+    chips = [Sensor(1, 0.04, axes=3, name="inside"), Sensor(1, 0.025, axes=3)]
+    robot = Robot(
+        [ConstantCurvature(0.06, 0.015)], [Magnet(Ring(24e-3, 12e-3, 6e-3, 1450.0), 1, 0.05)], chips,
+        lower=[-0.004, -0.004, 0.0], upper=[0.004, 0.004, 0.0], noise=0.05, rate_hz=50.0,
+    )  # fmt: skip
+    q = np.array([0.002, -0.001, 0.0])
+    u = repro.simulated_readings(robot, q) + 0.05 * np.random.default_rng(0).standard_normal((20, 6))
+    follower = Follower(robot)
+    found = [follower.step(row, 0.02 * k) for k, row in enumerate(u)]
+    assert {int(x.details["status"]) for x in found} == {0}
+    assert np.abs(np.array([x.q for x in found]) - q).max() < 2e-3
+    session = session_of()
+    session.follower, session.last = follower, (0.4, u[-1], found[-1])
+    assert any(text.startswith("inside is so close to a magnet") for text in sentences(session))
