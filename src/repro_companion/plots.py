@@ -932,8 +932,8 @@ MARKER_LOOKS = {"M1": (BLUE, 360.0), "M2": (PINK, 600.0)}
 """Colours of the paper, and distances along the arm [mm]."""
 
 
-def table_ii(printed: pd.DataFrame, errors: pd.DataFrame, badge: str, note: str) -> HTML:
-    """Return Table II as printed: published relative errors [%], below them ours."""
+def table_ii(printed: pd.DataFrame, errors: pd.DataFrame, badge: str, words: str) -> HTML:
+    """Return Table II as printed: published relative errors [%], below them ours; words say what ours are."""
     known, names = printed.set_index(["row", "quantity"])["printed"], {"median": "median_mm", "q3": "q75_mm"}
     models, lines = (
         {"rigid-body": "rigid-body, 8 IMUs", "PCC-extended": "PCC-extended, 8 IMUs, 16 segments"},
@@ -955,10 +955,7 @@ def table_ii(printed: pd.DataFrame, errors: pd.DataFrame, badge: str, note: str)
     box = '<div class="table-1" id="fig-table-ii" tabindex="0" role="region" aria-label="Table II">'
     head = f'<thead><tr><th scope="row">error [%]</th>{heads}</tr></thead>'
     body = f"<table>{head}<tbody>{''.join(lines)}</tbody></table>"
-    words = (
-        "Upper: published, hardware. Lower: synthetic trials, mean ± standard deviation over sensor draws. "
-    )
-    return HTML(f'{TABLE_1}<p>{mark}</p>{box}{body}</div><p class="table-1">{words}{note}</p>')
+    return HTML(f'{TABLE_1}<p>{mark}</p>{box}{body}</div><p class="table-1">Upper: published. {words}</p>')
 
 
 @style()

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from itertools import pairwise, product
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -13,11 +12,9 @@ from scipy.spatial.transform import Rotation
 import repro
 from repro import InputError
 from repro_companion.papers import martin
-from repro_companion.run import project_folder, recordings_folder
+from repro_companion.run import project_folder
 
 from .sample import ONE_DEVIATION
-
-RECORDED = (recordings_folder() / "martin2022" / martin.TABLES / martin.RIGID_FILE).is_file()
 
 
 @pytest.fixture(scope="module")
@@ -238,7 +235,7 @@ def test_models_differ_by_a_mean_of_differences(monkeypatch):
 
 def test_rows_of_the_scorecard(table):
     study = pd.read_csv(project_folder() / "data" / "studies" / "martin_calibration.csv")
-    rows = martin.scorecard_rows(table, study).set_index(["artefact", "row", "quantity"])
+    rows = martin.scorecard_rows(table, martin.best_errors(study)).set_index(["artefact", "row", "quantity"])
     published = pd.read_csv(project_folder() / "data" / "published" / "published.csv")
     assert len(rows) == (published["paper"] == "martin2022").sum() == 43
     own = table[(table["case"] == martin.RIGID_8) & (table["evaluation"] == martin.FILES)].iloc[1]
@@ -257,7 +254,7 @@ def test_rows_of_the_scorecard(table):
     three = [
         table.assign(draw=k, median_mm=k * table["median_mm"], q75_mm=k * table["q75_mm"]) for k in (1, 2, 6)
     ]
-    drawn = martin.scorecard_rows(pd.concat(three), study).set_index(rows.index.names)
+    drawn = martin.scorecard_rows(pd.concat(three), martin.best_errors(study)).set_index(rows.index.names)
     own = rows[~rows.index.get_level_values("quantity").isin(["reduction", "time"])].index
     expected = np.outer(rows.loc[own, "regenerated"], [3, 7**0.5])  # mean and deviation of 1, 2 and 6
     np.testing.assert_allclose(drawn.loc[own, ["regenerated", "regenerated_std"]], expected)
@@ -266,7 +263,7 @@ def test_rows_of_the_scorecard(table):
     assert {"PCC" in row for _, row, _ in best.index} == {True}
     assert set(rows["comparable"].dropna()) == {False}
     assert set(rows["setting"]) == {"synthetic", "benchmark"}
-    few = martin.scorecard_rows(table[table["n_imus"] == 2], study)
+    few = martin.scorecard_rows(table[table["n_imus"] == 2], martin.best_errors(study))
     assert set(few["artefact"]) == {"Fig. 3", "Fig. 5", "Section IV-A", "Section IV-B"}
 
 
@@ -290,97 +287,3 @@ def test_the_fit_sees_the_first_minute_only(trial):
     ]
     assert errors[1].min() > 1e3 * 0.1 * 3**0.5 - errors[0].max() - 20
     assert errors[0].max() < 40
-
-
-# The released files
-
-
-def test_next_imu_closed_form():
-    """Quarter turns about x, from frames that are turned about the arm in different ways."""
-    before = turned_about([0, 0, 1.0], 0.0, 1.0, 3.0)
-    quarter = Rotation.from_rotvec([np.pi / 2, 0, 0])
-    after = quarter * Rotation.from_quat(before)
-    halfway = (Rotation.from_rotvec([np.pi / 4, 0, 0]) * Rotation.from_quat(before)).apply(martin.UP)
-    found = martin.next_imu(before, halfway, after.apply(martin.UP))
-    np.testing.assert_allclose((Rotation.from_quat(found) * after.inv()).magnitude(), 0, atol=1e-12)
-
-
-def test_products_are_turns_one_after_the_other():
-    a, b = Rotation.random(20, rng=0), Rotation.random(20, rng=1)
-    found = Rotation.from_quat(martin.product(a.as_quat(), b.as_quat()))
-    np.testing.assert_allclose((found * (a * b).inv()).magnitude(), 0, atol=1e-12)
-
-
-def test_orientations_follow_from_synthetic_tables(short):
-    tables = martin.synthetic_tables(short)
-    q = martin.trial_orientations(tables)
-    assert len(q) == len(short.time_s)
-    between = Rotation.from_quat(q.reshape(-1, 4)).inv() * Rotation.from_quat(
-        short.orientations.reshape(-1, 4)
-    )
-    off = np.degrees(between.magnitude()).reshape(-1, 9)
-    assert np.median(off) < 1e-3
-    files = martin.compared(tables, q, "synthetic")
-    assert list(files["later"]) == [0] + [martin.LATER] * 8
-    assert set(files.loc[files["largest_um"] > 1, "file"]) <= {f"fly/pcc16/pcc16_{n}.csv" for n in (2, 4)}
-    assert files["median_um"].max() < 0.1
-
-
-@pytest.mark.parametrize(
-    ("name", "change", "at_least_um"),
-    [
-        (martin.PCC_2, {"interpolation": "midpoints"}, 1e3),
-        (martin.PCC_1, {"base_turn": (0.0, 0.0, 0.0, 1.0)}, 1e3),
-    ],
-)
-def test_other_settings_do_not_give_the_tables(short, monkeypatch, name, change, at_least_um):
-    tables = martin.synthetic_tables(short)
-    q, chains = martin.trial_orientations(tables), martin.released_chains()
-    chains[name] = chains[name]._replace(arm=replace(chains[name].arm, **change))
-    monkeypatch.setattr(martin, "released_chains", lambda: chains)
-    files = martin.compared({name: tables[name]}, q, "synthetic")
-    assert files["median_um"].item() > at_least_um
-
-
-def test_files_that_are_not_the_released_ones_are_named_and_not_read(tmp_path, monkeypatch):
-    path = tmp_path / "martin2022" / martin.TABLES / martin.RIGID_FILE
-    path.parent.mkdir(parents=True)
-    path.write_text("time\n", encoding="utf-8")
-    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
-    assert martin.unlike_released() == [f"{martin.TABLES}/{martin.RIGID_FILE}"]
-    assert martin.recorded_tables() == {}
-
-
-@pytest.mark.skipif(not RECORDED, reason="the authors' files are not here")
-def test_released_tables_to_a_micrometre():
-    tables = martin.recorded_tables()
-    q = martin.trial_orientations(tables)
-    assert len(q) == 8515
-    files = martin.compared(tables, q, "recorded").set_index("file")
-    other = files.drop([name for name in files.index if "pcc16" in name])
-    assert other["largest_um"].max() <= 1
-    assert other["half_turns"].max() == 3
-    assert files.loc[martin.PCC_16_2, "largest_um"] < 11
-    assert files.loc[martin.PCC_16_2, "same_percent"] > 99.5
-    # Nothing was said of the sensor's steps of 2^-14; the orientations of IMU #1 are on them.
-    own = martin.product(q[:, 1], np.array([1, 0, 0, 1]) / 2**0.5)  # its y axis points along the arm
-    closest = np.full(len(own), np.inf)
-    for size in 2**14 + np.arange(-3.0, 3.01, 0.1):
-        whole = np.round(own * size)
-        whole /= np.linalg.norm(whole, axis=-1, keepdims=True)
-        closest = np.minimum(closest, np.linalg.norm(whole - own, axis=-1))
-    assert closest.max() < 3e-7
-
-
-def test_points_that_a_model_did_not_give_are_left_out(tmp_path, monkeypatch):
-    name = martin.PCC_16_2
-    rows = {f".{part}{k}": [0.0, 0.0] for k in range(8) for part in ("ID_", "x", "y", "z")}
-    rows |= {".ID_4": [4, 4], ".x4": [0.1, 0.2]}
-    path = Path(tmp_path) / "martin2022" / martin.TABLES / name
-    path.parent.mkdir(parents=True)
-    pd.DataFrame(rows).to_csv(path, index=False)
-    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
-    monkeypatch.setattr(martin, "unlike_released", list)
-    points = martin.recorded_tables()[name]
-    assert np.isfinite(points).all(axis=-1).tolist() == [[True] + [False] * 3 + [True] + [False] * 3] * 2
-    np.testing.assert_array_equal(points[:, 4, 0], [0.1, 0.2])
