@@ -29,7 +29,7 @@ INDEX_HEAD = ["In the paper", "Shows", "Page", "Verdict"]
 ROW_HEAD = ["Number", "Published", "Regenerated", "Band", "Verdict"]
 REAL = "With the authors' files"
 """Heading of what was computed with these files; only tables with such a number have the column."""
-CAPTION = {"Setting": "setting", REAL: "with_files_setting", "Our method": "best_method"}
+CAPTION = {"Setting": "setting", "Setting with files": "with_files_setting", "Our method": "best_method"}
 """What the caption of a table of rows says, by its heading."""
 NOISE_COLUMNS = ["row", "noise_mt", "method", "error_percent"]
 """Columns of the study of the noise of Table 1 that the home page needs; another project may not have the study."""
@@ -84,7 +84,7 @@ def write_pages(root: Path, card: pd.DataFrame, real: pd.DataFrame) -> None:
         "find.md": finder_page(index[index["status"] != "not reproduced"]),
         "counts.md": counts_page(card[real.columns], real),
         "rows.md": rows_page(card, places),
-        "files.md": files_page(read_sources(root / "data" / "sources.json"), root),
+        "files.md": files_page(read_sources(root / "data" / "sources.json")),
         "values.json": json.dumps(findings(card, noise), ensure_ascii=False),
     }
     for name, text in texts.items():
@@ -258,7 +258,7 @@ def _row(row: pd.Series, with_real: bool = False) -> str:
         said += _sentence(f"{REAL}: {row['with_files_note']}")
     if row["best"]:
         better = is_error(row) and float(row["best"]) < float(row["regenerated"])
-        said += f" <b>Our {'best' if better else 'method'}: {number(float(row['best']))}{unit}.</b>"
+        said += f"<b>Our {'best' if better else 'method'}: {number(float(row['best']))}{unit}.</b>"
     key = " ".join(["row", *row[KEY]]).lower().replace("-", " minus ")
     cells = [" ± ".join(printed) + unit, " ± ".join(ours) + unit if ours else "–", width]
     cells += [_verdict(verdict) + apart, *[_real(row, unit)] * with_real]
@@ -277,19 +277,18 @@ def _real(row: pd.Series, unit: str) -> str:
 
 
 def _sentence(text: str) -> str:
-    return words(f"{text[:1].upper()}{text[1:]}. ") if text else ""
+    return words(f"{text[:1].upper()}{text[1:]}.") + " " if text else ""
 
 
 def _verdict(kind: str) -> str:
     return f'<span class="verdict verdict-{kind.replace(" ", "-")}">{kind}</span>'
 
 
-def files_page(sources: Iterable[Source], root: Path) -> str:
+def files_page(sources: Iterable[Source]) -> str:
     """Return a table of the files that can be fetched: how many, and which page reads them for what."""
     lines = ["{.as-cards}", "| paper | page | files | what for |", "|---|---|---|---|"]
     for (paper, page, use), files in groupby(sources, lambda source: (source.paper, source.page, source.use)):
-        name = page and title(root, f"notebooks/{page}")
-        link = f'<a href="notebooks/{page}.html">{name}</a>' if page else "none yet"
+        link = f'<a href="notebooks/{page}.html"><code>{page}</code></a>' if page else "none yet"
         lines.append(f"| `{paper}` | {link} | {amount(files)} | {use} |")
     return "\n".join(lines) + "\n"
 
