@@ -265,7 +265,7 @@ def test_an_archive_has_what_it_needs(name):
 def test_every_committed_study_has_a_script_that_makes_it():
     from scripts.studies import STUDIES
 
-    stored = {path.stem for path in (ROOT / "data" / "studies").iterdir()}
+    stored = {path.name.partition(".")[0] for path in (ROOT / "data" / "studies").iterdir()}
     assert stored == set(STUDIES)
 
 

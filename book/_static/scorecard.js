@@ -4,22 +4,22 @@ document.addEventListener("DOMContentLoaded", () => {
   const place = document.querySelector(".scorecard-filter");
   if (!place) return;
   const rows = [...document.querySelectorAll("table.cards tbody")].map((row) => {
-    const { paper, artefact } = row.parentElement.dataset;
+    const { paper, artefact } = row.parentElement.dataset, { verdict, files } = row.dataset;
     const text = `${paper} ${artefact} ${row.textContent}`.toLowerCase();
-    return { row, fold: row.closest("details"), paper, artefact, verdict: row.dataset.verdict, text };
+    return { row, fold: row.closest("details"), paper, artefact, verdict, files, text };
   });
   const add = (parent, tag, properties) => parent.appendChild(Object.assign(document.createElement(tag), properties));
   const form = add(place, "form", { className: "scorecard-form", ariaLabel: "Filter of the scorecard" });
   const query = new URLSearchParams(location.search);
-  const labels = { paper: "Paper", artefact: "Table, figure or section", verdict: "Verdict" };
+  const labels = { paper: "Paper", artefact: "Table, figure or section", verdict: "Verdict", files: "With the authors' files" };
   const choose = (key) => {
     const select = add(add(form, "label", { textContent: labels[key] }), "select", { name: key });
-    const names = [...new Set(rows.map((one) => one[key]))];
+    const names = [...new Set(rows.map((one) => one[key]))].filter(Boolean);
     select.append(new Option("all", ""), ...names.map((name) => new Option(name, name)));
     select.value = names.includes(query.get(key)) ? query.get(key) : "";
     return select;
   };
-  const selects = Object.keys(labels).map(choose);
+  const selects = Object.keys(labels).filter((key) => rows.some((one) => one[key])).map(choose);
   const text = add(add(form, "label", { textContent: "Text" }), "input", { name: "text", type: "search", autocomplete: "off" });
   text.value = query.get("text") || "";
   add(form, "button", { type: "reset", textContent: "Clear" });

@@ -66,7 +66,7 @@ def build(root: Path, jobs: int) -> str:
     seconds = 0.0
     if not (root / "book/_build/html/index.html").is_file() or not done.is_file() or done.read_text() != key:
         done.unlink(missing_ok=True)
-        write_pages(root, write_scorecard(root, results))
+        write_pages(root, *write_scorecard(root, results)[1:])
         seconds = build_site(root, root / "book" / "_build" / "html", "-W", "-n", "--keep-going")
         done.write_text(site_key(root))
     current = f"{len(notebooks) - len(due)} of {len(notebooks)} notebooks were up to date"
@@ -162,14 +162,21 @@ def keep_told_apart(executed: Path, results: Path, notebooks: Iterable[str]) -> 
             table.unlink()
 
 
-def write_scorecard(root: Path, results: Path) -> DataFrame:
-    """Compare the tables with every printed number; return what was written."""
-    from repro_companion.scorecard import scorecard, write
+def write_scorecard(root: Path, results: Path) -> tuple[DataFrame, DataFrame, DataFrame]:
+    """Compare the tables with every printed number; return what was written, and both states that the site shows.
+
+    The state without the authors' files is always that of ``results/``, whose tables are committed.
+    """
+    from repro_companion.scorecard import beside, scorecard, write
 
     results.mkdir(parents=True, exist_ok=True)
-    card = scorecard(root / "data/published/published.csv", sorted(results.glob("*.rows.csv")))
+    folders = results, root / "results", root / "data" / "studies"
+    here, without, studies = (sorted(folder.glob("*.rows.csv")) for folder in folders)
+    published = root / "data/published/published.csv"
+    real = scorecard(published, without, studies, here)
+    card = beside(scorecard(published, here), real)
     write(card, results / "scorecard.csv")
-    return card
+    return card, scorecard(published, without), real
 
 
 # The page of a notebook

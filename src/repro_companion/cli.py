@@ -137,11 +137,11 @@ def scorecard(*, require: Path | None = None, write_reference: Path | None = Non
 
     path = results_folder(root) / "scorecard.csv"
     try:
-        rows = write_scorecard(root, path.parent)
+        rows, *states = write_scorecard(root, path.parent)
         changed = card.changed(rows, require) if require else []
     except (ValueError, OSError) as error:
         raise tool.InputError(str(error)) from error
-    print(f"{card.counts(rows).to_string()}\n\nAll rows: {tool.shown(path)}")
+    print(f"{card.summary(*states)}\n\nAll rows: {tool.shown(path)}")
     if changed:
         print(f"Verdicts other than in {require}:", *changed, sep="\n  ", file=sys.stderr)
         return 1
@@ -187,6 +187,7 @@ def fetch(
     paper: str = "",
     /,
     *,
+    page: str = "",
     mirror: Annotated[str, Parameter(env_var="REPRO_MIRROR")] = "",
     list_only: Annotated[bool, Parameter(name="--list", negative="")] = False,
 ) -> int:
@@ -196,15 +197,18 @@ def fetch(
     ----------
     paper
         One paper, such as mitchell2021; all by default.
+    page
+        Only what this page reads, such as table_2.
     mirror
         Download from MIRROR/PAPER/PATH, such as a folder of recordings served over HTTP, instead of GitHub.
     list_only
-        Download nothing; print what there is, how much of it is here, and where it comes from.
+        Download nothing; print what there is, which page reads it and for what, how much of it is here, and where
+        it comes from.
     """
     from repro_companion import run as tool
     from repro_companion.papers import fetch as files
 
-    sources = files.read_sources(tool.project_folder() / "data" / "sources.json", paper)
+    sources = files.read_sources(tool.project_folder() / "data" / "sources.json", paper, page)
     folder = tool.recordings_folder()
     if list_only:
         print(f"{files.listing(sources, folder)}\nFolder: {tool.shown(folder)}")

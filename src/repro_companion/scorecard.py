@@ -1,7 +1,10 @@
 """The scorecard: every number that a paper prints, what we regenerate, and the verdict.
 
 With s_pub and s_reg the standard deviations over three seeds (0 where there is none) and half a unit of the last
-printed digit h, the band around a printed number is max(3 sqrt((s_pub^2 + s_reg^2)/3), h). Its edge belongs to it.
+printed digit h, the band around a printed number is max(3 sqrt((s_pub^2 + s_reg^2)/3), h). Its edge belongs to it. Of
+a number that was read off a figure, s_pub is how well it can be read.
+
+There are two states of the card: without the authors' own files, and with them, where numbers from them are known.
 """
 
 from __future__ import annotations
@@ -20,6 +23,8 @@ COLUMNS = [
     *KEY, "published", "published_std", "regenerated", "regenerated_std", "n_seeds", "setting", "verdict", "weak",
     "near_edge", "best", "best_method", "note",
 ]  # fmt: skip
+WITH_FILES = ["with_files", "with_files_std", "with_files_setting", "with_files_verdict", "with_files_note"]
+"""Columns of the numbers that were computed with the authors' files."""
 COMPARED = ("reproduced", "better", "differs")
 KINDS = [*COMPARED, "weak", "printed again", "not comparable", "missing"]
 """As what a printed number can count."""
@@ -29,28 +34,27 @@ ERRORS = {
     "martin2022": r"median|q3",
 }
 """Quantities of each paper that are errors: of these alone less is better. Any other agrees or differs."""
+AUTHORS = "authors' files"
+"""How the setting of a row begins whose number was computed with the authors' own files."""
 TIMING = "benchmark"
 """Setting of rows that are timings: these depend on the computer and are never compared."""
 
 
-def scorecard(published: Path, files: Iterable[Path]) -> pd.DataFrame:
+def scorecard(published: Path, files: Iterable[Path], *sources: Iterable[Path]) -> pd.DataFrame:
     """Return every printed number beside what ``*.rows.csv`` regenerate, as texts, with its verdict.
+
+    From each group of further files the comparable rows about the authors' files take the place of what was there.
 
     Raises
     ------
     ValueError
         If a table is broken, a number is regenerated twice or is not a printed one, or one that differs has no note.
     """
-    printed = _read(published, [*KEY, "value", "std"], value=True, std=False)
+    printed = _once(_read(published, [*KEY, "value", "std"], value=True, std=False), "lists")
     printed = printed.rename(columns={"value": "published", "std": "published_std"})
-    numbers = {"regenerated": True, "regenerated_std": False, "n_seeds": False, "best": False}
-    parts = [_read(file, ROW_COLUMNS, **numbers) for file in files]
-    ours = pd.concat([pd.DataFrame(columns=[*ROW_COLUMNS, "file"]), *parts], ignore_index=True)
-    for frame, does in ((printed, "lists"), (ours, "regenerate")):
-        for _, twice in frame[frame.duplicated(KEY, keep=False)].groupby(KEY, sort=False):
-            raise ValueError(
-                f"{' and '.join(twice['file'])} {does} one number twice: {_name(twice.iloc[0])}."
-            )
+    further = pd.concat([_rows([]), *map(_rows, sources)])
+    about_files = further["setting"].str.startswith(AUTHORS) & (further["comparable"] != "false")
+    ours = pd.concat([_rows(files), further[about_files]]).drop_duplicates(KEY, keep="last")
     card = printed.drop(columns="file").merge(ours, "outer", KEY, indicator=True, sort=False)
     for _, row in card[card["_merge"] == "right_only"].iterrows():
         raise ValueError(f"{row['file']} regenerates what {published.name} does not list: {_name(row)}.")
@@ -59,6 +63,19 @@ def scorecard(published: Path, files: Iterable[Path]) -> pd.DataFrame:
     for _, row in card[(card["verdict"] == "differs") & (card["note"] == "")].iterrows():
         raise ValueError(f"A number that differs must have a note: {_name(row)} of {row['file']} has none.")
     return card[COLUMNS]
+
+
+def _rows(files: Iterable[Path]) -> pd.DataFrame:
+    """Return all rows of some files, each of another number."""
+    numbers = {"regenerated": True, "regenerated_std": False, "n_seeds": False, "best": False}
+    none = pd.DataFrame(columns=[*ROW_COLUMNS, "file"], dtype=str)
+    return _once(pd.concat([none, *(_read(file, ROW_COLUMNS, **numbers) for file in files)]), "regenerate")
+
+
+def _once(frame: pd.DataFrame, does: str) -> pd.DataFrame:
+    for _, twice in frame[frame.duplicated(KEY, keep=False)].groupby(KEY, sort=False):
+        raise ValueError(f"{' and '.join(twice['file'])} {does} one number twice: {_name(twice.iloc[0])}.")
+    return frame
 
 
 def _read(path: Path, columns: list[str], **needed: bool) -> pd.DataFrame:
@@ -136,6 +153,30 @@ def counts(card: pd.DataFrame) -> pd.DataFrame:
     table = table.fillna(0).astype(int)
     table.loc["all"] = table.sum()
     return table.assign(all=table.sum(axis=1)).rename_axis(columns=None)
+
+
+def beside(card: pd.DataFrame, real: pd.DataFrame) -> pd.DataFrame:
+    """Return the card without the authors' files, and as further columns what the one with them has from them."""
+    known = real["setting"].str.startswith(AUTHORS) & real["verdict"].isin(COMPARED)
+    second = real[["regenerated", "regenerated_std", "setting", "verdict", "note"]].set_axis(
+        WITH_FILES, axis=1
+    )
+    return card.join(second.where(known, ""))
+
+
+def papers_of_files(both: pd.DataFrame) -> tuple[list[str], list[str]]:
+    """Return of which papers the authors' files decided a number, and of which others measured numbers wait."""
+    waits = (both["verdict"] == "not_comparable") & (both["setting"] != TIMING)
+    known, waiting = (list(both[rows]["paper"].unique()) for rows in (both["with_files"] != "", waits))
+    return known, [paper for paper in waiting if paper not in known]
+
+
+def summary(card: pd.DataFrame, real: pd.DataFrame) -> str:
+    """Return the counts without the authors' files, and with them, as texts."""
+    known, waiting = papers_of_files(beside(card, real))
+    second = [counts(real).loc[known].to_string()] if known else []
+    second += [f"{paper}: not computed here; repro fetch {paper}, then make book" for paper in waiting]
+    return "\n".join(["Without the authors' files:", counts(card).to_string(), "\nWith them:", *second])
 
 
 def write(card: pd.DataFrame, path: Path) -> None:

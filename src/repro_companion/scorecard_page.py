@@ -6,14 +6,16 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from html import escape
+from itertools import groupby
 from pathlib import Path
 from urllib.parse import urlencode
 
 import numpy as np
 import pandas as pd
 
+from repro_companion.papers.fetch import Source, amount, read_sources
 from repro_companion.run import recordings
-from repro_companion.scorecard import COMPARED, KINDS, band, counts, is_error, kinds
+from repro_companion.scorecard import COMPARED, KINDS, band, beside, counts, is_error, kinds, papers_of_files
 from repro_companion.show import KEY, number
 
 PAPERS = {
@@ -25,6 +27,10 @@ FOLDED = {"equation": "Equations", "trajectory": "Trajectories", "section": "Num
 """Kinds of entries of the index that stand in a fold of their own; tables and figures are open."""
 INDEX_HEAD = ["In the paper", "Shows", "Page", "Verdict"]
 ROW_HEAD = ["Number", "Published", "Regenerated", "Band", "Verdict"]
+REAL = "With the authors' files"
+"""Heading of what was computed with these files; only tables with such a number have the column."""
+CAPTION = {"Setting": "setting", "Setting with files": "with_files_setting", "Our method": "best_method"}
+"""What the caption of a table of rows says, by its heading."""
 NOISE_COLUMNS = ["row", "noise_mt", "method", "error_percent"]
 """Columns of the study of the noise of Table 1 that the home page needs; another project may not have the study."""
 LETTERS = (
@@ -54,9 +60,14 @@ LETTERS = (
 """Names and numbers as files have them, and how the page writes them; names without letters come last."""
 
 
-def write_pages(root: Path, card: pd.DataFrame) -> None:
-    """Write what the pages *Scorecard and index* and *Home* include, to ``book/generated``."""
-    card = card.assign(name=card["paper"].replace(PAPERS), kind=kinds(card), width=band(card))
+def write_pages(root: Path, card: pd.DataFrame, real: pd.DataFrame) -> None:
+    """Write what the pages *Scorecard and index*, *Home* and *Commands* include, to ``book/generated``.
+
+    Both states of the scorecard are given: without the authors' files, and with them.
+    """
+    card = beside(card, real).assign(name=card["paper"].replace(PAPERS), kind=kinds(card), width=band(card))
+    known, _ = papers_of_files(card)
+    card["real_kind"] = kinds(real).where(card["paper"].isin(known), "")
     index = pd.read_csv(root / "data" / "published" / "index.csv", dtype=str, keep_default_na=False)
     found = index["paper"].isin({name.partition("/")[0] for name in recordings()})
     index = index.assign(
@@ -71,8 +82,9 @@ def write_pages(root: Path, card: pd.DataFrame) -> None:
     texts = {
         "index.md": index_page(index, titles, card),
         "find.md": finder_page(index[index["status"] != "not reproduced"]),
-        "counts.md": counts_page(card),
+        "counts.md": counts_page(card[real.columns], real),
         "rows.md": rows_page(card, places),
+        "files.md": files_page(read_sources(root / "data" / "sources.json")),
         "values.json": json.dumps(findings(card, noise), ensure_ascii=False),
     }
     for name, text in texts.items():
@@ -143,9 +155,13 @@ def index_page(index: pd.DataFrame, titles: Mapping[str, str], card: pd.DataFram
 
 
 def _entry(entry: pd.Series, titles: Mapping[str, str], card: pd.DataFrame) -> str:
-    found = card[(card["paper"] == entry["paper"]) & (card["artefact"] == entry["artefact"])]["kind"]
+    found = card[(card["paper"] == entry["paper"]) & (card["artefact"] == entry["artefact"])]
     if len(found):
-        verdict = rows_link(verdict_in_a_word(found), paper=entry["name"], artefact=entry["artefact"])
+        chosen = {"paper": entry["name"], "artefact": entry["artefact"]}
+        verdict = rows_link(verdict_in_a_word(found["kind"]), **chosen)
+        if (found["with_files"] != "").any():
+            again = rows_link(verdict_in_a_word(found["real_kind"]), **chosen)
+            verdict += f"; with the authors' files: {again}"
     elif "synthetic" in entry["note"]:
         verdict = entry["status"] + ("" if entry["real"] else " (synthetic)")
     else:
@@ -176,13 +192,33 @@ def finder_page(index: pd.DataFrame) -> str:
     return "\n".join(lines) + "\n"
 
 
-def counts_page(card: pd.DataFrame) -> str:
-    """Return a table of how many numbers of each paper count as what; each count leads to its rows."""
-    found = counts(card).drop(index="all", columns="all").rename(index=PAPERS).loc[:, lambda n: n.any()]
-    lines = ["{.as-cards}", f"| | {' | '.join(found)} |", "|---|" + "---:|" * found.shape[1]]
-    for name, row in found.iterrows():
-        cells = [rows_link(n, paper=str(name), verdict=str(kind)) if n else "0" for kind, n in row.items()]
-        lines.append(f"| {name} | {' | '.join(cells)} |")
+def counts_page(card: pd.DataFrame, real: pd.DataFrame) -> str:
+    """Return a table of how many numbers of each paper count as what, without the authors' files and with them.
+
+    Each count leads to its rows. Where numbers wait for files that are not here, it says how to get these.
+    """
+    known, waiting = papers_of_files(beside(card, real))
+    without, having = counts(card), counts(real).loc[known]
+    shown = [kind for kind in KINDS if without.loc["all", kind] or having[kind].any()]
+    lines = ["{.as-cards}", f"| | {' | '.join(shown)} |", "|---|" + "---:|" * len(shown)]
+    for paper in card["paper"].unique():
+        name = PAPERS.get(paper, paper)
+        for key, table_of, state in (
+            ("verdict", without, "without their files"),
+            ("files", having, "with them"),
+        ):
+            if paper in table_of.index:
+                found = table_of.loc[paper, shown].items()
+                cells = [rows_link(n, **{"paper": name, key: kind}) if n else "0" for kind, n in found]
+                label = f"{name}, {state}" if paper in known + waiting else name
+                lines.append(f"| {label} | {' | '.join(cells)} |")
+    if waiting:
+        names = " and ".join(PAPERS.get(paper, paper) for paper in waiting)
+        commands = "".join(f"repro fetch {paper}\n" for paper in waiting)
+        lines.append(
+            f"\nThe files of {names} are not here, so we do not know how many numbers agree with them. You can"
+            f" compute it:\n\n```bash\n{commands}make book\n```"
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -196,16 +232,18 @@ def rows_page(card: pd.DataFrame, places: Mapping[tuple[str, str], str]) -> str:
             f"{n:.0f} {kind if n == 1 else kind.replace('differs', 'differ')}" for kind, n in total.items()
         )
         caption = f'<a href="{places[name, artefact]}">{name}, {artefact}</a>.'
-        for heading, column in (("Setting", "setting"), ("Our method", "best_method")):
+        for heading, column in CAPTION.items():
             if given := "; ".join(filter(None, rows[column].unique())):
                 caption += f' <span class="setting">{heading}: {words(given)}.</span>'
         about = f'cards" data-paper="{name}" data-artefact="{artefact}"'
-        text = table(caption, ROW_HEAD, [_row(row) for _, row in rows.iterrows()], about)
+        real = bool((rows["with_files"] != "").any())
+        lines = [_row(row, real) for _, row in rows.iterrows()]
+        text = table(caption, [*ROW_HEAD, *[REAL] * real], lines, about)
         parts.append(folded(f"<b>{name}, {artefact}</b>: {said}.", text))
     return "\n".join(parts)
 
 
-def _row(row: pd.Series) -> str:
+def _row(row: pd.Series, with_real: bool = False) -> str:
     """Return a row of the scorecard: its numbers, and what is known of it in a second line."""
     unit = "\N{NO-BREAK SPACE}" + words(row["unit"])
     printed = [row[name].replace("-", "−") for name in ("published", "published_std") if row[name]]
@@ -215,19 +253,44 @@ def _row(row: pd.Series) -> str:
     apart = ", near the edge" * (row["near_edge"] == "true")
     if kind != verdict:
         verdict, apart = kind, f" ({verdict})" + apart
-    said = words(f"{row['note'][:1].upper()}{row['note'][1:]}. ") if row["note"] else ""
+    said = _sentence(row["note"])
+    if row["with_files_note"]:
+        said += _sentence(f"{REAL}: {row['with_files_note']}")
     if row["best"]:
         better = is_error(row) and float(row["best"]) < float(row["regenerated"])
-        said += f" <b>Our {'best' if better else 'method'}: {number(float(row['best']))}{unit}.</b>"
+        said += f"<b>Our {'best' if better else 'method'}: {number(float(row['best']))}{unit}.</b>"
     key = " ".join(["row", *row[KEY]]).lower().replace("-", " minus ")
     cells = [" ± ".join(printed) + unit, " ± ".join(ours) + unit if ours else "–", width]
-    cells.append(f'<span class="verdict verdict-{verdict.replace(" ", "-")}">{verdict}</span>{apart}')
+    cells += [_verdict(verdict) + apart, *[_real(row, unit)] * with_real]
     return (
-        f'<tbody id="{re.sub(r"[^a-z0-9]+", "-", key).strip("-")}" data-verdict="{kind}"><tr><th scope="row">'
+        f'<tbody id="{re.sub(r"[^a-z0-9]+", "-", key).strip("-")}" data-verdict="{kind}"'
+        f' data-files="{row["real_kind"]}"><tr><th scope="row">'
         f"{words(row['row'])}, {words(row['quantity'])}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
-        + (f'<tr class="remarks"><td colspan="5">{said}</td></tr>' if said else "")
+        + (f'<tr class="remarks"><td colspan="{len(cells) + 1}">{said}</td></tr>' if said else "")
         + "</tbody>"
     )
+
+
+def _real(row: pd.Series, unit: str) -> str:
+    numbers = [number(float(row[name])) for name in ("with_files", "with_files_std") if row[name]]
+    return f"{' ± '.join(numbers)}{unit}, {_verdict(row['real_kind'])}" if numbers else "–"
+
+
+def _sentence(text: str) -> str:
+    return words(f"{text[:1].upper()}{text[1:]}.") + " " if text else ""
+
+
+def _verdict(kind: str) -> str:
+    return f'<span class="verdict verdict-{kind.replace(" ", "-")}">{kind}</span>'
+
+
+def files_page(sources: Iterable[Source]) -> str:
+    """Return a table of the files that can be fetched: how many, and which page reads them for what."""
+    lines = ["{.as-cards}", "| paper | page | files | what for |", "|---|---|---|---|"]
+    for (paper, page, use), files in groupby(sources, lambda source: (source.paper, source.page, source.use)):
+        link = f'<a href="notebooks/{page}.html"><code>{page}</code></a>' if page else "none yet"
+        lines.append(f"| `{paper}` | {link} | {amount(files)} | {use} |")
+    return "\n".join(lines) + "\n"
 
 
 def findings(card: pd.DataFrame, noise: pd.DataFrame) -> dict[str, str]:
@@ -242,6 +305,8 @@ def findings(card: pd.DataFrame, noise: pd.DataFrame) -> dict[str, str]:
         (numbers["artefact"] == "Table 1") & (numbers["row"] == "n_b=1") & (numbers["unit"] == "%")
     ]
     bend = numbers[numbers["quantity"] == "rmse_position"]
+    relative = numbers["quantity"].str.startswith("delta") & (numbers["unit"] == "%")
+    rig = numbers[relative & (numbers["artefact"] == "Table 2") & numbers["row"].str.endswith("T5.test")]
     noisy = noise[(noise["row"] == "n_b=1") & (noise["method"] == "calibrated") & (noise["noise_mt"] > 0.01)]
     ours = card[card["paper"] == "baaij2023"]
     tally = kinds(ours).value_counts().reindex(KINDS, fill_value=0 if len(ours) else np.nan)
@@ -253,6 +318,8 @@ def findings(card: pd.DataFrame, noise: pd.DataFrame) -> dict[str, str]:
         "home.ring_paper": number(ring["regenerated"].mean(), 1),
         "home.ring_best": number(ring["best"].mean(), 1),
         "home.ring_noisy": number(noisy["error_percent"].mean(), 1),
+        "home.rig_own": number(rig["regenerated"].mean(), 2),
+        "home.rig_printed": number(rig["published"].mean(), 2),
         "home.bend_paper": number(bend["regenerated"].mean(), 1),
         "home.bend_printed": number(bend["published"].mean(), 2),
     }

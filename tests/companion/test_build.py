@@ -8,10 +8,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from repro_companion import build as tool
 from repro_companion import run
+from repro_companion.scorecard import AUTHORS
+from repro_companion.show import KEY, ROW_COLUMNS
 
 from .sample import notebook, project
 
@@ -20,6 +23,11 @@ title: Small
 execute: {execute_notebooks: "off"}
 only_build_toc_files: true
 exclude_patterns: [generated]
+"""
+HASH = 40 * "0"
+SOURCES = f"""\
+{{"a2020": {{"repository": "https://github.com/o/n", "commit": "{HASH}",
+ "readers": [{{"files": "x", "page": "a", "use": "y"}}], "files": [{{"path": "x.csv", "git_blob": "{HASH}"}}]}}}}
 """
 PUBLISHED = """\
 paper,artefact,row,quantity,unit,value,std
@@ -37,6 +45,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name, text in {
         "pyproject.toml": "",
         "data/published/published.csv": PUBLISHED,
+        "data/sources.json": SOURCES,
         "data/published/index.csv": "paper,kind,artefact,shows,status,page,anchor,code,note\n"
         "a2020,table,Table 1,errors,regenerated,notebooks/a,,,\n",
         "book/_config.yml": CONFIG,
@@ -194,3 +203,24 @@ def test_what_a_page_shows(root):
     assert "| `noise_mt` | `0.0` | noise of a sensor [mT], at least 0 |" in folds[1]
     assert ".venv/bin/repro run notebooks/a.ipynb -p fast true -o runs/a.ipynb" in folds[1]
     assert "Recordings: none fetched" in folds[2]
+
+
+def test_the_scorecard_has_both_states_wherever_it_is_built(root):
+    """The first is that of ``results/``; the second has what a study knows of the files, or else this build."""
+
+    def verdicts(value: float, name: str, about: str, comparable: bool) -> list[str]:
+        """Return the verdicts after a table was written: of the build, with files in it, and of both states."""
+        (root / name).mkdir(parents=True, exist_ok=True)
+        key = dict(zip(KEY, ["a2020", "Table 1", "one", "e_u", "mT"], strict=True))
+        row = {"regenerated": value, "setting": about, "note": "n", "comparable": str(comparable).lower()}
+        pd.DataFrame([key | row], columns=ROW_COLUMNS).to_csv(root / name / "a.rows.csv", index=False)
+        card, *states = tool.write_scorecard(root, tool.results_folder(root))
+        return [card["verdict"][0], card["with_files_verdict"][0], *(state["verdict"][0] for state in states)]
+
+    none = "not_comparable"
+    assert verdicts(9, "results", "synthetic", False) == [none, "", none, none]
+    assert verdicts(0.016, "data/studies", AUTHORS, True) == [none, "reproduced", none, "reproduced"]
+    (root / "recordings").mkdir()
+    (root / "recordings/a.csv").write_text("1\n")
+    assert verdicts(0.5, "results/with_recordings", AUTHORS, True) == ["differs", "differs", none, "differs"]
+    assert ",0.016," in (root / "results/scorecard.csv").read_text(), "each build writes its own"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import http.server
 import json
@@ -15,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from repro.common import InputError
+from repro_companion import cli
 from repro_companion.papers import fetch as tool
 from repro_companion.run import project_folder
 
@@ -25,9 +27,12 @@ BLOB = hashlib.sha1(b"blob %d\0" % len(CONTENT) + CONTENT).hexdigest()
 ENTRY = {"path": "data/a b.csv", "sha256": SHA256, "git_blob": BLOB, "size": len(CONTENT)}
 
 
-def listed(path: Path, *entries: dict, **about: str) -> Path:
+READERS = [{"files": "", "page": "one", "use": "all"}]
+
+
+def listed(path: Path, *entries: dict, **about: object) -> Path:
     """Write a list of recordings of one paper."""
-    about = {"repository": "https://github.com/o/n", "commit": COMMIT} | about
+    about = {"repository": "https://github.com/o/n", "commit": COMMIT, "readers": READERS} | about
     path.write_text(json.dumps({"p2020": {**about, "files": entries or [ENTRY]}}))
     return path
 
@@ -90,7 +95,10 @@ def test_what_is_here_is_not_asked_for_again(sources, tmp_path, server):
     assert tool.fetch(sources, folder, f"{server}/missing") == ("0 fetched, 1 already here, 0 failed", True)
     (folder / "p2020/data/a b.csv").write_bytes(b"edited")
     assert tool.fetch(sources, folder, f"{server}/good/")[0] == "1 fetched, 0 already here, 0 failed"
-    assert tool.listing(sources, folder) == "p2020: 1 files, 0.0 MB, 1 here; from github.com/o/n at a1a1a1a"
+    assert tool.listing(sources, folder).splitlines() == [
+        "p2020: 1 file, 0.0 MB, 1 here; from github.com/o/n at a1a1a1a",
+        "  one: 1 file, 0.0 MB: all",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -174,6 +182,9 @@ def test_paths_that_lead_elsewhere_are_refused(tmp_path, path):
         ({}, {"sha256": "", "git_blob": ""}, "hash of data/a b.csv of sources.json must be a SHA-256 or"),
         ({}, {"sha256": "ab"}, "hash of data/a b.csv of sources.json must be a SHA-256 or"),
         ({}, {"size": "10"}, "size of data/a b.csv of sources.json must be a whole number of bytes"),
+        ({"readers": []}, {}, "reader of data/a b.csv of sources.json must be one, .*; instead received 0"),
+        ({"readers": READERS * 2}, {}, "must be one, with files, page and use; instead received 2"),
+        ({"readers": [{"files": ""}]}, {}, "list of sources.json must be JSON such as .*KeyError: 'page'"),
         ({"commit": 1}, {}, "list of sources.json must be JSON such as .*TypeError"),
     ],
 )
@@ -207,10 +218,64 @@ def test_a_damaged_list_is_refused_in_words(tmp_path, text, said):
             tool.read_sources(tmp_path / "sources.json", paper)
 
 
+def test_a_page_can_be_fetched_alone(tmp_path, server, monkeypatch, capsys):
+    """Of two files the one that the page reads; it is told how many files each page reads, and of what size."""
+    (tmp_path / "data/published").mkdir(parents=True)
+    readers = [{"files": "data", "page": "one", "use": "x"}, {"files": "other", "page": "", "use": "y"}]
+    path = listed(tmp_path / "data/sources.json", ENTRY, {"path": "other", "git_blob": BLOB}, readers=readers)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path / "recordings"))
+    assert cli.fetch("p2020", page="one", mirror=f"{server}/good") == 0
+    assert [file.name for file in (tmp_path / "recordings").rglob("*") if file.is_file()] == ["a b.csv"]
+    capsys.readouterr()
+    assert cli.fetch(list_only=True) == 0
+    assert capsys.readouterr().out.splitlines()[:3] == [
+        "p2020: 2 files, at least 0.0 MB, 1 here; from github.com/o/n at a1a1a1a",
+        "  one: 1 file, 0.0 MB: x",
+        "  no page yet: 1 file, at least 0.0 MB: y",
+    ]
+    with pytest.raises(InputError, match="page of repro fetch must be one of one; instead received two"):
+        tool.read_sources(path, page="two")
+
+
+def texts_of(module: Path) -> set[str]:
+    """Return the strings in a module's code that could name files, with * for what is put into them."""
+    nodes = ast.walk(ast.parse(module.read_text(encoding="utf-8")))
+    texts = [ast.unparse(node) for node in nodes if isinstance(node, ast.Constant | ast.JoinedStr)]
+    names = {re.sub(r"{.*?}", "*", text.lstrip("f").strip("'\"")) for text in texts}
+    # "mocap" may be any word, and "*_*.csv" any file.
+    told = re.compile(r".*[/_]")
+    return {
+        name for name in names if told.match(name) and len(re.sub(r"\.csv|[\W_]", "", Path(name).name)) > 2
+    }
+
+
+def test_every_listed_file_has_a_reader():
+    """It is a page of the book, and code of a paper names the file, or its folder as far as the list does."""
+    root = project_folder()
+    modules = (root / "src/repro_companion/papers").glob("*.py")
+    texts = {text for module in modules if module.stem != "fetch" for text in texts_of(module)}
+    unread = set()
+    for paper, about in json.loads((root / "data/sources.json").read_text()).items():
+        for reader in about["readers"]:
+            assert not reader["page"] or (root / f"notebooks/{reader['page']}.ipynb").is_file()
+            folder, files = Path(paper, reader["files"]), [Path(paper, one["path"]) for one in about["files"]]
+            files = [file for file in files if file.is_relative_to(folder)]
+            assert files, f"{folder} has no file"
+            for file in files:
+                places = [place for place in (file, *file.parents) if place.is_relative_to(folder)]
+                if not any(place.match(text) for place in places for text in texts):
+                    unread.add((folder.name, reader["page"]))
+    none = {("merged_data", ""), ("processed_motion_capture_data", "")}
+    assert unread == none | {("LICENSE", "real_arm")}
+
+
 def test_the_list_of_the_project_can_be_used():
     path = project_folder() / "data/sources.json"
-    names = [source.name for source in tool.read_sources(path)]
-    assert len(names) == len(set(names)) == 246
+    listed = [source.name for source in tool.read_sources(path)]
+    assert len(listed) == len(set(listed)) == 245
+    table_2 = tool.read_sources(path, "baaij2023", "table_2")
+    assert (len(table_2), sum(source.size for source in table_2)) == (12, 15_870_485)
     with pytest.raises(InputError, match="must be one of baaij2023, .*; instead received none"):
         tool.read_sources(path, "none")
     with pytest.raises(InputError, match="list of repro fetch must be an existing file"):

@@ -9,23 +9,35 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from repro_companion.scorecard import COLUMNS, ERRORS, changed, counts, is_error, kinds, scorecard, write
+from repro_companion.scorecard import (
+    COLUMNS,
+    ERRORS,
+    WITH_FILES,
+    beside,
+    changed,
+    counts,
+    is_error,
+    kinds,
+    scorecard,
+    summary,
+    write,
+)
 from repro_companion.show import KEY, ROW_COLUMNS
 
 ROOT = Path(__file__).resolve().parents[2]
 PUBLISHED, RESULTS = ROOT / "data" / "published" / "published.csv", ROOT / "results"
 
 
-def card_of(folder: Path, printed: list[dict], ours: list[dict]) -> pd.DataFrame:
-    """Scorecard of numbers given by what is not usual about them."""
+def card_of(folder: Path, printed: list[dict], ours: list[dict], *sources: list[dict]) -> pd.DataFrame:
+    """Scorecard of numbers given by what is not usual about them; ours are of a.rows.csv, further ones of b, c."""
     usual = dict.fromkeys(KEY, "a") | {"std": "", "setting": "s", "comparable": "true"}
-    for name, columns, rows in (
-        ("published", [*KEY, "value", "std"], printed),
-        ("a.rows", ROW_COLUMNS, ours),
-    ):
+    groups = dict(zip("abc", [ours, *sources], strict=False))
+    tables = {f"{name}.rows": (ROW_COLUMNS, rows) for name, rows in groups.items()}
+    tables["published"] = [*KEY, "value", "std"], printed
+    for name, (columns, rows) in tables.items():
         frame = pd.DataFrame([usual | row for row in rows], dtype=str).reindex(columns=columns, fill_value="")
         frame.to_csv(folder / f"{name}.csv", index=False)
-    return scorecard(folder / "published.csv", [folder / "a.rows.csv"])
+    return scorecard(folder / "published.csv", *([folder / f"{name}.rows.csv"] for name in groups))
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +46,11 @@ def card() -> pd.DataFrame:
 
 
 def test_the_committed_scorecard_comes_out_byte_for_byte(card, tmp_path):
-    write(card, tmp_path / "scorecard.csv")
+    files, studies = (sorted(folder.glob("*.rows.csv")) for folder in (RESULTS, ROOT / "data" / "studies"))
+    both = beside(card, scorecard(PUBLISHED, files, studies, files))
+    write(both, tmp_path / "scorecard.csv")
     assert (tmp_path / "scorecard.csv").read_bytes() == (RESULTS / "scorecard.csv").read_bytes()
-    assert list(card) == COLUMNS
+    assert list(both) == [*COLUMNS, *WITH_FILES]
 
 
 def test_no_verdict_is_another_than_the_reference(card):
@@ -50,6 +64,15 @@ def test_counts_are_those_of_every_paper_and_of_all(card):
     assert table.loc["martin2022", ["reproduced", "not comparable"]].to_list() == [0, 43]
     assert table.loc["all", "all"] == len(card) == 215
     assert (table.iloc[:-1].sum() == table.loc["all"]).all()
+
+
+def test_what_was_read_off_a_figure_has_a_deviation():
+    """Martin et al. print none; that of a reading makes the band of Figs 3 and 5, and of nothing else."""
+    printed = pd.read_csv(PUBLISHED, dtype=str, keep_default_na=False).query("paper == 'martin2022'")
+    read_off = printed["artefact"].isin(["Fig. 3", "Fig. 5"])
+    assert set(printed[read_off]["unit"]) == {"mm"}
+    assert set(printed[read_off]["std"]) == {"1.5"}
+    assert set(printed[~read_off]["std"]) == {""}
 
 
 numbers = st.decimals(0, 20, places=2).map(str)
@@ -136,6 +159,34 @@ def test_weak_and_repeated_numbers_count_apart(tmp_path):
         [{"regenerated": x, "row": r} for x, r in zip(["1", "1", "1.1", "1"], "abcd", strict=True)],
     )
     assert kinds(found).to_list() == ["reproduced", "printed again", "reproduced", "weak"]
+
+
+def test_a_number_counts_with_the_authors_files_if_it_was_computed_with_them(tmp_path):
+    """Rows of further groups are taken if their setting says so, and if they do not say that they do not compare."""
+    real = {"setting": "authors' files, as the authors did", "regenerated": "5"}
+    printed = [{"value": "5", "row": row} for row in "abcd"]
+    ours = [{"regenerated": "9", "row": row, "comparable": "false"} for row in "abcd"]
+    group = [real | {"row": "a"}, {"regenerated": "5", "row": "b"}, real | {"row": "d"}]
+    not_these = [real | {"regenerated": "9", "row": row, "comparable": "false"} for row in "ac"]
+    later = real | {"row": "d", "regenerated": "7", "regenerated_std": "0.5", "note": "n"}
+    first = card_of(tmp_path, printed, ours)
+    second = card_of(tmp_path, printed, ours, group, [later, *not_these])
+    both = beside(first, second)
+    assert both["with_files_verdict"].to_list() == ["reproduced", "", "", "differs"]
+    assert both.loc[3, WITH_FILES].to_list() == ["7", "0.5", real["setting"], "differs", "n"]
+    assert both[COLUMNS].equals(first)
+    assert summary(first, second).splitlines()[-1].split() == ["a", "1", "0", "1", "0", "0", "2", "0", "4"]
+    with pytest.raises(ValueError, match="must have a note: a / a / d / a / a of c.rows.csv has none"):
+        card_of(tmp_path, printed, ours, group, [later | {"note": ""}])
+
+
+def test_the_summary_says_whose_files_are_not_here(card):
+    """Mitchell et al. print no measured error, so their files decide none."""
+    absent = [
+        f"{paper}: not computed here; repro fetch {paper}, then make book"
+        for paper in ("baaij2023", "martin2022")
+    ]
+    assert summary(card, card).splitlines()[-3:] == ["With them:", *absent]
 
 
 def test_a_number_that_differs_must_have_a_note(tmp_path):

@@ -13,7 +13,8 @@ import pandas as pd
 import pytest
 
 from repro_companion import scorecard_page as page
-from repro_companion.scorecard import counts, kinds, scorecard
+from repro_companion.papers.fetch import read_sources
+from repro_companion.scorecard import WITH_FILES, beside, kinds, scorecard
 
 ROOT = Path(__file__).resolve().parents[2]
 INDEX = pd.read_csv(ROOT / "data/published/index.csv", dtype=str, keep_default_na=False)
@@ -32,13 +33,34 @@ TRAJECTORIES = {
 MACHINE_NAME = re.compile(r"(?<![\w./])[A-Za-z]\w*_\w+(?!\w*\.\w)")
 
 
+FILES = ROOT / "data/published/published.csv", sorted((ROOT / "results").glob("*.rows.csv"))
+
+
 @pytest.fixture(scope="module")
 def card() -> pd.DataFrame:
-    return scorecard(ROOT / "data/published/published.csv", sorted((ROOT / "results").glob("*.rows.csv")))
+    return scorecard(*FILES)
 
 
 @pytest.fixture(scope="module")
-def written(card, tmp_path_factory) -> dict[str, str]:
+def real(tmp_path_factory) -> pd.DataFrame:
+    """Return the scorecard as it would be with files of Martin et al.: made-up numbers for Table II."""
+    rows = pd.read_csv(ROOT / "results/imu_markers.rows.csv", dtype=str, keep_default_na=False)
+    rows = rows[rows["artefact"] == "Table II"].assign(
+        setting="authors' files, made up", regenerated="99", regenerated_std="1", comparable="true"
+    )
+    path = tmp_path_factory.mktemp("made_up") / "made_up.rows.csv"
+    rows.to_csv(path, index=False)
+    return scorecard(*FILES, [path])
+
+
+@pytest.fixture(scope="module", params=["without", "with"])
+def state(request, card, real) -> pd.DataFrame:
+    """Return the second state of the scorecard: as without files, or with made-up numbers."""
+    return {"without": card, "with": real}[request.param]
+
+
+@pytest.fixture(scope="module")
+def written(card, state, tmp_path_factory) -> dict[str, str]:
     """Return what is written for a project with the pages of this one."""
     root = tmp_path_factory.mktemp("project")
     for name in ("data", "notebooks"):
@@ -47,7 +69,7 @@ def written(card, tmp_path_factory) -> dict[str, str]:
     for path in (ROOT / "book").iterdir():
         if path.name != "generated":
             (root / "book" / path.name).symlink_to(path)
-    page.write_pages(root, card)
+    page.write_pages(root, card, state)
     return {path.name: path.read_text(encoding="utf-8") for path in (root / "book/generated").iterdir()}
 
 
@@ -111,7 +133,7 @@ def test_a_paper_of_sections_alone_has_its_heading(card):
     entries = INDEX.assign(name=INDEX["paper"].replace(page.PAPERS), place="p.html", real=False)
     entries = entries[(entries["paper"] != "mitchell2021") | (entries["kind"] == "section")]
     titles = dict.fromkeys(entries["page"], "Page")
-    text = page.index_page(entries, titles, card.assign(kind=kinds(card)))
+    text = page.index_page(entries, titles, beside(card, card).assign(kind=kinds(card)))
     assert re.findall(r"^### (.+)$", text, re.MULTILINE) == list(page.PAPERS.values())
     own = text.partition(f"### {page.PAPERS['mitchell2021']}")[2].partition("###")[0]
     assert "<summary>Numbers in the text</summary>" in own
@@ -153,7 +175,7 @@ def test_what_recordings_make_real_is_no_longer_synthetic(card, tmp_path, monkey
     for paper in ("other", "baaij2023", "mitchell2021", "martin2022"):
         (tmp_path / "recordings" / paper).mkdir(parents=True)
         (tmp_path / "recordings" / paper / "a.csv").write_text("1\n")
-        page.write_pages(tmp_path, card)
+        page.write_pages(tmp_path, card, card)
         counted.append(
             (tmp_path / "book/generated/index.md").read_text(encoding="utf-8").count("(synthetic)")
         )
@@ -166,24 +188,54 @@ def test_what_recordings_make_real_is_no_longer_synthetic(card, tmp_path, monkey
 # Counts and rows
 
 
-def test_every_count_leads_to_the_rows_that_it_counts(card, written):
-    rows = re.findall(
-        r'data-paper="(.*?)"|<tbody id="(.*?)" data-verdict="(.*?)"', unescape(written["rows.md"])
-    )
+def test_every_count_leads_to_the_rows_that_it_counts(card, state, written):
+    """In both states: a paper of which a number was computed with its files has a second line."""
+    tables = r'data-paper="(.*?)"|<tbody id=".*?" data-verdict="(.*?)" data-files="(.*?)"'
     listed, paper = [], ""
-    for about, _, verdict in rows:
+    for about, verdict, files in re.findall(tables, unescape(written["rows.md"])):
         paper = about or paper
-        if verdict:
-            listed.append((paper, verdict))
+        listed += [{"paper": paper, "verdict": verdict, "files": files}] * bool(verdict)
     assert len(listed) == len(card)
-    links = re.findall(r'href="(.*?)".*?>(\d+)</a>', unescape(written["counts.md"]))
-    for link, count in links:
+    found = {"verdict": 0, "files": 0}
+    for link, count in re.findall(r'href="(.*?)".*?>(\d+)</a>', unescape(written["counts.md"])):
         parts = urlsplit(link)
-        query = parse_qs(parts.query)
+        chosen = {key: value for key, (value,) in parse_qs(parts.query).items()}
         assert (parts.path, parts.fragment) == ("scorecard.html", "all-rows")
-        assert listed.count((query["paper"][0], query["verdict"][0])) == int(count)
-    assert sum(int(count) for _, count in links) == len(card)
-    assert len(links) == (counts(card).drop(index="all", columns="all") > 0).to_numpy().sum()
+        assert sum(chosen.items() <= row.items() for row in listed) == int(count)
+        found[min(chosen.keys() - {"paper"})] += int(count)
+    second = 0 if state is card else 43
+    assert found == {"verdict": len(card), "files": second}
+
+
+def test_in_words_where_files_are_not_here(card, state, written):
+    """Instead of a second line of counts; Mitchell et al. need none."""
+    text = written["counts.md"]
+    waiting = re.findall("^repro fetch (.+)$", text, re.MULTILINE)
+    assert waiting == (["baaij2023", "martin2022"] if state is card else ["baaij2023"])
+    lines = re.findall(r"^\| (Mit.*?|Mar.*?) \|", text, re.MULTILINE)
+    first = ["Mitchell et al. (2021)", "Martin et al. (2022), without their files"]
+    assert lines == (first if state is card else [*first, "Martin et al. (2022), with them"])
+
+
+def test_a_column_has_the_numbers_with_the_authors_files(card, state, written):
+    """Only a table with such a number has it; the numbers without the files stay where they were."""
+    for artefact in ("Table II", "Fig. 3"):
+        text = written["rows.md"].partition(f'data-artefact="{artefact}"')[2].partition("</table>")[0]
+        known = state is not card and artefact == "Table II"
+        assert text.count("files, made up") == text.count(f'<th scope="col">{page.REAL}</th>') == known
+        cells = re.findall("<td>(.*?)</td>", text.partition("<tbody")[2].partition("</tr>")[0])
+        assert ">not comparable<" in cells[3]
+        assert [cell.partition("\N{NO-BREAK SPACE}")[0] for cell in cells[4:]] == ["99.0 ± 1.00"] * known
+        row = re.search(rf">{artefact}</a>.*?</tr>", written["index.md"])[0]
+        assert ("with the authors' files: " in row) == known
+
+
+def test_the_commands_page_has_all_files(written):
+    sources = read_sources(ROOT / "data/sources.json")
+    assert sum(map(int, re.findall(r"\| (\d+) files?, ", written["files.md"]))) == len(sources)
+    assert (
+        written["files.md"].count('<a href="notebooks/table_2.html"><code>table_2</code></a> | 6 files') == 2
+    )
 
 
 def test_every_row_has_an_address_and_no_name_of_a_file(written):
@@ -213,7 +265,8 @@ def test_names_are_written_with_the_letters_of_the_papers(name, shown):
 
 def test_a_row_says_why_it_counts_apart_and_what_we_reach(card):
     row = card.iloc[1].to_dict() | {"kind": "weak", "verdict": "reproduced", "near_edge": "true"}
-    row |= {"width": 0.25, "best": "0.1234", "note": "of three seeds", "unit": "%"}
+    row |= {"width": 0.25, "best": "0.1234", "note": "of three seeds", "unit": "%", "real_kind": ""}
+    row |= dict.fromkeys(WITH_FILES, "")
     text = page._row(pd.Series(row))
     assert "weak</span> (reproduced), near the edge</td>" in text
     assert "±\N{NO-BREAK SPACE}0.25\N{NO-BREAK SPACE}%" in text
@@ -237,11 +290,25 @@ def test_the_numbers_of_the_home_page_are_means():
     noise = pd.DataFrame(
         {"row": "n_b=1", "method": "calibrated", "noise_mt": [0.019, 7.1e-4], "error_percent": [9, 99]}
     )
-    found = page.findings(pd.concat([ring, bend, ring.assign(regenerated="9", best="9", unit="mT")]), noise)
+    rig = ring.assign(artefact="Table 2", row="T5.train->T5.test")
+    others = (
+        rig.assign(row="T5.train->T4", regenerated="99"),
+        ring.assign(regenerated="9", best="9", unit="mT"),
+    )
+    found = page.findings(pd.concat([ring, bend, rig, *others]), noise)
     assert list(found.items())[4:] == [
-        ("home.ring_paper", "3"), ("home.ring_best", "0.3"), ("home.ring_noisy", "9"), ("home.bend_paper", "3"),
-        ("home.bend_printed", "6.0"),
+        ("home.ring_paper", "3"), ("home.ring_best", "0.3"), ("home.ring_noisy", "9"), ("home.rig_own", "3.0"),
+        ("home.rig_printed", "6.0"), ("home.bend_paper", "3"), ("home.bend_printed", "6.0"),
     ]  # fmt: skip
+
+
+def test_on_four_motions_the_rig_has_several_times_the_printed_error(card):
+    """As the home page says in words: T0 to T3, but not T4 and T5."""
+    rows = card[(card["artefact"] == "Table 2") & card["quantity"].str.startswith("delta")]
+    ratio = pd.to_numeric(rows["regenerated"]) / pd.to_numeric(rows["published"])
+    far = rows["row"].str.contains("T[0-3].test")
+    assert ratio[far].min() > 2.5
+    assert ratio[~far].max() < 1.5
 
 
 def test_the_home_page_names_no_other_numbers(card):
@@ -255,7 +322,7 @@ def test_the_home_page_names_no_other_numbers(card):
 
 def test_kinds_of_the_index_and_the_scorecard_do_not_mix(card):
     """What has no numbers has the word of the index; the others lead to their rows."""
-    card = card.assign(name=card["paper"].replace(page.PAPERS), kind=kinds(card))
+    card = beside(card, card).assign(name=card["paper"].replace(page.PAPERS), kind=kinds(card))
     entry = {
         "paper": "baaij2023",
         "name": "B",

@@ -1,6 +1,7 @@
 """The authors' public recordings: which files there are, and their download, each verified by its hash.
 
-``data/sources.json`` names for each paper the repository, the commit, and per file its path there and its hash.
+``data/sources.json`` names for each paper the repository, the commit, per file its path there and its hash, and for
+paths that begin alike the page that reads them, and for what.
 """
 
 from __future__ import annotations
@@ -9,9 +10,10 @@ import hashlib
 import json
 import re
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote, urljoin
@@ -29,7 +31,9 @@ REDIRECTS = 5
 """How often a server may send us on."""
 LARGEST = 100_000_000
 """Most bytes of a file whose size is not listed."""
-FORM = "JSON such as {PAPER: {repository, commit, files: [{path, sha256, size}]}}"
+FORM = (
+    "JSON such as {PAPER: {repository, commit, readers: [{files, page, use}], files: [{path, sha256, size}]}}"
+)
 NO_ANSWER, SILENT_IN_A_ROW = "the server did not answer in time", 3
 """After so many files for which nothing answered, the others are not tried: each would cost its time-out."""
 
@@ -48,6 +52,10 @@ class Source:
     size: int | None
     large: bool
     """Whether the content is in Git LFS."""
+    page: str = ""
+    """The page that reads it; empty where none does."""
+    use: str = ""
+    """What for."""
 
     @property
     def name(self) -> str:
@@ -72,8 +80,8 @@ class Source:
         return hashlib.sha1(blob, usedforsecurity=False).hexdigest() == self.git_blob
 
 
-def read_sources(path: Path, paper: str = "") -> list[Source]:
-    """Return the files of one paper, or of all; an entry that could lead elsewhere is refused."""
+def read_sources(path: Path, paper: str = "", page: str = "") -> list[Source]:
+    """Return the files of one paper or all, or what a page reads of them; what could lead elsewhere is refused."""
     require(path.is_file(), "list", "repro fetch", "an existing file", path)
     try:
         listed = json.loads(path.read_text(encoding="utf-8"))
@@ -88,7 +96,9 @@ def read_sources(path: Path, paper: str = "") -> list[Source]:
         damage = f"{type(error).__name__}: {error}; take the file as it was released"
         raise bad_input("list", path.name, FORM, damage) from None
     require(found, "files", path.name, "one or more", "none")
-    return found
+    pages = sorted({source.page for source in found} - {""})
+    require(not page or page in pages, "page", "repro fetch", f"one of {', '.join(pages)}", page)
+    return [source for source in found if page in ("", source.page)]
 
 
 def _source(paper: str, about: dict, entry: dict, owner: str) -> Source:
@@ -106,19 +116,30 @@ def _source(paper: str, about: dict, entry: dict, owner: str) -> Source:
     size, large = entry.get("size"), about.get("storage") == "git-lfs"
     whole = size is None or (type(size) is int and size >= 0)
     require(whole, f"size of {path}", owner, "a whole number of bytes", size)
-    return Source(paper, path, repository[1], commit, sha256, git_blob, size, large)
+    readers = [reader for reader in about["readers"] if path.startswith(reader["files"])]
+    require(len(readers) == 1, f"reader of {path}", owner, "one, with files, page and use", len(readers))
+    page, use = (readers[0][key] for key in ("page", "use"))
+    return Source(paper, path, repository[1], commit, sha256, git_blob, size, large, page, use)
 
 
 def listing(sources: Sequence[Source], folder: Path) -> str:
-    """Return one line for each paper: how many files, how many of them are here, and where they come from."""
+    """Return for each paper how many files there are and where they come from, and a line for each use of them."""
     lines = []
-    for paper in dict.fromkeys(source.paper for source in sources):
-        files = [source for source in sources if source.paper == paper]
-        here = sum(source.is_at(folder / source.name) for source in files)
-        megabytes = 1e-6 * sum(source.size or 0 for source in files)
+    for paper, of_paper in groupby(sources, lambda source: source.paper):
+        files = list(of_paper)
         origin = f"github.com/{files[0].repository} at {files[0].commit[:7]}"
-        lines.append(f"{paper}: {len(files)} files, {megabytes:.1f} MB, {here} here; from {origin}")
+        here = sum(source.is_at(folder / source.name) for source in files)
+        lines.append(f"{paper}: {amount(files)}, {here} here; from {origin}")
+        for (page, use), group in groupby(files, lambda source: (source.page, source.use)):
+            lines.append(f"  {page or 'no page yet'}: {amount(group)}: {use}")
     return "\n".join(lines)
+
+
+def amount(files: Iterable[Source]) -> str:
+    """Return how many files these are and how large; the size of some is not listed."""
+    sizes = [source.size for source in files]
+    least = "at least " * (None in sizes)
+    return f"{len(sizes)} {'file' if len(sizes) == 1 else 'files'}, {least}{1e-6 * sum(filter(None, sizes)):.1f} MB"
 
 
 def fetch(sources: Sequence[Source], folder: Path, mirror: str = "", show: bool = False) -> tuple[str, bool]:

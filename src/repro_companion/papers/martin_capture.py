@@ -30,9 +30,9 @@ from repro_companion.papers.martin_files import (
     RIGID_FILE,
 )
 from repro_companion.run import project_folder
+from repro_companion.scorecard import AUTHORS
 from repro_companion.show import KEY
 
-AUTHORS = "authors' files"
 HEADER = [f"{name}{body}" for body in ("base", "4", "7") for name in "RPYxyz"]
 """Columns after frame and sub-frame, which have no name: three angles, which nobody uses, and x, y, z of a body."""
 BELOW_THE_BASE_MM = (0.0, 0.0, 17.0)
