@@ -232,7 +232,7 @@ def test_a_page_can_be_fetched_alone(tmp_path, server, monkeypatch, capsys):
     assert capsys.readouterr().out.splitlines()[:3] == [
         "p2020: 2 files, at least 0.0 MB, 1 here; from github.com/o/n at a1a1a1a",
         "  one: 1 file, 0.0 MB: x",
-        "  no page yet: 1 file, at least 0.0 MB: y",
+        "  no page yet: 1 file, size not listed: y",
     ]
     with pytest.raises(InputError, match="page of repro fetch must be one of one; instead received two"):
         tool.read_sources(path, page="two")

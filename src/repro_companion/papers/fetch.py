@@ -138,8 +138,9 @@ def listing(sources: Sequence[Source], folder: Path) -> str:
 def amount(files: Iterable[Source]) -> str:
     """Return how many files these are and how large; the size of some is not listed."""
     sizes = [source.size for source in files]
-    least = "at least " * (None in sizes)
-    return f"{len(sizes)} {'file' if len(sizes) == 1 else 'files'}, {least}{1e-6 * sum(filter(None, sizes)):.1f} MB"
+    known = [size for size in sizes if size is not None]
+    large = f"{'at least ' * (len(known) < len(sizes))}{1e-6 * sum(known):.1f} MB" if known else "size not listed"
+    return f"{len(sizes)} {'file' if len(sizes) == 1 else 'files'}, {large}"
 
 
 def fetch(sources: Sequence[Source], folder: Path, mirror: str = "", show: bool = False) -> tuple[str, bool]:
