@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any
 
 from repro_companion import run as tool
 from repro_companion.run import InputError, Parameter, Point, RunFailed
-from repro_companion.show import WITH_FILES
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -186,13 +185,9 @@ def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
     """Return an executed notebook, as JSON holds it, as the page shows it; called when Sphinx reads it."""
     place = root / "book" / "notebooks" / f"{name}.ipynb"
     record = tool.read_record(place)
-    outputs = [output for cell in executed["cells"] for output in cell.get("outputs", [])]
-    with_files = any(WITH_FILES in output.get("metadata", {}) for output in outputs)
     cells, first = [], []
     for cell in executed["cells"]:
         about = dict(cell["metadata"])
-        if with_files and WITH_FILES in about:
-            about["mystnb"] = about[WITH_FILES]
         tags = set(about.get("tags", []))
         cell = {**cell, "metadata": about}
         if "first" in tags and cell.get("outputs"):

@@ -385,6 +385,22 @@ def hull(found: Recording) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
+CAPTIONS = {
+    "links": "Both models of Fig. 2 on the authors' trial, seen from the side, at the moment when their ends are"
+    " farthest apart. Coloured lines: links with their joints. Black: the PCC-extended model, moved so"
+    " that it passes through both recorded markers. Dotted lines: from the end of each link to its place"
+    " on it.",
+    "boxes": "Paper Figs 3, 4 and 5, regenerated from the authors' tables and motion capture. Boxes run from the"
+    " first to the third quartile Q3, whiskers from 5 to 95 % (in the paper they are 1.5 times the box)."
+    " Diamonds and triangles are published values. For Fig. 4 the paper prints two third quartiles, which"
+    " we assign to M1; we read the others off the figures, to about 1.5 mm.",
+    "hull": "Paper Fig. 6, regenerated from the authors' files and seen from the side (the paper draws one pose"
+    " in 3-D). Low, middle, high: the height of M2 is its 5, 50 or 95 % quantile. The radius of the hull"
+    " is the third quartile of the error of the chain of pcc2.csv, known at the base and both markers and"
+    " straight in between. Orange: the PCC-extended model of the text. Black: the same, moved so that it"
+    " passes through both recorded markers.",
+}
+"""Of the page's figures with the authors' files."""
 ABOUT_THE_ARM = "We take the orientations of the authors' trial, and its two recorded markers."
 BELOW_TABLE_II = (
     "Lower: the authors' tables against their motion capture. The rigid-body column is the chain with 8 segments, 40"
