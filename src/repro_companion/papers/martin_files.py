@@ -71,13 +71,17 @@ def unlike_released() -> list[str]:
 def files_in_words() -> str:
     """Return which listed files are here, which are missing, and which are not the released ones."""
     missing, other = absent(), unlike_released()
-    listed = read_sources(project_folder() / "data" / "sources.json", FOLDER)
-    megabytes = 1e-6 * sum(source.size or 0 for source in listed)
-    if len(missing) == len(released_chains()) + 2:
-        return f"They are {len(listed)} files: {megabytes:.0f} MB, and two files whose sizes are not listed."
+    tables = len(released_chains())
+    if len(missing) == tables + 2:
+        listed = read_sources(project_folder() / "data" / "sources.json", FOLDER)
+        megabytes = 1e-6 * sum(source.size or 0 for source in listed)
+        return (
+            f"They are {tables} tables of the models ({megabytes:.0f} MB), the motion capture and the raw quaternions"
+            " (sizes not listed)."
+        )
     special = {CAPTURE: "the motion capture", QUATERNIONS: "the raw quaternions"}
     names = [special.get(name, f"`{name.rpartition('/')[2]}`") for name in missing]
-    said = f"Of the files some are here. Missing: {', '.join(names)}." if names else "All files are here."
+    said = f"Of the authors' files these are missing: {', '.join(names)}." if names else "All files are here."
     unlike = ", ".join(f"`{name.rpartition('/')[2]}`" for name in other)
     same = (
         f"Not the released files, by their hashes: {unlike}."
@@ -85,6 +89,9 @@ def files_in_words() -> str:
         else "Their hashes are the published ones."
     )
     return f"{said} {same}"
+
+
+FETCH = "```bash\n.venv/bin/repro fetch martin2022\nmake page P=imu_markers\n```"
 
 
 def clock_s(times: pd.Series, owner: str) -> np.ndarray:
@@ -345,7 +352,7 @@ def tables_in_words(files: pd.DataFrame) -> str:
     if recorded:
         return (
             f"**On the authors' files.** {within.sum()} of {len(files)} tables follow to a micrometre in every point"
-            f" of every row. {files_in_words()} We left out {files['half_turns'].max()} rows in which the base and"
+            f" of every row. We left out {files['half_turns'].max()} rows in which the base and"
             " IMU 1 are half a turn apart."
         )
     return (
