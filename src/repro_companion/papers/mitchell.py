@@ -635,9 +635,9 @@ def nominal_bends() -> NominalBends | None:
 
 
 def nominal_length_mm(bends: NominalBends, length_mm: float) -> float:
-    """Return the length of the arc [mm] with which a dipole's field across the body fits nominal bends best.
+    """Return the length of the arc [mm] with which the model's field across the body fits nominal bends best.
 
-    For a dipole the field across the body goes with the inverse cube of the length, so one known length gives all.
+    This field is nearly a dipole's and goes with the inverse cube of the length, so one length gives all others.
     """
     own = bends.of(~bends.suspect)
     u = BendSensor(1e-3 * length_mm)(np.stack([own.q.real, own.q.imag], axis=-1))
@@ -718,7 +718,7 @@ def claims(rmse_deg: pd.Series, nominal: pd.DataFrame, counts: pd.DataFrame) -> 
     events = counts.loc[counts["frozen"], ["light_0", "light_1", "light_2"]].iloc[0]
     lines = (
         (
-            "Fig. 9: sensor and motion capture agree but for offsets",
+            "Fig. 9: offsets from motion capture have causes other than the sensor, such as placement and tracking",
             f"{error('paper, as released', arc=', 13 mm')} with the filter as released (arc of 13 mm),"
             f" {error('paper, as released', arc=', 15 mm')} with an arc of 15 mm",
             "the sensor sees a part of the bend, which is a factor and no offset (inferred)",
