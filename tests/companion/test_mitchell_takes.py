@@ -311,6 +311,8 @@ def test_directions_count_less_the_mean_turn_of_other_tests():
     runs = [run(take, 0.0, turned) for take, turned in zip(takes, (35, 20, 40), strict=True)]
     found = mitchell.bend_errors(runs)["direction_deg"]
     np.testing.assert_allclose(found, [5.0, 17.5, 12.5], atol=1e-6)
+    nominal = [one._replace(calibration="nominal bends") for one in runs]
+    np.testing.assert_allclose(mitchell.bend_errors(nominal)["direction_deg"], [5.0, 17.5, 12.5], atol=1e-6)
     calibrated = [one._replace(calibration="other tests") for one in runs]
     np.testing.assert_allclose(mitchell.bend_errors(calibrated)["direction_deg"], [35, 20, 40], atol=1e-6)
     small = run(made_up("bend_1_try_1", 19.9), 0.0, 35.0)
@@ -435,18 +437,18 @@ def test_other_files_of_nominal_bends_are_refused(tmp_path, monkeypatch, name, l
 
 
 def test_repetitions_differ_and_cross_by_hand():
-    """Ratios are bends here: 10 and 13 deg, 24 and 20 deg for 10 and 20; half the files give 2 as the factor."""
+    """Ratios are bends here, 10 and 13 deg for 10, 24 and 20 for 20; the factor is the mean repetition."""
     found_deg, nominal_deg = np.array([10.0, 13, 24, 20]), np.array([10.0, 10, 20, 20])
     files = pd.DataFrame({"direction": "0dir", "bend_deg": nominal_deg, "repetition": [1, 2, 1, 2]})
     files = files.assign(rows=9, spikes=1, unreadable=0)
     bends = mitchell.NominalBends(files, *np.radians([nominal_deg, found_deg, found_deg]), 0.1j)
     table = mitchell.nominal_errors(
-        bends, lambda some: 1.0 + (len(some[0].q) == 2), lambda m, c: (m * c, None)
+        bends, lambda some: some[0].files["repetition"].mean(), lambda m, c: (m * c, None)
     ).set_index("direction")
     line = table.loc["all"]
-    assert line["repeat_deg"] == pytest.approx(np.sqrt((3**2 + 4**2) / 2))
-    assert line["error_deg"] == pytest.approx(np.sqrt((10**2 + 16**2 + 28**2 + 20**2) / 4))
-    assert (line["gain"], line["rest"], line["spikes"], line["files"]) == (1, 0.1, 4, 4)
+    assert line["repeat_deg"] == pytest.approx(np.sqrt((4.5**2 + 6**2) / 2))
+    assert line["error_deg"] == pytest.approx(np.sqrt((10**2 + 3**2 + 28**2 + 0**2) / 4))
+    assert (line["gain"], line["rest"], line["spikes"], line["files"]) == (1.5, 0.1, 4, 4)
     assert list(table.index) == ["all", "0°", "all, with 90° in direction 0°"]
 
 
@@ -457,6 +459,8 @@ def test_the_arc_of_nominal_bends_is_the_one_that_made_them():
     across = (u[:, 0] + 1j * u[:, 1]) * [1, 1, 0.2]
     files = pd.DataFrame({"direction": ["0dir", "pi2dir", "0dir"], "bend_deg": [30, 60, 90]})
     bends = mitchell.NominalBends(files, q, across, across, 0j)
+    (calibrating,) = mitchell.calibrations(made_up("bend_1_try_1", 30), [], bends)["nominal bends"]
+    assert calibrating.files["bend_deg"].tolist() == [30, 60]
     assert mitchell.nominal_length_mm(bends, 13.0) == pytest.approx(11.0, rel=0.01)
 
 

@@ -709,34 +709,26 @@ def nominal_in_words(nominal: pd.DataFrame, rmse_deg: pd.Series, takes: pd.DataF
     return f"{said} Of {one['rows']:.0f} rows in the other files we dropped {dropped}."
 
 
-def claims(rmse_deg: pd.Series, nominal: pd.DataFrame, counts: pd.DataFrame) -> pd.DataFrame:
+def claims(rmse_deg: pd.Series, nominal: pd.DataFrame, counts: pd.DataFrame) -> str:
     """Return what sections IV and V claim, what we find, and why, a line for each claim."""
 
     def error(method: str, calibration: str = "none", arc: str = "") -> str:
         return f"{number(rmse_deg.get(METHODS[method, calibration] + arc), 2)}°"
 
     events = counts.loc[counts["frozen"], ["light_0", "light_1", "light_2"]].iloc[0]
-    lines = (
-        (
-            "Fig. 9: offsets from motion capture have causes other than the sensor, such as placement and tracking",
-            f"{error('paper, as released', arc=', 13 mm')} with the filter as released (arc of 13 mm),"
-            f" {error('paper, as released', arc=', 15 mm')} with an arc of 15 mm",
-            "the sensor sees a part of the bend, which is a factor and no offset (inferred)",
-        ),
-        (
-            "Section V: a calibrated sensor with motion capture is an important future step",
-            f"{error('ours', 'other tests')} with ratios of the fields calibrated on other tests,"
-            f" {error('ours', 'nominal bends')} calibrated at the authors' nominal bends",
-            f"at nominal bends the ratio is {number(nominal['gain'].iloc[0], 2)} times as large as in the model, on"
-            " the takes it is smaller than in the model",
-        ),
-        (
-            "Fig. 8: three, three and one attempts to tighten the bulb",
-            "{}, {} and {} events".format(*events),
-            "a threshold does not tell attempts from other movements",
-        ),
+    return (
+        "- **Fig. 9.** *The paper:* offsets from motion capture have causes other than the sensor, such as placement"
+        f" and tracking. *We find:* {error('paper, as released', arc=', 13 mm')} with the filter as released, which"
+        f" has an arc of 13 mm, and {error('paper, as released', arc=', 15 mm')} with 15 mm. *Why:* the sensor sees a"
+        " part of the bend, which is a factor and no offset (inferred).\n"
+        "- **Section V.** *The paper:* motion capture with a calibrated sensor is an important future step. *We"
+        f" find:* {error('ours', 'other tests')} with ratios of the fields calibrated on other tests, and"
+        f" {error('ours', 'nominal bends')} calibrated at the authors' nominal bends. *Why:* at nominal bends the"
+        f" ratio is {number(nominal['gain'].iloc[0], 2)} times as large as in the model, on the takes smaller.\n"
+        "- **Fig. 8.** *The paper:* three, three and one attempts to tighten the bulb. *We find:*"
+        f" {events.iloc[0]}, {events.iloc[1]} and {events.iloc[2]} events. *Why:* a threshold does not tell attempts"
+        " from other movements."
     )
-    return pd.DataFrame(lines, columns=["the paper", "we find", "why"])
 
 
 def side_by_side(readings: Sequence[np.ndarray]) -> np.ndarray:
