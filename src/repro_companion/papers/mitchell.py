@@ -679,7 +679,7 @@ def nominal_in_words(nominal: pd.DataFrame, rmse_deg: pd.Series, takes: pd.DataF
     by = nominal.set_index("direction")
     one, turned = by.loc["all"], by[by.index.str.fullmatch(r"\d+°")]
     hows = ("nominal bends", "none", "other tests")
-    at_bends, none, tests = (rmse_deg.get(METHODS["ours", how], np.nan) for how in hows)
+    at_bends, none, tests = rmse_deg.reindex([METHODS["ours", how] for how in hows]).to_numpy(float)
     if np.isnan(at_bends):
         return "The files at nominal bends are not here. The table has what this page found with them."
     low, middle, high = np.quantile(takes["gain"], [0, 0.5, 1])
