@@ -552,7 +552,10 @@ def files_in_words() -> str:
     named = f"**Not the released files: {', '.join(other[:5])}{' and others' * (len(other) > 5)}.**"
     checked = named if other else "What was found has its published checksums."
     if missing:
-        return f"Not found: {', '.join(missing)}. {checked} These commands bring what is missing:{command}"
+        return (
+            f"Not found: {', '.join(missing)}. {checked} What needs the missing ones stands here as an earlier run"
+            f" found it, or not at all. These commands bring them:{command}"
+        )
     return f"All {len(listed)} released files are here. {checked}"
 
 
@@ -715,7 +718,8 @@ def claims(rmse_deg: pd.Series, nominal: pd.DataFrame, counts: pd.DataFrame) -> 
     """Return what sections IV and V claim, what we find, and why, a line for each claim."""
 
     def error(method: str, calibration: str = "none", arc: str = "") -> str:
-        return f"{number(rmse_deg.get(METHODS[method, calibration] + arc), 2)}°"
+        name = METHODS[method, calibration] + arc
+        return f"{number(rmse_deg[name], 2)}°" if name in rmse_deg else "no error"
 
     events = counts.loc[counts["frozen"], ["light_0", "light_1", "light_2"]].iloc[0]
     return (
