@@ -190,6 +190,15 @@ def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
         about = dict(cell["metadata"])
         tags = set(about.get("tags", []))
         cell = {**cell, "metadata": about}
+        # A figure that depends on what there is to show brings its own caption.
+        captions = [
+            out["metadata"]["caption"]
+            for out in cell.get("outputs", [])
+            if out.get("metadata", {}).get("caption")
+        ]
+        if captions:
+            look = about["mystnb"]
+            about["mystnb"] = {**look, "figure": {**look["figure"], "caption": captions[0]}}
         if "first" in tags and cell.get("outputs"):
             shown = {"tags": ["remove-input"], "mystnb": about.pop("mystnb", {})}
             first.append({**cell, "id": f"{cell['id']}-first", "source": "# moved", "metadata": shown})

@@ -454,7 +454,7 @@ def evaluated_in_words(found: Recording) -> str:
         f"**A check.** {CHECKED} Ours are {ours} mm, and the printed ones {printed} mm. {verdict} We compare"
         f" {rows:,} rows as the notebook does (its cells 5 to 34): from row 1,000 to row 8,000 or to the end of the"
         f" motion capture. {f'{lost}, and we left these out. ' if capture.lost else ''}Pairs of rows are not equally"
-        f" far apart in time: by the clock of `rigid.csv` {np.ptp(apart):.2f} s lie between the earliest and the latest pair."
+        f" far apart in time: by the clock of `rigid.csv` earliest and latest pair differ by {np.ptp(apart):.2f} s."
     )
 
 
