@@ -214,7 +214,7 @@ def counts_page(card: pd.DataFrame, real: pd.DataFrame) -> str:
                 lines.append(f"| {label} | {' | '.join(cells)} |")
     if waiting:
         names = " and ".join(PAPERS.get(paper, paper) for paper in waiting)
-        commands = "".join(f"repro fetch {paper}\n" for paper in waiting)
+        commands = "".join(f".venv/bin/repro fetch {paper}\n" for paper in waiting)
         lines.append(
             f"\nThe files of {names} are not here, so we do not know how many numbers agree with them. You can"
             f" compute it:\n\n```bash\n{commands}make book\n```"

@@ -210,7 +210,7 @@ def test_every_count_leads_to_the_rows_that_it_counts(card, state, written):
 def test_in_words_where_files_are_not_here(card, state, written):
     """Instead of a second line of counts; Mitchell et al. need none."""
     text = written["counts.md"]
-    waiting = re.findall("^repro fetch (.+)$", text, re.MULTILINE)
+    waiting = re.findall("^.venv/bin/repro fetch (.+)$", text, re.MULTILINE)
     assert waiting == (["baaij2023", "martin2022"] if state is card else ["baaij2023"])
     lines = re.findall(r"^\| (Mit.*?|Mar.*?) \|", text, re.MULTILINE)
     first = ["Mitchell et al. (2021)", "Martin et al. (2022), without their files"]
