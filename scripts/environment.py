@@ -1,7 +1,7 @@
 """Install locked packages into the environment of this interpreter: by uv, or by pip where uv cannot be had.
 
-``python scripts/environment.py PACKAGES`` takes a file of requirements with hashes. uv gets what pip is told: indexes,
-folders of packages, certificates, constraints, a proxy. Modules are compiled when they are imported first.
+``python scripts/environment.py PACKAGES`` takes a file of requirements with hashes. uv gets what pip is told:
+indexes, folders of packages, certificates, constraints, a proxy. Modules are compiled when they are imported first.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ LOCKED = ["--no-deps", "--require-hashes", "--quiet"]
 
 
 def told_to_pip(config: str) -> dict[str, str]:
-    """Return pip's options from what ``pip config list`` prints; the later of two files wins, the environment over both."""
+    """Return pip's options from what ``pip config list`` prints; those of the environment win."""
     lines = (re.fullmatch(r"(global|install|:env:)\.([\w-]+)=(.*)", line) for line in config.splitlines())
     found = [(("global", "install", ":env:").index(m[1]), m[2], ast.literal_eval(m[3])) for m in lines if m]
     return {name: value for _, name, value in sorted(found, key=lambda option: option[0])}
@@ -28,7 +28,9 @@ def told_to_pip(config: str) -> dict[str, str]:
 
 def as_uv_takes_it(options: dict[str, str], environment: dict[str, str]) -> tuple[list[str], dict[str, str]]:
     """Return arguments and environment of uv for pip's options."""
-    arguments = [] if "no-index" not in options else ["--no-index"]
+    # uv would want hashes of constraints too; hashes that stand in a file are verified in any case.
+    arguments = ["--no-deps", "--quiet", "--verify-hashes" if "constraint" in options else "--require-hashes"]
+    arguments += ["--no-index"] * ("no-index" in options)
     for name, own in OPTIONS.items():
         for value in options.get(name, "").split():
             arguments += [own, value]
