@@ -59,9 +59,7 @@ def by_uv(packages: Path) -> bool:
     config = subprocess.run([*pip, "config", "list"], capture_output=True, text=True, check=False).stdout
     arguments, environment = as_uv_takes_it(told_to_pip(config), dict(os.environ))
     uv = [sys.executable, "-m", "uv", "pip", "install", "--no-config", "--python", sys.executable]
-    return not subprocess.run(
-        [*uv, *LOCKED, *arguments, "-r", packages], env=environment, check=False
-    ).returncode
+    return not subprocess.run([*uv, *arguments, "-r", packages], env=environment, check=False).returncode
 
 
 def main(packages: Path) -> int:
