@@ -12,6 +12,8 @@ import numpy as np
 import pandas as pd
 from cycler import cycler
 from IPython.display import HTML
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.collections import PatchCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
@@ -73,6 +75,37 @@ def style() -> Iterator[None]:
     with mpl.rc_context():
         use_style()
         yield
+
+
+BESIDE = {"handlelength": 1.0, "handletextpad": 0.4, "columnspacing": 0.9, "labelspacing": 0.3}
+"""Spaces of a legend that has little room."""
+
+
+def closed(figure: Figure) -> Figure:
+    """Return a figure that a notebook shows once, as the result of its cell."""
+    plt.close(figure)
+    return figure
+
+
+def with_legend(figure: Figure, of: Any = None, columns: int = 2, **look: Any) -> Figure:
+    """Return a figure for its cell with a legend above all panels: of one panel, of some lines, or of everything."""
+    lines = of.get_legend_handles_labels()[0] if isinstance(of, Axes) else of
+    figure.legend(handles=lines, ncols=columns, **({"loc": "outside upper center"} | BESIDE | look))
+    return closed(figure)
+
+
+def plain_numbers(*axes: Axis) -> None:
+    """Write numbers along logarithmic axes as they are typed, and none between the main ticks."""
+    for axis in axes:
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
+
+
+def to_scale(panel: Axes, x: Sequence[float], z: Sequence[float], every_mm: float) -> None:
+    """Give a panel the same scale [mm] along x and z, with even ticks."""
+    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=x, ylim=z)
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_locator(MultipleLocator(every_mm))
 
 
 # Table 1 of Baaij et al.
@@ -173,12 +206,9 @@ def sensor_models(table: pd.DataFrame) -> Figure:
         colour, marker, shift = looks[str(solver)]
         places = part["model"].map(names.index) + shift
         panel.plot(part["configuration_percent"], places, marker, color=colour, ms=6, label=solver)
-    panel.set(
-        xscale="log", xlabel="mean error of the configuration [% of its range]", ylim=(-0.5, len(names) - 0.5)
-    )
-    panel.set_yticks(range(len(names)), names)
-    figure.legend(loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    panel.set(xscale="log", xlabel="mean error of the configuration [% of its range]")
+    panel.set(ylim=(-0.5, len(names) - 0.5), yticks=range(len(names)), yticklabels=names)
+    return with_legend(figure, columns=2)
 
 
 @style()
@@ -199,26 +229,24 @@ def calibration(table: pd.DataFrame) -> Figure:
     for label, (colour, marker, face) in looks.items():
         size = 11 if marker == "|" else 6
         panel.plot(table[label], y, marker, color=colour, mfc=face, ms=size, mew=1.6, label=label)
-    panel.set_yticks(y, table.index)
+    panel.set(yticks=y, yticklabels=table.index)
     panel.set(xscale="log", xlabel="mean error of the configuration [% of its range]")
     panel.xaxis.set_major_formatter("{x:g}")
-    figure.legend(loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, columns=2)
 
 
 @style()
 def tip_paths(paths: dict[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
     """Draw true and estimated paths of tips ``[t, 3]`` [m] of several robots, seen along the straight robot."""
-    figure, panels = plt.subplots(1, len(paths), figsize=(WIDTH, 2.5), squeeze=False)
-    for panel, (name, (truth, found)) in zip(panels[0], paths.items(), strict=True):
+    figure, (panels,) = plt.subplots(1, len(paths), figsize=(WIDTH, 2.5), squeeze=False)
+    for panel, (name, (truth, found)) in zip(panels, paths.items(), strict=True):
         panel.plot(*1e3 * truth[:, :2].T, label="truth", **TRUTH)
         panel.plot(*1e3 * found[:, :2].T, color=BLUE, lw=1.3, label="estimate")
         panel.set(title=name, xlabel="x [mm]", aspect="equal")
         panel.xaxis.set_major_locator(MaxNLocator(3))
         panel.yaxis.set_major_locator(MaxNLocator(4))
-    panels[0, 0].set_ylabel("y [mm]")
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    panels[0].set_ylabel("y [mm]")
+    return with_legend(figure, panels[0])
 
 
 # First steps, and sensors that fail: Figs 2(a), 4 and 5 of Baaij et al.
@@ -226,7 +254,6 @@ def tip_paths(paths: dict[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
 BODY = ("#1A1A1A", "#943DC7")
 """Segments from base to tip, black to violet as in the paper."""
 FOUR = (BLUE, GREEN, PINK, ORANGE)
-BESIDE = {"handlelength": 1.0, "handletextpad": 0.4, "columnspacing": 0.9, "labelspacing": 0.3}
 XYZ = ["x_mm", "y_mm", "z_mm"]
 
 
@@ -260,18 +287,10 @@ def field_of_robot(field: pd.DataFrame, parts: pd.DataFrame, backbone: pd.DataFr
     panel.plot([], [], "s", color=GREEN, label="magnet, cut")
     panel.plot([], [], ">", color=SKY, mec="black", mew=0.5, ms=9, label="sensor")
     panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, **BESIDE)
-    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=x[[0, -1]], ylim=z[[0, -1]])
-    for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_locator(MultipleLocator(50))
+    to_scale(panel, x[[0, -1]], z[[0, -1]], every_mm=50)
     bar = figure.colorbar(image, label="flux density in the plane [mT]", shrink=0.8, pad=0.02, extend="max")
     bar.ax.yaxis.set_major_formatter("{x:g}")
     return closed(figure)
-
-
-def closed(figure: Figure) -> Figure:
-    """Return a figure that a notebook shows once, as the result of its cell."""
-    plt.close(figure)
-    return figure
 
 
 def _in_plane(parts: pd.DataFrame, part: str) -> tuple[np.ndarray, np.ndarray]:
@@ -330,9 +349,7 @@ def relations(parts: pd.DataFrame, backbone: pd.DataFrame, ring: Ring) -> Figure
         where = at + (radius + 5) * np.array([np.cos(middle), np.sin(middle)])
         panel.text(*where, name, ha="center", va="center", fontsize=13)
     panel.plot([-22, 22], [0, 0], color="0.2", lw=4, solid_capstyle="butt")
-    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=(-28, 98), ylim=(-6, 116))
-    for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_locator(MultipleLocator(20))
+    to_scale(panel, (-28, 98), (-6, 116), every_mm=20)
     return closed(figure)
 
 
@@ -353,9 +370,7 @@ def equation_15(table: pd.DataFrame) -> Figure:
         panel.plot(*at, "o", color=colour)
         panel.annotate(text, at, xytext=offset, textcoords="offset points", color=colour)
     panel.annotate("base", (12, 0), xytext=(6, -3), textcoords="offset points", color="0.2")
-    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=(-30, 90), ylim=(-8, 124))
-    for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_locator(MultipleLocator(20))
+    to_scale(panel, (-30, 90), (-8, 124), every_mm=20)
     return closed(figure)
 
 
@@ -397,9 +412,7 @@ def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failed: Sequence[int], 
     figure.align_ylabels(panels)
     lost = Line2D([], [], color="0.4", lw=3.6, alpha=0.2, label="truth, sensor failed")
     line = Line2D([], [], color="0.4", lw=1.2, ls=":", label="failure")
-    beside = BESIDE | {"handlelength": 1.6}
-    figure.legend(handles=[*TRUTH_ESTIMATE, lost, line], loc="outside upper center", ncols=4, **beside)
-    return closed(figure)
+    return with_legend(figure, [*TRUTH_ESTIMATE, lost, line], columns=4, handlelength=1.6)
 
 
 TRUTH_ESTIMATE = (
@@ -457,8 +470,7 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
         figure.text((k % 3 + 0.5) / 3, (rows - k // 3) * 2.3 / tall, words, ha="center", va="top")
     lines = [Line2D([], [], color=BODY[0], lw=2, label="truth"), Line2D([], [], label="estimate", **ESTIMATE)]
     lines += [Line2D([], [], ls="", label=words, **look) for _, _, words, look in looks]
-    figure.legend(handles=lines, loc="upper center", ncols=5, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, lines, columns=5, loc="upper center")
 
 
 ESTIMATE: Any = {"color": ORANGE, "lw": 7, "alpha": 0.3}
@@ -503,8 +515,7 @@ def affine_over_time(series: pd.DataFrame) -> Figure:
         Line2D([], [], color=colour, lw=2.4, label=f"at {at} mm")
         for colour, at in zip(FOUR, (0, 100, 200), strict=False)
     ]
-    figure.legend(handles=[*planes, *TRUTH_ESTIMATE], loc="outside upper center", ncols=5, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, [*planes, *TRUTH_ESTIMATE], columns=5)
 
 
 # The rig: Figs 8 to 11 of Baaij et al.
@@ -874,8 +885,7 @@ def filter_steps(
         panel.locator_params(nbins=3, integer=True)
     panels[0].set_ylabel(r"$\varphi\,\sin\theta$ [deg]")
     figure.supxlabel(r"$\varphi\,\cos\theta$ [deg]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=2)
 
 
 @style()
@@ -890,8 +900,7 @@ def bend_error_over_time(table: pd.DataFrame, printed: dict[str, float]) -> Figu
         panel.set(title=name.capitalize(), ylabel="error [mm]", ylim=(0, None))
         panel.margins(x=0)
     panels[-1].set_xlabel("parameter $t$ of the curve")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=3)
 
 
 @style()
@@ -917,9 +926,7 @@ def bend_error_by_noise(
     bottom.set(
         xlabel="process noise [π rad per step]", xticks=[5e-4, 0.002, 0.005, 0.02], yticks=[0.04, 0.06, 0.1]
     )
-    for axis in (bottom.xaxis, bottom.yaxis, top.yaxis):
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter("")
+    plain_numbers(bottom.xaxis, bottom.yaxis, top.yaxis)
     for panel in (top, bottom):
         panel.set_ylabel("RMSE [mm]")
         panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **BESIDE)
@@ -995,8 +1002,7 @@ def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figur
     ]
     for shape, words in (("D", "published median"), ("^", "published Q3")):
         lines.append(Line2D([], [], color="#1A1A1A", marker=shape, mec="white", ls="", label=words))
-    figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, lines, columns=4)
 
 
 @style()
@@ -1019,10 +1025,12 @@ def error_hull(hull: pd.DataFrame) -> Figure:
                     panel.add_collection(PatchCollection(discs, **look))
         panel.set(title=mode, aspect="equal", xlabel="horizontal [mm]")
     np.atleast_1d(panels)[0].set_ylabel("height [mm]")
-    lines = [Line2D([], [], color="#1A1A1A", label="arm"), Line2D([], [], color=ORANGE, label="estimate")]
-    lines.append(Line2D([], [], color="#A6D5F2", lw=6, label="within Q3 of the error"))
-    figure.legend(handles=lines, loc="outside upper center", ncols=3, **BESIDE)
-    return closed(figure)
+    lines = [
+        Line2D([], [], color="#1A1A1A", label="arm"),
+        Line2D([], [], color=ORANGE, label="estimate"),
+        Line2D([], [], color="#A6D5F2", lw=6, label="within Q3 of the error"),
+    ]
+    return with_legend(figure, lines, columns=3)
 
 
 @style()
@@ -1040,8 +1048,7 @@ def links_of_models(chains: dict[str, np.ndarray], arm: np.ndarray, links: int) 
         panel.plot([], [], color="0.45", ls=":", label="from the end of a link to its place on the arm")
         panel.set(title=name, xlabel="horizontal [mm]", aspect="equal")
     panels[0].set_ylabel("height [mm]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=2)
 
 
 # A real arm
@@ -1067,15 +1074,17 @@ def real_arm_errors(errors: pd.DataFrame) -> Figure:
         panel.set(ylabel="error [mm]", title=f"{setting} readings")
         panel.grid(visible=False, axis="x")
     panels[1].set_xticks(range(len(names)), names)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=3)
 
 
 @style()
 def real_arm_still(points: pd.DataFrame) -> Figure:
     """Draw the arm from two sides at one moment: motion capture and estimates at the base and four stations [mm]."""
-    looks = {"motion capture": TRUTH, "our smoother": {"color": BLUE, "marker": "o", "ms": 4}}
-    looks["window, released"] = {"color": "#5E5E5E", "marker": "s", "ms": 4, "ls": "--"}
+    looks = {
+        "motion capture": TRUTH,
+        "our smoother": {"color": BLUE, "marker": "o", "ms": 4},
+        "window, released": {"color": "#5E5E5E", "marker": "s", "ms": 4, "ls": "--"},
+    }
     figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6), sharey=True)
     for panel, axis in zip(panels, "xy", strict=True):
         for name, part in points.groupby("line", sort=False):
@@ -1084,8 +1093,7 @@ def real_arm_still(points: pd.DataFrame) -> Figure:
         panel.set(xlabel=f"{axis} [mm]", aspect="equal")
         panel.margins(x=0.3)
     panels[0].set_ylabel("z [mm]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=3)
 
 
 # How many sensors
@@ -1107,10 +1115,8 @@ def sensors_and_noise(table: pd.DataFrame) -> Figure:
     panel.set(yscale="log", xticks=sorted(part["n_sensors"].unique()), xlabel="sensors on each segment")
     panel.set(title=f"{n} segment" + "s" * int(n > 1), ylabel="mean error [% of the range]")
     panel.yaxis.set_major_formatter("{x:g}")
-    handles, labels = panel.get_legend_handles_labels()
-    handles.append(Line2D([], [], color="0.2", lw=1, ls="--"))
-    figure.legend(handles, [*labels, "bound"], loc="outside upper center", ncols=5, **BESIDE)
-    return closed(figure)
+    panel.plot([], [], "--", color="0.2", lw=1, label="bound")
+    return with_legend(figure, panel, columns=5)
 
 
 @style()
@@ -1118,16 +1124,16 @@ def noise_study(table: pd.DataFrame) -> Figure:
     """Draw errors [%] over the noise by sensor model; a column for each estimator, a row by number of segments."""
     looks = {"network of the paper": (BLUE, "o"), "fast network": (GREEN, "s"), "multipole": (ORANGE, "D")}
     solvers, segments = table["solver"].unique(), table["n_b"].unique()
-    size = (WIDTH, 1.0 + 2.1 * len(segments))
-    grid = {"sharex": True, "sharey": True, "squeeze": False}
-    figure, panels = plt.subplots(len(segments), len(solvers), figsize=size, **grid)
+    figure, panels = plt.subplots(
+        len(segments), len(solvers), figsize=(WIDTH, 1.0 + 2.1 * len(segments)),
+        sharex=True, sharey=True, squeeze=False,
+    )  # fmt: skip
     for row, n in zip(panels, segments, strict=True):
         for panel, solver in zip(row, solvers, strict=True):
             own = table[(table["solver"] == solver) & (table["n_b"] == n)]
             for model, part in own.groupby("model", sort=False):
                 colour, marker = looks[str(model)]
-                x, y = part["noise_mt"], part["mean_percent"]
-                panel.plot(x, y, marker=marker, color=colour, ms=4, label=model)
+                panel.plot("noise_mt", "mean_percent", data=part, marker=marker, color=colour, ms=4, label=model)
             limit = own.drop_duplicates("noise_mt")
             panel.plot(limit["noise_mt"], limit["bound_percent"], "--", color="0.2", lw=1, label="bound")
             panel.set(xscale="log", yscale="log")
@@ -1137,8 +1143,7 @@ def noise_study(table: pd.DataFrame) -> Figure:
     for panel, solver in zip(panels[0], solvers, strict=True):
         panel.set_title(solver)
     figure.supxlabel("noise of a reading [mT]")
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0, 0])
 
 
 @style()
@@ -1152,17 +1157,13 @@ def sensor_places(table: pd.DataFrame, marked: dict[str, tuple[float, float]]) -
         colours = panel.pcolormesh(wide.columns, wide.index, wide, norm=LogNorm(), shading="nearest")
         bar = figure.colorbar(colours, ax=panel, location="bottom", label="± of the tip [mm]")
         bar.ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        bar.ax.xaxis.set_major_formatter("{x:g}")
-        bar.ax.xaxis.set_minor_formatter("")
+        plain_numbers(bar.ax.xaxis)
         for marker, (name, place) in zip("so^", marked.items(), strict=False):
-            look = {"mfc": "white", "mec": "black", "ms": 9, "ls": "none"}
-            panel.plot(*place, marker=marker, label=name, **look)
+            panel.plot(*place, marker=marker, mfc="white", mec="black", ms=9, ls="none", label=name)
         panel.set(title=title, xlabel="radius [mm]")
         panel.grid(visible=False)
     panels[0].set_ylabel("height above the magnet [mm]")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=3)
 
 
 @style()
@@ -1182,13 +1183,11 @@ def imus_and_errors(table: pd.DataFrame) -> Figure:
         lower.annotate(f"{deg:g}°", end, (6, 0), textcoords="offset points", va="center")
     for panel, title in ((upper, "perfect IMUs"), (lower, "IMUs with errors")):
         panel.set(xscale="log", yscale="log", title=title, xticks=[1, 2, 4, 8, 16])
-        panel.xaxis.set_major_formatter("{x:g}")
-        panel.xaxis.set_minor_formatter("")
+        plain_numbers(panel.xaxis)
         panel.set_ylabel("error of the tip [mm]")
     upper.yaxis.set_major_formatter("{x:g}")
     lower.set_xlabel("number of IMUs")
-    figure.legend(*upper.get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, upper, columns=2)
 
 
 # Filtering over time, and closing the loop
@@ -1234,8 +1233,7 @@ def loop_over_time(series: pd.DataFrame) -> Figure:
             panel.set_ylabel("bend in y [mm]") if k == 1 else panel.tick_params(labelleft=False)
     below.set(xlabel="time [s]", ylabel="distance [mm]", ylim=(0, None))
     below.margins(x=0)
-    figure.legend(*below.get_legend_handles_labels(), loc="outside lower center", ncols=3, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, below, columns=3, loc="outside lower center")
 
 
 # Which sensors
@@ -1263,11 +1261,10 @@ def segment_errors(means: pd.DataFrame) -> Figure:
             panel.errorbar(
                 at, part["tip_mm"], ends, fmt=marker, color=colour, ms=6, capsize=2, lw=1.0, **fill
             )
-    panel.set(yscale="log", ylabel="error at the tip [mm]")
-    ticks = [0.1, 0.3, 1, 3, 10, 30, 100]
-    panel.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    panel.set(yscale="log", ylabel="error at the tip [mm]", yticks=[0.1, 0.3, 1, 3, 10, 30, 100])
+    panel.set(xticks=range(len(names)), xticklabels=names)
+    panel.yaxis.set_major_formatter("{x:g}")
     panel.minorticks_off()
-    panel.set_xticks(range(len(names)), names)
     panel.grid(visible=False, axis="x")
     grey: Any = {"color": "#767676", "marker": "o", "ls": ""}
     more = [
@@ -1275,8 +1272,7 @@ def segment_errors(means: pd.DataFrame) -> Figure:
         Line2D([], [], mfc="none", label="not calibrated", **grey),
     ]
     handles = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in SEGMENT_LOOKS.items()]
-    figure.legend(handles=[*handles, *more], loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, [*handles, *more], columns=2)
 
 
 # Sensors that drift
@@ -1305,14 +1301,11 @@ def drift_errors(minutes: pd.DataFrame, last: int) -> Figure:
         if method in ("fused", "self-calibrating"):
             panel.fill_between(middle.index, by_minute.min(), by_minute.max(), color=colour, alpha=0.15, lw=0)
     panel.set(
-        yscale="log", xlabel="time [min]", ylabel="error of the tip\n[% of the length]", xlim=(0.5, None)
-    )
-    panel.set_xticks([1, *range(5, end + 1, 5)])
-    panel.set_yticks([0.2, 0.5, 1, 2, 5])
-    panel.yaxis.set_major_formatter("{x:g}")
-    panel.yaxis.set_minor_formatter("")
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
-    return closed(figure)
+        xlabel="time [min]", xlim=(0.5, None), xticks=[1, *range(5, end + 1, 5)],
+        ylabel="error of the tip\n[% of the length]", yscale="log", yticks=[0.2, 0.5, 1, 2, 5],
+    )  # fmt: skip
+    plain_numbers(panel.yaxis)
+    return with_legend(figure, panel, columns=3)
 
 
 @style()
@@ -1326,8 +1319,7 @@ def drift_learnt(learnt: pd.DataFrame) -> Figure:
         panel.fill_between(time, middle - wide, middle + wide, color=GREEN, alpha=0.2, lw=0)
         panel.set(ylabel=str(name).replace(" [", "\n["))
     panels[-1].set_xlabel("time [min]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=2)
 
 
 @style()
@@ -1345,11 +1337,9 @@ def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
             alarm["time_s"], np.full(len(alarm), 0.06), "s", color=ORANGE, ms=3, label="alarm", clip_on=False
         )
         panel.set(title=name, yscale="log", ylabel="error of the tip\n[% of the length]", ylim=(0.05, 20))
-        panel.yaxis.set_major_formatter("{x:g}")
-        panel.yaxis.set_minor_formatter("")
+        plain_numbers(panel.yaxis)
     panels[-1].set_xlabel("time [s]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=4)
 
 
 @style()
@@ -1364,11 +1354,10 @@ def live_failures(table: pd.DataFrame, fails_at_s: float) -> Figure:
             for column, line, name in (("tip_error_mm", "-", "error"), ("tip_std_mm", "--", "stated ±")):
                 panel.plot(rows["time_s"], rows[column], line, color=colour, label=f"{name}, {chips} chips")
         panel.axvline(fails_at_s, color=PUBLISHED, lw=4, alpha=0.5, zorder=0)
-        panel.set(yscale="log", title=failure, ylabel="tip [mm]")
-        panel.set_yticks([0.1, 1, 10, 100], ["0.1", "1", "10", "100"])
+        panel.set(yscale="log", yticks=[0.1, 1, 10, 100], title=failure, ylabel="tip [mm]")
+        panel.yaxis.set_major_formatter("{x:g}")
     panels[-1, 0].set_xlabel("time [s]")
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0, 0])
 
 
 # A robot of one's own
