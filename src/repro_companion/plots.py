@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import product
 from typing import Any
 
 import matplotlib as mpl
@@ -23,6 +24,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator
 
 from repro import Ring
 from repro_companion import scorecard_page
+from repro_companion.show import rendered
 
 WIDTH = 5.5
 """Width of a figure [in]: letters of 10.2 points are 9 px high where a phone shows it and its margin 358 px wide."""
@@ -110,90 +112,40 @@ def to_scale(panel: Axes, x: Sequence[float], z: Sequence[float], every_mm: floa
 
 # Table 1 of Baaij et al.
 
-COORDINATES = ("delta_x", "delta_y", "delta_L")
 VERDICTS = {
     "reproduced": "reproduced",
     "weak": "weak, zero would pass too",
     "better": "better",
     "differs": "differs",
 }
-BELOW_TABLE_1 = (
-    "Upper: published. Lower: regenerated. Both: mean ± standard deviation s over three trainings. "
-    "e<sub>u</sub>: error of the predicted readings at the true shape. "
-    "Pale rows repeat another row. Reproduced: the two means differ by at most three standard errors, "
-    "√3 · √(s<sub>published</sub>² + s<sub>regenerated</sub>²), or by half a printed unit. "
-    "Better: they differ by more, and ours is smaller. Tint: "
-)
 SCROLL = '<p class="table-1-scroll">Scroll the table sideways: {} follow on the right.</p>'
-TABLE_1 = """<style class="nohighlight">
-.table-1 { overflow-x: auto; margin: 0 0 0.4rem; --grey: #666d78; }
-.table-1 :is(.better, .differs) { --grey: #4b515b; }
-html[data-theme="dark"] .table-1 { --grey: #9ca4af; }
-html[data-theme="dark"] .table-1 :is(.better, .differs) { --grey: #ced6dd; }
-.table-1.table-1.table-1 table { border-collapse: collapse; width: 100%; margin: 0; font-size: 12px;
-  line-height: 1.3; }
-.table-1.table-1.table-1 table :is(th, td) { padding: 1px 4px; text-align: right; white-space: nowrap; border: 0;
-  font-variant-numeric: tabular-nums; vertical-align: middle; color: var(--pst-color-text-base, inherit); }
-.table-1.table-1.table-1 table thead th { font-weight: 600; border-bottom: 1px solid currentColor; }
-.table-1.table-1.table-1 table tr > :first-child { text-align: left; position: sticky; left: 0; font-weight: 400;
-  background: var(--pst-color-background, white); }
-#fig-table-1.table-1 table tbody tr:is(:nth-child(4), :nth-child(8), :nth-child(11)) > * {
-  border-top: 1px solid rgb(128 128 128 / 50%); }
-.table-1.table-1.table-1 table tr > .edge { border-left: 1px solid rgb(128 128 128 / 50%); }
-.table-1.table-1.table-1 table small { display: block; font-size: inherit; color: var(--grey); }
-.table-1.table-1.table-1 table tr.again :is(th, td, small) { color: var(--grey); }
-.table-1 .reproduced { background: rgb(0 158 115 / 11%); }
-.table-1 .weak { background: rgb(230 159 0 / 13%); }
-.table-1 .better { background: rgb(86 180 233 / 30%); font-weight: 600; }
-.table-1 .differs { background: rgb(213 94 0 / 28%); font-weight: 600; }
-.table-1.table-1.table-1 table tr.again td { background: none; }
-.table-1 span { padding: 0 0.2rem; }
-.table-1-scroll { display: none; font-size: 0.8rem; }
-@media (max-width: 600px) { .table-1-scroll { display: block; } }
-</style>"""
+TABLE_1 = rendered("table_style.html")
+"""Style of the tables that look as printed."""
 
 
 def table_1(card: pd.DataFrame, rows: Sequence[Any]) -> HTML:
     """Return Table 1 as printed: in each cell the published number and below it ours, tinted by verdict."""
-    columns = ["e_u", *(f"{name}_{segment}" for segment in (1, 2, 3) for name in COORDINATES)]
-    signs = dict(zip(COORDINATES, ("Δx", "Δy", "δL"), strict=True))
-    groups = "".join(f'<th colspan="3" scope="colgroup" class="edge">segment {k} [%]</th>' for k in (1, 2, 3))
-    heads = [f'<th scope="col"{_edge(c)}>{signs.get(c[:-2], "e<sub>u</sub> [µT]")}</th>' for c in columns]
-    lines = [f'<tr><th scope="row">robot</th><th scope="col">readings</th>{groups}</tr>']
-    lines.append(f'<tr><th scope="row">mean ± std</th>{"".join(heads)}</tr></thead><tbody>')
+    lines = []
     for row in rows:
         own = card[card["row"] == row.name].set_index("quantity")
-        cells = [_cell(own.loc[c], c) if c in own.index else f"<td{_edge(c)}>–</td>" for c in columns]
-        again = ' class="again"' if row.same_as else ""
         robot = f"n_b={row.n_segments}, n_s={row.n_segments * row.sensors_per_segment}"
-        printed = scorecard_page.words(robot if row.name[:3] in ("n_b", "n_s", "nom") else row.name)
-        lines.append(
-            f'<tr{again}><th scope="row"><small>{printed}</small>{row.label}</th>{"".join(cells)}</tr>'
-        )
-    legend = " · ".join(f'<span class="{name}">{words}</span>' for name, words in VERDICTS.items())
-    label = 'id="fig-table-1" aria-label="Table 1, published and regenerated"'
-    box = f'<div class="table-1" tabindex="0" role="region" {label}>'
-    table = f"<table><thead>{''.join(lines)}</tbody></table>"
-    below = f'{SCROLL.format("the bends")}<p class="table-1">{BELOW_TABLE_1}{legend}.</p>'
-    return HTML(f"{TABLE_1}{box}{table}</div>{below}")
+        name = robot if row.name[:3] in ("n_b", "n_s", "nom") else row.name
+        cells = {quantity: _cell(found) for quantity, found in own.iterrows()}
+        about = {"again": row.same_as, "printed": scorecard_page.words(name), "label": row.label}
+        lines.append(about | {"cells": cells})
+    return HTML(rendered("table_1.html", rows=lines, verdicts=VERDICTS))
 
 
-def _edge(column: str) -> str:
-    return ' class="edge"' if column.startswith("delta_x") else ""
-
-
-def _cell(row: pd.Series, column: str) -> str:
-    factor, places = (1e3, 0) if column == "e_u" else (1.0, 1)
-    texts = []
+def _cell(row: pd.Series) -> dict[str, str]:
+    factor, places = (1e3, 0) if row.name == "e_u" else (1.0, 1)
+    texts = {}
     for name in ("published", "regenerated"):
         mean, std = (pd.to_numeric(row[key]) * factor for key in (name, f"{name}_std"))
         places += name == "regenerated" and std < 0.5 / 10**places  # no deviation is shown as zero
         spread = "" if pd.isna(std) else f"±{std:.{places}f}"
-        texts.append("–" if pd.isna(mean) else f"{mean:.{places}f}{spread}")
+        texts[name] = "–" if pd.isna(mean) else f"{mean:.{places}f}{spread}"
     kind = "weak" if row["weak"] == "true" and row["verdict"] in VERDICTS else row["verdict"]
-    edge = " edge" if _edge(column) else ""
-    title = VERDICTS.get(kind, kind)
-    return f'<td class="{kind}{edge}" title="{title}"><small>{texts[0]}</small>{texts[1]}</td>'
+    return texts | {"kind": kind, "title": VERDICTS.get(kind, kind)}
 
 
 @style()
@@ -941,28 +893,20 @@ MARKER_LOOKS = {"M1": (BLUE, 360.0), "M2": (PINK, 600.0)}
 
 def table_ii(printed: pd.DataFrame, errors: pd.DataFrame, badge: str, words: str) -> HTML:
     """Return Table II as printed: published relative errors [%], below them ours; words say what ours are."""
-    known, names = printed.set_index(["row", "quantity"])["printed"], {"median": "median_mm", "q3": "q75_mm"}
-    models, lines = (
-        {"rigid-body": "rigid-body, 8 IMUs", "PCC-extended": "PCC-extended, 8 IMUs, 16 segments"},
-        [],
-    )
-    for marker, (_, at) in MARKER_LOOKS.items():
-        for quantity, column in names.items():
-            cells = []
-            for model, case in models.items():
-                own = errors[(errors["case"] == case) & (errors["marker"] == marker)]
-                ours = own.groupby("draw")[column].mean() * 100 / at
-                spread = f" ± {ours.std():.1f}" if len(ours) > 1 else ""
-                text = f"{ours.mean():.1f}{spread}" if len(ours) else "–"
-                cells.append(f"<td><small>{known[f'{marker} {model}', quantity]}</small>{text}</td>")
-            head = f"{marker} ({at:.0f} mm), {'median' if quantity == 'median' else 'Q3'}"
-            lines.append(f'<tr><th scope="row">{head}</th>{"".join(cells)}</tr>')
-    heads = "".join(f'<th scope="col">{model}</th>' for model in models)
-    mark = f'<span style="border: 1px solid; border-radius: 1em; padding: 0.1em 0.7em">{badge}</span>'
-    box = '<div class="table-1" id="fig-table-ii" tabindex="0" role="region" aria-label="Table II">'
-    head = f'<thead><tr><th scope="row">error [%]</th>{heads}</tr></thead>'
-    body = f"<table>{head}<tbody>{''.join(lines)}</tbody></table>"
-    return HTML(f'{TABLE_1}<p>{mark}</p>{box}{body}</div><p class="table-1">Upper: published. {words}</p>')
+    known = printed.set_index(["row", "quantity"])["printed"]
+    models = {"rigid-body": "rigid-body, 8 IMUs", "PCC-extended": "PCC-extended, 8 IMUs, 16 segments"}
+    quantities = {"median": ("median", "median_mm"), "q3": ("Q3", "q75_mm")}
+    rows = {}
+    for (marker, (_, at)), (quantity, (name, column)) in product(MARKER_LOOKS.items(), quantities.items()):
+        cells = []
+        for model, case in models.items():
+            own = errors[(errors["case"] == case) & (errors["marker"] == marker)]
+            ours = own.groupby("draw")[column].mean() * 100 / at
+            spread = f" ± {ours.std():.1f}" if len(ours) > 1 else ""
+            text = f"{ours.mean():.1f}{spread}" if len(ours) else "–"
+            cells.append((known[f"{marker} {model}", quantity], text))
+        rows[f"{marker} ({at:.0f} mm), {name}"] = cells
+    return HTML(rendered("table_ii.html", models=models, rows=rows, badge=badge, words=words))
 
 
 @style()
@@ -1133,7 +1077,9 @@ def noise_study(table: pd.DataFrame) -> Figure:
             own = table[(table["solver"] == solver) & (table["n_b"] == n)]
             for model, part in own.groupby("model", sort=False):
                 colour, marker = looks[str(model)]
-                panel.plot("noise_mt", "mean_percent", data=part, marker=marker, color=colour, ms=4, label=model)
+                panel.plot(
+                    "noise_mt", "mean_percent", data=part, marker=marker, color=colour, ms=4, label=model
+                )
             limit = own.drop_duplicates("noise_mt")
             panel.plot(limit["noise_mt"], limit["bound_percent"], "--", color="0.2", lw=1, label="bound")
             panel.set(xscale="log", yscale="log")

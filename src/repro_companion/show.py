@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from pandas.io.formats.style import Styler
 
 from repro_companion.run import project_folder
@@ -20,6 +21,20 @@ ROW_COLUMNS = [
     *KEY, "regenerated", "regenerated_std", "n_seeds", "setting", "best", "best_method", "note", "comparable"
 ]  # fmt: skip
 """Columns of what a page regenerates, ``<name>.rows.csv``."""
+
+
+_TEMPLATES = Environment(
+    loader=PackageLoader("repro_companion"),
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    autoescape=False,
+)
+
+
+def rendered(template: str, **values: Any) -> str:
+    """Return a template of this package, ``templates/<template>``, filled with values, which are HTML already."""
+    return _TEMPLATES.get_template(template).render(values)
 
 
 def results_folder() -> Path:

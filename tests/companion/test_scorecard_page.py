@@ -266,14 +266,18 @@ def test_names_are_written_with_the_letters_of_the_papers(name, shown):
 def test_a_row_says_why_it_counts_apart_and_what_we_reach(card):
     row = card.iloc[1].to_dict() | {"kind": "weak", "verdict": "reproduced", "near_edge": "true"}
     row |= {"width": 0.25, "best": "0.1234", "note": "of three seeds", "unit": "%", "real_kind": ""}
-    row |= dict.fromkeys(WITH_FILES, "")
-    text = page._row(pd.Series(row))
+    row |= dict.fromkeys(WITH_FILES, "") | {"name": "B"}
+
+    def shown(**other: str) -> str:
+        return page.rows_page(pd.DataFrame([row | other]), {("B", row["artefact"]): "p.html"})
+
+    text = shown()
     assert "weak</span> (reproduced), near the edge</td>" in text
     assert "±\N{NO-BREAK SPACE}0.25\N{NO-BREAK SPACE}%" in text
     assert "Of three seeds. " in text
     assert "Our best: 0.123\N{NO-BREAK SPACE}%." in text
-    assert "–</td>" in page._row(pd.Series(row | {"verdict": "not_comparable"})), "without a band"
-    assert "Our method: " in page._row(pd.Series(row | {"best": "1e9"})), "not better"
+    assert "–</td>" in shown(verdict="not_comparable"), "without a band"
+    assert "Our method: " in shown(best="1e9"), "not better"
 
 
 # Home
@@ -323,16 +327,9 @@ def test_the_home_page_names_no_other_numbers(card):
 def test_kinds_of_the_index_and_the_scorecard_do_not_mix(card):
     """What has no numbers has the word of the index; the others lead to their rows."""
     card = beside(card, card).assign(name=card["paper"].replace(page.PAPERS), kind=kinds(card))
-    entry = {
-        "paper": "baaij2023",
-        "name": "B",
-        "artefact": "Table 1",
-        "place": "p.html#",
-        "shows": "x",
-        "page": "p",
-    }
-    entry |= {"status": "implemented", "note": "a note", "code": "a.b.track", "real": False}
-    text = page._entry(pd.Series(entry), {"p": "Page"}, card)
+    entry = {"paper": "baaij2023", "name": "B", "artefact": "Table 1", "status": "implemented"}
+    entry |= {"note": "a note", "code": "a.b.track", "real": False}
+    text = page.verdict_of(pd.Series(entry), card)
     assert '<a href="scorecard.html?paper=B&amp;artefact=Table+1#all-rows"' in text
-    text = page._entry(pd.Series(entry | {"artefact": "eq. (1)"}), {"p": "Page"}, card)
-    assert 'implemented <span class="setting">(<code>track</code>; a note)</span>' in text
+    text = page.verdict_of(pd.Series(entry | {"artefact": "eq. (1)"}), card)
+    assert text == 'implemented <span class="setting">(<code>track</code>; a note)</span>'

@@ -139,7 +139,9 @@ def amount(files: Iterable[Source]) -> str:
     """Return how many files these are and how large; the size of some is not listed."""
     sizes = [source.size for source in files]
     known = [size for size in sizes if size is not None]
-    large = f"{'at least ' * (len(known) < len(sizes))}{1e-6 * sum(known):.1f} MB" if known else "size not listed"
+    large = (
+        f"{'at least ' * (len(known) < len(sizes))}{1e-6 * sum(known):.1f} MB" if known else "size not listed"
+    )
     return f"{len(sizes)} {'file' if len(sizes) == 1 else 'files'}, {large}"
 
 
