@@ -89,6 +89,20 @@ def closed(figure: Figure) -> Figure:
     return figure
 
 
+def row_of_panels(count: int, height: float, ylabel: str, **grid: Any) -> tuple[Figure, Any]:
+    """Return a figure and its panels side by side; the label of the vertical axis stands once."""
+    figure, (panels,) = plt.subplots(1, count, figsize=(WIDTH, height), squeeze=False, **grid)
+    panels[0].set_ylabel(ylabel)
+    return figure, panels
+
+
+def column_of_panels(count: int, height: float, xlabel: str, **grid: Any) -> tuple[Figure, Any]:
+    """Return a figure and its panels below each other, with one horizontal axis whose label stands once."""
+    figure, panels = plt.subplots(count, 1, figsize=(WIDTH, height), squeeze=False, sharex=True, **grid)
+    panels[-1, 0].set_xlabel(xlabel)
+    return figure, panels[:, 0]
+
+
 def with_legend(figure: Figure, of: Any = None, columns: int = 2, **look: Any) -> Figure:
     """Return a figure for its cell with a legend above all panels: of one panel, of some lines, or of everything."""
     lines = of.get_legend_handles_labels()[0] if isinstance(of, Axes) else of
@@ -190,14 +204,13 @@ def calibration(table: pd.DataFrame) -> Figure:
 @style()
 def tip_paths(paths: dict[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
     """Draw true and estimated paths of tips ``[t, 3]`` [m] of several robots, seen along the straight robot."""
-    figure, (panels,) = plt.subplots(1, len(paths), figsize=(WIDTH, 2.5), squeeze=False)
+    figure, panels = row_of_panels(len(paths), 2.5, "y [mm]")
     for panel, (name, (truth, found)) in zip(panels, paths.items(), strict=True):
         panel.plot(*1e3 * truth[:, :2].T, label="truth", **TRUTH)
         panel.plot(*1e3 * found[:, :2].T, color=BLUE, lw=1.3, label="estimate")
         panel.set(title=name, xlabel="x [mm]", aspect="equal")
         panel.xaxis.set_major_locator(MaxNLocator(3))
         panel.yaxis.set_major_locator(MaxNLocator(4))
-    panels[0].set_ylabel("y [mm]")
     return with_legend(figure, panels[0])
 
 
@@ -330,14 +343,13 @@ def equation_15(table: pd.DataFrame) -> Figure:
 def three_moves(table: pd.DataFrame) -> Figure:
     """Draw what the sensors of one segment read while it bends towards x, towards y, or becomes longer."""
     words = (r"bend $\Delta_x$ [mm]", r"bend $\Delta_y$ [mm]", r"longer by $\delta L$ [mm]")
-    figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.0), sharey=True)
+    figure, panels = row_of_panels(3, 3.0, "reading [mT]", sharey=True)
     for panel, label, (_, part) in zip(panels, words, table.groupby("move", sort=False), strict=True):
         for k, sensor in enumerate(table.columns[2:]):
             look = {"color": FOUR[k % 4], "ls": ("-", "--", "-.", ":")[k % 4], "lw": 2.2}
             panel.plot(part["mm"], part[sensor], label=f"sensor {k + 1}", **look)
         panel.set_xlabel(label)
         panel.xaxis.set_major_locator(MultipleLocator(2 if np.ptp(part["mm"]) < 10 else 10))
-    panels[0].set_ylabel("reading [mT]")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return closed(figure)
 
@@ -347,7 +359,7 @@ def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failed: Sequence[int], 
     """Draw Fig. 4(b): readings above, configurations below; truth, and the mean over seeds with its deviation."""
     signs = (r"\Delta_{x,%d}", r"\Delta_{y,%d}", r"\delta L_{%d}")
     n = u["name"].nunique() // 4  # segments
-    figure, panels = plt.subplots(2 * n, 1, figsize=(WIDTH, 1.84 * n + 0.7), sharex=True)
+    figure, panels = column_of_panels(2 * n, 1.84 * n + 0.7, "time [s]")
     for table, own, per in ((u, panels[:n], 4), (q, panels[n:], 3)):
         for k, (name, part) in enumerate(table.groupby("name", sort=False)):
             text = f"u_{{{name}}}" if per == 4 else signs[k % 3] % (k // 3 + 1)
@@ -360,7 +372,6 @@ def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failed: Sequence[int], 
         panel.yaxis.set_major_locator(MultipleLocator(every))
     panels[n // 2].set_ylabel("reading [mT]")
     panels[-1 - n // 2].set_ylabel("configuration [mm]")
-    panels[-1].set_xlabel("time [s]")
     figure.align_ylabels(panels)
     lost = Line2D([], [], color="0.4", lw=3.6, alpha=0.2, label="truth, sensor failed")
     line = Line2D([], [], color="0.4", lw=1.2, ls=":", label="failure")
@@ -447,10 +458,7 @@ AFFINE_NAMES = {
 @style()
 def affine_over_time(series: pd.DataFrame) -> Figure:
     """Draw Fig. 6: readings above, configuration below; truth, and the mean over seeds with its deviation."""
-    ratios = [2.3, 1, 1, 1, 1]
-    figure, panels = plt.subplots(
-        5, 1, figsize=(WIDTH, 6.3), sharex=True, gridspec_kw={"height_ratios": ratios}
-    )
+    figure, panels = column_of_panels(5, 6.3, "time [s]", height_ratios=[2.3, 1, 1, 1, 1])
     readings = series[series["name"].str.startswith("u_")]
     for number, (_, part) in enumerate(readings.groupby("name", sort=False)):
         _over_time(panels[0], part, FOUR[number % 3])
@@ -460,7 +468,6 @@ def affine_over_time(series: pd.DataFrame) -> Figure:
     for panel, every in zip(panels, (1, 0.5, 2, 3, 3), strict=True):
         panel.yaxis.set_major_locator(MultipleLocator(every))
     panels[0].set_ylabel("readings [mT]")
-    panels[-1].set_xlabel("time [s]")
     panels[-1].margins(x=0.01)
     figure.align_ylabels(panels)
     planes = [
@@ -843,7 +850,7 @@ def filter_steps(
 @style()
 def bend_error_over_time(table: pd.DataFrame, printed: dict[str, float]) -> Figure:
     """Draw Fig. 5: the error of the magnet's place [mm] over the parameter of a curve, by number of particles."""
-    figure, panels = plt.subplots(len(printed), 1, figsize=(WIDTH, 4.6), sharex=True, sharey=True)
+    figure, panels = column_of_panels(len(printed), 4.6, "parameter $t$ of the curve", sharey=True)
     for panel, (name, rmse) in zip(panels, printed.items(), strict=True):
         runs = table[table["curve"] == name].groupby("particles")
         for colour, (n, part) in zip((SKY, BLUE), runs, strict=False):
@@ -851,7 +858,6 @@ def bend_error_over_time(table: pd.DataFrame, printed: dict[str, float]) -> Figu
         panel.axhline(rmse, color=PUBLISHED, ls="--", label="published RMSE, 1000 particles")
         panel.set(title=name.capitalize(), ylabel="error [mm]", ylim=(0, None))
         panel.margins(x=0)
-    panels[-1].set_xlabel("parameter $t$ of the curve")
     return with_legend(figure, panels[0], columns=3)
 
 
@@ -860,11 +866,13 @@ def bend_error_by_noise(
     clean: pd.DataFrame, law: pd.Series, noisy: pd.DataFrame, single: float, printed: Sequence[float]
 ) -> Figure:
     """Draw the error [mm] over process noise: without sensor noise beside the law, and with it for two motions."""
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(WIDTH, 6.4), sharex=True, height_ratios=(1.3, 1))
+    figure, (top, bottom) = column_of_panels(
+        2, 6.4, "process noise [π rad per step]", height_ratios=(1.3, 1)
+    )
     for name, part in clean.groupby("curve", sort=False):
         colour, marker = CURVE_LOOKS[str(name)]
-        x, label = part["process_noise_pi"], str(name).capitalize()
-        top.plot(x, part["rmse_mm"], marker, color=colour, ms=6, label=label)
+        label = str(name).capitalize()
+        top.plot("process_noise_pi", "rmse_mm", marker, data=part, color=colour, ms=6, label=label)
     top.plot(law.index, law, color="0.5", lw=1, label="law")
     top.axhspan(min(printed) - 5e-5, max(printed) + 5e-5, color=YELLOW, alpha=0.8, lw=0, label="published")
     top.axvline(0.02, color="0.5", lw=1, ls=":", label="noise in the paper")
@@ -874,10 +882,10 @@ def bend_error_by_noise(
         own = part.groupby("process_noise_pi")["rmse_mm"].mean()
         bottom.plot(own.index, own, color=look[0], marker=look[1], ms=6, label=name)
     bottom.axhline(single, color="0.5", ls="--", label="least squares, one reading")
-    bottom.set(xscale="log", yscale="log", ylim=(0.035, 0.13), title="real sensor, mean of the curves")
     bottom.set(
-        xlabel="process noise [π rad per step]", xticks=[5e-4, 0.002, 0.005, 0.02], yticks=[0.04, 0.06, 0.1]
-    )
+        title="real sensor, mean of the curves", yscale="log", ylim=(0.035, 0.13), yticks=[0.04, 0.06, 0.1],
+        xscale="log", xticks=[5e-4, 0.002, 0.005, 0.02],
+    )  # fmt: skip
     plain_numbers(bottom.xaxis, bottom.yaxis, top.yaxis)
     for panel in (top, bottom):
         panel.set_ylabel("RMSE [mm]")
@@ -917,7 +925,7 @@ def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figur
         "Fig. 4": ("segments", "segments", "PCC, 8 IMUs"),
         "Fig. 5": ("n_imus", "IMUs", "PCC, 16 segments"),
     }
-    figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), sharey=True, width_ratios=(3, 4, 3))
+    figure, panels = row_of_panels(3, 3.6, "error [mm]", sharey=True, width_ratios=(3, 4, 3))
     for panel, (name, (column, label, model)) in zip(panels, groups.items(), strict=True):
         own, known = boxes[boxes["figure"] == name], printed[name]
         steps = sorted(own[column].unique())
@@ -938,14 +946,13 @@ def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figur
                         x, value, "D" if row.quantity == "median" else "^", color="#1A1A1A", mec="white", ms=6
                     )
         panel.set(title=f"{name}:\n{model}", xlabel=label, ylim=(0, None))
-        panel.set_xticks(range(len(steps)), [str(k) for k in steps])
+        panel.set(xticks=range(len(steps)), xticklabels=steps)
         panel.grid(visible=False, axis="x")
-    panels[0].set_ylabel("error [mm]")
     lines = [
-        Line2D([], [], color=colour, lw=6, alpha=0.4, label=m) for m, (colour, _) in MARKER_LOOKS.items()
+        *(Line2D([], [], color=colour, lw=6, alpha=0.4, label=m) for m, (colour, _) in MARKER_LOOKS.items()),
+        Line2D([], [], color="#1A1A1A", marker="D", mec="white", ls="", label="published median"),
+        Line2D([], [], color="#1A1A1A", marker="^", mec="white", ls="", label="published Q3"),
     ]
-    for shape, words in (("D", "published median"), ("^", "published Q3")):
-        lines.append(Line2D([], [], color="#1A1A1A", marker=shape, mec="white", ls="", label=words))
     return with_legend(figure, lines, columns=4)
 
 
@@ -953,8 +960,8 @@ def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figur
 def error_hull(hull: pd.DataFrame) -> Figure:
     """Draw Fig. 6: the arm in one pose of each mode, leaning to one side, in a hull with the error as radius."""
     modes = hull.groupby("mode", sort=False)
-    figure, panels = plt.subplots(1, len(modes), figsize=(WIDTH, 2.2), sharex=True, sharey=True)
-    for panel, (mode, part) in zip(np.atleast_1d(panels), modes, strict=True):
+    figure, panels = row_of_panels(len(modes), 2.2, "height [mm]", sharex=True, sharey=True)
+    for panel, (mode, part) in zip(panels, modes, strict=True):
         away = part[["x_mm", "y_mm"]].iloc[-1].to_numpy()
         away = away / np.linalg.norm(away)
         for prefix, look in (("", {"color": "#1A1A1A", "lw": 2}), ("estimate_", {"color": ORANGE})):
@@ -968,7 +975,6 @@ def error_hull(hull: pd.DataFrame) -> Figure:
                 for look in ({"color": BLUE, "lw": 2.5}, {"color": "#A6D5F2", "lw": 0}):  # outline, hull
                     panel.add_collection(PatchCollection(discs, **look))
         panel.set(title=mode, aspect="equal", xlabel="horizontal [mm]")
-    np.atleast_1d(panels)[0].set_ylabel("height [mm]")
     lines = [
         Line2D([], [], color="#1A1A1A", label="arm"),
         Line2D([], [], color=ORANGE, label="estimate"),
@@ -980,7 +986,7 @@ def error_hull(hull: pd.DataFrame) -> Figure:
 @style()
 def links_of_models(chains: dict[str, np.ndarray], arm: np.ndarray, links: int) -> Figure:
     """Draw joints of models ``[points, 3]`` [m] beside the arm, from the side, with the gap after each link."""
-    figure, panels = plt.subplots(1, len(chains), figsize=(WIDTH, 3.8), sharex=True, sharey=True)
+    figure, panels = row_of_panels(len(chains), 3.8, "height [mm]", sharex=True, sharey=True)
     away = arm[-1, :2] / np.linalg.norm(arm[-1, :2])
     side, colours = 1e3 * np.stack([arm[:, :2] @ away, arm[:, 2]], axis=-1), (ORANGE, BLUE)
     for panel, (name, joints), colour in zip(panels, chains.items(), colours, strict=True):
@@ -991,7 +997,6 @@ def links_of_models(chains: dict[str, np.ndarray], arm: np.ndarray, links: int) 
         panel.plot(*np.stack(ends, axis=1)[1:].T, color="0.45", ls=":")
         panel.plot([], [], color="0.45", ls=":", label="from the end of a link to its place on the arm")
         panel.set(title=name, xlabel="horizontal [mm]", aspect="equal")
-    panels[0].set_ylabel("height [mm]")
     return with_legend(figure, panels[0], columns=2)
 
 
@@ -1029,14 +1034,13 @@ def real_arm_still(points: pd.DataFrame) -> Figure:
         "our smoother": {"color": BLUE, "marker": "o", "ms": 4},
         "window, released": {"color": "#5E5E5E", "marker": "s", "ms": 4, "ls": "--"},
     }
-    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6), sharey=True)
+    figure, panels = row_of_panels(2, 3.6, "z [mm]", sharey=True)
     for panel, axis in zip(panels, "xy", strict=True):
         for name, part in points.groupby("line", sort=False):
             along, up = np.append(0.0, part[f"{axis}_mm"]), np.append(0.0, part["z_mm"])
             panel.plot(along, up, label=name, **looks[str(name)])
         panel.set(xlabel=f"{axis} [mm]", aspect="equal")
         panel.margins(x=0.3)
-    panels[0].set_ylabel("z [mm]")
     return with_legend(figure, panels[0], columns=3)
 
 
@@ -1082,8 +1086,7 @@ def noise_study(table: pd.DataFrame) -> Figure:
                 )
             limit = own.drop_duplicates("noise_mt")
             panel.plot(limit["noise_mt"], limit["bound_percent"], "--", color="0.2", lw=1, label="bound")
-            panel.set(xscale="log", yscale="log")
-            panel.set_xticks([1e-4, 1e-2], ["10⁻⁴", "10⁻²"])
+            panel.set(xscale="log", yscale="log", xticks=[1e-4, 1e-2], xticklabels=["10⁻⁴", "10⁻²"])
         row[0].set_ylabel(f"{n} segment" + "s" * int(n > 1) + "\nerror [%]")
         row[0].yaxis.set_major_formatter("{x:g}")
     for panel, solver in zip(panels[0], solvers, strict=True):
@@ -1097,7 +1100,7 @@ def sensor_places(table: pd.DataFrame, marked: dict[str, tuple[float, float]]) -
     """Draw deviations of the tip [mm] over radius and height of the sensors: by noise, and before calibration."""
     columns = {"noise_mm": "noise alone", "off_mm": "noise and tolerances"}
     mpl.rcParams.update(GREY_INK)
-    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.0), sharex=True, sharey=True)
+    figure, panels = row_of_panels(2, 4.0, "height above the magnet [mm]", sharex=True, sharey=True)
     for panel, (column, title) in zip(panels, columns.items(), strict=True):
         wide = table.pivot(index="above_mm", columns="radial_mm", values=column)
         colours = panel.pcolormesh(wide.columns, wide.index, wide, norm=LogNorm(), shading="nearest")
@@ -1108,14 +1111,13 @@ def sensor_places(table: pd.DataFrame, marked: dict[str, tuple[float, float]]) -
             panel.plot(*place, marker=marker, mfc="white", mec="black", ms=9, ls="none", label=name)
         panel.set(title=title, xlabel="radius [mm]")
         panel.grid(visible=False)
-    panels[0].set_ylabel("height above the magnet [mm]")
     return with_legend(figure, panels[0], columns=3)
 
 
 @style()
 def imus_and_errors(table: pd.DataFrame) -> Figure:
     """Draw errors of the tip [mm] over the number of IMUs: perfect ones by model, and with errors of their own."""
-    figure, (upper, lower) = plt.subplots(2, figsize=(WIDTH, 6.6), sharex=True, sharey=True)
+    figure, (upper, lower) = column_of_panels(2, 6.6, "number of IMUs", sharey=True)
     perfect, models = table[table["sensor_deg"] == 0], table["model"].unique()
     for model, colour in zip(models, (PINK, ORANGE, BLUE, GREEN), strict=True):
         own = perfect[perfect["model"] == model]
@@ -1128,11 +1130,10 @@ def imus_and_errors(table: pd.DataFrame) -> Figure:
         end = own[["n_imus", "rule_mm"]].iloc[-1]
         lower.annotate(f"{deg:g}°", end, (6, 0), textcoords="offset points", va="center")
     for panel, title in ((upper, "perfect IMUs"), (lower, "IMUs with errors")):
-        panel.set(xscale="log", yscale="log", title=title, xticks=[1, 2, 4, 8, 16])
+        panel.set(xscale="log", yscale="log", xticks=[1, 2, 4, 8, 16])
+        panel.set(title=title, ylabel="error of the tip [mm]")
         plain_numbers(panel.xaxis)
-        panel.set_ylabel("error of the tip [mm]")
     upper.yaxis.set_major_formatter("{x:g}")
-    lower.set_xlabel("number of IMUs")
     return with_legend(figure, upper, columns=2)
 
 
@@ -1143,7 +1144,7 @@ def imus_and_errors(table: pd.DataFrame) -> Figure:
 def filter_over_time(table: pd.DataFrame) -> Figure:
     """Draw the error of one bend [mm] over time with the stated band, one panel for each method."""
     methods = list(table.groupby("method", sort=False))
-    figure, panels = plt.subplots(len(methods), 1, figsize=(WIDTH, 3.8), sharex=True, sharey=True)
+    figure, panels = column_of_panels(len(methods), 3.8, "time [s]", sharey=True)
     for panel, (name, part), colour in zip(panels, methods, (ORANGE, BLUE), strict=True):
         band = part["two_sigma_mm"]
         panel.fill_between(part["time_s"], -band, band, color=colour, alpha=0.2, lw=0)
@@ -1152,7 +1153,6 @@ def filter_over_time(table: pd.DataFrame) -> Figure:
         panel.margins(x=0)
     reach = 1.2 * table["two_sigma_mm"][table["method"] == methods[0][0]].iloc[1:].max()
     panels[0].set_ylim(-reach, reach)
-    panels[-1].set_xlabel("time [s]")
     return closed(figure)
 
 
@@ -1257,34 +1257,28 @@ def drift_errors(minutes: pd.DataFrame, last: int) -> Figure:
 @style()
 def drift_learnt(learnt: pd.DataFrame) -> Figure:
     """Draw true and estimated errors of sensors over time, with two standard deviations to either side."""
-    figure, panels = plt.subplots(learnt["error"].nunique(), 1, figsize=(WIDTH, 5.2), sharex=True)
+    figure, panels = column_of_panels(learnt["error"].nunique(), 5.2, "time [min]")
     for panel, (name, part) in zip(panels, learnt.groupby("error", sort=False), strict=True):
         time, middle, wide = part["minute"], part["estimate"], 2 * part["std"]
         panel.plot(time, part["truth"], label="truth", **TRUTH)
         panel.plot(time, middle, color=GREEN, label="estimate")
         panel.fill_between(time, middle - wide, middle + wide, color=GREEN, alpha=0.2, lw=0)
         panel.set(ylabel=str(name).replace(" [", "\n["))
-    panels[-1].set_xlabel("time [min]")
     return with_legend(figure, panels[0], columns=2)
 
 
 @style()
 def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
     """Draw the error of the tip [% of the length] and twice what is stated while iron is near, and alarms below."""
-    figure, panels = plt.subplots(2, 1, figsize=(WIDTH, 5.0), sharex=True, sharey=True)
+    figure, panels = column_of_panels(2, 5.0, "time [s]", sharey=True)
     for panel, (name, part) in zip(panels, rows.groupby("method", sort=False), strict=True):
         panel.axvspan(*iron_s, label="iron near", **SPAN)
         panel.plot(part["time_s"], part["error_percent"], color=GREEN, label="error")
-        panel.plot(
-            part["time_s"], 2 * part["stated_percent"], ":", color="#767676", label="two stated deviations"
-        )
-        alarm = part[part["alarm"]]
-        panel.plot(
-            alarm["time_s"], np.full(len(alarm), 0.06), "s", color=ORANGE, ms=3, label="alarm", clip_on=False
-        )
+        stated, alarms = 2 * part["stated_percent"], part.loc[part["alarm"], "time_s"]
+        panel.plot(part["time_s"], stated, ":", color="#767676", label="two stated deviations")
+        panel.plot(alarms, 0.06 + 0 * alarms, "s", color=ORANGE, ms=3, label="alarm", clip_on=False)
         panel.set(title=name, yscale="log", ylabel="error of the tip\n[% of the length]", ylim=(0.05, 20))
         plain_numbers(panel.yaxis)
-    panels[-1].set_xlabel("time [s]")
     return with_legend(figure, panels[0], columns=4)
 
 
@@ -1292,18 +1286,16 @@ def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
 def live_failures(table: pd.DataFrame, fails_at_s: float) -> Figure:
     """Draw error and stated deviation of the tip over time: a panel for each failure, a colour for each arm."""
     failures = list(table[table["failure"] != "none"].groupby("failure", sort=False))
-    figure, panels = plt.subplots(
-        len(failures), 1, figsize=(WIDTH, 1.55 * len(failures) + 1.0), sharex=True, sharey=True, squeeze=False
-    )
-    for panel, (failure, part) in zip(panels[:, 0], failures, strict=True):
+    height = 1.55 * len(failures) + 1.0
+    figure, panels = column_of_panels(len(failures), height, "time [s]", sharey=True)
+    for panel, (failure, part) in zip(panels, failures, strict=True):
         for (chips, rows), colour in zip(part.groupby("sensors", sort=False), (BLUE, ORANGE), strict=True):
             for column, line, name in (("tip_error_mm", "-", "error"), ("tip_std_mm", "--", "stated ±")):
                 panel.plot(rows["time_s"], rows[column], line, color=colour, label=f"{name}, {chips} chips")
         panel.axvline(fails_at_s, color=PUBLISHED, lw=4, alpha=0.5, zorder=0)
         panel.set(yscale="log", yticks=[0.1, 1, 10, 100], title=failure, ylabel="tip [mm]")
         panel.yaxis.set_major_formatter("{x:g}")
-    panels[-1, 0].set_xlabel("time [s]")
-    return with_legend(figure, panels[0, 0])
+    return with_legend(figure, panels[0])
 
 
 # A robot of one's own
@@ -1312,7 +1304,7 @@ def live_failures(table: pd.DataFrame, fails_at_s: float) -> Figure:
 @style()
 def failing_chip(shape: Any, tip_std_mm: np.ndarray, fails_at_s: float) -> Figure:
     """Draw the stated deviation of the tip, and the first reading of every chip with its residual, over time."""
-    figure, (stated, above, below) = plt.subplots(3, 1, figsize=(WIDTH, 6.6), sharex=True)
+    figure, (stated, above, below) = column_of_panels(3, 6.6, "time [s]")
     stated.plot(shape.times, tip_std_mm, color="0.35")
     stated.set_yscale("log", subs=[])
     stated.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
@@ -1329,5 +1321,4 @@ def failing_chip(shape: Any, tip_std_mm: np.ndarray, fails_at_s: float) -> Figur
     ):
         panel.axvline(fails_at_s, color=PUBLISHED, lw=4, alpha=0.5, zorder=0)
         panel.set_ylabel(name)
-    below.set_xlabel("time [s]")
     return closed(figure)
