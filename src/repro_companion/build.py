@@ -207,14 +207,16 @@ def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
             about["tags"] = sorted(tags | {"remove-cell"})
         cells.append(cell)
     parameters = tool.declared(place)
-    folds = (
-        [_numbers(record, root, name), _parameters(parameters, record, name), _provenance(record, name)]
-        if record
-        else []
+    texts = record and (
+        _numbers(record, root, name),
+        _parameters(parameters, record, name),
+        _provenance(record, name),
     )
-    for number, text in enumerate(filter(None, folds)):
-        cells.append({"cell_type": "markdown", "id": f"fold-{number}", "metadata": {}, "source": text})
-    return {**executed, "cells": cells[:1] + first + cells[1:]}
+    folds = [
+        {"cell_type": "markdown", "id": f"fold-{number}", "metadata": {}, "source": text}
+        for number, text in enumerate(filter(None, texts or ()))
+    ]
+    return {**executed, "cells": [*cells[:1], *first, *cells[1:], *folds]}
 
 
 def _fold(title: str, text: str) -> str:

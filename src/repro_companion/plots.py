@@ -866,9 +866,7 @@ def bend_error_by_noise(
     clean: pd.DataFrame, law: pd.Series, noisy: pd.DataFrame, single: float, printed: Sequence[float]
 ) -> Figure:
     """Draw the error [mm] over process noise: without sensor noise beside the law, and with it for two motions."""
-    figure, (top, bottom) = column_of_panels(
-        2, 6.4, "process noise [π rad per step]", height_ratios=(1.3, 1)
-    )
+    figure, (top, bottom) = column_of_panels(2, 6.4, "process noise [π rad per step]", height_ratios=(1.3, 1))
     for name, part in clean.groupby("curve", sort=False):
         colour, marker = CURVE_LOOKS[str(name)]
         label = str(name).capitalize()

@@ -106,12 +106,10 @@ def fading(shape: tuple[int, int, int], time_s: float, generator: np.random.Gene
 def drift(steps: int, generator: np.random.Generator) -> np.ndarray:
     """Return the errors of the sensors ``[t, 28]``; none at the start."""
     tilt = TILT * fading((steps, 3, 2), TILT_S, generator).reshape(steps, 6)
-    parts = [np.arange(steps)[:, None] * WARMING / (SIZE_S * RATE_HZ)]
-    for n, size in ((9, GAIN), (9, OFFSET), (3, HEADING)):
-        parts.append(
-            np.cumsum(size / math.sqrt(SIZE_S * RATE_HZ) * generator.standard_normal((steps, n)), axis=0)
-        )
-    errors = np.hstack([*parts, tilt])
+    warming = np.arange(steps)[:, None] * WARMING / (SIZE_S * RATE_HZ)
+    sizes = np.repeat([GAIN, OFFSET, HEADING], [9, 9, 3]) / math.sqrt(SIZE_S * RATE_HZ)
+    parts = [generator.standard_normal((steps, n)) for n in (9, 9, 3)]
+    errors = np.hstack([warming, np.cumsum(sizes * np.hstack(parts), axis=0), tilt])
     return errors - errors[0]
 
 
