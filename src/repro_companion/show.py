@@ -37,6 +37,15 @@ def rendered(template: str, **values: Any) -> str:
     return _TEMPLATES.get_template(template).render(values)
 
 
+_TEMPLATES.filters["fixed"] = lambda value, digits: f"{value:.{digits}f}"
+
+
+def sentences(template: str, **values: Any) -> str:
+    """Return a paragraph of words: a template filled with values, its lines joined by blanks."""
+    lines = _TEMPLATES.from_string(template).render(values).splitlines()
+    return " ".join(line.strip() for line in lines if line.strip())
+
+
 def results_folder() -> Path:
     """Return where tables are written: REPRO_RESULTS, else runs/tables of the project."""
     return Path(os.environ.get("REPRO_RESULTS") or project_folder() / "runs" / "tables")

@@ -31,7 +31,7 @@ from repro_companion.papers.martin_files import (
 )
 from repro_companion.run import project_folder
 from repro_companion.scorecard import AUTHORS
-from repro_companion.show import KEY
+from repro_companion.show import KEY, sentences
 
 HEADER = [f"{name}{body}" for body in ("base", "4", "7") for name in "RPYxyz"]
 """Columns after frame and sub-frame, which have no name: three angles, which nobody uses, and x, y, z of a body."""
@@ -235,12 +235,11 @@ def checked(found: Recording) -> Recording:
 
 def authors_errors(found: Recording) -> dict[Case, np.ndarray]:
     """Return how far M1 and M2 ``[rows, 2]`` [mm] of each table are from the motion capture; NaN where not seen."""
-    errors = {}
-    for case, (name, later) in TABLES.items():
-        if name in found.tables:
-            measured, modelled = found.paired(name, later)
-            errors[case] = 1e3 * np.linalg.norm(measured - modelled, axis=-1)
-    return errors
+    here = {case: table for case, table in TABLES.items() if table[0] in found.tables}
+    return {
+        case: 1e3 * np.linalg.norm(np.subtract(*found.paired(*table)), axis=-1)
+        for case, table in here.items()
+    }
 
 
 def marker_errors(found: Recording, chosen: Sequence[Case]) -> pd.DataFrame:
@@ -248,15 +247,15 @@ def marker_errors(found: Recording, chosen: Sequence[Case]) -> pd.DataFrame:
 
     As in the files: the tables themselves. The other chains take the orientations behind the tables.
     """
-    errors, tables = authors_errors(found), []
+    errors, lines = authors_errors(found), []
     here = [case for case in chosen if case in errors]
     for case in here:
         quantiles = np.nanpercentile(errors[case], [*martin.QUANTILES.values()], axis=0)
         for marker, values in zip(("M1", "M2"), quantiles.T, strict=True):
-            key = (0, case.figure, case.name, *case[1:], martin.FILES, marker)
-            tables.append(pd.DataFrame([(*key, *values)], columns=["draw", *martin.KEYS, *martin.QUANTILES]))
+            lines.append((0, case.figure, case.name, *case[1:], martin.FILES, marker, *values))
+    tables = pd.DataFrame(lines, columns=["draw", *martin.KEYS, *martin.QUANTILES])
     others = martin.marker_errors([found.as_evaluated], here)
-    return pd.concat([*tables, others[others["evaluation"] != martin.FILES]], ignore_index=True)
+    return pd.concat([tables, others[others["evaluation"] != martin.FILES]], ignore_index=True)
 
 
 def own_check(found: Recording) -> pd.DataFrame:
@@ -284,14 +283,14 @@ class Chain(NamedTuple):
 def chains() -> list[Chain]:
     """Return the models that both columns compare: those of the files, of the text, and ours."""
     rigid_8, pcc_16 = Case("Fig. 3", "rigid", 8, 8), Case("Fig. 4", "pcc", 8, 16)
-    found = [
+    return [
         Chain("rigid-body (pcc1.csv)", pcc_extended, martin.released_arm("rigid"), case=rigid_8),
         Chain("PCC-extended (pcc2.csv)", pcc_extended, martin.released_arm("pcc"), case=pcc_16),
         Chain("rigid-body, of the text", rigid_body, arm("rigid")),
         Chain("PCC-extended, of the text", pcc_extended, arm("pcc")),
         Chain("exact arcs", exact_arcs, arm("pcc")),
+        Chain(martin.BEST, exact_arcs, arm("pcc"), per_imu=True),
     ]
-    return [*found, Chain(martin.BEST, exact_arcs, arm("pcc"), per_imu=True)]
 
 
 def _at(times: np.ndarray, seen_s: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -415,22 +414,26 @@ def both_ways_in_words(found: Recording, both: pd.DataFrame) -> str:
     )
 
 
+EVALUATED = """
+We compare {{ rows }} rows as the authors' notebook does (its cells 5 to 34). {{ lost }} of {{ captured }} rows of the
+motion capture lack a marker or the base, and we left these out. **A check.** The notebook prints two numbers without
+rounding, the third quartiles of the chain with 8 segments: {{ printed }} mm at M1 and M2. Ours are {{ ours }} mm.
+{% if agree %}
+They agree to 0.001 mm, so we evaluate as the authors did.
+{% else %}
+They do not agree, so this is another motion capture, or we do not evaluate as the authors did.
+{% endif %}
+A pair of rows is not always equally far apart in time: by the clock of `rigid.csv` {{ apart | fixed(2) }} s lie
+between the earliest and the latest pair.
+"""
+
+
 def evaluated_in_words(found: Recording) -> str:
     """Return what the authors' evaluation came to here, with the check against their notebook."""
     check, rows = own_check(found), len(authors_errors(found)[Case("Fig. 4", "pcc", 8, 16)])
+    counts = {"rows": rows, "lost": found.capture.lost, "captured": len(found.capture.points)}
     ours, printed = (" and ".join(f"{x:.3f}" for x in check[c]) for c in ("ours_mm", "printed_mm"))
-    verdict = (
-        "They agree to 0.001 mm, so we evaluate as the authors did"
-        if check["agree"].all()
-        else "They do not agree, so this is another motion capture, or we do not evaluate as the authors did"
-    )
     later = CAPTURE_LATER - ROWS_OF_PCC_2 + martin_files.LATER
-    apart = found.clock_s[later:] - found.clock_s[:-later]
-    return (
-        f"We compare {rows:,} rows as the authors' notebook does (its cells 5 to 34). {found.capture.lost:,} of"
-        f" {len(found.capture.points):,} rows of the motion capture lack a marker or the base, and we left these out."
-        f" **A check.** The notebook prints two numbers without rounding, the third quartiles of the chain with 8"
-        f" segments: {printed} mm at M1 and M2. Ours are {ours} mm. {verdict}."
-        f" A pair of rows is not always equally far apart in time: by the clock of `rigid.csv` {np.ptp(apart):.2f} s"
-        " lie between the earliest and the latest pair."
-    )
+    apart = np.ptp(found.clock_s[later:] - found.clock_s[:-later])
+    values = {name: f"{count:,}" for name, count in counts.items()} | {"ours": ours, "printed": printed}
+    return sentences(EVALUATED, agree=check["agree"].all(), apart=apart, **values)
