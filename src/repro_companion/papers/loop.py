@@ -291,7 +291,8 @@ With feed-forward, of the four estimators the {{ steady }} loses least: its trac
 def softer_in_words(means: pd.DataFrame) -> str:
     """Return how tracking with feed-forward changes if the arm is softer than the filter believes."""
     part = means[(means["controller"] == "PI and feed-forward") & ~means["estimator"].str.startswith("truth")]
-    before, after = (part[part["session"] == name].set_index("estimator")["tracking_mm"] for name in ARMS)
+    wide = part.pivot(index="estimator", columns="session", values="tracking_mm")
+    before, after = (wide[session] for session in ARMS)
     steady, best = (after / before).idxmin(), after.idxmin()
     values = {"before": before[steady], "after": after[steady], "least": after[best]}
     return sentences(SOFTER, steady=steady, best=best, **values)

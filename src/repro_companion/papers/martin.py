@@ -63,22 +63,23 @@ def released_arm(model: str, n_imus: int = 8, segments: int = 16) -> Arm:
     """Return the chain behind a figure, with which the released table follows, and where it was evaluated."""
     if (model, n_imus) == ("rigid", 8):
         model, segments = "pcc", 8  # the boxes of the rigid-body model with eight IMUs are those of pcc1.csv
-    own = arm(model, n_imus, segments, "files")
-    imus, arcs, links = own.imus, own.imu_arcs, list(own.link_lengths)
-    between, first = "midpoints", links[0] - (0.018 if model == "rigid" else ORIGIN[2])
-    markers = (0.302, 0.542) if model == "rigid" else (0.3022, 0.5422)
-    if n_imus == 8:
-        first, markers = 0.057, (0.337, 0.577)
-        between = "inner points"
-    if (n_imus, segments) == (8, 8):
-        imus, arcs, links, markers = imus[:-1], arcs[:-1], links[:-1], (0.297, 0.537)
-        between = "midpoints"
-    turn = (0.0, 0.0, 0.0, 1.0) if model == "rigid" else HALF_TURN
-    links = [first, *links[1:]]
-    return replace(
-        own, imus=imus, imu_arcs=arcs, link_lengths=links, markers=markers, interpolation=between,
-        base_turn=turn, origin=ORIGIN,
-    )  # fmt: skip
+    own, rigid = arm(model, n_imus, segments, "files"), model == "rigid"
+    first, *others = own.link_lengths
+    made = replace(
+        own,
+        link_lengths=[first - (0.018 if rigid else ORIGIN[2]), *others],
+        markers=(0.302, 0.542) if rigid else (0.3022, 0.5422),
+        interpolation="midpoints",
+        base_turn=(0.0, 0.0, 0.0, 1.0) if rigid else HALF_TURN,
+        origin=ORIGIN,
+    )
+    if n_imus < 8:
+        return made
+    links = [0.057, *others]
+    if segments > 8:
+        return replace(made, link_lengths=links, markers=(0.337, 0.577), interpolation="inner points")
+    seven = {"imus": own.imus[:-1], "imu_arcs": own.imu_arcs[:-1], "link_lengths": links[:-1]}
+    return replace(made, **seven, markers=(0.297, 0.537))
 
 
 def mid_section() -> Arm:

@@ -327,15 +327,17 @@ def both_ways(found: Recording) -> pd.DataFrame:
         if chain.case is None and not chain.per_imu:
             points = chain.model(chain.arm.select(rows.orientations), chain.arm, chain.arm.markers)
             own = 1e3 * np.linalg.norm(points - rows.points, axis=-1)
-        line: dict[str, object] = {"chain": chain.name}
-        for way, error in {"authors": own, "ours": aligned_errors(found.aligned, chain)}.items():
-            values = np.full((2, 2), np.nan) if error is None else np.nanpercentile(error, [50, 75], axis=0)
-            for k, marker in enumerate(("m1", "m2")):
-                line |= {f"{way}_median_{marker}_mm": values[0, k], f"{way}_q75_{marker}_mm": values[1, k]}
-        lines.append(line)
-    return pd.DataFrame(lines)
+        both = own, aligned_errors(found.aligned, chain)
+        quartiles = [
+            np.full(4, np.nan) if x is None else np.nanpercentile(x, [50, 75], axis=0).T for x in both
+        ]
+        lines.append((chain.name, *np.ravel(quartiles[0]), *np.ravel(quartiles[1])))
+    columns = [f"{way}_{q}_{m}_mm" for way in ("authors", "ours") for m in ("m1", "m2") for q in SHORT]
+    return pd.DataFrame(lines, columns=["chain", *columns])
 
 
+SHORT = {"median": "median_mm", "q75": "q75_mm"}
+"""Of both ways, and of the rows of the scorecard."""
 SETTING = f"{AUTHORS}: tables of the models and motion capture, rows paired as in the authors' notebook"
 
 
@@ -350,9 +352,6 @@ def scorecard_rows(table: pd.DataFrame, both: pd.DataFrame) -> pd.DataFrame:
     own = pd.MultiIndex.from_frame(found[KEY])
     rest = committed[~pd.MultiIndex.from_frame(committed[KEY]).isin(own)]
     return pd.concat([found, rest.assign(comparable=rest["comparable"].astype(bool))], ignore_index=True)
-
-
-SHORT = {"median": "median_mm", "q75": "q75_mm"}
 
 
 # Fig. 6, and words
