@@ -59,16 +59,19 @@ def state(request, card, real) -> pd.DataFrame:
     return {"without": card, "with": real}[request.param]
 
 
+def project(root: Path) -> Path:
+    """Return a folder with the data, the notebooks and the texts of this project."""
+    (root / "book").mkdir()
+    texts = [f"book/{path.name}" for path in (ROOT / "book").glob("*.md")]
+    for name in ("data", "notebooks", *texts):
+        (root / name).symlink_to(ROOT / name)
+    return root
+
+
 @pytest.fixture(scope="module")
 def written(card, state, tmp_path_factory) -> dict[str, str]:
     """Return what is written for a project with the pages of this one."""
-    root = tmp_path_factory.mktemp("project")
-    for name in ("data", "notebooks"):
-        (root / name).symlink_to(ROOT / name)
-    (root / "book").mkdir()
-    for path in (ROOT / "book").iterdir():
-        if path.name != "generated":
-            (root / "book" / path.name).symlink_to(path)
+    root = project(tmp_path_factory.mktemp("project"))
     page.write_pages(root, card, state)
     return {path.name: path.read_text(encoding="utf-8") for path in (root / "book/generated").iterdir()}
 
@@ -165,20 +168,14 @@ def test_a_verdict_in_a_word(found, word):
 
 def test_what_recordings_make_real_is_no_longer_synthetic(card, tmp_path, monkeypatch):
     """Figures on recordings of a paper, once these are there; a trial that is not public stays synthetic."""
-    (tmp_path / "data").symlink_to(ROOT / "data")
-    (tmp_path / "notebooks").symlink_to(ROOT / "notebooks")
-    (tmp_path / "book").mkdir()
-    for name in ("notation.md", "scorecard.md"):
-        (tmp_path / "book" / name).symlink_to(ROOT / "book" / name)
+    root = project(tmp_path)
     monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path / "recordings"))
     counted = []
     for paper in ("other", "baaij2023", "mitchell2021", "martin2022"):
         (tmp_path / "recordings" / paper).mkdir(parents=True)
         (tmp_path / "recordings" / paper / "a.csv").write_text("1\n")
-        page.write_pages(tmp_path, card, card)
-        counted.append(
-            (tmp_path / "book/generated/index.md").read_text(encoding="utf-8").count("(synthetic)")
-        )
+        page.write_pages(root, card, card)
+        counted.append((root / "book/generated/index.md").read_text(encoding="utf-8").count("(synthetic)"))
     synthetic = INDEX[INDEX["note"].str.contains("synthetic")]
     real = synthetic["note"].str.contains("where they are found")
     assert counted[0] > counted[1] > counted[2] >= counted[3]
