@@ -172,8 +172,10 @@ def sensor_models(table: pd.DataFrame) -> Figure:
         colour, marker, shift = looks[str(solver)]
         places = part["model"].map(names.index) + shift
         panel.plot(part["configuration_percent"], places, marker, color=colour, ms=6, label=solver)
-    panel.set(xscale="log", xlabel="mean error of the configuration [% of its range]")
-    panel.set(ylim=(-0.5, len(names) - 0.5), yticks=range(len(names)), yticklabels=names)
+    panel.set(
+        xscale="log", xlabel="mean error of the configuration [% of its range]",
+        ylim=(-0.5, len(names) - 0.5), yticks=range(len(names)), yticklabels=names,
+    )  # fmt: skip
     return with_legend(figure, columns=2)
 
 
@@ -195,8 +197,10 @@ def calibration(table: pd.DataFrame) -> Figure:
     for label, (colour, marker, face) in looks.items():
         size = 11 if marker == "|" else 6
         panel.plot(table[label], y, marker, color=colour, mfc=face, ms=size, mew=1.6, label=label)
-    panel.set(yticks=y, yticklabels=table.index)
-    panel.set(xscale="log", xlabel="mean error of the configuration [% of its range]")
+    panel.set(
+        xscale="log", xlabel="mean error of the configuration [% of its range]",
+        yticks=y, yticklabels=table.index,
+    )  # fmt: skip
     panel.xaxis.set_major_formatter("{x:g}")
     return with_legend(figure, columns=2)
 
@@ -943,8 +947,10 @@ def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figur
                     panel.plot(
                         x, value, "D" if row.quantity == "median" else "^", color="#1A1A1A", mec="white", ms=6
                     )
-        panel.set(title=f"{name}:\n{model}", xlabel=label, ylim=(0, None))
-        panel.set(xticks=range(len(steps)), xticklabels=steps)
+        panel.set(
+            title=f"{name}:\n{model}", xlabel=label, ylim=(0, None),
+            xticks=range(len(steps)), xticklabels=steps,
+        )  # fmt: skip
         panel.grid(visible=False, axis="x")
     lines = [
         *(Line2D([], [], color=colour, lw=6, alpha=0.4, label=m) for m, (colour, _) in MARKER_LOOKS.items()),
@@ -1058,8 +1064,11 @@ def sensors_and_noise(table: pd.DataFrame) -> Figure:
         panel.plot(own["n_sensors"], own["mean_percent"], "o-", color=colour, ms=5, label=label)
         known = own[np.isfinite(own["bound_percent"])]
         panel.plot(known["n_sensors"], known["bound_percent"], "--", color="0.2", lw=1)
-    panel.set(yscale="log", xticks=sorted(part["n_sensors"].unique()), xlabel="sensors on each segment")
-    panel.set(title=f"{n} segment" + "s" * int(n > 1), ylabel="mean error [% of the range]")
+    panel.set(
+        title=f"{n} segment" + "s" * int(n > 1),
+        xticks=sorted(part["n_sensors"].unique()), xlabel="sensors on each segment",
+        yscale="log", ylabel="mean error [% of the range]",
+    )  # fmt: skip
     panel.yaxis.set_major_formatter("{x:g}")
     panel.plot([], [], "--", color="0.2", lw=1, label="bound")
     return with_legend(figure, panel, columns=5)
@@ -1128,8 +1137,9 @@ def imus_and_errors(table: pd.DataFrame) -> Figure:
         end = own[["n_imus", "rule_mm"]].iloc[-1]
         lower.annotate(f"{deg:g}°", end, (6, 0), textcoords="offset points", va="center")
     for panel, title in ((upper, "perfect IMUs"), (lower, "IMUs with errors")):
-        panel.set(xscale="log", yscale="log", xticks=[1, 2, 4, 8, 16])
-        panel.set(title=title, ylabel="error of the tip [mm]")
+        panel.set(
+            title=title, xscale="log", xticks=[1, 2, 4, 8, 16], yscale="log", ylabel="error of the tip [mm]"
+        )
         plain_numbers(panel.xaxis)
     upper.yaxis.set_major_formatter("{x:g}")
     return with_legend(figure, upper, columns=2)
@@ -1205,8 +1215,10 @@ def segment_errors(means: pd.DataFrame) -> Figure:
             panel.errorbar(
                 at, part["tip_mm"], ends, fmt=marker, color=colour, ms=6, capsize=2, lw=1.0, **fill
             )
-    panel.set(yscale="log", ylabel="error at the tip [mm]", yticks=[0.1, 0.3, 1, 3, 10, 30, 100])
-    panel.set(xticks=range(len(names)), xticklabels=names)
+    panel.set(
+        xticks=range(len(names)), xticklabels=names,
+        yscale="log", yticks=[0.1, 0.3, 1, 3, 10, 30, 100], ylabel="error at the tip [mm]",
+    )  # fmt: skip
     panel.yaxis.set_major_formatter("{x:g}")
     panel.minorticks_off()
     panel.grid(visible=False, axis="x")
