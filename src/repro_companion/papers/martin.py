@@ -489,13 +489,14 @@ def scorecard_rows(
         if cases == [PCC_16] and row["quantity"] != "reduction":
             at, scale = _in_print(row["unit"], marker)
             own = {"best": scale * best[COLUMN[row["quantity"]]][at], "best_method": best_method}
-        numbers = {
+        lines.append(row | own | {
             "regenerated": ours[FILES].mean(),
             "regenerated_std": ours[FILES].std(),
             "n_seeds": len(ours[FILES]),
-        }
-        about = {"setting": setting, "note": _note(row, cases, ours), "comparable": setting != SYNTHETIC}
-        lines.append(row | numbers | own | about)
+            "setting": setting,
+            "note": _note(row, cases, ours),
+            "comparable": setting != SYNTHETIC,
+        })  # fmt: skip
     return pd.DataFrame(lines).assign(paper="martin2022")
 
 

@@ -241,11 +241,10 @@ def errors_of(table: pd.DataFrame, model: str, memory_s: float) -> list[TrackerE
         own = table[table["tracker"] == tracker].set_index("part")
         rms, white = (own[name].to_numpy() * [1e-3, math.radians(1)] for name in ("rms", "white"))
         lasting = np.sqrt(rms**2 - white**2)
-        if model == "estimated":
-            found.append(TrackerErrors(tuple(white), tuple(lasting), float(own["lasts_s"].mean())))
-        else:
-            often = max(1.0, TRACKER_HZ * memory_s) if model == "inflated" else 1.0
-            found.append(TrackerErrors(tuple(np.sqrt(white**2 + often * lasting**2)), (), math.inf))
+        often = max(1.0, TRACKER_HZ * memory_s) if model == "inflated" else 1.0
+        whole = TrackerErrors(tuple(np.sqrt(white**2 + often * lasting**2)), (), math.inf)
+        apart = TrackerErrors(tuple(white), tuple(lasting), float(own["lasts_s"].mean()))
+        found.append(apart if model == "estimated" else whole)
     return found
 
 
