@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from repro_companion import run as tool
 from repro_companion.run import InputError, Parameter, Point, RunFailed
+from repro_companion.show import rendered
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -211,18 +212,16 @@ def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
             about["tags"] = sorted(tags | {"remove-cell"})
         cells.append(cell)
     parameters = tool.declared(place)
-    folds = (
-        [_numbers(record, root, name), _parameters(parameters, record, name), _provenance(record, name)]
-        if record
-        else []
+    texts = record and (
+        _numbers(record, root, name),
+        _parameters(parameters, record, name),
+        _provenance(record, name),
     )
-    for number, text in enumerate(filter(None, folds)):
-        cells.append({"cell_type": "markdown", "id": f"fold-{number}", "metadata": {}, "source": text})
-    return {**executed, "cells": cells[:1] + first + cells[1:]}
-
-
-def _fold(title: str, text: str) -> str:
-    return f"``````{{dropdown}} {title}\n{text}\n``````\n"
+    folds = [
+        {"cell_type": "markdown", "id": f"fold-{number}", "metadata": {}, "source": text}
+        for number, text in enumerate(filter(None, texts or ()))
+    ]
+    return {**executed, "cells": [*cells[:1], *first, *cells[1:], *folds]}
 
 
 def _numbers(record: Mapping[str, Any], root: Path, name: str) -> str:
@@ -231,51 +230,31 @@ def _numbers(record: Mapping[str, Any], root: Path, name: str) -> str:
 
     from repro_companion.show import show
 
-    parts = []
-    results, page = results_folder(root), root / "book" / "notebooks"
+    results, page, tables = results_folder(root), root / "book" / "notebooks", []
     for file in record["results"]:
         table = pd.read_csv(results / file, keep_default_na=False, na_values=[""])
-        parts.append(f"{{download}}`{file} <{os.path.relpath(results / file, page)}>`, {len(table)} rows")
-        if len(table) <= LONGEST and not file.endswith(".rows.csv"):
-            box = f'<div class="formatted" tabindex="0" role="group" aria-label="Table {file}">'
-            html = re.sub(r"\n\s*\n", "\n", show(table).to_html())
-            parts.append(f"```{{raw}} html\n{box}{html}</div>\n```")
-    return _fold("All numbers", "\n\n".join(parts)) if parts else ""
+        open_ = len(table) <= LONGEST and not file.endswith(".rows.csv")
+        html = re.sub(r"\n\s*\n", "\n", show(table).to_html()) if open_ else ""
+        tables.append((file, os.path.relpath(results / file, page), len(table), html))
+    return rendered("fold_numbers.md", tables=tables) if tables else ""
 
 
 def _parameters(parameters: Mapping[str, Parameter], record: Mapping[str, Any], name: str) -> str:
     """Return the fold with the parameters and the command that repeats the page with others."""
     if not parameters:
         return ""
-    lines = ["| parameter | here | meaning |", "|---|---|---|"]
-    for one in parameters.values():
-        here = tool.typed(record["parameters"].get(one.name, one.default)).replace("|", r"\|")
-        lines.append(f"| `{one.name}` | `{here}` | {one.meaning.replace('|', chr(92) + '|')} |")
+    here = {
+        one.name: tool.typed(record["parameters"].get(one.name, one.default)) for one in parameters.values()
+    }
     example = parameters.get("fast") or next(iter(parameters.values()))
     value = "true" if example.kind == "bool" else example.default.strip("\"'")
-    return _fold(
-        "Parameters",
-        "\n".join(lines)
-        + "\n\nThis repeats the page with other parameters, each given by `-p`. Its tables lie"
-        " beside its output, and `results/` stays as it is.\n\n"
-        f"```bash\n.venv/bin/repro run notebooks/{name}.ipynb -p {example.name} {shlex.quote(value)}"
-        f" -o runs/{name}.ipynb\n```",
-    )
+    chosen = f"{example.name} {shlex.quote(value)}"
+    return rendered("fold_parameters.md", parameters=parameters.values(), here=here, name=name, chosen=chosen)
 
 
 def _provenance(record: Mapping[str, Any], name: str) -> str:
     """Return the fold that says what the page was made from."""
-    none = "none fetched; those committed with the book are in `data/recordings`"
-    facts = {
-        "Notebook": f"`{record['notebook']}`, {{download}}`executed <{name}.ipynb>`",
-        "Record": f"{{download}}`{name}.provenance.json`",
-        "Commit": record["commit"] or "none",
-        "Key of all inputs": f"`{record['key'][:16]}`",
-        "Recordings": f"{len(record['recordings'])} files" if record["recordings"] else none,
-        "Run": f"{record['started'][:10]}, {record['seconds']:.1f} s",
-        "Versions": ", ".join(" ".join(one) for one in record["versions"].items()),
-    }
-    return _fold("Provenance", "\n".join(f"- {fact}: {value}" for fact, value in facts.items()))
+    return rendered("fold_provenance.md", record=record, name=name)
 
 
 # The site

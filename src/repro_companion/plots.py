@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import product
 from typing import Any
 
 import matplotlib as mpl
@@ -12,6 +13,8 @@ import numpy as np
 import pandas as pd
 from cycler import cycler
 from IPython.display import HTML
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.collections import PatchCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
@@ -21,6 +24,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator
 
 from repro import Ring
 from repro_companion import scorecard_page
+from repro_companion.show import rendered
 
 WIDTH = 5.5
 """Width of a figure [in]: letters of 10.2 points are 9 px high where a phone shows it and its margin 358 px wide."""
@@ -75,92 +79,87 @@ def style() -> Iterator[None]:
         yield
 
 
+BESIDE = {"handlelength": 1.0, "handletextpad": 0.4, "columnspacing": 0.9, "labelspacing": 0.3}
+"""Spaces of a legend that has little room."""
+
+
+def closed(figure: Figure) -> Figure:
+    """Return a figure that a notebook shows once, as the result of its cell."""
+    plt.close(figure)
+    return figure
+
+
+def row_of_panels(count: int, height: float, ylabel: str, **grid: Any) -> tuple[Figure, Any]:
+    """Return a figure and its panels side by side; the label of the vertical axis stands once."""
+    figure, (panels,) = plt.subplots(1, count, figsize=(WIDTH, height), squeeze=False, **grid)
+    panels[0].set_ylabel(ylabel)
+    return figure, panels
+
+
+def column_of_panels(count: int, height: float, xlabel: str, **grid: Any) -> tuple[Figure, Any]:
+    """Return a figure and its panels below each other, with one horizontal axis whose label stands once."""
+    figure, panels = plt.subplots(count, 1, figsize=(WIDTH, height), squeeze=False, sharex=True, **grid)
+    panels[-1, 0].set_xlabel(xlabel)
+    return figure, panels[:, 0]
+
+
+def with_legend(figure: Figure, of: Any = None, columns: int = 2, **look: Any) -> Figure:
+    """Return a figure for its cell with a legend above all panels: of one panel, of some lines, or of everything."""
+    lines = of.get_legend_handles_labels()[0] if isinstance(of, Axes) else of
+    figure.legend(handles=lines, ncols=columns, **({"loc": "outside upper center"} | BESIDE | look))
+    return closed(figure)
+
+
+def plain_numbers(*axes: Axis) -> None:
+    """Write numbers along logarithmic axes as they are typed, and none between the main ticks."""
+    for axis in axes:
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
+
+
+def to_scale(panel: Axes, x: Sequence[float], z: Sequence[float], every_mm: float) -> None:
+    """Give a panel the same scale [mm] along x and z, with even ticks."""
+    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=x, ylim=z)
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_locator(MultipleLocator(every_mm))
+
+
 # Table 1 of Baaij et al.
 
-COORDINATES = ("delta_x", "delta_y", "delta_L")
 VERDICTS = {
     "reproduced": "reproduced",
     "weak": "weak, zero would pass too",
     "better": "better",
     "differs": "differs",
 }
-BELOW_TABLE_1 = (
-    "Upper: published. Lower: regenerated. Both: mean ± standard deviation s over three trainings. "
-    "e<sub>u</sub>: error of the predicted readings at the true shape. "
-    "Pale rows repeat another row. Reproduced: the two means differ by at most three standard errors, "
-    "√3 · √(s<sub>published</sub>² + s<sub>regenerated</sub>²), or by half a printed unit. "
-    "Better: they differ by more, and ours is smaller. Tint: "
-)
 SCROLL = '<p class="table-1-scroll">Scroll the table sideways: {} follow on the right.</p>'
-TABLE_1 = """<style class="nohighlight">
-.table-1 { overflow-x: auto; margin: 0 0 0.4rem; --grey: #666d78; }
-.table-1 :is(.better, .differs) { --grey: #4b515b; }
-html[data-theme="dark"] .table-1 { --grey: #9ca4af; }
-html[data-theme="dark"] .table-1 :is(.better, .differs) { --grey: #ced6dd; }
-.table-1.table-1.table-1 table { border-collapse: collapse; width: 100%; margin: 0; font-size: 12px;
-  line-height: 1.3; }
-.table-1.table-1.table-1 table :is(th, td) { padding: 1px 4px; text-align: right; white-space: nowrap; border: 0;
-  font-variant-numeric: tabular-nums; vertical-align: middle; color: var(--pst-color-text-base, inherit); }
-.table-1.table-1.table-1 table thead th { font-weight: 600; border-bottom: 1px solid currentColor; }
-.table-1.table-1.table-1 table tr > :first-child { text-align: left; position: sticky; left: 0; font-weight: 400;
-  background: var(--pst-color-background, white); }
-#fig-table-1.table-1 table tbody tr:is(:nth-child(4), :nth-child(8), :nth-child(11)) > * {
-  border-top: 1px solid rgb(128 128 128 / 50%); }
-.table-1.table-1.table-1 table tr > .edge { border-left: 1px solid rgb(128 128 128 / 50%); }
-.table-1.table-1.table-1 table small { display: block; font-size: inherit; color: var(--grey); }
-.table-1.table-1.table-1 table tr.again :is(th, td, small) { color: var(--grey); }
-.table-1 .reproduced { background: rgb(0 158 115 / 11%); }
-.table-1 .weak { background: rgb(230 159 0 / 13%); }
-.table-1 .better { background: rgb(86 180 233 / 30%); font-weight: 600; }
-.table-1 .differs { background: rgb(213 94 0 / 28%); font-weight: 600; }
-.table-1.table-1.table-1 table tr.again td { background: none; }
-.table-1 span { padding: 0 0.2rem; }
-.table-1-scroll { display: none; font-size: 0.8rem; }
-@media (max-width: 600px) { .table-1-scroll { display: block; } }
-</style>"""
+TABLE_1 = rendered("table_style.html")
+"""Style of the tables that look as printed."""
 
 
 def table_1(card: pd.DataFrame, rows: Sequence[Any]) -> HTML:
     """Return Table 1 as printed: in each cell the published number and below it ours, tinted by verdict."""
-    columns = ["e_u", *(f"{name}_{segment}" for segment in (1, 2, 3) for name in COORDINATES)]
-    signs = dict(zip(COORDINATES, ("Δx", "Δy", "δL"), strict=True))
-    groups = "".join(f'<th colspan="3" scope="colgroup" class="edge">segment {k} [%]</th>' for k in (1, 2, 3))
-    heads = [f'<th scope="col"{_edge(c)}>{signs.get(c[:-2], "e<sub>u</sub> [µT]")}</th>' for c in columns]
-    lines = [f'<tr><th scope="row">robot</th><th scope="col">readings</th>{groups}</tr>']
-    lines.append(f'<tr><th scope="row">mean ± std</th>{"".join(heads)}</tr></thead><tbody>')
+    lines = []
     for row in rows:
         own = card[card["row"] == row.name].set_index("quantity")
-        cells = [_cell(own.loc[c], c) if c in own.index else f"<td{_edge(c)}>–</td>" for c in columns]
-        again = ' class="again"' if row.same_as else ""
         robot = f"n_b={row.n_segments}, n_s={row.n_segments * row.sensors_per_segment}"
-        printed = scorecard_page.words(robot if row.name[:3] in ("n_b", "n_s", "nom") else row.name)
-        lines.append(
-            f'<tr{again}><th scope="row"><small>{printed}</small>{row.label}</th>{"".join(cells)}</tr>'
-        )
-    legend = " · ".join(f'<span class="{name}">{words}</span>' for name, words in VERDICTS.items())
-    label = 'id="fig-table-1" aria-label="Table 1, published and regenerated"'
-    box = f'<div class="table-1" tabindex="0" role="region" {label}>'
-    table = f"<table><thead>{''.join(lines)}</tbody></table>"
-    below = f'{SCROLL.format("the bends")}<p class="table-1">{BELOW_TABLE_1}{legend}.</p>'
-    return HTML(f"{TABLE_1}{box}{table}</div>{below}")
+        name = robot if row.name[:3] in ("n_b", "n_s", "nom") else row.name
+        cells = {quantity: _cell(found) for quantity, found in own.iterrows()}
+        about = {"again": row.same_as, "printed": scorecard_page.words(name), "label": row.label}
+        lines.append(about | {"cells": cells})
+    return HTML(rendered("table_1.html", rows=lines, verdicts=VERDICTS))
 
 
-def _edge(column: str) -> str:
-    return ' class="edge"' if column.startswith("delta_x") else ""
-
-
-def _cell(row: pd.Series, column: str) -> str:
-    factor, places = (1e3, 0) if column == "e_u" else (1.0, 1)
-    texts = []
+def _cell(row: pd.Series) -> dict[str, str]:
+    factor, places = (1e3, 0) if row.name == "e_u" else (1.0, 1)
+    texts = {}
     for name in ("published", "regenerated"):
         mean, std = (pd.to_numeric(row[key]) * factor for key in (name, f"{name}_std"))
         places += name == "regenerated" and std < 0.5 / 10**places  # no deviation is shown as zero
         spread = "" if pd.isna(std) else f"±{std:.{places}f}"
-        texts.append("–" if pd.isna(mean) else f"{mean:.{places}f}{spread}")
+        texts[name] = "–" if pd.isna(mean) else f"{mean:.{places}f}{spread}"
     kind = "weak" if row["weak"] == "true" and row["verdict"] in VERDICTS else row["verdict"]
-    edge = " edge" if _edge(column) else ""
-    title = VERDICTS.get(kind, kind)
-    return f'<td class="{kind}{edge}" title="{title}"><small>{texts[0]}</small>{texts[1]}</td>'
+    return texts | {"kind": kind, "title": VERDICTS.get(kind, kind)}
 
 
 @style()
@@ -174,11 +173,10 @@ def sensor_models(table: pd.DataFrame) -> Figure:
         places = part["model"].map(names.index) + shift
         panel.plot(part["configuration_percent"], places, marker, color=colour, ms=6, label=solver)
     panel.set(
-        xscale="log", xlabel="mean error of the configuration [% of its range]", ylim=(-0.5, len(names) - 0.5)
-    )
-    panel.set_yticks(range(len(names)), names)
-    figure.legend(loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+        xscale="log", xlabel="mean error of the configuration [% of its range]",
+        ylim=(-0.5, len(names) - 0.5), yticks=range(len(names)), yticklabels=names,
+    )  # fmt: skip
+    return with_legend(figure, columns=2)
 
 
 @style()
@@ -199,26 +197,25 @@ def calibration(table: pd.DataFrame) -> Figure:
     for label, (colour, marker, face) in looks.items():
         size = 11 if marker == "|" else 6
         panel.plot(table[label], y, marker, color=colour, mfc=face, ms=size, mew=1.6, label=label)
-    panel.set_yticks(y, table.index)
-    panel.set(xscale="log", xlabel="mean error of the configuration [% of its range]")
+    panel.set(
+        xscale="log", xlabel="mean error of the configuration [% of its range]",
+        yticks=y, yticklabels=table.index,
+    )  # fmt: skip
     panel.xaxis.set_major_formatter("{x:g}")
-    figure.legend(loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, columns=2)
 
 
 @style()
 def tip_paths(paths: dict[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
     """Draw true and estimated paths of tips ``[t, 3]`` [m] of several robots, seen along the straight robot."""
-    figure, panels = plt.subplots(1, len(paths), figsize=(WIDTH, 2.5), squeeze=False)
-    for panel, (name, (truth, found)) in zip(panels[0], paths.items(), strict=True):
+    figure, panels = row_of_panels(len(paths), 2.5, "y [mm]")
+    for panel, (name, (truth, found)) in zip(panels, paths.items(), strict=True):
         panel.plot(*1e3 * truth[:, :2].T, label="truth", **TRUTH)
         panel.plot(*1e3 * found[:, :2].T, color=BLUE, lw=1.3, label="estimate")
         panel.set(title=name, xlabel="x [mm]", aspect="equal")
         panel.xaxis.set_major_locator(MaxNLocator(3))
         panel.yaxis.set_major_locator(MaxNLocator(4))
-    panels[0, 0].set_ylabel("y [mm]")
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0])
 
 
 # First steps, and sensors that fail: Figs 2(a), 4 and 5 of Baaij et al.
@@ -226,7 +223,6 @@ def tip_paths(paths: dict[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
 BODY = ("#1A1A1A", "#943DC7")
 """Segments from base to tip, black to violet as in the paper."""
 FOUR = (BLUE, GREEN, PINK, ORANGE)
-BESIDE = {"handlelength": 1.0, "handletextpad": 0.4, "columnspacing": 0.9, "labelspacing": 0.3}
 XYZ = ["x_mm", "y_mm", "z_mm"]
 
 
@@ -260,18 +256,10 @@ def field_of_robot(field: pd.DataFrame, parts: pd.DataFrame, backbone: pd.DataFr
     panel.plot([], [], "s", color=GREEN, label="magnet, cut")
     panel.plot([], [], ">", color=SKY, mec="black", mew=0.5, ms=9, label="sensor")
     panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, **BESIDE)
-    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=x[[0, -1]], ylim=z[[0, -1]])
-    for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_locator(MultipleLocator(50))
+    to_scale(panel, x[[0, -1]], z[[0, -1]], every_mm=50)
     bar = figure.colorbar(image, label="flux density in the plane [mT]", shrink=0.8, pad=0.02, extend="max")
     bar.ax.yaxis.set_major_formatter("{x:g}")
     return closed(figure)
-
-
-def closed(figure: Figure) -> Figure:
-    """Return a figure that a notebook shows once, as the result of its cell."""
-    plt.close(figure)
-    return figure
 
 
 def _in_plane(parts: pd.DataFrame, part: str) -> tuple[np.ndarray, np.ndarray]:
@@ -330,9 +318,7 @@ def relations(parts: pd.DataFrame, backbone: pd.DataFrame, ring: Ring) -> Figure
         where = at + (radius + 5) * np.array([np.cos(middle), np.sin(middle)])
         panel.text(*where, name, ha="center", va="center", fontsize=13)
     panel.plot([-22, 22], [0, 0], color="0.2", lw=4, solid_capstyle="butt")
-    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=(-28, 98), ylim=(-6, 116))
-    for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_locator(MultipleLocator(20))
+    to_scale(panel, (-28, 98), (-6, 116), every_mm=20)
     return closed(figure)
 
 
@@ -353,9 +339,7 @@ def equation_15(table: pd.DataFrame) -> Figure:
         panel.plot(*at, "o", color=colour)
         panel.annotate(text, at, xytext=offset, textcoords="offset points", color=colour)
     panel.annotate("base", (12, 0), xytext=(6, -3), textcoords="offset points", color="0.2")
-    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=(-30, 90), ylim=(-8, 124))
-    for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_locator(MultipleLocator(20))
+    to_scale(panel, (-30, 90), (-8, 124), every_mm=20)
     return closed(figure)
 
 
@@ -363,14 +347,13 @@ def equation_15(table: pd.DataFrame) -> Figure:
 def three_moves(table: pd.DataFrame) -> Figure:
     """Draw what the sensors of one segment read while it bends towards x, towards y, or becomes longer."""
     words = (r"bend $\Delta_x$ [mm]", r"bend $\Delta_y$ [mm]", r"longer by $\delta L$ [mm]")
-    figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.0), sharey=True)
+    figure, panels = row_of_panels(3, 3.0, "reading [mT]", sharey=True)
     for panel, label, (_, part) in zip(panels, words, table.groupby("move", sort=False), strict=True):
         for k, sensor in enumerate(table.columns[2:]):
             look = {"color": FOUR[k % 4], "ls": ("-", "--", "-.", ":")[k % 4], "lw": 2.2}
             panel.plot(part["mm"], part[sensor], label=f"sensor {k + 1}", **look)
         panel.set_xlabel(label)
         panel.xaxis.set_major_locator(MultipleLocator(2 if np.ptp(part["mm"]) < 10 else 10))
-    panels[0].set_ylabel("reading [mT]")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return closed(figure)
 
@@ -380,7 +363,7 @@ def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failed: Sequence[int], 
     """Draw Fig. 4(b): readings above, configurations below; truth, and the mean over seeds with its deviation."""
     signs = (r"\Delta_{x,%d}", r"\Delta_{y,%d}", r"\delta L_{%d}")
     n = u["name"].nunique() // 4  # segments
-    figure, panels = plt.subplots(2 * n, 1, figsize=(WIDTH, 1.84 * n + 0.7), sharex=True)
+    figure, panels = column_of_panels(2 * n, 1.84 * n + 0.7, "time [s]")
     for table, own, per in ((u, panels[:n], 4), (q, panels[n:], 3)):
         for k, (name, part) in enumerate(table.groupby("name", sort=False)):
             text = f"u_{{{name}}}" if per == 4 else signs[k % 3] % (k // 3 + 1)
@@ -393,13 +376,10 @@ def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failed: Sequence[int], 
         panel.yaxis.set_major_locator(MultipleLocator(every))
     panels[n // 2].set_ylabel("reading [mT]")
     panels[-1 - n // 2].set_ylabel("configuration [mm]")
-    panels[-1].set_xlabel("time [s]")
     figure.align_ylabels(panels)
     lost = Line2D([], [], color="0.4", lw=3.6, alpha=0.2, label="truth, sensor failed")
     line = Line2D([], [], color="0.4", lw=1.2, ls=":", label="failure")
-    beside = BESIDE | {"handlelength": 1.6}
-    figure.legend(handles=[*TRUTH_ESTIMATE, lost, line], loc="outside upper center", ncols=4, **beside)
-    return closed(figure)
+    return with_legend(figure, [*TRUTH_ESTIMATE, lost, line], columns=4, handlelength=1.6)
 
 
 TRUTH_ESTIMATE = (
@@ -457,8 +437,7 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
         figure.text((k % 3 + 0.5) / 3, (rows - k // 3) * 2.3 / tall, words, ha="center", va="top")
     lines = [Line2D([], [], color=BODY[0], lw=2, label="truth"), Line2D([], [], label="estimate", **ESTIMATE)]
     lines += [Line2D([], [], ls="", label=words, **look) for _, _, words, look in looks]
-    figure.legend(handles=lines, loc="upper center", ncols=5, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, lines, columns=5, loc="upper center")
 
 
 ESTIMATE: Any = {"color": ORANGE, "lw": 7, "alpha": 0.3}
@@ -483,10 +462,7 @@ AFFINE_NAMES = {
 @style()
 def affine_over_time(series: pd.DataFrame) -> Figure:
     """Draw Fig. 6: readings above, configuration below; truth, and the mean over seeds with its deviation."""
-    ratios = [2.3, 1, 1, 1, 1]
-    figure, panels = plt.subplots(
-        5, 1, figsize=(WIDTH, 6.3), sharex=True, gridspec_kw={"height_ratios": ratios}
-    )
+    figure, panels = column_of_panels(5, 6.3, "time [s]", height_ratios=[2.3, 1, 1, 1, 1])
     readings = series[series["name"].str.startswith("u_")]
     for number, (_, part) in enumerate(readings.groupby("name", sort=False)):
         _over_time(panels[0], part, FOUR[number % 3])
@@ -496,15 +472,13 @@ def affine_over_time(series: pd.DataFrame) -> Figure:
     for panel, every in zip(panels, (1, 0.5, 2, 3, 3), strict=True):
         panel.yaxis.set_major_locator(MultipleLocator(every))
     panels[0].set_ylabel("readings [mT]")
-    panels[-1].set_xlabel("time [s]")
     panels[-1].margins(x=0.01)
     figure.align_ylabels(panels)
     planes = [
         Line2D([], [], color=colour, lw=2.4, label=f"at {at} mm")
         for colour, at in zip(FOUR, (0, 100, 200), strict=False)
     ]
-    figure.legend(handles=[*planes, *TRUTH_ESTIMATE], loc="outside upper center", ncols=5, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, [*planes, *TRUTH_ESTIMATE], columns=5)
 
 
 # The rig: Figs 8 to 11 of Baaij et al.
@@ -882,14 +856,13 @@ def filter_steps(
         panel.locator_params(nbins=3, integer=True)
     panels[0].set_ylabel(r"$\varphi\,\sin\theta$ [deg]")
     figure.supxlabel(r"$\varphi\,\cos\theta$ [deg]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=2)
 
 
 @style()
 def bend_error_over_time(table: pd.DataFrame, printed: dict[str, float]) -> Figure:
     """Draw Fig. 5: the error of the magnet's place [mm] over the parameter of a curve, by number of particles."""
-    figure, panels = plt.subplots(len(printed), 1, figsize=(WIDTH, 4.6), sharex=True, sharey=True)
+    figure, panels = column_of_panels(len(printed), 4.6, "parameter $t$ of the curve", sharey=True)
     for panel, (name, rmse) in zip(panels, printed.items(), strict=True):
         runs = table[table["curve"] == name].groupby("particles")
         for colour, (n, part) in zip((SKY, BLUE), runs, strict=False):
@@ -897,9 +870,7 @@ def bend_error_over_time(table: pd.DataFrame, printed: dict[str, float]) -> Figu
         panel.axhline(rmse, color=PUBLISHED, ls="--", label="published RMSE, 1000 particles")
         panel.set(title=name.capitalize(), ylabel="error [mm]", ylim=(0, None))
         panel.margins(x=0)
-    panels[-1].set_xlabel("parameter $t$ of the curve")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=3)
 
 
 @style()
@@ -907,11 +878,11 @@ def bend_error_by_noise(
     clean: pd.DataFrame, law: pd.Series, noisy: pd.DataFrame, single: float, printed: Sequence[float]
 ) -> Figure:
     """Draw the error [mm] over process noise: without sensor noise beside the law, and with it for two motions."""
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(WIDTH, 6.4), sharex=True, height_ratios=(1.3, 1))
+    figure, (top, bottom) = column_of_panels(2, 6.4, "process noise [π rad per step]", height_ratios=(1.3, 1))
     for name, part in clean.groupby("curve", sort=False):
         colour, marker = CURVE_LOOKS[str(name)]
-        x, label = part["process_noise_pi"], str(name).capitalize()
-        top.plot(x, part["rmse_mm"], marker, color=colour, ms=6, label=label)
+        label = str(name).capitalize()
+        top.plot("process_noise_pi", "rmse_mm", marker, data=part, color=colour, ms=6, label=label)
     top.plot(law.index, law, color="0.5", lw=1, label="law")
     top.axhspan(min(printed) - 5e-5, max(printed) + 5e-5, color=YELLOW, alpha=0.8, lw=0, label="published")
     top.axvline(0.02, color="0.5", lw=1, ls=":", label="noise in the paper")
@@ -921,13 +892,11 @@ def bend_error_by_noise(
         own = part.groupby("process_noise_pi")["rmse_mm"].mean()
         bottom.plot(own.index, own, color=look[0], marker=look[1], ms=6, label=name)
     bottom.axhline(single, color="0.5", ls="--", label="least squares, one reading")
-    bottom.set(xscale="log", yscale="log", ylim=(0.035, 0.13), title="real sensor, mean of the curves")
     bottom.set(
-        xlabel="process noise [π rad per step]", xticks=[5e-4, 0.002, 0.005, 0.02], yticks=[0.04, 0.06, 0.1]
-    )
-    for axis in (bottom.xaxis, bottom.yaxis, top.yaxis):
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter("")
+        title="real sensor, mean of the curves", yscale="log", ylim=(0.035, 0.13), yticks=[0.04, 0.06, 0.1],
+        xscale="log", xticks=[5e-4, 0.002, 0.005, 0.02],
+    )  # fmt: skip
+    plain_numbers(bottom.xaxis, bottom.yaxis, top.yaxis)
     for panel in (top, bottom):
         panel.set_ylabel("RMSE [mm]")
         panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **BESIDE)
@@ -942,28 +911,20 @@ MARKER_LOOKS = {"M1": (BLUE, 360.0), "M2": (PINK, 600.0)}
 
 def table_ii(printed: pd.DataFrame, errors: pd.DataFrame, badge: str, words: str) -> HTML:
     """Return Table II as printed: published relative errors [%], below them ours; words say what ours are."""
-    known, names = printed.set_index(["row", "quantity"])["printed"], {"median": "median_mm", "q3": "q75_mm"}
-    models, lines = (
-        {"rigid-body": "rigid-body, 8 IMUs", "PCC-extended": "PCC-extended, 8 IMUs, 16 segments"},
-        [],
-    )
-    for marker, (_, at) in MARKER_LOOKS.items():
-        for quantity, column in names.items():
-            cells = []
-            for model, case in models.items():
-                own = errors[(errors["case"] == case) & (errors["marker"] == marker)]
-                ours = own.groupby("draw")[column].mean() * 100 / at
-                spread = f" ± {ours.std():.1f}" if len(ours) > 1 else ""
-                text = f"{ours.mean():.1f}{spread}" if len(ours) else "–"
-                cells.append(f"<td><small>{known[f'{marker} {model}', quantity]}</small>{text}</td>")
-            head = f"{marker} ({at:.0f} mm), {'median' if quantity == 'median' else 'Q3'}"
-            lines.append(f'<tr><th scope="row">{head}</th>{"".join(cells)}</tr>')
-    heads = "".join(f'<th scope="col">{model}</th>' for model in models)
-    mark = f'<span style="border: 1px solid; border-radius: 1em; padding: 0.1em 0.7em">{badge}</span>'
-    box = '<div class="table-1" id="fig-table-ii" tabindex="0" role="region" aria-label="Table II">'
-    head = f'<thead><tr><th scope="row">error [%]</th>{heads}</tr></thead>'
-    body = f"<table>{head}<tbody>{''.join(lines)}</tbody></table>"
-    return HTML(f'{TABLE_1}<p>{mark}</p>{box}{body}</div><p class="table-1">Upper: published. {words}</p>')
+    known = printed.set_index(["row", "quantity"])["printed"]
+    models = {"rigid-body": "rigid-body, 8 IMUs", "PCC-extended": "PCC-extended, 8 IMUs, 16 segments"}
+    quantities = {"median": ("median", "median_mm"), "q3": ("Q3", "q75_mm")}
+    rows = {}
+    for (marker, (_, at)), (quantity, (name, column)) in product(MARKER_LOOKS.items(), quantities.items()):
+        cells = []
+        for model, case in models.items():
+            own = errors[(errors["case"] == case) & (errors["marker"] == marker)]
+            ours = own.groupby("draw")[column].mean() * 100 / at
+            spread = f" ± {ours.std():.1f}" if len(ours) > 1 else ""
+            text = f"{ours.mean():.1f}{spread}" if len(ours) else "–"
+            cells.append((known[f"{marker} {model}", quantity], text))
+        rows[f"{marker} ({at:.0f} mm), {name}"] = cells
+    return HTML(rendered("table_ii.html", models=models, rows=rows, badge=badge, words=words))
 
 
 @style()
@@ -974,7 +935,7 @@ def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figur
         "Fig. 4": ("segments", "segments", "PCC, 8 IMUs"),
         "Fig. 5": ("n_imus", "IMUs", "PCC, 16 segments"),
     }
-    figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), sharey=True, width_ratios=(3, 4, 3))
+    figure, panels = row_of_panels(3, 3.6, "error [mm]", sharey=True, width_ratios=(3, 4, 3))
     for panel, (name, (column, label, model)) in zip(panels, groups.items(), strict=True):
         own, known = boxes[boxes["figure"] == name], printed[name]
         steps = sorted(own[column].unique())
@@ -994,25 +955,25 @@ def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figur
                     panel.plot(
                         x, value, "D" if row.quantity == "median" else "^", color="#1A1A1A", mec="white", ms=6
                     )
-        panel.set(title=f"{name}:\n{model}", xlabel=label, ylim=(0, None))
-        panel.set_xticks(range(len(steps)), [str(k) for k in steps])
+        panel.set(
+            title=f"{name}:\n{model}", xlabel=label, ylim=(0, None),
+            xticks=range(len(steps)), xticklabels=steps,
+        )  # fmt: skip
         panel.grid(visible=False, axis="x")
-    panels[0].set_ylabel("error [mm]")
     lines = [
-        Line2D([], [], color=colour, lw=6, alpha=0.4, label=m) for m, (colour, _) in MARKER_LOOKS.items()
+        *(Line2D([], [], color=colour, lw=6, alpha=0.4, label=m) for m, (colour, _) in MARKER_LOOKS.items()),
+        Line2D([], [], color="#1A1A1A", marker="D", mec="white", ls="", label="published median"),
+        Line2D([], [], color="#1A1A1A", marker="^", mec="white", ls="", label="published Q3"),
     ]
-    for shape, words in (("D", "published median"), ("^", "published Q3")):
-        lines.append(Line2D([], [], color="#1A1A1A", marker=shape, mec="white", ls="", label=words))
-    figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, lines, columns=4)
 
 
 @style()
 def error_hull(hull: pd.DataFrame) -> Figure:
     """Draw Fig. 6: the arm in one pose of each mode, leaning to one side, in a hull with the error as radius."""
     modes = hull.groupby("mode", sort=False)
-    figure, panels = plt.subplots(1, len(modes), figsize=(WIDTH, 2.2), sharex=True, sharey=True)
-    for panel, (mode, part) in zip(np.atleast_1d(panels), modes, strict=True):
+    figure, panels = row_of_panels(len(modes), 2.2, "height [mm]", sharex=True, sharey=True)
+    for panel, (mode, part) in zip(panels, modes, strict=True):
         away = part[["x_mm", "y_mm"]].iloc[-1].to_numpy()
         away = away / np.linalg.norm(away)
         for prefix, look in (("", {"color": "#1A1A1A", "lw": 2}), ("estimate_", {"color": ORANGE})):
@@ -1026,17 +987,18 @@ def error_hull(hull: pd.DataFrame) -> Figure:
                 for look in ({"color": BLUE, "lw": 2.5}, {"color": "#A6D5F2", "lw": 0}):  # outline, hull
                     panel.add_collection(PatchCollection(discs, **look))
         panel.set(title=mode, aspect="equal", xlabel="horizontal [mm]")
-    np.atleast_1d(panels)[0].set_ylabel("height [mm]")
-    lines = [Line2D([], [], color="#1A1A1A", label="arm"), Line2D([], [], color=ORANGE, label="estimate")]
-    lines.append(Line2D([], [], color="#A6D5F2", lw=6, label="within Q3 of the error"))
-    figure.legend(handles=lines, loc="outside upper center", ncols=3, **BESIDE)
-    return closed(figure)
+    lines = [
+        Line2D([], [], color="#1A1A1A", label="arm"),
+        Line2D([], [], color=ORANGE, label="estimate"),
+        Line2D([], [], color="#A6D5F2", lw=6, label="within Q3 of the error"),
+    ]
+    return with_legend(figure, lines, columns=3)
 
 
 @style()
 def links_of_models(chains: dict[str, np.ndarray], arm: np.ndarray, links: int) -> Figure:
     """Draw joints of models ``[points, 3]`` [m] beside the arm, from the side, with the gap after each link."""
-    figure, panels = plt.subplots(1, len(chains), figsize=(WIDTH, 3.8), sharex=True, sharey=True)
+    figure, panels = row_of_panels(len(chains), 3.8, "height [mm]", sharex=True, sharey=True)
     away = arm[-1, :2] / np.linalg.norm(arm[-1, :2])
     side, colours = 1e3 * np.stack([arm[:, :2] @ away, arm[:, 2]], axis=-1), (ORANGE, BLUE)
     for panel, (name, joints), colour in zip(panels, chains.items(), colours, strict=True):
@@ -1047,9 +1009,7 @@ def links_of_models(chains: dict[str, np.ndarray], arm: np.ndarray, links: int) 
         panel.plot(*np.stack(ends, axis=1)[1:].T, color="0.45", ls=":")
         panel.plot([], [], color="0.45", ls=":", label="from the end of a link to its place on the arm")
         panel.set(title=name, xlabel="horizontal [mm]", aspect="equal")
-    panels[0].set_ylabel("height [mm]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=2)
 
 
 # A real arm
@@ -1075,25 +1035,25 @@ def real_arm_errors(errors: pd.DataFrame) -> Figure:
         panel.set(ylabel="error [mm]", title=f"{setting} readings")
         panel.grid(visible=False, axis="x")
     panels[1].set_xticks(range(len(names)), names)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=3)
 
 
 @style()
 def real_arm_still(points: pd.DataFrame) -> Figure:
     """Draw the arm from two sides at one moment: motion capture and estimates at the base and four stations [mm]."""
-    looks = {"motion capture": TRUTH, "our smoother": {"color": BLUE, "marker": "o", "ms": 4}}
-    looks["window, released"] = {"color": "#5E5E5E", "marker": "s", "ms": 4, "ls": "--"}
-    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6), sharey=True)
+    looks = {
+        "motion capture": TRUTH,
+        "our smoother": {"color": BLUE, "marker": "o", "ms": 4},
+        "window, released": {"color": "#5E5E5E", "marker": "s", "ms": 4, "ls": "--"},
+    }
+    figure, panels = row_of_panels(2, 3.6, "z [mm]", sharey=True)
     for panel, axis in zip(panels, "xy", strict=True):
         for name, part in points.groupby("line", sort=False):
             along, up = np.append(0.0, part[f"{axis}_mm"]), np.append(0.0, part["z_mm"])
             panel.plot(along, up, label=name, **looks[str(name)])
         panel.set(xlabel=f"{axis} [mm]", aspect="equal")
         panel.margins(x=0.3)
-    panels[0].set_ylabel("z [mm]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=3)
 
 
 # How many sensors
@@ -1112,13 +1072,14 @@ def sensors_and_noise(table: pd.DataFrame) -> Figure:
         panel.plot(own["n_sensors"], own["mean_percent"], "o-", color=colour, ms=5, label=label)
         known = own[np.isfinite(own["bound_percent"])]
         panel.plot(known["n_sensors"], known["bound_percent"], "--", color="0.2", lw=1)
-    panel.set(yscale="log", xticks=sorted(part["n_sensors"].unique()), xlabel="sensors on each segment")
-    panel.set(title=f"{n} segment" + "s" * int(n > 1), ylabel="mean error [% of the range]")
+    panel.set(
+        title=f"{n} segment" + "s" * int(n > 1),
+        xticks=sorted(part["n_sensors"].unique()), xlabel="sensors on each segment",
+        yscale="log", ylabel="mean error [% of the range]",
+    )  # fmt: skip
     panel.yaxis.set_major_formatter("{x:g}")
-    handles, labels = panel.get_legend_handles_labels()
-    handles.append(Line2D([], [], color="0.2", lw=1, ls="--"))
-    figure.legend(handles, [*labels, "bound"], loc="outside upper center", ncols=5, **BESIDE)
-    return closed(figure)
+    panel.plot([], [], "--", color="0.2", lw=1, label="bound")
+    return with_legend(figure, panel, columns=5)
 
 
 @style()
@@ -1126,27 +1087,27 @@ def noise_study(table: pd.DataFrame) -> Figure:
     """Draw errors [%] over the noise by sensor model; a column for each estimator, a row by number of segments."""
     looks = {"network of the paper": (BLUE, "o"), "fast network": (GREEN, "s"), "multipole": (ORANGE, "D")}
     solvers, segments = table["solver"].unique(), table["n_b"].unique()
-    size = (WIDTH, 1.0 + 2.1 * len(segments))
-    grid = {"sharex": True, "sharey": True, "squeeze": False}
-    figure, panels = plt.subplots(len(segments), len(solvers), figsize=size, **grid)
+    figure, panels = plt.subplots(
+        len(segments), len(solvers), figsize=(WIDTH, 1.0 + 2.1 * len(segments)),
+        sharex=True, sharey=True, squeeze=False,
+    )  # fmt: skip
     for row, n in zip(panels, segments, strict=True):
         for panel, solver in zip(row, solvers, strict=True):
             own = table[(table["solver"] == solver) & (table["n_b"] == n)]
             for model, part in own.groupby("model", sort=False):
                 colour, marker = looks[str(model)]
-                x, y = part["noise_mt"], part["mean_percent"]
-                panel.plot(x, y, marker=marker, color=colour, ms=4, label=model)
+                panel.plot(
+                    "noise_mt", "mean_percent", data=part, marker=marker, color=colour, ms=4, label=model
+                )
             limit = own.drop_duplicates("noise_mt")
             panel.plot(limit["noise_mt"], limit["bound_percent"], "--", color="0.2", lw=1, label="bound")
-            panel.set(xscale="log", yscale="log")
-            panel.set_xticks([1e-4, 1e-2], ["10⁻⁴", "10⁻²"])
+            panel.set(xscale="log", yscale="log", xticks=[1e-4, 1e-2], xticklabels=["10⁻⁴", "10⁻²"])
         row[0].set_ylabel(f"{n} segment" + "s" * int(n > 1) + "\nerror [%]")
         row[0].yaxis.set_major_formatter("{x:g}")
     for panel, solver in zip(panels[0], solvers, strict=True):
         panel.set_title(solver)
     figure.supxlabel("noise of a reading [mT]")
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0, 0])
 
 
 @style()
@@ -1154,29 +1115,24 @@ def sensor_places(table: pd.DataFrame, marked: dict[str, tuple[float, float]]) -
     """Draw deviations of the tip [mm] over radius and height of the sensors: by noise, and before calibration."""
     columns = {"noise_mm": "noise alone", "off_mm": "noise and tolerances"}
     mpl.rcParams.update(GREY_INK)
-    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.0), sharex=True, sharey=True)
+    figure, panels = row_of_panels(2, 4.0, "height above the magnet [mm]", sharex=True, sharey=True)
     for panel, (column, title) in zip(panels, columns.items(), strict=True):
         wide = table.pivot(index="above_mm", columns="radial_mm", values=column)
         colours = panel.pcolormesh(wide.columns, wide.index, wide, norm=LogNorm(), shading="nearest")
         bar = figure.colorbar(colours, ax=panel, location="bottom", label="± of the tip [mm]")
         bar.ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        bar.ax.xaxis.set_major_formatter("{x:g}")
-        bar.ax.xaxis.set_minor_formatter("")
+        plain_numbers(bar.ax.xaxis)
         for marker, (name, place) in zip("so^", marked.items(), strict=False):
-            look = {"mfc": "white", "mec": "black", "ms": 9, "ls": "none"}
-            panel.plot(*place, marker=marker, label=name, **look)
+            panel.plot(*place, marker=marker, mfc="white", mec="black", ms=9, ls="none", label=name)
         panel.set(title=title, xlabel="radius [mm]")
         panel.grid(visible=False)
-    panels[0].set_ylabel("height above the magnet [mm]")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=3)
 
 
 @style()
 def imus_and_errors(table: pd.DataFrame) -> Figure:
     """Draw errors of the tip [mm] over the number of IMUs: perfect ones by model, and with errors of their own."""
-    figure, (upper, lower) = plt.subplots(2, figsize=(WIDTH, 6.6), sharex=True, sharey=True)
+    figure, (upper, lower) = column_of_panels(2, 6.6, "number of IMUs", sharey=True)
     perfect, models = table[table["sensor_deg"] == 0], table["model"].unique()
     for model, colour in zip(models, (PINK, ORANGE, BLUE, GREEN), strict=True):
         own = perfect[perfect["model"] == model]
@@ -1189,14 +1145,12 @@ def imus_and_errors(table: pd.DataFrame) -> Figure:
         end = own[["n_imus", "rule_mm"]].iloc[-1]
         lower.annotate(f"{deg:g}°", end, (6, 0), textcoords="offset points", va="center")
     for panel, title in ((upper, "perfect IMUs"), (lower, "IMUs with errors")):
-        panel.set(xscale="log", yscale="log", title=title, xticks=[1, 2, 4, 8, 16])
-        panel.xaxis.set_major_formatter("{x:g}")
-        panel.xaxis.set_minor_formatter("")
-        panel.set_ylabel("error of the tip [mm]")
+        panel.set(
+            title=title, xscale="log", xticks=[1, 2, 4, 8, 16], yscale="log", ylabel="error of the tip [mm]"
+        )
+        plain_numbers(panel.xaxis)
     upper.yaxis.set_major_formatter("{x:g}")
-    lower.set_xlabel("number of IMUs")
-    figure.legend(*upper.get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, upper, columns=2)
 
 
 # Filtering over time, and closing the loop
@@ -1206,7 +1160,7 @@ def imus_and_errors(table: pd.DataFrame) -> Figure:
 def filter_over_time(table: pd.DataFrame) -> Figure:
     """Draw the error of one bend [mm] over time with the stated band, one panel for each method."""
     methods = list(table.groupby("method", sort=False))
-    figure, panels = plt.subplots(len(methods), 1, figsize=(WIDTH, 3.8), sharex=True, sharey=True)
+    figure, panels = column_of_panels(len(methods), 3.8, "time [s]", sharey=True)
     for panel, (name, part), colour in zip(panels, methods, (ORANGE, BLUE), strict=True):
         band = part["two_sigma_mm"]
         panel.fill_between(part["time_s"], -band, band, color=colour, alpha=0.2, lw=0)
@@ -1215,7 +1169,6 @@ def filter_over_time(table: pd.DataFrame) -> Figure:
         panel.margins(x=0)
     reach = 1.2 * table["two_sigma_mm"][table["method"] == methods[0][0]].iloc[1:].max()
     panels[0].set_ylim(-reach, reach)
-    panels[-1].set_xlabel("time [s]")
     return closed(figure)
 
 
@@ -1242,8 +1195,7 @@ def loop_over_time(series: pd.DataFrame) -> Figure:
             panel.set_ylabel("bend in y [mm]") if k == 1 else panel.tick_params(labelleft=False)
     below.set(xlabel="time [s]", ylabel="distance [mm]", ylim=(0, None))
     below.margins(x=0)
-    figure.legend(*below.get_legend_handles_labels(), loc="outside lower center", ncols=3, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, below, columns=3, loc="outside lower center")
 
 
 # Which sensors
@@ -1271,11 +1223,12 @@ def segment_errors(means: pd.DataFrame) -> Figure:
             panel.errorbar(
                 at, part["tip_mm"], ends, fmt=marker, color=colour, ms=6, capsize=2, lw=1.0, **fill
             )
-    panel.set(yscale="log", ylabel="error at the tip [mm]")
-    ticks = [0.1, 0.3, 1, 3, 10, 30, 100]
-    panel.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    panel.set(
+        xticks=range(len(names)), xticklabels=names,
+        yscale="log", yticks=[0.1, 0.3, 1, 3, 10, 30, 100], ylabel="error at the tip [mm]",
+    )  # fmt: skip
+    panel.yaxis.set_major_formatter("{x:g}")
     panel.minorticks_off()
-    panel.set_xticks(range(len(names)), names)
     panel.grid(visible=False, axis="x")
     grey: Any = {"color": "#767676", "marker": "o", "ls": ""}
     more = [
@@ -1283,8 +1236,7 @@ def segment_errors(means: pd.DataFrame) -> Figure:
         Line2D([], [], mfc="none", label="not calibrated", **grey),
     ]
     handles = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in SEGMENT_LOOKS.items()]
-    figure.legend(handles=[*handles, *more], loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, [*handles, *more], columns=2)
 
 
 # Sensors that drift
@@ -1313,70 +1265,55 @@ def drift_errors(minutes: pd.DataFrame, last: int) -> Figure:
         if method in ("fused", "self-calibrating"):
             panel.fill_between(middle.index, by_minute.min(), by_minute.max(), color=colour, alpha=0.15, lw=0)
     panel.set(
-        yscale="log", xlabel="time [min]", ylabel="error of the tip\n[% of the length]", xlim=(0.5, None)
-    )
-    panel.set_xticks([1, *range(5, end + 1, 5)])
-    panel.set_yticks([0.2, 0.5, 1, 2, 5])
-    panel.yaxis.set_major_formatter("{x:g}")
-    panel.yaxis.set_minor_formatter("")
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=3, **BESIDE)
-    return closed(figure)
+        xlabel="time [min]", xlim=(0.5, None), xticks=[1, *range(5, end + 1, 5)],
+        ylabel="error of the tip\n[% of the length]", yscale="log", yticks=[0.2, 0.5, 1, 2, 5],
+    )  # fmt: skip
+    plain_numbers(panel.yaxis)
+    return with_legend(figure, panel, columns=3)
 
 
 @style()
 def drift_learnt(learnt: pd.DataFrame) -> Figure:
     """Draw true and estimated errors of sensors over time, with two standard deviations to either side."""
-    figure, panels = plt.subplots(learnt["error"].nunique(), 1, figsize=(WIDTH, 5.2), sharex=True)
+    figure, panels = column_of_panels(learnt["error"].nunique(), 5.2, "time [min]")
     for panel, (name, part) in zip(panels, learnt.groupby("error", sort=False), strict=True):
         time, middle, wide = part["minute"], part["estimate"], 2 * part["std"]
         panel.plot(time, part["truth"], label="truth", **TRUTH)
         panel.plot(time, middle, color=GREEN, label="estimate")
         panel.fill_between(time, middle - wide, middle + wide, color=GREEN, alpha=0.2, lw=0)
         panel.set(ylabel=str(name).replace(" [", "\n["))
-    panels[-1].set_xlabel("time [min]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, panels[0], columns=2)
 
 
 @style()
 def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
     """Draw the error of the tip [% of the length] and twice what is stated while iron is near, and alarms below."""
-    figure, panels = plt.subplots(2, 1, figsize=(WIDTH, 5.0), sharex=True, sharey=True)
+    figure, panels = column_of_panels(2, 5.0, "time [s]", sharey=True)
     for panel, (name, part) in zip(panels, rows.groupby("method", sort=False), strict=True):
         panel.axvspan(*iron_s, label="iron near", **SPAN)
         panel.plot(part["time_s"], part["error_percent"], color=GREEN, label="error")
-        panel.plot(
-            part["time_s"], 2 * part["stated_percent"], ":", color="#767676", label="two stated deviations"
-        )
-        alarm = part[part["alarm"]]
-        panel.plot(
-            alarm["time_s"], np.full(len(alarm), 0.06), "s", color=ORANGE, ms=3, label="alarm", clip_on=False
-        )
+        stated, alarms = 2 * part["stated_percent"], part.loc[part["alarm"], "time_s"]
+        panel.plot(part["time_s"], stated, ":", color="#767676", label="two stated deviations")
+        panel.plot(alarms, 0.06 + 0 * alarms, "s", color=ORANGE, ms=3, label="alarm", clip_on=False)
         panel.set(title=name, yscale="log", ylabel="error of the tip\n[% of the length]", ylim=(0.05, 20))
-        panel.yaxis.set_major_formatter("{x:g}")
-        panel.yaxis.set_minor_formatter("")
-    panels[-1].set_xlabel("time [s]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, **BESIDE)
-    return closed(figure)
+        plain_numbers(panel.yaxis)
+    return with_legend(figure, panels[0], columns=4)
 
 
 @style()
 def live_failures(table: pd.DataFrame, fails_at_s: float) -> Figure:
     """Draw error and stated deviation of the tip over time: a panel for each failure, a colour for each arm."""
     failures = list(table[table["failure"] != "none"].groupby("failure", sort=False))
-    figure, panels = plt.subplots(
-        len(failures), 1, figsize=(WIDTH, 1.55 * len(failures) + 1.0), sharex=True, sharey=True, squeeze=False
-    )
-    for panel, (failure, part) in zip(panels[:, 0], failures, strict=True):
+    height = 1.55 * len(failures) + 1.0
+    figure, panels = column_of_panels(len(failures), height, "time [s]", sharey=True)
+    for panel, (failure, part) in zip(panels, failures, strict=True):
         for (chips, rows), colour in zip(part.groupby("sensors", sort=False), (BLUE, ORANGE), strict=True):
             for column, line, name in (("tip_error_mm", "-", "error"), ("tip_std_mm", "--", "stated ±")):
                 panel.plot(rows["time_s"], rows[column], line, color=colour, label=f"{name}, {chips} chips")
         panel.axvline(fails_at_s, color=PUBLISHED, lw=4, alpha=0.5, zorder=0)
-        panel.set(yscale="log", title=failure, ylabel="tip [mm]")
-        panel.set_yticks([0.1, 1, 10, 100], ["0.1", "1", "10", "100"])
-    panels[-1, 0].set_xlabel("time [s]")
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+        panel.set(yscale="log", yticks=[0.1, 1, 10, 100], title=failure, ylabel="tip [mm]")
+        panel.yaxis.set_major_formatter("{x:g}")
+    return with_legend(figure, panels[0])
 
 
 # A robot of one's own
@@ -1385,7 +1322,7 @@ def live_failures(table: pd.DataFrame, fails_at_s: float) -> Figure:
 @style()
 def failing_chip(shape: Any, tip_std_mm: np.ndarray, fails_at_s: float) -> Figure:
     """Draw the stated deviation of the tip, and the first reading of every chip with its residual, over time."""
-    figure, (stated, above, below) = plt.subplots(3, 1, figsize=(WIDTH, 6.6), sharex=True)
+    figure, (stated, above, below) = column_of_panels(3, 6.6, "time [s]")
     stated.plot(shape.times, tip_std_mm, color="0.35")
     stated.set_yscale("log", subs=[])
     stated.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
@@ -1402,5 +1339,4 @@ def failing_chip(shape: Any, tip_std_mm: np.ndarray, fails_at_s: float) -> Figur
     ):
         panel.axvline(fails_at_s, color=PUBLISHED, lw=4, alpha=0.5, zorder=0)
         panel.set_ylabel(name)
-    below.set_xlabel("time [s]")
     return closed(figure)

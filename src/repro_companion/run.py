@@ -22,7 +22,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,15 @@ KINDS = {
     "list": 'a list, such as [1, 2] or ["a", "b"]',
     "dict": 'a dictionary, such as {"a": 1}',
 }
+READERS: dict[str, Callable[[str], Any]] = {
+    "int": int,
+    "float": float,
+    "str": str,
+    "bool": lambda text: {"true": True, "false": False}[text.lower()],
+    "list": json.loads,
+    "dict": json.loads,
+}
+"""How a typed text becomes a value of each kind."""
 BOUNDS = {"at least": operator.ge, "above": operator.gt, "at most": operator.le, "below": operator.lt}
 _BOUND = rf"(?:{'|'.join(BOUNDS)}) [-+]?[\d.]+(?:e[-+]?\d+)?"
 _RULE = re.compile(rf",\s*(one of: [^\[\]]+|{_BOUND}(?: and {_BOUND})?)\s*(?:\[[^]]*\])?$")
@@ -146,16 +155,9 @@ def value_of(parameter: Parameter, text: str, owner: str) -> Any:
     """Return a typed text as a value of its parameter, or refuse it."""
     kind = parameter.kind
     try:
-        if kind == "str":
-            value: Any = text
-        elif kind == "bool":
-            value = {"true": True, "false": False}[text.lower()]
-        elif kind in ("int", "float"):
-            value = int(text) if kind == "int" else float(text)
-        else:
-            value = json.loads(text)
-            if type(value).__name__ != kind:
-                raise ValueError
+        value = READERS[kind](text)
+        if type(value).__name__ != kind:
+            raise ValueError
     except Exception:
         raise bad_input(f"parameter {parameter.name}", owner, f"{kind}: {KINDS[kind]}", text) from None
     require(are_finite(value), f"parameter {parameter.name}", owner, "finite, below 1e308 in size", text)

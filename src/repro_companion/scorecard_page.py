@@ -6,8 +6,9 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from html import escape
-from itertools import groupby
+from itertools import groupby, product
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlencode
 
 import numpy as np
@@ -16,7 +17,7 @@ import pandas as pd
 from repro_companion.papers.fetch import Source, amount, read_sources
 from repro_companion.run import recordings
 from repro_companion.scorecard import COMPARED, KINDS, band, beside, counts, is_error, kinds, papers_of_files
-from repro_companion.show import KEY, number
+from repro_companion.show import KEY, number, rendered
 
 PAPERS = {
     "baaij2023": "Baaij et al. (2023)",
@@ -125,36 +126,18 @@ def verdict_in_a_word(found: pd.Series) -> str:
     return "differs" if differ >= agree else "mostly reproduced" if differ else "reproduced"
 
 
-def table(caption: str, head: Iterable[str], rows: Iterable[str], about: str) -> str:
-    """Return a table as HTML, its rows given as HTML."""
-    cells = "".join(f'<th scope="col">{one}</th>' for one in head)
-    return (
-        f'<table class="scorecard {about}><caption>{caption}</caption><thead><tr>{cells}</tr></thead>\n'
-        + "\n".join(rows)
-        + "</table>\n"
-    )
-
-
-def folded(summary: str, text: str) -> str:
-    """Return a part of a page that a reader opens."""
-    return f'<details class="fold"><summary>{summary}</summary>\n{text}</details>\n'
-
-
 def index_page(index: pd.DataFrame, titles: Mapping[str, str], card: pd.DataFrame) -> str:
     """Return the index: for each paper a table of its tables and figures, and folds of all else."""
-    parts = []
-    for name, of_paper in index.groupby("name", sort=False):
-        parts.append(f"### {name}\n")
-        for heading, entries in of_paper.groupby(of_paper["kind"].map(FOLDED).fillna(""), sort=False):
-            rows = [_entry(entry, titles, card) for _, entry in entries.iterrows()]
-            text = table(
-                f"{name}: {heading.lower() or 'tables and figures'}", INDEX_HEAD, rows, 'paper-index"'
-            )
-            parts.append(folded(heading, text) if heading else text)
-    return "\n".join(parts)
+    entries = index.assign(
+        title=index["page"].map(titles),
+        fold=index["kind"].map(FOLDED).fillna(""),
+        verdict=[verdict_of(entry, card) for _, entry in index.iterrows()],
+    )
+    return rendered("index.md", papers=entries.groupby("name", sort=False), head=INDEX_HEAD, words=words)
 
 
-def _entry(entry: pd.Series, titles: Mapping[str, str], card: pd.DataFrame) -> str:
+def verdict_of(entry: pd.Series, card: pd.DataFrame) -> str:
+    """Return the last cell of an entry of the index: what its numbers come to, or the word of the index."""
     found = card[(card["paper"] == entry["paper"]) & (card["artefact"] == entry["artefact"])]
     if len(found):
         chosen = {"paper": entry["name"], "artefact": entry["artefact"]}
@@ -162,34 +145,17 @@ def _entry(entry: pd.Series, titles: Mapping[str, str], card: pd.DataFrame) -> s
         if (found["with_files"] != "").any():
             again = rows_link(verdict_in_a_word(found["real_kind"]), **chosen)
             verdict += f"; with the authors' files: {again}"
-    elif "synthetic" in entry["note"]:
-        verdict = entry["status"] + ("" if entry["real"] else " (synthetic)")
-    else:
-        code = f"<code>{entry['code'].rsplit('.')[-1]}</code>" * (entry["status"] == "implemented")
-        said = "; ".join(filter(None, [code, words(entry["note"])]))
-        verdict = entry["status"] + f' <span class="setting">({said})</span>' * bool(said)
-    page = f'<a href="{entry["page"]}.html">{escape(titles[entry["page"]])}</a>'
-    cells = words(entry["shows"]), page, verdict
-    return (
-        f'<tr><th scope="row"><a href="{entry["place"].rstrip("#")}">{entry["artefact"]}</a></th>'
-        f"{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
-    )
+        return verdict
+    if "synthetic" in entry["note"]:
+        return entry["status"] + ("" if entry["real"] else " (synthetic)")
+    code = f"<code>{entry['code'].rsplit('.')[-1]}</code>" * (entry["status"] == "implemented")
+    said = "; ".join(filter(None, [code, words(entry["note"])]))
+    return entry["status"] + f' <span class="setting">({said})</span>' * bool(said)
 
 
 def finder_page(index: pd.DataFrame) -> str:
     """Return a table that leads to the tables and figures of each paper by their numbers."""
-    lines = ["| paper | tables | figures |\n|---|---|---|"]
-    for name, entries in index.groupby("name", sort=False):
-        cells = []
-        for kind in ("table", "figure"):
-            found = entries[entries["kind"] == kind][["artefact", "place"]].to_numpy()
-            links = [
-                f'<a href="{to.rstrip("#")}" title="{one}">{one.split()[1].rstrip(",")}</a>'
-                for one, to in found
-            ]
-            cells.append(" · ".join(links) or "–")
-        lines.append(f"| {name} | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+    return rendered("find.md", papers=index.groupby("name", sort=False))
 
 
 def counts_page(card: pd.DataFrame, real: pd.DataFrame) -> str:
@@ -200,97 +166,81 @@ def counts_page(card: pd.DataFrame, real: pd.DataFrame) -> str:
     known, waiting = papers_of_files(beside(card, real))
     without, having = counts(card), counts(real).loc[known]
     shown = [kind for kind in KINDS if without.loc["all", kind] or having[kind].any()]
-    lines = ["{.as-cards}", f"| | {' | '.join(shown)} |", "|---|" + "---:|" * len(shown)]
-    for paper in card["paper"].unique():
-        name = PAPERS.get(paper, paper)
-        for key, table_of, state in (
-            ("verdict", without, "without their files"),
-            ("files", having, "with them"),
-        ):
-            if paper in table_of.index:
-                found = table_of.loc[paper, shown].items()
-                cells = [rows_link(n, **{"paper": name, key: kind}) if n else "0" for kind, n in found]
-                label = f"{name}, {state}" if paper in known + waiting else name
-                lines.append(f"| {label} | {' | '.join(cells)} |")
-    if waiting:
-        names = " and ".join(PAPERS.get(paper, paper) for paper in waiting)
-        commands = "".join(f".venv/bin/repro fetch {paper}\n" for paper in waiting)
-        lines.append(
-            f"\nThe files of {names} are not here, so we do not know how many numbers agree with them. You can"
-            f" compute it:\n\n```bash\n{commands}make book\n```"
-        )
-    return "\n".join(lines) + "\n"
+    tables = {"verdict": (without, "without their files"), "files": (having, "with them")}
+    lines = []
+    for paper, (key, (table, state)) in product(card["paper"].unique(), tables.items()):
+        if paper in table.index:
+            name = PAPERS.get(paper, paper)
+            found = table.loc[paper, shown].items()
+            cells = [rows_link(n, **{"paper": name, key: kind}) if n else "0" for kind, n in found]
+            lines.append((f"{name}, {state}" if paper in known + waiting else name, cells))
+    names = {paper: PAPERS.get(paper, paper) for paper in waiting}
+    return rendered("counts.md", shown=shown, lines=lines, waiting=names)
 
 
 def rows_page(card: pd.DataFrame, places: Mapping[tuple[str, str], str]) -> str:
     """Return all rows as HTML: a fold for each table, figure or section of a paper, a ``tbody`` for each number."""
-    parts = ['<div class="scorecard-filter"></div>\n']
     by_paper = card.sort_values("paper", key=lambda papers: pd.factorize(papers)[0], kind="stable")
-    for (name, artefact), rows in by_paper.groupby(["name", "artefact"], sort=False):
-        total = rows["kind"].value_counts().reindex(KINDS).dropna()
-        said = ", ".join(
-            f"{n:.0f} {kind if n == 1 else kind.replace('differs', 'differ')}" for kind, n in total.items()
-        )
-        caption = f'<a href="{places[name, artefact]}">{name}, {artefact}</a>.'
-        for heading, column in CAPTION.items():
-            if given := "; ".join(filter(None, rows[column].unique())):
-                caption += f' <span class="setting">{heading}: {words(given)}.</span>'
-        about = f'cards" data-paper="{name}" data-artefact="{artefact}"'
-        real = bool((rows["with_files"] != "").any())
-        lines = [_row(row, real) for _, row in rows.iterrows()]
-        text = table(caption, [*ROW_HEAD, *[REAL] * real], lines, about)
-        parts.append(folded(f"<b>{name}, {artefact}</b>: {said}.", text))
-    return "\n".join(parts)
+    groups = by_paper.groupby(["name", "artefact"], sort=False)
+    return rendered("rows.md", parts=[_part(rows, places[names]) for names, rows in groups], words=words)
 
 
-def _row(row: pd.Series, with_real: bool = False) -> str:
-    """Return a row of the scorecard: its numbers, and what is known of it in a second line."""
+def _part(rows: pd.DataFrame, place: str) -> dict[str, Any]:
+    """Return what the page shows of one table, figure or section."""
+    total = rows["kind"].value_counts().reindex(KINDS).dropna()
+    plural = {kind: kind.replace("differs", "differ") for kind in KINDS}
+    given = {heading: "; ".join(filter(None, rows[column].unique())) for heading, column in CAPTION.items()}
+    real = bool((rows["with_files"] != "").any())
+    return {
+        **rows.iloc[0][["name", "artefact"]],
+        "place": place,
+        "said": ", ".join(f"{n:.0f} {kind if n == 1 else plural[kind]}" for kind, n in total.items()),
+        "settings": {heading: text for heading, text in given.items() if text},
+        "real": real,
+        "head": [*ROW_HEAD, *[REAL] * real],
+        "rows": [row | _numbers(row) for row in rows.to_dict("records")],
+    }
+
+
+def _numbers(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the page shows of one row: its numbers, and what is known of it in a second line."""
     unit = "\N{NO-BREAK SPACE}" + words(row["unit"])
-    printed = [row[name].replace("-", "−") for name in ("published", "published_std") if row[name]]
-    ours = [number(float(row[name])) for name in ("regenerated", "regenerated_std") if row[name]]
+    printed = " ± ".join(row[name].replace("-", "−") for name in ("published", "published_std") if row[name])
+    ours, real = (_with_spread(row, name, unit) for name in ("regenerated", "with_files"))
     width = f"±\N{NO-BREAK SPACE}{number(row['width'], 2)}{unit}" if row["verdict"] in COMPARED else "–"
     verdict, kind = row["verdict"].replace("_", " "), row["kind"]
-    apart = ", near the edge" * (row["near_edge"] == "true")
-    if kind != verdict:
-        verdict, apart = kind, f" ({verdict})" + apart
-    said = _sentence(row["note"])
+    apart = f" ({verdict})" * (kind != verdict) + ", near the edge" * (row["near_edge"] == "true")
+    remarks = _sentence(row["note"])
     if row["with_files_note"]:
-        said += _sentence(f"{REAL}: {row['with_files_note']}")
+        remarks += _sentence(f"{REAL}: {row['with_files_note']}")
     if row["best"]:
         better = is_error(row) and float(row["best"]) < float(row["regenerated"])
-        said += f"<b>Our {'best' if better else 'method'}: {number(float(row['best']))}{unit}.</b>"
-    key = " ".join(["row", *row[KEY]]).lower().replace("-", " minus ")
-    cells = [" ± ".join(printed) + unit, " ± ".join(ours) + unit if ours else "–", width]
-    cells += [_verdict(verdict) + apart, *[_real(row, unit)] * with_real]
-    return (
-        f'<tbody id="{re.sub(r"[^a-z0-9]+", "-", key).strip("-")}" data-verdict="{kind}"'
-        f' data-files="{row["real_kind"]}"><tr><th scope="row">'
-        f"{words(row['row'])}, {words(row['quantity'])}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
-        + (f'<tr class="remarks"><td colspan="{len(cells) + 1}">{said}</td></tr>' if said else "")
-        + "</tbody>"
-    )
+        remarks += f"<b>Our {'best' if better else 'method'}: {number(float(row['best']))}{unit}.</b>"
+    address = " ".join(["row", *(row[name] for name in KEY)]).lower().replace("-", " minus ")
+    return {
+        "id": re.sub(r"[^a-z0-9]+", "-", address).strip("-"),
+        "cells": [printed + unit, ours or "–", width],
+        "shown": kind,
+        "apart": apart,
+        "real": real,
+        "remarks": remarks,
+    }
 
 
-def _real(row: pd.Series, unit: str) -> str:
-    numbers = [number(float(row[name])) for name in ("with_files", "with_files_std") if row[name]]
-    return f"{' ± '.join(numbers)}{unit}, {_verdict(row['real_kind'])}" if numbers else "–"
+def _with_spread(row: Mapping[str, Any], name: str, unit: str) -> str:
+    """Return a number of a row and its deviation, empty if there is none."""
+    numbers = [number(float(row[column])) for column in (name, f"{name}_std") if row[column]]
+    return " ± ".join(numbers) + unit if numbers else ""
 
 
 def _sentence(text: str) -> str:
     return words(f"{text[:1].upper()}{text[1:]}.") + " " if text else ""
 
 
-def _verdict(kind: str) -> str:
-    return f'<span class="verdict verdict-{kind.replace(" ", "-")}">{kind}</span>'
-
-
 def files_page(sources: Iterable[Source]) -> str:
     """Return a table of the files that can be fetched: how many, and which page reads them for what."""
-    lines = ["{.as-cards}", "| paper | page | files | what for |", "|---|---|---|---|"]
-    for (paper, page, use), files in groupby(sources, lambda source: (source.paper, source.page, source.use)):
-        link = f'<a href="notebooks/{page}.html"><code>{page}</code></a>' if page else "none yet"
-        lines.append(f"| `{paper}` | {link} | {amount(files)} | {use} |")
-    return "\n".join(lines) + "\n"
+    groups = groupby(sources, lambda source: (source.paper, source.page, source.use))
+    return rendered("files.md", groups=[(*about, amount(files)) for about, files in groups])
 
 
 def findings(card: pd.DataFrame, noise: pd.DataFrame) -> dict[str, str]:

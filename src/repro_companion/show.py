@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from pandas.io.formats.style import Styler
 
 from repro_companion.run import project_folder
@@ -20,6 +21,29 @@ ROW_COLUMNS = [
     *KEY, "regenerated", "regenerated_std", "n_seeds", "setting", "best", "best_method", "note", "comparable"
 ]  # fmt: skip
 """Columns of what a page regenerates, ``<name>.rows.csv``."""
+
+
+_TEMPLATES = Environment(
+    loader=PackageLoader("repro_companion"),
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    autoescape=False,
+)
+
+
+def rendered(template: str, **values: Any) -> str:
+    """Return a template of this package, ``templates/<template>``, filled with values, which are HTML already."""
+    return _TEMPLATES.get_template(template).render(values)
+
+
+_TEMPLATES.filters["fixed"] = lambda value, digits: f"{value:.{digits}f}"
+
+
+def sentences(template: str, **values: Any) -> str:
+    """Return a paragraph of words: a template filled with values, its lines joined by blanks."""
+    lines = _TEMPLATES.from_string(template).render(values).splitlines()
+    return " ".join(line.strip() for line in lines if line.strip())
 
 
 def results_folder() -> Path:

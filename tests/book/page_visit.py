@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -90,8 +91,9 @@ class Visit:
         return sum(path.stat().st_size for path in self.loaded())
 
 
+@contextmanager
 def open_page(browser, url: str, *, width: int = 1280):
-    """Open a page; return it with a record of what happens there."""
+    """Open a page; give it with a record of what happens there, and close it in the end."""
     seen = Visit()
     page = browser.new_page()
     page.set_viewport_size({"width": width, "height": 900})
@@ -100,14 +102,16 @@ def open_page(browser, url: str, *, width: int = 1280):
     page.on("requestfailed", lambda request: seen.failed.append(request.url))
     page.on("pageerror", lambda error: seen.console.append(str(error)))
     page.on("console", lambda message: seen.console.append(message.text) if _is_defect(message) else None)
-    page.goto(url, wait_until="load")
-    return page, seen
+    try:
+        page.goto(url, wait_until="load")
+        yield page, seen
+    finally:
+        page.close()
 
 
 def visit(browser, url: str, *, widths: Iterable[int] = (), accessible: bool = False) -> Visit:
     """Open a page, look at it in windows of some widths and, with axe, in both colour schemes."""
-    page, seen = open_page(browser, url)
-    try:
+    with open_page(browser, url) as (page, seen):
         seen.facts = page.evaluate(FACTS)
         if accessible:
             page.add_style_tag(content=STILL)
@@ -123,8 +127,6 @@ def visit(browser, url: str, *, widths: Iterable[int] = (), accessible: bool = F
             page.set_viewport_size({"width": width, "height": 900})
             seen.overflow[width] = page.evaluate(OVERFLOW)
         page.wait_for_timeout(50)  # a message that is on its way
-    finally:
-        page.close()
     return seen
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ PAGE = """<!doctype html><html lang="en" data-theme="light"><meta charset="utf-8
 @pytest.fixture
 def figure(browser, tmp_path):
     """Open a page with one figure, and close it; nothing may be said on the console, and nothing asked outside."""
-    opened = []
+    opened, pages = [], ExitStack()
 
     def show(name: str, address: str = "", *, width: int = 900):
         scripts = "".join(
@@ -36,14 +37,14 @@ def figure(browser, tmp_path):
         box = f'<div class="live-figure" data-live="{name}"></div>'
         path = tmp_path / f"{name}.html"
         path.write_text(PAGE.format(folder=LIVE.as_uri(), box=box, scripts=scripts), encoding="utf-8")
-        page, seen = open_page(browser, path.as_uri() + address, width=width)
-        opened.append((page, seen))
-        return page
+        opened.append(pages.enter_context(open_page(browser, path.as_uri() + address, width=width)))
+        return opened[-1][0]
 
-    yield show
-    for page, seen in opened:
-        page.wait_for_timeout(50)
-        page.close()
+    with pages:
+        yield show
+        for page, _ in opened:
+            page.wait_for_timeout(50)
+    for _, seen in opened:
         assert seen.console == []
         assert seen.asked_outside() == []
 

@@ -112,8 +112,7 @@ def _weight(seen: Visit) -> tuple[int, int]:
 def test_landing_page_is_a_page(browser):
     """The landing page does not redirect, and its counts lead to the rows that they count."""
     assert "http-equiv" not in (SITE / "index.html").read_text(encoding="utf-8").lower()
-    page, _ = open_page(browser, url_of("index.html"))
-    try:
+    with open_page(browser, url_of("index.html")) as (page, _):
         assert len(page.locator("main").inner_text()) > 1000
         link = page.locator("main table a[href*='verdict=']").last
         counted = link.inner_text()
@@ -124,55 +123,43 @@ def test_landing_page_is_a_page(browser):
         page.wait_for_load_state()
         first = page.locator("table.cards tbody:visible").first.bounding_box()
         assert 0 < first["y"] < 900, "the rows are not in the first screen"
-    finally:
-        page.close()
 
 
 @no_site
 def test_first_screen_of_the_landing_page(browser):
     """On a desk it says what this is and holds the whole robot."""
-    page, _ = open_page(browser, url_of("index.html"), width=1400)
-    try:
+    with open_page(browser, url_of("index.html"), width=1400) as (page, _):
         for part in ("main section > p >> nth=0", ".live-stage"):
             box = page.locator(part).bounding_box()
             assert box["y"] + box["height"] < 900, part
-    finally:
-        page.close()
 
 
 @no_site
 def test_from_the_landing_page_to_a_table_of_a_paper(browser):
     """Table II has a link by its number, and the link leads to its page."""
-    page, _ = open_page(browser, url_of("index.html"))
-    try:
+    with open_page(browser, url_of("index.html")) as (page, _):
         page.locator("main a[title='Table II']").click()
         page.wait_for_url("**/notebooks/imu_markers.html*")
-    finally:
-        page.close()
 
 
 @no_site
 @pytest.mark.parametrize("name", [page for page in WRITTEN if page.startswith("notation")])
 def test_formulas_open_at_their_left_end(name, browser):
     """One that is wider than the screen begins where its box does."""
-    page, _ = open_page(browser, url_of(name), width=390)
-    try:
+    with open_page(browser, url_of(name), width=390) as (page, _):
         page.evaluate(FACTS)  # waits for MathJax
         starts = page.evaluate(
             """() => [...document.querySelectorAll('div.math')].map(box =>
             box.querySelector('mjx-math').getBoundingClientRect().left - box.getBoundingClientRect().left)"""
         )
         assert [start for start in starts if start < -1] == []
-    finally:
-        page.close()
 
 
 @no_site
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_first_column_stays_while_a_table_is_scrolled(scheme, browser):
     """So that a number keeps the name of its row; nothing is seen through it."""
-    page, _ = open_page(browser, url_of("notebooks/live.html"), width=390)
-    try:
+    with open_page(browser, url_of("notebooks/live.html"), width=390) as (page, _):
         page.emulate_media(color_scheme=scheme)
         moved = page.evaluate(
             """() => [...document.querySelectorAll('.formatted')]
@@ -184,8 +171,6 @@ def test_the_first_column_stays_while_a_table_is_scrolled(scheme, browser):
                 first.getBoundingClientRect().width, getComputedStyle(first).backgroundColor];
             })"""
         )
-    finally:
-        page.close()
     assert moved
     for first, second, width, ground in moved:
         assert abs(first) < 1
@@ -196,8 +181,7 @@ def test_the_first_column_stays_while_a_table_is_scrolled(scheme, browser):
 @pytest.mark.parametrize("name", WITH_VIEWS)
 def test_shape_views(name, browser):
     """Each 3-D view is drawn, and its slider moves it."""
-    page, seen = open_page(browser, url_of(name))
-    try:
+    with open_page(browser, url_of(name)) as (page, seen):
         views = page.locator(".shape-view")
         for k in range(views.count()):
             view = views.nth(k)
@@ -213,8 +197,6 @@ def test_shape_views(name, browser):
             page.wait_for_timeout(300)
             assert np.abs(pixels(canvas) - before).max() > 20, "the slider does not move the shape"
         assert seen.console == []
-    finally:
-        page.close()
 
 
 @pytest.mark.parametrize("name", WRITTEN)
@@ -237,15 +219,12 @@ def test_pages_say_what_a_person_would(name):
 )
 def test_code_has_contrast(name, scheme, browser):
     """Seven to one, as for small text that is read for long."""
-    page, _ = open_page(browser, url_of(name))
-    try:
+    with open_page(browser, url_of(name)) as (page, _):
         page.emulate_media(color_scheme=scheme)
         page.add_style_tag(content=STILL)
         page.evaluate(AXE.read_text(encoding="utf-8"))
         page.wait_for_function("theme => document.documentElement.dataset.theme === theme", arg=scheme)
         found = page.evaluate(CONTRAST_OF_CODE)
-    finally:
-        page.close()
     assert found["passed"] > 0
     assert found["failed"] == []
 
@@ -254,30 +233,24 @@ def test_code_has_contrast(name, scheme, browser):
 @pytest.mark.parametrize("name", ["notebooks/real_arm.html", "notebooks/table_1.html"])
 def test_a_figure_opens_its_file(name, browser):
     """By keys alone, from disk; its alternative text stays."""
-    page, _ = open_page(browser, url_of(name), width=390)
-    try:
+    with open_page(browser, url_of(name), width=390) as (page, _):
         figures = page.locator("main figure a.in-full")
         assert figures.count() == page.locator("main figure img[src*='_images/']").count() > 0
         source = figures.first.locator("img").get_attribute("src")
         assert figures.first.locator("img").get_attribute("alt")
         figures.first.press("Enter")
         page.wait_for_url(f"**/{Path(source).name}")
-    finally:
-        page.close()
 
 
 @no_site
 def test_a_schematic_opens_by_itself(browser):
     """By keys alone, from disk, as wide as the window."""
-    page, _ = open_page(browser, url_of("notebooks/particle_filter.html"), width=390)
-    try:
+    with open_page(browser, url_of("notebooks/particle_filter.html"), width=390) as (page, _):
         schematic = page.locator("main figure.schematic a.in-full").first
         assert schematic.locator("svg").get_attribute("aria-label")
         schematic.press("Enter")
         page.wait_for_url("**/notebooks-particle_filter-1.svg")
         assert page.evaluate("document.documentElement.getBoundingClientRect().width") == 390
-    finally:
-        page.close()
 
 
 @pytest.mark.parametrize("path", EXECUTED, ids=lambda path: path.stem)

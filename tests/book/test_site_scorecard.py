@@ -12,8 +12,7 @@ ROWS = "table.cards tbody"
 
 def test_scorecard_filter(browser):
     """Keys alone narrow the rows down, and the count says so aloud; without the script every row is there."""
-    page, seen = open_page(browser, url_of("scorecard.html"))
-    try:
+    with open_page(browser, url_of("scorecard.html")) as (page, seen):
         total = page.locator(ROWS).count()
         count = page.get_by_role("status").filter(has_text="rows")
         assert count.inner_text() == f"{total} of {total} rows."
@@ -31,40 +30,31 @@ def test_scorecard_filter(browser):
         page.wait_for_function("() => !document.querySelector('tbody[hidden]')")
         assert page.locator("select[name=verdict]").input_value() == ""
         assert seen.console == []
-    finally:
-        page.close()
     text = (SITE / "scorecard.html").read_text(encoding="utf-8").split("scorecard-filter")[1]
     assert "hidden" not in text[: text.rindex("</tbody>")]
 
 
 def test_rows_are_folded_table_by_table(browser):
     """A table opens by keys."""
-    page, _ = open_page(browser, url_of("scorecard.html"), width=390)
-    try:
+    with open_page(browser, url_of("scorecard.html"), width=390) as (page, _):
         assert page.locator(f"{ROWS}:visible").count() == 0
         fold = page.locator("details:has(table.cards)").last
         fold.locator("summary").press("Enter")
         assert page.locator(f"{ROWS}:visible").count() == fold.locator("tbody").count() > 0
-    finally:
-        page.close()
 
 
 def test_the_index_comes_first(browser):
     """Its first rows are in the first screen, and the folds of equations are shut."""
-    page, _ = open_page(browser, url_of("scorecard.html"))
-    try:
+    with open_page(browser, url_of("scorecard.html")) as (page, _):
         box = page.locator("table.paper-index a").first.bounding_box()
         assert box["y"] < 900
         assert page.locator("details[open]:has(table.paper-index)").count() == 0
-    finally:
-        page.close()
 
 
 @pytest.mark.parametrize("width", [1400, 390])
 def test_a_verdict_of_the_index_leads_to_its_rows(width, browser):
     """They are on the screen, and no others are."""
-    page, seen = open_page(browser, url_of("scorecard.html"), width=width)
-    try:
+    with open_page(browser, url_of("scorecard.html"), width=width) as (page, seen):
         link = page.locator("table.paper-index a[href*='artefact=Table+2']")
         link.click()
         page.wait_for_url("**?paper=*#all-rows")
@@ -73,19 +63,13 @@ def test_a_verdict_of_the_index_leads_to_its_rows(width, browser):
         assert first.evaluate("row => row.parentElement.dataset.artefact") == "Table 2"
         assert 0 < first.bounding_box()["y"] < 900
         assert seen.console == []
-    finally:
-        page.close()
 
 
 def test_link_to_a_row_opens_it(browser):
     """The row is on the screen and marked, even where the filter of the same address hides it."""
-    page, _ = open_page(browser, url_of("scorecard.html"))
-    try:
+    with open_page(browser, url_of("scorecard.html")) as (page, _):
         row = page.locator("tbody[data-verdict=reproduced]").last.get_attribute("id")
-    finally:
-        page.close()
-    page, seen = open_page(browser, f"{url_of('scorecard.html')}?verdict=differs#{row}", width=390)
-    try:
+    with open_page(browser, f"{url_of('scorecard.html')}?verdict=differs#{row}", width=390) as (page, seen):
         opened = page.locator(f"#{row}:target")
         box = opened.bounding_box()
         assert 0 <= box["y"] <= 900 - box["height"]
@@ -95,5 +79,3 @@ def test_link_to_a_row_opens_it(browser):
             assert seen_box["x"] >= 0
             assert seen_box["x"] + seen_box["width"] <= 390
         assert seen.console == []
-    finally:
-        page.close()

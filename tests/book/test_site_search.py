@@ -53,8 +53,7 @@ def test_every_table_and_figure_has_an_entry(entry):
 )
 def test_the_right_page_is_found_first(query, pages, browser):
     """Two papers have a Fig. 9: both pages come before any other."""
-    tab, seen = open_page(browser, url_of("search.html"))
-    try:
+    with open_page(browser, url_of("search.html")) as (tab, seen):
         field = tab.locator(".bd-search-container form.bd-search input")
         field.fill(query)
         field.press("Enter")
@@ -63,22 +62,3 @@ def test_the_right_page_is_found_first(query, pages, browser):
         found = [links.nth(k).get_attribute("href").partition("#")[0] for k in range(len(pages))]
         assert set(found) == set(pages)
         assert seen.asked_outside() == []
-    finally:
-        tab.close()
-
-
-@no_site
-@pytest.mark.parametrize("width", [1400, 390])
-def test_icon_of_the_search_covers_nothing(width, browser):
-    """It ends before the words begin."""
-    page, _ = open_page(browser, f"{url_of('search.html')}?q=magnet", width=width)
-    try:
-        box = "e => { const {left, right} = e.getBoundingClientRect(); return [left, right]; }"
-        form = page.locator(".bd-search-container form.bd-search")
-        _, icon = form.locator("i, svg").first.evaluate(box)
-        field = form.locator("input")
-        left, _ = field.evaluate(box)
-        text = left + float(field.evaluate("e => parseFloat(getComputedStyle(e).paddingLeft)"))
-        assert icon < text
-    finally:
-        page.close()

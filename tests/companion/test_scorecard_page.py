@@ -59,16 +59,19 @@ def state(request, card, real) -> pd.DataFrame:
     return {"without": card, "with": real}[request.param]
 
 
+def project(root: Path) -> Path:
+    """Return a folder with the data, the notebooks and the texts of this project."""
+    (root / "book").mkdir()
+    texts = [f"book/{path.name}" for path in (ROOT / "book").glob("*.md")]
+    for name in ("data", "notebooks", *texts):
+        (root / name).symlink_to(ROOT / name)
+    return root
+
+
 @pytest.fixture(scope="module")
 def written(card, state, tmp_path_factory) -> dict[str, str]:
     """Return what is written for a project with the pages of this one."""
-    root = tmp_path_factory.mktemp("project")
-    for name in ("data", "notebooks"):
-        (root / name).symlink_to(ROOT / name)
-    (root / "book").mkdir()
-    for path in (ROOT / "book").iterdir():
-        if path.name != "generated":
-            (root / "book" / path.name).symlink_to(path)
+    root = project(tmp_path_factory.mktemp("project"))
     page.write_pages(root, card, state)
     return {path.name: path.read_text(encoding="utf-8") for path in (root / "book/generated").iterdir()}
 
@@ -165,20 +168,14 @@ def test_a_verdict_in_a_word(found, word):
 
 def test_what_recordings_make_real_is_no_longer_synthetic(card, tmp_path, monkeypatch):
     """Figures on recordings of a paper, once these are there; a trial that is not public stays synthetic."""
-    (tmp_path / "data").symlink_to(ROOT / "data")
-    (tmp_path / "notebooks").symlink_to(ROOT / "notebooks")
-    (tmp_path / "book").mkdir()
-    for name in ("notation.md", "scorecard.md"):
-        (tmp_path / "book" / name).symlink_to(ROOT / "book" / name)
+    root = project(tmp_path)
     monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path / "recordings"))
     counted = []
     for paper in ("other", "baaij2023", "mitchell2021", "martin2022"):
         (tmp_path / "recordings" / paper).mkdir(parents=True)
         (tmp_path / "recordings" / paper / "a.csv").write_text("1\n")
-        page.write_pages(tmp_path, card, card)
-        counted.append(
-            (tmp_path / "book/generated/index.md").read_text(encoding="utf-8").count("(synthetic)")
-        )
+        page.write_pages(root, card, card)
+        counted.append((root / "book/generated/index.md").read_text(encoding="utf-8").count("(synthetic)"))
     synthetic = INDEX[INDEX["note"].str.contains("synthetic")]
     real = synthetic["note"].str.contains("where they are found")
     assert counted[0] > counted[1] >= counted[2] >= counted[3]
@@ -266,14 +263,18 @@ def test_names_are_written_with_the_letters_of_the_papers(name, shown):
 def test_a_row_says_why_it_counts_apart_and_what_we_reach(card):
     row = card.iloc[1].to_dict() | {"kind": "weak", "verdict": "reproduced", "near_edge": "true"}
     row |= {"width": 0.25, "best": "0.1234", "note": "of three seeds", "unit": "%", "real_kind": ""}
-    row |= dict.fromkeys(WITH_FILES, "")
-    text = page._row(pd.Series(row))
+    row |= dict.fromkeys(WITH_FILES, "") | {"name": "B"}
+
+    def shown(**other: str) -> str:
+        return page.rows_page(pd.DataFrame([row | other]), {("B", row["artefact"]): "p.html"})
+
+    text = shown()
     assert "weak</span> (reproduced), near the edge</td>" in text
     assert "±\N{NO-BREAK SPACE}0.25\N{NO-BREAK SPACE}%" in text
     assert "Of three seeds. " in text
     assert "Our best: 0.123\N{NO-BREAK SPACE}%." in text
-    assert "–</td>" in page._row(pd.Series(row | {"verdict": "not_comparable"})), "without a band"
-    assert "Our method: " in page._row(pd.Series(row | {"best": "1e9"})), "not better"
+    assert "–</td>" in shown(verdict="not_comparable"), "without a band"
+    assert "Our method: " in shown(best="1e9"), "not better"
 
 
 # Home
@@ -323,16 +324,9 @@ def test_the_home_page_names_no_other_numbers(card):
 def test_kinds_of_the_index_and_the_scorecard_do_not_mix(card):
     """What has no numbers has the word of the index; the others lead to their rows."""
     card = beside(card, card).assign(name=card["paper"].replace(page.PAPERS), kind=kinds(card))
-    entry = {
-        "paper": "baaij2023",
-        "name": "B",
-        "artefact": "Table 1",
-        "place": "p.html#",
-        "shows": "x",
-        "page": "p",
-    }
-    entry |= {"status": "implemented", "note": "a note", "code": "a.b.track", "real": False}
-    text = page._entry(pd.Series(entry), {"p": "Page"}, card)
+    entry = {"paper": "baaij2023", "name": "B", "artefact": "Table 1", "status": "implemented"}
+    entry |= {"note": "a note", "code": "a.b.track", "real": False}
+    text = page.verdict_of(pd.Series(entry), card)
     assert '<a href="scorecard.html?paper=B&amp;artefact=Table+1#all-rows"' in text
-    text = page._entry(pd.Series(entry | {"artefact": "eq. (1)"}), {"p": "Page"}, card)
-    assert 'implemented <span class="setting">(<code>track</code>; a note)</span>' in text
+    text = page.verdict_of(pd.Series(entry | {"artefact": "eq. (1)"}), card)
+    assert text == 'implemented <span class="setting">(<code>track</code>; a note)</span>'

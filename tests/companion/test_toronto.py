@@ -143,20 +143,6 @@ def test_readings_of_all_sensors_are_on_one_clock(slow):
     )
 
 
-def test_floors_of_arcs_are_those_of_the_first_edition():
-    """As recorded: only the turn about the arm is left out in another way."""
-    expected = {
-        ("slow_free_space", "one arc"): 24.78,
-        ("slow_free_space", "two arcs"): 8.08,
-        ("fast_contact", "one arc"): 12.49,
-        ("fast_contact", "two arcs"): 7.51,
-    }
-    found = pd.read_csv(Path(__file__).parents[2] / "results" / "real_arm_floors.csv")
-    found = found[found["given"] == "tip"].set_index(["trial", "model"])["error_mm"]
-    for key, error in expected.items():
-        assert found[key] == pytest.approx(error, rel=0.02)
-
-
 def test_bodies_point_as_recorded_and_have_no_turn_about_the_arm():
     shown = []
     toronto.floors([toronto.CHOOSING], 500, lambda robot, T, seen: shown.append(T) or 0.0)
@@ -255,22 +241,6 @@ def test_a_chain_of_ideal_imus_on_an_arc_is_the_arc():
     assert max(errors, key=lambda name: errors[name]) == "rigid links that end at their IMU"
     assert errors["PCC-extended, two sub-segments"] < errors["rigid links centred on their IMU"]
     assert len(toronto.imu_errors(["fast_contact"])) == 12
-
-
-def test_the_page_keeps_the_errors_that_it_has_reached():
-    """Geometric means over the two windows that chose nothing; the tip of the blow where it is fast."""
-    root = Path(__file__).parents[2]
-    errors = pd.read_csv(root / "results" / "real_arm_errors.csv")
-    mean = errors.groupby(["setting", "estimator", "trial"])["rmse_mm"].mean().unstack()
-    judged = np.sqrt(mean["impulse_1"] * mean["fast_contact"])
-    assert judged["calibrated", "filter"] <= 8.7
-    assert judged["calibrated", "smoother"] <= 7.9
-    assert mean.loc[("calibrated", "filter"), "slow_free_space"] <= 7.6
-    choice = pd.read_csv(root / "results" / "real_arm_choice.csv")
-    own = choice[(choice["trial"] == "impulse_1") & (choice["model"] == "white")]
-    tip = own[own["setting"] == "calibrated"].set_index("estimator")["fast_tip_mm"]
-    assert tip["filter"] <= 8.5
-    assert tip["smoother"] <= 5.5
 
 
 def test_the_ellipsoids_that_the_page_states_are_small_and_cover_most_positions():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +12,7 @@ from scipy.stats import chi2
 
 from repro import KalmanFilter, LevenbergMarquardt, Sensing, simulated_readings, track
 from repro_companion.papers.baaij import BEND, NOISE_MT, RATE_HZ, STEPS, bounds, lemniscate, robot
-from repro_companion.show import number, ratio_interval
+from repro_companion.show import number, ratio_interval, sentences
 
 # Filtering over time
 
@@ -95,16 +94,23 @@ def temporal_gains(table: pd.DataFrame) -> pd.DataFrame:
     for (n_b, name), part in table.groupby(["n_b", "trajectory"], sort=False):
         wide = part.drop(columns=["n_b", "trajectory"]).pivot(index="seed", columns="method")
         alone, kalman = (wide["error_percent"][method].to_numpy() for method in METHODS)
-        line = {"n_b": n_b, "trajectory": name, "chosen_here": name == "T2"}
-        line |= {"lm_percent": alone.mean(), "filter_percent": kalman.mean()}
         low, high = ratio_interval(kalman, alone, RESAMPLES)
-        line |= {"ratio": kalman.mean() / alone.mean(), "ratio_low": low, "ratio_high": high}
-        for value in ("covered_percent", "nees"):
-            line |= {
-                f"lm_{value}": wide[value][METHODS[0]].mean(),
-                f"filter_{value}": wide[value][METHODS[1]].mean(),
-            }
-        lines.append(line)
+        scores = {
+            f"{short}_{value}": wide[value][method].mean()
+            for value in ("covered_percent", "nees")
+            for short, method in zip(("lm", "filter"), METHODS, strict=True)
+        }
+        lines.append({
+            "n_b": n_b,
+            "trajectory": name,
+            "chosen_here": name == "T2",
+            "lm_percent": alone.mean(),
+            "filter_percent": kalman.mean(),
+            "ratio": kalman.mean() / alone.mean(),
+            "ratio_low": low,
+            "ratio_high": high,
+            **scores,
+        })  # fmt: skip
     return pd.DataFrame(lines)
 
 
@@ -197,19 +203,14 @@ def over_time(cases: Cases, runs: dict[str, Run], controller: str, name: str) ->
     [case] = np.flatnonzero((table["controller"] == controller) & (table["reference"] == name))[:1]
     for feedback in ("truth", ALONE, FILTER, INFORMED):
         q, fed_back, _ = runs[feedback]
-        line: dict[str, Any] = {
-            "reference": name,
-            "feedback": feedback,
-            "time_s": np.arange(len(q)) / RATE_HZ,
+        curves = {"reference": cases.reference[: len(q)], "delta": q, "fed_back": fed_back}
+        columns = {
+            f"{curve}_{axis}_mm": (1e3 * values[:, case, k]).round(4)
+            for k, axis in enumerate("xy")
+            for curve, values in curves.items()
         }
-        for k, axis in enumerate("xy"):
-            for column, values in (
-                ("reference", cases.reference[: len(q)]),
-                ("delta", q),
-                ("fed_back", fed_back),
-            ):
-                line[f"{column}_{axis}_mm"] = (1e3 * values[:, case, k]).round(4)
-        lines.append(pd.DataFrame(line))
+        about = {"reference": name, "feedback": feedback, "time_s": np.arange(len(q)) / RATE_HZ}
+        lines.append(pd.DataFrame(about | columns))
     return pd.concat(lines, ignore_index=True)
 
 
@@ -247,21 +248,24 @@ def tracking_table(means: pd.DataFrame, session: str) -> pd.DataFrame:
     return wide.assign(error=largest["estimate_mm"], bounded=largest["bounded_%"]).reset_index()
 
 
+IN_SHORT = """
+**In short.** With moderate gain and feed-forward it
+{{ "hardly matters" if forward.max() < 1.25 * forward.min() else "matters less" }}
+which estimate you feed back: the bend is {{ forward.min() | fixed(2) }} to {{ forward.max() | fixed(2) }} mm off its
+reference. With high gain the estimate decides. From best to worst: {{ listed }}. Fed with the true bend, the same
+loop has {{ high.truth | fixed(2) }} mm. If the arm bends a fifth further than the filter believes, this order
+{{ "stays the same" if same_order else "changes" }}.
+"""
+
+
 def in_words(means: pd.DataFrame) -> str:
     """Return which estimate tracks best, on the arm as modelled and on the softer one."""
     tracking = means.pivot(index="estimator", columns=["session", "controller"], values="tracking_mm")
     high, softer = (tracking[session, "high gain"] for session in ARMS)
-    order = [list(x[[INFORMED, ALONE, FILTER]].sort_values().index) for x in (high, softer)]
+    order, then = ([*x[[INFORMED, ALONE, FILTER]].sort_values().index] for x in (high, softer))
     forward = tracking["as modelled", "PI and feed-forward"].drop(["truth", "truth, one sample late"])
-    alike = "hardly matters" if forward.max() < 1.25 * forward.min() else "matters less"
-    kept = "stays the same" if order[0] == order[1] else "changes"
-    listed = ", ".join(f"{name} {high[name]:.1f} mm" for name in order[0])
-    return (
-        f"**In short.** With moderate gain and feed-forward it {alike} which estimate you feed back: the bend is"
-        f" {forward.min():.2f} to {forward.max():.2f} mm off its reference. With high gain the estimate decides."
-        f" From best to worst: {listed}. Fed with the true bend, the same loop has {high['truth']:.2f} mm. If the"
-        f" arm bends a fifth further than the filter believes, this order {kept}."
-    )
+    listed = ", ".join(f"{name} {high[name]:.1f} mm" for name in order)
+    return sentences(IN_SHORT, forward=forward, high=high, listed=listed, same_order=order == then)
 
 
 def alone_in_words(gains: pd.DataFrame, noise_mt: float, loop_noise_mt: float) -> str:
@@ -277,33 +281,36 @@ def alone_in_words(gains: pd.DataFrame, noise_mt: float, loop_noise_mt: float) -
     )
 
 
+SOFTER = """
+With feed-forward, of the four estimators the {{ steady }} loses least: its tracking error grows from
+{{ before | fixed(2) }} to {{ after | fixed(2) }} mm,
+{{ "and it also tracks best" if steady == best else "but the " ~ best ~ " tracks best" }} ({{ least | fixed(2) }} mm).
+"""
+
+
 def softer_in_words(means: pd.DataFrame) -> str:
     """Return how tracking with feed-forward changes if the arm is softer than the filter believes."""
     part = means[(means["controller"] == "PI and feed-forward") & ~means["estimator"].str.startswith("truth")]
-    wide = part.pivot(index="estimator", columns="session", values="tracking_mm")[list(ARMS)]
-    steady, best = (wide.iloc[:, 1] / wide.iloc[:, 0]).idxmin(), wide.iloc[:, 1].idxmin()
-    before, after = wide.loc[steady]
-    also = "and it also tracks best" if steady == best else f"but the {best} tracks best"
-    return (
-        f"With feed-forward, of the four estimators the {steady} loses least: its tracking error grows from"
-        f" {before:.2f} to {after:.2f} mm,"
-        f" {also} ({wide.loc[best].iloc[1]:.2f} mm)."
-    )
+    wide = part.pivot(index="estimator", columns="session", values="tracking_mm")
+    before, after = (wide[session] for session in ARMS)
+    steady, best = (after / before).idxmin(), after.idxmin()
+    values = {"before": before[steady], "after": after[steady], "least": after[best]}
+    return sentences(SOFTER, steady=steady, best=best, **values)
+
+
+CLAIM = """
+With the command the ratio is at most 1.3 in {{ met }} of {{ tried }} combinations of controller, arm and reference,
+{{ "all" if plain == met else plain }} of them with the plain PI controller. So the claim
+{{ "holds here" if met == tried else "does not hold in general" }}. A ratio depends on its denominator. With
+feed-forward the error with the truth is at most about {{ truth | fixed(1) }} mm, so noise, the late reading and the
+load all show.
+"""
 
 
 def claim(ratios: pd.DataFrame) -> str:
     """Return how often the filter that knows the command is nearly as good as the truth."""
     part = ratios[ratios["estimator"] == INFORMED]
-    met, truth = (
-        part[part["ratio"] <= 1.3],
-        ratios[(ratios["estimator"] == "truth") & (ratios["controller"] != "PI")],
-    )
+    met, fed_truth = part[part["ratio"] <= 1.3], ratios[ratios["estimator"] == "truth"]
+    truth = fed_truth.loc[fed_truth["controller"] != "PI", "tracking_mm"].max()
     plain = (met["controller"] == "PI").sum()
-    holds = "holds here" if len(met) == len(part) else "does not hold in general"
-    return (
-        f"With the command the ratio is at most 1.3 in {len(met)} of {len(part)} combinations of controller, arm and"
-        f" reference, {'all' if plain == len(met) else plain} of them with the plain PI controller. So the claim"
-        f" {holds}."
-        " A ratio depends on its denominator. With feed-forward the error with the truth is at most about"
-        f" {truth['tracking_mm'].max():.1f} mm, so noise, the late reading and the load all show."
-    )
+    return sentences(CLAIM, met=len(met), tried=len(part), plain=plain, truth=truth)

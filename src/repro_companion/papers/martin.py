@@ -20,7 +20,7 @@ from repro import Arm, calibrate_imus, calibrated, pcc_extended, rigid_body
 from repro.common import require
 from repro.estimators.imu import ShapeModel
 from repro_companion.run import project_folder
-from repro_companion.show import ratio_interval
+from repro_companion.show import ratio_interval, sentences
 
 # The arm and Table I
 
@@ -63,22 +63,23 @@ def released_arm(model: str, n_imus: int = 8, segments: int = 16) -> Arm:
     """Return the chain behind a figure, with which the released table follows, and where it was evaluated."""
     if (model, n_imus) == ("rigid", 8):
         model, segments = "pcc", 8  # the boxes of the rigid-body model with eight IMUs are those of pcc1.csv
-    own = arm(model, n_imus, segments, "files")
-    imus, arcs, links = own.imus, own.imu_arcs, list(own.link_lengths)
-    between, first = "midpoints", links[0] - (0.018 if model == "rigid" else ORIGIN[2])
-    markers = (0.302, 0.542) if model == "rigid" else (0.3022, 0.5422)
-    if n_imus == 8:
-        first, markers = 0.057, (0.337, 0.577)
-        between = "inner points"
-    if (n_imus, segments) == (8, 8):
-        imus, arcs, links, markers = imus[:-1], arcs[:-1], links[:-1], (0.297, 0.537)
-        between = "midpoints"
-    turn = (0.0, 0.0, 0.0, 1.0) if model == "rigid" else HALF_TURN
-    links = [first, *links[1:]]
-    return replace(
-        own, imus=imus, imu_arcs=arcs, link_lengths=links, markers=markers, interpolation=between,
-        base_turn=turn, origin=ORIGIN,
-    )  # fmt: skip
+    own, rigid = arm(model, n_imus, segments, "files"), model == "rigid"
+    first, *others = own.link_lengths
+    made = replace(
+        own,
+        link_lengths=[first - (0.018 if rigid else ORIGIN[2]), *others],
+        markers=(0.302, 0.542) if rigid else (0.3022, 0.5422),
+        interpolation="midpoints",
+        base_turn=(0.0, 0.0, 0.0, 1.0) if rigid else HALF_TURN,
+        origin=ORIGIN,
+    )
+    if n_imus < 8:
+        return made
+    links = [0.057, *others]
+    if segments > 8:
+        return replace(made, link_lengths=links, markers=(0.337, 0.577), interpolation="inner points")
+    seven = {"imus": own.imus[:-1], "imu_arcs": own.imu_arcs[:-1], "link_lengths": links[:-1]}
+    return replace(made, **seven, markers=(0.297, 0.537))
 
 
 def mid_section() -> Arm:
@@ -336,9 +337,11 @@ class Case(NamedTuple):
 
 def cases(imus: Sequence[int] = (2, 4, 8), segments: Sequence[int] = (8, 16, 32, 64)) -> list[Case]:
     """Return the models of Figs 3 to 5."""
-    found = [Case("Fig. 3", "rigid", n, n) for n in imus]
-    found += [Case("Fig. 4", "pcc", 8, n) for n in segments]
-    return found + [Case("Fig. 5", "pcc", n, 16) for n in imus]
+    return [
+        *(Case("Fig. 3", "rigid", n, n) for n in imus),
+        *(Case("Fig. 4", "pcc", 8, n) for n in segments),
+        *(Case("Fig. 5", "pcc", n, 16) for n in imus),
+    ]
 
 
 def distances(trial: Trial, made: Arm) -> np.ndarray:
@@ -348,40 +351,38 @@ def distances(trial: Trial, made: Arm) -> np.ndarray:
 
 def marker_errors(trials: Sequence[Trial], chosen: Sequence[Case]) -> pd.DataFrame:
     """Return quantiles of the markers' errors [mm] over the samples of each trial."""
+    arms = [(case, evaluation, made) for case in chosen for evaluation, made in case.arms().items()]
 
-    def of_trial(number: int) -> list[Any]:
-        lines, found = [], {}
-        for case in chosen:
-            for evaluation, made in case.arms().items():
-                if made not in found:
-                    found[made] = np.percentile(
-                        distances(trials[number], made), [*QUANTILES.values()], axis=0
-                    )
-                for k, quantiles in enumerate(found[made].T):
-                    key = (case.figure, case.name, *case[1:], evaluation, f"M{k + 1}")
-                    lines.append((number, *key, *quantiles))
-        return lines
+    def of_trial(trial: Trial) -> dict[Arm, np.ndarray]:
+        return {
+            made: np.percentile(distances(trial, made), [*QUANTILES.values()], axis=0)
+            for made in {made for *_, made in arms}
+        }
 
     with ThreadPoolExecutor() as pool:
-        lines = [line for part in pool.map(of_trial, range(len(trials))) for line in part]
+        found = [*pool.map(of_trial, trials)]
+    lines = [
+        (draw, case.figure, case.name, *case[1:], evaluation, f"M{k + 1}", *quantiles[made][:, k])
+        for draw, quantiles in enumerate(found)
+        for case, evaluation, made in arms
+        for k in (0, 1)
+    ]
     return pd.DataFrame(lines, columns=["draw", *KEYS, *QUANTILES])
 
 
 def model_differences(table: pd.DataFrame, trials: Sequence[Trial]) -> pd.DataFrame:
     """Return median errors at M1 [mm] with eight IMUs, means over the draws, by which chains are compared."""
     first = table[(table["marker"] == "M1") & table["case"].isin([RIGID_8, PCC_16])]
-    medians = first.pivot_table(index=["draw", "evaluation"], columns="case", values="median_mm").unstack()
+    wide = first.pivot_table(index="draw", columns=["case", "evaluation"], values="median_mm")
     middle = np.array([np.median(distances(trial, mid_section())[:, 0]) for trial in trials])
-    lines = []
-    for words, evaluation in {
-        "text and Table I": DESCRIBED,
-        "the same, IMUs in the middle of their rigid links": None,
-        "files behind Table II": FILES,
-        "these files, both at the marker": SAME_POINT,
-    }.items():
-        pcc = medians[PCC_16, evaluation or DESCRIBED].to_numpy()
-        rigid = medians[RIGID_8, evaluation].to_numpy() if evaluation else middle
-        lines.append((words, rigid.mean(), pcc.mean(), 100 * (1 - pcc / rigid).mean()))
+    pcc, rigid = ({way: wide[name, way].to_numpy() for way in wide[name]} for name in (PCC_16, RIGID_8))
+    pairs = {
+        "text and Table I": (pcc[DESCRIBED], rigid[DESCRIBED]),
+        "the same, IMUs in the middle of their rigid links": (pcc[DESCRIBED], middle),
+        "files behind Table II": (pcc[FILES], rigid[FILES]),
+        "these files, both at the marker": (pcc[SAME_POINT], rigid[SAME_POINT]),
+    }
+    lines = [(chains, b.mean(), a.mean(), 100 * np.mean(1 - a / b)) for chains, (a, b) in pairs.items()]
     return pd.DataFrame(lines, columns=["chains", "rigid_mm", "pcc_mm", "less_percent"])
 
 
@@ -488,13 +489,14 @@ def scorecard_rows(
         if cases == [PCC_16] and row["quantity"] != "reduction":
             at, scale = _in_print(row["unit"], marker)
             own = {"best": scale * best[COLUMN[row["quantity"]]][at], "best_method": best_method}
-        numbers = {
+        lines.append(row | own | {
             "regenerated": ours[FILES].mean(),
             "regenerated_std": ours[FILES].std(),
             "n_seeds": len(ours[FILES]),
-        }
-        about = {"setting": setting, "note": _note(row, cases, ours), "comparable": setting != SYNTHETIC}
-        lines.append(row | numbers | own | about)
+            "setting": setting,
+            "note": _note(row, cases, ours),
+            "comparable": setting != SYNTHETIC,
+        })  # fmt: skip
     return pd.DataFrame(lines).assign(paper="martin2022")
 
 
@@ -567,22 +569,25 @@ def _rigid_medians(table: pd.DataFrame) -> pd.Series:
     return table[table["model"] == "rigid"].groupby(["evaluation", "n_imus", "marker"])["median_mm"].mean()
 
 
+WHAT_TO_SEE = """
+**What to see.** All errors below are of a *synthetic* arm with assumed sensors, so they cannot confirm or refute the
+paper's. We evaluate the models at the points that the authors' files use.
+{% if falls %}
+Then our errors fall with the number of IMUs, as the published ones do.
+{% endif %}
+With the rigid links of the text it is otherwise. At M1 their error is {{ sizes }}. With eight IMUs the links end at
+their IMUs, and with fewer the IMUs sit in the middle.
+"""
+
+
 def errors_in_words(table: pd.DataFrame) -> str:
     """Return what to see in Table II of the synthetic arm."""
     boxes = table[(table["evaluation"] == FILES) & (table["figure"] != "Fig. 4")]
-    steps = (
-        boxes.groupby(["figure", "marker", "n_imus"])["median_mm"].mean().groupby(["figure", "marker"]).diff()
-    )
-    falls = " Then our errors fall with the number of IMUs, as the published ones do."
+    medians = boxes.groupby(["figure", "marker", "n_imus"])["median_mm"].mean()
+    falls = medians.groupby(["figure", "marker"]).diff().dropna().lt(0).all()
     described = _rigid_medians(table)[DESCRIBED].xs("M1", level="marker")
     sizes = ", ".join(f"{x:.0f} mm with {count} IMUs" for count, x in described.items())
-    return (
-        "**What to see.** All errors below are of a *synthetic* arm with assumed sensors, so they cannot confirm"
-        " or refute the paper's. We evaluate the models at the points that the authors' files use."
-        f"{falls if steps.dropna().lt(0).all() else ''}"
-        f" With the rigid links of the text it is otherwise. At M1 their error is {sizes}."
-        " With eight IMUs the links end at their IMUs, and with fewer the IMUs sit in the middle."
-    )
+    return sentences(WHAT_TO_SEE, falls=falls, sizes=sizes)
 
 
 # Beyond the paper: calibrated on the first minute

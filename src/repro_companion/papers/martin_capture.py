@@ -31,7 +31,7 @@ from repro_companion.papers.martin_files import (
 )
 from repro_companion.run import project_folder
 from repro_companion.scorecard import AUTHORS
-from repro_companion.show import KEY
+from repro_companion.show import KEY, sentences
 
 HEADER = [f"{name}{body}" for body in ("base", "4", "7") for name in "RPYxyz"]
 """Columns after frame and sub-frame, which have no name: three angles, which nobody uses, and x, y, z of a body."""
@@ -235,12 +235,11 @@ def checked(found: Recording) -> Recording:
 
 def authors_errors(found: Recording) -> dict[Case, np.ndarray]:
     """Return how far M1 and M2 ``[rows, 2]`` [mm] of each table are from the motion capture; NaN where not seen."""
-    errors = {}
-    for case, (name, later) in TABLES.items():
-        if name in found.tables:
-            measured, modelled = found.paired(name, later)
-            errors[case] = 1e3 * np.linalg.norm(measured - modelled, axis=-1)
-    return errors
+    here = {case: table for case, table in TABLES.items() if table[0] in found.tables}
+    return {
+        case: 1e3 * np.linalg.norm(np.subtract(*found.paired(*table)), axis=-1)
+        for case, table in here.items()
+    }
 
 
 def marker_errors(found: Recording, chosen: Sequence[Case]) -> pd.DataFrame:
@@ -248,15 +247,15 @@ def marker_errors(found: Recording, chosen: Sequence[Case]) -> pd.DataFrame:
 
     As in the files: the tables themselves. The other chains take the orientations behind the tables.
     """
-    errors, tables = authors_errors(found), []
+    errors, lines = authors_errors(found), []
     here = [case for case in chosen if case in errors]
     for case in here:
         quantiles = np.nanpercentile(errors[case], [*martin.QUANTILES.values()], axis=0)
         for marker, values in zip(("M1", "M2"), quantiles.T, strict=True):
-            key = (0, case.figure, case.name, *case[1:], martin.FILES, marker)
-            tables.append(pd.DataFrame([(*key, *values)], columns=["draw", *martin.KEYS, *martin.QUANTILES]))
+            lines.append((0, case.figure, case.name, *case[1:], martin.FILES, marker, *values))
+    tables = pd.DataFrame(lines, columns=["draw", *martin.KEYS, *martin.QUANTILES])
     others = martin.marker_errors([found.as_evaluated], here)
-    return pd.concat([*tables, others[others["evaluation"] != martin.FILES]], ignore_index=True)
+    return pd.concat([tables, others[others["evaluation"] != martin.FILES]], ignore_index=True)
 
 
 def own_check(found: Recording) -> pd.DataFrame:
@@ -284,14 +283,14 @@ class Chain(NamedTuple):
 def chains() -> list[Chain]:
     """Return the models that both columns compare: those of the files, of the text, and ours."""
     rigid_8, pcc_16 = Case("Fig. 3", "rigid", 8, 8), Case("Fig. 4", "pcc", 8, 16)
-    found = [
+    return [
         Chain("rigid-body (pcc1.csv)", pcc_extended, martin.released_arm("rigid"), case=rigid_8),
         Chain("PCC-extended (pcc2.csv)", pcc_extended, martin.released_arm("pcc"), case=pcc_16),
         Chain("rigid-body, of the text", rigid_body, arm("rigid")),
         Chain("PCC-extended, of the text", pcc_extended, arm("pcc")),
         Chain("exact arcs", exact_arcs, arm("pcc")),
+        Chain(martin.BEST, exact_arcs, arm("pcc"), per_imu=True),
     ]
-    return [*found, Chain(martin.BEST, exact_arcs, arm("pcc"), per_imu=True)]
 
 
 def _at(times: np.ndarray, seen_s: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -328,15 +327,17 @@ def both_ways(found: Recording) -> pd.DataFrame:
         if chain.case is None and not chain.per_imu:
             points = chain.model(chain.arm.select(rows.orientations), chain.arm, chain.arm.markers)
             own = 1e3 * np.linalg.norm(points - rows.points, axis=-1)
-        line: dict[str, object] = {"chain": chain.name}
-        for way, error in {"authors": own, "ours": aligned_errors(found.aligned, chain)}.items():
-            values = np.full((2, 2), np.nan) if error is None else np.nanpercentile(error, [50, 75], axis=0)
-            for k, marker in enumerate(("m1", "m2")):
-                line |= {f"{way}_median_{marker}_mm": values[0, k], f"{way}_q75_{marker}_mm": values[1, k]}
-        lines.append(line)
-    return pd.DataFrame(lines)
+        both = own, aligned_errors(found.aligned, chain)
+        quartiles = [
+            np.full(4, np.nan) if x is None else np.nanpercentile(x, [50, 75], axis=0).T for x in both
+        ]
+        lines.append((chain.name, *np.ravel(quartiles[0]), *np.ravel(quartiles[1])))
+    columns = [f"{way}_{q}_{m}_mm" for way in ("authors", "ours") for m in ("m1", "m2") for q in SHORT]
+    return pd.DataFrame(lines, columns=["chain", *columns])
 
 
+SHORT = {"median": "median_mm", "q75": "q75_mm"}
+"""Of both ways, and of the rows of the scorecard."""
 SETTING = f"{AUTHORS}: tables of the models and motion capture, rows paired as in the authors' notebook"
 
 
@@ -351,9 +352,6 @@ def scorecard_rows(table: pd.DataFrame, both: pd.DataFrame) -> pd.DataFrame:
     own = pd.MultiIndex.from_frame(found[KEY])
     rest = committed[~pd.MultiIndex.from_frame(committed[KEY]).isin(own)]
     return pd.concat([found, rest.assign(comparable=rest["comparable"].astype(bool))], ignore_index=True)
-
-
-SHORT = {"median": "median_mm", "q75": "q75_mm"}
 
 
 # Fig. 6, and words
@@ -439,26 +437,33 @@ def badge() -> str:
     )
 
 
-def evaluated_in_words(found: Recording) -> str:
-    """Return what the authors' evaluation came to here, with the check against their notebook."""
-    check, rows = own_check(found), len(authors_errors(found)[Case("Fig. 4", "pcc", 8, 16)])
-    ours, printed = (" and ".join(f"{x:.3f}" for x in check[c]) for c in ("ours_mm", "printed_mm"))
-    verdict = "They agree to 0.001 mm, so we evaluate as the authors did."
-    if not check["agree"].all():
-        verdict = "**They do not agree**: this is another motion capture, or our evaluation is not theirs."
-    capture = found.capture
-    lost = f"{capture.lost:,} of {len(capture.points):,} rows of the motion capture lack a marker or the base"
-    later = CAPTURE_LATER - ROWS_OF_PCC_2 + martin_files.LATER
-    apart = found.clock_s[later:] - found.clock_s[:-later]
-    return (
-        f"**A check.** {CHECKED} Ours are {ours} mm, and the printed ones {printed} mm. {verdict} We compare"
-        f" {rows:,} rows as the notebook does (its cells 5 to 34): from row 1,000 to row 8,000 or to the end of the"
-        f" motion capture. {f'{lost}, and we left these out. ' if capture.lost else ''}Pairs of rows are not equally"
-        f" far apart in time: by the clock of `rigid.csv` earliest and latest pair differ by {np.ptp(apart):.2f} s."
-    )
-
-
 CHECKED = (
     "The authors' notebook prints two errors without rounding, the third quartiles of `pcc1.csv` at M1 and M2. They"
     " are the 17.7 and 16.25 % of the rigid-body model in Table II."
 )
+EVALUATED = """
+**A check.** {{ checked }} Ours are {{ ours }} mm, and the printed ones {{ printed }} mm.
+{% if agree %}
+They agree to 0.001 mm, so we evaluate as the authors did.
+{% else %}
+**They do not agree**: this is another motion capture, or our evaluation is not theirs.
+{% endif %}
+We compare {{ rows }} rows as the notebook does (its cells 5 to 34): from row 1,000 to row 8,000 or to the end of the
+motion capture.
+{% if lost != "0" %}
+{{ lost }} of {{ captured }} rows of the motion capture lack a marker or the base, and we left these out.
+{% endif %}
+Pairs of rows are not equally far apart in time: by the clock of `rigid.csv` earliest and latest pair differ by
+{{ apart | fixed(2) }} s.
+"""
+
+
+def evaluated_in_words(found: Recording) -> str:
+    """Return what the authors' evaluation came to here, with the check against their notebook."""
+    check, rows = own_check(found), len(authors_errors(found)[Case("Fig. 4", "pcc", 8, 16)])
+    counts = {"rows": rows, "lost": found.capture.lost, "captured": len(found.capture.points)}
+    ours, printed = (" and ".join(f"{x:.3f}" for x in check[c]) for c in ("ours_mm", "printed_mm"))
+    later = CAPTURE_LATER - ROWS_OF_PCC_2 + martin_files.LATER
+    apart = np.ptp(found.clock_s[later:] - found.clock_s[:-later])
+    values = {name: f"{count:,}" for name, count in counts.items()} | {"ours": ours, "printed": printed}
+    return sentences(EVALUATED, checked=CHECKED, agree=check["agree"].all(), apart=apart, **values)

@@ -23,7 +23,7 @@ from repro_companion.papers.martin import (
     shape,
 )
 from repro_companion.run import project_folder, recordings_folder
-from repro_companion.show import number
+from repro_companion.show import number, sentences
 
 FOLDER = "martin2022"
 TABLES = "data analysis/data"
@@ -68,9 +68,23 @@ def unlike_released() -> list[str]:
     return [source.path for source, path in here if path.is_file() and not source.is_at(path)]
 
 
+FILES_HERE = """
+{% if missing %}
+Of the authors' files these are missing: {{ missing | join(", ") }}.
+{% else %}
+All files are here.
+{% endif %}
+{% if unlike %}
+Not the released files, by their hashes: {{ unlike | join(", ") }}.
+{% else %}
+Their hashes are the published ones.
+{% endif %}
+"""
+
+
 def files_in_words() -> str:
     """Return which listed files are here, which are missing, and which are not the released ones."""
-    missing, other = absent(), unlike_released()
+    missing, special = absent(), {CAPTURE: "the motion capture", QUATERNIONS: "the raw quaternions"}
     tables = len(released_chains())
     if len(missing) == tables + 2:
         listed = read_sources(project_folder() / "data" / "sources.json", FOLDER)
@@ -79,16 +93,12 @@ def files_in_words() -> str:
             f"They are {tables} tables of the models ({megabytes:.0f} MB), the motion capture and the raw quaternions"
             " (sizes not listed)."
         )
-    special = {CAPTURE: "the motion capture", QUATERNIONS: "the raw quaternions"}
-    names = [special.get(name, f"`{name.rpartition('/')[2]}`") for name in missing]
-    said = f"Of the authors' files these are missing: {', '.join(names)}." if names else "All files are here."
-    unlike = ", ".join(f"`{name.rpartition('/')[2]}`" for name in other)
-    same = (
-        f"Not the released files, by their hashes: {unlike}."
-        if unlike
-        else "Their hashes are the published ones."
+    own, unlike = (
+        {name: f"`{name.rpartition('/')[2]}`" for name in names} for names in (missing, unlike_released())
     )
-    return f"{said} {same}"
+    return sentences(
+        FILES_HERE, missing=[special.get(name, own[name]) for name in own], unlike=unlike.values()
+    )
 
 
 FETCH = "```bash\n.venv/bin/repro fetch martin2022\nmake page P=imu_markers\n```"
@@ -198,15 +208,19 @@ def released_chains() -> dict[str, Released]:
     def joints(first: float) -> dict[int, float]:
         return {0: 0.0} | {k: first + 0.08 * (k - 1) for k in range(1, 8)}
 
-    found = {RIGID_FILE: Released(rigid, joints(0.102))}
-    found[PCC_1] = Released(released_arm("pcc", 8, 8), joints(0.057))
     middles = {0: 0.0285} | {k: 0.017 + 0.08 * k for k in range(1, 8)}
-    for n in (2, 4, 6, 8):
-        found[f"elephant/pcc/pcc{n}.csv"] = Released(released_arm("pcc", 8, 8 * n), middles)
+    fewer: dict[str, Released] = {}
     for n in (2, 4):
-        found[f"fly/less_imu/less_imu_{n}.csv"] = Released(released_arm("rigid", n), joints(0.062))
-        found[f"fly/pcc16/pcc16_{n}.csv"] = Released(released_arm("pcc", n), {4: 0.3022, 7: 0.5422})
-    return found
+        fewer[f"fly/less_imu/less_imu_{n}.csv"] = Released(released_arm("rigid", n), joints(0.062))
+        fewer[f"fly/pcc16/pcc16_{n}.csv"] = Released(released_arm("pcc", n), {4: 0.3022, 7: 0.5422})
+    return {
+        RIGID_FILE: Released(rigid, joints(0.102)),
+        PCC_1: Released(released_arm("pcc", 8, 8), joints(0.057)),
+        **{
+            f"elephant/pcc/pcc{n}.csv": Released(released_arm("pcc", 8, 8 * n), middles) for n in (2, 4, 6, 8)
+        },
+        **fewer,
+    }
 
 
 def synthetic_tables(trial: Trial) -> dict[str, np.ndarray]:

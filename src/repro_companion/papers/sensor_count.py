@@ -33,7 +33,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import accumulate, product
 from typing import NamedTuple
 
 import numpy as np
@@ -102,13 +102,11 @@ def grid(
     *Ratio* is the error over the error of three sensors, *averaging* what a mean of n readings would gain on three.
     """
     parts = []
-    for n_b in segments:
-        for n_s in sensors:
-            normal = np.random.default_rng(seed).standard_normal((steps, draws, n_b * n_s))
-            for noise in noise_mt:
-                own = errors(n_b, n_s, noise, normal).drop(columns="draw").mean()
-                parts.append({"n_segments": n_b, "noise_mt": noise, "n_sensors": n_s, **own})
-    table = pd.DataFrame(parts).sort_values(["n_segments", "noise_mt", "n_sensors"], ignore_index=True)
+    for n_b, noise, n_s in product(sorted(segments), sorted(noise_mt), sorted(sensors)):
+        normal = np.random.default_rng(seed).standard_normal((steps, draws, n_b * n_s))
+        own = errors(n_b, n_s, noise, normal).drop(columns="draw").mean()
+        parts.append({"n_segments": n_b, "noise_mt": noise, "n_sensors": n_s, **own})
+    table = pd.DataFrame(parts)
     three = (
         table["mean_percent"].where(table["n_sensors"] == 3).groupby([table["n_segments"], table["noise_mt"]])
     )
@@ -141,8 +139,7 @@ def places(heights_mm: Sequence[float], radii_mm: Sequence[float], samples: int)
     rows = []
     for above, radial in product(heights_mm, radii_mm):
         check = moved(above / 1e3, radial / 1e3).check(samples=samples)
-        tips = 1e3 * np.median(check.tip), 1e3 * np.median(check.tip_as_built)
-        rows.append((above, radial, *tips))
+        rows.append((above, radial, 1e3 * np.median(check.tip), 1e3 * np.median(check.tip_as_built)))
     return pd.DataFrame(rows, columns=["above_mm", "radial_mm", "noise_mm", "off_mm"])
 
 
@@ -217,10 +214,8 @@ def random_curves(count: int, length: float, curvature: float, slope: float, see
     whole, half = (
         Rotation.from_rotvec(x.reshape(-1, 3)).as_quat().reshape(count, STEPS, 4) for x in (turns, turns / 2)
     )
-    frames = [np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))]
-    for turn in np.moveaxis(whole, 1, 0):
-        frames.append(martin.product(frames[-1], turn))
-    frames = np.stack(frames, axis=1)
+    upright = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+    frames = np.stack([*accumulate(np.moveaxis(whole, 1, 0), martin.product, initial=upright)], axis=1)
     x, y, z, w = np.moveaxis(martin.product(frames[:, :-1], half), -1, 0)
     chords = h * np.sinc(np.linalg.norm(turns, axis=-1) / (2 * np.pi))
     along = np.stack([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)], axis=-1)
@@ -297,15 +292,14 @@ def imu_errors(
     The bound is for curves of these limits, curvature and its slope.
     """
     rows = []
-    for model in IMU_MODELS:
-        for deg in sensor_deg:
-            for n in counts:
-                off = 1e3 * tip_errors(curves, model, n, math.radians(deg), seed)
-                own = {"rms_mm": math.sqrt((off**2).mean()), "largest_mm": off.max()}
-                own["bound_mm"] = np.nan if deg else 1e3 * imu_bound(model, n, curves.length, *limits)
-                own["rule_mm"] = 1e3 * math.radians(deg) * curves.length * math.sqrt(2 / n) if deg else np.nan
-                rows.append({"model": model, "sensor_deg": deg, "n_imus": n, **own})
-    return pd.DataFrame(rows)
+    for model, deg, n in product(IMU_MODELS, sensor_deg, counts):
+        off = 1e3 * tip_errors(curves, model, n, math.radians(deg), seed)
+        bound = 1e3 * imu_bound(model, n, curves.length, *limits)
+        rule = 1e3 * math.radians(deg) * curves.length * math.sqrt(2 / n)
+        known = (np.nan, rule) if deg else (bound, np.nan)
+        rows.append((model, deg, n, math.sqrt((off**2).mean()), off.max(), *known))
+    columns = ["model", "sensor_deg", "n_imus", "rms_mm", "largest_mm", "bound_mm", "rule_mm"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def imus_needed(curves: Curves, limits: tuple[float, float], tolerances: Sequence[float]) -> pd.DataFrame:

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import pairwise
+from functools import reduce
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -117,10 +118,11 @@ def trials() -> dict[str, tuple[Path, tuple[float, float] | None]]:
     )
     folders = [path for root in roots for path in sorted(root.glob("*/")) if (path / "aurora0.csv").is_file()]
     content = {tuple(digest(path / f"{name}.csv") for name in WIDTHS): path for path in reversed(folders)}
-    found = {}
-    for folder in sorted(content.values(), key=folders.index):
-        for name in SAME if folder.name in SAME else (folder.name,):
-            found[name] = folder, WINDOWS_S.get(name)
+    found = {
+        name: (folder, WINDOWS_S.get(name))
+        for folder in sorted(content.values(), key=folders.index)
+        for name in (SAME if folder.name in SAME else (folder.name,))
+    }
     return {name: found[name] for name in sorted(found, key=lambda name: name != CHOOSING)}
 
 
@@ -239,11 +241,10 @@ def errors_of(table: pd.DataFrame, model: str, memory_s: float) -> list[TrackerE
         own = table[table["tracker"] == tracker].set_index("part")
         rms, white = (own[name].to_numpy() * [1e-3, math.radians(1)] for name in ("rms", "white"))
         lasting = np.sqrt(rms**2 - white**2)
-        if model == "estimated":
-            found.append(TrackerErrors(tuple(white), tuple(lasting), float(own["lasts_s"].mean())))
-        else:
-            often = max(1.0, TRACKER_HZ * memory_s) if model == "inflated" else 1.0
-            found.append(TrackerErrors(tuple(np.sqrt(white**2 + often * lasting**2)), (), math.inf))
+        often = max(1.0, TRACKER_HZ * memory_s) if model == "inflated" else 1.0
+        whole = TrackerErrors(tuple(np.sqrt(white**2 + often * lasting**2)), (), math.inf)
+        apart = TrackerErrors(tuple(white), tuple(lasting), float(own["lasts_s"].mean()))
+        found.append(apart if model == "estimated" else whole)
     return found
 
 
@@ -361,9 +362,7 @@ def body_poses(name: str, whole: bool = False) -> np.ndarray:
     """Return poses ``[frames, 5, 4, 4]`` of all bodies in the frame of the first, where all were seen at one time."""
     folder, window = trials()[name]
     seen = [read(folder, body, None if whole else window) for body in BODIES]
-    common = seen[0][0]
-    for t, _ in seen[1:]:
-        common = np.intersect1d(common, t)
+    common = reduce(np.intersect1d, [t for t, _ in seen])
     T = np.stack([poses(x[np.searchsorted(t, common)]) for t, x in seen], axis=1)
     return np.linalg.inv(T[:, :1]) @ T
 
@@ -411,10 +410,9 @@ def floors(
         across = np.hypot(x, y)
         turn = (np.arctan2(across, z) / across)[..., None] * np.stack([-y, x, 0 * z], axis=-1)
         T[..., :3, :3] = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(*turn.shape, 3)
-        for model, robot in shape_models().items():
-            for given, seen in SEEN.items():
-                error = float(unseen_error(robot, T, list(seen)))
-                rows.append({"trial": name, "model": model, "given": given, "error_mm": error})
+        for (model, robot), (given, seen) in product(shape_models().items(), SEEN.items()):
+            error = float(unseen_error(robot, T, list(seen)))
+            rows.append({"trial": name, "model": model, "given": given, "error_mm": error})
     return pd.DataFrame(rows)
 
 
@@ -446,13 +444,12 @@ def imu_errors(names: Sequence[str]) -> pd.DataFrame:
     rows = []
     for name in names:
         T = body_poses(name)
-        for n in (2, 3, 5):
-            for model, (function, where) in IMU_MODELS.items():
-                arm = imu_arm(n, where)
-                R = Rotation.from_matrix(T[:, list(arm.imus), :3, :3].reshape(-1, 3, 3))
-                shape = function(R.as_quat().reshape(len(T), -1, 4), arm, STATIONS)
-                error = 1e3 * np.sqrt(((shape - T[:, 1:, :3, 3]) ** 2).sum(-1).mean(0)).mean()
-                rows.append({"trial": name, "bodies": n, "model": model, "error_mm": error})
+        for n, (model, (function, where)) in product((2, 3, 5), IMU_MODELS.items()):
+            arm = imu_arm(n, where)
+            R = Rotation.from_matrix(T[:, list(arm.imus), :3, :3].reshape(-1, 3, 3))
+            shape = function(R.as_quat().reshape(len(T), -1, 4), arm, STATIONS)
+            error = 1e3 * np.sqrt(((shape - T[:, 1:, :3, 3]) ** 2).sum(-1).mean(0)).mean()
+            rows.append({"trial": name, "bodies": n, "model": model, "error_mm": error})
     return pd.DataFrame(rows)
 
 
@@ -460,9 +457,7 @@ def still(
     readings: Capture, parts: Sequence[tuple[np.ndarray, np.ndarray]], constants: np.ndarray
 ) -> pd.DataFrame:
     """Return positions [mm] by motion capture, our smoother and the released window, where the middle errs most."""
-    common = readings.truth[0][0]
-    for t, _ in readings.truth[1:]:
-        common = np.intersect1d(common, t)
+    common = reduce(np.intersect1d, [t for t, _ in readings.truth])
     rows = [np.searchsorted(t, common) for t, _ in readings.truth]
     off = np.stack([error[row] for row, (error, _) in zip(rows, parts, strict=True)], axis=1)
     p = np.stack([T[row, :3, 3] for row, (_, T) in zip(rows, readings.truth, strict=True)], axis=1)

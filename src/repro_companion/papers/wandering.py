@@ -106,12 +106,10 @@ def fading(shape: tuple[int, int, int], time_s: float, generator: np.random.Gene
 def drift(steps: int, generator: np.random.Generator) -> np.ndarray:
     """Return the errors of the sensors ``[t, 28]``; none at the start."""
     tilt = TILT * fading((steps, 3, 2), TILT_S, generator).reshape(steps, 6)
-    parts = [np.arange(steps)[:, None] * WARMING / (SIZE_S * RATE_HZ)]
-    for n, size in ((9, GAIN), (9, OFFSET), (3, HEADING)):
-        parts.append(
-            np.cumsum(size / math.sqrt(SIZE_S * RATE_HZ) * generator.standard_normal((steps, n)), axis=0)
-        )
-    errors = np.hstack([*parts, tilt])
+    warming = np.arange(steps)[:, None] * WARMING / (SIZE_S * RATE_HZ)
+    sizes = np.repeat([GAIN, OFFSET, HEADING], [9, 9, 3]) / math.sqrt(SIZE_S * RATE_HZ)
+    parts = [generator.standard_normal((steps, n)) for n in (9, 9, 3)]
+    errors = np.hstack([warming, np.cumsum(sizes * np.hstack(parts), axis=0), tilt])
     return errors - errors[0]
 
 
@@ -224,14 +222,9 @@ def by_minute(run: Run, found: Trajectory) -> pd.DataFrame:
     alarm = np.isin(found.status, ("left out", "inconsistent"))
     seconds = {"iron_s": near, "flag_iron_s": alarm & near, "flag_else_s": alarm & ~later}
     table = pd.DataFrame({"square": error**2, "nees": nees, **seconds}).groupby(run.times // 60)
-    columns = {name: table[name].sum() * (run.times[1] - run.times[0]) for name in seconds}
-    columns = {"tip_rmse_percent": np.sqrt(table["square"].mean()), "nees": table["nees"].mean(), **columns}
-    return (
-        pd.DataFrame(columns)
-        .rename_axis("minute")
-        .reset_index()
-        .assign(minute=lambda x: x["minute"].astype(int) + 1)
-    )
+    means = pd.DataFrame({"tip_rmse_percent": np.sqrt(table["square"].mean()), "nees": table["nees"].mean()})
+    found = means.join(table[list(seconds)].sum() * (run.times[1] - run.times[0])).rename_axis("minute")
+    return found.reset_index().assign(minute=lambda x: x["minute"].astype(int) + 1)
 
 
 def minutes_of(seed: int, minutes: float = MINUTES) -> pd.DataFrame:
