@@ -22,8 +22,8 @@ An estimator takes readings one time step after the other and returns q, how sur
     LevenbergMarquardt                         least squares within bounds, with a covariance
     KalmanFilter                               the same, with what the readings before say
     ParticleFilter                             Mitchell et al. 2021
-    ImuShape, Arm                              Martin et al. 2022: positions along an arm from orientations of IMUs
-    rigid_body, pcc_extended                   its models of the arm; exact_arcs is ours
+    rigid_body, pcc_extended, Arm              Martin et al. 2022: positions along an arm from orientations of IMUs
+    exact_arcs                                 the same with arcs, ours
     Drift, Drifting                            errors of sensors that wander, estimated on the way
     calibrate                                  a robot that is not as drawn, from readings in measured poses
     calibrate_imus, calibrated                 headings and mountings of IMUs, from motion capture
@@ -59,7 +59,6 @@ if TYPE_CHECKING:
     )
     from repro.estimators.imu import (
         Arm as Arm,
-        ImuShape as ImuShape,
         calibrate_imus as calibrate_imus,
         calibrated as calibrated,
         exact_arcs as exact_arcs,
@@ -113,7 +112,7 @@ _HOMES = {
     "estimators.calibration": "calibrate",
     "estimators.drift": "Drift Drifting",
     "estimators.gradient_descent": "GradientDescent",
-    "estimators.imu": "Arm ImuShape calibrate_imus calibrated exact_arcs pcc_extended rigid_body",
+    "estimators.imu": "Arm calibrate_imus calibrated exact_arcs pcc_extended rigid_body",
     "estimators.kalman": "KalmanFilter smooth",
     "estimators.least_squares": "LevenbergMarquardt",
     "estimators.particle": "ParticleFilter",
