@@ -82,7 +82,7 @@ if TYPE_CHECKING:
         Ring as Ring,
         simulated_readings as simulated_readings,
     )
-    from repro.motion_capture import (
+    from repro.estimators.fit_shape import (
         fit_shape as fit_shape,
     )
     from repro.robot import (
@@ -117,7 +117,7 @@ _HOMES = {
     "estimators.least_squares": "LevenbergMarquardt",
     "estimators.particle": "ParticleFilter",
     "magnets": "Cube Disc Magnet Ring simulated_readings",
-    "motion_capture": "fit_shape",
+    "estimators.fit_shape": "fit_shape",
     "robot": "AffineCurvature BallJoint ConstantCurvature FreeBody Imu Link Robot Sensor",
     "robot_file": "example load_robot",
     "sensing": "BendSensor Sensing",

@@ -397,7 +397,8 @@ def _batch(ints, floats, weights, q, task, u, J, extra):
 
 
 @kernel(entry=True, allocates=True)
-def _batch_difference(n_s, u, u_hat, r):
+def batch_difference(n_s, u, u_hat, r):
+    """Write what was read beyond what was predicted for a batch, rotations behind ``n_s`` plain readings."""
     A, B, W = np.zeros((3, 4)), np.zeros((3, 3)), np.zeros((6, 6))
     for n in range(len(u)):
         difference(n_s, u[n], u_hat[n], r[n], A, B, W)
@@ -625,7 +626,7 @@ class Sensing:
         u, u_hat = np.broadcast_arrays(np.asarray(u, dtype=float), np.asarray(u_hat, dtype=float))
         flat, hat = (np.ascontiguousarray(x.reshape(-1, self.n_readings)) for x in (u, u_hat))
         r = np.empty_like(flat)
-        _batch_difference(self.n_magnetic, flat, hat, r)
+        batch_difference(self.n_magnetic, flat, hat, r)
         return r.reshape(u.shape)
 
     def wrenches(self, q: Any) -> tuple[Array, Array]:

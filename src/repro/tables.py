@@ -668,3 +668,33 @@ def configurations_of(robot: Robot, table: Table) -> Array:
         angle = robot.angles[c] or name.startswith("kappa")
         q[:, c], _ = table.scaled(name, ("rad", "deg") if angle else ("mm", "cm", "m"))
     return q
+
+
+POSITION_FIRST = [4, 5, 6, 0, 1, 2, 3]
+"""Order of the columns of a body with its position first, then its quaternion."""
+
+
+def bodies_of(table: Table) -> dict[str, Array]:
+    """Return the bodies of a table ``[t, 7]``, quaternion X, Y, Z, W and position [m]; markers have no quaternion.
+
+    Body k has the columns ``x_k_mm, y_k_mm, z_k_mm`` (or ``_m``, ``_cm``) and the quaternion ``qx_k, qy_k, qz_k,
+    qw_k``. Bodies are in the order of their numbers.
+
+    Raises
+    ------
+    InputError
+        If a column is missing.
+    """
+    found = sorted(
+        {int(name.split("_")[1]) for name in table.names if re.fullmatch(r"q?[xyzw]_[0-9]+", name)}
+    )
+    require(found, "columns", table.owner, "x_1_mm, y_1_mm, z_1_mm and so on", ", ".join(table.columns))
+    whole, bodies = any(name.startswith("qx_") for name in table.names), dict[str, Array]()
+    for body in found:
+        q = [
+            table.scaled(f"q{axis}_{body}")[0] if whole else np.full(len(table.values), np.nan)
+            for axis in "xyzw"
+        ]
+        p = [table.scaled(f"{axis}_{body}", ("mm", "cm", "m"))[0] for axis in "xyz"]
+        bodies[str(body)] = np.stack([*q, *p], axis=1)
+    return bodies

@@ -330,7 +330,7 @@ def calibrate_files(
     rate_hz: float | None = None,
 ) -> Report:
     """Calibrate a robot from readings in held poses, or without poses from its motion, and write a calibration."""
-    from repro.motion_capture import read_poses
+    from repro.motion_files import read_poses
 
     owner = "repro calibrate"
     path, arm = _new(output, owner), _robot(robot, owner)
@@ -802,7 +802,7 @@ def evaluate_files(
     """Compare estimates with measured poses: lag, calibration on the first part, errors on the rest, a new folder."""
     import pandas as pd
 
-    from repro.motion_capture import read_poses
+    from repro.motion_files import read_poses
 
     owner = "repro evaluate"
     folder, arm = _new(output, owner), _robot(robot, owner)
