@@ -23,15 +23,20 @@ from repro.tables import POSITION_FIRST, Table, bodies_of, configurations_of, re
 _SHOWN = 200
 """Shapes by which the axes of the base are found."""
 _LENGTH_UNITS = {"Millimeters": 1e-3, "Centimeters": 1e-2, "Meters": 1.0}
+_DECIMAL_COMMA = re.compile(r"^([-+\d: ,]*\d),(\d+)$", re.ASCII)
+"""In a number or a time of day."""
 _POSE = [("Rotation", axis) for axis in "XYZW"] + [("Position", axis) for axis in "XYZ"]
-_EXPORTS = ("Format Version", "Segments", "Objects", "NO_OF_FRAMES")
-"""What files of Motive, Vicon and Qualisys begin with."""
+_OF_VICON = ("Segments", "Objects", "Joints", "Trajectories", "Devices", "Model Outputs")
+_EXPORTS = ("Format Version", "NO_OF_FRAMES", *_OF_VICON)
+"""What files of Motive, Qualisys and Vicon begin with; the parts of a file of Vicon."""
 _FROZEN, _JUMP_STEPS, _FRAME_S, _ORIGIN = 20, 5.0, 0.5, 5e-3
 """Frames are frozen if more are equal in a row and the next step is so many usual ones; rows farther apart than this
 are no frames [s]; a body that is mostly farther from the origin does not go there [m]."""
 _SLACK, _OUTSIDE, _MISFIT = 0.1, 0.05, 0.1
 """Poses may be outside the bounds by this share of their width, this share of the poses farther, and the kinematics
 may miss them by this share of the robot's length."""
+_TURNED = math.radians(25.0)
+"""A body that is mostly turned more against the robot's kinematics was defined in other axes."""
 _EQUAL = 5e-5
 """Two ways of the axes fit alike if their misfits differ by no more than a tenth and this [m]."""
 
@@ -63,10 +68,10 @@ def read_motion(path: Path | str) -> Motion:
     """Read the rigid bodies of a file of motion capture.
 
     The file is an export of OptiTrack Motive (CSV with quaternions, versions 1.20 to 1.29), Vicon (CSV with
-    segments), Qualisys (TSV with bodies, "6D"), or a table with the columns ``time_s, x_1_mm, y_1_mm, z_1_mm, qx_1,
-    qy_1, qz_1, qw_1`` for body "1" and so on. Quaternions lead from the body to the axes of the file; in Motive y
-    points up. A frame is lost where cells are empty, where a body has no orientation, or lies in the origin without a
-    turn; more than 20 frames that are equal bit for bit and
+    segments, other parts before and after), Qualisys (TSV with bodies, "6D", decimal points or commas), or a table
+    with the columns ``time_s, x_1_mm, y_1_mm, z_1_mm, qx_1, qy_1, qz_1, qw_1`` for body "1" and so on. Quaternions
+    lead from the body to the axes of the file; in Motive y points up. A frame is lost where cells are empty, where a
+    body has no orientation, or lies in the origin without a turn; more than 20 frames that are equal bit for bit and
     end in a jump are frozen and lost too.
 
     Parameters
@@ -111,7 +116,7 @@ def read_motion(path: Path | str) -> Motion:
     path, remarks = Path(path), list[str]()
     require(path.is_file(), "path", "read_motion", "a file that exists", path)
     text, owner = text_of(path, remarks), path.name
-    if not text.startswith(_EXPORTS):
+    if not _is_export(text):
         return _motion_of(read_table(path))
     read = _motive if text.startswith("Format") else _qualisys if text.startswith("NO") else _vicon
     separator = "\t" if read is _qualisys else ","
@@ -126,6 +131,11 @@ def read_motion(path: Path | str) -> Motion:
     for name, poses in motion.bodies.items():
         _clear_lost(poses, f"{name} in {owner}", motion.lines, remarks)
     return motion._replace(remarks=tuple(remarks))
+
+
+def _is_export(text: str) -> bool:
+    """Whether a text is what Motive, Qualisys or Vicon export, by its first cell."""
+    return re.split(r"[,\t\r\n]", text, maxsplit=1)[0] in _EXPORTS
 
 
 def _numbers_of(
@@ -173,15 +183,17 @@ def _motive(rows: list[list[str]], path: Path) -> Motion:
 
 
 def _vicon(rows: list[list[str]], path: Path) -> Motion:
-    owner, end = path.name, next((k for k, row in enumerate(rows) if k > 5 and not any(row)), len(rows))
-    header, wanted = [*rows[:5], *5 * [[""]]], ["RX", "RY", "RZ", "TX", "TY", "TZ"]
+    owner, wanted = path.name, ["RX", "RY", "RZ", "TX", "TY", "TZ"]
+    first = next((k for k, row in enumerate(rows) if row and row[0] in _OF_VICON[:2]), 0)
+    end = next((k for k, row in enumerate(rows) if k > first + 5 and not any(row)), len(rows))
+    header = [*rows[first : first + 5], *5 * [[""]]]
     starts = [k for k in range(len(header[3])) if header[3][k : k + 6] == wanted]
     units = {"rad": 1.0, "deg": math.pi / 180, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
     known = all(len(own := header[4][k : k + 6]) == 6 and {*own} <= {*units} for k in starts)
     if not (starts and known and re.fullmatch(r"[\d.]+", header[1][0])):
         words = "of Vicon: a rate, names, RX, RY, RZ, TX, TY, TZ of each segment, and their units"
         raise bad_input("header", owner, words, "another")
-    table, lines = _numbers_of(rows, 5, end, [0, *(k + c for k in starts for c in range(6))], owner)
+    table, lines = _numbers_of(rows, first + 5, end, [0, *(k + c for k in starts for c in range(6))], owner)
     bodies, rate_hz = dict[str, Array](), float(header[1][0])
     for n, k in enumerate(starts):
         own = table[:, 1 + 6 * n : 7 + 6 * n] * [units[unit] for unit in header[4][k : k + 6]]
@@ -193,6 +205,7 @@ def _vicon(rows: list[list[str]], path: Path) -> Motion:
 
 
 def _qualisys(rows: list[list[str]], path: Path) -> Motion:
+    rows = [[_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row] for row in rows]
     axes = next((k for k, row in enumerate(rows) if row[:2] == ["Frame", "Time"]), 0)
     header = {row[0]: row[1:] for row in rows[:axes] if row}
     names, block = header.get("BODY_NAMES", []), ["X", "Y", "Z"]
@@ -331,7 +344,7 @@ def read_poses(
         If the file has no poses of this robot, or most of them are outside its bounds.
     """
     require(0 <= straight_s < math.inf, "straight_s", "read_poses", "0 or above", straight_s)
-    if isinstance(path, str | Path) and Path(path).is_file() and text_of(Path(path), []).startswith(_EXPORTS):
+    if isinstance(path, str | Path) and Path(path).is_file() and _is_export(text_of(Path(path), [])):
         return _fitted(robot, read_motion(path), Path(path).name, bodies, straight_s, covariance)
     table = read_table(path)
     if not set(robot.coordinates) & set(table.names):
@@ -471,6 +484,12 @@ def _fitted(
     hint += "A straight start tells the axes: --straight-s)"
     expected = f"those that the robot can take, {hint}"
     require(typical < most, "poses", owner, expected, f"poses {1e3 * typical:.3g} mm from the nearest shape")
+    for name, turns in zip(names[-n:], np.swapaxes(shapes.residuals[..., 3:], 0, 1), strict=True):
+        sizes = np.linalg.norm(turns[np.isfinite(turns[:, 0])], axis=-1)
+        turned = float(np.median(sizes)) if len(sizes) else 0.0
+        expected = "turned as the end of its segment (a straight start takes its own turn away: --straight-s)"
+        received = f"turned against it by {math.degrees(turned):.0f} deg"
+        require(turned < _TURNED, f"body {name}", owner, expected, received)
     far = miss > most
     q[far] = np.nan
     _say(far, f"Poses of {owner} left out, which the robot cannot take", motion.lines, remarks)

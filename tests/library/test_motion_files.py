@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime
 from pathlib import Path
 
@@ -164,10 +165,24 @@ def plain() -> str:
     return names + "".join(",".join(f"{x:.9f}" for x in row) + "\n" for row in rows)
 
 
+JOINTS = "Joints\n10\n,,arm:j,,\nFrame,Sub Frame,RX,RY,RZ\n,,deg,deg,deg\n1,0,1,2,3\n2,0,1,2,3\n3,0,1,2,3\n\n"
+
+
+def with_decimal_commas(text: str) -> str:
+    return re.sub(r"(\d)\.(\d)", r"\1,\2", text)
+
+
 FILES = {
     "Vicon": (vicon(), "arm:tip", 7, None),
+    "Vicon, joints first": (JOINTS + vicon(), "arm:tip", 16, None),
     "Vicon in degrees": (vicon("deg"), "arm:tip", 7, None),
     "Qualisys": (qualisys(), "tip", 7, datetime(2024, 5, 3, 14, 2, 11, 345000)),
+    "Qualisys, decimal commas": (
+        with_decimal_commas(qualisys()),
+        "tip",
+        7,
+        datetime(2024, 5, 3, 14, 2, 11, 345000),
+    ),
     "a table": (plain(), "1", 3, None),
 }
 
@@ -198,6 +213,7 @@ def test_files_of_other_systems(tmp_path, text, name, line, started):
             "x_1_mm,y_1_mm,z_1_mm\n1,2,3\n4,5,6\n",
             "times of a.csv must be there: a column time_s, or a file of Motive",
         ),
+        (JOINTS, "header of a.csv must be of Vicon: a rate, names, RX"),
         (vicon().replace("RX", "X"), "header of a.csv must be of Vicon: a rate, names, RX"),
         (vicon().replace("rad", "gon"), "header of a.csv must be of Vicon"),
         (vicon().replace("3,0,", "1,0,"), "times of a.csv must be increasing"),
@@ -304,6 +320,24 @@ class TestMeasuredPoses:
         base[:, :3, :3] = Rotation.from_rotvec(np.linspace(0, 1, 120)[:, None] * [0.1, 0.5, 0.2]).as_matrix()
         tip = base @ robot.tip(q) @ mount
         found = read_poses(robot, self.table(robot, q, np.stack([base, tip], axis=1)), straight_s=0.2)
+        np.testing.assert_allclose(found.q, q, atol=1e-6)
+
+    @pytest.mark.parametrize("angle", [20.0, 40.0, 90.0])
+    def test_a_body_that_was_defined_turned_is_named(self, angle):
+        """By as much as no segment turns about its own axis; a straight start takes the turn away."""
+        robot, q = self.arm(2), self.q(2)
+        q[:20] = 0.0
+        T = robot.poses(q, tips(robot))
+        T[:, 1, :3, :3] = T[:, 1, :3, :3] @ Rotation.from_rotvec([0.0, 0.0, angle], degrees=True).as_matrix()
+        expected = r"Input body 2 of the table must be turned as the end of its segment .*--straight-s"
+        if angle > 30:
+            with pytest.raises(
+                InputError, match=rf"{expected}.*; instead received turned against it by \d\d deg"
+            ):
+                read_poses(robot, self.table(robot, q, T))
+        else:
+            assert "kinematics miss the poses" in read_poses(robot, self.table(robot, q, T)).remarks[0]
+        found = read_poses(robot, self.table(robot, q, T), straight_s=0.2)
         np.testing.assert_allclose(found.q, q, atol=1e-6)
 
     def test_motive_has_y_up(self, tmp_path):
