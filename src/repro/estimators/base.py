@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from repro.angles import FreeAngles
 from repro.common import Array, array, bad_input, is_table, numbers, require, say_that_kernels_compile
 from repro.robot import Robot
 
@@ -68,6 +69,36 @@ class Estimator(Protocol):
         self, state: Any, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
     ) -> tuple[Any, Estimate]:
         """Take in readings."""
+        ...
+
+
+@runtime_checkable
+class Watched(Estimator, Protocol):
+    """What an estimator offers beside ``init`` and ``step`` for a :class:`.Monitor` to watch it.
+
+    Its estimates report ``chi2`` and ``dof``, and it takes batches and readings that are NaN.
+    """
+
+    robot: Any
+    """Whose shape it estimates, if known."""
+    n_q: int
+    """Number of coordinates."""
+    angles: FreeAngles
+    """Which coordinates come round again."""
+    needs_time: bool
+    """Whether it predicts by the time since the last row."""
+
+    @property
+    def bounds(self) -> tuple[Array, Array] | None:
+        """Bounds of the coordinates, if there are any."""
+        ...
+
+    def parts_of(self, n_readings: int) -> tuple[Array, Array]:
+        """Return which part every reading belongs to, and which readings never stay the same ``[s]``."""
+        ...
+
+    def widened(self, share: float) -> Any:
+        """Return the estimator with bounds a share of their width farther out, or nothing without bounds."""
         ...
 
 
@@ -353,9 +384,9 @@ def run(
             require(values.ndim and len(values) == len(rows), name, owner, words, f"shape {values.shape}")
     from repro.estimators.monitor import Monitor
 
-    # Not the estimators of papers, which have none.
-    watched = monitor is not None and getattr(estimator, "watched", False)
-    method = Monitor(estimator) if watched else estimator
+    method: Any = estimator
+    if monitor is not None and isinstance(estimator, Watched):  # not the estimators of papers
+        method = Monitor(estimator)
     state, near = method.init(q0, seed=seed), NearMagnets.of(robot, rows.shape[-1], q0)
     states, estimates, hidden = [], [], []
     for k in _with_bar(len(rows), progress):
@@ -367,7 +398,7 @@ def run(
         state, estimate = method.step(state, row, float(at[k]), **given)
         if near is not None:
             near.q = estimate.q
-        states.append(state.inner if watched else state)
+        states.append(state.inner if isinstance(method, Monitor) else state)
         estimates.append(estimate)
     watch = method if isinstance(method, Monitor) else None
     found = trajectory(at, rows, estimates, robot, watch, per_row["mask"])
@@ -653,3 +684,53 @@ def model_of(sensing: Any, lower: Array, upper: Array, owner: str) -> Any:
         return sensing
     width = np.where(upper > lower, upper - lower, 1.0)
     return CallableModel(sensing, (lower + upper) / 2, width, owner)
+
+
+def parts_of(robot: Robot | None, noise: Any, n_readings: int) -> tuple[Array, Array]:
+    """Return which part every reading belongs to, and which never stay the same: their noise is above their step."""
+    if robot is None or robot.n_readings != n_readings:
+        return np.arange(n_readings), np.ones(n_readings, dtype=bool)
+    noise = noise if robot.noise is None else robot.noise
+    return robot.parts, np.broadcast_to(noise >= robot.resolution, (n_readings,))
+
+
+def _each_of(function: Any, x: Any, *others: Any) -> Any:
+    """Apply a function to all arrays and numbers of states or estimates of one kind."""
+    if isinstance(x, dict):
+        return {name: _each_of(function, y, *(other[name] for other in others)) for name, y in x.items()}
+    if isinstance(x, tuple):
+        return type(x)(*(_each_of(function, *values) for values in zip(x, *others, strict=True)))
+    return function(x, *others)
+
+
+def member(x: Any, k: Any) -> Any:
+    """Return one robot of a batch of states or estimates."""
+    return _each_of(lambda y: y[k] if isinstance(y, np.ndarray) else y, x)
+
+
+def with_member(x: Any, k: Any, y: Any) -> Any:
+    """Return a batch with one robot exchanged."""
+
+    def exchanged(old: Any, new: Any) -> Any:
+        if not isinstance(old, np.ndarray):
+            return new
+        old = old.copy()
+        old[k] = new
+        return old
+
+    return y if k == () else _each_of(exchanged, x, y)
+
+
+def chosen(condition: Array, x: Any, y: Any) -> Any:
+    """Return a batch of the robots of one where a condition holds, else of another."""
+
+    def where(old: Any, new: Any) -> Any:
+        return np.where(condition[(...,) + (None,) * (np.ndim(old) - condition.ndim)], new, old)[()]
+
+    return _each_of(where, y, x)
+
+
+def grown(estimate: Estimate, added: Any, factor: Any = 1.0) -> Estimate:
+    """Return an estimate whose covariance is multiplied by a factor, with another one added."""
+    C: Any = estimate.covariance
+    return estimate._replace(covariance=factor * C + added)

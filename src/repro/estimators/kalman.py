@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from repro.angles import FreeAngles
 from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import (
     Estimate,
@@ -27,6 +28,7 @@ from repro.estimators.base import (
     each,
     incoming,
     known_coordinates,
+    parts_of,
     run,
     start,
 )
@@ -59,7 +61,7 @@ class MotionModel:
     """What filters with a motion model share: ``motion(tau)`` gives the transition and the noise that it adds."""
 
     needs_time = True
-    watched = True
+    angles: FreeAngles
 
     def motion(self, tau: float) -> tuple[Array, Array]:
         """Return the transition of ``(q, velocity)`` over a time [s], and the covariance that noise adds."""
@@ -80,6 +82,18 @@ class MotionModel:
         x, n = np.concatenate([state.q, state.velocity], axis=-1) @ F.T, state.q.shape[-1]
         P = F @ state.covariance @ F.T + Q
         return KalmanState(x[..., :n], x[..., n:], 0.5 * (P + np.swapaxes(P, -1, -2)), t)
+
+    def near(self, state: KalmanState, reference: Array) -> KalmanState:
+        """Return the same state with angles next to those of a reference ``[..., n_q]``."""
+        return state
+
+    def wrapped(self, state: KalmanState) -> KalmanState:
+        """Return the same state with angles within their bounds."""
+        return state
+
+    def by_bounds(self, C: Array) -> Array:
+        """Return covariances ``[..., n_q, n_q]`` that leave no direction more open than bounds do."""
+        return C
 
 
 class KalmanFilter(MotionModel):
@@ -201,6 +215,15 @@ class KalmanFilter(MotionModel):
             grown = np.where(self.drift_rate > 0, -np.expm1(-2 * self.drift_rate * tau) / (2 * rate), tau)
             F[e, e], Q[e, e] = np.exp(-self.drift_rate * tau), self.drift_walk**2 * grown
         return F, Q
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Bounds of the coordinates."""
+        return self._update.lower[: self.n_q], self._update.upper[: self.n_q]
+
+    def parts_of(self, n_readings: int) -> tuple[Array, Array]:
+        """Return which part every reading belongs to, and which readings never stay the same ``[s]``."""
+        return parts_of(self.robot, self._update.noise, n_readings)
 
     def widened(self, share: float) -> KalmanFilter:
         """Return this filter with bounds that are a share of their width farther out on each side."""
@@ -352,7 +375,7 @@ def _update(x, P, q, C, information):
                 P[k, a, b] = 0.5 * (C[k, a, b] + C[k, b, a])
 
 
-def smoothed(method: Any, states: Sequence[Any], restarted: Any = None) -> list[Any]:
+def smoothed(method: MotionModel, states: Sequence[Any], restarted: Any = None) -> list[Any]:
     r"""Return what later readings say about earlier states: Rauch, Tung and Striebel.
 
     With the state :math:`x_k, P_k` after its own readings, the transition :math:`F` to the next one and
@@ -383,13 +406,12 @@ def smoothed(method: Any, states: Sequence[Any], restarted: Any = None) -> list[
     require((np.diff(t) >= 0).all(), "states", "smoothed", "in the order of time", "others")
     x = np.stack([np.concatenate([state.q, state.velocity], axis=-1) for state in states])
     P, n = np.stack([state.covariance for state in states]), states[0].q.shape[-1]
-    turns = getattr(method, "angles", None)
     for k in reversed(range(len(t) - 1)):
         gain, mean, before = _link(method.motion(t[k + 1] - t[k]), x[k], P[k])
         if restarted is not None:
             gain = gain * ~restarted[k + 1][..., None, None]
         y, C = x[k + 1], P[k + 1]
-        if turns:  # the later state may have been wrapped
+        if method.angles:  # the later state may have been wrapped
             later = method.near(
                 states[k + 1]._replace(q=y[..., :n], velocity=y[..., n:], covariance=C), mean[..., :n]
             )
@@ -401,7 +423,7 @@ def smoothed(method: Any, states: Sequence[Any], restarted: Any = None) -> list[
         state._replace(q=y[..., :n], velocity=y[..., n:], covariance=C)
         for state, y, C in zip(states, x, P, strict=True)
     ]
-    return [method.wrapped(state) for state in found] if hasattr(method, "wrapped") else found
+    return [method.wrapped(state) for state in found]
 
 
 def _link(motion: tuple[Array, Array], x: Array, P: Array) -> tuple[Array, Array, Array]:
@@ -456,7 +478,9 @@ def smooth(
     >>> smooth(method, [[0.0], [np.nan], [1.0]], [0.0], times=[0.0, 0.5, 1.0]).q.ravel().round(3) + 0.0
     array([0. , 0.5, 1. ])
     """
-    require(hasattr(method, "motion"), "method", "smooth", "a Kalman or rod filter", type(method).__name__)
+    require(
+        isinstance(method, MotionModel), "method", "smooth", "a Kalman or rod filter", type(method).__name__
+    )
     found, states = run(
         method, readings, q0, times=times, rate_hz=rate_hz, seed=0, mask=mask, known=known, progress=progress,
         monitor=monitor, owner="smooth",
@@ -466,7 +490,5 @@ def smooth(
     q = np.stack([state.q[..., :n] for state in back])
     P = np.stack([state.covariance[..., :n, :n] for state in back])
     P = P * details["growth"][..., None, None] if "growth" in details else P
-    if hasattr(method, "by_bounds"):
-        P = method.by_bounds(P)
-    values = {**vars(found), "q": q, "covariance": P}
+    values = {**vars(found), "q": q, "covariance": method.by_bounds(P)}
     return Trajectory(**values)
