@@ -223,7 +223,6 @@ class Mounted(Protocol):
     @property
     def place(self) -> Place:
         """Where it is."""
-        ...
 
 
 class Source(NamedTuple):

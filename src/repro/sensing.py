@@ -417,7 +417,6 @@ class Linearised(Protocol):
 
     def linearise(self, x: Array) -> tuple[Array, Array]:
         """Return values, and their slopes by ``x``."""
-        ...
 
 
 class Sensing:
